@@ -1,0 +1,51 @@
+//! The gate every long call passes: check layout and shape, borrow without copying, then leave the GIL.
+#![allow(dead_code, reason = "used as the parts' bindings land")]
+
+use carina_grid::{Affine, Grid, GridError};
+use numpy::{Element, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+
+use crate::errors::IntoPy;
+
+/// A 4x4 matrix as an affine map.
+pub(crate) fn affine(what: &'static str, matrix: &PyReadonlyArray2<'_, f64>) -> PyResult<Affine> {
+    let shape = matrix.shape();
+    if shape != [4, 4] {
+        return Err(GridError::Transform {
+            what,
+            reason: format!("expected a 4x4 matrix, found shape {shape:?}"),
+        }
+        .into_py());
+    }
+    let view = matrix.as_array();
+    let rows: [[f64; 4]; 4] = std::array::from_fn(|r| std::array::from_fn(|c| view[[r, c]]));
+    Affine::from_matrix(what, &rows).map_err(IntoPy::into_py)
+}
+
+/// The grid of a `[z, y, x]` array placed by `lps_from_ijk`.
+pub(crate) fn grid<T: Element>(
+    array: &PyReadonlyArray3<'_, T>,
+    lps_from_ijk: &PyReadonlyArray2<'_, f64>,
+) -> PyResult<Grid> {
+    let shape = array.shape();
+    Grid::new(
+        [shape[0], shape[1], shape[2]],
+        affine("lps_from_ijk", lps_from_ijk)?,
+    )
+    .map_err(IntoPy::into_py)
+}
+
+/// The array's values without a copy; refused unless C-contiguous.
+pub(crate) fn values<'a, T: Element>(
+    name: &str,
+    array: &'a PyReadonlyArray3<'_, T>,
+) -> PyResult<&'a [T]> {
+    if !array.is_c_contiguous() {
+        return Err(pyo3::exceptions::PyValueError::new_err(format!(
+            "{name}: expected a C-contiguous [z, y, x] array, found other strides; pass numpy.ascontiguousarray({name})"
+        )));
+    }
+    array
+        .as_slice()
+        .map_err(|e| pyo3::exceptions::PyValueError::new_err(format!("{name}: {e}")))
+}

@@ -1,0 +1,36 @@
+//! Rust errors become the classes of `carina.errors`, with their stable code.
+#![allow(dead_code, reason = "used as the parts' bindings land")]
+
+use pyo3::prelude::*;
+
+/// Maps one crate's error enum.
+pub(crate) trait IntoPy {
+    /// As a Python exception.
+    fn into_py(self) -> PyErr;
+}
+
+/// An exception of class `carina.errors.<class>` with `code`.
+pub(crate) fn carina_error(class: &str, code: &str, message: String) -> PyErr {
+    Python::attach(|py| {
+        let build = || -> PyResult<PyErr> {
+            let exception = py
+                .import("carina.errors")?
+                .getattr(class)?
+                .call1((message.clone(),))?;
+            exception.setattr("code", code)?;
+            Ok(PyErr::from_value(exception))
+        };
+        build().unwrap_or_else(|e| e)
+    })
+}
+
+impl IntoPy for carina_grid::GridError {
+    fn into_py(self) -> PyErr {
+        let class = if self.code().starts_with("render") {
+            "RenderError"
+        } else {
+            "GeometryError"
+        };
+        carina_error(class, self.code(), self.to_string())
+    }
+}

@@ -1,0 +1,43 @@
+//! `carina._core`: the compiled module behind the Python package. Thin: it checks arrays, leaves the GIL, maps errors.
+//!
+//! Contracts (shapes, units, errors) are written in the Python facade, types in `_core.pyi`, algorithms in the crates.
+
+use pyo3::prelude::*;
+
+mod airpath;
+mod arrays;
+mod errors;
+mod isoregion;
+mod phantom;
+mod raycast;
+mod scope;
+
+/// What was built and what it uses: `profile`, `simd`, `threads`, `version`.
+#[pyfunction]
+fn build_info(py: Python<'_>) -> PyResult<Bound<'_, pyo3::types::PyDict>> {
+    let info = pyo3::types::PyDict::new(py);
+    info.set_item("version", env!("CARGO_PKG_VERSION"))?;
+    info.set_item(
+        "profile",
+        if cfg!(debug_assertions) {
+            "debug"
+        } else {
+            "release"
+        },
+    )?;
+    info.set_item("simd", "portable")?;
+    info.set_item("threads", rayon::current_num_threads())?;
+    info.set_item("target", std::env::consts::ARCH)?;
+    Ok(info)
+}
+
+#[pymodule]
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(build_info, module)?)?;
+    isoregion::register(module)?;
+    raycast::register(module)?;
+    airpath::register(module)?;
+    phantom::register(module)?;
+    scope::register(module)?;
+    Ok(())
+}

@@ -1,0 +1,150 @@
+use crate::{Affine, Grid, GridError};
+
+/// The narrowest field of view, 1 degree: a tele lens for looking at a landmark from outside.
+pub const MIN_FOV_RAD: f64 = core::f64::consts::PI / 180.0;
+/// The widest pinhole field of view, 170 degrees: at 180 the image plane is infinite.
+pub const MAX_FOV_RAD: f64 = 170.0 * core::f64::consts::PI / 180.0;
+
+/// A pinhole camera: pose, field of view and viewport.
+///
+/// Camera axes: +x right, +y down, +z forward. Pixel (0, 0) is the corner of the top-left pixel; its centre is (0.5, 0.5).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Camera {
+    lps_from_camera: Affine,
+    focal_px: f64,
+    width: usize,
+    height: usize,
+}
+
+/// A ray through the centre of one pixel, in patient space.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PixelRay {
+    /// Camera centre, LPS mm.
+    pub origin_lps: [f64; 3],
+    /// Unit direction.
+    pub dir_lps: [f64; 3],
+}
+
+impl Camera {
+    /// A camera at a rigid pose. `fov_rad` is the full angle across the shorter side of the viewport.
+    pub fn new(
+        lps_from_camera: Affine,
+        fov_rad: f64,
+        width: usize,
+        height: usize,
+    ) -> Result<Self, GridError> {
+        // 1e-6: a pose that was multiplied up over a long flight and came through JSON still passes.
+        if !lps_from_camera.is_rigid(1e-6) {
+            return Err(GridError::Transform {
+                what: "lps_from_camera",
+                reason: "its axes are not unit vectors at right angles, right-handed".to_owned(),
+            });
+        }
+        if !(MIN_FOV_RAD - 1e-12..=MAX_FOV_RAD + 1e-12).contains(&fov_rad) {
+            return Err(GridError::Camera {
+                what: "field of view",
+                expected: "1 to 170 degrees".to_owned(),
+                found: format!("{:.2} degrees", fov_rad.to_degrees()),
+            });
+        }
+        if !(1..=8192).contains(&width) || !(1..=8192).contains(&height) {
+            return Err(GridError::Camera {
+                what: "viewport",
+                expected: "1 to 8192 pixels on each side".to_owned(),
+                found: format!("{width} x {height}"),
+            });
+        }
+        Ok(Self {
+            lps_from_camera,
+            // libm, not std: the same bits on every platform.
+            focal_px: width.min(height) as f64 / 2.0 / libm::tan(fov_rad / 2.0),
+            width,
+            height,
+        })
+    }
+
+    /// The pose.
+    #[must_use]
+    pub const fn lps_from_camera(&self) -> &Affine {
+        &self.lps_from_camera
+    }
+
+    /// Camera centre, LPS mm.
+    #[must_use]
+    pub fn origin_lps(&self) -> [f64; 3] {
+        self.lps_from_camera.column(3)
+    }
+
+    /// Focal length in pixels.
+    #[must_use]
+    pub const fn focal_px(&self) -> f64 {
+        self.focal_px
+    }
+
+    /// Viewport width.
+    #[must_use]
+    pub const fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Viewport height.
+    #[must_use]
+    pub const fn height(&self) -> usize {
+        self.height
+    }
+
+    /// The ray through the centre of pixel (column, row).
+    #[must_use]
+    pub fn ray(&self, column: usize, row: usize) -> PixelRay {
+        let x = (column as f64 + 0.5) - self.width as f64 / 2.0;
+        let y = (row as f64 + 0.5) - self.height as f64 / 2.0;
+        let len = (x * x + y * y + self.focal_px * self.focal_px).sqrt();
+        PixelRay {
+            origin_lps: self.origin_lps(),
+            dir_lps: self
+                .lps_from_camera
+                .vector([x / len, y / len, self.focal_px / len]),
+        }
+    }
+
+    /// The camera's centre and the step of a ray in voxel coordinates: `p(t) = origin + t_mm * direction`.
+    #[must_use]
+    pub fn ray_ijk(&self, grid: &Grid, column: usize, row: usize) -> ([f64; 3], [f64; 3]) {
+        let ray = self.ray(column, row);
+        (
+            grid.ijk_from_lps().point(ray.origin_lps),
+            grid.ijk_from_lps().vector(ray.dir_lps),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_field_of_view_spans_the_shorter_side() {
+        let cam = Camera::new(Affine::IDENTITY, 90f64.to_radians(), 300, 200).unwrap();
+        // The centre of the outermost row lies half a pixel inside the 45 degree edge.
+        let d = cam.ray(150, 0).dir_lps;
+        assert!((d[1] / d[2] + (100.0 - 0.5) / 100.0).abs() < 1e-12);
+        assert!(d[1] < 0.0, "row 0 is the top, and +y is down");
+    }
+
+    #[test]
+    fn wide_and_narrow_fields_of_view_are_accepted_and_absurd_ones_refused() {
+        for deg in [60.0, 90.0, 120.0, 170.0f64] {
+            assert!(Camera::new(Affine::IDENTITY, deg.to_radians(), 64, 64).is_ok());
+        }
+        for deg in [0.0, 171.0, 180.0, f64::NAN] {
+            assert!(Camera::new(Affine::IDENTITY, deg.to_radians(), 64, 64).is_err());
+        }
+    }
+
+    #[test]
+    fn a_mirrored_pose_is_refused() {
+        let mirrored =
+            Affine::from_columns([-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0; 3]);
+        assert!(Camera::new(mirrored, 1.0, 64, 64).is_err());
+    }
+}

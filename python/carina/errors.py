@@ -1,0 +1,91 @@
+"""Carina's errors: one root, a child per kind of trouble, each with a stable code.
+
+A message says what was being done, what was expected, what was found, and what to try. Codes are shared with the Rust
+crates and with the web client; ``exit_code`` is what the command line returns (DESIGN section 3).
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "CarinaError",
+    "ClusterError",
+    "GeometryError",
+    "NoResultError",
+    "ProtocolError",
+    "RenderError",
+    "TrackingError",
+    "UsageError",
+    "VolumeImportError",
+]
+
+
+class CarinaError(Exception):
+    """Root of all errors that Carina raises on purpose."""
+
+    code: str = "carina"
+    exit_code: int = 1
+
+    def __init__(self, message: str, *, code: str | None = None) -> None:
+        super().__init__(message)
+        if code is not None:
+            self.code = code
+
+
+class UsageError(CarinaError, ValueError):
+    """An argument is wrong or out of range."""
+
+    code = "usage"
+    exit_code = 2
+
+
+class VolumeImportError(CarinaError, OSError):
+    """A file or a series is refused; the message names it and says what to do."""
+
+    code = "import"
+    exit_code = 3
+
+    def __str__(self) -> str:
+        # OSError formats its arguments as errno and strerror; ours is one sentence.
+        return str(self.args[0]) if self.args else ""
+
+
+class GeometryError(CarinaError, ValueError):
+    """A grid, a transform or an array's shape is unusable."""
+
+    code = "geometry"
+    exit_code = 3
+
+
+class RenderError(CarinaError, ValueError):
+    """A view or a camera is out of range."""
+
+    code = "render"
+    exit_code = 2
+
+
+class TrackingError(CarinaError):
+    """A path or an airway could not be tracked."""
+
+    code = "track"
+    exit_code = 4
+
+
+class NoResultError(TrackingError):
+    """The question has no answer in this volume: no airway, no path."""
+
+    code = "track.no-result"
+    exit_code = 4
+
+
+class ClusterError(CarinaError):
+    """The cluster refused or lost a machine."""
+
+    code = "cluster"
+    exit_code = 1
+
+
+class ProtocolError(CarinaError, ValueError):
+    """A message does not follow the wire format."""
+
+    code = "protocol"
+    exit_code = 1

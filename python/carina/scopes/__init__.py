@@ -1,0 +1,5 @@
+"""The bronchoscope: where its tip is (pose) and how it sees (lens)."""
+
+from carina.scopes.pose import Pose
+
+__all__ = ["Pose"]

@@ -1,0 +1,97 @@
+"""The pose of the scope's tip, which is the pose of the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import UsageError
+
+__all__ = ["Pose"]
+
+ANTERIOR_LPS = np.array([0.0, -1.0, 0.0])
+SUPERIOR_LPS = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """A rigid pose ``lps_from_camera`` (4x4 float64, row-major, mm): +x right, +y down, +z forward along the scope."""
+
+    lps_from_camera: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        m = np.array(self.lps_from_camera, dtype=np.float64)
+        if m.shape != (4, 4) or not np.isfinite(m).all():
+            raise UsageError("a pose is a finite 4x4 matrix")
+        r = m[:3, :3]
+        # 1e-6: poses pass through JSON and many small rotations; anything worse is a different matrix, not rounding.
+        if np.abs(r.T @ r - np.eye(3)).max() > 1e-6 or np.linalg.det(r) < 0:
+            raise UsageError("a pose's axes must be unit vectors at right angles, right-handed")
+        m.flags.writeable = False
+        object.__setattr__(self, "lps_from_camera", m)
+
+    @classmethod
+    def looking(
+        cls, at_lps: Sequence[float], look_lps: Sequence[float], up_lps: Sequence[float] | None = None
+    ) -> Pose:
+        """The pose at a point, looking along a direction, with ``up`` as near the top of the picture as it can be.
+
+        Parameters
+        ----------
+        at_lps
+            Tip position, LPS mm.
+        look_lps
+            Viewing direction (any length above 0).
+        up_lps
+            Direction that should appear up; anterior unless told (head-end position of the operator), or superior where
+            the view is along the anterior-posterior axis.
+
+        Raises
+        ------
+        UsageError
+            If a direction has no length, or ``up`` is parallel to ``look``.
+        """
+        at = np.asarray(at_lps, dtype=np.float64)
+        look = np.asarray(look_lps, dtype=np.float64)
+        norm = float(np.linalg.norm(look))
+        if at.shape != (3,) or look.shape != (3,) or not np.isfinite(at).all() or not np.isfinite(norm) or norm < 1e-9:
+            raise UsageError("a pose needs a finite position and a viewing direction longer than 0")
+        forward = look / norm
+        if up_lps is None:
+            # Within 8 degrees of the anterior axis "anterior up" is meaningless.
+            up = ANTERIOR_LPS if abs(float(forward @ ANTERIOR_LPS)) < 0.99 else SUPERIOR_LPS
+        else:
+            up = np.asarray(up_lps, dtype=np.float64)
+        down = -(up - float(up @ forward) * forward)
+        length = float(np.linalg.norm(down))
+        if not length > 1e-6 * max(1.0, float(np.linalg.norm(up))):
+            raise UsageError("the up direction must not be parallel to the viewing direction")
+        down /= length
+        right = np.cross(down, forward)
+        m = np.eye(4)
+        m[:3, :3] = np.column_stack([right, down, forward])
+        m[:3, 3] = at
+        return cls(m)
+
+    @property
+    def position_lps(self) -> NDArray[np.float64]:
+        """Tip position, LPS mm."""
+        return self.lps_from_camera[:3, 3]
+
+    @property
+    def forward_lps(self) -> NDArray[np.float64]:
+        """Viewing direction, unit length."""
+        return self.lps_from_camera[:3, 2]
+
+    @property
+    def right_lps(self) -> NDArray[np.float64]:
+        """Direction that appears to the right."""
+        return self.lps_from_camera[:3, 0]
+
+    @property
+    def down_lps(self) -> NDArray[np.float64]:
+        """Direction that appears down."""
+        return self.lps_from_camera[:3, 1]

@@ -1,0 +1,119 @@
+"""The volume every part works on: int16 values ``[z, y, x]`` and their place in patient space (LPS, mm)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import GeometryError
+
+__all__ = ["SeriesInfo", "Volume", "VolumeSource"]
+
+
+@dataclass(frozen=True, slots=True)
+class SeriesInfo:
+    """One series found in a folder. Holds no patient name."""
+
+    key: str
+    """Short stable key to choose it by: the number of the series and a counter, never a UID."""
+    modality: str
+    description: str
+    num_slices: int
+    shape_zyx: tuple[int, int, int] | None = None
+    refused: str | None = None
+    """Why it cannot be opened, or None."""
+
+
+@dataclass(frozen=True, slots=True)
+class VolumeSource:
+    """Where a volume came from, in words fit for the screen (no patient name, no UID)."""
+
+    format: str
+    """``dicom``, ``nifti``, ``nrrd``, ``metaimage``, ``phantom`` or ``array``."""
+    title: str
+    """Series text or file name, for the title bar."""
+    series: SeriesInfo | None = None
+    other_series: tuple[SeriesInfo, ...] = ()
+    warnings: tuple[str, ...] = ()
+    """Things a person should know: coarse slices, a rescue of a header, ..."""
+    citation: str | None = None
+    """Citation and licence that must be shown with the data, for the bundled case."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Volume:
+    """A chest CT (or another int16 volume) on a regular grid.
+
+    ``hu_zyx`` is C-contiguous ``(nz, ny, nx)`` int16, read-only: HU where ``is_hu``, else the file's own numbers.
+    ``lps_from_ijk`` is 4x4 float64; voxel (0, 0, 0) is the *centre* of the first voxel; columns are the steps of one voxel
+    along i, j, k in mm.
+    """
+
+    hu_zyx: NDArray[np.int16]
+    lps_from_ijk: NDArray[np.float64]
+    is_hu: bool = True
+    not_hu_reason: str | None = None
+    source: VolumeSource = field(default_factory=lambda: VolumeSource(format="array", title="volume"))
+
+    def __post_init__(self) -> None:
+        values = self.hu_zyx
+        if values.ndim != 3 or 0 in values.shape:
+            msg = f"a volume needs three axes with at least one voxel each; found shape {values.shape}"
+            raise GeometryError(msg, code="geometry.shape")
+        if values.dtype != np.int16 or not values.flags.c_contiguous:
+            msg = f"voxel values must be C-contiguous int16; found {values.dtype}"
+            raise GeometryError(msg, code="geometry.dtype")
+        matrix = np.array(self.lps_from_ijk, dtype=np.float64)
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) == 0.0:
+            msg = "lps_from_ijk must be a finite, invertible 4x4 matrix"
+            raise GeometryError(msg, code="geometry.transform")
+        values = values.view()
+        values.flags.writeable = False
+        matrix.flags.writeable = False
+        object.__setattr__(self, "hu_zyx", values)
+        object.__setattr__(self, "lps_from_ijk", matrix)
+
+    def __repr__(self) -> str:
+        unit = "HU" if self.is_hu else "not HU"
+        sx, sy, sz = self.spacing_mm
+        return f"Volume(shape_zyx={self.shape_zyx}, spacing_mm=({sx:.4g}, {sy:.4g}, {sz:.4g}), {unit})"
+
+    @property
+    def shape_zyx(self) -> tuple[int, int, int]:
+        """Shape of the array."""
+        nz, ny, nx = self.hu_zyx.shape
+        return nz, ny, nx
+
+    @property
+    def spacing_mm(self) -> tuple[float, float, float]:
+        """Distance of voxel centres along i, j, k."""
+        sx, sy, sz = np.linalg.norm(self.lps_from_ijk[:3, :3], axis=0)
+        return float(sx), float(sy), float(sz)
+
+    @property
+    def ijk_from_lps(self) -> NDArray[np.float64]:
+        """The inverse of ``lps_from_ijk``."""
+        return np.linalg.inv(self.lps_from_ijk)
+
+    def to_lps(self, points_ijk: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Voxel coordinates ``(..., 3)`` to LPS mm."""
+        return np.asarray(points_ijk, dtype=np.float64) @ self.lps_from_ijk[:3, :3].T + self.lps_from_ijk[:3, 3]
+
+    def to_ijk(self, points_lps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """LPS mm ``(..., 3)`` to voxel coordinates."""
+        inverse = self.ijk_from_lps
+        return np.asarray(points_lps, dtype=np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
+
+    @property
+    def center_lps(self) -> NDArray[np.float64]:
+        """Middle of the grid, LPS mm."""
+        nz, ny, nx = self.shape_zyx
+        return self.to_lps(np.array([(nx - 1) / 2, (ny - 1) / 2, (nz - 1) / 2]))
+
+    def contains_lps(self, point_lps: NDArray[np.float64]) -> bool:
+        """True where the point lies in the grid, half a voxel beyond the outer centres included."""
+        nz, ny, nx = self.shape_zyx
+        ijk = self.to_ijk(point_lps)
+        return bool(np.all(ijk >= -0.5) and np.all(ijk <= np.array([nx, ny, nz]) - 0.5))
