@@ -7,6 +7,7 @@ crates and with the web client; ``exit_code`` is what the command line returns (
 from __future__ import annotations
 
 __all__ = [
+    "CancelledError",
     "CarinaError",
     "ClusterError",
     "GeometryError",
@@ -29,6 +30,13 @@ class CarinaError(Exception):
         super().__init__(message)
         if code is not None:
             self.code = code
+
+
+class CancelledError(CarinaError):
+    """The person stopped a long task; nothing was changed."""
+
+    code = "cancelled"
+    exit_code = 130
 
 
 class UsageError(CarinaError, ValueError):
