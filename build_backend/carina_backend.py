@@ -1,4 +1,4 @@
-"""PEP 517 backend: builds the web UI where its sources are newer than the build, then hands over to maturin.
+"""PEP 517 backend: builds the web UI where its sources are newer, then hands over to maturin.
 
 maturin has no build hooks; an in-tree wrapper keeps ``pip install .`` and ``uv run`` one command. In an sdist the built UI
 is included and all times are equal, so neither Node nor npm is needed there.
@@ -38,8 +38,8 @@ def build_web() -> None:
     if npm is None:
         sys.exit("carina: building the web UI needs npm (Node 20 or newer); install Node and try again")
     if not (WEB / "node_modules" / ".package-lock.json").exists():
-        subprocess.run([npm, "ci", "--no-audit", "--no-fund"], cwd=WEB, check=True)  # noqa: S603
-    subprocess.run([npm, "run", "build"], cwd=WEB, check=True)  # noqa: S603
+        subprocess.run([npm, "ci", "--no-audit", "--no-fund"], cwd=WEB, check=True)
+    subprocess.run([npm, "run", "build"], cwd=WEB, check=True)
 
 
 def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):  # noqa: ANN001, ANN201

@@ -1,3 +1,92 @@
-"""Carina: an open virtual bronchoscopy workstation."""
+"""Carina: an open virtual bronchoscopy workstation.
+
+The public functions, handed on from the parts that own them (loaded on first use, so that ``import carina`` is quick)::
+
+    import carina
+
+    volume = carina.open_volume("scan_folder")
+    airways = carina.find_airways(volume)
+    route = airways.tree.route_to(airways.tree.tips()[0].id)
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from carina.errors import CarinaError, NoResultError, UsageError, VolumeImportError
+    from carina.export import read_tree, write_tree
+    from carina.navigate import FlightPath, Navigator
+    from carina.phantom import generate_phantom, write_phantom
+    from carina.render import Renderer, TransferFunction, render_view, transfer_preset
+    from carina.scopes import Pose
+    from carina.track import Airways, AirwayTree, find_airways, track_paths
+    from carina.volume import Volume, demo_patient, inspect_path, open_volume
+
+_HOME = {
+    "AirwayTree": "track",
+    "Airways": "track",
+    "CarinaError": "errors",
+    "FlightPath": "navigate",
+    "Navigator": "navigate",
+    "NoResultError": "errors",
+    "Pose": "scopes",
+    "Renderer": "render",
+    "TransferFunction": "render",
+    "UsageError": "errors",
+    "Volume": "volume",
+    "VolumeImportError": "errors",
+    "demo_patient": "volume",
+    "find_airways": "track",
+    "generate_phantom": "phantom",
+    "inspect_path": "volume",
+    "open_volume": "volume",
+    "read_tree": "export",
+    "render_view": "render",
+    "track_paths": "track",
+    "transfer_preset": "render",
+    "write_phantom": "phantom",
+    "write_tree": "export",
+}
+
+__all__ = [
+    "AirwayTree",
+    "Airways",
+    "CarinaError",
+    "FlightPath",
+    "Navigator",
+    "NoResultError",
+    "Pose",
+    "Renderer",
+    "TransferFunction",
+    "UsageError",
+    "Volume",
+    "VolumeImportError",
+    "__version__",
+    "demo_patient",
+    "find_airways",
+    "generate_phantom",
+    "inspect_path",
+    "open_volume",
+    "read_tree",
+    "render_view",
+    "track_paths",
+    "transfer_preset",
+    "write_phantom",
+    "write_tree",
+]
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - the attribute's own type is declared above
+    home = _HOME.get(name)
+    if home is None:
+        msg = f"module 'carina' has no attribute {name!r}"
+        raise AttributeError(msg)
+    return getattr(importlib.import_module(f"carina.{home}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -34,9 +34,7 @@ class Pose:
         object.__setattr__(self, "lps_from_camera", m)
 
     @classmethod
-    def looking(
-        cls, at_lps: Sequence[float], look_lps: Sequence[float], up_lps: Sequence[float] | None = None
-    ) -> Pose:
+    def looking(cls, at_lps: Sequence[float], look_lps: Sequence[float], up_lps: Sequence[float] | None = None) -> Pose:
         """The pose at a point, looking along a direction, with ``up`` as near the top of the picture as it can be.
 
         Parameters

@@ -46,7 +46,7 @@ class VolumeSource:
 class Volume:
     """A chest CT (or another int16 volume) on a regular grid.
 
-    ``hu_zyx`` is C-contiguous ``(nz, ny, nx)`` int16, read-only: HU where ``is_hu``, else the file's own numbers.
+    ``hu_zyx`` is C-contiguous ``(nz, ny, nx)`` int16, read-only: HU where ``is_hu``, else the file's numbers.
     ``lps_from_ijk`` is 4x4 float64; voxel (0, 0, 0) is the *centre* of the first voxel; columns are the steps of one voxel
     along i, j, k in mm.
     """

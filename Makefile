@@ -1,0 +1,87 @@
+# The whole developer interface. `make help` prints it.
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+
+# uv from the machine, else one of our own; an sdist or a bare Debian needs nothing but Python, cargo, node and npm.
+UV ?= $(shell command -v uv || echo .uv/bin/uv)
+PY := .venv/bin/python
+STAMP := .venv/.carina-installed
+RUST_SOURCES := $(shell find crates build_backend -name '*.rs' -o -name 'Cargo.toml' -o -name '*.py' 2>/dev/null) Cargo.toml Cargo.lock
+WEB_SOURCES := $(shell find web -path web/node_modules -prune -o -type f -print 2>/dev/null)
+CASE ?= phantom
+
+.PHONY: help run setup test test-rust test-web test-python check fmt bench bench-setup golden lock wheel clean
+
+help: ## print this list
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
+
+.uv/bin/uv:
+	python3 -m venv .uv
+	.uv/bin/pip install -q --disable-pip-version-check uv
+
+# Locked, hashed dependencies first, then Carina itself (compiled, web UI built) in place.
+$(STAMP): requirements.lock pyproject.toml $(RUST_SOURCES) $(WEB_SOURCES) | $(if $(findstring .uv/,$(UV)),.uv/bin/uv)
+	@test -x $(PY) || $(UV) venv -q .venv
+	$(UV) pip sync -q --require-hashes requirements.lock
+	$(UV) pip install -q --no-deps --reinstall-package carina -e .
+	@touch $@
+
+setup: $(STAMP) ## install dependencies, compile, build the web UI
+
+run: $(STAMP) ## build what is missing and open the demo (CASE=patient for the real one)
+	.venv/bin/carina demo $(CASE)
+
+test: test-rust test-web test-python ## every test that needs no special hardware
+
+test-rust:
+	cargo test --release --workspace --exclude carina-bindings
+
+web/node_modules/.package-lock.json: web/package-lock.json
+	cd web && npm ci --no-audit --no-fund
+	@touch $@
+
+test-web: web/node_modules/.package-lock.json
+	cd web && npm test
+
+test-python: $(STAMP)
+	$(PY) tools/find_browser.py --install
+	$(PY) -m pytest -m "" -ra
+
+check: $(STAMP) web/node_modules/.package-lock.json ## formatting, lints, types, layers, lock file, spelling
+	cargo fmt --all --check
+	cargo clippy --release --workspace --exclude carina-bindings --all-targets -- -D warnings
+	cargo clippy --release -p carina-bindings -- -D warnings
+	.venv/bin/ruff format --check .
+	.venv/bin/ruff check .
+	.venv/bin/mypy
+	$(PY) -m mypy.stubtest carina._core --ignore-missing-stub
+	.venv/bin/typos
+	$(PY) tools/check_layers.py
+	$(PY) tools/check_repository.py
+	cd web && npm run check
+	$(PY) tools/lock.py --check --uv $(UV)
+
+fmt: $(STAMP) web/node_modules/.package-lock.json ## format everything
+	cargo fmt --all
+	.venv/bin/ruff check -q --fix . || true
+	.venv/bin/ruff format -q .
+	cd web && npm run fmt
+
+golden: $(STAMP) ## rewrite the golden images (look at them before you commit)
+	CARINA_GOLDEN=rewrite $(PY) -m pytest -m "" -q tests -k golden
+
+bench-setup: $(STAMP)
+	$(UV) pip install -q --python $(PY) "vtk>=9.4"
+
+bench: bench-setup ## frames per second beside the installed peers, pictures saved in benchmarks/results
+	$(PY) benchmarks/render.py
+
+lock: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## export requirements.lock from pyproject.toml
+	$(if $(wildcard $(PY)),$(PY),python3) tools/lock.py --uv $(UV)
+
+wheel: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## a wheel with the web UI inside, in dist/
+	$(UV) build --wheel -o dist
+
+clean: ## remove what was built (not the caches of cases)
+	rm -rf .venv target dist web/node_modules python/carina/_web
+	find python -name '*.so' -delete

@@ -1,0 +1,273 @@
+"""The verbs. Each is thin: it parses, calls the public function, prints."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+import carina
+from carina.cli.arguments import parse_point, parse_size
+from carina.cli.console import exit_codes, print_json, progress_printer
+from carina.errors import UsageError
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    help="Virtual bronchoscopy: fly through the airways of a chest CT. Not a medical device.",
+    no_args_is_help=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    rich_markup_mode=None,
+)
+
+PathArgument = Annotated[
+    Path, typer.Argument(help="A DICOM folder or file, NIfTI, NRRD or MetaImage.", show_default=False)
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; words go to stderr.")]
+SeriesOption = Annotated[
+    str | None, typer.Option("--series", help="Key of the series to open, as `carina info` lists them.")
+]
+PortOption = Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.", min=0, max=65535)]
+HostOption = Annotated[
+    str, typer.Option(help="Address to listen on. Anything but loopback opens the case to the network.")
+]
+BrowserOption = Annotated[bool, typer.Option("--browser/--no-browser", help="Open the browser.")]
+
+
+def _workstation(*, path: Path | None, demo: str | None, host: str, port: int, browser: bool, as_json: bool) -> None:
+    from carina.server import serve
+
+    def ready(url: str) -> None:
+        if as_json:
+            print_json({"url": url})
+        else:
+            print(f"Carina is open at {url}\nPress Ctrl-C to close it.", flush=True)
+
+    with exit_codes(as_json):
+        code = serve(
+            str(path) if path is not None else None,
+            demo=demo,
+            host=host,
+            port=port,
+            open_browser=browser,
+            on_ready=ready,
+        )
+        raise SystemExit(code)
+
+
+@app.callback(invoke_without_command=True)
+def root(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False,
+) -> None:
+    """Virtual bronchoscopy: fly through the airways of a chest CT. Not a medical device.
+
+    Without a command: open the workstation's start page.
+    """
+    if version:
+        print(f"carina {carina.__version__}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        _workstation(path=None, demo=None, host="127.0.0.1", port=0, browser=True, as_json=False)
+
+
+@app.command("open")
+def open_(
+    path: Annotated[Path | None, typer.Argument(help="CT folder or file; the start page without it.")] = None,
+    port: PortOption = 0,
+    host: HostOption = "127.0.0.1",
+    browser: BrowserOption = True,
+    as_json: JsonOption = False,
+) -> None:
+    """Open the workstation on a CT.
+
+    Example: carina open ~/scans/thorax
+    """
+    _workstation(path=path, demo=None, host=host, port=port, browser=browser, as_json=as_json)
+
+
+@app.command()
+def demo(
+    name: Annotated[str, typer.Argument(help="phantom or patient")] = "phantom",
+    port: PortOption = 0,
+    host: HostOption = "127.0.0.1",
+    browser: BrowserOption = True,
+    as_json: JsonOption = False,
+) -> None:
+    """Open the workstation on a bundled case; nothing to download.
+
+    Example: carina demo patient
+    """
+    with exit_codes(as_json):
+        if name not in {"phantom", "patient"}:
+            raise UsageError(f"demo: expected phantom or patient; found {name!r}")
+    _workstation(path=None, demo=name, host=host, port=port, browser=browser, as_json=as_json)
+
+
+@app.command()
+def info(
+    path: PathArgument,
+    strict: Annotated[bool, typer.Option("--strict", help="Leave with 3 if the quality gate has a finding.")] = False,
+    series: SeriesOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Geometry, value range, series found and how far the CT can be trusted.
+
+    Example: carina info ~/scans/thorax --json
+    """
+    from carina.cli.info import report
+
+    with exit_codes(as_json):
+        raise SystemExit(report(path, strict=strict, series=series, as_json=as_json))
+
+
+@app.command()
+def track(
+    path: PathArgument,
+    target: Annotated[list[str], typer.Option("--target", help="x,y,z in mm (LPS); may be given several times.")],
+    root_: Annotated[str, typer.Option("--root", help="auto, or x,y,z in mm (LPS).")] = "auto",
+    cost: Annotated[str, typer.Option(help="Edge cost: lumen.")] = "lumen",
+    graph: Annotated[str, typer.Option(help="Graph: voxel.")] = "voxel",
+    series: SeriesOption = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Tree file to write.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Least-cost airway paths from the root to each target (the Intelligent Path Tracker, paper 6).
+
+    A target outside the lumen is snapped to it when within 5 mm; a target without a path is exit code 4, and the other
+    targets are still written.
+
+    Example: carina track scan.nii.gz --root auto --target -41,12,-180 --target 38,20,-176 -o tree.json
+    """
+    from carina.cli.track import report
+
+    with exit_codes(as_json):
+        for what, value, allowed in (("--cost", cost, "lumen"), ("--graph", graph, "voxel")):
+            if value != allowed:
+                raise UsageError(f"{what}: expected {allowed} (others are not built yet); found {value!r}")
+        start = root_ if root_ == "auto" else parse_point(root_, "--root")
+        targets = [parse_point(text, "--target") for text in target]
+        raise SystemExit(report(path, root=start, targets=targets, series=series, output=output, as_json=as_json))
+
+
+@app.command()
+def render(
+    path: PathArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="PNG to write.")],
+    view: Annotated[
+        str,
+        typer.Option(
+            help="airway, cut-plane, tri-plane, xray-axial, xray-coronal, xray-sagittal, axial, coronal, sagittal, tree"
+        ),
+    ] = "airway",
+    at: Annotated[
+        str | None, typer.Option(help="Tip position x,y,z in mm (LPS); the top of the trachea unless told.")
+    ] = None,
+    look: Annotated[str | None, typer.Option(help="Viewing direction dx,dy,dz; caudal unless told.")] = None,
+    up: Annotated[str | None, typer.Option(help="Direction that appears up; anterior unless told.")] = None,
+    fov: Annotated[float, typer.Option(help="Full field of view across the shorter side, degrees.")] = 90.0,
+    size: Annotated[str, typer.Option(help="WxH in pixels.")] = "512x512",
+    method: Annotated[str, typer.Option(help="leap or brute")] = "leap",
+    step_vox: Annotated[float, typer.Option(help="Ray step in units of the smallest voxel spacing.")] = 0.5,
+    transfer: Annotated[
+        str | None, typer.Option(help="Preset (endoscopic, paper, ct-grey, see-through) or a JSON file.")
+    ] = None,
+    shading: Annotated[str, typer.Option(help="on or off")] = "on",
+    orbit: Annotated[
+        str | None, typer.Option(help="azimuth,elevation,distance of the tri-plane and tree views (degrees, mm).")
+    ] = None,
+    window: Annotated[str, typer.Option(help="width,level in HU of the planes and X-rays.")] = "1500,-600",
+    series: SeriesOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """One picture of one view.
+
+    Example: carina render ~/scans/thorax --view airway --at -2,15,-120 --look 0,0,-1 --size 768x768 -o carina.png
+    """
+    from carina.cli.render import report
+
+    with exit_codes(as_json):
+        if shading not in {"on", "off"}:
+            raise UsageError(f"--shading: expected on or off; found {shading!r}")
+        raise SystemExit(
+            report(
+                path,
+                output=output,
+                view=view,
+                at=None if at is None else parse_point(at, "--at"),
+                look=None if look is None else parse_point(look, "--look"),
+                up=None if up is None else parse_point(up, "--up"),
+                fov_deg=fov,
+                size=parse_size(size),
+                method=method,
+                step_vox=step_vox,
+                transfer=transfer,
+                shading=shading == "on",
+                orbit=orbit,
+                window=window,
+                series=series,
+                as_json=as_json,
+            )
+        )
+
+
+@app.command()
+def phantom(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write.")],
+    seed: Annotated[int, typer.Option(help="The same seed gives the same case.", min=0)] = 0,
+    spacing_mm: Annotated[float, typer.Option("--spacing-mm", help="Voxel spacing.")] = 0.8,
+    generations: Annotated[int, typer.Option(help="Generations of the airway tree (trachea is 0).")] = 6,
+    stenosis: Annotated[bool, typer.Option("--stenosis", help="Narrow one bronchus.")] = False,
+    nodule: Annotated[bool, typer.Option("--nodule", help="Add a nodule.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """A chest CT with exact truth: ct.nii.gz, lumen.nii.gz, truth.json.
+
+    Example: carina phantom -o case --seed 7 --nodule
+    """
+    from carina.phantom import generate_phantom, write_phantom
+
+    with exit_codes(as_json):
+        made = generate_phantom(
+            seed=seed,
+            spacing_mm=spacing_mm,
+            generations=generations,
+            stenosis=stenosis,
+            nodule=nodule,
+            progress=progress_printer(),
+        )
+        written = write_phantom(made, output)
+        summary: dict[str, Any] = {
+            "files": [str(file) for file in written],
+            "shape_zyx": list(made.volume.shape_zyx),
+            "spacing_mm": list(made.volume.spacing_mm),
+            "branches": len(made.truth["branches"]),
+        }
+        if as_json:
+            print_json(summary)
+        else:
+            print(f"{summary['branches']} branches, {made.volume!r}")
+            print("\n".join(summary["files"]))
+
+
+@app.command()
+def doctor(as_json: JsonOption = False) -> None:
+    """What is installed, what is used, what is missing and how to get it.
+
+    Example: carina doctor
+    """
+    from carina.cli.doctor import report
+
+    with exit_codes(as_json):
+        raise SystemExit(report(as_json=as_json))
+
+
+def main() -> None:
+    """Entry point of the ``carina`` command."""
+    from carina.config import load_settings
+
+    logging.basicConfig(level=load_settings().log_level, format="%(levelname)s %(name)s: %(message)s")
+    app(prog_name="carina")

@@ -1,0 +1,74 @@
+"""``carina doctor``."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import shutil
+from importlib import resources
+from typing import Any
+
+import carina
+from carina.cli.console import print_json
+from carina.config import load_settings
+from carina.render import build_info
+
+__all__ = ["report"]
+
+OPTIONAL = {
+    "vtk": ("peer renderer for benchmarks", "pip install 'carina[bench]'"),
+}
+NEEDED = ("numpy", "SimpleITK", "pydicom", "starlette", "uvicorn", "websockets", "simplejpeg")
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def report(*, as_json: bool) -> int:
+    """Print what Carina runs on; 1 if something that it needs is missing."""
+    core = build_info()
+    web_ui = resources.files("carina").joinpath("_web/index.html").is_file()
+    settings = load_settings()
+    browser = next((name for name in ("chromium", "google-chrome", "firefox") if shutil.which(name)), None)
+    facts: dict[str, Any] = {
+        "carina": carina.__version__,
+        "core": core,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "cores": os.cpu_count(),
+        "renderer": "cpu",
+        "web_ui": web_ui,
+        "browser": browser,
+        "packages": {name: _version(name) for name in NEEDED},
+        "optional": {name: _version(name) for name in OPTIONAL},
+        "cache_dir": str(settings.cache_dir),
+    }
+    missing = [name for name, version in facts["packages"].items() if version is None]
+    problems = [f"{name} is missing: pip install {name}" for name in missing]
+    if not web_ui:
+        problems.append("the web UI is not built: run `make setup` in the checkout (needs Node 20 or newer)")
+    if core["profile"] != "release":
+        problems.append("the compiled module is a debug build: pictures will be slow; run `make setup`")
+    facts["problems"] = problems
+    if as_json:
+        print_json(facts)
+        return 1 if problems else 0
+    print(f"Carina {facts['carina']} on Python {facts['python']}, {facts['platform']}")
+    print(f"  renderer: CPU, {core['threads']} threads, {core['simd']} kernels, {core['profile']} build")
+    print(f"  web UI: {'built' if web_ui else 'missing'}; browser found: {browser or 'none on the PATH'}")
+    for name, version in facts["packages"].items():
+        print(f"  {name} {version or 'MISSING'}")
+    for name, (use, how) in OPTIONAL.items():
+        version = facts["optional"][name]
+        print(f"  {name} {version}" if version else f"  {name}: not installed ({use}; {how})")
+    for problem in problems:
+        print(f"  problem: {problem}")
+    if not problems:
+        print("  nothing is missing")
+    return 1 if problems else 0

@@ -1,0 +1,60 @@
+"""``carina info``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import carina
+from carina.cli.console import print_json, progress_printer, say
+from carina.volume import inspect_path, quality_gate
+
+__all__ = ["report"]
+
+
+def report(path: Path, *, strict: bool, series: str | None, as_json: bool) -> int:
+    """Print what is known of a path; 3 with ``strict`` where the quality gate has a finding."""
+    progress = progress_printer()
+    inspection = inspect_path(path)
+    volume = carina.open_volume(path, series=series, progress=progress)
+    quality = quality_gate(volume)
+    low, high = int(volume.hu_zyx.min()), int(volume.hu_zyx.max())
+    if as_json:
+        print_json(
+            {
+                "format": volume.source.format,
+                "title": volume.source.title,
+                "shape_zyx": list(volume.shape_zyx),
+                "spacing_mm": list(volume.spacing_mm),
+                "lps_from_ijk": volume.lps_from_ijk.tolist(),
+                "unit": "HU" if volume.is_hu else None,
+                "not_hu_reason": volume.not_hu_reason,
+                "range": [low, high],
+                "warnings": list(volume.source.warnings),
+                "citation": volume.source.citation,
+                "inspection": inspection.to_json(),
+                "quality": quality.to_json(),
+            }
+        )
+    else:
+        nz, ny, nx = volume.shape_zyx
+        sx, sy, sz = volume.spacing_mm
+        print(f"{volume.source.title} ({volume.source.format})")
+        print(f"  {nx} x {ny} x {nz} voxels of {sx:.3f} x {sy:.3f} x {sz:.3f} mm")
+        unit = "HU" if volume.is_hu else f"not HU: {volume.not_hu_reason}"
+        print(f"  values {low} to {high}, {unit}")
+        for other in volume.source.other_series:
+            state = f"cannot be opened: {other.refused}" if other.refused else "open it with --series"
+            print(
+                f"  also found: series {other.key}, {other.modality}, {other.num_slices} slices, "
+                f"{other.description or 'no description'} ({state})"
+            )
+        for warning in volume.source.warnings:
+            print(f"  note: {warning}")
+        for finding in quality.findings:
+            print(f"  quality: {finding.words}")
+        if volume.source.citation:
+            print(f"  {volume.source.citation}")
+    if strict and quality.findings:
+        say("carina: --strict: the quality gate has findings")
+        return 3
+    return 0

@@ -1,0 +1,156 @@
+"""Refuse imports that run against the architecture; name the allowed direction instead.
+
+The rules are the table in ARCHITECTURE.md, read from there, so that the text and the check cannot drift apart.
+Run: ``python tools/check_layers.py`` (part of ``make check``).
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+BROWSER = re.compile(r"\b(document|window|WebSocket|HTMLElement|CanvasRenderingContext2D|localStorage)\b[.(]")
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """Who may import whom, by part name."""
+
+    rust: dict[str, frozenset[str]]
+    python: dict[str, frozenset[str]]
+    web: dict[str, frozenset[str]]
+    compiled: frozenset[str]
+    """Python parts that may import the compiled module."""
+    everywhere: frozenset[str]
+    """Python parts that all may import."""
+
+
+def read_rules(text: str) -> Rules:
+    """Read the three fenced ``layers`` blocks of ARCHITECTURE.md."""
+    blocks = dict(re.findall(r"```layers (\w+)\n(.*?)```", text, flags=re.DOTALL))
+    missing = {"rust", "python", "web"} - blocks.keys()
+    if missing:
+        sys.exit(f"ARCHITECTURE.md has no ```layers {missing.pop()}``` block")
+
+    def table(block: str) -> dict[str, frozenset[str]]:
+        rules = {}
+        for line in block.strip().splitlines():
+            part, _, allowed = line.partition(":")
+            rules[part.strip()] = frozenset(allowed.split())
+        return rules
+
+    python = table(blocks["python"])
+    return Rules(
+        rust=table(blocks["rust"]),
+        python={part: allowed for part, allowed in python.items() if not part.startswith("(")},
+        web=table(blocks["web"]),
+        compiled=python["(compiled module)"],
+        everywhere=python["(everywhere)"],
+    )
+
+
+def check_rust(rules: dict[str, frozenset[str]]) -> list[str]:
+    """Crate dependencies against the rules."""
+    found = []
+    for manifest in sorted(ROOT.glob("crates/*/Cargo.toml")):
+        part = manifest.parent.name
+        data = tomllib.loads(manifest.read_text(encoding="utf-8"))
+        uses = {name.removeprefix("carina-") for name in data.get("dependencies", {}) if name.startswith("carina-")}
+        if part not in rules:
+            found.append(f"crates/{part}: not in ARCHITECTURE.md; add its row")
+            continue
+        for used in sorted(uses - rules[part]):
+            found.append(f"crates/{part} depends on {used}; it may use {sorted(rules[part]) or 'none of our crates'}")
+        external = {name for name in data.get("dependencies", {}) if name in {"pyo3", "numpy"}}
+        if external and part != "bindings":
+            found.append(f"crates/{part} depends on {sorted(external)}; only bindings knows Python")
+    return found
+
+
+def _part_of(module: str) -> str | None:
+    pieces = module.split(".")
+    return pieces[1] if pieces[0] == "carina" and len(pieces) > 1 else None
+
+
+def _imported_parts(tree: ast.AST) -> list[tuple[int, str]]:
+    parts = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            parts += [(node.lineno, part) for alias in node.names if (part := _part_of(alias.name))]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            if node.module == "carina":
+                parts += [(node.lineno, alias.name) for alias in node.names]
+            elif part := _part_of(node.module):
+                parts.append((node.lineno, part))
+        elif isinstance(node, ast.ImportFrom) and node.level > 1:
+            parts.append((node.lineno, "(relative import across parts)"))
+    return parts
+
+
+def check_python(rules: Rules) -> list[str]:
+    """Imports between the parts of the Python package."""
+    found = []
+    package = ROOT / "python" / "carina"
+    for path in sorted(package.rglob("*.py")):
+        inside = path.relative_to(package)
+        part = inside.parts[0].removesuffix(".py") if len(inside.parts) == 1 else inside.parts[0]
+        own = part
+        # The facade hands on every part but cli.
+        allowed = rules.python.keys() - {"cli"} if own == "__init__" else rules.python.get(own)
+        if allowed is None and own not in rules.everywhere:
+            found.append(f"{path.relative_to(ROOT)}: part {own!r} is not in ARCHITECTURE.md; add its row")
+            continue
+        for line, used in _imported_parts(ast.parse(path.read_text(encoding="utf-8"))):
+            where = f"{path.relative_to(ROOT)}:{line}"
+            if used == own or used in rules.everywhere or used.startswith("__"):
+                continue
+            if used == "_core":
+                if own not in rules.compiled:
+                    found.append(f"{where}: {own} imports the compiled module; only {sorted(rules.compiled)} may")
+            elif used not in (allowed or frozenset()):
+                found.append(f"{where}: {own} imports {used}; it may import {sorted(allowed or ()) or 'no other part'}")
+    return found
+
+
+def check_web(rules: dict[str, frozenset[str]]) -> list[str]:
+    """Imports between the folders of web/src, and no DOM in the pure state."""
+    found = []
+    source = ROOT / "web" / "src"
+    pattern = re.compile(r"""(?:from|import)\s*\(?\s*["'](\.[^"']+)["']""")
+    for path in sorted([*source.rglob("*.ts"), *source.rglob("*.tsx")]):
+        inside = path.relative_to(source)
+        if len(inside.parts) == 1:
+            continue
+        part = inside.parts[0]
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            for target in pattern.findall(line):
+                resolved = (path.parent / target).resolve()
+                if not resolved.is_relative_to(source):
+                    continue
+                used = resolved.relative_to(source).parts[0].removesuffix(".ts")
+                if used != part and used not in rules.get(part, frozenset()):
+                    allowed = sorted(rules.get(part, ()))
+                    found.append(f"web/src/{inside}:{number}: {part} imports {used}; it may import {allowed or 'none'}")
+            # State is tested without a browser and replayed without a screen, so it may not reach for either.
+            if part == "state" and ".test." not in path.name and (dom := BROWSER.search(line)):
+                found.append(f"web/src/{inside}:{number}: state is pure and may not use {dom.group()}")
+    return found
+
+
+def main() -> int:
+    """Print every violation; 1 if there is one."""
+    rules = read_rules((ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"))
+    found = [*check_rust(rules.rust), *check_python(rules), *check_web(rules.web)]
+    for line in found:
+        print(line)
+    print(f"layers: {len(found)} forbidden imports" if found else "layers: all imports follow ARCHITECTURE.md")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,51 @@
+"""Refuse what must never be committed: machine paths, lock files that name hosts, big files."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+MAX_BYTES = 2 * 1024 * 1024
+BIG_FILES = {"python/carina/_cases/"}  # the bundled CC BY case
+HOME_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users)/[A-Za-z0-9._-]+/")
+TEXT = {".py", ".rs", ".ts", ".tsx", ".md", ".toml", ".json", ".html", ".css", ".lock", ".txt", ".yml", ".sh", ""}
+
+
+def tracked_files() -> list[str]:
+    """Files in git's index."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True)
+    return [name for name in listed.stdout.decode().split("\0") if name]
+
+
+def main() -> int:
+    """Print every finding; 1 if there is one."""
+    if not (ROOT / ".git").exists():
+        print("repository: not a git checkout, nothing to check")
+        return 0
+    found = []
+    for name in tracked_files():
+        path = ROOT / name
+        if not path.is_file():
+            continue
+        if path.stat().st_size > MAX_BYTES and not any(name.startswith(prefix) for prefix in BIG_FILES):
+            found.append(f"{name}: {path.stat().st_size // 1024} KiB; big files do not belong in git")
+        if path.name == "uv.lock":
+            found.append(f"{name}: names registry hosts; commit requirements.lock instead (make lock)")
+        if path.suffix in TEXT:
+            body = path.read_bytes()
+            if match := HOME_PATH.search(body):
+                found.append(f"{name}: holds a path of somebody's machine ({match.group().decode()})")
+            if path.name == "package-lock.json" and b'"resolved"' in body:
+                found.append(f"{name}: names registry hosts; run npm with web/.npmrc (omit-lockfile-registry-resolved)")
+    for line in found:
+        print(line)
+    if not found:
+        print("repository: nothing that must not be committed")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

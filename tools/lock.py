@@ -1,0 +1,63 @@
+"""Export ``requirements.lock`` (exact versions and hashes) from pyproject.toml, or check that it is not stale.
+
+``uv.lock`` itself is not committed: it names the registry's hosts. The export names none.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+LOCK = ROOT / "requirements.lock"
+MARK = "# pyproject: "
+
+
+def _fingerprint() -> str:
+    """Hash of what decides the lock: the dependency tables of pyproject.toml."""
+    import tomllib
+
+    data = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    project = data["project"]
+    relevant = [project["requires-python"], sorted(project["dependencies"]), sorted(data["dependency-groups"]["dev"])]
+    return hashlib.sha256(repr(relevant).encode()).hexdigest()[:16]
+
+
+def export(uv: str) -> str:
+    """The lock's text."""
+    with tempfile.TemporaryDirectory() as scratch:
+        out = Path(scratch) / "requirements.txt"
+        # Every dependency, every platform; the project itself is built, not locked.
+        command = [uv, "export", "-q", "--no-emit-project", "--no-header", "--no-annotate", "-o", str(out)]
+        subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+        body = out.read_text(encoding="utf-8")
+    use = "# Exported by tools/lock.py (make lock). Install with: uv pip sync --require-hashes requirements.lock"
+    return f"{use}\n{MARK}{_fingerprint()}\n{body}"
+
+
+def main() -> int:
+    """Write or check the lock."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="fail if the lock does not match pyproject.toml")
+    parser.add_argument("--uv", default="uv", help="the uv to use")
+    arguments = parser.parse_args()
+    if not arguments.check:
+        LOCK.write_text(export(arguments.uv), encoding="utf-8")
+        return 0
+    text = LOCK.read_text(encoding="utf-8") if LOCK.exists() else ""
+    if f"{MARK}{_fingerprint()}\n" not in text:
+        print("requirements.lock does not match the dependencies in pyproject.toml; run: make lock")
+        return 1
+    if "://" in text:
+        print("requirements.lock names a host; it must hold versions and hashes only; run: make lock")
+        return 1
+    print("lock: requirements.lock matches pyproject.toml")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
