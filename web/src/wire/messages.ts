@@ -1,0 +1,540 @@
+// Generated from python/carina/server/messages.py by `python -m carina.server.wire_types`. Do not edit.
+
+export const WIRE_VERSION = 1;
+
+export const CLOSE_CODES = {
+  "protocol.malformed": 4400,
+  "protocol.not-authorised": 4401,
+  "protocol.version": 4402,
+  "protocol.order": 4403,
+  "protocol.taken-over": 4409,
+  "protocol.slow-client": 4413,
+} as const;
+
+/** 4x4, row-major. */
+export type Matrix4 = readonly number[];
+export type ViewName = "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "axial" | "coronal" | "sagittal" | "tree";
+
+/** First message of a client. */
+export interface ClientHelloMessage {
+  readonly type: "hello";
+  readonly wire_version: number;
+}
+
+/** Open a file or folder of this machine. */
+export interface OpenPathMessage {
+  readonly type: "open_path";
+  readonly path: string;
+}
+
+/** Open a bundled case. */
+export interface OpenDemoMessage {
+  readonly type: "open_demo";
+  readonly name: "phantom" | "patient";
+}
+
+/** Open the files sent to `/api/upload`. */
+export interface OpenUploadMessage {
+  readonly type: "open_upload";
+  readonly upload_id: string;
+}
+
+/** Open a case of `start.recent`; its path never travels. */
+export interface OpenRecentMessage {
+  readonly type: "open_recent";
+  readonly recent_id: string;
+}
+
+/** Back to the start page. */
+export interface CloseCaseMessage {
+  readonly type: "close_case";
+}
+
+/** Stop a job of `progress`. */
+export interface CancelMessage {
+  readonly type: "cancel";
+  readonly job_id: string;
+}
+
+/** A visible view and its size in device pixels. */
+export interface ViewSize {
+  readonly view: "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "axial" | "coronal" | "sagittal" | "tree";
+  readonly width: number;
+  readonly height: number;
+}
+
+/** The views on screen; no others are rendered. */
+export interface LayoutMessage {
+  readonly type: "layout";
+  readonly views: readonly ViewSize[];
+}
+
+/** A picture was decoded; coalesced acks may be sent one after the other. */
+export interface AckMessage {
+  readonly type: "ack";
+  readonly frame_id: number;
+}
+
+/** Movement since the last one, in the camera's axes: forward, to the right, up, clockwise as seen by the camera. */
+export interface SteerMessage {
+  readonly type: "steer";
+  readonly advance_mm: number;
+  readonly yaw_rad: number;
+  readonly pitch_rad: number;
+  readonly roll_rad: number;
+}
+
+/** Free movement, or along the path. */
+export interface SetModeMessage {
+  readonly type: "set_mode";
+  readonly mode: "free" | "path";
+}
+
+/** The other mode, without a jump. */
+export interface ToggleModeMessage {
+  readonly type: "toggle_mode";
+}
+
+/** To a place on the path; path mode only. */
+export interface GoToMessage {
+  readonly type: "go_to";
+  readonly path_mm: number;
+}
+
+/** To the next fork along the path. */
+export interface NextForkMessage {
+  readonly type: "next_fork";
+}
+
+/** To the fork before. */
+export interface PreviousForkMessage {
+  readonly type: "previous_fork";
+}
+
+/** Tip to this point, keeping the look; free mode afterwards. */
+export interface PlaceMessage {
+  readonly type: "place";
+  readonly lps: readonly [number, number, number];
+}
+
+/** Roll so that the operator's up is up. */
+export interface LevelHorizonMessage {
+  readonly type: "level_horizon";
+}
+
+/** Look along the path again. */
+export interface ResetLookMessage {
+  readonly type: "reset_look";
+}
+
+/** Where the operator stands. */
+export interface SetOperatorMessage {
+  readonly type: "set_operator";
+  readonly position: "head" | "facing";
+}
+
+/** Find the airways again from this point. */
+export interface SetRootMessage {
+  readonly type: "set_root";
+  readonly lps: readonly [number, number, number];
+}
+
+/** A target; snapped to the lumen within 5 mm, and said. */
+export interface AddTargetMessage {
+  readonly type: "add_target";
+  readonly lps: readonly [number, number, number];
+}
+
+/** Take a target away. */
+export interface RemoveTargetMessage {
+  readonly type: "remove_target";
+  readonly target_id: string;
+}
+
+/** Route to a target or to the end of a branch; exactly one of both is set, or none for no route. */
+export interface ChooseRouteMessage {
+  readonly type: "choose_route";
+  readonly target_id: string | null;
+  readonly branch_id: number | null;
+}
+
+/** The point that slices and tri-plane show; null follows the tip. */
+export interface SetCrosshairMessage {
+  readonly type: "set_crosshair";
+  readonly lps: readonly [number, number, number] | null;
+}
+
+/** Grey window of all slice views; numbers of the file where the volume is not HU. */
+export interface SetWindowMessage {
+  readonly type: "set_window";
+  readonly width_hu: number;
+  readonly level_hu: number;
+}
+
+/** Full angle of the airway view over the shorter side. */
+export interface SetFovMessage {
+  readonly type: "set_fov";
+  readonly fov_deg: number;
+}
+
+/** A preset by name, or a `carina-transfer` document; exactly one. */
+export interface SetTransferMessage {
+  readonly type: "set_transfer";
+  readonly preset: string | null;
+  readonly document: Record<string, unknown> | null;
+}
+
+/** Light at the tip on or off. */
+export interface SetShadingMessage {
+  readonly type: "set_shading";
+  readonly on: boolean;
+}
+
+/** Leaping, or the brute-force reference; the picture is the same. */
+export interface SetMethodMessage {
+  readonly type: "set_method";
+  readonly method: "leap" | "brute";
+}
+
+/** Find the airways again with this threshold; null lets Carina choose. */
+export interface SetLumenThresholdMessage {
+  readonly type: "set_lumen_threshold";
+  readonly value: number | null;
+}
+
+/** Where an outside view is seen from; distance null fits. */
+export interface SetOrbitMessage {
+  readonly type: "set_orbit";
+  readonly view: "tree" | "tri-plane";
+  readonly azimuth_deg: number;
+  readonly elevation_deg: number;
+  readonly distance_mm: number | null;
+}
+
+/** Scale of a slice (mm_per_px) or width of the cut-plane (extent_mm); null fits. */
+export interface SetZoomMessage {
+  readonly type: "set_zoom";
+  readonly view: "axial" | "coronal" | "sagittal" | "cut-plane";
+  readonly mm_per_px: number | null;
+  readonly extent_mm: number | null;
+}
+
+/** Take back the last change. */
+export interface UndoMessage {
+  readonly type: "undo";
+}
+
+/** Do it again. */
+export interface RedoMessage {
+  readonly type: "redo";
+}
+
+/** "Not a medical device" was read. */
+export interface AcceptNoticeMessage {
+  readonly type: "accept_notice";
+}
+
+/** Answer to the client's hello. */
+export interface ServerHelloMessage {
+  readonly type: "hello";
+  readonly wire_version: number;
+  readonly carina_version: string;
+}
+
+/** A case opened before, without names. */
+export interface RecentCase {
+  readonly recent_id: string;
+  readonly date: string;
+  readonly title: string;
+}
+
+/** A bundled case. */
+export interface Demo {
+  readonly name: "phantom" | "patient";
+  readonly title: string;
+  readonly words: string;
+  readonly citation: string | null;
+}
+
+/** What the start page shows. */
+export interface StartMessage {
+  readonly type: "start";
+  readonly notice_accepted: boolean;
+  readonly recent: readonly RecentCase[];
+  readonly demos: readonly Demo[];
+}
+
+/** Another series of the folder. */
+export interface OtherSeries {
+  readonly key: string;
+  readonly modality: string;
+  readonly description: string;
+  readonly num_slices: number;
+  readonly refused: string | null;
+}
+
+/** What this volume cannot do, and why. */
+export interface FeatureOff {
+  readonly what: string;
+  readonly why: string;
+}
+
+/** The open volume. */
+export interface CaseInfo {
+  readonly title: string;
+  readonly format: string;
+  readonly is_hu: boolean;
+  readonly not_hu_reason: string | null;
+  readonly shape_zyx: readonly [number, number, number];
+  readonly spacing_mm: readonly [number, number, number];
+  readonly lps_from_ijk: readonly number[];
+  readonly value_range: readonly [number, number];
+  readonly warnings: readonly string[];
+  readonly quality: readonly string[];
+  readonly other_series: readonly OtherSeries[];
+  readonly citation: string | null;
+  readonly off: readonly FeatureOff[];
+}
+
+/** Grey window of the slice views. */
+export interface GreyWindow {
+  readonly width_hu: number;
+  readonly level_hu: number;
+}
+
+/** A target as asked and as used; `problem` says in words why there is no path. */
+export interface Target {
+  readonly target_id: string;
+  readonly name: string;
+  readonly lps: readonly [number, number, number];
+  readonly used_lps: readonly [number, number, number] | null;
+  readonly snapped_mm: number | null;
+  readonly length_mm: number | null;
+  readonly problem: string | null;
+}
+
+/** Camera of an outside view; azimuth 0 is from anterior, distance null fits. */
+export interface Orbit {
+  readonly azimuth_deg: number;
+  readonly elevation_deg: number;
+  readonly distance_mm: number | null;
+}
+
+/** Scales of the planar views; null fits. */
+export interface Zoom {
+  readonly axial_mm_per_px: number | null;
+  readonly coronal_mm_per_px: number | null;
+  readonly sagittal_mm_per_px: number | null;
+  readonly cut_plane_extent_mm: number | null;
+}
+
+/** All that is shown, but the pose, the tree and the route. */
+export interface StateMessage {
+  readonly type: "state";
+  readonly case: CaseInfo | null;
+  readonly stage: "empty" | "opening" | "ready";
+  readonly airways: "none" | "waiting" | "finding" | "found" | "failed";
+  readonly airways_words: string | null;
+  readonly mode: "free" | "path";
+  readonly operator: "head" | "facing";
+  readonly fov_deg: number;
+  readonly transfer: string;
+  readonly transfer_document: Record<string, unknown> | null;
+  readonly transfer_presets: readonly string[];
+  readonly shading: boolean;
+  readonly method: "leap" | "brute";
+  readonly window: GreyWindow;
+  readonly crosshair_lps: readonly [number, number, number] | null;
+  readonly targets: readonly Target[];
+  readonly route_id: string | null;
+  readonly can_undo: string | null;
+  readonly can_redo: string | null;
+  readonly root_lps: readonly [number, number, number] | null;
+  readonly lumen_threshold: number | null;
+  readonly orbit_tree: Orbit;
+  readonly orbit_tri_plane: Orbit;
+  readonly zoom: Zoom;
+}
+
+/** A branch of a `carina-tree` document. */
+export interface TreeBranch {
+  readonly id: number;
+  readonly parent: number | null;
+  readonly children: readonly number[];
+  readonly generation: number;
+  readonly name: string | null;
+  readonly kind: "tracked" | "bridge" | "manual";
+  readonly points: readonly (readonly [number, number, number])[];
+  readonly radius: readonly number[];
+  readonly cost: number | null;
+  readonly confidence: number | null;
+}
+
+/** A `carina-tree` document, version 1. */
+export interface TreeDocument {
+  readonly format: "carina-tree";
+  readonly version: 1;
+  readonly space: "LPS";
+  readonly unit: "mm";
+  readonly root: number;
+  readonly branches: readonly TreeBranch[];
+}
+
+/** The airway tree, when it changed. */
+export interface TreeMessage {
+  readonly type: "tree";
+  readonly tree: TreeDocument | null;
+}
+
+/** A branch along the route. */
+export interface RouteSpan {
+  readonly branch_id: number;
+  readonly name: string | null;
+  readonly generation: number;
+  readonly from_mm: number;
+  readonly to_mm: number;
+}
+
+/** The way that is flown; lists are parallel, root to tip. */
+export interface RouteInfo {
+  readonly route_id: string;
+  readonly title: string;
+  readonly target_id: string | null;
+  readonly branch_id: number | null;
+  readonly points_lps: readonly (readonly [number, number, number])[];
+  readonly cumulative_mm: readonly number[];
+  readonly generation: readonly number[];
+  readonly radius_mm: readonly number[];
+  readonly forks_mm: readonly number[];
+  readonly spans: readonly RouteSpan[];
+  readonly length_mm: number;
+}
+
+/** The route, when it changed. */
+export interface RouteMessage {
+  readonly type: "route";
+  readonly route: RouteInfo | null;
+}
+
+/** The newest pose; pictures name the one they answer. */
+export interface PoseMessage {
+  readonly type: "pose";
+  readonly pose_id: number;
+  readonly lps_from_camera: readonly number[];
+  readonly mode: "free" | "path";
+  readonly path_mm: number | null;
+  readonly branch_id: number | null;
+  readonly branch_name: string | null;
+  readonly generation: number | null;
+  readonly lumen_mm: number | null;
+  readonly inside: boolean;
+}
+
+/** A job's progress; fraction and time left are null where they cannot be known. */
+export interface ProgressMessage {
+  readonly type: "progress";
+  readonly job_id: string;
+  readonly title: string;
+  readonly what: string;
+  readonly fraction: number | null;
+  readonly seconds_left: number | null;
+}
+
+/** A job has ended; a failure comes as `error` too. */
+export interface DoneMessage {
+  readonly type: "done";
+  readonly job_id: string;
+  readonly outcome: "done" | "cancelled" | "failed";
+}
+
+/** Something could not be done; stays until read. */
+export interface ErrorMessage {
+  readonly type: "error";
+  readonly code: string;
+  readonly message: string;
+  readonly action: string | null;
+}
+
+/** Something worth a line. */
+export interface NoticeMessage {
+  readonly type: "notice";
+  readonly message: string;
+}
+
+/** How the stream runs; twice a second while pictures go. */
+export interface StatusMessage {
+  readonly type: "status";
+  readonly fps: number;
+  readonly render_ms: number;
+  readonly age_ms: number;
+  readonly method: string;
+  readonly threads: number;
+  readonly simd: string;
+}
+
+/** Header of a binary message; the payload follows. */
+export interface PictureHeader {
+  readonly frame_id: number;
+  readonly view: "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "axial" | "coronal" | "sagittal" | "tree";
+  readonly pose_id: number;
+  readonly lps_from_camera: readonly number[] | null;
+  readonly fov_deg: number | null;
+  readonly lps_from_pixel: readonly number[] | null;
+  readonly width: number;
+  readonly height: number;
+  readonly codec: "jpeg" | "png";
+  readonly quality: number;
+  readonly full: boolean;
+  readonly render_ms: number;
+  readonly method: string;
+}
+
+export type ClientMessage =
+  | ClientHelloMessage
+  | OpenPathMessage
+  | OpenDemoMessage
+  | OpenUploadMessage
+  | OpenRecentMessage
+  | CloseCaseMessage
+  | CancelMessage
+  | LayoutMessage
+  | AckMessage
+  | SteerMessage
+  | SetModeMessage
+  | ToggleModeMessage
+  | GoToMessage
+  | NextForkMessage
+  | PreviousForkMessage
+  | PlaceMessage
+  | LevelHorizonMessage
+  | ResetLookMessage
+  | SetOperatorMessage
+  | SetRootMessage
+  | AddTargetMessage
+  | RemoveTargetMessage
+  | ChooseRouteMessage
+  | SetCrosshairMessage
+  | SetWindowMessage
+  | SetFovMessage
+  | SetTransferMessage
+  | SetShadingMessage
+  | SetMethodMessage
+  | SetLumenThresholdMessage
+  | SetOrbitMessage
+  | SetZoomMessage
+  | UndoMessage
+  | RedoMessage
+  | AcceptNoticeMessage;
+
+export type ServerMessage =
+  | ServerHelloMessage
+  | StartMessage
+  | StateMessage
+  | TreeMessage
+  | RouteMessage
+  | PoseMessage
+  | ProgressMessage
+  | DoneMessage
+  | ErrorMessage
+  | NoticeMessage
+  | StatusMessage;
