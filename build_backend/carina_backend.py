@@ -1,7 +1,7 @@
 """PEP 517 backend: builds the web UI where its sources are newer, then hands over to maturin.
 
-maturin has no build hooks; an in-tree wrapper keeps ``pip install .`` and ``uv run`` one command. In an sdist the built UI
-is included and all times are equal, so neither Node nor npm is needed there.
+maturin has no build hooks; an in-tree wrapper keeps ``pip install .`` and ``uv run`` one command. In an sdist the built
+UI is included and all times are equal, so neither Node nor npm is needed there.
 """
 
 from __future__ import annotations

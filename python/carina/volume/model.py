@@ -47,8 +47,8 @@ class Volume:
     """A chest CT (or another int16 volume) on a regular grid.
 
     ``hu_zyx`` is C-contiguous ``(nz, ny, nx)`` int16, read-only: HU where ``is_hu``, else the file's numbers.
-    ``lps_from_ijk`` is 4x4 float64; voxel (0, 0, 0) is the *centre* of the first voxel; columns are the steps of one voxel
-    along i, j, k in mm.
+    ``lps_from_ijk`` is 4x4 float64; voxel (0, 0, 0) is the *centre* of the first voxel; columns are the steps of one
+    voxel along i, j, k in mm.
     """
 
     hu_zyx: NDArray[np.int16]
