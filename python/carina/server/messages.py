@@ -50,7 +50,16 @@ Count = Annotated[int, Range(0, 2**53 - 1)]
 Pixels = Annotated[int, Range(16, 4096)]
 Angle = Annotated[float, Range(-3600.0, 3600.0)]
 ViewName = Literal[
-    "airway", "cut-plane", "tri-plane", "xray-axial", "xray-coronal", "xray-sagittal", "axial", "coronal", "sagittal", "tree"
+    "airway",
+    "cut-plane",
+    "tri-plane",
+    "xray-axial",
+    "xray-coronal",
+    "xray-sagittal",
+    "axial",
+    "coronal",
+    "sagittal",
+    "tree",
 ]
 OrbitView = Literal["tree", "tri-plane"]
 Mode = Literal["free", "path"]
@@ -347,7 +356,7 @@ class Redo:
 
 @dataclass(frozen=True, slots=True)
 class AcceptNotice:
-    """"Not a medical device" was read."""
+    """ "Not a medical device" was read."""
 
     wire_type: ClassVar[str] = "accept_notice"
 

@@ -72,7 +72,13 @@ def _ts_type(hint: Any) -> str:
         lengths = [m for m in metadata if isinstance(m, Length) and m.low == m.high <= 4]
         if lengths:
             return f"readonly [{', '.join([item] * lengths[0].low)}]"
-        return f"readonly ({item})[]" if "|" in item else f"readonly {item}[]" if " " not in item else f"readonly ({item})[]"
+        return (
+            f"readonly ({item})[]"
+            if "|" in item
+            else f"readonly {item}[]"
+            if " " not in item
+            else f"readonly ({item})[]"
+        )
     if origin is dict:
         return "Record<string, unknown>"
     if dataclasses.is_dataclass(hint):

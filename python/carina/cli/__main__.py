@@ -1,0 +1,5 @@
+"""``python -m carina.cli``."""
+
+from carina.cli import main
+
+main()

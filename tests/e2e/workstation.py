@@ -1,0 +1,95 @@
+"""Page object: what a person sees and does, without selectors in the tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+# Building the phantom (first run) and finding the airways takes most of this on a busy two-core machine.
+READY_MS = 120_000
+PICTURE_MS = 20_000
+
+
+class Workstation:
+    """One open page of the workstation."""
+
+    def __init__(self, page: Any, out: Path) -> None:
+        self.page = page
+        self.out = out
+        self.faults: list[str] = []
+        page.on("console", lambda m: self.faults.append(m.text) if m.type == "error" else None)
+        page.on("pageerror", lambda error: self.faults.append(str(error)))
+
+    def open(self, url: str) -> None:
+        """Go to the start URL and read the safety sentence."""
+        self.page.goto(url)
+        self.accept_notice()
+
+    def accept_notice(self) -> None:
+        """Close the first-run notice where it is shown."""
+        self.page.wait_for_selector("[data-testid=notice-accept], [data-testid=start], [data-testid=workstation]")
+        button = self.page.locator("[data-testid=notice-accept]")
+        if button.count():
+            button.first.click()
+
+    def wait_ready(self) -> None:
+        """Wait until a case is open, its airways are found and the airway view shows a full picture."""
+        self.page.wait_for_function(
+            "() => window.__carina?.state?.stage === 'ready' && window.__carina.state.route !== null",
+            timeout=READY_MS,
+        )
+        self.page.wait_for_function(
+            "() => document.querySelector('canvas[data-view=airway]')?.dataset.full === 'true'", timeout=PICTURE_MS
+        )
+
+    def state(self, expression: str) -> Any:
+        """A value out of the client's state, such as ``pose.path_mm``."""
+        return self.page.evaluate(f"() => window.__carina.state.{expression}")
+
+    def frame(self, view: str) -> dict[str, int]:
+        """Frame and pose that a view shows now."""
+        data = self.page.evaluate(f"() => ({{...document.querySelector('canvas[data-view={view}]').dataset}})")
+        return {"frame_id": int(data["frameId"]), "pose_id": int(data["poseId"])}
+
+    def pixels(self, view: str) -> list[int]:
+        """A coarse grid of pixel values of a view: enough to see that it changed."""
+        return self.page.evaluate(
+            """(view) => {
+                const canvas = document.querySelector(`canvas[data-view=${view}]`);
+                const small = document.createElement('canvas');
+                small.width = small.height = 32;
+                const context = small.getContext('2d');
+                context.drawImage(canvas, 0, 0, 32, 32);
+                return [...context.getImageData(0, 0, 32, 32).data];
+            }""",
+            view,
+        )
+
+    def shown_views(self) -> list[str]:
+        """Views that have a canvas on the screen."""
+        return self.page.evaluate(
+            "() => [...document.querySelectorAll('canvas[data-view]')]"
+            ".filter(c => c.offsetParent).map(c => c.dataset.view)"
+        )
+
+    def wait_still(self) -> None:
+        """Wait until the airway view answers the newest pose in full quality."""
+        self.page.wait_for_function(
+            """() => {
+                const c = document.querySelector('canvas[data-view=airway]');
+                return c.dataset.full === 'true' && Number(c.dataset.poseId) === window.__carina.state.pose.pose_id;
+            }""",
+            timeout=PICTURE_MS,
+        )
+
+    def hold(self, key: str, milliseconds: int) -> None:
+        """Hold a key as a hand does."""
+        self.page.keyboard.down(key)
+        self.page.wait_for_timeout(milliseconds)
+        self.page.keyboard.up(key)
+
+    def picture(self, name: str) -> Path:
+        """Save a screenshot."""
+        path = self.out / f"{name}.png"
+        self.page.screenshot(path=str(path))
+        return path
