@@ -80,7 +80,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - the attribute's own type is declared above
+def __getattr__(name: str) -> Any:
     home = _HOME.get(name)
     if home is None:
         msg = f"module 'carina' has no attribute {name!r}"

@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from find_browser import find_browser
 from workstation import Workstation
+
+from find_browser import find_browser
 
 sync_api = pytest.importorskip("playwright.sync_api")
 
@@ -45,7 +46,7 @@ class Server:
 def start_server(arguments: list[str], home: Path) -> Server:
     """Start ``carina ARGUMENTS`` on loopback and wait for its URL."""
     environment = {**os.environ, "XDG_CONFIG_HOME": str(home / "config"), "XDG_STATE_HOME": str(home / "state")}
-    process = subprocess.Popen(  # noqa: S603 - our own program
+    process = subprocess.Popen(
         [sys.executable, "-m", "carina.cli", *arguments, "--no-browser", "--json"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
