@@ -1,7 +1,91 @@
 //! Bindings of `carina-scope`.
 
+use carina_scope::{FlightCurve, ScopeError};
+use numpy::{PyArray2, PyReadonlyArray2, PyUntypedArrayMethods, ToPyArray, ndarray::Array2};
 use pyo3::prelude::*;
 
-pub(crate) fn register(_module: &Bound<'_, PyModule>) -> PyResult<()> {
-    Ok(())
+use crate::errors::{IntoPy, carina_error};
+
+impl IntoPy for ScopeError {
+    fn into_py(self) -> PyErr {
+        carina_error("UsageError", self.code(), self.to_string())
+    }
+}
+
+/// A smooth curve with camera frames along a polyline.
+#[pyclass(name = "FlightCurve", frozen, module = "carina._core")]
+struct PyFlightCurve(FlightCurve);
+
+#[pymethods]
+impl PyFlightCurve {
+    #[new]
+    #[allow(
+        clippy::needless_pass_by_value,
+        reason = "PyO3 hands arrays over by value"
+    )]
+    fn new(
+        points_lps: PyReadonlyArray2<'_, f64>,
+        up_lps: Option<[f64; 3]>,
+        max_deviation_mm: f64,
+    ) -> PyResult<Self> {
+        let shape = points_lps.shape();
+        if shape[1] != 3 {
+            return Err(ScopeError::Path {
+                reason: format!("expected points of shape (n, 3), found {shape:?}"),
+            }
+            .into_py());
+        }
+        let points: Vec<[f64; 3]> = points_lps
+            .as_array()
+            .rows()
+            .into_iter()
+            .map(|r| [r[0], r[1], r[2]])
+            .collect();
+        FlightCurve::new(&points, up_lps, max_deviation_mm)
+            .map(Self)
+            .map_err(IntoPy::into_py)
+    }
+
+    #[getter]
+    fn length_mm(&self) -> f64 {
+        self.0.length_mm()
+    }
+
+    fn pose_at<'py>(&self, py: Python<'py>, path_mm: f64) -> Bound<'py, PyArray2<f64>> {
+        let pose = self.0.pose_at(path_mm);
+        let mut matrix = Array2::eye(4);
+        for (r, row) in pose.rows().iter().enumerate() {
+            for (c, &value) in row.iter().enumerate() {
+                matrix[[r, c]] = value;
+            }
+        }
+        matrix.to_pyarray(py)
+    }
+
+    fn nearest(&self, point_lps: [f64; 3]) -> (f64, f64) {
+        let found = self.0.nearest(point_lps);
+        (found.path_mm, found.distance_mm)
+    }
+
+    fn knots_lps<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let mut knots = Array2::zeros((self.0.num_knots(), 3));
+        for (n, point) in self.0.knots().enumerate() {
+            for (a, &value) in point.iter().enumerate() {
+                knots[[n, a]] = value;
+            }
+        }
+        knots.to_pyarray(py)
+    }
+
+    fn __repr__(&self) -> String {
+        format!(
+            "FlightCurve(length_mm={:.1}, num_knots={})",
+            self.0.length_mm(),
+            self.0.num_knots()
+        )
+    }
+}
+
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyFlightCurve>()
 }

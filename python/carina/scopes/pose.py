@@ -10,10 +10,29 @@ from numpy.typing import NDArray
 
 from carina.errors import UsageError
 
-__all__ = ["Pose"]
+__all__ = ["Pose", "upright"]
 
 ANTERIOR_LPS = np.array([0.0, -1.0, 0.0])
 SUPERIOR_LPS = np.array([0.0, 0.0, 1.0])
+
+
+def upright(forward_lps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What is up for an operator at the patient's head: anterior, or superior where the view is antero-posterior.
+
+    Parameters
+    ----------
+    forward_lps
+        Viewing direction, unit length.
+
+    Returns
+    -------
+    numpy.ndarray
+        Unit vector at a right angle to ``forward_lps``.
+    """
+    # Within 8 degrees of the anterior axis "anterior up" is meaningless.
+    up = ANTERIOR_LPS if abs(float(forward_lps @ ANTERIOR_LPS)) < 0.99 else SUPERIOR_LPS
+    across = up - float(up @ forward_lps) * forward_lps
+    return np.asarray(across / np.linalg.norm(across), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,11 +77,7 @@ class Pose:
         if at.shape != (3,) or look.shape != (3,) or not np.isfinite(at).all() or not np.isfinite(norm) or norm < 1e-9:
             raise UsageError("a pose needs a finite position and a viewing direction longer than 0")
         forward = look / norm
-        if up_lps is None:
-            # Within 8 degrees of the anterior axis "anterior up" is meaningless.
-            up = ANTERIOR_LPS if abs(float(forward @ ANTERIOR_LPS)) < 0.99 else SUPERIOR_LPS
-        else:
-            up = np.asarray(up_lps, dtype=np.float64)
+        up = upright(forward) if up_lps is None else np.asarray(up_lps, dtype=np.float64)
         down = -(up - float(up @ forward) * forward)
         length = float(np.linalg.norm(down))
         if not length > 1e-6 * max(1.0, float(np.linalg.norm(up))):

@@ -1,0 +1,343 @@
+use carina_grid::{Affine, cross, dot, length, unit};
+
+use crate::ScopeError;
+use crate::frames::rotation_minimizing_frames;
+use crate::gaze::{gaze, smoothed};
+
+/// Distance of the curve's knots. Small against a voxel, so straight lines between knots look like a curve.
+const STEP_MM: f64 = 0.25;
+/// Width of the smoothing of positions: irons out the stairs of 0.5 to 1 mm voxels, keeps bends of an airway.
+const POSITION_SIGMA_MM: f64 = 2.0;
+/// How far ahead the gaze is centred, and over which width: about one length of a subsegmental airway (7 to 10 mm) in all.
+const GAZE_AHEAD_MM: f64 = 3.0;
+const GAZE_SIGMA_MM: f64 = 4.0;
+/// A patient is not longer than this; a longer "path" is broken input and would take memory without end.
+const MAX_LENGTH_MM: f64 = 20_000.0;
+
+/// Nearest point of a curve.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Nearest {
+    /// Place on the curve, in mm along the given polyline.
+    pub path_mm: f64,
+    /// Distance from the curve.
+    pub distance_mm: f64,
+}
+
+/// A smooth curve with camera frames along a polyline.
+///
+/// Places on it are counted in millimetres *of the given polyline*, so that forks and generations that were found there keep
+/// their numbers; the curve itself is a little shorter. Every point of it lies within `max_deviation_mm` of the polyline.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FlightCurve {
+    step_mm: f64,
+    length_mm: f64,
+    frames: Vec<Affine>,
+}
+
+impl FlightCurve {
+    /// A curve along `points` (LPS mm, root to tip; repeated points are allowed).
+    ///
+    /// `up` is what should appear up at the start; `None` takes anterior, or superior where the start looks along the
+    /// antero-posterior axis (head-end position of the operator).
+    pub fn new(
+        points: &[[f64; 3]],
+        up: Option<[f64; 3]>,
+        max_deviation_mm: f64,
+    ) -> Result<Self, ScopeError> {
+        let refuse = |reason: String| Err(ScopeError::Path { reason });
+        // Half a step of the deviation is spent by the chords of the resampled line (below).
+        if !(0.2..=10.0).contains(&max_deviation_mm) {
+            return Err(ScopeError::Deviation {
+                found_mm: max_deviation_mm,
+            });
+        }
+        if points.iter().flatten().any(|v| !v.is_finite()) {
+            return refuse("it holds coordinates that are not finite".to_owned());
+        }
+        let mut line: Vec<[f64; 3]> = Vec::with_capacity(points.len());
+        let mut cumulative: Vec<f64> = Vec::with_capacity(points.len());
+        for &p in points {
+            let Some(&before) = line.last() else {
+                line.push(p);
+                cumulative.push(0.0);
+                continue;
+            };
+            let gap = length(std::array::from_fn(|a| p[a] - before[a]));
+            if gap > 1e-9 {
+                cumulative.push(cumulative[cumulative.len() - 1] + gap);
+                line.push(p);
+            }
+        }
+        if line.len() < 2 {
+            return refuse(format!(
+                "it needs at least two different points; found {}",
+                line.len()
+            ));
+        }
+        let length_mm = cumulative[cumulative.len() - 1];
+        if length_mm > MAX_LENGTH_MM {
+            return refuse(format!(
+                "it is {length_mm:.0} mm long, and no airway is longer than {MAX_LENGTH_MM:.0} mm"
+            ));
+        }
+        let num_steps = (length_mm / STEP_MM).ceil().max(1.0) as usize;
+        let step_mm = length_mm / num_steps as f64;
+        let even = resampled(&line, &cumulative, step_mm, num_steps);
+        // A knot may leave its place on the polyline by `reach`; a chord between two places one step apart cuts a corner by
+        // at most half a step; together they stay within the stated deviation.
+        let reach = max_deviation_mm - STEP_MM / 2.0;
+        let knots: Vec<[f64; 3]> = smoothed(&even, POSITION_SIGMA_MM, step_mm)
+            .iter()
+            .zip(&even)
+            .map(|(s, e)| {
+                let away: [f64; 3] = std::array::from_fn(|a| s[a] - e[a]);
+                let far = length(away);
+                // tanh: bounded by `reach` without a kink where the bound sets in.
+                let shrink = if far > 1e-12 {
+                    reach * libm::tanh(far / reach) / far
+                } else {
+                    1.0
+                };
+                std::array::from_fn(|a| e[a] + shrink * away[a])
+            })
+            .collect();
+        let gazes = gaze(&knots, GAZE_AHEAD_MM, GAZE_SIGMA_MM, step_mm);
+        let up = match up {
+            Some(up) => unit(up).ok_or(ScopeError::Up {
+                reason: "has no length",
+            })?,
+            // 0.99: within 8 degrees of the anterior axis "anterior up" is meaningless.
+            None if gazes[0][1].abs() < 0.99 => [0.0, -1.0, 0.0],
+            None => [0.0, 0.0, 1.0],
+        };
+        if length(cross(up, gazes[0])) < 1e-3 {
+            return Err(ScopeError::Up {
+                reason: "lies along the start of the path",
+            });
+        }
+        // Double reflection wants a curve and its tangents. The gaze is not the tangent of the flown curve, so the frames are
+        // taken along the curve that has the gaze for tangent, and then moved onto the flown one.
+        let mut along = vec![[0.0; 3]; gazes.len()];
+        for i in 1..gazes.len() {
+            along[i] = std::array::from_fn(|a| {
+                along[i - 1][a] + 0.5 * step_mm * (gazes[i - 1][a] + gazes[i][a])
+            });
+        }
+        let frames = rotation_minimizing_frames(&along, &gazes, up)
+            .ok_or(ScopeError::Up {
+                reason: "lies along the start of the path",
+            })?
+            .iter()
+            .zip(&knots)
+            .map(|(f, &knot)| Affine::from_columns(f.column(0), f.column(1), f.column(2), knot))
+            .collect();
+        Ok(Self {
+            step_mm,
+            length_mm,
+            frames,
+        })
+    }
+
+    /// Length of the given polyline.
+    #[must_use]
+    pub const fn length_mm(&self) -> f64 {
+        self.length_mm
+    }
+
+    /// Number of knots.
+    #[must_use]
+    pub const fn num_knots(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// Positions of the knots, evenly spaced in mm of the polyline.
+    pub fn knots(&self) -> impl Iterator<Item = [f64; 3]> + '_ {
+        self.frames.iter().map(|f| f.column(3))
+    }
+
+    /// The camera (`lps_from_camera`) at a place, clamped to the ends.
+    #[must_use]
+    pub fn pose_at(&self, path_mm: f64) -> Affine {
+        let last = self.frames.len() - 1;
+        // A NaN becomes the start: max returns the other operand.
+        let at = (path_mm.max(0.0) / self.step_mm).min(last as f64);
+        let i = (at as usize).min(last - 1);
+        let t = at - i as f64;
+        let (a, b) = (&self.frames[i], &self.frames[i + 1]);
+        let mix = |c: usize| -> [f64; 3] {
+            let (p, q) = (a.column(c), b.column(c));
+            std::array::from_fn(|k| (1.0 - t) * p[k] + t * q[k])
+        };
+        // Neighbouring frames differ by little: mixing and making the axes square again is a rotation between them.
+        let forward = unit(mix(2)).unwrap_or_else(|| a.column(2));
+        let down = mix(1);
+        let slant = dot(down, forward);
+        let down =
+            unit(std::array::from_fn(|k| down[k] - slant * forward[k])).unwrap_or_else(|| {
+                // Only where a path doubles back within one step; the frame before is still a frame.
+                a.column(1)
+            });
+        Affine::from_columns(cross(down, forward), down, forward, mix(3))
+    }
+
+    /// The place nearest to a point.
+    #[must_use]
+    pub fn nearest(&self, point: [f64; 3]) -> Nearest {
+        let mut best = Nearest {
+            path_mm: 0.0,
+            distance_mm: f64::INFINITY,
+        };
+        for (i, pair) in self.frames.windows(2).enumerate() {
+            let (a, b) = (pair[0].column(3), pair[1].column(3));
+            let ab: [f64; 3] = std::array::from_fn(|k| b[k] - a[k]);
+            let ap: [f64; 3] = std::array::from_fn(|k| point[k] - a[k]);
+            let t = (dot(ap, ab) / dot(ab, ab).max(1e-30)).clamp(0.0, 1.0);
+            let distance_mm = length(std::array::from_fn(|k| ap[k] - t * ab[k]));
+            if distance_mm < best.distance_mm {
+                best = Nearest {
+                    path_mm: (i as f64 + t) * self.step_mm,
+                    distance_mm,
+                };
+            }
+        }
+        best.path_mm = best.path_mm.min(self.length_mm);
+        best
+    }
+}
+
+/// Points every `step_mm` along a polyline, both ends included.
+fn resampled(
+    line: &[[f64; 3]],
+    cumulative: &[f64],
+    step_mm: f64,
+    num_steps: usize,
+) -> Vec<[f64; 3]> {
+    let mut segment = 0;
+    (0..=num_steps)
+        .map(|n| {
+            if n == num_steps {
+                return line[line.len() - 1];
+            }
+            let at = n as f64 * step_mm;
+            while segment + 2 < line.len() && cumulative[segment + 1] <= at {
+                segment += 1;
+            }
+            let (s0, s1) = (cumulative[segment], cumulative[segment + 1]);
+            let t = ((at - s0) / (s1 - s0)).clamp(0.0, 1.0);
+            let (a, b) = (line[segment], line[segment + 1]);
+            std::array::from_fn(|k| a[k] + t * (b[k] - a[k]))
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn distance_to_line(p: [f64; 3], line: &[[f64; 3]]) -> f64 {
+        line.windows(2)
+            .map(|w| {
+                let ab: [f64; 3] = std::array::from_fn(|k| w[1][k] - w[0][k]);
+                let ap: [f64; 3] = std::array::from_fn(|k| p[k] - w[0][k]);
+                let t = (dot(ap, ab) / dot(ab, ab).max(1e-30)).clamp(0.0, 1.0);
+                length(std::array::from_fn(|k| ap[k] - t * ab[k]))
+            })
+            .fold(f64::INFINITY, f64::min)
+    }
+
+    /// A staircase on anisotropic voxels, down a slanted line: what a voxel tracker hands over.
+    fn staircase() -> Vec<[f64; 3]> {
+        let spacing = [0.7, 0.8, 1.25];
+        (0..150)
+            .map(|i| {
+                let f = f64::from(i);
+                let wanted = [0.25 * f, 5.0 * libm::sin(f * 0.02), -0.6 * f];
+                std::array::from_fn(|a| (wanted[a] / spacing[a]).round() * spacing[a])
+            })
+            .collect()
+    }
+
+    proptest! {
+        #[test]
+        fn the_curve_stays_within_the_stated_distance_and_its_frames_are_rigid(
+            turns in prop::collection::vec(prop::array::uniform3(-1.0f64..1.0), 2..40),
+            step in 0.3f64..6.0,
+            deviation in 0.2f64..2.0,
+        ) {
+            let mut line = vec![[3.0, -7.0, 90.0]];
+            for t in &turns {
+                let last = line[line.len() - 1];
+                line.push(std::array::from_fn(|a| last[a] + step * t[a]));
+            }
+            let Ok(curve) = FlightCurve::new(&line, None, deviation) else { return Ok(()) };
+            for n in 0..=200 {
+                let pose = curve.pose_at(curve.length_mm() * f64::from(n) / 200.0);
+                // 1e-9: rounding of coordinates of some hundred mm.
+                prop_assert!(distance_to_line(pose.column(3), &line) <= deviation + 1e-9);
+                prop_assert!(pose.is_rigid(1e-12));
+            }
+        }
+
+        #[test]
+        fn a_point_of_the_curve_is_found_again(at in 0.0f64..1.0) {
+            let curve = FlightCurve::new(&staircase(), None, 0.5).unwrap();
+            let there = at * curve.length_mm();
+            let found = curve.nearest(curve.pose_at(there).column(3));
+            prop_assert!(found.distance_mm < 1e-9);
+            // A stair that goes across the path leaves places that are close in space but a stair apart in mm.
+            prop_assert!((found.path_mm - there).abs() < 1.0);
+        }
+    }
+
+    #[test]
+    fn the_gaze_does_not_wobble_on_a_staircase_of_voxels() {
+        let curve = FlightCurve::new(&staircase(), None, 0.5).unwrap();
+        // The line itself turns by less than 0.5 degrees per mm; its voxel steps point up to 50 degrees off it.
+        let mut last = curve.pose_at(0.0);
+        let mut worst: f64 = 0.0;
+        let num = curve.length_mm() as usize;
+        for mm in 1..=num {
+            let pose = curve.pose_at(mm as f64);
+            worst = worst.max(libm::acos(dot(pose.column(2), last.column(2)).min(1.0)));
+            last = pose;
+        }
+        assert!(
+            worst.to_degrees() < 2.0,
+            "{} degrees per mm",
+            worst.to_degrees()
+        );
+    }
+
+    #[test]
+    fn the_start_has_anterior_up_and_the_patients_right_on_the_right() {
+        // Looking caudally from the head end (reference/features.md 4): -y is anterior, -x is the patient's right.
+        let curve = FlightCurve::new(&[[5.0, 6.0, 100.0], [5.0, 6.0, 0.0]], None, 0.5).unwrap();
+        let near = |found: [f64; 3], wanted: [f64; 3]| {
+            // 1e-12: rounding of the weighted means.
+            assert!(
+                length(std::array::from_fn(|a| found[a] - wanted[a])) < 1e-12,
+                "{found:?}"
+            );
+        };
+        let pose = curve.pose_at(50.0);
+        near(pose.column(0), [-1.0, 0.0, 0.0]);
+        near(pose.column(1), [0.0, 1.0, 0.0]);
+        near(pose.column(2), [0.0, 0.0, -1.0]);
+        near(curve.pose_at(0.0).column(3), [5.0, 6.0, 100.0]);
+        near(curve.pose_at(1e9).column(3), [5.0, 6.0, 0.0]);
+    }
+
+    #[test]
+    fn broken_paths_are_refused_and_a_very_short_one_flies() {
+        let p = [1.0, 2.0, 3.0];
+        assert!(FlightCurve::new(&[], None, 0.5).is_err());
+        assert!(FlightCurve::new(&[p, p, p], None, 0.5).is_err());
+        assert!(FlightCurve::new(&[p, [f64::NAN, 0.0, 0.0]], None, 0.5).is_err());
+        assert!(FlightCurve::new(&[p, [1e9, 0.0, 0.0]], None, 0.5).is_err());
+        assert!(FlightCurve::new(&[p, [1.0, 2.0, 9.0]], Some([0.0, 0.0, 2.0]), 0.5).is_err());
+        assert!(FlightCurve::new(&[p, [1.0, 2.0, 9.0]], None, f64::NAN).is_err());
+        let short = FlightCurve::new(&[p, [1.0, 2.0, 3.01]], None, 0.5).unwrap();
+        assert!(short.pose_at(0.005).is_rigid(1e-12));
+    }
+}

@@ -1,0 +1,93 @@
+use carina_grid::unit;
+
+/// Weights of a Gaussian around `center`, in steps of `step`, cut at three sigma, with the offset of the first.
+fn gaussian(center: f64, sigma: f64, step: f64) -> (isize, Vec<f64>) {
+    let first = ((center - 3.0 * sigma) / step).floor() as isize;
+    let last = ((center + 3.0 * sigma) / step).ceil() as isize;
+    let weights: Vec<f64> = (first..=last)
+        .map(|n| {
+            let u = (n as f64 * step - center) / sigma;
+            libm::exp(-0.5 * u * u)
+        })
+        .collect();
+    let sum: f64 = weights.iter().sum();
+    (first, weights.into_iter().map(|w| w / sum).collect())
+}
+
+/// Evenly spaced points, each replaced by a Gaussian mean of its neighbours. Both ends stay where they are: beyond them the
+/// line is continued through the end point.
+pub(crate) fn smoothed(points: &[[f64; 3]], sigma_mm: f64, step_mm: f64) -> Vec<[f64; 3]> {
+    let (first, weights) = gaussian(0.0, sigma_mm, step_mm);
+    let last = points.len() as isize - 1;
+    let at = |n: isize| -> [f64; 3] {
+        // A point beyond an end is the point as far inside, mirrored in the end point.
+        let (end, inner) = if n < 0 {
+            (0, (-n).min(last))
+        } else if n > last {
+            (last, (2 * last - n).max(0))
+        } else {
+            return points[n as usize];
+        };
+        let (e, p) = (points[end as usize], points[inner as usize]);
+        std::array::from_fn(|a| 2.0 * e[a] - p[a])
+    };
+    (0..=last)
+        .map(|i| {
+            let mut sum = [0.0; 3];
+            for (n, w) in weights.iter().enumerate() {
+                let p = at(i + first + n as isize);
+                for a in 0..3 {
+                    sum[a] += w * p[a];
+                }
+            }
+            sum
+        })
+        .collect()
+}
+
+/// The direction to look in at each point: the mean tangent of the stretch ahead, weighted by a Gaussian.
+///
+/// Looking along the tangent itself shows every voxel step of a path as a wobble, and turns into a branch only when the tip
+/// is already in it; a person looks ahead.
+pub(crate) fn gaze(
+    points: &[[f64; 3]],
+    ahead_mm: f64,
+    sigma_mm: f64,
+    step_mm: f64,
+) -> Vec<[f64; 3]> {
+    let num = points.len();
+    let last = num - 1;
+    // One-sided at the ends, central between.
+    let mut before = [0.0, 0.0, 1.0];
+    let tangents: Vec<[f64; 3]> = (0..num)
+        .map(|i| {
+            let (a, b) = (points[i.saturating_sub(1)], points[(i + 1).min(last)]);
+            if let Some(t) = unit(std::array::from_fn(|k| b[k] - a[k])) {
+                before = t;
+            }
+            before
+        })
+        .collect();
+    let (first, weights) = gaussian(ahead_mm, sigma_mm, step_mm);
+    let mut kept = tangents[0];
+    (0..num)
+        .map(|i| {
+            let mut sum = [0.0; 3];
+            for (n, w) in weights.iter().enumerate() {
+                // Beyond an end the line goes straight on.
+                let t =
+                    tangents[(i as isize + first + n as isize).clamp(0, last as isize) as usize];
+                for a in 0..3 {
+                    sum[a] += w * t[a];
+                }
+            }
+            // Where a path doubles back the mean vanishes; the last gaze that meant something is kept.
+            if carina_grid::length(sum) > 1e-3
+                && let Some(g) = unit(sum)
+            {
+                kept = g;
+            }
+            kept
+        })
+        .collect()
+}

@@ -1,0 +1,114 @@
+"""A path to fly on: a smooth curve with a steady camera at every place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from carina import _core
+from carina.errors import UsageError
+from carina.scopes import Pose
+
+__all__ = ["FlightPath"]
+
+
+class FlightPath:
+    """A smooth curve along a tracked path, with camera frames that do not spin.
+
+    Places are counted in mm *of the given points* (the sum of their distances), so ``forks_mm`` and generations found
+    there keep their numbers.
+
+    Parameters
+    ----------
+    points_lps
+        ``(n, 3)``, LPS mm, root to tip. Two different points at least; the stairs of a voxel path are smoothed.
+    up_lps
+        What appears up at the start. Anterior unless told (operator at the head end), or superior where the path starts
+        along the antero-posterior axis. Frames further on turn as little as can be about the viewing direction.
+    forks_mm
+        Places of the bifurcations, for :meth:`next_fork_mm` and :meth:`previous_fork_mm`.
+    max_deviation_mm
+        The curve stays within this distance of the points' polyline, 0.2 to 10 mm.
+
+    Raises
+    ------
+    UsageError
+        If the points make no path, ``up_lps`` lies along its start, or a number is out of range.
+
+    References
+    ----------
+    Frames: Wang, Juettler, Zheng, Liu, "Computation of rotation minimizing frames", ACM TOG 27(1), 2008.
+
+    Examples
+    --------
+    >>> path = FlightPath([[0.0, 0.0, 100.0], [0.0, 0.0, 0.0]])
+    >>> path.pose_at(40.0).position_lps.round(6).tolist()
+    [0.0, 0.0, 60.0]
+    """
+
+    __slots__ = ("_curve", "_forks_mm")
+
+    def __init__(
+        self,
+        points_lps: ArrayLike,
+        *,
+        up_lps: Sequence[float] | None = None,
+        forks_mm: Sequence[float] = (),
+        max_deviation_mm: float = 0.5,
+    ) -> None:
+        points = np.ascontiguousarray(points_lps, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise UsageError(f"a path needs points of shape (n, 3); found {points.shape}", code="navigate.path")
+        up = None if up_lps is None else tuple(float(v) for v in up_lps)
+        if up is not None and len(up) != 3:
+            raise UsageError(f"the up direction needs three numbers; found {len(up)}", code="navigate.up")
+        self._curve = _core.FlightCurve(points, up, float(max_deviation_mm))
+        forks = sorted(float(f) for f in forks_mm)
+        if not all(-1e-6 <= f <= self.length_mm + 1e-6 for f in forks):
+            msg = f"forks must lie on the path, 0 to {self.length_mm:.3f} mm; found {forks}"
+            raise UsageError(msg, code="navigate.path")
+        self._forks_mm = tuple(forks)
+
+    def __repr__(self) -> str:
+        return f"FlightPath(length_mm={self.length_mm:.1f}, num_forks={len(self._forks_mm)})"
+
+    @property
+    def length_mm(self) -> float:
+        """Length of the given points' polyline."""
+        return self._curve.length_mm
+
+    @property
+    def forks_mm(self) -> tuple[float, ...]:
+        """Places of the bifurcations, ascending."""
+        return self._forks_mm
+
+    @property
+    def points_lps(self) -> NDArray[np.float64]:
+        """Knots of the smooth curve, ``(m, 3)``, evenly spaced in mm of the path (a copy)."""
+        return self._curve.knots_lps()
+
+    def pose_at(self, path_mm: float) -> Pose:
+        """The camera at a place, looking along the path ahead; clamped to the ends."""
+        return Pose(self._curve.pose_at(float(path_mm)))
+
+    def nearest_mm(self, point_lps: ArrayLike) -> float:
+        """The place nearest to a point (LPS mm)."""
+        return self.nearest(point_lps)[0]
+
+    def nearest(self, point_lps: ArrayLike) -> tuple[float, float]:
+        """The place nearest to a point (LPS mm), and the distance to it in mm."""
+        point = np.asarray(point_lps, dtype=np.float64)
+        if point.shape != (3,) or not np.isfinite(point).all():
+            raise UsageError("a point needs three finite numbers")
+        return self._curve.nearest((float(point[0]), float(point[1]), float(point[2])))
+
+    def next_fork_mm(self, path_mm: float) -> float:
+        """The first fork beyond a place, or the end of the path."""
+        # 0.01 mm: a person at a fork means the one after it, whatever the rounding of the way here.
+        return next((f for f in self._forks_mm if f > path_mm + 0.01), self.length_mm)
+
+    def previous_fork_mm(self, path_mm: float) -> float:
+        """The last fork before a place, or the start of the path."""
+        return next((f for f in reversed(self._forks_mm) if f < path_mm - 0.01), 0.0)

@@ -1,0 +1,387 @@
+"""Who owns the pose of the tip: free movement, movement along a path, and the step between the two."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import UsageError
+from carina.navigate.flight_path import FlightPath
+from carina.navigate.rotation import orthonormal, rotation_from_vector, vector_from_rotation, yaw_pitch_roll
+from carina.scopes import Pose, upright
+from carina.volume import Volume
+
+__all__ = ["Limit", "Mode", "Navigator", "OperatorPosition"]
+
+Mode = Literal["free", "path"]
+OperatorPosition = Literal["head", "facing"]
+Limit = Literal["none", "volume", "path start", "path end"]
+
+# A tip this near to the path joins it without a jump, easing over; the trachea's radius is some 9 mm. Farther off,
+# easing over would fly through tissue.
+JOIN_MM = 10.0
+# Easing per mm of advance: at most 4 degrees and half a millimetre, and exponentially over the last stretch.
+EASE_RAD_PER_MM = math.radians(4.0)
+EASE_MM_PER_MM = 0.5
+EASE_LENGTH_MM = 8.0
+
+
+class Navigator:
+    """The tip of the scope and how it moves. Pure: amounts are passed in, no clock is read.
+
+    In mode *free* the tip advances along its viewing direction and turns about its own axes; it stays inside the volume.
+    In mode *path* it advances along the path; turning is a free look around that leaves the way alone.
+
+    Leaving the path keeps the pose exactly. Entering it within 10 mm keeps the pose too, and what is off the path
+    (position and direction) eases over while the tip advances, so the picture never jumps. From farther off the tip goes
+    to the nearest place of the path and looks along it.
+
+    Parameters
+    ----------
+    pose
+        Where the tip is at first.
+    volume
+        Keeps the tip in its box (half a voxel beyond the outer centres) in mode *free*; None sets no limit.
+    operator
+        ``"head"``: anterior at 12 o'clock. ``"facing"``: the picture is turned by 180 degrees. Only says what
+        :meth:`set_operator` and :meth:`level_horizon` start from; ``pose`` is taken as it is.
+
+    Examples
+    --------
+    >>> tip = Navigator(Pose.looking([0, 0, 0], [0, 0, -1]))
+    >>> tip.steer(advance_mm=5.0)
+    >>> tip.pose.position_lps.tolist()
+    [0.0, 0.0, -5.0]
+    """
+
+    def __init__(self, pose: Pose, *, volume: Volume | None = None, operator: OperatorPosition = "head") -> None:
+        self._volume = volume
+        self._operator: OperatorPosition = _checked_operator(operator)
+        self._mode: Mode = "free"
+        self._limit: Limit = "none"
+        self._path: FlightPath | None = None
+        self._path_mm = 0.0
+        # In mode path: pose = frame(path_mm) * base roll * entry * look, and the position is off the path by `shift`.
+        self._base_roll_rad = 0.0
+        self._entry = np.eye(3)
+        self._look = np.eye(3)
+        self._shift_lps = np.zeros(3)
+        self._pose = pose
+        self.place(pose)
+
+    def __repr__(self) -> str:
+        at = ", ".join(f"{v:.1f}" for v in self._pose.position_lps)
+        along = f", path_mm={self._path_mm:.1f}" if self._mode == "path" else ""
+        return f"Navigator(mode={self._mode!r}, at_lps=({at}){along}, operator={self._operator!r})"
+
+    # What a view, a slider and a status line need to know.
+
+    @property
+    def pose(self) -> Pose:
+        """Where the tip is and looks."""
+        return self._pose
+
+    @property
+    def mode(self) -> Mode:
+        """``"free"`` or ``"path"``."""
+        return self._mode
+
+    @property
+    def operator(self) -> OperatorPosition:
+        """Where the operator stands."""
+        return self._operator
+
+    @property
+    def path(self) -> FlightPath | None:
+        """The path to fly on, if any; it may be set in either mode."""
+        return self._path
+
+    @property
+    def path_mm(self) -> float | None:
+        """Place on the path in mode *path*, else None."""
+        return self._path_mm if self._mode == "path" else None
+
+    @property
+    def look_offset_rad(self) -> tuple[float, float, float]:
+        """The free look away from the path: yaw to the right, pitch up, roll clockwise; zeros in mode *free*."""
+        r = self._look
+        pitch = math.asin(max(-1.0, min(1.0, -float(r[1, 2]))))
+        return math.atan2(r[0, 2], r[2, 2]), pitch, math.atan2(r[1, 0], r[1, 1])
+
+    @property
+    def limit(self) -> Limit:
+        """What held back the last movement: the volume's edge, an end of the path, or nothing."""
+        return self._limit
+
+    # Movement.
+
+    def steer(
+        self, advance_mm: float = 0.0, yaw_rad: float = 0.0, pitch_rad: float = 0.0, roll_rad: float = 0.0
+    ) -> None:
+        """Turn the tip, then advance it.
+
+        Parameters
+        ----------
+        advance_mm
+            Forward, or back where negative: along the viewing direction (*free*) or along the path (*path*).
+        yaw_rad, pitch_rad, roll_rad
+            Right, up, and clockwise as the operator sees it, about the camera's own axes. In mode *path* they add to
+            the free look, which stays until :meth:`reset_look`.
+
+        Raises
+        ------
+        UsageError
+            If an amount is not finite.
+        """
+        amounts = (advance_mm, yaw_rad, pitch_rad, roll_rad)
+        if not all(math.isfinite(v) for v in amounts):
+            raise UsageError(f"steering needs finite amounts; found {amounts}")
+        turn = yaw_pitch_roll(yaw_rad, pitch_rad, roll_rad)
+        if self._mode == "path":
+            self._look = orthonormal(self._look @ turn)
+            self._advance_on_path(self._path_mm + advance_mm)
+            return
+        rotation = orthonormal(self._pose.lps_from_camera[:3, :3] @ turn)
+        at = self._pose.position_lps
+        self._set_free(rotation, self._held_inside(at, at + advance_mm * rotation[:, 2]))
+
+    def go_to(self, path_mm: float) -> None:
+        """Go to a place of the path, clamped to its ends; enters mode *path*.
+
+        From mode *free* the tip then looks along the path; in mode *path* a free look is kept.
+        """
+        if not math.isfinite(path_mm):
+            raise UsageError(f"a place on the path must be finite; found {path_mm}")
+        path = self._needed_path()
+        if self._mode == "free":
+            self._enter_at(min(max(path_mm, 0.0), path.length_mm), keep_view=False)
+        self._advance_on_path(path_mm)
+
+    def next_fork(self) -> float:
+        """Go to the next fork of the path, or to its end; returns the place in mm."""
+        self.go_to(self._needed_path().next_fork_mm(self._nearest_mm()))
+        return self._path_mm
+
+    def previous_fork(self) -> float:
+        """Go back to the last fork of the path, or to its start; returns the place in mm."""
+        self.go_to(self._needed_path().previous_fork_mm(self._nearest_mm()))
+        return self._path_mm
+
+    def place(self, pose: Pose) -> None:
+        """Put the tip anywhere in the volume; enters mode *free*. A pose outside ends at the edge (:attr:`limit` says so)."""
+        self._mode = "free"
+        self._look = np.eye(3)
+        self._entry = np.eye(3)
+        at = self._clamped(pose.position_lps)
+        self._limit = "none" if np.array_equal(at, pose.position_lps) else "volume"
+        if self._limit == "none":
+            self._pose = pose
+        else:
+            self._set_pose(pose.lps_from_camera[:3, :3], at)
+
+    def place_at(self, point_lps: Sequence[float] | NDArray[np.float64]) -> None:
+        """Move the tip to a point and keep where it looks; enters mode *free*."""
+        point = np.asarray(point_lps, dtype=np.float64)
+        if point.shape != (3,) or not np.isfinite(point).all():
+            raise UsageError("a place for the tip needs three finite numbers (LPS mm)")
+        matrix = self._pose.lps_from_camera.copy()
+        matrix[:3, 3] = point
+        self.place(Pose(matrix))
+
+    # Modes.
+
+    def set_path(self, path: FlightPath | None) -> None:
+        """Take another path to fly on. In mode *path* the tip joins it where it is nearest; without one it is free."""
+        self._path = path
+        if self._mode == "path":
+            self._mode = "free"
+            if path is not None:
+                self._enter()
+            else:
+                self._look = np.eye(3)
+
+    def set_mode(self, mode: Mode) -> None:
+        """Enter a mode; the picture does not jump (see the class).
+
+        Raises
+        ------
+        UsageError
+            If the mode is unknown, or *path* is wanted and there is no path.
+        """
+        if mode not in {"free", "path"}:
+            raise UsageError(f"expected mode 'free' or 'path'; found {mode!r}")
+        if mode == self._mode:
+            return
+        if mode == "path":
+            self._enter()
+        else:
+            self._mode = "free"
+            self._limit = "none"
+            self._look = np.eye(3)
+
+    def toggle_mode(self) -> Mode:
+        """Change to the other mode; returns it."""
+        self.set_mode("free" if self._mode == "path" else "path")
+        return self._mode
+
+    # Orientation.
+
+    def reset_look(self) -> None:
+        """Look along the path again; in mode *free* there is nothing to reset."""
+        if self._mode == "path":
+            self._look = np.eye(3)
+            self._entry = np.eye(3)
+            self._follow()
+
+    def level_horizon(self) -> None:
+        """Roll until anterior (superior, where the view is antero-posterior) is up; down for an operator who faces."""
+        level = upright(self._pose.forward_lps)
+        if self._operator == "facing":
+            level = -level
+        rotation = self._pose.lps_from_camera[:3, :3]
+        # Level is at a right angle to the view; the camera's own up is -y.
+        self._roll(math.atan2(float(level @ rotation[:, 0]), float(level @ -rotation[:, 1])))
+
+    def set_operator(self, position: OperatorPosition) -> None:
+        """Stand at the patient's head or face the patient: the picture turns by 180 degrees."""
+        if _checked_operator(position) != self._operator:
+            self._operator = position
+            self._roll(math.pi)
+
+    # Inside.
+
+    def _roll(self, angle_rad: float) -> None:
+        """Roll the picture clockwise about its middle, in mode *path* for the whole path."""
+        roll = rotation_from_vector(np.array([0.0, 0.0, angle_rad]))
+        if self._mode == "free":
+            self._set_pose(orthonormal(self._pose.lps_from_camera[:3, :3] @ roll), self._pose.position_lps)
+            return
+        # frame * base * entry * look * roll = frame * (base * roll) * (roll^T entry roll) * (roll^T look roll): the
+        # roll stays along the path, and the offsets keep what they do to the picture.
+        self._base_roll_rad = math.remainder(self._base_roll_rad + angle_rad, math.tau)
+        self._entry = roll.T @ self._entry @ roll
+        self._look = roll.T @ self._look @ roll
+        self._follow()
+
+    def _needed_path(self) -> FlightPath:
+        if self._path is None:
+            raise UsageError("there is no path to fly on; choose a target or a branch first", code="navigate.no-path")
+        return self._path
+
+    def _nearest_mm(self) -> float:
+        """Place on the path now, or nearest to the free tip."""
+        if self._mode == "path":
+            return self._path_mm
+        return self._needed_path().nearest_mm(self._pose.position_lps)
+
+    def _enter(self) -> None:
+        path_mm, distance_mm = self._needed_path().nearest(self._pose.position_lps)
+        self._enter_at(path_mm, keep_view=distance_mm <= JOIN_MM)
+
+    def _enter_at(self, path_mm: float, *, keep_view: bool) -> None:
+        before = self._pose.lps_from_camera
+        self._mode = "path"
+        self._limit = "none"
+        self._path_mm = path_mm
+        self._look = np.eye(3)
+        self._entry = np.eye(3)
+        self._shift_lps = np.zeros(3)
+        self._base_roll_rad = math.pi if self._operator == "facing" else 0.0
+        if not keep_view:
+            self._follow()
+            return
+        on_path = self._needed_path().pose_at(path_mm).lps_from_camera
+        self._entry = orthonormal((on_path[:3, :3] @ self._base()).T @ before[:3, :3])
+        self._shift_lps = before[:3, 3] - on_path[:3, 3]
+        # The pose is left as it is, to the last bit: what the offsets give differs by rounding.
+
+    def _advance_on_path(self, path_mm: float) -> None:
+        length_mm = self._needed_path().length_mm
+        there = min(max(path_mm, 0.0), length_mm)
+        self._limit = "path start" if path_mm < 0.0 else "path end" if path_mm > length_mm else "none"
+        moved_mm = abs(there - self._path_mm)
+        vector = vector_from_rotation(self._entry)
+        self._entry = rotation_from_vector(vector * _eased(float(np.linalg.norm(vector)), moved_mm, EASE_RAD_PER_MM))
+        self._shift_lps = self._shift_lps * _eased(float(np.linalg.norm(self._shift_lps)), moved_mm, EASE_MM_PER_MM)
+        self._path_mm = there
+        self._follow()
+
+    def _base(self) -> NDArray[np.float64]:
+        return rotation_from_vector(np.array([0.0, 0.0, self._base_roll_rad]))
+
+    def _follow(self) -> None:
+        """The pose from the place on the path and the offsets."""
+        on_path = self._needed_path().pose_at(self._path_mm).lps_from_camera
+        rotation = orthonormal(on_path[:3, :3] @ self._base() @ self._entry @ self._look)
+        self._set_pose(rotation, on_path[:3, 3] + self._shift_lps)
+
+    def _set_pose(self, rotation: NDArray[np.float64], at_lps: NDArray[np.float64]) -> None:
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation
+        matrix[:3, 3] = at_lps
+        self._pose = Pose(matrix)
+
+    def _set_free(self, rotation: NDArray[np.float64], wanted: tuple[NDArray[np.float64], bool]) -> None:
+        at, held = wanted
+        self._limit = "volume" if held else "none"
+        self._set_pose(rotation, at)
+
+    def _box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """The volume's box in voxel coordinates, a hair smaller so that rounding does not put the tip outside."""
+        if self._volume is None:
+            return None
+        nz, ny, nx = self._volume.shape_zyx
+        hair = 1e-6
+        return np.full(3, -0.5 + hair), np.array([nx, ny, nz]) - 0.5 - hair
+
+    def _clamped(self, point_lps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The point, or the nearest voxel coordinate in the box."""
+        box = self._box()
+        if box is None or self._volume is None:
+            return point_lps
+        ijk = self._volume.to_ijk(point_lps)
+        inside = np.clip(ijk, *box)
+        return point_lps if np.array_equal(inside, ijk) else self._volume.to_lps(inside)
+
+    def _held_inside(
+        self, start_lps: NDArray[np.float64], end_lps: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], bool]:
+        """The end of a move, cut where it leaves the box: the tip stops there and does not slide along the face."""
+        box = self._box()
+        if box is None or self._volume is None:
+            return end_lps, False
+        start, end = self._volume.to_ijk(start_lps), self._volume.to_ijk(end_lps)
+        if np.array_equal(np.clip(end, *box), end):
+            return end_lps, False
+        share = 1.0
+        for axis in range(3):
+            step = end[axis] - start[axis]
+            face = box[1][axis] if step > 0 else box[0][axis]
+            if abs(step) > 0.0 and (end[axis] - face) * step > 0.0:
+                share = min(share, max(0.0, (face - start[axis]) / step))
+        return self._volume.to_lps(np.clip(start + share * (end - start), *box)), True
+
+
+def _eased(amount: float, moved_mm: float, rate_per_mm: float) -> float:
+    """The share of an offset that is left after an advance.
+
+    It shrinks by ``rate_per_mm``, and exponentially once that is slower. A closed form, so that ten steps of 1 mm do
+    the same as one of 10 mm.
+    """
+    if amount == 0.0 or moved_mm == 0.0:
+        return 1.0
+    knee = rate_per_mm * EASE_LENGTH_MM
+    linear_mm = max(0.0, (amount - knee) / rate_per_mm)
+    if moved_mm <= linear_mm:
+        return (amount - rate_per_mm * moved_mm) / amount
+    return min(amount, knee) * math.exp(-(moved_mm - linear_mm) / EASE_LENGTH_MM) / amount
+
+
+def _checked_operator(position: OperatorPosition) -> OperatorPosition:
+    if position not in {"head", "facing"}:
+        raise UsageError(f"expected operator position 'head' or 'facing'; found {position!r}")
+    return position

@@ -1,0 +1,87 @@
+"""A path to fly on: places, frames, forks."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carina.errors import UsageError
+from carina.navigate import FlightPath
+import itertools
+
+
+def bent_path() -> np.ndarray:
+    """Down the trachea, then 60 degrees into the left side: the shape of a real route, LPS mm, unevenly spaced."""
+    down = [[2.0, -5.0, 120.0 - z] for z in (0.0, 7.0, 20.0, 55.0, 80.0)]
+    aside = np.array([np.sin(np.radians(60.0)), 0.1, -np.cos(np.radians(60.0))])
+    corner = np.array(down[-1])
+    return np.array([*down, *(corner + s * aside / np.linalg.norm(aside) for s in (3.0, 9.0, 25.0, 40.0))])
+
+
+def test_places_are_millimetres_of_the_given_points() -> None:
+    points = bent_path()
+    path = FlightPath(points)
+    cumulative = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    assert path.length_mm == pytest.approx(cumulative[-1], abs=1e-9)
+    for point, mm in zip(points, cumulative, strict=True):
+        # 0.5 mm: the stated deviation.
+        assert np.linalg.norm(path.pose_at(mm).position_lps - point) <= 0.5
+        assert path.nearest_mm(point) == pytest.approx(mm, abs=0.5)
+
+
+def test_the_view_from_the_head_end_has_anterior_up_and_the_patients_right_on_the_right() -> None:
+    pose = FlightPath(bent_path()).pose_at(10.0)
+    np.testing.assert_allclose(pose.forward_lps, [0, 0, -1], atol=1e-6)
+    np.testing.assert_allclose(-pose.down_lps, [0, -1, 0], atol=1e-6)
+    np.testing.assert_allclose(pose.right_lps, [-1, 0, 0], atol=1e-6)
+
+
+def test_the_gaze_turns_into_the_bend_before_the_tip_is_there_and_never_by_jumps() -> None:
+    path = FlightPath(bent_path())
+    before = path.pose_at(78.0)
+    assert np.degrees(np.arccos(-before.forward_lps[2])) > 10.0
+    steps = [path.pose_at(mm) for mm in np.arange(0.0, path.length_mm, 0.5)]
+    turns = [
+        np.degrees(
+            np.arccos(np.clip((np.trace(a.lps_from_camera[:3, :3].T @ b.lps_from_camera[:3, :3]) - 1) / 2, -1, 1))
+        )
+        for a, b in itertools.pairwise(steps)
+    ]
+    # A 60 degree bend under a Gaussian gaze of 4 mm: at most 60 / (4 sqrt(2 pi)) = 6 degrees per mm.
+    assert max(turns) < 3.1
+
+
+@given(st.lists(st.tuples(*[st.floats(-5, 5)] * 3), min_size=2, max_size=30), st.floats(-10, 500))
+def test_every_pose_is_rigid_on_any_path(steps: list[tuple[float, float, float]], path_mm: float) -> None:
+    points = np.cumsum(np.array(steps), axis=0)
+    try:
+        path = FlightPath(points)
+    except UsageError:
+        return  # all points the same
+    path.pose_at(path_mm)  # Pose itself refuses what is not rigid
+
+
+def test_forks_are_found_ahead_and_behind() -> None:
+    path = FlightPath(bent_path(), forks_mm=[80.0, 30.0])
+    assert path.forks_mm == (30.0, 80.0)
+    assert path.next_fork_mm(0.0) == 30.0
+    assert path.next_fork_mm(30.0) == 80.0
+    assert path.next_fork_mm(100.0) == path.length_mm
+    assert path.previous_fork_mm(80.0) == 30.0
+    assert path.previous_fork_mm(30.0) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("points", "options", "says"),
+    [
+        ([[0, 0, 0]], {}, "at least two different points"),
+        ([[0, 0], [1, 1]], {}, r"shape \(n, 3\)"),
+        ([[0, 0, 0], [0, np.nan, 9]], {}, "not finite"),
+        ([[0, 0, 0], [0, 0, 9]], {"up_lps": [0, 0, 1]}, "up direction"),
+        ([[0, 0, 0], [0, 0, 9]], {"max_deviation_mm": 0.0}, "0.2 to 10"),
+        ([[0, 0, 0], [0, 0, 9]], {"forks_mm": [11.0]}, "forks must lie on the path"),
+    ],
+)
+def test_what_is_no_path_is_refused_with_the_reason(points: list, options: dict, says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        FlightPath(points, **options)

@@ -1,0 +1,285 @@
+"""The tip's movement: free, on a path, between the two, and which way is up."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carina.errors import UsageError
+from carina.navigate import FlightPath, Navigator
+from carina.scopes import Pose
+from carina.volume import Volume
+
+ROUTE = np.array([[0, 0, 100], [0, 0, 60], [0, 0, 30], [10, 2, 10], [30, 5, 0], [60, 8, -5]], dtype=float)
+
+
+def oblique_volume() -> Volume:
+    """A small grid, different on every axis and turned in space, so that swapped axes cannot pass."""
+    c, s = np.cos(0.4), np.sin(0.4)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn @ np.diag([0.7, 0.9, 2.0])
+    matrix[:3, 3] = [-20.0, 13.0, 40.0]
+    return Volume(np.zeros((17, 40, 50), dtype=np.int16), matrix)
+
+
+def angle_deg(a: Pose, b: Pose) -> float:
+    trace = np.trace(a.lps_from_camera[:3, :3].T @ b.lps_from_camera[:3, :3])
+    return float(np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1))))
+
+
+def on_path(at_mm: float = 20.0) -> Navigator:
+    path = FlightPath(ROUTE, forks_mm=[40.0, 70.0])
+    tip = Navigator(path.pose_at(0.0))
+    tip.set_path(path)
+    tip.go_to(at_mm)
+    return tip
+
+
+# Which way is up.
+
+
+def test_from_the_head_end_looking_caudally_the_patients_right_is_on_the_right_of_the_picture() -> None:
+    # reference/features.md 4: view = inferior, up = anterior, right-hand = patient right. LPS: +x left, +y posterior.
+    tip = Navigator(Pose.looking([0, 0, 0], [0, 0, -1]))
+    np.testing.assert_allclose(tip.pose.right_lps, [-1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(-tip.pose.down_lps, [0, -1, 0], atol=1e-12)
+
+
+def test_facing_the_patient_turns_the_picture_by_180_degrees() -> None:
+    tip = Navigator(Pose.looking([1, 2, 3], [0, 0, -1]))
+    tip.set_operator("facing")
+    # Membranous (posterior) wall at 12 o'clock, the patient's right on the left.
+    np.testing.assert_allclose(-tip.pose.down_lps, [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(tip.pose.right_lps, [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(tip.pose.forward_lps, [0, 0, -1], atol=1e-12)
+    tip.set_operator("facing")
+    np.testing.assert_allclose(-tip.pose.down_lps, [0, 1, 0], atol=1e-12)
+    tip.set_operator("head")
+    np.testing.assert_allclose(-tip.pose.down_lps, [0, -1, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("look", "up"), [([0.2, 0.1, -1], [0, -1, 0]), ([0, -1, 0], [0, 0, 1]), ([1, 0, 0], [0, -1, 0])]
+)
+@pytest.mark.parametrize("mode", ["free", "path"])
+def test_levelling_puts_anterior_up_or_superior_where_the_view_is_antero_posterior(
+    look: list[float], up: list[float], mode: str
+) -> None:
+    look_dir = np.array(look) / np.linalg.norm(look)
+    tip = Navigator(Pose.looking([0, 0, 0], look_dir, [0.3, 0.2, 0.9] if look[2] == 0 else [1, 0.2, 0]))
+    if mode == "path":
+        tip.set_path(FlightPath([[0, 0, 0], 20 * look_dir, 50 * look_dir]))
+        tip.go_to(10.0)
+        tip.steer(roll_rad=1.1)
+    tip.level_horizon()
+    wanted = np.array(up) - np.dot(up, look_dir) * look_dir
+    np.testing.assert_allclose(-tip.pose.down_lps, wanted / np.linalg.norm(wanted), atol=1e-9)
+    tip.set_operator("facing")
+    tip.level_horizon()
+    np.testing.assert_allclose(tip.pose.down_lps, wanted / np.linalg.norm(wanted), atol=1e-9)
+
+
+def test_levelling_on_a_path_stays_while_the_tip_advances() -> None:
+    tip = on_path(5.0)
+    tip.set_operator("facing")
+    tip.steer(advance_mm=20.0)
+    np.testing.assert_allclose(tip.pose.down_lps, [0, -1, 0], atol=1e-2)
+
+
+# Free.
+
+
+def test_free_steering_turns_about_the_cameras_own_axes_and_advances_along_the_view() -> None:
+    tip = Navigator(Pose.looking([0, 0, 0], [0, 0, -1]))
+    tip.steer(yaw_rad=np.pi / 2)  # right is the patient's right, -x
+    tip.steer(advance_mm=3.0)
+    np.testing.assert_allclose(tip.pose.position_lps, [-3, 0, 0], atol=1e-12)
+    tip.steer(pitch_rad=np.pi / 2)  # up is anterior, -y
+    tip.steer(advance_mm=2.0)
+    np.testing.assert_allclose(tip.pose.position_lps, [-3, -2, 0], atol=1e-12)
+    tip.steer(advance_mm=-2.0)
+    np.testing.assert_allclose(tip.pose.position_lps, [-3, 0, 0], atol=1e-12)
+
+
+def test_the_pose_is_rigid_after_100_000_random_turns(rng: np.random.Generator) -> None:
+    tip = Navigator(Pose.looking([0, 0, 0], [0.3, 0.2, -1]), volume=oblique_volume())
+    amounts = rng.normal(0.0, 0.2, size=(100_000, 4))
+    for advance, yaw, pitch, roll in amounts:
+        tip.steer(advance, yaw, pitch, roll)
+    r = tip.pose.lps_from_camera[:3, :3]
+    # 1e-14: made square in each step, so nothing adds up.
+    assert np.abs(r.T @ r - np.eye(3)).max() < 1e-14
+    assert np.linalg.det(r) > 0
+
+
+@given(st.lists(st.tuples(st.floats(-60, 60), st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3)), max_size=12))
+def test_the_free_tip_never_leaves_the_volume_and_says_when_it_is_held(moves: list[tuple[float, ...]]) -> None:
+    volume = oblique_volume()
+    tip = Navigator(Pose.looking(volume.center_lps, [0, 0, -1]), volume=volume)
+    for move in moves:
+        start = tip.pose.position_lps
+        tip.steer(*move)
+        assert volume.contains_lps(tip.pose.position_lps)
+        went = float(np.linalg.norm(tip.pose.position_lps - start))
+        ijk = volume.to_ijk(tip.pose.position_lps)
+        at_face = np.abs(np.concatenate([ijk + 0.5, np.array([50, 40, 17]) - 0.5 - ijk])).min() < 1e-4
+        assert at_face if tip.limit == "volume" else abs(went - abs(move[0])) < 1e-9
+        # It stops on its way and does not slide along the face.
+        along = np.sign(move[0]) * tip.pose.forward_lps
+        np.testing.assert_allclose(tip.pose.position_lps, start + went * along, atol=1e-4)
+
+
+def test_a_tip_placed_outside_the_volume_is_put_at_its_edge_and_says_so() -> None:
+    volume = oblique_volume()
+    tip = Navigator(Pose.looking(volume.center_lps, [0, 0, -1]), volume=volume)
+    tip.place_at(volume.to_lps(np.array([70.0, 20.0, 8.0])))
+    assert tip.limit == "volume"
+    np.testing.assert_allclose(volume.to_ijk(tip.pose.position_lps), [49.5, 20.0, 8.0], atol=1e-5)
+    tip.place_at(volume.center_lps)
+    assert tip.limit == "none"
+    np.testing.assert_array_equal(tip.pose.forward_lps, [0, 0, -1])
+
+
+# On the path.
+
+
+def test_advancing_follows_the_path_and_stops_at_its_ends() -> None:
+    tip = on_path(0.0)
+    assert tip.path is not None
+    tip.steer(advance_mm=12.5)
+    assert tip.path_mm == 12.5
+    np.testing.assert_array_equal(tip.pose.position_lps, tip.path.pose_at(12.5).position_lps)
+    tip.steer(advance_mm=-100.0)
+    assert (tip.path_mm, tip.limit) == (0.0, "path start")
+    tip.steer(advance_mm=1e4)
+    assert (tip.path_mm, tip.limit) == (tip.path.length_mm, "path end")
+    tip.steer(advance_mm=-1.0)
+    assert tip.limit == "none"
+
+
+def test_a_free_look_leaves_the_way_alone_stays_while_advancing_and_can_be_reset() -> None:
+    tip, plain = on_path(), on_path()
+    tip.steer(yaw_rad=0.5)
+    tip.steer(pitch_rad=0.2)
+    tip.steer(advance_mm=15.0)
+    plain.steer(advance_mm=15.0)
+    np.testing.assert_array_equal(tip.pose.position_lps, plain.pose.position_lps)
+    np.testing.assert_allclose(tip.look_offset_rad, [0.5, 0.2, 0.0], atol=1e-12)
+    assert angle_deg(tip.pose, plain.pose) > 25
+    tip.reset_look()
+    np.testing.assert_array_equal(tip.pose.lps_from_camera, plain.pose.lps_from_camera)
+
+
+def test_forks_are_stops_forward_and_back() -> None:
+    tip = on_path(0.0)
+    assert [tip.next_fork() for _ in range(3)] == [40.0, 70.0, pytest.approx(tip.path.length_mm)]  # type: ignore[union-attr]
+    assert [tip.previous_fork() for _ in range(3)] == [70.0, 40.0, 0.0]
+
+
+def test_a_free_tip_goes_to_the_fork_after_the_place_it_is_nearest_to() -> None:
+    tip = on_path(0.0)
+    tip.set_mode("free")
+    tip.place_at([3.0, 0.0, 55.0])
+    assert tip.next_fork() == pytest.approx(70.0)
+    assert tip.mode == "path"
+
+
+# Between the two.
+
+
+def test_leaving_the_path_keeps_the_pose_to_the_bit() -> None:
+    tip = on_path(33.0)
+    tip.steer(2.0, 0.3, -0.1, 0.7)
+    before = tip.pose
+    assert tip.toggle_mode() == "free"
+    np.testing.assert_array_equal(tip.pose.lps_from_camera, before.lps_from_camera)
+    assert tip.path_mm is None
+
+
+@given(
+    st.floats(0, 120),
+    st.tuples(*[st.floats(-4, 4)] * 3),
+    st.tuples(*[st.floats(-3, 3)] * 3),
+    st.sampled_from(["head", "facing"]),
+)
+def test_entering_the_path_nearby_makes_no_jump_and_eases_onto_it(
+    path_mm: float, away: tuple[float, ...], turn: tuple[float, ...], operator: str
+) -> None:
+    tip = on_path(path_mm)
+    tip.set_operator(operator)  # type: ignore[arg-type]
+    tip.toggle_mode()
+    tip.place_at(tip.pose.position_lps + np.array(away))
+    tip.steer(0.0, *turn)
+    before = tip.pose
+    assert tip.toggle_mode() == "path"
+    np.testing.assert_array_equal(tip.pose.lps_from_camera, before.lps_from_camera)
+    tip.steer()  # nothing moved: only rounding may differ
+    np.testing.assert_allclose(tip.pose.lps_from_camera, before.lps_from_camera, atol=1e-7)
+    # Per 0.1 mm: 4 degrees per mm of easing, and the path's own turning (below 7 degrees per mm on this route).
+    direction = 1.0 if tip.path_mm < 60.0 else -1.0  # type: ignore[operator]
+    for _ in range(20):
+        last = tip.pose
+        tip.steer(advance_mm=0.1 * direction)
+        assert angle_deg(last, tip.pose) < 1.1
+        assert np.linalg.norm(last.position_lps - tip.pose.position_lps) < 0.16
+    tip.steer(advance_mm=-1e3)
+    tip.steer(advance_mm=1e3)
+    assert tip.path is not None
+    end = tip.path.pose_at(tip.path.length_mm)
+    np.testing.assert_allclose(tip.pose.position_lps, end.position_lps, atol=1e-6)
+    np.testing.assert_allclose(tip.pose.forward_lps, end.forward_lps, atol=1e-6)
+
+
+def test_easing_does_not_depend_on_how_the_way_is_cut_into_steps() -> None:
+    tips = [on_path(10.0), on_path(10.0)]
+    for tip in tips:
+        tip.toggle_mode()
+        tip.place_at([6.0, 0.0, 88.0])
+        tip.steer(yaw_rad=2.5, pitch_rad=0.3)
+        tip.toggle_mode()
+    tips[0].steer(advance_mm=25.0)
+    for _ in range(50):
+        tips[1].steer(advance_mm=0.5)
+    # 1e-9: rounding of 50 closed forms.
+    np.testing.assert_allclose(tips[0].pose.lps_from_camera, tips[1].pose.lps_from_camera, atol=1e-9)
+
+
+def test_entering_from_far_away_goes_to_the_nearest_place_and_looks_along_the_path() -> None:
+    tip = on_path(10.0)
+    tip.toggle_mode()
+    tip.place_at([40.0, 0.0, 70.0])
+    tip.toggle_mode()
+    assert tip.path is not None
+    np.testing.assert_allclose(tip.pose.lps_from_camera, tip.path.pose_at(30.0).lps_from_camera, atol=1e-9)
+
+
+def test_a_new_path_nearby_is_joined_without_a_jump_and_no_path_sets_the_tip_free() -> None:
+    tip = on_path(20.0)
+    tip.steer(yaw_rad=0.2)
+    before = tip.pose
+    other = ROUTE * np.array([-1.0, 1.0, 1.0])
+    tip.set_path(FlightPath(other))
+    assert tip.mode == "path"
+    np.testing.assert_array_equal(tip.pose.lps_from_camera, before.lps_from_camera)
+    tip.set_path(None)
+    assert tip.mode == "free"
+    np.testing.assert_array_equal(tip.pose.lps_from_camera, before.lps_from_camera)
+
+
+def test_what_cannot_be_done_is_refused_and_changes_nothing() -> None:
+    tip = Navigator(Pose.looking([0, 0, 0], [0, 0, -1]))
+    before = tip.pose
+    for wrong in (
+        tip.toggle_mode,
+        lambda: tip.go_to(3.0),
+        tip.next_fork,
+        lambda: tip.steer(float("nan")),
+        lambda: tip.set_mode("sideways"),  # type: ignore[arg-type]
+        lambda: tip.set_operator("above"),  # type: ignore[arg-type]
+        lambda: tip.place_at([0.0, float("inf"), 0.0]),
+    ):
+        with pytest.raises(UsageError):
+            wrong()
+        assert tip.mode == "free"
+        assert tip.pose is before
