@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from playwright.sync_api import TimeoutError as PlaywrightTimeout
+
 # Building the phantom (first run) and finding the airways takes most of this on a busy two-core machine.
 READY_MS = 120_000
 PICTURE_MS = 20_000
@@ -50,6 +52,44 @@ class Workstation:
         """Frame and pose that a view shows now."""
         data = self.page.evaluate(f"() => ({{...document.querySelector('canvas[data-view={view}]').dataset}})")
         return {"frame_id": int(data["frameId"]), "pose_id": int(data["poseId"])}
+
+    def frame_answers(self, view: str, pose_id: int) -> bool:
+        """Wait until the view's picture answers this pose; False where it does not within the time."""
+        try:
+            self.page.wait_for_function(
+                "([view, pose]) => Number(document.querySelector(`canvas[data-view=${view}]`).dataset.poseId) >= pose",
+                arg=[view, pose_id],
+                timeout=PICTURE_MS,
+            )
+        except PlaywrightTimeout:
+            return False
+        return True
+
+    def overlay(self, view: str) -> str:
+        """Marks drawn over a view (tip, path, targets), as the browser would save them."""
+        return self.page.evaluate(
+            """(view) => {
+                const layer = document.querySelector(`[data-overlay=${view}]`);
+                return layer instanceof HTMLCanvasElement ? layer.toDataURL() : layer.innerHTML;
+            }""",
+            view,
+        )
+
+    def watch_pose_ids(self, view: str) -> None:
+        """Write down every pose that the view shows from now on."""
+        self.page.evaluate(
+            """(view) => {
+                const canvas = document.querySelector(`canvas[data-view=${view}]`);
+                window.__poses = [Number(canvas.dataset.poseId)];
+                new MutationObserver(() => window.__poses.push(Number(canvas.dataset.poseId)))
+                    .observe(canvas, {attributes: true, attributeFilter: ['data-pose-id']});
+            }""",
+            view,
+        )
+
+    def watched_pose_ids(self) -> list[int]:
+        """What ``watch_pose_ids`` wrote down."""
+        return self.page.evaluate("() => window.__poses")
 
     def pixels(self, view: str) -> list[int]:
         """A coarse grid of pixel values of a view: enough to see that it changed."""

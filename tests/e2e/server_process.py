@@ -1,0 +1,84 @@
+"""A real server as a child process."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+sync_api = pytest.importorskip("playwright.sync_api")
+
+# A background network, updates and sync have no place in a test, and no sandbox works for root in a container.
+FLAGS = [
+    "--no-sandbox",
+    "--disable-quic",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+OUT = Path(__file__).resolve().parents[1] / "out" / "e2e"
+
+
+@dataclass
+class Server:
+    """A running ``carina`` process."""
+
+    process: subprocess.Popen[str]
+    url: str
+    log: list[str] = field(default_factory=list)
+
+    def errors(self) -> list[str]:
+        """Log lines that report a fault."""
+        return [line for line in self.log if "ERROR" in line or "Traceback" in line or "CRITICAL" in line]
+
+
+def start_server(arguments: list[str], home: Path) -> Server:
+    """Start ``carina ARGUMENTS`` on loopback and wait for its URL."""
+    environment = {**os.environ, "XDG_CONFIG_HOME": str(home / "config"), "XDG_STATE_HOME": str(home / "state")}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "carina.cli", *arguments, "--no-browser", "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    log: list[str] = []
+    errors = process.stderr
+
+    def read_log() -> None:
+        for line in errors:
+            log.append(line.rstrip())
+
+    threading.Thread(target=read_log, daemon=True).start()
+    text = ""
+    for line in process.stdout:
+        text += line
+        try:
+            return Server(process, json.loads(text)["url"], log)
+        except json.JSONDecodeError:
+            continue
+    process.wait(timeout=10)
+    raise AssertionError(f"the server ended without a URL: {log}")
+
+
+def stop_server(server: Server) -> int:
+    """Ctrl-C, as a person would; kill it only if it does not leave."""
+    server.process.send_signal(signal.SIGINT)
+    try:
+        code = server.process.wait(timeout=20)
+    except subprocess.TimeoutExpired:
+        server.process.kill()
+        server.process.wait()
+        raise
+    assert server.process.stdout is not None
+    server.process.stdout.close()
+    return code

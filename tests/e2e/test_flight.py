@@ -1,0 +1,100 @@
+"""The whole product: a real server, a real browser, a flight along a path in the phantom."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from server_process import Server, start_server, stop_server
+
+pytestmark = pytest.mark.browser
+
+MOVING_VIEWS = ("airway", "cut-plane", "axial", "coronal", "sagittal")
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory) -> Iterator[Server]:
+    """``carina demo phantom``, as a person starts it."""
+    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
+    yield running
+    code = stop_server(running)
+    assert code in {0, 130}
+    assert running.errors() == []
+
+
+def test_a_flight_along_the_path_moves_every_view_and_each_picture_answers_the_newest_pose(server, workstation):
+    workstation.open(server.url)
+    workstation.wait_ready()
+    workstation.picture("flight-start")
+    assert workstation.state("pose.mode") == "path"
+
+    before_pixels = {view: workstation.pixels(view) for view in MOVING_VIEWS}
+    before_pose = workstation.state("pose.pose_id")
+    before_mm = workstation.state("pose.path_mm")
+
+    workstation.hold("w", 2500)
+    workstation.wait_still()
+    workstation.picture("flight-on-the-way")
+
+    after_mm = workstation.state("pose.path_mm")
+    assert after_mm > before_mm + 10.0, "holding W advances along the path"
+    newest = workstation.state("pose.pose_id")
+    assert newest > before_pose
+    for view in MOVING_VIEWS:
+        assert workstation.frame_answers(view, newest), f"{view} shows an older pose than {newest}"
+        assert workstation.pixels(view) != before_pixels[view], f"{view} did not change"
+    assert workstation.faults == []
+
+
+def test_pictures_never_go_back_to_an_older_pose(server, workstation):
+    workstation.open(server.url)
+    workstation.wait_ready()
+    workstation.watch_pose_ids("airway")
+    workstation.hold("w", 800)
+    workstation.hold("s", 800)
+    workstation.hold("w", 400)
+    workstation.wait_still()
+    shown = workstation.watched_pose_ids()
+    assert len(shown) >= 5, "several pictures were shown during the flight"
+    assert shown == sorted(shown)
+    assert workstation.faults == []
+
+
+def test_one_key_leaves_the_path_and_returns_without_a_jump(server, workstation):
+    workstation.open(server.url)
+    workstation.wait_ready()
+    before = workstation.state("pose.lps_from_camera")
+    workstation.page.keyboard.press("m")
+    workstation.page.wait_for_function("() => window.__carina.state.pose.mode === 'free'")
+    after = workstation.state("pose.lps_from_camera")
+    # 1e-9: the pose is kept, not recomputed; JSON carries doubles exactly.
+    assert max(abs(a - b) for a, b in zip(before, after, strict=True)) < 1e-9
+    workstation.page.keyboard.press("m")
+    workstation.page.wait_for_function("() => window.__carina.state.pose.mode === 'path'")
+    assert workstation.faults == []
+
+
+def test_the_x_ray_and_external_views_show_the_tip(server, workstation):
+    workstation.open(server.url)
+    workstation.wait_ready()
+    shown = workstation.shown_views()
+    assert {"airway", "axial", "coronal", "sagittal", "cut-plane"} <= set(shown)
+    assert any(view.startswith("xray-") for view in shown)
+    assert {"tree", "tri-plane"} & set(shown)
+    xray = next(view for view in shown if view.startswith("xray-"))
+    before = workstation.overlay(xray)
+    workstation.hold("w", 1500)
+    workstation.wait_still()
+    assert workstation.overlay(xray) != before, "the tip's mark moves over the X-ray"
+    assert workstation.faults == []
+
+
+def test_the_keyboard_card_opens_on_its_key(server, workstation):
+    workstation.open(server.url)
+    workstation.wait_ready()
+    workstation.page.keyboard.press("?")
+    workstation.page.wait_for_selector("[role=dialog]")
+    workstation.picture("keyboard-card")
+    workstation.page.keyboard.press("Escape")
+    workstation.page.wait_for_selector("[role=dialog]", state="detached")
+    assert workstation.faults == []
