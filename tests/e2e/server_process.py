@@ -33,6 +33,8 @@ class Server:
     process: subprocess.Popen[str]
     url: str
     log: list[str] = field(default_factory=list)
+    cookies: list[dict[str, object]] = field(default_factory=list)
+    """What the first page got for the token."""
 
     def errors(self) -> list[str]:
         """Log lines that report a fault."""

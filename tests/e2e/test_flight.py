@@ -23,7 +23,7 @@ def server(tmp_path_factory) -> Iterator[Server]:
 
 
 def test_a_flight_along_the_path_moves_every_view_and_each_picture_answers_the_newest_pose(server, workstation):
-    workstation.open(server.url)
+    workstation.open(server)
     workstation.wait_ready()
     workstation.picture("flight-start")
     assert workstation.state("pose.mode") == "path"
@@ -47,7 +47,7 @@ def test_a_flight_along_the_path_moves_every_view_and_each_picture_answers_the_n
 
 
 def test_pictures_never_go_back_to_an_older_pose(server, workstation):
-    workstation.open(server.url)
+    workstation.open(server)
     workstation.wait_ready()
     workstation.watch_pose_ids("airway")
     workstation.hold("w", 800)
@@ -61,7 +61,7 @@ def test_pictures_never_go_back_to_an_older_pose(server, workstation):
 
 
 def test_one_key_leaves_the_path_and_returns_without_a_jump(server, workstation):
-    workstation.open(server.url)
+    workstation.open(server)
     workstation.wait_ready()
     before = workstation.state("pose.lps_from_camera")
     workstation.page.keyboard.press("m")
@@ -75,7 +75,7 @@ def test_one_key_leaves_the_path_and_returns_without_a_jump(server, workstation)
 
 
 def test_the_x_ray_and_external_views_show_the_tip(server, workstation):
-    workstation.open(server.url)
+    workstation.open(server)
     workstation.wait_ready()
     shown = workstation.shown_views()
     assert {"airway", "axial", "coronal", "sagittal", "cut-plane"} <= set(shown)
@@ -90,7 +90,7 @@ def test_the_x_ray_and_external_views_show_the_tip(server, workstation):
 
 
 def test_the_keyboard_card_opens_on_its_key(server, workstation):
-    workstation.open(server.url)
+    workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("?")
     workstation.page.wait_for_selector("[role=dialog]")

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from playwright.sync_api import TimeoutError as PlaywrightTimeout
+from server_process import Server
 
 # Building the phantom (first run) and finding the airways takes most of this on a busy two-core machine.
 READY_MS = 120_000
@@ -22,9 +23,18 @@ class Workstation:
         page.on("console", lambda m: self.faults.append(m.text) if m.type == "error" else None)
         page.on("pageerror", lambda error: self.faults.append(str(error)))
 
-    def open(self, url: str) -> None:
-        """Go to the start URL and read the safety sentence."""
-        self.page.goto(url)
+    def open(self, server: Server) -> None:
+        """Go to the start URL and read the safety sentence.
+
+        The URL's token works once; later pages of the same server bring the cookie that it was exchanged for.
+        """
+        context = self.page.context
+        if server.cookies:
+            context.add_cookies(server.cookies)
+            self.page.goto(server.url.split("?")[0])
+        else:
+            self.page.goto(server.url)
+            server.cookies = context.cookies()
         self.accept_notice()
 
     def accept_notice(self) -> None:
