@@ -1,5 +1,7 @@
 """A path to fly on: places, frames, forks."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,7 +9,6 @@ from hypothesis import strategies as st
 
 from carina.errors import UsageError
 from carina.navigate import FlightPath
-import itertools
 
 
 def bent_path() -> np.ndarray:

@@ -33,12 +33,12 @@ EASE_LENGTH_MM = 8.0
 class Navigator:
     """The tip of the scope and how it moves. Pure: amounts are passed in, no clock is read.
 
-    In mode *free* the tip advances along its viewing direction and turns about its own axes; it stays inside the volume.
-    In mode *path* it advances along the path; turning is a free look around that leaves the way alone.
+    In mode *free* the tip advances along its viewing direction and turns about its own axes; it stays in the volume. In
+    mode *path* it advances along the path; turning is a free look around that leaves the way alone.
 
     Leaving the path keeps the pose exactly. Entering it within 10 mm keeps the pose too, and what is off the path
-    (position and direction) eases over while the tip advances, so the picture never jumps. From farther off the tip goes
-    to the nearest place of the path and looks along it.
+    (position and direction) eases over while the tip advances, so the picture never jumps. From farther off the tip
+    goes to the nearest place of the path and looks along it.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ class Navigator:
         return self._path_mm
 
     def place(self, pose: Pose) -> None:
-        """Put the tip anywhere in the volume; enters mode *free*. A pose outside ends at the edge (:attr:`limit` says so)."""
+        """Put the tip anywhere in the volume; enters mode *free*. Outside it is held at the edge (see :attr:`limit`)."""
         self._mode = "free"
         self._look = np.eye(3)
         self._entry = np.eye(3)

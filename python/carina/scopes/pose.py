@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from carina.errors import UsageError
 
@@ -53,7 +52,7 @@ class Pose:
         object.__setattr__(self, "lps_from_camera", m)
 
     @classmethod
-    def looking(cls, at_lps: Sequence[float], look_lps: Sequence[float], up_lps: Sequence[float] | None = None) -> Pose:
+    def looking(cls, at_lps: ArrayLike, look_lps: ArrayLike, up_lps: ArrayLike | None = None) -> Pose:
         """The pose at a point, looking along a direction, with ``up`` as near the top of the picture as it can be.
 
         Parameters
