@@ -172,7 +172,7 @@ class Navigator:
         return self._path_mm
 
     def place(self, pose: Pose) -> None:
-        """Put the tip anywhere in the volume; enters mode *free*. Outside it is held at the edge (see :attr:`limit`)."""
+        """Put the tip anywhere in the volume; enters mode *free*. Outside it is held at the edge (:attr:`limit`)."""
         self._mode = "free"
         self._look = np.eye(3)
         self._entry = np.eye(3)
