@@ -1,5 +1,20 @@
-"""CT volumes: reading them, and where their voxels are in the patient."""
+"""CT volumes: reading them, where their voxels are in the patient, and what they are good for."""
 
+from carina.volume.demo import demo_patient
+from carina.volume.inspection import Inspection, inspect_path
 from carina.volume.model import SeriesInfo, Volume, VolumeSource
+from carina.volume.opening import open_volume
+from carina.volume.quality import Finding, Quality, quality_gate
 
-__all__ = ["SeriesInfo", "Volume", "VolumeSource"]
+__all__ = [
+    "Finding",
+    "Inspection",
+    "Quality",
+    "SeriesInfo",
+    "Volume",
+    "VolumeSource",
+    "demo_patient",
+    "inspect_path",
+    "open_volume",
+    "quality_gate",
+]

@@ -95,7 +95,7 @@ class Volume:
     @property
     def ijk_from_lps(self) -> NDArray[np.float64]:
         """The inverse of ``lps_from_ijk``."""
-        return np.linalg.inv(self.lps_from_ijk)
+        return np.asarray(np.linalg.inv(self.lps_from_ijk), dtype=np.float64)
 
     def to_lps(self, points_ijk: NDArray[np.float64]) -> NDArray[np.float64]:
         """Voxel coordinates ``(..., 3)`` to LPS mm."""

@@ -1,0 +1,66 @@
+"""Settings: the one place that reads the environment and knows the person's own folders.
+
+Everything else receives a :class:`Settings`, or a folder out of it, as an argument.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import platformdirs
+
+from carina.errors import UsageError
+
+__all__ = ["LOG_LEVELS", "Settings", "load_settings"]
+
+logging.addLevelName(5, "TRACE")  # below DEBUG: once per frame
+LOG_LEVELS = ("TRACE", "DEBUG", "INFO", "WARNING", "ERROR")
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What the environment and the machine decide. No folder is made here; whoever writes makes it."""
+
+    log_level: str
+    """One of :data:`LOG_LEVELS`; ``CARINA_LOG_LEVEL``, else WARNING."""
+    data_dir: Path | None
+    """Folder of real cases for tests and benchmarks; ``CARINA_DATA_DIR``, else None."""
+    config_dir: Path
+    """What a person decided (the safety notice, recent cases)."""
+    state_dir: Path
+    """Work in progress that must outlive a crash (autosaves)."""
+    cache_dir: Path
+    """What can be computed again (the phantom, IsoRegion maps); may be deleted at any time."""
+
+
+def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
+    """Read the settings of this process.
+
+    Parameters
+    ----------
+    environ
+        In place of ``os.environ``, for tests.
+
+    Raises
+    ------
+    UsageError
+        If ``CARINA_LOG_LEVEL`` is no level.
+    """
+    values = os.environ if environ is None else environ
+    level = values.get("CARINA_LOG_LEVEL", "").strip().upper() or "WARNING"
+    if level not in LOG_LEVELS:
+        msg = f"CARINA_LOG_LEVEL must be one of {', '.join(LOG_LEVELS)}; found {level!r}"
+        raise UsageError(msg, code="usage.log-level")
+    data_dir = values.get("CARINA_DATA_DIR", "").strip()
+    dirs = platformdirs.PlatformDirs("carina", appauthor=False)
+    return Settings(
+        log_level=level,
+        data_dir=Path(data_dir).expanduser() if data_dir else None,
+        config_dir=dirs.user_config_path,
+        state_dir=dirs.user_state_path,
+        cache_dir=dirs.user_cache_path,
+    )

@@ -1,0 +1,182 @@
+"""Where the voxels of a DICOM series are, from the tags of every slice; refuses what is no regular, straight grid.
+
+The third axis is the way from slice to slice as ImagePositionPatient gives it (PS3.3 C.7.6.2.1.1). SliceThickness is
+never used: it is how much tissue one slice averages, and overlapping or gapped series are common.
+
+Tolerances (each tested on both sides):
+
+- along the normal a slice may lie off the regular grid by a tenth of the slice distance, at most 0.3 mm; 0.06 mm is
+  always allowed, since some scanners write positions rounded to 0.1 mm;
+- across it by 0.1 mm or a tenth of a pixel, whichever is more;
+- the stack may lean by 0.2 degrees, or by 0.1 mm over its whole height, whichever is more (near-zero tilts are real and
+  harmless; the lean is then kept in ``lps_from_ijk``, so that no voxel is misplaced);
+- directions and pixel distances of all slices agree when the far corner of the image moves by less than 0.1 mm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import VolumeImportError
+from carina.volume.dicom_headers import SliceHeader
+
+__all__ = ["MAX_TILT_DEG", "grid_from_slices"]
+
+MAX_TILT_DEG = 0.2
+_MAX_CORNER_SHIFT_MM = 0.1
+
+
+def _refuse(what: str, problem: str, way_out: str, code: str) -> VolumeImportError:
+    return VolumeImportError(f"{what}: {problem}; {way_out}", code=code)
+
+
+def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
+    first = slices[0]
+    extent_mm = math.hypot(first.columns * first.spacing_mm[0], first.rows * first.spacing_mm[1])
+    way_out = "keep only the slices of one scan in the folder"
+    for header in slices[1:]:
+        if (header.rows, header.columns) != (first.rows, first.columns):
+            problem = (
+                f"its slices have mixed sizes: expected {first.columns} x {first.rows} pixels as in "
+                f"{first.path.name}, found "
+                f"{header.columns} x {header.rows} in {header.path.name}"
+            )
+            raise _refuse(what, problem, way_out, "import.geometry.mixed")
+        turn = max(math.dist(header.row_lps, first.row_lps), math.dist(header.column_lps, first.column_lps))
+        if turn * extent_mm > _MAX_CORNER_SHIFT_MM:
+            problem = (
+                f"its slices have mixed orientations: {header.path.name} is turned by {math.degrees(turn):.2f} "
+                "degrees against "
+                f"{first.path.name}"
+            )
+            raise _refuse(what, problem, way_out, "import.geometry.mixed")
+        stretch_mm = max(
+            abs(header.spacing_mm[0] - first.spacing_mm[0]) * header.columns,
+            abs(header.spacing_mm[1] - first.spacing_mm[1]) * header.rows,
+        )
+        if stretch_mm > _MAX_CORNER_SHIFT_MM:
+            problem = (
+                f"its slices have mixed pixel distances: expected {first.spacing_mm[0]:g} x {first.spacing_mm[1]:g} "
+                "mm as in "
+                f"{first.path.name}, found {header.spacing_mm[0]:g} x {header.spacing_mm[1]:g} mm in {header.path.name}"
+            )
+            raise _refuse(what, problem, way_out, "import.geometry.mixed")
+
+
+def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader], what: str) -> None:
+    count = len(ordered)
+    gaps = np.diff(along_mm)
+    # The median stands for the intended distance: one missing or doubled slice does not move it.
+    expected = float(np.median(gaps))
+    doubled = np.flatnonzero(gaps <= max(0.01, 0.02 * expected))
+    if doubled.size:
+        at = int(doubled[0])
+        problem = (
+            f"{doubled.size + 1 if doubled.size == count - 1 else doubled.size} of its {count} slices lie where "
+            "another one already "
+            f"lies, first {ordered[at].path.name} and {ordered[at + 1].path.name}; expected every position once; the "
+            "folder may "
+            "hold the series twice, or several phases of one scan"
+        )
+        raise _refuse(what, problem, "keep one slice for each position", "import.geometry.duplicate")
+    tolerance = min(max(0.1 * expected, 0.06), 0.3)
+    wrong = np.flatnonzero(np.abs(gaps - expected) > 2 * tolerance)
+    if wrong.size:
+        at = int(wrong[0])
+        more = f" (and at {wrong.size - 1} more places)" if wrong.size > 1 else ""
+        missing = round(float(gaps[at]) / expected) - 1
+        cause = (
+            f"; {'a slice' if missing == 1 else f'{missing} slices'} may be missing from the series"
+            if missing >= 1 and abs(gaps[at] - (missing + 1) * expected) <= 2 * tolerance
+            else ""
+        )
+        problem = (
+            f"slice spacing is irregular: expected {expected:.2f} mm, found {gaps[at]:.2f} mm after slice {at + 1} "
+            f"of {count} "
+            f"({ordered[at].path.name}){more}{cause}"
+        )
+        raise _refuse(what, problem, "copy the whole series again, or choose another one", "import.geometry.irregular")
+    regular = along_mm[0] + np.arange(count) * (along_mm[-1] - along_mm[0]) / (count - 1)
+    off = np.abs(along_mm - regular)
+    if float(off.max()) > tolerance:
+        at = int(off.argmax())
+        problem = (
+            f"slice spacing is irregular: slice {at + 1} of {count} ({ordered[at].path.name}) lies {off[at]:.2f} mm "
+            "off the regular "
+            f"grid of {expected:.2f} mm; at most {tolerance:.2f} mm are allowed"
+        )
+        raise _refuse(what, problem, "choose another series", "import.geometry.irregular")
+
+
+def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[SliceHeader], NDArray[np.float64]]:
+    """Sort the slices of one series along their normal and find the grid they form.
+
+    Parameters
+    ----------
+    slices
+        In any order; none has a ``problem``.
+    what
+        How a refusal begins, such as "reading series 3 (Thorax)".
+
+    Returns
+    -------
+    ordered, lps_from_ijk
+        The slices by growing position along (row x column), and the 4x4 transform of voxel centres to LPS mm.
+
+    Raises
+    ------
+    VolumeImportError
+        ``import.single-slice``, ``import.geometry.mixed``, ``.duplicate``, ``.irregular``, ``.shifted`` or ``.tilt``.
+    """
+    if len(slices) < 2:
+        problem = (
+            f"it holds one image only ({slices[0].path.name}); expected a stack of slices, since one image has no depth"
+        )
+        raise _refuse(what, problem, "choose the folder of the whole scan", "import.single-slice")
+    _check_alike(slices, what)
+    first = slices[0]
+    row = np.array(first.row_lps)
+    column = np.array(first.column_lps)
+    column = column - row * (row @ column)
+    column /= np.linalg.norm(column)
+    normal = np.cross(row, column)
+    ordered = sorted(slices, key=lambda header: (float(normal @ np.array(header.position_lps)), str(header.path)))
+    positions = np.array([header.position_lps for header in ordered])
+    along = positions @ normal
+    _check_spacing(along, ordered, what)
+
+    step = (positions[-1] - positions[0]) / (len(ordered) - 1)
+    height = float(along[-1] - along[0])
+    lean = positions[-1] - positions[0] - height * normal
+    lean_mm = float(np.linalg.norm(lean))
+    tilt_deg = math.degrees(math.atan2(lean_mm, height))
+    if tilt_deg > MAX_TILT_DEG and lean_mm > _MAX_CORNER_SHIFT_MM:
+        problem = (
+            f"its slices are tilted: the stack leans by {tilt_deg:.1f} degrees against the slices (gantry tilt), "
+            f"{lean_mm:.1f} mm from the first to the last; expected a straight stack"
+        )
+        way_out = "export the series with the tilt corrected, or choose another one"
+        raise _refuse(what, problem, way_out, "import.geometry.tilt")
+    line = positions[0] + np.arange(len(ordered))[:, None] * step
+    across = positions - line
+    across = np.linalg.norm(across - np.outer(across @ normal, normal), axis=1)
+    allowed = max(_MAX_CORNER_SHIFT_MM, 0.1 * min(first.spacing_mm))
+    if float(across.max()) > allowed:
+        at = int(across.argmax())
+        problem = (
+            f"slice {at + 1} of {len(ordered)} ({ordered[at].path.name}) is shifted sideways by {across[at]:.2f} mm; "
+            "at most "
+            f"{allowed:.2f} mm are allowed"
+        )
+        raise _refuse(what, problem, "choose another series", "import.geometry.shifted")
+
+    lps_from_ijk = np.eye(4)
+    lps_from_ijk[:3, 0] = row * first.spacing_mm[0]
+    lps_from_ijk[:3, 1] = column * first.spacing_mm[1]
+    lps_from_ijk[:3, 2] = step
+    lps_from_ijk[:3, 3] = positions[0]
+    return ordered, lps_from_ijk

@@ -1,0 +1,122 @@
+"""``inspect_path``: what is at a path, from headers alone, so that it answers at once and also for what cannot be "
+"opened."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import CarinaError
+from carina.volume.dicom import choose_series
+from carina.volume.grid_headers import read_grid_header
+from carina.volume.model import SeriesInfo
+from carina.volume.opening import find_in, guarded, place_name
+from carina.volume.watch import Watch
+
+__all__ = ["Inspection", "inspect_path"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inspection:
+    """What a path holds, without its pixels, names or UIDs."""
+
+    format: str
+    """``dicom``, ``nifti``, ``nrrd`` or ``metaimage``."""
+    series: tuple[SeriesInfo, ...]
+    """All DICOM series found, the largest chest CT first; empty for other formats."""
+    chosen: SeriesInfo | None
+    """The series that would be opened."""
+    shape_zyx: tuple[int, int, int] | None
+    lps_from_ijk: NDArray[np.float64] | None
+    """4x4, voxel centres to LPS mm; None where nothing can be opened."""
+    warnings: tuple[str, ...]
+    refused: str | None
+    """Why nothing would be opened, or None."""
+    refused_code: str | None
+
+    @property
+    def spacing_mm(self) -> tuple[float, float, float] | None:
+        """Distance of voxel centres along i, j, k."""
+        if self.lps_from_ijk is None:
+            return None
+        sx, sy, sz = np.linalg.norm(self.lps_from_ijk[:3, :3], axis=0)
+        return float(sx), float(sy), float(sz)
+
+    @property
+    def axes(self) -> str | None:
+        """Where i, j and k point, one letter each: L or R, P or A, S or I; lower case where it is more than 1 "
+        "degree oblique."""
+        if self.lps_from_ijk is None:
+            return None
+        letters = []
+        for column in self.lps_from_ijk[:3, :3].T:
+            at = int(np.argmax(np.abs(column)))
+            letter = ("LR", "PA", "SI")[at][0 if column[at] > 0 else 1]
+            straight = abs(column[at]) >= math.cos(math.radians(1)) * float(np.linalg.norm(column))
+            letters.append(letter if straight else letter.lower())
+        return "".join(letters)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON types, as ``carina info --json`` prints them."""
+        return {
+            "format": self.format,
+            "series": [asdict(info) for info in self.series],
+            "chosen": None if self.chosen is None else self.chosen.key,
+            "shape_zyx": None if self.shape_zyx is None else list(self.shape_zyx),
+            "spacing_mm": None if self.spacing_mm is None else list(self.spacing_mm),
+            "axes": self.axes,
+            "lps_from_ijk": None if self.lps_from_ijk is None else self.lps_from_ijk.tolist(),
+            "warnings": list(self.warnings),
+            "refused": self.refused,
+            "refused_code": self.refused_code,
+        }
+
+
+def inspect_path(
+    path: str | Path,
+    *,
+    series: str | None = None,
+    progress: Callable[[str, float | None], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Inspection:
+    """Say what a path holds, from its headers; takes the same arguments as ``open_volume``.
+
+    Raises
+    ------
+    VolumeImportError
+        If it holds no image at all. A series that would be refused is no error here: ``refused`` says why.
+    UsageError
+        If ``series`` names none of the folder's series.
+    CancelledError
+        If ``cancel()`` returned true.
+
+    Examples
+    --------
+    >>> from carina.volume.demo import CASE_PATH
+    >>> inspect_path(CASE_PATH).axes
+    'LPS'
+    """
+    watch = Watch(progress, cancel)
+    return guarded(Path(path).expanduser(), lambda where: _inspect(where, series, watch))
+
+
+def _inspect(path: Path, key: str | None, watch: Watch) -> Inspection:
+    found = find_in(path, watch)
+    if isinstance(found, str):
+        header = read_grid_header(path, found)
+        ni, nj, nk = header.shape_ijk
+        return Inspection(found, (), None, (nk, nj, ni), header.lps_from_ijk, (), None, None)
+    infos = tuple(item.info for item in found)
+    try:
+        chosen, notes = choose_series(found, key=key, where=place_name(path))
+    except CarinaError as error:
+        if not error.code.startswith("import."):
+            raise
+        return Inspection("dicom", infos, None, None, None, (), str(error), error.code)
+    return Inspection("dicom", infos, chosen.info, chosen.info.shape_zyx, chosen.lps_from_ijk, notes, None, None)

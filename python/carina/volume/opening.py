@@ -1,0 +1,177 @@
+"""``open_volume``: whatever a person points at, by what it holds and not by its name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from carina.errors import CarinaError, GeometryError, VolumeImportError
+from carina.volume.dicom import FoundSeries, choose_series, find_series, open_series, series_in
+from carina.volume.dicom_headers import looks_like_dicom, read_headers
+from carina.volume.grid_files import open_grid_file
+from carina.volume.grid_headers import sniff_format
+from carina.volume.model import Volume
+from carina.volume.watch import Watch
+
+__all__ = ["open_volume"]
+
+T = TypeVar("T")
+
+_KINDS = "a DICOM folder, NIfTI (.nii, .nii.gz), NRRD (.nrrd) or MetaImage (.mha, .mhd)"
+_GRID_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
+
+
+def open_volume(
+    path: str | Path,
+    *,
+    series: str | None = None,
+    progress: Callable[[str, float | None], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Volume:
+    """Open a chest CT: a DICOM folder (or one of its files), a NIfTI, NRRD or MetaImage file.
+
+    Parameters
+    ----------
+    path
+        Folders are searched with all their subfolders; files need no extension. One DICOM file stands for its series
+        in its folder.
+    series
+        Key of the DICOM series to open (``SeriesInfo.key``). Without it the largest chest CT is taken, and
+        ``source.warnings`` says which others there are.
+    progress
+        Called as ``progress(what, fraction)``; the fraction is None where it is unknown.
+    cancel
+        Asked often; when it returns true the import stops.
+
+    Returns
+    -------
+    Volume
+        int16 ``[z, y, x]`` with axes in the file's order, LPS mm. ``is_hu`` is false, with a reason, where the
+        numbers are not HU.
+
+    Raises
+    ------
+    VolumeImportError
+        If the file or series is refused: the message names it, what was expected, what was found and what to do. The
+        code begins with ``import.``.
+    UsageError
+        If ``series`` names none of the folder's series.
+    CancelledError
+        If ``cancel()`` returned true.
+
+    Examples
+    --------
+    >>> from carina.volume import demo_patient
+    >>> demo_patient().is_hu
+    True
+    """
+    watch = Watch(progress, cancel)
+    return guarded(Path(path).expanduser(), lambda where: _open(where, series, watch))
+
+
+def guarded(path: Path, action: Callable[[Path], T]) -> T:
+    """Run an import; troubles of the disk and of memory become refusals in our words."""
+    try:
+        return action(path)
+    except CarinaError as error:
+        if isinstance(error, GeometryError):
+            msg = f"reading {path.name}: {error}; export it again"
+            raise VolumeImportError(msg, code="import.geometry") from None
+        raise
+    except PermissionError:
+        msg = (
+            f"reading {path.name}: it may not be read by this user; change its permissions or copy it to a folder of "
+            f"your own"
+        )
+        raise VolumeImportError(msg, code="import.unreadable") from None
+    except OSError as error:
+        msg = (
+            f"reading {path.name}: the disk gives an error ({error.strerror or type(error).__name__}); check the disk "
+            f"or copy the files"
+        )
+        raise VolumeImportError(msg, code="import.unreadable") from None
+    except MemoryError:
+        msg = (
+            f"reading {path.name}: this machine has not enough memory for it; close other programs, or crop or "
+            f"resample the volume"
+        )
+        raise VolumeImportError(msg, code="import.too-large") from None
+
+
+def find_in(path: Path, watch: Watch) -> list[FoundSeries] | str:
+    """The DICOM series at a path, best first, or the format of the grid file that it is.
+
+    Raises
+    ------
+    VolumeImportError
+        If it is neither.
+    """
+    if not path.exists():
+        msg = f"reading {path.name}: there is no such file or folder; expected {_KINDS}; check the path {path}"
+        raise VolumeImportError(msg, code="import.not-found")
+    if path.is_dir():
+        found = series_in(path, recursive=True, watch=watch)
+        if not found:
+            raise _no_images(path)
+        return found
+    if not path.is_file():
+        msg = f"reading {path.name}: it is neither a file nor a folder; expected {_KINDS}"
+        raise VolumeImportError(msg, code="import.not-an-image")
+    if looks_like_dicom(path):
+        return _series_of_file(path, watch)
+    kind = sniff_format(path)
+    if kind in ("nifti", "nrrd", "metaimage"):
+        return kind
+    what = {
+        "pdf": "it is a PDF document, not an image volume",
+        "zip": "it is a ZIP archive, which is not opened here",
+    }.get(kind or "", "it is not an image volume that Carina knows" if path.stat().st_size else "it is empty")
+    way_out = "unpack it and open the folder" if kind == "zip" else f"open {_KINDS}"
+    raise VolumeImportError(f"reading {path.name}: {what}; {way_out}", code="import.not-an-image")
+
+
+def _open(path: Path, series: str | None, watch: Watch) -> Volume:
+    found = find_in(path, watch)
+    if isinstance(found, str):
+        return open_grid_file(path, found, watch=watch)
+    chosen, notes = choose_series(found, key=series, where=place_name(path))
+    others = [item.info for item in found if item is not chosen]
+    return open_series(chosen, others=others, warnings=notes, watch=watch)
+
+
+def place_name(path: Path) -> str:
+    """How messages call the folder."""
+    return f"the folder {(path if path.is_dir() else path.parent).resolve().name}"
+
+
+def _series_of_file(path: Path, watch: Watch) -> list[FoundSeries]:
+    headers = read_headers(path.parent, recursive=False, watch=watch)
+    own = next((header for header in headers if header.path.name == path.name), None)
+    if own is None:
+        msg = (
+            f"reading {path.name}: it is DICOM but holds no image (a report, a structure set or a directory file); "
+            "open the folder "
+            "of the scan"
+        )
+        raise VolumeImportError(msg, code="import.no-images")
+    return [
+        item
+        for item in find_series(headers)
+        if item.slices[0].series_uid == own.series_uid and item.slices[0].localizer == own.localizer
+    ]
+
+
+def _no_images(folder: Path) -> VolumeImportError:
+    names = sorted(
+        entry.name for entry in folder.iterdir() if entry.is_file() and entry.name.lower().endswith(_GRID_SUFFIXES)
+    )
+    if names:
+        shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+        msg = f"reading the folder {folder.name}: it holds no DICOM images, but {shown}; open one of these files itself"
+    else:
+        msg = (
+            f"reading the folder {folder.name}: it holds no DICOM images; expected the slices of a chest CT; choose "
+            f"the folder of the scan"
+        )
+    return VolumeImportError(msg, code="import.no-images")
