@@ -1,1 +1,5 @@
+"""The workstation's server: one process, one window, loopback."""
 
+from carina.server.serve import serve
+
+__all__ = ["serve"]

@@ -1,1 +1,30 @@
+"""The one owner of a case: state, commands with undo, jobs, the pose."""
 
+from carina.session.jobs import JobEnded, JobProgress
+from carina.session.parts import Parts, default_parts
+from carina.session.recent import LocalStore, RecentCase
+from carina.session.routes import ChosenRoute
+from carina.session.scene import Orbit, Renderer, Scene, Zoom
+from carina.session.session import Event, Session
+from carina.session.snapshot import Changed, PoseInfo, Said, Snapshot, Trouble
+
+__all__ = [
+    "Changed",
+    "ChosenRoute",
+    "Event",
+    "JobEnded",
+    "JobProgress",
+    "LocalStore",
+    "Orbit",
+    "Parts",
+    "PoseInfo",
+    "RecentCase",
+    "Renderer",
+    "Said",
+    "Scene",
+    "Session",
+    "Snapshot",
+    "Trouble",
+    "Zoom",
+    "default_parts",
+]

@@ -1,0 +1,349 @@
+"""Between the session, the frame pump and the one client that is connected: commands in, messages and pictures out."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, assert_never
+
+from carina.errors import CarinaError, UsageError
+from carina.server import messages as wire
+from carina.server.presenter import pose_message, route_message, start_message, state_message, tree_message
+from carina.server.pump import FramePump
+from carina.server.uploads import Uploads
+from carina.session import Changed, Event, JobEnded, JobProgress, Orbit, Said, Session, Trouble
+
+__all__ = ["Hub", "Outbox"]
+
+logger = logging.getLogger(__name__)
+
+MAX_QUEUED = 2000
+"""Text messages waiting for a client that does not read; beyond it is cut off."""
+TOPICS = ("start", "state", "tree", "route", "pose")
+
+
+class Outbox:
+    """What waits to be sent to one client; event loop only. Topics coalesce: only their newest message is ever sent."""
+
+    def __init__(self) -> None:
+        self._topics: set[str] = set()
+        self._texts: deque[str] = deque()
+        self._progress: dict[str, str] = {}
+        self._pictures: deque[bytes] = deque()
+        self._filled = asyncio.Event()
+        self.overflowed = False
+
+    def mark(self, *topics: str) -> None:
+        """The topic's message must be sent anew."""
+        self._topics.update(t for t in topics if t in TOPICS)
+        self._filled.set()
+
+    def push(self, message: Any) -> None:
+        """A message that must arrive as it is, in order."""
+        if isinstance(message, wire.Progress):
+            self._progress[message.job_id] = wire.encode_message(message)
+        else:
+            if isinstance(message, wire.Done):
+                self._progress.pop(message.job_id, None)
+            self._texts.append(wire.encode_message(message))
+            self.overflowed = self.overflowed or len(self._texts) > MAX_QUEUED
+        self._filled.set()
+
+    def nudge(self) -> None:
+        """Wake the one who sends, to find that another client has taken over."""
+        self._filled.set()
+
+    def push_picture(self, data: bytes) -> None:
+        """A picture; their number is bounded by the acknowledgements."""
+        self._pictures.append(data)
+        self._filled.set()
+
+    async def take(self) -> tuple[list[str], list[str], list[bytes]]:
+        """Wait; then the changed topics (in their order), the texts and the pictures."""
+        await self._filled.wait()
+        self._filled.clear()
+        topics = [t for t in TOPICS if t in self._topics]
+        texts = [*self._progress.values(), *self._texts]
+        pictures = list(self._pictures)
+        self._topics.clear()
+        self._texts.clear()
+        self._progress.clear()
+        self._pictures.clear()
+        return topics, texts, pictures
+
+
+class Hub:
+    """Owns the pump's thread and the current client.
+
+    Parameters
+    ----------
+    session
+        What is driven.
+    uploads
+        Dropped files.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        uploads: Uploads,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        threads: int = 1,
+        simd: str = "",
+        patient_citation: str | None = None,
+    ) -> None:
+        self.session = session
+        self._uploads = uploads
+        self._patient_citation = patient_citation
+        self._upload_of_job: dict[str, str] = {}
+        self._outbox: Outbox | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self.pump = FramePump(
+            session.scene, self._deliver, self._tell_from_pump, clock=clock, threads=threads, simd=simd
+        )
+        self._thread = threading.Thread(target=self.pump.run, name="carina-frames", daemon=True)
+        self._unsubscribe: Callable[[], None] = lambda: None
+        self._tree_text: tuple[Any, str] | None = None
+
+    # ------------------------------------------------------------ life
+
+    def start(self) -> None:
+        """Begin; from the event loop."""
+        self._loop = asyncio.get_running_loop()
+        self._unsubscribe = self.session.subscribe(self._on_event)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the pump's thread and the session's jobs."""
+        self._unsubscribe()
+        self.pump.stop()
+        if self._thread.is_alive():
+            self._thread.join()
+        self.session.close()
+        self._uploads.close()
+
+    def attach(self) -> Outbox:
+        """A new client takes over; it gets everything."""
+        self.pump.new_client()
+        outbox = Outbox()
+        if self._outbox is not None:
+            self._outbox.nudge()
+        self._outbox = outbox
+        topics = ["start", "state"]
+        if self.session.snapshot().case is not None:
+            topics += ["tree", "route", "pose"]
+        outbox.mark(*topics)
+        for job in self.session.jobs.running:
+            if job.latest is not None:
+                outbox.push(_progress(job.latest))
+        return outbox
+
+    def detach(self, outbox: Outbox) -> None:
+        """A client is gone; nothing if another has taken over."""
+        if self._outbox is outbox:
+            self._outbox = None
+            self.pump.new_client()
+
+    def is_current(self, outbox: Outbox) -> bool:
+        """Whether no other client has taken over."""
+        return self._outbox is outbox
+
+    # ------------------------------------------------------------ out
+
+    def topic_text(self, topic: str) -> str | None:
+        """The newest message of a topic, or None where there is none."""
+        snapshot = self.session.snapshot()
+        document = snapshot.document
+        if topic == "start":
+            store = self.session.store
+            return wire.encode_message(
+                start_message(
+                    notice_accepted=store is not None and store.notice_accepted(),
+                    recent=() if store is None else store.recent(),
+                    patient_citation=self._patient_citation,
+                )
+            )
+        if topic == "state":
+            return wire.encode_message(state_message(snapshot))
+        if topic == "tree":
+            airways = None if document is None else document.airways
+            # A tree is some hundred kilobytes and changes rarely; every reload and undo asks for it.
+            if self._tree_text is None or self._tree_text[0] is not airways:
+                self._tree_text = (airways, wire.encode_message(tree_message(airways)))
+            return self._tree_text[1]
+        if topic == "route":
+            return wire.encode_message(route_message(None if document is None else document.route))
+        info = self.session.pose_info()
+        return None if info is None else wire.encode_message(pose_message(info))
+
+    def _on_event(self, event: Event) -> None:
+        """From any thread, with the session locked: hand on and return."""
+        if isinstance(event, Changed) and event.topics & {"views", "pose"}:
+            self.pump.wake()
+        self._in_loop(self._note, event)
+
+    def _deliver(self, data: bytes) -> None:
+        self._in_loop(self._note_picture, data)
+
+    def _tell_from_pump(self, message: wire.Status | tuple[str, str]) -> None:
+        if isinstance(message, tuple):
+            message_out: Any = wire.Error(code=message[0], message=message[1], action=None)
+        else:
+            message_out = message
+        self._in_loop(self._push, message_out)
+
+    def _in_loop(self, function: Callable[..., None], *arguments: Any) -> None:
+        loop = self._loop
+        if loop is None or loop.is_closed():
+            return
+        try:
+            loop.call_soon_threadsafe(function, *arguments)
+        except RuntimeError:
+            # The loop closed between the look and the call: the server is ending.
+            logger.debug("an event came after the end")
+
+    def _push(self, message: Any) -> None:
+        if self._outbox is not None:
+            self._outbox.push(message)
+
+    def _note_picture(self, data: bytes) -> None:
+        if self._outbox is not None:
+            self._outbox.push_picture(data)
+
+    def _note(self, event: Event) -> None:
+        if isinstance(event, JobEnded):
+            upload_id = self._upload_of_job.pop(event.job_id, None)
+            if upload_id is not None:
+                self._uploads.discard(upload_id)
+        outbox = self._outbox
+        if outbox is None:
+            return
+        match event:
+            case Changed():
+                outbox.mark(*event.topics)
+            case JobProgress():
+                outbox.push(_progress(event))
+            case JobEnded():
+                outbox.push(wire.Done(event.job_id, event.outcome))
+            case Trouble():
+                outbox.push(wire.Error(event.code, event.message, event.action))
+            case Said():
+                outbox.push(wire.Notice(event.message))
+            case _:
+                assert_never(event)
+
+    # ------------------------------------------------------------ in
+
+    def handle(self, message: Any) -> None:
+        """Do what a client asks; trouble is answered with an ``error`` message."""
+        try:
+            self._do(message)
+        except CarinaError as trouble:
+            self._push(wire.Error(trouble.code, str(trouble), None))
+        except Exception as trouble:
+            logger.exception("a command failed: %s", type(message).__name__)
+            words = f"this could not be done, by a fault of Carina ({type(trouble).__name__})"
+            self._push(wire.Error("carina.fault", words, None))
+
+    def _do(self, message: Any) -> None:
+        session = self.session
+        match message:
+            case wire.Steer():
+                session.steer(message.advance_mm, message.yaw_rad, message.pitch_rad, message.roll_rad)
+            case wire.Ack():
+                self.pump.acknowledge(message.frame_id)
+            case wire.Layout():
+                self.pump.set_layout({v.view: (v.width, v.height) for v in message.views})
+            case wire.GoTo():
+                session.go_to(message.path_mm)
+            case wire.SetMode():
+                session.set_mode(message.mode)
+            case wire.ToggleMode():
+                session.toggle_mode()
+            case wire.NextFork():
+                session.next_fork()
+            case wire.PreviousFork():
+                session.previous_fork()
+            case wire.Place():
+                session.place(_three(message.lps))
+            case wire.LevelHorizon():
+                session.level_horizon()
+            case wire.ResetLook():
+                session.reset_look()
+            case wire.SetCrosshair():
+                session.set_crosshair(None if message.lps is None else _three(message.lps))
+            case wire.SetOrbit():
+                orbit = Orbit(message.azimuth_deg, message.elevation_deg, message.distance_mm)
+                session.set_orbit(message.view, orbit)
+            case wire.SetZoom():
+                session.set_zoom(message.view, mm_per_px=message.mm_per_px, extent_mm=message.extent_mm)
+            case _:
+                self._do_rare(message)
+
+    def _do_rare(self, message: Any) -> None:
+        session = self.session
+        match message:
+            case wire.OpenPath():
+                session.open_path(message.path)
+            case wire.OpenDemo():
+                session.open_demo(message.name)
+            case wire.OpenRecent():
+                session.open_recent(message.recent_id)
+            case wire.OpenUpload():
+                place = self._uploads.place(message.upload_id)
+                job_id = session.open_path(str(place), remember=False)
+                self._upload_of_job[job_id] = message.upload_id
+            case wire.CloseCase():
+                session.close_case()
+            case wire.Cancel():
+                session.cancel(message.job_id)
+            case wire.SetRoot():
+                session.set_root(_three(message.lps))
+            case wire.SetLumenThreshold():
+                session.set_lumen_threshold(message.value)
+            case wire.AddTarget():
+                session.add_target(_three(message.lps))
+            case wire.RemoveTarget():
+                session.remove_target(message.target_id)
+            case wire.ChooseRoute():
+                session.choose_route(target_id=message.target_id, branch_id=message.branch_id)
+            case wire.SetWindow():
+                session.set_window(message.width_hu, message.level_hu)
+            case wire.SetFov():
+                session.set_fov(message.fov_deg)
+            case wire.SetTransfer():
+                session.set_transfer(preset=message.preset, document=message.document)
+            case wire.SetShading():
+                session.set_shading(message.on)
+            case wire.SetMethod():
+                session.set_method(message.method)
+            case wire.SetOperator():
+                session.set_operator(message.position)
+            case wire.Undo():
+                session.undo()
+            case wire.Redo():
+                session.redo()
+            case wire.AcceptNotice():
+                if session.store is not None:
+                    session.store.accept_notice()
+                if self._outbox is not None:
+                    self._outbox.mark("start")
+            case _:
+                raise UsageError(
+                    f"{type(message).__name__} cannot be sent after the first message", code="protocol.order"
+                )
+
+
+def _progress(event: JobProgress) -> wire.Progress:
+    left_s = None if event.seconds_left is None else round(event.seconds_left, 1)
+    return wire.Progress(event.job_id, event.title, event.what, event.fraction, left_s)
+
+
+def _three(values: tuple[float, ...]) -> tuple[float, float, float]:
+    x, y, z = values
+    return x, y, z

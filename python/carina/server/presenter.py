@@ -1,0 +1,151 @@
+"""What the session knows, as wire messages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from carina.server import messages as wire
+from carina.server.wire_codec import decode_fields
+from carina.session import ChosenRoute, PoseInfo, RecentCase, Snapshot
+from carina.session.document import Document
+
+__all__ = ["demos", "pose_message", "route_message", "start_message", "state_message", "tree_message"]
+
+
+def demos(patient_citation: str | None) -> tuple[wire.Demo, ...]:
+    """The bundled cases."""
+    return (
+        wire.Demo("phantom", "Phantom", "A synthetic chest CT with known airways, made on this machine.", None),
+        wire.Demo("patient", "Patient", "A real chest CT around the airways, without any name.", patient_citation),
+    )
+
+
+def start_message(*, notice_accepted: bool, recent: tuple[RecentCase, ...], patient_citation: str | None) -> wire.Start:
+    """What the start page shows; paths stay on the server's side."""
+    cases = tuple(wire.RecentCase(c.recent_id, c.date, c.title) for c in recent)
+    return wire.Start(notice_accepted, cases, demos(patient_citation))
+
+
+def _case(snapshot: Snapshot) -> wire.CaseInfo | None:
+    case = snapshot.case
+    if case is None:
+        return None
+    volume = case.volume
+    source = volume.source
+    return wire.CaseInfo(
+        title=source.title,
+        format=source.format,
+        is_hu=volume.is_hu,
+        not_hu_reason=volume.not_hu_reason,
+        shape_zyx=volume.shape_zyx,
+        spacing_mm=volume.spacing_mm,
+        lps_from_ijk=_flat(volume.lps_from_ijk),
+        value_range=(float(case.value_range[0]), float(case.value_range[1])),
+        warnings=tuple(source.warnings),
+        quality=case.quality,
+        other_series=tuple(
+            wire.OtherSeries(s.key, s.modality, s.description, s.num_slices, s.refused) for s in source.other_series
+        ),
+        citation=source.citation,
+        off=tuple(wire.FeatureOff(o.what, o.why) for o in case.off),
+    )
+
+
+def state_message(snapshot: Snapshot) -> wire.State:
+    """All that is shown, but the pose, the tree and the route."""
+    document = snapshot.document
+    airways = None if document is None else document.airways
+    tree, tri, zoom = snapshot.orbit_tree, snapshot.orbit_tri_plane, snapshot.zoom
+    return wire.State(
+        case=_case(snapshot),
+        stage=snapshot.stage,
+        airways=snapshot.airways,
+        airways_words=snapshot.airways_words,
+        mode=snapshot.mode,
+        operator="head" if document is None else document.operator,
+        fov_deg=90.0 if document is None else document.fov_deg,
+        transfer="" if document is None else document.transfer.name,
+        transfer_document=None if document is None else document.transfer.to_json(),
+        transfer_presets=snapshot.transfer_presets,
+        shading=True if document is None else document.shading,
+        method="leap" if document is None else document.method,
+        window=_window(document),
+        crosshair_lps=snapshot.crosshair_lps,
+        targets=() if document is None else tuple(_target(t) for t in document.targets),
+        route_id=None if document is None or document.route is None else document.route.route_id,
+        can_undo=snapshot.undo_label,
+        can_redo=snapshot.redo_label,
+        root_lps=None if airways is None else _floats(airways.root_lps),
+        lumen_threshold=None if airways is None else float(airways.threshold),
+        orbit_tree=wire.Orbit(tree.azimuth_deg, tree.elevation_deg, tree.distance_mm),
+        orbit_tri_plane=wire.Orbit(tri.azimuth_deg, tri.elevation_deg, tri.distance_mm),
+        zoom=wire.Zoom(zoom.axial_mm_per_px, zoom.coronal_mm_per_px, zoom.sagittal_mm_per_px, zoom.cut_plane_extent_mm),
+    )
+
+
+def _window(document: Document | None) -> wire.GreyWindow:
+    if document is None:
+        return wire.GreyWindow(1500.0, -600.0)
+    return wire.GreyWindow(document.window_width_hu, document.window_level_hu)
+
+
+def _target(target: Any) -> wire.Target:
+    return wire.Target(
+        target_id=target.target_id,
+        name=target.name,
+        lps=target.lps,
+        used_lps=target.used_lps,
+        snapped_mm=target.snapped_mm,
+        length_mm=target.length_mm,
+        problem=target.problem,
+    )
+
+
+def tree_message(airways: Any) -> wire.Tree:
+    """The airway tree, from the document format that files have too."""
+    return wire.Tree(None if airways is None else decode_fields(wire.TreeDocument, airways.tree.to_json(), "tree"))
+
+
+def route_message(route: ChosenRoute | None) -> wire.Route:
+    """The route with its parallel lists."""
+    if route is None:
+        return wire.Route(None)
+    info = wire.RouteInfo(
+        route_id=route.route_id,
+        title=route.title,
+        target_id=route.target_id,
+        branch_id=route.branch_id,
+        points_lps=tuple(_floats(p) for p in np.round(route.points_lps, 3)),
+        cumulative_mm=_floats(np.round(route.cumulative_mm, 3)),
+        generation=tuple(int(g) for g in route.generation),
+        radius_mm=_floats(np.round(route.radius_mm, 3)),
+        forks_mm=tuple(round(mm, 3) for mm in route.forks_mm),
+        spans=tuple(wire.RouteSpan(s.branch_id, s.name, s.generation, s.from_mm, s.to_mm) for s in route.spans),
+        length_mm=route.length_mm,
+    )
+    return wire.Route(info)
+
+
+def pose_message(info: PoseInfo) -> wire.Pose:
+    """The newest pose."""
+    return wire.Pose(
+        pose_id=info.pose_id,
+        lps_from_camera=_flat(info.pose.lps_from_camera),
+        mode=info.mode,
+        path_mm=info.path_mm,
+        branch_id=info.branch_id,
+        branch_name=info.branch_name,
+        generation=info.generation,
+        lumen_mm=info.lumen_mm,
+        inside=info.inside,
+    )
+
+
+def _flat(matrix: Any) -> tuple[float, ...]:
+    return tuple(float(v) for v in np.asarray(matrix, dtype=np.float64).ravel())
+
+
+def _floats(values: Any) -> tuple[float, ...]:
+    return tuple(float(v) for v in values)

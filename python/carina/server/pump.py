@@ -1,0 +1,204 @@
+"""The frame pump: one thread that renders, encodes and hands over one picture after the other."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any, cast
+
+import numpy as np
+import simplejpeg
+from numpy.typing import NDArray
+
+from carina.errors import CarinaError
+from carina.server.messages import PictureHeader, Status
+from carina.server.pacing import FrameScheduler, RenderOrder
+from carina.server.wire_codec import encode_picture
+from carina.session import Scene
+
+__all__ = ["FramePump", "encode_jpeg"]
+
+logger = logging.getLogger(__name__)
+
+MOVING_QUALITY = 85
+STILL_QUALITY = 95
+STATUS_EVERY_S = 0.5
+
+
+def encode_jpeg(rgb: NDArray[np.uint8], *, full: bool) -> tuple[bytes, int]:
+    """JPEG of a picture and its quality: q95 4:4:4 where final, q85 4:2:0 while moving."""
+    quality = STILL_QUALITY if full else MOVING_QUALITY
+    sampling = "444" if full else "420"
+    pixels = np.ascontiguousarray(rgb)
+    data = simplejpeg.encode_jpeg(pixels, quality=quality, colorspace="RGB", colorsubsampling=sampling)
+    return cast(bytes, data), quality
+
+
+class FramePump:
+    """Renders what the scheduler asks for. :meth:`step` does one picture; :meth:`run` is the thread.
+
+    Parameters
+    ----------
+    scene
+        What the views show now; called from the pump's thread, never while the pump holds its lock.
+    deliver
+        Takes one binary message, in order; from the pump's thread.
+    tell
+        Takes a status message, or an error's code and sentence; from the pump's thread.
+    clock
+        Seconds, monotonic; the session's.
+    """
+
+    def __init__(
+        self,
+        scene: Callable[[], Scene | None],
+        deliver: Callable[[bytes], None],
+        tell: Callable[[Status | tuple[str, str]], None],
+        *,
+        clock: Callable[[], float],
+        threads: int = 1,
+        simd: str = "",
+    ) -> None:
+        self._scene = scene
+        self._deliver = deliver
+        self._tell = tell
+        self._clock = clock
+        self._threads = threads
+        self._simd = simd
+        self._scheduler = FrameScheduler()
+        self._lock = threading.Lock()
+        """Guards the scheduler. Never held while the session is asked: it calls :meth:`wake` under its own lock."""
+        self._woken = threading.Event()
+        self._stopped = False
+        self._frame_ids = itertools.count(1)
+        self._sent_s: deque[float] = deque()
+        self._status_s = float("-inf")
+        self._last_words: str | None = None
+
+    def set_layout(self, views: Mapping[str, tuple[int, int]]) -> None:
+        """The visible views and their sizes in pixels."""
+        with self._lock:
+            self._scheduler.set_layout(views)
+        self.wake()
+
+    def acknowledge(self, frame_id: int) -> None:
+        """The client has decoded a picture."""
+        with self._lock:
+            self._scheduler.acknowledge(frame_id)
+        self.wake()
+
+    def new_client(self) -> None:
+        """Another client takes over: no view is visible until its layout comes, and everything is sent again."""
+        with self._lock:
+            self._scheduler.forget_sent()
+            self._scheduler.set_layout({})
+
+    def wake(self) -> None:
+        """Something changed."""
+        self._woken.set()
+
+    def stop(self) -> None:
+        """End :meth:`run` after the picture under way."""
+        self._stopped = True
+        self._woken.set()
+
+    def run(self) -> None:
+        """Render until :meth:`stop`."""
+        while not self._stopped:
+            # Cleared before the look: what changes during it is not missed.
+            self._woken.clear()
+            if not self.step():
+                self._woken.wait(self.wait_s())
+
+    def wait_s(self) -> float | None:
+        """How long nothing will change by itself; None for ever."""
+        now_s = self._clock()
+        with self._lock:
+            wake_s = self._scheduler.wake_s(now_s)
+        # A millisecond more, so that rounding of the wait does not wake it just before.
+        return None if wake_s is None else max(0.0, wake_s - now_s) + 0.001
+
+    def step(self) -> bool:
+        """Render and deliver one picture; False if none is wanted now."""
+        scene = self._scene()
+        if scene is None:
+            return False
+        began_s = self._clock()
+        with self._lock:
+            self._scheduler.observe({view: scene.key(view) for view in self._scheduler.visible}, began_s)
+            order = self._scheduler.next_order(began_s)
+        if order is None:
+            return False
+        try:
+            view = scene.spec(order.view, order.width, order.height, order.step_vox, full_width=order.full_width)
+            picture = scene.renderer.render(view)
+        except CarinaError as trouble:
+            self._failed(order, trouble.code, str(trouble))
+            return True
+        except Exception as trouble:
+            logger.exception("rendering failed: %s", order.view)
+            words = f"the {order.view} view could not be rendered, by a fault of Carina ({type(trouble).__name__})"
+            self._failed(order, "carina.fault", words)
+            return True
+        self._last_words = None
+        rendered_s = self._clock() - began_s
+        payload, quality = encode_jpeg(picture.rgb, full=order.full)
+        frame_id = next(self._frame_ids)
+        header = PictureHeader(
+            frame_id=frame_id,
+            view=cast(Any, order.view),
+            pose_id=scene.pose_id,
+            lps_from_camera=_matrix(picture.lps_from_camera),
+            fov_deg=None if picture.fov_deg is None else float(picture.fov_deg),
+            lps_from_pixel=_matrix(picture.lps_from_pixel),
+            width=int(picture.rgb.shape[1]),
+            height=int(picture.rgb.shape[0]),
+            codec="jpeg",
+            quality=quality,
+            full=order.full,
+            render_ms=round(rendered_s * 1e3, 2),
+            method=str(picture.stats.method),
+        )
+        now_s = self._clock()
+        with self._lock:
+            wanted = self._scheduler.rendered(order, frame_id, now_s - began_s)
+        if wanted:
+            self._deliver(encode_picture(header, payload))
+            if order.view == "airway":
+                self._note_status(now_s, now_s - scene.pose_s, header)
+        return True
+
+    def _failed(self, order: RenderOrder, code: str, words: str) -> None:
+        with self._lock:
+            self._scheduler.failed(order)
+        if words != self._last_words:
+            # Once, not for every frame of a flight.
+            self._last_words = words
+            self._tell((code, words))
+
+    def _note_status(self, now_s: float, age_s: float, header: PictureHeader) -> None:
+        self._sent_s.append(now_s)
+        while self._sent_s and self._sent_s[0] < now_s - 1.0:
+            self._sent_s.popleft()
+        if now_s - self._status_s < STATUS_EVERY_S:
+            return
+        self._status_s = now_s
+        spread_s = now_s - self._sent_s[0]
+        fps = (len(self._sent_s) - 1) / spread_s if spread_s > 0.0 else 0.0
+        self._tell(
+            Status(
+                fps=round(fps, 1),
+                render_ms=header.render_ms,
+                age_ms=round(age_s * 1e3, 1),
+                method=header.method,
+                threads=self._threads,
+                simd=self._simd,
+            )
+        )
+
+
+def _matrix(matrix: NDArray[np.float64] | None) -> tuple[float, ...] | None:
+    return None if matrix is None else tuple(float(v) for v in np.asarray(matrix).ravel())

@@ -1,0 +1,144 @@
+"""Who may talk to the server: Host, Origin, the start token, the cookie, and the bearer secret (DESIGN section 6).
+
+The server holds a patient's images and listens on a port that every web page of the same browser can address. So: the Host
+header is checked on every request (DNS rebinding), Origin on everything that changes something (cross-site requests), and only
+who came by the printed link or knows the secret gets more than the client's own files.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import secrets
+import socket
+import threading
+from collections.abc import Mapping
+from http.cookies import CookieError, SimpleCookie
+
+__all__ = ["Gate", "host_allowed", "is_loopback"]
+
+SAFE_METHODS = frozenset({"GET", "HEAD"})
+MAX_COOKIE_BYTES = 8192
+
+
+def is_loopback(host: str) -> bool:
+    """True for an address that only this machine reaches."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _split_host(header: str) -> tuple[str, int | None] | None:
+    """Name and port of a Host header; None where it is none."""
+    name, port_text = header, ""
+    if header.startswith("["):
+        name, bracket, rest = header[1:].partition("]")
+        if not bracket or (rest and not rest.startswith(":")):
+            return None
+        port_text = rest[1:]
+    elif header.count(":") == 1:
+        name, _, port_text = header.partition(":")
+    if port_text and not (port_text.isascii() and port_text.isdigit() and len(port_text) <= 5):
+        return None
+    return name.lower().rstrip("."), int(port_text) if port_text else None
+
+
+def host_allowed(header: str, *, bound_host: str, port: int) -> bool:
+    """Whether a Host header names the address that the server listens on.
+
+    A rebinding attack comes with the attacker's *name* in Host. On loopback only loopback's names pass; on any other address
+    its own name, this machine's name, and literal addresses, which no name server can turn.
+    """
+    parts = _split_host(header)
+    if parts is None or (parts[1] or 80) != port:
+        return False
+    name = parts[0]
+    if is_loopback(name):
+        return True
+    if is_loopback(bound_host):
+        return False
+    if name in {bound_host.lower(), socket.gethostname().lower()}:
+        return True
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+class Gate:
+    """The secrets of one server, and the checks of one request.
+
+    ``secret`` is what programs send as bearer; the cookie carries another value, so that neither reveals the other.
+    """
+
+    def __init__(self, *, host: str, port: int) -> None:
+        self.host = host
+        self.port = port
+        self.secret = secrets.token_urlsafe(32)
+        self._cookie_value = secrets.token_urlsafe(32)
+        self._tokens: set[str] = set()
+        self._lock = threading.Lock()
+
+    @property
+    def cookie_name(self) -> str:
+        """Cookies know no ports: two Carinas on one machine must not overwrite each other's."""
+        return f"carina_{self.port}"
+
+    @property
+    def set_cookie(self) -> str:
+        """The value of the Set-Cookie header."""
+        return f"{self.cookie_name}={self._cookie_value}; Path=/; HttpOnly; SameSite=Strict"
+
+    def new_token(self) -> str:
+        """A token that works once, for a start URL."""
+        token = secrets.token_urlsafe(32)
+        with self._lock:
+            self._tokens.add(token)
+        return token
+
+    def redeem(self, token: str) -> bool:
+        """True once for each token."""
+        if not token.isascii():
+            return False
+        with self._lock:
+            found = [known for known in self._tokens if secrets.compare_digest(known, token)]
+            self._tokens.difference_update(found)
+        return bool(found)
+
+    def refusal(self, *, method: str | None, headers: Mapping[str, str]) -> str | None:
+        """Why a request is refused whoever sends it, or None. ``method`` None is a WebSocket."""
+        if not host_allowed(headers.get("host", ""), bound_host=self.host, port=self.port):
+            return "this address is not the one that Carina listens on"
+        origin = headers.get("origin")
+        if origin is None:
+            if (method is None or method not in SAFE_METHODS) and not self._bearer_matches(headers):
+                return "the request does not say which page it comes from"
+            return None
+        scheme, _, rest = origin.partition("://")
+        # The same host and port as the one this request was sent to, which was checked above.
+        if scheme != "http" or rest.lower() != headers.get("host", "").lower():
+            return "the request comes from another page"
+        return None
+
+    def authorised(self, headers: Mapping[str, str]) -> bool:
+        """Whether the request carries the cookie or the bearer secret."""
+        return self._bearer_matches(headers) or self._cookie_matches(headers)
+
+    def _bearer_matches(self, headers: Mapping[str, str]) -> bool:
+        scheme, _, value = headers.get("authorization", "").partition(" ")
+        return scheme.lower() == "bearer" and value.isascii() and secrets.compare_digest(value.strip(), self.secret)
+
+    def _cookie_matches(self, headers: Mapping[str, str]) -> bool:
+        text = headers.get("cookie", "")
+        if len(text) > MAX_COOKIE_BYTES:
+            return False
+        try:
+            morsel = SimpleCookie(text).get(self.cookie_name)
+        except CookieError:
+            return False
+        return (
+            morsel is not None and morsel.value.isascii() and secrets.compare_digest(morsel.value, self._cookie_value)
+        )

@@ -1,0 +1,227 @@
+"""Start the workstation: bind, print the link, run until Ctrl-C."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import sys
+import threading
+import webbrowser
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import platformdirs
+import uvicorn
+
+from carina.errors import CarinaError, UsageError
+from carina.server.app import create_app, web_folder
+from carina.server.hub import Hub
+from carina.server.security import Gate, is_loopback
+from carina.server.uploads import Uploads
+from carina.server.wire_codec import MAX_TEXT_BYTES
+from carina.session import LocalStore, Session
+
+__all__ = ["bind", "make_server", "serve", "start_url"]
+
+GRACE_S = 3
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """A listening socket.
+
+    Raises
+    ------
+    CarinaError
+        ``server.port`` if the port is taken or not allowed; ``server.host`` if this machine has no such address.
+    """
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+    except (OSError, UnicodeError) as trouble:
+        raise CarinaError(f"cannot listen on {host!r}: there is no such address", code="server.host") from trouble
+    sock = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        if os.name == "posix":
+            # A port whose last connections are still closing is free; on Windows this flag would share a port in use.
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind(address)
+        sock.listen(64)
+    except OSError as trouble:
+        sock.close()
+        if trouble.errno == errno.EADDRINUSE:
+            msg = (
+                f"port {port} is in use by another program; choose another with --port, or leave it out for a free one"
+            )
+            raise CarinaError(msg, code="server.port") from trouble
+        if trouble.errno == errno.EACCES:
+            msg = f"port {port} may not be used; choose one above 1023, or leave it out for a free one"
+            raise CarinaError(msg, code="server.port") from trouble
+        msg = f"cannot listen on {host!r}: {trouble.strerror}"
+        raise CarinaError(msg, code="server.host") from trouble
+    sock.set_inheritable(False)
+    return sock
+
+
+def start_url(gate: Gate) -> str:
+    """A link with a fresh token; it works once."""
+    host = gate.host
+    if host in {"0.0.0.0", "::", ""}:
+        host = socket.gethostname()
+    shown = f"[{host}]" if ":" in host else host
+    return f"http://{shown}:{gate.port}/?token={gate.new_token()}"
+
+
+class _Server(uvicorn.Server):
+    """Says when it is ready to answer."""
+
+    def __init__(self, config: uvicorn.Config, on_started: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._on_started = on_started
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets=sockets)
+        if self.started and not self.should_exit:
+            self._on_started()
+
+
+def make_server(
+    session: Session,
+    gate: Gate,
+    *,
+    on_started: Callable[[], None],
+    web: Path | None = None,
+    uploads: Uploads | None = None,
+    patient_citation: str | None = None,
+    simd: str = "",
+) -> uvicorn.Server:
+    """The server over a session; run it with ``server.run(sockets=[sock])``, end it by ``server.should_exit = True``."""
+    uploads = uploads or Uploads()
+    hub = Hub(session, uploads, threads=os.cpu_count() or 1, simd=simd, patient_citation=patient_citation)
+    config = uvicorn.Config(
+        create_app(hub, gate, uploads, web=web),
+        ws="websockets-sansio",
+        ws_per_message_deflate=False,  # 3 ms a picture, for nothing: JPEG does not shrink
+        ws_max_size=MAX_TEXT_BYTES,
+        ws_max_queue=1024,
+        access_log=False,  # a start URL holds a token
+        log_config=None,
+        log_level="warning",
+        lifespan="on",
+        server_header=False,
+        timeout_graceful_shutdown=GRACE_S,
+    )
+    return _Server(config, on_started)
+
+
+def serve(
+    path: str | None,
+    *,
+    demo: str | None = None,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    open_browser: bool = True,
+    on_ready: Callable[[str], None] | None = None,
+) -> int:
+    """Start the workstation and stay until Ctrl-C.
+
+    Parameters
+    ----------
+    path
+        CT folder or file to open; None shows the start page.
+    demo
+        ``"phantom"`` or ``"patient"``: open a bundled case instead.
+    host
+        Address to listen on; anything but loopback opens the case to the network, and that is printed.
+    port
+        0 takes a free one.
+    open_browser
+        Open the start URL in the browser, with a token of its own.
+    on_ready
+        Gets the start URL once the server answers. The URL works once.
+
+    Returns
+    -------
+    int
+        0 after Ctrl-C.
+
+    Raises
+    ------
+    UsageError
+        If both a path and a demo are given, or the demo is unknown.
+    VolumeImportError
+        If nothing at ``path`` can be opened; no server was started then.
+    CarinaError
+        ``server.port`` if the port is in use.
+    """
+    if path is not None and demo is not None:
+        raise UsageError("give a path or a demo, not both")
+    if demo not in {None, "phantom", "patient"}:
+        raise UsageError(f"expected the demo 'phantom' or 'patient'; found {demo!r}")
+    if path is not None:
+        _refuse_early(path)
+    with bind(host, port) as sock:
+        gate = Gate(host=host, port=sock.getsockname()[1])
+        if not is_loopback(host):
+            print(_NETWORK_WARNING.format(host=host), file=sys.stderr, flush=True)
+        session = Session(_renderer_factory(), store=LocalStore(platformdirs.user_config_path("carina")))
+
+        def ready() -> None:
+            if path is not None:
+                session.open_path(str(Path(path).absolute()))
+            elif demo is not None:
+                session.open_demo(demo)
+            if on_ready is not None:
+                on_ready(start_url(gate))
+            if open_browser:
+                url = start_url(gate)
+                # In a thread: some launchers wait for the browser.
+                threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+
+        server = make_server(
+            session, gate, on_started=ready, web=web_folder(), patient_citation=_patient_citation(), simd=_simd()
+        )
+        try:
+            server.run(sockets=[sock])
+        except KeyboardInterrupt:
+            # uvicorn has ended cleanly and raises the signal again; Ctrl-C is how a workstation is closed.
+            pass
+        finally:
+            session.close()
+    return 0
+
+
+_NETWORK_WARNING = (
+    "Carina listens on {host}: everyone on this network who gets hold of the link can see and change the open case, "
+    "and the traffic is not encrypted. Leave --host out to keep it on this machine."
+)
+
+
+def _refuse_early(path: str) -> None:
+    """Refuse on the command line what cannot be opened, before a window opens."""
+    from carina import volume
+
+    volume.inspect_path(path)
+
+
+def _renderer_factory() -> Any:
+    from carina import render
+
+    cache = platformdirs.user_cache_path("carina") / "maps"
+
+    def make(volume: Any, transfer: Any) -> Any:
+        return render.Renderer(volume, transfer=transfer, cache_dir=cache)
+
+    return make
+
+
+def _patient_citation() -> str | None:
+    from carina import volume
+
+    return getattr(volume, "PATIENT_CITATION", None)
+
+
+def _simd() -> str:
+    from carina import render
+
+    return str(getattr(render, "simd_name", lambda: "")())

@@ -1,0 +1,51 @@
+"""What a person decides about a case: one immutable value, so that undo is taking an older one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from carina.render import TransferFunction
+    from carina.session.routes import ChosenRoute
+    from carina.track import Airways
+
+__all__ = ["Document", "Target"]
+
+Method = Literal["leap", "brute"]
+Operator = Literal["head", "facing"]
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A place to go to, as asked and as used."""
+
+    target_id: str
+    name: str
+    lps: Point
+    used_lps: Point | None = None
+    """Where the path ends: the point itself, or the nearest lumen voxel within 5 mm."""
+    snapped_mm: float | None = None
+    length_mm: float | None = None
+    problem: str | None = None
+    """Why there is no path, in words."""
+    route: ChosenRoute | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """All that undo and redo move between; poses, mode, crosshair, orbits and zooms are not in it."""
+
+    transfer: TransferFunction
+    window_width_hu: float = 1500.0
+    window_level_hu: float = -600.0
+    fov_deg: float = 90.0
+    shading: bool = True
+    method: Method = "leap"
+    operator: Operator = "head"
+    airways: Airways | None = None
+    lumen_threshold: float | None = None
+    """As asked; None lets the tracker choose."""
+    targets: tuple[Target, ...] = ()
+    route: ChosenRoute | None = None

@@ -1,0 +1,169 @@
+"""Long work in the background: progress with time left, cancelling, one sentence when it fails."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from carina.errors import CancelledError, CarinaError
+
+__all__ = ["Job", "JobEnded", "JobProgress", "JobRunner"]
+
+logger = logging.getLogger(__name__)
+
+Outcome = Literal["done", "cancelled", "failed"]
+
+
+@dataclass(frozen=True, slots=True)
+class JobProgress:
+    """How far a job is; fraction and time left are None where they cannot be known."""
+
+    job_id: str
+    title: str
+    what: str
+    fraction: float | None
+    seconds_left: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class JobEnded:
+    """A job has ended."""
+
+    job_id: str
+    title: str
+    outcome: Outcome
+    error: CarinaError | None
+
+
+class Job:
+    """One running piece of work; ``progress`` and ``cancel`` are handed to the function that does it."""
+
+    def __init__(self, job_id: str, title: str, kind: str, runner: JobRunner) -> None:
+        self.job_id = job_id
+        self.title = title
+        self.kind = kind
+        self._runner = runner
+        self._cancelled = threading.Event()
+        self._stage = ""
+        self._stage_began_s = 0.0
+        self._told_s = float("-inf")
+        self.latest: JobProgress | None = None
+
+    def cancel(self) -> bool:
+        """Whether the person stopped it: what long functions ask as ``cancel()``."""
+        return self._cancelled.is_set()
+
+    def stop(self) -> None:
+        """Ask it to stop; it ends at its next look."""
+        self._cancelled.set()
+
+    def check(self) -> None:
+        """Raise if it was stopped.
+
+        Raises
+        ------
+        CancelledError
+            If :meth:`stop` was called.
+        """
+        if self.cancel():
+            raise CancelledError(f"{self.title}: stopped")
+
+    def progress(self, what: str, fraction: float | None) -> None:
+        """Note how far it is; told to listeners at most ten times a second."""
+        self.check()
+        now_s = self._runner.clock()
+        if what != self._stage:
+            self._stage, self._stage_began_s, self._told_s = what, now_s, float("-inf")
+        left_s: float | None = None
+        if fraction is not None:
+            fraction = min(1.0, max(0.0, fraction))
+            # Below 5 % the guess would be noise.
+            if fraction >= 0.05:
+                left_s = (now_s - self._stage_began_s) * (1.0 - fraction) / fraction
+        self.latest = JobProgress(self.job_id, self.title, what, fraction, left_s)
+        if now_s - self._told_s >= 0.1:
+            self._told_s = now_s
+            self._runner.tell(self.latest)
+
+
+class JobRunner:
+    """Runs jobs through ``submit`` (a thread pool's, or a test's) and tells their progress.
+
+    A new job of a kind stops the running one of that kind.
+    """
+
+    def __init__(
+        self,
+        submit: Callable[[Callable[[], None]], object],
+        tell: Callable[[JobProgress | JobEnded], None],
+        clock: Callable[[], float],
+    ) -> None:
+        self._submit = submit
+        self.tell = tell
+        self.clock = clock
+        self._lock = threading.Lock()
+        self._jobs: dict[str, Job] = {}
+        self._numbers = itertools.count(1)
+        self._idle = threading.Condition(self._lock)
+
+    @property
+    def running(self) -> tuple[Job, ...]:
+        """Jobs that have not ended."""
+        with self._lock:
+            return tuple(self._jobs.values())
+
+    def start(self, kind: str, title: str, work: Callable[[Job], None]) -> str:
+        """Start a job; ``work`` raises CarinaError to fail in words. Returns its id."""
+        with self._lock:
+            for other in self._jobs.values():
+                if other.kind == kind:
+                    other.stop()
+            job = Job(f"job-{next(self._numbers)}", title, kind, self)
+            self._jobs[job.job_id] = job
+        self._submit(lambda: self._run(job, work))
+        return job.job_id
+
+    def cancel(self, job_id: str) -> bool:
+        """Stop a job; False if there is none of this id."""
+        with self._lock:
+            job = self._jobs.get(job_id)
+        if job is not None:
+            job.stop()
+        return job is not None
+
+    def cancel_kinds(self, *kinds: str) -> None:
+        """Stop the jobs of these kinds, or all without one."""
+        for job in self.running:
+            if not kinds or job.kind in kinds:
+                job.stop()
+
+    def wait_idle(self, timeout_s: float) -> bool:
+        """Wait until no job runs; False after ``timeout_s``."""
+        with self._idle:
+            return self._idle.wait_for(lambda: not self._jobs, timeout_s)
+
+    def _run(self, job: Job, work: Callable[[Job], None]) -> None:
+        outcome: Outcome = "done"
+        error: CarinaError | None = None
+        try:
+            job.check()
+            work(job)
+        except CancelledError:
+            outcome = "cancelled"
+        except CarinaError as trouble:
+            outcome, error = "failed", trouble
+        except Exception as trouble:
+            # A fault of ours: the person gets a sentence, the log the traceback (which names no patient).
+            logger.exception("a job failed: %s", job.title)
+            outcome = "failed"
+            error = CarinaError(
+                f"{job.title} failed by a fault of Carina ({type(trouble).__name__})", code="carina.fault"
+            )
+        with self._idle:
+            self._jobs.pop(job.job_id, None)
+            self._idle.notify_all()
+        self.tell(JobEnded(job.job_id, job.title, outcome, error))

@@ -1,0 +1,67 @@
+"""The functions a session drives, as one value: the real ones, or a test's small ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+from carina.errors import UsageError
+
+if TYPE_CHECKING:
+    from carina.render import TransferFunction
+    from carina.session.scene import Renderer
+    from carina.track import Airways
+    from carina.volume import Volume
+
+__all__ = ["Cancel", "Parts", "Progress", "RendererFactory", "default_parts"]
+
+Progress = Callable[[str, float | None], None]
+Cancel = Callable[[], bool]
+
+
+class RendererFactory(Protocol):
+    """Makes a renderer of a volume: one machine's, or a cluster's."""
+
+    def __call__(self, volume: Volume, transfer: TransferFunction) -> Renderer:
+        """A renderer that shows the volume with a transfer function."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """See the contracts of the named public functions."""
+
+    open_volume: Callable[[str, Progress, Cancel], Volume]
+    open_demo: Callable[[str, Progress, Cancel], Volume]
+    quality_words: Callable[[Volume], tuple[str, ...]]
+    find_airways: Callable[..., Airways]
+    """``find_airways(volume, root_lps=, lumen_threshold=, progress=, cancel=)``."""
+    transfer_preset: Callable[[str], TransferFunction]
+    transfer_from_json: Callable[[dict[str, Any]], TransferFunction]
+    transfer_from_histogram: Callable[[Volume], tuple[TransferFunction, float]]
+    presets: tuple[str, ...] = ("endoscopic", "ct-grey", "see-through", "paper")
+
+
+def default_parts() -> Parts:
+    """The real parts of Carina."""
+    from carina import phantom, render, track, volume
+
+    def open_volume(path: str, progress: Progress, cancel: Cancel) -> Volume:
+        return volume.open_volume(path, progress=progress, cancel=cancel)
+
+    def open_demo(name: str, progress: Progress, cancel: Cancel) -> Volume:
+        if name == "phantom":
+            return phantom.demo_volume(progress=progress, cancel=cancel)
+        if name == "patient":
+            return volume.demo_volume("patient", progress=progress, cancel=cancel)
+        raise UsageError(f"expected the demo 'phantom' or 'patient'; found {name!r}")
+
+    return Parts(
+        open_volume=open_volume,
+        open_demo=open_demo,
+        quality_words=lambda v: tuple(volume.quality_gate(v).words),
+        find_airways=track.find_airways,
+        transfer_preset=render.transfer_preset,
+        transfer_from_json=render.TransferFunction.from_json,
+        transfer_from_histogram=render.transfer_from_histogram,
+    )

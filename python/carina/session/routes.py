@@ -1,0 +1,164 @@
+"""A route as it is flown and shown: one shape for a branch's tip and for a tracked target."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.navigate import FlightPath
+
+if TYPE_CHECKING:
+    from carina.track import AirwayTree, Route, TrackedPath
+
+__all__ = ["AirwayIndex", "ChosenRoute", "RouteSpan", "default_branch_id", "route_to_branch", "route_to_target"]
+
+
+@dataclass(frozen=True, slots=True)
+class RouteSpan:
+    """A branch along a route."""
+
+    branch_id: int
+    name: str | None
+    generation: int
+    from_mm: float
+    to_mm: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChosenRoute:
+    """Where to, and the way: parallel arrays from root to tip."""
+
+    route_id: str
+    title: str
+    points_lps: NDArray[np.float64]
+    cumulative_mm: NDArray[np.float64]
+    radius_mm: NDArray[np.float64]
+    generation: NDArray[np.int64]
+    branch_ids: NDArray[np.int64]
+    forks_mm: tuple[float, ...]
+    spans: tuple[RouteSpan, ...]
+    path: FlightPath
+    target_id: str | None = None
+    branch_id: int | None = None
+
+    @property
+    def length_mm(self) -> float:
+        """Length from root to tip."""
+        return float(self.cumulative_mm[-1])
+
+
+class AirwayIndex:
+    """All centreline points of a tree in one array: which branch is nearest, and how wide it is there."""
+
+    def __init__(self, tree: AirwayTree) -> None:
+        branches = list(tree.branches)
+        self._branches = {branch.id: branch for branch in branches}
+        self._points = np.concatenate([np.asarray(b.points, dtype=np.float64) for b in branches])
+        self._radius = np.concatenate([np.asarray(b.radius, dtype=np.float64) for b in branches])
+        self._ids = np.concatenate([np.full(len(b.points), b.id, dtype=np.int64) for b in branches])
+
+    def nearest(self, point_lps: NDArray[np.float64]) -> tuple[int, float, float]:
+        """Branch id, lumen radius there in mm, and the distance to the centreline in mm."""
+        squared = np.square(self._points - point_lps).sum(axis=1)
+        n = int(np.argmin(squared))
+        return int(self._ids[n]), float(self._radius[n]), float(np.sqrt(squared[n]))
+
+    def name(self, branch_id: int) -> str | None:
+        """The branch's anatomical name, if it has one."""
+        return self._branches[branch_id].name
+
+    def generation(self, branch_id: int) -> int:
+        """The branch's generation (trachea 0)."""
+        return int(self._branches[branch_id].generation)
+
+
+def default_branch_id(tree: AirwayTree) -> int | None:
+    """The tip to fly to when nobody chose: the deepest on the patient's right, else the deepest.
+
+    LPS x grows to the patient's left, so "right" is a tip with a smaller x than the end of the trachea.
+    """
+    leaves = [branch for branch in tree.branches if not branch.children and len(branch.points) > 1]
+    if not leaves:
+        return None
+    root = next(branch for branch in tree.branches if branch.id == tree.root)
+    middle_x = float(np.asarray(root.points)[-1, 0])
+    right = [leaf for leaf in leaves if float(np.asarray(leaf.points)[-1, 0]) < middle_x]
+    # The id last, so that equal tips are chosen the same way in every run.
+    return max(right or leaves, key=lambda leaf: (leaf.generation, _length_mm(leaf.points), -leaf.id)).id
+
+
+def route_to_branch(tree: AirwayTree, branch_id: int) -> ChosenRoute:
+    """The way from the root to the end of a branch."""
+    route = tree.route_to(branch_id)
+    branch = next(b for b in tree.branches if b.id == branch_id)
+    title = branch.name or f"branch {branch_id}, generation {branch.generation}"
+    return _chosen(route, tree, route_id=f"branch-{branch_id}", title=title, branch_id=branch_id)
+
+
+def route_to_target(tree: AirwayTree, path: TrackedPath, target_id: str, name: str) -> ChosenRoute:
+    """The way of a tracked path, with the branches that it runs through."""
+    return _chosen(path.to_route(tree), tree, route_id=target_id, title=name, target_id=target_id)
+
+
+def _chosen(
+    route: Route,
+    tree: AirwayTree,
+    *,
+    route_id: str,
+    title: str,
+    target_id: str | None = None,
+    branch_id: int | None = None,
+) -> ChosenRoute:
+    points = np.ascontiguousarray(route.points_lps, dtype=np.float64)
+    cumulative_mm = np.asarray(route.cumulative_mm, dtype=np.float64)
+    branch_ids = np.asarray(route.branch_ids, dtype=np.int64)
+    generation = np.asarray(route.generation, dtype=np.int64)
+    names = {branch.id: branch.name for branch in tree.branches}
+    return ChosenRoute(
+        route_id=route_id,
+        title=title,
+        points_lps=points,
+        cumulative_mm=cumulative_mm,
+        radius_mm=np.asarray(route.radius_mm, dtype=np.float64),
+        generation=generation,
+        branch_ids=branch_ids,
+        forks_mm=tuple(float(mm) for mm in route.forks_mm),
+        spans=_spans(branch_ids, generation, cumulative_mm, names),
+        path=FlightPath(points, forks_mm=_inside(route.forks_mm, points)),
+        target_id=target_id,
+        branch_id=branch_id,
+    )
+
+
+def _inside(forks_mm: Sequence[float], points: NDArray[np.float64]) -> list[float]:
+    """Forks clamped to the polyline's length: the last one may lie past it by rounding."""
+    length_mm = _length_mm(points)
+    return [min(float(mm), length_mm) for mm in forks_mm]
+
+
+def _length_mm(points: NDArray[np.float64] | Sequence[Sequence[float]]) -> float:
+    return float(np.linalg.norm(np.diff(np.asarray(points, dtype=np.float64), axis=0), axis=1).sum())
+
+
+def _spans(
+    branch_ids: NDArray[np.int64],
+    generation: NDArray[np.int64],
+    cumulative_mm: NDArray[np.float64],
+    names: dict[int, str | None],
+) -> tuple[RouteSpan, ...]:
+    starts = np.flatnonzero(np.diff(branch_ids, prepend=branch_ids[0] - 1))
+    ends = [*starts[1:], len(branch_ids) - 1]
+    return tuple(
+        RouteSpan(
+            int(branch_ids[a]),
+            names.get(int(branch_ids[a])),
+            int(generation[a]),
+            float(cumulative_mm[a]),
+            float(cumulative_mm[b]),
+        )
+        for a, b in zip(starts, ends, strict=True)
+    )

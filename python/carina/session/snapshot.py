@@ -1,0 +1,95 @@
+"""What a session tells about itself: frozen values, without a lock to hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from carina.scopes import Pose
+from carina.session.document import Document
+from carina.session.scene import Orbit, Zoom
+
+if TYPE_CHECKING:
+    from carina.volume import Volume
+
+__all__ = ["AirwayStatus", "CaseSnapshot", "Changed", "PoseInfo", "Said", "Snapshot", "Stage", "Trouble"]
+
+Stage = Literal["empty", "opening", "ready"]
+AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
+Topic = Literal["state", "tree", "route", "pose", "start", "views"]
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureOff:
+    """What this volume cannot do, and why."""
+
+    what: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class CaseSnapshot:
+    """The open volume."""
+
+    volume: Volume
+    quality: tuple[str, ...]
+    off: tuple[FeatureOff, ...]
+    value_range: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class PoseInfo:
+    """The newest pose and where it is."""
+
+    pose_id: int
+    pose: Pose
+    mode: Literal["free", "path"]
+    path_mm: float | None
+    branch_id: int | None
+    branch_name: str | None
+    generation: int | None
+    lumen_mm: float | None
+    """Diameter of the lumen at the nearest centreline point."""
+    inside: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """All but the pose."""
+
+    case: CaseSnapshot | None
+    stage: Stage
+    airways: AirwayStatus
+    airways_words: str | None
+    document: Document | None
+    mode: Literal["free", "path"]
+    crosshair_lps: tuple[float, float, float] | None
+    orbit_tree: Orbit
+    orbit_tri_plane: Orbit
+    zoom: Zoom
+    undo_label: str | None
+    redo_label: str | None
+    transfer_presets: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """Something changed; ask the session for it."""
+
+    topics: frozenset[Topic]
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """Something could not be done; stays until read."""
+
+    code: str
+    message: str
+    action: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """Something worth a line."""
+
+    message: str

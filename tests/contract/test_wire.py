@@ -1,0 +1,91 @@
+"""The wire as promised: every sample of protocol/valid is accepted, every one of protocol/invalid refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import simplejpeg
+
+from carina.errors import ProtocolError
+from carina.server import messages as wire
+from carina.server.wire_codec import encode_picture, to_jsonable
+from carina.server.wire_types import generated_files
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+PROTOCOL = REPOSITORY / "protocol"
+PARSERS = {
+    "client": wire.parse_client_message,
+    "server": wire.parse_server_message,
+    "pictures": wire.parse_picture,
+}
+
+
+def samples(kind: str) -> list[Path]:
+    found = sorted(p for p in (PROTOCOL / kind).rglob("*") if p.is_file())
+    assert found, f"protocol/{kind} is empty"
+    return found
+
+
+def label(path: Path) -> str:
+    return f"{path.parent.name}/{path.name}"
+
+
+@pytest.mark.parametrize("path", samples("valid"), ids=label)
+def test_valid_samples_are_accepted(path):
+    PARSERS[path.parent.name](path.read_bytes())
+
+
+@pytest.mark.parametrize("path", samples("invalid"), ids=label)
+def test_invalid_samples_are_refused_with_a_code_and_a_sentence(path):
+    with pytest.raises(ProtocolError) as refusal:
+        PARSERS[path.parent.name](path.read_bytes())
+    assert refusal.value.code.startswith("protocol.")
+    assert len(str(refusal.value)) > 15
+
+
+def test_every_message_has_a_valid_sample():
+    for kind, classes in (("client", wire.CLIENT_MESSAGES), ("server", wire.SERVER_MESSAGES)):
+        sampled = {json.loads(p.read_text(encoding="utf-8"))["type"] for p in (PROTOCOL / "valid" / kind).iterdir()}
+        assert sampled == set(classes)
+
+
+@pytest.mark.parametrize("path", [p for p in samples("valid") if p.suffix == ".json"], ids=label)
+def test_reading_and_writing_a_message_gives_it_back(path):
+    message = PARSERS[path.parent.name](path.read_bytes())
+    assert json.loads(wire.encode_message(message)) == json.loads(path.read_bytes())
+
+
+@pytest.mark.parametrize("path", [p for p in samples("valid") if p.suffix == ".bin"], ids=label)
+def test_reading_and_writing_a_picture_gives_it_back(path):
+    header, payload = wire.parse_picture(path.read_bytes())
+    assert encode_picture(header, payload) == path.read_bytes()
+    if header.codec == "jpeg":
+        assert simplejpeg.decode_jpeg(payload).shape == (header.height, header.width, 3)
+
+
+@pytest.mark.parametrize("name", generated_files())
+def test_generated_files_have_not_drifted(name):
+    expected = generated_files()[name]
+    found = (REPOSITORY / name).read_text(encoding="utf-8")
+    assert found == expected, "run python -m carina.server.wire_types"
+
+
+def test_a_message_with_a_number_that_is_not_finite_is_never_written():
+    status = wire.Status(fps=float("nan"), render_ms=1.0, age_ms=1.0, method="leap", threads=1, simd="")
+    with pytest.raises(ValueError, match="not finite"):
+        to_jsonable(status)
+
+
+@pytest.mark.parametrize("depth", [100_000])
+def test_deep_nesting_is_refused_and_does_not_exhaust_the_stack(depth):
+    text = '{"type": "set_transfer", "preset": null, "document": {"a": ' + "[" * depth + "]" * depth + "}}"
+    with pytest.raises(ProtocolError):
+        wire.parse_client_message(text)
+
+
+def test_a_text_over_the_limit_is_refused_before_it_is_parsed():
+    with pytest.raises(ProtocolError, match="too long") as refusal:
+        wire.parse_client_message(" " * 300_000)
+    assert refusal.value.code == "protocol.size"
