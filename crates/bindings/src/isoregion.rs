@@ -1,7 +1,133 @@
 //! Bindings of `carina-isoregion`.
 
+use carina_isoregion::{ClassLabels, IsoRegionError, class_labels, radius_map, value_labels};
+use carina_raycast::Transfer;
+use numpy::{PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-pub(crate) fn register(_module: &Bound<'_, PyModule>) -> PyResult<()> {
+use crate::{
+    arrays::values,
+    errors::{IntoPy, carina_error},
+    raycast::transfer,
+};
+
+impl IntoPy for IsoRegionError {
+    fn into_py(self) -> PyErr {
+        let class = if self.code().starts_with("render") {
+            "RenderError"
+        } else {
+            "GeometryError"
+        };
+        carina_error(class, self.code(), self.to_string())
+    }
+}
+
+/// A class as Python sees it: first HU, last HU, voxels, fully transparent.
+type PyClass = (i32, i32, u64, bool);
+
+/// A `[z, y, x]` array from its values.
+pub(crate) fn volume_array<T: numpy::Element>(
+    py: Python<'_>,
+    data: Vec<T>,
+    shape_zyx: [usize; 3],
+) -> PyResult<Bound<'_, PyArray3<T>>> {
+    numpy::PyArray1::from_vec(py, data).reshape(shape_zyx)
+}
+
+fn shape_of<T: numpy::Element>(array: &PyReadonlyArray3<'_, T>) -> [usize; 3] {
+    let shape = array.shape();
+    [shape[0], shape[1], shape[2]]
+}
+
+/// The class labels of every int16 value that can occur.
+fn classes_of(
+    hu: &[i16],
+    transfer: &Transfer,
+    transparent_only: bool,
+) -> Result<ClassLabels, IsoRegionError> {
+    let (lo, hi) = (i32::from(i16::MIN), i32::from(i16::MAX));
+    class_labels(hu, lo, &transfer.range(lo, hi), transparent_only)
+}
+
+fn label_arrays<'py>(
+    py: Python<'py>,
+    out: ClassLabels,
+    shape_zyx: [usize; 3],
+) -> PyResult<(Bound<'py, PyArray3<u8>>, Vec<PyClass>)> {
+    let classes = out
+        .classes
+        .iter()
+        .map(|c| (c.lo_hu, c.hi_hu, c.num_voxels, c.transparent))
+        .collect();
+    Ok((volume_array(py, out.labels, shape_zyx)?, classes))
+}
+
+/// Labels of the classes of a transfer function, and the classes.
+#[pyfunction]
+#[pyo3(signature = (hu_zyx, points, *, reference_mm=1.0, bin_hu=1))]
+fn label_classes<'py>(
+    py: Python<'py>,
+    hu_zyx: PyReadonlyArray3<'py, i16>,
+    points: PyReadonlyArray2<'py, f64>,
+    reference_mm: f64,
+    bin_hu: i32,
+) -> PyResult<(Bound<'py, PyArray3<u8>>, Vec<PyClass>)> {
+    let transfer = transfer(&points, reference_mm, bin_hu)?;
+    let hu = values("hu_zyx", &hu_zyx)?;
+    let out = py
+        .detach(|| classes_of(hu, &transfer, false))
+        .map_err(IntoPy::into_py)?;
+    label_arrays(py, out, shape_of(&hu_zyx))
+}
+
+/// Labels of the paper's 16-HU bins, and the bins.
+#[pyfunction]
+fn label_values<'py>(
+    py: Python<'py>,
+    hu_zyx: PyReadonlyArray3<'py, i16>,
+) -> PyResult<(Bound<'py, PyArray3<u8>>, Vec<PyClass>)> {
+    let hu = values("hu_zyx", &hu_zyx)?;
+    let out = py.detach(|| value_labels(hu, |_, _| false));
+    label_arrays(py, out, shape_of(&hu_zyx))
+}
+
+/// The radius map of a label volume.
+#[pyfunction]
+fn build_radius_map<'py>(
+    py: Python<'py>,
+    labels_zyx: PyReadonlyArray3<'py, u8>,
+) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    let shape = shape_of(&labels_zyx);
+    let labels = values("labels_zyx", &labels_zyx)?;
+    let radius = py
+        .detach(|| radius_map(labels, shape))
+        .map_err(IntoPy::into_py)?;
+    volume_array(py, radius, shape)
+}
+
+/// The radius map of the transparent classes of a transfer function; 0 elsewhere.
+#[pyfunction]
+#[pyo3(signature = (hu_zyx, points, *, reference_mm=1.0, bin_hu=1))]
+fn build_transparent_map<'py>(
+    py: Python<'py>,
+    hu_zyx: PyReadonlyArray3<'py, i16>,
+    points: PyReadonlyArray2<'py, f64>,
+    reference_mm: f64,
+    bin_hu: i32,
+) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    let transfer = transfer(&points, reference_mm, bin_hu)?;
+    let shape = shape_of(&hu_zyx);
+    let hu = values("hu_zyx", &hu_zyx)?;
+    let radius = py
+        .detach(|| radius_map(&classes_of(hu, &transfer, true)?.labels, shape))
+        .map_err(IntoPy::into_py)?;
+    volume_array(py, radius, shape)
+}
+
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(label_classes, module)?)?;
+    module.add_function(wrap_pyfunction!(label_values, module)?)?;
+    module.add_function(wrap_pyfunction!(build_radius_map, module)?)?;
+    module.add_function(wrap_pyfunction!(build_transparent_map, module)?)?;
     Ok(())
 }

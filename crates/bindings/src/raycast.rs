@@ -1,7 +1,317 @@
 //! Bindings of `carina-raycast`.
 
-use pyo3::prelude::*;
+use carina_grid::{Camera, VolumeView};
+use carina_isoregion::SegmentTable;
+use carina_raycast::{
+    ClassMap, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method, RaycastError,
+    Transfer, TriPlane, Window, cast_rows, cast_tri_plane, maximum_projections, sample_plane,
+    smoothed_mask,
+};
+use numpy::{
+    PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
+    PyUntypedArrayMethods,
+};
+use pyo3::{exceptions::PyValueError, prelude::*};
 
-pub(crate) fn register(_module: &Bound<'_, PyModule>) -> PyResult<()> {
+use crate::{
+    arrays::{affine, grid, values},
+    errors::{IntoPy, carina_error},
+    isoregion::volume_array,
+};
+
+impl IntoPy for RaycastError {
+    fn into_py(self) -> PyErr {
+        let class = if self.code().starts_with("geometry") {
+            "GeometryError"
+        } else {
+            "RenderError"
+        };
+        carina_error(class, self.code(), self.to_string())
+    }
+}
+
+/// Transfer points `[hu, r, g, b, alpha]` from an (n, 5) array.
+pub(crate) fn transfer(
+    points: &PyReadonlyArray2<'_, f64>,
+    reference_mm: f64,
+    bin_hu: i32,
+) -> PyResult<Transfer> {
+    if points.shape()[1] != 5 {
+        return Err(RaycastError::Transfer {
+            reason: format!(
+                "expected rows of hu, r, g, b, alpha, found shape {:?}",
+                points.shape()
+            ),
+        }
+        .into_py());
+    }
+    let rows = points.as_array();
+    let rows = rows.rows().into_iter();
+    let rows = rows.map(|row| std::array::from_fn(|c| row[c])).collect();
+    Transfer::new(rows, reference_mm, bin_hu).map_err(IntoPy::into_py)
+}
+
+/// What one ray step adds, by value: a transfer function for one step length over the values of a volume.
+#[pyclass(frozen, module = "carina._core")]
+struct TransferTable {
+    inner: carina_raycast::TransferTable,
+}
+
+#[pymethods]
+impl TransferTable {
+    #[new]
+    #[pyo3(signature = (points, *, reference_mm, step_mm, lo, hi, bin_hu=1))]
+    fn new(
+        points: PyReadonlyArray2<'_, f64>,
+        reference_mm: f64,
+        step_mm: f64,
+        lo: i16,
+        hi: i16,
+        bin_hu: i32,
+    ) -> PyResult<Self> {
+        let transfer = transfer(&points, reference_mm, bin_hu)?;
+        let inner = carina_raycast::TransferTable::new(&transfer, step_mm, lo, hi)
+            .map_err(IntoPy::into_py)?;
+        Ok(Self { inner })
+    }
+
+    /// Premultiplied colour and opacity of one step at a value.
+    fn entry(&self, value: i32) -> [f32; 4] {
+        self.inner.entry(value)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("TransferTable(step_mm={})", self.inner.step_mm())
+    }
+}
+
+fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
+    let Some(name) = name else {
+        return Ok(InstructionSet::best());
+    };
+    InstructionSet::named(name).ok_or_else(|| {
+        RaycastError::Setting {
+            what: "instruction set",
+            expected: "portable, or avx2 where the machine has it".to_owned(),
+            found: name.to_owned(),
+        }
+        .into_py()
+    })
+}
+
+/// Statistics as Python sees them: rays, samples, look-ups, leaps, skipped samples.
+type PyStats = (u64, u64, u64, u64, u64);
+
+/// The leaping map as Python hands it over: radius, and for leaps over all classes labels and one value of each class.
+#[derive(FromPyObject)]
+enum LeapMap<'py> {
+    Classes(
+        PyReadonlyArray3<'py, u8>,
+        PyReadonlyArray3<'py, u8>,
+        Vec<i32>,
+    ),
+    Transparent(PyReadonlyArray3<'py, u8>),
+}
+
+/// Casts rows of a picture: (rows, width, 3) uint8 and statistics.
+#[pyfunction]
+#[pyo3(signature = (
+    hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
+    background=[0.0; 3], leap=None, simd=None
+))]
+fn cast<'py>(
+    py: Python<'py>,
+    hu_zyx: PyReadonlyArray3<'py, i16>,
+    lps_from_ijk: PyReadonlyArray2<'py, f64>,
+    table: &Bound<'py, TransferTable>,
+    lps_from_camera: PyReadonlyArray2<'py, f64>,
+    fov_rad: f64,
+    width: usize,
+    height: usize,
+    rows: Option<(usize, usize)>,
+    light: Option<(f32, f32, f32, u32, f32)>,
+    nearest: bool,
+    background: [f32; 3],
+    leap: Option<LeapMap<'py>>,
+    simd: Option<&str>,
+) -> PyResult<(Bound<'py, PyArray3<u8>>, PyStats)> {
+    let grid = grid(&hu_zyx, &lps_from_ijk)?;
+    let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
+    let pose = affine("lps_from_camera", &lps_from_camera)?;
+    let camera = Camera::new(pose, fov_rad, width, height).map_err(IntoPy::into_py)?;
+    let table = &table.get().inner;
+    let options = FrameOptions {
+        interpolation: if nearest {
+            Interpolation::Nearest
+        } else {
+            Interpolation::Trilinear
+        },
+        light: light.map(
+            |(ambient, diffuse, specular, shininess_log2, reach_mm)| Light {
+                ambient,
+                diffuse,
+                specular,
+                shininess_log2,
+                reach_mm,
+            },
+        ),
+        background,
+    };
+    let frame = Frame::new(volume, table, camera, options).map_err(IntoPy::into_py)?;
+    let simd = instruction_set(simd)?;
+    let (start, end) = rows.unwrap_or((0, height));
+    let segments;
+    let method = match &leap {
+        None => Method::Brute,
+        Some(LeapMap::Transparent(radius)) => {
+            Method::LeapTransparent(values("radius_zyx", radius)?)
+        }
+        Some(LeapMap::Classes(labels, radius, class_values)) => {
+            let labels = values("labels_zyx", labels)?;
+            let most = labels.iter().copied().max().unwrap_or(0);
+            if usize::from(most) > class_values.len() {
+                return Err(PyValueError::new_err(format!(
+                    "labels_zyx holds label {most}, but there are {} classes",
+                    class_values.len()
+                )));
+            }
+            let entries: Vec<[f32; 4]> = class_values.iter().map(|&v| table.entry(v)).collect();
+            segments = SegmentTable::new(&entries);
+            Method::LeapClasses(ClassMap {
+                labels,
+                radius: values("radius_zyx", radius)?,
+                segments: &segments,
+            })
+        }
+    };
+    let (rgb, s) = py
+        .detach(|| cast_rows(&frame, method, start..end, simd))
+        .map_err(IntoPy::into_py)?;
+    let stats = (
+        s.num_rays,
+        s.num_samples,
+        s.num_lookups,
+        s.num_leaps,
+        s.num_skipped,
+    );
+    Ok((volume_array(py, rgb, [end - start, width, 3])?, stats))
+}
+
+type GreyAndInside<'py> = (Bound<'py, PyArray2<u8>>, Bound<'py, PyArray2<u8>>);
+
+/// Samples a plane: grey levels and where the volume is, both (height, width) uint8.
+#[pyfunction]
+#[pyo3(signature = (hu_zyx, lps_from_ijk, lps_from_pixel, *, width, height, window_hu))]
+fn cut_plane<'py>(
+    py: Python<'py>,
+    hu_zyx: PyReadonlyArray3<'py, i16>,
+    lps_from_ijk: PyReadonlyArray2<'py, f64>,
+    lps_from_pixel: PyReadonlyArray2<'py, f64>,
+    width: usize,
+    height: usize,
+    window_hu: (f64, f64),
+) -> PyResult<GreyAndInside<'py>> {
+    let grid = grid(&hu_zyx, &lps_from_ijk)?;
+    let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
+    let place = affine("lps_from_pixel", &lps_from_pixel)?;
+    let window = Window::new(window_hu.0, window_hu.1).map_err(IntoPy::into_py)?;
+    let image = py
+        .detach(|| sample_plane(volume, &place, width, height, window))
+        .map_err(IntoPy::into_py)?;
+    let array = |data: Vec<u8>| PyArray1::from_vec(py, data).reshape([height, width]);
+    Ok((array(image.grey)?, array(image.inside)?))
+}
+
+/// Three planes in occlusion order: (height, width, 3) uint8.
+#[pyfunction]
+#[pyo3(signature = (
+    hu_zyx, lps_from_ijk, center_lps, lps_from_camera, *, fov_rad, width, height, window_hu, clear_below=None,
+    background=[0; 3], brightness=[1.0; 3]
+))]
+fn tri_plane<'py>(
+    py: Python<'py>,
+    hu_zyx: PyReadonlyArray3<'py, i16>,
+    lps_from_ijk: PyReadonlyArray2<'py, f64>,
+    center_lps: [f64; 3],
+    lps_from_camera: PyReadonlyArray2<'py, f64>,
+    fov_rad: f64,
+    width: usize,
+    height: usize,
+    window_hu: (f64, f64),
+    clear_below: Option<f32>,
+    background: [u8; 3],
+    brightness: [f32; 3],
+) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    let grid = grid(&hu_zyx, &lps_from_ijk)?;
+    let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
+    let pose = affine("lps_from_camera", &lps_from_camera)?;
+    let camera = Camera::new(pose, fov_rad, width, height).map_err(IntoPy::into_py)?;
+    let planes = TriPlane {
+        center_lps,
+        window: Window::new(window_hu.0, window_hu.1).map_err(IntoPy::into_py)?,
+        clear_below,
+        background,
+        brightness,
+    };
+    let rgb = py.detach(|| cast_tri_plane(volume, &planes, &camera));
+    volume_array(py, rgb, [height, width, 3])
+}
+
+type ThreeProjections<'py> = (
+    Bound<'py, PyArray2<i16>>,
+    Bound<'py, PyArray2<i16>>,
+    Bound<'py, PyArray2<i16>>,
+);
+
+/// Maximum intensity projections along i `[k, j]`, j `[k, i]` and k `[j, i]`.
+#[pyfunction]
+fn project_maximum<'py>(
+    py: Python<'py>,
+    hu_zyx: PyReadonlyArray3<'py, i16>,
+) -> PyResult<ThreeProjections<'py>> {
+    let shape = hu_zyx.shape();
+    let (nk, nj, ni) = (shape[0], shape[1], shape[2]);
+    let grid = carina_grid::Grid::new([nk, nj, ni], carina_grid::Affine::IDENTITY)
+        .map_err(IntoPy::into_py)?;
+    let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
+    let out = py.detach(|| maximum_projections(volume));
+    let array = |data: Vec<i16>, shape: [usize; 2]| PyArray1::from_vec(py, data).reshape(shape);
+    Ok((
+        array(out.along_i, [nk, nj])?,
+        array(out.along_j, [nk, ni])?,
+        array(out.along_k, [nj, ni])?,
+    ))
+}
+
+/// A smooth field 0..1024 from a mask.
+#[pyfunction]
+fn smooth_mask<'py>(
+    py: Python<'py>,
+    mask_zyx: PyReadonlyArray3<'py, u8>,
+) -> PyResult<Bound<'py, PyArray3<i16>>> {
+    let shape = [
+        mask_zyx.shape()[0],
+        mask_zyx.shape()[1],
+        mask_zyx.shape()[2],
+    ];
+    let mask = values("mask_zyx", &mask_zyx)?;
+    let field = py.detach(|| smoothed_mask(mask, shape));
+    volume_array(py, field, shape)
+}
+
+/// Name of the instruction set that casters use unless told.
+#[pyfunction]
+fn best_instruction_set() -> &'static str {
+    InstructionSet::best().name()
+}
+
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<TransferTable>()?;
+    module.add_function(wrap_pyfunction!(cast, module)?)?;
+    module.add_function(wrap_pyfunction!(cut_plane, module)?)?;
+    module.add_function(wrap_pyfunction!(tri_plane, module)?)?;
+    module.add_function(wrap_pyfunction!(project_maximum, module)?)?;
+    module.add_function(wrap_pyfunction!(smooth_mask, module)?)?;
+    module.add_function(wrap_pyfunction!(best_instruction_set, module)?)?;
     Ok(())
 }

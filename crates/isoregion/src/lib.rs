@@ -1,1 +1,19 @@
-//! Placeholder until the crate's first module lands.
+//! `IsoRegion` maps (paper 4.1, 4.2) and the `IsoRegion` step table (paper 4.3).
+//!
+//! The radius of a voxel is the largest `d` such that the `(2d+1)^3` cube round it lies in the volume and holds one label.
+//! [`paper_radius_map`] is the paper's construction, slow and readable; [`radius_map`] is the one to use and equals it.
+
+mod error;
+mod labels;
+mod map;
+mod reference;
+mod segment_table;
+
+pub use error::IsoRegionError;
+pub use labels::{Class, ClassLabels, Rgba, VALUE_BIN_HU, class_labels, value_bin, value_labels};
+pub use map::radius_map;
+pub use reference::paper_radius_map;
+pub use segment_table::{MAX_SEGMENT_SAMPLES, SegmentTable};
+
+/// The largest radius that is recorded. Larger cubes exist; recording them smaller costs speed, never correctness.
+pub const MAX_RADIUS_VOX: u8 = 255;

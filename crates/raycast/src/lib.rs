@@ -1,1 +1,35 @@
-//! Placeholder until the crate's first module lands.
+//! Ray casters and planes: the paper's four views (3.1) and its acceleration (4.3).
+//!
+//! [`brute`] is the reference: every sample of every ray. [`leap`] skips samples with an `IsoRegion` map and moves none, so the
+//! picture is the same. Both share one sampling rule: `t_k = (k + 1/2) * step`, as a product, from the camera's centre.
+//!
+//! Kernels use IEEE f32 add, multiply, divide, square root and explicit fused multiply-add in a fixed order, so the picture
+//! depends neither on threads nor on strips nor on the instruction set.
+
+mod brute;
+mod composite;
+mod error;
+mod frame;
+mod image;
+mod leap;
+mod light;
+mod mask;
+mod plane;
+mod projection;
+mod sampling;
+mod simd;
+mod transfer;
+mod triplane;
+
+pub use error::RaycastError;
+pub use frame::{Frame, FrameOptions, Interpolation, STOP_TRANSPARENCY};
+pub use image::{CastStats, Method, cast_rows};
+pub use leap::ClassMap;
+pub use light::Light;
+pub use mask::smoothed_mask;
+pub use plane::{PlaneImage, Window, sample_plane};
+pub use projection::{Projections, maximum_projections};
+pub use sampling::Field;
+pub use simd::InstructionSet;
+pub use transfer::{Transfer, TransferTable};
+pub use triplane::{TriPlane, cast_tri_plane};

@@ -1,0 +1,216 @@
+//! Label volumes: what an `IsoRegion` map compares.
+
+use rayon::prelude::*;
+
+use crate::IsoRegionError;
+
+/// Width of a bin of the paper's value labelling: 256 bins cover the 4096 HU of a 12-bit CT.
+pub const VALUE_BIN_HU: i32 = 16;
+
+/// Colour (not premultiplied) and opacity per reference length, 0..1.
+pub type Rgba = [f64; 4];
+
+/// A labelled class: a maximal run of HU with one colour, or one bin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Class {
+    /// First HU of the run.
+    pub lo_hu: i32,
+    /// Last HU of the run.
+    pub hi_hu: i32,
+    /// Voxels of the volume in it.
+    pub num_voxels: u64,
+    /// True if the whole run is fully transparent.
+    pub transparent: bool,
+}
+
+/// A label volume and what its labels mean.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ClassLabels {
+    /// `[z, y, x]`, one label per voxel; 0 is never leaped.
+    pub labels: Vec<u8>,
+    /// `classes[label - 1]`, most frequent first.
+    pub classes: Vec<Class>,
+}
+
+/// The bin of a value in the paper's value labelling.
+#[must_use]
+pub const fn value_bin(hu: i32) -> i32 {
+    hu.div_euclid(VALUE_BIN_HU)
+}
+
+/// The paper's labelling: equal quantized values. The 255 most frequent bins get labels 1 to 255, the others 0.
+///
+/// `transparent(lo, hi)` says whether a bin has no opacity anywhere; it is only recorded.
+pub fn value_labels(hu: &[i16], transparent: impl Fn(i32, i32) -> bool) -> ClassLabels {
+    let first = value_bin(i32::from(i16::MIN));
+    let runs = (first..=value_bin(i32::from(i16::MAX))).map(|bin| {
+        let lo = bin * VALUE_BIN_HU;
+        (lo, lo + VALUE_BIN_HU - 1)
+    });
+    label_runs(
+        hu,
+        runs.map(|(lo, hi)| (lo, hi, transparent(lo, hi))).collect(),
+    )
+}
+
+/// The class labelling: maximal runs of HU whose table entries are one colour; all entries of opacity 0 are one colour.
+///
+/// `table[n]` is the entry of `lo_hu + n`. Values below and above the table count as its first and last entry. A class is one
+/// *contiguous* run: interpolating between two transparent runs passes through whatever lies between them. With
+/// `transparent_only`, opaque runs get label 0, so that the radius map is already the one of the shaded caster, which may
+/// leap over nothing else.
+pub fn class_labels(
+    hu: &[i16],
+    lo_hu: i32,
+    table: &[Rgba],
+    transparent_only: bool,
+) -> Result<ClassLabels, IsoRegionError> {
+    let runs = runs_of_one_colour(lo_hu, table)?;
+    let kept = runs.into_iter().filter(|run| run.2 || !transparent_only);
+    Ok(label_runs(hu, kept.collect()))
+}
+
+/// Maximal runs `(lo, hi, transparent)`; the first and last are extended over all int16 values.
+fn runs_of_one_colour(lo_hu: i32, table: &[Rgba]) -> Result<Vec<(i32, i32, bool)>, IsoRegionError> {
+    // Compared before premultiplication and by bits: then every later table made from it is uniform over the run too.
+    let key = |rgba: &Rgba| (rgba[3] != 0.0).then(|| rgba.map(f64::to_bits));
+    let mut runs: Vec<(i32, i32, bool)> = Vec::new();
+    let mut previous = None;
+    for (n, rgba) in table.iter().enumerate() {
+        let (hu, key) = (lo_hu + n as i32, key(rgba));
+        match runs.last_mut() {
+            Some(run) if previous == Some(key) => run.1 = hu,
+            _ => runs.push((hu, hu, key.is_none())),
+        }
+        previous = Some(key);
+    }
+    let (Some(first), Some(last)) = (runs.first().copied(), runs.last().copied()) else {
+        return Err(IsoRegionError::EmptyTable);
+    };
+    let count = runs.len();
+    runs[0].0 = first.0.min(i32::from(i16::MIN));
+    runs[count - 1].1 = last.1.max(i32::from(i16::MAX));
+    Ok(runs)
+}
+
+const NUM_VALUES: usize = 1 << 16;
+
+const fn position(hu: i16) -> usize {
+    (hu as i32 - i16::MIN as i32) as usize
+}
+
+fn histogram(hu: &[i16]) -> Vec<u64> {
+    hu.par_chunks(1 << 20)
+        .fold(
+            || vec![0u64; NUM_VALUES],
+            |mut counts, chunk| {
+                for &v in chunk {
+                    counts[position(v)] += 1;
+                }
+                counts
+            },
+        )
+        .reduce(
+            || vec![0u64; NUM_VALUES],
+            |mut a, b| {
+                a.iter_mut().zip(b).for_each(|(x, y)| *x += y);
+                a
+            },
+        )
+}
+
+/// Labels disjoint runs by frequency; values in no run get label 0.
+fn label_runs(hu: &[i16], runs: Vec<(i32, i32, bool)>) -> ClassLabels {
+    let counts = histogram(hu);
+    let clamp = |v: i32| position(v.clamp(i16::MIN.into(), i16::MAX.into()) as i16);
+    let mut classes: Vec<Class> = runs
+        .into_iter()
+        .map(|(lo_hu, hi_hu, transparent)| Class {
+            lo_hu,
+            hi_hu,
+            num_voxels: counts[clamp(lo_hu)..=clamp(hi_hu)].iter().sum(),
+            transparent,
+        })
+        .filter(|class| class.num_voxels > 0)
+        .collect();
+    // Stable, so that equal counts keep the order of HU and the labels do not depend on the sort.
+    classes.sort_by_key(|class| std::cmp::Reverse(class.num_voxels));
+    classes.truncate(usize::from(u8::MAX));
+    let mut label_of = vec![0u8; NUM_VALUES];
+    for (n, class) in classes.iter().enumerate() {
+        label_of[clamp(class.lo_hu)..=clamp(class.hi_hu)].fill(n as u8 + 1);
+    }
+    let mut labels = vec![0u8; hu.len()];
+    labels
+        .par_chunks_mut(1 << 18)
+        .zip(hu.par_chunks(1 << 18))
+        .for_each(|(labels, hu)| {
+            for (label, &v) in labels.iter_mut().zip(hu) {
+                *label = label_of[position(v)];
+            }
+        });
+    ClassLabels { labels, classes }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CLEAR: Rgba = [0.2, 0.3, 0.4, 0.0];
+    const RED: Rgba = [1.0, 0.0, 0.0, 0.5];
+
+    #[test]
+    fn transparent_entries_of_any_colour_are_one_run_but_two_runs_are_two_classes() {
+        let other_clear = [0.9, 0.9, 0.9, 0.0];
+        let table = [CLEAR, other_clear, RED, RED, CLEAR];
+        let hu = [10, 11, 12, 13, 14, 14, 9, 200];
+        let out = class_labels(&hu, 10, &table, false).unwrap();
+        let label = |v: i16| out.labels[hu.iter().position(|&h| h == v).unwrap()];
+        assert_eq!(label(10), label(11));
+        assert_eq!(
+            label(10),
+            label(9),
+            "values below the table are its first entry"
+        );
+        assert_eq!(label(12), label(13));
+        assert_ne!(label(10), label(12));
+        assert_ne!(label(10), label(14), "an opaque run lies between them");
+        assert_eq!(
+            label(14),
+            label(200),
+            "values above the table are its last entry"
+        );
+        assert!(out.classes[usize::from(label(14)) - 1].transparent);
+        assert!(!out.classes[usize::from(label(12)) - 1].transparent);
+    }
+
+    #[test]
+    fn opaque_runs_get_label_0_when_only_transparent_classes_are_asked_for() {
+        let out = class_labels(&[10, 12, 14], 10, &[CLEAR, CLEAR, RED, RED, CLEAR], true).unwrap();
+        assert_eq!(out.labels[1], 0);
+        assert!(out.labels[0] != 0 && out.labels[2] != 0 && out.labels[0] != out.labels[2]);
+    }
+
+    #[test]
+    fn the_255_most_frequent_bins_get_labels_and_the_rest_are_never_leaped() {
+        // 300 bins; bin n holds n + 1 voxels, so bins 0 to 44 are the rarest.
+        let hu: Vec<i16> = (0..300i16)
+            .flat_map(|n| std::iter::repeat_n(n * 16 + 5, n as usize + 1))
+            .collect();
+        let out = value_labels(&hu, |_, _| false);
+        assert_eq!(out.classes.len(), 255);
+        for (&v, &label) in hu.iter().zip(&out.labels) {
+            assert_eq!(label == 0, v / 16 < 45, "value {v}");
+        }
+        assert_eq!(out.classes[0].lo_hu, 299 * 16);
+        assert_eq!(value_bin(-1), -1);
+    }
+
+    #[test]
+    fn an_empty_table_is_refused() {
+        assert_eq!(
+            class_labels(&[1], 0, &[], false),
+            Err(IsoRegionError::EmptyTable)
+        );
+    }
+}

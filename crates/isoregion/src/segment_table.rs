@@ -1,0 +1,103 @@
+//! The paper's `IsoRegion` step table: colour and transparency of a segment of equal samples (4.3).
+
+/// Segments longer than this are taken in several leaps.
+pub const MAX_SEGMENT_SAMPLES: usize = 256;
+
+/// `(C (1 - beta^n), beta^n)` by class and number of samples.
+///
+/// Paper 4.3. Departure: indexed by the number of samples, not by the radius `d`, so that a region of radius 0 still adds its one
+/// sample, and so that rays that cross a region at a slant or with another step add what they really pass.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SegmentTable {
+    entries: Vec<[f32; 4]>,
+}
+
+impl SegmentTable {
+    /// From the premultiplied colour and opacity of *one* sample of each class (`label - 1`).
+    #[must_use]
+    pub fn new(classes: &[[f32; 4]]) -> Self {
+        let mut entries = Vec::with_capacity(classes.len() * (MAX_SEGMENT_SAMPLES + 1));
+        for class in classes {
+            let [r, g, b, alpha] = class.map(f64::from);
+            let beta = 1.0 - alpha;
+            let mut through = 1.0;
+            for n in 0..=MAX_SEGMENT_SAMPLES {
+                // C is the premultiplied colour divided by alpha; a clear class adds nothing.
+                let share = if alpha > 0.0 {
+                    (1.0 - through) / alpha
+                } else {
+                    n as f64
+                };
+                entries.push([r * share, g * share, b * share, through].map(|v| v as f32));
+                through *= beta;
+            }
+        }
+        Self { entries }
+    }
+
+    /// `[r, g, b, transparency]` of `num_samples` samples of the class with `label` (1 or more).
+    #[inline]
+    #[must_use]
+    pub fn segment(&self, label: u8, num_samples: usize) -> [f32; 4] {
+        self.entries[(usize::from(label) - 1) * (MAX_SEGMENT_SAMPLES + 1) + num_samples]
+    }
+
+    /// The fewest samples, at most `num_samples`, after which `transparency` falls below `limit`.
+    #[must_use]
+    pub fn samples_until(
+        &self,
+        label: u8,
+        num_samples: usize,
+        transparency: f32,
+        limit: f32,
+    ) -> usize {
+        let start = (usize::from(label) - 1) * (MAX_SEGMENT_SAMPLES + 1);
+        let row = &self.entries[start..=start + num_samples];
+        row.partition_point(|entry| transparency * entry[3] >= limit)
+            .min(num_samples)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_segment_is_its_samples_composited_one_by_one() {
+        let classes = [
+            [0.1, 0.02, 0.03, 0.2],
+            [0.0, 0.0, 0.0, 0.0],
+            [0.5, 0.4, 0.3, 1.0],
+        ];
+        let table = SegmentTable::new(&classes);
+        for (n, class) in classes.iter().enumerate() {
+            let (mut colour, mut through) = ([0.0f64; 3], 1.0f64);
+            for count in 0..=MAX_SEGMENT_SAMPLES {
+                let segment = table.segment(n as u8 + 1, count);
+                for c in 0..3 {
+                    // 1e-6: entries are f32.
+                    assert!((f64::from(segment[c]) - colour[c]).abs() < 1e-6);
+                }
+                assert!((f64::from(segment[3]) - through).abs() < 1e-6);
+                for c in 0..3 {
+                    colour[c] += through * f64::from(class[c]);
+                }
+                through *= 1.0 - f64::from(class[3]);
+            }
+        }
+    }
+
+    #[test]
+    fn one_sample_of_a_region_of_radius_0_counts() {
+        let table = SegmentTable::new(&[[0.1, 0.2, 0.3, 0.4]]);
+        assert_eq!(table.segment(1, 1), [0.1, 0.2, 0.3, 0.6]);
+    }
+
+    #[test]
+    fn a_segment_is_cut_where_the_ray_becomes_opaque() {
+        let table = SegmentTable::new(&[[0.0, 0.0, 0.0, 0.5]]);
+        // 0.5^9 = 1/512 is not below the limit; the tenth sample is.
+        assert_eq!(table.samples_until(1, 100, 1.0, 1.0 / 512.0), 10);
+        assert_eq!(table.samples_until(1, 4, 1.0, 1.0 / 512.0), 4);
+    }
+}

@@ -1,0 +1,27 @@
+//! The reference caster: every sample of every ray. It stays readable and defines truth for the leaping one.
+
+use crate::{
+    composite::Gathered,
+    frame::{Frame, Ray, STOP_TRANSPARENCY},
+    image::CastStats,
+};
+
+/// Paper 4.3, "ordinary ray casters": evenly spaced samples, front to back, until the ray is opaque.
+#[inline(always)]
+pub(crate) fn cast<const SHADED: bool, const NEAREST: bool>(
+    frame: &Frame<'_>,
+    ray: &Ray,
+    stats: &mut CastStats,
+) -> Gathered {
+    let mut gathered = Gathered::NOTHING;
+    let mut k = ray.first;
+    while k < ray.end {
+        frame.add_sample::<SHADED, NEAREST>(ray, k, ray.at(k), &mut gathered);
+        k += 1;
+        if gathered.transparency < STOP_TRANSPARENCY {
+            break;
+        }
+    }
+    stats.num_samples += u64::from(k - ray.first);
+    gathered
+}

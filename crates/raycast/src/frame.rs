@@ -1,0 +1,206 @@
+//! What all rays of a picture share, set up once in f64.
+
+use carina_grid::{Affine, Camera, Grid, VolumeView, clip_line_to_box, dot, length};
+
+use crate::{Field, Light, RaycastError, TransferTable, composite::Gathered};
+
+/// Rays stop when less than this shines through: no channel can change by more than half a grey level any more.
+pub const STOP_TRANSPARENCY: f32 = 1.0 / 512.0;
+
+/// How a sample is read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Interpolation {
+    /// Between eight voxels.
+    Trilinear,
+    /// The nearest voxel, as in the paper; never shaded.
+    Nearest,
+}
+
+/// Settings of a picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameOptions {
+    /// How samples are read.
+    pub interpolation: Interpolation,
+    /// The light at the tip, or `None` for the transfer function's colours as they are.
+    pub light: Option<Light>,
+    /// Colour behind everything, 0..1.
+    pub background: [f32; 3],
+}
+
+/// A picture to be cast: volume, transfer function, camera and settings.
+#[derive(Debug, Clone)]
+pub struct Frame<'a> {
+    pub(crate) field: Field<'a>,
+    pub(crate) table: &'a TransferTable,
+    pub(crate) options: FrameOptions,
+    pub(crate) grid: &'a Grid,
+    camera: Camera,
+    ijk_from_camera: Affine,
+    origin_ijk: [f64; 3],
+    pub(crate) origin: [f32; 3],
+    pub(crate) step_mm: f32,
+    /// Gradients are per voxel; `|gradient in LPS per mm|^2 = g^T metric g`: xx, yy, zz, 2xy, 2xz, 2yz.
+    metric: [f32; 6],
+    /// Guard of a leap against f32 rounding of positions, voxels.
+    pub(crate) guard_vox: f32,
+}
+
+/// One ray: samples `first..end` at `origin + (k + 1/2) delta`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Ray {
+    pub origin: [f32; 3],
+    pub delta: [f32; 3],
+    pub first: u32,
+    pub end: u32,
+}
+
+impl Ray {
+    /// Position of sample `k`, as a product: no error adds up along the ray.
+    #[inline(always)]
+    pub(crate) fn at(&self, k: u32) -> [f32; 3] {
+        let t = k as f32 + 0.5;
+        std::array::from_fn(|a| t.mul_add(self.delta[a], self.origin[a]))
+    }
+}
+
+impl<'a> Frame<'a> {
+    /// Sets a picture up.
+    pub fn new(
+        volume: VolumeView<'a, i16>,
+        table: &'a TransferTable,
+        camera: Camera,
+        options: FrameOptions,
+    ) -> Result<Self, RaycastError> {
+        if let Some(light) = &options.light {
+            light.check()?;
+            if options.interpolation == Interpolation::Nearest {
+                return Err(RaycastError::Setting {
+                    what: "shading",
+                    expected: "off with nearest-voxel sampling, which has no gradient".to_owned(),
+                    found: "on".to_owned(),
+                });
+            }
+        }
+        let grid = volume.grid();
+        let ijk_from_lps = grid.ijk_from_lps();
+        let origin_ijk = ijk_from_lps.point(camera.origin_lps());
+        let rows = ijk_from_lps.rows().map(|r| [r[0], r[1], r[2]]);
+        let m = |a: usize, b: usize| dot(rows[a], rows[b]);
+        let longest = grid.shape_ijk().into_iter().max().unwrap_or(1) as f64;
+        Ok(Self {
+            field: Field::new(volume),
+            table,
+            options,
+            grid,
+            ijk_from_camera: ijk_from_lps.after(camera.lps_from_camera()),
+            camera,
+            origin_ijk,
+            origin: origin_ijk.map(|v| v as f32),
+            step_mm: table.step_mm() as f32,
+            metric: [
+                m(0, 0),
+                m(1, 1),
+                m(2, 2),
+                2.0 * m(0, 1),
+                2.0 * m(0, 2),
+                2.0 * m(1, 2),
+            ]
+            .map(|v| v as f32),
+            // Coordinates up to 4096 are good to 2.5e-4 in f32; longer axes get a guard in proportion.
+            guard_vox: (1e-3 * (longest / 4096.0).max(1.0)) as f32,
+        })
+    }
+
+    /// The camera.
+    #[must_use]
+    pub const fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// The ray of a pixel, clipped to the box of the voxels.
+    #[inline(always)]
+    pub(crate) fn ray(&self, column: usize, row: usize) -> Ray {
+        let x = (column as f64 + 0.5) - self.camera.width() as f64 / 2.0;
+        let y = (row as f64 + 0.5) - self.camera.height() as f64 / 2.0;
+        let z = self.camera.focal_px();
+        let scale = self.table.step_mm() / length([x, y, z]);
+        let delta = self
+            .ijk_from_camera
+            .vector([x * scale, y * scale, z * scale]);
+        let n = self.grid.shape_ijk();
+        let (first, end) =
+            clip_line_to_box(self.origin_ijk, delta, [-0.5; 3], n.map(|n| n as f64 - 0.5)).map_or(
+                (0, 0),
+                |(t_in, t_out)| {
+                    // Sample k is at t = k + 1/2 steps. The casts saturate: what lies behind the camera starts at 0.
+                    ((t_in - 0.5).ceil() as u32, (t_out + 0.5).floor() as u32)
+                },
+            );
+        Ray {
+            origin: self.origin,
+            delta: delta.map(|v| v as f32),
+            first,
+            end,
+        }
+    }
+
+    /// Reads sample `k` and adds it.
+    #[inline(always)]
+    pub(crate) fn add_sample<const SHADED: bool, const NEAREST: bool>(
+        &self,
+        ray: &Ray,
+        k: u32,
+        p: [f32; 3],
+        gathered: &mut Gathered,
+    ) {
+        if NEAREST {
+            let [r, g, b, alpha] = self
+                .table
+                .at_hu(i32::from(self.field.voxel(self.field.nearest(p).0)));
+            gathered.add([r, g, b], alpha);
+            return;
+        }
+        let cell = self.field.cell(p);
+        let [r, g, b, alpha] = self.table.at(self.field.value_in(&cell));
+        // Adding nothing changes no bit.
+        if alpha == 0.0 {
+            return;
+        }
+        if !SHADED {
+            gathered.add([r, g, b], alpha);
+            return;
+        }
+        let Some(light) = &self.options.light else {
+            return;
+        };
+        let facing = self.facing(ray, self.field.gradient_in(&cell));
+        let (own, white) = light.shares(facing, (k as f32 + 0.5) * self.step_mm);
+        let white = white * alpha;
+        gathered.add(
+            [
+                own.mul_add(r, white),
+                own.mul_add(g, white),
+                own.mul_add(b, white),
+            ],
+            alpha,
+        );
+    }
+
+    /// Cosine between the surface normal and the ray, without sign: a thin wall that a sample meets on its far slope is lit
+    /// like its near one.
+    #[inline(always)]
+    fn facing(&self, ray: &Ray, g: [f32; 3]) -> f32 {
+        // Both in LPS per mm: g_lps = ijk_from_lps^T g, so g_lps . dir_lps = g . (ijk_from_lps dir_lps) = g . delta / step.
+        let along = g[2].mul_add(
+            ray.delta[2],
+            g[1].mul_add(ray.delta[1], g[0] * ray.delta[0]),
+        );
+        let [xx, yy, zz, xy, xz, yz] = self.metric;
+        let square = g[0].mul_add(xx, g[1].mul_add(xy, g[2] * xz)) * g[0]
+            + g[1].mul_add(yy, g[2] * yz) * g[1]
+            + zz * g[2] * g[2];
+        let length = square.max(0.0).sqrt() * self.step_mm;
+        // Flat tissue has no direction; 1e-6 HU/mm only keeps 0/0 away.
+        (along.abs() / (length + 1e-6)).min(1.0)
+    }
+}

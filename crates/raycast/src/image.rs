@@ -1,0 +1,194 @@
+//! From rays to rows of a picture: the choice of caster, rows shared among threads, what was done.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use crate::{
+    ClassMap, Frame, InstructionSet, Interpolation, RaycastError, brute, composite::Gathered,
+    frame::Ray, leap,
+};
+
+/// Which caster.
+#[derive(Debug, Clone, Copy)]
+pub enum Method<'a> {
+    /// Every sample.
+    Brute,
+    /// Leaps over transparent classes; the radius map of these classes alone.
+    LeapTransparent(&'a [u8]),
+    /// Leaps over all classes by the step table; only without shading.
+    LeapClasses(ClassMap<'a>),
+}
+
+/// What a picture took.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct CastStats {
+    /// Rays cast.
+    pub num_rays: u64,
+    /// Samples read from the volume.
+    pub num_samples: u64,
+    /// Look-ups in the radius map.
+    pub num_lookups: u64,
+    /// Leaps taken.
+    pub num_leaps: u64,
+    /// Samples that leaps stood for.
+    pub num_skipped: u64,
+}
+
+impl CastStats {
+    fn plus(self, other: Self) -> Self {
+        Self {
+            num_rays: self.num_rays + other.num_rays,
+            num_samples: self.num_samples + other.num_samples,
+            num_lookups: self.num_lookups + other.num_lookups,
+            num_leaps: self.num_leaps + other.num_leaps,
+            num_skipped: self.num_skipped + other.num_skipped,
+        }
+    }
+}
+
+/// Casts `rows` of the picture as 8-bit RGB, `[row, column, channel]`.
+///
+/// Rows are independent, so strips cast anywhere assemble to the whole picture bit for bit.
+pub fn cast_rows(
+    frame: &Frame<'_>,
+    method: Method<'_>,
+    rows: Range<usize>,
+    simd: InstructionSet,
+) -> Result<(Vec<u8>, CastStats), RaycastError> {
+    let (width, height) = (frame.camera().width(), frame.camera().height());
+    if rows.start > rows.end || rows.end > height {
+        return Err(RaycastError::Setting {
+            what: "rows",
+            expected: format!("a range within 0 to {height}"),
+            found: format!("{} to {}", rows.start, rows.end),
+        });
+    }
+    check_maps(frame, method)?;
+    let mut rgb = vec![0u8; rows.len() * width * 3];
+    let stats = rgb
+        .par_chunks_mut(width * 3)
+        .enumerate()
+        // Rows differ in cost by far (dark lumen, near wall): small shares let a thread that is done take more.
+        .with_max_len(4)
+        .map(|(n, out)| cast_row(frame, method, rows.start + n, out, simd))
+        .reduce(CastStats::default, CastStats::plus);
+    Ok((rgb, stats))
+}
+
+fn check_maps(frame: &Frame<'_>, method: Method<'_>) -> Result<(), RaycastError> {
+    let expected = frame.grid.num_voxels();
+    let check = |what: &'static str, found: usize| {
+        if found == expected {
+            return Ok(());
+        }
+        Err(RaycastError::Setting {
+            what,
+            expected: format!("{expected} voxels, as in the volume"),
+            found: format!("{found}"),
+        })
+    };
+    match method {
+        Method::Brute => Ok(()),
+        Method::LeapTransparent(radius) => check("radius map", radius.len()),
+        Method::LeapClasses(map) => {
+            check("radius map", map.radius.len())?;
+            check("label volume", map.labels.len())?;
+            if frame.options.light.is_some() {
+                return Err(RaycastError::Setting {
+                    what: "leaps over all classes",
+                    expected: "shading off, since shading varies inside a class".to_owned(),
+                    found: "shading on".to_owned(),
+                });
+            }
+            Ok(())
+        }
+    }
+}
+
+fn cast_row(
+    frame: &Frame<'_>,
+    method: Method<'_>,
+    row: usize,
+    out: &mut [u8],
+    simd: InstructionSet,
+) -> CastStats {
+    match simd {
+        InstructionSet::Portable => cast_row_body(frame, method, row, out),
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: InstructionSet::Avx2 is only handed out where the machine has AVX2, FMA and BMI2. Benchmark: the portable
+        // build calls a function for every fused multiply-add and is several times slower.
+        InstructionSet::Avx2 => unsafe { cast_row_avx2(frame, method, row, out) },
+        #[cfg(not(target_arch = "x86_64"))]
+        InstructionSet::Avx2 => cast_row_body(frame, method, row, out),
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+fn cast_row_avx2(frame: &Frame<'_>, method: Method<'_>, row: usize, out: &mut [u8]) -> CastStats {
+    cast_row_body(frame, method, row, out)
+}
+
+#[inline(always)]
+fn cast_row_body(frame: &Frame<'_>, method: Method<'_>, row: usize, out: &mut [u8]) -> CastStats {
+    let shaded = frame.options.light.is_some();
+    let nearest = frame.options.interpolation == Interpolation::Nearest;
+    match (method, shaded, nearest) {
+        (Method::Brute, true, _) => each_pixel(frame, row, out, brute::cast::<true, false>),
+        (Method::Brute, false, false) => each_pixel(frame, row, out, brute::cast::<false, false>),
+        (Method::Brute, false, true) => each_pixel(frame, row, out, brute::cast::<false, true>),
+        (Method::LeapTransparent(radius), true, _) => each_pixel(
+            frame,
+            row,
+            out,
+            #[inline(always)]
+            |frame, ray, stats| leap::cast_transparent::<true, false>(frame, radius, ray, stats),
+        ),
+        (Method::LeapTransparent(radius), false, false) => each_pixel(
+            frame,
+            row,
+            out,
+            #[inline(always)]
+            |frame, ray, stats| leap::cast_transparent::<false, false>(frame, radius, ray, stats),
+        ),
+        (Method::LeapTransparent(radius), false, true) => each_pixel(
+            frame,
+            row,
+            out,
+            #[inline(always)]
+            |frame, ray, stats| leap::cast_transparent::<false, true>(frame, radius, ray, stats),
+        ),
+        (Method::LeapClasses(map), _, false) => each_pixel(
+            frame,
+            row,
+            out,
+            #[inline(always)]
+            |frame, ray, stats| leap::cast_classes::<false>(frame, map, ray, stats),
+        ),
+        (Method::LeapClasses(map), _, true) => each_pixel(
+            frame,
+            row,
+            out,
+            #[inline(always)]
+            |frame, ray, stats| leap::cast_classes::<true>(frame, map, ray, stats),
+        ),
+    }
+}
+
+#[inline(always)]
+fn each_pixel(
+    frame: &Frame<'_>,
+    row: usize,
+    out: &mut [u8],
+    cast: impl Fn(&Frame<'_>, &Ray, &mut CastStats) -> Gathered,
+) -> CastStats {
+    let mut stats = CastStats::default();
+    for (column, pixel) in out.chunks_exact_mut(3).enumerate() {
+        let ray = frame.ray(column, row);
+        let gathered = cast(frame, &ray, &mut stats);
+        pixel.copy_from_slice(&gathered.to_rgb8(frame.options.background));
+    }
+    stats.num_rays = (out.len() / 3) as u64;
+    stats
+}

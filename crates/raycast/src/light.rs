@@ -1,0 +1,108 @@
+//! The light at the scope's tip.
+
+use crate::RaycastError;
+
+/// A light in the camera's centre, as on a bronchoscope: its direction is that of the ray.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Light {
+    /// Part of the colour seen whatever the surface's direction.
+    pub ambient: f32,
+    /// Part that goes with the cosine between surface normal and light.
+    pub diffuse: f32,
+    /// White highlight of a wet surface seen head on.
+    pub specular: f32,
+    /// The highlight's exponent is `2^shininess_log2`; powers are squarings, so no `pow` runs per sample.
+    pub shininess_log2: u32,
+    /// Distance at which half the light is left; infinite for none lost.
+    pub reach_mm: f32,
+}
+
+impl Light {
+    /// Refuses values that are negative, not finite, or would overflow.
+    pub fn check(&self) -> Result<(), RaycastError> {
+        let refuse = |what: &'static str, expected: &str, found: f32| {
+            Err(RaycastError::Setting {
+                what,
+                expected: expected.to_owned(),
+                found: found.to_string(),
+            })
+        };
+        for (what, v) in [
+            ("ambient light", self.ambient),
+            ("diffuse light", self.diffuse),
+            ("specular light", self.specular),
+        ] {
+            if !(0.0..=10.0).contains(&v) {
+                return refuse(what, "0 to 10", v);
+            }
+        }
+        if self.shininess_log2 > 10 {
+            return refuse("shininess (log2)", "0 to 10", self.shininess_log2 as f32);
+        }
+        if self.reach_mm.is_nan() || self.reach_mm <= 0.0 {
+            return refuse("reach of the light", "above 0 mm", self.reach_mm);
+        }
+        Ok(())
+    }
+
+    /// Shares of the sample's own colour and of white, for the cosine `facing` (0..1) at `distance_mm`.
+    #[inline(always)]
+    pub(crate) fn shares(&self, facing: f32, distance_mm: f32) -> (f32, f32) {
+        let mut highlight = facing;
+        for _ in 0..self.shininess_log2 {
+            highlight *= highlight;
+        }
+        // reach^2 / (reach^2 + d^2): the inverse square far away, level near by, as a scope's automatic exposure makes it.
+        let part = distance_mm / self.reach_mm;
+        let left = 1.0 / part.mul_add(part, 1.0);
+        let own = facing.mul_add(self.diffuse, self.ambient);
+        (own * left, self.specular * highlight * left)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIGHT: Light = Light {
+        ambient: 0.1,
+        diffuse: 0.9,
+        specular: 0.5,
+        shininess_log2: 3,
+        reach_mm: 20.0,
+    };
+
+    #[test]
+    fn half_the_light_is_left_at_the_reach_and_all_of_it_at_the_tip() {
+        assert_eq!(LIGHT.shares(1.0, 0.0), (1.0, 0.5));
+        assert_eq!(LIGHT.shares(1.0, 20.0), (0.5, 0.25));
+        let endless = Light {
+            reach_mm: f32::INFINITY,
+            ..LIGHT
+        };
+        assert_eq!(endless.shares(1.0, 500.0), (1.0, 0.5));
+    }
+
+    #[test]
+    fn the_highlight_is_a_power_of_the_cosine() {
+        // 0.5^8 is exact.
+        assert_eq!(LIGHT.shares(0.5, 0.0).1, 0.5 / 256.0);
+        assert!(
+            Light {
+                diffuse: f32::NAN,
+                ..LIGHT
+            }
+            .check()
+            .is_err()
+        );
+        assert!(
+            Light {
+                reach_mm: 0.0,
+                ..LIGHT
+            }
+            .check()
+            .is_err()
+        );
+        assert!(LIGHT.check().is_ok());
+    }
+}

@@ -1,0 +1,255 @@
+//! Transfer functions: from points to a table over integer HU.
+
+use carina_isoregion::Rgba;
+
+use crate::RaycastError;
+
+/// Colour and opacity over HU, linear between points.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Transfer {
+    points: Vec<[f64; 5]>,
+    reference_mm: f64,
+    bin_hu: i32,
+}
+
+impl Transfer {
+    /// From points `[hu, r, g, b, alpha]` in order of HU, colours and opacities 0..1, opacity per `reference_mm`.
+    ///
+    /// Two points at one HU make a step; the later one holds at that HU. With `bin_hu` above 1 every bin of that width has the
+    /// colour of its middle (the paper's quantized values).
+    pub fn new(
+        points: Vec<[f64; 5]>,
+        reference_mm: f64,
+        bin_hu: i32,
+    ) -> Result<Self, RaycastError> {
+        let refuse = |reason: String| Err(RaycastError::Transfer { reason });
+        if points.is_empty() {
+            return refuse("it has no points".to_owned());
+        }
+        for (n, p) in points.iter().enumerate() {
+            if p.iter().any(|v| !v.is_finite()) {
+                return refuse(format!("point {n} holds a value that is not finite"));
+            }
+            if p[1..].iter().any(|v| !(0.0..=1.0).contains(v)) {
+                return refuse(format!(
+                    "point {n} has a colour or opacity outside 0 to 1: {:?}",
+                    &p[1..]
+                ));
+            }
+            if n > 0 && p[0] < points[n - 1][0] {
+                return refuse(format!(
+                    "points must be in order of HU; point {n} at {} follows {}",
+                    p[0],
+                    points[n - 1][0]
+                ));
+            }
+        }
+        if !(reference_mm.is_finite() && reference_mm > 0.0) {
+            return refuse(format!("its reference length is {reference_mm} mm"));
+        }
+        if !(1..=4096).contains(&bin_hu) {
+            return refuse(format!("its bins are {bin_hu} HU wide"));
+        }
+        Ok(Self {
+            points,
+            reference_mm,
+            bin_hu,
+        })
+    }
+
+    /// Colour and opacity per reference length at an integer HU.
+    #[must_use]
+    pub fn at(&self, hu: i32) -> Rgba {
+        let hu = if self.bin_hu > 1 {
+            f64::from(hu.div_euclid(self.bin_hu) * self.bin_hu) + f64::from(self.bin_hu - 1) / 2.0
+        } else {
+            f64::from(hu)
+        };
+        let after = self.points.partition_point(|p| p[0] <= hu);
+        let colour = |p: &[f64; 5]| [p[1], p[2], p[3], p[4]];
+        let Some(next) = self.points.get(after) else {
+            return colour(&self.points[self.points.len() - 1]);
+        };
+        let Some(last) = after.checked_sub(1).map(|n| &self.points[n]) else {
+            return colour(next);
+        };
+        let t = (hu - last[0]) / (next[0] - last[0]);
+        // a + t (b - a): between two equal colours this is exactly that colour, so a flat stretch is one class.
+        std::array::from_fn(|c| last[c + 1] + t * (next[c + 1] - last[c + 1]))
+    }
+
+    /// Entries for every HU from `lo` to `hi`.
+    #[must_use]
+    pub fn range(&self, lo: i32, hi: i32) -> Vec<Rgba> {
+        (lo..=hi).map(|hu| self.at(hu)).collect()
+    }
+}
+
+/// What one sample adds, by integer HU: premultiplied colour and opacity of one ray step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TransferTable {
+    lo_hu: i32,
+    entries: Vec<[f32; 4]>,
+    step_mm: f64,
+}
+
+impl TransferTable {
+    /// A table for ray steps of `step_mm` over the values that a volume holds.
+    ///
+    /// Opacity of a step: `1 - (1 - alpha)^(step / reference)`, in f64 by a pure-Rust `pow`, so that tables are equal everywhere.
+    pub fn new(
+        transfer: &Transfer,
+        step_mm: f64,
+        lo_hu: i16,
+        hi_hu: i16,
+    ) -> Result<Self, RaycastError> {
+        if !(step_mm.is_finite() && step_mm > 0.0) {
+            return Err(RaycastError::Setting {
+                what: "ray step",
+                expected: "a length above 0 mm".to_owned(),
+                found: format!("{step_mm} mm"),
+            });
+        }
+        if lo_hu > hi_hu {
+            return Err(RaycastError::Setting {
+                what: "range of the transfer table",
+                expected: "lowest value first".to_owned(),
+                found: format!("{lo_hu} to {hi_hu}"),
+            });
+        }
+        let exponent = step_mm / transfer.reference_mm;
+        let mut last: Option<(Rgba, [f32; 4])> = None;
+        let entries = (i32::from(lo_hu)..=i32::from(hi_hu))
+            .map(|hu| {
+                let rgba = transfer.at(hu);
+                // Long flat stretches are common and pow is not cheap.
+                if let Some((before, entry)) = last
+                    && before == rgba
+                {
+                    return entry;
+                }
+                let alpha = 1.0 - libm::pow(1.0 - rgba[3], exponent);
+                let entry =
+                    [rgba[0] * alpha, rgba[1] * alpha, rgba[2] * alpha, alpha].map(|v| v as f32);
+                last = Some((rgba, entry));
+                entry
+            })
+            .collect();
+        Ok(Self {
+            lo_hu: i32::from(lo_hu),
+            entries,
+            step_mm,
+        })
+    }
+
+    /// The entry of a sampled value: `floor(value + 0.5)`, clamped to the table.
+    #[inline(always)]
+    pub(crate) fn at(&self, value: f32) -> [f32; 4] {
+        let hu = (value + 0.5).floor() as i32;
+        self.at_hu(hu)
+    }
+
+    /// The entry of an integer value, clamped to the table.
+    #[inline(always)]
+    pub(crate) fn at_hu(&self, hu: i32) -> [f32; 4] {
+        let n = (hu - self.lo_hu).max(0) as usize;
+        self.entries[n.min(self.entries.len() - 1)]
+    }
+
+    /// Premultiplied colour and opacity of one step at an integer value, clamped to the table.
+    #[must_use]
+    pub fn entry(&self, hu: i32) -> [f32; 4] {
+        self.at_hu(hu)
+    }
+
+    /// Length of a ray step.
+    #[must_use]
+    pub const fn step_mm(&self) -> f64 {
+        self.step_mm
+    }
+
+    /// True if every entry from `lo` to `hi` adds nothing.
+    #[must_use]
+    pub fn is_transparent(&self, lo_hu: i32, hi_hu: i32) -> bool {
+        (lo_hu..=hi_hu).all(|hu| self.at_hu(hu)[3] == 0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ramp() -> Transfer {
+        Transfer::new(
+            vec![
+                [-700.0, 0.0, 0.0, 0.0, 0.0],
+                [-300.0, 1.0, 0.5, 0.25, 0.8],
+                [100.0, 1.0, 0.5, 0.25, 0.8],
+            ],
+            1.0,
+            1,
+        )
+        .unwrap()
+    }
+
+    #[test]
+    fn colours_are_linear_between_points_and_flat_beyond() {
+        let t = ramp();
+        assert_eq!(t.at(-1000), [0.0; 4]);
+        assert_eq!(t.at(-500), [0.5, 0.25, 0.125, 0.4]);
+        assert_eq!(t.at(-17), t.at(2000));
+    }
+
+    #[test]
+    fn two_points_at_one_hu_make_a_step() {
+        let t = Transfer::new(
+            vec![
+                [0.0, 1.0, 1.0, 1.0, 0.0],
+                [10.0, 1.0, 1.0, 1.0, 0.0],
+                [10.0, 1.0, 1.0, 1.0, 1.0],
+            ],
+            1.0,
+            1,
+        )
+        .unwrap();
+        assert_eq!(t.at(9)[3], 0.0);
+        assert_eq!(t.at(10)[3], 1.0);
+    }
+
+    #[test]
+    fn opacity_does_not_depend_on_the_step_that_a_wall_is_cut_into() {
+        let through = |step_mm: f64| {
+            let table = TransferTable::new(&ramp(), step_mm, -1024, 3071).unwrap();
+            (1.0 - f64::from(table.at(40.0)[3])).powf(2.0 / step_mm)
+        };
+        // 2 mm of opacity 0.8 per mm; 1e-5: f32 entries to the 8th power.
+        assert!((through(2.0) - 0.04).abs() < 1e-5);
+        assert!((through(0.25) - 0.04).abs() < 1e-5);
+    }
+
+    #[test]
+    fn samples_read_the_nearest_integer_and_clamp_at_the_ends() {
+        let table = TransferTable::new(&ramp(), 1.0, -600, 0).unwrap();
+        assert_eq!(table.at(-500.5), table.at_hu(-500));
+        assert_eq!(table.at(-500.51), table.at_hu(-501));
+        assert_eq!(table.at(-9000.0), table.at_hu(-600));
+        assert_eq!(table.at(9000.0), table.at_hu(0));
+    }
+
+    #[test]
+    fn broken_transfer_functions_are_refused() {
+        for points in [
+            vec![],
+            vec![[0.0, 2.0, 0.0, 0.0, 0.0]],
+            vec![[f64::NAN, 0.0, 0.0, 0.0, 0.0]],
+            vec![[1.0, 0.0, 0.0, 0.0, 0.0], [0.0; 5]],
+        ] {
+            assert_eq!(
+                Transfer::new(points, 1.0, 1).unwrap_err().code(),
+                "render.transfer"
+            );
+        }
+        assert!(Transfer::new(vec![[0.0; 5]], 0.0, 1).is_err());
+        assert!(TransferTable::new(&ramp(), 0.0, 0, 1).is_err());
+    }
+}

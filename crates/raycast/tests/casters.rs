@@ -1,0 +1,207 @@
+//! The contracts of the casters: leaping is brute force, strips are the whole, instruction sets agree, and brute force is near
+//! an f64 ray caster written apart from it.
+
+mod scene;
+
+use carina_grid::{VolumeView, clip_line_to_box};
+use carina_isoregion::{SegmentTable, class_labels, radius_map, value_labels};
+use carina_raycast::{
+    CastStats, ClassMap, Frame, InstructionSet, Interpolation, Method, TransferTable, cast_rows,
+};
+use proptest::prelude::*;
+use scene::{Scene, any_scene, options};
+
+fn cast(scene: &Scene, shaded: bool, nearest: bool, method: Method<'_>) -> (Vec<u8>, CastStats) {
+    let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
+    let table = scene.table(nearest);
+    let frame = Frame::new(
+        volume,
+        &table,
+        scene.camera.clone(),
+        options(shaded, nearest),
+    )
+    .unwrap();
+    let height = scene.camera.height();
+    cast_rows(&frame, method, 0..height, InstructionSet::best()).unwrap()
+}
+
+fn transparent_radius(scene: &Scene, nearest: bool) -> Vec<u8> {
+    let entries = scene.transfer(nearest).range(-1100, 3100);
+    let labels = class_labels(&scene.hu, -1100, &entries, true)
+        .unwrap()
+        .labels;
+    radius_map(&labels, scene.grid.shape_zyx()).unwrap()
+}
+
+/// Colour of a whole class, read at its first HU.
+fn class_colours(table: &TransferTable, classes: &[carina_isoregion::Class]) -> Vec<[f32; 4]> {
+    classes
+        .iter()
+        .map(|class| table.entry(class.lo_hu))
+        .collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    #[test]
+    fn leaping_over_transparent_classes_equals_brute_force_bit_for_bit(
+        scene in any_scene(), shaded in any::<bool>(), nearest in any::<bool>(),
+    ) {
+        let nearest = nearest && !shaded;
+        let (brute, all) = cast(&scene, shaded, nearest, Method::Brute);
+        let radius = transparent_radius(&scene, nearest);
+        let (leap, some) = cast(&scene, shaded, nearest, Method::LeapTransparent(&radius));
+        prop_assert!(brute == leap);
+        prop_assert!(some.num_samples <= all.num_samples);
+        prop_assert!(some.num_samples + some.num_skipped >= all.num_samples);
+    }
+
+    #[test]
+    fn leaping_over_all_classes_is_within_one_grey_level_of_brute_force(
+        scene in any_scene(), nearest in any::<bool>(),
+    ) {
+        let (brute, all) = cast(&scene, false, nearest, Method::Brute);
+        let table = scene.table(nearest);
+        let out = if nearest {
+            value_labels(&scene.hu, |lo, hi| table.is_transparent(lo, hi))
+        } else {
+            class_labels(&scene.hu, -1100, &scene.transfer(false).range(-1100, 3100), false).unwrap()
+        };
+        let radius = radius_map(&out.labels, scene.grid.shape_zyx()).unwrap();
+        let segments = SegmentTable::new(&class_colours(&table, &out.classes));
+        let map = ClassMap { labels: &out.labels, radius: &radius, segments: &segments };
+        let (leap, some) = cast(&scene, false, nearest, Method::LeapClasses(map));
+        for (a, b) in brute.iter().zip(&leap) {
+            // A segment is rounded once and its samples one by one; 8-bit rounding can then fall either way.
+            prop_assert!(a.abs_diff(*b) <= 1, "{a} {b}");
+        }
+        // A leap ends where brute force stops. Rounding of the transparency may move that by one sample on a ray.
+        let (lo, hi) = (all.num_samples - all.num_rays.min(all.num_samples), all.num_samples + all.num_rays);
+        prop_assert!((lo..=hi).contains(&(some.num_samples + some.num_skipped)));
+    }
+
+    #[test]
+    fn strips_assembled_equal_the_whole_bit_for_bit(scene in any_scene(), cut in 0.0f64..1.0) {
+        let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
+        let table = scene.table(false);
+        let frame = Frame::new(volume, &table, scene.camera.clone(), options(true, false)).unwrap();
+        let radius = transparent_radius(&scene, false);
+        let height = scene.camera.height();
+        let rows = (cut * height as f64) as usize;
+        let part = |rows| cast_rows(&frame, Method::LeapTransparent(&radius), rows, InstructionSet::best()).unwrap().0;
+        let mut strips = part(0..rows);
+        strips.extend(part(rows..height));
+        prop_assert!(strips == part(0..height));
+    }
+
+    #[test]
+    fn instruction_sets_agree_bit_for_bit(scene in any_scene()) {
+        let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
+        let table = scene.table(false);
+        let frame = Frame::new(volume, &table, scene.camera.clone(), options(true, false)).unwrap();
+        let rows = 0..scene.camera.height();
+        let portable = cast_rows(&frame, Method::Brute, rows.clone(), InstructionSet::Portable).unwrap();
+        prop_assert!(portable == cast_rows(&frame, Method::Brute, rows, InstructionSet::best()).unwrap());
+    }
+
+    #[test]
+    fn brute_force_is_near_a_ray_caster_in_f64(scene in any_scene()) {
+        let (found, _) = cast(&scene, false, false, Method::Brute);
+        let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
+        let table = scene.table(false);
+        let width = scene.camera.width();
+        for (n, pixel) in found.chunks(3).enumerate() {
+            let (column, row) = (n % width, n / width);
+            let reference = f64_ray(&scene, volume, &table, column, row);
+            for c in 0..3 {
+                // Positions in f32 are good to 1e-4 voxel, that is up to 0.4 HU where neighbours differ by 4000: 3 grey levels
+                // where the transfer function is a step.
+                prop_assert!((f64::from(pixel[c]) - reference[c]).abs() <= 3.5, "{pixel:?} {reference:?} at {column} {row}");
+            }
+        }
+    }
+}
+
+/// One ray in f64, by the formulas of the design and with none of the crate's kernels.
+fn f64_ray(
+    scene: &Scene,
+    volume: VolumeView<'_, i16>,
+    table: &TransferTable,
+    column: usize,
+    row: usize,
+) -> [f64; 3] {
+    let (origin, dir) = scene.camera.ray_ijk(&scene.grid, column, row);
+    let n = scene.grid.shape_ijk();
+    let (lo, hi) = ([-0.5; 3], n.map(|n| n as f64 - 0.5));
+    let (mut rgb, mut through) = ([0.0; 3], 1.0);
+    if let Some((t_in, t_out)) = clip_line_to_box(origin, dir, lo, hi) {
+        for k in 0.. {
+            let t = (k as f64 + 0.5) * table.step_mm();
+            if t > t_out || through < 1.0 / 512.0 {
+                break;
+            }
+            if t < t_in {
+                continue;
+            }
+            let mut value = 0.0;
+            for corner in 0..8 {
+                let mut weight = 1.0;
+                let at = std::array::from_fn(|a| {
+                    let x = origin[a] + t * dir[a];
+                    let high = corner >> a & 1;
+                    let part = x - x.floor();
+                    weight *= if high == 1 { part } else { 1.0 - part };
+                    x.floor() as isize + high as isize
+                });
+                value += weight * f64::from(volume.at_clamped(at));
+            }
+            let entry = table.entry((value + 0.5).floor() as i32).map(f64::from);
+            for c in 0..3 {
+                rgb[c] += through * entry[c];
+            }
+            through *= 1.0 - entry[3];
+        }
+    }
+    rgb.map(|v| v.min(1.0) * 255.0)
+}
+
+#[test]
+fn a_ray_that_misses_the_volume_shows_the_background() {
+    let scene = Scene::fixed([300.0, 0.0, 0.0], [1.0, 0.0, 0.0]);
+    let (rgb, stats) = cast(&scene, true, false, Method::Brute);
+    assert!(rgb.iter().all(|&v| v == 0));
+    assert_eq!(stats.num_samples, 0);
+}
+
+#[test]
+fn shading_with_nearest_voxels_or_leaps_over_opaque_classes_is_refused() {
+    let scene = Scene::fixed([0.0; 3], [0.0, 0.0, 1.0]);
+    let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
+    let table = scene.table(false);
+    let both = carina_raycast::FrameOptions {
+        interpolation: Interpolation::Nearest,
+        ..options(true, false)
+    };
+    assert!(Frame::new(volume, &table, scene.camera.clone(), both).is_err());
+    let frame = Frame::new(volume, &table, scene.camera.clone(), options(true, false)).unwrap();
+    let segments = SegmentTable::new(&[]);
+    let zeros = vec![0u8; scene.hu.len()];
+    let map = ClassMap {
+        labels: &zeros,
+        radius: &zeros,
+        segments: &segments,
+    };
+    assert!(
+        cast_rows(
+            &frame,
+            Method::LeapClasses(map),
+            0..1,
+            InstructionSet::best()
+        )
+        .is_err()
+    );
+    let short = Method::LeapTransparent(&zeros[1..]);
+    assert!(cast_rows(&frame, short, 0..1, InstructionSet::best()).is_err());
+    assert!(cast_rows(&frame, Method::Brute, 0..999, InstructionSet::best()).is_err());
+}
