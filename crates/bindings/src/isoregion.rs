@@ -1,4 +1,8 @@
 //! Bindings of `carina-isoregion`.
+#![allow(
+    clippy::needless_pass_by_value,
+    reason = "Python hands its arguments over by value"
+)]
 
 use carina_isoregion::{ClassLabels, IsoRegionError, class_labels, radius_map, value_labels};
 use carina_raycast::Transfer;
@@ -49,11 +53,11 @@ fn classes_of(
     class_labels(hu, lo, &transfer.range(lo, hi), transparent_only)
 }
 
-fn label_arrays<'py>(
-    py: Python<'py>,
+fn label_arrays(
+    py: Python<'_>,
     out: ClassLabels,
     shape_zyx: [usize; 3],
-) -> PyResult<(Bound<'py, PyArray3<u8>>, Vec<PyClass>)> {
+) -> PyResult<(Bound<'_, PyArray3<u8>>, Vec<PyClass>)> {
     let classes = out
         .classes
         .iter()
@@ -89,6 +93,27 @@ fn label_values<'py>(
     let hu = values("hu_zyx", &hu_zyx)?;
     let out = py.detach(|| value_labels(hu, |_, _| false));
     label_arrays(py, out, shape_of(&hu_zyx))
+}
+
+/// The transparent runs of a transfer function over all int16 values: (first, last) of each. A map of the transparent
+/// classes depends on the volume and on these alone.
+#[pyfunction]
+#[pyo3(signature = (points, *, reference_mm=1.0, bin_hu=1))]
+fn transparent_runs(
+    points: PyReadonlyArray2<'_, f64>,
+    reference_mm: f64,
+    bin_hu: i32,
+) -> PyResult<Vec<(i32, i32)>> {
+    let transfer = transfer(&points, reference_mm, bin_hu)?;
+    let (lo, hi) = (i32::from(i16::MIN), i32::from(i16::MAX));
+    let mut runs: Vec<(i32, i32)> = Vec::new();
+    for hu in (lo..=hi).filter(|&hu| transfer.at(hu)[3] == 0.0) {
+        match runs.last_mut() {
+            Some(run) if run.1 == hu - 1 => run.1 = hu,
+            _ => runs.push((hu, hu)),
+        }
+    }
+    Ok(runs)
 }
 
 /// The radius map of a label volume.
@@ -127,6 +152,7 @@ fn build_transparent_map<'py>(
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(label_classes, module)?)?;
     module.add_function(wrap_pyfunction!(label_values, module)?)?;
+    module.add_function(wrap_pyfunction!(transparent_runs, module)?)?;
     module.add_function(wrap_pyfunction!(build_radius_map, module)?)?;
     module.add_function(wrap_pyfunction!(build_transparent_map, module)?)?;
     Ok(())

@@ -1,4 +1,8 @@
 //! Bindings of `carina-raycast`.
+#![allow(
+    clippy::needless_pass_by_value,
+    reason = "Python hands its arguments over by value"
+)]
 
 use carina_grid::{Camera, VolumeView};
 use carina_isoregion::SegmentTable;

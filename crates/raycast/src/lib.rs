@@ -6,6 +6,22 @@
 //! Kernels use IEEE f32 add, multiply, divide, square root and explicit fused multiply-add in a fixed order, so the picture
 //! depends neither on threads nor on strips nor on the instruction set.
 
+#![allow(
+    clippy::inline_always,
+    reason = "a kernel is compiled once per instruction set: what it calls must be compiled inside it, or it loses the set"
+)]
+#![allow(
+    clippy::needless_range_loop,
+    reason = "the loop variable is an axis or a channel of several short arrays at once"
+)]
+#![cfg_attr(
+    test,
+    allow(
+        clippy::float_cmp,
+        reason = "kernels are deterministic: tests compare bits"
+    )
+)]
+
 mod brute;
 mod composite;
 mod error;

@@ -124,7 +124,7 @@ impl TransferTable {
                 let rgba = transfer.at(hu);
                 // Long flat stretches are common and pow is not cheap.
                 if let Some((before, entry)) = last
-                    && before == rgba
+                    && before.map(f64::to_bits) == rgba.map(f64::to_bits)
                 {
                     return entry;
                 }

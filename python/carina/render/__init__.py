@@ -1,1 +1,46 @@
+"""Rendering: transfer functions, views, and the single-machine renderer."""
 
+from typing import Any
+
+from carina import _core
+from carina.render.pictures import VIEW_NAMES, mark_tip, render_view
+from carina.render.renderer import Renderer
+from carina.render.transfer import PRESETS, Light, TransferFunction, transfer_from_histogram, transfer_preset
+from carina.render.views import (
+    AirwayView,
+    CutPlaneView,
+    Picture,
+    RenderStats,
+    SliceView,
+    TreeView,
+    TriPlaneView,
+    View,
+    XrayView,
+)
+
+__all__ = [
+    "PRESETS",
+    "VIEW_NAMES",
+    "AirwayView",
+    "CutPlaneView",
+    "Light",
+    "Picture",
+    "RenderStats",
+    "Renderer",
+    "SliceView",
+    "TransferFunction",
+    "TreeView",
+    "TriPlaneView",
+    "View",
+    "XrayView",
+    "build_info",
+    "mark_tip",
+    "render_view",
+    "transfer_from_histogram",
+    "transfer_preset",
+]
+
+
+def build_info() -> dict[str, Any]:
+    """What the compiled module is: ``version``, ``profile``, ``simd`` (kernels used), ``threads``, ``target``."""
+    return {**_core.build_info(), "simd": _core.best_instruction_set()}

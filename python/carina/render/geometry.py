@@ -1,0 +1,85 @@
+"""Where the pixels of planes and projections lie, and where an orbit camera stands. World is LPS mm."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.scopes import Pose
+from carina.volume import Volume
+
+__all__ = [
+    "bounding_radius_mm",
+    "box_corners_lps",
+    "fit_mm_per_px",
+    "grid_axes",
+    "orbit_pose",
+    "plane_axes",
+    "plane_matrix",
+]
+
+Matrix = NDArray[np.float64]
+
+# Radiological display, (right, down) of the screen: patient right on screen left in axial (seen from the feet, anterior
+# up) and coronal (from the front, superior up); anterior on the left in sagittal.
+LEFT, POSTERIOR, INFERIOR = np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, -1.0])
+DISPLAY = {"axial": (LEFT, POSTERIOR), "coronal": (LEFT, INFERIOR), "sagittal": (POSTERIOR, INFERIOR)}
+
+
+def plane_axes(plane: str) -> tuple[Matrix, Matrix, Matrix]:
+    """Unit directions right, down and into the screen of a slice's display."""
+    right, down = DISPLAY[plane]
+    return right, down, np.cross(right, down)
+
+
+def plane_matrix(
+    center_lps: Matrix, axes: tuple[Matrix, Matrix, Matrix], mm_per_px: float, width: int, height: int
+) -> Matrix:
+    """``lps_from_pixel`` of a plane whose middle pixel corner is ``center_lps``; ``axes`` are right, down and depth."""
+    right, down, depth = axes
+    matrix = np.eye(4)
+    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = right * mm_per_px, down * mm_per_px, depth
+    matrix[:3, 3] = center_lps - matrix[:3, 0] * (width / 2) - matrix[:3, 1] * (height / 2)
+    return matrix
+
+
+def box_corners_lps(volume: Volume) -> Matrix:
+    """The eight corners of the voxels' box, (8, 3)."""
+    nz, ny, nx = volume.shape_zyx
+    ends = [(-0.5, nx - 0.5), (-0.5, ny - 0.5), (-0.5, nz - 0.5)]
+    return volume.to_lps(np.array([[x, y, z] for x in ends[0] for y in ends[1] for z in ends[2]]))
+
+
+def fit_mm_per_px(points_lps: Matrix, right: Matrix, down: Matrix, width: int, height: int) -> tuple[float, Matrix]:
+    """The scale at which points fit a picture, and the offset (in right and down) of their middle, mm."""
+    across, along = points_lps @ right, points_lps @ down
+    extents = np.array([np.ptp(across) / width, np.ptp(along) / height])
+    middle = np.array([(across.min() + across.max()) / 2, (along.min() + along.max()) / 2])
+    return float(max(extents.max(), 1e-6)), middle
+
+
+def grid_axes(volume: Volume) -> tuple[tuple[int, float], tuple[int, float], tuple[int, float]]:
+    """For each patient axis x, y, z the grid axis nearest to it and its sign along it."""
+    directions = volume.lps_from_ijk[:3, :3] / np.array(volume.spacing_mm)
+    order = max(permutations(range(3)), key=lambda p: sum(abs(directions[a, p[a]]) for a in range(3)))
+    x, y, z = ((order[a], 1.0 if directions[a, order[a]] >= 0 else -1.0) for a in range(3))
+    return x, y, z
+
+
+def bounding_radius_mm(points_lps: Matrix, center_lps: Matrix) -> float:
+    """Largest distance of the points from a centre."""
+    return float(np.linalg.norm(points_lps - center_lps, axis=1).max())
+
+
+def orbit_pose(center_lps: Matrix, azimuth_deg: float, elevation_deg: float, distance_mm: float) -> Pose:
+    """A camera that looks at a point: azimuth 0 is anterior of it, 90 on the patient's left; elevation 90 above it."""
+    azimuth, elevation = np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg)
+    out = np.array([np.sin(azimuth) * np.cos(elevation), -np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
+    # Written out, not found from an up vector, so that the poles are no special case.
+    right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    matrix = np.eye(4)
+    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = right, np.cross(-out, right), -out
+    matrix[:3, 3] = center_lps + distance_mm * out
+    return Pose(matrix)

@@ -1,0 +1,151 @@
+"""Pictures for scripts and the command line: one call per view, and the tip marked in it."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import UsageError
+from carina.render.renderer import Renderer
+from carina.render.transfer import TransferFunction
+from carina.render.views import (
+    WINDOW_HU,
+    AirwayView,
+    CutPlaneView,
+    Picture,
+    Plane,
+    SliceView,
+    TreeView,
+    TriPlaneView,
+    View,
+    XrayView,
+)
+from carina.scopes import Pose
+from carina.volume import Volume
+
+__all__ = ["VIEW_NAMES", "mark_tip", "render_view"]
+
+VIEW_NAMES = (
+    "airway",
+    "cut-plane",
+    "tri-plane",
+    "xray-axial",
+    "xray-coronal",
+    "xray-sagittal",
+    "axial",
+    "coronal",
+    "sagittal",
+    "tree",
+)
+MARK_RGB = (70, 220, 235)
+
+
+def render_view(
+    volume: Volume,
+    *,
+    view: str,
+    pose: Pose,
+    fov_deg: float = 90.0,
+    width: int = 512,
+    height: int = 512,
+    method: Literal["leap", "brute"] | str = "leap",
+    step_vox: float = 0.5,
+    transfer: TransferFunction | None = None,
+    shading: bool = True,
+    orbit: tuple[float, ...] | None = None,
+    window_hu: tuple[float, float] = WINDOW_HU,
+    extent_mm: float = 60.0,
+    mm_per_px: float | None = None,
+    lumen_zyx: NDArray[np.uint8] | None = None,
+) -> Picture:
+    """Render one picture of a volume.
+
+    Parameters
+    ----------
+    volume
+        The volume.
+    view
+        ``airway``, ``cut-plane``, ``tri-plane``, ``xray-axial``, ``xray-coronal``, ``xray-sagittal``, ``axial``,
+        ``coronal``, ``sagittal`` or ``tree``.
+    pose
+        The tip: camera of the airway view, centre of the planes.
+    fov_deg
+        Full angle across the shorter side, of the airway view.
+    orbit
+        Azimuth and elevation in degrees and, if wished, distance in mm, of the camera of ``tri-plane`` and ``tree``.
+    lumen_zyx
+        The airway lumen, needed for ``tree``, and for the closed wall of the endoscopic airway view.
+
+    Returns
+    -------
+    Picture
+        RGB and where its pixels are.
+
+    Raises
+    ------
+    UsageError
+        If there is no view of this name, or ``orbit`` has not two or three values.
+    RenderError
+        If a setting is out of range, or a tree is asked for without a lumen.
+    """
+    size = {"width": width, "height": height}
+    x, y, z = (float(v) for v in pose.position_lps)
+    if orbit is not None and len(orbit) not in {2, 3}:
+        raise UsageError(f"an orbit is azimuth, elevation and, if wished, distance; found {orbit}")
+    around = dict(zip(("azimuth_deg", "elevation_deg", "distance_mm"), orbit or (), strict=False))
+    spec: View
+    match view:
+        case "airway":
+            chosen = cast(Literal["leap", "brute"], method)
+            spec = AirwayView(pose, fov_deg=fov_deg, step_vox=step_vox, shading=shading, method=chosen, **size)
+        case "cut-plane":
+            spec = CutPlaneView(pose, extent_mm=extent_mm, window_hu=window_hu, **size)
+        case "tri-plane":
+            spec = TriPlaneView((x, y, z), window_hu=window_hu, width=width, height=height, **around)
+        case "xray-axial" | "xray-coronal" | "xray-sagittal":
+            spec = XrayView(axis=cast(Plane, view.removeprefix("xray-")), width=width, height=height)
+        case "axial" | "coronal" | "sagittal":
+            spec = SliceView(plane=view, center_lps=(x, y, z), mm_per_px=mm_per_px, window_hu=window_hu, **size)
+        case "tree":
+            spec = TreeView(width=width, height=height, **around)
+        case _:
+            raise UsageError(f"expected a view among {', '.join(VIEW_NAMES)}; found {view!r}")
+    renderer = Renderer(volume, transfer=transfer)
+    if lumen_zyx is not None and view in {"airway", "tree"}:
+        renderer.set_lumen(lumen_zyx)
+    if view == "airway" and method == "leap":
+        renderer.prepare()
+    return renderer.render(spec)
+
+
+def mark_tip(picture: Picture, point_lps: NDArray[np.float64] | tuple[float, float, float]) -> Picture:
+    """A copy of a picture with a small cross-hair where a point appears; unmarked if it is out of the picture.
+
+    Raises
+    ------
+    UsageError
+        If the picture does not know where its pixels are.
+    """
+    if picture.lps_from_pixel is None and picture.lps_from_camera is None:
+        raise UsageError("this picture does not know where its pixels are, so no point can be marked in it")
+    at = picture.pixel_of(point_lps)
+    rgb = picture.rgb.copy()
+    height, width = rgb.shape[:2]
+    if at is None or not (0 <= at[0] < width and 0 <= at[1] < height):
+        return dataclasses.replace(picture, rgb=rgb)
+    column, row = int(at[0]), int(at[1])
+    gap, arm = max(2, min(width, height) // 128), max(6, min(width, height) // 32)
+
+    def draw(reach: int, half: int, colour: tuple[int, int, int]) -> None:
+        for low, high in ((-reach, -gap), (gap, reach)):
+            for rows, columns in (((-half, half), (low, high)), ((low, high), (-half, half))):
+                top, left = max(row + rows[0], 0), max(column + columns[0], 0)
+                rgb[top : max(row + rows[1] + 1, 0), left : max(column + columns[1] + 1, 0)] = colour
+
+    # A dark rim first, so that the cross can be seen on white bone too.
+    draw(arm + 1, 1, (0, 0, 0))
+    draw(arm, 0, MARK_RGB)
+    return dataclasses.replace(picture, rgb=rgb)

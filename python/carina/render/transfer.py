@@ -1,0 +1,283 @@
+"""Transfer functions: colour and opacity by HU, the presets, and one from a volume's own histogram."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import RenderError, UsageError
+from carina.volume import Volume
+
+__all__ = ["PRESETS", "Light", "TransferFunction", "transfer_from_histogram", "transfer_preset"]
+
+FORMAT = "carina-transfer"
+VERSION = 1
+PAPER_BIN_HU = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """The light at the scope's tip; shares of full brightness."""
+
+    ambient: float = 0.15
+    diffuse: float = 0.85
+    specular: float = 0.0
+    shininess_log2: int = 4
+    """The highlight's exponent is ``2 ** shininess_log2``."""
+    reach_mm: float | None = None
+    """Distance at which half the light is left; None for none lost."""
+
+    def __post_init__(self) -> None:
+        shares = (self.ambient, self.diffuse, self.specular)
+        if not all(np.isfinite(v) and 0 <= v <= 10 for v in shares) or not 0 <= self.shininess_log2 <= 10:
+            raise RenderError(f"a light's shares and its shininess (log2) lie in 0 to 10; found {self}")
+        if self.reach_mm is not None and not self.reach_mm > 0:
+            raise RenderError(f"a light's reach is above 0 mm; found {self.reach_mm}")
+
+    def as_core(self) -> tuple[float, float, float, int, float]:
+        """As the compiled module takes it."""
+        reach = float("inf") if self.reach_mm is None else float(self.reach_mm)
+        return self.ambient, self.diffuse, self.specular, self.shininess_log2, reach
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TransferFunction:
+    """Colour and opacity by value, linear between points, and how the airway view uses them.
+
+    Parameters
+    ----------
+    points
+        ``(n, 5)``: value, red, green, blue, opacity; values in order, the rest 0..1. Two points at one value make a
+        step.
+    reference_mm
+        Length that the opacities are given for.
+    unit
+        ``HU``, or ``raw`` for volumes that are not calibrated.
+    name
+        Shown to people; presets have theirs.
+    sampling
+        ``trilinear``, or ``nearest`` for the paper's: nearest voxel, step of one voxel, 16-HU bins, no shading.
+    wall
+        True if the airway view closes the lumen's wall (docs/decisions/0002-wall-in-the-volume.md).
+    light
+        The light of the shaded airway view.
+
+    Raises
+    ------
+    RenderError
+        If a value is out of range.
+    """
+
+    points: NDArray[np.float64]
+    reference_mm: float = 1.0
+    unit: Literal["HU", "raw"] = "HU"
+    name: str = "custom"
+    sampling: Literal["trilinear", "nearest"] = "trilinear"
+    wall: bool = False
+    light: Light = field(default_factory=Light)
+
+    def __post_init__(self) -> None:
+        points = np.array(self.points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1:] != (5,) or len(points) == 0:
+            raise RenderError("a transfer function needs points [hu, r, g, b, alpha]", code="render.transfer")
+        if not np.isfinite(points).all() or (points[:, 1:] < 0).any() or (points[:, 1:] > 1).any():
+            raise RenderError("colours and opacities of a transfer function lie in 0 to 1", code="render.transfer")
+        if (np.diff(points[:, 0]) < 0).any():
+            raise RenderError("the points of a transfer function must be in order of value", code="render.transfer")
+        if not (np.isfinite(self.reference_mm) and self.reference_mm > 0):
+            raise RenderError("a transfer function's reference length is above 0 mm", code="render.transfer")
+        if self.unit not in {"HU", "raw"} or self.sampling not in {"trilinear", "nearest"}:
+            msg = f"expected unit HU or raw and sampling trilinear or nearest; found {self.unit!r}, {self.sampling!r}"
+            raise RenderError(msg, code="render.transfer")
+        points.flags.writeable = False
+        object.__setattr__(self, "points", points)
+
+    @property
+    def bin_hu(self) -> int:
+        """Width of the bins of equal colour; 1 for none."""
+        return PAPER_BIN_HU if self.sampling == "nearest" else 1
+
+    def to_json(self) -> dict[str, Any]:
+        """As a JSON object (format ``carina-transfer``, version 1)."""
+        light = {k: getattr(self.light, k) for k in ("ambient", "diffuse", "specular", "shininess_log2", "reach_mm")}
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "name": self.name,
+            "unit": self.unit,
+            "reference_mm": self.reference_mm,
+            "points": self.points.tolist(),
+            "sampling": self.sampling,
+            "wall": self.wall,
+            "light": light,
+        }
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> TransferFunction:
+        """From a JSON object; unknown keys are left alone, missing optional ones take their defaults.
+
+        Raises
+        ------
+        RenderError
+            If the object is of another format or version, or holds what a transfer function cannot.
+        """
+        if document.get("format") != FORMAT or document.get("version") != VERSION:
+            msg = (
+                f"expected a transfer function (format {FORMAT!r}, version {VERSION}); "
+                f"found format {document.get('format')!r}, version {document.get('version')!r}"
+            )
+            raise RenderError(msg, code="render.transfer")
+        try:
+            light_document = dict(document.get("light") or {})
+            known = ("ambient", "diffuse", "specular", "shininess_log2", "reach_mm")
+            return cls(
+                points=np.array(document["points"], dtype=np.float64),
+                reference_mm=float(document.get("reference_mm", 1.0)),
+                unit=document.get("unit", "HU"),
+                name=str(document.get("name", "custom")),
+                sampling=document.get("sampling", "trilinear"),
+                wall=bool(document.get("wall", False)),
+                light=Light(**{k: light_document[k] for k in known if k in light_document}),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            if isinstance(error, RenderError):
+                raise
+            raise RenderError(f"the transfer function cannot be read: {error}", code="render.transfer") from None
+
+    @classmethod
+    def from_json_text(cls, text: str) -> TransferFunction:
+        """From the text of a JSON file."""
+        try:
+            document = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise RenderError(f"the transfer function is not JSON: {error}", code="render.transfer") from None
+        if not isinstance(document, dict):
+            raise RenderError("expected a JSON object as transfer function", code="render.transfer")
+        return cls.from_json(document)
+
+
+# The wall turns opaque round the half-maximum between air and tissue, where a lumen ends; the colours deepen from thin
+# mucosa over cartilage to what lies behind. A scope's exposure keeps some 3 cm of airway bright.
+ENDOSCOPIC = TransferFunction(
+    points=np.array(
+        [
+            [-700.0, 0.85, 0.42, 0.36, 0.0],
+            [-400.0, 0.88, 0.46, 0.40, 0.95],
+            [-100.0, 0.90, 0.52, 0.46, 0.98],
+            [200.0, 0.93, 0.62, 0.54, 0.99],
+        ]
+    ),
+    name="endoscopic",
+    wall=True,
+    light=Light(ambient=0.12, diffuse=0.88, specular=0.35, shininess_log2=5, reach_mm=30.0),
+)
+
+CT_GREY = TransferFunction(
+    points=np.array(
+        [
+            [-700.0, 0.35, 0.35, 0.35, 0.0],
+            [-400.0, 0.55, 0.55, 0.55, 0.8],
+            [50.0, 0.78, 0.78, 0.78, 0.95],
+            [400.0, 1.0, 1.0, 1.0, 0.99],
+        ]
+    ),
+    name="ct-grey",
+    light=Light(ambient=0.15, diffuse=0.85),
+)
+
+# Paper 4.3 gives no transfer function; this one is opaque tissue in 16-HU bins.
+PAPER = TransferFunction(
+    points=np.array(
+        [
+            [-600.0, 0.30, 0.24, 0.22, 0.0],
+            [-300.0, 0.62, 0.45, 0.40, 0.6],
+            [0.0, 0.85, 0.70, 0.62, 0.9],
+            [400.0, 1.0, 0.97, 0.92, 0.99],
+        ]
+    ),
+    name="paper",
+    sampling="nearest",
+)
+
+SEE_THROUGH = TransferFunction(
+    points=np.array(
+        [
+            [-700.0, 0.80, 0.45, 0.40, 0.0],
+            [-550.0, 0.85, 0.50, 0.45, 0.10],
+            [-300.0, 0.85, 0.50, 0.45, 0.04],
+            [-20.0, 0.75, 0.35, 0.30, 0.03],
+            [60.0, 0.80, 0.30, 0.25, 0.10],
+            [200.0, 0.95, 0.85, 0.70, 0.35],
+            [400.0, 1.0, 0.98, 0.92, 0.8],
+        ]
+    ),
+    name="see-through",
+    light=Light(ambient=0.3, diffuse=0.7),
+)
+
+PRESETS = {t.name: t for t in (ENDOSCOPIC, CT_GREY, SEE_THROUGH, PAPER)}
+
+
+def transfer_preset(name: str) -> TransferFunction:
+    """A preset: ``endoscopic``, ``ct-grey``, ``see-through`` or ``paper``.
+
+    Raises
+    ------
+    UsageError
+        If there is none of this name.
+    """
+    try:
+        return PRESETS[name]
+    except KeyError:
+        raise UsageError(f"expected a transfer function among {', '.join(PRESETS)}; found {name!r}") from None
+
+
+def transfer_from_histogram(volume: Volume) -> tuple[TransferFunction, float]:
+    """A transfer function for a volume that is not in HU, from its own histogram.
+
+    Otsu's threshold parts dark (air) from bright (tissue); the ramp of the endoscopic preset is laid round it in
+    proportion to the distance between the means of the two parts, as it lies round the half-maximum in HU.
+
+    Parameters
+    ----------
+    volume
+        Any volume; its values are used as they are.
+
+    Returns
+    -------
+    tuple
+        The transfer function (unit ``raw``) and the threshold below which a voxel counts as air.
+
+    References
+    ----------
+    N. Otsu, A threshold selection method from gray-level histograms, IEEE Trans. SMC 9 (1979).
+    """
+    lo, hi = int(volume.hu_zyx.min()), int(volume.hu_zyx.max())
+    counts = np.bincount(volume.hu_zyx.ravel().astype(np.int32) - lo, minlength=hi - lo + 1).astype(np.float64)
+    values = np.arange(lo, hi + 1, dtype=np.float64)
+    if hi == lo:
+        msg = f"every voxel of this volume is {lo}: there is nothing to tell apart"
+        raise RenderError(msg, code="render.transfer")
+    below = np.cumsum(counts)[:-1]
+    above = counts.sum() - below
+    sums = np.cumsum(counts * values)[:-1]
+    mean_below = sums / np.maximum(below, 1)
+    mean_above = ((counts * values).sum() - sums) / np.maximum(above, 1)
+    between = below * above * (mean_above - mean_below) ** 2
+    # A gap between two peaks gives a plateau of equal maxima: its middle is the threshold.
+    best = np.flatnonzero(between >= between.max() * (1 - 1e-12))
+    at = int(best[len(best) // 2])
+    dark, bright = float(mean_below[at]), float(mean_above[at])
+    threshold = float(values[at]) + 0.5
+    # In HU: dark -950, bright 50, half-maximum -450; the ramp runs from a quarter below it to a twentieth above.
+    contrast = bright - dark
+    start, full = threshold - 0.25 * contrast, threshold + 0.05 * contrast
+    colours = ENDOSCOPIC.points[:, 1:]
+    stops = [start, full, full + 0.3 * contrast, full + 0.6 * contrast]
+    points = np.column_stack([stops, colours])
+    return replace(ENDOSCOPIC, points=points, unit="raw", name="from histogram"), threshold

@@ -1,0 +1,88 @@
+"""The external view of the lumen: a smooth field from its mask, cast like any volume."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina import _core
+from carina.render import geometry
+from carina.render.transfer import Light
+from carina.render.views import Picture, RenderStats, TreeView
+from carina.render.wall import bounding_box
+
+__all__ = ["TreeField", "build_tree_field", "cast_tree"]
+
+# The field is 1024 deep inside. A surface at 512 would be the mask's own but lose branches one voxel thick, which keep
+# 256.
+SURFACE = np.array([[170.0, 0.86, 0.80, 0.72, 0.0], [260.0, 0.86, 0.80, 0.72, 0.999]])
+LIGHT = Light(ambient=0.18, diffuse=0.82, specular=0.15, shininess_log2=4)
+BACKGROUND = (0.055, 0.06, 0.07)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TreeField:
+    """The smooth field of a lumen, cut to its box, and the map of what is empty."""
+
+    values: NDArray[np.int16]
+    lps_from_ijk: NDArray[np.float64]
+    radius: NDArray[np.uint8]
+    center_lps: NDArray[np.float64]
+    radius_mm: float
+    step_mm: float
+
+
+def build_tree_field(lumen_zyx: NDArray[np.uint8], lps_from_ijk: NDArray[np.float64]) -> TreeField | None:
+    """The field of a mask; None where the mask is empty."""
+    box = bounding_box(lumen_zyx != 0, 0)
+    if box is None:
+        return None
+    # Two empty voxels all round, also beyond the volume's edge: a trachea that is cut off by the scan gets a closed
+    # end.
+    part = np.ascontiguousarray(np.pad(lumen_zyx[box], 2))
+    values = _core.smooth_mask(part)
+    place = np.array(lps_from_ijk, dtype=np.float64)
+    first = np.array([box[2].start - 2, box[1].start - 2, box[0].start - 2], dtype=np.float64)
+    place[:3, 3] += place[:3, :3] @ first
+    inside = np.argwhere(part != 0)[:, ::-1] @ place[:3, :3].T + place[:3, 3]
+    center = (inside.min(axis=0) + inside.max(axis=0)) / 2
+    spacing = np.linalg.norm(place[:3, :3], axis=0)
+    return TreeField(
+        values=values,
+        lps_from_ijk=place,
+        radius=_core.build_transparent_map(values, SURFACE),
+        center_lps=center,
+        radius_mm=geometry.bounding_radius_mm(inside, center) + float(spacing.max()),
+        step_mm=0.4 * float(spacing.min()),
+    )
+
+
+def cast_tree(tree: TreeField, view: TreeView, *, simd: str | None = None) -> Picture:
+    """The tree from outside."""
+    distance = view.distance_mm
+    if distance is None:
+        distance = tree.radius_mm / float(np.sin(np.deg2rad(view.fov_deg) / 2))
+    pose = geometry.orbit_pose(tree.center_lps, view.azimuth_deg, view.elevation_deg, distance)
+    table = _core.TransferTable(SURFACE, reference_mm=1.0, step_mm=tree.step_mm, lo=0, hi=1024)
+    rgb, counts = _core.cast(
+        tree.values,
+        tree.lps_from_ijk,
+        table,
+        pose.lps_from_camera,
+        fov_rad=float(np.deg2rad(view.fov_deg)),
+        width=view.width,
+        height=view.height,
+        light=LIGHT.as_core(),
+        background=BACKGROUND,
+        leap=tree.radius,
+        simd=simd,
+    )
+    return Picture(
+        rgb=rgb,
+        view="tree",
+        stats=RenderStats("leap", view.width, view.height, *counts, seconds=0.0),
+        lps_from_camera=pose.lps_from_camera,
+        fov_deg=view.fov_deg,
+    )

@@ -1,0 +1,231 @@
+"""What can be rendered, and what comes back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import RenderError
+from carina.scopes import Pose
+
+__all__ = [
+    "AirwayView",
+    "CutPlaneView",
+    "Picture",
+    "RenderStats",
+    "SliceView",
+    "TreeView",
+    "TriPlaneView",
+    "View",
+    "XrayView",
+]
+
+WINDOW_HU = (1500.0, -600.0)
+Plane = Literal["axial", "coronal", "sagittal"]
+PLANES = ("axial", "coronal", "sagittal")
+
+
+def _check(
+    width: int, height: int, *, fov_deg: float | None = None, window_hu: tuple[float, float] | None = None
+) -> None:
+    if not (1 <= width <= 8192 and 1 <= height <= 8192):
+        raise RenderError(
+            f"a picture has 1 to 8192 pixels on each side; found {width} x {height}", code="render.camera"
+        )
+    if fov_deg is not None and not 1.0 <= fov_deg <= 170.0:
+        raise RenderError(f"the field of view is 1 to 170 degrees; found {fov_deg:g}", code="render.camera")
+    if window_hu is not None and not (np.isfinite(window_hu).all() and window_hu[0] > 0):
+        raise RenderError(f"a window is a width above 0 and a level; found {window_hu}", code="render.setting")
+
+
+def _check_mm(what: str, value: float | None) -> None:
+    if value is not None and not (np.isfinite(value) and value > 0):
+        raise RenderError(f"{what} is above 0 mm; found {value}", code="render.setting")
+
+
+def _check_point(what: str, point: tuple[float, float, float] | NDArray[np.float64]) -> None:
+    if np.shape(point) != (3,) or not np.isfinite(point).all():
+        raise RenderError(f"{what} is three finite numbers, mm LPS; found {point}", code="render.setting")
+
+
+def _check_plane(name: str) -> None:
+    if name not in PLANES:
+        raise RenderError(f"expected one of {', '.join(PLANES)}; found {name!r}", code="render.setting")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AirwayView:
+    """What the scope's tip sees: direct volume rendering (paper 3.1).
+
+    ``fov_deg`` is the full angle across the shorter side; ``step_vox`` the ray step in units of the smallest spacing.
+    ``leap`` and ``brute`` give the same picture. With a transfer function of sampling ``nearest`` (paper) shading is
+    off and the step is one voxel.
+    """
+
+    pose: Pose
+    fov_deg: float = 90.0
+    width: int = 512
+    height: int = 512
+    step_vox: float = 0.5
+    shading: bool = True
+    method: Literal["leap", "brute"] = "leap"
+
+    def __post_init__(self) -> None:
+        _check(self.width, self.height, fov_deg=self.fov_deg)
+        if not 0.01 <= self.step_vox <= 100:
+            raise RenderError(f"the ray step is 0.01 to 100 voxels; found {self.step_vox}", code="render.setting")
+        if self.method not in {"leap", "brute"}:
+            raise RenderError(f"expected the method leap or brute; found {self.method!r}", code="render.setting")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CutPlaneView:
+    """The plane through the tip, spanned by the camera's right and down; ``extent_mm`` wide (paper 3.1)."""
+
+    pose: Pose
+    width: int = 512
+    height: int = 512
+    extent_mm: float = 60.0
+    window_hu: tuple[float, float] = WINDOW_HU
+
+    def __post_init__(self) -> None:
+        _check(self.width, self.height, window_hu=self.window_hu)
+        _check_mm("the extent of a cut plane", self.extent_mm)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TriPlaneView:
+    """Sagittal, coronal and axial plane through a point, in occlusion order, from an orbit camera (paper 3.1).
+
+    Azimuth 0 looks from anterior, 90 from the patient's left; positive elevation from above. ``distance_mm`` is that of
+    the camera from the point; None fits the volume. Values below ``clear_below`` are seen through.
+    """
+
+    center_lps: tuple[float, float, float]
+    azimuth_deg: float = 35.0
+    elevation_deg: float = 25.0
+    distance_mm: float | None = None
+    width: int = 512
+    height: int = 512
+    fov_deg: float = 30.0
+    window_hu: tuple[float, float] = WINDOW_HU
+    clear_below: float | None = None
+
+    def __post_init__(self) -> None:
+        _check(self.width, self.height, fov_deg=self.fov_deg, window_hu=self.window_hu)
+        _check_mm("the camera's distance", self.distance_mm)
+        _check_point("the planes' meeting point", self.center_lps)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class XrayView:
+    """Maximum intensity projection along the grid axis nearest to a patient axis (paper 3.1).
+
+    Displayed like the slices: ``coronal`` is the view from the front, ``sagittal`` from the patient's left, ``axial``
+    from the feet. The whole volume is shown, in true proportions. Largest values are mostly bone, far above the window
+    of the slices: with ``window_hu`` None the window is laid round the projection's own values.
+    """
+
+    axis: Plane
+    width: int = 512
+    height: int = 512
+    window_hu: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        _check(self.width, self.height, window_hu=self.window_hu)
+        _check_plane(self.axis)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SliceView:
+    """A slice along patient axes, in radiological display: patient right on screen left, sagittal with anterior on the
+    left.
+
+    The plane passes through ``center_lps``. With ``mm_per_px`` the picture is centred on that point; without, the whole
+    volume fits.
+    """
+
+    plane: Plane
+    center_lps: tuple[float, float, float]
+    width: int = 512
+    height: int = 512
+    mm_per_px: float | None = None
+    window_hu: tuple[float, float] = WINDOW_HU
+
+    def __post_init__(self) -> None:
+        _check(self.width, self.height, window_hu=self.window_hu)
+        _check_plane(self.plane)
+        _check_mm("the size of a pixel", self.mm_per_px)
+        _check_point("the slice's centre", self.center_lps)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TreeView:
+    """The lumen's surface from outside. The camera orbits the lumen's centre; azimuth 0 looks from anterior."""
+
+    azimuth_deg: float = 0.0
+    elevation_deg: float = 0.0
+    distance_mm: float | None = None
+    width: int = 512
+    height: int = 512
+    fov_deg: float = 30.0
+
+    def __post_init__(self) -> None:
+        _check(self.width, self.height, fov_deg=self.fov_deg)
+        _check_mm("the camera's distance", self.distance_mm)
+
+
+View = AirwayView | CutPlaneView | TriPlaneView | XrayView | SliceView | TreeView
+
+
+@dataclass(frozen=True, slots=True)
+class RenderStats:
+    """What a picture took.
+
+    ``method`` is the caster that ran: ``leap``, ``leap-all``, ``brute``, ``plane`` or ``projection``.
+    """
+
+    method: str
+    width: int
+    height: int
+    num_rays: int
+    num_samples: int
+    num_lookups: int
+    num_leaps: int
+    num_skipped: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A rendered view.
+
+    ``rgb`` is (height, width, 3) uint8. Planar views have ``lps_from_pixel`` (4x4): it maps (column, row, depth in mm,
+    1) to LPS, pixel (0, 0) being the top-left *corner* of the top-left pixel; its third column is the direction of
+    projection or the plane's normal. Perspective views have ``lps_from_camera`` (4x4) and ``fov_deg``.
+    """
+
+    rgb: NDArray[np.uint8]
+    view: str
+    stats: RenderStats
+    lps_from_pixel: NDArray[np.float64] | None = None
+    lps_from_camera: NDArray[np.float64] | None = None
+    fov_deg: float | None = None
+
+    def pixel_of(self, point_lps: NDArray[np.float64] | tuple[float, float, float]) -> tuple[float, float] | None:
+        """Where a point appears, as (column, row) in corner coordinates; None if it is behind the camera."""
+        point = np.asarray(point_lps, dtype=np.float64)
+        if self.lps_from_pixel is not None:
+            column, row, _ = np.linalg.solve(self.lps_from_pixel[:3, :3], point - self.lps_from_pixel[:3, 3])
+            return float(column), float(row)
+        if self.lps_from_camera is None or self.fov_deg is None:
+            return None
+        x, y, z = self.lps_from_camera[:3, :3].T @ (point - self.lps_from_camera[:3, 3])
+        if z <= 0:
+            return None
+        height, width = self.rgb.shape[:2]
+        focal_px = min(width, height) / 2 / np.tan(np.deg2rad(self.fov_deg) / 2)
+        return float(width / 2 + focal_px * x / z), float(height / 2 + focal_px * y / z)
