@@ -29,7 +29,7 @@ from carina.render.views import (
     View,
     XrayView,
 )
-from carina.render.wall import wall_value, with_wall
+from carina.render.wall import wall_levels, with_wall
 from carina.volume import Volume
 
 __all__ = ["Renderer"]
@@ -160,16 +160,16 @@ class Renderer:
     def _replace(self, transfer: TransferFunction, lumen: NDArray[np.uint8] | None, tree: TreeField | None) -> None:
         old = self._scene
         walled = transfer.wall and lumen is not None
-        level = wall_value(transfer)
+        levels = wall_levels(transfer)
         was_walled = old.transfer.wall and old.lumen is not None
         if not walled:
             values, value_range = self._volume.hu_zyx, self._range
-        elif was_walled and old.lumen is lumen and wall_value(old.transfer) == level:
+        elif was_walled and old.lumen is lumen and wall_levels(old.transfer) == levels:
             values, value_range = old.values, old.range
         else:
             assert lumen is not None
-            values = with_wall(self._volume.hu_zyx, lumen, level)
-            value_range = (self._range[0], max(self._range[1], level))
+            values = with_wall(self._volume.hu_zyx, lumen, levels)
+            value_range = (self._range[0], max(self._range[1], int(values.max())))
         maps = self._find_kept(values, _runs(transfer))
         with self._swap:
             self._scene = _Scene(transfer, lumen, values, value_range, tree, maps, None)

@@ -166,15 +166,15 @@ class TransferFunction:
 ENDOSCOPIC = TransferFunction(
     points=np.array(
         [
-            [-700.0, 0.85, 0.42, 0.36, 0.0],
-            [-400.0, 0.88, 0.46, 0.40, 0.95],
-            [-100.0, 0.90, 0.52, 0.46, 0.98],
-            [200.0, 0.93, 0.62, 0.54, 0.99],
+            [-700.0, 0.88, 0.42, 0.38, 0.0],
+            [-400.0, 0.95, 0.58, 0.52, 0.97],
+            [-100.0, 0.97, 0.68, 0.61, 0.99],
+            [200.0, 1.0, 0.80, 0.73, 0.995],
         ]
     ),
     name="endoscopic",
     wall=True,
-    light=Light(ambient=0.12, diffuse=0.88, specular=0.35, shininess_log2=5, reach_mm=30.0),
+    light=Light(ambient=0.26, diffuse=0.98, specular=0.35, shininess_log2=5, reach_mm=26.0),
 )
 
 CT_GREY = TransferFunction(

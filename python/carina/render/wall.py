@@ -5,9 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carina import _core
 from carina.render.transfer import TransferFunction
 
-__all__ = ["bounding_box", "grow_one_voxel", "wall_value", "with_wall"]
+__all__ = ["bounding_box", "grow_one_voxel", "wall_levels", "with_wall"]
+
+# Height of the cap over the smoothed lumen (1 deep inside, 0 outside), in units of the ramp from clear (0) to opaque (1). The
+# flat side of a lumen has 3/4 in its last voxel and 1/4 in the first outside, so the cap turns opaque about one voxel outside.
+CAP_LUMEN = (0.0, 0.3, 0.6, 1.0)
+CAP_HEIGHT = (7 / 6, 1.0, -1 / 3, -1.0)
+# The shell is at least this high, also in a corner where most of its neighbours are lumen.
+LOWEST_SHELL = 2 / 3
 
 
 def grow_one_voxel(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -36,8 +44,19 @@ def bounding_box(mask: NDArray[np.bool_], margin: int) -> tuple[slice, slice, sl
     return z, y, x
 
 
-def with_wall(hu_zyx: NDArray[np.int16], lumen_zyx: NDArray[np.uint8], wall_value: int) -> NDArray[np.int16]:
-    """A copy in which the one-voxel shell round the lumen is at least ``wall_value``.
+def wall_levels(transfer: TransferFunction) -> tuple[int, int]:
+    """The last value before the wall that is clear, and the first that is as good as opaque."""
+    alphas = transfer.points[:, 4]
+    opaque = int(np.flatnonzero(alphas >= 0.9 * alphas.max())[0])
+    clear = max(opaque - 1, 0)
+    low, high = transfer.points[clear, 0], transfer.points[opaque, 0]
+    return int(np.floor(low)), int(max(np.ceil(high), np.floor(low) + 1))
+
+
+def with_wall(hu_zyx: NDArray[np.int16], lumen_zyx: NDArray[np.uint8], levels: tuple[int, int]) -> NDArray[np.int16]:
+    """A copy in which nothing shines through the wall of the lumen, and the lumen is as open as it was.
+
+    Values are only raised. Where the scan shows the wall, it is higher than what would be written, and stays.
 
     Parameters
     ----------
@@ -45,23 +64,29 @@ def with_wall(hu_zyx: NDArray[np.int16], lumen_zyx: NDArray[np.uint8], wall_valu
         (nz, ny, nx) int16. Not modified.
     lumen_zyx
         The lumen on the same grid, not 0 inside.
-    wall_value
-        A value that the transfer function shows as opaque.
+    levels
+        The highest value of the airway that the transfer function shows as clear, and the lowest that it shows as opaque.
     """
     out = hu_zyx.copy()
-    lumen = lumen_zyx != 0
-    box = bounding_box(lumen, 1)
+    box = bounding_box(lumen_zyx != 0, 4)
     if box is None:
         return out
-    inside = lumen[box]
-    shell = grow_one_voxel(inside) & ~inside
+    clear, opaque = levels
+    ramp = opaque - clear
     part = out[box]
-    part[shell] = np.maximum(part[shell], np.int16(wall_value))
+    # A lumen that was found by a low threshold ends inside the blurred edge. Its wall starts where that edge is half way up,
+    # or the steps of the mask would show in place of the smooth edge.
+    lumen = lumen_zyx[box] != 0
+    lumen |= grow_one_voxel(lumen) & (part < clear + ramp // 2)
+    shell = grow_one_voxel(lumen) & ~lumen
+    backing = grow_one_voxel(shell | lumen) & ~shell & ~lumen
+    smooth = _core.smooth_mask(np.ascontiguousarray(lumen, dtype=np.uint8)) / np.float32(1024)
+    cap = np.interp(smooth, CAP_LUMEN, [clear + h * ramp for h in CAP_HEIGHT])
+    cap[shell] = np.maximum(cap[shell], clear + LOWEST_SHELL * ramp)
+    # The lumen itself stays clear, however narrow: a branch of one voxel is no plug.
+    cap[lumen] = np.minimum(cap[lumen], clear)
+    # A second voxel behind the shell: one alone would let a third of the light through where the voxels are small.
+    cap[backing] = opaque + 0.5 * ramp
+    near = lumen | shell | backing
+    part[near] = np.maximum(part[near], np.clip(np.rint(cap[near]), -32768, 32767).astype(np.int16))
     return out
-
-
-def wall_value(transfer: TransferFunction) -> int:
-    """The value that a wall must have at least: the lowest point of the transfer function that is as good as opaque."""
-    alphas = transfer.points[:, 4]
-    opaque = np.flatnonzero(alphas >= 0.9 * alphas.max())
-    return int(np.clip(np.ceil(transfer.points[opaque[0], 0]), -32768, 32767))
