@@ -1,0 +1,228 @@
+/** The airway picture with its tools above it and its readings in the corners, outside the lumen. */
+
+import { Button, Label, ListBox, ListBoxItem, Popover, Select, SelectValue, Slider, SliderOutput, SliderThumb, SliderTrack } from "react-aria-components";
+import { keyOf } from "../input/keymap";
+import { pathMm } from "../state/app-state";
+import { forkAhead } from "../state/fork";
+import { fixed, mm } from "../state/format";
+import { cameraFromMatrix } from "../state/vec";
+import type { StateMessage } from "../wire/messages";
+import { useApp, useStation } from "./context";
+import { Act, Choice, SwitchKey, Tip } from "./controls";
+import { Icon } from "./icons";
+import { PictureView } from "./PictureView";
+
+export function AirwayStage() {
+  const shape = useApp((state) => state.ui.airwayShape);
+  const shown = useApp((state) => state.frames.airway !== undefined);
+  const station = useStation();
+  return (
+    <section className="airway-stage" aria-label="Airway view">
+      <AirwayTools />
+      <div className="airway-picture" data-shape={shape}>
+        <PictureView
+          view="airway"
+          shape={shape === "round" ? "round" : "fill"}
+          name="Airway view, seen from the tip"
+          onDoubleClick={() => station.ui({ full: station.state.ui.full === "airway" ? null : "airway" })}
+        />
+        {shown ? <Readings /> : <p className="empty centre">The view from the tip appears here as soon as the CT is read.</p>}
+      </div>
+    </section>
+  );
+}
+
+function AirwayTools() {
+  const station = useStation();
+  const session = useApp((state) => state.session);
+  const hasRoute = useApp((state) => state.route !== null);
+  const ui = useApp((state) => state.ui);
+  if (session === null) return null;
+  const facing = session.operator === "facing";
+  return (
+    <div className="tools" role="toolbar" aria-label="Airway view">
+      <Choice<StateMessage["mode"]>
+        name="Movement"
+        value={session.mode}
+        choices={[
+          {
+            value: "path",
+            label: "Path",
+            words: hasRoute ? "Move along the route, look freely" : "Needs a route: choose a branch or mark a target",
+            keys: keyOf("toggle_mode"),
+            disabled: !hasRoute,
+          },
+          { value: "free", label: "Free", words: "Move anywhere", keys: keyOf("toggle_mode") },
+        ]}
+        onChange={(mode) => station.send({ type: "set_mode", mode })}
+      />
+      <Act
+        icon="operator"
+        label={facing ? "Facing" : "Head end"}
+        words={facing ? "The operator faces the patient; turn to the head end" : "The operator stands at the head end; turn to facing the patient"}
+        keys={keyOf("flip_operator")}
+        onPress={() => station.act("flip_operator")}
+      />
+      <Act kind="icon" icon="level" words="Level the horizon" keys={keyOf("level_horizon")} onPress={() => station.act("level_horizon")} />
+      <Act kind="icon" icon="straight" words="Look straight along the path" keys={keyOf("reset_look")} onPress={() => station.act("reset_look")} />
+      <span className="space" />
+      <TransferSelect />
+      <Fov />
+      <SwitchKey
+        icon="light"
+        words={session.shading ? "Light at the tip is on" : "Light at the tip is off"}
+        on={session.shading}
+        onChange={() => station.send({ type: "set_shading", on: !session.shading })}
+      />
+      <SwitchKey
+        icon="routeLine"
+        words="Line of the route"
+        keys={keyOf("toggle_route_line")}
+        on={ui.routeLineVisible}
+        onChange={() => station.act("toggle_route_line")}
+      />
+      <SwitchKey
+        icon="round"
+        words="Round picture, as in a bronchoscope"
+        keys={keyOf("toggle_shape")}
+        on={ui.airwayShape === "round"}
+        onChange={() => station.act("toggle_shape")}
+      />
+    </div>
+  );
+}
+
+const TRANSFER_WORDS: Readonly<Record<string, string>> = {
+  endoscopic: "Endoscopic",
+  paper: "As in the paper",
+  "ct-grey": "CT grey",
+  "see-through": "See-through",
+};
+
+const transferWords = (name: string): string => TRANSFER_WORDS[name] ?? name;
+
+function TransferSelect() {
+  const station = useStation();
+  const presets = useApp((state) => state.session?.transfer_presets ?? null);
+  const transfer = useApp((state) => state.session?.transfer ?? "");
+  const names = presets === null ? [] : presets.includes(transfer) || transfer === "" ? presets : [transfer, ...presets];
+  return (
+    <Select
+      aria-label="Look of the walls"
+      className="select"
+      selectedKey={transfer}
+      onSelectionChange={(key) => {
+        if (key !== null && key !== transfer) station.send({ type: "set_transfer", preset: String(key), document: null });
+      }}
+    >
+      <Tip words="How tissue is coloured in the airway view">
+        <Button className="button">
+          <SelectValue>{() => transferWords(transfer)}</SelectValue>
+          <Icon name="down" />
+        </Button>
+      </Tip>
+      <Popover className="popover" offset={4}>
+        <ListBox className="listbox">
+          {names.map((name) => (
+            <ListBoxItem key={name} id={name} textValue={transferWords(name)} className="listbox-item">
+              {transferWords(name)}
+            </ListBoxItem>
+          ))}
+        </ListBox>
+      </Popover>
+    </Select>
+  );
+}
+
+function Fov() {
+  const station = useStation();
+  const fov = useApp((state) => state.session?.fov_deg ?? 90);
+  return (
+    <Slider
+      className="slider inline"
+      minValue={60}
+      maxValue={170}
+      step={5}
+      value={Math.min(Math.max(fov, 60), 170)}
+      onChange={(value) => station.sendSoon({ type: "set_fov", fov_deg: value })}
+    >
+      <Label className="visually-hidden">Field of view</Label>
+      <Tip words="Field of view: full angle across the picture">
+        <Button className="plain-text" excludeFromTabOrder>
+          <SliderOutput className="numbers">{() => `${fixed(fov)}\u00b0`}</SliderOutput>
+        </Button>
+      </Tip>
+      <SliderTrack className="slider-track">
+        <SliderThumb className="slider-thumb" />
+      </SliderTrack>
+    </Slider>
+  );
+}
+
+/** Where the tip is, in the corners that the round picture leaves free. */
+function Readings() {
+  const pose = useApp((state) => state.pose);
+  const tree = useApp((state) => state.tree);
+  const route = useApp((state) => state.route);
+  const at = useApp(pathMm);
+  const station = useStation();
+  const advancing = useApp((state) => state.ui.advancing);
+  if (pose === null) return null;
+  const fork =
+    tree === null || route === null || at === null || pose.mode !== "path"
+      ? null
+      : forkAhead(tree, route, at, cameraFromMatrix(pose.lps_from_camera));
+  const node = pose.branch_id === null ? undefined : tree?.byId.get(pose.branch_id);
+  return (
+    <>
+      <div className="reading top-left" data-testid="hud">
+        {pose.inside ? (
+          <strong>{pose.branch_name ?? node?.label ?? "Airway"}</strong>
+        ) : (
+          <strong className="warning-text">Outside the airway</strong>
+        )}
+        {pose.generation === null ? null : <span>generation {pose.generation}</span>}
+      </div>
+      <div className="reading top-right numbers">
+        {at === null ? null : (
+          <span>
+            depth <strong>{mm(at, 0)}</strong>
+          </span>
+        )}
+        {pose.lumen_mm === null ? null : (
+          <span>
+            lumen <strong>{mm(pose.lumen_mm)}</strong>
+          </span>
+        )}
+      </div>
+      <div className="reading bottom-left numbers">
+        {fork === null ? null : (
+          <>
+            <span>{fork.distanceMm <= 0 ? "at the fork" : `fork in ${mm(fork.distanceMm, 0)}`}</span>
+            <span className="ways">
+              {fork.ways.map((way) => (
+                <span key={way.node.branch.id} className={way.chosen ? "way chosen" : "way"}>
+                  {way.node.label} <span className="quiet">{way.hour} h</span>
+                </span>
+              ))}
+            </span>
+          </>
+        )}
+      </div>
+      <div className="reading bottom-right">
+        {pose.mode === "path" ? (
+          <Act
+            kind="quiet"
+            icon={advancing ? "stop" : "play"}
+            label={advancing ? "Stop" : "To the fork"}
+            words={advancing ? "Stop here" : "Advance to the next fork and stop there"}
+            keys="Space"
+            onPress={() => station.act("auto_advance")}
+          />
+        ) : (
+          <span className="quiet">free movement</span>
+        )}
+      </div>
+    </>
+  );
+}

@@ -1,0 +1,127 @@
+/** The safety sentence at first start, and the card of keys. */
+
+import { Button, Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
+import { KEYMAP, type KeyGroup } from "../input/keymap";
+import { useApp, useStation } from "./context";
+import { Act } from "./controls";
+
+export function NoticeDialog() {
+  const station = useStation();
+  const due = useApp((state) => state.start?.notice_accepted === false);
+  return (
+    <ModalOverlay className="dialog-back" isOpen={due} isKeyboardDismissDisabled>
+      <Modal className="dialog notice-dialog">
+        <Dialog role="alertdialog">
+          <Heading slot="title">Carina is not a medical device</Heading>
+          <p>
+            It is software for research, teaching and rehearsal. It has not been examined or approved for diagnosis or
+            treatment, and what it finds by itself can be wrong: airways may be missing, joined or invented by noise.
+          </p>
+          <p>Decisions about a patient belong to a physician, from the original images.</p>
+          <p className="quiet">
+            Your images stay on this machine. Carina sends nothing to anyone and stores no patient names.
+          </p>
+          <div className="dialog-actions">
+            <Button
+              autoFocus
+              className="button primary"
+              data-testid="notice-accept"
+              onPress={() => station.send({ type: "accept_notice" })}
+            >
+              I have read this
+            </Button>
+          </div>
+        </Dialog>
+      </Modal>
+    </ModalOverlay>
+  );
+}
+
+const GROUPS: readonly KeyGroup[] = ["Fly", "Look", "Plan", "Pictures", "Help"];
+
+const MOUSE: readonly { where: string; what: readonly [string, string][] }[] = [
+  {
+    where: "Airway picture",
+    what: [
+      ["Drag", "look around"],
+      ["Wheel", "advance and withdraw"],
+    ],
+  },
+  {
+    where: "Slices",
+    what: [
+      ["Click, drag, Shift + move", "move the crosshair"],
+      ["Wheel", "next slice"],
+      ["Ctrl + wheel", "zoom"],
+      ["Right drag", "window: across width, up level"],
+    ],
+  },
+  {
+    where: "Tree and tri-plane",
+    what: [
+      ["Drag", "turn"],
+      ["Wheel", "nearer, farther"],
+    ],
+  },
+  {
+    where: "Any picture",
+    what: [
+      ["Double click, Enter", "full, and back"],
+      ["Shift + arrows", "move crosshair, turn"],
+      ["Page up, page down", "next slice"],
+      ["+  \u2212  Home", "zoom, fit"],
+    ],
+  },
+];
+
+export function KeyCard() {
+  const station = useStation();
+  const open = useApp((state) => state.ui.keyCardOpen);
+  return (
+    <ModalOverlay
+      className="dialog-back"
+      isOpen={open}
+      isDismissable
+      onOpenChange={(keyCardOpen) => station.ui({ keyCardOpen })}
+    >
+      <Modal className="dialog key-card">
+        <Dialog data-testid="key-card">
+          <div className="dialog-head">
+            <Heading slot="title">Keys and mouse</Heading>
+            <Act kind="icon" icon="close" words="Close" keys="Esc" onPress={() => station.ui({ keyCardOpen: false })} />
+          </div>
+          <div className="key-columns">
+            {GROUPS.map((group) => (
+              <section key={group}>
+                <h3>{group}</h3>
+                <dl>
+                  {KEYMAP.filter((binding) => binding.group === group).map((binding) => (
+                    <div key={binding.label}>
+                      <dt>
+                        <kbd>{binding.label}</kbd>
+                      </dt>
+                      <dd>{binding.words}</dd>
+                    </div>
+                  ))}
+                </dl>
+              </section>
+            ))}
+            {MOUSE.map((part) => (
+              <section key={part.where}>
+                <h3>{part.where}</h3>
+                <dl className="mouse">
+                  {part.what.map(([how, what]) => (
+                    <div key={how}>
+                      <dt>{how}</dt>
+                      <dd>{what}</dd>
+                    </div>
+                  ))}
+                </dl>
+              </section>
+            ))}
+          </div>
+        </Dialog>
+      </Modal>
+    </ModalOverlay>
+  );
+}

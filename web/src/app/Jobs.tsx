@@ -1,0 +1,65 @@
+/** Long work: a thin bar with what, how far, how long, and a way to stop it. */
+
+import { ProgressBar } from "react-aria-components";
+import { timeLeft } from "../state/format";
+import { useApp, useStation } from "./context";
+import { Act } from "./controls";
+
+interface ThinProgressProps {
+  title: string;
+  what: string;
+  fraction: number | null;
+  secondsLeft: number | null;
+  onCancel: () => void;
+}
+
+export function ThinProgress({ title, what, fraction, secondsLeft, onCancel }: ThinProgressProps) {
+  return (
+    <ProgressBar className="job" aria-label={title} value={fraction ?? 0} maxValue={1} isIndeterminate={fraction === null}>
+      <div className="job-bar">
+        <div className={fraction === null ? "unknown" : ""} style={{ width: `${100 * (fraction ?? 1)}%` }} />
+      </div>
+      <div className="job-words">
+        <span>
+          {title}
+          {what === "" || what === title ? "" : `: ${what}`}
+        </span>
+        <span className="numbers quiet">
+          {fraction === null ? "" : `${Math.floor(100 * fraction)} %`}
+          {secondsLeft === null ? "" : `${fraction === null ? "" : ", "}${timeLeft(secondsLeft)}`}
+        </span>
+        <Act kind="quiet" label="Cancel" words={`Stop: ${title}`} onPress={onCancel} />
+      </div>
+    </ProgressBar>
+  );
+}
+
+export function Jobs() {
+  const station = useStation();
+  const jobs = useApp((state) => state.jobs);
+  const upload = useApp((state) => state.upload);
+  if (jobs.length === 0 && upload === null) return null;
+  return (
+    <div className="jobs" role="status">
+      {upload === null ? null : (
+        <ThinProgress
+          title="Taking the files"
+          what={`${upload.numFiles} files`}
+          fraction={upload.totalBytes > 0 ? upload.sentBytes / upload.totalBytes : null}
+          secondsLeft={null}
+          onCancel={station.cancelUpload}
+        />
+      )}
+      {jobs.map((job) => (
+        <ThinProgress
+          key={job.job_id}
+          title={job.title}
+          what={job.what}
+          fraction={job.fraction}
+          secondsLeft={job.seconds_left}
+          onCancel={() => station.send({ type: "cancel", job_id: job.job_id })}
+        />
+      ))}
+    </div>
+  );
+}

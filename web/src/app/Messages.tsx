@@ -1,0 +1,45 @@
+/** Errors and news: one place, newest first. Errors stay until they are read; news leave by themselves. */
+
+import { useEffect } from "react";
+import type { Message } from "../state/app-state";
+import { useApp, useStation } from "./context";
+import { Act } from "./controls";
+import { Icon } from "./icons";
+
+/** Long enough to read two lines twice. */
+const NOTICE_MS = 8000;
+
+export function Messages() {
+  const messages = useApp((state) => state.messages);
+  return (
+    <section className="messages" aria-label="Messages">
+      {messages.map((message) => (
+        <Card key={message.id} message={message} />
+      ))}
+    </section>
+  );
+}
+
+function Card({ message }: { message: Message }) {
+  const { store } = useStation();
+  useEffect(() => {
+    if (message.kind !== "notice") return;
+    const timer = setTimeout(() => store.dispatch({ kind: "dismiss", id: message.id }), NOTICE_MS);
+    return () => clearTimeout(timer);
+  }, [message, store]);
+  return (
+    <div className={`message ${message.kind}`} role={message.kind === "error" ? "alert" : "status"}>
+      <Icon name={message.kind === "error" ? "error" : "info"} />
+      <div>
+        <p>{message.message}</p>
+        {message.action === null ? null : <p className="action">{message.action}</p>}
+      </div>
+      <Act
+        kind="icon"
+        icon="close"
+        words={message.kind === "error" ? "I have read this" : "Close"}
+        onPress={() => store.dispatch({ kind: "dismiss", id: message.id })}
+      />
+    </div>
+  );
+}

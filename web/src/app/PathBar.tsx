@@ -1,0 +1,134 @@
+/** The route as a ruler: where the tip is, the forks, the branches' names and generations. */
+
+import { useLayoutEffect, useRef, useState } from "react";
+import { Slider, SliderThumb, SliderTrack } from "react-aria-components";
+import { keyOf } from "../input/keymap";
+import { pathMm, tipLps } from "../state/app-state";
+import { fixed, mm } from "../state/format";
+import { nearestMm } from "../state/route";
+import type { RouteInfo } from "../wire/messages";
+import { useApp, useStation } from "./context";
+import { Act } from "./controls";
+
+/** Width of a letter at the size of the names, generous: a name that may not fit is not begun. */
+const LETTER_PX = 6.6;
+
+export function PathBar() {
+  const station = useStation();
+  const route = useApp((state) => state.route);
+  const at = useApp(pathMm);
+  const stage = useApp((state) => state.session?.airways ?? "none");
+  if (route === null) {
+    return (
+      <section className="path-bar" aria-label="Route">
+        <p className="empty">
+          {stage === "found"
+            ? "No route yet. Choose a branch in the list, or mark a target with N and a click in a slice: the way there appears here."
+            : "The route appears here: distance, forks and branch names, once the airways are found."}
+        </p>
+      </section>
+    );
+  }
+  const here = at ?? 0;
+  return (
+    <section className="path-bar" aria-label="Route">
+      <Act kind="icon" icon="previousFork" words="Back to the fork before" keys={keyOf("previous_fork")} onPress={() => station.toFork("previous")} />
+      <Act kind="icon" icon="back" words="Withdraw 2 mm" keys="S" disabled={at === null || here <= 0} onPress={() => station.stepAlong(-1)} />
+      <Ruler route={route} at={at} />
+      <Act kind="icon" icon="forward" words="Advance 2 mm" keys="W" disabled={at === null || here >= route.length_mm} onPress={() => station.stepAlong(1)} />
+      <Act kind="icon" icon="nextFork" words="To the next fork (Space flies there)" onPress={() => station.toFork("next")} />
+      <p className="path-numbers numbers">
+        {at === null ? "off the path" : <strong>{mm(at)}</strong>}
+        <span className="quiet">of {mm(route.length_mm, 0)}</span>
+      </p>
+    </section>
+  );
+}
+
+function Ruler({ route, at }: { route: RouteInfo; at: number | null }) {
+  const station = useStation();
+  const box = useRef<HTMLDivElement>(null);
+  const [width, setWidth] = useState(0);
+  useLayoutEffect(() => {
+    const element = box.current;
+    if (element === null) return;
+    const observer = new ResizeObserver(() => setWidth(element.clientWidth));
+    observer.observe(element);
+    return () => observer.disconnect();
+  }, []);
+  const length = Math.max(route.length_mm, 0.1);
+  const percent = (value: number) => `${(100 * Math.min(Math.max(value / length, 0), 1)).toFixed(3)}%`;
+  return (
+    <div className="ruler" ref={box}>
+      <div className="ruler-spans" aria-hidden="true">
+        {route.spans.map((span) => {
+          const pixels = ((span.to_mm - span.from_mm) / length) * width;
+          const name = span.name ?? "";
+          const generation = String(span.generation);
+          const full = name === "" ? `generation ${generation}` : `${name} \u00b7 ${generation}`;
+          const words = [full, name, generation].find((text) => text !== "" && text.length * LETTER_PX + 8 <= pixels);
+          return (
+            <span
+              key={span.branch_id}
+              className={at !== null && at >= span.from_mm && at < span.to_mm ? "span here" : "span"}
+              style={{ left: percent(span.from_mm), width: percent(span.to_mm - span.from_mm) }}
+            >
+              {words ?? ""}
+            </span>
+          );
+        })}
+      </div>
+      <Slider
+        className={at === null ? "path-slider off" : "path-slider"}
+        aria-label="Place on the route in mm"
+        minValue={0}
+        maxValue={length}
+        step={0.1}
+        value={at ?? 0}
+        onChange={(value) => station.goTo(value)}
+      >
+        <SliderTrack className="path-track">
+          <div className="path-line" />
+          <div className="path-done" style={{ width: percent(at ?? 0) }} />
+          {route.forks_mm.map((fork) => (
+            <span key={fork} className="fork" style={{ left: percent(fork) }} />
+          ))}
+          {at === null ? <Shadow route={route} percent={percent} /> : null}
+          <span className="flag" />
+          <SliderThumb className="path-thumb" />
+        </SliderTrack>
+      </Slider>
+      <div className="ruler-scale numbers" aria-hidden="true">
+        {marks(length, width).map((mark) => (
+          <span key={mark} style={{ left: percent(mark) }}>
+            {fixed(mark)}
+          </span>
+        ))}
+      </div>
+    </div>
+  );
+}
+
+/** In free movement: the place of the route that the tip is nearest to. */
+function Shadow({ route, percent }: { route: RouteInfo; percent: (value: number) => string }) {
+  const tip = useApp((state) => (state.pose === null ? null : tipKey(tipLps(state))));
+  if (tip === null) return null;
+  return <span className="shadow" style={{ left: percent(nearestMm(route, tip)) }} />;
+}
+
+let lastTip: readonly [number, number, number] | null = null;
+
+/** The same object for the same place, as a selector must return. */
+function tipKey(tip: readonly [number, number, number] | null): readonly [number, number, number] | null {
+  if (tip !== null && lastTip !== null && tip.every((value, index) => value === lastTip?.[index])) return lastTip;
+  lastTip = tip;
+  return tip;
+}
+
+/** Round distances with room between their numbers. */
+function marks(lengthMm: number, widthPx: number): number[] {
+  if (widthPx < 50) return [];
+  const step = [5, 10, 20, 25, 50, 100, 200].find((value) => (value / lengthMm) * widthPx >= 44) ?? 500;
+  const count = Math.floor((lengthMm - 0.35 * step) / step);
+  return Array.from({ length: Math.max(count, 0) + 1 }, (_, index) => index * step);
+}

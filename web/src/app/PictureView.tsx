@@ -1,0 +1,54 @@
+/** A place for one picture. Everything inside is framework-free; this only mounts it and tells it its size. */
+
+import { useEffect, useRef } from "react";
+import { Viewport, type Shape } from "../views/viewport";
+import type { ViewName } from "../wire/messages";
+import { useStation } from "./context";
+import { gesturesOf } from "./gestures";
+
+interface PictureViewProps {
+  view: ViewName;
+  shape: Shape;
+  name: string;
+  onDoubleClick: () => void;
+}
+
+export function PictureView({ view, shape, name, onDoubleClick }: PictureViewProps) {
+  const station = useStation();
+  const host = useRef<HTMLDivElement>(null);
+  const viewport = useRef<Viewport | null>(null);
+  const double = useRef(onDoubleClick);
+  double.current = onDoubleClick;
+  const first = useRef({ view, shape });
+
+  useEffect(() => {
+    const element = host.current;
+    if (element === null) return;
+    const made = new Viewport(element, first.current.view, first.current.shape);
+    viewport.current = made;
+    const measure = () => {
+      made.resize(element.clientWidth, element.clientHeight, Math.min(window.devicePixelRatio || 1, 2));
+      station.wall.touchLayout();
+    };
+    measure();
+    const observer = new ResizeObserver(measure);
+    observer.observe(element);
+    const remove = station.wall.add(made);
+    const stopGestures = gesturesOf(station, made, () => double.current());
+    return () => {
+      observer.disconnect();
+      stopGestures();
+      remove();
+      viewport.current = null;
+    };
+  }, [station]);
+
+  useEffect(() => {
+    first.current = { view, shape };
+    const made = viewport.current;
+    if (made !== null) station.wall.show(made, view, shape);
+  }, [station, view, shape]);
+
+  // biome-ignore lint/a11y/noNoninteractiveTabindex: a picture takes keys of its own (crosshair, zoom, full)
+  return <div ref={host} className="picture-host" tabIndex={0} role="img" aria-label={name} />;
+}

@@ -1,0 +1,164 @@
+/** The first screen: drop a folder, go on with a recent case, or look at a demo. */
+
+import { type DragEvent, useState } from "react";
+import { Button, FileTrigger, Form, Input, Label, TextField } from "react-aria-components";
+import { filesOfDrop, filesOfPicker } from "../net/upload";
+import { useApp, useStation } from "./context";
+import { Act, Tip } from "./controls";
+import { Icon } from "./icons";
+import { Jobs } from "./Jobs";
+
+export function StartPage() {
+  const version = useApp((state) => state.version);
+  return (
+    <main className="start" data-testid="start">
+      <header>
+        <h1>Carina</h1>
+        <p>Fly through the airways of a chest CT.</p>
+      </header>
+      <div className="start-grid">
+        <section aria-labelledby="open-heading">
+          <h2 id="open-heading">Open a CT</h2>
+          <DropPlace />
+          <PathForm />
+          <Jobs />
+          <Recent />
+        </section>
+        <section aria-labelledby="demo-heading">
+          <h2 id="demo-heading">Or look at an example</h2>
+          <Demos />
+        </section>
+      </div>
+      <footer>
+        <strong>Not a medical device.</strong> For research, teaching and rehearsal; not for diagnosis. Your images stay on
+        this machine.
+        <span className="quiet">{version === null ? "" : ` Carina ${version}`}</span>
+      </footer>
+    </main>
+  );
+}
+
+function DropPlace() {
+  const station = useStation();
+  const [over, setOver] = useState(false);
+  const drop = (event: DragEvent) => {
+    event.preventDefault();
+    setOver(false);
+    void filesOfDrop(event.dataTransfer.items).then((files) => station.upload(files));
+  };
+  const pick = (list: FileList | null) => {
+    if (list !== null && list.length > 0) void station.upload(filesOfPicker(list));
+  };
+  return (
+    // biome-ignore lint/a11y/noStaticElementInteractions: the buttons inside do the same by keyboard
+    <div
+      className={over ? "drop over" : "drop"}
+      onDragOver={(event) => {
+        event.preventDefault();
+        setOver(true);
+      }}
+      onDragLeave={() => setOver(false)}
+      onDrop={drop}
+    >
+      <Icon name="folder" />
+      <p>
+        <strong>Drop a folder or a file here</strong>
+        <br />
+        <span className="quiet">a DICOM series, NIfTI, NRRD or MetaImage</span>
+      </p>
+      <div className="row">
+        <FileTrigger acceptDirectory onSelect={pick}>
+          <Tip words="Choose a folder with a DICOM series">
+            <Button className="button">Choose folder</Button>
+          </Tip>
+        </FileTrigger>
+        <FileTrigger onSelect={pick}>
+          <Tip words="Choose a NIfTI, NRRD or MetaImage file">
+            <Button className="button">Choose file</Button>
+          </Tip>
+        </FileTrigger>
+      </div>
+    </div>
+  );
+}
+
+function PathForm() {
+  const station = useStation();
+  const [path, setPath] = useState("");
+  return (
+    <Form
+      className="path-form"
+      onSubmit={(event) => {
+        event.preventDefault();
+        if (path.trim() !== "") station.openPath(path.trim());
+      }}
+    >
+      <TextField value={path} onChange={setPath}>
+        <Label>or type the path of a folder or file on this machine (nothing is copied)</Label>
+        <div className="row">
+          <Input placeholder="/data/ct/series" spellCheck="false" autoComplete="off" />
+          <Tip words="Open this path" keys="Enter">
+            <Button type="submit" className="button primary" isDisabled={path.trim() === ""}>
+              Open
+            </Button>
+          </Tip>
+        </div>
+      </TextField>
+    </Form>
+  );
+}
+
+function Recent() {
+  const station = useStation();
+  const recent = useApp((state) => state.start?.recent ?? null);
+  return (
+    <>
+      <h2>Recent cases</h2>
+      {recent === null || recent.length === 0 ? (
+        <p className="empty">The cases you open appear here, by date and series, without names.</p>
+      ) : (
+        <ul className="recent">
+          {recent.map((entry) => (
+            <li key={entry.recent_id}>
+              <Tip words="Open this case again">
+                <Button
+                  className="recent-case"
+                  onPress={() => station.send({ type: "open_recent", recent_id: entry.recent_id })}
+                >
+                  <span>{entry.title}</span>
+                  <span className="numbers quiet">{entry.date.slice(0, 10)}</span>
+                </Button>
+              </Tip>
+            </li>
+          ))}
+        </ul>
+      )}
+    </>
+  );
+}
+
+function Demos() {
+  const station = useStation();
+  const demos = useApp((state) => state.start?.demos ?? null);
+  return (
+    <div className="demos">
+      {(demos ?? []).map((demo) => (
+        <article key={demo.name} className="demo">
+          <img src={`./demo-${demo.name}.svg`} alt="" width={320} height={180} />
+          <div>
+            <h3>{demo.title}</h3>
+            <p>{demo.words}</p>
+            {demo.citation === null ? null : <p className="citation">{demo.citation}</p>}
+            <Act
+              kind="primary"
+              label="Open this example"
+              words={`Open: ${demo.title}`}
+              testId={`demo-${demo.name}`}
+              onPress={() => station.openDemo(demo.name)}
+            />
+          </div>
+        </article>
+      ))}
+    </div>
+  );
+}

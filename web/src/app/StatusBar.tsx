@@ -1,0 +1,90 @@
+/** How it runs, said honestly, and the sentence that is always there. */
+
+import { useEffect, useState } from "react";
+import { coordinates, fixed, windowWords } from "../state/format";
+import { greyWindow } from "../state/app-state";
+import { useApp, useStation } from "./context";
+import { Act } from "./controls";
+
+export function StatusBar() {
+  const station = useStation();
+  const status = useApp((state) => state.status);
+  const drawn = useApp((state) => state.drawnFps);
+  const method = useApp((state) => state.session?.method ?? "leap");
+  const mode = useApp((state) => state.session?.mode ?? "free");
+  const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
+  const width = useApp((state) => greyWindow(state).width_hu);
+  const level = useApp((state) => greyWindow(state).level_hu);
+  const cursor = useApp((state) => state.ui.cursorLps);
+  const undo = useApp((state) => state.session?.can_undo ?? null);
+  const redo = useApp((state) => state.session?.can_redo ?? null);
+  return (
+    <footer className="status-bar numbers">
+      <ConnectionWords />
+      <span title="Airway pictures drawn in the last second; 0 while nothing moves">frame {drawn}/s</span>
+      <span title="From the movement to its picture being sent">age {status === null ? "\u2013" : `${fixed(status.age_ms)} ms`}</span>
+      <span className="wide">
+        {method === "leap" ? "leaping" : "brute force"}
+        {status === null ? "" : `, ${status.threads} ${status.threads === 1 ? "core" : "cores"}, ${simdWords(status.simd)}`}
+      </span>
+      <span>mode: {mode} [M]</span>
+      <span className="wide">
+        {windowWords(width, level)}
+        {isHu ? " HU" : ""}
+      </span>
+      <span className="undo">
+        {undo === null ? null : (
+          <Act kind="quiet" icon="undo" label={`undo: ${undo}`} words={`Take back: ${undo}`} keys="Ctrl+Z" onPress={() => station.act("undo")} />
+        )}
+        {redo === null ? null : (
+          <Act kind="quiet" icon="redo" label={`redo: ${redo}`} words={`Do again: ${redo}`} keys="Ctrl+Shift+Z" onPress={() => station.act("redo")} />
+        )}
+      </span>
+      <span className="space" />
+      <span className="cursor wide">{cursor === null ? "" : coordinates(cursor)}</span>
+      <strong className="not-device">not a medical device</strong>
+    </footer>
+  );
+}
+
+const SIMD_WORDS: Readonly<Record<string, string>> = {
+  avx512: "AVX-512",
+  avx2: "AVX2",
+  neon: "NEON",
+  portable: "portable",
+};
+const simdWords = (name: string): string => SIMD_WORDS[name] ?? name;
+
+function ConnectionWords() {
+  const station = useStation();
+  const connection = useApp((state) => state.connection);
+  const [now, setNow] = useState(() => performance.now());
+  const waiting = connection.retryAtMs !== null;
+  useEffect(() => {
+    if (!waiting) return;
+    const timer = setInterval(() => setNow(performance.now()), 500);
+    return () => clearInterval(timer);
+  }, [waiting]);
+  switch (connection.status) {
+    case "open":
+      return null;
+    case "connecting":
+      return <span className="connection warning-text">connecting{"\u2026"}</span>;
+    case "lost": {
+      const seconds = Math.max(Math.ceil(((connection.retryAtMs ?? now) - now) / 1000), 0);
+      return (
+        <span className="connection error-text" role="alert" data-testid="connection-lost">
+          connection lost, next try in {seconds} s
+          <Act kind="quiet" label="Try now" words="Connect again now" onPress={station.reconnect} />
+        </span>
+      );
+    }
+    case "refused":
+      return (
+        <span className="connection error-text" role="alert">
+          {connection.reason}
+          <Act kind="quiet" label="Connect here" words="Work in this window again" onPress={station.reconnect} />
+        </span>
+      );
+  }
+}

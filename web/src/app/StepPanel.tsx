@@ -1,0 +1,44 @@
+/** The panel of the step that the work is at. Each has one primary action. */
+
+import { STEP_WORDS } from "../state/steps";
+import { useApp } from "./context";
+import { Jobs } from "./Jobs";
+import { AirwaysStep } from "./steps/AirwaysStep";
+import { CheckStep } from "./steps/CheckStep";
+import { OpenStep } from "./steps/OpenStep";
+import { RouteStep } from "./steps/RouteStep";
+import { TargetStep } from "./steps/TargetStep";
+
+export function StepPanel() {
+  const step = useApp((state) => state.ui.step);
+  return (
+    <section className="step-panel" aria-label={STEP_WORDS[step].title}>
+      <Jobs />
+      <h2>{STEP_WORDS[step].title}</h2>
+      <div className="step-body">{body(step)}</div>
+    </section>
+  );
+}
+
+function body(step: keyof typeof STEP_WORDS) {
+  switch (step) {
+    case "open":
+      return <OpenStep />;
+    case "check":
+      return <CheckStep />;
+    case "airways":
+      return <AirwaysStep />;
+    case "target":
+      return <TargetStep />;
+    case "route":
+      return <RouteStep />;
+    case "rehearse":
+    case "share":
+      return (
+        <>
+          <p>{STEP_WORDS[step].words}.</p>
+          <p className="quiet">This step is not built yet. Everything before it works without it.</p>
+        </>
+      );
+  }
+}

@@ -1,0 +1,61 @@
+/** Name, case, and the steps of the work. */
+
+import { Fragment } from "react";
+import { Button } from "react-aria-components";
+import { STEP_WORDS, STEPS } from "../state/steps";
+import { useApp, useStation } from "./context";
+import { Act, Tip } from "./controls";
+
+export function TopBar() {
+  const station = useStation();
+  const title = useApp((state) => state.session?.case?.title ?? "");
+  const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
+  const reason = useApp((state) => state.session?.case?.not_hu_reason ?? null);
+  const step = useApp((state) => state.ui.step);
+  return (
+    <header className="top-bar">
+      <h1>Carina</h1>
+      <p className="case-title">{title}</p>
+      {isHu ? null : (
+        <Tip words={reason ?? "The numbers of this volume are no Hounsfield units."}>
+          <Button className="badge warning" onPress={() => station.ui({ step: "check" })} data-testid="not-hu">
+            not HU
+          </Button>
+        </Tip>
+      )}
+      <nav aria-label="Steps">
+        <ol className="steps">
+          {STEPS.map((name, index) => {
+            const { title: words, words: tip, built } = STEP_WORDS[name];
+            return (
+              <Fragment key={name}>
+                {index === 0 ? null : (
+                  <li className="arrow" aria-hidden="true">
+                    {"\u203a"}
+                  </li>
+                )}
+                <li>
+                  <Tip words={tip}>
+                    <Button
+                      className={`step${built ? "" : " unbuilt"}`}
+                      aria-current={name === step ? "step" : undefined}
+                      onPress={(event) => {
+                        if (event.pointerType === "mouse" && document.activeElement instanceof HTMLElement) {
+                          document.activeElement.blur();
+                        }
+                        station.ui({ step: name });
+                      }}
+                    >
+                      {words}
+                    </Button>
+                  </Tip>
+                </li>
+              </Fragment>
+            );
+          })}
+        </ol>
+      </nav>
+      <Act kind="icon" label="?" words="Keys and mouse" keys="?" onPress={() => station.ui({ keyCardOpen: true })} />
+    </header>
+  );
+}

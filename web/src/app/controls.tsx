@@ -1,0 +1,126 @@
+/** The few controls that all panels are made of. */
+
+import type { ReactElement, ReactNode } from "react";
+import { Button, ToggleButton, ToggleButtonGroup, Tooltip, TooltipTrigger } from "react-aria-components";
+import type { IconName } from "./icons";
+import { Icon } from "./icons";
+
+const TOOLTIP_DELAY_MS = 450;
+
+/** Words on hovering or focusing, with the key that does the same. */
+export function Tip({ words, keys, children }: { words: string; keys?: string; children: ReactElement }) {
+  return (
+    <TooltipTrigger delay={TOOLTIP_DELAY_MS} closeDelay={80}>
+      {children}
+      <Tooltip className="tooltip" offset={6}>
+        {words}
+        {keys === undefined || keys === "" ? null : <kbd>{keys}</kbd>}
+      </Tooltip>
+    </TooltipTrigger>
+  );
+}
+
+/** A button that was clicked gives the keys back to the flight; one reached by Tab keeps the focus. */
+function giveKeysBack(pointerType: string): void {
+  if (pointerType === "keyboard" || pointerType === "virtual") return;
+  if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
+}
+
+interface ActProps {
+  words: string;
+  keys?: string;
+  icon?: IconName;
+  label?: ReactNode;
+  kind?: "plain" | "primary" | "quiet" | "icon";
+  disabled?: boolean;
+  testId?: string;
+  onPress: () => void;
+}
+
+export function Act({ words, keys, icon, label, kind = "plain", disabled = false, testId, onPress }: ActProps) {
+  const name = typeof label === "string" ? {} : { "aria-label": words };
+  return (
+    <Tip words={words} keys={keys}>
+      <Button
+        {...name}
+        className={`button ${kind}`}
+        isDisabled={disabled}
+        data-testid={testId}
+        onPress={(event) => {
+          giveKeysBack(event.pointerType);
+          onPress();
+        }}
+      >
+        {icon === undefined ? null : <Icon name={icon} />}
+        {label}
+      </Button>
+    </Tip>
+  );
+}
+
+interface SwitchProps {
+  words: string;
+  keys?: string;
+  icon?: IconName;
+  label?: string;
+  on: boolean;
+  disabled?: boolean;
+  testId?: string;
+  onChange: () => void;
+}
+
+export function SwitchKey({ words, keys, icon, label, on, disabled = false, testId, onChange }: SwitchProps) {
+  return (
+    <Tip words={words} keys={keys}>
+      <ToggleButton
+        className={label === undefined ? "button icon toggle" : "button toggle"}
+        aria-label={label === undefined ? words : undefined}
+        isSelected={on}
+        isDisabled={disabled}
+        data-testid={testId}
+        onPress={(event) => giveKeysBack(event.pointerType)}
+        onChange={onChange}
+      >
+        {icon === undefined ? null : <Icon name={icon} />}
+        {label}
+      </ToggleButton>
+    </Tip>
+  );
+}
+
+interface ChoiceProps<T extends string> {
+  name: string;
+  value: T;
+  choices: readonly { value: T; label: string; words: string; keys?: string; disabled?: boolean }[];
+  onChange: (value: T) => void;
+}
+
+/** A few values of which one holds. */
+export function Choice<T extends string>({ name, value, choices, onChange }: ChoiceProps<T>) {
+  return (
+    <ToggleButtonGroup
+      aria-label={name}
+      className="choice"
+      selectionMode="single"
+      disallowEmptySelection
+      selectedKeys={[value]}
+      onSelectionChange={(keys) => {
+        const chosen = choices.find((choice) => keys.has(choice.value));
+        if (chosen !== undefined && chosen.value !== value) onChange(chosen.value);
+      }}
+    >
+      {choices.map((choice) => (
+        <Tip key={choice.value} words={choice.words} keys={choice.keys}>
+          <ToggleButton
+            id={choice.value}
+            className="button toggle"
+            isDisabled={choice.disabled ?? false}
+            onPress={(event) => giveKeysBack(event.pointerType)}
+          >
+            {choice.label}
+          </ToggleButton>
+        </Tip>
+      ))}
+    </ToggleButtonGroup>
+  );
+}

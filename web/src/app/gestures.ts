@@ -1,0 +1,288 @@
+/** What the mouse, the wheel and the keys of a focused picture do, by kind of picture. */
+
+import { listenToPointer, type PointerHandlers, type PointerPlace } from "../input/pointer";
+import { WHEEL_MM_PER_PX } from "../input/flight";
+import { greyWindow } from "../state/app-state";
+import { type FlatGeometry, geometryOf, lpsFromPixel, mmPerPixel, normalOf } from "../state/projection";
+import { add, asVec3, cameraFromMatrix, distance, dot, scale, sub, type Vec3 } from "../state/vec";
+import type { Viewport } from "../views/viewport";
+import type { ViewName } from "../wire/messages";
+import type { Workstation } from "./workstation";
+
+const ORBIT_DEG_PER_PX = 0.5;
+const ORBIT_KEY_DEG = 5;
+const CROSSHAIR_KEY_MM = 1;
+const WINDOW_HU_PER_PX = 3;
+const ZOOM_PER_PX = 0.0015;
+/** A wheel notch (100 px) scrolls one slice. */
+const SCROLL_SLICES_PER_PX = 0.01;
+const ZOOM_KEY_PX = 120;
+
+type Slice = "axial" | "coronal" | "sagittal";
+const isSlice = (view: ViewName): view is Slice => view === "axial" || view === "coronal" || view === "sagittal";
+
+interface Gestures {
+  pointer: PointerHandlers;
+  key?(key: string, shift: boolean): boolean;
+}
+
+/** Returns how to stop. `doubleClick` makes the picture's cell full, and back. */
+export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick: () => void): () => void {
+  const gestures = (): Gestures => {
+    switch (viewport.view) {
+      case "airway":
+        return airwayGestures(station, viewport);
+      case "axial":
+      case "coronal":
+      case "sagittal":
+      case "cut-plane":
+        return flatGestures(station, viewport);
+      case "tree":
+      case "tri-plane":
+        return orbitGestures(station, viewport, viewport.view);
+      case "xray-axial":
+      case "xray-coronal":
+      case "xray-sagittal":
+        return { pointer: { drag: (_at, moved, button) => button === "window" && dragWindow(station, moved) } };
+    }
+  };
+  // Kept for the length of a drag: its beginning is remembered inside.
+  let current = gestures();
+  let view = viewport.view;
+  const now = (): Gestures => {
+    if (view !== viewport.view) {
+      view = viewport.view;
+      current = gestures();
+    }
+    return current;
+  };
+  const key = (event: KeyboardEvent) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target !== viewport.host) return;
+    if (event.key === "Enter") doubleClick();
+    else if (now().key?.(event.key, event.shiftKey) !== true) return;
+    event.preventDefault();
+  };
+  viewport.host.addEventListener("keydown", key);
+  const stopPointer = listenToPointer(viewport.host, {
+    click: (at) => now().pointer.click?.(at),
+    drag: (at, moved, button) => now().pointer.drag?.(at, moved, button),
+    release: () => now().pointer.release?.(),
+    hover: (at, shift) => now().pointer.hover?.(at, shift),
+    wheel: (delta, zoom, at) => now().pointer.wheel?.(delta, zoom, at),
+    doubleClick,
+  });
+  return () => {
+    viewport.host.removeEventListener("keydown", key);
+    stopPointer();
+  };
+}
+
+function airwayGestures(station: Workstation, viewport: Viewport): Gestures {
+  return {
+    pointer: {
+      drag: (_at, moved, button) => {
+        if (button !== "main") return;
+        const fovRad = ((station.state.session?.fov_deg ?? 90) * Math.PI) / 180;
+        const side = Math.max(Math.min(viewport.frame.width, viewport.frame.height), 1);
+        const perPx = fovRad / side;
+        station.flight.nudge({ yaw_rad: moved.dx * perPx, pitch_rad: -moved.dy * perPx });
+      },
+      wheel: (delta) => station.flight.nudge({ advance_mm: -delta * WHEEL_MM_PER_PX }),
+    },
+  };
+}
+
+function dragWindow(station: Workstation, moved: { dx: number; dy: number }): void {
+  const window = greyWindow(station.state);
+  // Volumes that are not HU may span a few grey levels only: then the drag is finer.
+  const range = station.state.session?.case?.value_range;
+  const perPx = range === undefined ? WINDOW_HU_PER_PX : Math.min(WINDOW_HU_PER_PX, ((range[1] ?? 0) - (range[0] ?? 0)) / 500);
+  station.sendSoon({
+    type: "set_window",
+    width_hu: Math.min(Math.max(window.width_hu + moved.dx * perPx, 1), 65_536),
+    level_hu: Math.min(Math.max(window.level_hu - moved.dy * perPx, -32_768), 32_768),
+  });
+}
+
+function flatGestures(station: Workstation, viewport: Viewport): Gestures {
+  /** Where the picture lay when the drag began: it may move under the pointer while it is zoomed. */
+  let held: { geometry: FlatGeometry; viewport: Viewport["header"] } | null = null;
+  const flat = (): FlatGeometry | null => {
+    if (viewport.header === null) return null;
+    const geometry = geometryOf(viewport.header);
+    return geometry?.kind === "flat" ? geometry : null;
+  };
+  const pointAt = (at: PointerPlace): Vec3 | null => {
+    const geometry = held?.geometry ?? flat();
+    const pixel = viewport.pixelAt(at);
+    if (geometry === null || pixel === null || viewport.header === null) return null;
+    // A picture sent while moving has fewer pixels over the same field: coordinates follow the held picture's own.
+    const of = held?.viewport ?? viewport.header;
+    const factor = of.width / viewport.header.width;
+    return lpsFromPixel(geometry, { column: pixel.column * factor, row: pixel.row * factor });
+  };
+  const scroll = (slices: number): void => {
+    const geometry = flat();
+    const centre = station.centre();
+    if (geometry === null || centre === null) return;
+    const step = sliceStepMm(station, viewport.view);
+    station.sendSoon({ type: "set_crosshair", lps: add(centre, scale(normalOf(geometry), slices * step)) });
+  };
+  const zoom = (deltaPx: number): void => {
+    const geometry = flat();
+    const { header, wantedPixels } = viewport;
+    if (geometry === null || header === null || wantedPixels === null) return;
+    const factor = Math.exp(deltaPx * ZOOM_PER_PX);
+    const extentMm = mmPerPixel(geometry) * header.width;
+    if (isSlice(viewport.view)) {
+      const mmPerPx = Math.min(Math.max((extentMm / wantedPixels.width) * factor, 0.02), 10);
+      station.sendSoon({ type: "set_zoom", view: viewport.view, mm_per_px: mmPerPx, extent_mm: null });
+    } else {
+      const extent = Math.min(Math.max(extentMm * factor, 5), 500);
+      station.sendSoon({ type: "set_zoom", view: "cut-plane", mm_per_px: null, extent_mm: extent });
+    }
+  };
+  const moveBy = (right: number, down: number): void => {
+    const geometry = flat();
+    const centre = station.centre();
+    if (geometry === null || centre === null) return;
+    const perMm = 1 / mmPerPixel(geometry);
+    const offset = add(scale(geometry.perColumn, right * perMm), scale(geometry.perRow, down * perMm));
+    station.sendSoon({ type: "set_crosshair", lps: add(centre, offset) });
+  };
+  let scrolled = 0;
+  return {
+    pointer: {
+      click: (at) => {
+        const lps = pointAt(at);
+        if (lps !== null) station.pick(lps);
+      },
+      drag: (at, moved, button) => {
+        if (button === "window") {
+          dragWindow(station, moved);
+          return;
+        }
+        const geometry = flat();
+        if (held === null && geometry !== null) held = { geometry, viewport: viewport.header };
+        const lps = pointAt(at);
+        if (lps !== null) station.sendSoon({ type: "set_crosshair", lps });
+      },
+      release: () => {
+        held = null;
+      },
+      hover: (at, shift) => {
+        const lps = at === null ? null : pointAt(at);
+        station.ui({ cursorLps: lps });
+        if (shift && lps !== null) station.sendSoon({ type: "set_crosshair", lps });
+      },
+      wheel: (delta, isZoom) => {
+        if (isZoom || !isSlice(viewport.view)) {
+          zoom(delta);
+          return;
+        }
+        scrolled += delta * SCROLL_SLICES_PER_PX;
+        const slices = Math.trunc(scrolled);
+        scrolled -= slices;
+        if (slices !== 0) scroll(slices);
+      },
+    },
+    key: (name, shift) => {
+      if (name === "PageUp" || name === "PageDown") scroll(name === "PageUp" ? -1 : 1);
+      else if (name === "+" || name === "=") zoom(-ZOOM_KEY_PX);
+      else if (name === "-") zoom(ZOOM_KEY_PX);
+      else if (name === "Home") fit(station, viewport.view);
+      else if (shift && name === "ArrowLeft") moveBy(-CROSSHAIR_KEY_MM, 0);
+      else if (shift && name === "ArrowRight") moveBy(CROSSHAIR_KEY_MM, 0);
+      else if (shift && name === "ArrowUp") moveBy(0, -CROSSHAIR_KEY_MM);
+      else if (shift && name === "ArrowDown") moveBy(0, CROSSHAIR_KEY_MM);
+      else return false;
+      return true;
+    },
+  };
+}
+
+function fit(station: Workstation, view: ViewName): void {
+  if (isSlice(view) || view === "cut-plane") {
+    station.sendSoon({ type: "set_zoom", view, mm_per_px: null, extent_mm: null });
+  }
+}
+
+/** One slice of the scan across a plane: the spacing of the voxel axis that lies nearest to the plane's normal. */
+function sliceStepMm(station: Workstation, view: ViewName): number {
+  const spacing = station.state.session?.case?.spacing_mm;
+  const axis = view === "axial" ? 2 : view === "coronal" ? 1 : 0;
+  return Math.max(spacing?.[axis] ?? 1, 0.2);
+}
+
+function orbitGestures(station: Workstation, viewport: Viewport, view: "tree" | "tri-plane"): Gestures {
+  /** What was sent last, ahead of the server's word while a drag runs. */
+  let local: { azimuth_deg: number; elevation_deg: number; distance_mm: number | null } | null = null;
+  let localUntilMs = 0;
+  const orbit = () => {
+    const { session } = station.state;
+    const server = view === "tree" ? session?.orbit_tree : session?.orbit_tri_plane;
+    const fresh = local !== null && performance.now() < localUntilMs;
+    return (fresh ? local : server) ?? { azimuth_deg: 0, elevation_deg: 0, distance_mm: null };
+  };
+  const change = (next: { azimuth_deg: number; elevation_deg: number; distance_mm: number | null }) => {
+    local = {
+      ...next,
+      azimuth_deg: ((((next.azimuth_deg + 180) % 360) + 360) % 360) - 180,
+      elevation_deg: Math.min(Math.max(next.elevation_deg, -89), 89),
+    };
+    localUntilMs = performance.now() + 600;
+    station.sendSoon({ type: "set_orbit", view, ...local });
+  };
+  const turn = (azimuth: number, elevation: number) => {
+    const now = orbit();
+    change({ ...now, azimuth_deg: now.azimuth_deg + azimuth, elevation_deg: now.elevation_deg + elevation });
+  };
+  const zoom = (deltaPx: number) => {
+    const now = orbit();
+    const from = now.distance_mm ?? seenDistanceMm(station, viewport, view);
+    if (from === null) return;
+    change({ ...now, distance_mm: Math.min(Math.max(from * Math.exp(deltaPx * ZOOM_PER_PX), 5), 4000) });
+  };
+  return {
+    pointer: {
+      drag: (_at, moved, button) => {
+        if (button === "main") turn(-moved.dx * ORBIT_DEG_PER_PX, moved.dy * ORBIT_DEG_PER_PX);
+        else if (view === "tri-plane") dragWindow(station, moved);
+      },
+      wheel: (delta) => zoom(delta),
+    },
+    key: (name, shift) => {
+      if (name === "+" || name === "=") zoom(-ZOOM_KEY_PX);
+      else if (name === "-") zoom(ZOOM_KEY_PX);
+      else if (name === "Home") change({ azimuth_deg: 0, elevation_deg: 0, distance_mm: null });
+      else if (shift && name === "ArrowLeft") turn(ORBIT_KEY_DEG, 0);
+      else if (shift && name === "ArrowRight") turn(-ORBIT_KEY_DEG, 0);
+      else if (shift && name === "ArrowUp") turn(0, -ORBIT_KEY_DEG);
+      else if (shift && name === "ArrowDown") turn(0, ORBIT_KEY_DEG);
+      else return false;
+      return true;
+    },
+  };
+}
+
+/** How far the outside camera is from what it looks at, while the server fits by itself. */
+function seenDistanceMm(station: Workstation, viewport: Viewport, view: "tree" | "tri-plane"): number | null {
+  const matrix = viewport.header?.lps_from_camera ?? null;
+  if (matrix === null) return null;
+  const camera = cameraFromMatrix(matrix);
+  if (view === "tri-plane") {
+    const centre = station.centre();
+    return centre === null ? null : distance(centre, camera.position);
+  }
+  let low: Vec3 | null = null;
+  let high: Vec3 | null = null;
+  for (const node of station.state.tree?.byId.values() ?? []) {
+    for (const point of node.branch.points) {
+      const p = asVec3(point);
+      low = low === null ? p : [Math.min(low[0], p[0]), Math.min(low[1], p[1]), Math.min(low[2], p[2])];
+      high = high === null ? p : [Math.max(high[0], p[0]), Math.max(high[1], p[1]), Math.max(high[2], p[2])];
+    }
+  }
+  if (low === null || high === null) return null;
+  return Math.abs(dot(sub(scale(add(low, high), 0.5), camera.position), camera.forward));
+}

@@ -1,0 +1,40 @@
+/** Line icons, 16 px, drawn here so that nothing has to be fetched. */
+
+const PATHS = {
+  previousFork: "M3 3v10M13 3.5 6.5 8l6.5 4.5",
+  back: "M10.5 3.5 5 8l5.5 4.5",
+  forward: "M5.5 3.5 11 8l-5.5 4.5",
+  nextFork: "M13 3v10M3 3.5 9.5 8 3 12.5",
+  play: "M4.5 3v10l8-5z",
+  stop: "M4.5 4.5h7v7h-7z",
+  level: "M1.5 8h4M10.5 8h4M5.5 8a2.5 2.5 0 0 0 5 0",
+  straight: "M8 13.5v-11M4.5 6 8 2.5 11.5 6M3 13.5h10",
+  light: "M8 1.5v2M8 12.5v2M1.5 8h2M12.5 8h2M3.5 3.5l1.4 1.4M11.1 11.1l1.4 1.4M3.5 12.5l1.4-1.4M11.1 4.9l1.4-1.4M8 5.2a2.8 2.8 0 1 0 0 5.6 2.8 2.8 0 0 0 0-5.6",
+  round: "M8 2.5a5.5 5.5 0 1 0 0 11 5.5 5.5 0 0 0 0-11M2 2h2M12 2h2M2 14h2M12 14h2",
+  routeLine: "M3 13.5c0-5 10-4 10-11M3 13.5h.01M13 2.5h.01",
+  full: "M2.5 6V2.5H6M10 2.5h3.5V6M13.5 10v3.5H10M6 13.5H2.5V10",
+  leaveFull: "M6 2.5V6H2.5M13.5 6H10V2.5M10 13.5V10h3.5M2.5 10H6v3.5",
+  close: "M4 4l8 8M12 4l-8 8",
+  warning: "M8 2 1.5 13.5h13zM8 6.5v3.2M8 11.7v.1",
+  error: "M8 1.8a6.2 6.2 0 1 0 0 12.4A6.2 6.2 0 0 0 8 1.8M8 4.8v4M8 11v.2",
+  info: "M8 1.8a6.2 6.2 0 1 0 0 12.4A6.2 6.2 0 0 0 8 1.8M8 7.2v4M8 4.8v.2",
+  chevron: "M6 3.5 10.5 8 6 12.5",
+  down: "M3.5 6 8 10.5 12.5 6",
+  target: "M8 2.5 13.5 8 8 13.5 2.5 8z",
+  undo: "M3 6.5h6.5a3.5 3.5 0 0 1 0 7H6M6 3.5l-3 3 3 3",
+  redo: "M13 6.5H6.5a3.5 3.5 0 0 0 0 7H10M10 3.5l3 3-3 3",
+  folder: "M1.5 12.5v-9h4.5l1.5 2h7v7z",
+  file: "M3.5 1.5h6l3 3v10h-9zM9.5 1.5v3h3",
+  swap: "M4.5 2.5 2 5l2.5 2.5M2 5h10M11.5 8.5 14 11l-2.5 2.5M14 11H4",
+  operator: "M8 2.2a2.3 2.3 0 1 0 0 4.6 2.3 2.3 0 0 0 0-4.6M3.5 14c0-3 2-4.7 4.5-4.7s4.5 1.7 4.5 4.7",
+} as const;
+
+export type IconName = keyof typeof PATHS;
+
+export function Icon({ name }: { name: IconName }) {
+  return (
+    <svg className="icon" viewBox="0 0 16 16" aria-hidden="true">
+      <path d={PATHS[name]} />
+    </svg>
+  );
+}

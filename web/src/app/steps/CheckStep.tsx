@@ -1,0 +1,89 @@
+import { keyOf, WINDOWS } from "../../input/keymap";
+import { greyWindow } from "../../state/app-state";
+import { windowWords } from "../../state/format";
+import { useApp, useStation } from "../context";
+import { Act, Choice } from "../controls";
+import { Icon } from "../icons";
+import { Threshold } from "./Threshold";
+
+const PRESETS = [
+  { value: "window_lung", label: "Lung" },
+  { value: "window_mediastinum", label: "Soft" },
+  { value: "window_bone", label: "Bone" },
+  { value: "window_airway", label: "Airway" },
+] as const;
+type PresetName = (typeof PRESETS)[number]["value"];
+
+export function CheckStep() {
+  const station = useStation();
+  const info = useApp((state) => state.session?.case ?? null);
+  const width = useApp((state) => greyWindow(state).width_hu);
+  const level = useApp((state) => greyWindow(state).level_hu);
+  if (info === null) return null;
+  const findings = [...info.quality, ...info.warnings];
+  const chosen = PRESETS.find(({ value }) => WINDOWS[value].width_hu === width && WINDOWS[value].level_hu === level);
+  return (
+    <>
+      {findings.length === 0 ? (
+        <p>No findings: the slices are complete and fine enough for the airways.</p>
+      ) : (
+        <ul className="findings">
+          {findings.map((words) => (
+            <li key={words}>
+              <Icon name="warning" />
+              <span>{words}</span>
+            </li>
+          ))}
+        </ul>
+      )}
+      {info.is_hu ? null : (
+        <>
+          <p className="warning-text">{info.not_hu_reason ?? "The numbers of this volume are no Hounsfield units."}</p>
+          <Threshold />
+        </>
+      )}
+      {info.off.length === 0 ? null : (
+        <ul className="quiet-list">
+          {info.off.map(({ what, why }) => (
+            <li key={what}>
+              {what}: off, {why}
+            </li>
+          ))}
+        </ul>
+      )}
+      <h3>Grey window of the slices</h3>
+      {info.is_hu ? (
+        <Choice<PresetName | "own">
+          name="Grey window"
+          value={chosen?.value ?? "own"}
+          choices={PRESETS.map(({ value, label }) => ({
+            value,
+            label,
+            words: `${windowWords(WINDOWS[value].width_hu, WINDOWS[value].level_hu)} HU`,
+            keys: keyOf(value),
+          }))}
+          onChange={(value) => value !== "own" && station.act(value)}
+        />
+      ) : null}
+      <p className="quiet numbers">
+        {windowWords(width, level)}
+        {info.is_hu ? " HU" : ""}; drag with the right button in a slice to change it
+      </p>
+      {info.other_series.length === 0 ? null : (
+        <>
+          <h3>Other series in the folder</h3>
+          <ul className="quiet-list">
+            {info.other_series.map((series) => (
+              <li key={series.key}>
+                {series.description || series.modality}, {series.num_slices} slices
+                {series.refused === null ? "" : ` (refused: ${series.refused})`}
+              </li>
+            ))}
+          </ul>
+        </>
+      )}
+      {info.citation === null ? null : <p className="citation">{info.citation}</p>}
+      <Act kind="primary" label="Go on to the airways" words="Next step" onPress={() => station.ui({ step: "airways" })} />
+    </>
+  );
+}

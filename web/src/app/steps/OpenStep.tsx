@@ -1,0 +1,52 @@
+import { plural } from "../../state/format";
+import { useApp, useStation } from "../context";
+import { Act } from "../controls";
+
+export function OpenStep() {
+  const station = useStation();
+  const info = useApp((state) => state.session?.case ?? null);
+  if (info === null) return null;
+  const [nz = 0, ny = 0, nx = 0] = info.shape_zyx;
+  const [sx = 0, sy = 0, sz = 0] = info.spacing_mm;
+  return (
+    <>
+      <p>{info.title}</p>
+      <dl className="facts">
+        <div>
+          <dt>Format</dt>
+          <dd>{info.format}</dd>
+        </div>
+        <div>
+          <dt>Size</dt>
+          <dd className="numbers">
+            {nx} {"\u00d7"} {ny} {"\u00d7"} {nz} voxels
+          </dd>
+        </div>
+        <div>
+          <dt>Spacing</dt>
+          <dd className="numbers">
+            {sx.toFixed(2)} {"\u00d7"} {sy.toFixed(2)} {"\u00d7"} {sz.toFixed(2)} mm
+          </dd>
+        </div>
+        <div>
+          <dt>Values</dt>
+          <dd className="numbers">
+            {Math.round(info.value_range[0] ?? 0)} to {Math.round(info.value_range[1] ?? 0)}
+            {info.is_hu ? " HU" : ", not HU"}
+          </dd>
+        </div>
+      </dl>
+      {info.other_series.length === 0 ? null : (
+        <p className="quiet">{plural(info.other_series.length, "other series", "other series")} in the folder: see Check.</p>
+      )}
+      {info.citation === null ? null : <p className="citation">{info.citation}</p>}
+      <Act
+        kind="primary"
+        icon="folder"
+        label="Open another case"
+        words="Close this case and go to the start page"
+        onPress={() => station.send({ type: "close_case" })}
+      />
+    </>
+  );
+}

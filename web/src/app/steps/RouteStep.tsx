@@ -1,0 +1,68 @@
+import { mm } from "../../state/format";
+import { narrowest } from "../../state/route";
+import { useApp, useStation } from "../context";
+import { Act } from "../controls";
+import { TargetRow } from "./TargetStep";
+
+export function RouteStep() {
+  const station = useStation();
+  const route = useApp((state) => state.route);
+  const targets = useApp((state) => state.session?.targets ?? null);
+  const narrow = route === null ? null : narrowest(route);
+  const generation = route?.spans.at(-1)?.generation ?? null;
+  return (
+    <>
+      {route === null ? (
+        <p className="empty">No route yet. Choose a branch in the list above, or a target below.</p>
+      ) : (
+        <>
+          <p>
+            To <strong>{route.title}</strong>
+          </p>
+          <dl className="facts">
+            <div>
+              <dt>Length</dt>
+              <dd className="numbers">{mm(route.length_mm, 0)}</dd>
+            </div>
+            <div>
+              <dt>Forks</dt>
+              <dd className="numbers">{route.forks_mm.length}</dd>
+            </div>
+            {generation === null ? null : (
+              <div>
+                <dt>Generation</dt>
+                <dd className="numbers">{generation} (trachea is 0)</dd>
+              </div>
+            )}
+            {narrow === null ? null : (
+              <div>
+                <dt>Narrowest</dt>
+                <dd className="numbers">
+                  {mm(narrow.diameterMm)} at {mm(narrow.pathMm, 0)}
+                </dd>
+              </div>
+            )}
+          </dl>
+        </>
+      )}
+      <Act
+        kind="primary"
+        icon="play"
+        label="Fly from the start"
+        words="To the root of this route, on the path"
+        disabled={route === null}
+        onPress={() => {
+          station.send({ type: "set_mode", mode: "path" });
+          station.goTo(0);
+        }}
+      />
+      {targets === null || targets.length === 0 ? null : (
+        <ul className="targets">
+          {targets.map((target) => (
+            <TargetRow key={target.target_id} target={target} />
+          ))}
+        </ul>
+      )}
+    </>
+  );
+}

@@ -1,0 +1,335 @@
+/** Wires the parts: stream, pictures, state, flight and keys. Panels call its methods; it knows no panel. */
+
+import { Flight } from "../input/flight";
+import { listenToKeys } from "../input/keyboard";
+import { type Action, WINDOWS } from "../input/keymap";
+import { PictureBoard } from "../net/pictures";
+import { Stream, type StreamStatus } from "../net/stream";
+import { sendUpload, UploadError, type UploadFile } from "../net/upload";
+import { mainLeaf, neighbourWay } from "../state/airways";
+import { type AppState, crosshairLps, type Connection, pathMm, tipLps, type Ui } from "../state/app-state";
+import { forkAhead } from "../state/fork";
+import { clampToRoute } from "../state/route";
+import { Store } from "../state/store";
+import { cameraFromMatrix, type Vec3 } from "../state/vec";
+import { sceneOf } from "../views/scene";
+import { Wall } from "../views/wall";
+import type { ClientMessage, Demo, StateMessage } from "../wire/messages";
+
+const XRAYS = ["xray-coronal", "xray-sagittal", "xray-axial"] as const;
+/** One press of the path bar's arrows. */
+const STEP_MM = 2;
+
+export class Workstation {
+  readonly store = new Store();
+  readonly wall: Wall;
+  readonly flight: Flight;
+  readonly #stream: Stream;
+  readonly #board: PictureBoard<ImageBitmap>;
+  /** Newest wish of a kind that only its newest value matters for, sent at the next refresh. */
+  readonly #soon = new Map<string, ClientMessage>();
+  #uploadStop: AbortController | null = null;
+  #autoWanted = false;
+  #drawn = 0;
+
+  constructor(connect: () => WebSocket) {
+    this.#board = new PictureBoard<ImageBitmap>({
+      decode: ({ header, payload }) => createImageBitmap(new Blob([payload], { type: `image/${header.codec}` })),
+      draw: (header, image) => {
+        // A view that has just left the screen is not remembered either: it would lie when it comes back.
+        if (!this.wall.draw(header, image)) return;
+        if (header.view === "airway") this.#drawn += 1;
+        this.store.dispatch({ kind: "picture", header });
+      },
+      acknowledge: (frameId) => this.#stream.send({ type: "ack", frame_id: frameId }),
+      failed: (header) =>
+        this.#sayError("picture", `A picture (${header.view}) could not be read.`, "The next one replaces it."),
+    });
+    this.wall = new Wall({
+      scene: () => sceneOf(this.store.get()),
+      layoutChanged: (views) => void this.#stream.send({ type: "layout", views }),
+      nextRefresh: (task) => void requestAnimationFrame(task),
+    });
+    this.flight = new Flight({
+      route: () => this.state.route,
+      pathMm: () => pathMm(this.state),
+      send: (message) => void this.send(message),
+      advancing: (on) => this.ui({ advancing: on }),
+    });
+    this.#stream = new Stream(
+      connect,
+      {
+        status: (status) => this.#connectionChanged(status),
+        message: (message) => {
+          const before = this.state;
+          this.store.dispatch({ kind: "server", message, nowMs: performance.now() });
+          // Another case: its first picture may have an older number than the last one of the case before.
+          if (message.type === "state" && caseKey(before.session) !== caseKey(message)) {
+            this.#board.reset();
+            this.wall.clear();
+          }
+        },
+        picture: (picture) => this.#board.receive(picture),
+        fault: (words) => this.#sayError("protocol", `Carina sent something this page cannot read: ${words}.`, "Reload the page."),
+      },
+      {
+        nowMs: () => performance.now(),
+        after: (ms, call) => {
+          const timer = setTimeout(call, ms);
+          return () => clearTimeout(timer);
+        },
+      },
+    );
+  }
+
+  get state(): AppState {
+    return this.store.get();
+  }
+
+  /** Starts all that runs by itself; returns how to stop it. */
+  start(): () => void {
+    const stopKeys = listenToKeys(window, {
+      press: (action) => this.act(action),
+      hold: (axis, sign, down) => this.flight.hold(axis, sign, down),
+      slow: (on) => this.flight.slow(on),
+      arrowsLook: () => this.state.session?.mode !== "path",
+      enabled: () => this.state.session?.case != null && this.state.start?.notice_accepted !== false,
+    });
+    const stopTouch = this.store.subscribe(() => this.wall.touch());
+    let last = performance.now();
+    let refresh = requestAnimationFrame(function tick(this: Workstation, now: number) {
+      this.#tick((now - last) / 1000);
+      last = now;
+      refresh = requestAnimationFrame(tick.bind(this));
+    }.bind(this));
+    const counter = setInterval(() => {
+      this.store.dispatch({ kind: "drawn-fps", fps: this.#drawn });
+      this.#drawn = 0;
+    }, 1000);
+    this.#stream.open();
+    return () => {
+      stopKeys();
+      stopTouch();
+      cancelAnimationFrame(refresh);
+      clearInterval(counter);
+      this.#stream.close();
+    };
+  }
+
+  reconnect = (): void => this.#stream.open();
+
+  /** Sends now; what the person should see at once is shown at once. */
+  send = (message: ClientMessage): boolean => {
+    if (!this.#stream.send(message)) return false;
+    this.store.dispatch({ kind: "sent", message, nowMs: performance.now() });
+    return true;
+  };
+
+  /** Sends the newest of its kind at the next refresh; shown at once. */
+  sendSoon(message: ClientMessage): void {
+    const kind = "view" in message ? `${message.type} ${message.view}` : message.type;
+    this.#soon.set(kind, message);
+    this.store.dispatch({ kind: "sent", message, nowMs: performance.now() });
+  }
+
+  ui(change: Partial<Ui>): void {
+    this.store.dispatch({ kind: "ui", change });
+  }
+
+  notice(message: string): void {
+    this.store.dispatch({ kind: "say", message: { kind: "notice", code: "notice", message, action: null } });
+  }
+
+  // ------------------------------------------------------------------ cases
+
+  openPath = (path: string): void => void this.send({ type: "open_path", path });
+  openDemo = (name: Demo["name"]): void => void this.send({ type: "open_demo", name });
+
+  async upload(files: readonly UploadFile[]): Promise<void> {
+    this.#uploadStop?.abort();
+    const stop = new AbortController();
+    this.#uploadStop = stop;
+    try {
+      const id = await sendUpload(files, (upload) => this.store.dispatch({ kind: "upload", upload }), stop.signal);
+      this.send({ type: "open_upload", upload_id: id });
+    } catch (error) {
+      if (stop.signal.aborted) return;
+      if (error instanceof UploadError) this.#sayError(error.code, error.message, error.action);
+      else this.#sayError("upload.failed", "The files could not be sent to Carina.", "Check that Carina still runs.");
+    } finally {
+      if (this.#uploadStop === stop) this.store.dispatch({ kind: "upload", upload: null });
+    }
+  }
+
+  cancelUpload = (): void => this.#uploadStop?.abort();
+
+  // ------------------------------------------------------------------ flight
+
+  goTo = (mm: number): void => {
+    const { route } = this.state;
+    if (route === null) return;
+    this.flight.stopAuto();
+    this.sendSoon({ type: "go_to", path_mm: clampToRoute(route, mm) });
+  };
+
+  stepAlong = (sign: 1 | -1): void => {
+    const at = pathMm(this.state);
+    if (at !== null) this.goTo(at + sign * STEP_MM);
+  };
+
+  toFork = (which: "next" | "previous"): void => {
+    this.flight.stopAuto();
+    this.send({ type: which === "next" ? "next_fork" : "previous_fork" });
+  };
+
+  chooseBranch = (branchId: number): void =>
+    void this.send({ type: "choose_route", target_id: null, branch_id: branchId });
+  chooseTarget = (targetId: string): void =>
+    void this.send({ type: "choose_route", target_id: targetId, branch_id: null });
+
+  /** A click in a slice: marks what is being marked, else moves the crosshair. */
+  pick(lps: Vec3): void {
+    const { armed } = this.state.ui;
+    if (armed === "target") this.send({ type: "add_target", lps });
+    else if (armed === "root") this.send({ type: "set_root", lps });
+    else this.sendSoon({ type: "set_crosshair", lps });
+    if (armed !== null) this.ui({ armed: null });
+  }
+
+  act = (action: Action): void => {
+    const { state } = this;
+    switch (action) {
+      case "auto_advance":
+        return this.#autoAdvance();
+      case "previous_fork":
+        return this.toFork("previous");
+      case "way_left":
+        return this.#chooseWay(-1);
+      case "way_right":
+        return this.#chooseWay(1);
+      case "toggle_mode":
+        this.flight.stopAuto();
+        return void this.send({ type: "toggle_mode" });
+      case "level_horizon":
+        return void this.send({ type: "level_horizon" });
+      case "flip_operator":
+        return void this.send({
+          type: "set_operator",
+          position: state.session?.operator === "head" ? "facing" : "head",
+        });
+      case "reset_look":
+        return void this.send({ type: "reset_look" });
+      case "crosshair_to_tip":
+        return void this.send({ type: "set_crosshair", lps: null });
+      case "swap_outside":
+        return this.ui({ outside: state.ui.outside === "tree" ? "tri-plane" : "tree" });
+      case "next_xray":
+        return this.ui({ xray: XRAYS[(XRAYS.indexOf(state.ui.xray) + 1) % XRAYS.length] ?? "xray-coronal" });
+      case "toggle_shape":
+        return this.ui({ airwayShape: state.ui.airwayShape === "round" ? "full" : "round" });
+      case "toggle_route_line":
+        return this.ui({ routeLineVisible: !state.ui.routeLineVisible });
+      case "arm_target":
+        return this.ui({ armed: state.ui.armed === "target" ? null : "target", step: "target" });
+      case "arm_root":
+        return this.ui({ armed: state.ui.armed === "root" ? null : "root", step: "airways" });
+      case "window_airway":
+      case "window_lung":
+      case "window_mediastinum":
+      case "window_bone":
+        if (state.session?.case?.is_hu === false) {
+          return this.notice("Window presets are in HU, and this volume is not HU. Drag with the right button in a slice instead.");
+        }
+        return void this.send({ type: "set_window", ...WINDOWS[action] });
+      case "undo":
+        return void this.send({ type: "undo" });
+      case "redo":
+        return void this.send({ type: "redo" });
+      case "key_card":
+        return this.ui({ keyCardOpen: !state.ui.keyCardOpen });
+      case "leave":
+        this.flight.stopAuto();
+        return this.ui(state.ui.armed === null ? { full: null } : { armed: null });
+    }
+  };
+
+  #autoAdvance(): void {
+    if (this.flight.isAuto || this.#autoWanted) {
+      this.#autoWanted = false;
+      this.flight.stopAuto();
+      return;
+    }
+    const { route, session } = this.state;
+    if (route === null) {
+      this.notice("There is no route yet. Choose a branch in the list on the left, or mark a target.");
+    } else if (session?.mode === "free") {
+      // The answer brings the place on the path to start from.
+      this.#autoWanted = this.send({ type: "set_mode", mode: "path" });
+    } else if (!this.flight.startAuto()) {
+      this.notice("This is the end of the route.");
+    }
+  }
+
+  #chooseWay(step: -1 | 1): void {
+    const { tree, route, pose } = this.state;
+    const at = pathMm(this.state);
+    if (tree === null || route === null || pose === null || at === null) return;
+    const fork = forkAhead(tree, route, at, cameraFromMatrix(pose.lps_from_camera));
+    const way = fork === null ? null : neighbourWay(fork.ways, step);
+    if (fork === null) this.notice("There is no fork ahead on this route.");
+    else if (way === null) this.notice(`This is the way furthest to the ${step < 0 ? "left" : "right"}.`);
+    else this.chooseBranch(mainLeaf(way.node).branch.id);
+  }
+
+  #tick(elapsedS: number): void {
+    if (this.#autoWanted && this.state.pose?.path_mm != null) {
+      this.#autoWanted = false;
+      this.flight.startAuto();
+    }
+    this.flight.tick(elapsedS);
+    if (this.#soon.size === 0) return;
+    const messages = [...this.#soon.values()];
+    this.#soon.clear();
+    for (const message of messages) this.#stream.send(message);
+  }
+
+  // ------------------------------------------------------------------ places
+
+  /** Where the slices meet now. */
+  centre(): Vec3 | null {
+    return crosshairLps(this.state) ?? tipLps(this.state);
+  }
+
+  #connectionChanged(status: StreamStatus): void {
+    this.store.dispatch({ kind: "connection", connection: asConnection(status) });
+    if (status.status !== "open") {
+      this.flight.stopAuto();
+      this.#autoWanted = false;
+      return;
+    }
+    this.#board.reset();
+    this.wall.tellLayout(true);
+  }
+
+  #sayError(code: string, message: string, action: string | null): void {
+    this.store.dispatch({ kind: "say", message: { kind: "error", code, message, action } });
+  }
+}
+
+/** Tells one open case from another; reopening the same one changes nothing on the screen. */
+function caseKey(session: StateMessage | null): string {
+  const open = session?.case ?? null;
+  return open === null ? "" : JSON.stringify([open.title, open.shape_zyx, open.lps_from_ijk]);
+}
+
+function asConnection(status: StreamStatus): Connection {
+  switch (status.status) {
+    case "connecting":
+    case "open":
+      return { status: status.status, reason: null, retryAtMs: null };
+    case "lost":
+      return { status: "lost", reason: status.reason, retryAtMs: status.retryAtMs };
+    case "refused":
+      return { status: "refused", reason: status.reason, retryAtMs: null };
+  }
+}

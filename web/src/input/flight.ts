@@ -1,0 +1,111 @@
+/**
+ * Turns held keys, wheel and drags into steering, once per screen refresh; and flies on by itself to the next fork.
+ * Time comes from outside, so that tests fly without waiting.
+ */
+
+import type { ClientMessage, RouteInfo } from "../wire/messages";
+import { nextStopMm } from "../state/route";
+import type { HoldAxis } from "./keymap";
+
+/** A careful hand: the trachea in four seconds. */
+export const SPEED_MM_S = 25;
+export const SLOW = 0.3;
+export const AUTO_SPEED_MM_S = 22;
+export const TURN_RAD_S = 1.0;
+/** One notch of a usual wheel is 100 px of scrolling. */
+export const WHEEL_MM_PER_PX = 0.03;
+/** A late refresh (another tab, a pause) must not become a leap through a wall. */
+const MAX_TICK_S = 0.1;
+
+export interface FlightSurroundings {
+  route(): RouteInfo | null;
+  pathMm(): number | null;
+  send(message: ClientMessage): void;
+  /** The automatic advance began or ended. */
+  advancing(on: boolean): void;
+}
+
+export class Flight {
+  readonly #around: FlightSurroundings;
+  readonly #held: Record<HoldAxis, Set<1 | -1>> = {
+    advance: new Set(),
+    roll: new Set(),
+    pitch: new Set(),
+    yaw: new Set(),
+  };
+  #slow = false;
+  #pending = { advance_mm: 0, yaw_rad: 0, pitch_rad: 0, roll_rad: 0 };
+  #auto: { atMm: number; stopMm: number } | null = null;
+
+  constructor(around: FlightSurroundings) {
+    this.#around = around;
+  }
+
+  hold(axis: HoldAxis, sign: 1 | -1, down: boolean): void {
+    if (down) this.#held[axis].add(sign);
+    else this.#held[axis].delete(sign);
+    if (down && axis === "advance") this.stopAuto();
+  }
+
+  slow(on: boolean): void {
+    this.#slow = on;
+  }
+
+  /** Movement from the mouse since the last refresh. */
+  nudge(move: Partial<{ advance_mm: number; yaw_rad: number; pitch_rad: number; roll_rad: number }>): void {
+    if (move.advance_mm !== undefined) this.stopAuto();
+    this.#pending.advance_mm += move.advance_mm ?? 0;
+    this.#pending.yaw_rad += move.yaw_rad ?? 0;
+    this.#pending.pitch_rad += move.pitch_rad ?? 0;
+    this.#pending.roll_rad += move.roll_rad ?? 0;
+  }
+
+  get isAuto(): boolean {
+    return this.#auto !== null;
+  }
+
+  /** To the next fork of the route and no further; false where there is nowhere to go. */
+  startAuto(): boolean {
+    const route = this.#around.route();
+    const at = this.#around.pathMm();
+    if (route === null || at === null) return false;
+    const stopMm = nextStopMm(route, at);
+    if (stopMm - at < 0.05) return false;
+    this.#auto = { atMm: at, stopMm };
+    this.#around.advancing(true);
+    return true;
+  }
+
+  stopAuto(): void {
+    if (this.#auto === null) return;
+    this.#auto = null;
+    this.#around.advancing(false);
+  }
+
+  tick(elapsedS: number): void {
+    const dt = Math.min(elapsedS, MAX_TICK_S);
+    const pace = this.#slow ? SLOW : 1;
+    const turn = TURN_RAD_S * pace * dt;
+    this.#pending.advance_mm += this.#direction("advance") * SPEED_MM_S * pace * dt;
+    this.#pending.yaw_rad += this.#direction("yaw") * turn;
+    this.#pending.pitch_rad += this.#direction("pitch") * turn;
+    this.#pending.roll_rad += this.#direction("roll") * turn;
+    const move = this.#pending;
+    if (move.advance_mm !== 0 || move.yaw_rad !== 0 || move.pitch_rad !== 0 || move.roll_rad !== 0) {
+      this.#pending = { advance_mm: 0, yaw_rad: 0, pitch_rad: 0, roll_rad: 0 };
+      this.#around.send({ type: "steer", ...move });
+    }
+    if (this.#auto !== null) {
+      this.#auto.atMm = Math.min(this.#auto.atMm + AUTO_SPEED_MM_S * pace * dt, this.#auto.stopMm);
+      // Steered by place, not by speed: it stops at the fork exactly, however late the answers come.
+      this.#around.send({ type: "go_to", path_mm: this.#auto.atMm });
+      if (this.#auto.atMm >= this.#auto.stopMm) this.stopAuto();
+    }
+  }
+
+  #direction(axis: HoldAxis): number {
+    let sum = 0;
+    for (const sign of this.#held[axis]) sum += sign;
+    return sum;
+  }
+}

@@ -1,0 +1,132 @@
+/** Every key, once: the listener, the key card and the tooltips all read this table. */
+
+export type HoldAxis = "advance" | "roll" | "pitch" | "yaw";
+
+export type Action =
+  | "auto_advance"
+  | "previous_fork"
+  | "way_left"
+  | "way_right"
+  | "toggle_mode"
+  | "level_horizon"
+  | "flip_operator"
+  | "reset_look"
+  | "crosshair_to_tip"
+  | "swap_outside"
+  | "next_xray"
+  | "toggle_shape"
+  | "toggle_route_line"
+  | "arm_target"
+  | "arm_root"
+  | "window_airway"
+  | "window_lung"
+  | "window_mediastinum"
+  | "window_bone"
+  | "undo"
+  | "redo"
+  | "key_card"
+  | "leave";
+
+export type Command = { kind: "hold"; axis: HoldAxis; sign: 1 | -1 } | { kind: "press"; action: Action };
+
+export type KeyGroup = "Fly" | "Look" | "Plan" | "Pictures" | "Help";
+
+export interface Binding {
+  /** `KeyboardEvent.key`, letters in lower case: the letter that is printed on the key, on any layout. */
+  readonly key: string;
+  readonly ctrl?: boolean;
+  /** Only told apart where it matters; Shift with a held key means slow. */
+  readonly shift?: boolean;
+  readonly label: string;
+  readonly words: string;
+  readonly group: KeyGroup;
+  readonly command: Command;
+}
+
+const hold = (axis: HoldAxis, sign: 1 | -1): Command => ({ kind: "hold", axis, sign });
+const press = (action: Action): Command => ({ kind: "press", action });
+
+export const KEYMAP: readonly Binding[] = [
+  { key: "w", label: "W", words: "Advance (hold; with Shift slowly)", group: "Fly", command: hold("advance", 1) },
+  { key: "s", label: "S", words: "Withdraw", group: "Fly", command: hold("advance", -1) },
+  { key: " ", label: "Space", words: "Advance to the next fork and stop there; again: stop", group: "Fly", command: press("auto_advance") },
+  { key: "Backspace", label: "Backspace", words: "Back to the fork before", group: "Fly", command: press("previous_fork") },
+  { key: "ArrowLeft", label: "\u2190", words: "Path: take the way further left. Free: look left", group: "Fly", command: press("way_left") },
+  { key: "ArrowRight", label: "\u2192", words: "Path: take the way further right. Free: look right", group: "Fly", command: press("way_right") },
+  { key: "m", label: "M", words: "Free movement, or along the path", group: "Fly", command: press("toggle_mode") },
+  { key: "ArrowUp", label: "\u2191", words: "Tip up", group: "Look", command: hold("pitch", 1) },
+  { key: "ArrowDown", label: "\u2193", words: "Tip down", group: "Look", command: hold("pitch", -1) },
+  { key: "a", label: "A", words: "Roll to the left", group: "Look", command: hold("roll", -1) },
+  { key: "d", label: "D", words: "Roll to the right", group: "Look", command: hold("roll", 1) },
+  { key: "h", label: "H", words: "Level the horizon", group: "Look", command: press("level_horizon") },
+  { key: "f", label: "F", words: "Operator at the head end, or facing the patient", group: "Look", command: press("flip_operator") },
+  { key: "r", label: "R", words: "Look straight along the path again", group: "Look", command: press("reset_look") },
+  { key: "n", label: "N", words: "New target: the next click in a slice marks it", group: "Plan", command: press("arm_target") },
+  { key: "b", label: "B", words: "New root: the next click in a slice begins the airways there", group: "Plan", command: press("arm_root") },
+  { key: "z", ctrl: true, shift: false, label: "Ctrl+Z", words: "Undo", group: "Plan", command: press("undo") },
+  { key: "z", ctrl: true, shift: true, label: "Ctrl+Shift+Z", words: "Redo", group: "Plan", command: press("redo") },
+  { key: "c", label: "C", words: "Crosshair back to the tip", group: "Pictures", command: press("crosshair_to_tip") },
+  { key: "t", label: "T", words: "Airway tree, or tri-plane", group: "Pictures", command: press("swap_outside") },
+  { key: "x", label: "X", words: "X-ray from the next side", group: "Pictures", command: press("next_xray") },
+  { key: "o", label: "O", words: "Airway picture round, or the full frame", group: "Pictures", command: press("toggle_shape") },
+  { key: "p", label: "P", words: "Show or hide the line of the route", group: "Pictures", command: press("toggle_route_line") },
+  { key: "1", label: "1", words: "Lung window (W 1500 L \u2212600)", group: "Pictures", command: press("window_lung") },
+  { key: "2", label: "2", words: "Mediastinum window (W 400 L 40)", group: "Pictures", command: press("window_mediastinum") },
+  { key: "3", label: "3", words: "Bone window (W 2000 L 500)", group: "Pictures", command: press("window_bone") },
+  { key: "0", label: "0", words: "Airway window (W 1000 L \u2212700)", group: "Pictures", command: press("window_airway") },
+  { key: "?", label: "?", words: "This card", group: "Help", command: press("key_card") },
+  { key: "Escape", label: "Esc", words: "Leave the full view, or the marking of a point", group: "Help", command: press("leave") },
+];
+
+export const WINDOWS = {
+  window_airway: { width_hu: 1000, level_hu: -700 },
+  window_lung: { width_hu: 1500, level_hu: -600 },
+  window_mediastinum: { width_hu: 400, level_hu: 40 },
+  window_bone: { width_hu: 2000, level_hu: 500 },
+} as const;
+
+/** The printed key of an action, for tooltips. */
+export function keyOf(action: Action): string {
+  return KEYMAP.find((b) => b.command.kind === "press" && b.command.action === action)?.label ?? "";
+}
+
+export interface KeyPress {
+  readonly key: string;
+  readonly ctrlKey: boolean;
+  readonly metaKey: boolean;
+  readonly altKey: boolean;
+  readonly shiftKey: boolean;
+}
+
+/** The binding of a key press, or null: then the key belongs to the browser and is not touched. */
+export function bindingOf(event: KeyPress): Binding | null {
+  if (event.altKey) return null;
+  const ctrl = event.ctrlKey || event.metaKey;
+  const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+  return (
+    KEYMAP.find(
+      (b) => b.key === key && (b.ctrl ?? false) === ctrl && (b.shift === undefined || b.shift === event.shiftKey),
+    ) ?? null
+  );
+}
+
+/** What has the focus, as far as keys care. */
+export type FocusKind = "page" | "typing" | "arrows" | "button";
+
+/** Keys that a focused list, tree or slider needs for itself. */
+const ARROW_KEYS = new Set(["ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight", " ", "Backspace", "Escape"]);
+const BUTTON_KEYS = new Set([" "]);
+
+/** Whether the flight takes a key while something has the focus. Typing keeps every key; a button keeps its space bar. */
+export function takesKey(focus: FocusKind, key: string): boolean {
+  switch (focus) {
+    case "page":
+      return true;
+    case "typing":
+      return false;
+    case "arrows":
+      return !ARROW_KEYS.has(key);
+    case "button":
+      return !BUTTON_KEYS.has(key);
+  }
+}

@@ -1,0 +1,29 @@
+import { createRoot } from "react-dom/client";
+import { App } from "./app/App";
+import { StationContext } from "./app/context";
+import { exposeForTests } from "./app/test-hook";
+import { Workstation } from "./app/workstation";
+import "./app/styles/base.css";
+import "./app/styles/controls.css";
+import "./app/styles/workstation.css";
+import "./app/styles/panels.css";
+import "./app/styles/start.css";
+
+function socketAddress(): string {
+  const address = new URL("./ws", location.href);
+  address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+  address.search = "";
+  address.hash = "";
+  return address.href;
+}
+
+const station = new Workstation(() => new WebSocket(socketAddress()));
+exposeForTests(station);
+station.start();
+const root = document.getElementById("root");
+if (root === null) throw new Error("the page has no place for the workstation");
+createRoot(root).render(
+  <StationContext value={station}>
+    <App />
+  </StationContext>,
+);

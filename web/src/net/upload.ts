@@ -1,0 +1,122 @@
+/** Sends dropped files to Carina on this machine, one after the other, and says how far it is. */
+
+export interface UploadFile {
+  /** Relative path inside what was dropped, with forward slashes. */
+  readonly name: string;
+  readonly file: File;
+}
+
+export class UploadError extends Error {
+  readonly code: string;
+  readonly action: string | null;
+
+  constructor(code: string, message: string, action: string | null) {
+    super(message);
+    this.code = code;
+    this.action = action;
+  }
+}
+
+export interface UploadProgress {
+  sentBytes: number;
+  totalBytes: number;
+  numFiles: number;
+}
+
+const MAX_FILES = 4096;
+const MAX_BYTES = 4 * 2 ** 30;
+const MAX_FILE_BYTES = 2 * 2 ** 30;
+
+/** Said before anything is sent: half a folder helps nobody. */
+export function uploadProblem(files: readonly { name: string; file: { size: number } }[]): UploadError | null {
+  const giB = (bytes: number) => `${(bytes / 2 ** 30).toFixed(1)} GiB`;
+  const wayOut = "Type the folder's path instead: then nothing has to be copied.";
+  if (files.length === 0) return new UploadError("upload.empty", "There is no file in what was dropped.", null);
+  if (files.length > MAX_FILES) {
+    return new UploadError(
+      "upload.too-many",
+      `${files.length} files were dropped; at most ${MAX_FILES} can be taken.`,
+      wayOut,
+    );
+  }
+  const total = files.reduce((sum, entry) => sum + entry.file.size, 0);
+  const big = files.find((entry) => entry.file.size > MAX_FILE_BYTES);
+  if (total > MAX_BYTES || big !== undefined) {
+    const what = big === undefined ? "The files have" : `${big.name} has`;
+    const size = giB(big === undefined ? total : big.file.size);
+    return new UploadError("upload.too-large", `${what} ${size}, more than can be taken.`, wayOut);
+  }
+  return null;
+}
+
+async function refusal(response: Response): Promise<UploadError> {
+  const body: unknown = await response.json().catch(() => null);
+  const field = (name: string): string | null => {
+    const value = typeof body === "object" && body !== null ? (body as Record<string, unknown>)[name] : null;
+    return typeof value === "string" ? value : null;
+  };
+  return new UploadError(
+    field("code") ?? "upload.failed",
+    field("message") ?? `The files could not be taken (${response.status}).`,
+    field("action"),
+  );
+}
+
+/** The upload's id, for `open_upload`. Nothing is left behind when it fails or is stopped. */
+export async function sendUpload(
+  files: readonly UploadFile[],
+  progress: (now: UploadProgress) => void,
+  signal: AbortSignal,
+): Promise<string> {
+  const problem = uploadProblem(files);
+  if (problem !== null) throw problem;
+  const begun = await fetch("./api/upload", { method: "POST", signal });
+  if (!begun.ok) throw await refusal(begun);
+  const body: unknown = await begun.json();
+  const id = (body as { upload_id?: unknown }).upload_id;
+  if (typeof id !== "string") throw new UploadError("upload.failed", "Carina gave no place for the files.", null);
+  const address = `./api/upload/${encodeURIComponent(id)}`;
+  const totalBytes = files.reduce((sum, entry) => sum + entry.file.size, 0);
+  let sentBytes = 0;
+  try {
+    for (const { name, file } of files) {
+      progress({ sentBytes, totalBytes, numFiles: files.length });
+      const response = await fetch(`${address}?name=${encodeURIComponent(name)}`, { method: "PUT", body: file, signal });
+      if (!response.ok) throw await refusal(response);
+      sentBytes += file.size;
+    }
+    progress({ sentBytes, totalBytes, numFiles: files.length });
+    return id;
+  } catch (error) {
+    void fetch(address, { method: "DELETE" }).catch(() => undefined);
+    throw error;
+  }
+}
+
+/** All files of a drop, folders walked through. */
+export async function filesOfDrop(items: DataTransferItemList): Promise<UploadFile[]> {
+  // The entries must be taken before the first await: the list is emptied when the drop event ends.
+  const entries = [...items].map((item) => item.webkitGetAsEntry()).filter((entry) => entry !== null);
+  const files: UploadFile[] = [];
+  for (const entry of entries) await walk(entry, files);
+  return files;
+}
+
+async function walk(entry: FileSystemEntry, files: UploadFile[]): Promise<void> {
+  if (entry.isFile) {
+    const file = await new Promise<File>((done, fail) => (entry as FileSystemFileEntry).file(done, fail));
+    files.push({ name: entry.fullPath.replace(/^\//, ""), file });
+    return;
+  }
+  const reader = (entry as FileSystemDirectoryEntry).createReader();
+  // A reader gives at most 100 entries at a time, and none when it is through.
+  for (;;) {
+    const part = await new Promise<FileSystemEntry[]>((done, fail) => reader.readEntries(done, fail));
+    if (part.length === 0) return;
+    for (const child of part) await walk(child, files);
+  }
+}
+
+export function filesOfPicker(list: FileList): UploadFile[] {
+  return [...list].map((file) => ({ name: file.webkitRelativePath || file.name, file }));
+}

@@ -1,0 +1,141 @@
+/** The airway tree as a person reads it: rows of a list, sides, and the ways on at a fork. */
+
+import type { RouteInfo, TreeBranch, TreeDocument } from "../wire/messages";
+import { clockHour } from "./letters";
+import { asVec3, type Camera, distance, dot, sub, type Vec3 } from "./vec";
+
+export type Side = "right" | "left" | "middle";
+
+export interface BranchNode {
+  branch: TreeBranch;
+  label: string;
+  side: Side;
+  lengthMm: number;
+  /** Median diameter, mm. */
+  diameterMm: number;
+  children: BranchNode[];
+}
+
+export interface BranchTree {
+  root: BranchNode;
+  byId: ReadonlyMap<number, BranchNode>;
+}
+
+function lengthOf(branch: TreeBranch): number {
+  let sum = 0;
+  for (let index = 1; index < branch.points.length; index += 1) {
+    const a = branch.points[index - 1];
+    const b = branch.points[index];
+    if (a !== undefined && b !== undefined) sum += distance(asVec3(a), asVec3(b));
+  }
+  return sum;
+}
+
+function medianDiameter(branch: TreeBranch): number {
+  const sorted = [...branch.radius].sort((a, b) => a - b);
+  return 2 * (sorted[sorted.length >> 1] ?? 0);
+}
+
+function tip(branch: TreeBranch): Vec3 | null {
+  const last = branch.points.at(-1);
+  return last === undefined ? null : asVec3(last);
+}
+
+/**
+ * The list's rows. Null where the document has no root.
+ *
+ * The side comes from geometry, not from a name: below the first fork, a branch belongs to the side on which the end of its
+ * main bronchus lies (LPS: the patient's left is +x).
+ */
+export function buildTree(document: TreeDocument): BranchTree | null {
+  const branches = new Map(document.branches.map((branch) => [branch.id, branch]));
+  const rootBranch = branches.get(document.root);
+  if (rootBranch === undefined) return null;
+  const byId = new Map<number, BranchNode>();
+  const build = (branch: TreeBranch, side: Side): BranchNode => {
+    const node: BranchNode = {
+      branch,
+      label: branch.name ?? (branch.parent === null ? "Root branch" : `Branch ${branch.id}`),
+      side,
+      lengthMm: lengthOf(branch),
+      diameterMm: medianDiameter(branch),
+      children: [],
+    };
+    // Set before the children are visited: a document with a loop ends here instead of never.
+    byId.set(branch.id, node);
+    for (const id of branch.children) {
+      const child = branches.get(id);
+      if (child === undefined || byId.has(id)) continue;
+      node.children.push(build(child, side === "middle" ? sideOf(branch, child) : side));
+    }
+    return node;
+  };
+  return { root: build(rootBranch, "middle"), byId };
+}
+
+function sideOf(parent: TreeBranch, child: TreeBranch): Side {
+  const from = tip(parent);
+  const to = tip(child);
+  if (from === null || to === null) return "middle";
+  return to[0] < from[0] ? "right" : "left";
+}
+
+/** The longest way down from a branch, by diameter: what "follow this airway" means. */
+export function mainLeaf(node: BranchNode): BranchNode {
+  let leaf = node;
+  const seen = new Set<number>();
+  while (leaf.children.length > 0 && !seen.has(leaf.branch.id)) {
+    seen.add(leaf.branch.id);
+    leaf = leaf.children.reduce((a, b) => (b.diameterMm > a.diameterMm ? b : a));
+  }
+  return leaf;
+}
+
+export interface WayOn {
+  node: BranchNode;
+  /** On the route that is flown. */
+  chosen: boolean;
+  /** Clock hour of its opening in the picture. */
+  hour: number;
+  /** To the right of the picture's middle, for ordering: left to right. */
+  across: number;
+}
+
+/** How far into a child its opening is looked for: past the carina, before the next bend. */
+const OPENING_MM = 8;
+
+/** The ways on from the end of a branch, from left to right in the picture that the camera sees. */
+export function waysOn(node: BranchNode, camera: Camera, route: Pick<RouteInfo, "spans"> | null): WayOn[] {
+  const fork = tip(node.branch);
+  if (fork === null) return [];
+  const onRoute = new Set(route?.spans.map((span) => span.branch_id) ?? []);
+  return node.children
+    .map((child) => {
+      const inside = child.branch.points
+        .map((point) => asVec3(point))
+        .find((point) => distance(point, fork) >= OPENING_MM);
+      const offset = sub(inside ?? tip(child.branch) ?? fork, fork);
+      const x = dot(offset, camera.right);
+      const y = dot(offset, camera.down);
+      return { node: child, chosen: onRoute.has(child.branch.id), hour: clockHour(Math.atan2(x, -y)), across: x };
+    })
+    .sort((a, b) => a.across - b.across);
+}
+
+/** The way that lies one to the left (-1) or right (+1) of the chosen one; null at the outermost. */
+export function neighbourWay(ways: readonly WayOn[], step: -1 | 1): WayOn | null {
+  const chosen = ways.findIndex((way) => way.chosen);
+  if (chosen < 0) return (step < 0 ? ways[0] : ways.at(-1)) ?? null;
+  return ways[chosen + step] ?? null;
+}
+
+/** Ancestors of a branch, root first, itself last. */
+export function lineage(tree: BranchTree, branchId: number): BranchNode[] {
+  const line: BranchNode[] = [];
+  let node = tree.byId.get(branchId);
+  while (node !== undefined && !line.includes(node)) {
+    line.unshift(node);
+    node = node.branch.parent === null ? undefined : tree.byId.get(node.branch.parent);
+  }
+  return line;
+}

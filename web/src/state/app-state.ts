@@ -1,0 +1,287 @@
+/** All that the screen shows, and the one function that changes it. */
+
+import type {
+  ClientMessage,
+  PictureHeader,
+  PoseMessage,
+  ProgressMessage,
+  RouteInfo,
+  ServerMessage,
+  StartMessage,
+  StateMessage,
+  StatusMessage,
+  ViewName,
+} from "../wire/messages";
+import { type BranchTree, buildTree } from "./airways";
+import { type Optimistic, shown } from "./optimistic";
+import type { Step } from "./steps";
+import { asVec3, distance, type Vec3 } from "./vec";
+
+export type CellName = "axial" | "coronal" | "sagittal" | "cut-plane" | "xray" | "outside";
+export type XrayView = "xray-coronal" | "xray-sagittal" | "xray-axial";
+export type OutsideView = "tree" | "tri-plane";
+export type Armed = "target" | "root";
+
+export interface Connection {
+  readonly status: "connecting" | "open" | "lost" | "refused";
+  /** Words where the server said why. */
+  readonly reason: string | null;
+  /** When the next try starts, on the page's clock; null while one runs or none will. */
+  readonly retryAtMs: number | null;
+}
+
+export interface Message {
+  readonly id: number;
+  readonly kind: "error" | "notice";
+  readonly code: string;
+  readonly message: string;
+  readonly action: string | null;
+}
+
+export interface Upload {
+  readonly sentBytes: number;
+  readonly totalBytes: number;
+  readonly numFiles: number;
+}
+
+export interface Ui {
+  readonly step: Step;
+  readonly full: CellName | "airway" | null;
+  readonly outside: OutsideView;
+  readonly xray: XrayView;
+  readonly armed: Armed | null;
+  readonly keyCardOpen: boolean;
+  readonly airwayShape: "round" | "full";
+  readonly routeLineVisible: boolean;
+  readonly advancing: boolean;
+  readonly cursorLps: Vec3 | null;
+}
+
+export interface AppState {
+  readonly connection: Connection;
+  readonly version: string | null;
+  readonly start: StartMessage | null;
+  readonly session: StateMessage | null;
+  readonly tree: BranchTree | null;
+  readonly route: RouteInfo | null;
+  readonly pose: PoseMessage | null;
+  readonly jobs: readonly ProgressMessage[];
+  readonly messages: readonly Message[];
+  readonly nextMessageId: number;
+  readonly status: StatusMessage | null;
+  /** Header of the picture that each view shows now. */
+  readonly frames: Readonly<Partial<Record<ViewName, PictureHeader>>>;
+  /** Airway pictures drawn in the last second, counted here. */
+  readonly drawnFps: number;
+  readonly upload: Upload | null;
+  readonly ui: Ui;
+  readonly local: {
+    readonly crosshair: Optimistic<Vec3 | null> | null;
+    readonly window: Optimistic<{ width_hu: number; level_hu: number }> | null;
+    readonly pathMm: Optimistic<number> | null;
+  };
+}
+
+export const INITIAL_STATE: AppState = {
+  connection: { status: "connecting", reason: null, retryAtMs: null },
+  version: null,
+  start: null,
+  session: null,
+  tree: null,
+  route: null,
+  pose: null,
+  jobs: [],
+  messages: [],
+  nextMessageId: 1,
+  status: null,
+  frames: {},
+  drawnFps: 0,
+  upload: null,
+  ui: {
+    step: "open",
+    full: null,
+    outside: "tree",
+    xray: "xray-coronal",
+    armed: null,
+    keyCardOpen: false,
+    airwayShape: "round",
+    routeLineVisible: true,
+    advancing: false,
+    cursorLps: null,
+  },
+  local: { crosshair: null, window: null, pathMm: null },
+};
+
+export type AppEvent =
+  | { kind: "server"; message: ServerMessage; nowMs: number }
+  | { kind: "sent"; message: ClientMessage; nowMs: number }
+  | { kind: "connection"; connection: Connection }
+  | { kind: "picture"; header: PictureHeader }
+  | { kind: "drawn-fps"; fps: number }
+  | { kind: "upload"; upload: Upload | null }
+  | { kind: "say"; message: Omit<Message, "id"> }
+  | { kind: "dismiss"; id: number }
+  | { kind: "ui"; change: Partial<Ui> };
+
+const NOTHING_LOCAL: AppState["local"] = { crosshair: null, window: null, pathMm: null };
+
+export function reduce(state: AppState, event: AppEvent): AppState {
+  switch (event.kind) {
+    case "server":
+      return receive(state, event.message, event.nowMs);
+    case "sent":
+      return foresee(state, event.message, event.nowMs);
+    case "connection":
+      return connectionChanged(state, event.connection);
+    case "picture":
+      return { ...state, frames: { ...state.frames, [event.header.view]: event.header } };
+    case "drawn-fps":
+      return event.fps === state.drawnFps ? state : { ...state, drawnFps: event.fps };
+    case "upload":
+      return { ...state, upload: event.upload };
+    case "say":
+      return say(state, event.message);
+    case "dismiss":
+      return { ...state, messages: state.messages.filter((message) => message.id !== event.id) };
+    case "ui":
+      return { ...state, ui: { ...state.ui, ...event.change } };
+  }
+}
+
+function receive(state: AppState, message: ServerMessage, nowMs: number): AppState {
+  switch (message.type) {
+    case "hello":
+      return { ...state, version: message.carina_version };
+    case "start":
+      return { ...state, start: message };
+    case "state":
+      return sessionChanged(state, message, nowMs);
+    case "tree":
+      return { ...state, tree: message.tree === null ? null : buildTree(message.tree) };
+    case "route":
+      return { ...state, route: message.route, local: { ...state.local, pathMm: null } };
+    case "pose":
+      return poseChanged(state, message, nowMs);
+    case "progress":
+      return {
+        ...state,
+        jobs: state.jobs.some((job) => job.job_id === message.job_id)
+          ? state.jobs.map((job) => (job.job_id === message.job_id ? message : job))
+          : [...state.jobs, message],
+      };
+    case "done":
+      return { ...state, jobs: state.jobs.filter((job) => job.job_id !== message.job_id) };
+    case "error":
+      return say(state, { kind: "error", code: message.code, message: message.message, action: message.action });
+    case "notice":
+      return say(state, { kind: "notice", code: "notice", message: message.message, action: null });
+    case "status":
+      return { ...state, status: message };
+  }
+}
+
+function sessionChanged(state: AppState, session: StateMessage, nowMs: number): AppState {
+  const before = state.session?.case ?? null;
+  const now = session.case;
+  let next: AppState = { ...state, session };
+  if (now === null && before !== null) {
+    next = { ...next, frames: {}, pose: null, route: null, tree: null, status: null, local: NOTHING_LOCAL };
+    next = { ...next, ui: { ...next.ui, full: null, armed: null, advancing: false, cursorLps: null, step: "open" } };
+  } else if (now !== null && (before === null || before.title !== now.title)) {
+    const hasFindings = now.quality.length + now.warnings.length > 0 || !now.is_hu;
+    next = { ...next, local: NOTHING_LOCAL, ui: { ...next.ui, step: hasFindings ? "check" : "airways" } };
+  }
+  return {
+    ...next,
+    local: {
+      ...next.local,
+      crosshair: shown(next.local.crosshair, asPoint(session.crosshair_lps), samePoint, nowMs).local,
+      window: shown(next.local.window, session.window, sameWindow, nowMs).local,
+    },
+  };
+}
+
+function poseChanged(state: AppState, pose: PoseMessage, nowMs: number): AppState {
+  if (state.pose !== null && pose.pose_id < state.pose.pose_id) return state;
+  const local = shown(state.local.pathMm, pose.path_mm ?? Number.NaN, samePathMm, nowMs).local;
+  return { ...state, pose, local: { ...state.local, pathMm: local } };
+}
+
+/** What the person should see at once, before the server has answered. */
+function foresee(state: AppState, message: ClientMessage, nowMs: number): AppState {
+  switch (message.type) {
+    case "set_crosshair":
+      return { ...state, local: { ...state.local, crosshair: { value: asPoint(message.lps), atMs: nowMs } } };
+    case "set_window":
+      return {
+        ...state,
+        local: {
+          ...state.local,
+          window: { value: { width_hu: message.width_hu, level_hu: message.level_hu }, atMs: nowMs },
+        },
+      };
+    case "go_to":
+      return { ...state, local: { ...state.local, pathMm: { value: message.path_mm, atMs: nowMs } } };
+    case "steer":
+    case "next_fork":
+    case "previous_fork":
+    case "place":
+      return state.local.pathMm === null ? state : { ...state, local: { ...state.local, pathMm: null } };
+    case "accept_notice":
+      return state.start === null ? state : { ...state, start: { ...state.start, notice_accepted: true } };
+    default:
+      return state;
+  }
+}
+
+function connectionChanged(state: AppState, connection: Connection): AppState {
+  // Jobs of a lost server have no news any more; the new connection tells its own.
+  const jobs = connection.status === "open" || connection.status === "connecting" ? state.jobs : [];
+  // A server counts poses anew when it is started again: the first pose of a connection is always the newest.
+  const pose = connection.status === "open" ? null : state.pose;
+  return { ...state, connection, jobs, pose, ui: { ...state.ui, advancing: false } };
+}
+
+/** Older news leave when too many wait; errors stay until they are read. */
+const MAX_NOTICES = 3;
+
+function say(state: AppState, message: Omit<Message, "id">): AppState {
+  const rest = state.messages.filter((old) => old.code !== message.code || old.message !== message.message);
+  const added = [{ ...message, id: state.nextMessageId }, ...rest];
+  const notices = added.filter((entry) => entry.kind === "notice").slice(0, MAX_NOTICES);
+  return {
+    ...state,
+    nextMessageId: state.nextMessageId + 1,
+    messages: added.filter((entry) => entry.kind === "error" || notices.includes(entry)),
+  };
+}
+
+const asPoint = (point: readonly number[] | null): Vec3 | null => (point === null ? null : asVec3(point));
+
+/** 0.01 mm: the server may round a coordinate on its way, nobody can drag so finely. */
+const samePoint = (a: Vec3 | null, b: Vec3 | null): boolean =>
+  a === null || b === null ? a === b : distance(a, b) < 0.01;
+const sameWindow = (
+  a: { width_hu: number; level_hu: number },
+  b: { width_hu: number; level_hu: number },
+): boolean => Math.abs(a.width_hu - b.width_hu) < 0.5 && Math.abs(a.level_hu - b.level_hu) < 0.5;
+const samePathMm = (a: number, b: number): boolean => Math.abs(a - b) < 0.05;
+
+/** The tip, from the newest pose. */
+export function tipLps(state: AppState): Vec3 | null {
+  const m = state.pose?.lps_from_camera;
+  return m === undefined ? null : [m[3] ?? 0, m[7] ?? 0, m[11] ?? 0];
+}
+
+/** The point that the slices meet at, moved at once while a person drags it; null follows the tip. */
+export function crosshairLps(state: AppState): Vec3 | null {
+  return state.local.crosshair === null ? asPoint(state.session?.crosshair_lps ?? null) : state.local.crosshair.value;
+}
+
+export function greyWindow(state: AppState): { width_hu: number; level_hu: number } {
+  return state.local.window?.value ?? state.session?.window ?? { width_hu: 1500, level_hu: -600 };
+}
+
+export function pathMm(state: AppState): number | null {
+  return state.local.pathMm?.value ?? state.pose?.path_mm ?? null;
+}

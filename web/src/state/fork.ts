@@ -1,0 +1,30 @@
+/** The fork ahead: how far, and the ways on from it as the picture shows them. */
+
+import type { RouteInfo } from "../wire/messages";
+import { type BranchTree, waysOn, type WayOn } from "./airways";
+import { FORK_TOLERANCE_MM } from "./route";
+import type { Camera } from "./vec";
+
+/** A fork that was just passed is still the one in front of the eye. */
+const STILL_HERE_MM = 4;
+
+export interface ForkAhead {
+  /** From the tip; 0 at the fork. */
+  distanceMm: number;
+  ways: WayOn[];
+}
+
+/** Null where the route has no fork ahead with more than one way on. */
+export function forkAhead(tree: BranchTree, route: RouteInfo, pathMm: number, camera: Camera): ForkAhead | null {
+  for (const span of route.spans) {
+    if (span.to_mm < pathMm - STILL_HERE_MM) continue;
+    const node = tree.byId.get(span.branch_id);
+    if (node === undefined || node.children.length < 2) continue;
+    const distanceMm = span.to_mm - pathMm;
+    return {
+      distanceMm: distanceMm < FORK_TOLERANCE_MM ? 0 : distanceMm,
+      ways: waysOn(node, camera, route),
+    };
+  }
+  return null;
+}

@@ -1,0 +1,43 @@
+/** Numbers as people read them: every value with its unit, minus signs that line up. */
+
+import { asVec3, type Vec3 } from "./vec";
+
+const MINUS = "\u2212";
+const THIN = "\u202f";
+
+export function fixed(value: number, digits = 0): string {
+  const text = Math.abs(value).toFixed(digits);
+  return value < 0 && Number(text) !== 0 ? `${MINUS}${text}` : text;
+}
+
+export const mm = (value: number, digits = 1): string => `${fixed(value, digits)}${THIN}mm`;
+
+/** Coordinates with the side in words: `R 17.6  P 35.3  S 12.1 mm`. */
+export function coordinates(lps: Vec3): string {
+  const part = (value: number, plus: string, minus: string) =>
+    `${value >= 0 ? plus : minus}${THIN}${Math.abs(value).toFixed(1)}`;
+  return `${part(lps[0], "L", "R")}  ${part(lps[1], "P", "A")}  ${part(lps[2], "S", "I")} mm`;
+}
+
+/** `x, y, z` typed by a person (commas, semicolons or spaces; minus as hyphen or true minus), LPS mm; null if it is not three numbers. */
+export function parseCoordinates(text: string): Vec3 | null {
+  const parts = text
+    .replaceAll(MINUS, "-")
+    .trim()
+    .split(/[\s,;]+/);
+  const values = parts.map(Number);
+  if (parts.length !== 3 || parts.some((part) => part === "") || !values.every(Number.isFinite)) return null;
+  return asVec3(values);
+}
+
+/** `about 40 s left`, in words no more exact than the guess is. */
+export function timeLeft(seconds: number): string {
+  if (seconds < 2) return "almost done";
+  if (seconds < 60) return `about ${Math.ceil(seconds / 5) * 5} s left`;
+  return `about ${Math.ceil(seconds / 60)} min left`;
+}
+
+export const windowWords = (widthHu: number, levelHu: number): string =>
+  `W ${fixed(widthHu)}  L ${fixed(levelHu)}`;
+
+export const plural = (count: number, one: string, many = `${one}s`): string => `${count} ${count === 1 ? one : many}`;

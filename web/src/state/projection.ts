@@ -1,0 +1,144 @@
+/** From pixels to the patient and back, for flat pictures (slices, cut-plane, X-ray) and seen ones (airway, tree). */
+
+import { add, type Camera, cameraFromMatrix, column, cross, dot, scale, sub, unit, type Vec3 } from "./vec";
+
+/** Picture coordinates: pixel (0, 0) is the corner of the top-left pixel; its centre is (0.5, 0.5). */
+export interface PixelPoint {
+  column: number;
+  row: number;
+}
+
+export interface SeenPoint extends PixelPoint {
+  /** Along the viewing direction: behind the plane (flat) or before the camera (seen), mm. */
+  depthMm: number;
+}
+
+export interface FlatGeometry {
+  kind: "flat";
+  origin: Vec3;
+  /** LPS mm per pixel to the right and down. */
+  perColumn: Vec3;
+  perRow: Vec3;
+}
+
+export interface SeenGeometry {
+  kind: "seen";
+  camera: Camera;
+  focalPx: number;
+  width: number;
+  height: number;
+}
+
+export type Geometry = FlatGeometry | SeenGeometry;
+
+/** What a picture's header says about where it lies. */
+export interface Placed {
+  width: number;
+  height: number;
+  lps_from_pixel: readonly number[] | null;
+  lps_from_camera: readonly number[] | null;
+  fov_deg: number | null;
+}
+
+/** The geometry of a picture, or null where its header gives none. Flat wins: a cut-plane also carries a camera. */
+export function geometryOf(picture: Placed): Geometry | null {
+  if (picture.lps_from_pixel !== null) {
+    return {
+      kind: "flat",
+      perColumn: column(picture.lps_from_pixel, 0),
+      perRow: column(picture.lps_from_pixel, 1),
+      origin: column(picture.lps_from_pixel, 3),
+    };
+  }
+  if (picture.lps_from_camera !== null && picture.fov_deg !== null && picture.fov_deg < 179) {
+    // The field of view is the full angle across the image circle, the shorter side.
+    const focalPx = (0.5 * Math.min(picture.width, picture.height)) / Math.tan((picture.fov_deg * Math.PI) / 360);
+    return {
+      kind: "seen",
+      camera: cameraFromMatrix(picture.lps_from_camera),
+      focalPx,
+      width: picture.width,
+      height: picture.height,
+    };
+  }
+  return null;
+}
+
+export function lpsFromPixel(geometry: FlatGeometry, pixel: PixelPoint): Vec3 {
+  return add(
+    geometry.origin,
+    add(scale(geometry.perColumn, pixel.column), scale(geometry.perRow, pixel.row)),
+  );
+}
+
+/** Into the screen, unit length: right x down, as for a camera. */
+export function normalOf(geometry: FlatGeometry): Vec3 {
+  return unit(cross(geometry.perColumn, geometry.perRow));
+}
+
+export function mmPerPixel(geometry: FlatGeometry): number {
+  return Math.sqrt(dot(geometry.perColumn, geometry.perColumn));
+}
+
+/** Where a point falls in a picture; null where a camera cannot see it (behind, or too near to have a place). */
+export function pixelFromLps(geometry: Geometry, lps: Vec3): SeenPoint | null {
+  if (geometry.kind === "flat") {
+    const offset = sub(lps, geometry.origin);
+    // Least squares over the two axes, so that axes which are not exactly at right angles still invert exactly.
+    const cc = dot(geometry.perColumn, geometry.perColumn);
+    const rr = dot(geometry.perRow, geometry.perRow);
+    const cr = dot(geometry.perColumn, geometry.perRow);
+    const det = cc * rr - cr * cr;
+    if (!(det > 0)) return null;
+    const oc = dot(offset, geometry.perColumn);
+    const or = dot(offset, geometry.perRow);
+    return {
+      column: (oc * rr - or * cr) / det,
+      row: (or * cc - oc * cr) / det,
+      depthMm: dot(offset, normalOf(geometry)),
+    };
+  }
+  const offset = sub(lps, geometry.camera.position);
+  const depthMm = dot(offset, geometry.camera.forward);
+  if (depthMm < NEAR_MM) return null;
+  return {
+    column: geometry.width / 2 + (geometry.focalPx * dot(offset, geometry.camera.right)) / depthMm,
+    row: geometry.height / 2 + (geometry.focalPx * dot(offset, geometry.camera.down)) / depthMm,
+    depthMm,
+  };
+}
+
+/** Nearer than this to a camera a line has no useful place in the picture. */
+export const NEAR_MM = 0.5;
+
+/** A line of points as runs of picture points; parts a camera cannot see are cut out. */
+export function projectLine(geometry: Geometry, pointsLps: readonly Vec3[]): SeenPoint[][] {
+  const runs: SeenPoint[][] = [];
+  let run: SeenPoint[] = [];
+  for (const point of pointsLps) {
+    const seen = pixelFromLps(geometry, point);
+    if (seen !== null) {
+      run.push(seen);
+    } else if (run.length > 0) {
+      runs.push(run);
+      run = [];
+    }
+  }
+  if (run.length > 0) runs.push(run);
+  return runs.filter((part) => part.length > 1);
+}
+
+/** Directions of the picture's columns and rows in the patient. */
+export function axesOf(geometry: Geometry): { right: Vec3; down: Vec3 } {
+  return geometry.kind === "flat"
+    ? { right: unit(geometry.perColumn), down: unit(geometry.perRow) }
+    : { right: geometry.camera.right, down: geometry.camera.down };
+}
+
+/** A round length for a scale bar of at most `maxPx` pixels. */
+export function scaleBar(mmPerPx: number, maxPx: number): { mm: number; px: number } {
+  const limit = mmPerPx * maxPx;
+  const power = 10 ** Math.floor(Math.log10(limit));
+  const mm = [5, 2, 1].map((step) => step * power).find((step) => step <= limit) ?? power;
+  return { mm, px: mm / mmPerPx };
+}

@@ -1,0 +1,103 @@
+/** The route that is flown, by distance from its root in mm. */
+
+import type { RouteInfo, RouteSpan } from "../wire/messages";
+import { asVec3, lerp, sub, unit, type Vec3 } from "./vec";
+
+/** Two places nearer than this are one fork to a person (and a pose after a rounding is not "before" it again). */
+export const FORK_TOLERANCE_MM = 0.5;
+
+export function nextForkMm(route: Pick<RouteInfo, "forks_mm" | "length_mm">, pathMm: number): number | null {
+  const fork = route.forks_mm.find((at) => at > pathMm + FORK_TOLERANCE_MM);
+  return fork ?? null;
+}
+
+/** Where an automatic advance stops: the next fork, else the end of the route. */
+export function nextStopMm(route: Pick<RouteInfo, "forks_mm" | "length_mm">, pathMm: number): number {
+  return nextForkMm(route, pathMm) ?? route.length_mm;
+}
+
+export function clampToRoute(route: Pick<RouteInfo, "length_mm">, pathMm: number): number {
+  return Math.min(Math.max(pathMm, 0), route.length_mm);
+}
+
+/** Index of the last point at or before a distance. */
+function indexAt(cumulativeMm: readonly number[], pathMm: number): number {
+  let low = 0;
+  let high = cumulativeMm.length - 1;
+  while (low < high) {
+    const middle = (low + high + 1) >> 1;
+    if ((cumulativeMm[middle] ?? 0) <= pathMm) low = middle;
+    else high = middle - 1;
+  }
+  return low;
+}
+
+/** The point at a distance along the route, between its points. */
+export function pointAt(route: Pick<RouteInfo, "points_lps" | "cumulative_mm">, pathMm: number): Vec3 | null {
+  const index = indexAt(route.cumulative_mm, pathMm);
+  const a = route.points_lps[index];
+  if (a === undefined) return null;
+  const b = route.points_lps[index + 1];
+  const from = route.cumulative_mm[index] ?? 0;
+  const to = route.cumulative_mm[index + 1] ?? from;
+  if (b === undefined || to <= from) return asVec3(a);
+  const t = Math.min(Math.max((pathMm - from) / (to - from), 0), 1);
+  return lerp(asVec3(a), asVec3(b), t);
+}
+
+/** Points of the route between two distances, ends included. */
+export function pointsBetween(
+  route: Pick<RouteInfo, "points_lps" | "cumulative_mm">,
+  fromMm: number,
+  toMm: number,
+): Vec3[] {
+  const first = pointAt(route, fromMm);
+  const last = pointAt(route, toMm);
+  if (first === null || last === null) return [];
+  const inner: Vec3[] = [];
+  for (let index = indexAt(route.cumulative_mm, fromMm) + 1; index < route.points_lps.length; index += 1) {
+    if ((route.cumulative_mm[index] ?? 0) >= toMm) break;
+    const point = route.points_lps[index];
+    if (point !== undefined) inner.push(asVec3(point));
+  }
+  return [first, ...inner, last];
+}
+
+/** Unit direction of the route at a distance. */
+export function directionAt(route: Pick<RouteInfo, "points_lps" | "cumulative_mm">, pathMm: number): Vec3 | null {
+  const a = pointAt(route, pathMm - 0.5);
+  const b = pointAt(route, pathMm + 0.5);
+  return a === null || b === null ? null : unit(sub(b, a));
+}
+
+/** The branch at a distance along the route. */
+export function spanAt(route: Pick<RouteInfo, "spans">, pathMm: number): RouteSpan | null {
+  return route.spans.find((span) => pathMm >= span.from_mm && pathMm < span.to_mm) ?? route.spans.at(-1) ?? null;
+}
+
+/** Diameter of the narrowest place of the route and where it is. */
+export function narrowest(
+  route: Pick<RouteInfo, "radius_mm" | "cumulative_mm">,
+): { diameterMm: number; pathMm: number } | null {
+  let found: { diameterMm: number; pathMm: number } | null = null;
+  route.radius_mm.forEach((radius, index) => {
+    if (found === null || 2 * radius < found.diameterMm) {
+      found = { diameterMm: 2 * radius, pathMm: route.cumulative_mm[index] ?? 0 };
+    }
+  });
+  return found;
+}
+
+/** Distance along the route of its point nearest to a place. */
+export function nearestMm(route: Pick<RouteInfo, "points_lps" | "cumulative_mm">, lps: Vec3): number {
+  let best = Number.POSITIVE_INFINITY;
+  let at = 0;
+  route.points_lps.forEach((point, index) => {
+    const d = Math.hypot(point[0] - lps[0], point[1] - lps[1], point[2] - lps[2]);
+    if (d < best) {
+      best = d;
+      at = route.cumulative_mm[index] ?? 0;
+    }
+  });
+  return at;
+}

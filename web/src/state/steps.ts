@@ -1,0 +1,25 @@
+/** The way from a CT to a rehearsed route: steps in order, each revisitable. */
+
+export const STEPS = ["open", "check", "airways", "target", "route", "rehearse", "share"] as const;
+export type Step = (typeof STEPS)[number];
+
+export interface StepWords {
+  title: string;
+  /** What the step is for, in a tooltip. */
+  words: string;
+  built: boolean;
+}
+
+export const STEP_WORDS: Readonly<Record<Step, StepWords>> = {
+  open: { title: "Open", words: "The case: what is open, and how to open another", built: true },
+  check: { title: "Check", words: "Is this CT good enough? Findings, other series, grey window", built: true },
+  airways: { title: "Airways", words: "The airway tree that was found, its root and threshold", built: true },
+  target: { title: "Target", words: "Mark where you want to go", built: true },
+  route: { title: "Route", words: "Choose the way, see its length and narrowest place", built: true },
+  rehearse: {
+    title: "Rehearse",
+    words: "Not built yet. Practise the route with a real bronchoscope's length, bend and width",
+    built: false,
+  },
+  share: { title: "Share", words: "Not built yet. Reports, films of the flight, surfaces and centrelines", built: false },
+};

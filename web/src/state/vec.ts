@@ -1,0 +1,56 @@
+/** Small vectors and matrices. Points and directions are LPS (patient left, posterior, superior), lengths in mm. */
+
+export type Vec3 = readonly [number, number, number];
+
+export const add = (a: Vec3, b: Vec3): Vec3 => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
+export const sub = (a: Vec3, b: Vec3): Vec3 => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+export const scale = (a: Vec3, s: number): Vec3 => [a[0] * s, a[1] * s, a[2] * s];
+export const dot = (a: Vec3, b: Vec3): number => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+export const cross = (a: Vec3, b: Vec3): Vec3 => [
+  a[1] * b[2] - a[2] * b[1],
+  a[2] * b[0] - a[0] * b[2],
+  a[0] * b[1] - a[1] * b[0],
+];
+export const length = (a: Vec3): number => Math.hypot(a[0], a[1], a[2]);
+export const distance = (a: Vec3, b: Vec3): number => length(sub(a, b));
+export const lerp = (a: Vec3, b: Vec3, t: number): Vec3 => [
+  a[0] + (b[0] - a[0]) * t,
+  a[1] + (b[1] - a[1]) * t,
+  a[2] + (b[2] - a[2]) * t,
+];
+
+export function unit(a: Vec3): Vec3 {
+  const n = length(a);
+  return n > 0 ? scale(a, 1 / n) : a;
+}
+
+/** A list of three numbers as a point; anything else is a fault of the caller. */
+export function asVec3(values: readonly number[]): Vec3 {
+  const [x, y, z] = values;
+  if (values.length !== 3 || x === undefined || y === undefined || z === undefined) {
+    throw new Error(`a point has three coordinates, found ${values.length}`);
+  }
+  return [x, y, z];
+}
+
+/** Column `index` (0..3) of a row-major 4x4 matrix, without its last row. */
+export function column(matrix: readonly number[], index: number): Vec3 {
+  return [matrix[index] ?? 0, matrix[4 + index] ?? 0, matrix[8 + index] ?? 0];
+}
+
+/** The axes and the place of a camera: +x right, +y down, +z forward. */
+export interface Camera {
+  right: Vec3;
+  down: Vec3;
+  forward: Vec3;
+  position: Vec3;
+}
+
+export function cameraFromMatrix(lpsFromCamera: readonly number[]): Camera {
+  return {
+    right: column(lpsFromCamera, 0),
+    down: column(lpsFromCamera, 1),
+    forward: column(lpsFromCamera, 2),
+    position: column(lpsFromCamera, 3),
+  };
+}

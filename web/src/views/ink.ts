@@ -1,0 +1,109 @@
+/** Colours and strokes of what is drawn over the pictures. Red, yellow and green mean planes and nothing else. */
+
+export const PLANE_COLOURS = { axial: "#ff6f61", coronal: "#63d28c", sagittal: "#f3d34f" } as const;
+
+export const INK = {
+  text: "#e6e8ea",
+  quiet: "#a9b1b8",
+  accent: "#4fd3e6",
+  warning: "#f4b44c",
+  halo: "rgba(8, 10, 12, 0.85)",
+  ring: "#2c343a",
+  ringTick: "#5b666e",
+} as const;
+
+export const FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif';
+
+export type Ink = CanvasRenderingContext2D;
+
+export interface ScreenPoint {
+  x: number;
+  y: number;
+}
+
+/** Text that can be read on any picture: light on a dark edge. */
+export function label(
+  ink: Ink,
+  text: string,
+  at: ScreenPoint,
+  options: { size?: number; bold?: boolean; colour?: string; align?: CanvasTextAlign; baseline?: CanvasTextBaseline } = {},
+): void {
+  ink.font = `${options.bold === true ? "600 " : ""}${options.size ?? 12}px ${FONT}`;
+  ink.textAlign = options.align ?? "center";
+  ink.textBaseline = options.baseline ?? "middle";
+  ink.lineJoin = "round";
+  ink.lineWidth = 3;
+  ink.strokeStyle = INK.halo;
+  ink.strokeText(text, at.x, at.y);
+  ink.fillStyle = options.colour ?? INK.text;
+  ink.fillText(text, at.x, at.y);
+}
+
+export function line(ink: Ink, points: readonly ScreenPoint[], colour: string, width: number, alpha = 1): void {
+  if (points.length < 2) return;
+  ink.save();
+  ink.globalAlpha = alpha;
+  ink.strokeStyle = colour;
+  ink.lineWidth = width;
+  ink.lineJoin = "round";
+  ink.lineCap = "round";
+  ink.beginPath();
+  points.forEach((point, index) => {
+    if (index === 0) ink.moveTo(point.x, point.y);
+    else ink.lineTo(point.x, point.y);
+  });
+  ink.stroke();
+  ink.restore();
+}
+
+/** The tip: a disc with its viewing direction; hollow where it lies off the plane. */
+export function tipMark(ink: Ink, at: ScreenPoint, look: ScreenPoint | null, onPlane: boolean): void {
+  ink.save();
+  ink.lineWidth = 2;
+  ink.strokeStyle = INK.halo;
+  ink.beginPath();
+  ink.arc(at.x, at.y, 6, 0, 2 * Math.PI);
+  ink.stroke();
+  ink.strokeStyle = INK.accent;
+  ink.fillStyle = INK.accent;
+  ink.beginPath();
+  ink.arc(at.x, at.y, 4, 0, 2 * Math.PI);
+  if (onPlane) ink.fill();
+  ink.stroke();
+  const size = look === null ? 0 : Math.hypot(look.x, look.y);
+  if (look !== null && size > 2) {
+    const ux = look.x / size;
+    const uy = look.y / size;
+    const reach = 6 + Math.min(size, 16);
+    const tip = { x: at.x + ux * reach, y: at.y + uy * reach };
+    ink.beginPath();
+    ink.moveTo(at.x + ux * 5, at.y + uy * 5);
+    ink.lineTo(tip.x, tip.y);
+    ink.moveTo(tip.x - ux * 5 - uy * 3.5, tip.y - uy * 5 + ux * 3.5);
+    ink.lineTo(tip.x, tip.y);
+    ink.lineTo(tip.x - ux * 5 + uy * 3.5, tip.y - uy * 5 - ux * 3.5);
+    ink.stroke();
+  }
+  ink.restore();
+}
+
+/** A target: a diamond, amber where there is no way to it. */
+export function targetMark(ink: Ink, at: ScreenPoint, colour: string, alpha: number): void {
+  ink.save();
+  ink.globalAlpha = alpha;
+  for (const [width, stroke] of [
+    [4, INK.halo],
+    [2, colour],
+  ] as const) {
+    ink.lineWidth = width;
+    ink.strokeStyle = stroke;
+    ink.beginPath();
+    ink.moveTo(at.x, at.y - 6);
+    ink.lineTo(at.x + 6, at.y);
+    ink.lineTo(at.x, at.y + 6);
+    ink.lineTo(at.x - 6, at.y);
+    ink.closePath();
+    ink.stroke();
+  }
+  ink.restore();
+}

@@ -1,0 +1,66 @@
+/** Round the airway picture: the orientation ring, the way on, and a thin line of the route. All from the shown frame. */
+
+import { ringMarks } from "../state/letters";
+import { geometryOf, projectLine } from "../state/projection";
+import { pointsBetween } from "../state/route";
+import { INK, type Ink, label, line } from "./ink";
+import type { Scene } from "./scene";
+import { RING_PX, type Viewport } from "./viewport";
+
+/** The line begins where it no longer covers what the tip touches, and ends before it shines through walls. */
+const LINE_FROM_MM = 6;
+const LINE_TO_MM = 45;
+const HOURS = 12;
+
+export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
+  const { header, frame } = viewport;
+  const centre = { x: frame.x + frame.width / 2, y: frame.y + frame.height / 2 };
+  const round = scene.airwayShape === "round";
+  const radius = Math.min(frame.width, frame.height) / 2 + (round ? RING_PX / 2 : -RING_PX / 2);
+  if (radius < 20) return;
+  if (round) paintDial(ink, centre, radius);
+  if (header === null) return;
+  const geometry = geometryOf(header);
+  if (geometry === null || geometry.kind !== "seen") return;
+
+  if (scene.routeLineVisible && scene.route !== null && scene.pathMm !== null) {
+    const ahead = pointsBetween(scene.route, scene.pathMm + LINE_FROM_MM, scene.pathMm + LINE_TO_MM);
+    ink.save();
+    ink.beginPath();
+    if (round) ink.arc(centre.x, centre.y, frame.width / 2, 0, 2 * Math.PI);
+    else ink.rect(frame.x, frame.y, frame.width, frame.height);
+    ink.clip();
+    ink.setLineDash([1, 7]);
+    for (const run of projectLine(geometry, ahead)) {
+      const points = run.map((point) => viewport.screenAt(point));
+      line(ink, points, INK.halo, 4.5, 0.5);
+      line(ink, points, INK.accent, 3, 0.95);
+    }
+    ink.restore();
+  }
+  for (const mark of ringMarks(geometry.camera)) {
+    const at = { x: centre.x + radius * Math.sin(mark.angleRad), y: centre.y - radius * Math.cos(mark.angleRad) };
+    label(ink, mark.text, at, { size: mark.strength > 0.8 ? 15 : 12, bold: true });
+  }
+}
+
+function paintDial(ink: Ink, centre: { x: number; y: number }, radius: number): void {
+  ink.save();
+  ink.strokeStyle = INK.ring;
+  ink.lineWidth = 1;
+  ink.beginPath();
+  ink.arc(centre.x, centre.y, radius + RING_PX / 2 - 1, 0, 2 * Math.PI);
+  ink.stroke();
+  ink.restore();
+  for (let hour = 0; hour < HOURS; hour += 1) {
+    const angle = (hour / HOURS) * 2 * Math.PI;
+    const from = radius + RING_PX / 2 - 1;
+    const to = from - (hour % 3 === 0 ? 6 : 4);
+    line(
+      ink,
+      [from, to].map((r) => ({ x: centre.x + r * Math.sin(angle), y: centre.y - r * Math.cos(angle) })),
+      INK.ringTick,
+      hour === 0 ? 2 : 1,
+    );
+  }
+}

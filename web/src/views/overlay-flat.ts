@@ -1,0 +1,122 @@
+/** Over slices, cut-plane and X-ray: crosshair, route, targets, tip, letters, scale. */
+
+import { edgeLetters } from "../state/letters";
+import { axesOf, type FlatGeometry, geometryOf, mmPerPixel, pixelFromLps, projectLine, scaleBar } from "../state/projection";
+import { add, scale } from "../state/vec";
+import type { ViewName } from "../wire/messages";
+import { INK, type Ink, label, line, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
+import type { Scene } from "./scene";
+import type { Viewport } from "./viewport";
+
+/** Within this distance something counts as lying in a slice. */
+const IN_PLANE_MM = 2.5;
+const GAP_PX = 9;
+
+type SliceName = keyof typeof PLANE_COLOURS;
+
+/** Which plane each crosshair line of a slice stands for. */
+const LINES: Readonly<Record<SliceName, { vertical: SliceName; horizontal: SliceName }>> = {
+  axial: { vertical: "sagittal", horizontal: "coronal" },
+  coronal: { vertical: "sagittal", horizontal: "axial" },
+  sagittal: { vertical: "coronal", horizontal: "axial" },
+};
+
+const isSlice = (view: ViewName): view is SliceName => view in PLANE_COLOURS;
+
+export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
+  const { header } = viewport;
+  if (header === null) return;
+  const geometry = geometryOf(header);
+  if (geometry === null || geometry.kind !== "flat") return;
+  const seesThrough = header.view.startsWith("xray");
+  const inPlane = (depthMm: number) => seesThrough || Math.abs(depthMm) <= IN_PLANE_MM;
+  if (isSlice(header.view)) paintCrosshair(ink, viewport, geometry, scene, header.view);
+  paintRoute(ink, viewport, geometry, scene, inPlane);
+  for (const target of scene.targets) {
+    const seen = pixelFromLps(geometry, target.lps);
+    if (seen === null) continue;
+    const near = inPlane(seen.depthMm);
+    const at = viewport.screenAt(seen);
+    const colour = target.reachable ? INK.accent : INK.warning;
+    targetMark(ink, at, colour, near ? 1 : 0.35);
+    if (near && !seesThrough) label(ink, target.name, { x: at.x + 10, y: at.y - 9 }, { size: 11, colour, align: "left" });
+  }
+  if (scene.tip !== null) {
+    const seen = pixelFromLps(geometry, scene.tip.position);
+    const ahead = pixelFromLps(geometry, add(scene.tip.position, scale(scene.tip.forward, 6)));
+    if (seen !== null) {
+      const at = viewport.screenAt(seen);
+      tipMark(ink, at, ahead === null ? null : minus(viewport.screenAt(ahead), at), inPlane(seen.depthMm));
+    }
+  }
+  paintLetters(ink, viewport, geometry);
+  paintScale(ink, viewport, geometry);
+}
+
+const minus = (a: ScreenPoint, b: ScreenPoint): ScreenPoint => ({ x: a.x - b.x, y: a.y - b.y });
+
+function paintCrosshair(ink: Ink, viewport: Viewport, geometry: FlatGeometry, scene: Scene, view: SliceName): void {
+  if (scene.crosshair === null) return;
+  const seen = pixelFromLps(geometry, scene.crosshair);
+  if (seen === null) return;
+  const at = viewport.screenAt(seen);
+  const { width, height } = viewport.size;
+  const alpha = scene.followsTip ? 0.55 : 0.9;
+  const { vertical, horizontal } = LINES[view];
+  line(ink, [{ x: at.x, y: 0 }, { x: at.x, y: at.y - GAP_PX }], PLANE_COLOURS[vertical], 1, alpha);
+  line(ink, [{ x: at.x, y: at.y + GAP_PX }, { x: at.x, y: height }], PLANE_COLOURS[vertical], 1, alpha);
+  line(ink, [{ x: 0, y: at.y }, { x: at.x - GAP_PX, y: at.y }], PLANE_COLOURS[horizontal], 1, alpha);
+  line(ink, [{ x: at.x + GAP_PX, y: at.y }, { x: width, y: at.y }], PLANE_COLOURS[horizontal], 1, alpha);
+}
+
+function paintRoute(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: FlatGeometry,
+  scene: Scene,
+  inPlane: (depthMm: number) => boolean,
+): void {
+  if (!scene.routeLineVisible) return;
+  for (const run of projectLine(geometry, scene.routePoints)) {
+    line(ink, run.map((point) => viewport.screenAt(point)), INK.accent, 1, 0.4);
+    let part: ScreenPoint[] = [];
+    for (const point of run) {
+      if (inPlane(point.depthMm)) {
+        part.push(viewport.screenAt(point));
+      } else {
+        line(ink, part, INK.accent, 2);
+        part = [];
+      }
+    }
+    line(ink, part, INK.accent, 2);
+  }
+}
+
+export function paintLetters(ink: Ink, viewport: Viewport, geometry: Parameters<typeof axesOf>[0]): void {
+  const { right, down } = axesOf(geometry);
+  const letters = edgeLetters(right, down);
+  const { width, height } = viewport.size;
+  const size = Math.min(width, height) > 400 ? 15 : 12;
+  const inset = size * 0.5 + 5;
+  const style = { size, bold: true } as const;
+  label(ink, letters.top, { x: width / 2, y: inset }, style);
+  label(ink, letters.bottom, { x: width / 2, y: height - inset }, style);
+  label(ink, letters.left, { x: 6, y: height / 2 }, { ...style, align: "left" });
+  label(ink, letters.right, { x: width - 6, y: height / 2 }, { ...style, align: "right" });
+}
+
+function paintScale(ink: Ink, viewport: Viewport, geometry: FlatGeometry): void {
+  const mmPerCss = mmPerPixel(geometry) / viewport.magnification;
+  if (!(mmPerCss > 0)) return;
+  const { width, height } = viewport.size;
+  const bar = scaleBar(mmPerCss, Math.min(0.3 * width, 120));
+  const x = 8;
+  const y = height - 9;
+  for (const [stroke, thick] of [
+    [INK.halo, 4],
+    [INK.text, 1.5],
+  ] as const) {
+    line(ink, [{ x, y: y - 4 }, { x, y }, { x: x + bar.px, y }, { x: x + bar.px, y: y - 4 }], stroke, thick);
+  }
+  label(ink, `${bar.mm} mm`, { x: x + 1, y: y - 8 }, { size: 11, align: "left", baseline: "bottom" });
+}

@@ -1,0 +1,199 @@
+/** One picture on the screen: a canvas for the pixels, one for what is drawn over them, and the way between both. */
+
+import type { PixelPoint } from "../state/projection";
+import type { PictureHeader, ViewName } from "../wire/messages";
+import type { Ink, ScreenPoint } from "./ink";
+
+export interface Rect {
+  x: number;
+  y: number;
+  width: number;
+  height: number;
+}
+
+export type Shape = "fill" | "round";
+
+/** Beyond this a picture costs more to render than the eye gains. */
+const MAX_PIXELS: Readonly<Record<string, number>> = { airway: 1024 };
+const MAX_PIXELS_OTHER = 768;
+/** The wire's smallest and largest picture side. */
+const MIN_SIDE_PX = 16;
+/** Room for the letters round a round picture, CSS px. */
+export const RING_PX = 26;
+
+export class Viewport {
+  readonly host: HTMLElement;
+  readonly picture: HTMLCanvasElement;
+  readonly overlay: HTMLCanvasElement;
+  header: PictureHeader | null = null;
+  #view: ViewName;
+  #shape: Shape;
+  #hostSize = { width: 0, height: 0 };
+  #ratio = 1;
+
+  constructor(host: HTMLElement, view: ViewName, shape: Shape) {
+    this.host = host;
+    this.#view = view;
+    this.#shape = shape;
+    this.picture = document.createElement("canvas");
+    this.picture.className = "picture";
+    this.overlay = document.createElement("canvas");
+    this.overlay.className = "overlay";
+    this.overlay.setAttribute("aria-hidden", "true");
+    host.append(this.picture, this.overlay);
+    this.#describe();
+  }
+
+  get view(): ViewName {
+    return this.#view;
+  }
+
+  /** Another view in the same place; the old picture must not pose as the new one. */
+  show(view: ViewName, shape: Shape): void {
+    const changed = view !== this.#view;
+    this.#view = view;
+    this.#shape = shape;
+    if (changed) this.clear();
+    this.#place();
+  }
+
+  clear(): void {
+    this.header = null;
+    this.picture.getContext("2d")?.clearRect(0, 0, this.picture.width, this.picture.height);
+    this.#describe();
+  }
+
+  resize(width: number, height: number, ratio: number): void {
+    this.#hostSize = { width, height };
+    this.#ratio = ratio;
+    this.overlay.width = Math.max(Math.round(width * ratio), 1);
+    this.overlay.height = Math.max(Math.round(height * ratio), 1);
+    this.#place();
+  }
+
+  /** Where the picture lies in the host, CSS px. */
+  get frame(): Rect {
+    const { width, height } = this.#hostSize;
+    if (this.#shape === "fill") return { x: 0, y: 0, width, height };
+    const side = Math.max(Math.min(width, height) - 2 * RING_PX, 0);
+    return { x: (width - side) / 2, y: (height - side) / 2, width: side, height: side };
+  }
+
+  get size(): { width: number; height: number } {
+    return this.#hostSize;
+  }
+
+  /** What to ask of the server, device pixels; null while there is no room for a picture. */
+  get wantedPixels(): { width: number; height: number } | null {
+    const { width, height } = this.frame;
+    const limit = MAX_PIXELS[this.#view] ?? MAX_PIXELS_OTHER;
+    const scale = Math.min(this.#ratio, limit / Math.max(width, height, 1));
+    const pixels = { width: Math.round(width * scale), height: Math.round(height * scale) };
+    return Math.min(pixels.width, pixels.height) < MIN_SIDE_PX ? null : pixels;
+  }
+
+  draw(header: PictureHeader, image: CanvasImageSource): void {
+    const ink = this.picture.getContext("2d");
+    if (ink === null) return;
+    this.header = header;
+    const { width, height } = this.picture;
+    const fit = fitInside(header, width, height);
+    // A picture of other proportions only comes while a cell changes its size; the rest must not show an older one.
+    if (fit.width < width || fit.height < height) ink.clearRect(0, 0, width, height);
+    ink.imageSmoothingEnabled = true;
+    ink.imageSmoothingQuality = "high";
+    ink.drawImage(image, fit.x, fit.y, fit.width, fit.height);
+    this.#describe();
+  }
+
+  /** From a place in the host (CSS px) to picture coordinates. */
+  pixelAt(at: ScreenPoint): PixelPoint | null {
+    if (this.header === null) return null;
+    const place = this.#pictureOnHost(this.header);
+    return {
+      column: ((at.x - place.x) / place.width) * this.header.width,
+      row: ((at.y - place.y) / place.height) * this.header.height,
+    };
+  }
+
+  screenAt(pixel: PixelPoint): ScreenPoint {
+    if (this.header === null) return { x: 0, y: 0 };
+    const place = this.#pictureOnHost(this.header);
+    return {
+      x: place.x + (pixel.column / this.header.width) * place.width,
+      y: place.y + (pixel.row / this.header.height) * place.height,
+    };
+  }
+
+  /** CSS px per picture pixel. */
+  get magnification(): number {
+    return this.header === null ? 1 : this.#pictureOnHost(this.header).width / this.header.width;
+  }
+
+  /** A cleared overlay in CSS px. */
+  ink(): Ink | null {
+    const ink = this.overlay.getContext("2d");
+    if (ink === null) return null;
+    ink.setTransform(1, 0, 0, 1, 0, 0);
+    ink.clearRect(0, 0, this.overlay.width, this.overlay.height);
+    ink.setTransform(this.#ratio, 0, 0, this.#ratio, 0, 0);
+    return ink;
+  }
+
+  remove(): void {
+    this.picture.remove();
+    this.overlay.remove();
+  }
+
+  #pictureOnHost(header: PictureHeader): Rect {
+    const frame = this.frame;
+    const fit = fitInside(header, frame.width, frame.height);
+    return { ...fit, x: frame.x + fit.x, y: frame.y + fit.y };
+  }
+
+  #place(): void {
+    const frame = this.frame;
+    const { style } = this.picture;
+    style.left = `${frame.x}px`;
+    style.top = `${frame.y}px`;
+    style.width = `${frame.width}px`;
+    style.height = `${frame.height}px`;
+    style.borderRadius = this.#shape === "round" ? "50%" : "0";
+    const width = Math.max(Math.round(frame.width * this.#ratio), 1);
+    const height = Math.max(Math.round(frame.height * this.#ratio), 1);
+    if (this.picture.width === width && this.picture.height === height) return;
+    // Changing a canvas's size empties it: the last picture is kept until the new one comes, scaled.
+    const kept = this.header === null ? null : copyOf(this.picture);
+    this.picture.width = width;
+    this.picture.height = height;
+    if (kept !== null && this.header !== null) {
+      const fit = fitInside(kept, width, height);
+      this.picture.getContext("2d")?.drawImage(kept, fit.x, fit.y, fit.width, fit.height);
+    }
+  }
+
+  /** For browser tests: what this canvas shows. */
+  #describe(): void {
+    const { dataset } = this.picture;
+    dataset.view = this.#view;
+    dataset.frameId = this.header === null ? "" : String(this.header.frame_id);
+    dataset.poseId = this.header === null ? "" : String(this.header.pose_id);
+    dataset.full = this.header === null ? "" : String(this.header.full);
+  }
+}
+
+function fitInside(of: { width: number; height: number }, width: number, height: number): Rect {
+  const scale = Math.min(width / of.width, height / of.height);
+  // Pixel rounding of the same proportions must not leave a hairline.
+  const near = Math.abs(width / of.width - height / of.height) < 0.02 * scale;
+  const fitted = near ? { width, height } : { width: of.width * scale, height: of.height * scale };
+  return { x: (width - fitted.width) / 2, y: (height - fitted.height) / 2, ...fitted };
+}
+
+function copyOf(canvas: HTMLCanvasElement): HTMLCanvasElement {
+  const copy = document.createElement("canvas");
+  copy.width = canvas.width;
+  copy.height = canvas.height;
+  copy.getContext("2d")?.drawImage(canvas, 0, 0);
+  return copy;
+}

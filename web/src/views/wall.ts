@@ -1,0 +1,116 @@
+/** All pictures on the screen: hands each its frames, repaints what is drawn over them, tells the server what is visible. */
+
+import type { PictureHeader, ViewName, ViewSize } from "../wire/messages";
+import { paintAirway } from "./overlay-airway";
+import { paintFlat } from "./overlay-flat";
+import { paintSeen } from "./overlay-seen";
+import type { Scene } from "./scene";
+import type { Shape, Viewport } from "./viewport";
+
+export interface WallHooks {
+  scene(): Scene;
+  layoutChanged(views: ViewSize[]): void;
+  /** Runs a task at the next screen refresh. */
+  nextRefresh(task: () => void): void;
+}
+
+export class Wall {
+  readonly #viewports = new Set<Viewport>();
+  readonly #hooks: WallHooks;
+  #repaintDue = false;
+  #layoutDue = false;
+  #told = "";
+
+  constructor(hooks: WallHooks) {
+    this.#hooks = hooks;
+  }
+
+  add(viewport: Viewport): () => void {
+    this.#viewports.add(viewport);
+    this.touchLayout();
+    return () => {
+      this.#viewports.delete(viewport);
+      viewport.remove();
+      this.touchLayout();
+    };
+  }
+
+  find(view: ViewName): Viewport | null {
+    for (const viewport of this.#viewports) if (viewport.view === view) return viewport;
+    return null;
+  }
+
+  draw(header: PictureHeader, image: CanvasImageSource): boolean {
+    const viewport = this.find(header.view);
+    if (viewport === null) return false;
+    viewport.draw(header, image);
+    this.touch();
+    return true;
+  }
+
+  show(viewport: Viewport, view: ViewName, shape: Shape): void {
+    viewport.show(view, shape);
+    this.touchLayout();
+  }
+
+  clear(): void {
+    for (const viewport of this.#viewports) viewport.clear();
+    this.touch();
+  }
+
+  /** Something that is drawn over the pictures has changed. */
+  touch(): void {
+    if (this.#repaintDue) return;
+    this.#repaintDue = true;
+    this.#hooks.nextRefresh(() => {
+      this.#repaintDue = false;
+      const scene = this.#hooks.scene();
+      for (const viewport of this.#viewports) paint(viewport, scene);
+    });
+  }
+
+  touchLayout(): void {
+    this.touch();
+    if (this.#layoutDue) return;
+    this.#layoutDue = true;
+    this.#hooks.nextRefresh(() => {
+      this.#layoutDue = false;
+      this.tellLayout(false);
+    });
+  }
+
+  /** Tells the server what is visible; `again` also where nothing changed, for a new connection. */
+  tellLayout(again: boolean): void {
+    const views: ViewSize[] = [];
+    for (const viewport of this.#viewports) {
+      const pixels = viewport.wantedPixels;
+      if (pixels !== null) views.push({ view: viewport.view, ...pixels });
+    }
+    const text = JSON.stringify(views);
+    if (text === this.#told && !again) return;
+    this.#told = text;
+    this.#hooks.layoutChanged(views);
+  }
+}
+
+function paint(viewport: Viewport, scene: Scene): void {
+  const ink = viewport.ink();
+  if (ink === null) return;
+  switch (viewport.view) {
+    case "airway":
+      paintAirway(ink, viewport, scene);
+      return;
+    case "tree":
+    case "tri-plane":
+      paintSeen(ink, viewport, scene);
+      return;
+    case "axial":
+    case "coronal":
+    case "sagittal":
+    case "cut-plane":
+    case "xray-axial":
+    case "xray-coronal":
+    case "xray-sagittal":
+      paintFlat(ink, viewport, scene);
+  }
+}

@@ -1,0 +1,193 @@
+/**
+ * Reads what the server sends, and refuses whatever the schema does not promise: a fault in a message must not become a
+ * wrong picture. The rules are those of `protocol/schema.json`, which both languages share.
+ */
+
+import schemaJson from "../../../protocol/schema.json";
+import type { PictureHeader, ServerMessage } from "./messages";
+
+export class WireError extends Error {}
+
+/** The part of JSON Schema that the generator writes. */
+interface Schema {
+  readonly $ref?: string;
+  readonly const?: unknown;
+  readonly enum?: readonly unknown[];
+  readonly anyOf?: readonly Schema[];
+  readonly oneOf?: readonly Schema[];
+  readonly type?: string;
+  readonly properties?: Readonly<Record<string, Schema>>;
+  readonly required?: readonly string[];
+  readonly additionalProperties?: boolean;
+  readonly items?: Schema;
+  readonly minItems?: number;
+  readonly maxItems?: number;
+  readonly minLength?: number;
+  readonly maxLength?: number;
+  readonly minimum?: number;
+  readonly maximum?: number;
+}
+
+const DEFINITIONS = (schemaJson as unknown as { $defs: Readonly<Record<string, Schema>> }).$defs;
+
+function definition(name: string): Schema {
+  const found = DEFINITIONS[name];
+  if (found === undefined) throw new WireError(`the schema has no ${name}`);
+  return found;
+}
+
+function resolve(schema: Schema): Schema {
+  return schema.$ref === undefined ? schema : definition(schema.$ref.replace("#/$defs/", ""));
+}
+
+/** The first thing wrong with a value, in words, or null where it is as promised. */
+function problem(given: Schema, value: unknown, where: string): string | null {
+  const schema = resolve(given);
+  if (schema.const !== undefined) return value === schema.const ? null : `${where} must be ${String(schema.const)}`;
+  if (schema.enum !== undefined) return schema.enum.includes(value) ? null : `${where} is none of the known values`;
+  if (schema.anyOf !== undefined) {
+    let last: string | null = `${where} fits nothing`;
+    for (const choice of schema.anyOf) {
+      last = problem(choice, value, where);
+      if (last === null) return null;
+    }
+    return last;
+  }
+  switch (schema.type) {
+    case "null":
+      return value === null ? null : `${where} must be null`;
+    case "boolean":
+      return typeof value === "boolean" ? null : `${where} must be true or false`;
+    case "integer":
+    case "number":
+      return numberProblem(schema, value, where);
+    case "string":
+      return stringProblem(schema, value, where);
+    case "array":
+      return arrayProblem(schema, value, where);
+    case "object":
+      return objectProblem(schema, value, where);
+    default:
+      return `${where} has no rule`;
+  }
+}
+
+function numberProblem(schema: Schema, value: unknown, where: string): string | null {
+  if (typeof value !== "number" || !Number.isFinite(value)) return `${where} must be a finite number`;
+  if (schema.type === "integer" && !Number.isInteger(value)) return `${where} must be a whole number`;
+  if (schema.minimum !== undefined && value < schema.minimum) return `${where} is below ${schema.minimum}`;
+  if (schema.maximum !== undefined && value > schema.maximum) return `${where} is above ${schema.maximum}`;
+  return null;
+}
+
+function stringProblem(schema: Schema, value: unknown, where: string): string | null {
+  if (typeof value !== "string") return `${where} must be text`;
+  // Counted in code points, as Python does.
+  const count = schema.minLength === undefined && schema.maxLength === undefined ? 0 : [...value].length;
+  if (schema.minLength !== undefined && count < schema.minLength) return `${where} is too short`;
+  if (schema.maxLength !== undefined && count > schema.maxLength) return `${where} is too long`;
+  for (let index = 0; index < value.length; index += 1) {
+    const code = value.charCodeAt(index);
+    if (code < 0x20 && code !== 0x0a && code !== 0x09) return `${where} holds characters that no text has`;
+  }
+  return value.isWellFormed() ? null : `${where} holds characters that no text has`;
+}
+
+function arrayProblem(schema: Schema, value: unknown, where: string): string | null {
+  if (!Array.isArray(value)) return `${where} must be a list`;
+  if (schema.minItems !== undefined && value.length < schema.minItems) return `${where} has too few entries`;
+  if (schema.maxItems !== undefined && value.length > schema.maxItems) return `${where} has too many entries`;
+  if (schema.items === undefined) return null;
+  for (let index = 0; index < value.length; index += 1) {
+    const found = problem(schema.items, value[index], `${where}[${index}]`);
+    if (found !== null) return found;
+  }
+  return null;
+}
+
+function objectProblem(schema: Schema, value: unknown, where: string): string | null {
+  if (typeof value !== "object" || value === null || Array.isArray(value)) return `${where} must be an object`;
+  const fields = value as Record<string, unknown>;
+  for (const name of schema.required ?? []) {
+    if (!Object.hasOwn(fields, name)) return `${where} lacks the field ${name}`;
+  }
+  for (const [name, entry] of Object.entries(fields)) {
+    const rule = schema.properties?.[name];
+    if (rule === undefined) {
+      if (schema.additionalProperties === false) return `${where} has a field that is not known: ${name.slice(0, 40)}`;
+      continue;
+    }
+    const found = problem(rule, entry, `${where}.${name}`);
+    if (found !== null) return found;
+  }
+  return null;
+}
+
+/** Definition name by wire type, for one direction. */
+function byType(union: string): ReadonlyMap<unknown, Schema> {
+  return new Map(
+    (definition(union).oneOf ?? []).map((choice) => {
+      const schema = resolve(choice);
+      return [schema.properties?.type?.const, schema];
+    }),
+  );
+}
+
+const SERVER_TYPES = byType("ServerMessage");
+const CLIENT_TYPES = byType("ClientMessage");
+
+function parseMessage(types: ReadonlyMap<unknown, Schema>, text: string): unknown {
+  const value = parseJson(text);
+  if (typeof value !== "object" || value === null || Array.isArray(value)) {
+    throw new WireError("a message must be a JSON object");
+  }
+  const type = (value as Record<string, unknown>).type;
+  const schema = types.get(type);
+  if (typeof type !== "string" || schema === undefined) throw new WireError("a message has a type that is not known");
+  const found = problem(schema, value, type);
+  if (found !== null) throw new WireError(found);
+  return value;
+}
+
+function parseJson(text: string): unknown {
+  try {
+    return JSON.parse(text);
+  } catch {
+    throw new WireError("a message is not JSON");
+  }
+}
+
+export function parseServerMessage(text: string): ServerMessage {
+  return parseMessage(SERVER_TYPES, text) as ServerMessage;
+}
+
+/** For the fake server of the tests: the same rules, the other direction. */
+export function checkClientMessage(text: string): void {
+  parseMessage(CLIENT_TYPES, text);
+}
+
+/** A header longer than this lies about its length. */
+const MAX_HEADER_BYTES = 65_536;
+
+export interface WirePicture {
+  readonly header: PictureHeader;
+  readonly payload: Uint8Array<ArrayBuffer>;
+}
+
+/** Splits one binary message: u32 little-endian header length, JSON header, payload. */
+export function parsePicture(data: ArrayBuffer): WirePicture {
+  if (data.byteLength < 4) throw new WireError("a picture is too short for its header length");
+  const headerBytes = new DataView(data).getUint32(0, true);
+  if (headerBytes > MAX_HEADER_BYTES) throw new WireError("a picture's header is too long");
+  if (4 + headerBytes >= data.byteLength) throw new WireError("a picture ends before its payload");
+  let text: string;
+  try {
+    text = new TextDecoder("utf-8", { fatal: true }).decode(new Uint8Array(data, 4, headerBytes));
+  } catch {
+    throw new WireError("a picture's header is not UTF-8");
+  }
+  const header = parseJson(text);
+  const found = problem(definition("PictureHeader"), header, "picture");
+  if (found !== null) throw new WireError(found);
+  return { header: header as PictureHeader, payload: new Uint8Array(data, 4 + headerBytes) };
+}
