@@ -1,6 +1,18 @@
 /** The airway picture with its tools above it and its readings in the corners, outside the lumen. */
 
-import { Button, Label, ListBox, ListBoxItem, Popover, Select, SelectValue, Slider, SliderOutput, SliderThumb, SliderTrack } from "react-aria-components";
+import {
+  Button,
+  Label,
+  ListBox,
+  ListBoxItem,
+  Popover,
+  Select,
+  SelectValue,
+  Slider,
+  SliderOutput,
+  SliderThumb,
+  SliderTrack,
+} from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { pathMm } from "../state/app-state";
 import { forkAhead } from "../state/fork";
@@ -26,7 +38,11 @@ export function AirwayStage() {
           name="Airway view, seen from the tip"
           onDoubleClick={() => station.ui({ full: station.state.ui.full === "airway" ? null : "airway" })}
         />
-        {shown ? <Readings /> : <p className="empty centre">The view from the tip appears here as soon as the CT is read.</p>}
+        {shown ? (
+          <Readings />
+        ) : (
+          <p className="empty centre">The view from the tip appears here as soon as the CT is read.</p>
+        )}
       </div>
     </section>
   );
@@ -59,12 +75,28 @@ function AirwayTools() {
       <Act
         icon="operator"
         label={facing ? "Facing" : "Head end"}
-        words={facing ? "The operator faces the patient; turn to the head end" : "The operator stands at the head end; turn to facing the patient"}
+        words={
+          facing
+            ? "The operator faces the patient; turn to the head end"
+            : "The operator stands at the head end; turn to facing the patient"
+        }
         keys={keyOf("flip_operator")}
         onPress={() => station.act("flip_operator")}
       />
-      <Act kind="icon" icon="level" words="Level the horizon" keys={keyOf("level_horizon")} onPress={() => station.act("level_horizon")} />
-      <Act kind="icon" icon="straight" words="Look straight along the path" keys={keyOf("reset_look")} onPress={() => station.act("reset_look")} />
+      <Act
+        kind="icon"
+        icon="level"
+        words="Level the horizon"
+        keys={keyOf("level_horizon")}
+        onPress={() => station.act("level_horizon")}
+      />
+      <Act
+        kind="icon"
+        icon="straight"
+        words="Look straight along the path"
+        keys={keyOf("reset_look")}
+        onPress={() => station.act("reset_look")}
+      />
       <span className="space" />
       <TransferSelect />
       <Fov />
@@ -105,14 +137,16 @@ function TransferSelect() {
   const station = useStation();
   const presets = useApp((state) => state.session?.transfer_presets ?? null);
   const transfer = useApp((state) => state.session?.transfer ?? "");
-  const names = presets === null ? [] : presets.includes(transfer) || transfer === "" ? presets : [transfer, ...presets];
+  const names =
+    presets === null ? [] : presets.includes(transfer) || transfer === "" ? presets : [transfer, ...presets];
   return (
     <Select
       aria-label="Look of the walls"
       className="select"
       selectedKey={transfer}
       onSelectionChange={(key) => {
-        if (key !== null && key !== transfer) station.send({ type: "set_transfer", preset: String(key), document: null });
+        if (key !== null && key !== transfer)
+          station.send({ type: "set_transfer", preset: String(key), document: null });
       }}
     >
       <Tip words="How tissue is coloured in the airway view">

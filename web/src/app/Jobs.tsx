@@ -15,7 +15,13 @@ interface ThinProgressProps {
 
 export function ThinProgress({ title, what, fraction, secondsLeft, onCancel }: ThinProgressProps) {
   return (
-    <ProgressBar className="job" aria-label={title} value={fraction ?? 0} maxValue={1} isIndeterminate={fraction === null}>
+    <ProgressBar
+      className="job"
+      aria-label={title}
+      value={fraction ?? 0}
+      maxValue={1}
+      isIndeterminate={fraction === null}
+    >
       <div className="job-bar">
         <div className={fraction === null ? "unknown" : ""} style={{ width: `${100 * (fraction ?? 1)}%` }} />
       </div>

@@ -32,11 +32,36 @@ export function PathBar() {
   const here = at ?? 0;
   return (
     <section className="path-bar" aria-label="Route">
-      <Act kind="icon" icon="previousFork" words="Back to the fork before" keys={keyOf("previous_fork")} onPress={() => station.toFork("previous")} />
-      <Act kind="icon" icon="back" words="Withdraw 2 mm" keys="S" disabled={at === null || here <= 0} onPress={() => station.stepAlong(-1)} />
+      <Act
+        kind="icon"
+        icon="previousFork"
+        words="Back to the fork before"
+        keys={keyOf("previous_fork")}
+        onPress={() => station.toFork("previous")}
+      />
+      <Act
+        kind="icon"
+        icon="back"
+        words="Withdraw 2 mm"
+        keys="S"
+        disabled={at === null || here <= 0}
+        onPress={() => station.stepAlong(-1)}
+      />
       <Ruler route={route} at={at} />
-      <Act kind="icon" icon="forward" words="Advance 2 mm" keys="W" disabled={at === null || here >= route.length_mm} onPress={() => station.stepAlong(1)} />
-      <Act kind="icon" icon="nextFork" words="To the next fork (Space flies there)" onPress={() => station.toFork("next")} />
+      <Act
+        kind="icon"
+        icon="forward"
+        words="Advance 2 mm"
+        keys="W"
+        disabled={at === null || here >= route.length_mm}
+        onPress={() => station.stepAlong(1)}
+      />
+      <Act
+        kind="icon"
+        icon="nextFork"
+        words="To the next fork (Space flies there)"
+        onPress={() => station.toFork("next")}
+      />
       <p className="path-numbers numbers">
         {at === null ? "off the path" : <strong>{mm(at)}</strong>}
         <span className="quiet">of {mm(route.length_mm, 0)}</span>

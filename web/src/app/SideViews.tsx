@@ -95,7 +95,8 @@ function Cell({ cell, view, title, reading, tools, empty }: CellProps) {
   const isFull = useApp((state) => state.ui.full === cell);
   const shown = useApp((state) => state.frames[view] !== undefined);
   const armed = useApp((state) => state.ui.armed);
-  const markable = armed !== null && (view === "axial" || view === "coronal" || view === "sagittal" || view === "cut-plane");
+  const markable =
+    armed !== null && (view === "axial" || view === "coronal" || view === "sagittal" || view === "cut-plane");
   const toggleFull = () => station.ui({ full: station.state.ui.full === cell ? null : cell });
   return (
     <section className="cell" data-cell={cell} data-armed={markable || undefined} aria-label={title}>

@@ -30,8 +30,8 @@ export function StartPage() {
         </section>
       </div>
       <footer>
-        <strong>Not a medical device.</strong> For research, teaching and rehearsal; not for diagnosis. Your images stay on
-        this machine.
+        <strong>Not a medical device.</strong> For research, teaching and rehearsal; not for diagnosis. Your images stay
+        on this machine.
         <span className="quiet">{version === null ? "" : ` Carina ${version}`}</span>
       </footer>
     </main>

@@ -1,8 +1,8 @@
 /** How it runs, said honestly, and the sentence that is always there. */
 
 import { useEffect, useState } from "react";
-import { coordinates, fixed, windowWords } from "../state/format";
 import { greyWindow } from "../state/app-state";
+import { coordinates, fixed, windowWords } from "../state/format";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
@@ -22,10 +22,14 @@ export function StatusBar() {
     <footer className="status-bar numbers">
       <ConnectionWords />
       <span title="Airway pictures drawn in the last second; 0 while nothing moves">frame {drawn}/s</span>
-      <span title="From the movement to its picture being sent">age {status === null ? "\u2013" : `${fixed(status.age_ms)} ms`}</span>
+      <span title="From the movement to its picture being sent">
+        age {status === null ? "\u2013" : `${fixed(status.age_ms)} ms`}
+      </span>
       <span className="wide">
         {method === "leap" ? "leaping" : "brute force"}
-        {status === null ? "" : `, ${status.threads} ${status.threads === 1 ? "core" : "cores"}, ${simdWords(status.simd)}`}
+        {status === null
+          ? ""
+          : `, ${status.threads} ${status.threads === 1 ? "core" : "cores"}, ${simdWords(status.simd)}`}
       </span>
       <span>mode: {mode} [M]</span>
       <span className="wide">
@@ -34,10 +38,24 @@ export function StatusBar() {
       </span>
       <span className="undo">
         {undo === null ? null : (
-          <Act kind="quiet" icon="undo" label={`undo: ${undo}`} words={`Take back: ${undo}`} keys="Ctrl+Z" onPress={() => station.act("undo")} />
+          <Act
+            kind="quiet"
+            icon="undo"
+            label={`undo: ${undo}`}
+            words={`Take back: ${undo}`}
+            keys="Ctrl+Z"
+            onPress={() => station.act("undo")}
+          />
         )}
         {redo === null ? null : (
-          <Act kind="quiet" icon="redo" label={`redo: ${redo}`} words={`Do again: ${redo}`} keys="Ctrl+Shift+Z" onPress={() => station.act("redo")} />
+          <Act
+            kind="quiet"
+            icon="redo"
+            label={`redo: ${redo}`}
+            words={`Do again: ${redo}`}
+            keys="Ctrl+Shift+Z"
+            onPress={() => station.act("redo")}
+          />
         )}
       </span>
       <span className="space" />

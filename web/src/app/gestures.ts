@@ -1,7 +1,7 @@
 /** What the mouse, the wheel and the keys of a focused picture do, by kind of picture. */
 
-import { listenToPointer, type PointerHandlers, type PointerPlace } from "../input/pointer";
 import { WHEEL_MM_PER_PX } from "../input/flight";
+import { listenToPointer, type PointerHandlers, type PointerPlace } from "../input/pointer";
 import { greyWindow } from "../state/app-state";
 import { type FlatGeometry, geometryOf, lpsFromPixel, mmPerPixel, normalOf } from "../state/projection";
 import { add, asVec3, cameraFromMatrix, distance, dot, scale, sub, type Vec3 } from "../state/vec";
@@ -96,7 +96,8 @@ function dragWindow(station: Workstation, moved: { dx: number; dy: number }): vo
   const window = greyWindow(station.state);
   // Volumes that are not HU may span a few grey levels only: then the drag is finer.
   const range = station.state.session?.case?.value_range;
-  const perPx = range === undefined ? WINDOW_HU_PER_PX : Math.min(WINDOW_HU_PER_PX, ((range[1] ?? 0) - (range[0] ?? 0)) / 500);
+  const perPx =
+    range === undefined ? WINDOW_HU_PER_PX : Math.min(WINDOW_HU_PER_PX, ((range[1] ?? 0) - (range[0] ?? 0)) / 500);
   station.sendSoon({
     type: "set_window",
     width_hu: Math.min(Math.max(window.width_hu + moved.dx * perPx, 1), 65_536),
@@ -190,7 +191,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
       if (name === "PageUp" || name === "PageDown") scroll(name === "PageUp" ? -1 : 1);
       else if (name === "+" || name === "=") zoom(-ZOOM_KEY_PX);
       else if (name === "-") zoom(ZOOM_KEY_PX);
-      else if (name === "Home") fit(station, viewport.view);
+      else if (name === "Home") fitPicture(station, viewport.view);
       else if (shift && name === "ArrowLeft") moveBy(-CROSSHAIR_KEY_MM, 0);
       else if (shift && name === "ArrowRight") moveBy(CROSSHAIR_KEY_MM, 0);
       else if (shift && name === "ArrowUp") moveBy(0, -CROSSHAIR_KEY_MM);
@@ -201,7 +202,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
   };
 }
 
-function fit(station: Workstation, view: ViewName): void {
+function fitPicture(station: Workstation, view: ViewName): void {
   if (isSlice(view) || view === "cut-plane") {
     station.sendSoon({ type: "set_zoom", view, mm_per_px: null, extent_mm: null });
   }

@@ -7,7 +7,7 @@ import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
 import { mainLeaf, neighbourWay } from "../state/airways";
-import { type AppState, crosshairLps, type Connection, pathMm, tipLps, type Ui } from "../state/app-state";
+import { type AppState, type Connection, crosshairLps, pathMm, tipLps, type Ui } from "../state/app-state";
 import { forkAhead } from "../state/fork";
 import { clampToRoute } from "../state/route";
 import { Store } from "../state/store";
@@ -70,7 +70,8 @@ export class Workstation {
           }
         },
         picture: (picture) => this.#board.receive(picture),
-        fault: (words) => this.#sayError("protocol", `Carina sent something this page cannot read: ${words}.`, "Reload the page."),
+        fault: (words) =>
+          this.#sayError("protocol", `Carina sent something this page cannot read: ${words}.`, "Reload the page."),
       },
       {
         nowMs: () => performance.now(),
@@ -97,11 +98,13 @@ export class Workstation {
     });
     const stopTouch = this.store.subscribe(() => this.wall.touch());
     let last = performance.now();
-    let refresh = requestAnimationFrame(function tick(this: Workstation, now: number) {
-      this.#tick((now - last) / 1000);
-      last = now;
-      refresh = requestAnimationFrame(tick.bind(this));
-    }.bind(this));
+    let refresh = requestAnimationFrame(
+      function tick(this: Workstation, now: number) {
+        this.#tick((now - last) / 1000);
+        last = now;
+        refresh = requestAnimationFrame(tick.bind(this));
+      }.bind(this),
+    );
     const counter = setInterval(() => {
       this.store.dispatch({ kind: "drawn-fps", fps: this.#drawn });
       this.#drawn = 0;
@@ -196,62 +199,50 @@ export class Workstation {
     if (armed !== null) this.ui({ armed: null });
   }
 
-  act = (action: Action): void => {
-    const { state } = this;
-    switch (action) {
-      case "auto_advance":
-        return this.#autoAdvance();
-      case "previous_fork":
-        return this.toFork("previous");
-      case "way_left":
-        return this.#chooseWay(-1);
-      case "way_right":
-        return this.#chooseWay(1);
-      case "toggle_mode":
-        this.flight.stopAuto();
-        return void this.send({ type: "toggle_mode" });
-      case "level_horizon":
-        return void this.send({ type: "level_horizon" });
-      case "flip_operator":
-        return void this.send({
-          type: "set_operator",
-          position: state.session?.operator === "head" ? "facing" : "head",
-        });
-      case "reset_look":
-        return void this.send({ type: "reset_look" });
-      case "crosshair_to_tip":
-        return void this.send({ type: "set_crosshair", lps: null });
-      case "swap_outside":
-        return this.ui({ outside: state.ui.outside === "tree" ? "tri-plane" : "tree" });
-      case "next_xray":
-        return this.ui({ xray: XRAYS[(XRAYS.indexOf(state.ui.xray) + 1) % XRAYS.length] ?? "xray-coronal" });
-      case "toggle_shape":
-        return this.ui({ airwayShape: state.ui.airwayShape === "round" ? "full" : "round" });
-      case "toggle_route_line":
-        return this.ui({ routeLineVisible: !state.ui.routeLineVisible });
-      case "arm_target":
-        return this.ui({ armed: state.ui.armed === "target" ? null : "target", step: "target" });
-      case "arm_root":
-        return this.ui({ armed: state.ui.armed === "root" ? null : "root", step: "airways" });
-      case "window_airway":
-      case "window_lung":
-      case "window_mediastinum":
-      case "window_bone":
-        if (state.session?.case?.is_hu === false) {
-          return this.notice("Window presets are in HU, and this volume is not HU. Drag with the right button in a slice instead.");
-        }
-        return void this.send({ type: "set_window", ...WINDOWS[action] });
-      case "undo":
-        return void this.send({ type: "undo" });
-      case "redo":
-        return void this.send({ type: "redo" });
-      case "key_card":
-        return this.ui({ keyCardOpen: !state.ui.keyCardOpen });
-      case "leave":
-        this.flight.stopAuto();
-        return this.ui(state.ui.armed === null ? { full: null } : { armed: null });
-    }
+  act = (action: Action): void => this.#actions[action]();
+
+  readonly #actions: Readonly<Record<Action, () => void>> = {
+    auto_advance: () => this.#autoAdvance(),
+    previous_fork: () => this.toFork("previous"),
+    way_left: () => this.#chooseWay(-1),
+    way_right: () => this.#chooseWay(1),
+    toggle_mode: () => {
+      this.flight.stopAuto();
+      this.send({ type: "toggle_mode" });
+    },
+    level_horizon: () => this.send({ type: "level_horizon" }),
+    flip_operator: () =>
+      this.send({ type: "set_operator", position: this.state.session?.operator === "head" ? "facing" : "head" }),
+    reset_look: () => this.send({ type: "reset_look" }),
+    crosshair_to_tip: () => this.send({ type: "set_crosshair", lps: null }),
+    swap_outside: () => this.ui({ outside: this.state.ui.outside === "tree" ? "tri-plane" : "tree" }),
+    next_xray: () => this.ui({ xray: XRAYS[(XRAYS.indexOf(this.state.ui.xray) + 1) % XRAYS.length] ?? "xray-coronal" }),
+    toggle_shape: () => this.ui({ airwayShape: this.state.ui.airwayShape === "round" ? "full" : "round" }),
+    toggle_route_line: () => this.ui({ routeLineVisible: !this.state.ui.routeLineVisible }),
+    arm_target: () => this.ui({ armed: this.state.ui.armed === "target" ? null : "target", step: "target" }),
+    arm_root: () => this.ui({ armed: this.state.ui.armed === "root" ? null : "root", step: "airways" }),
+    window_airway: () => this.#setWindow("window_airway"),
+    window_lung: () => this.#setWindow("window_lung"),
+    window_mediastinum: () => this.#setWindow("window_mediastinum"),
+    window_bone: () => this.#setWindow("window_bone"),
+    undo: () => this.send({ type: "undo" }),
+    redo: () => this.send({ type: "redo" }),
+    key_card: () => this.ui({ keyCardOpen: !this.state.ui.keyCardOpen }),
+    leave: () => {
+      this.flight.stopAuto();
+      this.ui(this.state.ui.armed === null ? { full: null } : { armed: null });
+    },
   };
+
+  #setWindow(name: keyof typeof WINDOWS): void {
+    if (this.state.session?.case?.is_hu === false) {
+      this.notice(
+        "Window presets are in HU, and this volume is not HU. Drag with the right button in a slice instead.",
+      );
+    } else {
+      this.send({ type: "set_window", ...WINDOWS[name] });
+    }
+  }
 
   #autoAdvance(): void {
     if (this.flight.isAuto || this.#autoWanted) {

@@ -3,8 +3,8 @@
  * Time comes from outside, so that tests fly without waiting.
  */
 
-import type { ClientMessage, RouteInfo } from "../wire/messages";
 import { nextStopMm } from "../state/route";
+import type { ClientMessage, RouteInfo } from "../wire/messages";
 import type { HoldAxis } from "./keymap";
 
 /** A careful hand: the trachea in four seconds. */

@@ -1,6 +1,6 @@
 /** The socket: speaks the wire, comes back by itself when it is lost, and says honestly how it stands. */
 
-import { type ClientMessage, CLOSE_CODES, type ServerMessage, WIRE_VERSION } from "../wire/messages";
+import { CLOSE_CODES, type ClientMessage, type ServerMessage, WIRE_VERSION } from "../wire/messages";
 import { parsePicture, parseServerMessage, WireError, type WirePicture } from "../wire/parse";
 
 export type StreamStatus =
@@ -51,14 +51,8 @@ const NO_USE_TRYING = new Map<number, string>([
     CLOSE_CODES["protocol.not-authorised"],
     "This page may no longer talk to Carina. Open the address that Carina printed when it was started.",
   ],
-  [
-    CLOSE_CODES["protocol.version"],
-    "This page and Carina are of different versions. Reload the page.",
-  ],
-  [
-    CLOSE_CODES["protocol.taken-over"],
-    "Carina is now open in another window. Reload this page to work here instead.",
-  ],
+  [CLOSE_CODES["protocol.version"], "This page and Carina are of different versions. Reload the page."],
+  [CLOSE_CODES["protocol.taken-over"], "Carina is now open in another window. Reload this page to work here instead."],
 ]);
 
 export class Stream {

@@ -81,7 +81,11 @@ export async function sendUpload(
   try {
     for (const { name, file } of files) {
       progress({ sentBytes, totalBytes, numFiles: files.length });
-      const response = await fetch(`${address}?name=${encodeURIComponent(name)}`, { method: "PUT", body: file, signal });
+      const response = await fetch(`${address}?name=${encodeURIComponent(name)}`, {
+        method: "PUT",
+        body: file,
+        signal,
+      });
       if (!response.ok) throw await refusal(response);
       sentBytes += file.size;
     }

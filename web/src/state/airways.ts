@@ -42,14 +42,14 @@ function tip(branch: TreeBranch): Vec3 | null {
 }
 
 /**
- * The list's rows. Null where the document has no root.
+ * The list's rows. Null where the tree names no root.
  *
  * The side comes from geometry, not from a name: below the first fork, a branch belongs to the side on which the end of its
  * main bronchus lies (LPS: the patient's left is +x).
  */
-export function buildTree(document: TreeDocument): BranchTree | null {
-  const branches = new Map(document.branches.map((branch) => [branch.id, branch]));
-  const rootBranch = branches.get(document.root);
+export function buildTree(given: TreeDocument): BranchTree | null {
+  const branches = new Map(given.branches.map((branch) => [branch.id, branch]));
+  const rootBranch = branches.get(given.root);
   if (rootBranch === undefined) return null;
   const byId = new Map<number, BranchNode>();
   const build = (branch: TreeBranch, side: Side): BranchNode => {
@@ -61,7 +61,7 @@ export function buildTree(document: TreeDocument): BranchTree | null {
       diameterMm: medianDiameter(branch),
       children: [],
     };
-    // Set before the children are visited: a document with a loop ends here instead of never.
+    // Set before the children are visited: a tree with a loop ends here instead of never.
     byId.set(branch.id, node);
     for (const id of branch.children) {
       const child = branches.get(id);

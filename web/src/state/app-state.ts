@@ -261,10 +261,8 @@ const asPoint = (point: readonly number[] | null): Vec3 | null => (point === nul
 /** 0.01 mm: the server may round a coordinate on its way, nobody can drag so finely. */
 const samePoint = (a: Vec3 | null, b: Vec3 | null): boolean =>
   a === null || b === null ? a === b : distance(a, b) < 0.01;
-const sameWindow = (
-  a: { width_hu: number; level_hu: number },
-  b: { width_hu: number; level_hu: number },
-): boolean => Math.abs(a.width_hu - b.width_hu) < 0.5 && Math.abs(a.level_hu - b.level_hu) < 0.5;
+const sameWindow = (a: { width_hu: number; level_hu: number }, b: { width_hu: number; level_hu: number }): boolean =>
+  Math.abs(a.width_hu - b.width_hu) < 0.5 && Math.abs(a.level_hu - b.level_hu) < 0.5;
 const samePathMm = (a: number, b: number): boolean => Math.abs(a - b) < 0.05;
 
 /** The tip, from the newest pose. */

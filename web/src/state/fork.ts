@@ -1,7 +1,7 @@
 /** The fork ahead: how far, and the ways on from it as the picture shows them. */
 
 import type { RouteInfo } from "../wire/messages";
-import { type BranchTree, waysOn, type WayOn } from "./airways";
+import { type BranchTree, type WayOn, waysOn } from "./airways";
 import { FORK_TOLERANCE_MM } from "./route";
 import type { Camera } from "./vec";
 

@@ -37,7 +37,6 @@ export function timeLeft(seconds: number): string {
   return `about ${Math.ceil(seconds / 60)} min left`;
 }
 
-export const windowWords = (widthHu: number, levelHu: number): string =>
-  `W ${fixed(widthHu)}  L ${fixed(levelHu)}`;
+export const windowWords = (widthHu: number, levelHu: number): string => `W ${fixed(widthHu)}  L ${fixed(levelHu)}`;
 
 export const plural = (count: number, one: string, many = `${one}s`): string => `${count} ${count === 1 ? one : many}`;

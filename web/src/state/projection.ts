@@ -65,10 +65,7 @@ export function geometryOf(picture: Placed): Geometry | null {
 }
 
 export function lpsFromPixel(geometry: FlatGeometry, pixel: PixelPoint): Vec3 {
-  return add(
-    geometry.origin,
-    add(scale(geometry.perColumn, pixel.column), scale(geometry.perRow, pixel.row)),
-  );
+  return add(geometry.origin, add(scale(geometry.perColumn, pixel.column), scale(geometry.perRow, pixel.row)));
 }
 
 /** Into the screen, unit length: right x down, as for a camera. */

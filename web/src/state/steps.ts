@@ -21,5 +21,9 @@ export const STEP_WORDS: Readonly<Record<Step, StepWords>> = {
     words: "Not built yet. Practise the route with a real bronchoscope's length, bend and width",
     built: false,
   },
-  share: { title: "Share", words: "Not built yet. Reports, films of the flight, surfaces and centrelines", built: false },
+  share: {
+    title: "Share",
+    words: "Not built yet. Reports, films of the flight, surfaces and centrelines",
+    built: false,
+  },
 };

@@ -26,7 +26,13 @@ export function label(
   ink: Ink,
   text: string,
   at: ScreenPoint,
-  options: { size?: number; bold?: boolean; colour?: string; align?: CanvasTextAlign; baseline?: CanvasTextBaseline } = {},
+  options: {
+    size?: number;
+    bold?: boolean;
+    colour?: string;
+    align?: CanvasTextAlign;
+    baseline?: CanvasTextBaseline;
+  } = {},
 ): void {
   ink.font = `${options.bold === true ? "600 " : ""}${options.size ?? 12}px ${FONT}`;
   ink.textAlign = options.align ?? "center";

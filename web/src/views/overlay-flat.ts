@@ -1,7 +1,15 @@
 /** Over slices, cut-plane and X-ray: crosshair, route, targets, tip, letters, scale. */
 
 import { edgeLetters } from "../state/letters";
-import { axesOf, type FlatGeometry, geometryOf, mmPerPixel, pixelFromLps, projectLine, scaleBar } from "../state/projection";
+import {
+  axesOf,
+  type FlatGeometry,
+  geometryOf,
+  mmPerPixel,
+  pixelFromLps,
+  projectLine,
+  scaleBar,
+} from "../state/projection";
 import { add, scale } from "../state/vec";
 import type { ViewName } from "../wire/messages";
 import { INK, type Ink, label, line, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
@@ -39,7 +47,8 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
     const at = viewport.screenAt(seen);
     const colour = target.reachable ? INK.accent : INK.warning;
     targetMark(ink, at, colour, near ? 1 : 0.35);
-    if (near && !seesThrough) label(ink, target.name, { x: at.x + 10, y: at.y - 9 }, { size: 11, colour, align: "left" });
+    if (near && !seesThrough)
+      label(ink, target.name, { x: at.x + 10, y: at.y - 9 }, { size: 11, colour, align: "left" });
   }
   if (scene.tip !== null) {
     const seen = pixelFromLps(geometry, scene.tip.position);
@@ -63,10 +72,46 @@ function paintCrosshair(ink: Ink, viewport: Viewport, geometry: FlatGeometry, sc
   const { width, height } = viewport.size;
   const alpha = scene.followsTip ? 0.55 : 0.9;
   const { vertical, horizontal } = LINES[view];
-  line(ink, [{ x: at.x, y: 0 }, { x: at.x, y: at.y - GAP_PX }], PLANE_COLOURS[vertical], 1, alpha);
-  line(ink, [{ x: at.x, y: at.y + GAP_PX }, { x: at.x, y: height }], PLANE_COLOURS[vertical], 1, alpha);
-  line(ink, [{ x: 0, y: at.y }, { x: at.x - GAP_PX, y: at.y }], PLANE_COLOURS[horizontal], 1, alpha);
-  line(ink, [{ x: at.x + GAP_PX, y: at.y }, { x: width, y: at.y }], PLANE_COLOURS[horizontal], 1, alpha);
+  line(
+    ink,
+    [
+      { x: at.x, y: 0 },
+      { x: at.x, y: at.y - GAP_PX },
+    ],
+    PLANE_COLOURS[vertical],
+    1,
+    alpha,
+  );
+  line(
+    ink,
+    [
+      { x: at.x, y: at.y + GAP_PX },
+      { x: at.x, y: height },
+    ],
+    PLANE_COLOURS[vertical],
+    1,
+    alpha,
+  );
+  line(
+    ink,
+    [
+      { x: 0, y: at.y },
+      { x: at.x - GAP_PX, y: at.y },
+    ],
+    PLANE_COLOURS[horizontal],
+    1,
+    alpha,
+  );
+  line(
+    ink,
+    [
+      { x: at.x + GAP_PX, y: at.y },
+      { x: width, y: at.y },
+    ],
+    PLANE_COLOURS[horizontal],
+    1,
+    alpha,
+  );
 }
 
 function paintRoute(
@@ -78,7 +123,13 @@ function paintRoute(
 ): void {
   if (!scene.routeLineVisible) return;
   for (const run of projectLine(geometry, scene.routePoints)) {
-    line(ink, run.map((point) => viewport.screenAt(point)), INK.accent, 1, 0.4);
+    line(
+      ink,
+      run.map((point) => viewport.screenAt(point)),
+      INK.accent,
+      1,
+      0.4,
+    );
     let part: ScreenPoint[] = [];
     for (const point of run) {
       if (inPlane(point.depthMm)) {
@@ -116,7 +167,17 @@ function paintScale(ink: Ink, viewport: Viewport, geometry: FlatGeometry): void 
     [INK.halo, 4],
     [INK.text, 1.5],
   ] as const) {
-    line(ink, [{ x, y: y - 4 }, { x, y }, { x: x + bar.px, y }, { x: x + bar.px, y: y - 4 }], stroke, thick);
+    line(
+      ink,
+      [
+        { x, y: y - 4 },
+        { x, y },
+        { x: x + bar.px, y },
+        { x: x + bar.px, y: y - 4 },
+      ],
+      stroke,
+      thick,
+    );
   }
   label(ink, `${bar.mm} mm`, { x: x + 1, y: y - 8 }, { size: 11, align: "left", baseline: "bottom" });
 }

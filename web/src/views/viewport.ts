@@ -176,6 +176,7 @@ export class Viewport {
   #describe(): void {
     const { dataset } = this.picture;
     dataset.view = this.#view;
+    this.overlay.dataset.overlay = this.#view;
     dataset.frameId = this.header === null ? "" : String(this.header.frame_id);
     dataset.poseId = this.header === null ? "" : String(this.header.pose_id);
     dataset.full = this.header === null ? "" : String(this.header.full);

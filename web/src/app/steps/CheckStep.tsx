@@ -83,7 +83,12 @@ export function CheckStep() {
         </>
       )}
       {info.citation === null ? null : <p className="citation">{info.citation}</p>}
-      <Act kind="primary" label="Go on to the airways" words="Next step" onPress={() => station.ui({ step: "airways" })} />
+      <Act
+        kind="primary"
+        label="Go on to the airways"
+        words="Next step"
+        onPress={() => station.ui({ step: "airways" })}
+      />
     </>
   );
 }

@@ -37,7 +37,9 @@ export function OpenStep() {
         </div>
       </dl>
       {info.other_series.length === 0 ? null : (
-        <p className="quiet">{plural(info.other_series.length, "other series", "other series")} in the folder: see Check.</p>
+        <p className="quiet">
+          {plural(info.other_series.length, "other series", "other series")} in the folder: see Check.
+        </p>
       )}
       {info.citation === null ? null : <p className="citation">{info.citation}</p>}
       <Act

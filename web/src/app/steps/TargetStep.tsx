@@ -50,7 +50,9 @@ export function TargetRow({ target }: { target: Target }) {
         {target.problem === null ? (
           <span className="quiet numbers">
             {target.length_mm === null ? "" : `${mm(target.length_mm, 0)} from the root`}
-            {target.snapped_mm === null || target.snapped_mm < 0.05 ? "" : `, moved ${mm(target.snapped_mm)} into the lumen`}
+            {target.snapped_mm === null || target.snapped_mm < 0.05
+              ? ""
+              : `, moved ${mm(target.snapped_mm)} into the lumen`}
           </span>
         ) : (
           <span className="warning-text">{target.problem}</span>
@@ -98,7 +100,12 @@ function Coordinates() {
         if (point !== null) setText("");
       }}
     >
-      <TextField value={text} onChange={setText} isInvalid={text.trim() !== "" && point === null} data-testid="coordinates">
+      <TextField
+        value={text}
+        onChange={setText}
+        isInvalid={text.trim() !== "" && point === null}
+        data-testid="coordinates"
+      >
         <Label>or type x, y, z (LPS mm)</Label>
         <Input placeholder="-17.6, 35.3, 12.1" spellCheck="false" autoComplete="off" inputMode="text" />
         <FieldError>Three numbers: left, posterior, superior</FieldError>
