@@ -225,6 +225,9 @@ def open_series(
             numbers = np.clip(numbers, -32768, 32767)
         values[index] = numbers
     assert values is not None  # a grid has at least two slices
+    if values.min() == values.max():
+        msg = f"reading {series.name}: every pixel holds the same number, so there is nothing to see; export it again"
+        raise VolumeImportError(msg, code="import.values")
     if num_clipped:
         notes.append(f"{num_clipped} voxels lie outside -32768..32767 and were set to the nearest of these")
     if any(header.lossy for header in series.slices):

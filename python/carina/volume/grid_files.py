@@ -187,6 +187,11 @@ def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa:
     except ValueError as error:
         msg = f"reading {path.name}: {error}; the file is damaged; export it again"
         raise VolumeImportError(msg, code="import.values") from None
+    if converted.values.min() == converted.values.max():
+        msg = (
+            f"reading {path.name}: every voxel holds the same number, so there is nothing to see; open the scan itself"
+        )
+        raise VolumeImportError(msg, code="import.values")
     verdict = judge_values(converted.values)
     reason = verdict.reason
     if converted.stretched is not None:

@@ -61,10 +61,17 @@ def _head(path: Path, num_bytes: int) -> bytes:
         raw = file.read(num_bytes)
     if raw[:2] != b"\x1f\x8b":
         return raw
+    inflater = zlib.decompressobj(zlib.MAX_WBITS | 16)
+    head = b""
     try:
-        return zlib.decompressobj(zlib.MAX_WBITS | 16).decompress(raw, num_bytes)
+        # In small pieces: where the stream is damaged further on, its beginning still says what it is.
+        for at in range(0, len(raw), 64):
+            head += inflater.decompress(raw[at : at + 64], num_bytes)
+            if len(head) >= num_bytes:
+                break
     except zlib.error:
-        return b""
+        pass
+    return head[:num_bytes]
 
 
 def sniff_format(path: Path) -> str | None:
@@ -412,6 +419,9 @@ def _metaimage(path: Path) -> GridHeader:
     spacing = [float(v) for v in fields.get("elementspacing", fields.get("elementsize", "")).split()]
     if len(spacing) != num_axes:
         raise _refuse(path, "it gives no ElementSpacing", "export it again with its spacing", "import.geometry.spacing")
+    if not all(distance > 0 for distance in spacing):  # also for NaN; a negative one would mirror the patient
+        problem = f"its ElementSpacing should be positive numbers of mm; found {fields.get('elementspacing')}"
+        raise _refuse(path, problem, "export it again with its spacing", "import.geometry.spacing")
     matrix = np.eye(4)
     if num_axes == 3:
         # Each row of three numbers is the direction of one axis; the world is LPS.

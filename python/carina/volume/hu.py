@@ -58,7 +58,9 @@ def judge_values(values: NDArray[np.int16]) -> HuVerdict:
             False, f"its values are {lowest} to {highest} (8 bits); Hounsfield units reach from -1000 (air) to above 0"
         )
     if lowest > -800:
-        hint = "; an offset of 1024 may be missing" if lowest >= 0 and 2000 < highest <= 8191 else ""
+        # Scanners store HU + 1024; some converters drop the offset.
+        shifted = lowest >= 0 and judge_values(values - np.int16(1024)).is_hu
+        hint = "; they look like HU with an offset of 1024 that is missing" if shifted else ""
         return HuVerdict(False, f"its values are {lowest} to {highest}; expected air near -1000{hint}")
     sample = _sample(values)
     air = float(np.mean((sample >= -1100) & (sample <= -600)))

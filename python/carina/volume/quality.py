@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from carina.volume.model import Volume
@@ -16,12 +17,14 @@ __all__ = ["Finding", "Quality", "quality_gate", "trusted_generation"]
 _WEIBEL_MM = (18.0, 12.2, 8.3, 5.6, 4.5, 3.5, 2.8, 2.3, 1.86, 1.54, 1.30, 1.09)
 # Blur and noise of clinical scans hide lumens below about 1.5 mm, however fine the grid is.
 _SMALLEST_VISIBLE_MM = 1.5
-_LUNG_HU = (-950, -700)
+_DARK_HU = -500  # half-way between lung and soft tissue
+_DENSEST_LUNG_HU = -600
+_PURE_AIR_HU = -980
+_MIN_REGION_L = 0.1
 # Both lungs of an adult hold 2 to 7 litres of air and tissue; half of one small lung is the least that helps.
 _MIN_LUNG_L = 0.7
 _MAX_LUNG_ON_FACE_CM2 = 10.0  # more lung than this on a face of the grid means that it goes on behind
 _PADDING_HU = -1100  # nothing in or around a patient is less dense than air, -1000
-_MAX_SAMPLES = 4_000_000
 _FACES = {(0, 1): "left", (0, -1): "right", (1, 1): "back", (1, -1): "front", (2, 1): "top", (2, -1): "bottom"}
 
 
@@ -69,7 +72,7 @@ def quality_gate(volume: Volume) -> Quality:
     Parameters
     ----------
     volume
-        Not modified. Large volumes are judged on every n-th voxel.
+        Not modified.
 
     Returns
     -------
@@ -85,19 +88,15 @@ def quality_gate(volume: Volume) -> Quality:
     findings += _spacing_findings(volume.spacing_mm)
     lung_litres: float | None = None
     if volume.is_hu:
-        stride = max(1, round((values.size / _MAX_SAMPLES) ** (1 / 3)))
-        sample = values[::stride, ::stride, ::stride]
-        lung = (sample >= _LUNG_HU[0]) & (sample <= _LUNG_HU[1])
-        voxel_l = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3]))) * 1e-6
-        lung_litres = float(np.mean(lung)) * values.size * voxel_l
+        lungs = _find_lungs(volume)
+        lung_litres = lungs.litres
         if lung_litres < _MIN_LUNG_L:
             words = f"only {lung_litres:.1f} litres look like lung: this may not be a chest CT, or a part of one"
             findings.append(Finding("no-lungs", words))
-        cut = _cut_faces(volume)
-        if cut:
-            words = f"the lungs are cut at the {_listed(cut)} of the volume: airways end there too"
+        if lungs.cut_faces:
+            words = f"the lungs are cut at the {_listed(lungs.cut_faces)} of the volume: airways end there too"
             findings.append(Finding("cut", words))
-        padding = float(np.mean(sample < _PADDING_HU))
+        padding = float(np.count_nonzero(values < _PADDING_HU)) / values.size
         if padding > 0.001:
             share = f"{100 * padding:.1f} % of the voxels"
             findings.append(Finding("padding", f"{share} lie below {_PADDING_HU} HU: padding without measured values"))
@@ -121,30 +120,61 @@ def _spacing_findings(spacing_mm: tuple[float, float, float]) -> list[Finding]:
     return findings
 
 
-def _cut_faces(volume: Volume) -> list[str]:
-    """Names of the faces of the grid that lung touches, by the patient's directions."""
+@dataclass(frozen=True, slots=True)
+class _Lungs:
+    litres: float
+    cut_faces: list[str]
+    """Faces of the grid that they touch, by the patient's directions."""
+
+
+def _find_lungs(volume: Volume) -> _Lungs:
+    """Find lungs on a grid of about 4 mm: connected dark regions that are not the air round the patient.
+
+    Lung is air with tissue in it, about -850 HU; much of the air outside is near -1000, though couch and blankets lie
+    in it. It also reaches the edges where two faces of the grid meet. Touching a face alone says nothing, since crops
+    cut the lungs too.
+    """
+    strides = [max(1, int(4.0 / spacing)) for spacing in volume.spacing_mm]
+    coarse = _block_means(volume.hu_zyx, (strides[2], strides[1], strides[0]))
+    dark = sitk.GetImageFromArray((coarse < _DARK_HU).astype(np.uint8))
+    # Opened by one voxel: noise, and the thin layer between skin and air, would join the lungs to the outside.
+    regions = sitk.ConnectedComponent(sitk.BinaryMorphologicalOpening(dark, [1, 1, 1]))
+    labels = sitk.GetArrayFromImage(regions)
+    voxel_l = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3]))) * 1e-6 * float(np.prod(strides))
+    lung = np.zeros(labels.shape, dtype=np.bool_)
+    kk, jj, ii = (np.isin(np.arange(n), (0, n - 1)).astype(np.uint8) for n in labels.shape)
+    edges = kk[:, None, None] + jj[None, :, None] + ii[None, None, :] >= 2
+    for label in np.flatnonzero(np.bincount(labels.reshape(-1)) * voxel_l > _MIN_REGION_L):
+        region = labels == label
+        if label == 0 or float(np.median(coarse[region])) > _DENSEST_LUNG_HU:
+            continue
+        outside = float(np.mean(coarse[region] < _PURE_AIR_HU)) > 0.25 and bool(np.any(region & edges))
+        if not outside:
+            lung |= region
+    columns = volume.lps_from_ijk[:3, :3] * strides
     names = []
-    values = volume.hu_zyx
     for axis_ijk in range(3):
         first, second = (axis for axis in range(3) if axis != axis_ijk)
-        columns = volume.lps_from_ijk[:3, :3]
         pixel_cm2 = float(np.linalg.norm(np.cross(columns[:, first], columns[:, second]))) * 0.01
         for end in (0, -1):
-            face = np.take(values, [end], axis=2 - axis_ijk).squeeze(2 - axis_ijk)
-            lung = (face >= _LUNG_HU[0]) & (face <= _LUNG_HU[1])
-            if float(np.count_nonzero(_eroded(lung))) * pixel_cm2 > _MAX_LUNG_ON_FACE_CM2:
+            if np.count_nonzero(np.take(lung, [end], axis=2 - axis_ijk)) * pixel_cm2 > _MAX_LUNG_ON_FACE_CM2:
                 outward = columns[:, axis_ijk] * (1 if end == -1 else -1)
                 axis_lps = int(np.argmax(np.abs(outward)))
                 names.append(_FACES[axis_lps, 1 if outward[axis_lps] > 0 else -1])
-    return names
+    return _Lungs(float(np.count_nonzero(lung)) * voxel_l, names)
 
 
-def _eroded(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    # One pixel off every edge: the rim of a body is lung-like by partial volume, but only one pixel wide.
-    inner = np.zeros_like(mask)
-    if min(mask.shape) > 2:
-        inner[1:-1, 1:-1] = mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
-    return inner
+def _block_means(values: NDArray[np.int16], strides_zyx: tuple[int, int, int]) -> NDArray[np.float32]:
+    """Means of whole blocks; the incomplete ones at the far ends are left out."""
+    sz, sy, sx = strides_zyx
+    nz, ny, nx = (max(1, n // s) for n, s in zip(values.shape, strides_zyx, strict=True))
+    total = np.zeros((nz, ny, nx), dtype=np.float32)
+    # Sums over slices of the grid, not over a copy of it: the volume is too large to be copied as float.
+    for dz in range(min(sz, values.shape[0])):
+        for dy in range(min(sy, values.shape[1])):
+            for dx in range(min(sx, values.shape[2])):
+                total += values[dz : nz * sz : sz, dy : ny * sy : sy, dx : nx * sx : sx]
+    return np.asarray(total / np.float32(sz * sy * sx), dtype=np.float32)
 
 
 def _listed(names: list[str]) -> str:

@@ -1,0 +1,98 @@
+"""DICOM series as scanners write them, and as they should not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, generate_uid
+
+# Oblique: no axis is parallel to x, y or z, and every spacing differs, so swapped axes or signs cannot pass.
+ROW_LPS = np.array([0.8, 0.6, 0.0])
+COLUMN_LPS = np.array([-0.36, 0.48, -0.8])
+NORMAL_LPS = np.cross(ROW_LPS, COLUMN_LPS)
+ORIGIN_LPS = np.array([-31.5, 12.25, 140.0])
+ROW_MM, COLUMN_MM, GAP_MM = 0.9, 0.7, 1.25  # distance of rows, of columns, of slices
+ROWS, COLUMNS, SLICES = 11, 13, 9
+
+
+def stored_values(index: int) -> np.ndarray:
+    """Different in every voxel of a slice."""
+    grid = np.arange(ROWS * COLUMNS, dtype=np.int16).reshape(ROWS, COLUMNS)
+    return (grid * 8 + index * 17).astype(np.int16)
+
+
+@pytest.fixture
+def write_series(tmp_path: Path) -> Callable[..., Path]:
+    """A factory: writes one CT series into a folder and returns the folder. ``edit(dataset, index)`` breaks it."""
+
+    def write(
+        folder: str = "scan",
+        *,
+        edit: Callable[[Dataset, int], None] | None = None,
+        series_uid: str | None = None,
+        number: int = 3,
+        description: str = "Thorax 1.25",
+        num_slices: int = SLICES,
+        name: Callable[[int], str] = lambda index: f"IM{index:03d}",
+        syntax: str = ExplicitVRLittleEndian,
+    ) -> Path:
+        path = tmp_path / folder
+        path.mkdir(exist_ok=True)
+        uid = series_uid or generate_uid()
+        for index in range(num_slices):
+            meta = FileMetaDataset()
+            meta.TransferSyntaxUID = syntax
+            meta.MediaStorageSOPClassUID = CTImageStorage
+            meta.MediaStorageSOPInstanceUID = generate_uid()
+            dataset = Dataset()
+            dataset.file_meta = meta
+            dataset.SOPClassUID = CTImageStorage
+            dataset.SOPInstanceUID = meta.MediaStorageSOPInstanceUID
+            dataset.SeriesInstanceUID = uid
+            dataset.StudyInstanceUID = "1.2.3.4.5"
+            dataset.PatientName = "Secret^Person"
+            dataset.PatientID = "SECRET-ID"
+            dataset.Modality = "CT"
+            dataset.ImageType = ["ORIGINAL", "PRIMARY", "AXIAL"]
+            dataset.SeriesNumber = number
+            dataset.SeriesDescription = description
+            dataset.SliceThickness = 5.0  # a lie that must not matter
+            dataset.Rows, dataset.Columns = ROWS, COLUMNS
+            dataset.PixelSpacing = [ROW_MM, COLUMN_MM]
+            dataset.ImageOrientationPatient = [*ROW_LPS, *COLUMN_LPS]
+            dataset.ImagePositionPatient = [float(f"{v:.9f}") for v in ORIGIN_LPS + index * GAP_MM * NORMAL_LPS]
+            dataset.SamplesPerPixel = 1
+            dataset.PhotometricInterpretation = "MONOCHROME2"
+            dataset.BitsAllocated = dataset.BitsStored = 16
+            dataset.HighBit = 15
+            dataset.PixelRepresentation = 1
+            dataset.RescaleSlope, dataset.RescaleIntercept = 1, -1024
+            dataset.PixelData = stored_values(index).tobytes()
+            dataset["PixelData"].VR = "OW"
+            if edit is not None:
+                edit(dataset, index)
+            dataset.save_as(path / name(index), enforce_file_format=True)
+        return path
+
+    return write
+
+
+@pytest.fixture
+def expected_lps_from_ijk() -> np.ndarray:
+    """The grid of an unbroken series."""
+    matrix = np.eye(4)
+    matrix[:3, 0] = ROW_LPS * COLUMN_MM
+    matrix[:3, 1] = COLUMN_LPS * ROW_MM
+    matrix[:3, 2] = NORMAL_LPS * GAP_MM
+    matrix[:3, 3] = ORIGIN_LPS
+    return matrix
+
+
+@pytest.fixture
+def expected_hu_zyx() -> np.ndarray:
+    """The values of an unbroken series."""
+    return np.stack([stored_values(index) - 1024 for index in range(SLICES)]).astype(np.int16)

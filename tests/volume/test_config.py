@@ -1,0 +1,28 @@
+"""Settings are read from the environment in one place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from carina.config import load_settings
+from carina.errors import UsageError
+
+
+def test_settings_have_defaults():
+    settings = load_settings({})
+    assert settings.log_level == "WARNING"
+    assert settings.data_dir is None
+    assert "carina" in settings.cache_dir.name.lower()
+
+
+def test_settings_follow_the_environment():
+    settings = load_settings({"CARINA_LOG_LEVEL": " debug ", "CARINA_DATA_DIR": "some/folder"})
+    assert settings.log_level == "DEBUG"
+    assert settings.data_dir == Path("some/folder")
+
+
+def test_an_unknown_log_level_is_refused():
+    with pytest.raises(UsageError, match="LOUD"):
+        load_settings({"CARINA_LOG_LEVEL": "loud"})

@@ -1,0 +1,22 @@
+"""The bundled patient, without the original beside it."""
+
+from __future__ import annotations
+
+from carina.volume import demo_patient
+from carina.volume.demo import CASE_PATH
+
+
+def test_the_bundled_patient_opens_with_its_citation():
+    volume = demo_patient()
+    assert volume.is_hu
+    assert volume.shape_zyx == (97, 268, 432)
+    assert volume.source.citation is not None
+    for words in ("10.7937/K9/TCIA.2015.NPGZYZBZ", "CC BY 3.0", "cropped"):
+        assert words in volume.source.citation
+    assert CASE_PATH.stat().st_size <= 15_000_000
+
+
+def test_the_bundled_patient_carries_its_citation_as_a_file():
+    text = (CASE_PATH.parent / "CITATION.txt").read_text(encoding="utf-8")
+    for words in ("QIN_LUNG_CT", "10.7937/K9/TCIA.2015.NPGZYZBZ", "CC BY 3.0", "cropped"):
+        assert words in text

@@ -1,0 +1,341 @@
+"""DICOM folders: geometry from the tags of every slice, and refusals by name."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydicom.dataset import Dataset
+from pydicom.encaps import encapsulate
+from pydicom.uid import (
+    DeflatedExplicitVRLittleEndian,
+    ExplicitVRBigEndian,
+    ImplicitVRLittleEndian,
+    JPEGLSLossless,
+)
+
+from carina.errors import VolumeImportError
+from carina.volume import open_volume
+
+GAP_MM = 1.25
+SLICES = 9
+
+
+def move(dataset: Dataset, offset_lps: np.ndarray) -> None:
+    position = np.array([float(v) for v in dataset.ImagePositionPatient]) + offset_lps
+    dataset.ImagePositionPatient = [float(f"{v:.9f}") for v in position]
+
+
+def frame(dataset: Dataset) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Directions of the image's row, column and normal."""
+    row, column = np.array(dataset.ImageOrientationPatient, dtype=np.float64).reshape(2, 3)
+    return row, column, np.cross(row, column)
+
+
+def refusal(path: Path) -> VolumeImportError:
+    with pytest.raises(VolumeImportError) as caught:
+        open_volume(path)
+    assert caught.value.exit_code == 3
+    return caught.value
+
+
+def test_an_oblique_anisotropic_series_has_the_positions_of_its_tags(
+    write_series, expected_lps_from_ijk, expected_hu_zyx
+):
+    volume = open_volume(write_series())
+    # Tags are decimal text with nine decimals here: 1e-8 mm is their rounding over the whole grid.
+    np.testing.assert_allclose(volume.lps_from_ijk, expected_lps_from_ijk, rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(volume.hu_zyx, expected_hu_zyx)
+    assert volume.is_hu
+    assert volume.spacing_mm == pytest.approx((0.7, 0.9, 1.25))
+
+
+@pytest.mark.parametrize("order", ["reversed", "shuffled"])
+def test_file_names_do_not_decide_the_order_of_slices(write_series, expected_lps_from_ijk, expected_hu_zyx, order):
+    names = {"reversed": lambda i: f"IM{100 - i}", "shuffled": lambda i: f"{(i * 5 + 3) % SLICES}.dcm"}[order]
+    volume = open_volume(write_series(name=names))
+    np.testing.assert_allclose(volume.lps_from_ijk, expected_lps_from_ijk, rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(volume.hu_zyx, expected_hu_zyx)
+
+
+def test_one_file_stands_for_its_series(write_series, expected_hu_zyx):
+    folder = write_series(name=lambda i: f"{i}.dcm")
+    write_series("scan", number=4, name=lambda i: f"other{i}.dcm", num_slices=12)
+    np.testing.assert_array_equal(open_volume(folder / "4.dcm").hu_zyx, expected_hu_zyx)
+
+
+@pytest.mark.parametrize("syntax", [ImplicitVRLittleEndian, DeflatedExplicitVRLittleEndian])
+def test_uncompressed_transfer_syntaxes_give_the_same_voxels(write_series, expected_hu_zyx, syntax):
+    np.testing.assert_array_equal(open_volume(write_series(syntax=syntax)).hu_zyx, expected_hu_zyx)
+
+
+def test_big_endian_pixels_are_swapped(write_series, expected_hu_zyx):
+    def swap(dataset, index):
+        dataset.PixelData = np.frombuffer(dataset.PixelData, "<i2").astype(">i2").tobytes()
+
+    folder = write_series(syntax=ExplicitVRBigEndian, edit=swap)
+    np.testing.assert_array_equal(open_volume(folder).hu_zyx, expected_hu_zyx)
+
+
+def test_slope_and_intercept_of_each_slice_count(write_series):
+    slopes = [1.0, -1.0, 0.5, 2.5, 1.0, 1.0, 0.25, 1.0, -0.5]
+
+    def rescale(dataset, index):
+        dataset.RescaleSlope, dataset.RescaleIntercept = slopes[index], -1000 + index
+
+    volume = open_volume(write_series(edit=rescale))
+    stored = (np.arange(volume.hu_zyx[0].size) * 8).reshape(volume.hu_zyx[0].shape)
+    for index, slope in enumerate(slopes):
+        expected = np.rint((stored + index * 17) * slope - 1000 + index)
+        np.testing.assert_array_equal(volume.hu_zyx[index], expected)
+
+
+def test_bits_above_the_used_ones_are_ignored(write_series):
+    def twelve_bits(dataset, index):
+        dataset.BitsStored, dataset.HighBit = 12, 11
+        values = np.full((dataset.Rows, dataset.Columns), 0xF801 if index % 2 else 0x57FF, dtype=np.uint16)
+        dataset.PixelData = values.tobytes()
+
+    volume = open_volume(write_series(edit=twelve_bits))
+    # 0x57FF -> 0x7FF -> 2047; 0xF801 -> 0x801 -> -2047 in 12 bits; both less 1024.
+    assert set(np.unique(volume.hu_zyx[0])) == {2047 - 1024}
+    assert set(np.unique(volume.hu_zyx[1])) == {-2047 - 1024}
+
+
+def test_values_outside_int16_are_clipped_and_said(write_series):
+    volume = open_volume(write_series(edit=lambda d, i: setattr(d, "RescaleSlope", 100)))
+    assert int(volume.hu_zyx.max()) == 32767
+    assert any("outside -32768..32767" in warning for warning in volume.source.warnings)
+
+
+def test_a_missing_slice_is_named_with_its_gap(write_series):
+    folder = write_series()
+    (folder / "IM004").unlink()
+    error = refusal(folder)
+    assert error.code == "import.geometry.irregular"
+    for words in ("expected 1.25 mm", "found 2.50 mm", "after slice 4 of 8", "IM003", "a slice may be missing"):
+        assert words in str(error)
+
+
+def test_uneven_gaps_are_refused(write_series):
+    error = refusal(write_series(edit=lambda d, i: move(d, frame(d)[2] * (0.5 if i >= 6 else 0.0))))
+    assert error.code == "import.geometry.irregular"
+    assert "found 1.75 mm after slice 6 of 9" in str(error)
+
+
+def test_slowly_drifting_gaps_are_refused(write_series):
+    error = refusal(write_series(edit=lambda d, i: move(d, frame(d)[2] * 0.02 * i * i)))
+    assert error.code == "import.geometry.irregular"
+
+
+@pytest.mark.parametrize(("off_mm", "good"), [(0.11, True), (0.14, False)])
+def test_one_slice_may_lie_a_tenth_of_the_gap_off_the_grid(write_series, off_mm, good):
+    # Tolerance: 0.1 * 1.25 mm = 0.125 mm.
+    folder = write_series(edit=lambda d, i: move(d, frame(d)[2] * (off_mm if i == 4 else 0.0)))
+    if good:
+        assert open_volume(folder).spacing_mm[2] == pytest.approx(GAP_MM)
+    else:
+        assert refusal(folder).code == "import.geometry.irregular"
+
+
+def test_positions_rounded_to_a_tenth_of_a_millimetre_pass(write_series):
+    def round_positions(dataset, index):
+        move(dataset, frame(dataset)[2] * (round(0.625 * index, 1) - GAP_MM * index))
+
+    assert open_volume(write_series(edit=round_positions)).shape_zyx[0] == SLICES
+
+
+def test_a_doubled_slice_is_refused(write_series):
+    folder = write_series()
+    shutil.copy(folder / "IM002", folder / "IM002 copy")
+    error = refusal(folder)
+    assert error.code == "import.geometry.duplicate"
+    assert "IM002 and IM002 copy" in str(error)
+
+
+@pytest.mark.parametrize(("tilt_deg", "good"), [(0.0, True), (0.15, True), (0.6, False), (16.5, False)])
+def test_gantry_tilt_is_refused_and_near_zero_tilt_is_not(write_series, expected_lps_from_ijk, tilt_deg, good):
+    # Tolerance 0.2 degrees, or 0.1 mm over the height; this stack is 10 mm high, where 0.6 degrees make 0.105 mm.
+    lean_mm = GAP_MM * np.tan(np.radians(tilt_deg))
+    folder = write_series(edit=lambda d, i: move(d, frame(d)[1] * lean_mm * i))
+    if not good:
+        error = refusal(folder)
+        assert error.code == "import.geometry.tilt"
+        assert f"{tilt_deg:.1f} degrees" in str(error)
+        return
+    # The lean stays in the transform, so that every slice is where its tag says.
+    expected = expected_lps_from_ijk.copy()
+    expected[:3, 2] += lean_mm * expected[:3, 1] / 0.9
+    np.testing.assert_allclose(open_volume(folder).lps_from_ijk, expected, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize(("shift_mm", "good"), [(0.08, True), (0.5, False)])
+def test_a_slice_shifted_sideways_is_refused(write_series, shift_mm, good):
+    folder = write_series(edit=lambda d, i: move(d, frame(d)[0] * (shift_mm if i == 4 else 0.0)))
+    if good:
+        assert open_volume(folder).shape_zyx[0] == SLICES
+    else:
+        assert refusal(folder).code == "import.geometry.shifted"
+
+
+def _other_size(dataset: Dataset, index: int) -> None:
+    if index == 5:
+        dataset.Rows = 10
+        dataset.PixelData = dataset.PixelData[: 10 * dataset.Columns * 2]
+
+
+def _other_spacing(dataset: Dataset, index: int) -> None:
+    if index == 5:
+        dataset.PixelSpacing = [0.9, 0.75]
+
+
+def _other_orientation(dataset: Dataset, index: int) -> None:
+    if index == 5:
+        dataset.ImageOrientationPatient = [1, 0, 0, 0, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (_other_size, "mixed sizes"),
+        (_other_spacing, "mixed pixel distances"),
+        (_other_orientation, "mixed orientation"),
+    ],
+)
+def test_mixed_series_are_refused(write_series, edit, words):
+    error = refusal(write_series(edit=edit))
+    assert error.code == "import.geometry.mixed"
+    assert words in str(error)
+    assert "IM005" in str(error)
+
+
+def test_one_slice_alone_is_refused(write_series):
+    assert refusal(write_series(num_slices=1)).code == "import.single-slice"
+
+
+@pytest.mark.parametrize(
+    ("keyword", "value", "words"),
+    [
+        ("ImagePositionPatient", None, "ImagePositionPatient is missing"),
+        ("ImagePositionPatient", [1, 2], "ImagePositionPatient should hold 3"),
+        ("ImageOrientationPatient", None, "ImageOrientationPatient is missing"),
+        ("ImageOrientationPatient", [1, 0, 0, 1, 0, 0], "perpendicular"),
+        ("PixelSpacing", None, "PixelSpacing is missing"),
+        ("PixelSpacing", [0, 0.7], "above 0 mm"),
+        ("RescaleSlope", 0, "RescaleSlope is 0"),
+    ],
+)
+def test_missing_and_useless_tags_are_refused_by_name(write_series, keyword, value, words):
+    def edit(dataset, index):
+        if index == 3:
+            if value is None:
+                delattr(dataset, keyword)
+            else:
+                setattr(dataset, keyword, value)
+
+    error = refusal(write_series(edit=edit))
+    assert error.code == "import.tags"
+    assert words in str(error)
+    assert "IM003" in str(error)
+
+
+def test_multi_frame_images_are_refused_by_name(write_series):
+    error = refusal(write_series(edit=lambda d, i: setattr(d, "NumberOfFrames", 7)))
+    assert error.code == "import.multi-frame"
+    assert "7 frames" in str(error)
+
+
+def test_a_truncated_slice_is_named(write_series):
+    folder = write_series()
+    last = folder / "IM008"
+    last.write_bytes(last.read_bytes()[:-100])
+    error = refusal(folder)
+    assert error.code == "import.truncated"
+    assert "IM008" in str(error)
+
+
+def test_a_header_that_claims_more_pixels_than_the_file_holds_is_refused(write_series):
+    def lie(dataset, index):
+        dataset.Rows = dataset.Columns = 8000
+
+    error = refusal(write_series(edit=lie))
+    assert error.code == "import.truncated"
+    assert "128000000 bytes" in str(error)
+
+
+def test_a_header_that_claims_an_absurd_size_is_refused(write_series):
+    def lie(dataset, index):
+        dataset.Rows = dataset.Columns = 60000
+
+    assert refusal(write_series(edit=lie)).code == "import.header"
+
+
+def test_damaged_compressed_pixels_are_named_without_the_words_of_the_library(write_series, capfd):
+    def damage(dataset, index):
+        dataset.PixelData = encapsulate([b"\xff\xd8\xff\xf7 this is no picture "])
+        dataset["PixelData"].VR = "OB"
+
+    error = refusal(write_series(edit=damage, syntax=JPEGLSLossless))
+    assert error.code == "import.truncated"
+    assert "IM000" in str(error)
+    assert "itk" not in str(error).lower()
+    assert "itk" not in capfd.readouterr().err.lower()
+
+
+def test_files_that_are_not_images_are_passed_over(write_series, expected_hu_zyx):
+    folder = write_series()
+    (folder / "report.pdf").write_bytes(b"%PDF-1.4 nothing here" * 20)
+    (folder / "DIRFILE").write_bytes(b"\0" * 128 + b"DICM" + b"\x02\x00\x00\x00UL\x04\x00" + b"\xff" * 50)
+    (folder / "empty").write_bytes(b"")
+    (folder / "deep").mkdir()
+    (folder / "IM000").rename(folder / "deep" / "IM000")
+    np.testing.assert_array_equal(open_volume(folder).hu_zyx, expected_hu_zyx)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "words"),
+    [
+        ("report.pdf", b"%PDF-1.7" + b" " * 500, "PDF"),
+        ("scan.zip", b"PK\x03\x04" + b" " * 500, "unpack"),
+        ("empty.dcm", b"", "empty"),
+        ("notes.txt", b"no image", "not an image volume"),
+    ],
+)
+def test_other_files_are_refused_by_what_they_are(tmp_path, name, data, words):
+    (tmp_path / name).write_bytes(data)
+    error = refusal(tmp_path / name)
+    assert error.code == "import.not-an-image"
+    assert name in str(error)
+    assert words in str(error)
+
+
+def test_a_folder_without_images_is_refused(tmp_path):
+    (tmp_path / "notes.txt").write_text("nothing")
+    assert refusal(tmp_path).code == "import.no-images"
+    (tmp_path / "a.nii.gz").write_bytes(b"x")
+    assert "a.nii.gz" in str(refusal(tmp_path))
+
+
+def test_a_missing_path_is_refused(tmp_path):
+    assert refusal(tmp_path / "nowhere").code == "import.not-found"
+
+
+def test_a_deflated_bomb_is_passed_over_without_being_unpacked(write_series, tmp_path, expected_hu_zyx):
+    import tracemalloc
+    import zlib
+
+    folder = write_series(syntax=DeflatedExplicitVRLittleEndian)
+    sound = (folder / "IM000").read_bytes()
+    meta_length = int.from_bytes(sound[140:144], "little")
+    packer = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
+    zeros = bytes(1 << 20)
+    bomb = b"".join(packer.compress(zeros) for _ in range(300)) + packer.flush()
+    (folder / "bomb").write_bytes(sound[: 144 + meta_length] + bomb)
+    tracemalloc.start()
+    volume = open_volume(folder)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_array_equal(volume.hu_zyx, expected_hu_zyx)
+    assert peak < 50e6  # the bomb holds 300 MB

@@ -1,0 +1,233 @@
+"""Real and odd files: each is read right or refused clearly."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+
+from carina.errors import VolumeImportError
+from carina.volume import demo_patient, inspect_path, open_volume, quality_gate
+from carina.volume.dicom_headers import read_headers
+from carina.volume.dicom_pixels import read_slice
+from carina.volume.watch import Watch
+
+pytestmark = pytest.mark.data
+
+
+def test_the_patient_reads_as_the_library_reads_it(patient_dicom):
+    started = time.perf_counter()
+    volume = open_volume(patient_dicom)
+    seconds = time.perf_counter() - started
+    assert seconds < 6  # 0.4 to 0.8 s on 2 idle cores; the rest is for a busy machine
+    reader = sitk.ImageSeriesReader()
+    reader.SetFileNames(reader.GetGDCMSeriesFileNames(str(patient_dicom)))
+    image = reader.Execute()
+    np.testing.assert_array_equal(volume.hu_zyx, sitk.GetArrayFromImage(image))
+    np.testing.assert_allclose(volume.lps_from_ijk[:3, 3], image.GetOrigin(), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(volume.spacing_mm, image.GetSpacing(), rtol=0, atol=1e-6)
+    assert volume.is_hu
+    words = [finding.words for finding in quality_gate(volume).findings]
+    assert "slices are 3.0 mm apart: airways beyond about generation 5 cannot be trusted" in words
+
+
+def test_the_bundled_patient_is_a_lossless_crop_at_the_same_place(patient_dicom):
+    whole, crop = open_volume(patient_dicom), demo_patient()
+    # The corner is found from positions alone, so a crop that moved cannot pass.
+    corner = whole.to_ijk(crop.to_lps(np.zeros(3)))
+    i, j, k = np.rint(corner).astype(int)
+    np.testing.assert_allclose(corner, [i, j, k], rtol=0, atol=1e-9)
+    nz, ny, nx = crop.shape_zyx
+    np.testing.assert_array_equal(crop.hu_zyx, whole.hu_zyx[k : k + nz, j : j + ny, i : i + nx])
+    np.testing.assert_array_equal(crop.lps_from_ijk[:3, :3], whole.lps_from_ijk[:3, :3])
+
+
+def test_the_bundled_patient_holds_all_airways_of_the_reference(patient_dicom):
+    mask = sitk.ReadImage(str(patient_dicom.parent / "airway_ground_truth" / "github_demo_seg.nii.gz"))
+    inside = np.argwhere(sitk.GetArrayFromImage(mask) > 0)[:, ::-1].astype(np.float64)
+    lps = inside * mask.GetSpacing() + mask.GetOrigin()  # its axes are parallel to the patient's
+    crop = demo_patient()
+    ijk = crop.to_ijk(lps)
+    assert (ijk > 4).all(axis=0)[:2].all()
+    assert (ijk[:, 2] >= 0).all()
+    assert (ijk < np.array(crop.shape_zyx[::-1])).all()
+
+
+def test_the_second_patient_opens(data_dir, tmp_path):
+    import tarfile
+
+    with tarfile.open(data_dir / "ct" / "QIN-LSC-0064.tar.xz") as archive:
+        archive.extractall(tmp_path, filter="data")
+    volume = open_volume(tmp_path)
+    assert volume.shape_zyx == (103, 512, 512)
+    assert volume.spacing_mm == pytest.approx((0.598, 0.598, 3.0), abs=1e-3)
+    assert quality_gate(volume).lung_litres == pytest.approx(4.3, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("path", "code", "words"),
+    [
+        ("gantry_tilt", "import.geometry.tilt", "16.5 degrees"),
+        ("gantry_tilt/Philips/S21610/S3010/I210", "import.geometry.tilt", "16.5 degrees"),
+        ("cornerstone3D_transfer_syntaxes", "import.geometry.duplicate", "16 of its 16 slices"),
+        ("cornerstone3D_transfer_syntaxes/TestPattern_RGB.dcm", "import.not-a-scan", "colour"),
+        ("cornerstone3D_transfer_syntaxes/TestPattern_Palette.dcm", "import.not-a-scan", "colour"),
+        ("cornerstone3D_transfer_syntaxes/US-YBR_FULL_422-EVRLE.dcm", "import.not-a-scan", "colour"),
+        (
+            "cornerstone3D_transfer_syntaxes/CT0012.fragmented_no_bot_jpeg_baseline.51.dcm",
+            "import.multi-frame",
+            "2 frames",
+        ),
+        ("pydicom", "import.single-slice", "also has"),
+        ("pydicom/CT_small.dcm", "import.single-slice", "CT_small.dcm"),
+        ("pydicom/J2K_pixelrep_mismatch.dcm", "import.single-slice", "one image only"),
+        ("pydicom/MR_small_RLE.dcm", "import.geometry.duplicate", "8 of its 8"),
+        ("pydicom/JPEG2000.dcm", "import.tags", "ImagePositionPatient is missing"),
+        ("pydicom/JPEGLSNearLossless_16.dcm", "import.tags", "PixelSpacing is missing"),
+        ("pydicom/image_dfl.dcm", "import.tags", "PixelSpacing is missing"),
+        ("pydicom/badVR.dcm", "import.pixels", "32 bits"),
+        ("pydicom/liver_1frame.dcm", "import.multi-frame", "liver_1frame.dcm"),
+        ("pydicom/rtstruct.dcm", "import.no-images", "no image"),
+        ("pydicom/test-SR.dcm", "import.no-images", "no image"),
+        ("pydicom/empty_charset_LEI.dcm", "import.no-images", "no image"),
+        ("pydicom/meta_missing_tsyntax.dcm", "import.no-images", "no image"),
+        ("pydicom/no_meta_group_length.dcm", "import.no-images", "no image"),
+        ("pydicom/no_meta.dcm", "import.not-an-image", "no_meta.dcm"),
+        ("PROVENANCE.txt", "import.not-an-image", "PROVENANCE.txt"),
+    ],
+)
+def test_odd_dicom_is_refused_with_its_reason(data_dir, capfd, path, code, words):
+    with pytest.raises(VolumeImportError) as caught:
+        open_volume(data_dir / "odd" / "dicom" / path)
+    assert caught.value.code == code
+    assert words in str(caught.value)
+    assert capfd.readouterr().err == ""
+
+
+def _outcome(path: Path) -> str:
+    try:
+        return repr(open_volume(path))
+    except VolumeImportError as error:
+        return error.code
+
+
+def test_no_odd_dicom_file_causes_anything_but_a_volume_or_a_refusal(data_dir):
+    paths = sorted((data_dir / "odd" / "dicom").rglob("*"))
+    outcomes = {path.name: _outcome(path) for path in paths}
+    assert all(outcome.startswith(("Volume(", "import.")) for outcome in outcomes.values())
+    # Only the JPEG2000 series makes a volume: its folder, and each of its 20 files.
+    assert sum(outcome.startswith("Volume(") for outcome in outcomes.values()) == 21
+
+
+def test_a_jpeg2000_series_with_overlapping_slices_opens(data_dir):
+    volume = open_volume(data_dir / "odd" / "dicom" / "totalseg_example_ct_dicom_j2k")
+    assert volume.shape_zyx == (20, 512, 512)
+    # The slices are 3 mm thick and 2 mm apart: the distance counts.
+    assert volume.spacing_mm == pytest.approx((0.9766, 0.9766, 2.0), abs=1e-4)
+    assert volume.is_hu
+    assert int(volume.hu_zyx.min()) == -1024
+
+
+LOSSLESS = (
+    "ImplicitTransferSyntax ExplicitTransferSyntax BigEndian Deflated RLE 14Transfer 14SV1 LSLossless 2000LosslessOnly"
+)
+
+
+@pytest.mark.parametrize("syntax", LOSSLESS.split())
+def test_every_lossless_transfer_syntax_gives_the_same_slice(data_dir, syntax):
+    headers = read_headers(
+        data_dir / "odd" / "dicom" / "cornerstone3D_transfer_syntaxes", recursive=False, watch=Watch()
+    )
+    plain = next(header for header in headers if header.path.name == "CTImage.dcm")
+    packed = next(header for header in headers if f"{syntax}" in header.path.name)
+    np.testing.assert_array_equal(read_slice(packed), read_slice(plain))
+
+
+@pytest.mark.parametrize(
+    ("syntax", "mean_hu"), [("JPEG2000Transfer", 3), ("LSLossy", 3), ("Process2_4", 6), ("Process1Tr", 25)]
+)
+def test_lossy_transfer_syntaxes_come_close(data_dir, syntax, mean_hu):
+    # Measured: 0.5 to 4 HU where 12 bits cover 8000 values in steps of 2; Process1 has 8 bits, steps of 32 HU.
+    headers = read_headers(
+        data_dir / "odd" / "dicom" / "cornerstone3D_transfer_syntaxes", recursive=False, watch=Watch()
+    )
+    plain = next(header for header in headers if header.path.name == "CTImage.dcm")
+    packed = next(header for header in headers if f"{syntax}" in header.path.name)
+    assert float(np.abs(read_slice(packed) - read_slice(plain)).mean()) < mean_hu
+
+
+def _orientations(folder: Path) -> list[Path]:
+    return sorted((folder / "odd" / "nifti" / "niivue_orientations").glob("*.nii.gz"))
+
+
+def test_all_48_orientations_put_the_same_values_at_the_same_places(data_dir, rng):
+    paths = _orientations(data_dir)
+    assert len(paths) == 48
+    reference = open_volume(paths[0])
+    nz, ny, nx = reference.shape_zyx
+    ijk = np.stack([rng.integers(0, n, 500) for n in (nx, ny, nz)], axis=1)
+    expected = reference.hu_zyx[ijk[:, 2], ijk[:, 1], ijk[:, 0]]
+    lps = reference.to_lps(ijk.astype(np.float64))
+    for path in paths:
+        volume = open_volume(path)
+        there = volume.to_ijk(lps)
+        nearest = np.rint(there).astype(int)
+        np.testing.assert_allclose(there, nearest, rtol=0, atol=1e-3, err_msg=path.name)  # float32 headers
+        np.testing.assert_array_equal(
+            volume.hu_zyx[nearest[:, 2], nearest[:, 1], nearest[:, 0]], expected, err_msg=path.name
+        )
+        # The files are named by where their axes point, in RAS letters; ours are L and P for the same.
+        assert inspect_path(path).axes == path.name[:3]
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [
+        ("niivue_shear.nii.gz", "import.geometry.sheared"),
+        ("niivue_minimal.nii.gz", "import.geometry.orientation-unknown"),
+        ("PROVENANCE.txt", "import.not-an-image"),
+    ],
+)
+def test_odd_grids_are_refused(data_dir, name, code):
+    with pytest.raises(VolumeImportError) as caught:
+        open_volume(data_dir / "odd" / "nifti" / name)
+    assert caught.value.code == code
+
+
+@pytest.mark.parametrize(
+    ("path", "is_hu"),
+    [
+        ("ct/lung_cropped_mha/3DCT_lung.mha", True),
+        ("ct/coarse_3mm_nifti/example_ct.nii.gz", True),
+        ("ct/head_and_lidc2_8bit/headsq_64x64x93_int16.mha", False),
+        ("ct/head_and_lidc2_8bit/LIDC2_256x256x133_uint8.mha", False),
+        ("odd/nifti/niivue_mha.mha", False),
+    ],
+)
+def test_grids_are_known_as_hu_or_not(data_dir, path, is_hu):
+    volume = open_volume(data_dir / path)
+    assert volume.is_hu is is_hu
+    assert (volume.not_hu_reason is None) is is_hu
+
+
+def test_the_oblique_head_keeps_its_thirty_degrees(data_dir):
+    volume = open_volume(data_dir / "ct" / "head_and_lidc2_8bit" / "headsq_64x64x93_int16.mha")
+    i_lps = volume.lps_from_ijk[:3, 0] / 3.2
+    np.testing.assert_allclose(
+        i_lps, [np.cos(np.pi / 6), np.sin(np.pi / 6), 0], rtol=0, atol=5e-5
+    )  # written with three digits
+
+
+def test_a_coarse_ct_is_told_to_be_coarse(data_dir):
+    volume = open_volume(data_dir / "ct" / "coarse_3mm_nifti" / "example_ct.nii.gz")
+    assert any(
+        finding.code == "spacing" and "generation 5" in finding.words for finding in quality_gate(volume).findings
+    )
+
+
+def test_a_nifti_named_gz_opens(data_dir):
+    volume = open_volume(data_dir / "masks" / "thin_slice_lobes" / "Patient1" / "BronchialTree.gz")
+    assert volume.shape_zyx == (587, 512, 512)

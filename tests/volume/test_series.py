@@ -1,0 +1,160 @@
+"""Several series in one folder, what their numbers mean, and manners: progress, cancel, no patient data."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+from pydicom.uid import generate_uid
+
+from carina.errors import CancelledError, UsageError, VolumeImportError
+from carina.volume import inspect_path, open_volume
+
+SLICES = 9
+
+
+def _scout(dataset, index):
+    dataset.ImageType = ["ORIGINAL", "PRIMARY", "LOCALIZER"]
+    dataset.ImageOrientationPatient = [1, 0, 0, 0, 0, -1]
+
+
+def test_the_scout_is_left_aside_and_named(write_series, expected_hu_zyx):
+    folder = write_series()
+    write_series("scan", edit=_scout, num_slices=1, number=1, description="Topogram", name=lambda i: "scout")
+    volume = open_volume(folder)
+    np.testing.assert_array_equal(volume.hu_zyx, expected_hu_zyx)
+    assert [info.description for info in volume.source.other_series] == ["Topogram"]
+    assert any("several series" in words and "Topogram" in words for words in volume.source.warnings)
+
+
+def test_a_scout_in_the_same_series_is_left_aside(write_series, expected_hu_zyx):
+    uid = generate_uid()
+    folder = write_series(series_uid=uid)
+    write_series("scan", edit=_scout, num_slices=1, series_uid=uid, name=lambda i: "scout")
+    np.testing.assert_array_equal(open_volume(folder).hu_zyx, expected_hu_zyx)
+
+
+def test_the_largest_chest_ct_is_taken_and_others_can_be_chosen(write_series):
+    folder = write_series(number=2, num_slices=5)
+    write_series("scan", number=7, name=lambda i: f"B{i}")
+    write_series(
+        "scan", number=7, num_slices=12, name=lambda i: f"C{i}", edit=lambda d, i: setattr(d, "Modality", "MR")
+    )
+    volume = open_volume(folder)
+    assert volume.source.series is not None
+    assert (volume.source.series.key, volume.shape_zyx[0]) == ("7", SLICES)
+    assert {info.key for info in volume.source.other_series} == {"2", "7-2"}
+    assert open_volume(folder, series="2").shape_zyx[0] == 5
+    assert not open_volume(folder, series="7-2").is_hu
+    with pytest.raises(UsageError, match="no series '9'"):
+        open_volume(folder, series="9")
+
+
+def test_text_of_the_chest_outweighs_a_few_more_slices(write_series):
+    folder = write_series(number=1, description="Lung 1.0", num_slices=7)
+    write_series("scan", number=2, description="Abdomen", name=lambda i: f"B{i}")
+    assert open_volume(folder).source.title == "Lung 1.0"
+
+
+def test_another_series_takes_the_place_of_a_refused_one_only_if_it_covers_half_of_it(write_series):
+    def gap(dataset, index):
+        if index >= 5:
+            dataset.ImagePositionPatient = [-31.5 - 3.0 * index, 12.25, 140.0]
+
+    folder = write_series(number=1, edit=gap)
+    write_series("scan", number=2, num_slices=2, name=lambda i: f"B{i}")
+    with pytest.raises(VolumeImportError, match="also has: series 2") as caught:
+        open_volume(folder)
+    assert caught.value.code.startswith("import.geometry.")
+    write_series(
+        "scan", number=3, num_slices=25, name=lambda i: f"C{i}", edit=lambda d, i: setattr(d, "Modality", "MR")
+    )
+    with pytest.raises(VolumeImportError):
+        open_volume(folder)  # an MR series is no substitute
+    assert open_volume(folder, series="2").shape_zyx[0] == 2
+
+
+def test_a_whole_series_replaces_a_refused_one_and_a_warning_says_so(write_series):
+    folder = write_series(number=1)
+    (folder / "IM004").unlink()
+    write_series("scan", number=2, num_slices=6, name=lambda i: f"B{i}")
+    volume = open_volume(folder)
+    assert volume.source.series is not None
+    assert volume.source.series.key == "2"
+    assert any("the largest series was refused" in words and "irregular" in words for words in volume.source.warnings)
+
+
+def test_an_inspection_reports_what_would_be_refused(write_series):
+    folder = write_series()
+    (folder / "IM004").unlink()
+    found = inspect_path(folder)
+    assert found.refused_code == "import.geometry.irregular"
+    assert found.to_json()["series"][0]["num_slices"] == SLICES - 1
+
+
+def test_an_inspection_gives_the_geometry_without_the_pixels(write_series, expected_lps_from_ijk):
+    folder = write_series(edit=lambda d, i: setattr(d, "PixelData", b""))
+    found = inspect_path(folder)
+    np.testing.assert_allclose(found.lps_from_ijk, expected_lps_from_ijk, rtol=0, atol=1e-8)
+    assert found.axes == "lip"  # to the left, inferior, posterior, all more than 1 degree oblique
+
+
+def test_mr_series_are_not_hu(write_series):
+    volume = open_volume(write_series(edit=lambda d, i: setattr(d, "Modality", "MR")))
+    assert not volume.is_hu
+    assert "MR" in (volume.not_hu_reason or "")
+
+
+def test_eight_bit_series_are_not_hu(write_series):
+    def eight_bits(dataset, index):
+        dataset.BitsAllocated = dataset.BitsStored = 8
+        dataset.HighBit, dataset.PixelRepresentation = 7, 0
+        dataset.RescaleSlope = 4
+        dataset.PixelData = (np.frombuffer(dataset.PixelData, "<i2") // 8).astype(np.uint8).tobytes() + b"\0"
+
+    volume = open_volume(write_series(edit=eight_bits))
+    assert not volume.is_hu
+    assert "8 bits" in (volume.not_hu_reason or "")
+
+
+def test_a_ct_without_rescale_tags_is_not_taken_for_hu(write_series):
+    def drop(dataset, index):
+        del dataset.RescaleSlope, dataset.RescaleIntercept
+
+    volume = open_volume(write_series(edit=drop))
+    assert not volume.is_hu
+    assert "no rescale tags" in (volume.not_hu_reason or "")
+
+
+def test_nothing_of_the_patient_leaves_the_importer(write_series, caplog, capfd):
+    uid = generate_uid()
+    caplog.set_level(logging.DEBUG)
+
+    def odd(dataset, index):
+        dataset.add_new("SliceLocation", "DS", "1")
+        dataset.SpecificCharacterSet = "ISO_IR 100"
+
+    folder = write_series(series_uid=uid, edit=odd, name=lambda i: f"CT.1.2.840.113.{i}.99.7")
+    write_series("scan", number=8, num_slices=1, name=lambda i: "CT.1.2.840.113.77.99.1")
+    volume = open_volume(folder)
+    assert "(file name)" in (volume.source.other_series[0].refused or "")
+    text = repr(volume) + repr(volume.source) + str(inspect_path(folder).to_json())
+    text += caplog.text + "".join(capfd.readouterr())
+    for secret in ("Secret", "SECRET-ID", uid, "1.2.840.113"):
+        assert secret not in text
+
+
+def test_progress_rises_and_cancel_stops_at_every_step(write_series):
+    folder = write_series()
+    seen: list[tuple[str, float | None]] = []
+    open_volume(folder, progress=lambda what, fraction: seen.append((what, fraction)))
+    slices = [fraction for what, fraction in seen if what == "Reading the slices"]
+    assert len(slices) == SLICES + 1
+    assert slices == sorted(slices)
+    assert slices[-1] == 1.0
+    # Cancelled at its n-th question, for every n: always CancelledError, never a half-read volume.
+    for stop_at in range(len(seen)):
+        asked = iter(range(len(seen) + 1))
+        with pytest.raises(CancelledError):
+            open_volume(folder, cancel=lambda asked=asked, stop_at=stop_at: next(asked) >= stop_at)
