@@ -1,1 +1,18 @@
-//! Placeholder until the crate's first module lands.
+//! Airway lumen, voxel graph and the resumable least-cost path tracker (paper 6; DESIGN 4 "Path tracker", "Airways").
+//!
+//! `trachea` finds where to begin, `flood` grows the lumen with a leak guard, `lumen` turns it into a graph with the cost
+//! that keeps to the middle, `tracker` grows the tree of least-cost paths from one root and resumes it for every new
+//! target, `tree` reads branches off it.
+
+pub mod dijkstra;
+pub mod distance;
+mod error;
+pub mod flood;
+pub mod graph;
+pub mod lumen;
+pub mod smooth;
+pub mod tracker;
+pub mod trachea;
+pub mod tree;
+
+pub use error::{TrackError, Unwatched, Watch};

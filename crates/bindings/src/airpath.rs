@@ -1,7 +1,538 @@
 //! Bindings of `carina-airpath`.
 
-use pyo3::prelude::*;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
-pub(crate) fn register(_module: &Bound<'_, PyModule>) -> PyResult<()> {
+use carina_airpath::flood::{FloodLimits, flood};
+use carina_airpath::graph::{Graph, NO_NODE};
+use carina_airpath::lumen::{LumenCost, LumenGraph, WallLevels};
+use carina_airpath::smooth::{self, Point};
+use carina_airpath::tracker::Tracker;
+use carina_airpath::trachea::{AirLevels, find_trachea};
+use carina_airpath::tree::{self, Branch, BranchLimits};
+use carina_airpath::{TrackError, Watch};
+use carina_grid::{Grid, Ijk, Lps, VolumeView};
+use numpy::ndarray::Array2;
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray2, PyReadonlyArray3,
+    PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+
+use crate::arrays;
+use crate::errors::{IntoPy, carina_error};
+
+impl IntoPy for TrackError {
+    fn into_py(self) -> PyErr {
+        let class = match self {
+            Self::Cancelled => "CancelledError",
+            Self::NoResult(_) => "NoResultError",
+            Self::Argument { .. } => "UsageError",
+            Self::CostRange { .. } => "TrackingError",
+        };
+        carina_error(class, self.code(), self.to_string())
+    }
+}
+
+/// Looks at Ctrl-C and at the caller's `cancel()`, and reports to `progress(share)`, at most every 50 ms.
+struct PyWatch {
+    cancel: Option<Py<PyAny>>,
+    progress: Option<Py<PyAny>>,
+    state: Mutex<WatchState>,
+}
+
+struct WatchState {
+    looked: Instant,
+    /// What a callback or Ctrl-C raised; handed on as it is.
+    raised: Option<PyErr>,
+}
+
+const BETWEEN_LOOKS: Duration = Duration::from_millis(50);
+
+impl PyWatch {
+    fn new(cancel: Option<Py<PyAny>>, progress: Option<Py<PyAny>>) -> Self {
+        Self {
+            cancel,
+            progress,
+            state: Mutex::new(WatchState {
+                looked: Instant::now(),
+                raised: None,
+            }),
+        }
+    }
+
+    fn look(&self, share: f64) -> PyResult<bool> {
+        Python::attach(|py| {
+            py.check_signals()?;
+            if let Some(progress) = &self.progress {
+                progress.call1(py, (share,))?;
+            }
+            self.cancel
+                .as_ref()
+                .map_or(Ok(true), |cancel| Ok(!cancel.call0(py)?.is_truthy(py)?))
+        })
+    }
+
+    /// The error to raise in Python.
+    fn error(&self, error: TrackError) -> PyErr {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        state.raised.take().unwrap_or_else(|| error.into_py())
+    }
+}
+
+impl Watch for PyWatch {
+    fn go_on(&self, share: f64) -> Result<(), TrackError> {
+        {
+            // Another thread is looking already, or did just now.
+            let Ok(mut state) = self.state.try_lock() else {
+                return Ok(());
+            };
+            if state.raised.is_some() {
+                return Err(TrackError::Cancelled);
+            }
+            if state.looked.elapsed() < BETWEEN_LOOKS {
+                return Ok(());
+            }
+            state.looked = Instant::now();
+        }
+        // The lock is not held here: a callback may wait for a thread that reports as well.
+        match self.look(share) {
+            Ok(true) => Ok(()),
+            Ok(false) => Err(TrackError::Cancelled),
+            Err(raised) => {
+                self.state
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .raised = Some(raised);
+                Err(TrackError::Cancelled)
+            }
+        }
+    }
+}
+
+/// Find the trachea; a dict of `voxels_ijk`, `diameters_mm`, `length_mm`, `carina_lps`.
+#[pyfunction]
+#[pyo3(signature = (values_zyx, lps_from_ijk, *, air, tissue, cancel=None))]
+fn find_trachea_voxels<'py>(
+    py: Python<'py>,
+    values_zyx: PyReadonlyArray3<'py, i16>,
+    lps_from_ijk: PyReadonlyArray2<'py, f64>,
+    air: i16,
+    tissue: i16,
+    cancel: Option<Py<PyAny>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let grid = arrays::grid(&values_zyx, &lps_from_ijk)?;
+    let data = arrays::values("values_zyx", &values_zyx)?;
+    let view = VolumeView::new(data, &grid).map_err(IntoPy::into_py)?;
+    let watch = PyWatch::new(cancel, None);
+    let found = py
+        .detach(|| find_trachea(view, AirLevels { air, tissue }, &watch))
+        .map_err(|e| watch.error(e))?;
+    let dict = PyDict::new(py);
+    let voxels: Vec<[f64; 3]> = found.voxels.iter().map(|v| v.map(|x| x as f64)).collect();
+    dict.set_item("voxels_ijk", points_array(py, &voxels))?;
+    dict.set_item("diameters_mm", found.diameters_mm.into_pyarray(py))?;
+    dict.set_item("length_mm", found.length_mm)?;
+    dict.set_item("carina_lps", found.carina_lps.to_vec().into_pyarray(py))?;
+    Ok(dict)
+}
+
+/// Flood the airway from seed voxels; the lumen (1 or 0) and a dict of what was limited.
+#[pyfunction]
+#[pyo3(signature = (values_zyx, lps_from_ijk, seeds_ijk, *, first_level, core_level, last_level, leak_mm3, small_leak_mm3, closed_radius_mm, min_contrast, cancel=None, progress=None))]
+fn flood_lumen<'py>(
+    py: Python<'py>,
+    values_zyx: PyReadonlyArray3<'py, i16>,
+    lps_from_ijk: PyReadonlyArray2<'py, f64>,
+    seeds_ijk: Vec<[usize; 3]>,
+    first_level: i16,
+    core_level: i16,
+    last_level: i16,
+    leak_mm3: f64,
+    small_leak_mm3: f64,
+    closed_radius_mm: f64,
+    min_contrast: f64,
+    cancel: Option<Py<PyAny>>,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<(Bound<'py, PyArray3<u8>>, Bound<'py, PyDict>)> {
+    let grid = arrays::grid(&values_zyx, &lps_from_ijk)?;
+    let data = arrays::values("values_zyx", &values_zyx)?;
+    let view = VolumeView::new(data, &grid).map_err(IntoPy::into_py)?;
+    let shape = grid.shape_ijk();
+    if let Some(seed) = seeds_ijk.iter().find(|s| (0..3).any(|a| s[a] >= shape[a])) {
+        return Err(TrackError::Argument {
+            what: "seed voxel",
+            expected: format!("below {shape:?}"),
+            found: format!("{seed:?}"),
+        }
+        .into_py());
+    }
+    let limits = FloodLimits {
+        first_level,
+        core_level,
+        last_level,
+        leak_mm3,
+        small_leak_mm3,
+        closed_radius_mm,
+        min_contrast,
+    };
+    let watch = PyWatch::new(cancel, progress);
+    let found = py
+        .detach(|| flood(view, &seeds_ijk, &limits, &watch))
+        .map_err(|e| watch.error(e))?;
+    let report = PyDict::new(py);
+    report.set_item("num_voxels", found.num_voxels)?;
+    report.set_item("num_without_wall", found.num_without_wall)?;
+    let leaks = PyList::empty(py);
+    for (voxel, level) in found.leaks {
+        leaks.append((grid.to_lps(Ijk(voxel.map(|v| v as f64))).0, level))?;
+    }
+    report.set_item("leaks", leaks)?;
+    let [nz, ny, nx] = grid.shape_zyx();
+    let lumen = found
+        .lumen
+        .into_pyarray(py)
+        .call_method1("reshape", ((nz, ny, nx),))?
+        .cast_into::<PyArray3<u8>>()?;
+    Ok((lumen, report))
+}
+
+/// The lumen's graph and the least-cost tree that grows from one root.
+#[pyclass(frozen, module = "carina._core")]
+struct LumenTracker {
+    grid: Grid,
+    graph: LumenGraph,
+    tracker: Mutex<Tracker>,
+}
+
+#[pymethods]
+impl LumenTracker {
+    #[new]
+    #[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, levels, root_lps, reach_mm))]
+    fn new(
+        py: Python<'_>,
+        values_zyx: PyReadonlyArray3<'_, i16>,
+        lps_from_ijk: PyReadonlyArray2<'_, f64>,
+        lumen_zyx: PyReadonlyArray3<'_, u8>,
+        levels: Option<(f32, f32, f32)>,
+        root_lps: [f64; 3],
+        reach_mm: f64,
+    ) -> PyResult<Self> {
+        let grid = arrays::grid(&values_zyx, &lps_from_ijk)?;
+        let data = arrays::values("values_zyx", &values_zyx)?;
+        let lumen = arrays::values("lumen_zyx", &lumen_zyx)?;
+        if lumen.len() != data.len() || lumen_zyx.shape() != values_zyx.shape() {
+            return Err(TrackError::Argument {
+                what: "lumen_zyx",
+                expected: format!("the volume's shape {:?}", values_zyx.shape()),
+                found: format!("{:?}", lumen_zyx.shape()),
+            }
+            .into_py());
+        }
+        let levels = levels.map(|(core, wall, rise)| WallLevels { core, wall, rise });
+        let (graph, tracker) = py
+            .detach(|| {
+                let view = VolumeView::new(data, &grid).map_err(|e| TrackError::Argument {
+                    what: "volume",
+                    expected: "a full array".to_owned(),
+                    found: e.to_string(),
+                })?;
+                let graph = LumenGraph::build(view, lumen, levels)?;
+                let root_ijk = grid.to_ijk(Lps(root_lps)).0;
+                let (root, _) = graph
+                    .nearest_node(&grid, root_ijk, reach_mm)
+                    .ok_or_else(|| {
+                        TrackError::NoResult(format!(
+                            "the root {root_lps:?} is not within {reach_mm} mm of the airway lumen"
+                        ))
+                    })?;
+                let tracker = Tracker::new(&graph, &LumenCost(&graph), root)?;
+                Ok((graph, tracker))
+            })
+            .map_err(TrackError::into_py)?;
+        Ok(Self {
+            grid,
+            graph,
+            tracker: Mutex::new(tracker),
+        })
+    }
+
+    #[getter]
+    fn num_nodes(&self) -> usize {
+        self.graph.num_nodes()
+    }
+
+    #[getter]
+    fn num_settled(&self, py: Python<'_>) -> usize {
+        self.read(py, |t| t.settled().len())
+    }
+
+    /// Cost of one integer quantum (weight times mm).
+    #[getter]
+    fn quantum(&self, py: Python<'_>) -> f64 {
+        self.read(py, |t| t.quantum().cost)
+    }
+
+    #[getter]
+    fn root(&self, py: Python<'_>) -> u32 {
+        self.read(py, Tracker::root)
+    }
+
+    /// The lumen node nearest to a point, and its distance in mm; None beyond `reach_mm`.
+    fn nearest(&self, py: Python<'_>, point_lps: [f64; 3], reach_mm: f64) -> Option<(u32, f64)> {
+        let ijk = self.grid.to_ijk(Lps(point_lps)).0;
+        py.detach(|| self.graph.nearest_node(&self.grid, ijk, reach_mm))
+    }
+
+    /// Settle what is needed for a node; True if a path exists.
+    #[pyo3(signature = (node, *, cancel=None, progress=None))]
+    fn solve_to(
+        &self,
+        py: Python<'_>,
+        node: u32,
+        cancel: Option<Py<PyAny>>,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<bool> {
+        self.check(node)?;
+        let watch = PyWatch::new(cancel, progress);
+        py.detach(|| {
+            self.lock()
+                .solve_to(&self.graph, &LumenCost(&self.graph), node, &watch)
+        })
+        .map_err(|e| watch.error(e))
+    }
+
+    /// Settle everything that a path can reach.
+    #[pyo3(signature = (*, cancel=None, progress=None))]
+    fn solve_all(
+        &self,
+        py: Python<'_>,
+        cancel: Option<Py<PyAny>>,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<()> {
+        let watch = PyWatch::new(cancel, progress);
+        py.detach(|| {
+            self.lock()
+                .solve_all(&self.graph, &LumenCost(&self.graph), &watch)
+        })
+        .map_err(|e| watch.error(e))
+    }
+
+    /// Least cost of a settled node, or None.
+    fn cost(&self, py: Python<'_>, node: u32) -> PyResult<Option<f64>> {
+        self.check(node)?;
+        Ok(self.read(py, |t| t.cost(node)))
+    }
+
+    /// Voxel centres (n, 3) LPS from the root to a settled node, and the nodes.
+    fn path<'py>(
+        &self,
+        py: Python<'py>,
+        node: u32,
+    ) -> PyResult<Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<u32>>)>> {
+        self.check(node)?;
+        Ok(self.read(py, |t| t.path_to(node)).map(|nodes| {
+            let points: Vec<Point> = nodes.iter().map(|n| self.point(*n)).collect();
+            (points_array(py, &points), nodes.into_pyarray(py))
+        }))
+    }
+
+    /// Smooth (n, 3) LPS points; every result lies in a lumen voxel where every input does.
+    #[pyo3(signature = (points_lps, *, step_mm))]
+    fn smooth<'py>(
+        &self,
+        py: Python<'py>,
+        points_lps: Vec<[f64; 3]>,
+        step_mm: f64,
+    ) -> Bound<'py, PyArray2<f64>> {
+        let curve = py.detach(|| {
+            let (even, _) = smooth::resampled(&points_lps, step_mm);
+            let radius: Vec<f64> = even.iter().map(|p| self.radius_at(*p)).collect();
+            smooth::smoothed(&even, &radius, |p| self.holds(p))
+        });
+        points_array(py, &curve)
+    }
+
+    /// Distance to the wall at (n, 3) LPS points, mm; 0 outside the lumen.
+    fn radius_mm<'py>(
+        &self,
+        py: Python<'py>,
+        points_lps: Vec<[f64; 3]>,
+    ) -> Bound<'py, PyArray1<f64>> {
+        let radius: Vec<f64> = points_lps.iter().map(|p| self.radius_at(*p)).collect();
+        radius.into_pyarray(py)
+    }
+
+    /// For (n, 3) LPS points, whether the voxel that holds each is lumen.
+    fn inside<'py>(
+        &self,
+        py: Python<'py>,
+        points_lps: Vec<[f64; 3]>,
+    ) -> Bound<'py, PyArray1<bool>> {
+        let inside: Vec<bool> = points_lps.iter().map(|p| self.holds(*p)).collect();
+        inside.into_pyarray(py)
+    }
+
+    /// The automatic tree of all that is settled: a list of dicts, parents first.
+    #[pyo3(signature = (*, cancel=None, progress=None))]
+    fn branches<'py>(
+        &self,
+        py: Python<'py>,
+        cancel: Option<Py<PyAny>>,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Bound<'py, PyList>> {
+        let watch = PyWatch::new(cancel, progress);
+        let limits = BranchLimits::for_grid(&self.grid);
+        let branches = py
+            .detach(|| {
+                tree::find_branches(&self.graph, &self.lock(), &self.grid, &limits, &watch)
+            })
+            .map_err(|e| watch.error(e))?;
+        self.branch_list(py, &branches)
+    }
+
+    /// The tree of the paths to settled nodes; `forks` are nodes where a branch ends in any case, sorted.
+    fn branches_to<'py>(
+        &self,
+        py: Python<'py>,
+        nodes: Vec<u32>,
+        mut forks: Vec<u32>,
+    ) -> PyResult<Bound<'py, PyList>> {
+        for &node in &nodes {
+            self.check(node)?;
+        }
+        forks.sort_unstable();
+        let limits = BranchLimits::for_grid(&self.grid);
+        let branches = py.detach(|| {
+            tree::branches_to(
+                &self.graph,
+                &self.lock(),
+                &self.grid,
+                &limits,
+                &nodes,
+                &forks,
+            )
+        });
+        self.branch_list(py, &branches)
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> String {
+        format!(
+            "LumenTracker(num_nodes={}, num_settled={})",
+            self.num_nodes(),
+            self.num_settled(py)
+        )
+    }
+}
+
+impl LumenTracker {
+    fn lock(&self) -> std::sync::MutexGuard<'_, Tracker> {
+        // A stop leaves the tracker whole (it stops between nodes); a panic inside is a bug reported elsewhere.
+        self.tracker.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Reads the tracker. The interpreter is left before waiting for the lock: whoever holds the lock may wait for the
+    /// interpreter, to ask `cancel()`.
+    fn read<T: Send>(&self, py: Python<'_>, read: impl FnOnce(&Tracker) -> T + Send) -> T {
+        py.detach(|| read(&self.lock()))
+    }
+
+    fn check(&self, node: u32) -> PyResult<()> {
+        if (node as usize) < self.graph.num_nodes() {
+            return Ok(());
+        }
+        Err(TrackError::Argument {
+            what: "node",
+            expected: format!("below {}", self.graph.num_nodes()),
+            found: node.to_string(),
+        }
+        .into_py())
+    }
+
+    fn point(&self, node: u32) -> Point {
+        self.grid
+            .to_lps(Ijk(self.graph.voxel(node).map(|v| v as f64)))
+            .0
+    }
+
+    fn holds(&self, lps: Point) -> bool {
+        self.graph.holds(self.grid.to_ijk(Lps(lps)).0)
+    }
+
+    fn radius_at(&self, lps: Point) -> f64 {
+        tree::radius_mm(&self.graph, &self.grid, lps)
+    }
+
+    fn branch_list<'py>(
+        &self,
+        py: Python<'py>,
+        branches: &[Branch],
+    ) -> PyResult<Bound<'py, PyList>> {
+        let list = PyList::empty(py);
+        let costs: Vec<Option<f64>> = self.read(py, |tracker| {
+            branches
+                .iter()
+                .map(|branch| {
+                    let (first, last) = (branch.nodes[0], branch.nodes[branch.nodes.len() - 1]);
+                    Some(tracker.cost(last)? - tracker.cost(first)?)
+                })
+                .collect()
+        });
+        for (branch, cost) in branches.iter().zip(costs) {
+            let dict = PyDict::new(py);
+            dict.set_item("parent", branch.parent)?;
+            dict.set_item("generation", branch.generation)?;
+            dict.set_item("points", points_array(py, &branch.points))?;
+            dict.set_item("radius_mm", branch.radius_mm.clone().into_pyarray(py))?;
+            dict.set_item("cost", cost)?;
+            dict.set_item("nodes", branch.nodes.clone().into_pyarray(py))?;
+            list.append(dict)?;
+        }
+        Ok(list)
+    }
+}
+
+/// For each node of the lumen graph the branch its path left last (-1 where no path reaches it).
+#[pyfunction]
+fn branch_of_nodes<'py>(
+    py: Python<'py>,
+    tracker: &LumenTracker,
+    branch_nodes: Vec<Vec<u32>>,
+    parents: Vec<Option<usize>>,
+) -> PyResult<Bound<'py, PyArray1<i32>>> {
+    for nodes in &branch_nodes {
+        for &node in nodes {
+            tracker.check(node)?;
+        }
+    }
+    let branches: Vec<Branch> = branch_nodes
+        .into_iter()
+        .zip(parents)
+        .map(|(nodes, parent)| Branch {
+            parent,
+            generation: 0,
+            nodes,
+            points: Vec::new(),
+            radius_mm: Vec::new(),
+        })
+        .collect();
+    let found = py.detach(|| tree::branch_of_nodes(&tracker.graph, &tracker.lock(), &branches));
+    let signed: Vec<i32> = found
+        .into_iter()
+        .map(|b| if b == NO_NODE { -1 } else { b as i32 })
+        .collect();
+    Ok(signed.into_pyarray(py))
+}
+
+fn points_array<'py>(py: Python<'py>, points: &[Point]) -> Bound<'py, PyArray2<f64>> {
+    Array2::from_shape_fn((points.len(), 3), |(n, a)| points[n][a]).into_pyarray(py)
+}
+
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(find_trachea_voxels, module)?)?;
+    module.add_function(wrap_pyfunction!(flood_lumen, module)?)?;
+    module.add_function(wrap_pyfunction!(branch_of_nodes, module)?)?;
+    module.add_class::<LumenTracker>()?;
     Ok(())
 }

@@ -1,0 +1,299 @@
+//! The automatic lumen: a flood that rises from the trachea, with a leak guard (DESIGN 4, "Airways").
+//!
+//! The level rises one unit (HU) at a time. A voxel joins when it is at most at the level and touches the lumen by a face; what
+//! becomes reachable through it at the same level joins with it: the *basin* behind that voxel. In an airway basins are
+//! small, or they are tubes; where the flood breaks through a wall, the basin is the lung, which is huge. So a basin
+//! above a limit is a leak: it is given back, and a ball round the breach stays closed for good, while the flood rises
+//! on elsewhere. This makes the level local: thick-walled airways are filled up to the half-maximum of their wall, thin
+//! ones up to just below the level at which they would leak.
+//!
+//! Above the level of tracheal air and its noise, a second guard looks at what surrounds a basin. The wall of an airway is
+//! clearly brighter than the level; the surroundings of a dark pocket of lung are not.
+
+use carina_grid::{Grid, VolumeView};
+
+use crate::{TrackError, Watch};
+
+/// Limits of the flood.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FloodLimits {
+    /// First level; everything up to here that touches the start is lumen.
+    pub first_level: i16,
+    /// Air of the trachea and its noise end here; above it the surroundings are looked at.
+    pub core_level: i16,
+    /// The flood ends here (half-way between lumen and wall).
+    pub last_level: i16,
+    /// A basin larger than this is a leak.
+    pub leak_mm3: f64,
+    /// Above the core level: a basin larger than this is a leak.
+    pub small_leak_mm3: f64,
+    /// A ball of this radius round a breach stays closed.
+    pub closed_radius_mm: f64,
+    /// Above the core level: a basin's surroundings must be this much above the level, on average.
+    pub min_contrast: f64,
+}
+
+/// What the flood found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Flood {
+    /// 1 = lumen, 0 = not.
+    pub lumen: Vec<u8>,
+    /// Voxels in the lumen.
+    pub num_voxels: usize,
+    /// Breaches that were closed: voxel and level.
+    pub leaks: Vec<([usize; 3], i16)>,
+    /// Basins refused because their surroundings are no wall.
+    pub num_without_wall: usize,
+}
+
+const UNKNOWN: u8 = 0;
+const LUMEN: u8 = 1;
+/// Above the level when it was met; waits for its level.
+const WAITING: u8 = 2;
+/// Closed for good.
+const CLOSED: u8 = 3;
+
+/// Floods from `seeds` (voxels of the trachea).
+pub fn flood(
+    values: VolumeView<'_, i16>,
+    seeds: &[[usize; 3]],
+    limits: &FloodLimits,
+    watch: &impl Watch,
+) -> Result<Flood, TrackError> {
+    if limits.first_level > limits.last_level {
+        return Err(TrackError::Argument {
+            what: "lumen threshold",
+            expected: format!("at least {} (air in the trachea)", limits.first_level),
+            found: limits.last_level.to_string(),
+        });
+    }
+    let mut rising = Rising::new(values, limits);
+    for seed in seeds {
+        rising.wait(values.grid().index(*seed) as u32);
+    }
+    let (first, last) = (limits.first_level, limits.last_level);
+    for level in first..=last {
+        watch.go_on(f64::from(level - first) / f64::from((last - first).max(1)))?;
+        rising.rise_to(level, watch)?;
+    }
+    rising.fill_pinholes();
+    Ok(rising.finish())
+}
+
+struct Rising<'a> {
+    values: VolumeView<'a, i16>,
+    limits: &'a FloodLimits,
+    state: Vec<u8>,
+    /// Voxels that wait, by level above the first.
+    waiting: Vec<Vec<u32>>,
+    leak_vox: usize,
+    small_leak_vox: usize,
+    num_voxels: usize,
+    leaks: Vec<([usize; 3], i16)>,
+    num_without_wall: usize,
+    basin: Vec<u32>,
+    met: Vec<u32>,
+}
+
+impl<'a> Rising<'a> {
+    fn new(values: VolumeView<'a, i16>, limits: &'a FloodLimits) -> Self {
+        let grid = values.grid();
+        let voxel_mm3 = grid.lps_from_ijk().determinant().abs();
+        let num_levels = (i32::from(limits.last_level) - i32::from(limits.first_level) + 1) as usize;
+        Self {
+            values,
+            limits,
+            state: vec![UNKNOWN; grid.num_voxels()],
+            waiting: vec![Vec::new(); num_levels],
+            leak_vox: (limits.leak_mm3 / voxel_mm3) as usize,
+            small_leak_vox: (limits.small_leak_mm3 / voxel_mm3) as usize,
+            num_voxels: 0,
+            leaks: Vec::new(),
+            num_without_wall: 0,
+            basin: Vec::new(),
+            met: Vec::new(),
+        }
+    }
+
+    fn wait(&mut self, voxel: u32) {
+        let value = self.values.data()[voxel as usize];
+        if value <= self.limits.last_level && self.state[voxel as usize] == UNKNOWN {
+            let slot = (i32::from(value) - i32::from(self.limits.first_level)).max(0) as usize;
+            self.waiting[slot].push(voxel);
+            self.state[voxel as usize] = WAITING;
+        }
+    }
+
+    fn rise_to(&mut self, level: i16, watch: &impl Watch) -> Result<(), TrackError> {
+        let slot = (i32::from(level) - i32::from(self.limits.first_level)) as usize;
+        let mut next = 0;
+        // Voxels can join this level's list while it is worked on.
+        while next < self.waiting[slot].len() {
+            let entry = self.waiting[slot][next];
+            next += 1;
+            if self.state[entry as usize] == WAITING {
+                self.open(entry, level, watch)?;
+            }
+        }
+        self.waiting[slot] = Vec::new();
+        Ok(())
+    }
+
+    /// Opens one waiting voxel: its basin joins, or is given back.
+    fn open(&mut self, entry: u32, level: i16, watch: &impl Watch) -> Result<(), TrackError> {
+        let limit = if level > self.limits.core_level {
+            self.small_leak_vox
+        } else {
+            self.leak_vox
+        };
+        self.basin.clear();
+        self.met.clear();
+        self.basin.push(entry);
+        self.state[entry as usize] = LUMEN;
+        let (mut around_sum, mut around_count) = (0i64, 0i64);
+        let mut next = 0;
+        while next < self.basin.len() && self.basin.len() <= limit {
+            let voxel = self.basin[next];
+            next += 1;
+            if next.is_multiple_of(1 << 16) {
+                watch.go_on(0.0)?;
+            }
+            let (data, state) = (self.values.data(), &mut self.state);
+            let (basin, met) = (&mut self.basin, &mut self.met);
+            for_each_face(self.values.grid(), voxel as usize, |at| {
+                let value = data[at];
+                match state[at] {
+                    UNKNOWN | WAITING if value <= level => {
+                        // A waiting voxel at or below the level is one of this level's own list.
+                        state[at] = LUMEN;
+                        basin.push(at as u32);
+                    }
+                    UNKNOWN => {
+                        met.push(at as u32);
+                        around_sum += i64::from(value);
+                        around_count += 1;
+                    }
+                    WAITING | CLOSED => {
+                        around_sum += i64::from(value);
+                        around_count += 1;
+                    }
+                    _ => {}
+                }
+            });
+        }
+        if self.basin.len() > limit {
+            self.close(entry, level);
+            return Ok(());
+        }
+        if level > self.limits.core_level && around_count > 0 {
+            let contrast = around_sum as f64 / around_count as f64 - f64::from(level);
+            if contrast < self.limits.min_contrast {
+                for at in &self.basin {
+                    self.state[*at as usize] = CLOSED;
+                }
+                self.num_without_wall += 1;
+                return Ok(());
+            }
+        }
+        self.num_voxels += self.basin.len();
+        for n in 0..self.met.len() {
+            let at = self.met[n];
+            self.wait(at);
+        }
+        Ok(())
+    }
+
+    /// Gives a leaking basin back and closes the ball round its breach.
+    fn close(&mut self, entry: u32, level: i16) {
+        for at in &self.basin {
+            self.state[*at as usize] = UNKNOWN;
+        }
+        let grid = self.values.grid();
+        let center = grid.voxel(entry as usize);
+        self.leaks.push((center, level));
+        let (shape, spacing) = (grid.shape_ijk(), grid.spacing_mm());
+        let reach: [usize; 3] =
+            std::array::from_fn(|a| (self.limits.closed_radius_mm / spacing[a]) as usize);
+        let low: [usize; 3] = std::array::from_fn(|a| center[a].saturating_sub(reach[a]));
+        let high: [usize; 3] = std::array::from_fn(|a| (center[a] + reach[a]).min(shape[a] - 1));
+        for k in low[2]..=high[2] {
+            for j in low[1]..=high[1] {
+                for i in low[0]..=high[0] {
+                    let at = grid.index([i, j, k]);
+                    let off = carina_grid::length([
+                        (i as f64 - center[0] as f64) * spacing[0],
+                        (j as f64 - center[1] as f64) * spacing[1],
+                        (k as f64 - center[2] as f64) * spacing[2],
+                    ]);
+                    if off <= self.limits.closed_radius_mm && self.state[at] != LUMEN {
+                        self.state[at] = CLOSED;
+                    }
+                }
+            }
+        }
+        self.state[entry as usize] = CLOSED;
+    }
+
+    /// Voxels with lumen on five or six faces are noise or a drop of mucus inside it.
+    fn fill_pinholes(&mut self) {
+        let grid = self.values.grid();
+        for _ in 0..2 {
+            let mut filled = Vec::new();
+            for at in 0..self.state.len() {
+                if self.state[at] == LUMEN {
+                    let state = &self.state;
+                    for_each_face(grid, at, |hole| {
+                        if state[hole] == LUMEN {
+                            return;
+                        }
+                        let mut num_lumen = 0;
+                        for_each_face(grid, hole, |n| num_lumen += i32::from(state[n] == LUMEN));
+                        if num_lumen >= 5 {
+                            filled.push(hole);
+                        }
+                    });
+                }
+            }
+            for hole in filled {
+                self.num_voxels += usize::from(self.state[hole] != LUMEN);
+                self.state[hole] = LUMEN;
+            }
+        }
+    }
+
+    fn finish(mut self) -> Flood {
+        for state in &mut self.state {
+            *state = u8::from(*state == LUMEN);
+        }
+        Flood {
+            lumen: self.state,
+            num_voxels: self.num_voxels,
+            leaks: self.leaks,
+            num_without_wall: self.num_without_wall,
+        }
+    }
+}
+
+/// Calls `visit` for the up to six voxels that share a face.
+fn for_each_face(grid: &Grid, at: usize, mut visit: impl FnMut(usize)) {
+    let [nx, ny, nz] = grid.shape_ijk();
+    let [i, j, k] = grid.voxel(at);
+    if i > 0 {
+        visit(at - 1);
+    }
+    if i + 1 < nx {
+        visit(at + 1);
+    }
+    if j > 0 {
+        visit(at - nx);
+    }
+    if j + 1 < ny {
+        visit(at + nx);
+    }
+    if k > 0 {
+        visit(at - nx * ny);
+    }
+    if k + 1 < nz {
+        visit(at + nx * ny);
+    }
+}

@@ -1,0 +1,385 @@
+//! The voxel graph of the airway lumen and the cost `lumen` (DESIGN 4, "Path tracker").
+//!
+//! Nodes are lumen voxels only. Two of the 26 neighbours are linked by the straight line between their centres; a step
+//! along an axis always exists, a diagonal one only if the HU interpolated at 1/4, 1/2 and 3/4 of it is still inside: two
+//! lumen voxels can touch at a corner across a wall. The weight per mm falls with the square of the distance to the
+//! wall, so a path keeps to the middle of the tube it is in, whatever the tube's width.
+
+use carina_grid::{Grid, VolumeView, length};
+use rayon::prelude::*;
+
+use crate::TrackError;
+use crate::distance::{NOWHERE, VoxelBox, nearest_outside};
+use crate::graph::{Cost, Graph, NO_NODE};
+
+/// Where the wall begins, in the volume's own numbers (HU on a calibrated CT).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WallLevels {
+    /// Values up to here are air for certain (air of the trachea and its noise).
+    pub core: f32,
+    /// The lumen ends here at the latest.
+    pub wall: f32,
+    /// A diagonal step may rise this far above the brighter of its two ends: noise between lumen voxels.
+    pub rise: f32,
+}
+
+/// Lumen voxels, which of their 26 neighbours they are linked to, and how far the wall is.
+#[derive(Debug)]
+pub struct LumenGraph {
+    voxel_box: VoxelBox,
+    node_at: Vec<u32>,
+    voxels: Vec<[u16; 3]>,
+    edges: Vec<u32>,
+    wall_mm: Vec<f32>,
+    steps: [Step; 26],
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Step {
+    offset_ijk: [isize; 3],
+    length_mm: f64,
+}
+
+/// The 26 steps in array order: step `25 - s` is the opposite of step `s`.
+fn steps(grid: &Grid) -> [Step; 26] {
+    std::array::from_fn(|s| {
+        let cell = if s < 13 { s } else { s + 1 } as isize;
+        let offset_ijk = [cell % 3 - 1, cell / 3 % 3 - 1, cell / 9 - 1];
+        Step {
+            offset_ijk,
+            length_mm: length(grid.lps_from_ijk().vector(offset_ijk.map(|v| v as f64))),
+        }
+    })
+}
+
+impl LumenGraph {
+    /// The graph of the voxels where `lumen` is not 0.
+    ///
+    /// `levels` is `None` for a lumen that did not come from these values (an imported mask): then all 26 neighbours are
+    /// linked and the wall is taken half-way between voxels.
+    pub fn build(
+        values: VolumeView<'_, i16>,
+        lumen: &[u8],
+        levels: Option<WallLevels>,
+    ) -> Result<Self, TrackError> {
+        let grid = values.grid();
+        let shape = grid.shape_ijk();
+        if shape.iter().any(|&n| n > usize::from(u16::MAX)) {
+            return Err(TrackError::Argument {
+                what: "volume",
+                expected: "at most 65535 voxels on an axis".to_owned(),
+                found: format!("{shape:?}"),
+            });
+        }
+        let voxels: Vec<[u16; 3]> = lumen
+            .par_chunks(shape[0])
+            .enumerate()
+            .flat_map_iter(|(row, cells)| {
+                let (j, k) = ((row % shape[1]) as u16, (row / shape[1]) as u16);
+                cells
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, inside)| **inside != 0)
+                    .map(move |(i, _)| [i as u16, j, k])
+            })
+            .collect();
+        if voxels.is_empty() {
+            return Err(TrackError::NoResult("the airway lumen is empty".to_owned()));
+        }
+        let voxel_box = box_around(&voxels, shape);
+        let mut node_at = vec![NO_NODE; voxel_box.num_voxels()];
+        for (node, voxel) in voxels.iter().enumerate() {
+            if let Some(at) = voxel_box.index_of(voxel.map(|v| v as isize)) {
+                node_at[at] = node as u32;
+            }
+        }
+        let steps = steps(grid);
+        let mut graph = Self {
+            voxel_box,
+            node_at,
+            voxels,
+            edges: Vec::new(),
+            wall_mm: Vec::new(),
+            steps,
+        };
+        graph.edges = graph.link(values, levels);
+        graph.wall_mm = graph.wall_distances(values, levels);
+        Ok(graph)
+    }
+
+    /// Edge masks: bit s for step s.
+    fn link(&self, values: VolumeView<'_, i16>, levels: Option<WallLevels>) -> Vec<u32> {
+        // Both ends of an edge compute the same test: the samples at 1/4, 1/2, 3/4 are the same three points.
+        (0..self.voxels.len())
+            .into_par_iter()
+            .map(|node| {
+                let from = self.voxels[node].map(|v| v as isize);
+                let mut mask = 0u32;
+                for (s, step) in self.steps.iter().enumerate() {
+                    let to: [isize; 3] = std::array::from_fn(|a| from[a] + step.offset_ijk[a]);
+                    let linked = self.node_at_voxel(to).is_some()
+                        && (step.offset_ijk.iter().filter(|v| **v != 0).count() == 1
+                            || levels.is_none_or(|l| line_is_inside(values, from, to, l)));
+                    mask |= u32::from(linked) << s;
+                }
+                mask
+            })
+            .collect()
+    }
+
+    fn wall_distances(&self, values: VolumeView<'_, i16>, levels: Option<WallLevels>) -> Vec<f32> {
+        let spacing = values.grid().spacing_mm();
+        // Beyond the volume nothing is known: the box is clipped to it, so its faces are no wall.
+        let nearest = nearest_outside(self.voxel_box.shape_ijk, spacing, |at| {
+            self.node_at[at] == NO_NODE
+        });
+        let ceiling = 0.5 * length(std::array::from_fn(|a| {
+            self.voxel_box.shape_ijk[a] as f64 * spacing[a]
+        }));
+        self.voxels
+            .par_iter()
+            .map(|voxel| {
+                let from = voxel.map(|v| v as isize);
+                let nearest = self
+                    .voxel_box
+                    .index_of(from)
+                    .map_or(NOWHERE, |at| nearest[at]);
+                if nearest == NOWHERE {
+                    return ceiling as f32;
+                }
+                let wall = self.voxel_box.voxel(nearest as usize).map(|v| v as isize);
+                self.nearest_crossing_mm(values, levels, spacing, from, wall) as f32
+            })
+            .collect()
+    }
+
+    /// Least distance from a lumen voxel to a threshold crossing on a grid edge near the outside voxel `wall`.
+    fn nearest_crossing_mm(
+        &self,
+        values: VolumeView<'_, i16>,
+        levels: Option<WallLevels>,
+        spacing: [f64; 3],
+        from: [isize; 3],
+        wall: [isize; 3],
+    ) -> f64 {
+        let mut best = f64::INFINITY;
+        for cell in 0..27isize {
+            let offset = [cell % 3 - 1, cell / 3 % 3 - 1, cell / 9 - 1];
+            let outside: [isize; 3] = std::array::from_fn(|a| wall[a] + offset[a]);
+            if self.voxel_box.index_of(outside).is_none() || self.node_at_voxel(outside).is_some() {
+                continue;
+            }
+            for axis in 0..3 {
+                for side in [-1isize, 1] {
+                    let mut inside = outside;
+                    inside[axis] += side;
+                    if self.node_at_voxel(inside).is_none() {
+                        continue;
+                    }
+                    let share = levels.map_or(0.5, |l| {
+                        let low = f64::from(values.at_clamped(inside));
+                        let high = f64::from(values.at_clamped(outside));
+                        let wall = f64::from(l.wall);
+                        // A wall that does not reach the level (thin, partial volume) is taken half-way.
+                        if low < wall && wall < high {
+                            (wall - low) / (high - low)
+                        } else {
+                            0.5
+                        }
+                    });
+                    let distance = length(std::array::from_fn(|a| {
+                        let mut at = inside[a] as f64;
+                        if a == axis {
+                            at -= share * side as f64;
+                        }
+                        (at - from[a] as f64) * spacing[a]
+                    }));
+                    best = best.min(distance);
+                }
+            }
+        }
+        if best.is_finite() {
+            return best;
+        }
+        // The nearest outside voxel always has a lumen voxel beside it; kept for lumens of odd shape.
+        length(std::array::from_fn(|a| {
+            (wall[a] - from[a]) as f64 * spacing[a]
+        }))
+    }
+
+    /// The node of a voxel of the volume.
+    #[must_use]
+    pub fn node_at_voxel(&self, ijk: [isize; 3]) -> Option<u32> {
+        let node = self.node_at[self.voxel_box.index_of(ijk)?];
+        (node != NO_NODE).then_some(node)
+    }
+
+    /// The voxel of a node.
+    #[must_use]
+    pub fn voxel(&self, node: u32) -> [usize; 3] {
+        self.voxels[node as usize].map(usize::from)
+    }
+
+    /// Distance of a node's centre to the wall, mm.
+    #[must_use]
+    pub fn wall_mm(&self, node: u32) -> f64 {
+        f64::from(self.wall_mm[node as usize])
+    }
+
+    /// True if the straight line between two voxel-coordinate points stays in lumen voxels (sampled every half voxel).
+    #[must_use]
+    pub fn sees(&self, from_ijk: [f64; 3], to_ijk: [f64; 3]) -> bool {
+        let longest = (0..3)
+            .map(|a| (to_ijk[a] - from_ijk[a]).abs())
+            .fold(0.0, f64::max);
+        let num_steps = (longest * 2.0).ceil().max(1.0);
+        (0..=num_steps as usize).all(|s| {
+            let share = s as f64 / num_steps;
+            self.holds(std::array::from_fn(|a| {
+                from_ijk[a] + share * (to_ijk[a] - from_ijk[a])
+            }))
+        })
+    }
+
+    /// True if the voxel that holds this point (voxel coordinates) is lumen.
+    #[must_use]
+    pub fn holds(&self, ijk: [f64; 3]) -> bool {
+        self.node_at_voxel(ijk.map(|v| (v + 0.5).floor() as isize))
+            .is_some()
+    }
+
+    /// The lumen voxel nearest to a point within `reach_mm`, and its distance; ties go to the first in array order.
+    #[must_use]
+    pub fn nearest_node(&self, grid: &Grid, ijk: [f64; 3], reach_mm: f64) -> Option<(u32, f64)> {
+        let spacing = grid.spacing_mm();
+        let (mut low, mut high) = ([0isize; 3], [0isize; 3]);
+        for axis in 0..3 {
+            let reach = reach_mm / spacing[axis] + 1.0;
+            let first = self.voxel_box.first_ijk[axis] as f64;
+            let last = first + self.voxel_box.shape_ijk[axis] as f64 - 1.0;
+            low[axis] = (ijk[axis] - reach).floor().max(first) as isize;
+            high[axis] = (ijk[axis] + reach).ceil().min(last) as isize;
+        }
+        let mut best: Option<(u32, f64)> = None;
+        for k in low[2]..=high[2] {
+            for j in low[1]..=high[1] {
+                for i in low[0]..=high[0] {
+                    let Some(node) = self.node_at_voxel([i, j, k]) else {
+                        continue;
+                    };
+                    let at = [i as f64, j as f64, k as f64];
+                    let distance = length(
+                        grid.lps_from_ijk()
+                            .vector(std::array::from_fn(|a| at[a] - ijk[a])),
+                    );
+                    if distance <= reach_mm && best.is_none_or(|(_, d)| distance < d) {
+                        best = Some((node, distance));
+                    }
+                }
+            }
+        }
+        best
+    }
+}
+
+/// The smallest box round the voxels with one voxel of margin, clipped to the volume.
+fn box_around(voxels: &[[u16; 3]], shape: [usize; 3]) -> VoxelBox {
+    let (mut low, mut high) = ([usize::MAX; 3], [0usize; 3]);
+    for voxel in voxels {
+        for axis in 0..3 {
+            low[axis] = low[axis].min(usize::from(voxel[axis]));
+            high[axis] = high[axis].max(usize::from(voxel[axis]));
+        }
+    }
+    let first_ijk: [usize; 3] = std::array::from_fn(|a| low[a].saturating_sub(1));
+    VoxelBox {
+        first_ijk,
+        shape_ijk: std::array::from_fn(|a| (high[a] + 2).min(shape[a]) - first_ijk[a]),
+    }
+}
+
+fn line_is_inside(
+    values: VolumeView<'_, i16>,
+    from: [isize; 3],
+    to: [isize; 3],
+    levels: WallLevels,
+) -> bool {
+    let ends = f32::from(values.at_clamped(from).max(values.at_clamped(to)));
+    let limit = (ends + levels.rise).max(levels.core).min(levels.wall.max(ends));
+    [0.25, 0.5, 0.75].into_iter().all(|share| {
+        let at = std::array::from_fn(|a| from[a] as f64 + share * (to[a] - from[a]) as f64);
+        interpolated(values, at) <= limit
+    })
+}
+
+/// Trilinear value at a point, edge-clamped.
+fn interpolated(values: VolumeView<'_, i16>, ijk: [f64; 3]) -> f32 {
+    let base = ijk.map(|v| v.floor() as isize);
+    let share: [f32; 3] = std::array::from_fn(|a| (ijk[a] - base[a] as f64) as f32);
+    let mut sum = 0.0;
+    for corner in 0..8isize {
+        let offset = [corner & 1, corner >> 1 & 1, corner >> 2];
+        let weight: f32 = (0..3)
+            .map(|a| if offset[a] == 1 { share[a] } else { 1.0 - share[a] })
+            .product();
+        if weight > 0.0 {
+            let at = std::array::from_fn(|a| base[a] + offset[a]);
+            sum += weight * f32::from(values.at_clamped(at));
+        }
+    }
+    sum
+}
+
+impl Graph for LumenGraph {
+    fn num_nodes(&self) -> usize {
+        self.voxels.len()
+    }
+
+    fn for_each_edge(&self, node: u32, mut visit: impl FnMut(u32, f64)) {
+        let from = self.voxels[node as usize].map(|v| v as isize);
+        let mut mask = self.edges[node as usize];
+        while mask != 0 {
+            let step = self.steps[mask.trailing_zeros() as usize];
+            mask &= mask - 1;
+            let to = std::array::from_fn(|a| from[a] + step.offset_ijk[a]);
+            if let Some(neighbour) = self.node_at_voxel(to) {
+                visit(neighbour, step.length_mm);
+            }
+        }
+    }
+
+    fn edge_length_range_mm(&self) -> (f64, f64) {
+        let lengths = self.steps.map(|s| s.length_mm);
+        (
+            lengths.into_iter().fold(f64::INFINITY, f64::min),
+            lengths.into_iter().fold(0.0, f64::max),
+        )
+    }
+}
+
+/// The cost `lumen`: weight per mm = (10 mm / distance to the wall)^2, the distance kept within 0.3 to 10 mm.
+///
+/// Squared, because then a detour of any tube along its middle is cheaper than the short cut along its wall whatever its
+/// width; 10 mm is wider than any trachea's radius, 0.3 mm is less than half a voxel of a fine scan.
+#[derive(Debug, Clone, Copy)]
+pub struct LumenCost<'a>(pub &'a LumenGraph);
+
+const WIDEST_MM: f64 = 10.0;
+const NARROWEST_MM: f64 = 0.3;
+
+impl LumenCost<'_> {
+    fn of_node(self, node: u32) -> f64 {
+        let distance = self.0.wall_mm(node).clamp(NARROWEST_MM, WIDEST_MM);
+        (WIDEST_MM / distance) * (WIDEST_MM / distance)
+    }
+}
+
+impl Cost for LumenCost<'_> {
+    fn weight(&self, u: u32, v: u32) -> f64 {
+        0.5 * (self.of_node(u) + self.of_node(v))
+    }
+
+    fn weight_range(&self) -> (f64, f64) {
+        (1.0, (WIDEST_MM / NARROWEST_MM) * (WIDEST_MM / NARROWEST_MM))
+    }
+}

@@ -1,0 +1,254 @@
+//! Smooth centrelines that stay inside the lumen.
+//!
+//! A chain of voxel centres is a staircase. It is resampled evenly and smoothed by penalised least squares (Whittaker 1923,
+//! second differences; Eilers 2003): minimise sum w |x - y|^2 + lambda sum |x[n-1] - 2 x[n] + x[n+1]|^2. Points that would
+//! leave the lumen pull harder towards the chain, which never leaves it, until all are inside.
+
+use carina_grid::length;
+
+/// A point in LPS, mm.
+pub type Point = [f64; 3];
+
+/// Bends shorter than this are staircase, not anatomy, in a tube of [`REFERENCE_RADIUS_MM`].
+const SHORTEST_BEND_MM: f64 = 18.0;
+/// Wider tubes are smoothed more: their middle is known less exactly, and the chain may wander further.
+const REFERENCE_RADIUS_MM: f64 = 2.0;
+const MAX_ROUNDS: usize = 14;
+
+/// Points every `step_mm` (or a little less) along a chain, both ends kept exactly; and how far along each is, mm.
+#[must_use]
+pub fn resampled(chain: &[Point], step_mm: f64) -> (Vec<Point>, Vec<f64>) {
+    let along = cumulative_mm(chain);
+    let total = along.last().copied().unwrap_or(0.0);
+    if chain.len() < 2 || total <= 0.0 {
+        return (chain.to_vec(), along);
+    }
+    let num_steps = (total / step_mm).ceil().max(1.0) as usize;
+    let at: Vec<f64> = (0..=num_steps)
+        .map(|n| total * n as f64 / num_steps as f64)
+        .collect();
+    let mut points: Vec<Point> = at.iter().map(|&s| point_at(chain, &along, s)).collect();
+    points[0] = chain[0];
+    points[num_steps] = chain[chain.len() - 1];
+    (points, at)
+}
+
+/// Length along a chain up to each of its points.
+#[must_use]
+pub fn cumulative_mm(chain: &[Point]) -> Vec<f64> {
+    let mut sum = 0.0;
+    let mut along = Vec::with_capacity(chain.len());
+    for n in 0..chain.len() {
+        if n > 0 {
+            sum += distance(chain[n - 1], chain[n]);
+        }
+        along.push(sum);
+    }
+    along
+}
+
+/// The point `s` mm along a chain whose cumulative lengths are `along`.
+#[must_use]
+pub fn point_at(chain: &[Point], along: &[f64], s: f64) -> Point {
+    let after = along.partition_point(|&a| a < s).clamp(1, chain.len() - 1);
+    let (from, to) = (along[after - 1], along[after]);
+    let share = if to > from {
+        ((s - from) / (to - from)).clamp(0.0, 1.0)
+    } else {
+        1.0
+    };
+    std::array::from_fn(|a| {
+        chain[after - 1][a] + share * (chain[after][a] - chain[after - 1][a])
+    })
+}
+
+fn distance(a: Point, b: Point) -> f64 {
+    length([a[0] - b[0], a[1] - b[1], a[2] - b[2]])
+}
+
+/// Smooths evenly spaced points; the first and the last stay where they are.
+///
+/// `radius_mm` is the tube's at each point; `inside` must hold for every given point and will hold for every returned one
+/// (where even the strongest pull does not suffice, the given points are returned).
+#[must_use]
+pub fn smoothed(
+    points: &[Point],
+    radius_mm: &[f64],
+    inside: impl Fn(Point) -> bool,
+) -> Vec<Point> {
+    let n = points.len();
+    if n < 4 {
+        return points.to_vec();
+    }
+    let step_mm = (cumulative_mm(points)[n - 1] / (n - 1) as f64).max(1e-6);
+    // The filter's gain is 1/2 where lambda (2 pi step / wavelength)^4 = 1.
+    let lambda = (SHORTEST_BEND_MM / (std::f64::consts::TAU * step_mm)).powi(4);
+    let mut pull: Vec<f64> = radius_mm
+        .iter()
+        .map(|r| (REFERENCE_RADIUS_MM / r.max(0.1)).powi(2).clamp(0.05, 4.0))
+        .collect();
+    pull[0] = 1e9;
+    pull[n - 1] = 1e9;
+    for _ in 0..MAX_ROUNDS {
+        let mut smooth = solve(points, &pull, lambda);
+        smooth[0] = points[0];
+        smooth[n - 1] = points[n - 1];
+        // Half-way between neighbours must be inside as well: the flight interpolates.
+        let bad: Vec<usize> = (0..n)
+            .filter(|&m| {
+                !inside(smooth[m])
+                    || (m + 1 < n
+                        && !inside(std::array::from_fn(|a| {
+                            0.5 * (smooth[m][a] + smooth[m + 1][a])
+                        })))
+            })
+            .collect();
+        if bad.is_empty() {
+            return smooth;
+        }
+        for m in bad {
+            for near in m.saturating_sub(1)..(m + 2).min(n) {
+                pull[near] = (pull[near] * 4.0).min(1e9);
+            }
+        }
+    }
+    points.to_vec()
+}
+
+/// Solves (W + lambda D'D) x = W y for the three coordinates; D takes second differences. Symmetric, five diagonals,
+/// positive definite: L D L' without pivoting.
+fn solve(points: &[Point], pull: &[f64], lambda: f64) -> Vec<Point> {
+    let n = points.len();
+    let (mut diagonal, mut first, mut second) = (pull.to_vec(), vec![0.0; n], vec![0.0; n]);
+    for m in 1..n - 1 {
+        let row = [(m - 1, 1.0), (m, -2.0), (m + 1, 1.0)];
+        for (a, u) in row {
+            for (b, v) in row {
+                match b as isize - a as isize {
+                    0 => diagonal[a] += lambda * u * v,
+                    1 => first[a] += lambda * u * v,
+                    2 => second[a] += lambda * u * v,
+                    _ => {}
+                }
+            }
+        }
+    }
+    // Factor in place: first and second become the sub-diagonals of L.
+    for m in 0..n {
+        if m >= 1 {
+            let above = diagonal[m - 1];
+            diagonal[m] -= first[m - 1] * first[m - 1] * above;
+            if m >= 2 {
+                diagonal[m] -= second[m - 2] * second[m - 2] * diagonal[m - 2];
+            }
+            if m + 1 < n {
+                first[m] -= first[m - 1] * above * second[m - 1];
+            }
+        }
+        if m + 1 < n {
+            first[m] /= diagonal[m];
+        }
+        if m + 2 < n {
+            second[m] /= diagonal[m];
+        }
+    }
+    let mut x: Vec<Point> = (0..n).map(|m| points[m].map(|v| v * pull[m])).collect();
+    for m in 0..n {
+        for a in 0..3 {
+            if m >= 1 {
+                x[m][a] -= first[m - 1] * x[m - 1][a];
+            }
+            if m >= 2 {
+                x[m][a] -= second[m - 2] * x[m - 2][a];
+            }
+        }
+    }
+    for m in 0..n {
+        x[m] = x[m].map(|v| v / diagonal[m]);
+    }
+    for m in (0..n).rev() {
+        for a in 0..3 {
+            if m + 1 < n {
+                x[m][a] -= first[m] * x[m + 1][a];
+            }
+            if m + 2 < n {
+                x[m][a] -= second[m] * x[m + 2][a];
+            }
+        }
+    }
+    x
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn staircase() -> Vec<Point> {
+        // A line drawn with steps of one unit, as a voxel path draws it.
+        (0..60)
+            .map(|n| [f64::from(n), f64::from(n / 3), f64::from(n / 5) * 1.3])
+            .collect()
+    }
+
+    #[test]
+    fn the_solution_satisfies_the_normal_equations() {
+        let points = staircase();
+        let pull: Vec<f64> = (0..60).map(|n| 0.3 + f64::from(n % 7)).collect();
+        let lambda = 12.5;
+        let x = solve(&points, &pull, lambda);
+        for a in 0..3 {
+            let bend = |m: usize| x[m - 1][a] - 2.0 * x[m][a] + x[m + 1][a];
+            for m in 0..60usize {
+                let mut gradient = pull[m] * (x[m][a] - points[m][a]);
+                for (at, factor) in [(m.wrapping_sub(1), 1.0), (m, -2.0), (m + 1, 1.0)] {
+                    if (1..59).contains(&at) {
+                        gradient += lambda * factor * bend(at);
+                    }
+                }
+                // 1e-8: rounding of sums of some 60 mm times 12.5 in f64.
+                assert!(gradient.abs() < 1e-8, "{a} {m} {gradient}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_straight_line_is_left_alone_and_a_staircase_turns_straight() {
+        let line: Vec<Point> = (0..40)
+            .map(|n| [0.3 * f64::from(n), 5.0 - 0.1 * f64::from(n), f64::from(n)])
+            .collect();
+        let smooth = smoothed(&line, &[2.0; 40], |_| true);
+        for (p, q) in smooth.iter().zip(&line) {
+            assert!(distance(*p, *q) < 1e-6);
+        }
+        let (points, _) = resampled(&staircase(), 0.5);
+        let smooth = smoothed(&points, &vec![2.0; points.len()], |_| true);
+        let turn = |p: &[Point], m: usize| {
+            let u: Point = std::array::from_fn(|a| p[m][a] - p[m - 1][a]);
+            let v: Point = std::array::from_fn(|a| p[m + 1][a] - p[m][a]);
+            (carina_grid::dot(u, v) / length(u) / length(v)).clamp(-1.0, 1.0).acos()
+        };
+        let worst = |p: &[Point]| (1..p.len() - 1).map(|m| turn(p, m)).fold(0.0, f64::max);
+        assert!(worst(&points) > 0.6);
+        assert!(worst(&smooth) < 0.08, "{}", worst(&smooth));
+    }
+
+    #[test]
+    fn no_point_leaves_the_inside_and_the_ends_stay() {
+        // A right-angled corridor one unit wide: free smoothing would cut its corner.
+        let mut chain: Vec<Point> = (0..20).map(|n| [f64::from(n), 0.0, 0.0]).collect();
+        chain.extend((1..20).map(|n| [19.0, f64::from(n), 0.0]));
+        let inside = |p: Point| {
+            p[2].abs() <= 0.5
+                && ((p[1].abs() <= 0.5 && p[0] <= 19.5) || ((p[0] - 19.0).abs() <= 0.5 && p[1] >= -0.5))
+        };
+        let (points, _) = resampled(&chain, 0.5);
+        let radius = vec![2.0; points.len()];
+        let free = smoothed(&points, &radius, |_| true);
+        assert!(free.iter().any(|p| !inside(*p)), "the test must be able to fail");
+        let kept = smoothed(&points, &radius, inside);
+        assert!(kept.iter().all(|p| inside(*p)));
+        assert_ne!(kept, points);
+        assert_eq!(kept[0], chain[0]);
+        assert_eq!(kept[kept.len() - 1], chain[chain.len() - 1]);
+    }
+}

@@ -1,0 +1,456 @@
+"""From a volume to its airways and to paths through them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import LumenTracker, find_trachea_voxels, flood_lumen
+from carina.errors import CancelledError, GeometryError, NoResultError, UsageError
+from carina.track.levels import AirScale, air_scale
+from carina.track.paths import SNAP_MM, Cancel, PathTracker, Point, TrackedPath, as_point, branches_from_rows, words
+from carina.track.tree import AirwayTree, Branch
+from carina.volume.model import Volume
+
+__all__ = ["Airways", "TargetResult", "TrackResult", "find_airways", "track_paths"]
+
+Progress = Callable[[str, float | None], None]
+
+# HU levels, read on the volume's own scale (AirScale).
+LUMEN_END_HU = -800.0
+"""Where the automatic lumen ends.
+
+Half-way between lumen and wall would be -500 HU where the wall is thick. On slices of 3 mm a small airway's wall does not
+reach that, so the flood stops lower; against the mask of QIN-LSC-0003 the Dice score is flat between -800 and -750 and
+falls above.
+"""
+TRACHEA_AIR_HU = -800.0
+TISSUE_HU = -450.0
+MIN_WALL_CONTRAST_HU = 60.0
+STEP_RISE_HU = 25.0
+
+# Volumes: a trachea holds 20-40 ml, both lungs some litres. The largest piece of tree behind one noisy voxel is below 60 ml.
+LEAK_MM3 = 60_000.0
+SMALL_LEAK_MM3 = 3_000.0
+CLOSED_RADIUS_MM = 10.0
+MIN_LUMEN_MM3 = 300.0
+# A trachea is 100 to 140 mm long; higher up it is larynx and throat.
+MAX_TRACHEA_MM = 150.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Airways:
+    """The airways of a volume."""
+
+    lumen_zyx: NDArray[np.uint8]
+    """(nz, ny, nx), 1 inside the lumen, read-only."""
+    root_lps: NDArray[np.float64]
+    """Where all paths begin, LPS mm."""
+    tree: AirwayTree
+    tracker: PathTracker
+    threshold: float
+    """Value at which the lumen ends (HU where the volume is in HU)."""
+    notes: tuple[str, ...] = ()
+    """What was limited or moved, in words."""
+    forks: NDArray[np.uint32] = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.uint32))
+    """Tracker nodes where the airway forks."""
+
+    @property
+    def report(self) -> tuple[str, ...]:
+        """The notes."""
+        return self.notes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetResult:
+    """What became of one target."""
+
+    requested_lps: NDArray[np.float64]
+    used_lps: NDArray[np.float64] | None
+    """Where the path ends: the target, or the lumen voxel it was moved to."""
+    snapped_mm: float
+    path: TrackedPath | None
+    problem: str | None
+    """Why there is no path, in words."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackResult:
+    """Paths to several targets, and their common tree."""
+
+    tree: AirwayTree
+    targets: tuple[TargetResult, ...]
+    airways: Airways
+
+
+def find_airways(
+    volume: Volume,
+    *,
+    root_lps: Sequence[float] | NDArray[np.float64] | None = None,
+    lumen_threshold: float | None = None,
+    lumen_zyx: NDArray[np.uint8] | None = None,
+    progress: Progress | None = None,
+    cancel: Cancel | None = None,
+) -> Airways:
+    """Find the airway lumen and its tree.
+
+    Parameters
+    ----------
+    volume
+        A chest CT, in HU or not.
+    root_lps
+        Where the paths begin, LPS mm; the top of the trachea unless told. A point outside the lumen is moved to the nearest
+        lumen voxel within 5 mm. Needed where the trachea is not in view.
+    lumen_threshold
+        Value at which the lumen ends, in the volume's own numbers; -800 HU unless told, or from the histogram where the
+        volume is not in HU.
+    lumen_zyx
+        A lumen from another tool, (nz, ny, nx), not 0 inside, on the volume's grid: used instead of the automatic one.
+    progress, cancel
+        Told what is going on; asked whether to stop.
+
+    Returns
+    -------
+    Airways
+        Lumen, root, tree with generations, tracker, and notes on what was limited.
+
+    Raises
+    ------
+    NoResultError
+        If there is no trachea, no lumen at the root, or the lumen is empty; the message says which.
+    UsageError
+        If the root is not in the volume, or the threshold leaves no lumen.
+    GeometryError
+        If ``lumen_zyx`` is not on the volume's grid.
+    CancelledError
+        If ``cancel()`` said so.
+
+    References
+    ----------
+    Paper 6; DESIGN section 4, "Airways".
+    """
+    stage = _Stages(progress, cancel)
+    root = None if root_lps is None else as_point(root_lps)
+    if root is not None and not volume.contains_lps(np.array(root)):
+        msg = f"the root {words(root)} lies outside the volume"
+        raise UsageError(msg)
+    notes: list[str] = []
+    if lumen_zyx is not None:
+        lumen, levels, end = _given_lumen(volume, lumen_zyx), None, float("nan")
+        if root is None:
+            painted = np.where(lumen != 0, -1000, 40).astype(np.int16)
+            root = _trachea_in(painted, volume, AirScale(-1000.0, 0.0), stage)[1]
+    else:
+        grown = _grow(volume, root, lumen_threshold, stage)
+        lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
+        notes += grown.notes
+    stage.begin("measuring the lumen")
+    assert root is not None
+    core = LumenTracker(volume.hu_zyx, volume.lps_from_ijk, lumen, levels=levels, root_lps=root, reach_mm=SNAP_MM)
+    tracker = PathTracker(volume, core)
+    stage.begin("solving the paths")
+    core.solve_all(cancel=cancel, progress=stage.share)
+    stage.begin("finding the branches")
+    rows = core.branches(cancel=cancel, progress=stage.share)
+    branches = _named(branches_from_rows(rows))
+    tracker.set_branches(branches, [row["nodes"] for row in rows])
+    if core.num_settled < core.num_nodes:
+        notes.append(f"{core.num_nodes - core.num_settled} lumen voxels are not connected to the root")
+    lumen.flags.writeable = False
+    root_at = branches[0].points[0].copy()
+    forks = np.unique([int(row["nodes"][0]) for row in rows[1:]]).astype(np.uint32)
+    stage.begin("airways found", 1.0)
+    return Airways(
+        lumen_zyx=lumen,
+        root_lps=root_at,
+        tree=AirwayTree(branches, _smooth=tracker.smooth),
+        tracker=tracker,
+        threshold=end,
+        notes=tuple(notes),
+        forks=forks,
+    )
+
+
+def track_paths(
+    volume: Volume,
+    *,
+    root: Literal["auto"] | Sequence[float] | NDArray[np.float64] = "auto",
+    targets: Sequence[Sequence[float] | NDArray[np.float64]],
+    cost: str = "lumen",
+    airways: Airways | None = None,
+    lumen_threshold: float | None = None,
+    snap_mm: float = SNAP_MM,
+    progress: Progress | None = None,
+    cancel: Cancel | None = None,
+) -> TrackResult:
+    """Track the least-cost paths from the root to targets (the Intelligent Path Tracker).
+
+    Parameters
+    ----------
+    root
+        LPS mm, or "auto" for the top of the trachea.
+    targets
+        Points, LPS mm. One outside the lumen is moved to the nearest lumen voxel within ``snap_mm``, and the result says so.
+    cost
+        ``lumen``: keep to the middle of the airway.
+    airways
+        Airways found before; they keep their root unless ``root`` is given.
+
+    Returns
+    -------
+    TrackResult
+        One entry per target, in order: a path, or the reason why there is none. Where no target has a path the tree is
+        the automatic one.
+
+    Raises
+    ------
+    UsageError
+        If a target is not a point in the volume, there is none, or the cost is unknown.
+    NoResultError
+        If the airways cannot be found at all.
+    """
+    if cost != "lumen":
+        msg = f"cost: expected 'lumen', found {cost!r}"
+        raise UsageError(msg)
+    points = [as_point(target) for target in targets]
+    if not points:
+        raise UsageError("give at least one target")
+    for point in points:
+        if not volume.contains_lps(np.array(point)):
+            msg = f"the target {words(point)} lies outside the volume"
+            raise UsageError(msg)
+    start = None if isinstance(root, str) else root
+    if isinstance(root, str) and root != "auto":
+        msg = f"root: expected 'auto' or a point, found {root!r}"
+        raise UsageError(msg)
+    if airways is None or (start is not None and not np.array_equal(as_point(start), airways.root_lps)):
+        airways = find_airways(
+            volume, root_lps=start, lumen_threshold=lumen_threshold, progress=progress, cancel=cancel
+        )
+    results: list[TargetResult] = []
+    for point in points:
+        if cancel is not None and cancel():
+            raise CancelledError("tracking was stopped")
+        requested = np.array(point)
+        try:
+            path = airways.tracker.path_to(point, snap_mm=snap_mm, cancel=cancel)
+        except NoResultError as error:
+            results.append(TargetResult(requested, None, 0.0, None, str(error)))
+        else:
+            used = path.voxel_path_lps[-1] if path.snapped_mm > 0.0 else requested
+            results.append(TargetResult(requested, used, path.snapped_mm, path, None))
+    found = [result.path for result in results if result.path is not None]
+    tree = airways.tree
+    if found:
+        tree = airways.tracker.tree_to(found, airways.forks)
+    return TrackResult(tree, tuple(results), airways)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grown:
+    lumen: NDArray[np.uint8]
+    levels: tuple[float, float, float]
+    end: float
+    root: Point
+    notes: list[str]
+
+
+class _Stages:
+    """Hands progress on, with the name of the present stage, and stops between stages when asked."""
+
+    def __init__(self, progress: Progress | None, cancel: Cancel | None) -> None:
+        self._progress = progress
+        self.cancel = cancel
+        self._what = ""
+
+    def begin(self, what: str, fraction: float | None = None) -> None:
+        if self.cancel is not None and self.cancel():
+            raise CancelledError("finding the airways was stopped")
+        self._what = what
+        if self._progress is not None:
+            self._progress(what, fraction)
+
+    def share(self, fraction: float) -> None:
+        if self._progress is not None:
+            self._progress(self._what, fraction)
+
+
+def _given_lumen(volume: Volume, lumen_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    given = np.asarray(lumen_zyx)
+    if given.shape != volume.shape_zyx:
+        msg = f"the lumen must be on the volume's grid: expected shape {volume.shape_zyx}, found {given.shape}"
+        raise GeometryError(msg, code="geometry.shape")
+    return np.ascontiguousarray(given != 0).astype(np.uint8)
+
+
+def _trachea_in(
+    values: NDArray[np.int16], volume: Volume, scale: AirScale, stage: _Stages
+) -> tuple[list[tuple[int, int, int]], Point]:
+    """Voxels of the trachea from the top down, and its top."""
+    stage.begin("finding the trachea")
+    found = find_trachea_voxels(
+        values,
+        volume.lps_from_ijk,
+        air=scale.level(TRACHEA_AIR_HU),
+        tissue=scale.level(TISSUE_HU),
+        cancel=stage.cancel,
+    )
+    voxels = found["voxels_ijk"]
+    points = volume.to_lps(voxels)
+    near = np.linalg.norm(points - found["carina_lps"], axis=1) <= MAX_TRACHEA_MM
+    voxels, points = voxels[near], points[near]
+    seeds = [(int(i), int(j), int(k)) for i, j, k in voxels]
+    return seeds, as_point(points[0])
+
+
+def _air_round(volume: Volume, root: Point, scale: AirScale) -> list[tuple[int, int, int]]:
+    """The voxels of air nearest to a root that a person gave: the nearest one and those within 2 mm of it."""
+    center = volume.to_ijk(np.array(root))
+    shape = np.array(volume.shape_zyx[::-1])
+    reach = np.ceil((SNAP_MM + 2.0) / np.array(volume.spacing_mm)) + 1
+    low = np.clip(np.floor(center - reach), 0, shape - 1).astype(int)
+    high = np.clip(np.ceil(center + reach), 0, shape - 1).astype(int)
+    grid = np.stack(np.meshgrid(*(np.arange(low[a], high[a] + 1) for a in range(3)), indexing="ij"), axis=-1)
+    voxels = grid.reshape(-1, 3)
+    values = volume.hu_zyx[voxels[:, 2], voxels[:, 1], voxels[:, 0]]
+    points = volume.to_lps(voxels.astype(np.float64))
+    distance = np.linalg.norm(points - np.array(root), axis=1)
+    air = (values <= scale.level(-850.0)) & (distance <= SNAP_MM)
+    if not air.any():
+        msg = (
+            f"the root {words(root)} is not in an airway: no voxel within {SNAP_MM:g} mm is as dark as air. "
+            "Choose a point inside the trachea"
+        )
+        raise NoResultError(msg, code="track.outside-lumen")
+    nearest = points[air][int(np.argmin(distance[air]))]
+    chosen = air & (np.linalg.norm(points - nearest, axis=1) <= 2.0)
+    # The nearest first: it is the root.
+    order = np.argsort(np.linalg.norm(points[chosen] - nearest, axis=1), kind="stable")
+    return [(int(i), int(j), int(k)) for i, j, k in voxels[chosen][order]]
+
+
+def _grow(volume: Volume, root: Point | None, lumen_threshold: float | None, stage: _Stages) -> _Grown:
+    scale = air_scale(volume)
+    end = scale.level(LUMEN_END_HU) if lumen_threshold is None else round(float(lumen_threshold))
+    if root is not None:
+        # The whole airway, if the root is in it; a point lower down would else make a part of it the trunk.
+        try:
+            grown = _grow(volume, None, lumen_threshold, stage)
+        except NoResultError:
+            grown = None
+        if grown is not None:
+            snapped = _nearest_lumen(volume, grown.lumen, root)
+            if snapped is not None:
+                point, moved_mm = snapped
+                if moved_mm > 0.0:
+                    grown.notes.append(f"the root was moved {moved_mm:.1f} mm to the nearest lumen voxel")
+                return dataclasses.replace(grown, root=point)
+        seeds = _air_round(volume, root, scale)
+        start = as_point(volume.to_lps(np.array(seeds[0], dtype=np.float64)))
+    else:
+        seeds, start = _trachea_in(volume.hu_zyx, volume, scale, stage)
+    stage.begin("growing the airway")
+    sample = _values_round(volume, seeds)
+    middle = float(np.median(sample))
+    # Median deviation, so that a drop of mucus or the tube of a ventilator does not widen the range.
+    noise = max(1.4826 * float(np.median(np.abs(sample - middle))), scale.span(5.0), 0.7)
+    first = round(middle - noise)
+    core = min(round(middle + 2.5 * noise), end)
+    if end < middle:
+        msg = (
+            f"the lumen threshold {end} is below the air of the trachea ({middle:.0f}): nothing would be lumen; "
+            f"choose at least {round(middle + 2.5 * noise)}"
+        )
+        raise UsageError(msg)
+    lumen, report = flood_lumen(
+        volume.hu_zyx,
+        volume.lps_from_ijk,
+        seeds,
+        first_level=first,
+        core_level=core,
+        last_level=end,
+        leak_mm3=LEAK_MM3,
+        small_leak_mm3=SMALL_LEAK_MM3,
+        closed_radius_mm=CLOSED_RADIUS_MM,
+        min_contrast=scale.span(MIN_WALL_CONTRAST_HU),
+        cancel=stage.cancel,
+        progress=stage.share,
+    )
+    voxel_mm3 = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3])))
+    if report["num_voxels"] * voxel_mm3 < MIN_LUMEN_MM3:
+        msg = (
+            f"no airway lumen was found at {words(start)}: air there is connected to the lung at once, or it is a small "
+            "pocket. Choose a root inside the trachea"
+        )
+        raise NoResultError(msg)
+    notes = []
+    if report["leaks"]:
+        num, lowest = len(report["leaks"]), min(level for _, level in report["leaks"])
+        notes.append(
+            f"growth was stopped at {num} places where it would have broken into the lung (the first at {lowest} of {end})"
+        )
+    levels = (float(core), float(max(end, core)), scale.span(STEP_RISE_HU))
+    return _Grown(lumen, levels, float(end), start, notes)
+
+
+def _values_round(volume: Volume, seeds: Sequence[tuple[int, int, int]]) -> NDArray[np.float64]:
+    """Values of the seeds and their neighbours within one voxel, all well inside the air."""
+    at = np.array(seeds)
+    offsets = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    voxels = (at[:, None, :] + offsets[None]).reshape(-1, 3)
+    voxels = np.unique(np.clip(voxels, 0, np.array(volume.shape_zyx[::-1]) - 1), axis=0)
+    return volume.hu_zyx[voxels[:, 2], voxels[:, 1], voxels[:, 0]].astype(np.float64)
+
+
+def _nearest_lumen(volume: Volume, lumen: NDArray[np.uint8], point: Point) -> tuple[Point, float] | None:
+    """The centre of the lumen voxel nearest to a point within the snapping distance; the distance is 0 inside the lumen."""
+    center = volume.to_ijk(np.array(point))
+    shape = np.array(volume.shape_zyx[::-1])
+    here = np.clip(np.floor(center + 0.5), 0, shape - 1).astype(int)
+    if lumen[here[2], here[1], here[0]]:
+        return as_point(volume.to_lps(here.astype(np.float64))), 0.0
+    reach = np.ceil(SNAP_MM / np.array(volume.spacing_mm)) + 1
+    low = np.clip(here - reach, 0, shape - 1).astype(int)
+    high = np.clip(here + reach, 0, shape - 1).astype(int)
+    block = lumen[low[2] : high[2] + 1, low[1] : high[1] + 1, low[0] : high[0] + 1]
+    voxels = np.argwhere(block)[:, ::-1] + low
+    if not len(voxels):
+        return None
+    points = volume.to_lps(voxels.astype(np.float64))
+    distance = np.linalg.norm(points - np.array(point), axis=1)
+    nearest = int(np.argmin(distance))
+    if distance[nearest] > SNAP_MM:
+        return None
+    return as_point(points[nearest]), float(distance[nearest])
+
+
+def _named(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:
+    """Names that are beyond doubt: trachea and main bronchi.
+
+    The trunk is the trachea where it runs down for at least 20 mm and splits in two; of the two the one that leads to the
+    patient's right (-x in LPS) is the right main bronchus.
+    """
+    trunk = branches[0]
+    if len(trunk.children) != 2 or trunk.points[0][2] - trunk.points[-1][2] < 20.0:
+        return branches
+    one, two = (branches[child] for child in trunk.children)
+
+    def side_mm(branch: Branch) -> float:
+        # Mean place of all that hangs on it: a main bronchus is short, its lung is not.
+        below = [branch]
+        for member in below:
+            below.extend(branches[child] for child in member.children)
+        points = np.concatenate([member.points for member in below])
+        return float(points[:, 0].mean() - trunk.points[-1][0])
+
+    sides = {branch.id: side_mm(branch) for branch in (one, two)}
+    right, left = sorted((one, two), key=lambda branch: sides[branch.id])
+    if not sides[right.id] < -10.0 < 10.0 < sides[left.id] or min(len(right.children), len(left.children)) < 2:
+        return branches
+    names = {trunk.id: "Trachea", right.id: "RMB", left.id: "LMB"}
+    return tuple(dataclasses.replace(branch, name=names.get(branch.id)) for branch in branches)

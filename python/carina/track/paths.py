@@ -1,0 +1,252 @@
+"""The resumable path tracker over an airway lumen (paper 6)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import LumenTracker, branch_of_nodes
+from carina.errors import NoResultError, UsageError
+from carina.track.tree import AirwayTree, Branch
+from carina.volume.model import Volume
+
+__all__ = ["PathTracker", "TrackedPath"]
+
+SNAP_MM = 5.0
+STEP_MM = 1.0
+
+Cancel = Callable[[], bool]
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedPath:
+    """The least-cost path from the root to a target, smoothed inside the lumen."""
+
+    points_lps: NDArray[np.float64]
+    """(n, 3) LPS mm, root to target, about 1 mm apart; each in a lumen voxel."""
+    radius_mm: NDArray[np.float64]
+    """(n,) distance to the wall."""
+    length_mm: float
+    cost: float
+    """Cost of the voxel path: the sum of length in mm times weight over its edges."""
+    generation: NDArray[np.int32]
+    """(n,) forks of the airway passed."""
+    branch_ids: NDArray[np.int32]
+    """(n,) branch of the automatic tree at each point."""
+    voxel_path_lps: NDArray[np.float64]
+    """(m, 3) voxel centres that the tracker chose, before smoothing."""
+    target_node: int
+    snapped_mm: float
+    """How far the asked point was from the lumen; 0 inside it."""
+
+
+class PathTracker:
+    """Least-cost paths from one fixed root; what one target has settled is there for the next (paper 6.3).
+
+    Made by :func:`carina.track.find_airways`. May be used from several threads.
+    """
+
+    __slots__ = ("_branch_of_node", "_branches", "_core", "_generation_of_branch", "_volume")
+
+    def __init__(self, volume: Volume, core: LumenTracker) -> None:
+        self._volume = volume
+        self._core = core
+        self._branches: tuple[Branch, ...] = ()
+        self._branch_of_node: NDArray[np.int32] | None = None
+        self._generation_of_branch: NDArray[np.int32] = np.zeros(1, dtype=np.int32)
+
+    def __repr__(self) -> str:
+        return f"PathTracker(num_nodes={self._core.num_nodes}, num_settled={self._core.num_settled})"
+
+    @property
+    def num_nodes(self) -> int:
+        """Lumen voxels."""
+        return self._core.num_nodes
+
+    @property
+    def num_settled(self) -> int:
+        """Lumen voxels whose least cost is known."""
+        return self._core.num_settled
+
+    @property
+    def quantum(self) -> float:
+        """Integer unit of the costs; a path's cost is right within 0.5 %."""
+        return self._core.quantum
+
+    @property
+    def core(self) -> LumenTracker:
+        """The compiled tracker."""
+        return self._core
+
+    def snap(self, point_lps: Sequence[float] | NDArray[np.float64], *, snap_mm: float = SNAP_MM) -> tuple[int, float]:
+        """The lumen voxel (as a node) that stands for a point, and how far it was moved in mm (0 inside the lumen).
+
+        Raises
+        ------
+        UsageError
+            If the point is not in the volume.
+        NoResultError
+            If the lumen is farther than ``snap_mm``; says how far.
+        """
+        point = as_point(point_lps)
+        if not self._volume.contains_lps(np.array(point)):
+            msg = f"the point {words(point)} lies outside the volume"
+            raise UsageError(msg)
+        if bool(self._core.inside([point])[0]):
+            node, _ = self._nearest(point, float(np.linalg.norm(self._volume.spacing_mm)))
+            return node, 0.0
+        found = self._core.nearest(point, snap_mm)
+        if found is None:
+            farther = self._core.nearest(point, 60.0)
+            far = "more than 60 mm" if farther is None else f"{farther[1]:.1f} mm"
+            msg = (
+                f"the point {words(point)} is {far} from the airway lumen that was found; at most {snap_mm:g} mm can be "
+                "bridged by moving it. Choose a point inside an airway, or extend the lumen there"
+            )
+            raise NoResultError(msg, code="track.outside-lumen")
+        return found
+
+    def _nearest(self, point: Point, reach_mm: float) -> tuple[int, float]:
+        found = self._core.nearest(point, reach_mm)
+        assert found is not None
+        return found
+
+    def path_to(
+        self,
+        point_lps: Sequence[float] | NDArray[np.float64],
+        *,
+        snap_mm: float = SNAP_MM,
+        cancel: Cancel | None = None,
+    ) -> TrackedPath:
+        """The least-cost path from the root to a point.
+
+        Parameters
+        ----------
+        point_lps
+            Target, LPS mm.
+        snap_mm
+            A target outside the lumen is moved to the nearest lumen voxel when it is within this distance.
+
+        Raises
+        ------
+        UsageError
+            If the point is not in the volume.
+        NoResultError
+            If the lumen is farther than ``snap_mm`` (with the distance), or no path leads to the target.
+        """
+        node, snapped_mm = self.snap(point_lps, snap_mm=snap_mm)
+        if not self._core.solve_to(node, cancel=cancel):
+            msg = (
+                f"no path: the lumen at {words(as_point(point_lps))} is not connected to the root. "
+                "The airway may be blocked between them"
+            )
+            raise NoResultError(msg, code="track.no-path")
+        return self._path(node, snapped_mm)
+
+    def _path(self, node: int, snapped_mm: float) -> TrackedPath:
+        found, cost = self._core.path(node), self._core.cost(node)
+        assert found is not None
+        assert cost is not None
+        voxel_path, nodes = found
+        points = self.smooth(voxel_path)[0]
+        steps = np.linalg.norm(np.diff(voxel_path, axis=0), axis=1)
+        along = np.concatenate([[0.0], np.cumsum(steps)])
+        # The smooth points are even along the voxel path: each takes the branch of the voxel at its place.
+        places = np.linspace(0.0, along[-1], len(points))
+        at = np.clip(np.searchsorted(along, places - 1e-9), 0, len(nodes) - 1)
+        if self._branch_of_node is None:
+            branch_ids = np.zeros(len(points), dtype=np.int32)
+        else:
+            branch_ids = self._branch_of_node[nodes[at]]
+        return TrackedPath(
+            points_lps=points,
+            radius_mm=self._core.radius_mm(points),
+            length_mm=float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()),
+            cost=cost,
+            generation=self._generation_of_branch[branch_ids],
+            branch_ids=branch_ids,
+            voxel_path_lps=voxel_path,
+            target_node=node,
+            snapped_mm=snapped_mm,
+        )
+
+    def smooth(self, points_lps: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Even, smooth points of a way inside the lumen, and their distance to the wall in mm.
+
+        Every point of the result lies in a lumen voxel if every point of the way does.
+        """
+        points = self._core.smooth(points_lps, step_mm=STEP_MM)
+        return points, self._core.radius_mm(points)
+
+    def inside(self, points_lps: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(n,) whether the voxel that holds each (n, 3) point is lumen."""
+        return self._core.inside(np.asarray(points_lps, dtype=np.float64).reshape(-1, 3))
+
+    def set_branches(self, branches: Sequence[Branch], nodes: Sequence[NDArray[np.uint32]]) -> None:
+        """Tell which voxels belong to which branch, so that paths know their generation. ``branches`` are numbered 0.."""
+        places = {branch.id: place for place, branch in enumerate(branches)}
+        parents = [None if branch.parent is None else places[branch.parent] for branch in branches]
+        self._branch_of_node = branch_of_nodes(self._core, list(nodes), parents)
+        self._branches = tuple(branches)
+        self._generation_of_branch = np.array([branch.generation for branch in branches], dtype=np.int32)
+
+    def tree_to(self, paths: Sequence[TrackedPath], forks: NDArray[np.uint32]) -> AirwayTree:
+        """The tree of the given paths only; it also ends a branch where the airway forks (``forks`` are nodes)."""
+        rows = self._core.branches_to([path.target_node for path in paths], forks)
+        branches = []
+        for branch, row in zip(branches_from_rows(rows), rows, strict=True):
+            # The piece of a branch that leads to a target keeps the branch's name.
+            middle = int(row["nodes"][len(row["nodes"]) // 2])
+            known = -1 if self._branch_of_node is None else int(self._branch_of_node[middle])
+            name = self._branches[known].name if known >= 0 else None
+            branches.append(dataclasses.replace(branch, name=name))
+        return AirwayTree(tuple(branches), _smooth=self.smooth)
+
+
+def branches_from_rows(rows: Sequence[dict[str, Any]]) -> tuple[Branch, ...]:
+    """Branches of the compiled tracker's list of dicts; ids are places in the list."""
+    children: list[list[int]] = [[] for _ in rows]
+    for number, row in enumerate(rows):
+        parent = row["parent"]
+        if isinstance(parent, int):
+            children[parent].append(number)
+    return tuple(
+        Branch(
+            id=number,
+            parent=row["parent"],
+            children=tuple(children[number]),
+            generation=row["generation"],
+            name=None,
+            kind="tracked",
+            points=row["points"],
+            radius=row["radius_mm"],
+            cost=row["cost"],
+        )
+        for number, row in enumerate(rows)
+    )
+
+
+def as_point(point_lps: Sequence[float] | NDArray[np.float64]) -> Point:
+    """Three finite numbers.
+
+    Raises
+    ------
+    UsageError
+        If it is anything else.
+    """
+    point = np.asarray(point_lps, dtype=np.float64)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        msg = f"expected a point x,y,z in LPS mm, found {point_lps!r}"
+        raise UsageError(msg)
+    return float(point[0]), float(point[1]), float(point[2])
+
+
+def words(point: Point) -> str:
+    """A point as people read it."""
+    return "({:.1f}, {:.1f}, {:.1f})".format(*point)

@@ -1,0 +1,354 @@
+"""The airway tree: branches with centrelines, radii, generations and names, and routes along it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import TrackingError, UsageError
+
+__all__ = ["AirwayTree", "Branch", "Route"]
+
+FORMAT = "carina-tree"
+VERSION = 1
+KINDS = ("tracked", "bridge", "manual")
+
+Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Branch:
+    """A piece of airway between two forks, or between a fork and a tip."""
+
+    id: int
+    parent: int | None
+    """Branch that it leaves, None at the root."""
+    children: tuple[int, ...]
+    generation: int
+    """Forks passed on the way here: 0 in the trachea."""
+    name: str | None
+    """Anatomical name where it is beyond doubt, else None."""
+    kind: str
+    """``tracked`` through the lumen, ``bridge`` over a blockage, or ``manual``."""
+    points: Points
+    """(n, 3) centreline, LPS mm, root to tip. The first point is the parent's last, bit for bit."""
+    radius: NDArray[np.float64]
+    """(n,) distance to the wall, mm."""
+    cost: float | None = None
+    """Path cost of this piece (weight times mm), None where it was not tracked."""
+    confidence: float | None = None
+    """0 to 1, None where it was not judged."""
+
+    @property
+    def length_mm(self) -> float:
+        """Length of the centreline."""
+        return float(_cumulative_mm(self.points)[-1])
+
+    @property
+    def tip_lps(self) -> Points:
+        """Last point."""
+        return self.points[-1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Route:
+    """A smooth way from the root to a tip, for a flight.
+
+    All arrays have one entry per point. ``forks_mm`` are places along ``cumulative_mm``.
+    """
+
+    points_lps: Points
+    """(n, 3) LPS mm, about 1 mm apart."""
+    cumulative_mm: NDArray[np.float64]
+    """(n,) way from the root, mm."""
+    radius_mm: NDArray[np.float64]
+    """(n,) distance to the wall."""
+    generation: NDArray[np.int32]
+    """(n,)"""
+    branch_ids: NDArray[np.int32]
+    """(n,) the branch at each point; at a fork the one that ends there."""
+    forks_mm: list[float]
+    """Places of the forks on the way."""
+
+    @property
+    def length_mm(self) -> float:
+        """Length of the whole way."""
+        return float(self.cumulative_mm[-1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AirwayTree:
+    """Branches of one root.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> trunk = Branch(0, None, (), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -10]]), np.array([8.0, 8]))
+    >>> tree = AirwayTree((trunk,))
+    >>> tree.route_to(0).length_mm
+    10.0
+    >>> AirwayTree.from_json(tree.to_json()).branches[0].name
+    'Trachea'
+    """
+
+    branches: tuple[Branch, ...]
+    """Parents come before their children."""
+    _smooth: Callable[[Points], tuple[Points, NDArray[np.float64]]] | None = field(default=None, repr=False)
+    """Smooths a whole way inside the lumen it was tracked in: even points and their radii. Not saved."""
+
+    def __post_init__(self) -> None:
+        _check(self.branches)
+
+    def __len__(self) -> int:
+        return len(self.branches)
+
+    @property
+    def root(self) -> Branch:
+        """The trunk."""
+        return self.branches[0]
+
+    def branch(self, branch_id: int) -> Branch:
+        """The branch of that id.
+
+        Raises
+        ------
+        UsageError
+            If there is none.
+        """
+        for branch in self.branches:
+            if branch.id == branch_id:
+                return branch
+        msg = f"no branch has the id {branch_id}; the tree has {len(self.branches)} branches"
+        raise UsageError(msg)
+
+    def tips(self) -> list[Branch]:
+        """Branches without children."""
+        return [branch for branch in self.branches if not branch.children]
+
+    def named(self, name: str) -> Branch | None:
+        """The branch of that name, if any."""
+        return next((branch for branch in self.branches if branch.name == name), None)
+
+    def lineage(self, branch_id: int) -> list[Branch]:
+        """The branches from the root to this one."""
+        found = [self.branch(branch_id)]
+        while found[-1].parent is not None:
+            found.append(self.branch(found[-1].parent))
+        return found[::-1]
+
+    def nearest_branch(self, point_lps: Sequence[float] | Points) -> tuple[Branch, int, float]:
+        """The branch whose centreline is nearest to a point, the index of its nearest point, and the distance in mm."""
+        point = np.asarray(point_lps, dtype=np.float64)
+        best: tuple[Branch, int, float] | None = None
+        for branch in self.branches:
+            distances = np.linalg.norm(branch.points - point, axis=1)
+            index = int(np.argmin(distances))
+            if best is None or distances[index] < best[2]:
+                best = (branch, index, float(distances[index]))
+        assert best is not None
+        return best
+
+    def route_to(self, branch_id: int) -> Route:
+        """The way from the root to the tip of a branch.
+
+        Raises
+        ------
+        UsageError
+            If there is no such branch.
+        """
+        lineage = self.lineage(branch_id)
+        points = np.concatenate([lineage[0].points, *(branch.points[1:] for branch in lineage[1:])])
+        radius = np.concatenate([lineage[0].radius, *(branch.radius[1:] for branch in lineage[1:])])
+        # The ends of the branches, in mm along the unsmoothed way.
+        last = np.cumsum([len(branch.points) - (number > 0) for number, branch in enumerate(lineage)]) - 1
+        ends_mm = _cumulative_mm(points)[last]
+        return route_along(
+            points, radius, ends_mm, [b.id for b in lineage], [b.generation for b in lineage], smooth=self._smooth
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """The document ``carina-tree`` version 1 (DESIGN section 3)."""
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "space": "LPS",
+            "unit": "mm",
+            "root": self.root.id,
+            "branches": [
+                {
+                    "id": branch.id,
+                    "parent": branch.parent,
+                    "children": list(branch.children),
+                    "generation": branch.generation,
+                    "name": branch.name,
+                    "kind": branch.kind,
+                    "points": branch.points.tolist(),
+                    "radius": branch.radius.tolist(),
+                    "cost": branch.cost,
+                    "confidence": branch.confidence,
+                }
+                for branch in self.branches
+            ],
+        }
+
+    @classmethod
+    def from_json(cls, document: object) -> AirwayTree:
+        """Read a document ``carina-tree`` version 1; keys it does not know are ignored.
+
+        Raises
+        ------
+        TrackingError
+            If the document is not such a tree; says which branch and what is wrong with it.
+        """
+        if not isinstance(document, Mapping):
+            raise _refused(f"expected an object, found {type(document).__name__}")
+        for key, expected in (("format", FORMAT), ("version", VERSION), ("space", "LPS"), ("unit", "mm")):
+            if document.get(key) != expected:
+                raise _refused(f"{key}: expected {expected!r}, found {document.get(key)!r}")
+        rows = document.get("branches")
+        if not isinstance(rows, Sequence) or isinstance(rows, str) or not rows:
+            raise _refused("branches: expected a list of at least one branch")
+        branches = [_read_branch(row, number) for number, row in enumerate(rows)]
+        if len({branch.id for branch in branches}) != len(branches):
+            raise _refused("two branches have the same id")
+        root = document.get("root")
+        by_id = {branch.id: branch for branch in branches}
+        if not isinstance(root, int) or root not in by_id:
+            raise _refused(f"root: no branch has the id {root!r}")
+        # Parents first, children in the order that their parent lists.
+        ordered: list[Branch] = []
+        waiting = [root]
+        while waiting:
+            branch_id = waiting.pop()
+            if branch_id not in by_id:
+                raise _refused(f"branch {branch_id} is named as a child, but missing or reached twice")
+            branch = by_id.pop(branch_id)
+            ordered.append(branch)
+            waiting.extend(reversed(branch.children))
+        if by_id:
+            raise _refused(f"branch {next(iter(by_id))} is not connected to the root")
+        return cls(tuple(ordered))
+
+
+def route_along(
+    points: Points,
+    radius: NDArray[np.float64],
+    ends_mm: NDArray[np.float64],
+    branch_ids: Sequence[int],
+    generations: Sequence[int],
+    *,
+    smooth: Callable[[Points], tuple[Points, NDArray[np.float64]]] | None,
+) -> Route:
+    """A route along points whose branches end at ``ends_mm``; smoothed as a whole where a smoother is at hand."""
+    along = _cumulative_mm(points)
+    total = along[-1]
+    if smooth is not None and len(points) > 3 and total > 0.0:
+        points, radius = smooth(points)
+        # The smoother's points are even along the given ones.
+        given_mm = np.linspace(0.0, total, len(points))
+        along = _cumulative_mm(points)
+    else:
+        given_mm = along
+    which = np.minimum(np.searchsorted(ends_mm, given_mm - 1e-9 * max(total, 1.0)), len(branch_ids) - 1)
+    return Route(
+        points_lps=points,
+        cumulative_mm=along,
+        radius_mm=radius,
+        generation=np.asarray(generations, dtype=np.int32)[which],
+        branch_ids=np.asarray(branch_ids, dtype=np.int32)[which],
+        forks_mm=[float(np.interp(end, given_mm, along)) for end in ends_mm[:-1]],
+    )
+
+
+def _cumulative_mm(points: Points) -> NDArray[np.float64]:
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _refused(reason: str) -> TrackingError:
+    return TrackingError(f"this is not a usable airway tree: {reason}", code="track.tree-format")
+
+
+def _read_branch(row: object, number: int) -> Branch:
+    where = f"branch {number} of the list"
+    if not isinstance(row, Mapping):
+        raise _refused(f"{where}: expected an object, found {type(row).__name__}")
+
+    def whole(key: str, value: object) -> int:
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise _refused(f"{where}: {key} must be a whole number, found {value!r}")
+        return value
+
+    def number_or_none(key: str) -> float | None:
+        value = row.get(key)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise _refused(f"{where}: {key} must be a finite number or null, found {value!r}")
+        return float(value)
+
+    branch_id = whole("id", row.get("id"))
+    where = f"branch {branch_id}"
+    parent = row.get("parent")
+    name = row.get("name")
+    kind = row.get("kind")
+    children = row.get("children")
+    if name is not None and not isinstance(name, str):
+        raise _refused(f"{where}: name must be a text or null, found {name!r}")
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise _refused(f"{where}: kind must be one of {', '.join(KINDS)}, found {kind!r}")
+    if not isinstance(children, Sequence) or isinstance(children, str):
+        raise _refused(f"{where}: children must be a list of ids")
+    try:
+        points = np.array(row.get("points"), dtype=np.float64)
+        radius = np.array(row.get("radius"), dtype=np.float64)
+    except (TypeError, ValueError):
+        raise _refused(f"{where}: points must be a list of [x, y, z], radius a list of numbers") from None
+    return Branch(
+        id=branch_id,
+        parent=None if parent is None else whole("parent", parent),
+        children=tuple(whole("children", child) for child in children),
+        generation=whole("generation", row.get("generation")),
+        name=name,
+        kind=kind,
+        points=points,
+        radius=radius,
+        cost=number_or_none("cost"),
+        confidence=number_or_none("confidence"),
+    )
+
+
+def _check(branches: tuple[Branch, ...]) -> None:
+    """Refuse what would be a silent wrong geometry later."""
+    if not branches:
+        raise _refused("it has no branches")
+    seen: dict[int, Branch] = {}
+    for number, branch in enumerate(branches):
+        where = f"branch {branch.id}"
+        points, radius = branch.points, branch.radius
+        if points.ndim != 2 or points.shape[1] != 3 or len(points) < 1 or not np.isfinite(points).all():
+            raise _refused(f"{where}: points must be a list of finite [x, y, z]")
+        if radius.shape != (len(points),) or not np.isfinite(radius).all() or (radius < 0).any():
+            raise _refused(f"{where}: radius must hold one number of at least 0 for each of its {len(points)} points")
+        if branch.confidence is not None and not 0.0 <= branch.confidence <= 1.0:
+            raise _refused(f"{where}: confidence must lie in 0..1, found {branch.confidence}")
+        if (branch.parent is None) != (number == 0):
+            raise _refused(f"{where}: exactly the root has no parent")
+        if branch.parent is not None:
+            parent = seen.get(branch.parent)
+            if parent is None or branch.id not in parent.children:
+                raise _refused(f"{where}: its parent {branch.parent} does not list it as a child")
+            if not np.array_equal(points[0], parent.points[-1]):
+                raise _refused(f"{where}: its first point is not the last point of its parent {branch.parent}")
+        if branch.generation < 0:
+            raise _refused(f"{where}: generation must be at least 0, found {branch.generation}")
+        seen[branch.id] = branch
+    for branch in branches:
+        for child in branch.children:
+            if child not in seen or seen[child].parent != branch.id:
+                raise _refused(f"branch {branch.id}: its child {child} is missing or names another parent")
