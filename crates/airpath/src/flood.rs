@@ -76,7 +76,7 @@ pub fn flood(
         watch.go_on(f64::from(level - first) / f64::from((last - first).max(1)))?;
         rising.rise_to(level, watch)?;
     }
-    rising.fill_pinholes();
+    rising.fill_holes();
     Ok(rising.finish())
 }
 
@@ -99,7 +99,8 @@ impl<'a> Rising<'a> {
     fn new(values: VolumeView<'a, i16>, limits: &'a FloodLimits) -> Self {
         let grid = values.grid();
         let voxel_mm3 = grid.lps_from_ijk().determinant().abs();
-        let num_levels = (i32::from(limits.last_level) - i32::from(limits.first_level) + 1) as usize;
+        let num_levels =
+            (i32::from(limits.last_level) - i32::from(limits.first_level) + 1) as usize;
         Self {
             values,
             limits,
@@ -150,7 +151,7 @@ impl<'a> Rising<'a> {
         self.met.clear();
         self.basin.push(entry);
         self.state[entry as usize] = LUMEN;
-        let (mut around_sum, mut around_count) = (0i64, 0i64);
+        let (mut around_sum, mut around_count, mut lumen_count) = (0i64, 0i64, 0i64);
         let mut next = 0;
         while next < self.basin.len() && self.basin.len() <= limit {
             let voxel = self.basin[next];
@@ -177,7 +178,7 @@ impl<'a> Rising<'a> {
                         around_sum += i64::from(value);
                         around_count += 1;
                     }
-                    _ => {}
+                    _ => lumen_count += 1,
                 }
             });
         }
@@ -185,7 +186,8 @@ impl<'a> Rising<'a> {
             self.close(entry, level);
             return Ok(());
         }
-        if level > self.limits.core_level && around_count > 0 {
+        // A basin that the lumen holds from most sides is noise inside it or the rim of its wall, no way out.
+        if level > self.limits.core_level && around_count > lumen_count {
             let contrast = around_sum as f64 / around_count as f64 - f64::from(level);
             if contrast < self.limits.min_contrast {
                 for at in &self.basin {
@@ -234,29 +236,62 @@ impl<'a> Rising<'a> {
         self.state[entry as usize] = CLOSED;
     }
 
-    /// Voxels with lumen on five or six faces are noise or a drop of mucus inside it.
-    fn fill_pinholes(&mut self) {
+    /// Fills what the lumen encloses on all sides: noise, mucus, the wall of a tube. Looks in the box round the lumen.
+    fn fill_holes(&mut self) {
         let grid = self.values.grid();
-        for _ in 0..2 {
-            let mut filled = Vec::new();
-            for at in 0..self.state.len() {
-                if self.state[at] == LUMEN {
-                    let state = &self.state;
-                    for_each_face(grid, at, |hole| {
-                        if state[hole] == LUMEN {
-                            return;
-                        }
-                        let mut num_lumen = 0;
-                        for_each_face(grid, hole, |n| num_lumen += i32::from(state[n] == LUMEN));
-                        if num_lumen >= 5 {
-                            filled.push(hole);
-                        }
-                    });
+        let shape = grid.shape_ijk();
+        let (mut low, mut high) = ([usize::MAX; 3], [0usize; 3]);
+        for at in 0..self.state.len() {
+            if self.state[at] == LUMEN {
+                let voxel = grid.voxel(at);
+                for axis in 0..3 {
+                    low[axis] = low[axis].min(voxel[axis]);
+                    high[axis] = high[axis].max(voxel[axis]);
+                }
+            } else {
+                // From here on: not seen from outside.
+                self.state[at] = UNKNOWN;
+            }
+        }
+        if low[0] > high[0] {
+            return;
+        }
+        let low: [usize; 3] = std::array::from_fn(|a| low[a].saturating_sub(1));
+        let high: [usize; 3] = std::array::from_fn(|a| (high[a] + 1).min(shape[a] - 1));
+        let mut open = Vec::new();
+        for k in low[2]..=high[2] {
+            for j in low[1]..=high[1] {
+                let face = k == low[2] || k == high[2] || j == low[1] || j == high[1];
+                let step = if face { 1 } else { (high[0] - low[0]).max(1) };
+                for i in (low[0]..=high[0]).step_by(step) {
+                    let at = grid.index([i, j, k]);
+                    if self.state[at] == UNKNOWN {
+                        self.state[at] = CLOSED;
+                        open.push(at as u32);
+                    }
                 }
             }
-            for hole in filled {
-                self.num_voxels += usize::from(self.state[hole] != LUMEN);
-                self.state[hole] = LUMEN;
+        }
+        while let Some(at) = open.pop() {
+            let state = &mut self.state;
+            for_each_face(grid, at as usize, |next| {
+                let voxel = grid.voxel(next);
+                if state[next] == UNKNOWN && (0..3).all(|a| (low[a]..=high[a]).contains(&voxel[a]))
+                {
+                    state[next] = CLOSED;
+                    open.push(next as u32);
+                }
+            });
+        }
+        for k in low[2]..=high[2] {
+            for j in low[1]..=high[1] {
+                for i in low[0]..=high[0] {
+                    let at = grid.index([i, j, k]);
+                    if self.state[at] == UNKNOWN {
+                        self.state[at] = LUMEN;
+                        self.num_voxels += 1;
+                    }
+                }
             }
         }
     }

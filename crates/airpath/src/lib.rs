@@ -11,8 +11,8 @@ pub mod flood;
 pub mod graph;
 pub mod lumen;
 pub mod smooth;
-pub mod tracker;
 pub mod trachea;
+pub mod tracker;
 pub mod tree;
 
 pub use error::{TrackError, Unwatched, Watch};

@@ -57,9 +57,7 @@ pub fn point_at(chain: &[Point], along: &[f64], s: f64) -> Point {
     } else {
         1.0
     };
-    std::array::from_fn(|a| {
-        chain[after - 1][a] + share * (chain[after][a] - chain[after - 1][a])
-    })
+    std::array::from_fn(|a| chain[after - 1][a] + share * (chain[after][a] - chain[after - 1][a]))
 }
 
 fn distance(a: Point, b: Point) -> f64 {
@@ -71,11 +69,7 @@ fn distance(a: Point, b: Point) -> f64 {
 /// `radius_mm` is the tube's at each point; `inside` must hold for every given point and will hold for every returned one
 /// (where even the strongest pull does not suffice, the given points are returned).
 #[must_use]
-pub fn smoothed(
-    points: &[Point],
-    radius_mm: &[f64],
-    inside: impl Fn(Point) -> bool,
-) -> Vec<Point> {
+pub fn smoothed(points: &[Point], radius_mm: &[f64], inside: impl Fn(Point) -> bool) -> Vec<Point> {
     let n = points.len();
     if n < 4 {
         return points.to_vec();
@@ -225,7 +219,9 @@ mod tests {
         let turn = |p: &[Point], m: usize| {
             let u: Point = std::array::from_fn(|a| p[m][a] - p[m - 1][a]);
             let v: Point = std::array::from_fn(|a| p[m + 1][a] - p[m][a]);
-            (carina_grid::dot(u, v) / length(u) / length(v)).clamp(-1.0, 1.0).acos()
+            (carina_grid::dot(u, v) / length(u) / length(v))
+                .clamp(-1.0, 1.0)
+                .acos()
         };
         let worst = |p: &[Point]| (1..p.len() - 1).map(|m| turn(p, m)).fold(0.0, f64::max);
         assert!(worst(&points) > 0.6);
@@ -239,12 +235,16 @@ mod tests {
         chain.extend((1..20).map(|n| [19.0, f64::from(n), 0.0]));
         let inside = |p: Point| {
             p[2].abs() <= 0.5
-                && ((p[1].abs() <= 0.5 && p[0] <= 19.5) || ((p[0] - 19.0).abs() <= 0.5 && p[1] >= -0.5))
+                && ((p[1].abs() <= 0.5 && p[0] <= 19.5)
+                    || ((p[0] - 19.0).abs() <= 0.5 && p[1] >= -0.5))
         };
         let (points, _) = resampled(&chain, 0.5);
         let radius = vec![2.0; points.len()];
         let free = smoothed(&points, &radius, |_| true);
-        assert!(free.iter().any(|p| !inside(*p)), "the test must be able to fail");
+        assert!(
+            free.iter().any(|p| !inside(*p)),
+            "the test must be able to fail"
+        );
         let kept = smoothed(&points, &radius, inside);
         assert!(kept.iter().all(|p| inside(*p)));
         assert_ne!(kept, points);

@@ -104,9 +104,8 @@ pub fn find_trachea(
         if let Some((split, ends_at)) = split_below(&slices, chain, &bronchi, step_mm) {
             let above = &chain.spots[..=ends_at];
             let of = |n: usize| &slices[chain.first + n][above[n]];
-            let above_mm = length([0, 1, 2].map(|a| {
-                of(0).center_lps[a] - of(ends_at).center_lps[a]
-            }));
+            let above_mm =
+                length([0, 1, 2].map(|a| of(0).center_lps[a] - of(ends_at).center_lps[a]));
             if above_mm < MIN_LENGTH_MM {
                 continue;
             }
@@ -166,10 +165,7 @@ fn spots_of_air(
     };
     let start = grid.index(ijk);
     let value = |p: usize, q: usize| values.data()[start + p * stride(u) + q * stride(v)];
-    let (step_u, step_v) = (
-        grid.lps_from_ijk().column(u),
-        grid.lps_from_ijk().column(v),
-    );
+    let (step_u, step_v) = (grid.lps_from_ijk().column(u), grid.lps_from_ijk().column(v));
     let cell_mm2 = length(carina_grid::cross(step_u, step_v));
     let max_cells = (MAX_AREA_MM2 / cell_mm2) as usize;
 
@@ -232,7 +228,14 @@ fn spots_of_air(
             (((pp - qq) / 2.0).powi(2) + pq * pq).sqrt(),
         );
         let elongation = ((mean + half) / (mean - half).max(1e-6)).sqrt();
-        let ringed = ringed_share(nu, nv, [scale_u, scale_v], nearest.1 as usize, levels, &value);
+        let ringed = ringed_share(
+            nu,
+            nv,
+            [scale_u, scale_v],
+            nearest.1 as usize,
+            levels,
+            &value,
+        );
         let mut at = [0.0; 3];
         at[axis] = slice as f64;
         at[u] = mean_p;
@@ -361,7 +364,11 @@ fn split_below(
     for ends_at in min_slices.min(last)..=last {
         let end = &slices[chain.first + ends_at][chain.spots[ends_at]];
         let below = chain.first + ends_at + 1;
-        let furthest = if ends_at == last { below + num_gap } else { below };
+        let furthest = if ends_at == last {
+            below + num_gap
+        } else {
+            below
+        };
         for start in below..=furthest {
             if start + num_needed > slices.len() {
                 break;
@@ -369,9 +376,7 @@ fn split_below(
             // Tubes present in this slice and for long enough below it, with the place where they are now and then.
             let tubes: Vec<(&Spot, &Spot)> = bronchi
                 .iter()
-                .filter(|b| {
-                    b.first <= start && b.first + b.spots.len() >= start + num_needed
-                })
+                .filter(|b| b.first <= start && b.first + b.spots.len() >= start + num_needed)
                 .map(|b| {
                     let at = |slice: usize| &slices[slice][b.spots[slice - b.first]];
                     (at(start), at(start + num_needed - 1))

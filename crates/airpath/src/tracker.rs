@@ -89,7 +89,7 @@ impl Tracker {
     ) -> Result<(), TrackError> {
         let num_nodes = self.cost.len();
         while target.is_none_or(|t| !self.settled[t as usize]) {
-            let Some((node_cost, node) ) = self.queue.pop() else {
+            let Some((node_cost, node)) = self.queue.pop() else {
                 return Ok(());
             };
             let u = node as usize;

@@ -1,9 +1,10 @@
 //! Branches, read off the tree of least-cost paths.
 //!
 //! Tips are found as in TEASAR (Sato et al. 2000): the node with the longest path among those not yet covered is a tip; its
-//! path is traced back to what is already in the tree; then everything the new piece sees within a multiple of its
-//! tube's radius is covered. Unlike there, "covered" needs a free line of sight, so a neighbouring tube behind a wall
-//! keeps its own tip.
+//! path is traced back to what is already in the tree; then everything within a multiple of its tube's radius is covered.
+//! Unlike there, that distance is measured inside the lumen, so a neighbouring tube behind a wall keeps its own tip.
+
+use std::collections::{BTreeMap, BinaryHeap};
 
 use carina_grid::{Grid, Ijk, length};
 
@@ -18,7 +19,7 @@ use crate::{TrackError, Watch};
 pub struct BranchLimits {
     /// A side path must reach this far beyond the tube it leaves, mm.
     pub min_length_mm: f64,
-    /// A path covers what it sees within this multiple of its tube's radius ...
+    /// A path covers what is within this multiple of its tube's radius ...
     pub cover_radii: f64,
     /// ... plus this, mm.
     pub cover_mm: f64,
@@ -33,7 +34,7 @@ impl BranchLimits {
         let coarsest = grid.spacing_mm().into_iter().fold(0.0, f64::max);
         Self {
             min_length_mm: (1.5 * coarsest).max(3.0),
-            cover_radii: 1.3,
+            cover_radii: 2.0,
             cover_mm: coarsest.max(1.5),
             step_mm: 1.0,
         }
@@ -70,25 +71,24 @@ pub fn find_branches(
             .total_cmp(&tree.along_mm[*a as usize])
             .then(a.cmp(b))
     });
-    let mut covered = vec![false; graph.num_nodes()];
+    let mut cover = Cover::new(graph, limits);
     for (n, &tip) in candidates.iter().enumerate() {
         if n.is_multiple_of(1 << 12) {
             watch.go_on(n as f64 / candidates.len() as f64)?;
         }
-        if covered[tip as usize] {
+        if cover.holds(tip) {
             continue;
         }
         let chain = tree.chain_to_tree(tip);
         let join = chain[0];
-        let beyond_mm = tree.along_mm[tip as usize]
-            - tree.along_mm[join as usize]
-            - graph.wall_mm(join);
+        let beyond_mm =
+            tree.along_mm[tip as usize] - tree.along_mm[join as usize] - graph.wall_mm(join);
         if tree.is_empty() || beyond_mm >= limits.min_length_mm {
+            let kept = chain.len() - tree.blunt_end(&chain);
+            let chain = tree.forked_low(&chain[..kept]);
             tree.add(&chain);
         }
-        for &node in &chain {
-            cover(graph, grid, node, limits, &mut covered);
-        }
+        cover.add(&chain);
     }
     Ok(tree.branches(limits, &[]))
 }
@@ -151,37 +151,62 @@ pub fn branch_of_nodes(graph: &LumenGraph, tracker: &Tracker, branches: &[Branch
     branch_of
 }
 
-fn cover(
-    graph: &LumenGraph,
-    grid: &Grid,
-    node: u32,
-    limits: &BranchLimits,
-    covered: &mut [bool],
-) {
-    let center = graph.voxel(node).map(|v| v as isize);
-    let reach_mm = limits.cover_radii * graph.wall_mm(node) + limits.cover_mm;
-    let spacing = grid.spacing_mm();
-    let reach: [isize; 3] = std::array::from_fn(|a| (reach_mm / spacing[a]) as isize);
-    let from = center.map(|v| v as f64);
-    for k in -reach[2]..=reach[2] {
-        for j in -reach[1]..=reach[1] {
-            for i in -reach[0]..=reach[0] {
-                let at = [center[0] + i, center[1] + j, center[2] + k];
-                let Some(other) = graph.node_at_voxel(at) else {
-                    continue;
-                };
-                if covered[other as usize] {
-                    continue;
-                }
-                let off = grid.lps_from_ijk().vector([i as f64, j as f64, k as f64]);
-                if length(off) <= reach_mm && graph.sees(from, at.map(|v| v as f64)) {
-                    covered[other as usize] = true;
-                }
-            }
+/// What is near a path of the tree, measured inside the lumen.
+struct Cover<'a> {
+    graph: &'a LumenGraph,
+    limits: &'a BranchLimits,
+    /// How much farther the cover reaches from each node, mm; 0 where it does not reach it.
+    left_mm: Vec<f32>,
+    open: BinaryHeap<(OrderedMm, u32)>,
+}
+
+/// Finite lengths in order. As integers (micrometres), so that they have one.
+type OrderedMm = u32;
+
+fn ordered(mm: f64) -> OrderedMm {
+    (mm * 1000.0) as u32
+}
+
+impl<'a> Cover<'a> {
+    fn new(graph: &'a LumenGraph, limits: &'a BranchLimits) -> Self {
+        Self {
+            graph,
+            limits,
+            left_mm: vec![0.0; graph.num_nodes()],
+            open: BinaryHeap::new(),
         }
     }
-    covered[node as usize] = true;
+
+    fn holds(&self, node: u32) -> bool {
+        self.left_mm[node as usize] > 0.0
+    }
+
+    /// Spreads from every node of a chain at once, farthest reach first, so each node is passed about once.
+    fn add(&mut self, chain: &[u32]) {
+        for &node in chain {
+            let reach = self.limits.cover_radii * self.graph.wall_mm(node) + self.limits.cover_mm;
+            if reach > f64::from(self.left_mm[node as usize]) {
+                self.left_mm[node as usize] = reach as f32;
+                self.open.push((ordered(reach), node));
+            }
+        }
+        while let Some((_, node)) = self.open.pop() {
+            let here = f64::from(self.left_mm[node as usize]);
+            let (left_mm, open) = (&mut self.left_mm, &mut self.open);
+            self.graph.for_each_edge(node, |next, length_mm| {
+                let left = here - length_mm;
+                // 1 micrometre more, so that equal reaches do not chase each other.
+                if left > f64::from(left_mm[next as usize]) + 1e-3 {
+                    left_mm[next as usize] = left as f32;
+                    open.push((ordered(left), next));
+                }
+            });
+        }
+    }
 }
+
+/// A path has left its neighbour's tube when it is farther from its middle than this multiple of the tube's radius.
+const FORK_RADII: f64 = 1.0;
 
 /// A growing set of root paths.
 struct NodeTree<'a> {
@@ -193,6 +218,8 @@ struct NodeTree<'a> {
     in_tree: Vec<bool>,
     /// Paths in the order they were added; each begins on an earlier one.
     chains: Vec<Vec<u32>>,
+    /// The next nodes of each node of the tree, in that order.
+    children: BTreeMap<u32, Vec<u32>>,
 }
 
 impl<'a> NodeTree<'a> {
@@ -214,6 +241,7 @@ impl<'a> NodeTree<'a> {
             along_mm,
             in_tree: vec![false; graph.num_nodes()],
             chains: Vec::new(),
+            children: BTreeMap::new(),
         }
     }
 
@@ -235,9 +263,66 @@ impl<'a> NodeTree<'a> {
         chain
     }
 
+    /// Moves the fork of a new chain down to where it leaves the tube that it shares with the tree.
+    ///
+    /// Two least-cost paths part well before their tubes do: each cuts the corner. A node still belongs to the shared tube
+    /// while some node of the tree is near, below the present fork, and in sight.
+    fn forked_low(&self, chain: &[u32]) -> Vec<u32> {
+        // Nodes of the tree below the join.
+        let mut below = vec![chain[0]];
+        let mut next = 0;
+        while next < below.len() {
+            if let Some(children) = self.children.get(&below[next]) {
+                below.extend(children);
+            }
+            next += 1;
+        }
+        let ijk = |node: u32| self.graph.voxel(node).map(|v| v as f64);
+        let mut fork = (0, chain[0]);
+        // A tip is never given up: the last node stays in the chain.
+        for (n, &node) in chain.iter().enumerate().take(chain.len() - 1).skip(1) {
+            let point = self.point(node);
+            let near = below
+                .iter()
+                .map(|&other| {
+                    let at = self.point(other);
+                    (length(std::array::from_fn(|a| at[a] - point[a])), other)
+                })
+                .filter(|(off, other)| {
+                    *off <= FORK_RADII * self.graph.wall_mm(*other)
+                        && self.graph.sees(ijk(node), ijk(*other))
+                })
+                .min_by(|a, b| a.0.total_cmp(&b.0));
+            let Some((_, other)) = near else { break };
+            fork = (n, other);
+        }
+        let mut lower = vec![fork.1];
+        lower.extend(&chain[fork.0 + 1..]);
+        lower
+    }
+
+    /// How many nodes at a chain's tip only run into the blind end of the tube: the wall there is nearer with every step.
+    /// At most 4 mm and a third of the chain.
+    fn blunt_end(&self, chain: &[u32]) -> usize {
+        let tip = chain.len() - 1;
+        let mut num_cut = 0;
+        while num_cut < tip / 3 {
+            let (here, before) = (chain[tip - num_cut], chain[tip - num_cut - 1]);
+            let cut_mm = self.along_mm[chain[tip] as usize] - self.along_mm[before as usize];
+            if cut_mm > 4.0 || self.graph.wall_mm(before) < 1.1 * self.graph.wall_mm(here) {
+                break;
+            }
+            num_cut += 1;
+        }
+        num_cut
+    }
+
     fn add(&mut self, chain: &[u32]) {
         for &node in chain {
             self.in_tree[node as usize] = true;
+        }
+        for pair in chain.windows(2) {
+            self.children.entry(pair[0]).or_default().push(pair[1]);
         }
         self.chains.push(chain.to_vec());
     }
@@ -253,17 +338,9 @@ impl<'a> NodeTree<'a> {
         if self.chains.is_empty() {
             return Vec::new();
         }
-        // Nodes and edges of the tree, children in the order in which their paths were added.
         let root = self.tracker.root();
-        let mut children: std::collections::BTreeMap<u32, Vec<u32>> =
-            std::collections::BTreeMap::new();
-        for chain in &self.chains {
-            for pair in chain.windows(2) {
-                children.entry(pair[0]).or_default().push(pair[1]);
-            }
-        }
         let none = Vec::new();
-        let below = |node: u32| children.get(&node).unwrap_or(&none);
+        let below = |node: u32| self.children.get(&node).unwrap_or(&none);
         let is_fork = |node: u32| {
             below(node).len() > 1
                 || (!below(node).is_empty() && more_forks.binary_search(&node).is_ok())
@@ -280,8 +357,7 @@ impl<'a> NodeTree<'a> {
                 nodes.push(end);
             }
             // Two forks nearer to each other than half the tube's radius are one fork with more children.
-            let run_mm =
-                self.along_mm[end as usize] - self.along_mm[nodes[0] as usize];
+            let run_mm = self.along_mm[end as usize] - self.along_mm[nodes[0] as usize];
             let is_one_fork = parent.is_some()
                 && below(end).len() > 1
                 && run_mm < 0.5 * self.graph.wall_mm(nodes[0]);
@@ -298,7 +374,11 @@ impl<'a> NodeTree<'a> {
                 Some(branches.len() - 1)
             };
             for &child in below(end).iter().rev() {
-                let mut start = if is_one_fork { nodes.clone() } else { vec![end] };
+                let mut start = if is_one_fork {
+                    nodes.clone()
+                } else {
+                    vec![end]
+                };
                 start.push(child);
                 open.push((here, start));
             }
@@ -341,8 +421,7 @@ impl<'a> NodeTree<'a> {
                     let start = branches[b]
                         .parent
                         .and_then(|p| branches[p].points.last().copied());
-                    let points =
-                        self.cut(&curve, &at_mm, chain_mm[first], chain_mm[last], start);
+                    let points = self.cut(&curve, &at_mm, chain_mm[first], chain_mm[last], start);
                     branches[b].radius_mm = points.iter().map(|p| self.radius_mm(*p)).collect();
                     branches[b].points = points;
                 }
@@ -389,7 +468,11 @@ impl<'a> NodeTree<'a> {
             .enumerate()
             .map(|(n, (p, s))| {
                 let x = (s / glide_mm).min(1.0);
-                let share = if n == last { 0.0 } else { (1.0 - x) * (1.0 - x) * (1.0 + 2.0 * x) };
+                let share = if n == last {
+                    0.0
+                } else {
+                    (1.0 - x) * (1.0 - x) * (1.0 + 2.0 * x)
+                };
                 std::array::from_fn(|a| p[a] + share * off[a])
             })
             .collect();

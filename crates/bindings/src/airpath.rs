@@ -7,8 +7,8 @@ use carina_airpath::flood::{FloodLimits, flood};
 use carina_airpath::graph::{Graph, NO_NODE};
 use carina_airpath::lumen::{LumenCost, LumenGraph, WallLevels};
 use carina_airpath::smooth::{self, Point};
-use carina_airpath::tracker::Tracker;
 use carina_airpath::trachea::{AirLevels, find_trachea};
+use carina_airpath::tracker::Tracker;
 use carina_airpath::tree::{self, Branch, BranchLimits};
 use carina_airpath::{TrackError, Watch};
 use carina_grid::{Grid, Ijk, Lps, VolumeView};
@@ -385,9 +385,7 @@ impl LumenTracker {
         let watch = PyWatch::new(cancel, progress);
         let limits = BranchLimits::for_grid(&self.grid);
         let branches = py
-            .detach(|| {
-                tree::find_branches(&self.graph, &self.lock(), &self.grid, &limits, &watch)
-            })
+            .detach(|| tree::find_branches(&self.graph, &self.lock(), &self.grid, &limits, &watch))
             .map_err(|e| watch.error(e))?;
         self.branch_list(py, &branches)
     }
