@@ -1,5 +1,6 @@
 """Types of the compiled module; contracts are in the Python facade, algorithms in the crates' documentation."""
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -124,3 +125,91 @@ def smooth_mask(mask_zyx: NDArray[np.uint8]) -> NDArray[np.int16]:
 
 def best_instruction_set() -> str:
     """Name of the instruction set that casters use unless told."""
+
+# ---- airpath ----
+
+def find_trachea_voxels(
+    values_zyx: NDArray[np.int16],
+    lps_from_ijk: NDArray[np.float64],
+    *,
+    air: int,
+    tissue: int,
+    cancel: Callable[[], bool] | None = None,
+) -> dict[str, Any]:
+    """voxels_ijk (n, 3) from the top down, diameters_mm (n,), length_mm, carina_lps (3,)."""
+
+def flood_lumen(
+    values_zyx: NDArray[np.int16],
+    lps_from_ijk: NDArray[np.float64],
+    seeds_ijk: Sequence[tuple[int, int, int]],
+    *,
+    first_level: int,
+    core_level: int,
+    last_level: int,
+    leak_mm3: float,
+    small_leak_mm3: float,
+    closed_radius_mm: float,
+    min_contrast: float,
+    cancel: Callable[[], bool] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[NDArray[np.uint8], dict[str, Any]]:
+    """The lumen (1 or 0), and num_voxels, num_without_wall, leaks [(point_lps, level)]."""
+
+def branch_of_nodes(
+    tracker: LumenTracker, branch_nodes: Sequence[Sequence[int] | NDArray[np.uint32]], parents: Sequence[int | None]
+) -> NDArray[np.int32]:
+    """(num_nodes,) branch that each node's path left last, -1 where no path reaches it."""
+
+class LumenTracker:
+    """Lumen graph and least-cost tree from one root."""
+
+    def __new__(
+        cls,
+        values_zyx: NDArray[np.int16],
+        lps_from_ijk: NDArray[np.float64],
+        lumen_zyx: NDArray[np.uint8],
+        *,
+        levels: tuple[float, float, float] | None,
+        root_lps: tuple[float, float, float],
+        reach_mm: float,
+    ) -> LumenTracker: ...
+    @property
+    def num_nodes(self) -> int: ...
+    @property
+    def num_settled(self) -> int: ...
+    @property
+    def quantum(self) -> float: ...
+    @property
+    def root(self) -> int: ...
+    def nearest(self, point_lps: tuple[float, float, float], reach_mm: float) -> tuple[int, float] | None:
+        """Nearest node and its distance in mm."""
+    def solve_to(
+        self,
+        node: int,
+        *,
+        cancel: Callable[[], bool] | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> bool:
+        """True if a path exists."""
+    def solve_all(
+        self, *, cancel: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None
+    ) -> None:
+        """Settle everything reachable."""
+    def cost(self, node: int) -> float | None:
+        """Least cost of a settled node."""
+    def path(self, node: int) -> tuple[NDArray[np.float64], NDArray[np.uint32]] | None:
+        """Voxel centres (n, 3) LPS from the root, and their nodes."""
+    def smooth(
+        self, points_lps: Sequence[tuple[float, float, float]] | NDArray[np.float64], *, step_mm: float
+    ) -> NDArray[np.float64]:
+        """Even, smooth (n, 3) points that stay in lumen voxels."""
+    def radius_mm(self, points_lps: Sequence[tuple[float, float, float]] | NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n,) distance to the wall."""
+    def inside(self, points_lps: Sequence[tuple[float, float, float]] | NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(n,) whether the voxel is lumen."""
+    def branches(
+        self, *, cancel: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None
+    ) -> list[dict[str, Any]]:
+        """parent, generation, points, radius_mm, cost, nodes; parents first."""
+    def branches_to(self, nodes: Sequence[int], forks: Sequence[int] | NDArray[np.uint32]) -> list[dict[str, Any]]:
+        """The tree of the paths to settled nodes."""

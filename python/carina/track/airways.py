@@ -25,16 +25,16 @@ Progress = Callable[[str, float | None], None]
 LUMEN_END_HU = -800.0
 """Where the automatic lumen ends.
 
-Half-way between lumen and wall would be -500 HU where the wall is thick. On slices of 3 mm a small airway's wall does not
-reach that, so the flood stops lower; against the mask of QIN-LSC-0003 the Dice score is flat between -800 and -750 and
-falls above.
+Half-way between lumen and wall would be -500 HU where the wall is thick. On slices of 3 mm a small airway's wall does
+not reach that, so the flood stops lower; against the mask of QIN-LSC-0003 the Dice score is flat between -800 and -750
+and falls above.
 """
 TRACHEA_AIR_HU = -800.0
 TISSUE_HU = -450.0
 MIN_WALL_CONTRAST_HU = 60.0
 STEP_RISE_HU = 25.0
 
-# Volumes: a trachea holds 20-40 ml, both lungs some litres. The largest piece of tree behind one noisy voxel is below 60 ml.
+# A trachea holds 20-40 ml, both lungs some litres. The largest piece of tree behind one noisy voxel is below 60 ml.
 LEAK_MM3 = 60_000.0
 SMALL_LEAK_MM3 = 3_000.0
 CLOSED_RADIUS_MM = 10.0
@@ -104,8 +104,8 @@ def find_airways(
     volume
         A chest CT, in HU or not.
     root_lps
-        Where the paths begin, LPS mm; the top of the trachea unless told. A point outside the lumen is moved to the nearest
-        lumen voxel within 5 mm. Needed where the trachea is not in view.
+        Where the paths begin, LPS mm; the top of the trachea unless told. A point outside the lumen is moved to the
+        nearest lumen voxel within 5 mm. Needed where the trachea is not in view.
     lumen_threshold
         Value at which the lumen ends, in the volume's own numbers; -800 HU unless told, or from the histogram where the
         volume is not in HU.
@@ -195,7 +195,8 @@ def track_paths(
     root
         LPS mm, or "auto" for the top of the trachea.
     targets
-        Points, LPS mm. One outside the lumen is moved to the nearest lumen voxel within ``snap_mm``, and the result says so.
+        Points, LPS mm. One outside the lumen is moved to the nearest lumen voxel within ``snap_mm``, and the result
+        says so.
     cost
         ``lumen``: keep to the middle of the airway.
     airways
@@ -384,15 +385,15 @@ def _grow(volume: Volume, root: Point | None, lumen_threshold: float | None, sta
     voxel_mm3 = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3])))
     if report["num_voxels"] * voxel_mm3 < MIN_LUMEN_MM3:
         msg = (
-            f"no airway lumen was found at {words(start)}: air there is connected to the lung at once, or it is a small "
-            "pocket. Choose a root inside the trachea"
+            f"no airway lumen was found at {words(start)}: air there is open to the lung, or is a small pocket. "
+            "Choose a root inside the trachea"
         )
         raise NoResultError(msg)
     notes = []
     if report["leaks"]:
         num, lowest = len(report["leaks"]), min(level for _, level in report["leaks"])
         notes.append(
-            f"growth was stopped at {num} places where it would have broken into the lung (the first at {lowest} of {end})"
+            f"growth was stopped at {num} places where it would have broken into the lung (first at {lowest} of {end})"
         )
     levels = (float(core), float(max(end, core)), scale.span(STEP_RISE_HU))
     return _Grown(lumen, levels, float(end), start, notes)
@@ -408,7 +409,7 @@ def _values_round(volume: Volume, seeds: Sequence[tuple[int, int, int]]) -> NDAr
 
 
 def _nearest_lumen(volume: Volume, lumen: NDArray[np.uint8], point: Point) -> tuple[Point, float] | None:
-    """The centre of the lumen voxel nearest to a point within the snapping distance; the distance is 0 inside the lumen."""
+    """The centre of the nearest lumen voxel within the snapping distance, and that distance (0 inside the lumen)."""
     center = volume.to_ijk(np.array(point))
     shape = np.array(volume.shape_zyx[::-1])
     here = np.clip(np.floor(center + 0.5), 0, shape - 1).astype(int)
@@ -432,8 +433,8 @@ def _nearest_lumen(volume: Volume, lumen: NDArray[np.uint8], point: Point) -> tu
 def _named(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:
     """Names that are beyond doubt: trachea and main bronchi.
 
-    The trunk is the trachea where it runs down for at least 20 mm and splits in two; of the two the one that leads to the
-    patient's right (-x in LPS) is the right main bronchus.
+    The trunk is the trachea where it runs down for at least 20 mm and splits in two; of the two the one that leads to
+    the patient's right (-x in LPS) is the right main bronchus.
     """
     trunk = branches[0]
     if len(trunk.children) != 2 or trunk.points[0][2] - trunk.points[-1][2] < 20.0:

@@ -106,8 +106,8 @@ class PathTracker:
             farther = self._core.nearest(point, 60.0)
             far = "more than 60 mm" if farther is None else f"{farther[1]:.1f} mm"
             msg = (
-                f"the point {words(point)} is {far} from the airway lumen that was found; at most {snap_mm:g} mm can be "
-                "bridged by moving it. Choose a point inside an airway, or extend the lumen there"
+                f"the point {words(point)} is {far} from the airway lumen that was found; a target is moved by at "
+                f"most {snap_mm:g} mm. Choose a point inside an airway, or extend the lumen there"
             )
             raise NoResultError(msg, code="track.outside-lumen")
         return found
@@ -189,7 +189,7 @@ class PathTracker:
         return self._core.inside(np.asarray(points_lps, dtype=np.float64).reshape(-1, 3))
 
     def set_branches(self, branches: Sequence[Branch], nodes: Sequence[NDArray[np.uint32]]) -> None:
-        """Tell which voxels belong to which branch, so that paths know their generation. ``branches`` are numbered 0.."""
+        """Tell which voxels belong to which branch, so that paths know their generation."""
         places = {branch.id: place for place, branch in enumerate(branches)}
         parents = [None if branch.parent is None else places[branch.parent] for branch in branches]
         self._branch_of_node = branch_of_nodes(self._core, list(nodes), parents)

@@ -52,7 +52,8 @@ class Branch:
     @property
     def tip_lps(self) -> Points:
         """Last point."""
-        return self.points[-1]
+        tip: Points = self.points[-1]
+        return tip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
