@@ -1,29 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { clockHour, edgeLetters, lettersOf, ringMarks } from "./letters";
-import { cross, dot, type Vec3 } from "./vec";
-
-/** The same small generator everywhere: a failure can be repeated from its seed. */
-export function randomOf(seed: number): () => number {
-  let state = seed;
-  return () => {
-    state = (state * 1664525 + 1013904223) % 2 ** 32;
-    return state / 2 ** 32;
-  };
-}
-
-/** A random rotation's columns, from a random unit quaternion. */
-export function randomAxes(random: () => number): { right: Vec3; down: Vec3; forward: Vec3 } {
-  const [u, v, w] = [random(), 2 * Math.PI * random(), 2 * Math.PI * random()];
-  const [x, y, z, q] = [
-    Math.sqrt(1 - u) * Math.sin(v),
-    Math.sqrt(1 - u) * Math.cos(v),
-    Math.sqrt(u) * Math.sin(w),
-    Math.sqrt(u) * Math.cos(w),
-  ];
-  const right: Vec3 = [1 - 2 * (y * y + z * z), 2 * (x * y + z * q), 2 * (x * z - y * q)];
-  const down: Vec3 = [2 * (x * y - z * q), 1 - 2 * (x * x + z * z), 2 * (y * z + x * q)];
-  return { right, down, forward: cross(right, down) };
-}
+import { randomAxes, randomOf } from "./rotations.testing";
+import { dot, type Vec3 } from "./vec";
 
 const opposite: Record<string, string> = { R: "L", L: "R", A: "P", P: "A", S: "I", I: "S" };
 const mirrored = (text: string) => [...text].map((letter) => opposite[letter]).join("");

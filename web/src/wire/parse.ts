@@ -4,7 +4,8 @@
  */
 
 import schemaJson from "../../../protocol/schema.json";
-import type { PictureHeader, ServerMessage } from "./messages";
+import type { ClientMessage, PictureHeader, ServerMessage } from "./messages";
+import { clientProblem, doubledKey, pictureProblem } from "./second-checks";
 
 export class WireError extends Error {}
 
@@ -138,6 +139,7 @@ const CLIENT_TYPES = byType("ClientMessage");
 
 function parseMessage(types: ReadonlyMap<unknown, Schema>, text: string): unknown {
   const value = parseJson(text);
+  if (doubledKey(text) !== null) throw new WireError("a message names the same field twice");
   if (typeof value !== "object" || value === null || Array.isArray(value)) {
     throw new WireError("a message must be a JSON object");
   }
@@ -161,9 +163,10 @@ export function parseServerMessage(text: string): ServerMessage {
   return parseMessage(SERVER_TYPES, text) as ServerMessage;
 }
 
-/** For the fake server of the tests: the same rules, the other direction. */
+/** The same rules for the other direction: what this client sends must be what the server reads. */
 export function checkClientMessage(text: string): void {
-  parseMessage(CLIENT_TYPES, text);
+  const found = clientProblem(parseMessage(CLIENT_TYPES, text) as ClientMessage);
+  if (found !== null) throw new WireError(found);
 }
 
 /** A header longer than this lies about its length. */
@@ -189,5 +192,8 @@ export function parsePicture(data: ArrayBuffer): WirePicture {
   const header = parseJson(text);
   const found = problem(definition("PictureHeader"), header, "picture");
   if (found !== null) throw new WireError(found);
-  return { header: header as PictureHeader, payload: new Uint8Array(data, 4 + headerBytes) };
+  const picture: WirePicture = { header: header as PictureHeader, payload: new Uint8Array(data, 4 + headerBytes) };
+  const wrong = pictureProblem(picture.header, picture.payload);
+  if (wrong !== null) throw new WireError(wrong);
+  return picture;
 }

@@ -1,0 +1,115 @@
+import { describe, expect, it } from "vitest";
+import type { ClientMessage, RouteInfo } from "../wire/messages";
+import { AUTO_SPEED_MM_S, Flight, SLOW, SPEED_MM_S } from "./flight";
+
+const ROUTE: RouteInfo = {
+  route_id: "r",
+  title: "",
+  target_id: null,
+  branch_id: null,
+  points_lps: [],
+  cumulative_mm: [],
+  generation: [],
+  radius_mm: [],
+  forks_mm: [30, 50],
+  spans: [],
+  length_mm: 60,
+};
+
+function flight(route: RouteInfo | null = ROUTE) {
+  const sent: ClientMessage[] = [];
+  const auto: boolean[] = [];
+  const around = { at: 10 as number | null };
+  const made = new Flight({
+    route: () => route,
+    pathMm: () => around.at,
+    send: (message) => {
+      sent.push(message);
+      if (message.type === "go_to") around.at = message.path_mm;
+    },
+    advancing: (on) => auto.push(on),
+  });
+  return { made, sent, auto, around };
+}
+
+describe("the flight", () => {
+  it("steers once per refresh while a key is held, and stands still without one", () => {
+    const { made, sent } = flight();
+    made.tick(0.016);
+    expect(sent).toEqual([]);
+    made.hold("advance", 1, true);
+    made.tick(0.02);
+    made.hold("advance", 1, false);
+    made.tick(0.02);
+    expect(sent).toEqual([{ type: "steer", advance_mm: SPEED_MM_S * 0.02, yaw_rad: 0, pitch_rad: 0, roll_rad: 0 }]);
+  });
+
+  it("goes as far in many short refreshes as in few long ones", () => {
+    const far = (steps: number) => {
+      const { made, sent } = flight();
+      made.hold("advance", 1, true);
+      for (let step = 0; step < steps; step += 1) made.tick(0.3 / steps);
+      return sent.reduce((sum, message) => sum + (message.type === "steer" ? message.advance_mm : 0), 0);
+    };
+    expect(far(30)).toBeCloseTo(far(3), 9);
+  });
+
+  it("is slow with Shift, and both directions at once cancel", () => {
+    const { made, sent } = flight();
+    made.slow(true);
+    made.hold("advance", 1, true);
+    made.tick(0.02);
+    expect(sent[0]).toMatchObject({ advance_mm: SPEED_MM_S * SLOW * 0.02 });
+    made.hold("advance", -1, true);
+    made.tick(0.02);
+    expect(sent).toHaveLength(1);
+  });
+
+  it("adds up the mouse between two refreshes", () => {
+    const { made, sent } = flight();
+    made.nudge({ yaw_rad: 0.1 });
+    made.nudge({ yaw_rad: 0.1, pitch_rad: -0.2 });
+    made.tick(0.016);
+    expect(sent).toEqual([{ type: "steer", advance_mm: 0, yaw_rad: 0.2, pitch_rad: -0.2, roll_rad: 0 }]);
+  });
+
+  it("does not leap after a pause of the page", () => {
+    const { made, sent } = flight();
+    made.hold("advance", 1, true);
+    made.tick(30);
+    expect(sent[0]).toMatchObject({ advance_mm: SPEED_MM_S * 0.1 });
+  });
+
+  it("flies by itself to the next fork and stops exactly there", () => {
+    const { made, sent, auto } = flight();
+    expect(made.startAuto()).toBe(true);
+    const needed = Math.ceil(20 / AUTO_SPEED_MM_S / 0.05) + 1;
+    for (let step = 0; step < needed; step += 1) made.tick(0.05);
+    const places = sent.map((message) => (message.type === "go_to" ? message.path_mm : Number.NaN));
+    expect(places).toEqual([...places].sort((a, b) => a - b));
+    expect(places.at(-1)).toBe(30);
+    expect(auto).toEqual([true, false]);
+    expect(made.startAuto()).toBe(true);
+  });
+
+  it("stops flying by itself when a hand moves the scope", () => {
+    const { made, auto } = flight();
+    made.startAuto();
+    made.nudge({ yaw_rad: 0.1 });
+    expect(made.isAuto).toBe(true);
+    made.nudge({ advance_mm: -1 });
+    expect(made.isAuto).toBe(false);
+    made.startAuto();
+    made.hold("advance", -1, true);
+    expect(auto).toEqual([true, false, true, false]);
+  });
+
+  it("has nowhere to go without a route, off the path, or at its end", () => {
+    expect(flight(null).made.startAuto()).toBe(false);
+    const off = flight();
+    off.around.at = null;
+    expect(off.made.startAuto()).toBe(false);
+    off.around.at = 60;
+    expect(off.made.startAuto()).toBe(false);
+  });
+});

@@ -1,0 +1,100 @@
+// @vitest-environment jsdom
+import { afterEach, describe, expect, it } from "vitest";
+import { focusKind, listenToKeys } from "./keyboard";
+
+function listening(options: { path?: boolean; enabled?: boolean } = {}) {
+  const heard: string[] = [];
+  const stop = listenToKeys(window, {
+    press: (action) => heard.push(action),
+    hold: (axis, sign, down) => heard.push(`${axis} ${sign} ${down ? "down" : "up"}`),
+    slow: () => undefined,
+    arrowsLook: () => !(options.path ?? true),
+    enabled: () => options.enabled ?? true,
+  });
+  return { heard, stop };
+}
+
+function type(key: string, target: EventTarget = document.body, kind = "keydown", init: KeyboardEventInit = {}) {
+  const event = new KeyboardEvent(kind, { key, code: `code ${key}`, bubbles: true, cancelable: true, ...init });
+  target.dispatchEvent(event);
+  return event;
+}
+
+let stop: () => void = () => undefined;
+afterEach(() => {
+  stop();
+  document.body.replaceChildren();
+});
+
+describe("the keyboard", () => {
+  it("flies on the page and takes the key from the browser", () => {
+    const keys = listening();
+    stop = keys.stop;
+    expect(type("w").defaultPrevented).toBe(true);
+    type("w", document.body, "keydown", { repeat: true });
+    type("w", document.body, "keyup");
+    expect(keys.heard).toEqual(["advance 1 down", "advance 1 up"]);
+  });
+
+  it("does not take a key while somebody types, nor a key that is not its own", () => {
+    const keys = listening();
+    stop = keys.stop;
+    const input = document.createElement("input");
+    document.body.append(input);
+    expect(type("w", input).defaultPrevented).toBe(false);
+    expect(type("Tab").defaultPrevented).toBe(false);
+    expect(type("r", document.body, "keydown", { ctrlKey: true }).defaultPrevented).toBe(false);
+    expect(keys.heard).toEqual([]);
+  });
+
+  it("leaves arrows to a focused slider and space to a focused button", () => {
+    const keys = listening();
+    stop = keys.stop;
+    const slider = document.createElement("input");
+    slider.type = "range";
+    const button = document.createElement("button");
+    document.body.append(slider, button);
+    expect(type("ArrowUp", slider).defaultPrevented).toBe(false);
+    expect(type(" ", button).defaultPrevented).toBe(false);
+    type("m", button);
+    expect(keys.heard).toEqual(["toggle_mode"]);
+  });
+
+  it("chooses ways on a path and looks around without one", () => {
+    const onPath = listening({ path: true });
+    type("ArrowLeft");
+    onPath.stop();
+    expect(onPath.heard).toEqual(["way_left"]);
+    const free = listening({ path: false });
+    stop = free.stop;
+    type("ArrowLeft");
+    type("ArrowLeft", document.body, "keyup");
+    expect(free.heard).toEqual(["yaw -1 down", "yaw -1 up"]);
+  });
+
+  it("lets go of held keys when the window loses the focus", () => {
+    const keys = listening();
+    stop = keys.stop;
+    type("w");
+    window.dispatchEvent(new Event("blur"));
+    expect(keys.heard).toEqual(["advance 1 down", "advance 1 up"]);
+  });
+
+  it("is silent where no case is open", () => {
+    const keys = listening({ enabled: false });
+    stop = keys.stop;
+    expect(type("w").defaultPrevented).toBe(false);
+    expect(keys.heard).toEqual([]);
+  });
+
+  it("knows what has the focus", () => {
+    const dialog = document.createElement("div");
+    dialog.setAttribute("role", "dialog");
+    const inside = document.createElement("button");
+    dialog.append(inside);
+    document.body.append(dialog);
+    expect(focusKind(inside)).toBe("typing");
+    expect(focusKind(document.body)).toBe("page");
+    expect(focusKind(document.createElement("textarea"))).toBe("typing");
+  });
+});

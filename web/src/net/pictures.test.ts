@@ -1,0 +1,141 @@
+import { describe, expect, it } from "vitest";
+import { randomOf } from "../state/rotations.testing";
+import type { PictureHeader, ViewName } from "../wire/messages";
+import type { WirePicture } from "../wire/parse";
+import { PictureBoard } from "./pictures";
+
+function picture(frameId: number, poseId: number, view: ViewName = "airway"): WirePicture {
+  return {
+    header: {
+      frame_id: frameId,
+      view,
+      pose_id: poseId,
+      lps_from_camera: null,
+      fov_deg: null,
+      lps_from_pixel: null,
+      width: 16,
+      height: 16,
+      codec: "jpeg",
+      quality: 85,
+      full: false,
+      render_ms: 1,
+      method: "leap",
+    },
+    payload: new Uint8Array(),
+  };
+}
+
+/** A board whose decodes end when and how the test says. */
+function board() {
+  const drawn: PictureHeader[] = [];
+  const acknowledged: number[] = [];
+  const failures: number[] = [];
+  const decodes: { frame: number; end: (fail?: boolean) => Promise<void> }[] = [];
+  const made = new PictureBoard({
+    decode: ({ header }) =>
+      new Promise<{ close(): void }>((done, fail) => {
+        decodes.push({
+          frame: header.frame_id,
+          end: async (broken = false) => {
+            if (broken) fail(new Error("no image"));
+            else done({ close: () => undefined });
+            // Two turns of the queue: the decode's own, and the board's work after it.
+            await Promise.resolve();
+            await Promise.resolve();
+            await Promise.resolve();
+          },
+        });
+      }),
+    draw: (header) => drawn.push(header),
+    acknowledge: (frameId) => acknowledged.push(frameId),
+    failed: (header) => failures.push(header.frame_id),
+  });
+  return { made, drawn, acknowledged, failures, decodes };
+}
+
+describe("pictures", () => {
+  it("are drawn in order and acknowledged after they were drawn", async () => {
+    const { made, drawn, acknowledged, decodes } = board();
+    made.receive(picture(1, 1));
+    expect(acknowledged).toEqual([]);
+    await decodes[0]?.end();
+    made.receive(picture(2, 2));
+    await decodes[1]?.end();
+    expect(drawn.map((header) => header.frame_id)).toEqual([1, 2]);
+    expect(acknowledged).toEqual([1, 2]);
+  });
+
+  it("skip what was overtaken while decoding, and acknowledge it too", async () => {
+    const { made, drawn, acknowledged, decodes } = board();
+    made.receive(picture(1, 1));
+    made.receive(picture(2, 2));
+    made.receive(picture(3, 3));
+    expect(acknowledged).toEqual([2]);
+    await decodes[0]?.end();
+    await decodes[1]?.end();
+    expect(drawn.map((header) => header.frame_id)).toEqual([1, 3]);
+    expect(acknowledged).toEqual([2, 1, 3]);
+  });
+
+  it("never go back to an older pose, and take the still picture of the same pose", async () => {
+    const { made, drawn, acknowledged, decodes } = board();
+    made.receive(picture(5, 9));
+    await decodes[0]?.end();
+    made.receive(picture(6, 8));
+    made.receive(picture(7, 9));
+    await decodes[1]?.end();
+    expect(drawn.map((header) => header.frame_id)).toEqual([5, 7]);
+    expect(acknowledged).toEqual([5, 6, 7]);
+  });
+
+  it("of one view do not hold up another", async () => {
+    const { made, drawn, decodes } = board();
+    made.receive(picture(1, 5, "airway"));
+    made.receive(picture(2, 3, "axial"));
+    await decodes[1]?.end();
+    expect(drawn.map((header) => header.view)).toEqual(["axial"]);
+  });
+
+  it("that cannot be decoded are acknowledged and reported, and the next one is drawn", async () => {
+    const { made, drawn, acknowledged, failures, decodes } = board();
+    made.receive(picture(1, 1));
+    await decodes[0]?.end(true);
+    made.receive(picture(2, 2));
+    await decodes[1]?.end();
+    expect(failures).toEqual([1]);
+    expect(drawn.map((header) => header.frame_id)).toEqual([2]);
+    expect(acknowledged).toEqual([1, 2]);
+  });
+
+  it("of a lost connection are not drawn into the new one", async () => {
+    const { made, drawn, decodes } = board();
+    made.receive(picture(90, 90));
+    made.reset();
+    made.receive(picture(1, 1));
+    await decodes[1]?.end();
+    await decodes[0]?.end();
+    expect(drawn.map((header) => header.frame_id)).toEqual([1]);
+  });
+
+  it("stay in order whatever the network and the decoder do", async () => {
+    const random = randomOf(7);
+    for (let round = 0; round < 60; round += 1) {
+      const { made, drawn, acknowledged, decodes } = board();
+      let ended = 0;
+      for (let frame = 1; frame <= 25; frame += 1) {
+        made.receive(picture(frame, Math.max(1, frame - Math.floor(4 * random()))));
+        while (ended < decodes.length && random() < 0.5) {
+          await decodes[ended]?.end(random() < 0.1);
+          ended += 1;
+        }
+      }
+      while (ended < decodes.length) {
+        await decodes[ended]?.end();
+        ended += 1;
+      }
+      const poses = drawn.map((header) => header.pose_id);
+      expect(poses).toEqual([...poses].sort((a, b) => a - b));
+      expect([...acknowledged].sort((a, b) => a - b)).toEqual(Array.from({ length: 25 }, (_, index) => index + 1));
+    }
+  });
+});

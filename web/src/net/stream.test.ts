@@ -1,0 +1,132 @@
+import { describe, expect, it } from "vitest";
+import { CLOSE_CODES } from "../wire/messages";
+import { retryDelayMs, type Socket, Stream, type StreamStatus } from "./stream";
+
+class FakeSocket implements Socket {
+  binaryType = "";
+  readyState = 0;
+  onopen: ((event: never) => void) | null = null;
+  onmessage: ((event: never) => void) | null = null;
+  onclose: ((event: never) => void) | null = null;
+  readonly sent: string[] = [];
+  send(text: string) {
+    this.sent.push(text);
+  }
+  close() {
+    this.readyState = 3;
+  }
+  open() {
+    this.readyState = 1;
+    this.onopen?.({} as never);
+  }
+  say(data: unknown) {
+    this.onmessage?.({ data } as never);
+  }
+  drop(code = 1006, reason = "") {
+    this.readyState = 3;
+    this.onclose?.({ code, reason } as never);
+  }
+}
+
+function stream() {
+  const sockets: FakeSocket[] = [];
+  const statuses: StreamStatus[] = [];
+  const faults: string[] = [];
+  const messages: string[] = [];
+  const due: { ms: number; call: () => void }[] = [];
+  const made = new Stream(
+    () => {
+      const socket = new FakeSocket();
+      sockets.push(socket);
+      return socket;
+    },
+    {
+      status: (status) => statuses.push(status),
+      message: (message) => messages.push(message.type),
+      picture: () => messages.push("picture"),
+      fault: (words) => faults.push(words),
+    },
+    {
+      nowMs: () => 1000,
+      after: (ms, call) => {
+        const entry = { ms, call };
+        due.push(entry);
+        return () => due.splice(due.indexOf(entry), 1);
+      },
+    },
+  );
+  return { made, sockets, statuses, faults, messages, due };
+}
+
+const HELLO = JSON.stringify({ type: "hello", wire_version: 1, carina_version: "0.1.0" });
+
+describe("the stream", () => {
+  it("says hello first and is open when the server answers", () => {
+    const { made, sockets, statuses } = stream();
+    made.open();
+    sockets[0]?.open();
+    expect(JSON.parse(sockets[0]?.sent[0] ?? "")).toEqual({ type: "hello", wire_version: 1 });
+    expect(statuses.map((entry) => entry.status)).toEqual(["connecting"]);
+    sockets[0]?.say(HELLO);
+    expect(statuses.at(-1)?.status).toBe("open");
+  });
+
+  it("comes back by itself, waiting longer each time, and at once after it worked", () => {
+    const { made, sockets, due } = stream();
+    made.open();
+    const waits: number[] = [];
+    for (let attempt = 0; attempt < 7; attempt += 1) {
+      sockets.at(-1)?.drop();
+      const next = due.pop();
+      waits.push(next?.ms ?? 0);
+      next?.call();
+    }
+    expect(waits).toEqual([500, 1000, 2000, 4000, 8000, 8000, 8000]);
+    sockets.at(-1)?.open();
+    sockets.at(-1)?.say(HELLO);
+    sockets.at(-1)?.drop();
+    expect(due.pop()?.ms).toBe(retryDelayMs(0));
+  });
+
+  it("does not try again where only a person can help", () => {
+    for (const name of ["protocol.taken-over", "protocol.not-authorised", "protocol.version"] as const) {
+      const { made, sockets, statuses, due } = stream();
+      made.open();
+      sockets[0]?.drop(CLOSE_CODES[name]);
+      expect(statuses.at(-1)?.status).toBe("refused");
+      expect(due).toEqual([]);
+      made.open();
+      expect(sockets).toHaveLength(2);
+    }
+  });
+
+  it("does not hear a socket that it has left", () => {
+    const { made, sockets, messages, statuses } = stream();
+    made.open();
+    made.open();
+    sockets[0]?.say(HELLO);
+    sockets[0]?.drop();
+    expect(messages).toEqual([]);
+    expect(statuses.every((entry) => entry.status === "connecting")).toBe(true);
+  });
+
+  it("does not keep what cannot be sent", () => {
+    const { made, sockets } = stream();
+    made.open();
+    expect(made.send({ type: "undo" })).toBe(false);
+    sockets[0]?.open();
+    expect(made.send({ type: "undo" })).toBe(true);
+    expect(sockets[0]?.sent).toHaveLength(2);
+  });
+
+  it("reports what it cannot read and goes on", () => {
+    const { made, sockets, faults, messages } = stream();
+    made.open();
+    sockets[0]?.open();
+    sockets[0]?.say('{"type":"nonsense"}');
+    sockets[0]?.say(new ArrayBuffer(2));
+    expect(faults).toHaveLength(2);
+    sockets[0]?.say(HELLO);
+    expect(messages).toEqual(["hello"]);
+  });
+});

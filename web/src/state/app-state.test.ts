@@ -1,0 +1,182 @@
+import { describe, expect, it } from "vitest";
+import type { PoseMessage, ServerMessage, StateMessage } from "../wire/messages";
+import { type AppEvent, type AppState, crosshairLps, INITIAL_STATE, pathMm, reduce } from "./app-state";
+import { OPTIMISTIC_MS } from "./optimistic";
+
+const EMPTY: StateMessage = {
+  type: "state",
+  case: null,
+  stage: "empty",
+  airways: "none",
+  airways_words: null,
+  mode: "free",
+  operator: "head",
+  fov_deg: 90,
+  transfer: "endoscopic",
+  transfer_document: null,
+  transfer_presets: [],
+  shading: true,
+  method: "leap",
+  window: { width_hu: 1500, level_hu: -600 },
+  crosshair_lps: null,
+  targets: [],
+  route_id: null,
+  can_undo: null,
+  can_redo: null,
+  root_lps: null,
+  lumen_threshold: null,
+  orbit_tree: { azimuth_deg: 0, elevation_deg: 0, distance_mm: null },
+  orbit_tri_plane: { azimuth_deg: 0, elevation_deg: 0, distance_mm: null },
+  zoom: {
+    axial_mm_per_px: null,
+    coronal_mm_per_px: null,
+    sagittal_mm_per_px: null,
+    cut_plane_extent_mm: null,
+  },
+};
+
+const OPEN: StateMessage = {
+  ...EMPTY,
+  stage: "ready",
+  case: {
+    title: "Thorax",
+    format: "dicom",
+    is_hu: true,
+    not_hu_reason: null,
+    shape_zyx: [13, 51, 52],
+    spacing_mm: [0.6, 0.7, 3],
+    lps_from_ijk: [0.6, 0, 0, 1, 0, 0.7, 0, 2, 0, 0, 3, 4, 0, 0, 0, 1],
+    value_range: [-1024, 3071],
+    warnings: [],
+    quality: [],
+    other_series: [],
+    citation: null,
+    off: [],
+  },
+};
+
+function pose(poseId: number, pathMillimetres: number | null = null): PoseMessage {
+  return {
+    type: "pose",
+    pose_id: poseId,
+    lps_from_camera: [1, 0, 0, 7, 0, 1, 0, 8, 0, 0, 1, 9, 0, 0, 0, 1],
+    mode: "path",
+    path_mm: pathMillimetres,
+    branch_id: 0,
+    branch_name: null,
+    generation: 0,
+    lumen_mm: 9,
+    inside: true,
+  };
+}
+
+const from = (message: ServerMessage, nowMs = 0): AppEvent => ({ kind: "server", message, nowMs });
+const following = (state: AppState, ...events: AppEvent[]): AppState => events.reduce(reduce, state);
+
+describe("poses", () => {
+  it("never go back to an older one", () => {
+    const state = following(INITIAL_STATE, from(pose(5, 10)), from(pose(4, 99)));
+    expect(state.pose?.pose_id).toBe(5);
+    expect(pathMm(state)).toBe(10);
+  });
+
+  it("begin anew with a new connection", () => {
+    const open = { kind: "connection", connection: { status: "open", reason: null, retryAtMs: null } } as const;
+    expect(following(INITIAL_STATE, from(pose(50)), open, from(pose(1))).pose?.pose_id).toBe(1);
+  });
+});
+
+describe("what a person moves", () => {
+  it("shows at once and is not thrown back by an answer to an older drag", () => {
+    const drag = (x: number, nowMs: number): AppEvent => ({
+      kind: "sent",
+      message: { type: "set_crosshair", lps: [x, 0, 0] },
+      nowMs,
+    });
+    let state = following(INITIAL_STATE, from(OPEN), drag(1, 0), drag(2, 16));
+    expect(crosshairLps(state)).toEqual([2, 0, 0]);
+    state = following(state, from({ ...OPEN, crosshair_lps: [1, 0, 0] }, 30));
+    expect(crosshairLps(state)).toEqual([2, 0, 0]);
+    state = following(state, from({ ...OPEN, crosshair_lps: [2, 0, 0] }, 40));
+    expect(state.local.crosshair).toBeNull();
+    expect(crosshairLps(state)).toEqual([2, 0, 0]);
+  });
+
+  it("gives way to the server where it does not agree for long", () => {
+    const sent: AppEvent = { kind: "sent", message: { type: "set_crosshair", lps: [9, 9, 9] }, nowMs: 0 };
+    const state = following(INITIAL_STATE, from(OPEN), sent, from({ ...OPEN, crosshair_lps: null }, OPTIMISTIC_MS + 1));
+    expect(crosshairLps(state)).toBeNull();
+  });
+
+  it("moves the path slider until the pose has come", () => {
+    const sent: AppEvent = { kind: "sent", message: { type: "go_to", path_mm: 42 }, nowMs: 0 };
+    let state = following(INITIAL_STATE, from(OPEN), from(pose(1, 10)), sent);
+    expect(pathMm(state)).toBe(42);
+    state = following(state, from(pose(2, 30), 20));
+    expect(pathMm(state)).toBe(42);
+    state = following(state, from(pose(3, 42), 40));
+    expect(state.local.pathMm).toBeNull();
+    expect(pathMm(state)).toBe(42);
+  });
+
+  it("follows steering again after the slider was let go", () => {
+    const slide: AppEvent = { kind: "sent", message: { type: "go_to", path_mm: 42 }, nowMs: 0 };
+    const steer: AppEvent = {
+      kind: "sent",
+      message: { type: "steer", advance_mm: 1, yaw_rad: 0, pitch_rad: 0, roll_rad: 0 },
+      nowMs: 5,
+    };
+    expect(pathMm(following(INITIAL_STATE, from(pose(1, 10)), slide, steer))).toBe(10);
+  });
+});
+
+describe("messages", () => {
+  const error = (message: string): AppEvent => from({ type: "error", code: "x", message, action: null });
+  const notice = (message: string): AppEvent => from({ type: "notice", message });
+
+  it("stand newest first and say nothing twice", () => {
+    const state = following(INITIAL_STATE, error("a"), error("b"), error("a"));
+    expect(state.messages.map((message) => message.message)).toEqual(["a", "b"]);
+  });
+
+  it("keep every error until it is read, but only a few news", () => {
+    const many = Array.from({ length: 6 }, (_, index) => notice(`news ${index}`));
+    let state = following(INITIAL_STATE, error("lost"), ...many);
+    expect(state.messages.filter((message) => message.kind === "error")).toHaveLength(1);
+    expect(state.messages.filter((message) => message.kind === "notice")).toHaveLength(3);
+    const id = state.messages.find((message) => message.kind === "error")?.id ?? -1;
+    state = following(state, { kind: "dismiss", id });
+    expect(state.messages.some((message) => message.kind === "error")).toBe(false);
+  });
+});
+
+describe("cases and jobs", () => {
+  it("opens at the findings where there are any, else at the airways", () => {
+    expect(following(INITIAL_STATE, from(OPEN)).ui.step).toBe("airways");
+    const found = { ...OPEN, case: OPEN.case && { ...OPEN.case, quality: ["slices are 3.0 mm apart"] } };
+    expect(following(INITIAL_STATE, from(found)).ui.step).toBe("check");
+  });
+
+  it("leaves nothing of a closed case on the screen", () => {
+    const tree = from({ type: "tree", tree: null });
+    const state = following(INITIAL_STATE, from(OPEN), tree, from(pose(3)), { kind: "ui", change: { full: "axial" } });
+    const closed = following(state, from(EMPTY));
+    expect([closed.pose, closed.tree, closed.route, closed.frames]).toEqual([null, null, null, {}]);
+    expect(closed.ui.full).toBeNull();
+  });
+
+  it("shows a job until it is done", () => {
+    const job = (fraction: number): AppEvent =>
+      from({ type: "progress", job_id: "j", title: "opening", what: "", fraction, seconds_left: null });
+    const running = following(INITIAL_STATE, job(0.1), job(0.7));
+    expect(running.jobs).toHaveLength(1);
+    expect(running.jobs[0]?.fraction).toBe(0.7);
+    expect(following(running, from({ type: "done", job_id: "j", outcome: "done" })).jobs).toEqual([]);
+  });
+
+  it("takes the safety sentence away as soon as it was read", () => {
+    const start = from({ type: "start", notice_accepted: false, recent: [], demos: [] });
+    const read: AppEvent = { kind: "sent", message: { type: "accept_notice" }, nowMs: 0 };
+    expect(following(INITIAL_STATE, start, read).start?.notice_accepted).toBe(true);
+  });
+});

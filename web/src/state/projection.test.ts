@@ -1,0 +1,115 @@
+import { describe, expect, it } from "vitest";
+import { geometryOf, lpsFromPixel, mmPerPixel, pixelFromLps, projectLine, scaleBar } from "./projection";
+import { randomAxes, randomOf } from "./rotations.testing";
+import { add, distance, scale, type Vec3 } from "./vec";
+
+function flat(right: Vec3, down: Vec3, origin: Vec3, perColumn: number, perRow: number) {
+  const c = scale(right, perColumn);
+  const r = scale(down, perRow);
+  return [c[0], r[0], 0, origin[0], c[1], r[1], 0, origin[1], c[2], r[2], 0, origin[2], 0, 0, 0, 1];
+}
+
+const none = { lps_from_camera: null, fov_deg: null, lps_from_pixel: null, width: 200, height: 100 };
+
+describe("flat pictures", () => {
+  it("go from pixels to the patient and back, oblique and with unequal pixels", () => {
+    const random = randomOf(11);
+    for (let round = 0; round < 300; round += 1) {
+      const { right, down } = randomAxes(random);
+      const origin: Vec3 = [100 * random() - 50, 100 * random(), -400 * random()];
+      const geometry = geometryOf({ ...none, lps_from_pixel: flat(right, down, origin, 0.7, 1.3) });
+      if (geometry?.kind !== "flat") throw new Error("a matrix gives a flat picture");
+      const pixel = { column: 200 * random(), row: 100 * random() };
+      const back = pixelFromLps(geometry, lpsFromPixel(geometry, pixel));
+      // 1e-9: double arithmetic on coordinates of some hundred mm.
+      expect(back?.column).toBeCloseTo(pixel.column, 9);
+      expect(back?.row).toBeCloseTo(pixel.row, 9);
+      expect(back?.depthMm).toBeCloseTo(0, 9);
+    }
+  });
+
+  it("count depth into the screen, in mm", () => {
+    const geometry = geometryOf({ ...none, lps_from_pixel: flat([1, 0, 0], [0, 1, 0], [0, 0, 5], 0.5, 0.5) });
+    if (geometry === null) throw new Error("a matrix gives a geometry");
+    // Axial, right of the patient at the left, anterior up: into the screen is towards the head.
+    expect(pixelFromLps(geometry, [10, 20, 9])).toEqual({ column: 20, row: 40, depthMm: 4 });
+  });
+
+  it("keep corner coordinates: the middle of the first pixel is half a pixel from the origin", () => {
+    const geometry = geometryOf({ ...none, lps_from_pixel: flat([1, 0, 0], [0, 1, 0], [0, 0, 0], 2, 2) });
+    if (geometry?.kind !== "flat") throw new Error("a matrix gives a flat picture");
+    expect(lpsFromPixel(geometry, { column: 0.5, row: 0.5 })).toEqual([1, 1, 0]);
+    expect(mmPerPixel(geometry)).toBe(2);
+  });
+
+  it("have no place on a matrix without area", () => {
+    const geometry = geometryOf({ ...none, lps_from_pixel: new Array(16).fill(0) });
+    if (geometry === null) throw new Error("a matrix gives a geometry");
+    expect(pixelFromLps(geometry, [1, 2, 3])).toBeNull();
+  });
+});
+
+describe("pictures seen by a camera", () => {
+  const identity = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
+
+  it("put the axis of view in the middle and half the field of view at the shorter side's edge", () => {
+    const geometry = geometryOf({ ...none, lps_from_camera: identity, fov_deg: 90 });
+    if (geometry === null) throw new Error("a camera gives a geometry");
+    expect(pixelFromLps(geometry, [0, 0, 10])).toEqual({ column: 100, row: 50, depthMm: 10 });
+    const edge = pixelFromLps(geometry, [0, 10, 10]);
+    expect(edge?.row).toBeCloseTo(100);
+    expect(pixelFromLps(geometry, [10, 0, 10])?.column).toBeCloseTo(150);
+  });
+
+  it("see nothing behind, and cut a line there", () => {
+    const geometry = geometryOf({ ...none, lps_from_camera: identity, fov_deg: 90 });
+    if (geometry === null) throw new Error("a camera gives a geometry");
+    expect(pixelFromLps(geometry, [0, 0, -1])).toBeNull();
+    const runs = projectLine(geometry, [
+      [0, 0, 5],
+      [0, 0, 3],
+      [0, 0, -3],
+      [1, 0, -3],
+      [1, 0, 4],
+      [1, 0, 6],
+    ]);
+    expect(runs.map((run) => run.length)).toEqual([2, 2]);
+  });
+
+  it("keep a point's ray for any camera: moving along it does not move the pixel", () => {
+    const random = randomOf(12);
+    for (let round = 0; round < 200; round += 1) {
+      const { right, down, forward } = randomAxes(random);
+      const at: Vec3 = [30 * random(), -20 * random(), 500 * random()];
+      const matrix = [
+        ...[right[0], down[0], forward[0], at[0]],
+        ...[right[1], down[1], forward[1], at[1]],
+        ...[right[2], down[2], forward[2], at[2]],
+        ...[0, 0, 0, 1],
+      ];
+      const geometry = geometryOf({ ...none, lps_from_camera: matrix, fov_deg: 60 + 100 * random() });
+      if (geometry === null) throw new Error("a camera gives a geometry");
+      const dir = add(add(forward, scale(right, random() - 0.5)), scale(down, random() - 0.5));
+      const near = pixelFromLps(geometry, add(at, scale(dir, 3)));
+      const far = pixelFromLps(geometry, add(at, scale(dir, 90)));
+      expect(near?.column).toBeCloseTo(far?.column ?? Number.NaN, 6);
+      expect(near?.row).toBeCloseTo(far?.row ?? Number.NaN, 6);
+    }
+  });
+});
+
+describe("the scale bar", () => {
+  it("is a round length that fits", () => {
+    for (const mmPerPx of [0.013, 0.4, 0.66, 1, 3.7]) {
+      const bar = scaleBar(mmPerPx, 90);
+      expect(bar.px).toBeLessThanOrEqual(90);
+      expect(bar.px).toBeGreaterThan(30);
+      expect(bar.px * mmPerPx).toBeCloseTo(bar.mm);
+      expect([1, 2, 5]).toContain(Number(bar.mm.toExponential(0).split("e")[0]));
+    }
+  });
+
+  it("has the length of what it measures", () => {
+    expect(distance([0, 0, 0], [0, 3, 4])).toBe(5);
+  });
+});

@@ -1,0 +1,163 @@
+import { describe, expect, it } from "vitest";
+import type { RouteInfo, TreeBranch } from "../wire/messages";
+import { buildTree, lineage, mainLeaf, neighbourWay, waysOn } from "./airways";
+import { forkAhead } from "./fork";
+import { coordinates, fixed, parseCoordinates, timeLeft } from "./format";
+import { directionAt, narrowest, nearestMm, nextStopMm, pointAt, pointsBetween } from "./route";
+import type { Camera } from "./vec";
+
+const ROUTE: RouteInfo = {
+  route_id: "r",
+  title: "left",
+  target_id: null,
+  branch_id: 2,
+  points_lps: [
+    [0, 0, 0],
+    [0, 0, -10],
+    [0, 0, -30],
+    [10, 0, -30],
+  ],
+  cumulative_mm: [0, 10, 30, 40],
+  generation: [0, 0, 0, 1],
+  radius_mm: [9, 8, 7, 2.5],
+  forks_mm: [30],
+  spans: [
+    { branch_id: 0, name: "Trachea", generation: 0, from_mm: 0, to_mm: 30 },
+    { branch_id: 2, name: null, generation: 1, from_mm: 30, to_mm: 40 },
+  ],
+  length_mm: 40,
+};
+
+function branch(id: number, parent: number | null, children: number[], points: [number, number, number][], r: number) {
+  const made: TreeBranch = {
+    id,
+    parent,
+    children,
+    generation: parent === null ? 0 : 1,
+    name: null,
+    kind: "tracked",
+    points,
+    radius: points.map(() => r),
+    cost: null,
+    confidence: null,
+  };
+  return made;
+}
+
+const TREE = buildTree({
+  format: "carina-tree",
+  version: 1,
+  space: "LPS",
+  unit: "mm",
+  root: 0,
+  branches: [
+    branch(0, null, [1, 2], [[0, 0, 0], [0, 0, -30]], 9),
+    branch(1, 0, [3], [[0, 0, -30], [-10, 0, -40]], 7),
+    branch(2, 0, [], [[0, 0, -30], [10, 0, -30]], 6),
+    branch(3, 1, [], [[-10, 0, -40], [-20, 0, -50]], 4),
+  ],
+}); // biome-ignore format: points in one line each
+
+/** From the head, anterior up: the patient's right is at the picture's right. */
+const FROM_HEAD: Camera = { right: [-1, 0, 0], down: [0, 1, 0], forward: [0, 0, -1], position: [0, 0, 0] };
+
+describe("along the route", () => {
+  it("stops at the next fork, then at the end", () => {
+    expect(nextStopMm(ROUTE, 0)).toBe(30);
+    expect(nextStopMm(ROUTE, 29)).toBe(30);
+    expect(nextStopMm(ROUTE, 30)).toBe(40);
+  });
+
+  it("has points between its points and none beyond its ends", () => {
+    expect(pointAt(ROUTE, 20)).toEqual([0, 0, -20]);
+    expect(pointAt(ROUTE, 35)).toEqual([5, 0, -30]);
+    expect(pointAt(ROUTE, 99)).toEqual([10, 0, -30]);
+    expect(pointAt(ROUTE, -5)).toEqual([0, 0, 0]);
+    expect(pointAt({ points_lps: [], cumulative_mm: [] }, 3)).toBeNull();
+  });
+
+  it("can be cut out with both ends", () => {
+    expect(pointsBetween(ROUTE, 25, 35)).toEqual([
+      [0, 0, -25],
+      [0, 0, -30],
+      [5, 0, -30],
+    ]);
+  });
+
+  it("knows its direction, its narrowest place and the place nearest to a point", () => {
+    expect(directionAt(ROUTE, 20)).toEqual([0, 0, -1]);
+    expect(narrowest(ROUTE)).toEqual({ diameterMm: 5, pathMm: 40 });
+    expect(nearestMm(ROUTE, [3, 3, -9])).toBe(10);
+  });
+});
+
+describe("the tree", () => {
+  if (TREE === null) throw new Error("the tree has a root");
+
+  it("takes sides from geometry: left is +x", () => {
+    expect(TREE.root.side).toBe("middle");
+    expect(TREE.byId.get(1)?.side).toBe("right");
+    expect(TREE.byId.get(3)?.side).toBe("right");
+    expect(TREE.byId.get(2)?.side).toBe("left");
+  });
+
+  it("knows the way down and the way up", () => {
+    expect(mainLeaf(TREE.root).branch.id).toBe(3);
+    expect(lineage(TREE, 3).map((node) => node.branch.id)).toEqual([0, 1, 3]);
+  });
+
+  it("orders the ways on as the picture shows them, not as the patient lies", () => {
+    const ways = waysOn(TREE.root, FROM_HEAD, ROUTE);
+    expect(ways.map((way) => way.node.branch.id)).toEqual([2, 1]);
+    expect(ways.map((way) => way.chosen)).toEqual([true, false]);
+    expect(ways.map((way) => way.hour)).toEqual([9, 3]);
+    const facing = waysOn(TREE.root, { ...FROM_HEAD, right: [1, 0, 0], down: [0, -1, 0] }, ROUTE);
+    expect(facing.map((way) => way.node.branch.id)).toEqual([1, 2]);
+  });
+
+  it("goes one way to the side and no further", () => {
+    const ways = waysOn(TREE.root, FROM_HEAD, ROUTE);
+    expect(neighbourWay(ways, 1)?.node.branch.id).toBe(1);
+    expect(neighbourWay(ways, -1)).toBeNull();
+  });
+
+  it("finds the fork ahead, and keeps the one that was just reached", () => {
+    expect(forkAhead(TREE, ROUTE, 10, FROM_HEAD)?.distanceMm).toBe(20);
+    expect(forkAhead(TREE, ROUTE, 30, FROM_HEAD)?.distanceMm).toBe(0);
+    expect(forkAhead(TREE, ROUTE, 38, FROM_HEAD)).toBeNull();
+  });
+
+  it("ends on a tree that loops", () => {
+    const looped = buildTree({
+      format: "carina-tree",
+      version: 1,
+      space: "LPS",
+      unit: "mm",
+      root: 0,
+      branches: [branch(0, null, [1], [[0, 0, 0]], 1), branch(1, 0, [0], [[0, 0, 1]], 1)],
+    });
+    expect(looped?.byId.size).toBe(2);
+  });
+});
+
+describe("numbers", () => {
+  it("are written with their side and a true minus", () => {
+    expect(fixed(-600)).toBe("\u2212600");
+    expect(fixed(-0.2)).toBe("0");
+    expect(coordinates([-17.6, 35.3, 12.1])).toBe("R\u202f17.6  P\u202f35.3  S\u202f12.1 mm");
+  });
+
+  it("are read as people type them, or refused", () => {
+    expect(parseCoordinates(" -17.6, 35.3,12.1 ")).toEqual([-17.6, 35.3, 12.1]);
+    expect(parseCoordinates("\u221217.6;35.3 12.1")).toEqual([-17.6, 35.3, 12.1]);
+    expect(parseCoordinates("1 2")).toBeNull();
+    expect(parseCoordinates("1,2,x")).toBeNull();
+    expect(parseCoordinates("")).toBeNull();
+  });
+
+  it("do not promise seconds that nobody knows", () => {
+    expect(timeLeft(1)).toBe("almost done");
+    expect(timeLeft(38)).toBe("about 40 s left");
+    expect(timeLeft(170)).toBe("about 3 min left");
+  });
+});

@@ -1,0 +1,57 @@
+import { readdirSync, readFileSync } from "node:fs";
+import { fileURLToPath } from "node:url";
+import { describe, expect, it } from "vitest";
+import { checkClientMessage, parsePicture, parseServerMessage } from "./parse";
+
+const SAMPLES = fileURLToPath(new URL("../../../protocol/", import.meta.url));
+
+function samples(folder: string): { name: string; bytes: Uint8Array<ArrayBuffer> }[] {
+  return readdirSync(`${SAMPLES}${folder}`).map((name) => {
+    const file = readFileSync(`${SAMPLES}${folder}/${name}`);
+    return { name, bytes: new Uint8Array(file) };
+  });
+}
+
+const text = (bytes: Uint8Array): string => new TextDecoder().decode(bytes);
+const refused = (read: () => unknown): boolean => {
+  try {
+    read();
+    return false;
+  } catch {
+    return true;
+  }
+};
+
+describe("samples of the protocol", () => {
+  it("are there: a folder that is empty would pass everything", () => {
+    for (const folder of ["valid/server", "valid/client", "valid/pictures", "invalid/server", "invalid/client"]) {
+      expect(samples(folder).length).toBeGreaterThan(3);
+    }
+  });
+
+  it.each(samples("valid/server"))("reads $name", ({ bytes }) => {
+    expect(parseServerMessage(text(bytes))).toEqual(JSON.parse(text(bytes)));
+  });
+
+  it.each(samples("valid/client"))("would send $name", ({ bytes }) => {
+    expect(() => checkClientMessage(text(bytes))).not.toThrow();
+  });
+
+  it.each(samples("valid/pictures"))("reads the picture $name", ({ bytes }) => {
+    const { header, payload } = parsePicture(bytes.buffer);
+    expect(header.width).toBeGreaterThan(0);
+    expect(payload.length).toBeGreaterThan(0);
+  });
+
+  it.each(samples("invalid/server"))("refuses $name", ({ bytes }) => {
+    expect(refused(() => parseServerMessage(text(bytes)))).toBe(true);
+  });
+
+  it.each(samples("invalid/client"))("would not send $name", ({ bytes }) => {
+    expect(refused(() => checkClientMessage(text(bytes)))).toBe(true);
+  });
+
+  it.each(samples("invalid/pictures"))("refuses the picture $name", ({ bytes }) => {
+    expect(refused(() => parsePicture(bytes.buffer))).toBe(true);
+  });
+});

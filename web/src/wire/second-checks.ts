@@ -1,0 +1,73 @@
+/** What no schema can say: the "second checks" of `protocol/README.md`. */
+
+import type { ClientMessage, PictureHeader } from "./messages";
+
+/** A key that stands twice in one object of a JSON text, or null. `JSON.parse` would silently keep the last. */
+export function doubledKey(text: string): string | null {
+  const objects: (Set<string> | null)[] = [];
+  let index = 0;
+  /** In an object, a string is a key if it comes after `{` or `,`. */
+  let keyDue = false;
+  while (index < text.length) {
+    const char = text[index];
+    if (char === '"') {
+      const end = endOfString(text, index);
+      const keys = objects.at(-1);
+      if (keyDue && keys != null) {
+        const key: unknown = JSON.parse(text.slice(index, end));
+        if (typeof key === "string") {
+          if (keys.has(key)) return key;
+          keys.add(key);
+        }
+        keyDue = false;
+      }
+      index = end;
+      continue;
+    }
+    if (char === "{") {
+      objects.push(new Set());
+      keyDue = true;
+    } else if (char === "[") {
+      objects.push(null);
+    } else if (char === "}" || char === "]") {
+      objects.pop();
+    } else if (char === ",") {
+      keyDue = objects.at(-1) != null;
+    }
+    index += 1;
+  }
+  return null;
+}
+
+/** One past the closing quote of the string that begins at `start`; the text is known to be JSON. */
+function endOfString(text: string, start: number): number {
+  let index = start + 1;
+  while (index < text.length && text[index] !== '"') index += text[index] === "\\" ? 2 : 1;
+  return index + 1;
+}
+
+export function clientProblem(message: ClientMessage): string | null {
+  switch (message.type) {
+    case "layout":
+      return new Set(message.views.map((entry) => entry.view)).size === message.views.length
+        ? null
+        : "layout names a view twice";
+    case "choose_route":
+      return message.target_id !== null && message.branch_id !== null ? "choose_route has two destinations" : null;
+    case "set_transfer":
+      return (message.preset === null) === (message.document === null)
+        ? "set_transfer needs a preset or a document"
+        : null;
+    default:
+      return null;
+  }
+}
+
+const PNG_MAGIC = [0x89, 0x50, 0x4e, 0x47];
+const JPEG_MAGIC = [0xff, 0xd8, 0xff];
+
+/** The payload must begin as its codec does. */
+export function pictureProblem(header: PictureHeader, payload: Uint8Array): string | null {
+  const magic = header.codec === "png" ? PNG_MAGIC : JPEG_MAGIC;
+  return magic.every((byte, index) => payload[index] === byte) ? null : `a picture's payload is no ${header.codec}`;
+}
