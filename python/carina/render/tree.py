@@ -17,7 +17,7 @@ __all__ = ["TreeField", "build_tree_field", "cast_tree"]
 
 # The field is 1024 deep inside. A surface at 512 would be the mask's own but lose branches one voxel thick, which keep
 # 256.
-SURFACE = np.array([[170.0, 0.86, 0.80, 0.72, 0.0], [260.0, 0.86, 0.80, 0.72, 0.999]])
+SURFACE = np.array([[110.0, 0.86, 0.80, 0.72, 0.0], [190.0, 0.86, 0.80, 0.72, 0.999]])
 LIGHT = Light(ambient=0.18, diffuse=0.82, specular=0.15, shininess_log2=4)
 BACKGROUND = (0.055, 0.06, 0.07)
 

@@ -10,8 +10,9 @@ from carina.render.transfer import TransferFunction
 
 __all__ = ["bounding_box", "grow_one_voxel", "wall_levels", "with_wall"]
 
-# Height of the cap over the smoothed lumen (1 deep inside, 0 outside), in units of the ramp from clear (0) to opaque (1). The
-# flat side of a lumen has 3/4 in its last voxel and 1/4 in the first outside, so the cap turns opaque about one voxel outside.
+# Height of the cap over the smoothed lumen (1 deep inside, 0 outside), in units of the ramp from clear (0) to opaque
+# (1). The flat side of a lumen has 3/4 in its last voxel and 1/4 in the first outside, so the cap turns opaque about
+# one voxel outside.
 CAP_LUMEN = (0.0, 0.3, 0.6, 1.0)
 CAP_HEIGHT = (7 / 6, 1.0, -1 / 3, -1.0)
 # The shell is at least this high, also in a corner where most of its neighbours are lumen.
@@ -65,7 +66,8 @@ def with_wall(hu_zyx: NDArray[np.int16], lumen_zyx: NDArray[np.uint8], levels: t
     lumen_zyx
         The lumen on the same grid, not 0 inside.
     levels
-        The highest value of the airway that the transfer function shows as clear, and the lowest that it shows as opaque.
+        The highest value of the airway that the transfer function shows as clear, and the lowest that it shows as
+        opaque.
     """
     out = hu_zyx.copy()
     box = bounding_box(lumen_zyx != 0, 4)
@@ -74,8 +76,8 @@ def with_wall(hu_zyx: NDArray[np.int16], lumen_zyx: NDArray[np.uint8], levels: t
     clear, opaque = levels
     ramp = opaque - clear
     part = out[box]
-    # A lumen that was found by a low threshold ends inside the blurred edge. Its wall starts where that edge is half way up,
-    # or the steps of the mask would show in place of the smooth edge.
+    # A lumen that was found by a low threshold ends inside the blurred edge. Its wall starts where that edge is half
+    # way up, or the steps of the mask would show in place of the smooth edge.
     lumen = lumen_zyx[box] != 0
     lumen |= grow_one_voxel(lumen) & (part < clear + ramp // 2)
     shell = grow_one_voxel(lumen) & ~lumen

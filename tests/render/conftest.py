@@ -1,0 +1,53 @@
+"""A Y of airways on an oblique, anisotropic grid, with the lumen that belongs to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from render_grids import place, rotation
+
+from carina.scopes import Pose
+from carina.volume import Volume
+
+
+@dataclass(frozen=True)
+class Airway:
+    """A phantom: trachea along -z from (0, 0, 40), carina near the origin, a wide right and a narrow left bronchus."""
+
+    volume: Volume
+    lumen_zyx: NDArray[np.uint8]
+    pose: Pose
+
+
+TRACHEA = ((0.0, 0.0, 60.0), (0.0, 0.0, 0.0), 7.0)
+RIGHT = ((0.0, 0.0, 0.0), (-22.0, 4.0, -34.0), 5.5)
+LEFT = ((0.0, 0.0, 0.0), (30.0, 6.0, -26.0), 4.0)
+
+
+def _distance_mm(points: NDArray[np.float64], a: tuple[float, ...], b: tuple[float, ...]) -> NDArray[np.float64]:
+    start, along = np.array(a), np.array(b) - np.array(a)
+    t = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
+    return np.linalg.norm(points - start - t[..., None] * along, axis=-1)
+
+
+@pytest.fixture(scope="session")
+def airway() -> Airway:
+    """The phantom; the same in every run."""
+    shape = (48, 62, 70)
+    matrix = place(rotation(0.2, -0.15, 0.3), (1.1, 0.9, 1.7), (2.0, 1.0, 5.0), shape)
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)[..., ::-1].astype(float)
+    lps = grid @ matrix[:3, :3].T + matrix[:3, 3]
+    # Depth into the lumen in mm; the edge is blurred over about a voxel, as a scanner does.
+    depth = np.max([radius - _distance_mm(lps, a, b) for a, b, radius in (TRACHEA, RIGHT, LEFT)], axis=0)
+    # Bone for the X-rays: a spine behind, and one rib on the patient's left.
+    spine = 4.5 - _distance_mm(lps, (0.0, 24.0, 60.0), (0.0, 24.0, -50.0))
+    rib = 2.5 - _distance_mm(lps, (6.0, 22.0, 12.0), (34.0, 10.0, 2.0))
+    noise = np.random.default_rng(7).normal(0.0, 12.0, shape)
+    hu = np.clip(-450.0 - 500.0 * np.clip(depth / 0.8, -1.0, 1.0) + noise, -1024, 3071)
+    hu = np.where(np.maximum(spine, rib) > 0, 600.0 + noise, hu)
+    volume = Volume(np.ascontiguousarray(np.rint(hu).astype(np.int16)), matrix)
+    pose = Pose.looking((0.5, -1.0, 15.0), (0.0, 0.05, -1.0))
+    return Airway(volume, np.ascontiguousarray((depth > 0).astype(np.uint8)), pose)

@@ -1,0 +1,112 @@
+"""Golden images: small pictures of the phantom, compared exactly. Look before you commit what ``make golden`` wrote."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+
+from carina.render import (
+    AirwayView,
+    CutPlaneView,
+    Renderer,
+    SliceView,
+    TreeView,
+    TriPlaneView,
+    XrayView,
+    transfer_preset,
+)
+
+TESTS = Path(__file__).resolve().parents[1]
+GOLDEN = TESTS / "golden" / "render"
+OUT = TESTS / "out" / "golden"
+SIZE = {"width": 96, "height": 96}
+AT = (0.5, -1.0, 26.0)
+
+# Name: (view of the phantom's pose, transfer function, what a person must see).
+CASES = {
+    "airway-endoscopic": (
+        lambda pose: AirwayView(pose, fov_deg=100.0, **SIZE),
+        "endoscopic",
+        "a pink tube that forks at a sharp carina: the wide right bronchus is on the right",
+    ),
+    "airway-ct-grey": (
+        lambda pose: AirwayView(pose, fov_deg=100.0, **SIZE),
+        "ct-grey",
+        "the same fork in grey, without loss of light",
+    ),
+    "airway-flat": (
+        lambda pose: AirwayView(pose, fov_deg=100.0, shading=False, **SIZE),
+        "endoscopic",
+        "the fork as nearly one flat pink: without shading only the depth of the wall's blur shows",
+    ),
+    "airway-paper": (
+        lambda pose: AirwayView(pose, fov_deg=100.0, **SIZE),
+        "paper",
+        "the fork in blocks of voxels, without shading",
+    ),
+    "cut-plane": (
+        lambda pose: CutPlaneView(pose, **SIZE),
+        "endoscopic",
+        "the trachea as a dark disc in the middle of 60 mm of tissue",
+    ),
+    "tri-plane": (
+        lambda _: TriPlaneView((1.0, 1.0, 5.0), **SIZE),
+        "endoscopic",
+        "three planes that meet in the lumen, on a tilted grid; a dark Y on the coronal one",
+    ),
+    "xray-coronal": (
+        lambda _: XrayView(axis="coronal", **SIZE),
+        "endoscopic",
+        "a bright spine and a rib on its right (patient left) on dark ground; tissue hides the airways",
+    ),
+    "slice-coronal": (
+        lambda _: SliceView(plane="coronal", center_lps=AT, **SIZE),
+        "endoscopic",
+        "a dark Y: trachea from the top, the wide right bronchus goes to the lower left",
+    ),
+    "tree": (
+        lambda _: TreeView(azimuth_deg=20.0, elevation_deg=10.0, **SIZE),
+        "endoscopic",
+        "a light Y on dark ground: the narrow left bronchus on the right",
+    ),
+}
+
+
+def compare(name: str, found: np.ndarray, seen: str) -> None:
+    """Fail unless the picture equals the golden one; leave expected, found and difference side by side."""
+    path = GOLDEN / f"{name}.png"
+    if os.environ.get("CARINA_GOLDEN") == "rewrite":
+        GOLDEN.mkdir(parents=True, exist_ok=True)
+        sitk.WriteImage(sitk.GetImageFromArray(found, isVector=True), str(path))
+        return
+    if not path.exists():
+        pytest.fail(f"the golden image {path.name} is missing; it must show {seen}. `make golden` writes it")
+    expected = sitk.GetArrayFromImage(sitk.ReadImage(str(path)))
+    if expected.shape == found.shape and (expected == found).all():
+        return
+    OUT.mkdir(parents=True, exist_ok=True)
+    parts = {"expected": expected, "found": found}
+    if expected.shape == found.shape:
+        difference = np.abs(expected.astype(int) - found)
+        # Stretched, so that one grey level can be seen.
+        parts["difference"] = np.minimum(difference * 32, 255).astype(np.uint8)
+    for part, rgb in parts.items():
+        sitk.WriteImage(sitk.GetImageFromArray(rgb, isVector=True), str(OUT / f"{name}.{part}.png"))
+    pytest.fail(f"{name} differs from its golden image, which must show {seen}; see {OUT}")
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_golden_pictures_are_unchanged(name, airway):
+    view, transfer, seen = CASES[name]
+    renderer = Renderer(airway.volume, transfer=transfer_preset(transfer))
+    renderer.set_lumen(airway.lumen_zyx)
+    renderer.prepare()
+    compare(name, renderer.render(view(airway.pose)).rgb, seen)
+
+
+def test_golden_images_are_all_of_a_case():
+    assert {path.stem for path in GOLDEN.glob("*.png")} == set(CASES)

@@ -1,0 +1,272 @@
+"""Planes, projections and outside views: laterality, scale, and that pixels know where they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from render_grids import place, rotation
+
+from carina.errors import RenderError, UsageError
+from carina.render import (
+    CutPlaneView,
+    Renderer,
+    SliceView,
+    TreeView,
+    TriPlaneView,
+    XrayView,
+    mark_tip,
+    render_view,
+)
+from carina.scopes import Pose
+from carina.volume import Volume
+
+SHAPE = (24, 30, 36)
+SPACING = (1.3, 0.8, 2.1)
+MIDDLE = (12.0, -30.0, 55.0)
+
+
+def permutations_of_axes():
+    """Grids whose i, j, k run along any patient axes, either way, and oblique ones."""
+    eye = np.eye(3)
+    yield "identity", eye
+    yield "flipped", np.diag([-1.0, -1.0, 1.0])
+    yield "mirrored", np.diag([-1.0, 1.0, 1.0])
+    yield "coronal", np.column_stack([eye[:, 0], -eye[:, 2], eye[:, 1]])
+    yield "sagittal", np.column_stack([eye[:, 1], -eye[:, 2], -eye[:, 0]])
+    yield "turned", np.column_stack([-eye[:, 2], eye[:, 0], eye[:, 1]])
+    yield "oblique", rotation(0.25, -0.2, 0.3)
+    yield "oblique-sagittal", rotation(0.2, 0.15, -0.25) @ np.column_stack([eye[:, 1], -eye[:, 2], -eye[:, 0]])
+
+
+GRIDS = [pytest.param(axes, id=name) for name, axes in permutations_of_axes()]
+
+
+def volume_with_blob(axes, point_lps):
+    """Dark, with one bright blob of about 3 mm at a point."""
+    matrix = place(axes, SPACING, MIDDLE, SHAPE)
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij"), axis=-1)[..., ::-1].astype(float)
+    lps = grid @ matrix[:3, :3].T + matrix[:3, 3]
+    distance = np.linalg.norm(lps - np.array(point_lps), axis=-1)
+    hu = np.where(distance < 3.0, 1000, -1000).astype(np.int16)
+    assert (hu > 0).any()
+    return Volume(np.ascontiguousarray(hu), matrix)
+
+
+def bright_center(rgb):
+    """Centre of the bright pixels, (column, row) in corner coordinates."""
+    rows, columns = np.nonzero(rgb[..., 0] > 127)
+    assert len(rows) > 0
+    return columns.mean() + 0.5, rows.mean() + 0.5
+
+
+OFFSETS = {"left": (7.0, 0, 0), "posterior": (0, 7.0, 0), "superior": (0, 0, 7.0)}
+
+
+@pytest.mark.parametrize("axes", GRIDS)
+@pytest.mark.parametrize(
+    ("plane", "right", "up"),
+    [("axial", "left", "anterior"), ("coronal", "left", "superior"), ("sagittal", "posterior", "superior")],
+)
+def test_slices_and_xrays_show_the_patient_the_radiological_way_round(axes, plane, right, up):
+    for name, offset in OFFSETS.items():
+        point = np.array(MIDDLE) + offset
+        renderer = Renderer(volume_with_blob(axes, point))
+        views = [XrayView(axis=plane, width=90, height=80, window_hu=(1500.0, -600.0))]
+        hidden = {"axial": "superior", "coronal": "posterior", "sagittal": "left"}[plane]
+        if name != hidden:
+            views.append(SliceView(plane=plane, center_lps=tuple(point), width=90, height=80))
+        for view in views:
+            picture = renderer.render(view)
+            column, row = bright_center(picture.rgb)
+            middle = picture.pixel_of(MIDDLE)
+            mm_per_px = np.linalg.norm(picture.lps_from_pixel[:3, 0])
+            across, along = (column - middle[0]) * mm_per_px, (row - middle[1]) * mm_per_px
+            expected_across = 7.0 if name == right else 0.0
+            expected_along = -7.0 if name == up else 7.0 if (name, up) == ("posterior", "anterior") else 0.0
+            # Whole voxels, the largest 2.1 mm. An X-ray of an oblique grid runs along the grid, up to some 20 degrees
+            # off the patient axis, where 7 mm of depth move the blob by 2.6 mm more.
+            tolerance_mm = 2.1 if np.abs(axes).max(axis=0).min() == 1.0 else 4.7
+            assert abs(across - expected_across) < tolerance_mm
+            assert abs(along - expected_along) < tolerance_mm
+
+
+@pytest.mark.parametrize("axes", GRIDS)
+def test_pixels_know_where_they_are(axes):
+    point = np.add(MIDDLE, (5.0, -6.0, 4.0))
+    renderer = Renderer(volume_with_blob(axes, point))
+    pose = Pose.looking(point, (0.2, 0.3, -1.0))
+    # Aside in its own plane, so that the blob is not in the middle of the cut.
+    pose = Pose.looking(point + 4.0 * pose.right_lps, pose.forward_lps)
+    views = [
+        *(SliceView(plane=p, center_lps=tuple(point), width=100, height=90) for p in ("axial", "coronal", "sagittal")),
+        SliceView(plane="coronal", center_lps=tuple(point), width=100, height=90, mm_per_px=0.4),
+        *(XrayView(axis=p, width=100, height=90, window_hu=(1500.0, -600.0)) for p in ("axial", "coronal", "sagittal")),
+        CutPlaneView(pose, width=100, height=90),
+    ]
+    for view in views:
+        picture = renderer.render(view)
+        expected = picture.pixel_of(point)
+        found = bright_center(picture.rgb)
+        mm_per_px = np.linalg.norm(picture.lps_from_pixel[:3, 0])
+        # The blob is made of whole voxels, the largest 2.1 mm: its drawn centre is within a voxel of its true one.
+        assert np.hypot(found[0] - expected[0], found[1] - expected[1]) * mm_per_px < 2.1, view
+        # And back: the pixel's own transform gives the point again, up to the depth.
+        column, row = expected
+        back = picture.lps_from_pixel @ np.array([column, row, 0.0, 1.0])
+        depth = picture.lps_from_pixel[:3, 2]
+        off = point - back[:3]
+        np.testing.assert_allclose(off - (off @ depth) * depth, 0.0, atol=1e-9)
+        assert np.linalg.det(picture.lps_from_pixel[:3, :3]) > 0, "depth points into the screen"
+
+
+def test_planes_show_true_proportions():
+    renderer = Renderer(volume_with_blob(np.eye(3), MIDDLE))
+    for view in (
+        XrayView(axis="coronal", width=140, height=60),
+        SliceView(plane="sagittal", center_lps=MIDDLE, width=60, height=140),
+    ):
+        matrix = renderer.render(view).lps_from_pixel
+        across, along = np.linalg.norm(matrix[:3, 0]), np.linalg.norm(matrix[:3, 1])
+        assert across == pytest.approx(along)
+    # The whole volume fits: 36 x 1.3 = 46.8 mm across, 24 x 2.1 = 50.4 mm down, into 140 x 60.
+    matrix = renderer.render(XrayView(axis="coronal", width=140, height=60)).lps_from_pixel
+    assert np.linalg.norm(matrix[:3, 1]) == pytest.approx(50.4 / 60)
+
+
+def test_an_xray_is_the_largest_value_along_the_ray():
+    rng = np.random.default_rng(11)
+    hu = rng.integers(-1000, 1500, SHAPE).astype(np.int16)
+    volume = Volume(hu, place(np.eye(3), (1.0, 1.0, 1.0), MIDDLE, SHAPE))
+    # One pixel per voxel and a window of 2550 HU: ten HU per grey level.
+    picture = Renderer(volume).render(XrayView(axis="coronal", width=36, height=24, window_hu=(2550.0, 0.0)))
+    expected = np.floor(np.clip((hu.max(axis=1)[::-1] + 1275.0) / 10.0, 0, 255) + 0.5)
+    np.testing.assert_allclose(picture.rgb[..., 0], np.minimum(expected, 255), atol=1)
+
+
+def test_an_xray_finds_its_own_window_and_keeps_bone_apart_from_tissue():
+    hu = np.full(SHAPE, -1000, dtype=np.int16)
+    hu[4:20, 5:25, 5:31] = 40
+    hu[8:12, 10:20, 10:20] = 700
+    renderer = Renderer(Volume(hu, place(np.eye(3), (1.0, 1.0, 1.0), MIDDLE, SHAPE)))
+    grey = renderer.render(XrayView(axis="coronal", width=36, height=24)).rgb[..., 0]
+    assert len({int(grey[2, 2]), int(grey[12, 25]), int(grey[14, 14])}) == 3
+    assert grey[2, 2] < grey[12, 25] < grey[14, 14]
+
+
+def test_the_cut_plane_is_as_wide_as_asked_and_black_outside_the_volume():
+    volume = Volume(np.full(SHAPE, 100, dtype=np.int16), place(np.eye(3), (1.0, 1.0, 1.0), MIDDLE, SHAPE))
+    picture = Renderer(volume).render(
+        CutPlaneView(Pose.looking(MIDDLE, (0, 0, -1)), width=72, height=72, extent_mm=72.0)
+    )
+    # 36 x 30 mm of volume in the middle of 72 x 72 mm, one pixel per mm.
+    assert (picture.rgb[..., 0] > 0).sum() == 36 * 30
+    assert picture.rgb[36, 36, 0] > 0
+    assert picture.rgb[0, 0, 0] == 0
+    # Looking caudally with anterior up, patient right is on the right: lps_from_pixel runs to -x.
+    assert picture.lps_from_pixel[0, 0] == pytest.approx(-1.0)
+
+
+def test_the_three_planes_meet_where_asked_and_the_nearest_hides_the_others():
+    hu = np.zeros(SHAPE, dtype=np.int16)
+    hu[:, :, 18:] = 400
+    volume = Volume(hu, place(np.eye(3), (1.0, 1.0, 1.0), MIDDLE, SHAPE))
+    renderer = Renderer(volume)
+    spec = TriPlaneView(MIDDLE, azimuth_deg=0.0, elevation_deg=0.0, width=81, height=81, window_hu=(1000.0, 0.0))
+    picture = renderer.render(spec)
+    assert picture.pixel_of(MIDDLE) == (pytest.approx(40.5), pytest.approx(40.5))
+    # From the front the coronal plane is met head on: dark on screen left (patient right), bright on screen right.
+    assert picture.rgb[30, 30, 0] < picture.rgb[30, 50, 0]
+    side = renderer.render(TriPlaneView(MIDDLE, azimuth_deg=90.0, elevation_deg=0.0, width=81, height=81))
+    assert side.lps_from_camera[0, 3] > MIDDLE[0], "azimuth 90 stands on the patient's left"
+    above = renderer.render(TriPlaneView(MIDDLE, elevation_deg=90.0, width=81, height=81))
+    assert above.lps_from_camera[2, 3] > MIDDLE[2]
+
+
+def test_the_tree_from_the_front_has_the_patients_left_on_the_right(airway):
+    renderer = Renderer(airway.volume)
+    with pytest.raises(RenderError, match="lumen"):
+        renderer.render(TreeView())
+    renderer.set_lumen(airway.lumen_zyx)
+    picture = renderer.render(TreeView(width=120, height=120))
+    ground = picture.rgb[0, 0].astype(int)
+    drawn = np.abs(picture.rgb.astype(int) - ground).sum(axis=2) > 60
+    for point in ((0.0, 0.0, 25.0), (-11.0, 2.0, -17.0), (15.0, 3.0, -13.0)):
+        column, row = picture.pixel_of(point)
+        assert drawn[int(row), int(column)], point
+    assert picture.pixel_of((15.0, 3.0, -13.0))[0] > picture.pixel_of((-11.0, 2.0, -17.0))[0]
+    # Fitted: it fills a good part of the picture and touches no edge.
+    assert 0.03 < drawn.mean() < 0.6
+    assert not drawn[[0, -1]].any()
+    assert not drawn[:, [0, -1]].any()
+    renderer.set_lumen(np.zeros_like(airway.lumen_zyx))
+    with pytest.raises(RenderError, match="lumen"):
+        renderer.render(TreeView())
+
+
+def test_a_branch_one_voxel_thick_is_in_the_tree():
+    lumen = np.zeros((20, 22, 24), dtype=np.uint8)
+    lumen[:, 11, 12] = 1
+    volume = Volume(np.zeros(lumen.shape, dtype=np.int16), place(np.eye(3), (1.0, 1.0, 1.0), MIDDLE, lumen.shape))
+    renderer = Renderer(volume)
+    renderer.set_lumen(lumen)
+    picture = renderer.render(TreeView(width=64, height=64))
+    column, _ = (int(v) for v in picture.pixel_of(volume.to_lps(np.array([12.0, 11.0, 10.0]))))
+    assert (picture.rgb[10:54, column].max(axis=1) > 60).all()
+
+
+def test_marking_the_tip_draws_a_small_cross_there_and_nowhere_else():
+    volume = volume_with_blob(np.eye(3), MIDDLE)
+    picture = Renderer(volume).render(XrayView(axis="coronal", width=128, height=128))
+    point = (MIDDLE[0] + 9.0, MIDDLE[1], MIDDLE[2] - 8.0)
+    marked = mark_tip(picture, point)
+    rows, columns = np.nonzero((marked.rgb != picture.rgb).any(axis=2))
+    column, row = picture.pixel_of(point)
+    assert abs(columns.mean() - column) < 1.5
+    assert abs(rows.mean() - row) < 1.5
+    assert len(rows) < 0.02 * 128 * 128
+    far = mark_tip(picture, (9999.0, 0.0, 0.0))
+    np.testing.assert_array_equal(far.rgb, picture.rgb)
+
+
+def test_every_view_of_the_command_line_renders(airway):
+    names = (
+        "airway",
+        "cut-plane",
+        "tri-plane",
+        "xray-axial",
+        "xray-coronal",
+        "xray-sagittal",
+        "axial",
+        "coronal",
+        "sagittal",
+        "tree",
+    )
+    for name in names:
+        picture = render_view(
+            airway.volume,
+            view=name,
+            pose=airway.pose,
+            width=40,
+            height=30,
+            orbit=(10.0, 5.0),
+            lumen_zyx=airway.lumen_zyx,
+        )
+        assert picture.view == name
+        assert picture.rgb.shape == (30, 40, 3)
+        assert picture.rgb.std() > 1
+        assert picture.stats.seconds > 0
+    with pytest.raises(UsageError, match="drr"):
+        render_view(airway.volume, view="drr", pose=airway.pose)
+    with pytest.raises(UsageError, match="orbit"):
+        render_view(airway.volume, view="tri-plane", pose=airway.pose, orbit=(1.0,))
+
+
+def test_odd_windows_and_planes_are_refused():
+    with pytest.raises(RenderError):
+        SliceView(plane="oblique", center_lps=MIDDLE)
+    with pytest.raises(RenderError):
+        SliceView(plane="axial", center_lps=MIDDLE, window_hu=(0.0, 0.0))
+    with pytest.raises(RenderError):
+        SliceView(plane="axial", center_lps=(0.0, float("nan"), 0.0))
+    with pytest.raises(RenderError):
+        TreeView(distance_mm=-1.0)

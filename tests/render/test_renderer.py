@@ -1,0 +1,272 @@
+"""The airway view: leaping, strips, maps and their cache, the wall, threads."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carina import _core
+from carina.errors import CancelledError, GeometryError, RenderError
+from carina.render import AirwayView, Light, Renderer, TransferFunction, TreeView, transfer_preset
+from carina.render.mapcache import MapCache
+from carina.render.wall import grow_one_voxel, wall_levels, with_wall
+from carina.scopes import Pose
+from carina.volume import Volume
+
+SIZE = {"width": 56, "height": 44}
+
+
+def view(airway, **changes):
+    return AirwayView(airway.pose, **{**SIZE, **changes})
+
+
+def test_leaping_equals_brute_force_bit_for_bit(airway):
+    renderer = Renderer(airway.volume)
+    renderer.set_lumen(airway.lumen_zyx)
+    renderer.prepare()
+    for fov_deg in (60.0, 110.0, 170.0):
+        for shading in (True, False):
+            leap = renderer.render(view(airway, fov_deg=fov_deg, shading=shading))
+            brute = renderer.render(view(airway, fov_deg=fov_deg, shading=shading, method="brute"))
+            assert leap.stats.method == "leap"
+            assert leap.stats.num_samples < 0.6 * brute.stats.num_samples
+            assert leap.stats.num_skipped > 0
+            np.testing.assert_array_equal(leap.rgb, brute.rgb)
+            assert leap.rgb.max() > 60, "a black picture would agree with anything"
+
+
+def test_leap_before_prepare_is_the_same_picture_and_says_brute(airway):
+    renderer = Renderer(airway.volume)
+    before = renderer.render(view(airway))
+    assert before.stats.method == "brute"
+    assert not renderer.prepared
+    renderer.prepare()
+    after = renderer.render(view(airway))
+    assert after.stats.method == "leap"
+    np.testing.assert_array_equal(before.rgb, after.rgb)
+
+
+def test_leaps_over_all_classes_are_within_one_grey_level(airway):
+    renderer = Renderer(airway.volume, transfer=transfer_preset("ct-grey"))
+    renderer.prepare(all_classes=True)
+    leap = renderer.render(view(airway, shading=False))
+    assert leap.stats.method == "leap-all"
+    brute = renderer.render(view(airway, shading=False, method="brute"))
+    # A segment is rounded once, its samples one by one.
+    assert np.abs(leap.rgb.astype(int) - brute.rgb).max() <= 1
+
+
+def test_the_papers_mode_takes_nearest_voxels_in_steps_of_one_and_leaps_over_all_bins(airway):
+    renderer = Renderer(airway.volume, transfer=transfer_preset("paper"))
+    renderer.prepare()
+    leap = renderer.render(view(airway))
+    brute = renderer.render(view(airway, method="brute", step_vox=0.3))
+    assert leap.stats.method == "leap-all"
+    assert np.abs(leap.rgb.astype(int) - brute.rgb).max() <= 1
+    whole_steps = Renderer(airway.volume, transfer=transfer_preset("ct-grey")).render(view(airway, step_vox=1.0))
+    # The step is one voxel whatever the view says: about as many samples as another transfer function in steps of one.
+    assert brute.stats.num_samples < 1.5 * whole_steps.stats.num_samples
+
+
+def test_strips_put_together_are_the_whole_picture(airway):
+    renderer = Renderer(airway.volume)
+    renderer.prepare()
+    whole = renderer.render(view(airway)).rgb
+    cuts = [0, 5, 6, 30, 44]
+    strips = [renderer.render(view(airway), rows=(a, b)).rgb for a, b in itertools.pairwise(cuts)]
+    np.testing.assert_array_equal(np.vstack(strips), whole)
+    with pytest.raises(RenderError, match="rows"):
+        renderer.render(view(airway), rows=(10, 45))
+    with pytest.raises(RenderError, match="strips"):
+        renderer.render(TreeView(), rows=(0, 1))
+
+
+def test_the_instruction_set_does_not_change_the_picture(airway):
+    pictures = [Renderer(airway.volume, simd=name).render(view(airway)).rgb for name in ("portable", None)]
+    np.testing.assert_array_equal(*pictures)
+    with pytest.raises(RenderError, match="instruction set"):
+        Renderer(airway.volume, simd="abacus").render(view(airway))
+
+
+def test_a_camera_outside_the_volume_sees_it_and_one_turned_away_sees_nothing(airway):
+    renderer = Renderer(airway.volume)
+    renderer.prepare()
+    outside = airway.volume.center_lps + np.array([0.0, -200.0, 0.0])
+    towards = renderer.render(AirwayView(Pose.looking(outside, (0, 1, 0)), fov_deg=40.0, **SIZE))
+    away = renderer.render(AirwayView(Pose.looking(outside, (0, -1, 0)), fov_deg=40.0, **SIZE))
+    assert towards.rgb[22, 28].max() > 0
+    assert away.rgb.max() == 0
+
+
+def test_the_wall_is_nearer_and_brighter_than_the_deep_lumen(airway):
+    renderer = Renderer(airway.volume)
+    picture = renderer.render(view(airway, fov_deg=100.0)).rgb.astype(int)
+    edge = picture[:, [0, -1]].sum(axis=2).mean()
+    right, left = (renderer.render(view(airway)).pixel_of(p) for p in ((-14.0, 3.0, -22.0), (16.0, 4.0, -14.0)))
+    assert right[0] > 28 > left[0], "head-end position: patient right on image right"
+    column, row = (int(v) for v in right)
+    assert renderer.render(view(airway)).rgb[row, column].sum() < 0.5 * edge
+
+
+def test_going_back_to_a_transfer_function_needs_no_new_map(airway, monkeypatch):
+    renderer = Renderer(airway.volume)
+    renderer.prepare()
+    renderer.set_transfer(transfer_preset("see-through"))
+    # Clear up to -700 HU, as endoscopic: the same classes, so the same map.
+    assert renderer.prepared
+    black = TransferFunction(points=np.array([[0.0, 0, 0, 0, 0.0], [1.0, 1, 1, 1, 1.0]]))
+    renderer.set_transfer(black)
+    assert not renderer.prepared
+    renderer.prepare()
+    monkeypatch.setattr(_core, "build_transparent_map", None)
+    renderer.set_transfer(transfer_preset("endoscopic"))
+    assert renderer.prepared
+    renderer.prepare()
+
+
+def test_maps_are_found_on_disk_again_and_built_again_when_damaged(airway, tmp_path, monkeypatch):
+    folder = tmp_path / "maps"
+    first = Renderer(airway.volume, cache_dir=folder)
+    first.prepare()
+    expected = first.render(view(airway)).rgb
+    (path,) = folder.iterdir()
+    assert path.name.split(".")[0].isalnum(), "a name from the content, nothing about the patient"
+
+    with monkeypatch.context() as patched:
+        patched.setattr(_core, "build_transparent_map", None)
+        again = Renderer(airway.volume, cache_dir=folder)
+        again.prepare()
+        np.testing.assert_array_equal(again.render(view(airway)).rgb, expected)
+
+    good = path.read_bytes()
+    for damaged in (good[:-9], good[:40] + bytes([good[40] ^ 1]) + good[41:], b"", b"x" * len(good)):
+        path.write_bytes(damaged)
+        rebuilt = Renderer(airway.volume, cache_dir=folder)
+        rebuilt.prepare()
+        np.testing.assert_array_equal(rebuilt.render(view(airway)).rgb, expected)
+        assert path.read_bytes() == good
+
+
+def test_another_volume_or_other_classes_get_another_map(airway, tmp_path):
+    for volume, transfer in (
+        (airway.volume, transfer_preset("endoscopic")),
+        (airway.volume, TransferFunction(points=np.array([[-400.0, 1, 1, 1, 0.0], [0.0, 1, 1, 1, 1.0]]))),
+        (Volume(airway.volume.hu_zyx + np.int16(1), airway.volume.lps_from_ijk), transfer_preset("endoscopic")),
+    ):
+        Renderer(volume, transfer=transfer, cache_dir=tmp_path).prepare()
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_the_cache_stays_below_its_bound_and_an_unwritable_one_costs_no_picture(airway, tmp_path):
+    cache = MapCache(tmp_path / "small", max_bytes=5000)
+    for n in range(6):
+        cache.store(f"{n}", np.full((10, 12, 14), n, dtype=np.uint8))
+    kept = list((tmp_path / "small").iterdir())
+    assert 0 < sum(p.stat().st_size for p in kept) <= 5000
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    renderer = Renderer(airway.volume, cache_dir=Path(blocked))
+    renderer.prepare()
+    assert renderer.render(view(airway)).stats.method == "leap"
+
+
+def test_cancelling_stops_and_leaves_the_renderer_usable(airway):
+    renderer = Renderer(airway.volume)
+    with pytest.raises(CancelledError):
+        renderer.prepare(cancel=lambda: True)
+    assert renderer.render(view(airway)).stats.method == "brute"
+    said = []
+    renderer.prepare(lambda what, fraction: said.append((what, fraction)))
+    assert said[0][1] == 0.0
+    assert said[-1][1] == 1.0
+
+
+def test_pictures_rendered_during_a_change_show_the_state_before_or_after(airway):
+    states = [None, airway.lumen_zyx]
+    expected = []
+    for lumen in states:
+        renderer = Renderer(airway.volume)
+        renderer.set_lumen(lumen)
+        expected.append(renderer.render(view(airway)).rgb)
+    assert (expected[0] != expected[1]).any()
+
+    renderer = Renderer(airway.volume)
+    done = threading.Event()
+
+    def change() -> None:
+        for n in range(12):
+            renderer.set_lumen(states[n % 2])
+            renderer.prepare()
+        done.set()
+
+    thread = threading.Thread(target=change)
+    thread.start()
+    count = 0
+    while not done.is_set() or count == 0:
+        found = renderer.render(view(airway)).rgb
+        assert any((found == e).all() for e in expected)
+        count += 1
+    thread.join()
+
+
+def thin_tube():
+    """An airway in lung whose wall the scan does not show at all: -950 in -850."""
+    shape = (30, 34, 38)
+    z, y, x = np.ogrid[:30, :34, :38]
+    lumen = np.broadcast_to((y - 16.3) ** 2 + (x - 18.6) ** 2 < 5.2**2, shape) & (z > 2) & (z < 27)
+    matrix = np.diag([0.7, 0.7, 1.5, 1.0])
+    return Volume(np.where(lumen, -950, -850).astype(np.int16), matrix), lumen.astype(np.uint8)
+
+
+def test_the_endoscopic_wall_is_closed_where_the_scan_shows_none():
+    volume, lumen = thin_tube()
+    # White light without loss, so that black means a ray that met nothing.
+    endoscopic = transfer_preset("endoscopic")
+    bright = TransferFunction(points=endoscopic.points, wall=True, light=Light(ambient=1.0, diffuse=0.0))
+    at = volume.to_lps(np.array([18.0, 16.0, 14.0]))
+    raw, walled = Renderer(volume, transfer=bright), Renderer(volume, transfer=bright)
+    walled.set_lumen(lumen)
+    walled.prepare()
+    for look in ((0, 0, 1), (0, 0, -1), (1, 0.2, 0), (-0.3, 1, 0.4), (-1, -1, 0)):
+        spec = AirwayView(Pose.looking(at, look), fov_deg=120.0, width=64, height=64)
+        assert raw.render(spec).rgb.max() == 0
+        # The first stop's red is 0.88 and the wall lets less than a tenth through.
+        assert walled.render(spec).rgb[..., 0].min() > 0.8 * 255
+
+
+def test_the_wall_only_raises_and_leaves_the_lumen_clear(airway):
+    levels = wall_levels(transfer_preset("endoscopic"))
+    assert levels == (-700, -400)
+    for volume, lumen in (thin_tube(), (airway.volume, airway.lumen_zyx)):
+        out = with_wall(volume.hu_zyx, lumen, levels)
+        assert (out >= volume.hu_zyx).all()
+        inside = lumen != 0
+        assert (out[inside] <= np.maximum(volume.hu_zyx[inside], -700)).all()
+        far = ~grow_one_voxel(grow_one_voxel(grow_one_voxel(inside)))
+        np.testing.assert_array_equal(out[far], volume.hu_zyx[far])
+    np.testing.assert_array_equal(with_wall(volume.hu_zyx, np.zeros_like(lumen), levels), volume.hu_zyx)
+
+
+def test_other_transfer_functions_cast_the_volume_as_it_is():
+    volume, lumen = thin_tube()
+    spec = AirwayView(Pose.looking(volume.center_lps, (1, 0, 0)), width=32, height=32)
+    for name in ("ct-grey", "paper", "see-through"):
+        renderer = Renderer(volume, transfer=transfer_preset(name))
+        before = renderer.render(spec).rgb
+        renderer.set_lumen(lumen)
+        np.testing.assert_array_equal(renderer.render(spec).rgb, before)
+
+
+def test_a_lumen_of_another_shape_is_refused(airway):
+    with pytest.raises(GeometryError, match="shape"):
+        Renderer(airway.volume).set_lumen(airway.lumen_zyx[1:])
+
+
+def test_settings_out_of_range_are_refused(airway):
+    for changes in ({"fov_deg": 171.0}, {"width": 0}, {"step_vox": 0.0}, {"method": "magic"}):
+        with pytest.raises(RenderError):
+            view(airway, **changes)
