@@ -121,8 +121,8 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
                 "A link works once, so that nobody else can use it. Start Carina again, or go back to the open window."
             )
             return _page("This link was used already", words, 403)
-        # No cookie is asked for here: after a click in another site's page the browser withholds a Strict cookie from this
-        # navigation, but not from the socket that the page then opens. The files hold nothing of a patient.
+        # No cookie is asked for here: after a click in another site's page the browser withholds a Strict cookie from
+        # this navigation, but not from the socket that the page then opens. The files hold nothing of a patient.
         if web is None:
             words = "The window of Carina has not been built. Run <code>make run</code> in the repository, then reload."
             return _page("Nothing to show yet", words, 503)

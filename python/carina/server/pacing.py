@@ -1,8 +1,8 @@
 """Which view to render next, how fine, and when to wait: the frame pump's judgement, without threads or clocks.
 
-Rules (``protocol/README.md``): the newest pose wins per view; the airway view goes first and the others share what is left, so
-that none starves; a few unacknowledged pictures per view at most, so that a slow client gets fewer pictures and never
-older ones; coarse while something moves, fine once it is still.
+Rules (``protocol/README.md``): the newest pose wins per view; the airway view goes first and the others share what is
+left, so that none starves; a few unacknowledged pictures per view at most, so that a slow client gets fewer pictures and
+never older ones; coarse while something moves, fine once it is still.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LEVELS = ((1.0, 0.5), (1.0, 1.0), (0.75, 1.0), (0.5, 1.0), (0.375, 1.0), (0.25, 
 """Scale of the picture's sides, and ray step in voxels, from fine to coarse."""
 
 COSTLY_VIEWS = frozenset({"airway", "tri-plane", "tree"})
-"""Cast with perspective rays: the first picture is coarse, since it may take long. The others cost a few milliseconds."""
+"""Cast with perspective rays: the first picture is coarse, since it may take long. The others cost milliseconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,8 +208,8 @@ class FrameScheduler:
         )
 
     def _choose_level(self, view: _View) -> None:
-        # Hysteresis, so that the picture does not flicker between two sizes: coarser above 115 % of the target, finer only
-        # where the finer picture is predicted below 85 % of it.
+        # Hysteresis, so that the picture does not flicker between two sizes: coarser above 115 % of the target, finer
+        # only where the finer picture is predicted below 85 % of it.
         while view.level < len(LEVELS) - 1 and view.predicted_s(view.level) > 1.15 * self._target_s:
             view.level += 1
         while view.level > 0 and view.predicted_s(view.level - 1) < 0.85 * self._target_s:

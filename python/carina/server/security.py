@@ -1,8 +1,8 @@
 """Who may talk to the server: Host, Origin, the start token, the cookie, and the bearer secret (DESIGN section 6).
 
-The server holds a patient's images and listens on a port that every web page of the same browser can address. So: the Host
-header is checked on every request (DNS rebinding), Origin on everything that changes something (cross-site requests), and only
-who came by the printed link or knows the secret gets more than the client's own files.
+The server holds a patient's images and listens on a port that every web page of the same browser can address. So: the
+Host header is checked on every request (DNS rebinding), Origin on everything that changes something (cross-site
+requests), and only who came by the printed link or knows the secret gets more than the client's own files.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ def _split_host(header: str) -> tuple[str, int | None] | None:
 def host_allowed(header: str, *, bound_host: str, port: int) -> bool:
     """Whether a Host header names the address that the server listens on.
 
-    A rebinding attack comes with the attacker's *name* in Host. On loopback only loopback's names pass; on any other address
-    its own name, this machine's name, and literal addresses, which no name server can turn.
+    A rebinding attack comes with the attacker's *name* in Host. On loopback only loopback's names pass; on any other
+    address its own name, this machine's name, and literal addresses, which no name server can turn.
     """
     parts = _split_host(header)
     if parts is None or (parts[1] or 80) != port:

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import platformdirs
 import uvicorn
 
+from carina.config import load_settings
 from carina.errors import CarinaError, UsageError
 from carina.server.app import create_app, web_folder
 from carina.server.hub import Hub
@@ -95,7 +95,7 @@ def make_server(
     patient_citation: str | None = None,
     simd: str = "",
 ) -> uvicorn.Server:
-    """The server over a session; run it with ``server.run(sockets=[sock])``, end it by ``server.should_exit = True``."""
+    """The server over a session; run it with ``server.run(sockets=[sock])``; ``server.should_exit = True`` ends it."""
     uploads = uploads or Uploads()
     hub = Hub(session, uploads, threads=os.cpu_count() or 1, simd=simd, patient_citation=patient_citation)
     config = uvicorn.Config(
@@ -164,7 +164,7 @@ def serve(
         gate = Gate(host=host, port=sock.getsockname()[1])
         if not is_loopback(host):
             print(_NETWORK_WARNING.format(host=host), file=sys.stderr, flush=True)
-        session = Session(_renderer_factory(), store=LocalStore(platformdirs.user_config_path("carina")))
+        session = Session(_renderer_factory(), store=LocalStore(load_settings().config_dir))
 
         def ready() -> None:
             if path is not None:
@@ -207,7 +207,7 @@ def _refuse_early(path: str) -> None:
 def _renderer_factory() -> Any:
     from carina import render
 
-    cache = platformdirs.user_cache_path("carina") / "maps"
+    cache = load_settings().cache_dir / "maps"
 
     def make(volume: Any, transfer: Any) -> Any:
         return render.Renderer(volume, transfer=transfer, cache_dir=cache)

@@ -33,7 +33,8 @@ class Limits:
 def safe_relative_path(name: str) -> Path:
     """A relative path made of harmless parts of the name that a browser sent; never empty, never upwards.
 
-    Every part keeps letters, digits, ``._-`` and spaces; leading dots go, so that neither ``..`` nor hidden files remain.
+    Every part keeps letters, digits, ``._-`` and spaces; leading dots go, so that neither ``..`` nor hidden files
+    remain.
     """
     parts = []
     for raw in re.split(r"[/\\]+", name):

@@ -14,7 +14,6 @@ import struct
 import types
 import typing
 from dataclasses import dataclass
-from functools import cache
 from typing import Annotated, Any, Literal, NoReturn, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from carina.errors import ProtocolError
@@ -38,6 +37,7 @@ MAX_HEADER_BYTES = 65_536
 """Largest JSON header of a picture."""
 
 T = TypeVar("T")
+_FIELD_TYPES: dict[type[Any], dict[str, Any]] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +56,13 @@ class Length:
     high: int
 
 
-@cache
 def field_types(cls: type[Any]) -> dict[str, Any]:
     """The annotated type of each field of a dataclass, in order."""
-    hints = get_type_hints(cls, include_extras=True)
-    return {f.name: hints[f.name] for f in dataclasses.fields(cls)}
+    known = _FIELD_TYPES.get(cls)
+    if known is None:
+        hints = get_type_hints(cls, include_extras=True)
+        known = _FIELD_TYPES[cls] = {f.name: hints[f.name] for f in dataclasses.fields(cls)}
+    return known
 
 
 def _refuse(code: str, message: str) -> NoReturn:

@@ -1,11 +1,12 @@
 """The one owner of a case: state, commands with undo, jobs, the pose."""
 
+from carina.session.core import Event
 from carina.session.jobs import JobEnded, JobProgress
 from carina.session.parts import Parts, default_parts
 from carina.session.recent import LocalStore, RecentCase
 from carina.session.routes import ChosenRoute
 from carina.session.scene import Orbit, Renderer, Scene, Zoom
-from carina.session.session import Event, Session
+from carina.session.session import Session
 from carina.session.snapshot import Changed, PoseInfo, Said, Snapshot, Trouble
 
 __all__ = [

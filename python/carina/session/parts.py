@@ -51,15 +51,15 @@ def default_parts() -> Parts:
 
     def open_demo(name: str, progress: Progress, cancel: Cancel) -> Volume:
         if name == "phantom":
-            return phantom.demo_volume(progress=progress, cancel=cancel)
+            return phantom.demo_phantom(progress=progress, cancel=cancel).volume
         if name == "patient":
-            return volume.demo_volume("patient", progress=progress, cancel=cancel)
+            return volume.demo_patient(progress=progress, cancel=cancel)
         raise UsageError(f"expected the demo 'phantom' or 'patient'; found {name!r}")
 
     return Parts(
         open_volume=open_volume,
         open_demo=open_demo,
-        quality_words=lambda v: tuple(volume.quality_gate(v).words),
+        quality_words=lambda v: tuple(f.words for f in volume.quality_gate(v).findings),
         find_airways=track.find_airways,
         transfer_preset=render.transfer_preset,
         transfer_from_json=render.TransferFunction.from_json,

@@ -29,8 +29,8 @@ VIEWS = (
     "sagittal",
     "tree",
 )
-PLANES = frozenset({"axial", "coronal", "sagittal"})
-FREE_METHOD_VIEWS = frozenset({"airway"})
+NORMAL_AXIS = {"axial": 2, "coronal": 1, "sagittal": 0}
+PLANES = NORMAL_AXIS.keys()
 
 
 class Renderer(Protocol):
@@ -60,6 +60,10 @@ class Orbit:
     azimuth_deg: float
     elevation_deg: float
     distance_mm: float | None = None
+
+
+DEFAULT_ORBIT_TREE = Orbit(azimuth_deg=0.0, elevation_deg=0.0)
+DEFAULT_ORBIT_TRI_PLANE = Orbit(azimuth_deg=35.0, elevation_deg=25.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +117,9 @@ class Scene:
         if view == "tri-plane":
             return (*case, self._shown_key(), self.orbit_tri_plane, self.window_hu)
         if view in PLANES:
+            if self._mm_per_px(view) is None:
+                # The whole slice fits: only its depth matters.
+                return (*case, self._shown_key()[NORMAL_AXIS[view]], self.window_hu)
             return (*case, self._shown_key(), self.window_hu, self._mm_per_px(view))
         if view == "tree":
             return (*case, self.content_number, self.orbit_tree) if self.has_lumen else None
@@ -140,7 +147,7 @@ class Scene:
                 self.shown_lps,
                 azimuth_deg=orbit.azimuth_deg,
                 elevation_deg=orbit.elevation_deg,
-                **({} if orbit.distance_mm is None else {"distance_mm": orbit.distance_mm}),
+                distance_mm=orbit.distance_mm,
                 width=width,
                 height=height,
                 window_hu=window_hu,
@@ -172,6 +179,6 @@ class Scene:
         scale: float | None = getattr(self.zoom, f"{view}_mm_per_px")
         return scale
 
-    def _shown_key(self) -> Hashable:
+    def _shown_key(self) -> tuple[float, ...]:
         # A hundredth of a millimetre is far below a pixel: turning on the spot asks for no new slices.
         return tuple(round(v, 2) for v in self.shown_lps)

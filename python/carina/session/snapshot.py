@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 from carina.scopes import Pose
 from carina.session.document import Document
-from carina.session.scene import Orbit, Zoom
+from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Orbit, Zoom
 
 if TYPE_CHECKING:
     from carina.volume import Volume
@@ -57,19 +57,19 @@ class PoseInfo:
 class Snapshot:
     """All but the pose."""
 
-    case: CaseSnapshot | None
-    stage: Stage
-    airways: AirwayStatus
-    airways_words: str | None
-    document: Document | None
-    mode: Literal["free", "path"]
-    crosshair_lps: tuple[float, float, float] | None
-    orbit_tree: Orbit
-    orbit_tri_plane: Orbit
-    zoom: Zoom
-    undo_label: str | None
-    redo_label: str | None
-    transfer_presets: tuple[str, ...]
+    case: CaseSnapshot | None = None
+    stage: Stage = "empty"
+    airways: AirwayStatus = "none"
+    airways_words: str | None = None
+    document: Document | None = None
+    mode: Literal["free", "path"] = "free"
+    crosshair_lps: tuple[float, float, float] | None = None
+    orbit_tree: Orbit = DEFAULT_ORBIT_TREE
+    orbit_tri_plane: Orbit = DEFAULT_ORBIT_TRI_PLANE
+    zoom: Zoom = field(default_factory=Zoom)
+    undo_label: str | None = None
+    redo_label: str | None = None
+    transfer_presets: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ CAUDAL_LPS = (0.0, 0.0, -1.0)
 
 
 def pose_before_airways(volume: Volume) -> Pose:
-    """A pose for the first pictures, while the trachea is not known: over the middle of the upper chest, looking caudally.
+    """A pose for the first pictures, while the trachea is not known: in the middle of the upper chest, looking caudally.
 
     A fifth of the volume's height below its top. It is replaced by :func:`pose_at_root`, unless a person has moved.
     """

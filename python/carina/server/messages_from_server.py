@@ -1,0 +1,371 @@
+"""What the server sends, and the header of a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+from carina.server.wire_codec import Length, Range
+from carina.server.wire_fields import (
+    Count,
+    DemoName,
+    Key,
+    Matrix4,
+    Method,
+    Mode,
+    Numbers,
+    Operator,
+    Pixels,
+    PointLps,
+    PointsLps,
+    ViewName,
+    Words,
+)
+
+__all__ = [
+    "CaseInfo",
+    "Demo",
+    "Done",
+    "Error",
+    "FeatureOff",
+    "GreyWindow",
+    "Notice",
+    "Orbit",
+    "OtherSeries",
+    "PictureHeader",
+    "Pose",
+    "Progress",
+    "RecentCase",
+    "Route",
+    "RouteInfo",
+    "RouteSpan",
+    "ServerHello",
+    "Start",
+    "State",
+    "Status",
+    "Target",
+    "Tree",
+    "TreeBranch",
+    "TreeDocument",
+    "Zoom",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class ServerHello:
+    """Answer to the client's hello."""
+
+    wire_type: ClassVar[str] = "hello"
+    wire_version: Annotated[int, Range(0, 2**31)]
+    carina_version: Words
+
+
+@dataclass(frozen=True, slots=True)
+class RecentCase:
+    """A case opened before, without names."""
+
+    recent_id: Key
+    date: Key
+    """ISO date of the last opening."""
+    title: Words
+
+
+@dataclass(frozen=True, slots=True)
+class Demo:
+    """A bundled case."""
+
+    name: DemoName
+    title: Words
+    words: Words
+    citation: Words | None
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """What the start page shows."""
+
+    wire_type: ClassVar[str] = "start"
+    notice_accepted: bool
+    recent: tuple[RecentCase, ...]
+    demos: tuple[Demo, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class OtherSeries:
+    """Another series of the folder."""
+
+    key: Words
+    modality: Words
+    description: Words
+    num_slices: Count
+    refused: Words | None
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureOff:
+    """What this volume cannot do, and why."""
+
+    what: Words
+    why: Words
+
+
+@dataclass(frozen=True, slots=True)
+class CaseInfo:
+    """The open volume."""
+
+    title: Words
+    format: Words
+    is_hu: bool
+    not_hu_reason: Words | None
+    shape_zyx: Annotated[tuple[Count, ...], Length(3, 3)]
+    spacing_mm: Annotated[tuple[float, ...], Length(3, 3)]
+    lps_from_ijk: Matrix4
+    value_range: Annotated[tuple[float, ...], Length(2, 2)]
+    warnings: tuple[Words, ...]
+    quality: tuple[Words, ...]
+    other_series: tuple[OtherSeries, ...]
+    citation: Words | None
+    off: tuple[FeatureOff, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class GreyWindow:
+    """Grey window of the slice views."""
+
+    width_hu: float
+    level_hu: float
+
+
+@dataclass(frozen=True, slots=True)
+class Orbit:
+    """Camera of an outside view; azimuth 0 is from anterior, distance null fits."""
+
+    azimuth_deg: float
+    elevation_deg: float
+    distance_mm: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Zoom:
+    """Scales of the planar views; null fits."""
+
+    axial_mm_per_px: float | None
+    coronal_mm_per_px: float | None
+    sagittal_mm_per_px: float | None
+    cut_plane_extent_mm: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A target as asked and as used; ``problem`` says in words why there is no path."""
+
+    target_id: Key
+    name: Words
+    lps: PointLps
+    used_lps: PointLps | None
+    snapped_mm: float | None
+    length_mm: float | None
+    problem: Words | None
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """All that is shown, but the pose, the tree and the route."""
+
+    wire_type: ClassVar[str] = "state"
+    case: CaseInfo | None
+    stage: Literal["empty", "opening", "ready"]
+    """``opening``: pictures already come, the airways are being found."""
+    airways: Literal["none", "waiting", "finding", "found", "failed"]
+    airways_words: Words | None
+    """Why there are none and what to do, or what was noted about them."""
+    mode: Mode
+    operator: Operator
+    fov_deg: float
+    transfer: Words
+    """Name of the transfer function."""
+    transfer_document: dict[str, Any] | None
+    transfer_presets: tuple[Words, ...]
+    shading: bool
+    method: Method
+    window: GreyWindow
+    crosshair_lps: PointLps | None
+    targets: tuple[Target, ...]
+    route_id: Words | None
+    can_undo: Words | None
+    """Label of the change that undo takes back."""
+    can_redo: Words | None
+    root_lps: PointLps | None
+    lumen_threshold: float | None
+    orbit_tree: Orbit
+    orbit_tri_plane: Orbit
+    zoom: Zoom
+
+
+@dataclass(frozen=True, slots=True)
+class TreeBranch:
+    """A branch of a ``carina-tree`` document."""
+
+    extra_keys_allowed: ClassVar[bool] = True
+    id: Annotated[int, Range(0, 2**31)]
+    parent: Annotated[int, Range(0, 2**31)] | None
+    children: tuple[Annotated[int, Range(0, 2**31)], ...]
+    generation: Annotated[int, Range(0, 1000)]
+    name: Words | None
+    kind: Literal["tracked", "bridge", "manual"]
+    points: PointsLps
+    radius: Numbers
+    cost: float | None
+    confidence: Annotated[float, Range(0.0, 1.0)] | None
+
+
+@dataclass(frozen=True, slots=True)
+class TreeDocument:
+    """A ``carina-tree`` document, version 1."""
+
+    extra_keys_allowed: ClassVar[bool] = True
+    format: Literal["carina-tree"]
+    version: Literal[1]
+    space: Literal["LPS"]
+    unit: Literal["mm"]
+    root: Annotated[int, Range(0, 2**31)]
+    branches: tuple[TreeBranch, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """The airway tree, when it changed."""
+
+    wire_type: ClassVar[str] = "tree"
+    tree: TreeDocument | None
+
+
+@dataclass(frozen=True, slots=True)
+class RouteSpan:
+    """A branch along the route."""
+
+    branch_id: Annotated[int, Range(0, 2**31)]
+    name: Words | None
+    generation: Annotated[int, Range(0, 1000)]
+    from_mm: float
+    to_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class RouteInfo:
+    """The way that is flown; lists are parallel, root to tip."""
+
+    route_id: Key
+    title: Words
+    target_id: Key | None
+    branch_id: Annotated[int, Range(0, 2**31)] | None
+    points_lps: PointsLps
+    cumulative_mm: Numbers
+    generation: Annotated[tuple[Annotated[int, Range(0, 1000)], ...], Length(0, 1_000_000)]
+    radius_mm: Numbers
+    forks_mm: Numbers
+    spans: tuple[RouteSpan, ...]
+    length_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """The route, when it changed."""
+
+    wire_type: ClassVar[str] = "route"
+    route: RouteInfo | None
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """The newest pose; pictures name the one they answer."""
+
+    wire_type: ClassVar[str] = "pose"
+    pose_id: Count
+    lps_from_camera: Matrix4
+    mode: Mode
+    path_mm: float | None
+    branch_id: Annotated[int, Range(0, 2**31)] | None
+    branch_name: Words | None
+    generation: Annotated[int, Range(0, 1000)] | None
+    lumen_mm: float | None
+    """Diameter of the lumen here."""
+    inside: bool
+    """The tip is in the lumen (in the volume's box while there is no lumen)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """A job's progress; fraction and time left are null where they cannot be known."""
+
+    wire_type: ClassVar[str] = "progress"
+    job_id: Key
+    title: Words
+    what: Words
+    fraction: Annotated[float, Range(0.0, 1.0)] | None
+    seconds_left: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """A job has ended; a failure comes as ``error`` too."""
+
+    wire_type: ClassVar[str] = "done"
+    job_id: Key
+    outcome: Literal["done", "cancelled", "failed"]
+
+
+@dataclass(frozen=True, slots=True)
+class Error:
+    """Something could not be done; stays until read."""
+
+    wire_type: ClassVar[str] = "error"
+    code: Words
+    message: Words
+    action: Words | None
+    """What to do next, or null where the message says it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """Something worth a line."""
+
+    wire_type: ClassVar[str] = "notice"
+    message: Words
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How the stream runs; twice a second while pictures go."""
+
+    wire_type: ClassVar[str] = "status"
+    fps: float
+    """Airway pictures sent per second, over the last second of movement."""
+    render_ms: float
+    age_ms: float
+    """From the newest pose's arrival to its picture being sent."""
+    method: Words
+    threads: Count
+    simd: Words
+
+
+@dataclass(frozen=True, slots=True)
+class PictureHeader:
+    """Header of a binary message; the payload follows."""
+
+    frame_id: Count
+    view: ViewName
+    pose_id: Count
+    lps_from_camera: Matrix4 | None
+    """Camera of a perspective view."""
+    fov_deg: float | None
+    lps_from_pixel: Matrix4 | None
+    """Planar view: (column, row, 0, 1) in corner coordinates of *this* picture (centre = +0.5) to LPS."""
+    width: Pixels
+    height: Pixels
+    codec: Literal["jpeg", "png"]
+    quality: Annotated[int, Range(1, 100)]
+    full: bool
+    """Final quality for this state; false while moving."""
+    render_ms: float
+    method: Words

@@ -1,0 +1,57 @@
+"""Kinds of fields that the messages share, with their bounds."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from carina.server.wire_codec import Length, Range
+
+__all__ = [
+    "Angle",
+    "Coordinate",
+    "Count",
+    "DemoName",
+    "Key",
+    "Matrix4",
+    "Method",
+    "Mode",
+    "Numbers",
+    "Operator",
+    "OrbitView",
+    "PathText",
+    "Pixels",
+    "PointLps",
+    "PointsLps",
+    "ViewName",
+    "Words",
+]
+
+Coordinate = Annotated[float, Range(-1e5, 1e5)]
+PointLps = Annotated[tuple[Coordinate, ...], Length(3, 3)]
+Numbers = Annotated[tuple[float, ...], Length(0, 2_000_000)]
+PointsLps = Annotated[tuple[PointLps, ...], Length(0, 1_000_000)]
+Matrix4 = Annotated[tuple[float, ...], Length(16, 16)]
+"""4x4, row-major."""
+Key = Annotated[str, Length(1, 64)]
+Words = Annotated[str, Length(0, 4000)]
+PathText = Annotated[str, Length(1, 4096)]
+Count = Annotated[int, Range(0, 2**53 - 1)]
+Pixels = Annotated[int, Range(16, 4096)]
+Angle = Annotated[float, Range(-3600.0, 3600.0)]
+ViewName = Literal[
+    "airway",
+    "cut-plane",
+    "tri-plane",
+    "xray-axial",
+    "xray-coronal",
+    "xray-sagittal",
+    "axial",
+    "coronal",
+    "sagittal",
+    "tree",
+]
+OrbitView = Literal["tree", "tri-plane"]
+Mode = Literal["free", "path"]
+Operator = Literal["head", "facing"]
+Method = Literal["leap", "brute"]
+DemoName = Literal["phantom", "patient"]

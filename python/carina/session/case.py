@@ -1,0 +1,143 @@
+"""The open case: what stays while its document changes, and how it is made from a volume."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from carina.errors import UsageError
+from carina.navigate import Navigator
+from carina.session.document import Document, Point
+from carina.session.history import History
+from carina.session.parts import Parts, RendererFactory
+from carina.session.routes import AirwayIndex
+from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Orbit, Renderer, Zoom
+from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, PoseInfo
+from carina.session.start_pose import pose_before_airways
+from carina.volume import Volume
+
+__all__ = ["HISTOGRAM_PRESET", "OpenCase", "as_point", "new_case", "pose_info"]
+
+LUNG_WINDOW_HU = (1500.0, -600.0)
+HISTOGRAM_PRESET = "from histogram"
+
+
+@dataclass(slots=True)
+class OpenCase:
+    """All of it is guarded by the session's lock."""
+
+    number: int
+    info: CaseSnapshot
+    renderer: Renderer
+    navigator: Navigator
+    history: History[Document]
+    presets: tuple[str, ...]
+    threshold_from_histogram: float | None
+    airways_status: AirwayStatus = "waiting"
+    airways_words: str | None = None
+    index: AirwayIndex | None = None
+    person_moved: bool = False
+    """Once a person has moved, found airways do not move the tip to their root."""
+    crosshair_lps: Point | None = None
+    orbit_tree: Orbit = DEFAULT_ORBIT_TREE
+    orbit_tri_plane: Orbit = DEFAULT_ORBIT_TRI_PLANE
+    zoom: Zoom = field(default_factory=Zoom)
+    shown_transfer: Any = None
+    """What the renderer was last given; the document may be ahead of it."""
+    shown_airways: Any = None
+    content_number: int = 0
+
+    @property
+    def document(self) -> Document:
+        """What the person decided so far."""
+        return self.history.current
+
+    def check_inside(self, lps: Point) -> None:
+        """Refuse a point outside the volume.
+
+        Raises
+        ------
+        UsageError
+            ``session.outside``.
+        """
+        if not self.info.volume.contains_lps(np.asarray(lps, dtype=np.float64)):
+            x, y, z = lps
+            raise UsageError(f"the point {x:.1f}, {y:.1f}, {z:.1f} lies outside the volume", code="session.outside")
+
+
+def new_case(volume: Volume, number: int, *, parts: Parts, renderer_factory: RendererFactory) -> OpenCase:
+    """A case that shows a volume, before anything was found in it."""
+    off: tuple[FeatureOff, ...] = ()
+    threshold: float | None = None
+    window = LUNG_WINDOW_HU
+    presets = parts.presets
+    low, high = int(volume.hu_zyx.min()), int(volume.hu_zyx.max())
+    if volume.is_hu:
+        transfer = parts.transfer_preset("endoscopic")
+    else:
+        transfer, threshold = parts.transfer_from_histogram(volume)
+        window = (float(max(1, high - low)), (high + low) / 2.0)
+        presets = (HISTOGRAM_PRESET,)
+        why = volume.not_hu_reason or "the numbers of this volume are not HU"
+        off = (
+            FeatureOff("transfer functions and windows in HU", why),
+            FeatureOff("the quality check of the lungs", why),
+            FeatureOff("the lumen's threshold in HU: it comes from the histogram and can be moved by hand", why),
+        )
+    document = Document(
+        transfer=transfer, window_width_hu=window[0], window_level_hu=window[1], lumen_threshold=threshold
+    )
+    return OpenCase(
+        number=number,
+        info=CaseSnapshot(volume, parts.quality_words(volume), off, (low, high)),
+        renderer=renderer_factory(volume, transfer),
+        navigator=Navigator(pose_before_airways(volume), volume=volume),
+        history=History(document),
+        presets=presets,
+        threshold_from_histogram=threshold,
+        shown_transfer=transfer,
+    )
+
+
+def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
+    """Where the tip is: in which branch, how far along, how wide."""
+    tip, index, document = case.navigator, case.index, case.document
+    at = tip.pose.position_lps
+    airways, route, path_mm = document.airways, document.route, tip.path_mm
+    inside = case.info.volume.contains_lps(at)
+    if airways is not None:
+        inside = inside and _in_lumen(case.info.volume, airways.lumen_zyx, at)
+    branch_id: int | None = None
+    lumen_mm: float | None = None
+    if path_mm is not None and route is not None:
+        n = int(np.argmin(np.abs(route.cumulative_mm - path_mm)))
+        branch_id, lumen_mm = int(route.branch_ids[n]), 2.0 * float(route.radius_mm[n])
+    elif index is not None and inside:
+        branch_id, radius_mm, _ = index.nearest(at)
+        lumen_mm = 2.0 * radius_mm
+    return PoseInfo(
+        pose_id=pose_id,
+        pose=tip.pose,
+        mode=tip.mode,
+        path_mm=path_mm,
+        branch_id=branch_id,
+        branch_name=None if index is None or branch_id is None else index.name(branch_id),
+        generation=None if index is None or branch_id is None else index.generation(branch_id),
+        lumen_mm=lumen_mm,
+        inside=inside,
+    )
+
+
+def as_point(values: Iterable[Any]) -> Point:
+    """Three plain floats."""
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def _in_lumen(volume: Volume, lumen_zyx: Any, point_lps: Any) -> bool:
+    i, j, k = np.rint(volume.to_ijk(point_lps)).astype(int)
+    nz, ny, nx = volume.shape_zyx
+    return 0 <= i < nx and 0 <= j < ny and 0 <= k < nz and bool(lumen_zyx[k, j, i])

@@ -1,0 +1,460 @@
+"""A session: opening in stages, commands with undo, and nothing lost when something is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_case import BRANCHES_IJK, small_airways, small_bench, small_volume
+
+from carina.errors import NoResultError, UsageError
+from carina.session import Changed, JobEnded, JobProgress, LocalStore, Orbit, Said, Trouble
+
+
+def lps(ijk):
+    return tuple(float(v) for v in small_volume().to_lps(np.array(ijk)))
+
+
+LEFT_TIP = lps(BRANCHES_IJK[2][1][1])
+RIGHT_TIP = lps(BRANCHES_IJK[3][1][1])
+OUTSIDE_LUMEN = lps((28.0, 3.0, 30.0))
+
+
+def test_pictures_can_be_made_before_the_airways_are_found():
+    bench = small_bench()
+    bench.session.open_path("case")
+    assert bench.session.scene() is None
+    bench.background.run_next()
+    snapshot = bench.session.snapshot()
+    assert snapshot.stage == "opening"
+    assert snapshot.airways == "finding"
+    scene = bench.session.scene()
+    assert scene is not None
+    assert snapshot.case.volume.contains_lps(scene.pose.position_lps)
+    # Looking towards the feet, as from the patient's head.
+    assert scene.pose.forward_lps @ np.array([0.0, 0.0, -1.0]) > 0.999
+    assert scene.key("tree") is None
+
+
+def test_opening_ends_with_a_route_to_the_deepest_tip_on_the_right_and_the_tip_at_its_start():
+    bench = small_bench()
+    bench.open()
+    snapshot = bench.session.snapshot()
+    assert (snapshot.stage, snapshot.airways, snapshot.mode) == ("ready", "found", "path")
+    assert snapshot.document.route.branch_id == 3
+    assert [s.name for s in snapshot.document.route.spans] == ["Trachea", "RMB", None]
+    pose = bench.session.pose_info()
+    assert pose.path_mm == 0.0
+    assert pose.inside
+    assert (pose.branch_name, pose.generation, pose.lumen_mm) == ("Trachea", 0, 12.0)
+    np.testing.assert_allclose(pose.pose.position_lps, lps(BRANCHES_IJK[0][1][0]), atol=0.6)  # half a smoothed voxel
+    assert bench.renderers[-1].lumen is snapshot.document.airways.lumen_zyx
+    assert bench.renderers[-1].prepared == 1
+    assert snapshot.undo_label is None
+
+
+def test_airways_that_are_found_do_not_move_a_tip_that_a_person_has_moved():
+    bench = small_bench()
+    bench.session.open_path("case")
+    bench.background.run_next()
+    bench.session.place(OUTSIDE_LUMEN)
+    bench.background.run_all()
+    np.testing.assert_allclose(bench.session.pose_info().pose.position_lps, OUTSIDE_LUMEN, atol=1e-9)
+
+
+def test_a_refused_file_leaves_the_session_untouched_and_says_the_same_words():
+    bench = small_bench()
+    bench.open("case")
+    bench.session.add_target(LEFT_TIP)
+    bench.background.run_all()
+    before = (bench.session.snapshot(), bench.session.pose_info().pose_id)
+    bench.events.clear()
+    bench.open("/scans/bad")
+    assert (bench.session.snapshot(), bench.session.pose_info().pose_id) == before
+    assert bench.of_type(Trouble) == [
+        Trouble("import.no-images", "/scans/bad holds no images: choose a DICOM folder", None)
+    ]
+    assert [e.outcome for e in bench.of_type(JobEnded)] == ["failed"]
+
+
+def test_a_cancelled_opening_leaves_the_session_untouched():
+    bench = small_bench()
+    bench.open("case")
+    before = bench.session.snapshot()
+    bench.events.clear()
+    job_id = bench.session.open_path("other")
+    bench.session.cancel(job_id)
+    bench.background.run_all()
+    assert bench.session.snapshot() == before
+    assert [(e.job_id, e.outcome) for e in bench.of_type(JobEnded)] == [(job_id, "cancelled")]
+    assert not bench.of_type(Trouble)
+
+
+def test_a_second_opening_stops_the_first():
+    bench = small_bench()
+    bench.session.open_path("case")
+    bench.session.open_path("other")
+    bench.background.run_all()
+    assert bench.session.snapshot().case.volume.source.title == "Other"
+    assert [e.outcome for e in bench.of_type(JobEnded)][:2] == ["cancelled", "done"]
+
+
+def test_opening_another_case_stops_the_search_in_the_old_one():
+    bench = small_bench()
+    bench.session.open_path("case")
+    bench.background.run_next()
+    search = bench.background.waiting.pop()
+    bench.open("other")
+    before = bench.session.snapshot()
+    search()
+    assert bench.session.snapshot() == before
+
+
+def test_adding_a_target_can_be_undone_and_done_again_with_its_route():
+    bench = small_bench()
+    bench.open()
+    default_route = bench.session.snapshot().document.route
+    bench.session.add_target(LEFT_TIP)
+    bench.background.run_all()
+    snapshot = bench.session.snapshot()
+    (target,) = snapshot.document.targets
+    assert target.problem is None
+    assert target.length_mm == pytest.approx(snapshot.document.route.length_mm)
+    assert snapshot.document.route.target_id == target.target_id
+    assert snapshot.undo_label == "add Target 1"
+
+    bench.session.undo()
+    snapshot = bench.session.snapshot()
+    assert snapshot.document.targets == ()
+    assert snapshot.document.route is default_route
+    assert (snapshot.undo_label, snapshot.redo_label) == (None, "add Target 1")
+
+    bench.session.redo()
+    assert bench.session.snapshot().document.targets == (target,)
+    assert bench.session.snapshot().document.route.target_id == target.target_id
+
+
+def test_a_target_beside_the_lumen_is_snapped_and_that_is_said():
+    bench = small_bench()
+    bench.open()
+    beside = tuple(np.array(LEFT_TIP) + [0.0, 2.0, 0.0])
+    bench.session.add_target(beside)
+    bench.background.run_all()
+    (target,) = bench.session.snapshot().document.targets
+    assert target.snapped_mm == pytest.approx(2.0)
+    assert target.lps == beside
+    assert Said("Target 1 was moved 2.0 mm to the nearest lumen") in bench.events
+
+
+def test_a_target_far_from_the_lumen_is_kept_with_its_reason_and_without_a_path():
+    bench = small_bench()
+    bench.open()
+    route = bench.session.snapshot().document.route
+    bench.session.add_target(OUTSIDE_LUMEN)
+    bench.background.run_all()
+    document = bench.session.snapshot().document
+    (target,) = document.targets
+    assert "nearest lumen is" in target.problem
+    assert target.route is None
+    assert target.used_lps is None
+    assert document.route is route
+    with pytest.raises(NoResultError, match="no path to Target 1"):
+        bench.session.choose_route(target_id=target.target_id)
+
+
+def test_a_target_outside_the_volume_is_refused():
+    bench = small_bench()
+    bench.open()
+    with pytest.raises(UsageError, match="outside the volume"):
+        bench.session.add_target((5000.0, 0.0, 0.0))
+
+
+def test_removing_a_target_takes_its_route_away_and_undo_brings_both_back():
+    bench = small_bench()
+    bench.open()
+    bench.session.add_target(LEFT_TIP)
+    bench.background.run_all()
+    bench.session.remove_target("target-1")
+    document = bench.session.snapshot().document
+    assert (document.targets, document.route) == ((), None)
+    assert bench.session.snapshot().mode == "free"
+    bench.session.undo()
+    assert bench.session.snapshot().document.route.target_id == "target-1"
+
+
+def test_choosing_a_branch_flies_to_it_and_an_unknown_one_is_refused():
+    bench = small_bench()
+    bench.open()
+    bench.session.choose_route(branch_id=2)
+    route = bench.session.snapshot().document.route
+    assert route.title == "LMB"
+    bench.session.go_to(route.length_mm)
+    np.testing.assert_allclose(bench.session.pose_info().pose.position_lps, LEFT_TIP, atol=0.6)
+    with pytest.raises(UsageError, match="no branch 77"):
+        bench.session.choose_route(branch_id=77)
+
+
+def test_undoing_an_earlier_change_does_not_take_found_airways_away():
+    bench = small_bench()
+    bench.session.open_path("case")
+    bench.background.run_next()
+    bench.session.set_window(800.0, -500.0)
+    bench.background.run_all()
+    bench.session.undo()
+    document = bench.session.snapshot().document
+    assert document.window_width_hu == 1500.0
+    assert document.airways is not None
+
+
+def test_a_drag_of_the_window_is_one_step_and_a_later_drag_another():
+    bench = small_bench()
+    bench.open()
+    for width in (1400.0, 1300.0, 1200.0):
+        bench.session.set_window(width, -600.0)
+        bench.clock.advance(0.05)
+    bench.clock.advance(5.0)
+    bench.session.set_window(400.0, 40.0)
+    bench.session.undo()
+    assert bench.session.snapshot().document.window_width_hu == 1200.0
+    bench.session.undo()
+    assert bench.session.snapshot().document.window_width_hu == 1500.0
+    assert bench.session.snapshot().undo_label is None
+
+
+def test_setting_the_root_is_undone_without_searching_again():
+    bench = small_bench()
+    bench.open()
+    first = bench.session.snapshot().document.airways
+    bench.session.set_root(lps((16.0, 14.0, 35.0)))
+    bench.background.run_all()
+    second = bench.session.snapshot().document.airways
+    assert second is not first
+    assert bench.session.snapshot().undo_label == "set the root"
+    bench.session.undo()
+    bench.background.run_all()
+    assert bench.session.snapshot().document.airways is first
+    assert bench.renderers[-1].lumen is first.lumen_zyx
+
+
+def test_a_root_without_airways_changes_nothing_and_says_why():
+    bench = small_bench()
+    bench.open()
+    before = bench.session.snapshot()
+    bench.session.set_root(lps((16.0, 14.0, 1.0)))
+    assert bench.session.snapshot().airways == "finding"
+    bench.background.run_all()
+    assert bench.session.snapshot() == before
+    assert [t.message for t in bench.of_type(Trouble)] == ["no airway at this point"]
+
+
+def test_new_airways_track_the_targets_again():
+    bench = small_bench()
+    bench.open()
+    bench.session.add_target(LEFT_TIP)
+    bench.background.run_all()
+    old = bench.session.snapshot().document.targets[0]
+    bench.session.set_lumen_threshold(-850.0)
+    bench.background.run_all()
+    document = bench.session.snapshot().document
+    assert document.lumen_threshold == -850.0
+    assert document.targets[0].route is not old.route
+    assert document.route is document.targets[0].route
+
+
+def test_no_airways_is_a_state_with_words_and_the_case_stays_usable():
+    def find_nothing(volume, **_options):
+        raise NoResultError("no trachea was found")
+
+    bench = small_bench(find_airways=find_nothing)
+    bench.open()
+    snapshot = bench.session.snapshot()
+    assert (snapshot.stage, snapshot.airways) == ("ready", "failed")
+    assert snapshot.airways_words == (
+        "no trachea was found. Click in the trachea on a slice and choose it as the root."
+    )
+    assert bench.renderers[-1].prepared == 1
+    bench.session.steer(1.0, 0.0, 0.0, 0.0)
+    with pytest.raises(UsageError, match="no path to fly on"):
+        bench.session.go_to(3.0)
+
+
+def test_a_stopped_search_says_so_and_a_root_starts_another():
+    bench = small_bench()
+    bench.session.open_path("case")
+    bench.background.run_next()
+    (job,) = bench.session.jobs.running
+    bench.session.cancel(job.job_id)
+    bench.background.run_all()
+    assert bench.session.snapshot().airways == "failed"
+    bench.session.set_root(lps((16.0, 14.0, 35.0)))
+    bench.background.run_all()
+    assert bench.session.snapshot().airways == "found"
+
+
+def test_a_volume_without_hu_gets_a_transfer_function_and_threshold_from_its_histogram():
+    thresholds = []
+
+    def find_airways(volume, *, lumen_threshold, **_options):
+        thresholds.append(lumen_threshold)
+        return small_airways(volume)
+
+    bench = small_bench(find_airways=find_airways)
+    bench.open("raw")
+    snapshot = bench.session.snapshot()
+    assert snapshot.document.transfer.name == "from histogram"
+    assert snapshot.transfer_presets == ("from histogram",)
+    assert (snapshot.document.window_width_hu, snapshot.document.window_level_hu) == (190.0, 105.0)
+    assert thresholds == [105.0]
+    assert all("8-bit" in off.why for off in snapshot.case.off)
+    with pytest.raises(UsageError, match="'endoscopic' for this volume"):
+        bench.session.set_transfer(preset="endoscopic")
+    with pytest.raises(UsageError, match="in HU"):
+        bench.session.set_transfer(document={"unit": "HU"})
+    bench.session.set_lumen_threshold(90.0)
+    bench.session.set_lumen_threshold(None)
+    bench.background.run_all()
+    assert thresholds == [105.0, 105.0]  # the search for 90 was stopped by the next one before it began
+
+
+def test_the_operator_position_is_undone_and_poses_are_not():
+    bench = small_bench()
+    bench.open()
+    bench.session.steer(4.0, 0.0, 0.0, 0.0)
+    up = bench.session.pose_info().pose.down_lps
+    bench.session.set_operator("facing")
+    np.testing.assert_allclose(bench.session.pose_info().pose.down_lps, -up, atol=1e-9)
+    bench.session.undo()
+    np.testing.assert_allclose(bench.session.pose_info().pose.down_lps, up, atol=1e-9)
+    assert bench.session.pose_info().path_mm == pytest.approx(4.0)
+    bench.session.undo()
+    assert bench.session.pose_info().path_mm == pytest.approx(4.0)
+    assert Said("there is nothing to be undone") in bench.events
+
+
+def test_every_movement_has_a_new_pose_number():
+    bench = small_bench()
+    bench.open()
+    numbers = [bench.session.pose_info().pose_id]
+    for _ in range(3):
+        bench.session.steer(1.0, 0.0, 0.1, 0.0)
+        numbers.append(bench.session.pose_info().pose_id)
+    assert numbers == sorted(set(numbers))
+
+
+def test_views_depend_on_what_they_show_and_on_nothing_else():
+    bench = small_bench()
+    bench.open()
+
+    def keys():
+        scene = bench.session.scene()
+        return {view: scene.key(view) for view in ("airway", "axial", "xray-coronal", "tree", "tri-plane", "cut-plane")}
+
+    def changed(act):
+        before = keys()
+        act()
+        return {view for view, key in keys().items() if key != before[view]}
+
+    assert changed(lambda: bench.session.steer(3.0, 0, 0, 0)) == {"airway", "axial", "tri-plane", "cut-plane"}
+    assert changed(lambda: bench.session.steer(0.0, 0.2, 0, 0)) == {"airway", "cut-plane"}
+    assert changed(lambda: bench.session.set_crosshair(LEFT_TIP)) == {"axial", "tri-plane"}
+    assert changed(lambda: bench.session.steer(3.0, 0, 0, 0)) == {"airway", "cut-plane"}
+    assert changed(lambda: bench.session.set_orbit("tree", Orbit(10.0, 5.0))) == {"tree"}
+    assert changed(lambda: bench.session.set_fov(120.0)) == {"airway"}
+    assert changed(lambda: bench.session.set_zoom("cut-plane", extent_mm=30.0)) == {"cut-plane"}
+    window = changed(lambda: bench.session.set_window(400.0, 40.0))
+    assert window == {"axial", "tri-plane", "xray-coronal", "cut-plane"}
+
+
+def test_a_transfer_function_reaches_the_renderer_and_the_pictures():
+    bench = small_bench()
+    bench.open()
+    before = bench.session.scene().key("airway")
+    bench.session.set_transfer(preset="ct-grey")
+    assert bench.session.scene().key("airway") == before  # the renderer still shows the old one
+    bench.background.run_all()
+    assert bench.renderers[-1].transfer.name == "ct-grey"
+    assert bench.session.scene().key("airway") != before
+    bench.session.undo()
+    bench.background.run_all()
+    assert bench.renderers[-1].transfer.name == "endoscopic"
+
+
+def test_closing_the_case_goes_back_to_the_start():
+    bench = small_bench()
+    bench.open()
+    bench.session.close_case()
+    assert bench.session.snapshot().stage == "empty"
+    assert bench.session.scene() is None
+    with pytest.raises(UsageError, match="no case is open"):
+        bench.session.steer(1.0, 0.0, 0.0, 0.0)
+
+
+def test_recent_cases_keep_the_path_in_the_local_file_and_open_by_id(tmp_path):
+    store = LocalStore(tmp_path / "config")
+    bench = small_bench(store=store)
+    bench.open(str(tmp_path / "case"))
+    bench.open(str(tmp_path / "other"))
+    bench.open(str(tmp_path / "bad"))
+    bench.open(str(tmp_path / "case"))
+    assert [(c.title, c.date) for c in store.recent()] == [("Thorax 1.5", "2026-01-31"), ("Other", "2026-01-31")]
+    bench.session.open_recent(store.recent()[1].recent_id)
+    bench.background.run_all()
+    assert bench.session.snapshot().case.volume.source.title == "Other"
+    with pytest.raises(UsageError, match="no longer in the list"):
+        bench.session.open_recent("nothing")
+
+
+def test_an_unreadable_list_of_recent_cases_is_an_empty_one(tmp_path):
+    store = LocalStore(tmp_path)
+    (tmp_path / "recent.json").write_text('{"cases": [1, {"title": "half"}]', encoding="utf-8")
+    assert store.recent() == ()
+    store.remember("/scans/a", "A", "2026-01-31")
+    assert [c.title for c in store.recent()] == ["A"]
+    assert list(tmp_path.glob(".*")) == []  # no temporary file stays
+    assert not store.notice_accepted()
+    store.accept_notice()
+    assert LocalStore(tmp_path).notice_accepted()
+
+
+def test_progress_tells_the_time_left():
+    bench = small_bench()
+    seen = []
+
+    def find_airways(volume, *, progress, **_options):
+        progress("growing", 0.0)
+        bench.clock.advance(3.0)
+        progress("growing", 0.25)
+        seen.extend(e for e in bench.events if isinstance(e, JobProgress) and e.what == "growing")
+        return small_airways(volume)
+
+    bench.session._parts = bench.session._parts.__class__(
+        **{f: getattr(bench.session._parts, f) for f in bench.session._parts.__slots__} | {"find_airways": find_airways}
+    )
+    bench.open()
+    assert [(e.fraction, e.seconds_left) for e in seen] == [(0.0, None), (0.25, pytest.approx(9.0))]
+
+
+def test_a_fault_in_a_job_is_told_in_words_and_logged(caplog):
+    def broken(volume, **_options):
+        raise ZeroDivisionError
+
+    bench = small_bench(find_airways=broken)
+    bench.open()
+    assert [t.code for t in bench.of_type(Trouble)] == ["carina.fault"]
+    assert "a job failed: finding the airways" in caplog.text
+    assert bench.session.snapshot().airways == "failed"
+
+
+def test_listeners_hear_of_changes_until_they_stop():
+    bench = small_bench()
+    bench.open()
+    heard = []
+    stop = bench.session.subscribe(heard.append)
+    bench.session.steer(1.0, 0.0, 0.0, 0.0)
+    assert heard == [Changed(frozenset({"pose", "views"}))]
+    stop()
+    bench.session.steer(1.0, 0.0, 0.0, 0.0)
+    assert len(heard) == 1
+
+
+def test_the_right_tip_is_to_the_patients_right():
+    assert RIGHT_TIP[0] < LEFT_TIP[0]

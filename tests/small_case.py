@@ -1,0 +1,313 @@
+"""A small case for tests of the session and the server: real volume, real navigation, everything slow replaced.
+
+The grid is anisotropic and oblique; the airways are a trachea that forks to the right (two generations) and to the left.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from carina.errors import CancelledError, NoResultError, VolumeImportError
+from carina.session import Parts, Session
+from carina.volume import SeriesInfo, Volume, VolumeSource
+
+SPACING_MM = (1.5, 1.75, 2.0)
+SHAPE_ZYX = (40, 28, 32)
+
+
+def oblique_matrix() -> np.ndarray:
+    """Voxel steps turned by 7 degrees about z and 4 degrees about x."""
+    a, b = np.deg2rad(7.0), np.deg2rad(4.0)
+    about_z = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
+    matrix = np.eye(4)
+    matrix[:3, :3] = about_z @ about_x @ np.diag(SPACING_MM)
+    matrix[:3, 3] = (-21.0, 12.5, -140.0)
+    return matrix
+
+
+def small_volume(*, title: str = "Thorax 1.5", is_hu: bool = True) -> Volume:
+    """Tissue with air along the branches."""
+    values = np.full(SHAPE_ZYX, 40 if is_hu else 200, dtype=np.int16)
+    values[small_lumen() != 0] = -980 if is_hu else 10
+    return Volume(
+        values,
+        oblique_matrix(),
+        is_hu=is_hu,
+        not_hu_reason=None if is_hu else "the values run from 10 to 200: 8-bit data",
+        source=VolumeSource(
+            format="array",
+            title=title,
+            other_series=(SeriesInfo("2", "CT", "Scout", 2, refused="too few slices"),),
+            warnings=("a test",),
+        ),
+    )
+
+
+BRANCHES_IJK = {
+    0: (None, [(16.0, 14.0, 37.0), (16.0, 14.0, 22.0)]),
+    1: (0, [(16.0, 14.0, 22.0), (8.0, 13.0, 14.0)]),
+    2: (0, [(16.0, 14.0, 22.0), (25.0, 13.0, 13.0)]),
+    3: (1, [(8.0, 13.0, 14.0), (4.0, 12.0, 5.0)]),
+}
+
+
+def _densely(points: list[tuple[float, float, float]]) -> np.ndarray:
+    a, b = (np.array(p) for p in points)
+    return a + np.linspace(0, 1, 12)[:, None] * (b - a)
+
+
+def small_lumen() -> np.ndarray:
+    lumen = np.zeros(SHAPE_ZYX, dtype=np.uint8)
+    for _, points in BRANCHES_IJK.values():
+        for i, j, k in np.rint(_densely(points)).astype(int):
+            lumen[k - 1 : k + 2, j - 1 : j + 2, i - 1 : i + 2] = 1
+    return lumen
+
+
+class SmallTree:
+    """The part of an airway tree that the session uses."""
+
+    def __init__(self, matrix: np.ndarray) -> None:
+        def lps(points: np.ndarray) -> np.ndarray:
+            return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+        generation = {0: 0, 1: 1, 2: 1, 3: 2}
+        names = {0: "Trachea", 1: "RMB", 2: "LMB", 3: None}
+        self.root = 0
+        self.branches = [
+            SimpleNamespace(
+                id=n,
+                parent=parent,
+                children=[m for m, (p, _) in BRANCHES_IJK.items() if p == n],
+                generation=generation[n],
+                name=names[n],
+                kind="tracked",
+                points=lps(_densely(points)),
+                radius=np.full(12, 6.0 - generation[n]),
+                cost=1.0,
+                confidence=None,
+            )
+            for n, (parent, points) in BRANCHES_IJK.items()
+        ]
+
+    def route_to(self, branch_id: int) -> Any:
+        chain = []
+        at: int | None = branch_id
+        while at is not None:
+            chain.append(self.branches[at])
+            at = self.branches[at].parent
+        chain.reverse()
+        points = np.concatenate([b.points if n == 0 else b.points[1:] for n, b in enumerate(chain)])
+        ids = np.concatenate([np.full(12 if n == 0 else 11, b.id) for n, b in enumerate(chain)])
+        cumulative = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        return SimpleNamespace(
+            points_lps=points,
+            cumulative_mm=cumulative,
+            radius_mm=np.array([6.0 - self.branches[n].generation for n in ids]),
+            generation=np.array([self.branches[n].generation for n in ids]),
+            branch_ids=ids,
+            forks_mm=[float(cumulative[11 * (n + 1)]) for n in range(len(chain) - 1)],
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "format": "carina-tree",
+            "version": 1,
+            "space": "LPS",
+            "unit": "mm",
+            "root": 0,
+            "branches": [
+                {**vars(b), "points": b.points.tolist(), "radius": b.radius.tolist(), "colour": "an extra key"}
+                for b in self.branches
+            ],
+        }
+
+
+@dataclass
+class SmallTracker:
+    """Paths end at the nearest centreline point, within the snapping distance."""
+
+    tree: SmallTree
+
+    def path_to(self, point_lps: Any, snap_mm: float = 5.0) -> Any:
+        distances = [np.linalg.norm(b.points - np.asarray(point_lps), axis=1).min() for b in self.tree.branches]
+        nearest = int(np.argmin(distances))
+        if distances[nearest] > snap_mm:
+            msg = f"no airway within {snap_mm:g} mm: the nearest lumen is {distances[nearest]:.1f} mm away"
+            raise NoResultError(msg)
+        route = self.tree.route_to(nearest)
+        return SimpleNamespace(
+            points_lps=route.points_lps, length_mm=float(route.cumulative_mm[-1]), to_route=lambda _tree: route
+        )
+
+
+def small_airways(volume: Volume, *, root_lps: Any = None, note: str = "three branches") -> Any:
+    """Airways of :func:`small_volume`."""
+    tree = SmallTree(volume.lps_from_ijk)
+    return SimpleNamespace(
+        lumen_zyx=small_lumen(),
+        root_lps=np.asarray(tree.branches[0].points[0] if root_lps is None else root_lps),
+        tree=tree,
+        tracker=SmallTracker(tree),
+        report=[note],
+        threshold=-800.0,
+    )
+
+
+@dataclass
+class SmallRenderer:
+    """Grey pictures of the asked size; notes what it was asked."""
+
+    volume: Volume
+    transfer: Any
+    views: list[Any] = field(default_factory=list)
+    lumen: Any = None
+    prepared: int = 0
+    on_render: Callable[[Any], None] = lambda _view: None
+
+    def render(self, view: Any) -> Any:
+        self.views.append(view)
+        self.on_render(view)
+        pose = getattr(view, "pose", None)
+        planar = pose is None
+        return SimpleNamespace(
+            rgb=np.full((view.height, view.width, 3), 90, dtype=np.uint8),
+            view=type(view).__name__,
+            lps_from_pixel=np.eye(4) if planar else None,
+            lps_from_camera=None if planar else pose.lps_from_camera,
+            fov_deg=None if planar else 90.0,
+            stats=SimpleNamespace(method="brute"),
+        )
+
+    def set_transfer(self, transfer: Any) -> None:
+        self.transfer = transfer
+
+    def set_lumen(self, lumen_zyx: Any) -> None:
+        self.lumen = lumen_zyx
+
+    def prepare(self, progress: Any = None, cancel: Any = None) -> None:
+        if cancel is not None and cancel():
+            raise CancelledError("stopped")
+        self.prepared += 1
+
+
+class Background:
+    """Runs submitted work when the test says so, in the test's own thread."""
+
+    def __init__(self) -> None:
+        self.waiting: list[Callable[[], None]] = []
+
+    def __call__(self, work: Callable[[], None]) -> None:
+        self.waiting.append(work)
+
+    def run_next(self) -> None:
+        self.waiting.pop(0)()
+
+    def run_all(self) -> None:
+        while self.waiting:
+            self.run_next()
+
+
+class Clock:
+    """Seconds that pass when the test says so."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+    def advance(self, seconds: float) -> None:
+        self.now_s += seconds
+
+
+def small_transfer(name: str = "endoscopic", unit: str = "HU") -> Any:
+    """Stands for a transfer function."""
+    return SimpleNamespace(name=name, unit=unit, to_json=lambda: {"format": "carina-transfer", "version": 1})
+
+
+def small_parts(**replaced: Any) -> Parts:
+    """Parts that answer at once; the path ``bad`` is refused, ``other`` has another title."""
+    transfers = {name: small_transfer(name) for name in ("endoscopic", "ct-grey")}
+
+    def open_volume(path: str, progress: Any, cancel: Any) -> Volume:
+        progress("reading", 0.5)
+        if cancel():
+            raise CancelledError("stopped")
+        if path.endswith("bad"):
+            raise VolumeImportError(f"{path} holds no images: choose a DICOM folder", code="import.no-images")
+        return small_volume(title="Other" if path.endswith("other") else "Thorax 1.5", is_hu=not path.endswith("raw"))
+
+    def find_airways(volume: Volume, *, root_lps: Any, lumen_threshold: Any, progress: Any, cancel: Any) -> Any:
+        progress("growing", 0.2)
+        if cancel():
+            raise CancelledError("stopped")
+        if root_lps is not None and volume.to_ijk(np.asarray(root_lps))[2] < 2.0:
+            raise NoResultError("no airway at this point")
+        return small_airways(volume, root_lps=root_lps)
+
+    parts: dict[str, Any] = {
+        "open_volume": open_volume,
+        "open_demo": lambda name, progress, cancel: small_volume(title=f"Demo {name}"),
+        "quality_words": lambda volume: ("slices are 2.0 mm apart",),
+        "find_airways": find_airways,
+        "transfer_preset": transfers.__getitem__,
+        "transfer_from_json": lambda document: small_transfer("custom", document.get("unit", "HU")),
+        "transfer_from_histogram": lambda volume: (small_transfer("from histogram", "raw"), 105.0),
+        "presets": ("endoscopic", "ct-grey"),
+    }
+    return Parts(**(parts | replaced))
+
+
+@dataclass
+class Bench:
+    """A session, its hand-driven background and clock, and all it said."""
+
+    session: Session
+    background: Background
+    clock: Clock
+    events: list[Any]
+    renderers: list[SmallRenderer]
+
+    def open(self, path: str = "case") -> None:
+        self.session.open_path(path)
+        self.background.run_all()
+
+    def of_type(self, kind: type) -> list[Any]:
+        return [e for e in self.events if isinstance(e, kind)]
+
+
+def small_bench(*, store: Any = None, **replaced: Any) -> Bench:
+    """A session over the small parts."""
+    background, clock = Background(), Clock()
+    renderers: list[SmallRenderer] = []
+
+    def factory(volume: Volume, transfer: Any) -> SmallRenderer:
+        renderers.append(SmallRenderer(volume, transfer))
+        return renderers[-1]
+
+    session = Session(
+        factory,
+        parts=small_parts(**replaced),
+        store=store,
+        submit=background,
+        clock=clock,
+        today=lambda: "2026-01-31",
+    )
+    events: list[Any] = []
+    session.subscribe(events.append)
+    return Bench(session, background, clock, events, renderers)
+
+
+def threaded(work: Callable[[], None]) -> threading.Thread:
+    """Work in a daemon thread of its own."""
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    return thread
