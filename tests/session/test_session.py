@@ -48,7 +48,7 @@ def test_opening_ends_with_a_route_to_the_deepest_tip_on_the_right_and_the_tip_a
     assert (pose.branch_name, pose.generation, pose.lumen_mm) == ("Trachea", 0, 12.0)
     np.testing.assert_allclose(pose.pose.position_lps, lps(BRANCHES_IJK[0][1][0]), atol=0.6)  # half a smoothed voxel
     assert bench.renderers[-1].lumen is snapshot.document.airways.lumen_zyx
-    assert bench.renderers[-1].prepared == 1
+    assert bench.renderers[-1].prepared == 2  # for the raw volume at once, and again with the wall of the lumen
     assert snapshot.undo_label is None
 
 
@@ -102,7 +102,8 @@ def test_opening_another_case_stops_the_search_in_the_old_one():
     bench = small_bench()
     bench.session.open_path("case")
     bench.background.run_next()
-    search = bench.background.waiting.pop()
+    _prepare, search = bench.background.waiting
+    bench.background.waiting.clear()
     bench.open("other")
     before = bench.session.snapshot()
     search()
@@ -281,8 +282,8 @@ def test_a_stopped_search_says_so_and_a_root_starts_another():
     bench = small_bench()
     bench.session.open_path("case")
     bench.background.run_next()
-    (job,) = bench.session.jobs.running
-    bench.session.cancel(job.job_id)
+    (search,) = [job for job in bench.session.jobs.running if job.kind == "airways"]
+    bench.session.cancel(search.job_id)
     bench.background.run_all()
     assert bench.session.snapshot().airways == "failed"
     bench.session.set_root(lps((16.0, 14.0, 35.0)))

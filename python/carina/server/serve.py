@@ -93,11 +93,18 @@ def make_server(
     web: Path | None = None,
     uploads: Uploads | None = None,
     patient_citation: str | None = None,
-    simd: str = "",
+    build_info: dict[str, Any] | None = None,
 ) -> uvicorn.Server:
     """The server over a session; run it with ``server.run(sockets=[sock])``; ``server.should_exit = True`` ends it."""
     uploads = uploads or Uploads()
-    hub = Hub(session, uploads, threads=os.cpu_count() or 1, simd=simd, patient_citation=patient_citation)
+    info = build_info or {}
+    hub = Hub(
+        session,
+        uploads,
+        threads=int(info.get("threads", 1)),
+        simd=str(info.get("simd", "")),
+        patient_citation=patient_citation,
+    )
     config = uvicorn.Config(
         create_app(hub, gate, uploads, web=web),
         ws="websockets-sansio",
@@ -179,7 +186,7 @@ def serve(
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
         server = make_server(
-            session, gate, on_started=ready, web=web_folder(), patient_citation=_patient_citation(), simd=_simd()
+            session, gate, on_started=ready, web=web_folder(), patient_citation=_patient_citation(), build_info=_build_info()
         )
         try:
             server.run(sockets=[sock])
@@ -215,13 +222,14 @@ def _renderer_factory() -> Any:
     return make
 
 
-def _patient_citation() -> str | None:
+def _patient_citation() -> str:
     from carina import volume
 
-    return getattr(volume, "PATIENT_CITATION", None)
+    citation: str = volume.demo.CITATION
+    return citation
 
 
-def _simd() -> str:
+def _build_info() -> dict[str, Any]:
     from carina import render
 
-    return str(getattr(render, "simd_name", lambda: "")())
+    return render.build_info()

@@ -165,6 +165,7 @@ class SessionCore:
         """Give the renderer the document's transfer function and lumen, then make it fast. A newer sync ends an older."""
 
         def work(job: Job) -> None:
+            job.check()
             with self._lock:
                 document = case.document
                 new_transfer = document.transfer is not case.shown_transfer
@@ -174,9 +175,10 @@ class SessionCore:
                 case.renderer.set_transfer(document.transfer)
             if new_lumen:
                 case.renderer.set_lumen(None if document.airways is None else document.airways.lumen_zyx)
-            with self._lock:
-                case.content_number += 1
-                self._changed("views")
+            if new_transfer or new_lumen:
+                with self._lock:
+                    case.content_number += 1
+                    self._changed("views")
             case.renderer.prepare(job.progress, job.cancel)
 
         self._jobs.start("display", "preparing fast pictures", work)

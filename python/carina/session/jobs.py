@@ -150,7 +150,7 @@ class JobRunner:
         outcome: Outcome = "done"
         error: CarinaError | None = None
         try:
-            job.check()
+            # Stopped before it began: the work finds out at its first look, and tidies up as after any stop.
             work(job)
         except CancelledError:
             outcome = "cancelled"

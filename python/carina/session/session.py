@@ -105,6 +105,7 @@ class Session(SessionCore):
 
     def _open(self, title: str, read: Callable[[Job], Volume], path: str | None) -> str:
         def work(job: Job) -> None:
+            job.check()
             volume = read(job)
             job.progress("checking the quality", None)
             case = new_case(
@@ -119,6 +120,8 @@ class Session(SessionCore):
                 self._case = case
                 self._moved()
                 self._changed(*ALL_TOPICS, "start")
+            # A tenth of a second, and pictures come several times faster; the airways take many.
+            self._sync_display(case)
             self._start_airways(case, None, case.threshold_from_histogram, label=None)
 
         return self._jobs.start("open", title, work)
@@ -146,6 +149,7 @@ class Session(SessionCore):
 
         def work(job: Job) -> None:
             try:
+                job.check()
                 airways = self._parts.find_airways(
                     case.info.volume,
                     root_lps=root_lps,
@@ -160,7 +164,6 @@ class Session(SessionCore):
                 if label is not None or not isinstance(trouble, TrackingError):
                     raise
                 # The panel of the airways says it; an error on top would say the same thing twice.
-                self._sync_display(case)
 
         with self._lock:
             case.airways_status, case.airways_words = "finding", None

@@ -1,0 +1,124 @@
+"""Dropped files stay in their own folder, within bounds, and are removed."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carina.errors import UsageError
+from carina.server.uploads import Limits, Uploads, safe_relative_path
+
+
+async def body(*chunks):
+    for chunk in chunks:
+        yield chunk
+
+
+def add(uploads, upload_id, name, *chunks):
+    asyncio.run(uploads.add(upload_id, name, body(*chunks)))
+
+
+@pytest.fixture
+def uploads():
+    uploads = Uploads(Limits(num_files=3, total_bytes=100, file_bytes=60))
+    yield uploads
+    uploads.close()
+
+
+HOSTILE = [
+    "../../etc/passwd",
+    "..\\..\\windows\\system32\\x",
+    "/etc/passwd",
+    "C:\\autoexec.bat",
+    "....//....//x",
+    ".bashrc",
+    "a/../../../b",
+    "\0/../x",
+    "~/x",
+    ". . /x",
+    "..",
+    "",
+    "a" * 5000,
+    "/".join("d" * 200 for _ in range(100)),
+    "con.txt",
+    "\u202etxt.exe",
+]
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_name_stays_below_the_upload(uploads, name, tmp_path):
+    upload_id = uploads.begin()
+    add(uploads, upload_id, name, b"x")
+    place = uploads.place(upload_id)
+    folder = uploads._uploads[upload_id].folder
+    assert place.is_file()
+    assert place.resolve().is_relative_to(folder)
+    assert place.name not in {"passwd..", ".bashrc", "con.txt"}
+
+
+@given(st.text(max_size=80))
+def test_any_name_becomes_a_relative_path_without_ups_and_hidden_parts(name):
+    path = safe_relative_path(name)
+    assert not path.is_absolute()
+    assert path.parts
+    assert all(not part.startswith(".") for part in path.parts)
+    assert all(part.isascii() and not set(part) & set('/\\:*?"<>|\0') for part in path.parts)
+
+
+def test_ordinary_names_are_kept_so_that_formats_are_known(uploads):
+    assert safe_relative_path("series 3/IM-0001.dcm").as_posix() == "series 3/IM-0001.dcm"
+    assert safe_relative_path("chest.nii.gz").name == "chest.nii.gz"
+
+
+def test_two_files_of_one_cleaned_name_both_count(uploads):
+    upload_id = uploads.begin()
+    add(uploads, upload_id, "ä.dcm", b"1")
+    add(uploads, upload_id, "ö.dcm", b"2")
+    folder = uploads.place(upload_id)
+    assert sorted(p.read_bytes() for p in folder.iterdir()) == [b"1", b"2"]
+
+
+def test_a_header_file_is_opened_with_its_data_beside_it(uploads):
+    upload_id = uploads.begin()
+    add(uploads, upload_id, "lung.mhd", b"NDims = 3")
+    add(uploads, upload_id, "lung.zraw", b"123")
+    assert uploads.place(upload_id).name == "lung.mhd"
+    assert (uploads.place(upload_id).parent / "lung.zraw").read_bytes() == b"123"
+
+
+@pytest.mark.parametrize("chunks", [[b"x" * 61], [b"x" * 30, b"x" * 31]])
+def test_a_file_over_its_bound_is_refused_and_removed(uploads, chunks):
+    upload_id = uploads.begin()
+    with pytest.raises(UsageError, match="too large"):
+        add(uploads, upload_id, "big", *chunks)
+    with pytest.raises(UsageError, match="no file"):
+        uploads.place(upload_id)
+
+
+def test_the_bounds_of_all_files_together_hold(uploads):
+    upload_id = uploads.begin()
+    add(uploads, upload_id, "a", b"x" * 60)
+    with pytest.raises(UsageError, match="too large"):
+        add(uploads, upload_id, "b", b"x" * 41)
+    upload_id = uploads.begin()
+    for name in "abc":
+        add(uploads, upload_id, name, b"x")
+    with pytest.raises(UsageError, match="too many files"):
+        add(uploads, upload_id, "d", b"x")
+
+
+def test_what_is_given_up_or_closed_is_gone_from_the_disk(uploads):
+    first, second = uploads.begin(), uploads.begin()
+    add(uploads, first, "a", b"1")
+    folder = uploads._uploads[first].folder
+    uploads.begin()  # a third gives the first up
+    assert not folder.exists()
+    with pytest.raises(UsageError, match="gone"):
+        uploads.place(first)
+    add(uploads, second, "a", b"1")
+    root = uploads._root
+    uploads.close()
+    assert not root.exists()
