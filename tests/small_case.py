@@ -1,6 +1,6 @@
 """A small case for tests of the session and the server: real volume, real navigation, everything slow replaced.
 
-The grid is anisotropic and oblique; the airways are a trachea that forks to the right (two generations) and to the left.
+The grid is anisotropic and oblique; the airways are a trachea that forks to the right (two generations) and the left.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from carina.errors import CancelledError, NoResultError, VolumeImportError
 from carina.session import Parts, Session
+from carina.track import AirwayTree, Branch, TrackedPath
 from carina.volume import SeriesInfo, Volume, VolumeSource
 
 SPACING_MM = (1.5, 1.75, 2.0)
@@ -71,86 +72,57 @@ def small_lumen() -> np.ndarray:
     return lumen
 
 
-class SmallTree:
-    """The part of an airway tree that the session uses."""
-
-    def __init__(self, matrix: np.ndarray) -> None:
-        def lps(points: np.ndarray) -> np.ndarray:
-            return points @ matrix[:3, :3].T + matrix[:3, 3]
-
-        generation = {0: 0, 1: 1, 2: 1, 3: 2}
-        names = {0: "Trachea", 1: "RMB", 2: "LMB", 3: None}
-        self.root = 0
-        self.branches = [
-            SimpleNamespace(
-                id=n,
-                parent=parent,
-                children=[m for m, (p, _) in BRANCHES_IJK.items() if p == n],
-                generation=generation[n],
-                name=names[n],
-                kind="tracked",
-                points=lps(_densely(points)),
-                radius=np.full(12, 6.0 - generation[n]),
-                cost=1.0,
-                confidence=None,
-            )
-            for n, (parent, points) in BRANCHES_IJK.items()
-        ]
-
-    def route_to(self, branch_id: int) -> Any:
-        chain = []
-        at: int | None = branch_id
-        while at is not None:
-            chain.append(self.branches[at])
-            at = self.branches[at].parent
-        chain.reverse()
-        points = np.concatenate([b.points if n == 0 else b.points[1:] for n, b in enumerate(chain)])
-        ids = np.concatenate([np.full(12 if n == 0 else 11, b.id) for n, b in enumerate(chain)])
-        cumulative = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        return SimpleNamespace(
-            points_lps=points,
-            cumulative_mm=cumulative,
-            radius_mm=np.array([6.0 - self.branches[n].generation for n in ids]),
-            generation=np.array([self.branches[n].generation for n in ids]),
-            branch_ids=ids,
-            forks_mm=[float(cumulative[11 * (n + 1)]) for n in range(len(chain) - 1)],
+def small_tree(matrix: np.ndarray) -> AirwayTree:
+    """The branches of :data:`BRANCHES_IJK`; children begin with their parent's last point, bit for bit."""
+    generation = {0: 0, 1: 1, 2: 1, 3: 2}
+    names = {0: "Trachea", 1: "RMB", 2: "LMB", 3: None}
+    branches: dict[int, Branch] = {}
+    for n, (parent, ends) in BRANCHES_IJK.items():
+        points = _densely(ends) @ matrix[:3, :3].T + matrix[:3, 3]
+        if parent is not None:
+            points[0] = branches[parent].points[-1]
+        branches[n] = Branch(
+            id=n,
+            parent=parent,
+            children=tuple(m for m, (p, _) in BRANCHES_IJK.items() if p == n),
+            generation=generation[n],
+            name=names[n],
+            kind="tracked",
+            points=points,
+            radius=np.full(12, 6.0 - generation[n]),
+            cost=1.0,
         )
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "format": "carina-tree",
-            "version": 1,
-            "space": "LPS",
-            "unit": "mm",
-            "root": 0,
-            "branches": [
-                {**vars(b), "points": b.points.tolist(), "radius": b.radius.tolist(), "colour": "an extra key"}
-                for b in self.branches
-            ],
-        }
+    return AirwayTree(tuple(branches.values()))
 
 
 @dataclass
 class SmallTracker:
-    """Paths end at the nearest centreline point, within the snapping distance."""
+    """Paths end at the tip of the nearest branch, within the snapping distance."""
 
-    tree: SmallTree
+    tree: AirwayTree
 
-    def path_to(self, point_lps: Any, snap_mm: float = 5.0) -> Any:
-        distances = [np.linalg.norm(b.points - np.asarray(point_lps), axis=1).min() for b in self.tree.branches]
-        nearest = int(np.argmin(distances))
-        if distances[nearest] > snap_mm:
-            msg = f"no airway within {snap_mm:g} mm: the nearest lumen is {distances[nearest]:.1f} mm away"
+    def path_to(self, point_lps: Any, *, snap_mm: float = 5.0) -> Any:
+        branch, _, distance = self.tree.nearest_branch(point_lps)
+        if distance > snap_mm:
+            msg = f"no airway within {snap_mm:g} mm: the nearest lumen is {distance:.1f} mm away"
             raise NoResultError(msg)
-        route = self.tree.route_to(nearest)
-        return SimpleNamespace(
-            points_lps=route.points_lps, length_mm=float(route.cumulative_mm[-1]), to_route=lambda _tree: route
+        route = self.tree.route_to(branch.id)
+        return TrackedPath(
+            points_lps=route.points_lps,
+            radius_mm=route.radius_mm,
+            length_mm=route.length_mm,
+            cost=1.0,
+            generation=route.generation,
+            branch_ids=route.branch_ids,
+            voxel_path_lps=route.points_lps,
+            target_node=0,
+            snapped_mm=0.0 if distance < 1e-9 else distance,
         )
 
 
 def small_airways(volume: Volume, *, root_lps: Any = None, note: str = "three branches") -> Any:
     """Airways of :func:`small_volume`."""
-    tree = SmallTree(volume.lps_from_ijk)
+    tree = small_tree(volume.lps_from_ijk)
     return SimpleNamespace(
         lumen_zyx=small_lumen(),
         root_lps=np.asarray(tree.branches[0].points[0] if root_lps is None else root_lps),

@@ -115,7 +115,9 @@ def test_the_airway_goes_first_and_the_others_are_not_starved_while_it_moves():
         player.step(dict.fromkeys(layout, pose))
     views = [o.view for o in player.sent]
     assert {"axial", "coronal", "tri-plane"} <= set(views[-60:])
-    spent = {v: sum(player.cost_s * o.width * o.height / o.step_vox for o in player.sent if o.view == v) for v in layout}
+    spent = {
+        v: sum(player.cost_s * o.width * o.height / o.step_vox for o in player.sent if o.view == v) for v in layout
+    }
     others = sum(s for v, s in spent.items() if v != "airway")
     # A third of the airway's time, and at most one picture more than that.
     assert others < 0.35 * spent["airway"] + 0.03

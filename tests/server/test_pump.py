@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import simplejpeg
-from small_case import small_bench
 
 from carina.errors import RenderError
 from carina.render import AirwayView, SliceView
 from carina.server.messages import Status, parse_picture
 from carina.server.pump import FramePump, encode_jpeg
+from small_case import small_bench
 
 
 class Screen:

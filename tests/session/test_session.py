@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_case import BRANCHES_IJK, small_airways, small_bench, small_volume
 
 from carina.errors import NoResultError, UsageError
 from carina.session import Changed, JobEnded, JobProgress, LocalStore, Orbit, Said, Trouble
+from small_case import BRANCHES_IJK, small_airways, small_bench, small_volume
 
 
 def lps(ijk):
@@ -137,7 +137,7 @@ def test_adding_a_target_can_be_undone_and_done_again_with_its_route():
 def test_a_target_beside_the_lumen_is_snapped_and_that_is_said():
     bench = small_bench()
     bench.open()
-    beside = tuple(np.array(LEFT_TIP) + [0.0, 2.0, 0.0])
+    beside = (LEFT_TIP[0], LEFT_TIP[1] + 2.0, LEFT_TIP[2])
     bench.session.add_target(beside)
     bench.background.run_all()
     (target,) = bench.session.snapshot().document.targets

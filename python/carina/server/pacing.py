@@ -1,8 +1,8 @@
 """Which view to render next, how fine, and when to wait: the frame pump's judgement, without threads or clocks.
 
 Rules (``protocol/README.md``): the newest pose wins per view; the airway view goes first and the others share what is
-left, so that none starves; a few unacknowledged pictures per view at most, so that a slow client gets fewer pictures and
-never older ones; coarse while something moves, fine once it is still.
+left, so that none starves; a few unacknowledged pictures per view at most, so that a slow client gets fewer pictures
+and never older ones; coarse while something moves, fine once it is still.
 """
 
 from __future__ import annotations

@@ -186,7 +186,12 @@ def serve(
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
         server = make_server(
-            session, gate, on_started=ready, web=web_folder(), patient_citation=_patient_citation(), build_info=_build_info()
+            session,
+            gate,
+            on_started=ready,
+            web=web_folder(),
+            patient_citation=_patient_citation(),
+            build_info=_build_info(),
         )
         try:
             server.run(sockets=[sock])

@@ -162,7 +162,7 @@ class SessionCore:
             self._sync_display(case)
 
     def _sync_display(self, case: OpenCase) -> None:
-        """Give the renderer the document's transfer function and lumen, then make it fast. A newer sync ends an older."""
+        """Give the renderer the document's transfer function and lumen, then make it fast."""
 
         def work(job: Job) -> None:
             job.check()

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carina.navigate import FlightPath
-
-if TYPE_CHECKING:
-    from carina.track import AirwayTree, Route, TrackedPath
+from carina.track import AirwayTree, Route, TrackedPath
 
 __all__ = ["AirwayIndex", "ChosenRoute", "RouteSpan", "default_branch_id", "route_to_branch", "route_to_target"]
 
@@ -81,27 +78,37 @@ def default_branch_id(tree: AirwayTree) -> int | None:
 
     LPS x grows to the patient's left, so "right" is a tip with a smaller x than the end of the trachea.
     """
-    leaves = [branch for branch in tree.branches if not branch.children and len(branch.points) > 1]
+    leaves = [branch for branch in tree.tips() if len(branch.points) > 1]
     if not leaves:
         return None
-    root = next(branch for branch in tree.branches if branch.id == tree.root)
-    middle_x = float(np.asarray(root.points)[-1, 0])
-    right = [leaf for leaf in leaves if float(np.asarray(leaf.points)[-1, 0]) < middle_x]
+    middle_x = float(tree.root.points[-1, 0])
+    right = [leaf for leaf in leaves if float(leaf.tip_lps[0]) < middle_x]
     # The id last, so that equal tips are chosen the same way in every run.
-    return max(right or leaves, key=lambda leaf: (leaf.generation, _length_mm(leaf.points), -leaf.id)).id
+    return max(right or leaves, key=lambda leaf: (leaf.generation, leaf.length_mm, -leaf.id)).id
 
 
 def route_to_branch(tree: AirwayTree, branch_id: int) -> ChosenRoute:
     """The way from the root to the end of a branch."""
     route = tree.route_to(branch_id)
-    branch = next(b for b in tree.branches if b.id == branch_id)
+    branch = tree.branch(branch_id)
     title = branch.name or f"branch {branch_id}, generation {branch.generation}"
     return _chosen(route, tree, route_id=f"branch-{branch_id}", title=title, branch_id=branch_id)
 
 
 def route_to_target(tree: AirwayTree, path: TrackedPath, target_id: str, name: str) -> ChosenRoute:
     """The way of a tracked path, with the branches that it runs through."""
-    return _chosen(path.to_route(tree), tree, route_id=target_id, title=name, target_id=target_id)
+    points = np.asarray(path.points_lps, dtype=np.float64)
+    cumulative_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    branch_ids = np.asarray(path.branch_ids, dtype=np.int64)
+    # A fork lies where one branch ends and the next begins.
+    forks_mm = [float(cumulative_mm[n]) for n in np.flatnonzero(np.diff(branch_ids))]
+    return _chosen(
+        Route(points, cumulative_mm, path.radius_mm, path.generation, path.branch_ids, forks_mm),
+        tree,
+        route_id=target_id,
+        title=name,
+        target_id=target_id,
+    )
 
 
 def _chosen(

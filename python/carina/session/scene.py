@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from carina import render
 from carina.scopes import Pose
@@ -157,7 +157,7 @@ class Scene:
             if mm_per_px is not None and full_width is not None:
                 mm_per_px *= full_width / width
             return render.SliceView(
-                plane=view,
+                plane=cast(Any, view),
                 center_lps=self.shown_lps,
                 width=width,
                 height=height,
@@ -173,7 +173,9 @@ class Scene:
                 width=width,
                 height=height,
             )
-        return render.XrayView(axis=view.removeprefix("xray-"), width=width, height=height, window_hu=window_hu)
+        return render.XrayView(
+            axis=cast(Any, view.removeprefix("xray-")), width=width, height=height, window_hu=window_hu
+        )
 
     def _mm_per_px(self, view: str) -> float | None:
         scale: float | None = getattr(self.zoom, f"{view}_mm_per_px")

@@ -7,12 +7,9 @@ renderer comes by argument, and whoever wants to know about changes subscribes.
 from __future__ import annotations
 
 import itertools
-import threading
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal
-
-import numpy as np
 
 from carina.errors import CarinaError, NoResultError, TrackingError, UsageError
 from carina.navigate import Navigator
@@ -55,14 +52,12 @@ class Session(SessionCore):
     Notes
     -----
     All methods may be called from any thread. Listeners are called in the order of the events, from the thread that
-    caused them and while the session is locked: they must hand the event on and return. Commands raise CarinaError; long
-    ones are jobs, return their id, and report trouble as events.
+    caused them and while the session is locked: they must hand the event on and return. Commands raise CarinaError;
+    long ones are jobs, return their id, and report trouble as events.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self._track_lock = threading.Lock()
-        """The tracker is resumed by one thread at a time."""
         self._target_numbers = itertools.count(1)
 
     # ------------------------------------------------------------ opening and closing
@@ -230,8 +225,8 @@ class Session(SessionCore):
     def add_target(self, lps: Point) -> str:
         """Track to a point, as a job, and take it as the route; undoable. Returns the job's id.
 
-        The point is moved to the lumen where that is within 5 mm, which is said; else the target is kept with the reason
-        why there is no path.
+        The point is moved to the lumen where that is within 5 mm, which is said; else the target is kept with the
+        reason why there is no path.
         """
         case = self._needed_case()
         case.check_inside(lps)
@@ -293,14 +288,13 @@ class Session(SessionCore):
     def _tracked(self, airways: Any, target: Target) -> Target:
         bare = Target(target_id=target.target_id, name=target.name, lps=target.lps)
         try:
-            with self._track_lock:
-                path = airways.tracker.path_to(target.lps, snap_mm=SNAP_MM)
+            path = airways.tracker.path_to(target.lps, snap_mm=SNAP_MM)
             route = route_to_target(airways.tree, path, target.target_id, target.name)
         except TrackingError as trouble:
             return replace(bare, problem=str(trouble))
-        used = as_point(np.asarray(path.points_lps)[-1])
-        snapped_mm = float(np.linalg.norm(np.subtract(used, target.lps)))
-        return replace(bare, used_lps=used, snapped_mm=snapped_mm, length_mm=float(path.length_mm), route=route)
+        # Not moved: the point itself was asked for and is used. Moved: the lumen voxel that the path ends in.
+        used = target.lps if path.snapped_mm == 0.0 else as_point(path.points_lps[-1])
+        return replace(bare, used_lps=used, snapped_mm=path.snapped_mm, length_mm=path.length_mm, route=route)
 
     # ------------------------------------------------------------ how it is shown
 

@@ -18,7 +18,7 @@ CAUDAL_LPS = (0.0, 0.0, -1.0)
 
 
 def pose_before_airways(volume: Volume) -> Pose:
-    """A pose for the first pictures, while the trachea is not known: in the middle of the upper chest, looking caudally.
+    """A pose for the first pictures, while the trachea is not known: amid the upper chest, looking caudally.
 
     A fifth of the volume's height below its top. It is replaced by :func:`pose_at_root`, unless a person has moved.
     """
@@ -37,10 +37,8 @@ def pose_before_airways(volume: Volume) -> Pose:
 
 def pose_at_root(airways: Airways) -> Pose:
     """At the root, looking along the first branch; anterior up (operator at the head)."""
-    tree = airways.tree
-    root = next(branch for branch in tree.branches if branch.id == tree.root)
-    points = np.asarray(root.points, dtype=np.float64)
-    look = points[-1] - points[0]
+    root = airways.tree.root
+    look = root.points[-1] - root.points[0]
     at = [float(v) for v in airways.root_lps]
     if float(np.linalg.norm(look)) < 1e-6:
         return Pose.looking(at, CAUDAL_LPS)
