@@ -9,8 +9,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import carina
 from carina.phantom import demo_phantom
+
+import carina
 
 
 def main(case: str | None, out: Path) -> list[Path]:

@@ -148,7 +148,7 @@ def track(
         for what, value, allowed in (("--cost", cost, "lumen"), ("--graph", graph, "voxel")):
             if value != allowed:
                 raise UsageError(f"{what}: expected {allowed} (others are not built yet); found {value!r}")
-        start = root_ if root_ == "auto" else parse_point(root_, "--root")
+        start = None if root_ == "auto" else parse_point(root_, "--root")
         targets = [parse_point(text, "--target") for text in target]
         raise SystemExit(report(path, root=start, targets=targets, series=series, output=output, as_json=as_json))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ __all__ = ["report"]
 def report(
     path: Path,
     *,
-    root: Literal["auto"] | NDArray[np.float64],
+    root: NDArray[np.float64] | None,
     targets: list[NDArray[np.float64]],
     series: str | None,
     output: Path | None,
@@ -30,7 +30,7 @@ def report(
     volume = carina.open_volume(path, series=series, progress=progress)
     for warning in volume.source.warnings:
         say(f"note: {warning}")
-    result = carina.track_paths(volume, root=root, targets=targets, progress=progress)
+    result = carina.track_paths(volume, root="auto" if root is None else root, targets=targets, progress=progress)
     rows: list[dict[str, Any]] = []
     for number, target in enumerate(result.targets, 1):
         row: dict[str, Any] = {
