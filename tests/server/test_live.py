@@ -402,6 +402,18 @@ def test_targets_are_undone_and_done_again(live):
         assert window.until_state(lambda s: len(s.targets) == 1).targets == added.targets
 
 
+def test_a_change_that_leaves_tree_and_route_alone_does_not_send_them_again(live):
+    with live.window() as window:
+        open_case(window)
+        window.until(lambda m: isinstance(m, wire.Route) and m.route is not None)
+        window.until(lambda m: isinstance(m, wire.Pose))
+        window.seen.clear()
+        for fov_deg in (100.0, 110.0, 120.0):
+            window.send(wire.SetFov(fov_deg))
+            window.until_state(lambda s, fov_deg=fov_deg: s.fov_deg == fov_deg)
+        assert not [m for m in window.seen if isinstance(m, wire.Tree | wire.Route | wire.Pose)]
+
+
 def test_a_search_can_be_cancelled_and_the_pictures_stay(tmp_path):
     reached, stopped = threading.Event(), threading.Event()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carina.server.pacing import LEVELS, STILL_AFTER_S, TARGET_S, FrameScheduler
+from carina.server.pacing import LEVELS, LONG_S, SETTLED_AFTER_S, STILL_AFTER_S, TARGET_S, FrameScheduler
 
 
 class Player:
@@ -60,6 +60,27 @@ def test_the_first_airway_picture_is_coarse_and_the_last_one_full():
     player.now_s = 10.0 + STILL_AFTER_S
     (last,) = player.drain({"airway": 1})
     assert (last.width, last.height, last.step_vox, last.full) == (800, 640, 0.5, True)
+    assert player.scheduler.wake_s(player.now_s) is None
+
+
+def test_a_full_picture_that_takes_long_waits_until_the_person_really_rests():
+    player = Player(cost_s=1e-6)  # the full picture: 1 s
+    player.scheduler.set_layout({"airway": (800, 640)})
+    player.drain({"airway": 1})
+    player.drain({"airway": 2})
+    changed_s = player.now_s
+    player.scheduler.observe({"airway": 3}, changed_s)
+    moving = player.drain({"airway": 3})[-1]
+    player.now_s = player.scheduler.wake_s(player.now_s)
+    assert player.now_s == changed_s + STILL_AFTER_S
+    (paused,) = player.drain({"airway": 3})
+    assert moving.width < paused.width < 800
+    assert not paused.full
+    assert player.cost_s * paused.width * paused.height / paused.step_vox <= LONG_S
+    player.now_s = player.scheduler.wake_s(player.now_s)
+    assert player.now_s == changed_s + SETTLED_AFTER_S
+    (full,) = player.drain({"airway": 3})
+    assert (full.width, full.full) == (800, True)
     assert player.scheduler.wake_s(player.now_s) is None
 
 

@@ -256,7 +256,7 @@ async def _send_all(websocket: WebSocket, hub: Hub, outbox: Outbox) -> None:
             return
         for topic in topics:
             text = hub.topic_text(topic)
-            if text is not None:
+            if text is not None and outbox.is_news(topic, text):
                 await websocket.send_text(text)
         for text in texts:
             await websocket.send_text(text)

@@ -35,7 +35,15 @@ class Outbox:
         self._progress: dict[str, str] = {}
         self._pictures: deque[bytes] = deque()
         self._filled = asyncio.Event()
+        self._sent: dict[str, str] = {}
         self.overflowed = False
+
+    def is_news(self, topic: str, text: str) -> bool:
+        """Whether the topic's message differs from the last one sent; notes it as sent."""
+        if self._sent.get(topic) == text:
+            return False
+        self._sent[topic] = text
+        return True
 
     def mark(self, *topics: str) -> None:
         """The topic's message must be sent anew."""
@@ -108,7 +116,7 @@ class Hub:
         )
         self._thread = threading.Thread(target=self.pump.run, name="carina-frames", daemon=True)
         self._unsubscribe: Callable[[], None] = lambda: None
-        self._tree_text: tuple[Any, str] | None = None
+        self._cache: dict[str, tuple[object, str]] = {}
 
     # ------------------------------------------------------------ life
 
@@ -172,14 +180,19 @@ class Hub:
             return wire.encode_message(state_message(snapshot))
         if topic == "tree":
             airways = None if document is None else document.airways
-            # A tree is some hundred kilobytes and changes rarely; every reload and undo asks for it.
-            if self._tree_text is None or self._tree_text[0] is not airways:
-                self._tree_text = (airways, wire.encode_message(tree_message(airways)))
-            return self._tree_text[1]
+            return self._cached("tree", airways, lambda: tree_message(airways))
         if topic == "route":
-            return wire.encode_message(route_message(None if document is None else document.route))
+            route = None if document is None else document.route
+            return self._cached("route", route, lambda: route_message(route))
         info = self.session.pose_info()
         return None if info is None else wire.encode_message(pose_message(info))
+
+    def _cached(self, topic: str, value: object, message: Callable[[], Any]) -> str:
+        """A tree is some hundred kilobytes and changes rarely; every change and every reload asks for it."""
+        known = self._cache.get(topic)
+        if known is None or known[0] is not value:
+            known = self._cache[topic] = (value, wire.encode_message(message()))
+        return known[1]
 
     def _on_event(self, event: Event) -> None:
         """From any thread, with the session locked: hand on and return."""

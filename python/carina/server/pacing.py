@@ -15,16 +15,23 @@ __all__ = ["FrameScheduler", "RenderOrder"]
 
 STILL_AFTER_S = 0.150
 """A view counts as moving for this long after its content last changed."""
+SETTLED_AFTER_S = 0.600
+"""Where the full picture takes long, it is begun only now: a picture under way cannot be stopped, and would hold up a
+person who only paused."""
+LONG_S = 0.250
+"""What is long; between the two times above the picture is as fine as this allows."""
 TARGET_S = 0.040
 """Time of one picture while moving: 25 pictures per second."""
 OTHERS_SHARE = 0.35
 """Seconds that the other views get for each second spent on the moving airway view."""
 MAX_CREDIT_S = 0.25
 MAX_IN_FLIGHT = {"airway": 3}
-STILL_STEP_VOX = 0.5
 
 LEVELS = ((1.0, 0.5), (1.0, 1.0), (0.75, 1.0), (0.5, 1.0), (0.375, 1.0), (0.25, 1.0))
 """Scale of the picture's sides, and ray step in voxels, from fine to coarse."""
+
+MOVING, PAUSED, FULL = 0, 1, 2
+"""Grades of a picture."""
 
 COSTLY_VIEWS = frozenset({"airway", "tri-plane", "tree"})
 """Cast with perspective rays: the first picture is coarse, since it may take long. The others cost milliseconds."""
@@ -38,13 +45,17 @@ class RenderOrder:
     width: int
     height: int
     step_vox: float
-    full: bool
-    """Final quality: not moving."""
+    grade: int
     key: Hashable
     full_width: int
     """Width that the client asked for."""
     epoch: int
     """Which client it was made for."""
+
+    @property
+    def full(self) -> bool:
+        """Final quality for this content."""
+        return self.grade == FULL
 
 
 @dataclass(slots=True)
@@ -54,11 +65,32 @@ class _View:
     seen_key: Hashable = None
     changed_s: float = -math.inf
     sent_key: Hashable = None
-    sent_full: bool = False
+    sent_grade: int = -1
     in_flight: set[int] = field(default_factory=set)
     level: int = len(LEVELS) - 1
     unit_cost_s: float | None = None
     """Seconds per ray at one step per voxel, smoothed."""
+
+    def grade(self, now_s: float) -> int:
+        """How fine a picture may be now."""
+        # The same sums as in next_grade_s: a difference would round to just before the time that was waited for.
+        if now_s < self.changed_s + STILL_AFTER_S:
+            return MOVING
+        if now_s >= self.changed_s + SETTLED_AFTER_S or self.predicted_s(0) <= LONG_S:
+            return FULL
+        # Finer than while moving, or it would be the same picture again.
+        return PAUSED if self.paused_level() < self.level else MOVING
+
+    def paused_level(self) -> int:
+        """The finest level that does not take long."""
+        return next((n for n in range(len(LEVELS)) if self.predicted_s(n) <= LONG_S), len(LEVELS) - 1)
+
+    def next_grade_s(self, now_s: float) -> float | None:
+        """When a finer picture becomes possible by waiting."""
+        if self.grade(now_s) == FULL:
+            return None
+        first_s = self.changed_s + STILL_AFTER_S
+        return first_s if now_s < first_s else self.changed_s + SETTLED_AFTER_S
 
     def predicted_s(self, level: int) -> float:
         scale, step_vox = LEVELS[level]
@@ -93,7 +125,7 @@ class FrameScheduler:
         """A new client: everything is sent again, nothing is in flight, and orders under way are for nobody."""
         self._epoch += 1
         for view in self._views.values():
-            view.sent_key, view.sent_full = None, False
+            view.sent_key, view.sent_grade = None, -1
             view.in_flight.clear()
 
     def observe(self, keys: Mapping[str, Hashable], now_s: float) -> None:
@@ -120,20 +152,20 @@ class FrameScheduler:
         return self._order(name, now_s)
 
     def wake_s(self, now_s: float) -> float | None:
-        """When to ask again without an event: the moment the first moving view becomes still."""
+        """When to ask again without an event: the moment the first view may become finer."""
         times = [
-            view.changed_s + STILL_AFTER_S
+            view.next_grade_s(now_s)
             for name, view in self._views.items()
-            if view.seen_key is not None and not view.sent_full and self._moving(view, now_s) and self._has_room(name)
+            if view.seen_key is not None and view.sent_grade < FULL and self._has_room(name)
         ]
-        return min(times, default=None)
+        return min((t for t in times if t is not None), default=None)
 
     def rendered(self, order: RenderOrder, frame_id: int, seconds: float) -> bool:
         """A picture was rendered; False if it is no longer wanted (another client, or the view is gone)."""
         view = self._views.get(order.view)
         if view is None or order.epoch != self._epoch:
             return False
-        view.sent_key, view.sent_full = order.key, order.full
+        view.sent_key, view.sent_grade = order.key, order.grade
         view.in_flight.add(frame_id)
         rays = order.width * order.height / order.step_vox
         cost = seconds / rays
@@ -149,7 +181,7 @@ class FrameScheduler:
         """A picture could not be rendered; it is not asked for again until its content changes."""
         view = self._views.get(order.view)
         if view is not None:
-            view.sent_key, view.sent_full = order.key, True
+            view.sent_key, view.sent_grade = order.key, FULL
 
     def acknowledge(self, frame_id: int) -> None:
         """The client has decoded a picture; ids that are not known are of an earlier client."""
@@ -167,11 +199,7 @@ class FrameScheduler:
 
     def is_moving(self, view: str, now_s: float) -> bool:
         """The view's content changed a moment ago."""
-        return view in self._views and self._moving(self._views[view], now_s)
-
-    @staticmethod
-    def _moving(view: _View, now_s: float) -> bool:
-        return now_s - view.changed_s < STILL_AFTER_S
+        return view in self._views and now_s - self._views[view].changed_s < STILL_AFTER_S
 
     def _has_room(self, name: str) -> bool:
         return len(self._views[name].in_flight) < MAX_IN_FLIGHT.get(name, 1)
@@ -180,28 +208,18 @@ class FrameScheduler:
         view = self._views[name]
         if view.seen_key is None or not self._has_room(name):
             return False
-        return view.sent_key != view.seen_key or (not view.sent_full and not self._moving(view, now_s))
+        return view.sent_key != view.seen_key or view.grade(now_s) > view.sent_grade
 
     def _order(self, name: str, now_s: float) -> RenderOrder:
         view = self._views[name]
-        if not self._moving(view, now_s):
-            return RenderOrder(
-                name,
-                view.width,
-                view.height,
-                STILL_STEP_VOX,
-                full=True,
-                key=view.seen_key,
-                full_width=view.width,
-                epoch=self._epoch,
-            )
-        scale, step_vox = LEVELS[view.level]
+        grade = view.grade(now_s)
+        scale, step_vox = LEVELS[(view.level, view.paused_level(), 0)[grade]]
         return RenderOrder(
             name,
             max(16, round(view.width * scale)),
             max(16, round(view.height * scale)),
             step_vox,
-            full=False,
+            grade=grade,
             key=view.seen_key,
             full_width=view.width,
             epoch=self._epoch,

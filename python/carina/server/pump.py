@@ -76,6 +76,7 @@ class FramePump:
         self._frame_ids = itertools.count(1)
         self._sent_s: deque[float] = deque()
         self._status_s = float("-inf")
+        self._status_pose_id = -1
         self._last_words: str | None = None
 
     def set_layout(self, views: Mapping[str, tuple[int, int]]) -> None:
@@ -167,7 +168,9 @@ class FramePump:
             wanted = self._scheduler.rendered(order, frame_id, now_s - began_s)
         if wanted:
             self._deliver(encode_picture(header, payload))
-            if order.view == "airway":
+            if order.view == "airway" and header.pose_id != self._status_pose_id:
+                # The first picture of a pose: finer ones of the same come as late as they please.
+                self._status_pose_id = header.pose_id
                 self._note_status(now_s, now_s - scene.pose_s, header)
         return True
 

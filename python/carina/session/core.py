@@ -177,6 +177,7 @@ class SessionCore:
                 case.renderer.set_lumen(None if document.airways is None else document.airways.lumen_zyx)
             if new_transfer or new_lumen:
                 with self._lock:
+                    case.has_lumen = document.airways is not None
                     case.content_number += 1
                     self._changed("views")
             case.renderer.prepare(job.progress, job.cancel)
@@ -236,9 +237,10 @@ class SessionCore:
                 shading=document.shading,
                 method=document.method,
                 window_hu=(document.window_width_hu, document.window_level_hu),
+                xray_window_hu=case.xray_window_hu,
                 crosshair_lps=case.crosshair_lps,
                 orbit_tree=case.orbit_tree,
                 orbit_tri_plane=case.orbit_tri_plane,
                 zoom=case.zoom,
-                has_lumen=case.shown_airways is not None,
+                has_lumen=case.has_lumen,
             )

@@ -44,13 +44,15 @@ class Parts:
 
 def default_parts() -> Parts:
     """The real parts of Carina."""
-    from carina import phantom, render, track, volume
+    from carina import render, track, volume
 
     def open_volume(path: str, progress: Progress, cancel: Cancel) -> Volume:
         return volume.open_volume(path, progress=progress, cancel=cancel)
 
     def open_demo(name: str, progress: Progress, cancel: Cancel) -> Volume:
         if name == "phantom":
+            from carina import phantom
+
             return phantom.demo_phantom(progress=progress, cancel=cancel).volume
         if name == "patient":
             return volume.demo_patient(progress=progress, cancel=cancel)

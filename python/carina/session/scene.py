@@ -93,6 +93,7 @@ class Scene:
     shading: bool
     method: str
     window_hu: tuple[float, float]
+    xray_window_hu: tuple[float, float]
     crosshair_lps: tuple[float, float, float] | None
     orbit_tree: Orbit
     orbit_tri_plane: Orbit
@@ -123,7 +124,7 @@ class Scene:
             return (*case, self._shown_key(), self.window_hu, self._mm_per_px(view))
         if view == "tree":
             return (*case, self.content_number, self.orbit_tree) if self.has_lumen else None
-        return (*case, self.window_hu)
+        return case
 
     def spec(self, view: str, width: int, height: int, step_vox: float, *, full_width: int | None = None) -> Any:
         """The view as the renderer takes it. ``full_width`` keeps a zoomed slice's extent in a smaller picture."""
@@ -174,7 +175,7 @@ class Scene:
                 height=height,
             )
         return render.XrayView(
-            axis=cast(Any, view.removeprefix("xray-")), width=width, height=height, window_hu=window_hu
+            axis=cast(Any, view.removeprefix("xray-")), width=width, height=height, window_hu=self.xray_window_hu
         )
 
     def _mm_per_px(self, view: str) -> float | None:

@@ -1,0 +1,61 @@
+"""Starting and ending the workstation as a process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+
+import httpx
+import pytest
+
+from carina.errors import CarinaError, UsageError, VolumeImportError
+from carina.server import serve
+from carina.server.serve import bind
+
+WAIT_S = 60.0
+"""Imports of SimpleITK on a busy machine take seconds."""
+
+
+def test_a_path_and_a_demo_or_an_unknown_demo_are_refused():
+    with pytest.raises(UsageError, match="not both"):
+        serve("x", demo="phantom")
+    with pytest.raises(UsageError, match="'phantom' or 'patient'"):
+        serve(None, demo="ghost")
+
+
+def test_what_cannot_be_opened_is_refused_before_a_server_starts(tmp_path):
+    (tmp_path / "holiday.pdf").write_bytes(b"%PDF-1.7\n%%EOF")
+    ready = []
+    with pytest.raises(VolumeImportError, match=r"holiday\.pdf"):
+        serve(str(tmp_path / "holiday.pdf"), open_browser=False, on_ready=ready.append)
+    with pytest.raises(VolumeImportError):
+        serve(str(tmp_path / "nothing-here"), open_browser=False, on_ready=ready.append)
+    assert ready == []
+
+
+def test_a_port_in_use_is_said_before_anything_is_opened():
+    with bind("127.0.0.1", 0) as taken, pytest.raises(CarinaError, match="is in use"):
+        serve(None, port=taken.getsockname()[1], open_browser=False)
+
+
+def test_the_process_prints_its_link_answers_it_once_and_ends_cleanly(tmp_path):
+    program = (
+        "from carina.server import serve\n"
+        "raise SystemExit(serve(None, open_browser=False, on_ready=lambda url: print(url, flush=True)))"
+    )
+    environment = {**os.environ, "XDG_CONFIG_HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        try:
+            url = process.stdout.readline().strip()
+            assert url.startswith("http://127.0.0.1:")
+            assert httpx.get(url, timeout=WAIT_S).status_code == 303
+            assert httpx.get(url, timeout=WAIT_S).status_code == 403
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=WAIT_S)
+        finally:
+            process.kill()
+    assert (process.returncode, out, err) == (0, "", "")
