@@ -21,29 +21,33 @@ def rotation_from_vector(vector_rad: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 def vector_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rotation vector of a 3x3 rotation, at most pi long."""
-    skew = 0.5 * np.array(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
-    )
-    sine = float(np.linalg.norm(skew))
-    cosine = 0.5 * (float(np.trace(rotation)) - 1.0)
-    angle = math.atan2(sine, cosine)
-    if sine > 1e-6:
-        return skew * (angle / sine)
-    if cosine > 0.0:
-        return skew
-    # Half a turn: the sine vanishes, the axis is the column of R + 1 that has the largest diagonal.
-    symmetric = 0.5 * (rotation + np.eye(3))
-    column = int(np.argmax(np.diag(symmetric)))
-    axis = symmetric[:, column] / np.linalg.norm(symmetric[:, column])
-    # Just off half a turn the sign still matters.
-    if float(axis @ skew) < 0.0:
-        axis = -axis
-    return np.asarray(axis * angle, dtype=np.float64)
+    """The rotation vector of a 3x3 rotation, at most pi long.
+
+    By way of the quaternion, from its largest component (Shepperd 1978), so that nothing is divided by a small number:
+    neither near no turn nor near half a turn, where the skew part of the matrix vanishes.
+    """
+    r = rotation
+    trace = float(np.trace(r))
+    # Four times the squares of w, x, y, z.
+    squares = np.array([1.0 + trace, *(1.0 - trace + 2.0 * np.diag(r))])
+    largest = int(np.argmax(squares))
+    w, x, y, z = 0, 1, 2, 3
+    products = np.empty((4, 4))
+    products[np.diag_indices(4)] = squares
+    products[w, x] = products[x, w] = r[2, 1] - r[1, 2]
+    products[w, y] = products[y, w] = r[0, 2] - r[2, 0]
+    products[w, z] = products[z, w] = r[1, 0] - r[0, 1]
+    products[x, y] = products[y, x] = r[1, 0] + r[0, 1]
+    products[x, z] = products[z, x] = r[0, 2] + r[2, 0]
+    products[y, z] = products[z, y] = r[2, 1] + r[1, 2]
+    q_wxyz = products[largest] / (2.0 * math.sqrt(squares[largest]))
+    if q_wxyz[0] < 0.0:
+        q_wxyz = -q_wxyz
+    axis, sine = q_wxyz[1:], float(np.linalg.norm(q_wxyz[1:]))
+    if sine < 1e-12:
+        # angle = 2 asin(s), 2 s to first order.
+        return np.asarray(2.0 * axis, dtype=np.float64)
+    return np.asarray(axis * (2.0 * math.atan2(sine, float(q_wxyz[0])) / sine), dtype=np.float64)
 
 
 def yaw_pitch_roll(yaw_rad: float, pitch_rad: float, roll_rad: float) -> NDArray[np.float64]:
