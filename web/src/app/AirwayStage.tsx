@@ -236,7 +236,7 @@ function Readings() {
             <span className="ways">
               {fork.ways.map((way) => (
                 <span key={way.node.branch.id} className={way.chosen ? "way chosen" : "way"}>
-                  {way.node.label} <span className="quiet">{way.hour} h</span>
+                  {`${way.node.label}, ${way.hour} o\u2019clock`}
                 </span>
               ))}
             </span>
@@ -244,7 +244,7 @@ function Readings() {
         )}
       </div>
       <div className="reading bottom-right">
-        {pose.mode === "path" ? (
+        {pose.mode === "path" && route !== null ? (
           <Act
             kind="quiet"
             icon={advancing ? "stop" : "play"}
@@ -253,9 +253,9 @@ function Readings() {
             keys="Space"
             onPress={() => station.act("auto_advance")}
           />
-        ) : (
+        ) : pose.mode === "free" ? (
           <span className="quiet">free movement</span>
-        )}
+        ) : null}
       </div>
     </>
   );

@@ -3,7 +3,7 @@
 import { useEffect, useMemo, useState } from "react";
 import { Button, type Key, Tree, TreeItem, TreeItemContent } from "react-aria-components";
 import { type BranchNode, type BranchTree, lineage } from "../state/airways";
-import { fixed } from "../state/format";
+import { fixed, sentence } from "../state/format";
 import { useApp, useStation } from "./context";
 import { Icon } from "./icons";
 
@@ -37,7 +37,7 @@ export function BranchList() {
     return (
       <section className="branches" aria-label="Airways">
         <h2>Airways</h2>
-        <p className="empty">{words}</p>
+        <p className="empty">{sentence(words)}</p>
       </section>
     );
   }

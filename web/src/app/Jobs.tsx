@@ -1,7 +1,7 @@
 /** Long work: a thin bar with what, how far, how long, and a way to stop it. */
 
 import { ProgressBar } from "react-aria-components";
-import { timeLeft } from "../state/format";
+import { sentence, timeLeft } from "../state/format";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
@@ -27,7 +27,7 @@ export function ThinProgress({ title, what, fraction, secondsLeft, onCancel }: T
       </div>
       <div className="job-words">
         <span>
-          {title}
+          {sentence(title)}
           {what === "" || what === title ? "" : `: ${what}`}
         </span>
         <span className="numbers quiet">

@@ -2,6 +2,7 @@
 
 import { useEffect } from "react";
 import type { Message } from "../state/app-state";
+import { sentence } from "../state/format";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 import { Icon } from "./icons";
@@ -31,8 +32,8 @@ function Card({ message }: { message: Message }) {
     <div className={`message ${message.kind}`} role={message.kind === "error" ? "alert" : "status"}>
       <Icon name={message.kind === "error" ? "error" : "info"} />
       <div>
-        <p>{message.message}</p>
-        {message.action === null ? null : <p className="action">{message.action}</p>}
+        <p>{sentence(message.message)}</p>
+        {message.action === null ? null : <p className="action">{sentence(message.action)}</p>}
       </div>
       <Act
         kind="icon"

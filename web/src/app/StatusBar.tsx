@@ -2,14 +2,13 @@
 
 import { useEffect, useState } from "react";
 import { greyWindow } from "../state/app-state";
-import { coordinates, fixed, windowWords } from "../state/format";
+import { coordinates, fixed, plural, windowWords } from "../state/format";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
 export function StatusBar() {
   const station = useStation();
   const status = useApp((state) => state.status);
-  const drawn = useApp((state) => state.drawnFps);
   const method = useApp((state) => state.session?.method ?? "leap");
   const mode = useApp((state) => state.session?.mode ?? "free");
   const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
@@ -21,18 +20,14 @@ export function StatusBar() {
   return (
     <footer className="status-bar numbers">
       <ConnectionWords />
-      <span title="Airway pictures drawn in the last second; 0 while nothing moves">frame {drawn}/s</span>
-      <span title="From the movement to its picture being sent">
-        age {status === null ? "\u2013" : `${fixed(status.age_ms)} ms`}
-      </span>
+      <PaceWords />
       <span className="wide">
         {method === "leap" ? "leaping" : "brute force"}
-        {status === null
-          ? ""
-          : `, ${status.threads} ${status.threads === 1 ? "core" : "cores"}, ${simdWords(status.simd)}`}
+        {status === null ? "" : `, ${plural(status.threads, "core")}`}
+        <span className="spare">{status === null ? "" : `, ${simdWords(status.simd)}`}</span>
       </span>
       <span>mode: {mode} [M]</span>
-      <span className="wide">
+      <span className="wide spare">
         {windowWords(width, level)}
         {isHu ? " HU" : ""}
       </span>
@@ -62,6 +57,27 @@ export function StatusBar() {
       <span className="cursor wide">{cursor === null ? "" : coordinates(cursor)}</span>
       <strong className="not-device">not a medical device</strong>
     </footer>
+  );
+}
+
+/** Later than this, the picture is called late. */
+const LATE_MS = 700;
+
+function PaceWords() {
+  const { fps, ageMs, waitingMs } = useApp((state) => state.pace);
+  return (
+    <>
+      <span title="Airway pictures per second during the last movement">
+        frame {fps === null ? "\u2013" : `${fps}/s`}
+      </span>
+      {waitingMs > LATE_MS ? (
+        <span className="warning-text">picture {fixed(waitingMs / 1000, 1)} s behind</span>
+      ) : (
+        <span title="From a movement's answer to its picture on this screen">
+          age {ageMs === null ? "\u2013" : `${fixed(ageMs)} ms`}
+        </span>
+      )}
+    </>
   );
 }
 

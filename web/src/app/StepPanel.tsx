@@ -37,7 +37,7 @@ function body(step: keyof typeof STEP_WORDS) {
       return (
         <>
           <p>{STEP_WORDS[step].words}.</p>
-          <p className="quiet">This step is not built yet. Everything before it works without it.</p>
+          <p className="quiet">Everything before this step works without it.</p>
         </>
       );
   }

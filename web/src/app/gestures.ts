@@ -2,9 +2,10 @@
 
 import { WHEEL_MM_PER_PX } from "../input/flight";
 import { listenToPointer, type PointerHandlers, type PointerPlace } from "../input/pointer";
-import { greyWindow } from "../state/app-state";
+import { crosshairLps, greyWindow } from "../state/app-state";
 import { type FlatGeometry, geometryOf, lpsFromPixel, mmPerPixel, normalOf } from "../state/projection";
 import { add, asVec3, cameraFromMatrix, distance, dot, scale, sub, type Vec3 } from "../state/vec";
+import { clampToVolume } from "../state/volume";
 import type { Viewport } from "../views/viewport";
 import type { ViewName } from "../wire/messages";
 import type { Workstation } from "./workstation";
@@ -17,12 +18,15 @@ const ZOOM_PER_PX = 0.0015;
 /** A wheel notch (100 px) scrolls one slice. */
 const SCROLL_SLICES_PER_PX = 0.01;
 const ZOOM_KEY_PX = 120;
+const DOUBLE_CLICK_MS = 700;
 
 type Slice = "axial" | "coronal" | "sagittal";
 const isSlice = (view: ViewName): view is Slice => view === "axial" || view === "coronal" || view === "sagittal";
 
 interface Gestures {
   pointer: PointerHandlers;
+  /** Takes back what the clicks of a double click have done. */
+  unclick?(): void;
   key?(key: string, shift: boolean): boolean;
 }
 
@@ -43,7 +47,7 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
       case "xray-axial":
       case "xray-coronal":
       case "xray-sagittal":
-        return { pointer: { drag: (_at, moved, button) => button === "window" && dragWindow(station, moved) } };
+        return { pointer: {} };
     }
   };
   // Kept for the length of a drag: its beginning is remembered inside.
@@ -69,7 +73,10 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
     release: () => now().pointer.release?.(),
     hover: (at, shift) => now().pointer.hover?.(at, shift),
     wheel: (delta, zoom, at) => now().pointer.wheel?.(delta, zoom, at),
-    doubleClick,
+    doubleClick: () => {
+      now().unclick?.();
+      doubleClick();
+    },
   });
   return () => {
     viewport.host.removeEventListener("keydown", key);
@@ -122,12 +129,18 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
     const factor = of.width / viewport.header.width;
     return lpsFromPixel(geometry, { column: pixel.column * factor, row: pixel.row * factor });
   };
+  const moveCrosshair = (lps: Vec3): void => {
+    const grid = station.state.session?.case;
+    station.sendSoon({ type: "set_crosshair", lps: grid == null ? lps : clampToVolume(grid, lps) });
+  };
   const scroll = (slices: number): void => {
     const geometry = flat();
     const centre = station.centre();
     if (geometry === null || centre === null) return;
     const step = sliceStepMm(station, viewport.view);
-    station.sendSoon({ type: "set_crosshair", lps: add(centre, scale(normalOf(geometry), slices * step)) });
+    // Down is the next picture of the stack: towards the feet in axial slices, deeper into the screen in the others.
+    const way = viewport.view === "axial" ? -step : step;
+    moveCrosshair(add(centre, scale(normalOf(geometry), slices * way)));
   };
   const zoom = (deltaPx: number): void => {
     const geometry = flat();
@@ -149,14 +162,27 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
     if (geometry === null || centre === null) return;
     const perMm = 1 / mmPerPixel(geometry);
     const offset = add(scale(geometry.perColumn, right * perMm), scale(geometry.perRow, down * perMm));
-    station.sendSoon({ type: "set_crosshair", lps: add(centre, offset) });
+    moveCrosshair(add(centre, offset));
   };
   let scrolled = 0;
+  /** The crosshair before a click that may turn out to be the first half of a double click. */
+  let before: { crosshair: Vec3 | null; atMs: number } | null = null;
   return {
+    unclick: () => {
+      if (before === null || performance.now() - before.atMs > DOUBLE_CLICK_MS) return;
+      station.sendSoon({ type: "set_crosshair", lps: before.crosshair });
+      before = null;
+    },
     pointer: {
       click: (at) => {
         const lps = pointAt(at);
-        if (lps !== null) station.pick(lps);
+        if (lps === null) return;
+        const nowMs = performance.now();
+        if (station.state.ui.armed !== null) before = null;
+        else if (before === null || nowMs - before.atMs > DOUBLE_CLICK_MS) {
+          before = { crosshair: crosshairLps(station.state), atMs: nowMs };
+        }
+        station.pick(lps);
       },
       drag: (at, moved, button) => {
         if (button === "window") {
@@ -166,7 +192,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
         const geometry = flat();
         if (held === null && geometry !== null) held = { geometry, viewport: viewport.header };
         const lps = pointAt(at);
-        if (lps !== null) station.sendSoon({ type: "set_crosshair", lps });
+        if (lps !== null) moveCrosshair(lps);
       },
       release: () => {
         held = null;
@@ -174,7 +200,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
       hover: (at, shift) => {
         const lps = at === null ? null : pointAt(at);
         station.ui({ cursorLps: lps });
-        if (shift && lps !== null) station.sendSoon({ type: "set_crosshair", lps });
+        if (shift && lps !== null) moveCrosshair(lps);
       },
       wheel: (delta, isZoom) => {
         if (isZoom || !isSlice(viewport.view)) {

@@ -9,6 +9,7 @@ import { sendUpload, UploadError, type UploadFile } from "../net/upload";
 import { mainLeaf, neighbourWay } from "../state/airways";
 import { type AppState, type Connection, crosshairLps, pathMm, tipLps, type Ui } from "../state/app-state";
 import { forkAhead } from "../state/fork";
+import { PaceMeter } from "../state/pace";
 import { clampToRoute } from "../state/route";
 import { Store } from "../state/store";
 import { cameraFromMatrix, type Vec3 } from "../state/vec";
@@ -19,6 +20,7 @@ import type { ClientMessage, Demo, StateMessage } from "../wire/messages";
 const XRAYS = ["xray-coronal", "xray-sagittal", "xray-axial"] as const;
 /** One press of the path bar's arrows. */
 const STEP_MM = 2;
+const PACE_MS = 500;
 
 export class Workstation {
   readonly store = new Store();
@@ -30,7 +32,7 @@ export class Workstation {
   readonly #soon = new Map<string, ClientMessage>();
   #uploadStop: AbortController | null = null;
   #autoWanted = false;
-  #drawn = 0;
+  readonly #pace = new PaceMeter();
 
   constructor(connect: () => WebSocket) {
     this.#board = new PictureBoard<ImageBitmap>({
@@ -38,7 +40,7 @@ export class Workstation {
       draw: (header, image) => {
         // A view that has just left the screen is not remembered either: it would lie when it comes back.
         if (!this.wall.draw(header, image)) return;
-        if (header.view === "airway") this.#drawn += 1;
+        if (header.view === "airway") this.#pace.pictureDrawn(header.pose_id, performance.now());
         this.store.dispatch({ kind: "picture", header });
       },
       acknowledge: (frameId) => this.#stream.send({ type: "ack", frame_id: frameId }),
@@ -62,10 +64,12 @@ export class Workstation {
         status: (status) => this.#connectionChanged(status),
         message: (message) => {
           const before = this.state;
+          if (message.type === "pose") this.#pace.poseArrived(message.pose_id, performance.now());
           this.store.dispatch({ kind: "server", message, nowMs: performance.now() });
           // Another case: its first picture may have an older number than the last one of the case before.
           if (message.type === "state" && caseKey(before.session) !== caseKey(message)) {
             this.#board.reset();
+            this.#pace.reset();
             this.wall.clear();
           }
         },
@@ -106,9 +110,8 @@ export class Workstation {
       }.bind(this),
     );
     const counter = setInterval(() => {
-      this.store.dispatch({ kind: "drawn-fps", fps: this.#drawn });
-      this.#drawn = 0;
-    }, 1000);
+      this.store.dispatch({ kind: "pace", pace: this.#pace.read(performance.now()) });
+    }, PACE_MS);
     this.#stream.open();
     return () => {
       stopKeys();
@@ -299,6 +302,7 @@ export class Workstation {
       return;
     }
     this.#board.reset();
+    this.#pace.reset();
     this.wall.tellLayout(true);
   }
 

@@ -14,6 +14,7 @@ import type {
 } from "../wire/messages";
 import { type BranchTree, buildTree } from "./airways";
 import { type Optimistic, shown } from "./optimistic";
+import { NO_PACE, type Pace } from "./pace";
 import type { Step } from "./steps";
 import { asVec3, distance, type Vec3 } from "./vec";
 
@@ -71,8 +72,7 @@ export interface AppState {
   readonly status: StatusMessage | null;
   /** Header of the picture that each view shows now. */
   readonly frames: Readonly<Partial<Record<ViewName, PictureHeader>>>;
-  /** Airway pictures drawn in the last second, counted here. */
-  readonly drawnFps: number;
+  readonly pace: Pace;
   readonly upload: Upload | null;
   readonly ui: Ui;
   readonly local: {
@@ -95,7 +95,7 @@ export const INITIAL_STATE: AppState = {
   nextMessageId: 1,
   status: null,
   frames: {},
-  drawnFps: 0,
+  pace: NO_PACE,
   upload: null,
   ui: {
     step: "open",
@@ -117,7 +117,7 @@ export type AppEvent =
   | { kind: "sent"; message: ClientMessage; nowMs: number }
   | { kind: "connection"; connection: Connection }
   | { kind: "picture"; header: PictureHeader }
-  | { kind: "drawn-fps"; fps: number }
+  | { kind: "pace"; pace: Pace }
   | { kind: "upload"; upload: Upload | null }
   | { kind: "say"; message: Omit<Message, "id"> }
   | { kind: "dismiss"; id: number }
@@ -135,8 +135,8 @@ export function reduce(state: AppState, event: AppEvent): AppState {
       return connectionChanged(state, event.connection);
     case "picture":
       return { ...state, frames: { ...state.frames, [event.header.view]: event.header } };
-    case "drawn-fps":
-      return event.fps === state.drawnFps ? state : { ...state, drawnFps: event.fps };
+    case "pace":
+      return samePace(event.pace, state.pace) ? state : { ...state, pace: event.pace };
     case "upload":
       return { ...state, upload: event.upload };
     case "say":
@@ -263,6 +263,7 @@ const samePoint = (a: Vec3 | null, b: Vec3 | null): boolean =>
   a === null || b === null ? a === b : distance(a, b) < 0.01;
 const sameWindow = (a: { width_hu: number; level_hu: number }, b: { width_hu: number; level_hu: number }): boolean =>
   Math.abs(a.width_hu - b.width_hu) < 0.5 && Math.abs(a.level_hu - b.level_hu) < 0.5;
+const samePace = (a: Pace, b: Pace): boolean => a.fps === b.fps && a.ageMs === b.ageMs && a.waitingMs === b.waitingMs;
 const samePathMm = (a: number, b: number): boolean => Math.abs(a - b) < 0.05;
 
 /** The tip, from the newest pose. */

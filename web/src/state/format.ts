@@ -39,4 +39,7 @@ export function timeLeft(seconds: number): string {
 
 export const windowWords = (widthHu: number, levelHu: number): string => `W ${fixed(widthHu)}  L ${fixed(levelHu)}`;
 
+/** Words of the server as a sentence of their own. */
+export const sentence = (words: string): string => words.charAt(0).toUpperCase() + words.slice(1);
+
 export const plural = (count: number, one: string, many = `${one}s`): string => `${count} ${count === 1 ? one : many}`;

@@ -18,12 +18,12 @@ export const STEP_WORDS: Readonly<Record<Step, StepWords>> = {
   route: { title: "Route", words: "Choose the way, see its length and narrowest place", built: true },
   rehearse: {
     title: "Rehearse",
-    words: "Not built yet. Practise the route with a real bronchoscope's length, bend and width",
+    words: "Practise the route with a real bronchoscope's length, bend and width (not built yet)",
     built: false,
   },
   share: {
     title: "Share",
-    words: "Not built yet. Reports, films of the flight, surfaces and centrelines",
+    words: "Reports, films of the flight, surfaces and centrelines (not built yet)",
     built: false,
   },
 };

@@ -113,3 +113,30 @@ export function targetMark(ink: Ink, at: ScreenPoint, colour: string, alpha: num
   }
   ink.restore();
 }
+
+/** Names beside their marks, moved to another side (or left out) where one would print over another. */
+export class NamePlaces {
+  readonly #taken: { left: number; right: number; top: number; bottom: number }[] = [];
+
+  name(ink: Ink, text: string, at: ScreenPoint, colour: string, within: { width: number; height: number }): void {
+    ink.font = `11px ${FONT}`;
+    const width = ink.measureText(text).width;
+    for (const [side, lift] of [
+      [1, -9],
+      [1, 9],
+      [-1, -9],
+      [-1, 9],
+    ] as const) {
+      const left = side > 0 ? at.x + 10 : at.x - 10 - width;
+      const box = { left, right: left + width, top: at.y + lift - 7, bottom: at.y + lift + 7 };
+      const inside = box.left >= 2 && box.right <= within.width - 2 && box.top >= 2 && box.bottom <= within.height - 2;
+      const free = this.#taken.every(
+        (other) => box.right < other.left || box.left > other.right || box.bottom < other.top || box.top > other.bottom,
+      );
+      if (!inside || !free) continue;
+      this.#taken.push(box);
+      label(ink, text, { x: left, y: at.y + lift }, { size: 11, colour, align: "left" });
+      return;
+    }
+  }
+}

@@ -1,9 +1,9 @@
 /** Round the airway picture: the orientation ring, the way on, and a thin line of the route. All from the shown frame. */
 
-import { ringMarks } from "../state/letters";
+import { angleBetween, type RingMark, ringMarks } from "../state/letters";
 import { geometryOf, projectLine } from "../state/projection";
 import { pointsBetween } from "../state/route";
-import { INK, type Ink, label, line } from "./ink";
+import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
 import type { Scene } from "./scene";
 import { RING_PX, type Viewport } from "./viewport";
 
@@ -11,6 +11,8 @@ import { RING_PX, type Viewport } from "./viewport";
 const LINE_FROM_MM = 6;
 const LINE_TO_MM = 45;
 const HOURS = 12;
+/** Room that a letter of the ring needs. */
+const LETTER_PX = 16;
 
 export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { header, frame } = viewport;
@@ -18,10 +20,11 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
   const round = scene.airwayShape === "round";
   const radius = Math.min(frame.width, frame.height) / 2 + (round ? RING_PX / 2 : -RING_PX / 2);
   if (radius < 20) return;
-  if (round) paintDial(ink, centre, radius);
-  if (header === null) return;
-  const geometry = geometryOf(header);
-  if (geometry === null || geometry.kind !== "seen") return;
+  const geometry = header === null ? null : geometryOf(header);
+  if (geometry === null || geometry.kind !== "seen") {
+    if (round) paintDial(ink, centre, radius, []);
+    return;
+  }
 
   if (scene.routeLineVisible && scene.route !== null && scene.pathMm !== null) {
     const ahead = pointsBetween(scene.route, scene.pathMm + LINE_FROM_MM, scene.pathMm + LINE_TO_MM);
@@ -38,13 +41,16 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
     }
     ink.restore();
   }
-  for (const mark of ringMarks(geometry.camera)) {
+  const marks = ringMarks(geometry.camera);
+  if (round) paintDial(ink, centre, radius, marks);
+  for (const mark of marks) {
     const at = { x: centre.x + radius * Math.sin(mark.angleRad), y: centre.y - radius * Math.cos(mark.angleRad) };
     label(ink, mark.text, at, { size: mark.strength > 0.8 ? 15 : 12, bold: true });
   }
 }
 
-function paintDial(ink: Ink, centre: { x: number; y: number }, radius: number): void {
+/** The clock round the picture; an hour's tick gives way to a letter that stands there. */
+function paintDial(ink: Ink, centre: ScreenPoint, radius: number, marks: readonly RingMark[]): void {
   ink.save();
   ink.strokeStyle = INK.ring;
   ink.lineWidth = 1;
@@ -54,6 +60,7 @@ function paintDial(ink: Ink, centre: { x: number; y: number }, radius: number): 
   ink.restore();
   for (let hour = 0; hour < HOURS; hour += 1) {
     const angle = (hour / HOURS) * 2 * Math.PI;
+    if (marks.some((mark) => angleBetween(mark.angleRad, angle) * radius < LETTER_PX)) continue;
     const from = radius + RING_PX / 2 - 1;
     const to = from - (hour % 3 === 0 ? 6 : 4);
     line(

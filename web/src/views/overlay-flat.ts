@@ -12,7 +12,7 @@ import {
 } from "../state/projection";
 import { add, scale } from "../state/vec";
 import type { ViewName } from "../wire/messages";
-import { INK, type Ink, label, line, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
+import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
@@ -40,6 +40,7 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   const inPlane = (depthMm: number) => seesThrough || Math.abs(depthMm) <= IN_PLANE_MM;
   if (isSlice(header.view)) paintCrosshair(ink, viewport, geometry, scene, header.view);
   paintRoute(ink, viewport, geometry, scene, inPlane);
+  const names = new NamePlaces();
   for (const target of scene.targets) {
     const seen = pixelFromLps(geometry, target.lps);
     if (seen === null) continue;
@@ -47,8 +48,7 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
     const at = viewport.screenAt(seen);
     const colour = target.reachable ? INK.accent : INK.warning;
     targetMark(ink, at, colour, near ? 1 : 0.35);
-    if (near && !seesThrough)
-      label(ink, target.name, { x: at.x + 10, y: at.y - 9 }, { size: 11, colour, align: "left" });
+    if (near && !seesThrough) names.name(ink, target.name, at, colour, viewport.size);
   }
   if (scene.tip !== null) {
     const seen = pixelFromLps(geometry, scene.tip.position);

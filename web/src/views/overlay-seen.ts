@@ -2,7 +2,7 @@
 
 import { geometryOf, pixelFromLps, projectLine } from "../state/projection";
 import { add, scale } from "../state/vec";
-import { INK, type Ink, label, line, targetMark, tipMark } from "./ink";
+import { INK, type Ink, line, NamePlaces, targetMark, tipMark } from "./ink";
 import { paintLetters } from "./overlay-flat";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
@@ -22,13 +22,14 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
       line(ink, points, INK.accent, 2);
     }
   }
+  const names = new NamePlaces();
   for (const target of scene.targets) {
     const seen = pixelFromLps(geometry, target.lps);
     if (seen === null) continue;
     const at = viewport.screenAt(seen);
     const colour = target.reachable ? INK.accent : INK.warning;
     targetMark(ink, at, colour, 1);
-    label(ink, target.name, { x: at.x + 10, y: at.y - 9 }, { size: 11, colour, align: "left" });
+    names.name(ink, target.name, at, colour, viewport.size);
   }
   if (scene.tip !== null) {
     const seen = pixelFromLps(geometry, scene.tip.position);

@@ -1,5 +1,5 @@
 import { keyOf } from "../../input/keymap";
-import { coordinates, plural } from "../../state/format";
+import { coordinates, plural, sentence } from "../../state/format";
 import { asVec3 } from "../../state/vec";
 import { useApp, useStation } from "../context";
 import { Act, SwitchKey } from "../controls";
@@ -23,7 +23,7 @@ export function AirwaysStep() {
               ? "No airways were found."
               : "The airways will be found as soon as the CT is ready."}
       </p>
-      {session.airways_words === null ? null : <p className="quiet">{session.airways_words}</p>}
+      {session.airways_words === null ? null : <p className="quiet">{sentence(session.airways_words)}</p>}
       <h3>Root</h3>
       <p className="quiet numbers">
         {session.root_lps === null ? "Found by itself in the trachea." : coordinates(asVec3(session.root_lps))}

@@ -1,6 +1,6 @@
 import { keyOf, WINDOWS } from "../../input/keymap";
 import { greyWindow } from "../../state/app-state";
-import { windowWords } from "../../state/format";
+import { sentence, windowWords } from "../../state/format";
 import { useApp, useStation } from "../context";
 import { Act, Choice } from "../controls";
 import { Icon } from "../icons";
@@ -31,14 +31,16 @@ export function CheckStep() {
           {findings.map((words) => (
             <li key={words}>
               <Icon name="warning" />
-              <span>{words}</span>
+              <span>{sentence(words)}</span>
             </li>
           ))}
         </ul>
       )}
       {info.is_hu ? null : (
         <>
-          <p className="warning-text">{info.not_hu_reason ?? "The numbers of this volume are no Hounsfield units."}</p>
+          <p className="warning-text">
+            {sentence(info.not_hu_reason ?? "the numbers of this volume are no Hounsfield units")}
+          </p>
           <Threshold />
         </>
       )}
@@ -46,7 +48,7 @@ export function CheckStep() {
         <ul className="quiet-list">
           {info.off.map(({ what, why }) => (
             <li key={what}>
-              {what}: off, {why}
+              {sentence(what)}: off, {why}
             </li>
           ))}
         </ul>

@@ -1,7 +1,7 @@
 import { useState } from "react";
 import { FieldError, Form, Input, Label, TextField } from "react-aria-components";
 import { keyOf } from "../../input/keymap";
-import { mm, parseCoordinates } from "../../state/format";
+import { mm, parseCoordinates, sentence } from "../../state/format";
 import { asVec3, type Vec3 } from "../../state/vec";
 import type { Target } from "../../wire/messages";
 import { useApp, useStation } from "../context";
@@ -55,7 +55,7 @@ export function TargetRow({ target }: { target: Target }) {
               : `, moved ${mm(target.snapped_mm)} into the lumen`}
           </span>
         ) : (
-          <span className="warning-text">{target.problem}</span>
+          <span className="warning-text">{sentence(target.problem)}</span>
         )}
         <span className="row">
           <Act

@@ -1,0 +1,53 @@
+import { describe, expect, it } from "vitest";
+import { NO_PACE, PaceMeter } from "./pace";
+
+describe("the pace", () => {
+  it("says nothing before there is something to say", () => {
+    expect(new PaceMeter().read(5)).toEqual(NO_PACE);
+  });
+
+  it("is measured from a pose's arrival to its picture", () => {
+    const meter = new PaceMeter();
+    for (let pose = 1; pose <= 20; pose += 1) {
+      meter.poseArrived(pose, pose * 40);
+      meter.pictureDrawn(pose, pose * 40 + 33);
+    }
+    expect(meter.read(900)).toEqual({ fps: 25, ageMs: 33, waitingMs: 0 });
+  });
+
+  it("does not count pauses, nor the finer picture that follows when the tip stands still", () => {
+    const meter = new PaceMeter();
+    for (const [pose, at] of [
+      [1, 0],
+      [2, 50],
+      [3, 100],
+      [3, 250],
+      [4, 9000],
+      [5, 9050],
+    ] as const) {
+      meter.poseArrived(pose, at);
+      meter.pictureDrawn(pose, at);
+    }
+    expect(meter.read(9050).fps).toBe(20);
+  });
+
+  it("tells how long the newest pose has been waiting for its picture", () => {
+    const meter = new PaceMeter();
+    meter.poseArrived(1, 0);
+    meter.pictureDrawn(1, 20);
+    meter.poseArrived(2, 100);
+    meter.poseArrived(3, 130);
+    expect(meter.read(1130).waitingMs).toBe(1000);
+    meter.pictureDrawn(2, 1140);
+    expect(meter.read(1150).waitingMs).toBe(1020);
+    meter.pictureDrawn(3, 1160);
+    expect(meter.read(1170).waitingMs).toBe(0);
+  });
+
+  it("keeps no more poses than it can need", () => {
+    const meter = new PaceMeter();
+    for (let pose = 0; pose < 100_000; pose += 1) meter.poseArrived(pose, pose);
+    meter.pictureDrawn(99_999, 100_000);
+    expect(meter.read(100_000).ageMs).toBe(1);
+  });
+});

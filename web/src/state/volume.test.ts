@@ -1,0 +1,44 @@
+import { describe, expect, it } from "vitest";
+import { randomAxes, randomOf } from "./rotations.testing";
+import { add, distance, scale, type Vec3 } from "./vec";
+import { clampToVolume, type Grid } from "./volume";
+
+/** An oblique, anisotropic grid: swapped axes cannot pass. */
+function obliqueGrid(random: () => number) {
+  const { right, down, forward } = randomAxes(random);
+  const [a, b, c] = [scale(right, 0.6), scale(down, 0.8), scale(forward, 2.5)];
+  const origin: Vec3 = [-120, 35, 400];
+  const grid: Grid = {
+    shape_zyx: [7, 20, 31],
+    lps_from_ijk: [
+      ...[a[0], b[0], c[0], origin[0]],
+      ...[a[1], b[1], c[1], origin[1]],
+      ...[a[2], b[2], c[2], origin[2]],
+      ...[0, 0, 0, 1],
+    ],
+  };
+  const at = (i: number, j: number, k: number): Vec3 => add(origin, add(add(scale(a, i), scale(b, j)), scale(c, k)));
+  return { grid, at };
+}
+
+describe("the volume's box", () => {
+  it("leaves points inside as they are", () => {
+    const random = randomOf(21);
+    for (let round = 0; round < 100; round += 1) {
+      const { grid, at } = obliqueGrid(random);
+      const point = at(30.9 * random() - 0.4, 19.8 * random() - 0.4, 6.8 * random() - 0.4);
+      expect(clampToVolume(grid, point)).toBe(point);
+    }
+  });
+
+  it("brings points outside to the nearest voxel coordinates inside, each axis for itself", () => {
+    const random = randomOf(22);
+    for (let round = 0; round < 100; round += 1) {
+      const { grid, at } = obliqueGrid(random);
+      // 1e-6 mm: rounding of coordinates of some hundred mm.
+      expect(distance(clampToVolume(grid, at(50, 3, 2)), at(30.499, 3, 2))).toBeLessThan(1e-6);
+      expect(distance(clampToVolume(grid, at(4, -9, 2)), at(4, -0.499, 2))).toBeLessThan(1e-6);
+      expect(distance(clampToVolume(grid, at(4, 3, 70)), at(4, 3, 6.499))).toBeLessThan(1e-6);
+    }
+  });
+});
