@@ -1,8 +1,16 @@
 import { describe, expect, it } from "vitest";
-import { randomOf } from "../state/rotations.testing";
 import type { PictureHeader, ViewName } from "../wire/messages";
 import type { WirePicture } from "../wire/parse";
 import { PictureBoard } from "./pictures";
+
+/** A generator that repeats itself from its seed: a failure can be seen again. */
+function randomOf(seed: number): () => number {
+  let state = seed;
+  return () => {
+    state = (state * 1664525 + 1013904223) % 2 ** 32;
+    return state / 2 ** 32;
+  };
+}
 
 function picture(frameId: number, poseId: number, view: ViewName = "airway"): WirePicture {
   return {
