@@ -10,6 +10,7 @@ import pytest
 from pydicom.dataset import Dataset
 from pydicom.encaps import encapsulate
 from pydicom.uid import (
+    MPEG2MPML,
     DeflatedExplicitVRLittleEndian,
     ExplicitVRBigEndian,
     ImplicitVRLittleEndian,
@@ -282,6 +283,32 @@ def test_damaged_compressed_pixels_are_named_without_the_words_of_the_library(wr
     assert "IM000" in str(error)
     assert "itk" not in str(error).lower()
     assert "itk" not in capfd.readouterr().err.lower()
+
+
+def _jpeg_ls_header(rows: int, columns: int) -> bytes:
+    return b"\xff\xd8\xff\xf7\x00\x0b\x10" + rows.to_bytes(2) + columns.to_bytes(2) + b"\x01\x01\x11\x00"
+
+
+def test_a_compressed_stream_that_claims_another_size_is_refused_before_it_is_decoded(write_series):
+    import resource
+
+    def lie(dataset, index):
+        dataset.PixelData = encapsulate([_jpeg_ls_header(65000, 65000) + bytes(100)])
+        dataset["PixelData"].VR = "OB"
+
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    error = refusal(write_series(edit=lie, syntax=JPEGLSLossless))
+    assert error.code == "import.truncated"
+    assert "65000 x 65000" in str(error)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB; the claim is 8 million
+
+
+def test_an_unknown_compression_is_refused_by_name(write_series):
+    def video(dataset, index):
+        dataset.PixelData = encapsulate([b"some video"])
+        dataset["PixelData"].VR = "OB"
+
+    assert refusal(write_series(edit=video, syntax=MPEG2MPML)).code == "import.unsupported"
 
 
 def test_files_that_are_not_images_are_passed_over(write_series, expected_hu_zyx):

@@ -68,13 +68,13 @@ def _grid(slices: Sequence[SliceHeader], what: str) -> tuple[list[SliceHeader], 
         count = f" ({len(bad)} of {len(slices)} images are affected)" if len(bad) > 1 else ""
         msg = (
             f"{what}: {first.path.name} cannot be used: {first.problem}{count}; export the series again, or choose "
-            f"another one"
+            "another one"
         )
         raise VolumeImportError(msg, code=first.problem_code)
     if len(slices) * slices[0].rows * slices[0].columns > MAX_VOXELS:
         msg = (
             f"{what}: its {len(slices)} slices hold more than {MAX_VOXELS} voxels; expected one chest CT; choose "
-            f"another series"
+            "another series"
         )
         raise VolumeImportError(msg, code="import.too-large")
     return grid_from_slices(slices, what=what)

@@ -42,16 +42,14 @@ def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
         if (header.rows, header.columns) != (first.rows, first.columns):
             problem = (
                 f"its slices have mixed sizes: expected {first.columns} x {first.rows} pixels as in "
-                f"{first.path.name}, found "
-                f"{header.columns} x {header.rows} in {header.path.name}"
+                f"{first.path.name}, found {header.columns} x {header.rows} in {header.path.name}"
             )
             raise _refuse(what, problem, way_out, "import.geometry.mixed")
         turn = max(math.dist(header.row_lps, first.row_lps), math.dist(header.column_lps, first.column_lps))
         if turn * extent_mm > _MAX_CORNER_SHIFT_MM:
             problem = (
                 f"its slices have mixed orientations: {header.path.name} is turned by {math.degrees(turn):.2f} "
-                "degrees against "
-                f"{first.path.name}"
+                f"degrees against {first.path.name}"
             )
             raise _refuse(what, problem, way_out, "import.geometry.mixed")
         stretch_mm = max(
@@ -61,8 +59,8 @@ def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
         if stretch_mm > _MAX_CORNER_SHIFT_MM:
             problem = (
                 f"its slices have mixed pixel distances: expected {first.spacing_mm[0]:g} x {first.spacing_mm[1]:g} "
-                "mm as in "
-                f"{first.path.name}, found {header.spacing_mm[0]:g} x {header.spacing_mm[1]:g} mm in {header.path.name}"
+                f"mm as in {first.path.name}, found {header.spacing_mm[0]:g} x {header.spacing_mm[1]:g} mm in "
+                f"{header.path.name}"
             )
             raise _refuse(what, problem, way_out, "import.geometry.mixed")
 
@@ -77,10 +75,8 @@ def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader]
         at = int(doubled[0])
         problem = (
             f"{doubled.size + 1 if doubled.size == count - 1 else doubled.size} of its {count} slices lie where "
-            "another one already "
-            f"lies, first {ordered[at].path.name} and {ordered[at + 1].path.name}; expected every position once; the "
-            "folder may "
-            "hold the series twice, or several phases of one scan"
+            f"another one already lies, first {ordered[at].path.name} and {ordered[at + 1].path.name}; expected every "
+            "position once; the folder may hold the series twice, or several phases of one scan"
         )
         raise _refuse(what, problem, "keep one slice for each position", "import.geometry.duplicate")
     tolerance = min(max(0.1 * expected, 0.06), 0.3)
@@ -95,9 +91,8 @@ def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader]
             else ""
         )
         problem = (
-            f"slice spacing is irregular: expected {expected:.2f} mm, found {gaps[at]:.2f} mm after slice {at + 1} "
-            f"of {count} "
-            f"({ordered[at].path.name}){more}{cause}"
+            f"slice spacing is irregular: expected {expected:.2f} mm, found {gaps[at]:.2f} mm after slice {at + 1} of "
+            f"{count} ({ordered[at].path.name}){more}{cause}"
         )
         raise _refuse(what, problem, "copy the whole series again, or choose another one", "import.geometry.irregular")
     regular = along_mm[0] + np.arange(count) * (along_mm[-1] - along_mm[0]) / (count - 1)
@@ -106,8 +101,7 @@ def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader]
         at = int(off.argmax())
         problem = (
             f"slice spacing is irregular: slice {at + 1} of {count} ({ordered[at].path.name}) lies {off[at]:.2f} mm "
-            "off the regular "
-            f"grid of {expected:.2f} mm; at most {tolerance:.2f} mm are allowed"
+            f"off the regular grid of {expected:.2f} mm; at most {tolerance:.2f} mm are allowed"
         )
         raise _refuse(what, problem, "choose another series", "import.geometry.irregular")
 
@@ -169,8 +163,7 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
         at = int(across.argmax())
         problem = (
             f"slice {at + 1} of {len(ordered)} ({ordered[at].path.name}) is shifted sideways by {across[at]:.2f} mm; "
-            "at most "
-            f"{allowed:.2f} mm are allowed"
+            f"at most {allowed:.2f} mm are allowed"
         )
         raise _refuse(what, problem, "choose another series", "import.geometry.shifted")
 

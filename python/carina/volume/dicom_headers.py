@@ -284,8 +284,7 @@ def _walk(folder: Path, *, recursive: bool, watch: Watch) -> Iterator[Path]:
             if count > MAX_FILES:
                 msg = (
                     f"reading the folder {folder.name}: it holds more than {MAX_FILES} files; expected one scan; "
-                    "choose the folder "
-                    "of the scan itself"
+                    "choose the folder of the scan itself"
                 )
                 raise VolumeImportError(msg, code="import.too-many-files")
             path = Path(root) / name

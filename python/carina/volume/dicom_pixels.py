@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import struct
+import tempfile
+from pathlib import Path
+
 import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.uid import UID, CTImageStorage
 
 from carina.errors import VolumeImportError
 from carina.volume.dicom_headers import SliceHeader, read_dataset
@@ -14,14 +20,16 @@ __all__ = ["read_slice"]
 # Stored as plain numbers: read here, checked byte for byte. Everything else is decoded by GDCM through SimpleITK.
 _IMPLICIT_LITTLE, _EXPLICIT_LITTLE = "1.2.840.10008.1.2", "1.2.840.10008.1.2.1"
 _DEFLATED_LITTLE, _EXPLICIT_BIG = "1.2.840.10008.1.2.1.99", "1.2.840.10008.1.2.2"
+_RLE = "1.2.840.10008.1.2.5"
+# What GDCM decodes: JPEG (lossy and lossless), JPEG-LS, JPEG 2000 (PS3.5 A.4).
+_CODED = {f"1.2.840.10008.1.2.4.{number}" for number in (50, 51, 53, 55, 57, 70, 80, 81, 90, 91)} | {_RLE}
 _PLAIN = {_IMPLICIT_LITTLE, _EXPLICIT_LITTLE, _DEFLATED_LITTLE, _EXPLICIT_BIG, ""}
 
 
 def _truncated(header: SliceHeader, expected: int, found: int) -> VolumeImportError:
     msg = (
-        f"reading {header.path.name}: its pixels are cut short: expected {expected} bytes, found {found}; the copy "
-        "is incomplete; "
-        "copy the series again"
+        f"reading {header.path.name}: its pixels are cut short: expected {expected} bytes, found {found}; the copy is "
+        "incomplete; copy the series again"
     )
     return VolumeImportError(msg, code="import.truncated")
 
@@ -41,8 +49,7 @@ def _plain_pixels(header: SliceHeader) -> NDArray[np.int32]:
     if len(stored) > expected + 1:  # one byte of padding keeps the length even
         msg = (
             f"reading {header.path.name}: expected {expected} bytes of pixels for {header.columns} x {header.rows}, "
-            "found "
-            f"{len(stored)}; the header does not fit the pixels; copy the series again"
+            f"found {len(stored)}; the header does not fit the pixels; copy the series again"
         )
         raise VolumeImportError(msg, code="import.header")
     order = ">" if header.transfer_syntax == _EXPLICIT_BIG else "<"
@@ -53,37 +60,104 @@ def _plain_pixels(header: SliceHeader) -> NDArray[np.int32]:
     return (word.view(kind) >> kind(32 - header.bits_stored)).astype(np.int32).reshape(header.rows, header.columns)
 
 
-def _decoded_values(header: SliceHeader) -> NDArray[np.float64]:
+_JPEG_START, _J2K_START = b"\xff\xd8\xff", b"\xff\x4f\xff\x51"
+_MAX_J2K_TILES = 4096  # one tile is usual; each costs the decoder kilobytes, whatever it holds
+
+
+def _coded_size(stored: bytes) -> tuple[int, int, int] | None:
+    """Rows, columns and components that a JPEG, JPEG-LS or JPEG 2000 stream claims for itself, or None.
+
+    The decoder believes the stream, not the tags, and takes memory for it before it finds out (ITU-T T.81 B.2.2,
+    T.87 C.2.2, T.800 A.5.1).
+    """
+    at = stored.find(_J2K_START, 0, 4096)
+    if at >= 0:
+        right, bottom, left, top, tile_x, tile_y = struct.unpack_from(">6I", stored, at + 8)
+        (components,) = struct.unpack_from(">H", stored, at + 40)
+        if min(tile_x, tile_y) < 1 or -(-right // tile_x) * -(-bottom // tile_y) > _MAX_J2K_TILES:
+            return None
+        return bottom - top, right - left, components
+    at = stored.find(_JPEG_START, 0, 4096)
+    if at < 0:
+        return None
+    at += 2
+    while stored[at] == 0xFF:
+        marker = stored[at + 1]
+        if marker == 0xF7 or (0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC)):
+            rows, columns, components = struct.unpack_from(">2HB", stored, at + 5)
+            return rows, columns, components
+        at += 2 + int.from_bytes(stored[at + 2 : at + 4], "big")
+    return None
+
+
+def _check_coded_size(header: SliceHeader, stored: bytes) -> None:
+    try:
+        size = _coded_size(stored)
+    except (IndexError, struct.error):
+        size = None
+    if size == (header.rows, header.columns, 1):
+        return
+    found = "no readable size" if size is None else f"{size[1]} x {size[0]} pixels of {size[2]} values"
+    msg = (
+        f"reading {header.path.name}: expected {header.columns} x {header.rows} grey pixels, its compressed stream "
+        f"holds {found}; the file is damaged; copy the series again"
+    )
+    raise VolumeImportError(msg, code="import.truncated")
+
+
+def _decoded_pixels(header: SliceHeader) -> NDArray[np.int32]:
+    """Decode with GDCM, which gets a new file with the compressed pixels and what decoding needs, and nothing else.
+
+    So no other element of a damaged file can mislead it, and slope, intercept and geometry are read in one place
+    only: ours.
+    """
+    if header.transfer_syntax not in _CODED:
+        msg = (
+            f"reading {header.path.name}: its pixels are compressed in a way that cannot be decoded here; expected "
+            "JPEG, JPEG-LS, JPEG 2000 or RLE; export the series uncompressed"
+        )
+        raise VolumeImportError(msg, code="import.unsupported")
+    try:
+        stored = bytes(read_dataset(header.path, pixels=True).get("PixelData") or b"")
+    except ValueError:
+        msg = f"reading {header.path.name}: its pixels cannot be found; the file is damaged; copy the series again"
+        raise VolumeImportError(msg, code="import.truncated") from None
+    if header.transfer_syntax != _RLE:
+        _check_coded_size(header, stored)
+    pixels = Dataset()
+    pixels.file_meta = FileMetaDataset()
+    pixels.file_meta.TransferSyntaxUID = UID(header.transfer_syntax)
+    pixels.file_meta.MediaStorageSOPClassUID = pixels.SOPClassUID = CTImageStorage
+    pixels.file_meta.MediaStorageSOPInstanceUID = pixels.SOPInstanceUID = UID("1.2.3")
+    pixels.Rows, pixels.Columns = header.rows, header.columns
+    pixels.SamplesPerPixel, pixels.PhotometricInterpretation = 1, "MONOCHROME2"
+    pixels.BitsAllocated, pixels.BitsStored, pixels.HighBit = header.bits_allocated, header.bits_stored, header.high_bit
+    pixels.PixelRepresentation = 1 if header.signed else 0
+    pixels.PixelData = stored
+    pixels["PixelData"].VR = "OB"
+    pixels["PixelData"].is_undefined_length = True
     reader = sitk.ImageFileReader()
     reader.SetImageIO("GDCMImageIO")
-    reader.SetFileName(str(header.path))
-    try:
-        image = reader.Execute()
-    except RuntimeError:
-        msg = (
-            f"reading {header.path.name}: its compressed pixels cannot be decoded (transfer syntax "
-            f"{header.transfer_syntax}); the "
-            "file is damaged or its compression is not supported; export the series uncompressed"
-        )
-        raise VolumeImportError(msg, code="import.truncated") from None
-    size = image.GetSize()
-    if size != (header.columns, header.rows, 1) or image.GetNumberOfComponentsPerPixel() != 1:
+    with tempfile.TemporaryDirectory(prefix="carina-") as folder:
+        path = Path(folder) / "pixels.dcm"
+        reader.SetFileName(str(path))
+        try:
+            pixels.save_as(path, enforce_file_format=True)
+            image = reader.Execute()
+        except (RuntimeError, ValueError, MemoryError):
+            msg = (
+                f"reading {header.path.name}: its compressed pixels cannot be decoded (transfer syntax "
+                f"{header.transfer_syntax}); the file is damaged or its compression is not supported; export the "
+                "series uncompressed"
+            )
+            raise VolumeImportError(msg, code="import.truncated") from None
+    if image.GetSize() != (header.columns, header.rows, 1) or image.GetNumberOfComponentsPerPixel() != 1:
         msg = (
             f"reading {header.path.name}: expected {header.columns} x {header.rows} grey pixels, the compressed data "
-            f"holds {size}; "
-            "export the series again"
+            f"holds {image.GetSize()}; export the series again"
         )
         raise VolumeImportError(msg, code="import.header")
-    # Two readings of one header must agree before the pixels are trusted: ours of the tags, and GDCM's.
-    theirs = np.array(image.GetOrigin()), np.array(image.GetSpacing()[:2])
-    if np.abs(theirs[0] - header.position_lps).max() > 0.01 or np.abs(theirs[1] - header.spacing_mm).max() > 1e-4:
-        msg = (
-            f"reading {header.path.name}: two readings of its position disagree; expected {header.position_lps}, found "
-            f"{tuple(theirs[0])}; export the series again"
-        )
-        raise VolumeImportError(msg, code="import.geometry.disagree")
-    # GDCM has already applied slope and intercept.
-    return np.array(sitk.GetArrayViewFromImage(image)[0], dtype=np.float64)
+    return np.array(sitk.GetArrayViewFromImage(image)[0], dtype=np.int32)
 
 
 def read_slice(header: SliceHeader) -> NDArray[np.float64] | NDArray[np.int32]:
@@ -99,9 +173,7 @@ def read_slice(header: SliceHeader) -> NDArray[np.float64] | NDArray[np.int32]:
     VolumeImportError
         ``import.truncated`` or ``import.header``, naming the file.
     """
-    if header.transfer_syntax not in _PLAIN:
-        return _decoded_values(header)
-    stored = _plain_pixels(header)
+    stored = _plain_pixels(header) if header.transfer_syntax in _PLAIN else _decoded_pixels(header)
     if header.slope == 1.0 and header.intercept == int(header.intercept) and abs(header.intercept) < 1 << 24:
         return stored + np.int32(header.intercept)
     return np.asarray(stored * header.slope + header.intercept, dtype=np.float64)

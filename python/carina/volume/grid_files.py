@@ -33,8 +33,7 @@ def _lying(path: Path, header: GridHeader, found: str) -> VolumeImportError:
     sizes = " x ".join(str(n) for n in header.shape_ijk)
     msg = (
         f"reading {path.name}: its header claims {sizes} voxels ({header.num_bytes} bytes), but {found}; the file is "
-        "incomplete or its "
-        "header is wrong; copy or export it again"
+        "incomplete or its header is wrong; copy or export it again"
     )
     return VolumeImportError(msg, code="import.truncated")
 
@@ -48,8 +47,7 @@ def _check_claim(path: Path, header: GridHeader, watch: Watch) -> None:
         sizes = " x ".join(str(n) for n in header.shape_ijk)
         msg = (
             f"reading {path.name}: its header claims {sizes} voxels; at most {MAX_VOXELS} are read; the header is "
-            "damaged, or the file is "
-            "no chest CT; crop or resample it"
+            "damaged, or the file is no chest CT; crop or resample it"
         )
         raise VolumeImportError(msg, code="import.too-large")
     size = header.data_path.stat().st_size
@@ -130,9 +128,8 @@ def _read(path: Path, header: GridHeader) -> tuple[NDArray[np.generic], NDArray[
             image = reader.Execute()
     except (RuntimeError, MemoryError):
         msg = (
-            f"reading {path.name}: its {header.format} data cannot be read, although its header looks right; the "
-            "file is damaged or of "
-            "an unusual kind; export it again"
+            f"reading {path.name}: its {header.format} data cannot be read, although its header looks right; the file "
+            "is damaged or of an unusual kind; export it again"
         )
         raise VolumeImportError(msg, code="import.unreadable") from None
     finally:
@@ -140,7 +137,7 @@ def _read(path: Path, header: GridHeader) -> tuple[NDArray[np.generic], NDArray[
     if image.GetSize() != header.shape_ijk or image.GetNumberOfComponentsPerPixel() != 1:
         msg = (
             f"reading {path.name}: expected {header.shape_ijk} voxels, the library finds {image.GetSize()}; export "
-            f"the file again"
+            "the file again"
         )
         raise VolumeImportError(msg, code="import.header")
     theirs = np.eye(4)
@@ -158,9 +155,8 @@ def _check_agreement(path: Path, header: GridHeader, theirs: NDArray[np.float64]
     allowed_mm = 0.05 * float(np.linalg.norm(ours[:3, :3], axis=0).min())
     if apart_mm > allowed_mm:
         msg = (
-            f"reading {path.name}: two readings of its header place the voxels {apart_mm:.2f} mm apart; expected "
-            "less than "
-            f"{allowed_mm:.2f} mm; save it again, for example from 3D Slicer"
+            f"reading {path.name}: two readings of its header place the voxels {apart_mm:.2f} mm apart; expected less "
+            f"than {allowed_mm:.2f} mm; save it again, for example from 3D Slicer"
         )
         raise VolumeImportError(msg, code="import.geometry.disagree")
 

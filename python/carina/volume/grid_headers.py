@@ -1,5 +1,4 @@
-"""What the header of a NIfTI, NRRD or MetaImage file claims, read by ourselves before any library may take memory for
-it.
+"""What the header of a NIfTI, NRRD or MetaImage file claims, read by ourselves before a library takes memory for it.
 
 This second reading has two uses: a lying header is refused while it is still only text, and the geometry that the
 library finds later must agree with ours. Sources: nifti1.h and nifti2.h (NIfTI-1.1, NIfTI-2), the NRRD format
@@ -136,7 +135,7 @@ def _check(path: Path, header: GridHeader) -> None:
     if skew_deg > 0.2:  # as for the tilt of a DICOM series
         problem = (
             f"its axes are sheared: they stand {90 - skew_deg:.1f} instead of 90 degrees to each other (an "
-            f"uncorrected gantry tilt?)"
+            "uncorrected gantry tilt?)"
         )
         raise _refuse(path, problem, "resample it to a straight grid first", "import.geometry.sheared")
 
@@ -349,7 +348,7 @@ def _nrrd_transform(path: Path, fields: dict[str, str]) -> NDArray[np.float64]:
     if space not in _NRRD_SPACES:
         problem = (
             f"it {'names the space ' + space if space else 'names no space'}, so it does not say where left and right "
-            f"are"
+            "are"
         )
         raise _refuse(path, problem, _AMBIGUOUS, "import.geometry.orientation-unknown")
     if "space directions" not in fields or "space origin" not in fields:
@@ -400,6 +399,8 @@ def _metaimage(path: Path) -> GridHeader:
         line = text[at : line_end if line_end >= 0 else len(text)].decode("ascii", errors="replace")
         at = line_end + 1
         name, equals, value = line.partition("=")
+        if "ndims" not in fields and name.strip().lower() in ("dimsize", "elementspacing", "elementsize"):
+            raise ValueError  # lists cannot be read before their length is known
         if equals:
             fields[name.strip().lower()] = value.strip()
         if name.strip().lower() == "elementdatafile":
@@ -438,6 +439,9 @@ def _metaimage(path: Path) -> GridHeader:
     data_path = path if local else _beside(path, data_name)
     begin = at if local else 0
     compressed = fields.get("compresseddata", "False").lower() in ("true", "1", "t")
+    packed_bytes = int(fields.get("compresseddatasize", "0"))
+    if compressed and packed_bytes not in (0, data_path.stat().st_size - begin):
+        raise ValueError
     header_size = int(fields.get("headersize", "0"))
     if header_size < -1 or (header_size != 0 and compressed):
         raise ValueError

@@ -70,8 +70,7 @@ def judge_values(values: NDArray[np.int16]) -> HuVerdict:
         return HuVerdict(
             False,
             f"its values ({lowest} to {highest}) do not gather near -1000 (air) and 0 (soft tissue): {100 * air:.1f} "
-            "% and "
-            f"{100 * soft:.1f} % of the voxels do",
+            f"% and {100 * soft:.1f} % of the voxels do",
         )
     return HuVerdict(True, None)
 

@@ -82,19 +82,19 @@ def guarded(path: Path, action: Callable[[Path], T]) -> T:
     except PermissionError:
         msg = (
             f"reading {path.name}: it may not be read by this user; change its permissions or copy it to a folder of "
-            f"your own"
+            "your own"
         )
         raise VolumeImportError(msg, code="import.unreadable") from None
     except OSError as error:
         msg = (
             f"reading {path.name}: the disk gives an error ({error.strerror or type(error).__name__}); check the disk "
-            f"or copy the files"
+            "or copy the files"
         )
         raise VolumeImportError(msg, code="import.unreadable") from None
     except MemoryError:
         msg = (
             f"reading {path.name}: this machine has not enough memory for it; close other programs, or crop or "
-            f"resample the volume"
+            "resample the volume"
         )
         raise VolumeImportError(msg, code="import.too-large") from None
 
@@ -151,8 +151,7 @@ def _series_of_file(path: Path, watch: Watch) -> list[FoundSeries]:
     if own is None:
         msg = (
             f"reading {path.name}: it is DICOM but holds no image (a report, a structure set or a directory file); "
-            "open the folder "
-            "of the scan"
+            "open the folder of the scan"
         )
         raise VolumeImportError(msg, code="import.no-images")
     return [
@@ -172,6 +171,6 @@ def _no_images(folder: Path) -> VolumeImportError:
     else:
         msg = (
             f"reading the folder {folder.name}: it holds no DICOM images; expected the slices of a chest CT; choose "
-            f"the folder of the scan"
+            "the folder of the scan"
         )
     return VolumeImportError(msg, code="import.no-images")
