@@ -14,7 +14,7 @@ __all__ = ["report"]
 def report(path: Path, *, strict: bool, series: str | None, as_json: bool) -> int:
     """Print what is known of a path; 3 with ``strict`` where the quality gate has a finding."""
     progress = progress_printer()
-    inspection = inspect_path(path)
+    inspection = inspect_path(path, series=series)
     volume = carina.open_volume(path, series=series, progress=progress)
     quality = quality_gate(volume)
     low, high = int(volume.hu_zyx.min()), int(volume.hu_zyx.max())
