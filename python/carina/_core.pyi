@@ -1,7 +1,7 @@
 """Types of the compiled module; contracts are in the Python facade, algorithms in the crates' documentation."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,7 @@ def build_transparent_map(
 
 # ---- raycast ----
 
+@final
 class TransferTable:
     """What one ray step adds, by value."""
 

@@ -55,10 +55,10 @@ pub fn value_labels(hu: &[i16], transparent: impl Fn(i32, i32) -> bool) -> Class
 
 /// The class labelling: maximal runs of HU whose table entries are one colour; all entries of opacity 0 are one colour.
 ///
-/// `table[n]` is the entry of `lo_hu + n`. Values below and above the table count as its first and last entry. A class is one
-/// *contiguous* run: interpolating between two transparent runs passes through whatever lies between them. With
-/// `transparent_only`, opaque runs get label 0, so that the radius map is already the one of the shaded caster, which may
-/// leap over nothing else.
+/// `table[n]` is the entry of `lo_hu + n`. Values below and above the table count as its first and last entry. A class
+/// is one *contiguous* run: interpolating between two transparent runs passes through whatever lies between them. With
+/// `transparent_only`, opaque runs get label 0, so that the radius map is already the one of the shaded caster, which
+/// may leap over nothing else.
 pub fn class_labels(
     hu: &[i16],
     lo_hu: i32,

@@ -1,7 +1,8 @@
 //! `IsoRegion` maps (paper 4.1, 4.2) and the `IsoRegion` step table (paper 4.3).
 //!
-//! The radius of a voxel is the largest `d` such that the `(2d+1)^3` cube round it lies in the volume and holds one label.
-//! [`paper_radius_map`] is the paper's construction, slow and readable; [`radius_map`] is the one to use and equals it.
+//! The radius of a voxel is the largest `d` such that the `(2d+1)^3` cube round it lies in the volume and holds one
+//! label. [`paper_radius_map`] is the paper's construction, slow and readable; [`radius_map`] is the one to use and
+//! equals it.
 
 mod error;
 mod labels;

@@ -6,10 +6,10 @@ use crate::{IsoRegionError, error::check_length};
 
 /// Radius of every voxel: the same map as [`crate::paper_radius_map`], in two sweeps.
 ///
-/// A voxel is *heterogeneous* if it has label 0 or one of its 26 neighbours is missing or has another label. The radius of
-/// a voxel is its chessboard distance to the nearest heterogeneous one: inside the largest uniform cube no voxel but those of
-/// the outermost shell can be heterogeneous, and one of that shell is, or the cube would grow. Chessboard distances are exact
-/// after a forward and a backward sweep of `d = 1 + min` over the 13 neighbours already visited.
+/// A voxel is *heterogeneous* if it has label 0 or one of its 26 neighbours is missing or has another label. The radius
+/// of a voxel is its chessboard distance to the nearest heterogeneous one: inside the largest uniform cube no voxel but
+/// those of the outermost shell can be heterogeneous, and one of that shell is, or the cube would grow. Chessboard
+/// distances are exact after a forward and a backward sweep of `d = 1 + min` over the 13 neighbours already visited.
 pub fn radius_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>, IsoRegionError> {
     check_length(labels, shape_zyx)?;
     if labels.is_empty() {

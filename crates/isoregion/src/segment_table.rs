@@ -5,8 +5,8 @@ pub const MAX_SEGMENT_SAMPLES: usize = 256;
 
 /// `(C (1 - beta^n), beta^n)` by class and number of samples.
 ///
-/// Paper 4.3. Departure: indexed by the number of samples, not by the radius `d`, so that a region of radius 0 still adds its one
-/// sample, and so that rays that cross a region at a slant or with another step add what they really pass.
+/// Paper 4.3. Departure: indexed by the number of samples, not by the radius `d`, so that a region of radius 0 still
+/// adds its one sample, and so that rays that cross a region at a slant or with another step add what they really pass.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SegmentTable {
     entries: Vec<[f32; 4]>,

@@ -2,7 +2,7 @@
 
 use carina_grid::{Affine, Camera, Grid, VolumeView, clip_line_to_box, dot, length};
 
-use crate::{Field, Light, RaycastError, TransferTable, composite::Gathered};
+use crate::{Field, Light, RaycastError, TransferTable, composite::Gathered, sampling::Lanes};
 
 /// Rays stop when less than this shines through: no channel can change by more than half a grey level any more.
 pub const STOP_TRANSPARENCY: f32 = 1.0 / 512.0;
@@ -37,7 +37,7 @@ pub struct Frame<'a> {
     camera: Camera,
     ijk_from_camera: Affine,
     origin_ijk: [f64; 3],
-    pub(crate) origin: [f32; 3],
+    origin: Lanes,
     pub(crate) step_mm: f32,
     /// Gradients are per voxel; `|gradient in LPS per mm|^2 = g^T metric g`: xx, yy, zz, 2xy, 2xz, 2yz.
     metric: [f32; 6],
@@ -48,8 +48,8 @@ pub struct Frame<'a> {
 /// One ray: samples `first..end` at `origin + (k + 1/2) delta`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Ray {
-    pub origin: [f32; 3],
-    pub delta: [f32; 3],
+    pub origin: Lanes,
+    pub delta: Lanes,
     pub first: u32,
     pub end: u32,
 }
@@ -57,10 +57,15 @@ pub(crate) struct Ray {
 impl Ray {
     /// Position of sample `k`, as a product: no error adds up along the ray.
     #[inline(always)]
-    pub(crate) fn at(&self, k: u32) -> [f32; 3] {
-        let t = k as f32 + 0.5;
+    pub(crate) fn at(&self, k: u32) -> Lanes {
+        // Fewer than 2^31 steps: the signed conversion is the quick one.
+        let t = k as i32 as f32 + 0.5;
         std::array::from_fn(|a| t.mul_add(self.delta[a], self.origin[a]))
     }
+}
+
+fn lanes(p: [f64; 3]) -> Lanes {
+    [p[0] as f32, p[1] as f32, p[2] as f32, 0.0]
 }
 
 impl<'a> Frame<'a> {
@@ -95,7 +100,7 @@ impl<'a> Frame<'a> {
             ijk_from_camera: ijk_from_lps.after(camera.lps_from_camera()),
             camera,
             origin_ijk,
-            origin: origin_ijk.map(|v| v as f32),
+            origin: lanes(origin_ijk),
             step_mm: table.step_mm() as f32,
             metric: [
                 m(0, 0),
@@ -138,59 +143,53 @@ impl<'a> Frame<'a> {
             );
         Ray {
             origin: self.origin,
-            delta: delta.map(|v| v as f32),
+            delta: lanes(delta),
             first,
             end,
         }
     }
 
-    /// Reads sample `k` and adds it.
+    /// Reads sample `k` and adds it; false if it has no opacity.
     #[inline(always)]
     pub(crate) fn add_sample<const SHADED: bool, const NEAREST: bool>(
         &self,
         ray: &Ray,
         k: u32,
-        p: [f32; 3],
+        p: Lanes,
         gathered: &mut Gathered,
-    ) {
+    ) -> bool {
         if NEAREST {
             let [r, g, b, alpha] = self
                 .table
                 .at_hu(i32::from(self.field.voxel(self.field.nearest(p).0)));
             gathered.add([r, g, b], alpha);
-            return;
+            return alpha > 0.0;
         }
         let cell = self.field.cell(p);
         let [r, g, b, alpha] = self.table.at(self.field.value_in(&cell));
-        // Adding nothing changes no bit.
-        if alpha == 0.0 {
-            return;
+        // Adding nothing changes no bit. Opacities are 0 or more.
+        if alpha <= 0.0 {
+            return false;
         }
-        if !SHADED {
-            gathered.add([r, g, b], alpha);
-            return;
-        }
-        let Some(light) = &self.options.light else {
-            return;
+        let rgb = match &self.options.light {
+            Some(light) if SHADED => {
+                let facing = self.facing(ray, self.field.gradient_in(&cell));
+                let (own, white) = light.shares(facing, (k as f32 + 0.5) * self.step_mm);
+                let white = white * alpha;
+                [r, g, b].map(|c| own.mul_add(c, white))
+            }
+            _ => [r, g, b],
         };
-        let facing = self.facing(ray, self.field.gradient_in(&cell));
-        let (own, white) = light.shares(facing, (k as f32 + 0.5) * self.step_mm);
-        let white = white * alpha;
-        gathered.add(
-            [
-                own.mul_add(r, white),
-                own.mul_add(g, white),
-                own.mul_add(b, white),
-            ],
-            alpha,
-        );
+        gathered.add(rgb, alpha);
+        true
     }
 
-    /// Cosine between the surface normal and the ray, without sign: a thin wall that a sample meets on its far slope is lit
-    /// like its near one.
+    /// Cosine between the surface normal and the ray, without sign: a thin wall that a sample meets on its far slope is
+    /// lit like its near one.
     #[inline(always)]
     fn facing(&self, ray: &Ray, g: [f32; 3]) -> f32 {
-        // Both in LPS per mm: g_lps = ijk_from_lps^T g, so g_lps . dir_lps = g . (ijk_from_lps dir_lps) = g . delta / step.
+        // Both in LPS per mm: g_lps = ijk_from_lps^T g, so g_lps . dir_lps = g . (ijk_from_lps dir_lps) = g . delta /
+        // step.
         let along = g[2].mul_add(
             ray.delta[2],
             g[1].mul_add(ray.delta[1], g[0] * ray.delta[0]),

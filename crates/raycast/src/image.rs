@@ -116,8 +116,8 @@ fn cast_row(
     match simd {
         InstructionSet::Portable => cast_row_body(frame, method, row, out),
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: InstructionSet::Avx2 is only handed out where the machine has AVX2, FMA and BMI2. Benchmark: the portable
-        // build calls a function for every fused multiply-add and is several times slower.
+        // SAFETY: InstructionSet::Avx2 is only handed out where the machine has AVX2, FMA and BMI2. Benchmark: the
+        // portable build calls a function for every fused multiply-add and is several times slower.
         InstructionSet::Avx2 => unsafe { cast_row_avx2(frame, method, row, out) },
         #[cfg(not(target_arch = "x86_64"))]
         InstructionSet::Avx2 => cast_row_body(frame, method, row, out),
@@ -130,14 +130,36 @@ fn cast_row_avx2(frame: &Frame<'_>, method: Method<'_>, row: usize, out: &mut [u
     cast_row_body(frame, method, row, out)
 }
 
+#[allow(
+    clippy::redundant_closure,
+    reason = "a function passed as a value is compiled outside cast_row_avx2 and loses its instruction set: 3 times slower"
+)]
 #[inline(always)]
 fn cast_row_body(frame: &Frame<'_>, method: Method<'_>, row: usize, out: &mut [u8]) -> CastStats {
     let shaded = frame.options.light.is_some();
     let nearest = frame.options.interpolation == Interpolation::Nearest;
     match (method, shaded, nearest) {
-        (Method::Brute, true, _) => each_pixel(frame, row, out, brute::cast::<true, false>),
-        (Method::Brute, false, false) => each_pixel(frame, row, out, brute::cast::<false, false>),
-        (Method::Brute, false, true) => each_pixel(frame, row, out, brute::cast::<false, true>),
+        (Method::Brute, true, _) => each_pixel(
+            frame,
+            row,
+            out,
+            #[inline(always)]
+            |frame, ray, stats| brute::cast::<true, false>(frame, ray, stats),
+        ),
+        (Method::Brute, false, false) => each_pixel(
+            frame,
+            row,
+            out,
+            #[inline(always)]
+            |frame, ray, stats| brute::cast::<false, false>(frame, ray, stats),
+        ),
+        (Method::Brute, false, true) => each_pixel(
+            frame,
+            row,
+            out,
+            #[inline(always)]
+            |frame, ray, stats| brute::cast::<false, true>(frame, ray, stats),
+        ),
         (Method::LeapTransparent(radius), true, _) => each_pixel(
             frame,
             row,

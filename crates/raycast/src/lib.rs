@@ -1,14 +1,15 @@
 //! Ray casters and planes: the paper's four views (3.1) and its acceleration (4.3).
 //!
-//! [`brute`] is the reference: every sample of every ray. [`leap`] skips samples with an `IsoRegion` map and moves none, so the
-//! picture is the same. Both share one sampling rule: `t_k = (k + 1/2) * step`, as a product, from the camera's centre.
+//! [`brute`] is the reference: every sample of every ray. [`leap`] skips samples with an `IsoRegion` map and moves
+//! none, so the picture is the same. Both share one sampling rule: `t_k = (k + 1/2) * step`, as a product, from the
+//! camera's centre.
 //!
-//! Kernels use IEEE f32 add, multiply, divide, square root and explicit fused multiply-add in a fixed order, so the picture
-//! depends neither on threads nor on strips nor on the instruction set.
+//! Kernels use IEEE f32 add, multiply, divide, square root and explicit fused multiply-add in a fixed order, so the
+//! picture depends neither on threads nor on strips nor on the instruction set.
 
 #![allow(
     clippy::inline_always,
-    reason = "a kernel is compiled once per instruction set: what it calls must be compiled inside it, or it loses the set"
+    reason = "a kernel is compiled once per instruction set; what it calls must be compiled inside it or loses the set"
 )]
 #![allow(
     clippy::needless_range_loop,

@@ -52,7 +52,8 @@ impl Light {
         for _ in 0..self.shininess_log2 {
             highlight *= highlight;
         }
-        // reach^2 / (reach^2 + d^2): the inverse square far away, level near by, as a scope's automatic exposure makes it.
+        // reach^2 / (reach^2 + d^2): the inverse square far away, level near by, as a scope's automatic exposure makes
+        // it.
         let part = distance_mm / self.reach_mm;
         let left = 1.0 / part.mul_add(part, 1.0);
         let own = facing.mul_add(self.diffuse, self.ambient);

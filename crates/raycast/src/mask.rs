@@ -7,8 +7,8 @@ pub(crate) const FULL: i16 = 1024;
 
 /// Blurs a mask (0 is outside) with the weights 1 2 1 along each axis into `0 ..= 1024`.
 ///
-/// The half-way surface of the result is the mask's, with the stairs of the voxels rounded; a branch one voxel thick keeps
-/// 256, so a surface drawn below that loses no branch.
+/// The half-way surface of the result is the mask's, with the stairs of the voxels rounded; a branch one voxel thick
+/// keeps 256, so a surface drawn below that loses no branch.
 #[must_use]
 pub fn smoothed_mask(mask: &[u8], [nz, ny, nx]: [usize; 3]) -> Vec<i16> {
     let plane = ny * nx;

@@ -15,8 +15,8 @@ pub struct Transfer {
 impl Transfer {
     /// From points `[hu, r, g, b, alpha]` in order of HU, colours and opacities 0..1, opacity per `reference_mm`.
     ///
-    /// Two points at one HU make a step; the later one holds at that HU. With `bin_hu` above 1 every bin of that width has the
-    /// colour of its middle (the paper's quantized values).
+    /// Two points at one HU make a step; the later one holds at that HU. With `bin_hu` above 1 every bin of that width
+    /// has the colour of its middle (the paper's quantized values).
     pub fn new(
         points: Vec<[f64; 5]>,
         reference_mm: f64,
@@ -89,6 +89,7 @@ impl Transfer {
 #[derive(Debug, Clone, PartialEq)]
 pub struct TransferTable {
     lo_hu: i32,
+    last: i32,
     entries: Vec<[f32; 4]>,
     step_mm: f64,
 }
@@ -96,7 +97,8 @@ pub struct TransferTable {
 impl TransferTable {
     /// A table for ray steps of `step_mm` over the values that a volume holds.
     ///
-    /// Opacity of a step: `1 - (1 - alpha)^(step / reference)`, in f64 by a pure-Rust `pow`, so that tables are equal everywhere.
+    /// Opacity of a step: `1 - (1 - alpha)^(step / reference)`, in f64 by a pure-Rust `pow`, so that tables are equal
+    /// everywhere.
     pub fn new(
         transfer: &Transfer,
         step_mm: f64,
@@ -119,7 +121,7 @@ impl TransferTable {
         }
         let exponent = step_mm / transfer.reference_mm;
         let mut last: Option<(Rgba, [f32; 4])> = None;
-        let entries = (i32::from(lo_hu)..=i32::from(hi_hu))
+        let entries: Vec<[f32; 4]> = (i32::from(lo_hu)..=i32::from(hi_hu))
             .map(|hu| {
                 let rgba = transfer.at(hu);
                 // Long flat stretches are common and pow is not cheap.
@@ -137,6 +139,7 @@ impl TransferTable {
             .collect();
         Ok(Self {
             lo_hu: i32::from(lo_hu),
+            last: i32::from(hi_hu) - i32::from(lo_hu),
             entries,
             step_mm,
         })
@@ -145,21 +148,24 @@ impl TransferTable {
     /// The entry of a sampled value: `floor(value + 0.5)`, clamped to the table.
     #[inline(always)]
     pub(crate) fn at(&self, value: f32) -> [f32; 4] {
-        let hu = (value + 0.5).floor() as i32;
+        // SAFETY: interpolated int16 values are finite and within +-32768.5. Benchmark: as in `sampling`.
+        let hu: i32 = unsafe { (value + 0.5).floor().to_int_unchecked() };
         self.at_hu(hu)
     }
 
     /// The entry of an integer value, clamped to the table.
     #[inline(always)]
     pub(crate) fn at_hu(&self, hu: i32) -> [f32; 4] {
-        let n = (hu - self.lo_hu).max(0) as usize;
-        self.entries[n.min(self.entries.len() - 1)]
+        let n = (hu - self.lo_hu).clamp(0, self.last) as usize;
+        debug_assert!(n < self.entries.len());
+        // SAFETY: `last` is the last entry; there is at least one. Benchmark: one of two loads of a clear sample.
+        unsafe { *self.entries.get_unchecked(n) }
     }
 
     /// Premultiplied colour and opacity of one step at an integer value, clamped to the table.
     #[must_use]
     pub fn entry(&self, hu: i32) -> [f32; 4] {
-        self.at_hu(hu)
+        self.at_hu(hu.clamp(-40_000, 40_000))
     }
 
     /// Length of a ray step.

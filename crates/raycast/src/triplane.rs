@@ -20,7 +20,8 @@ pub struct TriPlane {
     pub brightness: [f32; 3],
 }
 
-/// Casts the planes, `[row, column, channel]`: along each ray the nearest plane that is in the volume there and not clear.
+/// Casts the planes, `[row, column, channel]`: along each ray the nearest plane that is in the volume there and not
+/// clear.
 #[must_use]
 pub fn cast_tri_plane(volume: VolumeView<'_, i16>, planes: &TriPlane, camera: &Camera) -> Vec<u8> {
     let grid = volume.grid();
@@ -95,7 +96,8 @@ mod tests {
         assert_eq!(&rgb[..3], &[9, 8, 7], "the corner misses the box");
         planes.clear_below = Some(21.0);
         let through = cast_tri_plane(volume, &planes, &camera);
-        // Row 32 looks level along y = 3.3, so it meets neither of the other planes inside the box; a row further down meets y = 4.
+        // Row 32 looks level along y = 3.3, so it meets neither of the other planes inside the box; a row further down
+        // meets y = 4.
         assert_eq!(&through[centre..centre + 3], &[9, 8, 7]);
         assert!(
             through.chunks(3).any(|p| p[0] > 21),
