@@ -211,7 +211,7 @@ function Readings() {
     <>
       <div className="reading top-left" data-testid="hud">
         {pose.inside ? (
-          <strong>{pose.branch_name ?? node?.label ?? "Airway"}</strong>
+          <strong>{pose.branch_name ?? node?.label ?? (tree === null ? "In the volume" : "Airway")}</strong>
         ) : (
           <strong className="warning-text">Outside the airway</strong>
         )}

@@ -2,9 +2,11 @@
 
 import { useEffect, useMemo, useState } from "react";
 import { Button, type Key, Tree, TreeItem, TreeItemContent } from "react-aria-components";
+import { keyOf } from "../input/keymap";
 import { type BranchNode, type BranchTree, lineage } from "../state/airways";
 import { fixed, sentence } from "../state/format";
 import { useApp, useStation } from "./context";
+import { Act } from "./controls";
 import { Icon } from "./icons";
 
 /** Open at first: as far as every bronchoscopist knows the names by heart. */
@@ -14,6 +16,8 @@ export function BranchList() {
   const station = useStation();
   const tree = useApp((state) => state.tree);
   const words = useApp((state) => emptyWords(state.session?.airways, state.session?.airways_words ?? null));
+  const failed = useApp((state) => state.session?.airways === "failed");
+  const arming = useApp((state) => state.ui.armed === "root");
   const chosen = useApp((state) => routeEnd(state.route?.spans ?? null));
   const here = useApp((state) => state.pose?.branch_id ?? null);
   const [expanded, setExpanded] = useState<Set<Key>>(new Set());
@@ -38,6 +42,17 @@ export function BranchList() {
       <section className="branches" aria-label="Airways">
         <h2>Airways</h2>
         <p className="empty">{sentence(words)}</p>
+        {failed ? (
+          <div className="mend">
+            <Act
+              icon="target"
+              label={arming ? "Click in a slice\u2026" : "Set the root"}
+              words="The next click in a slice begins the airways there"
+              keys={keyOf("arm_root")}
+              onPress={() => station.act("arm_root")}
+            />
+          </div>
+        ) : null}
       </section>
     );
   }

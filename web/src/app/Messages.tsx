@@ -9,11 +9,22 @@ import { Icon } from "./icons";
 
 /** Long enough to read two lines twice. */
 const NOTICE_MS = 8000;
+/** So many messages get one button for all of them. */
+const MANY = 3;
 
 export function Messages() {
+  const { store } = useStation();
   const messages = useApp((state) => state.messages);
+  const closeAll = () => {
+    for (const { id } of messages) store.dispatch({ kind: "dismiss", id });
+  };
   return (
     <section className="messages" aria-label="Messages">
+      {messages.length < MANY ? null : (
+        <div className="close-all">
+          <Act label={`Close all ${messages.length}`} words="I have read these" onPress={closeAll} />
+        </div>
+      )}
       {messages.map((message) => (
         <Card key={message.id} message={message} />
       ))}

@@ -148,7 +148,6 @@ function Demos() {
           <div>
             <h3>{demo.title}</h3>
             <p>{demo.words}</p>
-            {demo.citation === null ? null : <p className="citation">{demo.citation}</p>}
             <Act
               kind="primary"
               label="Open this example"
@@ -157,6 +156,7 @@ function Demos() {
               onPress={() => station.openDemo(demo.name)}
             />
           </div>
+          {demo.citation === null ? null : <p className="citation">{demo.citation}</p>}
         </article>
       ))}
     </div>

@@ -21,6 +21,8 @@ export function CheckStep() {
   const level = useApp((state) => greyWindow(state).level_hu);
   if (info === null) return null;
   const findings = [...info.quality, ...info.warnings];
+  const reason = info.not_hu_reason ?? "the numbers of this volume are no Hounsfield units";
+  const saidAbove = findings.some((words) => words.includes(reason));
   const chosen = PRESETS.find(({ value }) => WINDOWS[value].width_hu === width && WINDOWS[value].level_hu === level);
   return (
     <>
@@ -38,9 +40,7 @@ export function CheckStep() {
       )}
       {info.is_hu ? null : (
         <>
-          <p className="warning-text">
-            {sentence(info.not_hu_reason ?? "the numbers of this volume are no Hounsfield units")}
-          </p>
+          {saidAbove ? null : <p className="warning-text">{sentence(reason)}</p>}
           <Threshold />
         </>
       )}
@@ -48,7 +48,7 @@ export function CheckStep() {
         <ul className="quiet-list">
           {info.off.map(({ what, why }) => (
             <li key={what}>
-              {sentence(what)}: off, {why}
+              {sentence(what)}: off{why === reason ? " without HU" : `, ${why}`}
             </li>
           ))}
         </ul>
