@@ -366,8 +366,8 @@ class Renderer:
         matrix = geometry.plane_matrix(flat.center_lps, (right, down, depth), mm_per_px, view.width, view.height)
         window_hu = view.window_hu
         if window_hu is None:
-            # From the air beside the patient to dense bone; a few metal voxels and the far corners do not count.
-            low, high = (float(v) for v in np.percentile(values, (2.0, 99.5)))
+            # From the air beside the patient to dense bone; metal and contrast medium do not count.
+            low, high = (float(v) for v in np.percentile(values, (2.0, 98.0)))
             window_hu = (max(high - low, 1.0), (low + high) / 2)
         grey, _ = _core.cut_plane(
             flat.hu_zyx, flat.lps_from_ijk, matrix, width=view.width, height=view.height, window_hu=window_hu
