@@ -60,7 +60,7 @@ export function TargetRow({ target }: { target: Target }) {
         <span className="row">
           <Act
             kind="quiet"
-            label={chosen ? "On this route" : "Route"}
+            label={chosen ? "Chosen" : "Route"}
             words={`Fly to ${target.name}`}
             disabled={target.problem !== null || chosen}
             onPress={() => station.chooseTarget(target.target_id)}
@@ -96,8 +96,11 @@ function Coordinates() {
       className="coordinates"
       onSubmit={(event) => {
         event.preventDefault();
-        use((lps) => station.send({ type: "add_target", lps }));
-        if (point !== null) setText("");
+        if (point === null) return;
+        station.send({ type: "add_target", lps: point });
+        setText("");
+        // Done with typing: the keys fly again.
+        if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
       }}
     >
       <TextField
