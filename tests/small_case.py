@@ -5,7 +5,6 @@ The grid is anisotropic and oblique; the airways are a trachea that forks to the
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -276,10 +275,3 @@ def small_bench(*, store: Any = None, **replaced: Any) -> Bench:
     events: list[Any] = []
     session.subscribe(events.append)
     return Bench(session, background, clock, events, renderers)
-
-
-def threaded(work: Callable[[], None]) -> threading.Thread:
-    """Work in a daemon thread of its own."""
-    thread = threading.Thread(target=work, daemon=True)
-    thread.start()
-    return thread

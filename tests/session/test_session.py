@@ -434,14 +434,30 @@ def test_progress_tells_the_time_left():
     assert [(e.fraction, e.seconds_left) for e in seen] == [(0.0, None), (0.25, pytest.approx(9.0))]
 
 
-def test_a_fault_in_a_job_is_told_in_words_and_logged(caplog):
+def test_undo_keeps_a_few_airways_and_not_all_of_them():
+    bench = small_bench()
+    bench.open()
+    for value in range(-900, -890):
+        bench.session.set_lumen_threshold(value)
+        bench.background.run_all()
+    seen = {id(bench.session.snapshot().document.airways)}
+    while bench.session.snapshot().undo_label is not None:
+        bench.session.undo()
+        seen.add(id(bench.session.snapshot().document.airways))
+    assert len(seen) == 4
+
+
+def test_a_fault_in_a_job_is_told_in_words_and_logged_without_its_message(caplog):
+    caplog.set_level("INFO")
+
     def broken(volume, **_options):
-        raise ZeroDivisionError
+        raise KeyError("/scans/doe_john")
 
     bench = small_bench(find_airways=broken)
     bench.open()
     assert [t.code for t in bench.of_type(Trouble)] == ["carina.fault"]
-    assert "a job failed: finding the airways" in caplog.text
+    assert "a job failed: finding the airways: KeyError at test_session.py:" in caplog.text
+    assert "doe" not in caplog.text
     assert bench.session.snapshot().airways == "failed"
 
 

@@ -15,7 +15,7 @@ from carina.server import messages as wire
 from carina.server.presenter import pose_message, route_message, start_message, state_message, tree_message
 from carina.server.pump import FramePump
 from carina.server.uploads import Uploads
-from carina.session import Changed, Event, JobEnded, JobProgress, Orbit, Said, Session, Trouble
+from carina.session import Changed, Event, JobEnded, JobProgress, Orbit, Said, Session, Trouble, log_fault
 
 __all__ = ["Hub", "Outbox"]
 
@@ -259,7 +259,7 @@ class Hub:
         except CarinaError as trouble:
             self._push(wire.Error(trouble.code, str(trouble), None))
         except Exception as trouble:
-            logger.exception("a command failed: %s", type(message).__name__)
+            log_fault(logger, f"a command failed: {type(message).__name__}", trouble)
             words = f"this could not be done, by a fault of Carina ({type(trouble).__name__})"
             self._push(wire.Error("carina.fault", words, None))
 

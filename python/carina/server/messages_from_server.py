@@ -343,7 +343,7 @@ class Status:
     """Airway pictures sent per second, over the last second of movement."""
     render_ms: float
     age_ms: float
-    """From the newest pose's arrival to its picture being sent."""
+    """From a pose's arrival to its first picture being ready: the median of that second."""
     method: Words
     threads: Count
     simd: Words

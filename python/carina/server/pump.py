@@ -17,7 +17,7 @@ from carina.errors import CarinaError
 from carina.server.messages import PictureHeader, Status
 from carina.server.pacing import FrameScheduler, RenderOrder
 from carina.server.wire_codec import encode_picture
-from carina.session import Scene
+from carina.session import Scene, log_fault
 
 __all__ = ["FramePump", "encode_jpeg"]
 
@@ -74,7 +74,9 @@ class FramePump:
         self._woken = threading.Event()
         self._stopped = False
         self._frame_ids = itertools.count(1)
-        self._sent_s: deque[float] = deque()
+        self._answers: deque[tuple[float, float]] = deque()
+        """Of the last second of movement: when the first picture of a pose was ready, and how old the pose was."""
+        self._told_all = True
         self._status_s = float("-inf")
         self._status_pose_id = -1
         self._last_words: str | None = None
@@ -140,7 +142,7 @@ class FramePump:
             self._failed(order, trouble.code, str(trouble))
             return True
         except Exception as trouble:
-            logger.exception("rendering failed: %s", order.view)
+            log_fault(logger, f"rendering failed: {order.view}", trouble)
             words = f"the {order.view} view could not be rendered, by a fault of Carina ({type(trouble).__name__})"
             self._failed(order, "carina.fault", words)
             return True
@@ -168,10 +170,8 @@ class FramePump:
             wanted = self._scheduler.rendered(order, frame_id, now_s - began_s)
         if wanted:
             self._deliver(encode_picture(header, payload))
-            if order.view == "airway" and header.pose_id != self._status_pose_id:
-                # The first picture of a pose: finer ones of the same come as late as they please.
-                self._status_pose_id = header.pose_id
-                self._note_status(now_s, now_s - scene.pose_s, header)
+            if order.view == "airway":
+                self._note_status(now_s, scene, header)
         return True
 
     def _failed(self, order: RenderOrder, code: str, words: str) -> None:
@@ -182,20 +182,26 @@ class FramePump:
             self._last_words = words
             self._tell((code, words))
 
-    def _note_status(self, now_s: float, age_s: float, header: PictureHeader) -> None:
-        self._sent_s.append(now_s)
-        while self._sent_s and self._sent_s[0] < now_s - 1.0:
-            self._sent_s.popleft()
-        if now_s - self._status_s < STATUS_EVERY_S:
+    def _note_status(self, now_s: float, scene: Scene, header: PictureHeader) -> None:
+        """Tell how the stream runs: twice a second while the tip moves, and once more when it has come to rest."""
+        first = header.pose_id != self._status_pose_id
+        if first:
+            # Finer pictures of the same pose come as late as they please; they say nothing about the stream.
+            self._status_pose_id = header.pose_id
+            self._answers.append((now_s, now_s - scene.pose_s))
+            while self._answers[0][0] < now_s - 1.0:
+                self._answers.popleft()
+            self._told_all = False
+        if self._told_all or not (header.full or now_s - self._status_s >= STATUS_EVERY_S):
             return
-        self._status_s = now_s
-        spread_s = now_s - self._sent_s[0]
-        fps = (len(self._sent_s) - 1) / spread_s if spread_s > 0.0 else 0.0
+        self._status_s, self._told_all = now_s, True
+        ages_s = sorted(age_s for _, age_s in self._answers)
+        spread_s = self._answers[-1][0] - self._answers[0][0]
         self._tell(
             Status(
-                fps=round(fps, 1),
+                fps=round((len(ages_s) - 1) / spread_s, 1) if spread_s > 0.0 else 0.0,
                 render_ms=header.render_ms,
-                age_ms=round(age_s * 1e3, 1),
+                age_ms=round(ages_s[len(ages_s) // 2] * 1e3, 1),
                 method=header.method,
                 threads=self._threads,
                 simd=self._simd,

@@ -1,7 +1,7 @@
 """The one owner of a case: state, commands with undo, jobs, the pose."""
 
 from carina.session.core import Event
-from carina.session.jobs import JobEnded, JobProgress
+from carina.session.jobs import JobEnded, JobProgress, log_fault
 from carina.session.parts import Parts, default_parts
 from carina.session.recent import LocalStore, RecentCase
 from carina.session.routes import ChosenRoute
@@ -28,4 +28,5 @@ __all__ = [
     "Trouble",
     "Zoom",
     "default_parts",
+    "log_fault",
 ]

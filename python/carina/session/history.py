@@ -70,6 +70,14 @@ class History(Generic[D]):
         """Edit the current document alone, without a step."""
         self._current = edit(self._current)
 
+    def keep_distinct(self, what: Callable[[D], object], num_kept: int) -> None:
+        """Forget the oldest steps until the documents hold at most this many different values of something large."""
+        while self._undo and len({id(what(d)) for d in self._documents()}) > num_kept:
+            del self._undo[0]
+
+    def _documents(self) -> list[D]:
+        return [self._current, *(step.document for step in self._undo), *(step.document for step in self._redo)]
+
     def undo(self) -> str | None:
         """Take back the last change; its label, or None where there is none."""
         if not self._undo:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import itertools
 import logging
 import threading
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from carina.errors import CancelledError, CarinaError
 
-__all__ = ["Job", "JobEnded", "JobProgress", "JobRunner"]
+__all__ = ["Job", "JobEnded", "JobProgress", "JobRunner", "log_fault"]
 
 logger = logging.getLogger(__name__)
 
@@ -37,6 +39,14 @@ class JobEnded:
     title: str
     outcome: Outcome
     error: CarinaError | None
+
+
+def log_fault(log: logging.Logger, words: str, trouble: BaseException) -> None:
+    """Log a fault of ours by kind and place; its message, which may name a file, only at DEBUG."""
+    frames = traceback.extract_tb(trouble.__traceback__)
+    place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+    log.error("%s: %s%s", words, type(trouble).__name__, place)
+    log.debug("%s", words, exc_info=trouble)
 
 
 class Job:
@@ -157,8 +167,7 @@ class JobRunner:
         except CarinaError as trouble:
             outcome, error = "failed", trouble
         except Exception as trouble:
-            # A fault of ours: the person gets a sentence, the log the traceback (which names no patient).
-            logger.exception("a job failed: %s", job.title)
+            log_fault(logger, f"a job failed: {job.title}", trouble)
             outcome = "failed"
             error = CarinaError(
                 f"{job.title} failed by a fault of Carina ({type(trouble).__name__})", code="carina.fault"

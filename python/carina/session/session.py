@@ -28,6 +28,8 @@ __all__ = ["Session"]
 
 SNAP_MM = 5.0
 """A target outside the lumen is moved to it within this distance, and said."""
+MAX_AIRWAYS_KEPT = 4
+"""Airways that undo can go back to: a lumen and its tracker take some hundred megabytes."""
 SET_THE_ROOT = "Click in the trachea on a slice and choose it as the root."
 
 
@@ -209,6 +211,7 @@ class Session(SessionCore):
             case.history.amend_current(lambda _: found)
         else:
             case.history.change(label, found, now_s=self._clock())
+            case.history.keep_distinct(lambda d: d.airways, MAX_AIRWAYS_KEPT)
         case.airways_status = "found"
         case.airways_words = _notes(airways)
         self._follow_document(case)
