@@ -26,6 +26,21 @@ class FlightCurve:
     def knots_lps(self) -> NDArray[np.float64]:
         """(m, 3), a copy."""
 
+# ---- phantom ----
+
+def generate_chest(
+    seed: int,
+    spacing_mm: Sequence[float],
+    generations: int,
+    stenosis: bool,
+    nodule: bool,
+    noise_hu: float,
+    box_lps: list[list[float]] | None,
+    with_distance: bool,
+    proceed: Callable[[float], bool],
+) -> dict[str, Any]:
+    """hu_zyx, lumen_zyx, lps_from_ijk, branches, and nodule, stenosis, lumen_distance_mm where asked for."""
+
 # ---- isoregion ----
 
 Classes = list[tuple[int, int, int, bool]]

@@ -1,7 +1,127 @@
 //! Bindings of `carina-phantom`.
 
+use carina_phantom::{Branch, Chest, ChestOptions, PhantomError};
+use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
 
-pub(crate) fn register(_module: &Bound<'_, PyModule>) -> PyResult<()> {
-    Ok(())
+use crate::errors::{IntoPy, carina_error};
+
+impl IntoPy for PhantomError {
+    fn into_py(self) -> PyErr {
+        match self {
+            Self::Grid(error) => error.into_py(),
+            Self::Cancelled => carina_error("CancelledError", self.code(), self.to_string()),
+            Self::Option { .. } => carina_error("UsageError", self.code(), self.to_string()),
+        }
+    }
+}
+
+/// An array of a volume, moved, not copied.
+fn volume<'py, T: numpy::Element>(
+    py: Python<'py>,
+    values: Vec<T>,
+    shape_zyx: [usize; 3],
+) -> PyResult<Bound<'py, PyAny>> {
+    let flat: Bound<'py, PyArray1<T>> = values.into_pyarray(py);
+    Ok(flat.reshape(shape_zyx)?.into_any())
+}
+
+fn branch<'py>(py: Python<'py>, branch: &Branch) -> PyResult<Bound<'py, PyDict>> {
+    let dict = PyDict::new(py);
+    dict.set_item("id", branch.id)?;
+    dict.set_item("parent", branch.parent)?;
+    dict.set_item("children", branch.children.clone())?;
+    dict.set_item("generation", branch.generation)?;
+    dict.set_item("name", branch.name)?;
+    dict.set_item(
+        "points",
+        branch.points.iter().map(|p| p.to_vec()).collect::<Vec<_>>(),
+    )?;
+    dict.set_item("radius", branch.radius_mm.clone())?;
+    dict.set_item("wall_mm", branch.wall_mm)?;
+    Ok(dict)
+}
+
+/// Makes a chest; `proceed(fraction)` returns False to stop. See `carina.phantom`.
+#[pyfunction]
+fn generate_chest<'py>(
+    py: Python<'py>,
+    seed: u64,
+    spacing_mm: [f64; 3],
+    generations: usize,
+    stenosis: bool,
+    nodule: bool,
+    noise_hu: f64,
+    box_lps: Option<[[f64; 3]; 2]>,
+    with_distance: bool,
+    proceed: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let options = ChestOptions {
+        seed,
+        spacing_mm,
+        generations,
+        stenosis,
+        nodule,
+        noise_hu,
+        box_lps,
+        with_distance,
+    };
+    let proceed = proceed.clone().unbind();
+    let mut raised: Option<PyErr> = None;
+    let made = py.detach(|| {
+        Chest::generate(&options, &mut |fraction| {
+            Python::attach(|py| {
+                let answer = py
+                    .check_signals()
+                    .and_then(|()| proceed.call1(py, (fraction,))?.extract::<bool>(py));
+                answer.unwrap_or_else(|error| {
+                    raised = Some(error);
+                    false
+                })
+            })
+        })
+    });
+    if let Some(error) = raised {
+        return Err(error);
+    }
+    let chest = made.map_err(IntoPy::into_py)?;
+    let shape_zyx = chest.grid.shape_zyx();
+    let out = PyDict::new(py);
+    let rows = chest.grid.lps_from_ijk().rows();
+    let mut matrix: Vec<Vec<f64>> = rows.iter().map(|r| r.to_vec()).collect();
+    matrix.push(vec![0.0, 0.0, 0.0, 1.0]);
+    out.set_item("lps_from_ijk", matrix)?;
+    let branches = PyList::empty(py);
+    for b in &chest.tree.branches {
+        branches.append(branch(py, b)?)?;
+    }
+    out.set_item("branches", branches)?;
+    if let Some(n) = chest.nodule {
+        let dict = PyDict::new(py);
+        dict.set_item("center_lps", n.center_lps)?;
+        dict.set_item("radius_mm", n.radius_mm)?;
+        dict.set_item("branch_id", n.branch_id)?;
+        dict.set_item("distance_mm", n.distance_mm)?;
+        out.set_item("nodule", dict)?;
+    }
+    if let Some(s) = chest.stenosis {
+        let dict = PyDict::new(py);
+        dict.set_item("branch_id", s.branch_id)?;
+        dict.set_item("center_lps", s.center_lps)?;
+        dict.set_item("length_mm", s.length_mm)?;
+        dict.set_item("min_radius_mm", s.min_radius_mm)?;
+        dict.set_item("reference_radius_mm", s.reference_radius_mm)?;
+        out.set_item("stenosis", dict)?;
+    }
+    out.set_item("hu_zyx", volume(py, chest.hu, shape_zyx)?)?;
+    out.set_item("lumen_zyx", volume(py, chest.lumen, shape_zyx)?)?;
+    if let Some(distance) = chest.lumen_distance_mm {
+        out.set_item("lumen_distance_mm", volume(py, distance, shape_zyx)?)?;
+    }
+    Ok(out)
+}
+
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(generate_chest, module)?)
 }

@@ -1,1 +1,27 @@
-//! Placeholder until the crate's first module lands.
+//! Volumes with exact truth: small analytic ones for tests and benches, and a chest CT.
+//!
+//! The chest is built in three steps. [`airways`](AirwayTree) grows the tree: named branches down to the segments from a
+//! table, subsegments by rule. The tree, its vessels and the body are then signed distances, and a voxel's value follows
+//! from those at its own place and at points within it (partial volume). The truth is the tree itself, never something
+//! measured in the picture.
+//!
+//! All random choices come from the seed and the place, never from the order of work: one seed, one case, on any number
+//! of threads.
+
+mod airways;
+mod analytic;
+mod anatomy;
+mod body;
+mod chest;
+mod error;
+mod noise;
+mod random;
+mod shapes;
+mod skeleton;
+mod vessels;
+mod voxels;
+
+pub use airways::{AirwayTree, Branch};
+pub use analytic::{shells, tube, y_junction};
+pub use chest::{Chest, ChestOptions, Nodule, Stenosis};
+pub use error::PhantomError;

@@ -1,0 +1,329 @@
+use carina_grid::{cross, length};
+
+use crate::body::lung_distance;
+use crate::random::Random;
+use crate::shapes::{along, direction, hermite, mix, normals, sub, tilted};
+use crate::skeleton::{Basal, RightUpper, named_branches};
+
+/// One airway: its centreline and radii, exact.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Branch {
+    /// Place in [`AirwayTree::branches`]; the trachea is 0.
+    pub id: usize,
+    /// Where it leaves from.
+    pub parent: Option<usize>,
+    /// What leaves from its end.
+    pub children: Vec<usize>,
+    /// Trachea 0.
+    pub generation: usize,
+    /// Name down to the segments; subsegments have none.
+    pub name: Option<&'static str>,
+    /// Centreline, LPS mm, root to tip. The first point is the parent's last, bit for bit.
+    pub points: Vec<[f64; 3]>,
+    /// Radius of the lumen at each point: of the circle with the lumen's area.
+    pub radius_mm: Vec<f64>,
+    /// Thickness of the wall.
+    pub wall_mm: f64,
+}
+
+impl Branch {
+    /// The last point.
+    pub(crate) fn tip(&self) -> [f64; 3] {
+        self.points[self.points.len() - 1]
+    }
+
+    pub(crate) fn tip_direction(&self) -> [f64; 3] {
+        let n = self.points.len();
+        direction(sub(self.points[n - 1], self.points[n - 2]))
+    }
+
+    pub(crate) fn tip_radius(&self) -> f64 {
+        self.radius_mm[self.radius_mm.len() - 1]
+    }
+
+    /// Length of the centreline.
+    #[must_use]
+    pub fn length_mm(&self) -> f64 {
+        self.points
+            .windows(2)
+            .map(|w| length(sub(w[1], w[0])))
+            .sum()
+    }
+
+    /// Centre and radius of a ball around the whole branch, wall included.
+    fn ball(&self) -> ([f64; 3], f64) {
+        let middle = self.points[self.points.len() / 2];
+        let reach = self
+            .points
+            .iter()
+            .zip(&self.radius_mm)
+            .map(|(&p, r)| length(sub(p, middle)) + r)
+            .fold(0.0, f64::max);
+        (middle, reach + self.wall_mm)
+    }
+}
+
+/// The airways of a phantom; parents come before their children.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AirwayTree {
+    /// All branches, by id.
+    pub branches: Vec<Branch>,
+}
+
+/// Thickness of a wall by the radius of its lumen: 1.8 mm at the trachea, 0.9 at a segment, 0.6 at generation 6
+/// (reference/features.md 5.3).
+fn wall_mm(radius: f64) -> f64 {
+    0.4 + 0.15 * radius
+}
+
+/// Tubes of strangers keep at least this much tissue between their walls.
+const GAP_MM: f64 = 0.8;
+/// Subsegments stay this far inside the pleura, beside their own radius and wall.
+const PLEURA_MM: f64 = 2.5;
+
+impl AirwayTree {
+    /// Grows a tree whose trachea starts at height `top_z`.
+    ///
+    /// Branches of a generation below `generations` divide, so the tree reaches it wherever the lung leaves room.
+    pub(crate) fn grow(seed: u64, generations: usize, top_z: f64) -> Self {
+        let mut random = Random::new(seed, 1);
+        let mut tree = Self {
+            branches: Vec::new(),
+        };
+        let size = random.range(0.95, 1.06);
+        tree.add_trachea(top_z, 9.2 * size);
+        let upper = match random.unit() {
+            u if u < 0.18 => RightUpper::ApicalWithPosterior,
+            u if u < 0.27 => RightUpper::PosteriorWithAnterior,
+            _ => RightUpper::Trifurcation,
+        };
+        let mut basal = |share: f64| {
+            if random.unit() < share {
+                Basal::LateralWithPosterior
+            } else {
+                Basal::Separate
+            }
+        };
+        let (right_basal, left_basal) = (basal(0.3), basal(0.7));
+        for named in named_branches(upper, right_basal, left_basal) {
+            let parent = tree
+                .branches
+                .iter()
+                .find(|b| b.name == Some(named.parent))
+                .map_or(0, |b| b.id);
+            // A segment of the table ends at its first division, which in a whole lung lies further out: the lung is then
+            // filled to some 2 cm of the pleura, as on a real CT.
+            let reach = if named.is_segment() { 1.45 } else { 1.0 };
+            let length_mm = named.length_mm * reach * size * random.range(0.94, 1.06);
+            let radius = 0.5 * named.diameter_mm * size * random.range(0.95, 1.05);
+            // 6 degrees: larger turns of two neighbours at once could bring named branches together.
+            let dir = random.near(direction(named.dir), 0.105);
+            let branch = tree.shoot(parent, dir, length_mm, radius, Some(named.name));
+            tree.push(branch);
+        }
+        tree.subdivide(generations, &mut Random::new(seed, 2));
+        tree
+    }
+
+    fn push(&mut self, branch: Branch) {
+        if let Some(parent) = branch.parent {
+            self.branches[parent].children.push(branch.id);
+        }
+        self.branches.push(branch);
+    }
+
+    /// The trachea: from the neck, where it lies forward, down and back to the carina at the origin.
+    fn add_trachea(&mut self, top_z: f64, radius: f64) {
+        let top = [1.5, -0.2 * top_z, top_z];
+        let num = ((top_z / 1.5).ceil() as usize).max(4);
+        let points: Vec<[f64; 3]> = (0..=num)
+            .map(|i| {
+                let t = i as f64 / num as f64;
+                hermite(
+                    top,
+                    [0.0, 0.10 * top_z, -top_z],
+                    [0.0; 3],
+                    [-2.0, 0.24 * top_z, -top_z],
+                    t,
+                )
+            })
+            .collect();
+        let radius_mm = (0..=num)
+            .map(|i| radius * (1.0 - 0.06 * i as f64 / num as f64))
+            .collect();
+        self.push(Branch {
+            id: 0,
+            parent: None,
+            children: Vec::new(),
+            generation: 0,
+            name: Some("Trachea"),
+            points,
+            radius_mm,
+            wall_mm: wall_mm(radius),
+        });
+    }
+
+    /// A child of `parent` that bends from the parent's direction into its own. Not yet part of the tree.
+    fn shoot(
+        &self,
+        parent: usize,
+        dir: [f64; 3],
+        length_mm: f64,
+        radius: f64,
+        name: Option<&'static str>,
+    ) -> Branch {
+        let from = &self.branches[parent];
+        let start = from.tip();
+        let end = along(start, length_mm, dir);
+        let leave = direction(along(dir, 0.35, from.tip_direction())).map(|v| v * length_mm);
+        let arrive = dir.map(|v| v * length_mm);
+        let num = ((length_mm / (0.4 * radius).clamp(0.8, 1.5)).ceil() as usize).max(4);
+        let mut points: Vec<[f64; 3]> = (0..=num)
+            .map(|i| hermite(start, leave, end, arrive, i as f64 / num as f64))
+            .collect();
+        points[0] = start;
+        Branch {
+            id: self.branches.len(),
+            parent: Some(parent),
+            children: Vec::new(),
+            generation: from.generation + 1,
+            name,
+            points,
+            radius_mm: (0..=num)
+                .map(|i| radius * (1.0 - 0.08 * i as f64 / num as f64))
+                .collect(),
+            wall_mm: wall_mm(radius),
+        }
+    }
+
+    /// Divides all ends below `generations` in two, breadth first.
+    fn subdivide(&mut self, generations: usize, random: &mut Random) {
+        let mut next = 0;
+        // The plane of a division is at a right angle to the one before; named ends start with any.
+        let mut planes: Vec<Option<[f64; 3]>> = vec![None; self.branches.len()];
+        while next < self.branches.len() {
+            let id = next;
+            next += 1;
+            if !self.branches[id].children.is_empty() || self.branches[id].generation >= generations
+            {
+                continue;
+            }
+            if let Some((pair, plane)) = self.best_division(id, planes[id], random) {
+                for mut branch in pair {
+                    branch.id = self.branches.len();
+                    self.push(branch);
+                    planes.push(Some(plane));
+                }
+            }
+        }
+    }
+
+    /// Two children for an end, with the most room of some random tries, and the normal of their plane; `None` where the lung
+    /// has no room for any.
+    fn best_division(
+        &self,
+        id: usize,
+        plane: Option<[f64; 3]>,
+        random: &mut Random,
+    ) -> Option<([Branch; 2], [f64; 3])> {
+        let parent = &self.branches[id];
+        let dir = parent.tip_direction();
+        let (across, up) = normals(dir);
+        // The children's plane holds this direction; it is the normal of the plane before.
+        let base = plane.map_or_else(
+            || random.range(0.0, core::f64::consts::PI),
+            |n| libm::atan2(carina_grid::dot(n, up), carina_grid::dot(n, across)),
+        );
+        let mut best: Option<(f64, [Branch; 2], [f64; 3])> = None;
+        for attempt in 0..24 {
+            let wide = f64::from(attempt) / 24.0;
+            let turn = base + random.range(-0.4 - 1.2 * wide, 0.4 + 1.2 * wide);
+            let mut child = |side: f64| {
+                // Horsfield: 28 to 39 degrees (reference/features.md 5.2).
+                let tilt = random.range(0.44, 0.70);
+                let radius = parent.tip_radius() * random.range(0.78, 0.90);
+                // Weibel's lengths of generations 4 to 8 are 2.8 to 3.3 diameters; ours, longer, fill the lung.
+                let length_mm =
+                    2.0 * radius * random.range(3.6, 5.2) * if attempt < 16 { 1.0 } else { 0.75 };
+                let to = tilted(dir, across, up, turn + side, tilt);
+                self.shoot(id, to, length_mm, radius, None)
+            };
+            let pair = [child(0.0), child(core::f64::consts::PI)];
+            let room = pair
+                .iter()
+                .map(|b| self.room(b))
+                .fold(f64::INFINITY, f64::min);
+            if room > 0.0 && best.as_ref().is_none_or(|(most, ..)| room > *most) {
+                let normal = direction(cross(pair[0].tip_direction(), pair[1].tip_direction()));
+                best = Some((room, pair, normal));
+            }
+        }
+        best.map(|(_, pair, normal)| (pair, normal))
+    }
+
+    /// How much tissue a new branch leaves to the pleura and to all strangers, in mm; below 0 it does not fit.
+    fn room(&self, branch: &Branch) -> f64 {
+        let mut room = f64::INFINITY;
+        // The start lies on the parent, which may still be in the hilum.
+        let from = branch.points.len() / 3;
+        for (&p, &r) in branch.points.iter().zip(&branch.radius_mm).skip(from) {
+            room = room.min(-lung_distance(p) - r - branch.wall_mm - PLEURA_MM);
+            if room <= 0.0 {
+                return room;
+            }
+        }
+        let (center, reach) = branch.ball();
+        for other in &self.branches {
+            if Some(other.id) == branch.parent {
+                continue;
+            }
+            let (other_center, other_reach) = other.ball();
+            if length(sub(center, other_center)) > reach + other_reach + GAP_MM + 12.0 {
+                continue;
+            }
+            for (&p, &r) in branch.points.iter().zip(&branch.radius_mm).skip(1) {
+                for (&q, &s) in other.points.iter().zip(&other.radius_mm) {
+                    let gap = length(sub(p, q)) - r - s - branch.wall_mm - other.wall_mm;
+                    room = room.min(gap - GAP_MM);
+                }
+            }
+        }
+        room
+    }
+
+    /// True where a fillet joins two branches: parent and child, or children of one parent.
+    pub(crate) fn joined(&self, a: usize, b: usize) -> bool {
+        let (pa, pb) = (self.branches[a].parent, self.branches[b].parent);
+        pa == Some(b) || pb == Some(a) || (pa.is_some() && pa == pb)
+    }
+
+    /// The place at a share (0..1) of a branch's points, with the direction there.
+    pub(crate) fn place(&self, id: usize, share: f64) -> ([f64; 3], [f64; 3]) {
+        let points = &self.branches[id].points;
+        let at = share * (points.len() - 1) as f64;
+        let i = (at as usize).min(points.len() - 2);
+        let t = at - i as f64;
+        let p = std::array::from_fn(|a| mix(points[i][a], points[i + 1][a], t));
+        (p, direction(sub(points[i + 1], points[i])))
+    }
+
+    /// The branch with a name.
+    #[must_use]
+    pub fn named(&self, name: &str) -> Option<&Branch> {
+        self.branches.iter().find(|b| b.name == Some(name))
+    }
+
+    /// Nearest branch to a point, with its distance from the centreline.
+    pub(crate) fn nearest(&self, p: [f64; 3]) -> (usize, f64) {
+        let mut best = (0, f64::INFINITY);
+        for branch in &self.branches {
+            for &q in &branch.points {
+                let d = length(sub(p, q));
+                if d < best.1 {
+                    best = (branch.id, d);
+                }
+            }
+        }
+        best
+    }
+}

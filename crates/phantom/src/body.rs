@@ -1,0 +1,279 @@
+use crate::anatomy::{Solid, Tissue, VERTEBRA_MM, solids, spine_y};
+use crate::random::value_noise;
+use crate::shapes::{Piece, cover, ellipsoid, mix, smooth_max, smooth_min};
+
+/// Everything but airways and the lungs' own vessels.
+#[derive(Debug)]
+pub(crate) struct Body {
+    seed: u64,
+    pub(crate) solids: Vec<Solid>,
+}
+
+/// Room of the pleura at its widest: half width, half depth, and the heights of its widest level and of its apex, mm.
+const CAVITY_X: f64 = 128.0;
+const CAVITY_Y: f64 = 90.0;
+const CAVITY_MID_Y: f64 = -4.0;
+const CAVITY_WIDE_Z: f64 = -70.0;
+const CAVITY_TOP_Z: f64 = 84.0;
+
+/// |q| to the power of 5/2: between an ellipse and a box, as a chest is.
+fn power(q: f64) -> f64 {
+    q * q * q.sqrt()
+}
+
+/// The inverse of [`power`].
+fn root(s: f64) -> f64 {
+    libm::pow(s, 0.4)
+}
+
+/// How much the cavity is drawn in at a height: 1 at its widest level, 0 at the apex.
+fn cavity_shrink(z: f64) -> f64 {
+    let u = ((z - CAVITY_WIDE_Z) / (CAVITY_TOP_Z - CAVITY_WIDE_Z)).max(0.0);
+    root((1.0 - power(u)).max(0.0))
+}
+
+/// The pleura in a direction (0 = posterior, pi = anterior): `[x >= 0, y]`.
+fn rib_cage(azimuth: f64, z: f64) -> [f64; 2] {
+    let (s, c) = (libm::sin(azimuth), libm::cos(azimuth));
+    // Above the apex the first rib still needs a ring to lie on.
+    let shrink = cavity_shrink(z).max(0.30);
+    let (x, y) = (s.abs() / (CAVITY_X * shrink), c.abs() / (CAVITY_Y * shrink));
+    let r = 1.0 / root(power(x) + power(y));
+    [s.abs() * r, CAVITY_MID_Y + c * r]
+}
+
+/// Surfaces at one point, mm.
+pub(crate) struct Surfaces {
+    pub(crate) skin: f64,
+    cavity: f64,
+    diaphragm: f64,
+    heart: f64,
+    spine: f64,
+    pub(crate) lung: f64,
+}
+
+impl Surfaces {
+    /// Distance to the nearest surface at which the tissue changes.
+    pub(crate) fn nearest(&self) -> f64 {
+        // The muscle of the chest wall lies 18 mm and 22 mm outside the cavity, fat begins 2 mm and muscle 12 mm under the
+        // skin: all those are surfaces as well.
+        [
+            self.skin,
+            self.skin + 2.0,
+            self.skin + 12.0,
+            self.cavity,
+            self.cavity - 18.0,
+            self.diaphragm,
+            self.heart,
+            self.spine,
+            self.spine + 2.0,
+            self.lung,
+        ]
+        .into_iter()
+        .map(f64::abs)
+        .fold(f64::INFINITY, f64::min)
+    }
+}
+
+impl Body {
+    pub(crate) fn new(seed: u64) -> Self {
+        let mut body = Self {
+            seed,
+            solids: solids(rib_cage),
+        };
+        // Sternum: a row of flat tubes side by side.
+        for x in [-11.0, -4.0, 4.0, 11.0] {
+            let mut z = 48.0;
+            while z > -66.0 {
+                let at = |z: f64| [x, rib_cage(core::f64::consts::PI, z)[1] - 9.5, z];
+                body.solids.push(Solid {
+                    piece: Piece {
+                        start: at(z),
+                        end: at(z - 12.0),
+                        start_radius: 5.5,
+                        end_radius: 5.5,
+                    },
+                    tissue: Tissue::Bone,
+                });
+                z -= 12.0;
+            }
+        }
+        body
+    }
+
+    /// HU of the lung's tissue without its airways and vessels: denser behind (lying on the back), finely textured.
+    pub(crate) fn parenchyma_hu(&self, p: [f64; 3]) -> f64 {
+        let gravity = 0.32 * (p[1] - CAVITY_MID_Y);
+        let coarse = value_noise(self.seed ^ 0x11, p.map(|v| v / 9.0));
+        let fine = value_noise(self.seed ^ 0x12, p.map(|v| v / 2.6));
+        -862.0 + gravity + 14.0 * coarse + 24.0 * fine
+    }
+
+    /// HU of the body at a point, without `solids`, airways and the lungs' vessels.
+    pub(crate) fn hu(&self, p: [f64; 3], s: &Surfaces, sigma_mm: f64) -> f64 {
+        let mut hu = mix(-1000.0, 5.0, cover(s.skin, sigma_mm));
+        if s.skin > 4.0 {
+            return hu;
+        }
+        let mottle = value_noise(self.seed ^ 0x13, p.map(|v| v / 7.0));
+        let fat = -102.0 + 9.0 * mottle;
+        hu = mix(hu, fat, cover(s.skin + 2.0, sigma_mm));
+        // Chest wall and shoulders: muscle round the cavity and the neck, kept under the fat.
+        let neck = ellipsoid(p, [0.0, 6.0, 118.0], [122.0, 70.0, 66.0]);
+        let back = ellipsoid(p, [0.0, 84.0, p[2]], [62.0, 26.0, 1e6]);
+        let wall = (s.cavity - 18.0).min(neck).min(back);
+        let muscle = smooth_max(wall, s.skin + 12.0, 4.0);
+        let strands = value_noise(self.seed ^ 0x14, [p[0] / 14.0, p[1] / 5.0, p[2] / 14.0]);
+        // Fat runs between the muscles.
+        let seams = ((strands.abs() - 0.05) * 14.0).clamp(0.0, 1.0);
+        let muscle_hu = mix(-70.0, 52.0 + 6.0 * mottle, mix(1.0, seams, 0.75));
+        hu = mix(hu, muscle_hu, cover(muscle, sigma_mm));
+        // Within the cavity: mediastinal fat, the abdomen under the diaphragm, the heart.
+        let cavity = cover(s.cavity, sigma_mm);
+        if cavity > 0.0 {
+            let mut inner = mix(-78.0 + 14.0 * mottle, 46.0, cover(s.heart, sigma_mm));
+            // Liver on the right, fat and spleen on the left; above the diaphragm the distance is negative.
+            let abdomen = if p[0] < 24.0 {
+                58.0
+            } else {
+                40.0 + 20.0 * mottle
+            };
+            inner = mix(inner, abdomen, cover(-s.diaphragm, sigma_mm));
+            hu = mix(hu, inner, cavity);
+        }
+        let lung = cover(s.lung, sigma_mm);
+        if lung > 0.0 {
+            hu = mix(hu, self.parenchyma_hu(p), lung);
+        }
+        with_spine(hu, p, s.spine, sigma_mm)
+    }
+}
+
+fn with_spine(hu: f64, p: [f64; 3], spine: f64, sigma_mm: f64) -> f64 {
+    if spine > 30.0 {
+        return hu;
+    }
+    // Vertebral body between discs, and the canal behind.
+    let level = (p[2] / VERTEBRA_MM).fract();
+    let level = if level < 0.0 { level + 1.0 } else { level };
+    let disc = (0.5 - (level - 0.5).abs()) * VERTEBRA_MM - 2.5;
+    let bone = mix(380.0, 165.0, cover(spine + 2.0, sigma_mm));
+    let end_plate = mix(bone, 330.0, cover((disc - 0.8).abs() - 0.8, sigma_mm));
+    let body = mix(end_plate, 85.0, cover(disc, sigma_mm));
+    let hu = mix(hu, body, cover(spine, sigma_mm));
+    let y = p[1] - spine_y(p[2]) - 21.0;
+    let canal = (p[0] * p[0] + y * y).sqrt() - 8.5;
+    mix(hu, 22.0, cover(canal, sigma_mm))
+}
+
+/// Signed distance to the lungs, negative inside. Good to a few per cent near the surface.
+pub(crate) fn lung_distance(p: [f64; 3]) -> f64 {
+    surfaces(p).lung
+}
+
+pub(crate) fn surfaces(p: [f64; 3]) -> Surfaces {
+    let cavity = cavity(p);
+    let diaphragm = diaphragm(p);
+    let heart = heart(p);
+    let spine = spine(p);
+    let mut center = smooth_min(mediastinum(p), heart, 12.0);
+    for side in [-1.0, 1.0] {
+        // Hilum: where bronchi and vessels enter.
+        let hilum = ellipsoid(p, [side * 30.0, 4.0, -30.0], [15.0, 14.0, 24.0]);
+        center = smooth_min(center, hilum, 8.0);
+    }
+    center = smooth_min(center, spine - 5.0, 10.0);
+    let lung = smooth_max(smooth_max(cavity, diaphragm, 6.0), -center, 5.0);
+    Surfaces {
+        skin: skin(p),
+        cavity,
+        diaphragm,
+        heart,
+        spine,
+        lung,
+    }
+}
+
+/// A solid's HU laid over what is there.
+pub(crate) fn with_solid(hu: f64, solid: &Solid, p: [f64; 3], sigma_mm: f64) -> f64 {
+    let (d, _) = solid.piece.distance(p);
+    let share = cover(d, sigma_mm);
+    if share <= 0.0 {
+        return hu;
+    }
+    let own = match solid.tissue {
+        Tissue::Soft(own) => own,
+        Tissue::Bone => mix(560.0, 190.0, cover(d + 1.5, sigma_mm)),
+    };
+    // Of overlapping bones the denser wins: else each joint would show a ring.
+    if solid.tissue == Tissue::Bone && hu > own && hu > 150.0 {
+        return hu;
+    }
+    mix(hu, own, share)
+}
+
+fn skin(p: [f64; 3]) -> f64 {
+    // Shoulders narrow towards the neck; the arms are up.
+    let up = ((p[2] - 30.0) / 90.0).clamp(0.0, 1.2);
+    let (a, b) = (168.0 - 26.0 * up * up, 121.0 - 34.0 * up * up);
+    superellipsoid(&[(p[0], a), (p[1] + 2.0, b)])
+}
+
+fn cavity(p: [f64; 3]) -> f64 {
+    let up = (p[2] - CAVITY_WIDE_Z).max(0.0);
+    superellipsoid(&[
+        (p[0], CAVITY_X),
+        (p[1] - CAVITY_MID_Y, CAVITY_Y),
+        (up, CAVITY_TOP_Z - CAVITY_WIDE_Z),
+    ])
+}
+
+/// Distance to a superellipsoid given as (coordinate, half axis) pairs, first order near the surface.
+fn superellipsoid(axes: &[(f64, f64)]) -> f64 {
+    let (mut sum, mut slope2, mut widest) = (0.0, 0.0, 0.0f64);
+    for &(at, half) in axes {
+        let q = at.abs() / half;
+        sum += power(q);
+        let slope = q * q.sqrt() / half;
+        slope2 += slope * slope;
+        widest = widest.max(half);
+    }
+    let g = root(sum).max(0.05);
+    // d(g)/d(x) = (q / g)^1.5 / half. Far inside it tends to 0, and the distance is then only a lower bound.
+    let slope = slope2.sqrt() / (g * g.sqrt());
+    (g - 1.0) / slope.max(0.5 / widest)
+}
+
+/// Negative above the diaphragm: two domes, the right one higher.
+fn diaphragm(p: [f64; 3]) -> f64 {
+    let dome = |x: f64, y: f64, top: f64| {
+        let (u, v) = ((p[0] - x) / 74.0, (p[1] - y) / 86.0);
+        let surface = top - 66.0 * (u * u + v * v);
+        let slope = 132.0 * ((u / 74.0) * (u / 74.0) + (v / 86.0) * (v / 86.0)).sqrt();
+        (surface - p[2]) / (1.0 + slope * slope).sqrt()
+    };
+    // Solid below either dome, so the higher surface counts.
+    smooth_max(dome(-62.0, -12.0, -119.0), dome(62.0, -8.0, -131.0), 14.0)
+}
+
+fn heart(p: [f64; 3]) -> f64 {
+    let ventricles = ellipsoid(p, [18.0, -46.0, -88.0], [50.0, 38.0, 42.0]);
+    let right_atrium = ellipsoid(p, [-14.0, -36.0, -78.0], [25.0, 29.0, 34.0]);
+    let left_atrium = ellipsoid(p, [4.0, 2.0, -66.0], [28.0, 16.0, 21.0]);
+    smooth_min(smooth_min(ventricles, right_atrium, 10.0), left_atrium, 6.0)
+}
+
+/// The mediastinum as a sheet of varying thickness: broad round the trachea and the great vessels, thin in front.
+fn mediastinum(p: [f64; 3]) -> f64 {
+    // Higher up the great vessels lie further forward, and all is wider at the inlet.
+    let up = (p[2] / 90.0).clamp(0.0, 1.0);
+    let v = (p[1] - mix(2.0, -12.0, up)) / mix(36.0, 34.0, up);
+    let v4 = v * v * v * v;
+    let half = 3.5 + mix(18.0, 30.0, up * up) / (1.0 + v4);
+    // 0.85: the sheet's sides slope by up to 30 degrees.
+    0.85 * ((p[0] - 1.0).abs() - half)
+}
+
+fn spine(p: [f64; 3]) -> f64 {
+    ellipsoid(p, [0.0, spine_y(p[2]), p[2]], [18.0, 15.0, 1e6])
+}

@@ -1,0 +1,150 @@
+//! Signed distances in mm (negative inside) and how they join.
+
+use carina_grid::{cross, dot, length, unit};
+
+pub(crate) fn add(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|i| a[i] + b[i])
+}
+
+pub(crate) fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|i| a[i] - b[i])
+}
+
+/// `a + f * b`.
+pub(crate) fn along(a: [f64; 3], f: f64, b: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|i| a[i] + f * b[i])
+}
+
+pub(crate) fn mix(a: f64, b: f64, t: f64) -> f64 {
+    a + t * (b - a)
+}
+
+/// Unit vector; the tree never hands over a vector without length.
+pub(crate) fn direction(v: [f64; 3]) -> [f64; 3] {
+    unit(v).unwrap_or([0.0, 0.0, 1.0])
+}
+
+/// Two unit vectors at right angles to `dir` and each other.
+pub(crate) fn normals(dir: [f64; 3]) -> ([f64; 3], [f64; 3]) {
+    let helper = if dir[2].abs() < 0.8 {
+        [0.0, 0.0, 1.0]
+    } else {
+        [0.0, 1.0, 0.0]
+    };
+    let across = direction(cross(dir, helper));
+    (across, cross(dir, across))
+}
+
+/// `dir` tilted by `tilt`, towards the direction `turn` round it.
+pub(crate) fn tilted(
+    dir: [f64; 3],
+    across: [f64; 3],
+    up: [f64; 3],
+    turn: f64,
+    tilt: f64,
+) -> [f64; 3] {
+    let (s, c) = (libm::sin(turn), libm::cos(turn));
+    let side: [f64; 3] = std::array::from_fn(|i| c * across[i] + s * up[i]);
+    let (st, ct) = (libm::sin(tilt), libm::cos(tilt));
+    direction(std::array::from_fn(|i| ct * dir[i] + st * side[i]))
+}
+
+/// Union with a fillet of about `k` mm (quadratic).
+pub(crate) fn smooth_min(a: f64, b: f64, k: f64) -> f64 {
+    let h = (k - (a - b).abs()).max(0.0);
+    a.min(b) - h * h / (4.0 * k)
+}
+
+/// Intersection with a rounded edge of about `k` mm.
+pub(crate) fn smooth_max(a: f64, b: f64, k: f64) -> f64 {
+    -smooth_min(-a, -b, k)
+}
+
+/// The share of a point-spread function of width `sigma_mm` that lies inside a flat surface at distance `d`.
+///
+/// A cubic step with the slope of the Gaussian's integral at the surface; it ends at 1.88 sigma, which keeps lists short.
+pub(crate) fn cover(d: f64, sigma_mm: f64) -> f64 {
+    let t = (0.5 - d / (3.76 * sigma_mm)).clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// A piece of a tube: a straight axis with a radius that changes linearly along it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Piece {
+    pub(crate) start: [f64; 3],
+    pub(crate) end: [f64; 3],
+    pub(crate) start_radius: f64,
+    pub(crate) end_radius: f64,
+}
+
+impl Piece {
+    /// Distance from the axis, and how far along it (0..1) the nearest point is.
+    pub(crate) fn axis_distance(&self, p: [f64; 3]) -> (f64, f64) {
+        let axis = sub(self.end, self.start);
+        let from = sub(p, self.start);
+        let t = (dot(from, axis) / dot(axis, axis).max(1e-12)).clamp(0.0, 1.0);
+        (length(along(from, -t, axis)), t)
+    }
+
+    /// Signed distance, and how far along the axis (0..1) the nearest point is.
+    pub(crate) fn distance(&self, p: [f64; 3]) -> (f64, f64) {
+        let (away, t) = self.axis_distance(p);
+        (away - mix(self.start_radius, self.end_radius, t), t)
+    }
+
+    /// Box in LPS that holds every point within `margin` of the surface.
+    pub(crate) fn bounds(&self, margin: f64) -> ([f64; 3], [f64; 3]) {
+        self.axis_bounds(self.start_radius.max(self.end_radius) + margin)
+    }
+
+    /// Box in LPS that holds every point within `r` of the axis.
+    pub(crate) fn axis_bounds(&self, r: f64) -> ([f64; 3], [f64; 3]) {
+        (
+            std::array::from_fn(|a| self.start[a].min(self.end[a]) - r),
+            std::array::from_fn(|a| self.start[a].max(self.end[a]) + r),
+        )
+    }
+}
+
+/// Distance to an ellipsoid with axes along LPS, first order near the surface.
+pub(crate) fn ellipsoid(p: [f64; 3], center: [f64; 3], radii: [f64; 3]) -> f64 {
+    let q: [f64; 3] = std::array::from_fn(|a| (p[a] - center[a]) / radii[a]);
+    let k0 = length(q);
+    let k1 = length(std::array::from_fn(|a| q[a] / radii[a]));
+    if k1 < 1e-9 {
+        return -radii[0].min(radii[1]).min(radii[2]);
+    }
+    k0 * (k0 - 1.0) / k1
+}
+
+/// A point on the cubic from `a` (leaving along `ta`) to `b` (arriving along `tb`); the tangents have lengths in mm.
+pub(crate) fn hermite(a: [f64; 3], ta: [f64; 3], b: [f64; 3], tb: [f64; 3], t: f64) -> [f64; 3] {
+    let (t2, t3) = (t * t, t * t * t);
+    let (h0, h1) = (2.0 * t3 - 3.0 * t2 + 1.0, t3 - 2.0 * t2 + t);
+    let (h2, h3) = (-2.0 * t3 + 3.0 * t2, t3 - t2);
+    std::array::from_fn(|i| h0 * a[i] + h1 * ta[i] + h2 * b[i] + h3 * tb[i])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_smooth_union_contains_both_shapes_and_touches_nothing_far_off() {
+        assert!(smooth_min(1.0, 1.0, 2.0) < 1.0);
+        assert!((smooth_min(1.0, 4.0, 2.0) - 1.0).abs() < 1e-15);
+        assert!((smooth_max(1.0, 4.0, 2.0) - 4.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn a_surface_through_the_middle_covers_half() {
+        assert!((cover(0.0, 0.4) - 0.5).abs() < 1e-15);
+        assert!(cover(-1.0, 0.4) > 0.999 && cover(1.0, 0.4) < 0.001);
+    }
+
+    #[test]
+    fn the_distance_to_an_ellipsoid_is_right_along_its_axes() {
+        let d = ellipsoid([0.0, 33.0, 0.0], [0.0; 3], [10.0, 30.0, 20.0]);
+        assert!((d - 3.0).abs() < 0.3, "{d}");
+    }
+}

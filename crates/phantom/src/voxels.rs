@@ -1,0 +1,574 @@
+//! From shapes to voxels: bricks know which pieces come near, and only voxels with a surface in them are looked at closely.
+
+use carina_grid::{Affine, Grid, dot, length};
+use rayon::prelude::*;
+
+use crate::airways::AirwayTree;
+use crate::body::{Body, surfaces, with_solid};
+use crate::chest::Nodule;
+use crate::shapes::{Piece, along, cover, direction, mix, smooth_max, smooth_min, sub};
+
+/// Blur of the scanner beside the voxel's own box: FWHM 0.8 mm.
+const SIGMA_MM: f64 = 0.35;
+/// Beyond this many mm from a surface the blur is over ([`cover`] ends at 1.88 sigma).
+const BLUR_MM: f64 = 1.88 * SIGMA_MM;
+/// Samples within a voxel are at most this far apart, for slices up to 3 mm.
+const SAMPLE_MM: f64 = 0.6;
+/// A brick is about this long on each side, whatever the spacing: lists stay short on coarse grids.
+const BRICK_MM: f64 = 7.0;
+const AIR_HU: f64 = -1000.0;
+const WALL_HU: f64 = 38.0;
+const VESSEL_HU: f64 = 46.0;
+const NODULE_HU: f64 = 34.0;
+
+/// Shape of the trachea's section: a circle cut off behind at 0.6 radii, the membranous wall.
+const CUT: f64 = 0.6;
+/// Radius of the circle whose area the cut circle of radius 1 has.
+const CUT_EQUIVALENT: f64 = 0.926;
+/// How far the cut circle's centroid lies before the circle's centre.
+const CUT_CENTROID: f64 = 0.1267;
+
+struct AirwayPiece {
+    branch: u32,
+    piece: Piece,
+    /// Largest radius of the whole branch.
+    widest: f64,
+    /// Direction of the membranous wall, for the trachea.
+    behind: Option<[f64; 3]>,
+}
+
+/// The lumen near a point.
+#[derive(Debug, Clone, Copy)]
+struct Lumen {
+    distance: f64,
+    branch: u32,
+}
+
+/// Everything that a voxel's value is made from.
+pub(crate) struct Scene<'a> {
+    tree: &'a AirwayTree,
+    body: &'a Body,
+    vessels: &'a [Piece],
+    nodule: Option<Nodule>,
+    airways: Vec<AirwayPiece>,
+    /// Per branch: how much of its lumen's darkness the blur leaves in its middle, against a flat surface.
+    depth: Vec<f64>,
+}
+
+/// Pieces near each brick of one kind, as positions in the scene's list.
+struct Lists {
+    start: Vec<u32>,
+    items: Vec<u32>,
+}
+
+impl Lists {
+    fn new(bricks: &Bricks<'_>, bounds: impl Iterator<Item = ([f64; 3], [f64; 3])>) -> Self {
+        let num_bricks = bricks.num;
+        let mut pairs: Vec<(u32, u32)> = Vec::new();
+        for (item, (lo, hi)) in bounds.enumerate() {
+            let Some((first, last)) = bricks.of(lo, hi) else {
+                continue;
+            };
+            for bz in first[2]..=last[2] {
+                for by in first[1]..=last[1] {
+                    for bx in first[0]..=last[0] {
+                        let brick = (bz * num_bricks[1] + by) * num_bricks[0] + bx;
+                        pairs.push((brick as u32, item as u32));
+                    }
+                }
+            }
+        }
+        pairs.sort_unstable();
+        let mut start = vec![0u32; num_bricks.iter().product::<usize>() + 1];
+        for &(brick, _) in &pairs {
+            start[brick as usize + 1] += 1;
+        }
+        for n in 1..start.len() {
+            start[n] += start[n - 1];
+        }
+        Self {
+            start,
+            items: pairs.into_iter().map(|(_, item)| item).collect(),
+        }
+    }
+
+    fn of(&self, brick: usize) -> &[u32] {
+        &self.items[self.start[brick] as usize..self.start[brick + 1] as usize]
+    }
+}
+
+/// How a grid is cut into bricks.
+struct Bricks<'a> {
+    grid: &'a Grid,
+    /// Voxels of a brick along i, j, k.
+    size: [usize; 3],
+    /// Bricks along i, j, k.
+    num: [usize; 3],
+}
+
+impl<'a> Bricks<'a> {
+    fn new(grid: &'a Grid) -> Self {
+        let size = grid
+            .spacing_mm()
+            .map(|s| ((BRICK_MM / s).round() as usize).clamp(1, 16));
+        let shape = grid.shape_ijk();
+        Self {
+            grid,
+            size,
+            num: std::array::from_fn(|a| shape[a].div_ceil(size[a])),
+        }
+    }
+
+    /// The brick of a voxel.
+    fn at(&self, ijk: [usize; 3]) -> usize {
+        let [x, y, z]: [usize; 3] = std::array::from_fn(|a| ijk[a] / self.size[a]);
+        (z * self.num[1] + y) * self.num[0] + x
+    }
+
+    /// First and last brick, per axis, of a box given in LPS; `None` where it misses the grid.
+    fn of(&self, lo: [f64; 3], hi: [f64; 3]) -> Option<([usize; 3], [usize; 3])> {
+        let (grid, num_bricks) = (self.grid, self.num);
+        let m = grid.ijk_from_lps();
+        let center = m.point(std::array::from_fn(|a| 0.5 * (lo[a] + hi[a])));
+        let mut first = [0; 3];
+        let mut last = [0; 3];
+        for axis in 0..3 {
+            let row = m.rows()[axis];
+            let reach: f64 = (0..3).map(|a| 0.5 * (hi[a] - lo[a]) * row[a].abs()).sum();
+            let (from, to) = (center[axis] - reach, center[axis] + reach);
+            let end = grid.shape_ijk()[axis] as f64 - 1.0;
+            if to < 0.0 || from > end {
+                return None;
+            }
+            // A voxel's surroundings are looked at from its centre, so a brick ends at the last centre it holds.
+            first[axis] = from.max(0.0) as usize / self.size[axis];
+            last[axis] = (to.min(end) as usize / self.size[axis]).min(num_bricks[axis] - 1);
+        }
+        Some((first, last))
+    }
+
+    /// What a brick holds apart from pieces.
+    fn kind(&self, brick: usize) -> Kind {
+        let at = [
+            brick % self.num[0],
+            brick / self.num[0] % self.num[1],
+            brick / self.num[0] / self.num[1],
+        ];
+        let half = self.size.map(|n| (n - 1) as f64 / 2.0);
+        let center = self.grid.lps_from_ijk().point(std::array::from_fn(|a| {
+            (at[a] * self.size[a]) as f64 + half[a]
+        }));
+        let spacing = self.grid.spacing_mm();
+        let reach =
+            length(std::array::from_fn(|a| spacing[a] * half[a])) + 0.5 * length(spacing) + BLUR_MM;
+        let s = surfaces(center);
+        // The distances are good to some tens of per cent at this range; the factor is the guard.
+        if s.skin > 1.7 * reach {
+            Kind::Air
+        } else if s.lung < 0.0 && s.nearest() > 1.7 * reach {
+            Kind::Lung
+        } else {
+            Kind::Mixed
+        }
+    }
+}
+
+impl<'a> Scene<'a> {
+    pub(crate) fn new(
+        tree: &'a AirwayTree,
+        body: &'a Body,
+        vessels: &'a [Piece],
+        nodule: Option<Nodule>,
+    ) -> Self {
+        let mut airways = Vec::new();
+        for branch in &tree.branches {
+            let widest = branch.radius_mm.iter().copied().fold(0.0, f64::max);
+            for n in 1..branch.points.len() {
+                let mut piece = Piece {
+                    start: branch.points[n - 1],
+                    end: branch.points[n],
+                    start_radius: branch.radius_mm[n - 1],
+                    end_radius: branch.radius_mm[n],
+                };
+                let mut behind = None;
+                if branch.parent.is_none() {
+                    let axis = direction(sub(piece.end, piece.start));
+                    behind = Some(direction(along([0.0, 1.0, 0.0], -axis[1], axis)));
+                    if n == 1 {
+                        // The windpipe goes on upwards beyond the truth's first point, and out of the volume.
+                        piece.start = along(piece.start, -40.0, axis);
+                    }
+                }
+                airways.push(AirwayPiece {
+                    branch: branch.id as u32,
+                    piece,
+                    widest,
+                    behind,
+                });
+            }
+        }
+        let depth = tree
+            .branches
+            .iter()
+            .map(|b| {
+                let r = b.tip_radius() / SIGMA_MM;
+                // A Gaussian blur leaves 1 - exp(-r^2 / 2) in the middle of a cylinder; a flat surface at that distance
+                // would leave almost all.
+                ((1.0 - libm::exp(-0.5 * r * r)) / cover(-b.tip_radius(), SIGMA_MM)).min(1.0)
+            })
+            .collect();
+        Self {
+            tree,
+            body,
+            vessels,
+            nodule,
+            airways,
+            depth,
+        }
+    }
+
+    /// Signed distance to the lumen from the pieces in `near`, with the branch it belongs to.
+    fn lumen(&self, p: [f64; 3], near: &[u32]) -> Option<Lumen> {
+        let far = Lumen {
+            distance: f64::INFINITY,
+            branch: u32::MAX,
+        };
+        let (mut best, mut second) = (far, far);
+        let mut radii = [1.0f64; 2];
+        let mut own = far;
+        let mut own_radius = 1.0;
+        let mut to_axis = f64::INFINITY;
+        let mut take = |own: Lumen, radius: f64| {
+            if own.distance < best.distance {
+                second = best;
+                radii[1] = radii[0];
+                best = own;
+                radii[0] = radius;
+            } else if own.distance < second.distance {
+                second = own;
+                radii[1] = radius;
+            }
+        };
+        // Pieces of one branch follow each other.
+        for &n in near {
+            let airway = &self.airways[n as usize];
+            if airway.branch != own.branch {
+                take(own, own_radius);
+                own = Lumen {
+                    distance: f64::INFINITY,
+                    branch: airway.branch,
+                };
+                to_axis = f64::INFINITY;
+            }
+            // The radius that counts is that of the nearest point of the centreline, so that a section across it has just
+            // the truth's radius; the union of the pieces' balls would be wider where the radius changes fast.
+            let (away, t) = airway.piece.axis_distance(p);
+            if away < to_axis {
+                to_axis = away;
+                (own.distance, own_radius) = airway.distance(p, away, t);
+            }
+        }
+        take(own, own_radius);
+        if best.branch == u32::MAX {
+            return None;
+        }
+        if second.branch != u32::MAX
+            && self
+                .tree
+                .joined(best.branch as usize, second.branch as usize)
+        {
+            // A fillet of half the smaller radius: a carina is an arch, not a knife.
+            let k = 0.5 * radii[0].min(radii[1]);
+            best.distance = smooth_min(best.distance, second.distance, k);
+        }
+        Some(best)
+    }
+
+    /// Shares of a point's neighbourhood inside the airway's outer surface and inside its lumen.
+    fn airway_shares(&self, p: [f64; 3], near: &[u32]) -> (f64, f64) {
+        let Some(lumen) = self.lumen(p, near) else {
+            return (0.0, 0.0);
+        };
+        let branch = lumen.branch as usize;
+        let wall = self.tree.branches[branch].wall_mm;
+        (
+            cover(lumen.distance - wall, SIGMA_MM),
+            cover(lumen.distance, SIGMA_MM) * self.depth[branch],
+        )
+    }
+
+    fn vessel_distance(&self, p: [f64; 3], near: &[u32]) -> f64 {
+        near.iter()
+            .map(|&n| self.vessels[n as usize].distance(p).0)
+            .fold(f64::INFINITY, f64::min)
+    }
+
+    /// Values of all voxels, from the top of memory to its end, `layer` slices at a time.
+    pub(crate) fn voxelize(
+        &self,
+        grid: &Grid,
+        noise: (u64, f64),
+        with_distance: bool,
+        proceed: &mut dyn FnMut(f64) -> bool,
+    ) -> Option<Voxels> {
+        let margin = BLUR_MM + 0.5 * voxel_diagonal(grid);
+        let widest_wall = self
+            .tree
+            .branches
+            .iter()
+            .map(|b| b.wall_mm)
+            .fold(0.0, f64::max);
+        let bricks = Bricks::new(grid);
+        let lists = Near {
+            airways: Lists::new(
+                &bricks,
+                self.airways
+                    .iter()
+                    .map(|a| a.piece.axis_bounds(margin + a.reach(widest_wall))),
+            ),
+            vessels: Lists::new(&bricks, self.vessels.iter().map(|v| v.bounds(margin))),
+            solids: Lists::new(
+                &bricks,
+                self.body.solids.iter().map(|s| s.piece.bounds(margin)),
+            ),
+        };
+        let [nx, ny, nz] = grid.shape_ijk();
+        let slice_len = nx * ny;
+        let mut out = Voxels {
+            hu: vec![0; grid.num_voxels()],
+            lumen: vec![0; grid.num_voxels()],
+            distance: with_distance.then(|| vec![0.0; grid.num_voxels()]),
+        };
+        let bricks_in_plane = bricks.num[0] * bricks.num[1];
+        // Whole bricks, and enough slices to keep all cores busy.
+        let layer = bricks.size[2] * 24usize.div_ceil(bricks.size[2]);
+        let mut values = vec![0f32; layer * slice_len];
+        for z0 in (0..nz).step_by(layer) {
+            let z1 = (z0 + layer).min(nz);
+            let range = z0 * slice_len..z1 * slice_len;
+            let values = &mut values[..range.len()];
+            let first_brick = z0 / bricks.size[2] * bricks_in_plane;
+            let kinds: Vec<Kind> = (first_brick..z1.div_ceil(bricks.size[2]) * bricks_in_plane)
+                .into_par_iter()
+                .map(|b| bricks.kind(b))
+                .collect();
+            let mut nothing: Vec<f32> = Vec::new();
+            let distance = out
+                .distance
+                .as_mut()
+                .map_or(&mut nothing[..], |d| &mut d[range.clone()]);
+            // Rows are the smallest pieces of work that lie together in memory.
+            let lumen = &mut out.lumen[range.clone()];
+
+            let row = |n: usize, values: &mut [f32], lumen: &mut [u8], distance: &mut [f32]| {
+                let (y, z) = (n % ny, z0 + n / ny);
+                self.row(
+                    &bricks,
+                    &lists,
+                    &kinds,
+                    first_brick,
+                    [y, z],
+                    values,
+                    lumen,
+                    distance,
+                );
+            };
+            if distance.is_empty() {
+                values
+                    .par_chunks_mut(nx)
+                    .zip(lumen.par_chunks_mut(nx))
+                    .enumerate()
+                    .for_each(|(n, (v, l))| row(n, v, l, &mut []));
+            } else {
+                values
+                    .par_chunks_mut(nx)
+                    .zip(lumen.par_chunks_mut(nx))
+                    .zip(distance.par_chunks_mut(nx))
+                    .enumerate()
+                    .for_each(|(n, ((v, l), d))| row(n, v, l, d));
+            }
+            crate::noise::finish(
+                values,
+                &mut out.hu[range],
+                nx,
+                slice_len,
+                z0,
+                noise.0,
+                noise.1,
+            );
+            if !proceed(z1 as f64 / nz as f64) {
+                return None;
+            }
+        }
+        Some(out)
+    }
+
+    fn row(
+        &self,
+        bricks: &Bricks<'_>,
+        lists: &Near,
+        kinds: &[Kind],
+        first_brick: usize,
+        [y, z]: [usize; 2],
+        values: &mut [f32],
+        lumen: &mut [u8],
+        distance: &mut [f32],
+    ) {
+        let grid = bricks.grid;
+        let spacing = grid.spacing_mm();
+        let half_diagonal = 0.5 * voxel_diagonal(grid);
+        // Surfaces of the body are not sampled within a voxel; the box of the voxel widens their blur instead.
+        let body_sigma = (SIGMA_MM * SIGMA_MM + dot(spacing, spacing) / 36.0).sqrt();
+        let offsets = sample_offsets(grid.lps_from_ijk(), spacing);
+        let each = 1.0 / offsets.len() as f64;
+        let (mut vessels, mut airways) = (Vec::new(), Vec::new());
+        for (x, value) in values.iter_mut().enumerate() {
+            let brick = bricks.at([x, y, z]);
+            let p = grid.lps_from_ijk().point([x as f64, y as f64, z as f64]);
+            let mut hu = match kinds[brick - first_brick] {
+                Kind::Air => AIR_HU,
+                Kind::Lung => self.body.parenchyma_hu(p),
+                Kind::Mixed => self.body.hu(p, &surfaces(p), body_sigma),
+            };
+            for &n in lists.solids.of(brick) {
+                hu = with_solid(hu, &self.body.solids[n as usize], p, body_sigma);
+            }
+            // Only pieces this near can matter to a place in the voxel.
+            vessels.clear();
+            vessels.extend(
+                lists
+                    .vessels
+                    .of(brick)
+                    .iter()
+                    .filter(|&&n| self.vessels[n as usize].distance(p).0 < BLUR_MM + half_diagonal),
+            );
+            if !vessels.is_empty() {
+                let d = self.vessel_distance(p, &vessels);
+                if d < BLUR_MM + half_diagonal {
+                    let share = if d < -BLUR_MM - half_diagonal {
+                        1.0
+                    } else {
+                        each * offsets
+                            .iter()
+                            .map(|&o| {
+                                let q = std::array::from_fn(|a| p[a] + o[a]);
+                                cover(self.vessel_distance(q, &vessels), SIGMA_MM)
+                            })
+                            .sum::<f64>()
+                    };
+                    // Where two tissues of nearly one HU meet there is no seam to draw.
+                    hu = mix(hu, VESSEL_HU.max(hu.min(60.0)), share);
+                }
+            }
+            if let Some(nodule) = self.nodule {
+                let d = length(sub(p, nodule.center_lps)) - nodule.radius_mm;
+                hu = mix(hu, NODULE_HU, cover(d, body_sigma));
+            }
+            let all = lists.airways.of(brick);
+            // Far from all lumina the distance is only known to be large.
+            let mut to_lumen = 5.0;
+            if let Some(near) = self.lumen(p, all) {
+                to_lumen = near.distance;
+                let wall = self.tree.branches[near.branch as usize].wall_mm;
+                let reach = BLUR_MM + half_diagonal;
+                if to_lumen < -reach {
+                    hu = AIR_HU;
+                } else if to_lumen < wall + reach {
+                    airways.clear();
+                    airways.extend(all.iter().filter(|&&n| {
+                        let airway = &self.airways[n as usize];
+                        let wall = self.tree.branches[airway.branch as usize].wall_mm;
+                        airway.piece.axis_distance(p).0 < reach + airway.reach(wall)
+                    }));
+                    let (mut outer, mut inner) = (0.0, 0.0);
+                    for &o in &offsets {
+                        let q = std::array::from_fn(|a| p[a] + o[a]);
+                        let (out, inn) = self.airway_shares(q, &airways);
+                        outer += each * out;
+                        inner += each * inn;
+                    }
+                    hu = hu * (1.0 - outer) + WALL_HU * (outer - inner) + AIR_HU * inner;
+                }
+            }
+            *value = hu as f32;
+            lumen[x] = u8::from(to_lumen < 0.0);
+            if let Some(d) = distance.get_mut(x) {
+                *d = to_lumen as f32;
+            }
+        }
+    }
+}
+
+/// What [`Scene::voxelize`] makes.
+pub(crate) struct Voxels {
+    pub(crate) hu: Vec<i16>,
+    pub(crate) lumen: Vec<u8>,
+    pub(crate) distance: Option<Vec<f32>>,
+}
+
+struct Near {
+    airways: Lists,
+    vessels: Lists,
+    solids: Lists,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Air,
+    Lung,
+    Mixed,
+}
+
+impl AirwayPiece {
+    /// How far from its axis a piece can matter to the lumen or to a wall of `wall` mm: its branch's widest radius (which
+    /// piece is nearest must be known wherever any of the branch is near) and the widest fillet.
+    fn reach(&self, wall: f64) -> f64 {
+        // A cut circle is wider than the circle of its area.
+        let more = if self.behind.is_some() { 2.0 } else { 0.0 };
+        1.5 * self.widest + wall + more
+    }
+
+    /// Signed distance to the lumen, and its radius there, for a point `away` from the axis at `t` along it.
+    fn distance(&self, p: [f64; 3], away: f64, t: f64) -> (f64, f64) {
+        let radius = mix(self.piece.start_radius, self.piece.end_radius, t);
+        let Some(behind) = self.behind else {
+            return (away - radius, radius);
+        };
+        let full = radius / CUT_EQUIVALENT;
+        let shift = CUT_CENTROID * full;
+        let moved = Piece {
+            start: along(self.piece.start, shift, behind),
+            end: along(self.piece.end, shift, behind),
+            start_radius: self.piece.start_radius / CUT_EQUIVALENT,
+            end_radius: self.piece.end_radius / CUT_EQUIVALENT,
+        };
+        let (circle, t) = moved.distance(p);
+        let axis_point = along(moved.start, t, sub(moved.end, moved.start));
+        let flat = dot(sub(p, axis_point), behind) - CUT * full;
+        (smooth_max(circle, flat, 0.25 * full), radius)
+    }
+}
+
+fn voxel_diagonal(grid: &Grid) -> f64 {
+    length(grid.spacing_mm())
+}
+
+/// Places within a voxel, as LPS offsets from its centre: evenly over its box, [`SAMPLE_MM`] apart or five
+/// per axis.
+fn sample_offsets(lps_from_ijk: &Affine, spacing: [f64; 3]) -> Vec<[f64; 3]> {
+    let num = spacing.map(|s| ((s / SAMPLE_MM).ceil() as usize).clamp(1, 5));
+    let place = |n: usize, i: usize| (i as f64 + 0.5) / n as f64 - 0.5;
+    let mut offsets = Vec::with_capacity(num.iter().product());
+    for k in 0..num[2] {
+        for j in 0..num[1] {
+            for i in 0..num[0] {
+                offsets.push(lps_from_ijk.vector([
+                    place(num[0], i),
+                    place(num[1], j),
+                    place(num[2], k),
+                ]));
+            }
+        }
+    }
+    offsets
+}

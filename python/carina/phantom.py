@@ -1,0 +1,302 @@
+"""A chest CT with exact truth: made, not scanned. For demos, tests, teaching and synthetic data."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import logging
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import SimpleITK
+from numpy.typing import NDArray
+
+from carina import _core
+from carina.config import load_settings
+from carina.errors import CancelledError, UsageError
+from carina.volume import Volume, VolumeSource
+
+__all__ = ["Phantom", "demo_phantom", "generate_phantom", "write_phantom"]
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+Progress = Callable[[str, float | None], None]
+
+# Raise it when the same options give another chest (a test pins their checksum): cached demos are then made anew.
+GENERATOR_VERSION = 1
+DEMO_OPTIONS: dict[str, Any] = {"seed": 0, "spacing_mm": 0.9, "generations": 7, "nodule": True}
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Phantom:
+    """A generated chest and everything that is known about it."""
+
+    volume: Volume
+    """The CT, HU."""
+    lumen_zyx: NDArray[np.uint8]
+    """``(nz, ny, nx)``: 1 where a voxel's *centre* lies in an airway's lumen."""
+    truth: dict[str, Any]
+    """The document of ``truth.json``: a ``carina-tree`` (LPS, mm), exact; with ``nodule`` and ``stenosis``, or None."""
+    lumen_distance_mm: NDArray[np.float32] | None = None
+    """``(nz, ny, nx)`` signed distance to the lumen's surface, negative inside, at least 5 where no airway is near;
+    None unless asked for."""
+
+
+def generate_phantom(
+    *,
+    seed: int = 0,
+    spacing_mm: float | Sequence[float] = 0.8,
+    generations: int = 6,
+    stenosis: bool = False,
+    nodule: bool = False,
+    noise_hu: float = 20.0,
+    box_lps: Sequence[Sequence[float]] | None = None,
+    with_distance: bool = False,
+    progress: Progress | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Phantom:
+    """Make a chest CT: body, lungs, vessels and an airway tree with named segments, with the truth.
+
+    The carina lies at the origin of LPS space; the trachea's first point lies in the top slice. The same arguments give
+    the same voxels, on any machine and any number of cores.
+
+    Parameters
+    ----------
+    seed
+        Another seed is another person: other directions, sizes, patterns of division (upper and lower lobes), noise.
+    spacing_mm
+        Distance of voxel centres, one number or ``(x, y, z)``; 0.3 to 10 mm. A thick slice averages over its thickness.
+    generations
+        Airways divide below this generation (trachea 0), 3 to 9; named segments are always there.
+    stenosis
+        Narrow the left main or the intermediate bronchus to less than half its diameter.
+    nodule
+        Put a round nodule of 5 to 10 mm radius near the end of an airway.
+    noise_hu
+        Standard deviation of the noise, 0 to 200 HU; correlated in plane.
+    box_lps
+        ``((x, y, z), (x, y, z))`` lower and upper corner of the part to make, in mm; the whole chest unless told. The
+        truth is always the whole tree.
+    with_distance
+        Also hand over the signed distance to the lumen (4 bytes per voxel).
+    progress, cancel
+        Called with what is done and the share done (0..1); asked whether to stop.
+
+    Returns
+    -------
+    Phantom
+        The volume, the lumen and the truth.
+
+    Raises
+    ------
+    UsageError
+        If an option is out of range.
+    CancelledError
+        If ``cancel`` said so.
+
+    Examples
+    --------
+    >>> made = generate_phantom(spacing_mm=4.0, generations=3)
+    >>> made.truth["branches"][0]["name"]
+    'Trachea'
+    """
+    spacing = (float(spacing_mm),) * 3 if isinstance(spacing_mm, int | float) else tuple(float(s) for s in spacing_mm)
+    if len(spacing) != 3:
+        raise UsageError(
+            f"spacing: expected one number or three (x, y, z); found {len(spacing)}", code="phantom.option"
+        )
+    if not 0 <= seed < 2**64:
+        raise UsageError(f"seed: expected 0 to 2^64 - 1; found {seed}", code="phantom.option")
+    if generations < 0:
+        raise UsageError(f"generations: expected 3 to 9, found {generations}", code="phantom.option")
+    box = None
+    if box_lps is not None:
+        corners = np.asarray(box_lps, dtype=np.float64)
+        if corners.shape != (2, 3):
+            msg = f"box: expected two corners of three numbers; found shape {corners.shape}"
+            raise UsageError(msg, code="phantom.option")
+        box = corners.tolist()
+
+    def proceed(fraction: float) -> bool:
+        if cancel is not None and cancel():
+            raise CancelledError("generating the phantom was cancelled")
+        if progress is not None:
+            progress("making the phantom", fraction)
+        return True
+
+    made = _core.generate_chest(
+        seed, spacing, int(generations), stenosis, nodule, float(noise_hu), box, with_distance, proceed
+    )
+    branches = [
+        {
+            "id": b["id"],
+            "parent": b["parent"],
+            "children": b["children"],
+            "generation": b["generation"],
+            "name": b["name"],
+            "kind": "tracked",
+            "points": b["points"],
+            "radius": b["radius"],
+            "cost": None,
+            "confidence": 1.0,
+            "wall_mm": b["wall_mm"],
+        }
+        for b in made["branches"]
+    ]
+    truth = {
+        "format": "carina-tree",
+        "version": 1,
+        "space": "LPS",
+        "unit": "mm",
+        "root": 0,
+        "branches": branches,
+        "nodule": made.get("nodule"),
+        "stenosis": made.get("stenosis"),
+    }
+    return Phantom(
+        volume=_volume(made["hu_zyx"], np.array(made["lps_from_ijk"]), seed),
+        lumen_zyx=_frozen(made["lumen_zyx"]),
+        truth=truth,
+        lumen_distance_mm=_frozen(made["lumen_distance_mm"]) if with_distance else None,
+    )
+
+
+def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[Path]:
+    """Write ``ct.nii.gz``, ``lumen.nii.gz`` and ``truth.json`` into a folder, which is made if missing.
+
+    Parameters
+    ----------
+    phantom
+        What to write.
+    directory
+        Where. Files of these names are replaced, each in one step, so that a reader never sees half of one.
+
+    Returns
+    -------
+    list of Path
+        The three files. NIfTI is RAS by convention; SimpleITK turns the LPS grid into it and back.
+    """
+    folder = Path(directory)
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".writing-") as scratch:
+        for name, values in (("ct.nii.gz", phantom.volume.hu_zyx), ("lumen.nii.gz", phantom.lumen_zyx)):
+            image = SimpleITK.GetImageFromArray(values)
+            matrix = phantom.volume.lps_from_ijk
+            spacing = np.linalg.norm(matrix[:3, :3], axis=0)
+            image.SetSpacing(spacing.tolist())
+            image.SetDirection((matrix[:3, :3] / spacing).ravel().tolist())
+            image.SetOrigin(matrix[:3, 3].tolist())
+            # Level 1: noise does not shrink further, only slower.
+            SimpleITK.WriteImage(image, str(Path(scratch) / name), useCompression=True, compressionLevel=1)
+            written.append(folder / name)
+        (Path(scratch) / "truth.json").write_text(_json(phantom.truth), encoding="utf-8")
+        written.append(folder / "truth.json")
+        for path in written:
+            (Path(scratch) / path.name).replace(path)
+    return written
+
+
+def demo_phantom(
+    *,
+    cache_dir: Path | None = None,
+    progress: Progress | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Phantom:
+    """The demo case: a chest with a nodule, made once and then read from the cache.
+
+    Parameters
+    ----------
+    cache_dir
+        Where to keep it; the person's own cache folder unless told. What is damaged there is made anew; a cache that
+        cannot be written costs time only.
+    progress, cancel
+        As for :func:`generate_phantom`.
+
+    Returns
+    -------
+    Phantom
+        The demo.
+    """
+    root = load_settings().cache_dir if cache_dir is None else cache_dir
+    key = hashlib.sha256(_json([GENERATOR_VERSION, DEMO_OPTIONS]).encode()).hexdigest()[:16]
+    folder = root / f"phantom-{key}"
+    found = _read_cached(folder)
+    if found is not None:
+        return found
+    made = generate_phantom(**DEMO_OPTIONS, progress=progress, cancel=cancel)
+    try:
+        _write_cached(made, folder)
+    except OSError as error:
+        _log.debug("the demo phantom could not be cached: %s", type(error).__name__)
+    return made
+
+
+def _volume(hu_zyx: NDArray[np.int16], lps_from_ijk: NDArray[np.float64], seed: int) -> Volume:
+    source = VolumeSource(format="phantom", title=f"Phantom {seed}: generated, no patient")
+    return Volume(hu_zyx, lps_from_ijk, source=source)
+
+
+def _frozen(values: NDArray[Scalar]) -> NDArray[Scalar]:
+    values.flags.writeable = False
+    return values
+
+
+def _json(document: object) -> str:
+    # Python writes each float64 with as many digits as give it back, so points survive bit for bit.
+    return json.dumps(document, allow_nan=False, separators=(",", ":"))
+
+
+def _write_cached(phantom: Phantom, folder: Path) -> None:
+    """Write beside its place and rename: a reader, or a second writer, sees all of it or nothing."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    scratch = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".phantom-"))
+    try:
+        np.save(scratch / "ct.npy", phantom.volume.hu_zyx, allow_pickle=False)
+        np.save(scratch / "lumen.npy", np.packbits(phantom.lumen_zyx), allow_pickle=False)
+        rest = {"truth": phantom.truth, "lps_from_ijk": phantom.volume.lps_from_ijk.tolist()}
+        (scratch / "truth.json").write_text(_json(rest), encoding="utf-8")
+        sums = {name: _checksum(scratch / name) for name in ("ct.npy", "lumen.npy", "truth.json")}
+        (scratch / "sums.json").write_text(_json(sums), encoding="utf-8")
+        if folder.exists():
+            shutil.rmtree(folder)
+        scratch.replace(folder)
+        for old in folder.parent.glob("phantom-*"):
+            if old != folder:
+                shutil.rmtree(old, ignore_errors=True)
+    finally:
+        with contextlib.suppress(OSError):
+            shutil.rmtree(scratch)
+
+
+def _read_cached(folder: Path) -> Phantom | None:
+    """The cached phantom, or None where there is none or it is not what was written."""
+    try:
+        sums = json.loads((folder / "sums.json").read_text(encoding="utf-8"))
+        for name in ("ct.npy", "lumen.npy", "truth.json"):
+            if _checksum(folder / name) != sums[name]:
+                return None
+        hu_zyx = np.load(folder / "ct.npy", allow_pickle=False)
+        bits = np.load(folder / "lumen.npy", allow_pickle=False)
+        rest = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+        lumen = np.unpackbits(bits, count=hu_zyx.size).reshape(hu_zyx.shape)
+        return Phantom(
+            volume=_volume(hu_zyx, np.array(rest["lps_from_ijk"]), DEMO_OPTIONS["seed"]),
+            lumen_zyx=_frozen(lumen),
+            truth=rest["truth"],
+        )
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _checksum(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,352 @@
+"""The phantom's truth is what its voxels show."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import SimpleITK
+
+from carina.errors import CancelledError, UsageError
+from carina.phantom import Phantom, generate_phantom, write_phantom
+
+SPACING = (0.8, 0.9, 1.1)
+CENTRAL = ((-60.0, -45.0, -80.0), (70.0, 50.0, 40.0))
+
+
+@pytest.fixture(scope="module")
+def chest() -> Phantom:
+    """A whole chest, coarse and anisotropic."""
+    return generate_phantom(seed=3, spacing_mm=(1.6, 1.8, 2.0), nodule=True)
+
+
+@pytest.fixture(scope="module")
+def central() -> Phantom:
+    """The central airways, fine, with distances and without noise."""
+    return generate_phantom(seed=3, spacing_mm=SPACING, noise_hu=0.0, box_lps=CENTRAL, with_distance=True)
+
+
+def branches_of(made: Phantom) -> dict[str, dict]:
+    return {b["name"]: b for b in made.truth["branches"] if b["name"]}
+
+
+def at(values: np.ndarray, made: Phantom, points_lps: np.ndarray) -> np.ndarray:
+    """Values at the nearest voxels; points outside the grid are left out."""
+    ijk = np.floor(made.volume.to_ijk(np.asarray(points_lps)) + 0.5).astype(int)
+    shape = np.array(values.shape[::-1])
+    inside = np.all((ijk >= 0) & (ijk < shape), axis=1)
+    i, j, k = ijk[inside].T
+    return values[k, j, i]
+
+
+def section_radius(made: Phantom, branch: dict, n: int) -> float:
+    """Radius of the circle with the area of the lumen's voxels cut across a branch at its nth point."""
+    points = np.array(branch["points"])
+    tangent = points[n + 1] - points[n - 1]
+    tangent /= np.linalg.norm(tangent)
+    across = np.cross(tangent, [0.3, 0.9, 0.1])
+    across /= np.linalg.norm(across)
+    up = np.cross(tangent, across)
+    # The plane through the point, sampled finely.
+    step = 0.1
+    reach = 1.8 * branch["radius"][n]
+    s = np.arange(-reach, reach, step)
+    plane = points[n] + s[:, None, None] * across + s[None, :, None] * up
+    area = at(made.lumen_zyx, made, plane.reshape(-1, 3)).sum() * step * step
+    return float(np.sqrt(area / np.pi))
+
+
+# The tree.
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_tree_is_a_tree_with_all_segments_and_reaches_the_generation(seed: int) -> None:
+    made = generate_phantom(seed=seed, spacing_mm=8.0, generations=6)
+    branches = made.truth["branches"]
+    assert [b["id"] for b in branches] == list(range(len(branches)))
+    names = branches_of(made)
+    segments = {f"RB{n}" for n in range(1, 11)} | {"LB1+2", "LB3", "LB4", "LB5", "LB6", "LB8", "LB9", "LB10"}
+    assert segments <= set(names)
+    assert len([b for b in branches if b["generation"] >= 6]) >= 40
+    for b in branches:
+        assert len(b["points"]) == len(b["radius"]) >= 4
+        assert min(b["radius"]) > 0.4
+        for child in b["children"]:
+            assert branches[child]["parent"] == b["id"]
+            assert branches[child]["generation"] == b["generation"] + 1
+            assert branches[child]["points"][0] == b["points"][-1], "a child starts where its parent ends, bit for bit"
+            # Sizes vary by 5 %, and a stem and its main branch differ little.
+            assert branches[child]["radius"][0] < 1.05 * b["radius"][0]
+    assert sum(len(b["children"]) for b in branches) == len(branches) - 1
+
+
+def test_right_is_right_and_upper_lobes_are_above_lower_ones(chest: Phantom) -> None:
+    names = branches_of(chest)
+    for name, branch in names.items():
+        x = np.array(branch["points"])[-1, 0]
+        if name.startswith("R"):
+            assert x < 0, f"{name}: the patient's right is -x in LPS"
+        elif name.startswith("L"):
+            assert x > 0, name
+    tip = {name: np.array(b["points"][-1]) for name, b in names.items()}
+    assert tip["RB1"][2] > tip["RB4"][2] > tip["RB10"][2]
+    assert tip["RB2"][1] > tip["RB3"][1], "posterior is +y"
+    assert tip["RB6"][1] > tip["RB8"][1]
+    assert tip["LB6"][1] > tip["LB8"][1]
+    assert tip["LB1+2"][2] > tip["LB10"][2]
+
+
+def test_more_generations_only_add_branches() -> None:
+    few = generate_phantom(seed=1, spacing_mm=8.0, generations=4).truth["branches"]
+    more = generate_phantom(seed=1, spacing_mm=8.0, generations=8).truth["branches"]
+    assert max(b["generation"] for b in more) == 8
+    by_name = {b["name"]: b for b in more if b["name"]}
+    assert all(by_name[b["name"]]["points"] == b["points"] for b in few if b["name"])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_strangers_keep_their_distance(seed: int) -> None:
+    branches = generate_phantom(seed=seed, spacing_mm=8.0, generations=7).truth["branches"]
+    kin = {(b["id"], other) for b in branches for other in [b["parent"], *b["children"]] if other is not None}
+    points = [np.array(b["points"]) for b in branches]
+    for a in branches:
+        for b in branches[a["id"] + 1 :]:
+            # Relatives of one fork, and those a short stem apart, lie close by nature.
+            near = {a["parent"], *a["children"], *(c for x in a["children"] for c in branches[x]["children"])}
+            sibling = a["parent"] is not None and (
+                a["parent"] == b["parent"] or branches[a["parent"]]["parent"] in {b["parent"], b["id"]}
+            )
+            uncle = b["parent"] is not None and branches[b["parent"]]["parent"] in {a["parent"], a["id"]}
+            if (a["id"], b["id"]) in kin or b["id"] in near or sibling or uncle:
+                continue
+            apart = np.linalg.norm(points[a["id"]][:, None] - points[b["id"]][None], axis=2)
+            gap = apart - np.array(a["radius"])[:, None] - np.array(b["radius"])[None]
+            assert gap.min() > 0.0, f"{a['name'] or a['id']} runs into {b['name'] or b['id']} (seed {seed})"
+
+
+# The voxels.
+
+
+def test_every_centreline_point_lies_in_the_lumen(central: Phantom, chest: Phantom) -> None:
+    for made, least_radius in ((central, 1.2), (chest, 2.2)):
+        # A voxel's centre may lie beyond a lumen thinner than half a voxel's diagonal; those are left out.
+        for b in made.truth["branches"]:
+            wide = np.array(b["radius"]) > least_radius
+            values = at(made.lumen_zyx, made, np.array(b["points"])[wide])
+            assert values.all(), b["name"] or b["id"]
+
+
+def test_the_trachea_reaches_the_top_slice(chest: Phantom) -> None:
+    top = np.array(chest.truth["branches"][0]["points"][0])
+    assert chest.volume.to_ijk(top)[2] == pytest.approx(chest.volume.shape_zyx[0] - 1, abs=1e-9)
+    assert at(chest.lumen_zyx, chest, top[None]).tolist() == [1]
+
+
+@pytest.mark.parametrize("name", ["Trachea", "LMB", "BI", "RB1", "LB10"])
+def test_the_radius_in_the_truth_is_that_of_the_lumens_cross_section(central: Phantom, name: str) -> None:
+    branch = branches_of(central)[name]
+    points = np.array(branch["points"])
+    inside = [n for n, p in enumerate(points) if central.volume.contains_lps(p)]
+    # The middle of the branch, away from the fillets at its forks.
+    n = inside[len(inside) // 2]
+    # 6 % or 0.15 mm: the section is cut from voxels of 0.8 to 1.1 mm, and the trachea's rounded corners take 1 %.
+    assert section_radius(central, branch, n) == pytest.approx(branch["radius"][n], rel=0.06, abs=0.15)
+
+
+def test_the_distance_is_negative_just_where_the_lumen_is_and_fits_the_radius(central: Phantom) -> None:
+    distance = central.lumen_distance_mm
+    assert distance is not None
+    np.testing.assert_array_equal(distance < 0, central.lumen_zyx == 1)
+    branch = branches_of(central)["LMB"]
+    n = len(branch["points"]) // 2
+    value = at(distance, central, np.array([branch["points"][n]]))[0]
+    # Half a voxel's diagonal: the value is that of the nearest voxel's centre.
+    assert value == pytest.approx(-branch["radius"][n], abs=0.82)
+
+
+def test_the_tracheas_back_wall_is_flat(central: Phantom) -> None:
+    points = np.array(branches_of(central)["Trachea"]["points"])
+    p = points[np.argmin(abs(points[:, 2] - 25.0))]
+    k = round(float(central.volume.to_ijk(p)[2]))
+    rows = np.flatnonzero(central.lumen_zyx[k].any(axis=1))
+    own = np.zeros_like(rows)
+    i = round(float(central.volume.to_ijk(p)[0]))
+    for n, j in enumerate(rows):
+        row = central.lumen_zyx[k, j]
+        left = i - np.argmax(row[i::-1] == 0) if row[i] else i
+        right = i + np.argmax(row[i:] == 0) if row[i] else i
+        own[n] = right - left
+    own = own[own > 0]
+    # Behind (+y, the last rows) the section ends broad, in front it ends narrow.
+    assert own[-1] > 1.5 * own[0] or own[-2] > 1.5 * own[1]
+
+
+def test_tissues_have_their_hounsfield_values(central: Phantom, chest: Phantom) -> None:
+    hu = central.volume.hu_zyx
+    trachea = np.array(branches_of(central)["Trachea"]["points"])
+    assert at(hu, central, trachea).max() <= -990
+    deep = chest.volume.hu_zyx[at_index(chest, (-85.0, -20.0, -60.0))]
+    # Parenchyma -862 with texture and 20 HU of noise: 5 deviations.
+    assert -1010 < deep < -690
+    assert at(hu, central, np.array([[0.0, 53.0 - 0.00085 * 80**2, 14.0]]))[0] > 100  # a vertebra
+    assert chest.volume.hu_zyx.min() >= -1024
+    corner = chest.volume.hu_zyx[:4, :4, :4]
+    assert abs(float(corner.mean()) + 1000) < 10
+
+
+def at_index(made: Phantom, point: tuple[float, float, float]) -> tuple[int, ...]:
+    i, j, k = np.floor(made.volume.to_ijk(np.array(point)) + 0.5).astype(int)
+    return int(k), int(j), int(i)
+
+
+def test_lungs_are_denser_behind(chest: Phantom) -> None:
+    # Gravity, lying on the back: 0.32 HU per mm. Medians, for vessels lie between.
+    def median(y: float) -> float:
+        k, j, i = at_index(chest, (-80.0, y, -60.0))
+        return float(np.median(chest.volume.hu_zyx[k - 6 : k + 6, j - 4 : j + 4, i - 12 : i + 12]))
+
+    assert median(40.0) - median(-50.0) == pytest.approx(0.32 * 90, abs=10)
+
+
+def test_a_wall_stands_between_the_lumen_and_the_lung(central: Phantom) -> None:
+    # Around a segment well inside the lung the wall shows, lowered by partial volume, all the way round.
+    branch = branches_of(central)["RB10"]
+    points, radius = np.array(branch["points"]), np.array(branch["radius"])
+    n = len(points) // 2
+    tangent = points[n + 1] - points[n - 1]
+    tangent /= np.linalg.norm(tangent)
+    across = np.cross(tangent, [0.0, 1.0, 0.2])
+    across /= np.linalg.norm(across)
+    up = np.cross(tangent, across)
+    for angle in np.linspace(0, 2 * np.pi, 12, endpoint=False):
+        ray = np.cos(angle) * across + np.sin(angle) * up
+        rim = points[n] + np.arange(radius[n] - 0.5, radius[n] + 2.5, 0.2)[:, None] * ray
+        assert at(central.volume.hu_zyx, central, rim).max() > -450
+
+
+def test_a_thick_slice_averages_over_its_thickness() -> None:
+    fine = generate_phantom(seed=2, spacing_mm=(1.0, 1.0, 0.6), noise_hu=0.0, box_lps=CENTRAL)
+    thick = generate_phantom(seed=2, spacing_mm=(1.0, 1.0, 3.0), noise_hu=0.0, box_lps=CENTRAL)
+    # Thick slice n from the top lies on fine slice 5 n; the mean of the five round it is what it should show.
+    top = fine.volume.hu_zyx[::-1].astype(float)
+    names = branches_of(fine)
+    band = thick.volume.hu_zyx[::-1]
+    tips = np.array([names[n]["points"][len(names[n]["points"]) // 2] for n in ("RB2", "RB3", "LB3", "LB6")])
+    checked = 0
+    for tip in tips:
+        i, j, k = np.floor(thick.volume.to_ijk(tip) + 0.5).astype(int)
+        n = band.shape[0] - 1 - k
+        if not 1 <= n < band.shape[0] - 1:
+            continue
+        window = np.s_[j - 6 : j + 7, i - 6 : i + 7]
+        mean = top[5 * n - 2 : 5 * n + 3][(slice(None), *window)].mean(axis=0)
+        # 60 HU in the mean: texture is read at the slice's middle only, not averaged.
+        assert np.abs(mean - band[n][window]).mean() < 60
+        checked += 1
+    assert checked >= 3
+
+
+# Extras.
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 5])
+def test_a_stenosis_narrows_one_bronchus_in_truth_and_voxels(seed: int) -> None:
+    options = {"seed": seed, "spacing_mm": 0.9, "noise_hu": 0.0, "box_lps": ((-40, -20, -60), (60, 30, 5))}
+    healthy, ill = generate_phantom(**options), generate_phantom(**options, stenosis=True)
+    stenosis = ill.truth["stenosis"]
+    assert healthy.truth["stenosis"] is None
+    assert stenosis["min_radius_mm"] < 0.5 * stenosis["reference_radius_mm"]
+    branch = ill.truth["branches"][stenosis["branch_id"]]
+    assert branch["name"] in {"LMB", "BI"}
+    n = int(np.argmin(branch["radius"]))
+    assert branch["radius"][n] == stenosis["min_radius_mm"]
+    assert branch["points"][n] == list(stenosis["center_lps"])
+    before = healthy.truth["branches"][stenosis["branch_id"]]
+    assert before["points"] == branch["points"]
+    assert before["radius"][n] == stenosis["reference_radius_mm"]
+    center = np.array(stenosis["center_lps"])
+    # 8 % or 0.2 mm: voxels of 0.9 mm, and in front of and behind the plane the lumen is wider.
+    assert section_radius(ill, branch, n) == pytest.approx(stenosis["min_radius_mm"], rel=0.08, abs=0.2)
+    assert section_radius(healthy, before, n) == pytest.approx(stenosis["reference_radius_mm"], rel=0.08, abs=0.2)
+    assert at(ill.lumen_zyx, ill, center[None]).tolist() == [1], "narrow, not closed"
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_nodule_lies_in_the_lung_clear_of_the_airways(seed: int) -> None:
+    made = generate_phantom(seed=seed, spacing_mm=3.0, nodule=True, noise_hu=0.0)
+    nodule = made.truth["nodule"]
+    center = np.array(nodule["center_lps"])
+    assert 5.0 <= nodule["radius_mm"] <= 10.0
+    points = np.concatenate([b["points"] for b in made.truth["branches"]])
+    nearest = float(np.linalg.norm(points - center, axis=1).min())
+    assert nearest == pytest.approx(nodule["distance_mm"], abs=1e-9)
+    assert nearest > nodule["radius_mm"]
+    assert made.volume.hu_zyx[at_index(made, tuple(center))] == pytest.approx(34, abs=25)
+    plain = generate_phantom(seed=seed, spacing_mm=8.0).truth
+    assert plain["branches"] == made.truth["branches"], "a nodule does not change the airways"
+
+
+# Repeatable, refused, cancelled, written.
+
+
+def test_the_same_seed_gives_the_same_chest_and_another_seed_another() -> None:
+    options = {"spacing_mm": 4.0, "generations": 5, "stenosis": True, "nodule": True}
+    first, again = generate_phantom(seed=9, **options), generate_phantom(seed=9, **options)
+    other = generate_phantom(seed=10, **options)
+    np.testing.assert_array_equal(first.volume.hu_zyx, again.volume.hu_zyx)
+    np.testing.assert_array_equal(first.lumen_zyx, again.lumen_zyx)
+    assert first.truth == again.truth
+    assert first.truth["branches"] != other.truth["branches"]
+    assert (first.volume.hu_zyx != other.volume.hu_zyx).mean() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"spacing_mm": 0.1}, "spacing"),
+        ({"spacing_mm": (1.0, 1.0)}, "spacing"),
+        ({"spacing_mm": float("nan")}, "spacing"),
+        ({"generations": 2}, "generations"),
+        ({"generations": 10}, "generations"),
+        ({"generations": -1}, "generations"),
+        ({"noise_hu": -1.0}, "noise"),
+        ({"seed": -1}, "seed"),
+        ({"box_lps": ((0, 0, 0), (0, 5, 5))}, "box"),
+        ({"box_lps": ((0, 0), (5, 5))}, "box"),
+    ],
+)
+def test_options_out_of_range_are_refused_by_name(options: dict, says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        generate_phantom(**options)
+
+
+def test_generating_reports_progress_and_stops_when_asked() -> None:
+    seen: list[float] = []
+    generate_phantom(spacing_mm=4.0, progress=lambda _, fraction: seen.append(fraction or 0.0))
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
+    with pytest.raises(CancelledError):
+        generate_phantom(spacing_mm=2.0, cancel=lambda: True)
+
+
+def test_written_files_read_back_with_the_same_voxels_in_the_same_place(tmp_path: Path) -> None:
+    made = generate_phantom(seed=4, spacing_mm=(3.0, 3.5, 4.0), generations=4, nodule=True)
+    files = write_phantom(made, tmp_path / "case")
+    assert [f.name for f in files] == ["ct.nii.gz", "lumen.nii.gz", "truth.json"]
+    assert sorted(f.name for f in (tmp_path / "case").iterdir()) == sorted(f.name for f in files)
+    ct = SimpleITK.ReadImage(str(files[0]))
+    np.testing.assert_array_equal(SimpleITK.GetArrayFromImage(ct), made.volume.hu_zyx)
+    np.testing.assert_array_equal(SimpleITK.GetArrayFromImage(SimpleITK.ReadImage(str(files[1]))), made.lumen_zyx)
+    shape = made.volume.shape_zyx
+    for ijk in ((0, 0, 0), (5, 7, 9), (shape[2] - 1, shape[1] - 1, shape[0] - 1)):
+        # 1e-4 mm: NIfTI keeps its matrix in float32.
+        np.testing.assert_allclose(
+            ct.TransformContinuousIndexToPhysicalPoint([float(v) for v in ijk]),
+            made.volume.to_lps(np.array(ijk, dtype=float)),
+            atol=1e-4,
+        )
+    truth = json.loads(files[2].read_text(encoding="utf-8"))
+    assert truth["format"] == "carina-tree"
+    for branch in truth["branches"]:
+        for child in branch["children"]:
+            assert truth["branches"][child]["points"][0] == branch["points"][-1]
