@@ -31,6 +31,7 @@ class Server:
     """A running ``carina`` process."""
 
     process: subprocess.Popen[str]
+    reader: threading.Thread
     url: str
     log: list[str] = field(default_factory=list)
     cookies: list[dict[str, object]] = field(default_factory=list)
@@ -60,12 +61,13 @@ def start_server(arguments: list[str], home: Path) -> Server:
         for line in errors:
             log.append(line.rstrip())
 
-    threading.Thread(target=read_log, daemon=True).start()
+    reader = threading.Thread(target=read_log, daemon=True)
+    reader.start()
     text = ""
     for line in process.stdout:
         text += line
         try:
-            return Server(process, json.loads(text)["url"], log)
+            return Server(process, reader, json.loads(text)["url"], log)
         except json.JSONDecodeError:
             continue
     process.wait(timeout=10)
@@ -81,6 +83,8 @@ def stop_server(server: Server) -> int:
         server.process.kill()
         server.process.wait()
         raise
-    assert server.process.stdout is not None
-    server.process.stdout.close()
+    server.reader.join(timeout=5)
+    for pipe in (server.process.stdout, server.process.stderr):
+        assert pipe is not None
+        pipe.close()
     return code
