@@ -53,7 +53,7 @@ impl Quantum {
         let (least, greatest) = cost.weight_range();
         let quantum = shortest * least / CHEAPEST_EDGE_QUANTA;
         let dearest = (longest * greatest / quantum).round();
-        if !(quantum > 0.0 && dearest >= 1.0 && dearest < MAX_EDGE_QUANTA) {
+        if !(quantum > 0.0 && (1.0..MAX_EDGE_QUANTA).contains(&dearest)) {
             return Err(TrackError::CostRange {
                 ratio: longest * greatest / (shortest * least),
             });

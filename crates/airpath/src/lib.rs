@@ -16,3 +16,8 @@ pub mod tracker;
 pub mod tree;
 
 pub use error::{TrackError, Unwatched, Watch};
+
+#[cfg(test)]
+mod lumen_tests;
+#[cfg(test)]
+mod tracker_tests;

@@ -17,10 +17,30 @@ use crate::graph::{Cost, Graph, NO_NODE};
 pub struct WallLevels {
     /// Values up to here are air for certain (air of the trachea and its noise).
     pub core: f32,
-    /// The lumen ends here at the latest.
+    /// Half-way between air and soft tissue.
     pub wall: f32,
     /// A diagonal step may rise this far above the brighter of its two ends: noise between lumen voxels.
     pub rise: f32,
+}
+
+impl WallLevels {
+    /// Where the lumen ends on the way out through three voxels (lumen, not lumen, the next), in voxels from the first.
+    ///
+    /// That is half-way up from the lumen to the wall's brightest voxel, or at the wall level where the wall is bright. The lumen's
+    /// last voxel may lie short of it: the flood stops lower.
+    fn crossing(self, [low, next, beyond]: [i16; 3]) -> f64 {
+        let [low, next, beyond] = [low, next, beyond].map(f64::from);
+        let peak = next.max(beyond);
+        let level = f64::from(self.wall).min(0.5 * (low + peak));
+        if low < level && level <= next {
+            (level - low) / (next - low)
+        } else if next < level && level <= beyond {
+            1.0 + (level - next) / (beyond - next)
+        } else {
+            // No wall to be seen: the lumen was ended here for another reason (a closed breach).
+            0.5
+        }
+    }
 }
 
 /// Lumen voxels, which of their 26 neighbours they are linked to, and how far the wall is.
@@ -177,16 +197,10 @@ impl LumenGraph {
                     if self.node_at_voxel(inside).is_none() {
                         continue;
                     }
+                    let mut beyond = outside;
+                    beyond[axis] -= side;
                     let share = levels.map_or(0.5, |l| {
-                        let low = f64::from(values.at_clamped(inside));
-                        let high = f64::from(values.at_clamped(outside));
-                        let wall = f64::from(l.wall);
-                        // A wall that does not reach the level (thin, partial volume) is taken half-way.
-                        if low < wall && wall < high {
-                            (wall - low) / (high - low)
-                        } else {
-                            0.5
-                        }
+                        l.crossing([inside, outside, beyond].map(|at| values.at_clamped(at)))
                     });
                     let distance = length(std::array::from_fn(|a| {
                         let mut at = inside[a] as f64;

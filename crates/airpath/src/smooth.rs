@@ -101,8 +101,8 @@ pub fn smoothed(points: &[Point], radius_mm: &[f64], inside: impl Fn(Point) -> b
             return smooth;
         }
         for m in bad {
-            for near in m.saturating_sub(1)..(m + 2).min(n) {
-                pull[near] = (pull[near] * 4.0).min(1e9);
+            for near in &mut pull[m.saturating_sub(1)..(m + 2).min(n)] {
+                *near = (*near * 4.0).min(1e9);
             }
         }
     }
@@ -147,27 +147,20 @@ fn solve(points: &[Point], pull: &[f64], lambda: f64) -> Vec<Point> {
         }
     }
     let mut x: Vec<Point> = (0..n).map(|m| points[m].map(|v| v * pull[m])).collect();
-    for m in 0..n {
-        for a in 0..3 {
-            if m >= 1 {
-                x[m][a] -= first[m - 1] * x[m - 1][a];
-            }
-            if m >= 2 {
-                x[m][a] -= second[m - 2] * x[m - 2][a];
-            }
+    let less = |p: Point, factor: f64, q: Point| [0, 1, 2].map(|a| p[a] - factor * q[a]);
+    for m in 1..n {
+        x[m] = less(x[m], first[m - 1], x[m - 1]);
+        if m >= 2 {
+            x[m] = less(x[m], second[m - 2], x[m - 2]);
         }
     }
-    for m in 0..n {
-        x[m] = x[m].map(|v| v / diagonal[m]);
-    }
     for m in (0..n).rev() {
-        for a in 0..3 {
-            if m + 1 < n {
-                x[m][a] -= first[m] * x[m + 1][a];
-            }
-            if m + 2 < n {
-                x[m][a] -= second[m] * x[m + 2][a];
-            }
+        x[m] = x[m].map(|v| v / diagonal[m]);
+        if m + 1 < n {
+            x[m] = less(x[m], first[m], x[m + 1]);
+        }
+        if m + 2 < n {
+            x[m] = less(x[m], second[m], x[m + 2]);
         }
     }
     x

@@ -224,7 +224,7 @@ fn spots_of_air(
         // Ratio of the main axes of the ellipse with the same second moments (1/12 cell of its own keeps it finite).
         let own = n * cell_mm2 / 12.0;
         let (mean, half) = (
-            (pp + qq) / 2.0 + own,
+            f64::midpoint(pp, qq) + own,
             (((pp - qq) / 2.0).powi(2) + pq * pq).sqrt(),
         );
         let elongation = ((mean + half) / (mean - half).max(1e-6)).sqrt();

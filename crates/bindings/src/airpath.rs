@@ -1,4 +1,8 @@
 //! Bindings of `carina-airpath`.
+#![allow(
+    clippy::needless_pass_by_value,
+    reason = "pyo3 hands arguments over by value"
+)]
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -198,6 +202,8 @@ fn flood_lumen<'py>(
     Ok((lumen, report))
 }
 
+type PointsAndNodes<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<u32>>);
+
 /// The lumen's graph and the least-cost tree that grows from one root.
 #[pyclass(frozen, module = "carina._core")]
 struct LumenTracker {
@@ -326,11 +332,7 @@ impl LumenTracker {
     }
 
     /// Voxel centres (n, 3) LPS from the root to a settled node, and the nodes.
-    fn path<'py>(
-        &self,
-        py: Python<'py>,
-        node: u32,
-    ) -> PyResult<Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<u32>>)>> {
+    fn path<'py>(&self, py: Python<'py>, node: u32) -> PyResult<Option<PointsAndNodes<'py>>> {
         self.check(node)?;
         Ok(self.read(py, |t| t.path_to(node)).map(|nodes| {
             let points: Vec<Point> = nodes.iter().map(|n| self.point(*n)).collect();

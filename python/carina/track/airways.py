@@ -29,10 +29,12 @@ Half-way between lumen and wall would be -500 HU where the wall is thick. On sli
 not reach that, so the flood stops lower; against the mask of QIN-LSC-0003 the Dice score is flat between -800 and -750
 and falls above.
 """
-TRACHEA_AIR_HU = -800.0
+# The first that shows a trachea counts: lower where its wall to the lung is thin, higher where the slices blur it.
+TRACHEA_AIR_HU = (-800.0, -900.0, -700.0)
 TISSUE_HU = -450.0
 MIN_WALL_CONTRAST_HU = 60.0
 STEP_RISE_HU = 25.0
+HALF_WALL_HU = -500.0
 
 # A trachea holds 20-40 ml, both lungs some litres. The largest piece of tree behind one noisy voxel is below 60 ml.
 LEAK_MM3 = 60_000.0
@@ -294,13 +296,23 @@ def _trachea_in(
 ) -> tuple[list[tuple[int, int, int]], Point]:
     """Voxels of the trachea from the top down, and its top."""
     stage.begin("finding the trachea")
-    found = find_trachea_voxels(
-        values,
-        volume.lps_from_ijk,
-        air=scale.level(TRACHEA_AIR_HU),
-        tissue=scale.level(TISSUE_HU),
-        cancel=stage.cancel,
-    )
+    found, problem = None, ""
+    for air_hu in TRACHEA_AIR_HU:
+        try:
+            found = find_trachea_voxels(
+                values,
+                volume.lps_from_ijk,
+                air=scale.level(air_hu),
+                tissue=scale.level(TISSUE_HU),
+                cancel=stage.cancel,
+            )
+            break
+        except NoResultError as error:
+            problem = problem or str(error)
+    if found is None:
+        if not volume.is_hu:
+            problem += ". The volume is not in HU: if its values are cut off at the dark end, lung and airway look alike"
+        raise NoResultError(problem)
     voxels = found["voxels_ijk"]
     points = volume.to_lps(voxels)
     near = np.linalg.norm(points - found["carina_lps"], axis=1) <= MAX_TRACHEA_MM
@@ -395,7 +407,7 @@ def _grow(volume: Volume, root: Point | None, lumen_threshold: float | None, sta
         notes.append(
             f"growth was stopped at {num} places where it would have broken into the lung (first at {lowest} of {end})"
         )
-    levels = (float(core), float(max(end, core)), scale.span(STEP_RISE_HU))
+    levels = (float(core), float(max(scale.level(HALF_WALL_HU), end)), scale.span(STEP_RISE_HU))
     return _Grown(lumen, levels, float(end), start, notes)
 
 

@@ -1,0 +1,375 @@
+//! The lumen's graph, wall distance, flood, trachea and tree on drawn airways, on anisotropic oblique grids.
+
+use carina_grid::{Affine, Grid, Ijk, Lps, VolumeView, dot, length};
+
+use crate::Unwatched;
+use crate::flood::{FloodLimits, flood};
+use crate::graph::Graph;
+use crate::lumen::{LumenCost, LumenGraph, WallLevels};
+use crate::trachea::{AirLevels, find_trachea};
+use crate::tracker::Tracker;
+use crate::tree::{self, BranchLimits, find_branches};
+
+const LEVELS: WallLevels = WallLevels {
+    core: -900.0,
+    wall: -500.0,
+    rise: 25.0,
+};
+
+/// Rotated about two axes, three spacings: swapped axes cannot pass.
+fn oblique(shape_zyx: [usize; 3]) -> Grid {
+    let (s, c) = (0.25f64.sin(), 0.25f64.cos());
+    let (t, d) = (0.1f64.sin(), 0.1f64.cos());
+    let x = [c, s * d, s * t].map(|v| v * 0.8);
+    let y = [-s, c * d, c * t].map(|v| v * 0.9);
+    let z = [0.0, -t, d].map(|v| v * 1.5);
+    Grid::new(
+        shape_zyx,
+        Affine::from_columns(x, y, z, [-30.0, -20.0, -60.0]),
+    )
+    .unwrap()
+}
+
+/// Distance from a point to a segment.
+fn off_segment(p: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
+    let d = [0, 1, 2].map(|i| b[i] - a[i]);
+    let e = [0, 1, 2].map(|i| p[i] - a[i]);
+    let t = (dot(e, d) / dot(d, d)).clamp(0.0, 1.0);
+    length([0, 1, 2].map(|i| e[i] - t * d[i]))
+}
+
+type Tube = ([f64; 3], [f64; 3], f64);
+
+/// Air inside the tubes, a wall of `wall_mm` at 0 HU, lung of -850 HU around; edges blurred over one voxel.
+fn draw(grid: &Grid, tubes: &[Tube], wall_mm: f64) -> Vec<i16> {
+    (0..grid.num_voxels())
+        .map(|at| {
+            let p = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0;
+            let depth = tubes
+                .iter()
+                .map(|(a, b, r)| off_segment(p, *a, *b) - r)
+                .fold(f64::INFINITY, f64::min);
+            let blur = |edge: f64| ((depth - edge) / 0.9 + 0.5).clamp(0.0, 1.0);
+            let inner = -1000.0 + 1000.0 * blur(0.0);
+            (inner - 850.0 * blur(wall_mm)) as i16
+        })
+        .collect()
+}
+
+fn lumen_of(values: &[i16]) -> Vec<u8> {
+    values.iter().map(|v| u8::from(*v < -500)).collect()
+}
+
+#[test]
+fn the_wall_distance_is_the_radius_in_the_middle_of_a_tube() {
+    let grid = oblique([40, 40, 44]);
+    let middle = grid.to_lps(Ijk([22.0, 20.0, 20.0])).0;
+    let far = |sign: f64| [0, 1, 2].map(|i| middle[i] + sign * [8.0, 5.0, 60.0][i]);
+    let tubes = [(far(-1.0), far(1.0), 5.0)];
+    let values = draw(&grid, &tubes, 50.0);
+    let view = VolumeView::new(&values, &grid).unwrap();
+    let graph = LumenGraph::build(view, &lumen_of(&values), Some(LEVELS)).unwrap();
+    let mut worst: f64 = 0.0;
+    for node in 0..graph.num_nodes() as u32 {
+        let voxel = graph.voxel(node);
+        // Away from the volume's faces, where the wall is cut off.
+        if !(6..34).contains(&voxel[2]) {
+            continue;
+        }
+        let p = grid.to_lps(Ijk(voxel.map(|v| v as f64))).0;
+        let truth = 5.0 - off_segment(p, tubes[0].0, tubes[0].1);
+        worst = worst.max((graph.wall_mm(node) - truth).abs());
+    }
+    // 0.4 mm: crossings are looked up on grid edges only, 0.8 to 1.5 mm apart; whole voxels would be 0.75 mm off.
+    assert!(worst < 0.4, "{worst}");
+}
+
+#[test]
+fn a_diagonal_step_does_not_cross_a_wall() {
+    let grid = oblique([3, 6, 6]);
+    let mut values = vec![0i16; grid.num_voxels()];
+    let (a, b, c) = ([2, 2, 1], [3, 3, 1], [2, 3, 1]);
+    for voxel in [a, b] {
+        values[grid.index(voxel)] = -1000;
+    }
+    let edges = |values: &[i16]| {
+        let view = VolumeView::new(values, &grid).unwrap();
+        let graph = LumenGraph::build(view, &lumen_of(values), Some(LEVELS)).unwrap();
+        let mut count = 0;
+        graph.for_each_edge(0, |_, _| count += 1);
+        count
+    };
+    // Only the corners touch, and between them is tissue.
+    assert_eq!(edges(&values), 0);
+    // With one corner open the middle of the step is still -750 HU: not air for certain.
+    values[grid.index(c)] = -1000;
+    assert_eq!(edges(&values), 1, "the face neighbour only");
+    // With both open it is.
+    values[grid.index([3, 2, 1])] = -1000;
+    assert_eq!(edges(&values), 3);
+}
+
+#[test]
+fn a_path_keeps_to_the_middle_and_its_cost_is_finite() {
+    let grid = oblique([50, 40, 44]);
+    let middle = grid.to_lps(Ijk([22.0, 20.0, 25.0])).0;
+    let far = |sign: f64| [0, 1, 2].map(|i| middle[i] + sign * [6.0, -4.0, 30.0][i]);
+    let tubes = [(far(-1.0), far(1.0), 5.0)];
+    let values = draw(&grid, &tubes, 3.0);
+    let view = VolumeView::new(&values, &grid).unwrap();
+    // The drawn lumen: lung outside the wall is dark as well.
+    let lumen: Vec<u8> = (0..grid.num_voxels())
+        .map(|at| {
+            let p = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0;
+            u8::from(off_segment(p, far(-1.0), far(1.0)) < 5.0)
+        })
+        .collect();
+    let graph = LumenGraph::build(view, &lumen, Some(LEVELS)).unwrap();
+    let node = |p: [f64; 3]| {
+        graph
+            .nearest_node(&grid, grid.to_ijk(Lps(p)).0, 5.0)
+            .unwrap()
+            .0
+    };
+    let (root, target) = (node(far(0.8)), node(far(-0.8)));
+    let cost = LumenCost(&graph);
+    let mut tracker = Tracker::new(&graph, &cost, root).unwrap();
+    assert!(tracker.solve_to(&graph, &cost, target, &Unwatched).unwrap());
+    for node in tracker.path_to(target).unwrap() {
+        let p = grid.to_lps(Ijk(graph.voxel(node).map(|v| v as f64))).0;
+        // One voxel's diagonal in plane.
+        assert!(off_segment(p, far(-1.0), far(1.0)) < 1.21);
+    }
+}
+
+/// A trachea that splits into two bronchi, each of which splits again, on a given grid.
+fn airway(grid: &Grid) -> Vec<Tube> {
+    let center = grid
+        .to_lps(Ijk(grid.shape_ijk().map(|n| (n as f64 - 1.0) / 2.0)))
+        .0;
+    let at = |x: f64, y: f64, z: f64| [center[0] + x, center[1] + y, center[2] + z];
+    vec![
+        (at(0.0, 2.0, 60.0), at(0.0, 0.0, 5.0), 6.5),
+        (at(0.0, 0.0, 5.0), at(-18.0, 1.0, -14.0), 5.0),
+        (at(0.0, 0.0, 5.0), at(19.0, -1.0, -16.0), 4.6),
+        (at(-18.0, 1.0, -14.0), at(-27.0, 4.0, -34.0), 3.2),
+        (at(-18.0, 1.0, -14.0), at(-17.0, -8.0, -36.0), 3.0),
+        (at(19.0, -1.0, -16.0), at(28.0, 3.0, -35.0), 3.0),
+        (at(19.0, -1.0, -16.0), at(17.0, -9.0, -37.0), 2.8),
+    ]
+}
+
+/// Neck and mediastinum of soft tissue, two lungs at -880 HU, air outside the body, and the airway with a wall.
+fn chest(grid: &Grid, tubes: &[Tube]) -> Vec<i16> {
+    let center = grid
+        .to_lps(Ijk(grid.shape_ijk().map(|n| (n as f64 - 1.0) / 2.0)))
+        .0;
+    (0..grid.num_voxels())
+        .map(|at| {
+            let p = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0;
+            let q = [0, 1, 2].map(|i| p[i] - center[i]);
+            let depth = tubes
+                .iter()
+                .map(|(a, b, r)| off_segment(p, *a, *b) - r)
+                .fold(f64::INFINITY, f64::min);
+            let lung = |x: f64| {
+                ((q[0] - x) / 24.0).powi(2) + (q[1] / 26.0).powi(2) + ((q[2] + 14.0) / 38.0).powi(2)
+                    < 1.0
+            };
+            let body = (q[0] / 58.0).powi(2) + (q[1] / 36.0).powi(2) < 1.0;
+            // A speckle without a random generator: about 25 HU up and down.
+            let noise = ((at.wrapping_mul(2_654_435_761) >> 7) % 51) as f64 - 25.0;
+            let around = if depth < 1.6 {
+                0.0
+            } else if lung(-30.0) || lung(30.0) {
+                -880.0
+            } else if body {
+                30.0
+            } else {
+                -1000.0
+            };
+            let air = (0.5 - depth / 0.9).clamp(0.0, 1.0);
+            (air * -1000.0 + (1.0 - air) * around + noise) as i16
+        })
+        .collect()
+}
+
+fn chest_grid(flips: [bool; 3]) -> Grid {
+    let grid = oblique([92, 88, 150]);
+    // A flip reverses an axis and moves the first voxel to its other end: the same place, stored the other way.
+    let mut columns = [0, 1, 2].map(|a| grid.lps_from_ijk().column(a));
+    let mut origin = grid.lps_from_ijk().column(3);
+    for axis in 0..3 {
+        if flips[axis] {
+            let n = grid.shape_ijk()[axis] as f64 - 1.0;
+            origin = [0, 1, 2].map(|i| origin[i] + n * columns[axis][i]);
+            columns[axis] = columns[axis].map(|v| -v);
+        }
+    }
+    Grid::new(
+        grid.shape_zyx(),
+        Affine::from_columns(columns[0], columns[1], columns[2], origin),
+    )
+    .unwrap()
+}
+
+const AIR: AirLevels = AirLevels {
+    air: -800,
+    tissue: -450,
+};
+
+const LIMITS: FloodLimits = FloodLimits {
+    first_level: -1020,
+    core_level: -950,
+    last_level: -600,
+    leak_mm3: 30_000.0,
+    small_leak_mm3: 3_000.0,
+    closed_radius_mm: 8.0,
+    min_contrast: 60.0,
+};
+
+#[test]
+fn the_trachea_is_found_however_the_grid_is_stored() {
+    for flips in [
+        [false; 3],
+        [true, false, false],
+        [false, true, true],
+        [true; 3],
+    ] {
+        let grid = chest_grid(flips);
+        let tubes = airway(&grid);
+        let values = chest(&grid, &tubes);
+        let view = VolumeView::new(&values, &grid).unwrap();
+        let found = find_trachea(view, AIR, &Unwatched).unwrap();
+        let top = grid.to_lps(Ijk(found.voxels[0].map(|v| v as f64))).0;
+        let bottom = grid
+            .to_lps(Ijk(found.voxels[found.voxels.len() - 1].map(|v| v as f64)))
+            .0;
+        assert!(top[2] > bottom[2] + 25.0, "{flips:?} {top:?} {bottom:?}");
+        // The slices are tilted, so the highest spot is a part of the rounded top.
+        let off = off_segment(top, tubes[0].0, tubes[0].1);
+        assert!(off < 5.0, "{off}");
+        // The split is seen in slices of 1.5 mm, up to a diameter below the point where the axes meet.
+        let off = length([0, 1, 2].map(|i| found.carina_lps[i] - tubes[0].1[i]));
+        assert!(off < 16.0, "{off}");
+        let middle = found.diameters_mm[found.diameters_mm.len() / 2];
+        assert!((middle - 13.0).abs() < 2.0, "{middle}");
+    }
+}
+
+#[test]
+fn a_chest_without_a_split_has_no_trachea() {
+    let grid = chest_grid([false; 3]);
+    // The trachea and one bronchus: a cropped half of a chest.
+    let tubes = airway(&grid)[..2].to_vec();
+    let values = chest(&grid, &tubes);
+    let view = VolumeView::new(&values, &grid).unwrap();
+    let error = find_trachea(view, AIR, &Unwatched).unwrap_err();
+    assert_eq!(error.code(), "track.no-result");
+}
+
+#[test]
+fn the_flood_fills_the_airway_and_not_the_lung_through_a_hole_in_the_wall() {
+    let grid = chest_grid([false; 3]);
+    let tubes = airway(&grid);
+    let mut values = chest(&grid, &tubes);
+    // A breach: a channel of lung density from the right main bronchus to the lung.
+    let from = [0, 1, 2].map(|i| 0.5 * (tubes[1].0[i] + tubes[1].1[i]));
+    let to = [from[0] - 16.0, from[1] - 6.0, from[2] - 2.0];
+    let depth = |p: [f64; 3]| {
+        tubes
+            .iter()
+            .map(|(a, b, r)| off_segment(p, *a, *b) - r)
+            .fold(f64::INFINITY, f64::min)
+    };
+    for at in 0..values.len() {
+        let p = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0;
+        if off_segment(p, from, to) < 1.5 && depth(p) > 0.0 {
+            values[at] = -870;
+        }
+    }
+    let view = VolumeView::new(&values, &grid).unwrap();
+    let seeds = find_trachea(view, AIR, &Unwatched).unwrap().voxels;
+    let found = flood(view, &seeds, &LIMITS, &Unwatched).unwrap();
+    assert!(!found.leaks.is_empty(), "the breach must be met");
+    let (mut outside, mut inside, mut missed) = (0, 0, 0);
+    for at in 0..values.len() {
+        let p = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0;
+        let d = depth(p);
+        if found.lumen[at] == 1 && d > 2.0 {
+            outside += 1;
+        }
+        if d < -1.0 {
+            inside += 1;
+            missed += usize::from(found.lumen[at] == 0);
+        }
+    }
+    assert_eq!(outside, 0);
+    assert_eq!(missed, 0, "of {inside}");
+}
+
+#[test]
+fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() {
+    let grid = chest_grid([false, true, false]);
+    let tubes = airway(&grid);
+    let values = chest(&grid, &tubes);
+    let view = VolumeView::new(&values, &grid).unwrap();
+    let seeds = find_trachea(view, AIR, &Unwatched).unwrap().voxels;
+    let found = flood(view, &seeds, &LIMITS, &Unwatched).unwrap();
+    let graph = LumenGraph::build(view, &found.lumen, Some(LEVELS)).unwrap();
+    let (root, _) = graph
+        .nearest_node(&grid, seeds[0].map(|v| v as f64), 3.0)
+        .unwrap();
+    let cost = LumenCost(&graph);
+    let mut tracker = Tracker::new(&graph, &cost, root).unwrap();
+    tracker.solve_all(&graph, &cost, &Unwatched).unwrap();
+    let limits = BranchLimits::for_grid(&grid);
+    let branches = find_branches(&graph, &tracker, &grid, &limits, &Unwatched).unwrap();
+    let generations: Vec<u32> = branches.iter().map(|b| b.generation).collect();
+    assert_eq!(branches.len(), 7, "{generations:?}");
+    for generation in 0..3 {
+        let count = generations.iter().filter(|g| **g == generation).count();
+        assert_eq!(count, 1 << generation);
+    }
+    for branch in &branches {
+        if let Some(parent) = branch.parent {
+            let last = branches[parent].points[branches[parent].points.len() - 1];
+            assert_eq!(branch.points[0].map(f64::to_bits), last.map(f64::to_bits));
+        }
+        assert_eq!(branch.points.len(), branch.radius_mm.len());
+        for p in &branch.points {
+            assert!(graph.holds(grid.to_ijk(Lps(*p)).0), "{p:?}");
+        }
+        // The radius half-way is a drawn tube's, within a voxel's half diagonal.
+        let middle = branch.points[branch.points.len() / 2];
+        let tube = tubes
+            .iter()
+            .min_by(|a, b| off_segment(middle, a.0, a.1).total_cmp(&off_segment(middle, b.0, b.1)))
+            .unwrap();
+        let radius = branch.radius_mm[branch.points.len() / 2];
+        let off = off_segment(middle, tube.0, tube.1);
+        assert!(off < 1.5, "{off}");
+        // 0.8 mm: half a voxel along the axis.
+        let free = radius + off;
+        assert!((free - tube.2).abs() < 0.8, "{radius} {off} {}", tube.2);
+    }
+    // Every lumen voxel belongs to a branch, and those near a tip to that tip's branch.
+    let of_node = tree::branch_of_nodes(&graph, &tracker, &branches);
+    assert!(of_node.iter().all(|b| (*b as usize) < branches.len()));
+    for (b, branch) in branches.iter().enumerate() {
+        let tip = branch.nodes[branch.nodes.len() - 1];
+        assert_eq!(of_node[tip as usize] as usize, b);
+    }
+    // The tree of two targets on the right, with the airway's forks: trachea, right bronchus, two tips.
+    let tips: Vec<u32> = branches
+        .iter()
+        .filter(|b| b.generation == 2 && b.points[0][0] < tubes[0].1[0])
+        .map(|b| b.nodes[b.nodes.len() - 1])
+        .collect();
+    assert_eq!(tips.len(), 2);
+    let forks = tree::forks(&branches);
+    let part = tree::branches_to(&graph, &tracker, &grid, &limits, &tips, &forks);
+    let generations: Vec<u32> = part.iter().map(|b| b.generation).collect();
+    assert_eq!(generations.iter().max(), Some(&2), "{generations:?}");
+    assert_eq!(part.len(), 4, "{generations:?}");
+}
