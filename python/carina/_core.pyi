@@ -171,11 +171,6 @@ def flood_lumen(
 ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
     """The lumen (1 or 0), and num_voxels, num_without_wall, leaks [(point_lps, level)]."""
 
-def branch_of_nodes(
-    tracker: LumenTracker, branch_nodes: Sequence[Sequence[int] | NDArray[np.uint32]], parents: Sequence[int | None]
-) -> NDArray[np.int32]:
-    """(num_nodes,) branch that each node's path left last, -1 where no path reaches it."""
-
 class LumenTracker:
     """Lumen graph and least-cost tree from one root."""
 
@@ -216,7 +211,7 @@ class LumenTracker:
     def path(self, node: int) -> tuple[NDArray[np.float64], NDArray[np.uint32]] | None:
         """Voxel centres (n, 3) LPS from the root, and their nodes."""
     def smooth(
-        self, points_lps: Sequence[tuple[float, float, float]] | NDArray[np.float64], *, step_mm: float
+        self, points_lps: Sequence[tuple[float, float, float]] | NDArray[np.float64], *, step_mm: float, keep_end: bool
     ) -> NDArray[np.float64]:
         """Even, smooth (n, 3) points that stay in lumen voxels."""
     def radius_mm(self, points_lps: Sequence[tuple[float, float, float]] | NDArray[np.float64]) -> NDArray[np.float64]:
@@ -227,5 +222,14 @@ class LumenTracker:
         self, *, cancel: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None
     ) -> list[dict[str, Any]]:
         """parent, generation, points, radius_mm, cost, nodes; parents first."""
-    def branches_to(self, nodes: Sequence[int], forks: Sequence[int] | NDArray[np.uint32]) -> list[dict[str, Any]]:
-        """The tree of the paths to settled nodes."""
+    def branches_to(
+        self,
+        nodes: Sequence[int],
+        branch_nodes: Sequence[NDArray[np.uint32]],
+        parents: Sequence[int | None],
+    ) -> list[dict[str, Any]]:
+        """The part of the automatic tree that leads to settled nodes."""
+    def branch_of_nodes(
+        self, branch_nodes: Sequence[NDArray[np.uint32]], parents: Sequence[int | None]
+    ) -> NDArray[np.int32]:
+        """(num_nodes,) branch in whose tube each node lies, -1 where none is connected to it."""

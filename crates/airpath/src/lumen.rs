@@ -263,6 +263,28 @@ impl LumenGraph {
             .is_some()
     }
 
+    /// The point itself inside the lumen; else the nearest place on the way to the centre of the nearest lumen voxel.
+    ///
+    /// A straight line between two points inside can pass the corner of a voxel outside; this is for such points.
+    #[must_use]
+    pub fn pulled_inside(&self, grid: &Grid, ijk: [f64; 3]) -> [f64; 3] {
+        let reach_mm = length(grid.spacing_mm());
+        if self.holds(ijk) {
+            return ijk;
+        }
+        let Some((node, _)) = self.nearest_node(grid, ijk, 2.0 * reach_mm) else {
+            return ijk;
+        };
+        let center = self.voxel(node).map(|v| v as f64);
+        (1..=8)
+            .map(|step| {
+                let share = f64::from(step) / 8.0;
+                std::array::from_fn(|a| ijk[a] + share * (center[a] - ijk[a]))
+            })
+            .find(|p| self.holds(*p))
+            .unwrap_or(center)
+    }
+
     /// The lumen voxel nearest to a point within `reach_mm`, and its distance; ties go to the first in array order.
     #[must_use]
     pub fn nearest_node(&self, grid: &Grid, ijk: [f64; 3], reach_mm: f64) -> Option<(u32, f64)> {

@@ -354,7 +354,7 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
         assert!((free - tube.2).abs() < 0.8, "{radius} {off} {}", tube.2);
     }
     // Every lumen voxel belongs to a branch, and those near a tip to that tip's branch.
-    let of_node = tree::branch_of_nodes(&graph, &tracker, &branches);
+    let of_node = tree::branch_of_nodes(&graph, &branches);
     assert!(of_node.iter().all(|b| (*b as usize) < branches.len()));
     for (b, branch) in branches.iter().enumerate() {
         let tip = branch.nodes[branch.nodes.len() - 1];
@@ -367,8 +367,7 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
         .map(|b| b.nodes[b.nodes.len() - 1])
         .collect();
     assert_eq!(tips.len(), 2);
-    let forks = tree::forks(&branches);
-    let part = tree::branches_to(&graph, &tracker, &grid, &limits, &tips, &forks);
+    let part = tree::branches_to(&graph, &tracker, &grid, &limits, &tips, &branches);
     let generations: Vec<u32> = part.iter().map(|b| b.generation).collect();
     assert_eq!(generations.iter().max(), Some(&2), "{generations:?}");
     assert_eq!(part.len(), 4, "{generations:?}");

@@ -13,7 +13,7 @@ pub type Point = [f64; 3];
 const SHORTEST_BEND_MM: f64 = 18.0;
 /// Wider tubes are smoothed more: their middle is known less exactly, and the chain may wander further.
 const REFERENCE_RADIUS_MM: f64 = 2.0;
-const MAX_ROUNDS: usize = 14;
+const MAX_ROUNDS: usize = 24;
 
 /// Points every `step_mm` (or a little less) along a chain, both ends kept exactly; and how far along each is, mm.
 #[must_use]
@@ -64,12 +64,17 @@ fn distance(a: Point, b: Point) -> f64 {
     length([a[0] - b[0], a[1] - b[1], a[2] - b[2]])
 }
 
-/// Smooths evenly spaced points; the first and the last stay where they are.
+/// Smooths evenly spaced points; the first stays where it is, and the last if `keep_end` (a tip may move a little).
 ///
 /// `radius_mm` is the tube's at each point; `inside` must hold for every given point and will hold for every returned one
-/// (where even the strongest pull does not suffice, the given points are returned).
+/// (a point for which even the strongest pull does not suffice is returned as it was given).
 #[must_use]
-pub fn smoothed(points: &[Point], radius_mm: &[f64], inside: impl Fn(Point) -> bool) -> Vec<Point> {
+pub fn smoothed(
+    points: &[Point],
+    radius_mm: &[f64],
+    keep_end: bool,
+    inside: impl Fn(Point) -> bool,
+) -> Vec<Point> {
     let n = points.len();
     if n < 4 {
         return points.to_vec();
@@ -82,19 +87,25 @@ pub fn smoothed(points: &[Point], radius_mm: &[f64], inside: impl Fn(Point) -> b
         .map(|r| (REFERENCE_RADIUS_MM / r.max(0.1)).powi(2).clamp(0.05, 4.0))
         .collect();
     pull[0] = 1e9;
-    pull[n - 1] = 1e9;
-    for _ in 0..MAX_ROUNDS {
-        let mut smooth = solve(points, &pull, lambda);
+    if keep_end {
+        pull[n - 1] = 1e9;
+    }
+    let mut smooth = points.to_vec();
+    for round in 0..MAX_ROUNDS {
+        smooth = solve(points, &pull, lambda);
         smooth[0] = points[0];
-        smooth[n - 1] = points[n - 1];
-        // Half-way between neighbours must be inside as well: the flight interpolates.
+        if keep_end {
+            smooth[n - 1] = points[n - 1];
+        }
+        // Half-way between neighbours should be inside as well: a flight interpolates. The given chain itself may pass a
+        // voxel's corner there, so in the end only the points must be.
+        let halves = round < MAX_ROUNDS / 2;
         let bad: Vec<usize> = (0..n)
             .filter(|&m| {
                 !inside(smooth[m])
-                    || (m + 1 < n
-                        && !inside(std::array::from_fn(|a| {
-                            0.5 * (smooth[m][a] + smooth[m + 1][a])
-                        })))
+                    || (halves
+                        && m + 1 < n
+                        && !inside([0, 1, 2].map(|a| 0.5 * (smooth[m][a] + smooth[m + 1][a]))))
             })
             .collect();
         if bad.is_empty() {
@@ -102,11 +113,17 @@ pub fn smoothed(points: &[Point], radius_mm: &[f64], inside: impl Fn(Point) -> b
         }
         for m in bad {
             for near in &mut pull[m.saturating_sub(1)..(m + 2).min(n)] {
-                *near = (*near * 4.0).min(1e9);
+                *near = (*near * 2.0).min(1e9);
             }
         }
     }
-    points.to_vec()
+    // Whatever is still outside goes back to where it was.
+    for (found, given) in smooth.iter_mut().zip(points) {
+        if !inside(*found) {
+            *found = *given;
+        }
+    }
+    smooth
 }
 
 /// Solves (W + lambda D'D) x = W y for the three coordinates; D takes second differences. Symmetric, five diagonals,
@@ -203,12 +220,12 @@ mod tests {
         let line: Vec<Point> = (0..40)
             .map(|n| [0.3 * f64::from(n), 5.0 - 0.1 * f64::from(n), f64::from(n)])
             .collect();
-        let smooth = smoothed(&line, &[2.0; 40], |_| true);
+        let smooth = smoothed(&line, &[2.0; 40], true, |_| true);
         for (p, q) in smooth.iter().zip(&line) {
             assert!(distance(*p, *q) < 1e-6);
         }
         let (points, _) = resampled(&staircase(), 0.5);
-        let smooth = smoothed(&points, &vec![2.0; points.len()], |_| true);
+        let smooth = smoothed(&points, &vec![2.0; points.len()], true, |_| true);
         let turn = |p: &[Point], m: usize| {
             let u: Point = std::array::from_fn(|a| p[m][a] - p[m - 1][a]);
             let v: Point = std::array::from_fn(|a| p[m + 1][a] - p[m][a]);
@@ -233,12 +250,12 @@ mod tests {
         };
         let (points, _) = resampled(&chain, 0.5);
         let radius = vec![2.0; points.len()];
-        let free = smoothed(&points, &radius, |_| true);
+        let free = smoothed(&points, &radius, true, |_| true);
         assert!(
             free.iter().any(|p| !inside(*p)),
             "the test must be able to fail"
         );
-        let kept = smoothed(&points, &radius, inside);
+        let kept = smoothed(&points, &radius, true, inside);
         assert!(kept.iter().all(|p| inside(*p)));
         assert_ne!(kept, points);
         assert_eq!(kept[0], chain[0]);

@@ -4,6 +4,7 @@
 //! path is traced back to what is already in the tree; then everything within a multiple of its tube's radius is covered.
 //! Unlike there, that distance is measured inside the lumen, so a neighbouring tube behind a wall keeps its own tip.
 
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 
 use carina_grid::{Grid, Ijk, length};
@@ -85,7 +86,7 @@ pub fn find_branches(
             tree.along_mm[tip as usize] - tree.along_mm[join as usize] - graph.wall_mm(join);
         if tree.is_empty() || beyond_mm >= limits.min_length_mm {
             let kept = chain.len() - tree.blunt_end(&chain);
-            let chain = tree.forked_low(&chain[..kept]);
+            let chain = tree.forked_low(&chain[..kept], FORK_RADII);
             tree.add(&chain);
         }
         cover.add(&chain);
@@ -93,8 +94,10 @@ pub fn find_branches(
     Ok(tree.branches(limits, &[]))
 }
 
-/// The tree of the paths to `targets` only. It forks where they part, and ends a branch where `forks` says that the
-/// automatic tree forks, so that generations count the forks of the airway and not only those of the targets.
+/// The part of the automatic tree that leads to `targets`.
+///
+/// A target hangs on the automatic tree by the end of its own path; that piece belongs to the branch it hangs on. Branches end
+/// where the automatic tree forks, so that they are its branches, the last ones cut short.
 #[must_use]
 pub fn branches_to(
     graph: &LumenGraph,
@@ -102,54 +105,83 @@ pub fn branches_to(
     grid: &Grid,
     limits: &BranchLimits,
     targets: &[u32],
-    forks: &[u32],
+    automatic: &[Branch],
 ) -> Vec<Branch> {
-    let mut tree = NodeTree::new(graph, tracker, grid);
+    let mut whole = NodeTree::new(graph, tracker, grid);
+    let mut before: BTreeMap<u32, u32> = BTreeMap::new();
+    for branch in automatic {
+        for pair in branch.nodes.windows(2) {
+            before.entry(pair[1]).or_insert(pair[0]);
+        }
+        whole.add(&branch.nodes);
+    }
+    let mut used = NodeTree::new(graph, tracker, grid);
     for &target in targets {
-        if tracker.cost_quanta(target).is_some() {
-            let chain = tree.chain_to_tree(target);
-            if chain.len() > 1 || tree.is_empty() {
-                tree.add(&chain);
-            }
+        if tracker.cost_quanta(target).is_none() {
+            continue;
+        }
+        // A target at the wall is off the middle by a whole radius.
+        let mut chain = whole.forked_low(&whole.chain_to_tree(target), 1.5);
+        chain.reverse();
+        while !used.in_tree[chain[chain.len() - 1] as usize]
+            && let Some(node) = before.get(&chain[chain.len() - 1])
+        {
+            chain.push(*node);
+        }
+        chain.reverse();
+        if chain.len() > 1 || used.chains.is_empty() {
+            // What is drawn runs along the chain, also where that is not the target's least-cost path.
+            used.measure(&chain);
+            used.add(&chain);
         }
     }
-    tree.branches(limits, forks)
-}
-
-/// The last node of every branch that has children.
-#[must_use]
-pub fn forks(branches: &[Branch]) -> Vec<u32> {
-    let mut forks: Vec<u32> = branches
+    let mut forks: Vec<u32> = automatic
         .iter()
         .filter_map(|b| b.parent.map(|_| b.nodes[0]))
         .collect();
     forks.sort_unstable();
     forks.dedup();
-    forks
+    used.branches(limits, &forks)
 }
 
-/// For every node of the graph the branch its path leaves last; `NO_NODE` where it is not settled.
+/// For every node of the graph the branch in whose tube it lies; `NO_NODE` where it is not connected to any.
+///
+/// That is the branch whose centreline is nearest inside the lumen, measured from the tube's surface: a wide tube reaches
+/// farther than a narrow one that leaves it.
 #[must_use]
-pub fn branch_of_nodes(graph: &LumenGraph, tracker: &Tracker, branches: &[Branch]) -> Vec<u32> {
+pub fn branch_of_nodes(graph: &LumenGraph, branches: &[Branch]) -> Vec<u32> {
     let mut branch_of = vec![NO_NODE; graph.num_nodes()];
-    // Children overwrite nothing of their parent: the shared first node belongs to the parent.
+    let mut off = vec![u32::MAX; graph.num_nodes()];
+    let mut open = BinaryHeap::new();
+    // The shared first node belongs to the parent, which comes first.
     for (b, branch) in branches.iter().enumerate() {
-        let own = usize::from(branch.parent.is_some());
-        for &node in &branch.nodes[own.min(branch.nodes.len())..] {
+        for &node in &branch.nodes {
             if branch_of[node as usize] == NO_NODE {
                 branch_of[node as usize] = b as u32;
+                off[node as usize] = ordered((WIDEST_TUBE_MM - graph.wall_mm(node)).max(0.0));
+                open.push(Reverse((off[node as usize], node)));
             }
         }
     }
-    for &node in tracker.settled() {
-        if branch_of[node as usize] == NO_NODE
-            && let Some(before) = tracker.predecessor(node)
-        {
-            branch_of[node as usize] = branch_of[before as usize];
+    let is_middle: Vec<bool> = branch_of.iter().map(|b| *b != NO_NODE).collect();
+    while let Some(Reverse((here, node))) = open.pop() {
+        if here != off[node as usize] {
+            continue;
         }
+        graph.for_each_edge(node, |next, length_mm| {
+            let there = here + ordered(length_mm);
+            if there < off[next as usize] && !is_middle[next as usize] {
+                off[next as usize] = there;
+                branch_of[next as usize] = branch_of[node as usize];
+                open.push(Reverse((there, next)));
+            }
+        });
     }
     branch_of
 }
+
+/// Wider than the radius of any airway, mm.
+const WIDEST_TUBE_MM: f64 = 20.0;
 
 /// What is near a path of the tree, measured inside the lumen.
 struct Cover<'a> {
@@ -267,7 +299,7 @@ impl<'a> NodeTree<'a> {
     ///
     /// Two least-cost paths part well before their tubes do: each cuts the corner. A node still belongs to the shared tube
     /// while some node of the tree is near, below the present fork, and in sight.
-    fn forked_low(&self, chain: &[u32]) -> Vec<u32> {
+    fn forked_low(&self, chain: &[u32], radii: f64) -> Vec<u32> {
         // Nodes of the tree below the join.
         let mut below = vec![chain[0]];
         let mut next = 0;
@@ -289,7 +321,7 @@ impl<'a> NodeTree<'a> {
                     (length(std::array::from_fn(|a| at[a] - point[a])), other)
                 })
                 .filter(|(off, other)| {
-                    *off <= FORK_RADII * self.graph.wall_mm(*other)
+                    *off <= radii * self.graph.wall_mm(*other)
                         && self.graph.sees(ijk(node), ijk(*other))
                 })
                 .min_by(|a, b| a.0.total_cmp(&b.0));
@@ -315,6 +347,15 @@ impl<'a> NodeTree<'a> {
             num_cut += 1;
         }
         num_cut
+    }
+
+    /// Lengths along a chain that hangs on the tree, whatever the least-cost paths of its nodes are.
+    fn measure(&mut self, chain: &[u32]) {
+        for pair in chain.windows(2) {
+            let (p, q) = (self.point(pair[0]), self.point(pair[1]));
+            self.along_mm[pair[1] as usize] =
+                self.along_mm[pair[0] as usize] + length([0, 1, 2].map(|a| p[a] - q[a]));
+        }
     }
 
     fn add(&mut self, chain: &[u32]) {
@@ -411,8 +452,8 @@ impl<'a> NodeTree<'a> {
                 nodes.extend(&branches[b].nodes[usize::from(!nodes.is_empty())..]);
             }
             let chain: Vec<Point> = nodes.iter().map(|n| self.point(*n)).collect();
-            let (even, at_mm) = smooth::resampled(&chain, limits.step_mm);
-            let curve = self.smooth(&even);
+            let (curve, at_mm) =
+                smooth_inside(self.graph, self.grid, &chain, limits.step_mm, false);
             let chain_mm = smooth::cumulative_mm(&chain);
             let mut first = 0;
             for &b in &lineage {
@@ -439,11 +480,14 @@ impl<'a> NodeTree<'a> {
         to_mm: f64,
         start: Option<Point>,
     ) -> Vec<Point> {
-        let begin = if curve.len() > 1 {
-            smooth::point_at(curve, at_mm, from_mm)
-        } else {
-            curve[0]
+        let place = |s: f64| {
+            if curve.len() > 1 {
+                pulled_inside(self.graph, self.grid, smooth::point_at(curve, at_mm, s))
+            } else {
+                curve[0]
+            }
         };
+        let begin = place(from_mm);
         // Points nearer than a tenth of a step to an end would only make a kink.
         let margin = 0.1 * (at_mm[at_mm.len() - 1] / at_mm.len() as f64);
         let mut points = vec![begin];
@@ -455,7 +499,7 @@ impl<'a> NodeTree<'a> {
                 .map(|(_, p)| *p),
         );
         if to_mm > from_mm {
-            points.push(smooth::point_at(curve, at_mm, to_mm));
+            points.push(place(to_mm));
         }
         let Some(start) = start else { return points };
         let off: Point = std::array::from_fn(|a| start[a] - begin[a]);
@@ -473,28 +517,44 @@ impl<'a> NodeTree<'a> {
                 } else {
                     (1.0 - x) * (1.0 - x) * (1.0 + 2.0 * x)
                 };
-                std::array::from_fn(|a| p[a] + share * off[a])
+                let there = std::array::from_fn(|a| p[a] + share * off[a]);
+                pulled_inside(self.graph, self.grid, there)
             })
             .collect();
-        if glided.iter().all(|p| self.holds(*p)) {
-            points = glided;
-        }
+        points = glided;
         points[0] = start;
         points
-    }
-
-    fn holds(&self, lps: Point) -> bool {
-        self.graph.holds(self.grid.to_ijk(carina_grid::Lps(lps)).0)
-    }
-
-    fn smooth(&self, even: &[Point]) -> Vec<Point> {
-        let radius: Vec<f64> = even.iter().map(|p| self.radius_mm(*p)).collect();
-        smooth::smoothed(even, &radius, |p| self.holds(p))
     }
 
     fn radius_mm(&self, lps: Point) -> f64 {
         radius_mm(self.graph, self.grid, lps)
     }
+}
+
+/// A chain inside the lumen as even, smooth points inside it, and how far along the chain each one stands, mm.
+#[must_use]
+pub fn smooth_inside(
+    graph: &LumenGraph,
+    grid: &Grid,
+    chain: &[Point],
+    step_mm: f64,
+    keep_end: bool,
+) -> (Vec<Point>, Vec<f64>) {
+    let (mut even, at_mm) = smooth::resampled(chain, step_mm);
+    for point in &mut even {
+        *point = pulled_inside(graph, grid, *point);
+    }
+    let radius: Vec<f64> = even.iter().map(|p| radius_mm(graph, grid, *p)).collect();
+    let holds = |p: Point| graph.holds(grid.to_ijk(carina_grid::Lps(p)).0);
+    (smooth::smoothed(&even, &radius, keep_end, holds), at_mm)
+}
+
+fn pulled_inside(graph: &LumenGraph, grid: &Grid, lps: Point) -> Point {
+    let ijk = grid.to_ijk(carina_grid::Lps(lps)).0;
+    if graph.holds(ijk) {
+        return lps;
+    }
+    grid.to_lps(Ijk(graph.pulled_inside(grid, ijk))).0
 }
 
 /// Distance to the wall at a point, mm: interpolated between the lumen voxels round it; 0 outside the lumen.

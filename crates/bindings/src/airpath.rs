@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use carina_airpath::flood::{FloodLimits, flood};
 use carina_airpath::graph::{Graph, NO_NODE};
 use carina_airpath::lumen::{LumenCost, LumenGraph, WallLevels};
-use carina_airpath::smooth::{self, Point};
+use carina_airpath::smooth::Point;
 use carina_airpath::trachea::{AirLevels, find_trachea};
 use carina_airpath::tracker::Tracker;
 use carina_airpath::tree::{self, Branch, BranchLimits};
@@ -341,17 +341,16 @@ impl LumenTracker {
     }
 
     /// Smooth (n, 3) LPS points; every result lies in a lumen voxel where every input does.
-    #[pyo3(signature = (points_lps, *, step_mm))]
+    #[pyo3(signature = (points_lps, *, step_mm, keep_end))]
     fn smooth<'py>(
         &self,
         py: Python<'py>,
         points_lps: Vec<[f64; 3]>,
         step_mm: f64,
+        keep_end: bool,
     ) -> Bound<'py, PyArray2<f64>> {
-        let curve = py.detach(|| {
-            let (even, _) = smooth::resampled(&points_lps, step_mm);
-            let radius: Vec<f64> = even.iter().map(|p| self.radius_at(*p)).collect();
-            smooth::smoothed(&even, &radius, |p| self.holds(p))
+        let (curve, _) = py.detach(|| {
+            tree::smooth_inside(&self.graph, &self.grid, &points_lps, step_mm, keep_end)
         });
         points_array(py, &curve)
     }
@@ -392,17 +391,18 @@ impl LumenTracker {
         self.branch_list(py, &branches)
     }
 
-    /// The tree of the paths to settled nodes; `forks` are nodes where a branch ends in any case, sorted.
+    /// The part of the automatic tree (`branch_nodes` of all its branches) that leads to settled nodes.
     fn branches_to<'py>(
         &self,
         py: Python<'py>,
         nodes: Vec<u32>,
-        mut forks: Vec<u32>,
+        branch_nodes: Vec<Vec<u32>>,
+        parents: Vec<Option<usize>>,
     ) -> PyResult<Bound<'py, PyList>> {
         for &node in &nodes {
             self.check(node)?;
         }
-        forks.sort_unstable();
+        let automatic = self.as_branches(branch_nodes, parents)?;
         let limits = BranchLimits::for_grid(&self.grid);
         let branches = py.detach(|| {
             tree::branches_to(
@@ -411,10 +411,26 @@ impl LumenTracker {
                 &self.grid,
                 &limits,
                 &nodes,
-                &forks,
+                &automatic,
             )
         });
         self.branch_list(py, &branches)
+    }
+
+    /// For each lumen node the branch in whose tube it lies (-1 where none is connected to it).
+    fn branch_of_nodes<'py>(
+        &self,
+        py: Python<'py>,
+        branch_nodes: Vec<Vec<u32>>,
+        parents: Vec<Option<usize>>,
+    ) -> PyResult<Bound<'py, PyArray1<i32>>> {
+        let branches = self.as_branches(branch_nodes, parents)?;
+        let found = py.detach(|| tree::branch_of_nodes(&self.graph, &branches));
+        let signed: Vec<i32> = found
+            .into_iter()
+            .map(|b| if b == NO_NODE { -1 } else { b as i32 })
+            .collect();
+        Ok(signed.into_pyarray(py))
     }
 
     fn __repr__(&self, py: Python<'_>) -> String {
@@ -448,6 +464,37 @@ impl LumenTracker {
             found: node.to_string(),
         }
         .into_py())
+    }
+
+    fn as_branches(
+        &self,
+        branch_nodes: Vec<Vec<u32>>,
+        parents: Vec<Option<usize>>,
+    ) -> PyResult<Vec<Branch>> {
+        for nodes in &branch_nodes {
+            if nodes.is_empty() || branch_nodes.len() != parents.len() {
+                return Err(TrackError::Argument {
+                    what: "branch_nodes",
+                    expected: "nodes and a parent for every branch".to_owned(),
+                    found: format!("{} branches, {} parents", branch_nodes.len(), parents.len()),
+                }
+                .into_py());
+            }
+            for &node in nodes {
+                self.check(node)?;
+            }
+        }
+        Ok(branch_nodes
+            .into_iter()
+            .zip(parents)
+            .map(|(nodes, parent)| Branch {
+                parent,
+                generation: 0,
+                nodes,
+                points: Vec::new(),
+                radius_mm: Vec::new(),
+            })
+            .collect())
     }
 
     fn point(&self, node: u32) -> Point {
@@ -493,38 +540,6 @@ impl LumenTracker {
     }
 }
 
-/// For each node of the lumen graph the branch its path left last (-1 where no path reaches it).
-#[pyfunction]
-fn branch_of_nodes<'py>(
-    py: Python<'py>,
-    tracker: &LumenTracker,
-    branch_nodes: Vec<Vec<u32>>,
-    parents: Vec<Option<usize>>,
-) -> PyResult<Bound<'py, PyArray1<i32>>> {
-    for nodes in &branch_nodes {
-        for &node in nodes {
-            tracker.check(node)?;
-        }
-    }
-    let branches: Vec<Branch> = branch_nodes
-        .into_iter()
-        .zip(parents)
-        .map(|(nodes, parent)| Branch {
-            parent,
-            generation: 0,
-            nodes,
-            points: Vec::new(),
-            radius_mm: Vec::new(),
-        })
-        .collect();
-    let found = py.detach(|| tree::branch_of_nodes(&tracker.graph, &tracker.lock(), &branches));
-    let signed: Vec<i32> = found
-        .into_iter()
-        .map(|b| if b == NO_NODE { -1 } else { b as i32 })
-        .collect();
-    Ok(signed.into_pyarray(py))
-}
-
 fn points_array<'py>(py: Python<'py>, points: &[Point]) -> Bound<'py, PyArray2<f64>> {
     Array2::from_shape_fn((points.len(), 3), |(n, a)| points[n][a]).into_pyarray(py)
 }
@@ -532,7 +547,6 @@ fn points_array<'py>(py: Python<'py>, points: &[Point]) -> Bound<'py, PyArray2<f
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(find_trachea_voxels, module)?)?;
     module.add_function(wrap_pyfunction!(flood_lumen, module)?)?;
-    module.add_function(wrap_pyfunction!(branch_of_nodes, module)?)?;
     module.add_class::<LumenTracker>()?;
     Ok(())
 }

@@ -59,8 +59,6 @@ class Airways:
     """Value at which the lumen ends (HU where the volume is in HU)."""
     notes: tuple[str, ...] = ()
     """What was limited or moved, in words."""
-    forks: NDArray[np.uint32] = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.uint32))
-    """Tracker nodes where the airway forks."""
 
     @property
     def report(self) -> tuple[str, ...]:
@@ -165,7 +163,6 @@ def find_airways(
         notes.append(f"{core.num_nodes - core.num_settled} lumen voxels are not connected to the root")
     lumen.flags.writeable = False
     root_at = branches[0].points[0].copy()
-    forks = np.unique([int(row["nodes"][0]) for row in rows[1:]]).astype(np.uint32)
     stage.begin("airways found", 1.0)
     return Airways(
         lumen_zyx=lumen,
@@ -174,7 +171,6 @@ def find_airways(
         tracker=tracker,
         threshold=end,
         notes=tuple(notes),
-        forks=forks,
     )
 
 
@@ -250,7 +246,7 @@ def track_paths(
     found = [result.path for result in results if result.path is not None]
     tree = airways.tree
     if found:
-        tree = airways.tracker.tree_to(found, airways.forks)
+        tree = airways.tracker.tree_to(found)
     return TrackResult(tree, tuple(results), airways)
 
 
@@ -311,7 +307,9 @@ def _trachea_in(
             problem = problem or str(error)
     if found is None:
         if not volume.is_hu:
-            problem += ". The volume is not in HU: if its values are cut off at the dark end, lung and airway look alike"
+            problem += (
+                ". The volume is not in HU: if its values are cut off at the dark end, lung and airway look alike"
+            )
         raise NoResultError(problem)
     voxels = found["voxels_ijk"]
     points = volume.to_lps(voxels)

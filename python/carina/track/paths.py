@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carina._core import LumenTracker, branch_of_nodes
+from carina._core import LumenTracker
 from carina.errors import NoResultError, UsageError
 from carina.track.tree import AirwayTree, Branch
 from carina.volume.model import Volume
@@ -52,14 +52,14 @@ class PathTracker:
     Made by :func:`carina.track.find_airways`. May be used from several threads.
     """
 
-    __slots__ = ("_branch_of_node", "_branches", "_core", "_generation_of_branch", "_volume")
+    __slots__ = ("_branch_nodes", "_branch_of_node", "_branches", "_core", "_volume")
 
     def __init__(self, volume: Volume, core: LumenTracker) -> None:
         self._volume = volume
         self._core = core
         self._branches: tuple[Branch, ...] = ()
-        self._branch_of_node: NDArray[np.int32] | None = None
-        self._generation_of_branch: NDArray[np.int32] = np.zeros(1, dtype=np.int32)
+        self._branch_nodes: list[NDArray[np.uint32]] = []
+        self._branch_of_node: NDArray[np.int32] = np.zeros(core.num_nodes, dtype=np.int32)
 
     def __repr__(self) -> str:
         return f"PathTracker(num_nodes={self._core.num_nodes}, num_settled={self._core.num_settled})"
@@ -154,22 +154,19 @@ class PathTracker:
         assert found is not None
         assert cost is not None
         voxel_path, nodes = found
-        points = self.smooth(voxel_path)[0]
+        points = self._core.smooth(voxel_path, step_mm=STEP_MM, keep_end=True)
         steps = np.linalg.norm(np.diff(voxel_path, axis=0), axis=1)
         along = np.concatenate([[0.0], np.cumsum(steps)])
         # The smooth points are even along the voxel path: each takes the branch of the voxel at its place.
         places = np.linspace(0.0, along[-1], len(points))
         at = np.clip(np.searchsorted(along, places - 1e-9), 0, len(nodes) - 1)
-        if self._branch_of_node is None:
-            branch_ids = np.zeros(len(points), dtype=np.int32)
-        else:
-            branch_ids = self._branch_of_node[nodes[at]]
+        branch_ids, generation = self._branches_along(nodes[at])
         return TrackedPath(
             points_lps=points,
             radius_mm=self._core.radius_mm(points),
             length_mm=float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()),
             cost=cost,
-            generation=self._generation_of_branch[branch_ids],
+            generation=generation,
             branch_ids=branch_ids,
             voxel_path_lps=voxel_path,
             target_node=node,
@@ -179,33 +176,55 @@ class PathTracker:
     def smooth(self, points_lps: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Even, smooth points of a way inside the lumen, and their distance to the wall in mm.
 
-        Every point of the result lies in a lumen voxel if every point of the way does.
+        Every point of the result lies in a lumen voxel if every point of the way does. The last one may move a little.
         """
-        points = self._core.smooth(points_lps, step_mm=STEP_MM)
+        points = self._core.smooth(points_lps, step_mm=STEP_MM, keep_end=False)
         return points, self._core.radius_mm(points)
 
     def inside(self, points_lps: NDArray[np.float64]) -> NDArray[np.bool_]:
         """(n,) whether the voxel that holds each (n, 3) point is lumen."""
         return self._core.inside(np.asarray(points_lps, dtype=np.float64).reshape(-1, 3))
 
-    def set_branches(self, branches: Sequence[Branch], nodes: Sequence[NDArray[np.uint32]]) -> None:
-        """Tell which voxels belong to which branch, so that paths know their generation."""
-        places = {branch.id: place for place, branch in enumerate(branches)}
-        parents = [None if branch.parent is None else places[branch.parent] for branch in branches]
-        self._branch_of_node = branch_of_nodes(self._core, list(nodes), parents)
-        self._branches = tuple(branches)
-        self._generation_of_branch = np.array([branch.generation for branch in branches], dtype=np.int32)
+    def _branches_along(self, nodes: NDArray[np.uint32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Branch and generation of each node of a path.
 
-    def tree_to(self, paths: Sequence[TrackedPath], forks: NDArray[np.uint32]) -> AirwayTree:
-        """The tree of the given paths only; it also ends a branch where the airway forks (``forks`` are nodes)."""
-        rows = self._core.branches_to([path.target_node for path in paths], forks)
+        A path that cuts a corner touches the mouth of a branch it does not enter; only the branches on the way to its
+        last node count, and they come in order.
+        """
+        if not self._branches:
+            return np.zeros(len(nodes), dtype=np.int32), np.zeros(len(nodes), dtype=np.int32)
+        lineage = [max(int(self._branch_of_node[nodes[-1]]), 0)]
+        while (parent := self._branches[lineage[-1]].parent) is not None:
+            lineage.append(parent)
+        lineage.reverse()
+        place_of = np.full(len(self._branches), -1, dtype=np.int32)
+        for branch in self._branches:
+            # Parents come first, so a branch off the way has its nearest ancestor's place.
+            place_of[branch.id] = 0 if branch.parent is None else place_of[branch.parent]
+            if branch.id in lineage:
+                place_of[branch.id] = lineage.index(branch.id)
+        places = np.maximum.accumulate(place_of[np.maximum(self._branch_of_node[nodes], 0)])
+        ids = np.array(lineage, dtype=np.int32)[places]
+        return ids, np.array([branch.generation for branch in self._branches], dtype=np.int32)[ids]
+
+    def set_branches(self, branches: Sequence[Branch], nodes: Sequence[NDArray[np.uint32]]) -> None:
+        """Tell which voxels are the middle of which branch, so that paths know their generation; ids are places."""
+        self._branches = tuple(branches)
+        self._branch_nodes = list(nodes)
+        self._branch_of_node = self._core.branch_of_nodes(self._branch_nodes, self._parents())
+
+    def _parents(self) -> list[int | None]:
+        return [branch.parent for branch in self._branches]
+
+    def tree_to(self, paths: Sequence[TrackedPath]) -> AirwayTree:
+        """The part of the airway tree that leads to the given paths' targets; names and generations are kept."""
+        rows = self._core.branches_to([path.target_node for path in paths], self._branch_nodes, self._parents())
         branches = []
         for branch, row in zip(branches_from_rows(rows), rows, strict=True):
-            # The piece of a branch that leads to a target keeps the branch's name.
-            middle = int(row["nodes"][len(row["nodes"]) // 2])
-            known = -1 if self._branch_of_node is None else int(self._branch_of_node[middle])
-            name = self._branches[known].name if known >= 0 else None
-            branches.append(dataclasses.replace(branch, name=name))
+            # Two targets can part inside one branch of the airway: both pieces keep its name and generation.
+            known = int(self._branch_of_node[row["nodes"][len(row["nodes"]) // 2]])
+            whole = self._branches[known]
+            branches.append(dataclasses.replace(branch, name=whole.name, generation=whole.generation))
         return AirwayTree(tuple(branches), _smooth=self.smooth)
 
 

@@ -1,0 +1,243 @@
+"""Finding the airways of a drawn chest, whichever way its grid is stored."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from carina.errors import CancelledError, GeometryError, NoResultError, UsageError
+from carina.track import find_airways, lumen_threshold_from_histogram, track_paths
+from carina.volume.model import Volume
+
+STORED = [
+    ((0, 1, 2), (False, False, False)),
+    ((0, 1, 2), (True, False, False)),
+    ((0, 1, 2), (False, True, True)),
+    ((1, 2, 0), (False, False, True)),
+    ((2, 0, 1), (True, False, True)),
+    ((1, 0, 2), (True, True, True)),
+]
+
+
+@pytest.mark.parametrize(("axes", "flips"), STORED)
+def test_sides_and_branches_are_right_on_any_grid(draw_chest, axes, flips):
+    chest = draw_chest(axes=axes, flips=flips)
+    airways = find_airways(chest.volume)
+    tree = airways.tree
+    assert len(tree) == 7
+    assert sorted(branch.generation for branch in tree.branches) == [0, 1, 1, 2, 2, 2, 2]
+    trachea, right, left = (tree.named(name) for name in ("Trachea", "RMB", "LMB"))
+    assert trachea is tree.root
+    # The patient's right is -x in LPS, whatever the grid's axes are.
+    assert right.tip_lps[0] < trachea.tip_lps[0] - 5.0
+    assert left.tip_lps[0] > trachea.tip_lps[0] + 5.0
+    # 4 mm: the drawn trachea ends in a rounded top, of which a tilted slice meets a part.
+    assert np.linalg.norm(airways.root_lps[:2] - chest.tubes[0][0][:2]) < 4.0
+    assert airways.root_lps[2] > chest.tubes[0][1][2] + 40.0
+
+
+def test_the_lumen_is_the_drawn_one_and_stays_out_of_the_lung(chest):
+    airways = find_airways(chest.volume)
+    nz, ny, nx = chest.volume.shape_zyx
+    k, j, i = np.meshgrid(np.arange(nz), np.arange(ny), np.arange(nx), indexing="ij")
+    depth = chest.depth_mm(chest.volume.to_lps(np.stack([i, j, k], axis=-1)))
+    lumen = airways.lumen_zyx.astype(bool)
+    assert airways.lumen_zyx.dtype == np.uint8
+    assert not airways.lumen_zyx.flags.writeable
+    assert not (lumen & (depth > 0.8)).any()
+    assert not (~lumen & (depth < -0.8)).any()
+
+
+def test_every_centreline_point_is_inside_and_children_begin_at_their_parents_end(chest):
+    airways = find_airways(chest.volume)
+    for branch in airways.tree.branches:
+        assert airways.tracker.inside(branch.points).all()
+        assert branch.points.shape == (len(branch.radius), 3)
+        if branch.parent is not None:
+            assert branch.points[0].tobytes() == airways.tree.branch(branch.parent).points[-1].tobytes()
+
+
+def test_routes_are_smooth_and_know_their_forks(chest):
+    tree = find_airways(chest.volume).tree
+    for tip in tree.tips():
+        route = tree.route_to(tip.id)
+        assert len(route.forks_mm) == tip.generation == 2
+        assert route.forks_mm == sorted(route.forks_mm)
+        assert route.generation[0] == 0
+        assert route.generation[-1] == 2
+        assert (np.diff(route.generation) >= 0).all()
+        assert route.branch_ids[-1] == tip.id
+        assert chest.depth_mm(route.points_lps).max() < 0.0
+        # The generation changes at the forks, within one point's distance.
+        changes = route.cumulative_mm[:-1][np.diff(route.generation) > 0]
+        assert np.abs(changes - route.forks_mm).max() <= np.diff(route.cumulative_mm).max()
+        steps = np.diff(route.points_lps, axis=0)
+        steps /= np.linalg.norm(steps, axis=1, keepdims=True)
+        turns = np.degrees(np.arccos(np.clip((steps[1:] * steps[:-1]).sum(axis=1), -1.0, 1.0)))
+        # A voxel path turns by 20 to 45 degrees at every step; the drawn forks bend by 45 degrees over about 10 mm.
+        assert turns.max() < 9.0
+
+
+def test_a_root_off_the_lumen_is_moved_within_5_mm_or_refused(chest):
+    start, end, _ = chest.tubes[0]
+    middle = 0.5 * (start + end)
+    beside = find_airways(chest.volume, root_lps=middle + np.array([8.5, 0.0, 0.0]))
+    assert any("moved" in note for note in beside.notes)
+    assert chest.depth_mm(beside.root_lps) < 0.0
+    with pytest.raises(NoResultError, match="not in an airway"):
+        find_airways(chest.volume, root_lps=middle + np.array([16.0, 0.0, 0.0]))
+    with pytest.raises(UsageError, match="outside the volume"):
+        find_airways(chest.volume, root_lps=middle + np.array([500.0, 0.0, 0.0]))
+    with pytest.raises(UsageError, match="expected a point"):
+        find_airways(chest.volume, root_lps=[1.0, 2.0])
+
+
+def test_a_root_in_a_crop_without_trachea_still_gives_a_tree(draw_chest):
+    chest = draw_chest()
+    # Below the carina: only the right main bronchus and what hangs on it.
+    half = draw_chest(num_tubes=5)
+    values = np.array(half.volume.hu_zyx)
+    carina = chest.tubes[0][1]
+    k, j, i = np.meshgrid(*(np.arange(n) for n in values.shape), indexing="ij")
+    points = half.volume.to_lps(np.stack([i, j, k], axis=-1))
+    values[(points[..., 2] > carina[2] - 4.0) | (points[..., 0] > carina[0] - 2.0)] = 30
+    volume = Volume(values, half.volume.lps_from_ijk)
+    with pytest.raises(NoResultError, match="no trachea"):
+        find_airways(volume)
+    start, end, _ = chest.tubes[1]
+    airways = find_airways(volume, root_lps=0.5 * start + 0.5 * end)
+    assert len(airways.tree.tips()) == 2
+    assert all(branch.name is None for branch in airways.tree.branches)
+
+
+def test_a_root_in_the_lung_finds_no_airway(chest):
+    values = np.array(chest.volume.hu_zyx)
+    # Emphysema: lung as dark as air.
+    values[values < -700] = -950
+    volume = Volume(values, chest.volume.lps_from_ijk)
+    lung = 0.5 * (chest.tubes[1][0] + chest.tubes[1][1]) + [-20.0, 10.0, -6.0]
+    with pytest.raises(NoResultError, match="open to the lung"):
+        find_airways(volume, root_lps=lung)
+
+
+def test_a_chest_whose_trachea_does_not_split_is_refused_in_words(draw_chest):
+    with pytest.raises(NoResultError, match="trachea") as caught:
+        find_airways(draw_chest(num_tubes=2).volume)
+    assert caught.value.exit_code == 4
+    assert "root" in str(caught.value)
+
+
+def test_a_volume_of_one_value_is_refused(rng):
+    for fill in (40, -1000):
+        flat = Volume(np.full((20, 20, 20), fill, np.int16), np.eye(4))
+        with pytest.raises(NoResultError, match="no trachea"):
+            find_airways(flat)
+    noise = Volume(rng.integers(-1024, 400, (30, 40, 50)).astype(np.int16), np.eye(4))
+    with pytest.raises(NoResultError, match="no trachea"):
+        find_airways(noise)
+
+
+def test_an_imported_mask_takes_the_place_of_the_lumen(chest):
+    automatic = find_airways(chest.volume)
+    given = find_airways(chest.volume, lumen_zyx=automatic.lumen_zyx * np.uint8(7))
+    assert len(given.tree) == len(automatic.tree)
+    assert given.tree.named("RMB") is not None
+    assert set(np.unique(given.lumen_zyx)) == {0, 1}
+    with pytest.raises(GeometryError, match="shape"):
+        find_airways(chest.volume, lumen_zyx=automatic.lumen_zyx[1:])
+    with pytest.raises(NoResultError):
+        find_airways(chest.volume, lumen_zyx=np.zeros_like(automatic.lumen_zyx))
+
+
+def test_an_8_bit_volume_takes_its_threshold_from_its_histogram(chest):
+    # The window of a lung display: -1050 to 450 HU on 0 to 255.
+    grey = np.clip((chest.volume.hu_zyx.astype(np.float64) + 1050.0) / 1500.0 * 255.0, 0, 255)
+    volume = Volume(np.rint(grey).astype(np.int16), chest.volume.lps_from_ijk, is_hu=False, not_hu_reason="8 bit")
+    threshold = lumen_threshold_from_histogram(volume)
+    # -800 HU in that window is 42.5; the histogram knows it within 60 HU.
+    assert abs(threshold - 42.5) < 10.0
+    airways = find_airways(volume)
+    assert airways.threshold == threshold
+    assert len(airways.tree) == 7
+    higher = find_airways(volume, lumen_threshold=threshold + 20)
+    assert higher.lumen_zyx.sum() > airways.lumen_zyx.sum()
+
+
+def test_a_threshold_below_the_tracheas_air_is_refused(chest):
+    with pytest.raises(UsageError, match="choose at least"):
+        find_airways(chest.volume, lumen_threshold=-1100)
+
+
+def test_work_stops_when_asked_and_reports_its_stages(chest):
+    stages = []
+    find_airways(chest.volume, progress=lambda what, fraction: stages.append((what, fraction)))
+    names = list(dict.fromkeys(what for what, _ in stages))
+    assert names[0] == "finding the trachea"
+    assert names[-1] == "airways found"
+    assert all(fraction is None or 0.0 <= fraction <= 1.0 for _, fraction in stages)
+    for number in range(len(names) - 1):
+        calls = itertools.count()
+        with pytest.raises(CancelledError):
+            find_airways(chest.volume, cancel=lambda calls=calls, number=number: next(calls) >= number)
+
+
+def test_an_error_in_a_callback_is_handed_on(chest):
+    def broken(what, fraction):
+        raise ZeroDivisionError(what)
+
+    with pytest.raises(ZeroDivisionError):
+        find_airways(chest.volume, progress=broken)
+
+
+def test_targets_are_tracked_snapped_or_refused_one_by_one(chest):
+    tip = chest.tubes[3][1]
+    inside = tip + 0.3 * (chest.tubes[3][0] - tip)
+    result = track_paths(
+        chest.volume,
+        targets=[inside, tip + np.array([-5.0, 0.0, -3.0]), tip + np.array([-14.0, 0.0, 0.0]), chest.tubes[6][1]],
+    )
+    first, snapped, refused, last = result.targets
+    assert first.snapped_mm == 0.0
+    assert first.problem is None
+    assert list(first.path.generation[[0, -1]]) == [0, 2]
+    # Within half a voxel's diagonal of the target.
+    assert np.linalg.norm(first.path.points_lps[-1] - inside) < 1.1
+    assert 0.0 < snapped.snapped_mm <= 5.0
+    assert np.linalg.norm(snapped.used_lps - snapped.requested_lps) == pytest.approx(snapped.snapped_mm)
+    assert refused.path is None
+    assert "mm from the airway lumen" in refused.problem
+    for target in (first, snapped, last):
+        assert result.airways.tracker.inside(target.path.points_lps).all()
+        assert result.airways.tracker.inside(target.path.voxel_path_lps).all()
+        assert chest.depth_mm(target.path.points_lps).max() < 0.8
+    # Their tree: trachea, both main bronchi, a branch on each side.
+    assert sorted(branch.generation for branch in result.tree.branches)[:3] == [0, 1, 1]
+    assert {branch.name for branch in result.tree.branches if branch.generation < 2} == {"Trachea", "RMB", "LMB"}
+
+
+def test_an_island_of_lumen_has_no_path(chest):
+    lumen = np.array(find_airways(chest.volume).lumen_zyx)
+    # Cut the left main bronchus in two.
+    start, end, _ = chest.tubes[2]
+    k, j, i = np.nonzero(lumen)
+    points = chest.volume.to_lps(np.stack([i, j, k], axis=-1))
+    share = (points - start) @ (end - start) / ((end - start) @ (end - start))
+    cut = (share > 0.5) & (share < 0.75) & (points[:, 0] > start[0] + 3.0)
+    lumen[k[cut], j[cut], i[cut]] = 0
+    result = track_paths(chest.volume, targets=[chest.tubes[5][1]], airways=find_airways(chest.volume, lumen_zyx=lumen))
+    assert result.targets[0].path is None
+    assert "no path" in result.targets[0].problem
+    assert any("not connected" in note for note in result.airways.notes)
+
+
+def test_bad_arguments_are_refused(chest):
+    with pytest.raises(UsageError, match="outside the volume"):
+        track_paths(chest.volume, targets=[[0.0, 0.0, 9999.0]])
+    with pytest.raises(UsageError, match="at least one target"):
+        track_paths(chest.volume, targets=[])
+    with pytest.raises(UsageError, match="cost"):
+        track_paths(chest.volume, targets=[[0, 0, 0]], cost="straight")
+    with pytest.raises(UsageError, match="point"):
+        track_paths(chest.volume, targets=[[0.0, 0.0, float("nan")]])

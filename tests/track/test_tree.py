@@ -1,0 +1,119 @@
+"""The tree document: round trip, and refusal of what would be a wrong geometry."""
+
+from __future__ import annotations
+
+import copy
+import json
+
+import numpy as np
+import pytest
+
+from carina.errors import TrackingError, UsageError
+from carina.track import AirwayTree, Branch
+
+
+@pytest.fixture
+def tree() -> AirwayTree:
+    trunk = np.array([[0.1, 0.2, 50.0], [0.0, 0.3, 25.0], [1.0 / 3.0, 0.0, 0.0]])
+    right = np.array([trunk[-1], [-9.0, 1.0, -8.0], [-20.0, 2.0, -15.0]])
+    left = np.array([trunk[-1], [21.0, -2.0, -14.0]])
+    return AirwayTree(
+        (
+            Branch(4, None, (7, 5), 0, "Trachea", "tracked", trunk, np.array([8.0, 8.1, 7.9]), 12.5),
+            Branch(7, 4, (), 1, "RMB", "tracked", right, np.array([7.0, 6.0, 5.0]), 30.0, 0.9),
+            Branch(5, 4, (), 1, None, "manual", left, np.array([7.0, 5.0])),
+        )
+    )
+
+
+def test_a_tree_survives_its_document_bit_for_bit(tree):
+    document = json.loads(json.dumps(tree.to_json(), allow_nan=False))
+    assert document["format"] == "carina-tree"
+    assert document["version"] == 1
+    assert (document["space"], document["unit"], document["root"]) == ("LPS", "mm", 4)
+    back = AirwayTree.from_json(document)
+    assert [b.id for b in back.branches] == [4, 7, 5]
+    for a, b in zip(tree.branches, back.branches, strict=True):
+        assert (a.parent, a.children, a.generation, a.name, a.kind) == (
+            b.parent,
+            b.children,
+            b.generation,
+            b.name,
+            b.kind,
+        )
+        assert (a.cost, a.confidence) == (b.cost, b.confidence)
+        assert a.points.tobytes() == b.points.tobytes()
+        assert a.radius.tobytes() == b.radius.tobytes()
+
+
+def test_unknown_keys_are_ignored_and_order_does_not_matter(tree):
+    document = tree.to_json() | {"maker": "another tool"}
+    document["branches"][1]["colour"] = "red"
+    document["branches"].reverse()
+    assert [b.id for b in AirwayTree.from_json(document).branches] == [4, 7, 5]
+
+
+def breakages():
+    def change(path, value):
+        def apply(document):
+            place = document
+            for key in path[:-1]:
+                place = place[key]
+            place[path[-1]] = value
+
+        return apply
+
+    yield "format", change(["format"], "other"), "format"
+    yield "newer version", change(["version"], 2), "version"
+    yield "RAS", change(["space"], "RAS"), "space"
+    yield "metres", change(["unit"], "m"), "unit"
+    yield "no branches", change(["branches"], []), "at least one"
+    yield "root missing", change(["root"], 99), "root"
+    yield "root as text", change(["root"], "4"), "root"
+    yield "NaN", change(["branches", 1, "points", 1], [float("nan"), 0, 0]), "finite"
+    yield "two coordinates", change(["branches", 1, "points"], [[0.0, 1.0]]), "points"
+    yield "ragged points", change(["branches", 1, "points"], [[0.0, 1.0, 2.0], [3.0]]), "points"
+    yield "no points", change(["branches", 1, "points"], []), "points"
+    yield "short radius", change(["branches", 1, "radius"], [1.0]), "radius"
+    yield "negative radius", change(["branches", 1, "radius", 0], -1.0), "radius"
+    yield "loose start", change(["branches", 1, "points", 0, 0], 5.0), "first point"
+    yield "unknown parent", change(["branches", 1, "parent"], 77), "parent"
+    yield "unlisted child", change(["branches", 0, "children"], [7]), "not connected"
+    yield "missing child", change(["branches", 0, "children"], [7, 5, 8]), "child"
+    yield "own ancestor", change(["branches", 1, "children"], [4]), "child"
+    yield "doubled id", change(["branches", 1, "id"], 5), "same id"
+    yield "kind", change(["branches", 1, "kind"], "guessed"), "kind"
+    yield "confidence", change(["branches", 1, "confidence"], 1.5), "confidence"
+    yield "generation", change(["branches", 1, "generation"], "one"), "generation"
+    yield "name", change(["branches", 1, "name"], 3), "name"
+    yield "cost", change(["branches", 1, "cost"], "dear"), "cost"
+    yield "branch is a list", change(["branches", 1], []), "object"
+
+
+@pytest.mark.parametrize(("damage", "word"), [pytest.param(d, w, id=name) for name, d, w in breakages()])
+def test_a_broken_document_is_refused_with_its_reason(tree, damage, word):
+    document = copy.deepcopy(tree.to_json())
+    damage(document)
+    with pytest.raises(TrackingError, match=word) as caught:
+        AirwayTree.from_json(document)
+    assert caught.value.code == "track.tree-format"
+
+
+@pytest.mark.parametrize("document", [None, [], "tree", 3])
+def test_something_else_is_refused(document):
+    with pytest.raises(TrackingError, match="object"):
+        AirwayTree.from_json(document)
+
+
+def test_questions_to_the_tree(tree):
+    assert [b.id for b in tree.tips()] == [7, 5]
+    assert [b.id for b in tree.lineage(5)] == [4, 5]
+    branch, index, distance = tree.nearest_branch([-9.0, 1.0, -7.0])
+    assert (branch.id, index, distance) == (7, 1, 1.0)
+    route = tree.route_to(7)
+    assert route.points_lps.shape == (5, 3)
+    assert list(route.generation) == [0, 0, 0, 1, 1]
+    assert route.forks_mm == [pytest.approx(tree.root.length_mm)]
+    assert route.length_mm == pytest.approx(tree.root.length_mm + tree.branch(7).length_mm)
+    with pytest.raises(UsageError, match="no branch"):
+        tree.route_to(1)
