@@ -22,8 +22,6 @@ from carina.volume import Volume
 __all__ = ["HISTOGRAM_PRESET", "OpenCase", "as_point", "new_case", "pose_info"]
 
 LUNG_WINDOW_HU = (1500.0, -600.0)
-XRAY_WINDOW_HU = (1200.0, 500.0)
-"""A projection keeps the brightest voxel of each line, soft tissue at least: in a lung window it would be white."""
 HISTOGRAM_PRESET = "from histogram"
 
 
@@ -38,7 +36,6 @@ class OpenCase:
     history: History[Document]
     presets: tuple[str, ...]
     threshold_from_histogram: float | None
-    xray_window_hu: tuple[float, float]
     airways_status: AirwayStatus = "waiting"
     airways_words: str | None = None
     index: AirwayIndex | None = None
@@ -103,7 +100,6 @@ def new_case(volume: Volume, number: int, *, parts: Parts, renderer_factory: Ren
         history=History(document),
         presets=presets,
         threshold_from_histogram=threshold,
-        xray_window_hu=XRAY_WINDOW_HU if volume.is_hu else window,
         shown_transfer=transfer,
     )
 

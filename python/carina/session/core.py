@@ -237,7 +237,6 @@ class SessionCore:
                 shading=document.shading,
                 method=document.method,
                 window_hu=(document.window_width_hu, document.window_level_hu),
-                xray_window_hu=case.xray_window_hu,
                 crosshair_lps=case.crosshair_lps,
                 orbit_tree=case.orbit_tree,
                 orbit_tri_plane=case.orbit_tri_plane,

@@ -93,7 +93,6 @@ class Scene:
     shading: bool
     method: str
     window_hu: tuple[float, float]
-    xray_window_hu: tuple[float, float]
     crosshair_lps: tuple[float, float, float] | None
     orbit_tree: Orbit
     orbit_tri_plane: Orbit
@@ -174,9 +173,7 @@ class Scene:
                 width=width,
                 height=height,
             )
-        return render.XrayView(
-            axis=cast(Any, view.removeprefix("xray-")), width=width, height=height, window_hu=self.xray_window_hu
-        )
+        return render.XrayView(axis=cast(Any, view.removeprefix("xray-")), width=width, height=height)
 
     def _mm_per_px(self, view: str) -> float | None:
         scale: float | None = getattr(self.zoom, f"{view}_mm_per_px")
