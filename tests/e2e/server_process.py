@@ -11,20 +11,6 @@ import threading
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import pytest
-
-sync_api = pytest.importorskip("playwright.sync_api")
-
-# A background network, updates and sync have no place in a test, and no sandbox works for root in a container.
-FLAGS = [
-    "--no-sandbox",
-    "--disable-quic",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
-OUT = Path(__file__).resolve().parents[1] / "out" / "e2e"
-
 
 @dataclass
 class Server:
