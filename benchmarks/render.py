@@ -167,7 +167,7 @@ def run_case(case: str, sizes: list[int], repeats: int, with_vtk: bool) -> list[
     import carina
     from carina.render import AirwayView, Renderer, transfer_preset
 
-    volume = demo_phantom() if case == "phantom" else carina.demo_patient()
+    volume = demo_phantom().volume if case == "phantom" else carina.demo_patient()
     pose, flight, _ = _poses(volume)
     transfer = transfer_preset("endoscopic")
     renderer = Renderer(volume, transfer=transfer)

@@ -16,7 +16,7 @@ import carina
 
 def main(case: str | None, out: Path) -> list[Path]:
     """Save two pictures and return their paths."""
-    volume = carina.open_volume(case) if case else demo_phantom()
+    volume = carina.open_volume(case) if case else demo_phantom().volume
     airways = carina.find_airways(volume)
     print(f"{len(airways.tree.branches)} branches from {airways.root_lps.round(1)} mm")
 

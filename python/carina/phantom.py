@@ -49,6 +49,9 @@ class Phantom:
     """``(nz, ny, nx)`` signed distance to the lumen's surface, negative inside, at least 5 where no airway is near;
     None unless asked for."""
 
+    def __repr__(self) -> str:
+        return f"Phantom({self.volume!r}, branches={len(self.truth['branches'])})"
+
 
 def generate_phantom(
     *,

@@ -6,7 +6,6 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import SimpleITK as sitk
 from numpy.typing import NDArray
 
 import carina
@@ -60,6 +59,8 @@ def report(
     """Render one picture and write it as PNG."""
     if output.suffix.lower() != ".png":
         raise UsageError(f"-o: expected a file name that ends in .png; found {output.name!r}")
+    if not output.parent.is_dir():
+        raise UsageError(f"-o: there is no folder {output.parent}")
     chosen = _transfer(transfer)
     orbit_values = None if orbit is None else parse_point(orbit, "--orbit")
     window_hu = _window(window)
@@ -96,8 +97,7 @@ def report(
     )
     if view in MARKED_VIEWS:
         picture = mark_tip(picture, pose.position_lps)
-    image = sitk.GetImageFromArray(picture.rgb, isVector=True)
-    sitk.WriteImage(image, str(output))
+    picture.save(output)
     say(f"wrote {output}")
     if as_json:
         print_json(

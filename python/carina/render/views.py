@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from carina.errors import RenderError
@@ -229,3 +234,29 @@ class Picture:
         height, width = self.rgb.shape[:2]
         focal_px = min(width, height) / 2 / np.tan(np.deg2rad(self.fov_deg) / 2)
         return float(width / 2 + focal_px * x / z), float(height / 2 + focal_px * y / z)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the picture as PNG and return where; a picture of the same name is replaced whole or not at all.
+
+        Raises
+        ------
+        RenderError
+            If the name does not end in ``.png``.
+        OSError
+            If the folder does not exist or is not writable.
+        """
+        target = Path(path)
+        if target.suffix.lower() != ".png":
+            raise RenderError(f"saving a picture: expected a file name that ends in .png; found {target.name!r}")
+        if not target.parent.is_dir():
+            raise FileNotFoundError(errno.ENOENT, "saving a picture: there is no such folder", str(target.parent))
+        with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".png", delete=False) as scratch:
+            draft = Path(scratch.name)
+        try:
+            image = sitk.GetImageFromArray(np.ascontiguousarray(self.rgb), isVector=True)
+            sitk.WriteImage(image, str(draft))
+            draft.chmod(0o644)
+            draft.replace(target)
+        finally:
+            draft.unlink(missing_ok=True)
+        return target
