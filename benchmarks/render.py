@@ -162,9 +162,9 @@ def _save(name: str, rgb: Any) -> None:
 def run_case(case: str, sizes: list[int], repeats: int, with_vtk: bool) -> list[dict[str, Any]]:
     """All rows of one case in this process (whatever number of threads it was started with)."""
     import numpy as np
-    from carina.phantom import demo_phantom
 
     import carina
+    from carina.phantom import demo_phantom
     from carina.render import AirwayView, Renderer, transfer_preset
 
     volume = demo_phantom().volume if case == "phantom" else carina.demo_patient()

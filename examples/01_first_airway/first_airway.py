@@ -9,9 +9,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from carina.phantom import demo_phantom
-
 import carina
+from carina.phantom import demo_phantom
 
 
 def main(case: str | None, out: Path) -> list[Path]:
