@@ -11,7 +11,7 @@ from carina.errors import CancelledError, UsageError
 from carina.phantom import Phantom, generate_phantom, write_phantom
 
 SPACING = (0.8, 0.9, 1.1)
-CENTRAL = ((-60.0, -45.0, -80.0), (70.0, 50.0, 40.0))
+CENTRAL = ((-60.0, -45.0, -98.0), (70.0, 50.0, 40.0))
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,8 @@
 //! The named branches: where they go and how big they are.
 //!
 //! Lengths and diameters: PMC9929973, table 1 (reference/features.md 5.2). Directions are ours, LPS, from the topology of
-//! 5.4: -x is the patient's right, +y posterior, +z superior.
+//! 5.4: -x is the patient's right, +y posterior, +z superior. A main bronchus of the table is measured from the carina's
+//! ridge, which lies some 9 mm below the point where our centrelines part, so ours are longer by that.
 
 /// A named branch: `(name, parent, direction, length_mm, diameter_mm)`.
 pub(crate) struct Named {
@@ -58,7 +59,7 @@ pub(crate) fn named_branches(
     left_basal: Basal,
 ) -> Vec<Named> {
     let mut all = vec![
-        named("RMB", "Trachea", [-0.52, 0.08, -0.85], 24.8, 15.8),
+        named("RMB", "Trachea", [-0.52, 0.08, -0.85], 33.8, 15.4),
         named("RUL", "RMB", [-0.97, 0.10, 0.12], 16.7, 11.4),
         named("BI", "RMB", [-0.30, 0.16, -0.94], 22.3, 12.4),
     ];
@@ -109,7 +110,7 @@ pub(crate) fn named_branches(
         ]),
     }
     all.extend([
-        named("LMB", "Trachea", [0.76, 0.13, -0.63], 48.8, 12.8),
+        named("LMB", "Trachea", [0.74, 0.13, -0.65], 55.8, 12.8),
         named("LUL", "LMB", [0.86, -0.48, 0.14], 14.0, 10.6),
         named("Upper division", "LUL", [0.52, -0.26, 0.81], 11.7, 9.2),
         named("LB1+2", "Upper division", [0.24, 0.42, 0.87], 12.9, 7.0),
