@@ -6,20 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from workstation import Workstation
+from workstation import FLAGS, Workstation
 
 from find_browser import find_browser
 
 sync_api = pytest.importorskip("playwright.sync_api")
 
-# A background network, updates and sync have no place in a test, and no sandbox works for root in a container.
-FLAGS = [
-    "--no-sandbox",
-    "--disable-quic",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 OUT = Path(__file__).resolve().parents[1] / "out" / "e2e"
 
 

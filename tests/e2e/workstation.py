@@ -10,6 +10,14 @@ from server_process import Server
 
 # Building the phantom (first run) and finding the airways takes most of this on a busy two-core machine.
 READY_MS = 120_000
+# A background network, updates and sync have no place in a test, and no sandbox works for root in a container.
+FLAGS = [
+    "--no-sandbox",
+    "--disable-quic",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
 PICTURE_MS = 20_000
 
 
@@ -130,6 +138,22 @@ class Workstation:
                 return c.dataset.full === 'true' && Number(c.dataset.poseId) === window.__carina.state.pose.pose_id;
             }""",
             timeout=PICTURE_MS,
+        )
+
+    def go_to(self, path_mm: float) -> None:
+        """Set the path slider, whose steps are 0.1 mm."""
+        slider = self.page.get_by_role("slider", name="Place on the route")
+        slider.evaluate(
+            """(input, value) => {
+                const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set;
+                set.call(input, String(value));
+                input.dispatchEvent(new Event('input', {bubbles: true}));
+                input.dispatchEvent(new Event('change', {bubbles: true}));
+            }""",
+            path_mm,
+        )
+        self.page.wait_for_function(
+            "(mm) => Math.abs(window.__carina.state.pose.path_mm - mm) < 1.0", arg=path_mm, timeout=PICTURE_MS
         )
 
     def hold(self, key: str, milliseconds: int) -> None:
