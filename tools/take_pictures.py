@@ -13,10 +13,11 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "tests" / "e2e"), str(ROOT / "tools")]
 
-from find_browser import find_browser  # noqa: E402
 from playwright.sync_api import sync_playwright  # noqa: E402
 from server_process import start_server, stop_server  # noqa: E402
 from workstation import FLAGS, Workstation  # noqa: E402
+
+from find_browser import find_browser  # noqa: E402
 
 # Case, place along the first route (share of its length), picture.
 SHOTS = (("patient", 0.36, "workstation-patient"),)
