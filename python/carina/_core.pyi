@@ -150,6 +150,7 @@ def find_trachea_voxels(
     *,
     air: int,
     tissue: int,
+    lung: tuple[int, int] | None,
     cancel: Callable[[], bool] | None = None,
 ) -> dict[str, Any]:
     """voxels_ijk (n, 3) from the top down, diameters_mm (n,), length_mm, carina_lps (3,)."""

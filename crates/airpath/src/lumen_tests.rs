@@ -216,6 +216,7 @@ fn chest_grid(flips: [bool; 3]) -> Grid {
 const AIR: AirLevels = AirLevels {
     air: -800,
     tissue: -450,
+    lung: Some((-950, -600)),
 };
 
 const LIMITS: FloodLimits = FloodLimits {
@@ -255,6 +256,23 @@ fn the_trachea_is_found_however_the_grid_is_stored() {
         let middle = found.diameters_mm[found.diameters_mm.len() / 2];
         assert!((middle - 13.0).abs() < 2.0, "{middle}");
     }
+}
+
+#[test]
+fn a_tube_that_splits_without_lungs_beside_it_is_no_trachea() {
+    // Bowel: the same tubes in a belly.
+    let grid = chest_grid([false; 3]);
+    let tubes = airway(&grid);
+    let mut values = chest(&grid, &tubes);
+    for value in &mut values {
+        if (-960..-700).contains(value) {
+            *value = 30;
+        }
+    }
+    let view = VolumeView::new(&values, &grid).unwrap();
+    assert!(find_trachea(view, AIR, &Unwatched).is_err());
+    let without = AirLevels { lung: None, ..AIR };
+    assert!(find_trachea(view, without, &Unwatched).is_ok());
 }
 
 #[test]

@@ -3,7 +3,7 @@
 //!
 //! Works on the grid's slices that are nearest to transverse, in whatever order and orientation they are stored: only the
 //! LPS directions of the grid's axes are used (+z superior, +x left). Arms, the table and the air outside never pass: they
-//! are not ringed by tissue at this size, or do not split.
+//! are not ringed by tissue at this size, or do not split. Bowel can split; it has no lung on both sides.
 
 use carina_grid::{Grid, Ijk, VolumeView, length};
 use rayon::prelude::*;
@@ -17,6 +17,8 @@ pub struct AirLevels {
     pub air: i16,
     /// A wall of soft tissue reaches at least this.
     pub tissue: i16,
+    /// Lung lies between these; `None` where the values do not show it (a painted mask), then no lung is asked for.
+    pub lung: Option<(i16, i16)>,
 }
 
 /// The trachea that was found.
@@ -42,6 +44,9 @@ struct Spot {
     elongation: f64,
     /// Share of directions in which soft tissue follows.
     ringed: f64,
+    /// Its cells in the slice, in order, and the cell of `voxel` among them.
+    cells: Vec<u32>,
+    middle: u32,
 }
 
 const NUM_DIRECTIONS: usize = 24;
@@ -50,7 +55,10 @@ const MAX_AREA_MM2: f64 = 900.0;
 /// Length of trachea that must be in the volume, mm.
 const MIN_LENGTH_MM: f64 = 18.0;
 /// Both main bronchi must be followed this far down, mm.
-const MIN_BRONCHUS_MM: f64 = 9.0;
+const MIN_BRONCHUS_MM: f64 = 6.0;
+/// How much the area of a tube may change from slice to slice, as a factor: a bronchus may meet one that leaves it level.
+const TRACHEA_CHANGE: f64 = 2.2;
+const BRONCHUS_CHANGE: f64 = 5.0;
 
 impl Spot {
     fn diameter_mm(&self) -> f64 {
@@ -62,7 +70,13 @@ impl Spot {
     }
 
     fn like_a_bronchus(&self) -> bool {
-        (4.0..=26.0).contains(&self.diameter_mm()) && self.ringed >= 0.5
+        (4.0..=33.0).contains(&self.diameter_mm()) && self.ringed >= 0.5
+    }
+
+    /// The middle of one lies in the other.
+    fn overlaps(&self, other: &Self) -> bool {
+        self.cells.binary_search(&other.middle).is_ok()
+            || other.cells.binary_search(&self.middle).is_ok()
     }
 }
 
@@ -90,8 +104,8 @@ pub fn find_trachea(
         })
         .collect::<Result<_, TrackError>>()?;
     let step_mm = grid.spacing_mm()[axis];
-    let tracheas = chains(&slices, step_mm, Spot::like_a_trachea);
-    let bronchi = chains(&slices, step_mm, Spot::like_a_bronchus);
+    let tracheas = chains(&slices, step_mm, TRACHEA_CHANGE, Spot::like_a_trachea);
+    let bronchi = chains(&slices, step_mm, BRONCHUS_CHANGE, Spot::like_a_bronchus);
     let mut longest_mm: f64 = 0.0;
     let mut best: Option<(f64, Trachea)> = None;
     for chain in &tracheas {
@@ -106,7 +120,7 @@ pub fn find_trachea(
             let of = |n: usize| &slices[chain.first + n][above[n]];
             let above_mm =
                 length([0, 1, 2].map(|a| of(0).center_lps[a] - of(ends_at).center_lps[a]));
-            if above_mm < MIN_LENGTH_MM {
+            if above_mm < MIN_LENGTH_MM || !lungs_beside(values, levels, split) {
                 continue;
             }
             let trachea = Trachea {
@@ -244,12 +258,17 @@ fn spots_of_air(
         voxel[axis] = slice;
         voxel[u] = nearest.1 as usize % nu;
         voxel[v] = nearest.1 as usize / nu;
+        let middle = nearest.1;
+        let mut cells = cells.clone();
+        cells.sort_unstable();
         spots.push(Spot {
             voxel,
             center_lps: grid.to_lps(Ijk(at)).0,
             area_mm2,
             elongation,
             ringed,
+            cells,
+            middle,
         });
     }
     spots
@@ -300,9 +319,15 @@ struct Chain {
     spots: Vec<usize>,
 }
 
-fn chains(slices: &[Vec<Spot>], step_mm: f64, suits: impl Fn(&Spot) -> bool) -> Vec<Chain> {
+fn chains(
+    slices: &[Vec<Spot>],
+    step_mm: f64,
+    change: f64,
+    suits: impl Fn(&Spot) -> bool,
+) -> Vec<Chain> {
     // A tube tilted by 60 degrees moves 1.7 steps per slice; 2 mm for the centre's own noise.
     let reach_mm = 1.8 * step_mm + 2.0;
+    // A spot in a chain starts none of its own; two chains may go on in one spot where their tubes meet in a slice.
     let mut taken: Vec<Vec<bool>> = slices.iter().map(|s| vec![false; s.len()]).collect();
     let mut found = Vec::new();
     for first in 0..slices.len() {
@@ -310,21 +335,20 @@ fn chains(slices: &[Vec<Spot>], step_mm: f64, suits: impl Fn(&Spot) -> bool) -> 
             if taken[first][start] || !suits(&slices[first][start]) {
                 continue;
             }
-            taken[first][start] = true;
             let mut spots = vec![start];
             let mut last = &slices[first][start];
             for (slice, below) in slices.iter().enumerate().skip(first + 1) {
                 let next = below
                     .iter()
                     .enumerate()
-                    .filter(|(n, spot)| {
+                    .filter(|(_, spot)| {
                         let ratio = spot.area_mm2 / last.area_mm2;
-                        !taken[slice][*n] && suits(spot) && (0.45..=2.2).contains(&ratio)
+                        suits(spot) && (1.0 / change..=change).contains(&ratio)
                     })
-                    .map(|(n, spot)| (n, across_mm(spot, last)))
-                    .filter(|(_, off)| *off <= reach_mm)
-                    .min_by(|a, b| a.1.total_cmp(&b.1));
-                let Some((n, _)) = next else { break };
+                    .map(|(n, spot)| (n, across_mm(spot, last), spot.overlaps(last)))
+                    .filter(|(_, off, overlaps)| *overlaps || *off <= reach_mm)
+                    .min_by(|a, b| b.2.cmp(&a.2).then(a.1.total_cmp(&b.1)));
+                let Some((n, ..)) = next else { break };
                 taken[slice][n] = true;
                 spots.push(n);
                 last = &below[n];
@@ -392,7 +416,8 @@ fn split_below(
                         && end.center_lps[0] < left.center_lps[0] + 3.0;
                     let drift = then - now;
                     let wide_enough = left.diameter_mm().min(right.diameter_mm()) >= 5.0;
-                    if now >= 7.0 && drift >= 3.0 && between && wide_enough {
+                    // 1 mm per 3 mm: main bronchi part by at least 30 degrees.
+                    if now >= 7.0 && drift >= MIN_BRONCHUS_MM / 3.0 && between && wide_enough {
                         let carina = std::array::from_fn(|a| {
                             0.5 * (left.center_lps[a] + right.center_lps[a])
                         });
@@ -403,4 +428,91 @@ fn split_below(
         }
     }
     None
+}
+
+/// Lung that must be seen on each side of the carina, mm2 in one slice. Chest CTs at hand show 7000 and more, a belly's bowel 330.
+const MIN_LUNG_MM2: f64 = 800.0;
+/// How far from the carina lung is looked for: sideways, front and back, down; mm.
+const LUNG_REACH_MM: [f64; 3] = [130.0, 80.0, 45.0];
+
+/// True if there is lung on both sides of the carina, at its height or below.
+///
+/// A voxel is lung if it and its four neighbours in the slice are in lung's range (the blurred edges of bowel gas and skin pass
+/// through that range within one voxel), with tissue farther out.
+fn lungs_beside(values: VolumeView<'_, i16>, levels: AirLevels, carina_lps: [f64; 3]) -> bool {
+    let Some((low, high)) = levels.lung else {
+        return true;
+    };
+    let grid = values.grid();
+    let axis = transverse_axis(grid);
+    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+    let shape = grid.shape_ijk();
+    let columns = [0, 1, 2].map(|a| grid.lps_from_ijk().column(a));
+    let cell_mm2 = length(carina_grid::cross(columns[u], columns[v]));
+    let down = columns[axis][2] < 0.0;
+    let first = grid.to_ijk(carina_grid::Lps(carina_lps)).0[axis]
+        .round()
+        .max(0.0) as usize;
+    let num_slices = (LUNG_REACH_MM[2] / length(columns[axis])).ceil() as usize;
+    let is_lung = |ijk: [usize; 3]| (low..=high).contains(&values.at(ijk));
+    let (mut most_right, mut most_left) = (0usize, 0usize);
+    for n in 0..=num_slices {
+        let slice = if down {
+            first.checked_add(n)
+        } else {
+            first.checked_sub(n)
+        };
+        let Some(slice) = slice.filter(|s| *s < shape[axis]) else {
+            break;
+        };
+        // First and last tissue of every line of the slice, to tell lung from the air outside the body.
+        let voxel = |p: usize, q: usize| {
+            let mut ijk = [0; 3];
+            (ijk[axis], ijk[u], ijk[v]) = (slice, p, q);
+            ijk
+        };
+        let mut along_u = vec![(usize::MAX, 0); shape[v]];
+        let mut along_v = vec![(usize::MAX, 0); shape[u]];
+        for p in 0..shape[u] {
+            for q in 0..shape[v] {
+                if values.at(voxel(p, q)) >= levels.tissue {
+                    along_u[q] = (p.min(along_u[q].0), p.max(along_u[q].1));
+                    along_v[p] = (q.min(along_v[p].0), q.max(along_v[p].1));
+                }
+            }
+        }
+        let (mut right, mut left) = (0, 0);
+        for p in 1..shape[u].max(2) - 1 {
+            for q in 1..shape[v].max(2) - 1 {
+                let ijk = voxel(p, q);
+                let sides = [
+                    along_u[q].0 < p,
+                    p < along_u[q].1,
+                    along_v[p].0 < q,
+                    q < along_v[p].1,
+                ];
+                // Three of four: a crop may have cut the chest wall away on one side.
+                if !is_lung(ijk) || sides.iter().filter(|s| **s).count() < 3 {
+                    continue;
+                }
+                let beside = [(u, p - 1), (u, p + 1), (v, q - 1), (v, q + 1)];
+                if !beside.iter().all(|(a, at)| {
+                    let mut near = ijk;
+                    near[*a] = *at;
+                    is_lung(near)
+                }) {
+                    continue;
+                }
+                let place = grid.to_lps(Ijk(ijk.map(|x| x as f64))).0;
+                let off = [0, 1].map(|a| place[a] - carina_lps[a]);
+                if off[0].abs() <= LUNG_REACH_MM[0] && off[1].abs() <= LUNG_REACH_MM[1] {
+                    // +x is the patient's left.
+                    if off[0] < 0.0 { right += 1 } else { left += 1 }
+                }
+            }
+        }
+        most_right = most_right.max(right);
+        most_left = most_left.max(left);
+    }
+    most_right.min(most_left) as f64 * cell_mm2 >= MIN_LUNG_MM2
 }

@@ -240,6 +240,9 @@ impl<'a> Cover<'a> {
 /// A path has left its neighbour's tube when it is farther from its middle than this multiple of the tube's radius.
 const FORK_RADII: f64 = 1.0;
 
+/// Two forks are one if they are nearer to each other than this multiple of the tube's radius.
+const ONE_FORK_RADII: f64 = 0.9;
+
 /// A growing set of root paths.
 struct NodeTree<'a> {
     graph: &'a LumenGraph,
@@ -397,11 +400,11 @@ impl<'a> NodeTree<'a> {
                 end = below(end)[0];
                 nodes.push(end);
             }
-            // Two forks nearer to each other than half the tube's radius are one fork with more children.
+            // Two forks this near to each other are one fork with more children.
             let run_mm = self.along_mm[end as usize] - self.along_mm[nodes[0] as usize];
             let is_one_fork = parent.is_some()
                 && below(end).len() > 1
-                && run_mm < 0.5 * self.graph.wall_mm(nodes[0]);
+                && run_mm < ONE_FORK_RADII * self.graph.wall_mm(nodes[0]);
             let here = if is_one_fork {
                 parent
             } else {

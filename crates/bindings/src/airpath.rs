@@ -117,13 +117,14 @@ impl Watch for PyWatch {
 
 /// Find the trachea; a dict of `voxels_ijk`, `diameters_mm`, `length_mm`, `carina_lps`.
 #[pyfunction]
-#[pyo3(signature = (values_zyx, lps_from_ijk, *, air, tissue, cancel=None))]
+#[pyo3(signature = (values_zyx, lps_from_ijk, *, air, tissue, lung, cancel=None))]
 fn find_trachea_voxels<'py>(
     py: Python<'py>,
     values_zyx: PyReadonlyArray3<'py, i16>,
     lps_from_ijk: PyReadonlyArray2<'py, f64>,
     air: i16,
     tissue: i16,
+    lung: Option<(i16, i16)>,
     cancel: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let grid = arrays::grid(&values_zyx, &lps_from_ijk)?;
@@ -131,7 +132,7 @@ fn find_trachea_voxels<'py>(
     let view = VolumeView::new(data, &grid).map_err(IntoPy::into_py)?;
     let watch = PyWatch::new(cancel, None);
     let found = py
-        .detach(|| find_trachea(view, AirLevels { air, tissue }, &watch))
+        .detach(|| find_trachea(view, AirLevels { air, tissue, lung }, &watch))
         .map_err(|e| watch.error(e))?;
     let dict = PyDict::new(py);
     let voxels: Vec<[f64; 3]> = found.voxels.iter().map(|v| v.map(|x| x as f64)).collect();

@@ -32,6 +32,8 @@ and falls above.
 # The first that shows a trachea counts: lower where its wall to the lung is thin, higher where the slices blur it.
 TRACHEA_AIR_HU = (-800.0, -900.0, -700.0)
 TISSUE_HU = -450.0
+# Inspiration to expiration, emphysema in part: there must be some of it on both sides of the trachea's split.
+LUNG_HU = (-950.0, -600.0)
 MIN_WALL_CONTRAST_HU = 60.0
 STEP_RISE_HU = 25.0
 HALF_WALL_HU = -500.0
@@ -143,8 +145,8 @@ def find_airways(
     if lumen_zyx is not None:
         lumen, levels, end = _given_lumen(volume, lumen_zyx), None, float("nan")
         if root is None:
-            painted = np.where(lumen != 0, -1000, 40).astype(np.int16)
-            root = _trachea_in(painted, volume, AirScale(-1000.0, 0.0), stage)[1]
+            drawn = np.where(lumen != 0, -1000, 40).astype(np.int16)
+            root = _trachea_in(drawn, volume, AirScale(-1000.0, 0.0), stage, painted=True)[1]
     else:
         grown = _grow(volume, root, lumen_threshold, stage)
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
@@ -288,10 +290,11 @@ def _given_lumen(volume: Volume, lumen_zyx: NDArray[np.uint8]) -> NDArray[np.uin
 
 
 def _trachea_in(
-    values: NDArray[np.int16], volume: Volume, scale: AirScale, stage: _Stages
+    values: NDArray[np.int16], volume: Volume, scale: AirScale, stage: _Stages, *, painted: bool = False
 ) -> tuple[list[tuple[int, int, int]], Point]:
     """Voxels of the trachea from the top down, and its top."""
     stage.begin("finding the trachea")
+    lung = None if painted else (scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1]))
     found, problem = None, ""
     for air_hu in TRACHEA_AIR_HU:
         try:
@@ -300,6 +303,7 @@ def _trachea_in(
                 volume.lps_from_ijk,
                 air=scale.level(air_hu),
                 tissue=scale.level(TISSUE_HU),
+                lung=lung,
                 cancel=stage.cancel,
             )
             break
