@@ -1,6 +1,6 @@
 """Take the README's screenshots from the bundled cases, in a real browser.
 
-Run after a visible change: ``.venv/bin/python tools/take_pictures.py``, then look at every picture before you commit it.
+Run after a visible change: ``.venv/bin/python tools/take_pictures.py``, then look at every picture before a commit.
 Pictures show the bundled CC BY case or the phantom only, never another patient.
 """
 
