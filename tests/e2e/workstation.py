@@ -140,6 +140,43 @@ class Workstation:
             timeout=PICTURE_MS,
         )
 
+    def deepest_tip(self, sign: float) -> dict[str, Any]:
+        """The tip of highest generation on one side (sign of x in LPS: the patient's right is negative)."""
+        return self.page.evaluate(
+            """(sign) => {
+                const branches = [...window.__carina.state.tree.byId.values()].map((node) => node.branch);
+                const tips = branches.filter((b) => b.children.length === 0 && sign * b.points.at(-1)[0] > 20);
+                const best = tips.reduce((a, b) => (b.generation > a.generation ? b : a));
+                return {id: best.id, generation: best.generation, end_lps: best.points.at(-1)};
+            }""",
+            sign,
+        )
+
+    def choose_branch(self, branch_id: int) -> None:
+        """Make a branch the route, through the list as a person does: open what is closed, then click."""
+        self.page.evaluate(
+            """(id) => {
+                const byId = window.__carina.state.tree.byId;
+                window.__lineage = [];
+                for (let b = byId.get(id).branch; b.parent !== null; b = byId.get(b.parent).branch)
+                    window.__lineage.unshift(b.parent);
+            }""",
+            branch_id,
+        )
+        for ancestor in self.page.evaluate("() => window.__lineage"):
+            row = self.page.get_by_role("row").filter(has=self.page.locator(f"[data-branch='{ancestor}']"))
+            if row.get_attribute("aria-expanded") == "false":
+                row.locator("button.chevron").click()
+        self.page.locator(f"[data-branch='{branch_id}']").click()
+        self.page.wait_for_function(
+            "(id) => window.__carina.state.route?.spans.at(-1).branch_id === id", arg=branch_id, timeout=PICTURE_MS
+        )
+
+    def brightness(self, view: str) -> float:
+        """Mean of the red channel of a view, 0 to 255."""
+        red = self.pixels(view)[::4]
+        return sum(red) / len(red)
+
     def go_to(self, path_mm: float) -> None:
         """Set the path slider, whose steps are 0.1 mm."""
         slider = self.page.get_by_role("slider", name="Place on the route")

@@ -1,0 +1,43 @@
+"""A DICOM folder as a person opens it: first picture, then a flight to a segmental bronchus in each lung."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from server_process import Server, start_server, stop_server
+
+pytestmark = [pytest.mark.browser, pytest.mark.data, pytest.mark.slow]
+
+# Segmental bronchi are the third generation or beyond (trachea 0, main 1, lobar 2; the right upper lobe's come at 3).
+SEGMENTAL = 3
+
+
+@pytest.fixture(scope="module")
+def server(patient_dicom, tmp_path_factory) -> Iterator[Server]:
+    """``carina open FOLDER``."""
+    running = start_server(["open", str(patient_dicom)], tmp_path_factory.mktemp("home"))
+    yield running
+    code = stop_server(running)
+    assert code in {0, 130}
+    assert running.errors() == []
+
+
+def test_a_flight_to_a_segmental_bronchus_in_each_lung(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    for side, sign in (("right", -1.0), ("left", 1.0)):
+        tip = workstation.deepest_tip(sign)
+        assert tip["generation"] >= SEGMENTAL
+        assert sign * tip["end_lps"][0] > 20.0, f"the {side} lung lies at {'-' if sign < 0 else '+'}x in LPS"
+        workstation.choose_branch(tip["id"])
+        # Not to the very end: the last millimetres of a tip are a blind wall.
+        workstation.go_to(workstation.state("route.length_mm") - 8.0)
+        workstation.wait_still()
+        workstation.picture(f"patient-{side}")
+        assert workstation.state("pose.generation") >= SEGMENTAL
+        assert workstation.state("pose.inside")
+        position = workstation.state("pose.lps_from_camera")[3::4][:3]
+        assert sign * position[0] > 15.0
+        assert workstation.brightness("airway") > 20, "the lens is in a lit lumen, not in the dark"
+    assert workstation.faults == []
