@@ -11,6 +11,7 @@ def build_info() -> dict[str, Any]:
 
 # ---- scope ----
 
+@final
 class FlightCurve:
     """A smooth curve with camera frames along a polyline."""
 
@@ -43,15 +44,15 @@ def generate_chest(
 
 # ---- isoregion ----
 
-Classes = list[tuple[int, int, int, bool]]
+_Classes = list[tuple[int, int, int, bool]]
 """First value, last value, voxels, fully transparent."""
 
 def label_classes(
     hu_zyx: NDArray[np.int16], points: NDArray[np.float64], *, reference_mm: float = 1.0, bin_hu: int = 1
-) -> tuple[NDArray[np.uint8], Classes]:
+) -> tuple[NDArray[np.uint8], _Classes]:
     """Labels of the classes of a transfer function, and the classes."""
 
-def label_values(hu_zyx: NDArray[np.int16]) -> tuple[NDArray[np.uint8], Classes]:
+def label_values(hu_zyx: NDArray[np.int16]) -> tuple[NDArray[np.uint8], _Classes]:
     """Labels of the paper's 16-HU bins, and the bins."""
 
 def transparent_runs(
@@ -172,6 +173,7 @@ def flood_lumen(
 ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
     """The lumen (1 or 0), and num_voxels, num_without_wall, leaks [(point_lps, level)]."""
 
+@final
 class LumenTracker:
     """Lumen graph and least-cost tree from one root."""
 

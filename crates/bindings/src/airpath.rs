@@ -35,7 +35,7 @@ impl IntoPy for TrackError {
             Self::Argument { .. } => "UsageError",
             Self::CostRange { .. } => "TrackingError",
         };
-        carina_error(class, self.code(), self.to_string())
+        carina_error(class, self.code(), &self.to_string())
     }
 }
 

@@ -10,13 +10,13 @@ pub(crate) trait IntoPy {
 }
 
 /// An exception of class `carina.errors.<class>` with `code`.
-pub(crate) fn carina_error(class: &str, code: &str, message: String) -> PyErr {
+pub(crate) fn carina_error(class: &str, code: &str, message: &str) -> PyErr {
     Python::attach(|py| {
         let build = || -> PyResult<PyErr> {
             let exception = py
                 .import("carina.errors")?
                 .getattr(class)?
-                .call1((message.clone(),))?;
+                .call1((message,))?;
             exception.setattr("code", code)?;
             Ok(PyErr::from_value(exception))
         };
@@ -31,6 +31,6 @@ impl IntoPy for carina_grid::GridError {
         } else {
             "GeometryError"
         };
-        carina_error(class, self.code(), self.to_string())
+        carina_error(class, self.code(), &self.to_string())
     }
 }

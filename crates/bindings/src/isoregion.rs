@@ -22,7 +22,7 @@ impl IntoPy for IsoRegionError {
         } else {
             "GeometryError"
         };
-        carina_error(class, self.code(), self.to_string())
+        carina_error(class, self.code(), &self.to_string())
     }
 }
 

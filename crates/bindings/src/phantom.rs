@@ -11,8 +11,8 @@ impl IntoPy for PhantomError {
     fn into_py(self) -> PyErr {
         match self {
             Self::Grid(error) => error.into_py(),
-            Self::Cancelled => carina_error("CancelledError", self.code(), self.to_string()),
-            Self::Option { .. } => carina_error("UsageError", self.code(), self.to_string()),
+            Self::Cancelled => carina_error("CancelledError", self.code(), &self.to_string()),
+            Self::Option { .. } => carina_error("UsageError", self.code(), &self.to_string()),
         }
     }
 }

@@ -30,7 +30,7 @@ impl IntoPy for RaycastError {
         } else {
             "RenderError"
         };
-        carina_error(class, self.code(), self.to_string())
+        carina_error(class, self.code(), &self.to_string())
     }
 }
 

@@ -8,7 +8,7 @@ use crate::errors::{IntoPy, carina_error};
 
 impl IntoPy for ScopeError {
     fn into_py(self) -> PyErr {
-        carina_error("UsageError", self.code(), self.to_string())
+        carina_error("UsageError", self.code(), &self.to_string())
     }
 }
 
