@@ -1,4 +1,4 @@
-"""Refuse what must never be committed: machine paths, lock files that name hosts, big files."""
+"""Refuse what must never be committed (machine paths, hosts in lock files, big files) and dead paths in the docs."""
 
 from __future__ import annotations
 
@@ -10,6 +10,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 MAX_BYTES = 2 * 1024 * 1024
 BIG_FILES = {"python/carina/_cases/"}  # the bundled CC BY case
+NAMED_PATH = re.compile(
+    r"`((?:crates|python|web|tests|tools|docs|examples|benchmarks|protocol|build_backend)/[\w./*-]*)`"
+)
+GENERATED = ("benchmarks/results", "tests/out", "python/carina/_web")
 HOME_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users)/[A-Za-z0-9._-]+/")
 TEXT = {".py", ".rs", ".ts", ".tsx", ".md", ".toml", ".json", ".html", ".css", ".lock", ".txt", ".yml", ".sh", ""}
 
@@ -18,6 +22,16 @@ def tracked_files() -> list[str]:
     """Files in git's index."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True)
     return [name for name in listed.stdout.decode().split("\0") if name]
+
+
+def dead_paths(name: str) -> list[str]:
+    """Paths that a document names and that do not exist."""
+    text = (ROOT / name).read_text(encoding="utf-8")
+    found = []
+    for path in sorted(set(NAMED_PATH.findall(text))):
+        if "NNNN" not in path and not path.startswith(GENERATED) and not any(ROOT.glob(path.rstrip("/"))):
+            found.append(f"{name}: names {path}, which does not exist")
+    return found
 
 
 def main() -> int:
@@ -34,6 +48,8 @@ def main() -> int:
             found.append(f"{name}: {path.stat().st_size // 1024} KiB; big files do not belong in git")
         if path.name == "uv.lock":
             found.append(f"{name}: names registry hosts; commit requirements.lock instead (make lock)")
+        if path.suffix == ".md":
+            found += dead_paths(name)
         if path.suffix in TEXT:
             body = path.read_bytes()
             if match := HOME_PATH.search(body):
