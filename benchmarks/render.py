@@ -272,7 +272,10 @@ def main() -> int:
                 f"  {row['case']:8} {row['size']}x{row['size']} {shade} {fps}  leap/brute {row['leap_over_brute']:.2f}x"
             )
             if "leap_over_vtk" in row:
-                line += f"  leap/VTK {row['leap_over_vtk']:.2f}x  difference to VTK mean {row['vtk_mean_difference']}, 99 % below {row['vtk_p99_difference']}"
+                line += (
+                    f"  leap/VTK {row['leap_over_vtk']:.2f}x"
+                    f"  difference to VTK: mean {row['vtk_mean_difference']}, 99 % below {row['vtk_p99_difference']}"
+                )
             if "leap_over_brute_flight_median" in row:
                 line += f"  (flight median {row['leap_over_brute_flight_median']:.2f}x)"
             print(line)

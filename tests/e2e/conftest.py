@@ -15,9 +15,9 @@ sync_api = pytest.importorskip("playwright.sync_api")
 OUT = Path(__file__).resolve().parents[1] / "out" / "e2e"
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[object]:
-    """One browser for all tests."""
+    """One browser a file: Playwright keeps an event loop in this thread, which later tests must find free."""
     path = find_browser()
     if path is None:
         pytest.skip("needs a Chromium or Chrome (Debian package: chromium)")
