@@ -98,3 +98,33 @@ def test_the_keyboard_card_opens_on_its_key(server, workstation):
     workstation.page.keyboard.press("Escape")
     workstation.page.wait_for_selector("[role=dialog]", state="detached")
     assert workstation.faults == []
+
+
+def test_space_flies_to_the_look_out_in_front_of_the_carina_and_both_ways_on_are_named(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.go_to(0.0)
+    lookout_mm, fork_mm = workstation.state("route.lookouts_mm[0]"), workstation.state("route.forks_mm[0]")
+    workstation.page.keyboard.press("Space")
+    workstation.page.wait_for_function(
+        "(mm) => Math.abs(window.__carina.state.pose.path_mm - mm) < 0.1", arg=lookout_mm, timeout=20_000
+    )
+    workstation.wait_still()
+    workstation.picture("look-out-at-the-carina")
+    assert fork_mm - lookout_mm > 8.0, "a trachea's width in front of the carina, not at it"
+    ways = workstation.page.locator(".reading .way").all_inner_texts()
+    # Operator at the head end: the patient's left is on the picture's left.
+    assert ways == ["LMB, 9 o\u2019clock", "RMB, 3 o\u2019clock"]
+    assert workstation.faults == []
+
+
+def test_the_voxel_under_the_cursor_is_told_with_its_place(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.page.locator("canvas[data-view=axial]").hover()
+    words = workstation.page.locator("[data-testid=cursor]")
+    workstation.page.wait_for_function(
+        "() => / HU$/.test(document.querySelector('[data-testid=cursor]')?.textContent ?? '')", timeout=20_000
+    )
+    assert words.inner_text()[0] in "LR"
+    assert workstation.faults == []

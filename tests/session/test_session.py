@@ -7,6 +7,7 @@ import pytest
 
 from carina.errors import NoResultError, UsageError
 from carina.session import Changed, JobEnded, JobProgress, LocalStore, Orbit, Said, Trouble
+from carina.session.routes import RouteSpan, lookouts_mm
 from small_case import BRANCHES_IJK, small_airways, small_bench, small_volume
 
 
@@ -475,3 +476,43 @@ def test_listeners_hear_of_changes_until_they_stop():
 
 def test_the_right_tip_is_to_the_patients_right():
     assert RIGHT_TIP[0] < LEFT_TIP[0]
+
+
+def test_the_flight_stops_in_front_of_each_fork_and_goes_back_likewise():
+    bench = small_bench()
+    bench.open()
+    route = bench.session.snapshot().document.route
+    assert len(route.lookouts_mm) == len(route.forks_mm) == 2
+    for stop_mm, fork_mm, span in zip(route.lookouts_mm, route.forks_mm, route.spans, strict=False):
+        assert (span.from_mm + fork_mm) / 2.0 - 1e-9 <= stop_mm < fork_mm
+    # The trachea of the small case is 12 mm wide and far longer than two diameters.
+    assert route.lookouts_mm[0] == pytest.approx(route.forks_mm[0] - 12.0)
+    stops = []
+    for _ in range(3):
+        bench.session.next_fork()
+        stops.append(bench.session.pose_info().path_mm)
+    assert stops == pytest.approx([*route.lookouts_mm, route.length_mm])
+    bench.session.previous_fork()
+    bench.session.previous_fork()
+    assert bench.session.pose_info().path_mm == pytest.approx(route.lookouts_mm[0])
+
+
+def test_a_short_branch_has_its_look_out_in_its_middle_and_all_look_outs_are_in_order():
+    cumulative_mm = np.arange(0.0, 61.0)
+    spans = tuple(
+        RouteSpan(n, None, n, from_mm, to_mm)
+        for n, (from_mm, to_mm) in enumerate([(0, 40), (40, 44), (44, 44), (44, 60)])
+    )
+    stops = lookouts_mm((40.0, 44.0, 44.0), spans, cumulative_mm, np.full(61, 5.0))
+    # 10 mm wide: one diameter before the first fork, half of the 4 mm branch before the second, the third at the fork.
+    assert stops == (30.0, 42.0, 44.0)
+
+
+def test_the_voxel_under_a_point_is_told_and_nothing_outside_the_volume():
+    bench = small_bench()
+    bench.open()
+    assert bench.session.value_at(LEFT_TIP) == -980
+    assert bench.session.value_at(OUTSIDE_LUMEN) == 40
+    # On the outer face of the first voxel; rounding alone would look for the voxel before it.
+    assert bench.session.value_at(lps((-0.4999, 0.0, 0.0))) == 40
+    assert bench.session.value_at(lps((-0.6, 0.0, 0.0))) is None

@@ -28,7 +28,10 @@ class FlightPath:
         What appears up at the start. Anterior unless told (operator at the head end), or superior where the path starts
         along the antero-posterior axis. Frames further on turn as little as can be about the viewing direction.
     forks_mm
-        Places of the bifurcations, for :meth:`next_fork_mm` and :meth:`previous_fork_mm`.
+        Places of the bifurcations.
+    lookouts_mm
+        Where :meth:`next_fork_mm` and :meth:`previous_fork_mm` stop: in front of the forks, with all openings in view.
+        The forks themselves unless given.
     max_deviation_mm
         The curve stays within this distance of the points' polyline, 0.2 to 10 mm.
 
@@ -48,7 +51,7 @@ class FlightPath:
     [0.0, 0.0, 60.0]
     """
 
-    __slots__ = ("_curve", "_forks_mm")
+    __slots__ = ("_curve", "_forks_mm", "_lookouts_mm")
 
     def __init__(
         self,
@@ -56,6 +59,7 @@ class FlightPath:
         *,
         up_lps: Sequence[float] | None = None,
         forks_mm: Sequence[float] = (),
+        lookouts_mm: Sequence[float] | None = None,
         max_deviation_mm: float = 0.5,
     ) -> None:
         points = np.ascontiguousarray(points_lps, dtype=np.float64)
@@ -65,11 +69,8 @@ class FlightPath:
         if up is not None and len(up) != 3:
             raise UsageError(f"the up direction needs three numbers; found {len(up)}", code="navigate.up")
         self._curve = _core.FlightCurve(points, up, float(max_deviation_mm))
-        forks = sorted(float(f) for f in forks_mm)
-        if not all(-1e-6 <= f <= self.length_mm + 1e-6 for f in forks):
-            msg = f"forks must lie on the path, 0 to {self.length_mm:.3f} mm; found {forks}"
-            raise UsageError(msg, code="navigate.path")
-        self._forks_mm = tuple(forks)
+        self._forks_mm = self._on_path("forks", forks_mm)
+        self._lookouts_mm = self._forks_mm if lookouts_mm is None else self._on_path("look-outs", lookouts_mm)
 
     def __repr__(self) -> str:
         return f"FlightPath(length_mm={self.length_mm:.1f}, num_forks={len(self._forks_mm)})"
@@ -83,6 +84,11 @@ class FlightPath:
     def forks_mm(self) -> tuple[float, ...]:
         """Places of the bifurcations, ascending."""
         return self._forks_mm
+
+    @property
+    def lookouts_mm(self) -> tuple[float, ...]:
+        """Places in front of the bifurcations, ascending."""
+        return self._lookouts_mm
 
     @property
     def points_lps(self) -> NDArray[np.float64]:
@@ -105,10 +111,17 @@ class FlightPath:
         return self._curve.nearest((float(point[0]), float(point[1]), float(point[2])))
 
     def next_fork_mm(self, path_mm: float) -> float:
-        """The first fork beyond a place, or the end of the path."""
+        """The first look-out beyond a place, or the end of the path."""
         # 0.01 mm: a person at a fork means the one after it, whatever the rounding of the way here.
-        return next((f for f in self._forks_mm if f > path_mm + 0.01), self.length_mm)
+        return next((f for f in self._lookouts_mm if f > path_mm + 0.01), self.length_mm)
 
     def previous_fork_mm(self, path_mm: float) -> float:
-        """The last fork before a place, or the start of the path."""
-        return next((f for f in reversed(self._forks_mm) if f < path_mm - 0.01), 0.0)
+        """The last look-out before a place, or the start of the path."""
+        return next((f for f in reversed(self._lookouts_mm) if f < path_mm - 0.01), 0.0)
+
+    def _on_path(self, what: str, places_mm: Sequence[float]) -> tuple[float, ...]:
+        places = sorted(float(mm) for mm in places_mm)
+        if not all(-1e-6 <= mm <= self.length_mm + 1e-6 for mm in places):
+            msg = f"{what} must lie on the path, 0 to {self.length_mm:.3f} mm; found {places}"
+            raise UsageError(msg, code="navigate.path")
+        return tuple(places)

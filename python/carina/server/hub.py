@@ -32,7 +32,7 @@ class Outbox:
     def __init__(self) -> None:
         self._topics: set[str] = set()
         self._texts: deque[str] = deque()
-        self._progress: dict[str, str] = {}
+        self._newest: dict[str, str] = {}
         self._pictures: deque[bytes] = deque()
         self._filled = asyncio.Event()
         self._sent: dict[str, str] = {}
@@ -51,12 +51,14 @@ class Outbox:
         self._filled.set()
 
     def push(self, message: Any) -> None:
-        """A message that must arrive as it is, in order."""
+        """A message that must arrive as it is, in order; of progress and values only the newest."""
         if isinstance(message, wire.Progress):
-            self._progress[message.job_id] = wire.encode_message(message)
+            self._newest[f"job {message.job_id}"] = wire.encode_message(message)
+        elif isinstance(message, wire.Value):
+            self._newest["value"] = wire.encode_message(message)
         else:
             if isinstance(message, wire.Done):
-                self._progress.pop(message.job_id, None)
+                self._newest.pop(f"job {message.job_id}", None)
             self._texts.append(wire.encode_message(message))
             self.overflowed = self.overflowed or len(self._texts) > MAX_QUEUED
         self._filled.set()
@@ -75,11 +77,11 @@ class Outbox:
         await self._filled.wait()
         self._filled.clear()
         topics = [t for t in TOPICS if t in self._topics]
-        texts = [*self._progress.values(), *self._texts]
+        texts = [*self._newest.values(), *self._texts]
         pictures = list(self._pictures)
         self._topics.clear()
         self._texts.clear()
-        self._progress.clear()
+        self._newest.clear()
         self._pictures.clear()
         return topics, texts, pictures
 
@@ -290,6 +292,8 @@ class Hub:
                 session.reset_look()
             case wire.SetCrosshair():
                 session.set_crosshair(None if message.lps is None else _three(message.lps))
+            case wire.Probe():
+                self._push(wire.Value(message.lps, session.value_at(_three(message.lps))))
             case wire.SetOrbit():
                 orbit = Orbit(message.azimuth_deg, message.elevation_deg, message.distance_mm)
                 session.set_orbit(message.view, orbit)

@@ -31,6 +31,7 @@ from carina.server.messages_from_client import (
     OpenUpload,
     Place,
     PreviousFork,
+    Probe,
     Redo,
     RemoveTarget,
     ResetLook,
@@ -76,6 +77,7 @@ from carina.server.messages_from_server import (
     Tree,
     TreeBranch,
     TreeDocument,
+    Value,
     Zoom,
 )
 from carina.server.wire_codec import decode_fields, load_json_object, split_picture, to_jsonable
@@ -114,6 +116,7 @@ __all__ = [
     "Place",
     "Pose",
     "PreviousFork",
+    "Probe",
     "Progress",
     "RecentCase",
     "Redo",
@@ -145,6 +148,7 @@ __all__ = [
     "TreeBranch",
     "TreeDocument",
     "Undo",
+    "Value",
     "ViewName",
     "ViewSize",
     "Zoom",
@@ -175,9 +179,9 @@ CLIENT_MESSAGES = _by_type(
     ClientHello, OpenPath, OpenDemo, OpenUpload, OpenRecent, CloseCase, Cancel, Layout, Ack, Steer, SetMode, ToggleMode,
     GoTo, NextFork, PreviousFork, Place, LevelHorizon, ResetLook, SetOperator, SetRoot, AddTarget, RemoveTarget,
     ChooseRoute, SetCrosshair, SetWindow, SetFov, SetTransfer, SetShading, SetMethod, SetLumenThreshold, SetOrbit,
-    SetZoom, Undo, Redo, AcceptNotice,
+    SetZoom, Probe, Undo, Redo, AcceptNotice,
 )  # fmt: skip
-SERVER_MESSAGES = _by_type(ServerHello, Start, State, Tree, Route, Pose, Progress, Done, Error, Notice, Status)
+SERVER_MESSAGES = _by_type(ServerHello, Start, State, Tree, Route, Pose, Value, Progress, Done, Error, Notice, Status)
 
 
 def _parse(classes: dict[str, type[Any]], text: str | bytes, max_bytes: int) -> Any:

@@ -39,6 +39,7 @@ __all__ = [
     "OpenUpload",
     "Place",
     "PreviousFork",
+    "Probe",
     "Redo",
     "RemoveTarget",
     "ResetLook",
@@ -258,6 +259,14 @@ class SetCrosshair:
 
     wire_type: ClassVar[str] = "set_crosshair"
     lps: PointLps | None
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """Ask for the number of the voxel at a point; the answer is ``value``."""
+
+    wire_type: ClassVar[str] = "probe"
+    lps: PointLps
 
 
 @dataclass(frozen=True, slots=True)

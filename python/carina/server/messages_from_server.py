@@ -47,6 +47,7 @@ __all__ = [
     "Tree",
     "TreeBranch",
     "TreeDocument",
+    "Value",
     "Zoom",
 ]
 
@@ -264,6 +265,8 @@ class RouteInfo:
     generation: Annotated[tuple[Annotated[int, Range(0, 1000)], ...], Length(0, 1_000_000)]
     radius_mm: Numbers
     forks_mm: Numbers
+    lookouts_mm: Numbers
+    """Where to stop for the forks: in front of them, with their openings in view. Strictly increasing."""
     spans: tuple[RouteSpan, ...]
     length_mm: float
 
@@ -332,6 +335,17 @@ class Notice:
 
     wire_type: ClassVar[str] = "notice"
     message: Words
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """Answer to ``probe``; only the newest is sent."""
+
+    wire_type: ClassVar[str] = "value"
+    lps: PointLps
+    """The point that was asked for."""
+    voxel_value: Annotated[int, Range(-32_768, 32_767)] | None
+    """Of the voxel that it lies in: HU, or the file's numbers where the volume is not HU. Null outside the volume."""
 
 
 @dataclass(frozen=True, slots=True)

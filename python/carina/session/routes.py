@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from carina.navigate import FlightPath
 from carina.track import AirwayTree, Route, TrackedPath
 
-__all__ = ["AirwayIndex", "ChosenRoute", "RouteSpan", "default_branch_id", "route_to_branch", "route_to_target"]
+__all__ = [
+    "AirwayIndex",
+    "ChosenRoute",
+    "RouteSpan",
+    "default_branch_id",
+    "lookouts_mm",
+    "route_to_branch",
+    "route_to_target",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +45,8 @@ class ChosenRoute:
     generation: NDArray[np.int64]
     branch_ids: NDArray[np.int64]
     forks_mm: tuple[float, ...]
+    lookouts_mm: tuple[float, ...]
+    """Where to stop for each fork: in front of it, with its openings in view."""
     spans: tuple[RouteSpan, ...]
     path: FlightPath
     target_id: str | None = None
@@ -124,21 +134,63 @@ def _chosen(
     cumulative_mm = np.asarray(route.cumulative_mm, dtype=np.float64)
     branch_ids = np.asarray(route.branch_ids, dtype=np.int64)
     generation = np.asarray(route.generation, dtype=np.int64)
+    radius_mm = np.asarray(route.radius_mm, dtype=np.float64)
     names = {branch.id: branch.name for branch in tree.branches}
+    spans = _spans(branch_ids, generation, cumulative_mm, names)
+    forks_mm = tuple(float(mm) for mm in route.forks_mm)
+    stops_mm = lookouts_mm(forks_mm, spans, cumulative_mm, radius_mm)
     return ChosenRoute(
         route_id=route_id,
         title=title,
         points_lps=points,
         cumulative_mm=cumulative_mm,
-        radius_mm=np.asarray(route.radius_mm, dtype=np.float64),
+        radius_mm=radius_mm,
         generation=generation,
         branch_ids=branch_ids,
-        forks_mm=tuple(float(mm) for mm in route.forks_mm),
-        spans=_spans(branch_ids, generation, cumulative_mm, names),
-        path=FlightPath(points, forks_mm=_inside(route.forks_mm, points)),
+        forks_mm=forks_mm,
+        lookouts_mm=stops_mm,
+        spans=spans,
+        path=FlightPath(points, forks_mm=_inside(forks_mm, points), lookouts_mm=_inside(stops_mm, points)),
         target_id=target_id,
         branch_id=branch_id,
     )
+
+
+def lookouts_mm(
+    forks_mm: Sequence[float],
+    spans: Sequence[RouteSpan],
+    cumulative_mm: NDArray[np.float64],
+    radius_mm: NDArray[np.float64],
+) -> tuple[float, ...]:
+    """Where a flight stops for each fork: one lumen diameter in front of it, where the openings are in view together.
+
+    At the branch point itself the tip stands between the openings, and the one that is not taken lies beside the lens.
+    Never before the middle of the branch that ends there, so that short branches get a stop of their own.
+
+    Parameters
+    ----------
+    forks_mm
+        Places of the forks, ascending.
+    spans
+        The branches along the route, one more than forks.
+    cumulative_mm, radius_mm
+        Places and lumen radii of the route's points, ``(n,)``.
+
+    Returns
+    -------
+    tuple of float
+        Strictly increasing; two forks at one place share a look-out.
+    """
+    stops: list[float] = []
+    for fork_mm, span in zip(forks_mm, spans, strict=False):
+        middle_mm = (min(span.from_mm, fork_mm) + fork_mm) / 2.0
+        # The branch's own width: at the branch point itself the two children count as well.
+        inside = (cumulative_mm >= span.from_mm) & (cumulative_mm <= middle_mm)
+        diameter_mm = 2.0 * float(np.median(radius_mm[inside] if inside.any() else radius_mm))
+        stop_mm = max(fork_mm - diameter_mm, middle_mm)
+        if not stops or stop_mm > stops[-1]:
+            stops.append(stop_mm)
+    return tuple(stops)
 
 
 def _inside(forks_mm: Sequence[float], points: NDArray[np.float64]) -> list[float]:

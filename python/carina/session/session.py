@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal
 
+import numpy as np
+
 from carina.errors import CarinaError, NoResultError, TrackingError, UsageError
 from carina.navigate import Navigator
 from carina.scopes import Pose
@@ -371,6 +373,17 @@ class Session(SessionCore):
                 setattr(case, name, value)
             self._changed("state", "views")
 
+    def value_at(self, lps: Point) -> int | None:
+        """The number of the voxel that a point lies in (HU where the volume is in HU); None outside the volume."""
+        volume = self._needed_case().info.volume
+        point = np.asarray(lps, dtype=np.float64)
+        if not volume.contains_lps(point):
+            return None
+        nz, ny, nx = volume.shape_zyx
+        # Clipped: a point on the volume's outermost face rounds to the voxel beyond it.
+        i, j, k = np.clip(np.rint(volume.to_ijk(point)).astype(int), 0, (nx - 1, ny - 1, nz - 1))
+        return int(volume.hu_zyx[k, j, i])
+
     # ------------------------------------------------------------ flight
 
     def steer(self, advance_mm: float, yaw_rad: float, pitch_rad: float, roll_rad: float) -> None:
@@ -382,11 +395,11 @@ class Session(SessionCore):
         self._fly(lambda tip: tip.go_to(path_mm))
 
     def next_fork(self) -> None:
-        """To the next fork along the path."""
+        """To the look-out in front of the next fork along the path."""
         self._fly(lambda tip: tip.next_fork())
 
     def previous_fork(self) -> None:
-        """To the fork before."""
+        """To the look-out of the fork before."""
         self._fly(lambda tip: tip.previous_fork())
 
     def set_mode(self, mode: Literal["free", "path"]) -> None:

@@ -236,7 +236,7 @@ function Readings() {
             <span className="ways">
               {fork.ways.map((way) => (
                 <span key={way.node.branch.id} className={way.chosen ? "way chosen" : "way"}>
-                  {`${way.node.label}, ${way.hour} o\u2019clock`}
+                  {`${way.node.label}, ${way.hour === null ? "straight on" : `${way.hour} o\u2019clock`}`}
                 </span>
               ))}
             </span>

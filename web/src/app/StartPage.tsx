@@ -3,6 +3,7 @@
 import { type DragEvent, useState } from "react";
 import { Button, FileTrigger, Form, Input, Label, TextField } from "react-aria-components";
 import { filesOfDrop, filesOfPicker } from "../net/upload";
+import { Citation } from "./Citation";
 import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
 import { Icon } from "./icons";
@@ -144,7 +145,7 @@ function Demos() {
     <div className="demos">
       {(demos ?? []).map((demo) => (
         <article key={demo.name} className="demo">
-          <img src={`./demo-${demo.name}.svg`} alt="" width={320} height={180} />
+          <img src={`./demo-${demo.name}.jpg`} alt="" width={392} height={294} />
           <div>
             <h3>{demo.title}</h3>
             <p>{demo.words}</p>
@@ -156,7 +157,7 @@ function Demos() {
               onPress={() => station.openDemo(demo.name)}
             />
           </div>
-          {demo.citation === null ? null : <p className="citation">{demo.citation}</p>}
+          {demo.citation === null ? null : <Citation text={demo.citation} />}
         </article>
       ))}
     </div>

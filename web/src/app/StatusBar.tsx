@@ -3,6 +3,7 @@
 import { useEffect, useState } from "react";
 import { greyWindow } from "../state/app-state";
 import { coordinates, fixed, plural, windowWords } from "../state/format";
+import { asVec3 } from "../state/vec";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
@@ -14,7 +15,6 @@ export function StatusBar() {
   const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
   const width = useApp((state) => greyWindow(state).width_hu);
   const level = useApp((state) => greyWindow(state).level_hu);
-  const cursor = useApp((state) => state.ui.cursorLps);
   const undo = useApp((state) => state.session?.can_undo ?? null);
   const redo = useApp((state) => state.session?.can_redo ?? null);
   return (
@@ -54,9 +54,26 @@ export function StatusBar() {
         )}
       </span>
       <span className="space" />
-      <span className="cursor wide">{cursor === null ? "" : coordinates(cursor)}</span>
+      <CursorWords />
       <strong className="not-device">not a medical device</strong>
     </footer>
+  );
+}
+
+/** Place and voxel under the cursor. Both come from one answer, so that they always belong together. */
+function CursorWords() {
+  const cursor = useApp((state) => state.ui.cursorLps);
+  const probed = useApp((state) => state.probed);
+  const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
+  if (cursor === null) return null;
+  const value = probed?.voxel_value ?? null;
+  return (
+    <span className="cursor wide" data-testid="cursor" title="The voxel under the cursor">
+      {coordinates(probed === null ? cursor : asVec3(probed.lps))}
+      <strong>
+        {probed === null ? "" : value === null ? "outside the scan" : `${fixed(value)}${isHu ? " HU" : " (not HU)"}`}
+      </strong>
+    </span>
   );
 }
 

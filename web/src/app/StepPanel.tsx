@@ -1,6 +1,7 @@
 /** The panel of the step that the work is at. Each has one primary action. */
 
 import { STEP_WORDS } from "../state/steps";
+import { Citation } from "./Citation";
 import { useApp } from "./context";
 import { Jobs } from "./Jobs";
 import { AirwaysStep } from "./steps/AirwaysStep";
@@ -11,11 +12,13 @@ import { TargetStep } from "./steps/TargetStep";
 
 export function StepPanel() {
   const step = useApp((state) => state.ui.step);
+  const citation = useApp((state) => state.session?.case?.citation ?? null);
   return (
     <section className="step-panel" aria-label={STEP_WORDS[step].title}>
       <Jobs />
       <h2>{STEP_WORDS[step].title}</h2>
       <div className="step-body">{body(step)}</div>
+      {citation === null ? null : <Citation text={citation} />}
     </section>
   );
 }

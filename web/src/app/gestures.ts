@@ -200,6 +200,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
       hover: (at, shift) => {
         const lps = at === null ? null : pointAt(at);
         station.ui({ cursorLps: lps });
+        if (lps !== null) station.sendSoon({ type: "probe", lps });
         if (shift && lps !== null) moveCrosshair(lps);
       },
       wheel: (delta, isZoom) => {

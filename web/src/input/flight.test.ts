@@ -11,7 +11,8 @@ const ROUTE: RouteInfo = {
   cumulative_mm: [],
   generation: [],
   radius_mm: [],
-  forks_mm: [30, 50],
+  forks_mm: [36, 54],
+  lookouts_mm: [30, 50],
   spans: [],
   length_mm: 60,
 };

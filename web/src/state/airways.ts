@@ -95,30 +95,51 @@ export interface WayOn {
   node: BranchNode;
   /** On the route that is flown. */
   chosen: boolean;
-  /** Clock hour of its opening in the picture. */
-  hour: number;
+  /** Clock hour of its opening in the picture, from the picture's middle; null for the one that lies in the middle. */
+  hour: number | null;
   /** To the right of the picture's middle, for ordering: left to right. */
   across: number;
 }
 
-/** How far into a child its opening is looked for: past the carina, before the next bend. */
-const OPENING_MM = 8;
+/** How far into a child its opening is looked for: one of its diameters, past the spur and before the next bend. */
+const OPENING_MM = { least: 4, most: 10 };
+/**
+ * An opening nearer than this to the line of sight (tan 12 degrees), with the others at least so many times farther out,
+ * has no hour: it is straight on.
+ */
+const MIDDLE = { tangent: 0.21, times: 3 };
+/** An opening beside or behind the lens is only a direction, as far out as can be. */
+const LEAST_DEPTH_MM = 1;
 
 /** The ways on from the end of a branch, from left to right in the picture that the camera sees. */
 export function waysOn(node: BranchNode, camera: Camera, route: Pick<RouteInfo, "spans"> | null): WayOn[] {
   const fork = tip(node.branch);
   if (fork === null) return [];
   const onRoute = new Set(route?.spans.map((span) => span.branch_id) ?? []);
-  return node.children
-    .map((child) => {
-      const inside = child.branch.points
-        .map((point) => asVec3(point))
-        .find((point) => distance(point, fork) >= OPENING_MM);
-      const offset = sub(inside ?? tip(child.branch) ?? fork, fork);
-      const x = dot(offset, camera.right);
-      const y = dot(offset, camera.down);
-      return { node: child, chosen: onRoute.has(child.branch.id), hour: clockHour(Math.atan2(x, -y)), across: x };
-    })
+  const openings = node.children.map((child) => {
+    const far = Math.min(Math.max(child.diameterMm, OPENING_MM.least), OPENING_MM.most);
+    const inside = child.branch.points.map((point) => asVec3(point)).find((point) => distance(point, fork) >= far);
+    const seen = sub(inside ?? tip(child.branch) ?? fork, camera.position);
+    const depth = Math.max(dot(seen, camera.forward), LEAST_DEPTH_MM);
+    // Where the picture shows it, as tangents of the angle to the line of sight.
+    return { child, x: dot(seen, camera.right) / depth, y: dot(seen, camera.down) / depth };
+  });
+  const hours = openings.map(({ x, y }) => clockHour(Math.atan2(x, -y)));
+  const offsets = openings.map(({ x, y }) => Math.hypot(x, y));
+  const nearest = Math.min(...offsets);
+  const middle = offsets.indexOf(nearest);
+  const others = offsets.filter((_, index) => index !== middle);
+  const inMiddle = nearest < MIDDLE.tangent && Math.min(...others) > MIDDLE.times * nearest;
+  // Two openings at one hour lie on the same side: the nearer to the middle is the one straight on.
+  const shared = hours.some((hour, index) => index !== middle && hour === hours[middle]);
+  const ahead = others.length > 0 && (inMiddle || shared);
+  return openings
+    .map(({ child, x }, index) => ({
+      node: child,
+      chosen: onRoute.has(child.branch.id),
+      hour: ahead && index === middle ? null : (hours[index] ?? null),
+      across: x,
+    }))
     .sort((a, b) => a.across - b.across);
 }
 

@@ -10,6 +10,7 @@ import type {
   StartMessage,
   StateMessage,
   StatusMessage,
+  ValueMessage,
   ViewName,
 } from "../wire/messages";
 import { type BranchTree, buildTree } from "./airways";
@@ -73,6 +74,8 @@ export interface AppState {
   /** Header of the picture that each view shows now. */
   readonly frames: Readonly<Partial<Record<ViewName, PictureHeader>>>;
   readonly pace: Pace;
+  /** The voxel under the cursor, as last answered; null while the cursor is over no slice. */
+  readonly probed: ValueMessage | null;
   readonly upload: Upload | null;
   readonly ui: Ui;
   readonly local: {
@@ -96,6 +99,7 @@ export const INITIAL_STATE: AppState = {
   status: null,
   frames: {},
   pace: NO_PACE,
+  probed: null,
   upload: null,
   ui: {
     step: "open",
@@ -144,7 +148,11 @@ export function reduce(state: AppState, event: AppEvent): AppState {
     case "dismiss":
       return { ...state, messages: state.messages.filter((message) => message.id !== event.id) };
     case "ui":
-      return { ...state, ui: { ...state.ui, ...event.change } };
+      return {
+        ...state,
+        probed: event.change.cursorLps === null ? null : state.probed,
+        ui: { ...state.ui, ...event.change },
+      };
   }
 }
 
@@ -162,6 +170,9 @@ function receive(state: AppState, message: ServerMessage, nowMs: number): AppSta
       return { ...state, route: message.route, local: { ...state.local, pathMm: null } };
     case "pose":
       return poseChanged(state, message, nowMs);
+    case "value":
+      // An answer that comes after the cursor has left says nothing any more.
+      return state.ui.cursorLps === null ? state : { ...state, probed: message };
     case "progress":
       return {
         ...state,

@@ -21,6 +21,7 @@ const ROUTE: RouteInfo = {
   generation: [0, 0, 0, 1],
   radius_mm: [9, 8, 7, 2.5],
   forks_mm: [30],
+  lookouts_mm: [15],
   spans: [
     { branch_id: 0, name: "Trachea", generation: 0, from_mm: 0, to_mm: 30 },
     { branch_id: 2, name: null, generation: 1, from_mm: 30, to_mm: 40 },
@@ -62,10 +63,10 @@ const TREE = buildTree({
 const FROM_HEAD: Camera = { right: [-1, 0, 0], down: [0, 1, 0], forward: [0, 0, -1], position: [0, 0, 0] };
 
 describe("along the route", () => {
-  it("stops at the next fork, then at the end", () => {
-    expect(nextStopMm(ROUTE, 0)).toBe(30);
-    expect(nextStopMm(ROUTE, 29)).toBe(30);
-    expect(nextStopMm(ROUTE, 30)).toBe(40);
+  it("stops in front of the next fork, then at the end", () => {
+    expect(nextStopMm(ROUTE, 0)).toBe(15);
+    expect(nextStopMm(ROUTE, 14)).toBe(15);
+    expect(nextStopMm(ROUTE, 15)).toBe(40);
   });
 
   it("has points between its points and none beyond its ends", () => {
@@ -115,6 +116,16 @@ describe("the tree", () => {
     expect(facing.map((way) => way.node.branch.id)).toEqual([1, 2]);
   });
 
+  it("calls the way in the middle of the picture straight on, and gives the other its hour there", () => {
+    // On the way into the left branch and looking along it.
+    const into: Camera = { right: [0, 0, -1], down: [0, 1, 0], forward: [1, 0, 0], position: [-20, 0, -31] };
+    const ways = waysOn(TREE.root, into, ROUTE);
+    expect(ways.map((way) => [way.node.branch.id, way.hour])).toEqual([
+      [2, null],
+      [1, 3],
+    ]);
+  });
+
   it("goes one way to the side and no further", () => {
     const ways = waysOn(TREE.root, FROM_HEAD, ROUTE);
     expect(neighbourWay(ways, 1)?.node.branch.id).toBe(1);
@@ -125,6 +136,18 @@ describe("the tree", () => {
     expect(forkAhead(TREE, ROUTE, 10, FROM_HEAD)?.distanceMm).toBe(20);
     expect(forkAhead(TREE, ROUTE, 30, FROM_HEAD)?.distanceMm).toBe(0);
     expect(forkAhead(TREE, ROUTE, 38, FROM_HEAD)).toBeNull();
+    // At the look-out of a fork that follows within millimetres, that one is meant.
+    const short: RouteInfo = {
+      ...ROUTE,
+      forks_mm: [30, 33],
+      lookouts_mm: [15, 31.5],
+      spans: [
+        { branch_id: 0, name: null, generation: 0, from_mm: 0, to_mm: 30 },
+        { branch_id: 0, name: null, generation: 1, from_mm: 30, to_mm: 33 },
+      ],
+    };
+    expect(forkAhead(TREE, short, 30.5, FROM_HEAD)?.distanceMm).toBe(0);
+    expect(forkAhead(TREE, short, 31.5, FROM_HEAD)?.distanceMm).toBe(1.5);
   });
 
   it("ends on a tree that loops", () => {

@@ -6,14 +6,9 @@ import { asVec3, lerp, sub, unit, type Vec3 } from "./vec";
 /** Two places nearer than this are one fork to a person (and a pose after a rounding is not "before" it again). */
 export const FORK_TOLERANCE_MM = 0.5;
 
-export function nextForkMm(route: Pick<RouteInfo, "forks_mm" | "length_mm">, pathMm: number): number | null {
-  const fork = route.forks_mm.find((at) => at > pathMm + FORK_TOLERANCE_MM);
-  return fork ?? null;
-}
-
-/** Where an automatic advance stops: the next fork, else the end of the route. */
-export function nextStopMm(route: Pick<RouteInfo, "forks_mm" | "length_mm">, pathMm: number): number {
-  return nextForkMm(route, pathMm) ?? route.length_mm;
+/** Where an automatic advance stops: in front of the next fork, with its openings in view; else the end of the route. */
+export function nextStopMm(route: Pick<RouteInfo, "lookouts_mm" | "length_mm">, pathMm: number): number {
+  return route.lookouts_mm.find((at) => at > pathMm + FORK_TOLERANCE_MM) ?? route.length_mm;
 }
 
 export function clampToRoute(route: Pick<RouteInfo, "length_mm">, pathMm: number): number {

@@ -219,6 +219,12 @@ export interface SetZoomMessage {
   readonly extent_mm: number | null;
 }
 
+/** Ask for the number of the voxel at a point; the answer is `value`. */
+export interface ProbeMessage {
+  readonly type: "probe";
+  readonly lps: readonly [number, number, number];
+}
+
 /** Take back the last change. */
 export interface UndoMessage {
   readonly type: "undo";
@@ -406,6 +412,7 @@ export interface RouteInfo {
   readonly generation: readonly number[];
   readonly radius_mm: readonly number[];
   readonly forks_mm: readonly number[];
+  readonly lookouts_mm: readonly number[];
   readonly spans: readonly RouteSpan[];
   readonly length_mm: number;
 }
@@ -428,6 +435,13 @@ export interface PoseMessage {
   readonly generation: number | null;
   readonly lumen_mm: number | null;
   readonly inside: boolean;
+}
+
+/** Answer to `probe`; only the newest is sent. */
+export interface ValueMessage {
+  readonly type: "value";
+  readonly lps: readonly [number, number, number];
+  readonly voxel_value: number | null;
 }
 
 /** A job's progress; fraction and time left are null where they cannot be known. */
@@ -522,6 +536,7 @@ export type ClientMessage =
   | SetLumenThresholdMessage
   | SetOrbitMessage
   | SetZoomMessage
+  | ProbeMessage
   | UndoMessage
   | RedoMessage
   | AcceptNoticeMessage;
@@ -533,6 +548,7 @@ export type ServerMessage =
   | TreeMessage
   | RouteMessage
   | PoseMessage
+  | ValueMessage
   | ProgressMessage
   | DoneMessage
   | ErrorMessage

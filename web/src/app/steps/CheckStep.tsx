@@ -84,7 +84,6 @@ export function CheckStep() {
           </ul>
         </>
       )}
-      {info.citation === null ? null : <p className="citation">{info.citation}</p>}
       <Act
         kind="primary"
         label="Go on to the airways"

@@ -41,7 +41,6 @@ export function OpenStep() {
           {plural(info.other_series.length, "other series", "other series")} in the folder: see Check.
         </p>
       )}
-      {info.citation === null ? null : <p className="citation">{info.citation}</p>}
       <Act
         kind="primary"
         icon="folder"
