@@ -198,6 +198,10 @@ def test_the_built_client_is_served_and_nothing_beside_it(tmp_path):
             "/assets/..%2f..%2fsecret.txt",
             "/..%5csecret.txt",
             "/%00",
+            "/" + "a" * 5000,
+            "/" + "a/" * 5000,
+            "//etc/passwd",
+            "/assets",
         ):
             assert http.get(path).status_code == 404
 
@@ -254,6 +258,61 @@ def test_a_program_comes_in_with_the_secret_and_without_an_origin(live):
     ) as socket:
         socket.send('{"type": "hello", "wire_version": 1}')
         assert json.loads(socket.recv(timeout=WAIT_S))["type"] == "hello"
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "null",
+        "",
+        "file://",
+        "https://{host}",
+        "http://{host}/",
+        "http://{host}.evil.example",
+        "http://localhost:{port}",
+    ],
+)
+def test_an_origin_that_is_not_exactly_ours_is_refused_even_with_the_secret(live, origin):
+    host = f"127.0.0.1:{live.gate.port}"
+    sent = origin.format(host=host, port=live.gate.port)
+    with live.http(authorization=f"Bearer {live.gate.secret}", origin=sent) as http:
+        assert http.post("/api/upload").status_code == 403
+
+
+def test_uploads_on_a_disk_that_takes_nothing_are_refused_in_words(live, monkeypatch):
+    def full(**_options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.mkdtemp", full)
+    with live.http(authorization=f"Bearer {live.gate.secret}") as http:
+        answer = http.post("/api/upload")
+    assert answer.status_code == 507
+    assert "No space left" in answer.json()["message"]
+
+
+def test_a_file_in_the_place_of_a_folder_is_refused_in_words(live):
+    with live.http(authorization=f"Bearer {live.gate.secret}") as http:
+        upload = http.post("/api/upload").json()["upload_id"]
+        assert http.put(f"/api/upload/{upload}", params={"name": "a"}, content=b"1").status_code == 201
+        for name in ("a/b", "a/b/c"):
+            answer = http.put(f"/api/upload/{upload}", params={"name": name}, content=b"1")
+            assert answer.status_code == 507
+            assert "could not be stored" in answer.json()["message"]
+    assert live.uploads.place(upload).read_bytes() == b"1"
+
+
+def test_thousands_of_steers_and_acks_of_frames_never_sent_leave_the_session_answering(live):
+    with live.window() as window:
+        window.send(SHOWN)
+        open_case(window)
+        # 3000: three minutes of a 16 ms loop at once. Each moves 0.001 mm.
+        window.send(*(wire.Steer(0.001, 0.0, 0.0, 0.0) for _ in range(3000)))
+        window.send(*(wire.Ack(10**9 + n) for n in range(1000)))
+        window.send(wire.SetFov(77.0))
+        window.until_state(lambda s: s.fov_deg == 77.0)
+        window.until(lambda m: isinstance(m, wire.PictureHeader) and m.full)
+        last = live.session.pose_info()
+        assert last.path_mm == pytest.approx(3.0)
 
 
 # ---------------------------------------------------------------- the conversation

@@ -121,6 +121,31 @@ def test_a_view_that_cannot_be_rendered_is_told_once_and_the_others_go_on(screen
     assert [h.view for h in screen.headers] == ["axial"]
 
 
+class Panic(BaseException):
+    """As a panic of the compiled module arrives: no Exception."""
+
+
+def test_neither_a_panic_nor_a_picture_that_cannot_be_encoded_ends_the_thread(screen):
+    renderer = screen.bench.renderers[-1]
+    whole = renderer.render
+
+    def broken(view):
+        if isinstance(view, AirwayView):
+            raise Panic("index out of bounds")
+        picture = whole(view)
+        picture.lps_from_pixel = np.full((4, 4), np.nan)
+        return picture
+
+    renderer.render = broken
+    screen.drain()
+    assert screen.headers == []
+    assert {words.partition(" could")[0] for _, words in screen.told} == {"the airway view", "the axial view"}
+    renderer.render = whole
+    screen.bench.session.set_fov(101.0)
+    screen.drain()
+    assert {h.view for h in screen.headers} >= {"airway"}
+
+
 def test_a_fault_in_the_renderer_does_not_end_the_pump(screen, caplog):
     def break_down(view):
         raise ZeroDivisionError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -9,6 +10,7 @@ import sys
 
 import httpx
 import pytest
+from websockets.sync.client import connect
 
 from carina.errors import CarinaError, UsageError, VolumeImportError
 from carina.server import serve
@@ -29,9 +31,9 @@ def test_what_cannot_be_opened_is_refused_before_a_server_starts(tmp_path):
     (tmp_path / "holiday.pdf").write_bytes(b"%PDF-1.7\n%%EOF")
     ready = []
     with pytest.raises(VolumeImportError, match=r"holiday\.pdf"):
-        serve(str(tmp_path / "holiday.pdf"), open_browser=False, on_ready=ready.append)
+        serve(str(tmp_path / "holiday.pdf"), open_browser=False, on_ready=lambda *told: ready.append(told))
     with pytest.raises(VolumeImportError):
-        serve(str(tmp_path / "nothing-here"), open_browser=False, on_ready=ready.append)
+        serve(str(tmp_path / "nothing-here"), open_browser=False, on_ready=lambda *told: ready.append(told))
     assert ready == []
 
 
@@ -40,10 +42,44 @@ def test_a_port_in_use_is_said_before_anything_is_opened():
         serve(None, port=taken.getsockname()[1], open_browser=False)
 
 
+def test_a_program_outside_comes_in_with_the_printed_token_as_often_as_it_likes(tmp_path):
+    environment = {**os.environ, "XDG_CONFIG_HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    command = [sys.executable, "-m", "carina.cli", "open", "--no-browser", "--json"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        try:
+            text = ""
+            while not text.rstrip().endswith("}"):
+                line = process.stdout.readline()
+                assert line, process.stderr.read()
+                text += line
+            told = json.loads(text)
+            assert set(told) == {"url", "token"}
+            assert told["token"] not in told["url"]
+            base = told["url"].partition("/?")[0]
+            bearer = {"Authorization": f"Bearer {told['token']}"}
+            for _ in range(2):
+                assert httpx.post(f"{base}/api/upload", headers=bearer, timeout=WAIT_S).status_code == 201
+                with connect(f"ws{base[4:]}/ws", additional_headers=bearer, open_timeout=WAIT_S) as socket:
+                    socket.send('{"type": "hello", "wire_version": 1}')
+                    assert json.loads(socket.recv(timeout=WAIT_S))["type"] == "hello"
+            # The token for programs is no start token, and the start token no bearer.
+            assert httpx.get(f"{base}/?token={told['token']}", timeout=WAIT_S).status_code == 403
+            start = told["url"].partition("token=")[2]
+            wrong = {"Authorization": f"Bearer {start}"}
+            assert httpx.post(f"{base}/api/upload", headers=wrong, timeout=WAIT_S).status_code == 403
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=WAIT_S)
+        finally:
+            process.kill()
+    assert (process.returncode, out, err) == (0, "", "")
+
+
 def test_the_process_prints_its_link_answers_it_once_and_ends_cleanly(tmp_path):
     program = (
         "from carina.server import serve\n"
-        "raise SystemExit(serve(None, open_browser=False, on_ready=lambda url: print(url, flush=True)))"
+        "raise SystemExit(serve(None, open_browser=False, on_ready=lambda url, token: print(url, flush=True)))"
     )
     environment = {**os.environ, "XDG_CONFIG_HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
     with subprocess.Popen(

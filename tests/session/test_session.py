@@ -462,6 +462,31 @@ def test_a_fault_in_a_job_is_told_in_words_and_logged_without_its_message(caplog
     assert bench.session.snapshot().airways == "failed"
 
 
+def test_a_panic_of_the_compiled_module_ends_its_job_in_words():
+    class Panic(BaseException):
+        pass
+
+    def broken(volume, **_options):
+        raise Panic("index out of bounds")
+
+    bench = small_bench(find_airways=broken)
+    bench.open()
+    assert [t.code for t in bench.of_type(Trouble)] == ["carina.fault"]
+    assert bench.session.jobs.running == ()
+
+
+def test_what_the_disk_does_not_take_is_remembered_until_the_end(tmp_path):
+    # A file in the place of the folder: nobody can write into it, not even root.
+    (tmp_path / "config").write_text("", encoding="utf-8")
+    store = LocalStore(tmp_path / "config")
+    store.accept_notice()
+    store.remember("/scans/a", "A", "2026-01-31")
+    store.remember("/scans/b", "B", "2026-01-31")
+    assert store.notice_accepted()
+    assert [c.title for c in store.recent()] == ["B", "A"]
+    assert not LocalStore(tmp_path / "config").notice_accepted()
+
+
 def test_listeners_hear_of_changes_until_they_stop():
     bench = small_bench()
     bench.open()

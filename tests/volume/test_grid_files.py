@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 
-from carina.errors import CancelledError, VolumeImportError
+from carina.errors import CancelledError, UsageError, VolumeImportError
 from carina.volume import inspect_path, open_volume
+from carina.volume.demo import CASE_PATH
 
 SIZE_IJK = (13, 11, 9)
 SPACING_MM = (0.7, 0.9, 1.25)
@@ -63,6 +64,12 @@ def test_an_oblique_anisotropic_grid_keeps_its_positions_and_values(tmp_path, su
     np.testing.assert_array_equal(volume.hu_zyx, hu_like())
     assert volume.is_hu, volume.not_hu_reason
     np.testing.assert_array_equal(inspect_path(tmp_path / f"ct.{suffix}").lps_from_ijk, volume.lps_from_ijk)
+
+
+def test_a_series_is_not_to_be_chosen_in_a_file_of_one_volume():
+    for look in (open_volume, inspect_path):
+        with pytest.raises(UsageError, match="no series 'lung'"):
+            look(CASE_PATH, series="lung")
 
 
 def test_a_format_is_known_by_its_bytes_and_not_by_its_name(tmp_path):

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import logging
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 import carina
-from carina.cli.arguments import parse_point, parse_size
-from carina.cli.console import exit_codes, print_json, progress_printer
+from carina.cli.arguments import check_output_folder, parse_point, parse_size
+from carina.cli.console import exit_codes, fail, print_json, progress_printer
 from carina.errors import UsageError
 
 __all__ = ["app", "main"]
@@ -38,15 +39,16 @@ BrowserOption = Annotated[bool, typer.Option("--browser/--no-browser", help="Ope
 
 
 def _workstation(*, path: Path | None, demo: str | None, host: str, port: int, browser: bool, as_json: bool) -> None:
-    from carina.server import serve
-
-    def ready(url: str) -> None:
+    def ready(url: str, token: str) -> None:
         if as_json:
-            print_json({"url": url})
+            # The link is for a browser and works once; the token is for programs and lasts as long as the server.
+            print_json({"url": url, "token": token})
         else:
             print(f"Carina is open at {url}\nPress Ctrl-C to close it.", flush=True)
 
     with exit_codes(as_json):
+        from carina.server import serve
+
         code = serve(
             str(path) if path is not None else None,
             demo=demo,
@@ -118,9 +120,9 @@ def info(
 
     Example: carina info ~/scans/thorax --json
     """
-    from carina.cli.info import report
-
     with exit_codes(as_json):
+        from carina.cli.info import report
+
         raise SystemExit(report(path, strict=strict, series=series, as_json=as_json))
 
 
@@ -142,9 +144,9 @@ def track(
 
     Example: carina track scan.nii.gz --root auto --target -41,12,-180 --target 38,20,-176 -o tree.json
     """
-    from carina.cli.track import report
-
     with exit_codes(as_json):
+        from carina.cli.track import report
+
         for what, value, allowed in (("--cost", cost, "lumen"), ("--graph", graph, "voxel")):
             if value != allowed:
                 raise UsageError(f"{what}: expected {allowed} (others are not built yet); found {value!r}")
@@ -163,9 +165,7 @@ def render(
             help="airway, cut-plane, tri-plane, xray-axial, xray-coronal, xray-sagittal, axial, coronal, sagittal, tree"
         ),
     ] = "airway",
-    at: Annotated[
-        str | None, typer.Option(help="Tip position x,y,z in mm (LPS); the top of the trachea unless told.")
-    ] = None,
+    at: Annotated[str, typer.Option(help="Tip position x,y,z in mm (LPS), or auto: the top of the trachea.")] = "auto",
     look: Annotated[str | None, typer.Option(help="Viewing direction dx,dy,dz; caudal unless told.")] = None,
     up: Annotated[str | None, typer.Option(help="Direction that appears up; anterior unless told.")] = None,
     fov: Annotated[float, typer.Option(help="Full field of view across the shorter side, degrees.")] = 90.0,
@@ -179,7 +179,10 @@ def render(
     orbit: Annotated[
         str | None, typer.Option(help="azimuth,elevation,distance of the tri-plane and tree views (degrees, mm).")
     ] = None,
-    window: Annotated[str, typer.Option(help="width,level in HU of the planes and X-rays.")] = "1500,-600",
+    window: Annotated[
+        str | None,
+        typer.Option(help="width,level in HU; 1500,-600 for the planes and fitted to the X-rays unless told."),
+    ] = None,
     series: SeriesOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -187,9 +190,9 @@ def render(
 
     Example: carina render ~/scans/thorax --view airway --at -2,15,-120 --look 0,0,-1 --size 768x768 -o carina.png
     """
-    from carina.cli.render import report
-
     with exit_codes(as_json):
+        from carina.cli.render import report
+
         if shading not in {"on", "off"}:
             raise UsageError(f"--shading: expected on or off; found {shading!r}")
         raise SystemExit(
@@ -197,7 +200,7 @@ def render(
                 path,
                 output=output,
                 view=view,
-                at=None if at is None else parse_point(at, "--at"),
+                at=None if at == "auto" else parse_point(at, "--at"),
                 look=None if look is None else parse_point(look, "--look"),
                 up=None if up is None else parse_point(up, "--up"),
                 fov_deg=fov,
@@ -228,9 +231,10 @@ def phantom(
 
     Example: carina phantom -o case --seed 7 --nodule
     """
-    from carina.phantom import generate_phantom, write_phantom
-
     with exit_codes(as_json):
+        from carina.phantom import generate_phantom, write_phantom
+
+        check_output_folder(output)
         made = generate_phantom(
             seed=seed,
             spacing_mm=spacing_mm,
@@ -259,15 +263,26 @@ def doctor(as_json: JsonOption = False) -> None:
 
     Example: carina doctor
     """
-    from carina.cli.doctor import report
-
     with exit_codes(as_json):
+        from carina.cli.doctor import report
+
         raise SystemExit(report(as_json=as_json))
+
+
+USAGE_ERROR: Any = typer.BadParameter.__base__
+"""Root of what typer itself refuses: unknown options, missing arguments, values of the wrong type."""
 
 
 def main() -> None:
     """Entry point of the ``carina`` command."""
-    from carina.config import load_settings
+    as_json = "--json" in sys.argv[1:]
+    with exit_codes(as_json):
+        from carina.config import load_settings
 
-    logging.basicConfig(level=load_settings().log_level, format="%(levelname)s %(name)s: %(message)s")
-    app(prog_name="carina")
+        logging.basicConfig(level=load_settings().log_level, format="%(levelname)s %(name)s: %(message)s")
+        try:
+            code = app(prog_name="carina", standalone_mode=False)
+        except USAGE_ERROR as error:
+            error.show()
+            fail(as_json, UsageError.code, error.format_message(), UsageError.exit_code)
+    raise SystemExit(code if isinstance(code, int) else 0)

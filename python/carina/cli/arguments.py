@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import os
 import re
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.errors import UsageError
+from carina.errors import CarinaError, UsageError
 
-__all__ = ["parse_point", "parse_size"]
+__all__ = ["check_output_file", "check_output_folder", "parse_point", "parse_size"]
 
 
 def parse_point(text: str, what: str) -> NDArray[np.float64]:
@@ -32,3 +35,39 @@ def parse_size(text: str) -> tuple[int, int]:
     if not match or not all(1 <= int(side) <= 8192 for side in match.groups()):
         raise UsageError(f"--size: expected WxH from 1x1 to 8192x8192 pixels, such as 512x512; found {text!r}")
     return int(match[1]), int(match[2])
+
+
+def check_output_file(path: Path, suffix: str | None = None) -> None:
+    """Refuse a result's place before the work and not after it.
+
+    Raises
+    ------
+    UsageError
+        If its name, its folder or what stands there already cannot be meant.
+    CarinaError
+        If this person may not write there.
+    """
+    if suffix is not None and path.suffix.lower() != suffix:
+        raise UsageError(f"-o: expected a file name that ends in {suffix}; found {path.name!r}")
+    if not path.parent.is_dir():
+        raise UsageError(f"-o: there is no folder {path.parent}")
+    if path.is_dir():
+        raise UsageError(f"-o: expected a file; {path} is a folder")
+    _check_writable(path.parent)
+
+
+def check_output_folder(path: Path) -> None:
+    """The same for a folder of results, which is made when it is missing."""
+    if path.exists() and not path.is_dir():
+        raise UsageError(f"-o: expected a folder; {path} is a file")
+    above = path
+    while not above.exists():
+        above = above.parent
+    if not above.is_dir():
+        raise UsageError(f"-o: expected a folder; {above} is a file")
+    _check_writable(above)
+
+
+def _check_writable(folder: Path) -> None:
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise CarinaError(f"-o: {folder} cannot be written: {os.strerror(errno.EACCES)}", code="machine")

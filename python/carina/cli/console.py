@@ -7,15 +7,17 @@ import logging
 import math
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NoReturn, TypeVar
 
 from carina.errors import CancelledError, CarinaError
 
-__all__ = ["exit_codes", "print_json", "progress_printer", "say"]
+__all__ = ["exit_codes", "fail", "interruptible", "print_json", "progress_printer", "say"]
 
+Result = TypeVar("Result")
 ProgressCallback = Callable[[str, float | None], None]
 
 
@@ -54,6 +56,30 @@ def progress_printer() -> ProgressCallback:
     return show
 
 
+def interruptible(work: Callable[[], Result]) -> Result:
+    """Do what cannot be asked to stop (one picture, which may take minutes) so that Ctrl-C is answered at once.
+
+    The work runs in a thread that does not keep Python from ending; it must write nothing.
+    """
+    results: list[Result] = []
+    troubles: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            results.append(work())
+        except BaseException as trouble:
+            troubles.append(trouble)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    while thread.is_alive():
+        # Windows answers Ctrl-C between waits only.
+        thread.join(0.2)
+    if troubles:
+        raise troubles[0]
+    return results[0]
+
+
 @contextmanager
 def exit_codes(as_json: bool) -> Iterator[None]:
     """Turn every end of a command into its exit code (DESIGN section 3) and one clear message.
@@ -64,20 +90,47 @@ def exit_codes(as_json: bool) -> Iterator[None]:
         yield
     except BrokenPipeError:
         # The reader of our output went away (``carina info x | head``): no fault, and nothing left to say.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_stdout()
         raise SystemExit(0) from None
     except (KeyboardInterrupt, CancelledError):
         say("stopped")
-        raise SystemExit(130) from None
+        fail(as_json, CancelledError.code, "stopped", CancelledError.exit_code)
     except CarinaError as error:
         logging.getLogger("carina").debug("command failed", exc_info=True)
-        if as_json:
-            print_json({"error": {"code": error.code, "message": str(error)}})
         say(f"carina: {error}")
-        raise SystemExit(error.exit_code) from None
+        fail(as_json, error.code, str(error), error.exit_code)
     except OSError as error:
         message = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
-        if as_json:
-            print_json({"error": {"code": "machine", "message": message}})
         say(f"carina: {message}")
-        raise SystemExit(1) from None
+        fail(as_json, "machine", message, 1)
+    except MemoryError:
+        message = "there is not enough memory for this; close other programs, or use a smaller volume or picture"
+        say(f"carina: {message}")
+        fail(as_json, "machine.memory", message, 1)
+    except SystemExit:
+        raise
+    except BaseException as error:
+        # BaseException: a panic of the compiled module is no Exception.
+        logging.getLogger("carina").debug("command failed", exc_info=True)
+        message = (
+            f"this could not be done, by a fault of Carina ({type(error).__name__}: {error}); "
+            "CARINA_LOG_LEVEL=DEBUG shows where, please report it"
+        )
+        say(f"carina: {message}")
+        fail(as_json, "carina.fault", message, 1)
+
+
+def fail(as_json: bool, code: str, message: str, exit_code: int) -> NoReturn:
+    """End the command; with ``--json`` the failure is the one object on stdout."""
+    if as_json:
+        try:
+            print_json({"error": {"code": code, "message": message}})
+        except OSError:
+            # Stdout itself is what failed (a full disk, a closed pipe); the words are on stderr.
+            _drop_stdout()
+    raise SystemExit(exit_code) from None
+
+
+def _drop_stdout() -> None:
+    """What is left in the buffer would fail once more when Python ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

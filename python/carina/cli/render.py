@@ -4,31 +4,51 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import carina
-from carina.cli.arguments import parse_point
-from carina.cli.console import print_json, progress_printer, say
-from carina.errors import UsageError
-from carina.render import TransferFunction, mark_tip, render_view, transfer_preset
+from carina.cli.arguments import check_output_file, parse_point
+from carina.cli.console import interruptible, print_json, progress_printer, say
+from carina.errors import CarinaError, UsageError, VolumeImportError
+from carina.render import TransferFunction, mark_tip, render_view, transfer_preset, view_spec
 from carina.scopes import Pose
 
 __all__ = ["report"]
 
+MAX_TRANSFER_BYTES = 1_000_000
+# Planes through the tip: outside the volume they would be a picture of nothing.
+VIEWS_INSIDE = {"cut-plane", "tri-plane", "axial", "coronal", "sagittal"}
 MARKED_VIEWS = {"xray-axial", "xray-coronal", "xray-sagittal", "axial", "coronal", "sagittal", "tree"}
 
 
 def _transfer(text: str | None) -> TransferFunction | None:
     if text is None:
         return None
-    if text.endswith(".json"):
-        return TransferFunction.from_json_text(Path(text).read_text(encoding="utf-8"))
-    return transfer_preset(text)
+    if not text.endswith(".json"):
+        return transfer_preset(text)
+    try:
+        with Path(text).open(encoding="utf-8") as file:
+            document = file.read(MAX_TRANSFER_BYTES + 1)
+        if len(document) > MAX_TRANSFER_BYTES:
+            raise VolumeImportError(f"{text}: too large for a transfer function", code="render.transfer")
+        return TransferFunction.from_json_text(document)
+    except VolumeImportError:
+        raise
+    except OSError as error:
+        raise VolumeImportError(f"{text}: cannot be read: {error.strerror}", code="render.transfer") from error
+    except UnicodeDecodeError as error:
+        raise VolumeImportError(f"{text}: is no text; expected a transfer function", code="render.transfer") from error
+    except CarinaError as error:
+        # In a file it is the file that is refused, not an argument.
+        raise VolumeImportError(f"{text}: {error}", code=error.code) from error
 
 
-def _window(text: str) -> tuple[float, float]:
+def _window(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
     parts = text.split(",")
     try:
         width, level = (float(part) for part in parts)
@@ -52,50 +72,52 @@ def report(
     transfer: str | None,
     shading: bool,
     orbit: str | None,
-    window: str,
+    window: str | None,
     series: str | None,
     as_json: bool,
 ) -> int:
     """Render one picture and write it as PNG."""
-    if output.suffix.lower() != ".png":
-        raise UsageError(f"-o: expected a file name that ends in .png; found {output.name!r}")
-    if not output.parent.is_dir():
-        raise UsageError(f"-o: there is no folder {output.parent}")
+    check_output_file(output, ".png")
     chosen = _transfer(transfer)
-    orbit_values = None if orbit is None else parse_point(orbit, "--orbit")
-    window_hu = _window(window)
+    options: dict[str, Any] = {
+        "view": view,
+        "fov_deg": fov_deg,
+        "width": size[0],
+        "height": size[1],
+        "method": method,
+        "step_vox": step_vox,
+        "shading": shading,
+        "orbit": None if orbit is None else tuple(float(v) for v in parse_point(orbit, "--orbit")),
+        "window_hu": _window(window),
+    }
+    direction = (0.0, 0.0, -1.0) if look is None else look
+    # What is wrong with the arguments is said now, and not after minutes of reading and tracking.
+    view_spec(pose=Pose.looking((0.0, 0.0, 0.0) if at is None else at, direction, up), **options)
     progress = progress_printer()
     volume = carina.open_volume(path, series=series, progress=progress)
+    if at is not None and not volume.contains_lps(at):
+        words = "--at {:g},{:g},{:g} lies outside the volume".format(*at)
+        if view in VIEWS_INSIDE:
+            raise UsageError(f"{words}; `carina info` shows where it is")
+        say(f"note: {words}")
     airways = None
     # The lumen closes thin walls in the endoscopic picture, is the tree view's surface, and gives the default pose.
     wants_wall = view == "airway" and volume.is_hu and (chosen is None or chosen.name == "endoscopic")
-    if at is None or view == "tree" or wants_wall:
+    # X-rays show the whole volume from wherever it is asked for.
+    wants_pose = at is None and not view.startswith("xray-")
+    if wants_pose or view == "tree" or wants_wall:
         try:
             airways = carina.find_airways(volume, progress=progress)
         except carina.NoResultError as error:
-            if at is None or view == "tree":
+            if wants_pose or view == "tree":
                 raise
             say(f"note: {error}; thin walls are shown as the CT has them")
-    if at is None:
-        assert airways is not None
+    if at is None and airways is not None:
         at = airways.root_lps
-    pose = Pose.looking(at, (0.0, 0.0, -1.0) if look is None else look, up)
-    picture = render_view(
-        volume,
-        view=view,
-        pose=pose,
-        fov_deg=fov_deg,
-        width=size[0],
-        height=size[1],
-        method=method,
-        step_vox=step_vox,
-        transfer=chosen,
-        shading=shading,
-        orbit=None if orbit_values is None else tuple(float(v) for v in orbit_values),
-        window_hu=window_hu,
-        lumen_zyx=None if airways is None else airways.lumen_zyx,
-    )
-    if view in MARKED_VIEWS:
+    pose = Pose.looking(volume.center_lps if at is None else at, direction, up)
+    lumen_zyx = None if airways is None else airways.lumen_zyx
+    picture = interruptible(lambda: render_view(volume, pose=pose, transfer=chosen, lumen_zyx=lumen_zyx, **options))
+    if view in MARKED_VIEWS and at is not None:
         picture = mark_tip(picture, pose.position_lps)
     picture.save(output)
     say(f"wrote {output}")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import carina
+from carina.cli.arguments import check_output_file
 from carina.cli.console import print_json, progress_printer, say
 from carina.errors import NoResultError
 from carina.export import write_tree
@@ -26,6 +27,8 @@ def report(
     as_json: bool,
 ) -> int:
     """Track all targets and write the tree; 4 if one of them has no path (the others are written)."""
+    if output is not None:
+        check_output_file(output)
     progress = progress_printer()
     volume = carina.open_volume(path, series=series, progress=progress)
     for warning in volume.source.warnings:

@@ -3,7 +3,7 @@
 from typing import Any
 
 from carina import _core
-from carina.render.pictures import VIEW_NAMES, mark_tip, render_view
+from carina.render.pictures import VIEW_NAMES, mark_tip, render_view, view_spec
 from carina.render.renderer import Renderer
 from carina.render.transfer import PRESETS, Light, TransferFunction, transfer_from_histogram, transfer_preset
 from carina.render.views import (
@@ -38,6 +38,7 @@ __all__ = [
     "render_view",
     "transfer_from_histogram",
     "transfer_preset",
+    "view_spec",
 ]
 
 

@@ -26,7 +26,7 @@ from carina.render.views import (
 from carina.scopes import Pose
 from carina.volume import Volume
 
-__all__ = ["VIEW_NAMES", "mark_tip", "render_view"]
+__all__ = ["VIEW_NAMES", "mark_tip", "render_view", "view_spec"]
 
 VIEW_NAMES = (
     "airway",
@@ -56,7 +56,7 @@ def render_view(
     transfer: TransferFunction | None = None,
     shading: bool = True,
     orbit: tuple[float, ...] | None = None,
-    window_hu: tuple[float, float] = WINDOW_HU,
+    window_hu: tuple[float, float] | None = None,
     extent_mm: float = 60.0,
     mm_per_px: float | None = None,
     lumen_zyx: NDArray[np.uint8] | None = None,
@@ -76,6 +76,8 @@ def render_view(
         Full angle across the shorter side, of the airway view.
     orbit
         Azimuth and elevation in degrees and, if wished, distance in mm, of the camera of ``tri-plane`` and ``tree``.
+    window_hu
+        Width and level; (1500, -600) for planes and fitted to the values of an X-ray unless told.
     lumen_zyx
         The airway lumen, needed for ``tree``, and for the closed wall of the endoscopic airway view.
 
@@ -91,34 +93,66 @@ def render_view(
     RenderError
         If a setting is out of range, or a tree is asked for without a lumen.
     """
-    size = {"width": width, "height": height}
-    x, y, z = (float(v) for v in pose.position_lps)
-    if orbit is not None and len(orbit) not in {2, 3}:
-        raise UsageError(f"an orbit is azimuth, elevation and, if wished, distance; found {orbit}")
-    around = dict(zip(("azimuth_deg", "elevation_deg", "distance_mm"), orbit or (), strict=False))
-    spec: View
-    match view:
-        case "airway":
-            chosen = cast(Literal["leap", "brute"], method)
-            spec = AirwayView(pose, fov_deg=fov_deg, step_vox=step_vox, shading=shading, method=chosen, **size)
-        case "cut-plane":
-            spec = CutPlaneView(pose, extent_mm=extent_mm, window_hu=window_hu, **size)
-        case "tri-plane":
-            spec = TriPlaneView((x, y, z), window_hu=window_hu, width=width, height=height, **around)
-        case "xray-axial" | "xray-coronal" | "xray-sagittal":
-            spec = XrayView(axis=cast(Plane, view.removeprefix("xray-")), width=width, height=height)
-        case "axial" | "coronal" | "sagittal":
-            spec = SliceView(plane=view, center_lps=(x, y, z), mm_per_px=mm_per_px, window_hu=window_hu, **size)
-        case "tree":
-            spec = TreeView(width=width, height=height, **around)
-        case _:
-            raise UsageError(f"expected a view among {', '.join(VIEW_NAMES)}; found {view!r}")
+    spec = view_spec(
+        view=view,
+        pose=pose,
+        fov_deg=fov_deg,
+        width=width,
+        height=height,
+        method=method,
+        step_vox=step_vox,
+        shading=shading,
+        orbit=orbit,
+        window_hu=window_hu,
+        extent_mm=extent_mm,
+        mm_per_px=mm_per_px,
+    )
     renderer = Renderer(volume, transfer=transfer)
     if lumen_zyx is not None and view in {"airway", "tree"}:
         renderer.set_lumen(lumen_zyx)
     if view == "airway" and method == "leap":
         renderer.prepare()
     return renderer.render(spec)
+
+
+def view_spec(
+    *,
+    view: str,
+    pose: Pose,
+    fov_deg: float = 90.0,
+    width: int = 512,
+    height: int = 512,
+    method: Literal["leap", "brute"] | str = "leap",
+    step_vox: float = 0.5,
+    shading: bool = True,
+    orbit: tuple[float, ...] | None = None,
+    window_hu: tuple[float, float] | None = None,
+    extent_mm: float = 60.0,
+    mm_per_px: float | None = None,
+) -> View:
+    """The view that :func:`render_view` renders, checked without a volume; parameters and errors are the same."""
+    size = {"width": width, "height": height}
+    x, y, z = (float(v) for v in pose.position_lps)
+    if orbit is not None and len(orbit) not in {2, 3}:
+        raise UsageError(f"an orbit is azimuth, elevation and, if wished, distance; found {orbit}")
+    around = dict(zip(("azimuth_deg", "elevation_deg", "distance_mm"), orbit or (), strict=False))
+    grey = WINDOW_HU if window_hu is None else window_hu
+    match view:
+        case "airway":
+            chosen = cast(Literal["leap", "brute"], method)
+            return AirwayView(pose, fov_deg=fov_deg, step_vox=step_vox, shading=shading, method=chosen, **size)
+        case "cut-plane":
+            return CutPlaneView(pose, extent_mm=extent_mm, window_hu=grey, **size)
+        case "tri-plane":
+            return TriPlaneView((x, y, z), window_hu=grey, width=width, height=height, **around)
+        case "xray-axial" | "xray-coronal" | "xray-sagittal":
+            return XrayView(axis=cast(Plane, view.removeprefix("xray-")), window_hu=window_hu, **size)
+        case "axial" | "coronal" | "sagittal":
+            return SliceView(plane=view, center_lps=(x, y, z), mm_per_px=mm_per_px, window_hu=grey, **size)
+        case "tree":
+            return TreeView(width=width, height=height, **around)
+        case _:
+            raise UsageError(f"expected a view among {', '.join(VIEW_NAMES)}; found {view!r}")
 
 
 def mark_tip(picture: Picture, point_lps: NDArray[np.float64] | tuple[float, float, float]) -> Picture:

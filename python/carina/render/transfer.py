@@ -154,7 +154,8 @@ class TransferFunction:
         """From the text of a JSON file."""
         try:
             document = json.loads(text)
-        except json.JSONDecodeError as error:
+        except (ValueError, RecursionError) as error:
+            # ValueError: bad JSON, and integers of more digits than Python converts.
             raise RenderError(f"the transfer function is not JSON: {error}", code="render.transfer") from None
         if not isinstance(document, dict):
             raise RenderError("expected a JSON object as transfer function", code="render.transfer")

@@ -141,7 +141,10 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     async def begin_upload(request: Request) -> Response:
         if not gate.authorised(request.headers):
             return _error(CarinaError("this page has no access", code="protocol.not-authorised"), 401)
-        return JSONResponse({"upload_id": uploads.begin()}, 201)
+        try:
+            return JSONResponse({"upload_id": uploads.begin()}, 201)
+        except CarinaError as trouble:
+            return _error(trouble, 507)
 
     async def one_upload(request: Request) -> Response:
         if not gate.authorised(request.headers):
@@ -192,8 +195,12 @@ def _asset_path(web: Path | None, name: str) -> Path | None:
     """A file below the client's folder; None for anything else."""
     if web is None or "\0" in name:
         return None
-    path = (web / name).resolve()
-    return path if path.is_relative_to(web.resolve()) and path.is_file() else None
+    try:
+        path = (web / name).resolve()
+        return path if path.is_relative_to(web.resolve()) and path.is_file() else None
+    except OSError:
+        # A name that no file system takes: too long, or of too many parts.
+        return None
 
 
 async def _serve_client(websocket: WebSocket, hub: Hub) -> None:

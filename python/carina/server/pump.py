@@ -113,7 +113,14 @@ class FramePump:
         while not self._stopped:
             # Cleared before the look: what changes during it is not missed.
             self._woken.clear()
-            if not self.step():
+            try:
+                rendered = self.step()
+            except BaseException as trouble:
+                # BaseException: a panic of the compiled module is no Exception. This thread is the only one that
+                # renders: it goes on with what comes next.
+                log_fault(logger, "the frame pump stumbled", trouble)
+                rendered = False
+            if not rendered:
                 self._woken.wait(self.wait_s())
 
     def wait_s(self) -> float | None:
@@ -138,38 +145,40 @@ class FramePump:
         try:
             view = scene.spec(order.view, order.width, order.height, order.step_vox, full_width=order.full_width)
             picture = scene.renderer.render(view)
+            rendered_s = self._clock() - began_s
+            frame_id = next(self._frame_ids)
+            payload, quality = encode_jpeg(picture.rgb, full=order.full)
+            header = PictureHeader(
+                frame_id=frame_id,
+                view=cast(Any, order.view),
+                pose_id=scene.pose_id,
+                lps_from_camera=_matrix(picture.lps_from_camera),
+                fov_deg=None if picture.fov_deg is None else float(picture.fov_deg),
+                lps_from_pixel=_matrix(picture.lps_from_pixel),
+                width=int(picture.rgb.shape[1]),
+                height=int(picture.rgb.shape[0]),
+                codec="jpeg",
+                quality=quality,
+                full=order.full,
+                render_ms=round(rendered_s * 1e3, 2),
+                method=str(picture.stats.method),
+            )
+            data = encode_picture(header, payload)
         except CarinaError as trouble:
             self._failed(order, trouble.code, str(trouble))
             return True
-        except Exception as trouble:
+        except BaseException as trouble:
+            # BaseException: a panic of the compiled module is no Exception.
             log_fault(logger, f"rendering failed: {order.view}", trouble)
             words = f"the {order.view} view could not be rendered, by a fault of Carina ({type(trouble).__name__})"
             self._failed(order, "carina.fault", words)
             return True
         self._last_words = None
-        rendered_s = self._clock() - began_s
-        payload, quality = encode_jpeg(picture.rgb, full=order.full)
-        frame_id = next(self._frame_ids)
-        header = PictureHeader(
-            frame_id=frame_id,
-            view=cast(Any, order.view),
-            pose_id=scene.pose_id,
-            lps_from_camera=_matrix(picture.lps_from_camera),
-            fov_deg=None if picture.fov_deg is None else float(picture.fov_deg),
-            lps_from_pixel=_matrix(picture.lps_from_pixel),
-            width=int(picture.rgb.shape[1]),
-            height=int(picture.rgb.shape[0]),
-            codec="jpeg",
-            quality=quality,
-            full=order.full,
-            render_ms=round(rendered_s * 1e3, 2),
-            method=str(picture.stats.method),
-        )
         now_s = self._clock()
         with self._lock:
             wanted = self._scheduler.rendered(order, frame_id, now_s - began_s)
         if wanted:
-            self._deliver(encode_picture(header, payload))
+            self._deliver(data)
             if order.view == "airway":
                 self._note_status(now_s, scene, header)
         return True

@@ -128,7 +128,7 @@ def serve(
     host: str = "127.0.0.1",
     port: int = 0,
     open_browser: bool = True,
-    on_ready: Callable[[str], None] | None = None,
+    on_ready: Callable[[str, str], None] | None = None,
 ) -> int:
     """Start the workstation and stay until Ctrl-C.
 
@@ -145,7 +145,8 @@ def serve(
     open_browser
         Open the start URL in the browser, with a token of its own.
     on_ready
-        Gets the start URL once the server answers. The URL works once.
+        Gets, once the server answers, the start URL for a browser, which works once, and the token for programs,
+        which lasts as long as the server (``Authorization: Bearer TOKEN``, protocol/README.md).
 
     Returns
     -------
@@ -179,7 +180,7 @@ def serve(
             elif demo is not None:
                 session.open_demo(demo)
             if on_ready is not None:
-                on_ready(start_url(gate))
+                on_ready(start_url(gate), gate.secret)
             if open_browser:
                 url = start_url(gate)
                 # In a thread: some launchers wait for the browser.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import secrets
 import shutil
@@ -46,6 +47,12 @@ def safe_relative_path(name: str) -> Path:
     return Path(*parts[-6:]) if parts else Path("file")
 
 
+def _remove(path: Path) -> None:
+    # Not only "missing": where a file stands in place of the folder, the way itself is none.
+    with contextlib.suppress(OSError):
+        path.unlink()
+
+
 @dataclass(slots=True)
 class _Upload:
     folder: Path
@@ -62,7 +69,20 @@ class Uploads:
         self._uploads: dict[str, _Upload] = {}
 
     def begin(self) -> str:
-        """A new, empty upload; returns its id."""
+        """A new, empty upload; returns its id.
+
+        Raises
+        ------
+        CarinaError
+            ``upload.disk`` if the disk is full or not writable.
+        """
+        try:
+            return self._begin()
+        except OSError as trouble:
+            msg = f"dropped files cannot be stored: {trouble.strerror}; open the folder by its path instead"
+            raise CarinaError(msg, code="upload.disk") from trouble
+
+    def _begin(self) -> str:
         if self._root is None:
             self._root = Path(tempfile.mkdtemp(prefix="carina-upload-")).resolve()
         while len(self._uploads) >= self._limits.num_uploads:
@@ -101,12 +121,12 @@ class Uploads:
                         raise UsageError(msg, code="upload.limit")
                     await run_in_threadpool(file.write, chunk)
         except OSError as trouble:
-            path.unlink(missing_ok=True)
+            _remove(path)
             raise CarinaError(
                 f"a dropped file could not be stored: {trouble.strerror}", code="upload.disk"
             ) from trouble
         except BaseException:
-            path.unlink(missing_ok=True)
+            _remove(path)
             raise
 
     def place(self, upload_id: str) -> Path:

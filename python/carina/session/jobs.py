@@ -166,7 +166,8 @@ class JobRunner:
             outcome = "cancelled"
         except CarinaError as trouble:
             outcome, error = "failed", trouble
-        except Exception as trouble:
+        except BaseException as trouble:
+            # BaseException: a panic of the compiled module is no Exception, and a job must end whatever happens.
             log_fault(logger, f"a job failed: {job.title}", trouble)
             outcome = "failed"
             error = CarinaError(

@@ -51,6 +51,8 @@ class LocalStore:
     """The files; a folder that cannot be written costs the memory of them, not the session."""
 
     def __init__(self, folder: Path) -> None:
+        self._unwritten: dict[Path, dict[str, Any]] = {}
+        """What the disk did not take: it holds until Carina is closed."""
         self._recent_file = folder / "recent.json"
         self._notice_file = folder / "notice.json"
 
@@ -82,17 +84,20 @@ class LocalStore:
         """Remember that it was read."""
         self._write(self._notice_file, {"format": "carina-notice", "version": 1, "accepted": True})
 
-    @staticmethod
-    def _read(path: Path) -> dict[str, Any]:
+    def _read(self, path: Path) -> dict[str, Any]:
+        if path in self._unwritten:
+            return self._unwritten[path]
         try:
             value = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             return {}
         return value if isinstance(value, dict) else {}
 
-    @staticmethod
-    def _write(path: Path, value: dict[str, Any]) -> None:
+    def _write(self, path: Path, value: dict[str, Any]) -> None:
         try:
             write_atomically(path, json.dumps(value, indent=1) + "\n")
+            self._unwritten.pop(path, None)
         except OSError as error:
+            # Else a notice that was read would be asked for again after every change.
+            self._unwritten[path] = value
             logger.warning("could not write %s: %s", path.name, error.strerror)

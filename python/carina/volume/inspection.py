@@ -16,7 +16,7 @@ from carina.errors import CarinaError
 from carina.volume.dicom import choose_series
 from carina.volume.grid_headers import read_grid_header
 from carina.volume.model import SeriesInfo
-from carina.volume.opening import find_in, guarded, place_name
+from carina.volume.opening import find_in, guarded, place_name, refuse_series
 from carina.volume.watch import Watch
 
 __all__ = ["Inspection", "inspect_path"]
@@ -109,6 +109,7 @@ def inspect_path(
 def _inspect(path: Path, key: str | None, watch: Watch) -> Inspection:
     found = find_in(path, watch)
     if isinstance(found, str):
+        refuse_series(path, found, key)
         header = read_grid_header(path, found)
         ni, nj, nk = header.shape_ijk
         return Inspection(found, (), None, (nk, nj, ni), header.lps_from_ijk, (), None, None)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from carina.errors import CarinaError, GeometryError, VolumeImportError
+from carina.errors import CarinaError, GeometryError, UsageError, VolumeImportError
 from carina.volume.dicom import FoundSeries, choose_series, find_series, open_series, series_in
 from carina.volume.dicom_headers import looks_like_dicom, read_headers
 from carina.volume.grid_files import open_grid_file
@@ -134,10 +134,24 @@ def find_in(path: Path, watch: Watch) -> list[FoundSeries] | str:
 def _open(path: Path, series: str | None, watch: Watch) -> Volume:
     found = find_in(path, watch)
     if isinstance(found, str):
+        refuse_series(path, found, series)
         return open_grid_file(path, found, watch=watch)
     chosen, notes = choose_series(found, key=series, where=place_name(path))
     others = [item.info for item in found if item is not chosen]
     return open_series(chosen, others=others, warnings=notes, watch=watch)
+
+
+def refuse_series(path: Path, kind: str, series: str | None) -> None:
+    """A file that holds one volume has no series to choose; to ignore the choice could show another patient's.
+
+    Raises
+    ------
+    UsageError
+        ``usage.series``.
+    """
+    if series is not None:
+        msg = f"{path.name} is one {kind} volume and has no series {series!r}; leave the series out"
+        raise UsageError(msg, code="usage.series")
 
 
 def place_name(path: Path) -> str:

@@ -1,0 +1,362 @@
+"""What other people's scripts rely on (DESIGN section 3): exit codes, one JSON object, nothing half written."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+
+RMB = "-20.2,3.0,-26.6"  # end of the right main bronchus of the phantom with seed 0 (truth.json)
+FAR = "-100,0,20"  # in the lung or the chest wall, more than 5 mm from every airway
+VIEWS = [
+    "airway",
+    "cut-plane",
+    "tri-plane",
+    "xray-axial",
+    "xray-coronal",
+    "xray-sagittal",
+    "axial",
+    "coronal",
+    "sagittal",
+    "tree",
+]
+
+
+def store(path, values, spacing=(1.0, 1.0, 1.0)):
+    image = sitk.GetImageFromArray(np.asarray(values))
+    image.SetSpacing(spacing)
+    sitk.WriteImage(image, str(path))
+    return path
+
+
+# ---------------------------------------------------------------- arguments
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["fly-away"],
+        ["--nonsense"],
+        ["info"],
+        ["info", "CT", "--nonsense"],
+        ["info", "CT", "extra"],
+        ["info", "CT", "--series", "no-such-series"],
+        ["track", "CT"],
+        ["track", "CT", "--target", "1,2"],
+        ["track", "CT", "--target", "1,2,nan"],
+        ["track", "CT", "--target", "1,2,inf"],
+        ["track", "CT", "--target", ""],
+        ["track", "CT", "--target", RMB, "--root", "somewhere"],
+        ["track", "CT", "--target", RMB, "--cost", "magic"],
+        ["track", "CT", "--target", RMB, "--graph", "magic"],
+        ["track", "CT", "--target", RMB, "--root", "9999,0,0"],
+        ["track", "CT", "--target", RMB, "-o", "no-such-folder/tree.json"],
+        ["track", "CT", "--target", RMB, "-o", "."],
+        ["render", "CT"],
+        ["render", "CT", "-o", "x.jpg"],
+        ["render", "CT", "-o", "no-such-folder/x.png"],
+        ["render", "CT", "-o", "x.png", "--fov", "0"],
+        ["render", "CT", "-o", "x.png", "--fov", "171"],
+        ["render", "CT", "-o", "x.png", "--fov", "nan"],
+        ["render", "CT", "-o", "x.png", "--fov", "wide"],
+        ["render", "CT", "-o", "x.png", "--size", "0x0"],
+        ["render", "CT", "-o", "x.png", "--size", "9999x9"],
+        ["render", "CT", "-o", "x.png", "--size", "-5x5"],
+        ["render", "CT", "-o", "x.png", "--size", "512"],
+        ["render", "CT", "-o", "x.png", "--step-vox", "0"],
+        ["render", "CT", "-o", "x.png", "--step-vox", "-1"],
+        ["render", "CT", "-o", "x.png", "--step-vox", "nan"],
+        ["render", "CT", "-o", "x.png", "--look", "0,0,0"],
+        ["render", "CT", "-o", "x.png", "--look", "0,0,1", "--up", "0,0,-2"],
+        ["render", "CT", "-o", "x.png", "--up", "0,0,0"],
+        ["render", "CT", "-o", "x.png", "--view", "drone"],
+        ["render", "CT", "-o", "x.png", "--method", "guess"],
+        ["render", "CT", "-o", "x.png", "--shading", "maybe"],
+        ["render", "CT", "-o", "x.png", "--transfer", "no-such-preset"],
+        ["render", "CT", "-o", "x.png", "--view", "axial", "--window", "0,-600"],
+        ["render", "CT", "-o", "x.png", "--view", "xray-coronal", "--window", "0,-600"],
+        ["render", "CT", "-o", "x.png", "--view", "axial", "--window", "nan,-600"],
+        ["render", "CT", "-o", "x.png", "--view", "axial", "--window", "1500"],
+        ["render", "CT", "-o", "x.png", "--view", "tree", "--orbit", "1,2,0"],
+        ["render", "CT", "-o", "x.png", "--view", "tree", "--orbit", "1,2"],
+        ["render", "CT", "-o", "x.png", "--at", "here"],
+        ["render", "CT", "-o", "x.png", "--view", "axial", "--at", "9999,0,0"],
+        ["render", "CT", "-o", "x.png", "--series", "no-such-series", "--view", "axial"],
+        ["phantom"],
+        ["phantom", "-o", "d", "--seed", "-1"],
+        ["phantom", "-o", "d", "--seed", "99999999999999999999999"],
+        ["phantom", "-o", "d", "--spacing-mm", "0"],
+        ["phantom", "-o", "d", "--spacing-mm", "-1"],
+        ["phantom", "-o", "d", "--spacing-mm", "nan"],
+        ["phantom", "-o", "d", "--spacing-mm", "100"],
+        ["phantom", "-o", "d", "--generations", "-1"],
+        ["phantom", "-o", "d", "--generations", "99"],
+        ["phantom", "-o", "CT"],
+        ["phantom", "-o", "CT/below"],
+        ["demo", "ghost"],
+        ["open", "CT", "--port", "99999"],
+        ["open", "CT", "--port", "-1"],
+        ["open", "CT", "more", "paths"],
+        ["doctor", "who"],
+    ],
+    ids=" ".join,
+)
+def test_a_wrong_argument_exits_2_in_words_and_writes_nothing(carina, ct, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    ended = carina(*(word.replace("CT", str(ct)) for word in arguments), "--json")
+    assert ended.code == 2, ended.err
+    assert ended.json()["error"]["code"]
+    assert len(ended.json()["error"]["message"]) > 10
+    assert len(ended.err.strip()) > 10
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_wrong_log_level_exits_2_in_words(carina, monkeypatch):
+    monkeypatch.setenv("CARINA_LOG_LEVEL", "LOUD")
+    ended = carina("doctor", "--json")
+    assert (ended.code, ended.json()["error"]["code"]) == (2, "usage.log-level")
+
+
+def test_help_of_every_verb_has_an_example_and_exits_0(carina):
+    for verb in ("open", "demo", "info", "track", "render", "phantom", "doctor"):
+        ended = carina(verb, "--help")
+        assert ended.code == 0
+        assert f"Example: carina {verb}" in " ".join(ended.out.split())
+    assert carina("--version").out.startswith("carina ")
+
+
+# ---------------------------------------------------------------- files
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("missing.nii.gz", None),
+        ("empty.nii.gz", b""),
+        ("words.nii.gz", b"this is no image"),
+        ("holiday.pdf", b"%PDF-1.7\n%%EOF"),
+        ("cut.nrrd", b"NRRD0004\ntype: short\ndimension: 3\nsizes: 100000 100000 100000\nencoding: raw\n\n\0\0"),
+        ("folder", "folder"),
+    ],
+)
+def test_a_file_that_is_none_exits_3_and_is_named(carina, tmp_path, name, content):
+    path = tmp_path / name
+    if content == "folder":
+        path.mkdir()
+    elif content is not None:
+        path.write_bytes(content)
+    for arguments in (
+        ["info", path],
+        ["track", path, "--target", RMB],
+        ["render", path, "-o", tmp_path / "x.png"],
+        ["open", path, "--no-browser"],
+    ):
+        ended = carina(*arguments, "--json")
+        assert ended.code == 3, ended.err
+        assert name in ended.json()["error"]["message"]
+    assert not (tmp_path / "x.png").exists()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        None,
+        b"",
+        b"{",
+        b"\xff\xfe\x00",
+        b"[]",
+        b"7",
+        b'{"format": "other", "version": 1}',
+        b'{"format": "carina-transfer", "version": 2, "points": []}',
+        b'{"format": "carina-transfer", "version": 1, "points": []}',
+        b'{"format": "carina-transfer", "version": 1, "points": [[NaN, 0, 0, 0, 0]]}',
+        b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0, 1e999]]}',
+        b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0]]}',
+        b'{"format": "carina-transfer", "version": 1, "points": [["a", 0, 0, 0, 0]]}',
+        b'{"format": "carina-transfer", "version": 1, "points": [[0, 2, 0, 0, 0]]}',
+        b'{"format": "carina-transfer", "version": 1, "points": {"0": 1}}',
+        b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0, 0]], "reference_mm": "x"}',
+        b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0, 0]], "reference_mm": 0}',
+        b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0, 0]], "light": 7}',
+        b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0, 0]], "unit": []}',
+        b"[" * 100_000,
+    ],
+)
+def test_a_transfer_file_that_is_none_exits_3_before_the_ct_is_read(carina, tmp_path, content):
+    file = tmp_path / "transfer.json"
+    if content is not None:
+        file.write_bytes(content)
+    ended = carina("render", "/no/such/ct", "--transfer", file, "-o", tmp_path / "x.png", "--json")
+    assert ended.code == 3, ended.err
+    assert "transfer.json" in ended.json()["error"]["message"]
+
+
+# ---------------------------------------------------------------- results
+
+
+def test_info_is_one_object_and_doctor_too(carina, ct):
+    told = carina("info", ct, "--json")
+    assert told.code == 0
+    assert told.json()["unit"] == "HU"
+    assert told.json()["shape_zyx"] == [125, 100, 138]
+    facts = carina("doctor", "--json")
+    assert facts.code in {0, 1}
+    assert facts.code == (1 if facts.json()["problems"] else 0)
+
+
+def test_a_target_that_starts_with_a_minus_sign_is_tracked_and_the_tree_written(carina, ct, tmp_path):
+    ended = carina("track", ct, "--root", "auto", "--target", RMB, "-o", tmp_path / "tree.json", "--json")
+    assert ended.code == 0, ended.err
+    (row,) = ended.json()["targets"]
+    assert row["problem"] is None
+    assert row["requested_lps"] == [-20.2, 3.0, -26.6]
+    tree = json.loads((tmp_path / "tree.json").read_text(encoding="utf-8"))
+    assert tree == ended.json()["tree"]
+
+
+def test_one_target_without_a_path_exits_4_and_the_others_are_written(carina, ct, tmp_path):
+    arguments = ["track", ct, "--target", RMB, "--target", FAR, "-o", tmp_path / "tree.json", "--json"]
+    ended = carina(*arguments)
+    assert ended.code == 4
+    found, lost = ended.json()["targets"]
+    assert found["problem"] is None
+    assert "mm" in lost["problem"]
+    assert json.loads((tmp_path / "tree.json").read_text(encoding="utf-8"))["branches"]
+
+
+def test_a_target_outside_the_volume_among_others_does_not_lose_the_others(carina, ct, tmp_path):
+    ended = carina("track", ct, "--target", "9999,0,0", "--target", RMB, "-o", tmp_path / "tree.json", "--json")
+    assert ended.code in {2, 4}, ended.err
+    if ended.code == 4:
+        assert (tmp_path / "tree.json").exists()
+
+
+def test_no_path_at_all_exits_4_and_leaves_the_old_file(carina, ct, tmp_path):
+    (tmp_path / "tree.json").write_text("old", encoding="utf-8")
+    ended = carina("track", ct, "--target", FAR, "-o", tmp_path / "tree.json", "--json")
+    assert ended.code == 4
+    assert ended.json()["tree"] is None
+    assert (tmp_path / "tree.json").read_text(encoding="utf-8") == "old"
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_every_view_is_written_from_the_automatic_pose(carina, ct, tmp_path, view):
+    picture = tmp_path / "x.png"
+    picture.write_bytes(b"old")
+    ended = carina("render", ct, "--view", view, "--at", "auto", "--size", "48x40", "-o", picture, "--json")
+    assert ended.code == 0, ended.err
+    told = ended.json()
+    assert (told["view"], told["size"]) == (view, [48, 40])
+    rgb = sitk.GetArrayFromImage(sitk.ReadImage(str(picture)))
+    assert rgb.shape == (40, 48, 3)
+    assert rgb.std() > 1.0  # something is in it
+    assert [p.name for p in tmp_path.iterdir() if p.name != "home"] == ["x.png"]
+
+
+def test_the_window_of_an_xray_is_the_one_asked_for(carina, ct, tmp_path):
+    means = []
+    for window in ("4000,-3000", "4000,3000"):
+        name = tmp_path / "x.png"
+        carina("render", ct, "--view", "xray-coronal", "--window", window, "--size", "32x32", "-o", name)
+        means.append(sitk.GetArrayFromImage(sitk.ReadImage(str(name))).mean())
+    assert means[0] > means[1] + 20
+
+
+def test_the_automatic_pose_in_a_volume_without_airways_exits_4(carina, tmp_path):
+    values = np.full((20, 20, 20), 40, np.int16)
+    values[5:9] = 900  # a bone
+    head = store(tmp_path / "tissue.nii.gz", values)
+    for view in ("airway", "axial", "tree"):
+        ended = carina("render", head, "--view", view, "-o", tmp_path / "x.png", "--json")
+        assert ended.code == 4, ended.err
+    assert not (tmp_path / "x.png").exists()
+    assert carina("render", head, "--view", "xray-axial", "--size", "8x8", "-o", tmp_path / "x.png").code == 0
+
+
+def test_a_camera_outside_the_volume_is_said(carina, ct, tmp_path):
+    ended = carina(
+        "render", ct, "--at", "0,-400,0", "--look", "0,1,0", "--size", "16x16", "-o", tmp_path / "x.png", "--json"
+    )
+    assert ended.code == 0, ended.err
+    assert "outside the volume" in ended.err
+
+
+def test_a_disk_that_is_full_exits_1_in_words_and_keeps_the_old_files(carina, ct, tmp_path, monkeypatch):
+    def full(*_arguments, **_options):
+        raise OSError(28, "No space left on device")
+
+    (tmp_path / "tree.json").write_text("old", encoding="utf-8")
+    (tmp_path / "x.png").write_bytes(b"old")
+    monkeypatch.setattr(os, "fsync", full)
+    ended = carina("track", ct, "--target", RMB, "-o", tmp_path / "tree.json", "--json")
+    assert ended.code == 1, ended.err
+    assert "No space left" in ended.json()["error"]["message"]
+    assert (tmp_path / "tree.json").read_text(encoding="utf-8") == "old"
+    monkeypatch.setattr(sitk, "WriteImage", full)
+    ended = carina("render", ct, "--view", "axial", "--size", "16x16", "-o", tmp_path / "x.png", "--json")
+    assert ended.code == 1, ended.err
+    assert (tmp_path / "x.png").read_bytes() == b"old"
+    ended = carina("phantom", "-o", tmp_path / "made", "--spacing-mm", "8", "--json")
+    assert ended.code == 1, ended.err
+    assert sorted(p.name for p in tmp_path.iterdir() if p.name != "home") in (
+        ["made", "tree.json", "x.png"],
+        ["tree.json", "x.png"],
+    )
+    assert not (tmp_path / "made").exists() or not list((tmp_path / "made").iterdir())
+
+
+def test_a_fault_of_ours_exits_1_in_words(carina, ct, monkeypatch):
+    def broken(*_arguments, **_options):
+        raise ZeroDivisionError("x")
+
+    monkeypatch.setattr("carina.cli.info.inspect_path", broken)
+    ended = carina("info", ct, "--json")
+    assert (ended.code, ended.json()["error"]["code"]) == (1, "carina.fault")
+
+
+def test_a_cache_that_cannot_be_written_costs_nothing_but_time(carina, ct, tmp_path, monkeypatch):
+    (tmp_path / "home").write_text("a file in place of the folder", encoding="utf-8")
+    assert carina("info", ct).code == 0
+    assert carina("render", ct, "--size", "16x16", "-o", tmp_path / "x.png").code == 0
+
+
+# ---------------------------------------------------------------- unlucky volumes
+
+
+UNLUCKY = {
+    "one slice": (np.linspace(-1000, 400, 64 * 64).reshape(1, 64, 64), (1, 1, 1)),
+    "one row": (np.linspace(-1000, 400, 64 * 64).reshape(64, 1, 64), (1, 1, 1)),
+    "one voxel": (np.full((1, 1, 1), -1000), (1, 1, 1)),
+    "two by two by two": (np.arange(8).reshape(2, 2, 2) * 100 - 1000, (1, 1, 1)),
+    "all constant": (np.full((12, 12, 12), 0), (1, 1, 1)),
+    "all air": (np.full((40, 40, 40), -1000), (1, 1, 1)),
+    "tiny voxels": (np.linspace(-1000, 400, 20**3).reshape(20, 20, 20), (0.01, 0.01, 0.01)),
+    "huge voxels": (np.linspace(-1000, 400, 20**3).reshape(20, 20, 20), (50, 50, 50)),
+    "needles": (np.linspace(-1000, 400, 20**3).reshape(20, 20, 20), (0.01, 50, 1)),
+    "extremes": (np.random.default_rng(1).choice([-32768, 32767, 0, -1000], (16, 16, 16)), (1, 1, 1)),
+}
+
+
+@pytest.mark.parametrize("name", UNLUCKY)
+@pytest.mark.parametrize("suffix", [".nii.gz", ".nrrd", ".mha"])
+def test_an_unlucky_volume_is_answered_or_refused_in_words(carina, tmp_path, name, suffix):
+    values, spacing = UNLUCKY[name]
+    path = store(tmp_path / f"case{suffix}", values.astype(np.int16), [float(s) for s in spacing])
+    told = carina("info", path, "--json")
+    assert told.code in {0, 3}, told.err
+    assert told.json()
+    for arguments in (["track", path, "--target", "0,0,0"], ["track", path, "--root", "0,0,0", "--target", "0,0,0"]):
+        ended = carina(*arguments, "--json")
+        assert ended.code in {0, 2, 3, 4}, ended.err
+        assert ended.json()
+    for view in VIEWS:
+        output = tmp_path / "x.png"
+        ended = carina("render", path, "--view", view, "--at", "0,0,0", "--size", "16x12", "-o", output, "--json")
+        assert ended.code in {0, 3, 4}, (view, ended.err)
+        assert ended.json()
+        assert output.exists() == (ended.code == 0)
+        output.unlink(missing_ok=True)

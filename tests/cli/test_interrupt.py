@@ -1,0 +1,65 @@
+"""Ctrl-C in each long stage, on a real process: 130 at once, in words, and nothing half written."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from carina.cli.console import interruptible
+
+WAIT_S = 30.0
+"""Bound of every wait. One picture below takes minutes: only an answer to Ctrl-C ends within it."""
+
+
+@pytest.mark.parametrize("stage", ["import", "phantom", "picture"])
+def test_ctrl_c_exits_130_and_leaves_no_file(stage, ct, tmp_path):
+    output = tmp_path / "x.png"
+    command, sign = {
+        "import": (["info", ct], None),
+        "phantom": (["phantom", "-o", tmp_path / "made", "--spacing-mm", "0.5"], "making the phantom"),
+        "picture": (
+            ["render", ct, "--size", "8192x8192", "--method", "brute", "--step-vox", "0.01", "-o", output],
+            "airways found",
+        ),
+    }[stage]
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache"), "XDG_CONFIG_HOME": str(tmp_path / "config")}
+    with subprocess.Popen(
+        [sys.executable, "-c", STARTED, *map(str, command), "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+    ) as process:
+        try:
+            lines = iter(process.stderr.readline, "")
+            assert any((sign or "started") in line for line in lines)
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=WAIT_S)
+        finally:
+            process.kill()
+    assert process.returncode == 130, err
+    assert err.strip().splitlines()[-1] == "stopped"
+    if stage != "import":
+        assert json.loads(out)["error"]["code"] == "cancelled"
+    assert not output.exists()
+    assert not (tmp_path / "made").exists()
+    assert not list(tmp_path.glob("*.png"))
+
+
+STARTED = """
+import sys
+from carina.cli import main
+print("started", file=sys.stderr, flush=True)
+main()
+"""
+
+
+def test_work_beside_the_main_thread_gives_its_result_or_its_trouble():
+    assert interruptible(lambda: 7) == 7
+    with pytest.raises(ZeroDivisionError):
+        interruptible(lambda: 1 // 0)
