@@ -166,7 +166,7 @@ def test_a_target_far_from_the_lumen_is_kept_with_its_reason_and_without_a_path(
 def test_a_target_outside_the_volume_is_refused():
     bench = small_bench()
     bench.open()
-    with pytest.raises(UsageError, match="outside the volume"):
+    with pytest.raises(UsageError, match=r"the point L 5000\.0 P 0\.0 S 0\.0 mm lies outside the scan"):
         bench.session.add_target((5000.0, 0.0, 0.0))
 
 
@@ -277,6 +277,24 @@ def test_no_airways_is_a_state_with_words_and_the_case_stays_usable():
     bench.session.steer(1.0, 0.0, 0.0, 0.0)
     with pytest.raises(UsageError, match="no path to fly on"):
         bench.session.go_to(3.0)
+
+
+def test_a_threshold_that_found_nothing_is_kept_for_the_root_that_is_set_next_and_nothing_is_said_twice():
+    asked = []
+
+    def find_nothing(volume, *, root_lps=None, lumen_threshold=None, **_options):
+        asked.append((root_lps is not None, lumen_threshold))
+        raise NoResultError("no trachea was found")
+
+    bench = small_bench(find_airways=find_nothing)
+    bench.open()
+    bench.session.set_lumen_threshold(-850.0)
+    bench.background.run_all()
+    bench.session.set_root(lps((16.0, 14.0, 35.0)))
+    bench.background.run_all()
+    assert asked == [(False, None), (False, -850.0), (True, -850.0)]
+    assert bench.session.snapshot().airways_words is not None
+    assert bench.of_type(Trouble) == []
 
 
 def test_a_stopped_search_says_so_and_a_root_starts_another():

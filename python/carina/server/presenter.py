@@ -78,7 +78,7 @@ def state_message(snapshot: Snapshot) -> wire.State:
         can_undo=snapshot.undo_label,
         can_redo=snapshot.redo_label,
         root_lps=None if airways is None else _floats(airways.root_lps),
-        lumen_threshold=None if airways is None else float(airways.threshold),
+        lumen_threshold=_threshold(document),
         orbit_tree=wire.Orbit(tree.azimuth_deg, tree.elevation_deg, tree.distance_mm),
         orbit_tri_plane=wire.Orbit(tri.azimuth_deg, tri.elevation_deg, tri.distance_mm),
         zoom=wire.Zoom(zoom.axial_mm_per_px, zoom.coronal_mm_per_px, zoom.sagittal_mm_per_px, zoom.cut_plane_extent_mm),
@@ -101,6 +101,15 @@ def _target(target: Any) -> wire.Target:
         length_mm=target.length_mm,
         problem=target.problem,
     )
+
+
+def _threshold(document: Document | None) -> float | None:
+    """What the airways were found with; while there are none, what they are looked for with."""
+    if document is None:
+        return None
+    if document.airways is None:
+        return document.lumen_threshold
+    return float(document.airways.threshold)
 
 
 def tree_message(airways: Any) -> wire.Tree:

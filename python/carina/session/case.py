@@ -66,8 +66,9 @@ class OpenCase:
             ``session.outside``.
         """
         if not self.info.volume.contains_lps(np.asarray(lps, dtype=np.float64)):
-            x, y, z = lps
-            raise UsageError(f"the point {x:.1f}, {y:.1f}, {z:.1f} lies outside the volume", code="session.outside")
+            sides = zip(lps, ("L", "P", "S"), ("R", "A", "I"), strict=True)
+            place = " ".join(f"{plus if mm >= 0 else minus} {abs(mm):.1f}" for mm, plus, minus in sides)
+            raise UsageError(f"the point {place} mm lies outside the scan", code="session.outside")
 
 
 def new_case(volume: Volume, number: int, *, parts: Parts, renderer_factory: RendererFactory) -> OpenCase:
@@ -87,7 +88,7 @@ def new_case(volume: Volume, number: int, *, parts: Parts, renderer_factory: Ren
         off = (
             FeatureOff("transfer functions and windows in HU", why),
             FeatureOff("the quality check of the lungs", why),
-            FeatureOff("the lumen's threshold in HU: it comes from the histogram and can be moved by hand", why),
+            FeatureOff("a lumen threshold in HU (the one above is in the file's own numbers)", why),
         )
     document = Document(
         transfer=transfer, window_width_hu=window[0], window_level_hu=window[1], lumen_threshold=threshold

@@ -139,6 +139,11 @@ class Session(SessionCore):
         airways = case.document.airways
         root = None if airways is None else as_point(airways.root_lps)
         wanted = case.threshold_from_histogram if value is None else value
+        if airways is None:
+            # Kept even if nothing is found with it: a root that is clicked next must search with this threshold.
+            with self._lock:
+                case.history.amend_current(lambda d: replace(d, lumen_threshold=wanted))
+                self._changed("state")
         return self._start_airways(case, root, wanted, label="set the lumen threshold")
 
     def _start_airways(
@@ -160,7 +165,7 @@ class Session(SessionCore):
                 self._take_airways(case, airways, threshold, label, job)
             except BaseException as trouble:
                 self._keep_airways(case, trouble, job)
-                if label is not None or not isinstance(trouble, TrackingError):
+                if case.document.airways is not None or not isinstance(trouble, TrackingError):
                     raise
                 # The panel of the airways says it; an error on top would say the same thing twice.
 

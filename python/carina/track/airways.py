@@ -405,10 +405,9 @@ def _grow(volume: Volume, root: Point | None, lumen_threshold: float | None, sta
         raise NoResultError(msg)
     notes = []
     if report["leaks"]:
-        num, lowest = len(report["leaks"]), min(level for _, level in report["leaks"])
-        notes.append(
-            f"growth was stopped at {num} places where it would have broken into the lung (first at {lowest} of {end})"
-        )
+        num = len(report["leaks"])
+        places = "one place" if num == 1 else f"{num} places"
+        notes.append(f"the search was stopped at {places} where it would have run out of the airway into the lung")
     levels = (float(core), float(max(scale.level(HALF_WALL_HU), end)), scale.span(STEP_RISE_HU))
     return _Grown(lumen, levels, float(end), start, notes)
 

@@ -17,6 +17,7 @@ import { keyOf } from "../input/keymap";
 import { pathMm } from "../state/app-state";
 import { forkAhead } from "../state/fork";
 import { fixed, mm } from "../state/format";
+import { nextStopMm } from "../state/route";
 import { cameraFromMatrix } from "../state/vec";
 import type { StateMessage } from "../wire/messages";
 import { useApp, useStation } from "./context";
@@ -193,6 +194,11 @@ function Fov() {
   );
 }
 
+/** Nearer than this the route is at its end. */
+const AT_END_MM = 0.1;
+
+const hourWords = (hour: number | null): string => (hour === null ? "straight on" : `${hour} o\u2019clock`);
+
 /** Where the tip is, in the corners that the round picture leaves free. */
 function Readings() {
   const pose = useApp((state) => state.pose);
@@ -206,6 +212,8 @@ function Readings() {
     tree === null || route === null || at === null || pose.mode !== "path"
       ? null
       : forkAhead(tree, route, at, cameraFromMatrix(pose.lps_from_camera));
+  const toFork = route !== null && at !== null && nextStopMm(route, at) < route.length_mm;
+  const atEnd = route !== null && at !== null && pose.mode === "path" && at > route.length_mm - AT_END_MM;
   const node = pose.branch_id === null ? undefined : tree?.byId.get(pose.branch_id);
   return (
     <>
@@ -230,13 +238,14 @@ function Readings() {
         )}
       </div>
       <div className="reading bottom-left numbers">
-        {fork === null ? null : (
+        {atEnd ? <span>end of the route</span> : null}
+        {fork === null || atEnd ? null : (
           <>
             <span>{fork.distanceMm <= 0 ? "at the fork" : `fork in ${mm(fork.distanceMm, 0)}`}</span>
             <span className="ways">
               {fork.ways.map((way) => (
                 <span key={way.node.branch.id} className={way.chosen ? "way chosen" : "way"}>
-                  {`${way.node.label}, ${way.hour === null ? "straight on" : `${way.hour} o\u2019clock`}`}
+                  {fork.near ? `${way.node.label}, ${hourWords(way.hour)}` : way.node.label}
                 </span>
               ))}
             </span>
@@ -244,12 +253,18 @@ function Readings() {
         )}
       </div>
       <div className="reading bottom-right">
-        {pose.mode === "path" && route !== null ? (
+        {atEnd ? null : pose.mode === "path" && route !== null ? (
           <Act
             kind="quiet"
             icon={advancing ? "stop" : "play"}
-            label={advancing ? "Stop" : "To the fork"}
-            words={advancing ? "Stop here" : "Advance to the next fork and stop there"}
+            label={advancing ? "Stop" : toFork ? "To the fork" : "To the end"}
+            words={
+              advancing
+                ? "Stop here"
+                : toFork
+                  ? "Advance to the next fork and stop in front of it"
+                  : "Advance to the end of the route"
+            }
             keys="Space"
             onPress={() => station.act("auto_advance")}
           />

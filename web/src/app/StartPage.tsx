@@ -47,9 +47,6 @@ function DropPlace() {
     setOver(false);
     void filesOfDrop(event.dataTransfer.items).then((files) => station.upload(files));
   };
-  const pick = (list: FileList | null) => {
-    if (list !== null && list.length > 0) void station.upload(filesOfPicker(list));
-  };
   return (
     // biome-ignore lint/a11y/noStaticElementInteractions: the buttons inside do the same by keyboard
     <div
@@ -67,23 +64,34 @@ function DropPlace() {
         <br />
         <span className="quiet">a DICOM series, NIfTI, NRRD or MetaImage</span>
       </p>
-      <div className="row">
-        <FileTrigger acceptDirectory onSelect={pick}>
-          <Tip words="Choose a folder with a DICOM series">
-            <Button className="button">Choose folder</Button>
-          </Tip>
-        </FileTrigger>
-        <FileTrigger onSelect={pick}>
-          <Tip words="Choose a NIfTI, NRRD or MetaImage file">
-            <Button className="button">Choose file</Button>
-          </Tip>
-        </FileTrigger>
-      </div>
+      <Pickers />
     </div>
   );
 }
 
-function PathForm() {
+/** By the system's own dialogue. */
+export function Pickers() {
+  const station = useStation();
+  const pick = (list: FileList | null) => {
+    if (list !== null && list.length > 0) void station.upload(filesOfPicker(list));
+  };
+  return (
+    <div className="row">
+      <FileTrigger acceptDirectory onSelect={pick}>
+        <Tip words="Choose a folder with a DICOM series">
+          <Button className="button">Choose folder</Button>
+        </Tip>
+      </FileTrigger>
+      <FileTrigger onSelect={pick}>
+        <Tip words="Choose a NIfTI, NRRD or MetaImage file">
+          <Button className="button">Choose file</Button>
+        </Tip>
+      </FileTrigger>
+    </div>
+  );
+}
+
+export function PathForm() {
   const station = useStation();
   const [path, setPath] = useState("");
   return (

@@ -104,10 +104,10 @@ export interface WayOn {
 /** How far into a child its opening is looked for: one of its diameters, past the spur and before the next bend. */
 const OPENING_MM = { least: 4, most: 10 };
 /**
- * An opening nearer than this to the line of sight (tan 12 degrees), with the others at least so many times farther out,
+ * An opening nearer than this to the line of sight (tan 7 degrees), with the others at least so many times farther out,
  * has no hour: it is straight on.
  */
-const MIDDLE = { tangent: 0.21, times: 3 };
+const MIDDLE = { tangent: 0.12, times: 4 };
 /** An opening beside or behind the lens is only a direction, as far out as can be. */
 const LEAST_DEPTH_MM = 1;
 

@@ -8,9 +8,14 @@ import type { Camera } from "./vec";
 /** A fork that was just passed is still the one in front of the eye. */
 const STILL_HERE_MM = 4;
 
+/** From farther away all openings lie in the middle of the picture, and their hours say nothing. */
+const HOURS_MM = 30;
+
 export interface ForkAhead {
   /** From the tip; 0 at the fork. */
   distanceMm: number;
+  /** Near enough for the ways' hours to be told. */
+  near: boolean;
   ways: WayOn[];
 }
 
@@ -26,6 +31,7 @@ export function forkAhead(tree: BranchTree, route: RouteInfo, pathMm: number, ca
     const distanceMm = span.to_mm - pathMm;
     return {
       distanceMm: distanceMm < FORK_TOLERANCE_MM ? 0 : distanceMm,
+      near: distanceMm <= HOURS_MM,
       ways: waysOn(node, camera, route),
     };
   }

@@ -133,7 +133,15 @@ describe("the tree", () => {
   });
 
   it("finds the fork ahead, and keeps the one that was just reached", () => {
-    expect(forkAhead(TREE, ROUTE, 10, FROM_HEAD)?.distanceMm).toBe(20);
+    expect(forkAhead(TREE, ROUTE, 10, FROM_HEAD)).toMatchObject({ distanceMm: 20, near: true });
+    expect(
+      forkAhead(
+        TREE,
+        { ...ROUTE, spans: [{ branch_id: 0, name: null, generation: 0, from_mm: 0, to_mm: 99 }] },
+        10,
+        FROM_HEAD,
+      )?.near,
+    ).toBe(false);
     expect(forkAhead(TREE, ROUTE, 30, FROM_HEAD)?.distanceMm).toBe(0);
     expect(forkAhead(TREE, ROUTE, 38, FROM_HEAD)).toBeNull();
     // At the look-out of a fork that follows within millimetres, that one is meant.

@@ -1,6 +1,7 @@
 import { plural } from "../../state/format";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
+import { PathForm, Pickers } from "../StartPage";
 
 export function OpenStep() {
   const station = useStation();
@@ -41,11 +42,15 @@ export function OpenStep() {
           {plural(info.other_series.length, "other series", "other series")} in the folder: see Check.
         </p>
       )}
+      <h3>Another case</h3>
+      <p className="quiet">This one stays until the other has been read.</p>
+      <Pickers />
+      <PathForm />
       <Act
         kind="primary"
         icon="folder"
-        label="Open another case"
-        words="Close this case and go to the start page"
+        label="To the start page"
+        words="Close this case: recent cases and examples"
         onPress={() => station.send({ type: "close_case" })}
       />
     </>
