@@ -130,6 +130,7 @@ const TRANSFER_WORDS: Readonly<Record<string, string>> = {
   paper: "As in the paper",
   "ct-grey": "CT grey",
   "see-through": "See-through",
+  "from histogram": "Histogram",
 };
 
 const transferWords = (name: string): string => TRANSFER_WORDS[name] ?? name;

@@ -47,7 +47,6 @@ export function OpenStep() {
       <Pickers />
       <PathForm />
       <Act
-        kind="primary"
         icon="folder"
         label="To the start page"
         words="Close this case: recent cases and examples"
