@@ -183,6 +183,9 @@ def test_a_file_that_is_none_exits_3_and_is_named(carina, tmp_path, name, conten
         b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0, 0]], "reference_mm": 0}',
         b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0, 0]], "light": 7}',
         b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0, 0]], "unit": []}',
+        b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0, 0]], "light": {"shininess_log2": 2.5}}',
+        b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0, 0]], "light": {"reach_mm": "far"}}',
+        b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0, 0]], "light": {"ambient": "x"}}',
         b"[" * 100_000,
     ],
 )

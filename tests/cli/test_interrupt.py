@@ -54,7 +54,14 @@ def test_ctrl_c_exits_130_and_leaves_no_file(stage, ct, tmp_path):
 STARTED = """
 import sys
 from carina.cli import main
-print("started", file=sys.stderr, flush=True)
+
+class Sign:
+    # Tells that main() has begun and is loading its libraries.
+    def find_spec(self, name, path=None, target=None):
+        if name == "carina.cli.app":
+            print("started", file=sys.stderr, flush=True)
+
+sys.meta_path.insert(0, Sign())
 main()
 """
 

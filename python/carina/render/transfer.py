@@ -34,8 +34,9 @@ class Light:
 
     def __post_init__(self) -> None:
         shares = (self.ambient, self.diffuse, self.specular)
-        if not all(np.isfinite(v) and 0 <= v <= 10 for v in shares) or not 0 <= self.shininess_log2 <= 10:
-            raise RenderError(f"a light's shares and its shininess (log2) lie in 0 to 10; found {self}")
+        whole = isinstance(self.shininess_log2, int) and 0 <= self.shininess_log2 <= 10
+        if not whole or not all(np.isfinite(v) and 0 <= v <= 10 for v in shares):
+            raise RenderError(f"a light's shares and its shininess (log2, a whole number) lie in 0 to 10; found {self}")
         if self.reach_mm is not None and not self.reach_mm > 0:
             raise RenderError(f"a light's reach is above 0 mm; found {self.reach_mm}")
 
