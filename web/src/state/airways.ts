@@ -44,19 +44,20 @@ function tip(branch: TreeBranch): Vec3 | null {
 /**
  * The list's rows. Null where the tree names no root.
  *
- * The side comes from geometry, not from a name: below the first fork, a branch belongs to the side on which the end of its
- * main bronchus lies (LPS: the patient's left is +x).
+ * The side comes from geometry, not from a name, and not from the first fork: with a root in the middle of the trachea that
+ * one parts up from down. The carina is the fork that parts most tips to the right from most tips to the left (LPS: the
+ * patient's left is +x); what does not lie below it is in the middle.
  */
 export function buildTree(given: TreeDocument): BranchTree | null {
   const branches = new Map(given.branches.map((branch) => [branch.id, branch]));
   const rootBranch = branches.get(given.root);
   if (rootBranch === undefined) return null;
   const byId = new Map<number, BranchNode>();
-  const build = (branch: TreeBranch, side: Side): BranchNode => {
+  const build = (branch: TreeBranch): BranchNode => {
     const node: BranchNode = {
       branch,
       label: branch.name ?? (branch.parent === null ? "Root branch" : `Branch ${branch.id}`),
-      side,
+      side: "middle",
       lengthMm: lengthOf(branch),
       diameterMm: medianDiameter(branch),
       children: [],
@@ -65,19 +66,43 @@ export function buildTree(given: TreeDocument): BranchTree | null {
     byId.set(branch.id, node);
     for (const id of branch.children) {
       const child = branches.get(id);
-      if (child === undefined || byId.has(id)) continue;
-      node.children.push(build(child, side === "middle" ? sideOf(branch, child) : side));
+      if (child !== undefined && !byId.has(id)) node.children.push(build(child));
     }
     return node;
   };
-  return { root: build(rootBranch, "middle"), byId };
+  const root = build(rootBranch);
+  let best: { worth: number; sides: [BranchNode, Side][] } = { worth: 0, sides: [] };
+  for (const node of byId.values()) {
+    const sides = node.children.map((child) => ({ child, ...leaning(node, child) }));
+    const right = Math.max(0, ...sides.map(({ meanX, tips }) => (meanX < 0 ? -meanX * tips : 0)));
+    const left = Math.max(0, ...sides.map(({ meanX, tips }) => (meanX > 0 ? meanX * tips : 0)));
+    // The lesser of both: a fork within one lung sends few tips, and those not far, to its other side.
+    const worth = Math.min(right, left);
+    if (worth > best.worth) {
+      best = { worth, sides: sides.map(({ child, meanX }) => [child, meanX < 0 ? "right" : "left"]) };
+    }
+  }
+  for (const [child, side] of best.sides) giveSide(child, side);
+  return { root, byId };
 }
 
-function sideOf(parent: TreeBranch, child: TreeBranch): Side {
-  const from = tip(parent);
-  const to = tip(child);
-  if (from === null || to === null) return "middle";
-  return to[0] < from[0] ? "right" : "left";
+/** How many tips lie below a child, and how far to the patient's left of the fork (mean, mm). */
+function leaning(node: BranchNode, child: BranchNode): { meanX: number; tips: number } {
+  const fork = tip(node.branch);
+  const tips = tipsBelow(child);
+  if (fork === null || tips.length === 0) return { meanX: 0, tips: 0 };
+  return { meanX: tips.reduce((sum, point) => sum + point[0] - fork[0], 0) / tips.length, tips: tips.length };
+}
+
+function tipsBelow(node: BranchNode): Vec3[] {
+  if (node.children.length > 0) return node.children.flatMap(tipsBelow);
+  const end = tip(node.branch);
+  return end === null ? [] : [end];
+}
+
+function giveSide(node: BranchNode, side: Side): void {
+  node.side = side;
+  for (const child of node.children) giveSide(child, side);
 }
 
 /** The longest way down from a branch, by diameter: what "follow this airway" means. */

@@ -102,6 +102,27 @@ describe("the tree", () => {
     expect(TREE.byId.get(2)?.side).toBe("left");
   });
 
+  it("keeps the sides apart where the root lies in the middle of the trachea", () => {
+    const made = buildTree({
+      format: "carina-tree",
+      version: 1,
+      space: "LPS",
+      unit: "mm",
+      root: 0,
+      branches: [
+        branch(0, null, [1, 2], [[0, 0, 0], [2, 0, 0]], 9),
+        branch(1, 0, [3, 4], [[2, 0, 0], [0, 0, -40]], 9),
+        branch(2, 0, [], [[2, 0, 0], [4, 0, 60]], 9),
+        branch(3, 1, [5, 6], [[0, 0, -40], [-30, 0, -60]], 7),
+        branch(4, 1, [], [[0, 0, -40], [50, 0, -60]], 7),
+        branch(5, 3, [], [[-30, 0, -60], [-20, 0, -90]], 4),
+        branch(6, 3, [], [[-30, 0, -60], [-60, 0, -90]], 4),
+      ],
+    }); // biome-ignore format: points in one line each
+    const sides = [0, 1, 2, 3, 4, 5, 6].map((id) => made?.byId.get(id)?.side);
+    expect(sides).toEqual(["middle", "middle", "middle", "right", "left", "right", "right"]);
+  });
+
   it("knows the way down and the way up", () => {
     expect(mainLeaf(TREE.root).branch.id).toBe(3);
     expect(lineage(TREE, 3).map((node) => node.branch.id)).toEqual([0, 1, 3]);
