@@ -42,8 +42,8 @@ HALF_WALL_HU = -500.0
 TRACHEA_DOUBTS = {
     "cut-off": "the volume begins close above the carina: little of the trachea is in view",
     "narrow-bronchus": "the trachea is less certain: one main bronchus is short or narrow; look at it",
-    "one-bronchus": "the trachea is less certain: it goes on into one main bronchus only (the other is blocked, cut off "
-    "or was removed); look at it",
+    "one-bronchus": "the trachea is less certain: it goes on into one main bronchus only (the other is blocked, cut "
+    "off or was removed); look at it",
     "one-lung": "the trachea is less certain: there is aerated lung on one side only; look at it",
 }
 
