@@ -25,7 +25,7 @@ fn build_info(py: Python<'_>) -> PyResult<Bound<'_, pyo3::types::PyDict>> {
             "release"
         },
     )?;
-    info.set_item("simd", "portable")?;
+    info.set_item("simd", raycast::best_instruction_set()?)?;
     info.set_item("threads", rayon::current_num_threads())?;
     info.set_item("target", std::env::consts::ARCH)?;
     Ok(info)

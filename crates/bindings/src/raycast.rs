@@ -4,6 +4,8 @@
     reason = "Python hands its arguments over by value"
 )]
 
+use std::sync::OnceLock;
+
 use carina_grid::{Camera, VolumeView};
 use carina_isoregion::SegmentTable;
 use carina_raycast::{
@@ -89,14 +91,26 @@ impl TransferTable {
     }
 }
 
+/// The instruction set of a name; without one, of `CARINA_SIMD`, which is for tests; else the fastest of this machine.
 fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
-    let Some(name) = name else {
+    static CHOSEN: OnceLock<Option<String>> = OnceLock::new();
+    let chosen = || {
+        std::env::var("CARINA_SIMD")
+            .ok()
+            .map(|name| name.trim().to_owned())
+            .filter(|name| !name.is_empty())
+    };
+    let Some(name) = name.or_else(|| CHOSEN.get_or_init(chosen).as_deref()) else {
         return Ok(InstructionSet::best());
     };
     InstructionSet::named(name).ok_or_else(|| {
+        let known: Vec<_> = InstructionSet::available()
+            .into_iter()
+            .map(InstructionSet::name)
+            .collect();
         RaycastError::Setting {
             what: "instruction set",
-            expected: "portable, or avx2 where the machine has it".to_owned(),
+            expected: format!("one that this machine has: {}", known.join(", ")),
             found: name.to_owned(),
         }
         .into_py()
@@ -303,10 +317,10 @@ fn smooth_mask<'py>(
     volume_array(py, field, shape)
 }
 
-/// Name of the instruction set that casters use unless told.
+/// Name of the instruction set that casters use unless told otherwise.
 #[pyfunction]
-fn best_instruction_set() -> &'static str {
-    InstructionSet::best().name()
+pub(crate) fn best_instruction_set() -> PyResult<&'static str> {
+    Ok(instruction_set(None)?.name())
 }
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {

@@ -40,7 +40,7 @@ pub struct Frame<'a> {
     origin: Lanes,
     pub(crate) step_mm: f32,
     /// Gradients are per voxel; `|gradient in LPS per mm|^2 = g^T metric g`: xx, yy, zz, 2xy, 2xz, 2yz.
-    metric: [f32; 6],
+    pub(crate) metric: [f32; 6],
     /// Guard of a leap against f32 rounding of positions, voxels.
     pub(crate) guard_vox: f32,
 }
@@ -120,6 +120,33 @@ impl<'a> Frame<'a> {
     #[must_use]
     pub const fn camera(&self) -> &Camera {
         &self.camera
+    }
+
+    /// The camera's centre, voxels.
+    #[inline(always)]
+    pub(crate) fn origin3(&self) -> [f32; 3] {
+        [self.origin[0], self.origin[1], self.origin[2]]
+    }
+
+    /// No ray has more steps than this: the way to the farthest corner of the box and back over it.
+    pub(crate) fn most_steps(&self) -> f64 {
+        let lps_from_ijk = self.grid.lps_from_ijk();
+        let camera = self.camera.origin_lps();
+        let n = self.grid.shape_ijk();
+        let farthest = (0..8)
+            .map(|corner| {
+                let ijk = std::array::from_fn(|a| {
+                    if corner >> a & 1 == 1 {
+                        n[a] as f64
+                    } else {
+                        -1.0
+                    }
+                });
+                let p = lps_from_ijk.point(ijk);
+                length(std::array::from_fn(|a| p[a] - camera[a]))
+            })
+            .fold(0.0, f64::max);
+        farthest / self.table.step_mm() + 2.0
     }
 
     /// The ray of a pixel, clipped to the box of the voxels.

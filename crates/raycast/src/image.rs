@@ -4,6 +4,8 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+#[cfg(target_arch = "x86_64")]
+use crate::packet::{BAND_ROWS, Packets};
 use crate::{
     ClassMap, Frame, InstructionSet, Interpolation, RaycastError, brute, composite::Gathered,
     frame::Ray, leap,
@@ -56,7 +58,57 @@ pub fn cast_rows(
     rows: Range<usize>,
     simd: InstructionSet,
 ) -> Result<(Vec<u8>, CastStats), RaycastError> {
-    let (width, height) = (frame.camera().width(), frame.camera().height());
+    check(frame, method, &rows, simd)?;
+    #[cfg(target_arch = "x86_64")]
+    if let Some(packets) = Packets::of(frame, method, simd) {
+        return Ok(share(frame, &rows, BAND_ROWS, |first, out| {
+            packets.cast_band(first, out)
+        }));
+    }
+    Ok(share(frame, &rows, 1, |row, out| {
+        cast_row(frame, method, row, out, simd)
+    }))
+}
+
+/// The same picture by the scalar casters, which define truth, whatever the instruction set has.
+pub fn cast_rows_scalar(
+    frame: &Frame<'_>,
+    method: Method<'_>,
+    rows: Range<usize>,
+    simd: InstructionSet,
+) -> Result<(Vec<u8>, CastStats), RaycastError> {
+    check(frame, method, &rows, simd)?;
+    Ok(share(frame, &rows, 1, |row, out| {
+        cast_row(frame, method, row, out, simd)
+    }))
+}
+
+/// Shares rows among the threads, `num_rows` at a time.
+fn share(
+    frame: &Frame<'_>,
+    rows: &Range<usize>,
+    num_rows: usize,
+    cast: impl Fn(usize, &mut [u8]) -> CastStats + Sync,
+) -> (Vec<u8>, CastStats) {
+    let width = frame.camera().width();
+    let mut rgb = vec![0u8; rows.len() * width * 3];
+    let stats = rgb
+        .par_chunks_mut(width * 3 * num_rows)
+        .enumerate()
+        // Rows differ in cost by far (dark lumen, near wall): small shares let a thread that is done take more.
+        .with_max_len(4 / num_rows)
+        .map(|(n, out)| cast(rows.start + n * num_rows, out))
+        .reduce(CastStats::default, CastStats::plus);
+    (rgb, stats)
+}
+
+fn check(
+    frame: &Frame<'_>,
+    method: Method<'_>,
+    rows: &Range<usize>,
+    simd: InstructionSet,
+) -> Result<(), RaycastError> {
+    let height = frame.camera().height();
     if rows.start > rows.end || rows.end > height {
         return Err(RaycastError::Setting {
             what: "rows",
@@ -64,16 +116,14 @@ pub fn cast_rows(
             found: format!("{} to {}", rows.start, rows.end),
         });
     }
-    check_maps(frame, method)?;
-    let mut rgb = vec![0u8; rows.len() * width * 3];
-    let stats = rgb
-        .par_chunks_mut(width * 3)
-        .enumerate()
-        // Rows differ in cost by far (dark lumen, near wall): small shares let a thread that is done take more.
-        .with_max_len(4)
-        .map(|(n, out)| cast_row(frame, method, rows.start + n, out, simd))
-        .reduce(CastStats::default, CastStats::plus);
-    Ok((rgb, stats))
+    if !simd.is_available() {
+        return Err(RaycastError::Setting {
+            what: "instruction set",
+            expected: "one that this machine has".to_owned(),
+            found: simd.name().to_owned(),
+        });
+    }
+    check_maps(frame, method)
 }
 
 fn check_maps(frame: &Frame<'_>, method: Method<'_>) -> Result<(), RaycastError> {
@@ -116,11 +166,13 @@ fn cast_row(
     match simd {
         InstructionSet::Portable => cast_row_body(frame, method, row, out),
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: InstructionSet::Avx2 is only handed out where the machine has AVX2, FMA and BMI2. Benchmark: the
-        // portable build calls a function for every fused multiply-add and is several times slower.
-        InstructionSet::Avx2 => unsafe { cast_row_avx2(frame, method, row, out) },
+        // SAFETY: these sets are only handed out where the machine has AVX2, FMA, BMI1, BMI2, LZCNT and POPCNT.
+        // Benchmark: the portable build calls a function for every fused multiply-add and is several times slower.
+        InstructionSet::Avx2 | InstructionSet::Avx512 => unsafe {
+            cast_row_avx2(frame, method, row, out)
+        },
         #[cfg(not(target_arch = "x86_64"))]
-        InstructionSet::Avx2 => cast_row_body(frame, method, row, out),
+        InstructionSet::Avx2 | InstructionSet::Avx512 => cast_row_body(frame, method, row, out),
     }
 }
 

@@ -21,12 +21,12 @@ pub struct ClassMap<'a> {
 }
 
 /// Steps per voxel along an axis on which a ray stands still: far and, unlike infinity, safe to multiply by 0.
-const FAR: f32 = 1e30;
+pub(crate) const FAR: f32 = 1e30;
 /// More steps than any ray has within a cube of 511 voxels.
-const MAX_STEPS: f32 = 1e9;
+pub(crate) const MAX_STEPS: f32 = 1e9;
 
 /// Samples taken after a look-up that found no region: at half a voxel a step two samples share a voxel.
-const WAIT_SAMPLES: u32 = 2;
+pub(crate) const WAIT_SAMPLES: u32 = 2;
 
 /// A ray's reach in steps: how far it may go before it leaves a cube.
 #[derive(Clone, Copy)]

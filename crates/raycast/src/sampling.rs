@@ -8,13 +8,13 @@ pub(crate) type Lanes = [f32; 4];
 /// An int16 volume prepared for sampling at f32 voxel coordinates; indices clamp to the edge.
 #[derive(Debug, Clone, Copy)]
 pub struct Field<'a> {
-    data: &'a [i16],
+    pub(crate) data: &'a [i16],
     /// `n - 1` per axis: coordinates are clamped to `0 ..= last`.
-    last: Lanes,
+    pub(crate) last: Lanes,
     /// The highest lower corner of a cell, `max(n - 2, 0)`.
-    last_cell: [i32; 4],
+    pub(crate) last_cell: [i32; 4],
     /// Distance in memory to the next voxel; 0 on an axis of one voxel, so that its second corner is its first.
-    stride: [usize; 3],
+    pub(crate) stride: [usize; 3],
 }
 
 /// A cell of eight voxels and the place in it.

@@ -9,30 +9,64 @@ pub enum InstructionSet {
     Portable,
     /// AVX2 and FMA (`x86_64` since about 2013).
     Avx2,
+    /// AVX-512 F, BW, DQ and VL (servers since about 2017, AMD since Zen 4).
+    Avx512,
 }
 
 impl InstructionSet {
+    /// The sets that this machine has, slowest first.
+    #[must_use]
+    pub fn available() -> Vec<Self> {
+        [Self::Portable, Self::Avx2, Self::Avx512]
+            .into_iter()
+            .filter(|simd| simd.is_available())
+            .collect()
+    }
+
+    /// True if this machine has it.
+    #[must_use]
+    pub fn is_available(self) -> bool {
+        #[cfg(target_arch = "x86_64")]
+        {
+            use std::arch::is_x86_feature_detected as has;
+            let avx2 = || {
+                has!("avx2")
+                    && has!("fma")
+                    && has!("bmi1")
+                    && has!("bmi2")
+                    && has!("lzcnt")
+                    && has!("popcnt")
+            };
+            match self {
+                Self::Portable => true,
+                Self::Avx2 => avx2(),
+                Self::Avx512 => {
+                    avx2()
+                        && has!("avx512f")
+                        && has!("avx512bw")
+                        && has!("avx512dq")
+                        && has!("avx512vl")
+                }
+            }
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        {
+            self == Self::Portable
+        }
+    }
+
     /// The fastest one of this machine.
     #[must_use]
     pub fn best() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2")
-            && std::arch::is_x86_feature_detected!("fma")
-            && std::arch::is_x86_feature_detected!("bmi2")
-        {
-            return Self::Avx2;
-        }
-        Self::Portable
+        Self::available().pop().unwrap_or(Self::Portable)
     }
 
-    /// By name (`portable`, `avx2`), or `None` if unknown or if this machine lacks it.
+    /// By name (`portable`, `avx2`, `avx512`), or `None` if unknown or if this machine lacks it.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
-        match name {
-            "portable" => Some(Self::Portable),
-            "avx2" => (Self::best() == Self::Avx2).then_some(Self::Avx2),
-            _ => None,
-        }
+        Self::available()
+            .into_iter()
+            .find(|simd| simd.name() == name)
     }
 
     /// Its name.
@@ -41,6 +75,7 @@ impl InstructionSet {
         match self {
             Self::Portable => "portable",
             Self::Avx2 => "avx2",
+            Self::Avx512 => "avx512",
         }
     }
 }

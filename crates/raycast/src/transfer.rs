@@ -88,9 +88,11 @@ impl Transfer {
 /// What one sample adds, by integer HU: premultiplied colour and opacity of one ray step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TransferTable {
-    lo_hu: i32,
-    last: i32,
-    entries: Vec<[f32; 4]>,
+    pub(crate) lo_hu: i32,
+    pub(crate) last: i32,
+    pub(crate) entries: Vec<[f32; 4]>,
+    /// Entries before this one have no opacity.
+    pub(crate) first_visible: i32,
     step_mm: f64,
 }
 
@@ -140,6 +142,7 @@ impl TransferTable {
         Ok(Self {
             lo_hu: i32::from(lo_hu),
             last: i32::from(hi_hu) - i32::from(lo_hu),
+            first_visible: entries.iter().take_while(|entry| entry[3] <= 0.0).count() as i32,
             entries,
             step_mm,
         })

@@ -94,8 +94,8 @@ class Renderer:
     cache_dir
         Folder for radius maps; None keeps them in memory only.
     simd
-        Instruction set of the kernels (``portable``, ``avx2``) for tests; the fastest of this machine unless told. The
-        pictures are the same.
+        Instruction set of the kernels (``portable``, ``avx2``, ``avx512``) for tests; unless told, what ``CARINA_SIMD``
+        names, or the fastest of this machine. The pictures are the same.
     """
 
     def __init__(

@@ -23,6 +23,16 @@ impl Scene {
         TransferTable::new(&self.transfer(binned), step_mm, -1024, 3071).unwrap()
     }
 
+    /// The same view in another viewport.
+    #[allow(
+        dead_code,
+        reason = "not every test that shares this module changes the size"
+    )]
+    pub(crate) fn resize(&mut self, width: usize, height: usize) {
+        let pose = *self.camera.lps_from_camera();
+        self.camera = Camera::new(pose, 1.5, width, height).unwrap();
+    }
+
     /// A ball of air in tissue, camera at `offset_lps` from the middle.
     pub(crate) fn fixed(offset_lps: [f64; 3], look: [f64; 3]) -> Self {
         build(

@@ -1,0 +1,206 @@
+//! Packets against the scalar casters, interleaved in one process, on one thread: medians and ratios.
+//!
+//! `cargo bench -p carina-raycast --bench packets` casts a forked tube. With folders as arguments it casts what each
+//! holds: `NAME.i16` (HU, `[z, y, x]`), `NAME.u8` (radius map) and `NAME.txt` (shape, `lps_from_ijk`, table, transfer
+//! function, light, poses), given as `FOLDER/NAME`. `--quick` casts shaded leaps only.
+
+use std::{
+    fs,
+    time::{Duration, Instant},
+};
+
+use carina_grid::{Affine, Camera, Grid, VolumeView};
+use carina_isoregion::{class_labels, radius_map};
+use carina_raycast::{
+    Frame, FrameOptions, InstructionSet, Interpolation, Light, Method, Transfer, TransferTable,
+    cast_rows, cast_rows_scalar,
+};
+
+struct Case {
+    name: String,
+    grid: Grid,
+    hu: Vec<i16>,
+    radius: Vec<u8>,
+    table: TransferTable,
+    light: Light,
+    poses: Vec<(String, Affine)>,
+}
+
+fn numbers(line: &str) -> Vec<f64> {
+    line.split_whitespace()
+        .map(|word| word.parse().unwrap_or(f64::INFINITY))
+        .collect()
+}
+
+fn rows_of(v: &[f64]) -> Affine {
+    let row = |r: usize| std::array::from_fn(|c| v[4 * r + c]);
+    Affine::from_rows([row(0), row(1), row(2)])
+}
+
+fn read_case(path: &str) -> Case {
+    let text = fs::read_to_string(format!("{path}.txt")).expect("the description");
+    let lines: Vec<&str> = text.lines().collect();
+    let shape = numbers(lines[0]);
+    let values = numbers(lines[2]);
+    let points = numbers(lines[3])
+        .chunks_exact(5)
+        .map(|p| [p[0], p[1], p[2], p[3], p[4]])
+        .collect();
+    let transfer = Transfer::new(points, values[0], 1).expect("a transfer function");
+    let light = numbers(lines[4]);
+    let bytes = fs::read(format!("{path}.i16")).expect("the volume");
+    Case {
+        name: path.rsplit('/').next().unwrap_or(path).to_owned(),
+        grid: Grid::new(
+            [0, 1, 2].map(|a| shape[a] as usize),
+            rows_of(&numbers(lines[1])),
+        )
+        .expect("a grid"),
+        hu: bytes
+            .chunks_exact(2)
+            .map(|b| i16::from_le_bytes([b[0], b[1]]))
+            .collect(),
+        radius: fs::read(format!("{path}.u8")).expect("the map"),
+        table: TransferTable::new(&transfer, values[3], values[1] as i16, values[2] as i16)
+            .expect("a table"),
+        light: Light {
+            ambient: light[0] as f32,
+            diffuse: light[1] as f32,
+            specular: light[2] as f32,
+            shininess_log2: light[3] as u32,
+            reach_mm: light[4] as f32,
+        },
+        poses: lines[5..]
+            .iter()
+            .filter_map(|line| line.split_once(' '))
+            .map(|(name, v)| (name.to_owned(), rows_of(&numbers(v))))
+            .collect(),
+    }
+}
+
+/// Air in a tube of 18 voxels that forks, in tissue with an edge two voxels wide and noise.
+fn forked_tube() -> Case {
+    let n = 192;
+    let grid = Grid::new([n; 3], Affine::IDENTITY).expect("a grid");
+    let mut state = 7u64;
+    let hu: Vec<i16> = (0..grid.num_voxels())
+        .map(|index| {
+            let [x, y, z] = grid.voxel(index).map(|v| v as f64 - 95.5);
+            let apart = (z + 20.0).max(0.0) * 0.6;
+            let from_axis = ((x.abs() - apart).powi(2) + y * y).sqrt();
+            let wall = (from_axis - 9.0).clamp(0.0, 2.0) / 2.0;
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (-1000.0 + 1040.0 * wall) as i16 + (state >> 59) as i16
+        })
+        .collect();
+    let points = vec![
+        [-700.0, 0.8, 0.45, 0.4, 0.0],
+        [-350.0, 0.8, 0.5, 0.45, 0.9],
+        [100.0, 0.9, 0.8, 0.7, 0.9],
+    ];
+    let transfer = Transfer::new(points, 1.0, 1).expect("a transfer function");
+    let labels = class_labels(&hu, -1100, &transfer.range(-1100, 3100), true)
+        .expect("labels")
+        .labels;
+    let radius = radius_map(&labels, [n; 3]).expect("a map");
+    Case {
+        name: "forked tube".to_owned(),
+        radius,
+        hu,
+        table: TransferTable::new(&transfer, 0.5, -1024, 3071).expect("a table"),
+        light: Light {
+            ambient: 0.26,
+            diffuse: 0.98,
+            specular: 0.35,
+            shininess_log2: 5,
+            reach_mm: 26.0,
+        },
+        poses: vec![(
+            "stem".to_owned(),
+            Affine::from_columns(
+                [1.0, 0.0, 0.0],
+                [0.0, 1.0, 0.0],
+                [0.0, 0.0, 1.0],
+                [97.0, 94.0, 30.0],
+            ),
+        )],
+        grid,
+    }
+}
+
+fn median(mut times: Vec<Duration>) -> f64 {
+    times.sort();
+    times[times.len() / 2].as_secs_f64() * 1e3
+}
+
+fn bench(case: &Case, quick: bool) {
+    let repeats = if quick { 25 } else { 7 };
+    let volume = VolumeView::new(&case.hu, &case.grid).expect("a volume");
+    // The first is the scalar caster compiled for the best set. Portable is left out where there is better: it calls a
+    // function for each fused multiply-add.
+    let mut sets = vec![InstructionSet::best()];
+    sets.extend(InstructionSet::available().into_iter().skip(1));
+    for (name, pose) in &case.poses {
+        for shaded in if quick { vec![true] } else { vec![true, false] } {
+            let options = FrameOptions {
+                interpolation: Interpolation::Trilinear,
+                light: shaded.then_some(case.light),
+                background: [0.0; 3],
+            };
+            let camera = Camera::new(*pose, std::f64::consts::FRAC_PI_2, 512, 512).expect("camera");
+            let frame = Frame::new(volume, &case.table, camera, options).expect("a frame");
+            let methods = [
+                ("leap", Method::LeapTransparent(&case.radius)),
+                ("brute", Method::Brute),
+            ];
+            for (method_name, method) in methods.into_iter().take(if quick { 1 } else { 2 }) {
+                let mut times = vec![Vec::new(); sets.len()];
+                let mut truth = None;
+                for _ in 0..repeats {
+                    for (n, &simd) in sets.iter().enumerate() {
+                        let start = Instant::now();
+                        let cast = if n == 0 { cast_rows_scalar } else { cast_rows };
+                        let out = cast(&frame, method, 0..512, simd).expect("a picture");
+                        times[n].push(start.elapsed());
+                        assert!(*truth.get_or_insert_with(|| out.clone()) == out, "{simd:?}");
+                    }
+                }
+                let ms: Vec<f64> = times.into_iter().map(median).collect();
+                let stats = truth.map(|t| t.1).unwrap_or_default();
+                let per_ray = |n: u64| n as f64 / stats.num_rays as f64;
+                print!(
+                    "{:12} {name:10} {:6} {method_name:5} {:5.1} samples, {:4.1} look-ups a ray:",
+                    case.name,
+                    if shaded { "shaded" } else { "flat" },
+                    per_ray(stats.num_samples),
+                    per_ray(stats.num_lookups),
+                );
+                print!("  scalar {:6.1} ms", ms[0]);
+                for (simd, ms_of) in sets.iter().zip(&ms).skip(1) {
+                    print!("  {} {ms_of:6.1} ms ({:.2}x)", simd.name(), ms[0] / ms_of);
+                }
+                println!();
+            }
+        }
+    }
+}
+
+fn main() {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .build_global()
+        .expect("one thread");
+    let quick = std::env::args().any(|a| a == "--quick");
+    let paths: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|a| !a.starts_with("--"))
+        .collect();
+    if paths.is_empty() {
+        bench(&forked_tube(), quick);
+    }
+    for path in paths {
+        bench(&read_case(&path), quick);
+    }
+}

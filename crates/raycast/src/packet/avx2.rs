@@ -1,0 +1,229 @@
+//! Eight rays: AVX2 and FMA.
+
+use std::arch::x86_64::{
+    __m256, __m256i, _CMP_LT_OQ, _mm_loadu_ps, _mm256_add_epi32, _mm256_add_ps, _mm256_and_ps,
+    _mm256_and_si256, _mm256_andnot_si256, _mm256_blendv_epi8, _mm256_blendv_ps,
+    _mm256_castps_si256, _mm256_castps128_ps256, _mm256_castsi256_ps, _mm256_castsi256_si128,
+    _mm256_cmp_ps, _mm256_cmpeq_epi32, _mm256_cmpgt_epi32, _mm256_cvtepi32_ps, _mm256_cvttps_epi32,
+    _mm256_div_ps, _mm256_extracti128_si256, _mm256_floor_ps, _mm256_fmadd_ps,
+    _mm256_i32gather_epi32, _mm256_i32gather_epi64, _mm256_insertf128_ps, _mm256_loadu_ps,
+    _mm256_loadu_si256, _mm256_madd_epi16, _mm256_max_epi32, _mm256_max_ps, _mm256_min_epi32,
+    _mm256_min_ps, _mm256_movemask_ps, _mm256_mul_ps, _mm256_mullo_epi32, _mm256_permute4x64_epi64,
+    _mm256_permutevar8x32_epi32, _mm256_set1_epi32, _mm256_set1_ps, _mm256_setr_epi32,
+    _mm256_shuffle_ps, _mm256_slli_epi32, _mm256_sqrt_ps, _mm256_srai_epi32, _mm256_srlv_epi32,
+    _mm256_storeu_ps, _mm256_storeu_si256, _mm256_sub_epi32, _mm256_sub_ps, _mm256_unpackhi_ps,
+    _mm256_unpacklo_ps,
+};
+
+use super::lanes::{Array, Lanes};
+
+/// The machine has AVX2 and FMA.
+#[derive(Clone, Copy)]
+pub(super) struct Avx2(());
+
+impl Avx2 {
+    /// The proof.
+    ///
+    /// # Safety
+    /// The machine must have AVX2 and FMA.
+    #[inline(always)]
+    pub(super) unsafe fn new() -> Self {
+        Self(())
+    }
+}
+
+/// For each mask of eight lanes: which of the values in turn a lane takes.
+static TURN: [[i32; 8]; 256] = {
+    let mut turns = [[0; 8]; 256];
+    let mut mask = 0;
+    while mask < 256 {
+        let (mut lane, mut turn) = (0, 0);
+        while lane < 8 {
+            if mask >> lane & 1 == 1 {
+                turns[mask][lane] = turn;
+                turn += 1;
+            }
+            lane += 1;
+        }
+        mask += 1;
+    }
+    turns
+};
+
+/// For each mask of eight lanes: its lanes in turn.
+static PLACE: [[i32; 8]; 256] = {
+    let mut places = [[0; 8]; 256];
+    let mut mask = 0;
+    while mask < 256 {
+        let (mut lane, mut turn) = (0, 0);
+        while lane < 8 {
+            if mask >> lane & 1 == 1 {
+                places[mask][turn] = lane;
+                turn += 1;
+            }
+            lane += 1;
+        }
+        mask += 1;
+    }
+    places
+};
+
+/// A full lane for each bit.
+///
+/// # Safety
+/// The machine must have AVX2.
+#[inline(always)]
+unsafe fn lanes_of(bits: u32) -> __m256i {
+    // SAFETY: as promised by the caller.
+    unsafe {
+        let bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+        _mm256_cmpeq_epi32(_mm256_and_si256(_mm256_set1_epi32(bits as i32), bit), bit)
+    }
+}
+
+/// Each operation is one or a few instructions.
+macro_rules! operations {
+    ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
+        #[inline(always)]
+        fn $name(self, $($arg: $type),*) -> $out {
+            // SAFETY: `self` exists only where the machine has the instructions; loads and stores are of whole arrays.
+            // Benchmark: docs/decisions/0003-packets.md.
+            unsafe { $body }
+        }
+    )*};
+}
+
+impl Lanes for Avx2 {
+    const N: usize = 8;
+    type F = __m256;
+    type I = __m256i;
+    type M = __m256i;
+
+    operations! {
+        fn splat(v: f32) -> __m256 { _mm256_set1_ps(v) }
+        fn splat_i(v: i32) -> __m256i { _mm256_set1_epi32(v) }
+        fn store(v: __m256) -> Array<f32> {{
+            let mut out = [0.0; 16];
+            _mm256_storeu_ps(out.as_mut_ptr(), v);
+            out
+        }}
+        fn store_i(v: __m256i) -> Array<i32> {{
+            let mut out = [0; 16];
+            _mm256_storeu_si256(out.as_mut_ptr().cast(), v);
+            out
+        }}
+        fn fill(old: __m256, mask: u32, values: &Array<f32>) -> __m256 {{
+            let values = _mm256_castps_si256(_mm256_loadu_ps(values.as_ptr()));
+            let turn = _mm256_loadu_si256(TURN[(mask & 255) as usize].as_ptr().cast());
+            let new = _mm256_castsi256_ps(_mm256_permutevar8x32_epi32(values, turn));
+            _mm256_blendv_ps(old, new, _mm256_castsi256_ps(lanes_of(mask)))
+        }}
+        fn fill_i(old: __m256i, mask: u32, values: &Array<i32>) -> __m256i {{
+            let values = _mm256_loadu_si256(values.as_ptr().cast());
+            let turn = _mm256_loadu_si256(TURN[(mask & 255) as usize].as_ptr().cast());
+            _mm256_blendv_epi8(old, _mm256_permutevar8x32_epi32(values, turn), lanes_of(mask))
+        }}
+        fn pack(v: __m256, mask: u32) -> __m256 {{
+            let lane = _mm256_loadu_si256(PLACE[(mask & 255) as usize].as_ptr().cast());
+            _mm256_castsi256_ps(_mm256_permutevar8x32_epi32(_mm256_castps_si256(v), lane))
+        }}
+        fn pack_i(v: __m256i, mask: u32) -> __m256i {{
+            let lane = _mm256_loadu_si256(PLACE[(mask & 255) as usize].as_ptr().cast());
+            _mm256_permutevar8x32_epi32(v, lane)
+        }}
+
+        fn add(a: __m256, b: __m256) -> __m256 { _mm256_add_ps(a, b) }
+        fn sub(a: __m256, b: __m256) -> __m256 { _mm256_sub_ps(a, b) }
+        fn mul(a: __m256, b: __m256) -> __m256 { _mm256_mul_ps(a, b) }
+        fn div(a: __m256, b: __m256) -> __m256 { _mm256_div_ps(a, b) }
+        fn fma(a: __m256, b: __m256, c: __m256) -> __m256 { _mm256_fmadd_ps(a, b, c) }
+        fn min(a: __m256, b: __m256) -> __m256 { _mm256_min_ps(a, b) }
+        fn max(a: __m256, b: __m256) -> __m256 { _mm256_max_ps(a, b) }
+        fn abs(a: __m256) -> __m256 {
+            _mm256_and_ps(a, _mm256_castsi256_ps(_mm256_set1_epi32(i32::MAX)))
+        }
+        fn sqrt(a: __m256) -> __m256 { _mm256_sqrt_ps(a) }
+        fn floor(a: __m256) -> __m256 { _mm256_floor_ps(a) }
+        fn less(a: __m256, b: __m256) -> __m256i { _mm256_castps_si256(_mm256_cmp_ps::<_CMP_LT_OQ>(a, b)) }
+        fn select(mask: __m256i, yes: __m256, no: __m256) -> __m256 {
+            _mm256_blendv_ps(no, yes, _mm256_castsi256_ps(mask))
+        }
+
+        fn add_i(a: __m256i, b: __m256i) -> __m256i { _mm256_add_epi32(a, b) }
+        fn sub_i(a: __m256i, b: __m256i) -> __m256i { _mm256_sub_epi32(a, b) }
+        fn mul_i(a: __m256i, b: __m256i) -> __m256i { _mm256_mullo_epi32(a, b) }
+        fn min_i(a: __m256i, b: __m256i) -> __m256i { _mm256_min_epi32(a, b) }
+        fn max_i(a: __m256i, b: __m256i) -> __m256i { _mm256_max_epi32(a, b) }
+        fn less_i(a: __m256i, b: __m256i) -> __m256i { _mm256_cmpgt_epi32(b, a) }
+        fn select_i(mask: __m256i, yes: __m256i, no: __m256i) -> __m256i { _mm256_blendv_epi8(no, yes, mask) }
+
+        fn whole(a: __m256) -> __m256i { _mm256_cvttps_epi32(a) }
+        fn to_f(a: __m256i) -> __m256 { _mm256_cvtepi32_ps(a) }
+
+        fn mask(bits: u32) -> __m256i { lanes_of(bits) }
+        fn bits(a: __m256i) -> u32 { _mm256_movemask_ps(_mm256_castsi256_ps(a)) as u32 }
+        fn and(a: __m256i, b: __m256i) -> __m256i { _mm256_and_si256(a, b) }
+        fn without(a: __m256i, b: __m256i) -> __m256i { _mm256_andnot_si256(b, a) }
+
+        // Products with 1, 0 and -1, added in pairs, in i32: nothing can overflow.
+        fn first(pair: __m256i) -> __m256i { _mm256_madd_epi16(pair, _mm256_set1_epi32(1)) }
+        fn second(pair: __m256i) -> __m256i { _mm256_srai_epi32::<16>(pair) }
+        fn rise(pair: __m256i) -> __m256i { _mm256_madd_epi16(pair, _mm256_set1_epi32(0x0001_ffff)) }
+    }
+
+    #[inline(always)]
+    unsafe fn pairs(self, data: *const i16, index: __m256i) -> __m256i {
+        // SAFETY: as promised by the caller; a gather needs no alignment.
+        unsafe { _mm256_i32gather_epi32::<2>(data.cast(), index) }
+    }
+
+    #[inline(always)]
+    unsafe fn quads(self, data: *const i16, index: __m256i) -> [__m256i; 2] {
+        // SAFETY: as promised by the caller; a gather needs no alignment.
+        unsafe {
+            let lo = _mm256_i32gather_epi64::<2>(data.cast(), _mm256_castsi256_si128(index));
+            let hi = _mm256_i32gather_epi64::<2>(data.cast(), _mm256_extracti128_si256::<1>(index));
+            let (lo, hi) = (_mm256_castsi256_ps(lo), _mm256_castsi256_ps(hi));
+            // Even and odd halves; the shuffle works within 128 bits, so the quarters are put in order after it.
+            let even = _mm256_castps_si256(_mm256_shuffle_ps::<0x88>(lo, hi));
+            let odd = _mm256_castps_si256(_mm256_shuffle_ps::<0xdd>(lo, hi));
+            [
+                _mm256_permute4x64_epi64::<0xd8>(even),
+                _mm256_permute4x64_epi64::<0xd8>(odd),
+            ]
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn bytes(self, data: *const u8, last_word: i32, index: __m256i) -> __m256i {
+        // SAFETY: 4 bytes from an index of at most `last_word` lie in the data, as promised by the caller.
+        unsafe {
+            let start = _mm256_min_epi32(index, _mm256_set1_epi32(last_word));
+            let word = _mm256_i32gather_epi32::<1>(data.cast(), start);
+            let shift = _mm256_slli_epi32::<3>(_mm256_sub_epi32(index, start));
+            _mm256_and_si256(_mm256_srlv_epi32(word, shift), _mm256_set1_epi32(255))
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn entries(self, table: *const [f32; 4], index: __m256i) -> [__m256; 4] {
+        let at = self.store_i(index);
+        // SAFETY: each lane's entry lies in the table, as promised by the caller.
+        // Eight loads of four numbers and a transposition: a quarter of the loads of four gathers.
+        unsafe {
+            let entry = |n: usize| _mm_loadu_ps(table.add(at[n] as usize).cast());
+            let two = |n: usize| {
+                _mm256_insertf128_ps::<1>(_mm256_castps128_ps256(entry(n)), entry(n + 4))
+            };
+            let (a, b, c, d) = (two(0), two(1), two(2), two(3));
+            let (ab_lo, ab_hi) = (_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b));
+            let (cd_lo, cd_hi) = (_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d));
+            [
+                _mm256_shuffle_ps::<0x44>(ab_lo, cd_lo),
+                _mm256_shuffle_ps::<0xee>(ab_lo, cd_lo),
+                _mm256_shuffle_ps::<0x44>(ab_hi, cd_hi),
+                _mm256_shuffle_ps::<0xee>(ab_hi, cd_hi),
+            ]
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! What a packet kernel needs of an instruction set: numbers, masks and gathers for as many rays as fit a register.
+
+/// The most lanes of any instruction set.
+pub(super) const MAX_LANES: usize = 16;
+
+/// One value for each lane, in memory.
+pub(super) type Array<T> = [T; MAX_LANES];
+
+/// An instruction set. A value of the type is the proof that the machine has it.
+///
+/// Every operation is the IEEE one, or the integer one, that the scalar kernel uses; there are no estimates.
+/// `min(a, b)` is `if a < b { a } else { b }`, `max(a, b)` is `if a > b { a } else { b }`.
+pub(super) trait Lanes: Copy {
+    /// Number of lanes.
+    const N: usize;
+    /// f32 for each lane.
+    type F: Copy;
+    /// i32 for each lane.
+    type I: Copy;
+    /// Yes or no for each lane.
+    type M: Copy;
+
+    fn splat(self, v: f32) -> Self::F;
+    fn splat_i(self, v: i32) -> Self::I;
+    fn store(self, v: Self::F) -> Array<f32>;
+    fn store_i(self, v: Self::I) -> Array<i32>;
+    /// Lanes of the mask take the values in turn, the others stay.
+    fn fill(self, old: Self::F, mask: u32, values: &Array<f32>) -> Self::F;
+    /// The same for integers.
+    fn fill_i(self, old: Self::I, mask: u32, values: &Array<i32>) -> Self::I;
+
+    /// The lanes of the mask moved to the front; the others hold anything.
+    fn pack(self, v: Self::F, mask: u32) -> Self::F;
+    /// The same for integers.
+    fn pack_i(self, v: Self::I, mask: u32) -> Self::I;
+
+    fn add(self, a: Self::F, b: Self::F) -> Self::F;
+    fn sub(self, a: Self::F, b: Self::F) -> Self::F;
+    fn mul(self, a: Self::F, b: Self::F) -> Self::F;
+    fn div(self, a: Self::F, b: Self::F) -> Self::F;
+    /// `a b + c`, rounded once.
+    fn fma(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F;
+    fn min(self, a: Self::F, b: Self::F) -> Self::F;
+    fn max(self, a: Self::F, b: Self::F) -> Self::F;
+    fn abs(self, a: Self::F) -> Self::F;
+    fn sqrt(self, a: Self::F) -> Self::F;
+    fn floor(self, a: Self::F) -> Self::F;
+    fn less(self, a: Self::F, b: Self::F) -> Self::M;
+    /// `yes` in the lanes of the mask, else `no`.
+    fn select(self, mask: Self::M, yes: Self::F, no: Self::F) -> Self::F;
+
+    fn add_i(self, a: Self::I, b: Self::I) -> Self::I;
+    fn sub_i(self, a: Self::I, b: Self::I) -> Self::I;
+    fn mul_i(self, a: Self::I, b: Self::I) -> Self::I;
+    fn min_i(self, a: Self::I, b: Self::I) -> Self::I;
+    fn max_i(self, a: Self::I, b: Self::I) -> Self::I;
+    fn less_i(self, a: Self::I, b: Self::I) -> Self::M;
+    fn select_i(self, mask: Self::M, yes: Self::I, no: Self::I) -> Self::I;
+
+    /// The whole part; the value must be within i32.
+    fn whole(self, a: Self::F) -> Self::I;
+    fn to_f(self, a: Self::I) -> Self::F;
+
+    fn mask(self, bits: u32) -> Self::M;
+    fn bits(self, a: Self::M) -> u32;
+    fn and(self, a: Self::M, b: Self::M) -> Self::M;
+    /// `a` without `b`.
+    fn without(self, a: Self::M, b: Self::M) -> Self::M;
+
+    /// First of two int16 in each lane.
+    fn first(self, pair: Self::I) -> Self::I;
+    /// Second of two int16 in each lane.
+    fn second(self, pair: Self::I) -> Self::I;
+    /// Second less first.
+    fn rise(self, pair: Self::I) -> Self::I;
+
+    /// Voxels `index` and `index + 1`, the first one in the low half.
+    ///
+    /// # Safety
+    /// In every lane both must lie in the data.
+    unsafe fn pairs(self, data: *const i16, index: Self::I) -> Self::I;
+    /// Voxels `index ..= index + 3` as two pairs.
+    ///
+    /// # Safety
+    /// In every lane all four must lie in the data.
+    unsafe fn quads(self, data: *const i16, index: Self::I) -> [Self::I; 2];
+    /// The byte at `index`, 0..255. `last_word` is the number of bytes less 4: a load at the very end starts earlier.
+    ///
+    /// # Safety
+    /// In every lane the byte must lie in the data, and there must be at least 4 bytes.
+    unsafe fn bytes(self, data: *const u8, last_word: i32, index: Self::I) -> Self::I;
+    /// Four numbers at `index`, as one register for each of the four.
+    ///
+    /// # Safety
+    /// In every lane the entry must lie in the table.
+    unsafe fn entries(self, table: *const [f32; 4], index: Self::I) -> [Self::F; 4];
+}

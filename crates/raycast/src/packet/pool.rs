@@ -1,0 +1,248 @@
+//! Rays between the lanes: those that search and those that wait for shading.
+
+use super::lanes::{Array, Lanes, MAX_LANES};
+use crate::Frame;
+
+/// Rays set up at a time.
+const BATCH: usize = 64;
+/// Rays that a pool holds at most. A batch is set up when none waits to search; then fewer than 48 + 16 wait for shading
+/// and 32 are in lanes, so there are never more than 160. Sixteen more are for writing whole registers.
+const CAPACITY: usize = 256;
+
+/// The rays in the lanes of an instruction set.
+#[derive(Clone, Copy)]
+pub(super) struct Packet<L: Lanes> {
+    pub delta: [L::F; 3],
+    pub rgb: [L::F; 3],
+    pub transparency: L::F,
+    /// The next sample.
+    pub k: L::I,
+    pub end: L::I,
+    /// Place in the band.
+    pub pixel: L::I,
+    /// Samples to take before the map is asked again (see `leap`).
+    pub wait: L::I,
+    /// Lanes that hold a ray.
+    pub occupied: u32,
+}
+
+impl<L: Lanes> Packet<L> {
+    #[inline(always)]
+    pub(super) fn empty(l: L) -> Self {
+        let (zero, none) = (l.splat(0.0), l.splat_i(0));
+        Self {
+            delta: [zero; 3],
+            rgb: [zero; 3],
+            transparency: zero,
+            k: none,
+            end: none,
+            pixel: none,
+            wait: none,
+            occupied: 0,
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn free(&self) -> u32 {
+        !self.occupied & ((1 << L::N) - 1)
+    }
+
+    #[inline(always)]
+    pub(super) fn num_free(&self) -> usize {
+        self.free().count_ones() as usize
+    }
+
+    /// Positions of the samples `k`.
+    #[inline(always)]
+    pub(super) fn at(&self, l: L, origin: [f32; 3]) -> [L::F; 3] {
+        let t = l.add(l.to_f(self.k), l.splat(0.5));
+        let mut p = self.delta;
+        for a in 0..3 {
+            p[a] = l.fma(t, self.delta[a], l.splat(origin[a]));
+        }
+        p
+    }
+
+    /// Writes the pixels of some lanes, which are free then. Gives the sum of their sample numbers.
+    #[inline(always)]
+    pub(super) fn finish(&mut self, l: L, lanes: u32, background: [f32; 3], out: &mut [u8]) -> u64 {
+        // As in `Gathered::to_rgb8`; its cast saturates.
+        let mut rgb = [[0; MAX_LANES]; 3];
+        for c in 0..3 {
+            let v = l.fma(self.transparency, l.splat(background[c]), self.rgb[c]);
+            let v = l.fma(v, l.splat(255.0), l.splat(0.5));
+            rgb[c] = l.store_i(l.whole(l.min(l.max(v, l.splat(0.0)), l.splat(255.0))));
+        }
+        let (pixel, k) = (l.store_i(self.pixel), l.store_i(self.k));
+        let mut sum = 0;
+        let mut left = lanes;
+        while left != 0 {
+            let n = left.trailing_zeros() as usize % MAX_LANES;
+            left &= left - 1;
+            let at = pixel[n] as usize * 3;
+            out[at..at + 3].copy_from_slice(&[rgb[0][n] as u8, rgb[1][n] as u8, rgb[2][n] as u8]);
+            sum += k[n] as u64;
+        }
+        self.occupied &= !lanes;
+        sum
+    }
+}
+
+/// Rays in memory, each number in an array of its own. The last to come is the first to go.
+pub(super) struct Pool {
+    len: usize,
+    delta: [[f32; CAPACITY]; 3],
+    rgb: [[f32; CAPACITY]; 3],
+    transparency: [f32; CAPACITY],
+    k: [i32; CAPACITY],
+    end: [i32; CAPACITY],
+    pixel: [i32; CAPACITY],
+    wait: [i32; CAPACITY],
+}
+
+#[inline(always)]
+fn window<T>(values: &[T; CAPACITY], at: usize) -> &Array<T> {
+    values[at..at + MAX_LANES]
+        .try_into()
+        .expect("a slice of this length")
+}
+
+#[inline(always)]
+fn write<T: Copy>(values: &mut [T; CAPACITY], at: usize, lanes: Array<T>) {
+    values[at..at + MAX_LANES].copy_from_slice(&lanes);
+}
+
+impl Pool {
+    pub(super) fn empty() -> Self {
+        Self {
+            len: 0,
+            delta: [[0.0; CAPACITY]; 3],
+            rgb: [[0.0; CAPACITY]; 3],
+            transparency: [0.0; CAPACITY],
+            k: [0; CAPACITY],
+            end: [0; CAPACITY],
+            pixel: [0; CAPACITY],
+            wait: [0; CAPACITY],
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn len(&self) -> usize {
+        self.len
+    }
+
+    #[inline(always)]
+    pub(super) fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Takes rays out of some lanes, which are free then.
+    #[inline(always)]
+    pub(super) fn take_from<L: Lanes>(&mut self, l: L, packet: &mut Packet<L>, lanes: u32) {
+        let at = self.len;
+        for a in 0..3 {
+            write(
+                &mut self.delta[a],
+                at,
+                l.store(l.pack(packet.delta[a], lanes)),
+            );
+            write(&mut self.rgb[a], at, l.store(l.pack(packet.rgb[a], lanes)));
+        }
+        write(
+            &mut self.transparency,
+            at,
+            l.store(l.pack(packet.transparency, lanes)),
+        );
+        write(&mut self.k, at, l.store_i(l.pack_i(packet.k, lanes)));
+        write(&mut self.end, at, l.store_i(l.pack_i(packet.end, lanes)));
+        write(
+            &mut self.pixel,
+            at,
+            l.store_i(l.pack_i(packet.pixel, lanes)),
+        );
+        write(&mut self.wait, at, l.store_i(l.pack_i(packet.wait, lanes)));
+        self.len += lanes.count_ones() as usize;
+        packet.occupied &= !lanes;
+    }
+
+    /// Puts rays into free lanes, as many as there are.
+    #[inline(always)]
+    pub(super) fn give_to<L: Lanes>(&mut self, l: L, packet: &mut Packet<L>) {
+        let mut lanes = packet.free();
+        // The lowest lanes take the rays that are left.
+        while lanes.count_ones() as usize > self.len {
+            lanes &= !(1 << lanes.ilog2());
+        }
+        self.len -= lanes.count_ones() as usize;
+        let at = self.len;
+        for a in 0..3 {
+            packet.delta[a] = l.fill(packet.delta[a], lanes, window(&self.delta[a], at));
+            packet.rgb[a] = l.fill(packet.rgb[a], lanes, window(&self.rgb[a], at));
+        }
+        packet.transparency = l.fill(packet.transparency, lanes, window(&self.transparency, at));
+        packet.k = l.fill_i(packet.k, lanes, window(&self.k, at));
+        packet.end = l.fill_i(packet.end, lanes, window(&self.end, at));
+        packet.pixel = l.fill_i(packet.pixel, lanes, window(&self.pixel, at));
+        packet.wait = l.fill_i(packet.wait, lanes, window(&self.wait, at));
+        packet.occupied |= lanes;
+    }
+}
+
+/// The rays of a band of rows that are not set up yet, column by column, so that a packet covers a square of pixels.
+pub(super) struct Source {
+    width: usize,
+    first_row: usize,
+    num_rows: usize,
+    next: usize,
+    sum_of_first: u64,
+}
+
+impl Source {
+    pub(super) fn new(width: usize, first_row: usize, num_rows: usize) -> Self {
+        Self {
+            width,
+            first_row,
+            num_rows,
+            next: 0,
+            sum_of_first: 0,
+        }
+    }
+
+    pub(super) fn num_rays(&self) -> usize {
+        self.width * self.num_rows
+    }
+
+    #[inline(always)]
+    pub(super) fn is_empty(&self) -> bool {
+        self.next == self.num_rays()
+    }
+
+    /// Sum of the first sample numbers of the rays set up so far.
+    pub(super) fn sum_of_first(&self) -> u64 {
+        self.sum_of_first
+    }
+
+    /// Sets rays up in an empty pool.
+    #[inline(always)]
+    pub(super) fn set_up(&mut self, frame: &Frame<'_>, pool: &mut Pool) {
+        let count = (self.num_rays() - self.next).min(BATCH);
+        for n in 0..count {
+            let id = self.next + n;
+            let (column, row) = (id / self.num_rows, id % self.num_rows);
+            let ray = frame.ray(column, self.first_row + row);
+            for a in 0..3 {
+                pool.delta[a][n] = ray.delta[a];
+                pool.rgb[a][n] = 0.0;
+            }
+            pool.transparency[n] = 1.0;
+            // `Packets::of` has checked that no ray has 2^30 steps.
+            pool.k[n] = ray.first as i32;
+            pool.end[n] = ray.end as i32;
+            pool.pixel[n] = (row * self.width + column) as i32;
+            pool.wait[n] = 0;
+            self.sum_of_first += u64::from(ray.first);
+        }
+        self.next += count;
+        pool.len = count;
+    }
+}
