@@ -154,7 +154,7 @@ def find_trachea_voxels(
     lung: tuple[int, int] | None,
     cancel: Callable[[], bool] | None = None,
 ) -> dict[str, Any]:
-    """voxels_ijk (n, 3) from the top down, diameters_mm (n,), length_mm, carina_lps (3,)."""
+    """voxels_ijk (n, 3) from the top down, diameters_mm (n,), length_mm, carina_lps (3,), doubts (list of words)."""
 
 def flood_lumen(
     values_zyx: NDArray[np.int16],

@@ -9,6 +9,7 @@ import pytest
 
 from carina.errors import CancelledError, GeometryError, NoResultError, UsageError
 from carina.track import find_airways, lumen_threshold_from_histogram, track_paths
+from carina.track.airways import refuse_a_root_below_the_carina
 from carina.volume.model import Volume
 
 STORED = [
@@ -124,9 +125,27 @@ def test_a_root_in_the_lung_finds_no_airway(chest):
 
 def test_a_chest_whose_trachea_does_not_split_is_refused_in_words(draw_chest):
     with pytest.raises(NoResultError, match="trachea") as caught:
-        find_airways(draw_chest(num_tubes=2).volume)
+        find_airways(draw_chest(num_tubes=1).volume)
     assert caught.value.exit_code == 4
     assert "root" in str(caught.value)
+
+
+def test_a_trachea_with_one_main_bronchus_is_found_and_said_to_be_less_certain(draw_chest):
+    both = find_airways(draw_chest().volume)
+    assert not any("less certain" in note for note in both.notes)
+    one = find_airways(draw_chest(num_tubes=2).volume)
+    assert any("one main bronchus only" in note for note in one.notes)
+    # The same trachea, to the slice.
+    assert np.linalg.norm(one.root_lps - both.root_lps) < 3.0
+
+
+def test_an_automatic_root_that_turns_out_to_be_a_lower_bronchus_is_refused(chest):
+    # Rooted at a segment, three ends in the lung are reached by going up first: what a wrong trachea looks like.
+    start, end, _ = chest.tubes[3]
+    lower = find_airways(chest.volume, lumen_zyx=find_airways(chest.volume).lumen_zyx, root_lps=0.2 * start + 0.8 * end)
+    assert lower.root_lps[2] < chest.tubes[0][1][2] - 20.0
+    with pytest.raises(NoResultError, match="lower bronchus"):
+        refuse_a_root_below_the_carina(chest.volume, lower.tree.branches)
 
 
 def test_a_volume_of_one_value_is_refused(rng):

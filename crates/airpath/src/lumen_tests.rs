@@ -6,7 +6,7 @@ use crate::Unwatched;
 use crate::flood::{FloodLimits, flood};
 use crate::graph::Graph;
 use crate::lumen::{LumenCost, LumenGraph, WallLevels};
-use crate::trachea::{AirLevels, find_trachea};
+use crate::trachea::{AirLevels, Doubt, find_trachea};
 use crate::tracker::Tracker;
 use crate::tree::{self, BranchLimits, find_branches};
 
@@ -276,14 +276,71 @@ fn a_tube_that_splits_without_lungs_beside_it_is_no_trachea() {
 }
 
 #[test]
-fn a_chest_without_a_split_has_no_trachea() {
+fn a_trachea_that_goes_on_nowhere_is_refused_and_one_with_a_single_bronchus_is_doubted() {
     let grid = chest_grid([false; 3]);
-    // The trachea and one bronchus: a cropped half of a chest.
-    let tubes = airway(&grid)[..2].to_vec();
-    let values = chest(&grid, &tubes);
-    let view = VolumeView::new(&values, &grid).unwrap();
-    let error = find_trachea(view, AIR, &Unwatched).unwrap_err();
-    assert_eq!(error.code(), "track.no-result");
+    let found = |num_tubes: usize| {
+        let values = chest(&grid, &airway(&grid)[..num_tubes]);
+        let view = VolumeView::new(&values, &grid).unwrap();
+        find_trachea(view, AIR, &Unwatched)
+    };
+    assert_eq!(found(1).unwrap_err().code(), "track.no-result");
+    let one = found(2).unwrap();
+    assert_eq!(one.doubts, [Doubt::OneBronchus]);
+    let both = found(7).unwrap();
+    assert_eq!(both.doubts, []);
+    assert_eq!(one.voxels[0], both.voxels[0]);
+}
+
+#[test]
+fn a_trachea_with_a_narrow_bronchus_or_a_collapsed_lung_is_the_same_trachea_with_a_doubt() {
+    let grid = chest_grid([false, true, false]);
+    let whole = airway(&grid);
+    let find = |values: &[i16]| {
+        let view = VolumeView::new(values, &grid).unwrap();
+        find_trachea(view, AIR, &Unwatched).unwrap()
+    };
+    let healthy = find(&chest(&grid, &whole));
+    let mut narrowed = whole[..3].to_vec();
+    narrowed[2].2 = 2.1;
+    let narrow = find(&chest(&grid, &narrowed));
+    assert_eq!(narrow.doubts, [Doubt::NarrowBronchus]);
+    assert_eq!(narrow.voxels[0], healthy.voxels[0]);
+    // The left lung without air: +x.
+    let mut collapsed = chest(&grid, &whole);
+    for (at, value) in collapsed.iter_mut().enumerate() {
+        let x = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0[0];
+        if (-960..-700).contains(value) && x > whole[0].1[0] {
+            *value = 30;
+        }
+    }
+    let one_lung = find(&collapsed);
+    assert_eq!(one_lung.doubts, [Doubt::OneLung]);
+    assert_eq!(one_lung.voxels[0], healthy.voxels[0]);
+}
+
+#[test]
+fn a_main_bronchus_is_no_trachea_where_the_volume_begins_below_the_carina() {
+    let grid = chest_grid([false; 3]);
+    let center = airway(&grid)[0].1;
+    let at = |x: f64, y: f64, z: f64| [center[0] + x, center[1] + y, center[2] + z];
+    // Each is long and splits between the lungs; the other one gives it away.
+    let side = |s: f64| {
+        let fork = at(18.0 * s, 0.0, -5.0);
+        [
+            (at(15.0 * s, 0.0, 45.0), fork, 5.0),
+            (fork, at(32.0 * s, 3.0, -30.0), 3.4),
+            (fork, at(6.0 * s, -3.0, -30.0), 3.4),
+        ]
+    };
+    let find = |tubes: &[Tube]| {
+        let values = chest(&grid, tubes);
+        let view = VolumeView::new(&values, &grid).unwrap();
+        find_trachea(view, AIR, &Unwatched)
+    };
+    assert!(find(&side(-1.0)).is_ok(), "alone it would pass");
+    let both = [side(-1.0), side(1.0)].concat();
+    let error = find(&both).unwrap_err();
+    assert!(error.to_string().contains("beside"), "{error}");
 }
 
 #[test]

@@ -11,7 +11,7 @@ use carina_airpath::flood::{FloodLimits, flood};
 use carina_airpath::graph::{Graph, NO_NODE};
 use carina_airpath::lumen::{LumenCost, LumenGraph, WallLevels};
 use carina_airpath::smooth::Point;
-use carina_airpath::trachea::{AirLevels, find_trachea};
+use carina_airpath::trachea::{AirLevels, Doubt, find_trachea};
 use carina_airpath::tracker::Tracker;
 use carina_airpath::tree::{self, Branch, BranchLimits};
 use carina_airpath::{TrackError, Watch};
@@ -115,7 +115,16 @@ impl Watch for PyWatch {
     }
 }
 
-/// Find the trachea; a dict of `voxels_ijk`, `diameters_mm`, `length_mm`, `carina_lps`.
+const fn doubt_name(doubt: Doubt) -> &'static str {
+    match doubt {
+        Doubt::CutOff => "cut-off",
+        Doubt::NarrowBronchus => "narrow-bronchus",
+        Doubt::OneBronchus => "one-bronchus",
+        Doubt::OneLung => "one-lung",
+    }
+}
+
+/// Find the trachea; a dict of `voxels_ijk`, `diameters_mm`, `length_mm`, `carina_lps`, `doubts`.
 #[pyfunction]
 #[pyo3(signature = (values_zyx, lps_from_ijk, *, air, tissue, lung, cancel=None))]
 fn find_trachea_voxels<'py>(
@@ -140,6 +149,8 @@ fn find_trachea_voxels<'py>(
     dict.set_item("diameters_mm", found.diameters_mm.into_pyarray(py))?;
     dict.set_item("length_mm", found.length_mm)?;
     dict.set_item("carina_lps", found.carina_lps.to_vec().into_pyarray(py))?;
+    let doubts: Vec<&str> = found.doubts.iter().map(|d| doubt_name(*d)).collect();
+    dict.set_item("doubts", doubts)?;
     Ok(dict)
 }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,18 @@ LUNG_HU = (-950.0, -600.0)
 MIN_WALL_CONTRAST_HU = 60.0
 STEP_RISE_HU = 25.0
 HALF_WALL_HU = -500.0
+
+# What is missing where a trachea was found all the same, in words.
+TRACHEA_DOUBTS = {
+    "cut-off": "the volume begins close above the carina: little of the trachea is in view",
+    "narrow-bronchus": "the trachea is less certain: one main bronchus is short or narrow; look at it",
+    "one-bronchus": "the trachea is less certain: it goes on into one main bronchus only (the other is blocked, cut "
+    "off or was removed); look at it",
+    "one-lung": "the trachea is less certain: there is aerated lung on one side only; look at it",
+}
+
+# A path that rises this much before it falls as much goes up first.
+UP_FIRST_MM = 10.0
 
 # A trachea holds 20-40 ml, both lungs some litres. The largest piece of tree behind one noisy voxel is below 60 ml.
 LEAK_MM3 = 60_000.0
@@ -146,7 +158,8 @@ def find_airways(
         lumen, levels, end = _given_lumen(volume, lumen_zyx), None, float("nan")
         if root is None:
             drawn = np.where(lumen != 0, -1000, 40).astype(np.int16)
-            root = _trachea_in(drawn, volume, AirScale(-1000.0, 0.0), stage, painted=True)[1]
+            trachea = _trachea_in(drawn, volume, AirScale(-1000.0, 0.0), stage, painted=True)
+            root, notes = trachea.top, list(trachea.notes)
     else:
         grown = _grow(volume, root, lumen_threshold, stage)
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
@@ -160,6 +173,8 @@ def find_airways(
     stage.begin("finding the branches")
     rows = core.branches(cancel=cancel, progress=stage.share)
     branches = _named(branches_from_rows(rows))
+    if root_lps is None:
+        refuse_a_root_below_the_carina(volume, branches)
     tracker.set_branches(branches, [row["nodes"] for row in rows])
     if core.num_settled < core.num_nodes:
         notes.append(f"{core.num_nodes - core.num_settled} lumen voxels are not connected to the root")
@@ -253,6 +268,14 @@ def track_paths(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Trachea:
+    seeds: list[tuple[int, int, int]]
+    """Its voxels (i, j, k), from the top down."""
+    top: Point
+    notes: list[str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Grown:
     lumen: NDArray[np.uint8]
     levels: tuple[float, float, float]
@@ -291,14 +314,13 @@ def _given_lumen(volume: Volume, lumen_zyx: NDArray[np.uint8]) -> NDArray[np.uin
 
 def _trachea_in(
     values: NDArray[np.int16], volume: Volume, scale: AirScale, stage: _Stages, *, painted: bool = False
-) -> tuple[list[tuple[int, int, int]], Point]:
-    """Voxels of the trachea from the top down, and its top."""
+) -> _Trachea:
     stage.begin("finding the trachea")
     lung = None if painted else (scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1]))
     found, problem = None, ""
     for air_hu in TRACHEA_AIR_HU:
         try:
-            found = find_trachea_voxels(
+            other = find_trachea_voxels(
                 values,
                 volume.lps_from_ijk,
                 air=scale.level(air_hu),
@@ -306,9 +328,17 @@ def _trachea_in(
                 lung=lung,
                 cancel=stage.cancel,
             )
-            break
         except NoResultError as error:
             problem = problem or str(error)
+            continue
+        if found is None or (
+            len(other["doubts"]) < len(found["doubts"])
+            # Not a bronchus of the same airway, which may look the part better.
+            and _top_z(volume, other) >= _top_z(volume, found) - UP_FIRST_MM
+        ):
+            found = other
+        if not found["doubts"]:
+            break
     if found is None:
         if not volume.is_hu:
             problem += (
@@ -320,7 +350,56 @@ def _trachea_in(
     near = np.linalg.norm(points - found["carina_lps"], axis=1) <= MAX_TRACHEA_MM
     voxels, points = voxels[near], points[near]
     seeds = [(int(i), int(j), int(k)) for i, j, k in voxels]
-    return seeds, as_point(points[0])
+    notes = [TRACHEA_DOUBTS[doubt] for doubt in found["doubts"]]
+    return _Trachea(seeds, as_point(points[0]), notes)
+
+
+def _top_z(volume: Volume, found: dict[str, Any]) -> float:
+    return float(volume.to_lps(found["voxels_ijk"][0])[2])
+
+
+def refuse_a_root_below_the_carina(volume: Volume, branches: tuple[Branch, ...]) -> None:
+    """Refuse a root from which branches in the lung are reached by going up first: a lower bronchus, not the trachea.
+
+    Throat, nose and oesophagus above the root end in soft tissue.
+
+    Raises
+    ------
+    NoResultError
+        If that is so.
+    """
+    root_z = float(branches[0].points[0][2])
+    upward: list[bool | None] = []
+    tips = []
+    # Parents come before their children.
+    for branch in branches:
+        first = None if branch.parent is None else upward[branch.parent]
+        if first is None:
+            rise = branch.points[:, 2] - root_z
+            off = np.flatnonzero(np.abs(rise) > UP_FIRST_MM)
+            first = bool(rise[off[0]] > 0.0) if len(off) else None
+        upward.append(first)
+        if first and not branch.children:
+            tips.append(branch.points[-1])
+    scale = air_scale(volume) if tips else None
+    num_in_lung = sum(scale is not None and _is_in_lung(volume, tip, scale) for tip in tips)
+    if num_in_lung >= 3:
+        msg = (
+            f"no trachea was found: the tube of air at {words(as_point(branches[0].points[0]))} is a lower bronchus, "
+            "the airway goes on above it; give a point in the trachea (root)"
+        )
+        raise NoResultError(msg)
+
+
+def _is_in_lung(volume: Volume, point: NDArray[np.float64], scale: AirScale) -> bool:
+    """Lung is the most common thing within 8 mm."""
+    center = volume.to_ijk(point)
+    reach = np.ceil(8.0 / np.array(volume.spacing_mm))
+    shape = np.array(volume.shape_zyx[::-1])
+    low = np.clip(np.floor(center - reach), 0, shape - 1).astype(int)
+    high = np.clip(np.ceil(center + reach), 0, shape - 1).astype(int)
+    block = volume.hu_zyx[low[2] : high[2] + 1, low[1] : high[1] + 1, low[0] : high[0] + 1]
+    return bool(((block >= scale.level(LUNG_HU[0])) & (block <= scale.level(LUNG_HU[1]))).mean() > 0.5)
 
 
 def _air_round(volume: Volume, root: Point, scale: AirScale) -> list[tuple[int, int, int]]:
@@ -351,6 +430,7 @@ def _air_round(volume: Volume, root: Point, scale: AirScale) -> list[tuple[int, 
 
 def _grow(volume: Volume, root: Point | None, lumen_threshold: float | None, stage: _Stages) -> _Grown:
     scale = air_scale(volume)
+    notes: list[str] = []
     end = scale.level(LUMEN_END_HU) if lumen_threshold is None else round(float(lumen_threshold))
     if root is not None:
         # The whole airway, if the root is in it; a point lower down would else make a part of it the trunk.
@@ -368,7 +448,8 @@ def _grow(volume: Volume, root: Point | None, lumen_threshold: float | None, sta
         seeds = _air_round(volume, root, scale)
         start = as_point(volume.to_lps(np.array(seeds[0], dtype=np.float64)))
     else:
-        seeds, start = _trachea_in(volume.hu_zyx, volume, scale, stage)
+        trachea = _trachea_in(volume.hu_zyx, volume, scale, stage)
+        seeds, start, notes = trachea.seeds, trachea.top, trachea.notes
     stage.begin("growing the airway")
     sample = _values_round(volume, seeds)
     middle = float(np.median(sample))
@@ -403,7 +484,6 @@ def _grow(volume: Volume, root: Point | None, lumen_threshold: float | None, sta
             "Choose a root inside the trachea"
         )
         raise NoResultError(msg)
-    notes = []
     if report["leaks"]:
         num = len(report["leaks"])
         places = "one place" if num == 1 else f"{num} places"

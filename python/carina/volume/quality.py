@@ -81,7 +81,7 @@ def quality_gate(volume: Volume) -> Quality:
     """
     findings: list[Finding] = []
     if not volume.is_hu:
-        findings.append(Finding("not-hu", f"the values are not Hounsfield units: {volume.not_hu_reason}"))
+        findings.append(Finding("not-hu", f"not in Hounsfield units: {volume.not_hu_reason}"))
     values = volume.hu_zyx
     if not volume.is_hu and int(values.max()) - int(values.min()) <= 1:
         findings.append(Finding("mask", "the volume holds two values only: this is a mask, not a scan"))
