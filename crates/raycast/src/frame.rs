@@ -35,8 +35,8 @@ pub struct Frame<'a> {
     pub(crate) options: FrameOptions,
     pub(crate) grid: &'a Grid,
     camera: Camera,
-    ijk_from_camera: Affine,
-    origin_ijk: [f64; 3],
+    pub(crate) ijk_from_camera: Affine,
+    pub(crate) origin_ijk: [f64; 3],
     origin: Lanes,
     pub(crate) step_mm: f32,
     /// Gradients are per voxel; `|gradient in LPS per mm|^2 = g^T metric g`: xx, yy, zz, 2xy, 2xz, 2yz.

@@ -32,14 +32,24 @@ struct Band<'a, L: Lanes> {
     searching: Pool,
     shading: Pool,
     search: Packet<L>,
-    /// Of the rays that search: steps per voxel on each axis, with the sign of the direction, and without it.
-    signed: [L::F; 3],
-    plain: [L::F; 3],
     shade: Packet<L>,
     stats: CastStats,
     /// Sum of the last sample numbers of the rays that have ended.
     sum_of_end: u64,
     out: &'a mut [u8],
+}
+
+impl<L: Lanes> Band<'_, L> {
+    #[inline(always)]
+    fn finish(&mut self, l: L, packet: &mut Packet<L>, lanes: u32, background: [f32; 3]) {
+        self.sum_of_end += packet.finish(l, lanes, background, self.out);
+    }
+
+    /// True if there are rays to search with.
+    #[inline(always)]
+    fn may_search(&self) -> bool {
+        !(self.searching.is_empty() && self.source.is_empty() && self.search.occupied == 0)
+    }
 }
 
 impl Scene<'_> {
@@ -56,19 +66,17 @@ impl Scene<'_> {
             searching: Pool::empty(),
             shading: Pool::empty(),
             search: Packet::empty(l),
-            signed: [l.splat(0.0); 3],
-            plain: [l.splat(0.0); 3],
             shade: Packet::empty(l),
             stats: CastStats::default(),
             sum_of_end: 0,
             out,
         };
         loop {
-            self.search::<L, LEAP>(l, &mut band);
+            self.search::<L, SHADED, LEAP>(l, &mut band);
             if band.shading.is_empty() && band.shade.occupied == 0 {
                 break;
             }
-            self.shade::<L, SHADED>(l, &mut band);
+            self.shade::<L>(l, &mut band);
         }
         let walked = band.sum_of_end - band.source.sum_of_first();
         band.stats.num_skipped = walked - band.stats.num_samples;
@@ -76,41 +84,53 @@ impl Scene<'_> {
         band.stats
     }
 
-    /// Leaps and clear samples, until enough rays wait for shading or none is left to search.
+    /// Leaps and clear samples, until enough rays wait for shading or none is left to search. Without shading a visible
+    /// sample costs no more than a clear one and is taken here.
     #[inline(always)]
-    fn search<L: Lanes, const LEAP: bool>(&self, l: L, band: &mut Band<'_, L>) {
+    fn search<L: Lanes, const SHADED: bool, const LEAP: bool>(&self, l: L, band: &mut Band<'_, L>) {
         let mut packet = band.search;
-        while band.shading.len() < SHADE_FROM {
-            if packet.num_free() >= L::N / 4 {
+        let (mut signed, mut plain) = pace(l, &packet.delta);
+        let mut active = packet.occupied;
+        // Lanes whose next sample may be visible.
+        let mut visible = 0;
+        loop {
+            // Rays come and go several at a time: a change costs about as much as a look-up.
+            if L::N - active.count_ones() as usize >= L::N / 4 {
+                if visible != 0 {
+                    band.shading.take_from(l, &mut packet, visible);
+                    visible = 0;
+                }
+                let ended = packet.occupied & !active;
+                if ended != 0 {
+                    band.finish(l, &mut packet, ended, self.frame.options.background);
+                }
+                if band.shading.len() >= SHADE_FROM {
+                    break;
+                }
                 if band.searching.is_empty() && !band.source.is_empty() {
                     band.source.set_up(self.frame, &mut band.searching);
                 }
                 if !band.searching.is_empty() {
                     band.searching.give_to(l, &mut packet);
                     if LEAP {
-                        (band.signed, band.plain) = pace(l, &packet.delta);
+                        (signed, plain) = pace(l, &packet.delta);
                     }
                 }
-                let live = l.bits(l.less_i(packet.k, packet.end));
-                let ended = packet.occupied & !live;
-                if ended != 0 {
-                    band.sum_of_end +=
-                        packet.finish(l, ended, self.frame.options.background, band.out);
-                }
-                if packet.occupied == 0 {
-                    if band.searching.is_empty() && band.source.is_empty() {
+                active = packet.occupied & l.bits(l.less_i(packet.k, packet.end));
+                if active == 0 {
+                    if packet.occupied == 0 {
                         break;
                     }
                     continue;
                 }
             }
-            let p = packet.at(l, self.frame.origin3());
-            let mut walk = packet.occupied;
+            let mut walk = active;
             if LEAP {
-                let ask = packet.occupied & l.bits(l.less_i(packet.wait, l.splat_i(1)));
+                let ask = active & l.bits(l.less_i(packet.wait, l.splat_i(1)));
                 walk &= !ask;
                 if ask.count_ones() >= walk.count_ones() {
-                    let (leaps, n) = self.leap(l, &packet, p, (&band.signed, &band.plain));
+                    let p = packet.at(l, self.frame.origin3());
+                    let (leaps, n) = self.leap(l, &packet, p, (&signed, &plain));
                     let asked = l.mask(ask);
                     let leaps = l.and(asked, leaps);
                     band.stats.num_lookups += u64::from(ask.count_ones());
@@ -118,26 +138,27 @@ impl Scene<'_> {
                     packet.k = l.select_i(leaps, l.add_i(packet.k, n), packet.k);
                     let waits = l.without(asked, leaps);
                     packet.wait = l.select_i(waits, l.splat_i(WAIT_SAMPLES as i32), packet.wait);
-                    walk = 0;
+                    active &= l.bits(l.less_i(packet.k, packet.end));
+                    continue;
                 }
             }
-            if walk != 0 {
-                let cells = self.voxels.cells(l, p);
+            let walks = l.mask(walk);
+            if SHADED {
+                let cells = self.voxels.cells(l, packet.at(l, self.frame.origin3()));
                 let n = self.entry_of(l, self.voxels.value(l, &cells));
                 // All entries before the first visible one have no opacity.
                 let clear = l.less_i(n, l.splat_i(self.frame.table.first_visible));
-                let visible = walk & !l.bits(clear);
-                let clear = l.and(clear, l.mask(walk));
-                band.stats.num_samples += u64::from(l.bits(clear).count_ones());
+                let clear = l.and(clear, walks);
+                let clear_bits = l.bits(clear);
+                band.stats.num_samples += u64::from(clear_bits.count_ones());
                 packet.k = l.select_i(clear, l.add_i(packet.k, l.splat_i(1)), packet.k);
                 packet.wait = l.select_i(clear, l.sub_i(packet.wait, l.splat_i(1)), packet.wait);
-                if visible != 0 {
-                    band.shading.take_from(l, &mut packet, visible);
-                }
-            }
-            let ended = packet.occupied & !l.bits(l.less_i(packet.k, packet.end));
-            if ended != 0 {
-                band.sum_of_end += packet.finish(l, ended, self.frame.options.background, band.out);
+                visible |= walk & !clear_bits;
+                active &= l.bits(l.less_i(packet.k, packet.end)) & !visible;
+            } else {
+                band.stats.num_samples += u64::from(walk.count_ones());
+                let goes_on = self.take_samples::<L, false>(l, &mut packet, walks).1;
+                active &= goes_on;
             }
         }
         band.search = packet;
@@ -145,35 +166,54 @@ impl Scene<'_> {
 
     /// Visible samples, until no ray waits for shading and few are left in the lanes.
     #[inline(always)]
-    fn shade<L: Lanes, const SHADED: bool>(&self, l: L, band: &mut Band<'_, L>) {
+    fn shade<L: Lanes>(&self, l: L, band: &mut Band<'_, L>) {
         let mut packet = band.shade;
+        let mut active = packet.occupied;
+        // Lanes whose last sample was clear.
+        let mut clear = 0;
         loop {
-            if packet.num_free() >= L::N / 8 && !band.shading.is_empty() {
+            if L::N - active.count_ones() as usize >= L::N / 8 {
+                if clear != 0 {
+                    band.searching.take_from(l, &mut packet, clear);
+                    clear = 0;
+                }
+                let ended = packet.occupied & !active;
+                if ended != 0 {
+                    band.finish(l, &mut packet, ended, self.frame.options.background);
+                }
                 band.shading.give_to(l, &mut packet);
+                active = packet.occupied;
+                let least = if band.may_search() { L::N * 3 / 4 } else { 1 };
+                if (active.count_ones() as usize) < least {
+                    break;
+                }
             }
-            let more =
-                !(band.searching.is_empty() && band.source.is_empty() && band.search.occupied == 0);
-            let least = if more { L::N * 3 / 4 } else { 1 };
-            if band.shading.is_empty() && L::N - packet.num_free() < least {
-                break;
-            }
-            let take = l.mask(packet.occupied);
-            let lit = self.add_samples::<L, SHADED>(l, &mut packet, take);
-            band.stats.num_samples += u64::from(packet.occupied.count_ones());
-            packet.k = l.add_i(packet.k, l.splat_i(1));
-            packet.wait = l.select_i(lit, l.splat_i(1), l.sub_i(packet.wait, l.splat_i(1)));
-            let opaque = l.and(lit, l.less(packet.transparency, l.splat(STOP_TRANSPARENCY)));
-            let goes_on = l.bits(l.without(l.less_i(packet.k, packet.end), opaque));
-            let ended = packet.occupied & !goes_on;
-            if ended != 0 {
-                band.sum_of_end += packet.finish(l, ended, self.frame.options.background, band.out);
-            }
-            let left = packet.occupied & !l.bits(lit);
-            if left != 0 {
-                band.searching.take_from(l, &mut packet, left);
-            }
+            band.stats.num_samples += u64::from(active.count_ones());
+            let take = l.mask(active);
+            let (lit, goes_on) = self.take_samples::<L, true>(l, &mut packet, take);
+            clear |= active & goes_on & !lit;
+            active &= goes_on & lit;
         }
         band.shade = packet;
+    }
+
+    /// Takes samples and goes on to the next ones. Gives the lanes where a sample added something and those whose ray has
+    /// not ended.
+    #[inline(always)]
+    fn take_samples<L: Lanes, const SHADED: bool>(
+        &self,
+        l: L,
+        packet: &mut Packet<L>,
+        take: L::M,
+    ) -> (u32, u32) {
+        let lit = self.add_samples::<L, SHADED>(l, packet, take);
+        packet.k = l.select_i(take, l.add_i(packet.k, l.splat_i(1)), packet.k);
+        let wait = l.select_i(lit, l.splat_i(1), l.sub_i(packet.wait, l.splat_i(1)));
+        packet.wait = l.select_i(take, wait, packet.wait);
+        let faint = l.less(packet.transparency, l.splat(STOP_TRANSPARENCY));
+        let opaque = l.and(lit, faint);
+        let goes_on = l.without(l.less_i(packet.k, packet.end), opaque);
+        (l.bits(lit), l.bits(goes_on))
     }
 
     /// Asks the map at positions: the lanes that leap, and how far.
@@ -229,6 +269,11 @@ impl Scene<'_> {
             (self.voxels.value(l, &cells), packet.delta)
         };
         let n = self.entry_of(l, value);
+        // All entries before the first visible one have no opacity. In shading hardly ever all lanes are clear.
+        let visible = l.without(take, l.less_i(n, l.splat_i(self.frame.table.first_visible)));
+        if !SHADED && l.bits(visible) == 0 {
+            return visible;
+        }
         // SAFETY: 0 ..= `last` in all lanes; `last` is the last entry. Benchmark: docs/decisions/0003-packets.md.
         let [r, g, b, alpha] = unsafe { l.entries(self.frame.table.entries.as_ptr(), n) };
         let lit = l.and(take, l.less(l.splat(0.0), alpha));
@@ -278,7 +323,7 @@ impl Scene<'_> {
     }
 }
 
-/// As in `leap::Pace::of`.
+/// Steps per voxel on each axis, with the sign of the direction and without it; as in `leap::Pace::of`.
 #[inline(always)]
 fn pace<L: Lanes>(l: L, delta: &[L::F; 3]) -> ([L::F; 3], [L::F; 3]) {
     let (mut signed, mut plain) = (*delta, *delta);

@@ -8,6 +8,7 @@ mod avx512;
 mod kernel;
 mod lanes;
 mod pool;
+mod setup;
 mod voxels;
 
 use crate::{CastStats, Frame, InstructionSet, Interpolation, Method};

@@ -1,6 +1,9 @@
 //! Rays between the lanes: those that search and those that wait for shading.
 
-use super::lanes::{Array, Lanes, MAX_LANES};
+use super::{
+    lanes::{Array, Lanes, MAX_LANES},
+    setup::rays_of,
+};
 use crate::Frame;
 
 /// Rays set up at a time.
@@ -45,11 +48,6 @@ impl<L: Lanes> Packet<L> {
     #[inline(always)]
     pub(super) fn free(&self) -> u32 {
         !self.occupied & ((1 << L::N) - 1)
-    }
-
-    #[inline(always)]
-    pub(super) fn num_free(&self) -> usize {
-        self.free().count_ones() as usize
     }
 
     /// Positions of the samples `k`.
@@ -194,6 +192,9 @@ pub(super) struct Source {
     first_row: usize,
     num_rows: usize,
     next: usize,
+    /// Place of the next ray in the band.
+    column: usize,
+    row: usize,
     sum_of_first: u64,
 }
 
@@ -204,6 +205,8 @@ impl Source {
             first_row,
             num_rows,
             next: 0,
+            column: 0,
+            row: 0,
             sum_of_first: 0,
         }
     }
@@ -225,24 +228,36 @@ impl Source {
     /// Sets rays up in an empty pool.
     #[inline(always)]
     pub(super) fn set_up(&mut self, frame: &Frame<'_>, pool: &mut Pool) {
-        let count = (self.num_rays() - self.next).min(BATCH);
-        for n in 0..count {
-            let id = self.next + n;
-            let (column, row) = (id / self.num_rows, id % self.num_rows);
-            let ray = frame.ray(column, self.first_row + row);
-            for a in 0..3 {
-                pool.delta[a][n] = ray.delta[a];
-                pool.rgb[a][n] = 0.0;
+        pool.len = 0;
+        while pool.len < BATCH && !self.is_empty() {
+            let (mut column, mut row, mut pixel) = ([0; MAX_LANES], [0; MAX_LANES], [0; MAX_LANES]);
+            let count = (self.num_rays() - self.next).min(MAX_LANES);
+            for n in 0..count {
+                column[n] = self.column as i32;
+                row[n] = (self.first_row + self.row) as i32;
+                pixel[n] = (self.row * self.width + self.column) as i32;
+                self.row += 1;
+                if self.row == self.num_rows {
+                    self.row = 0;
+                    self.column += 1;
+                }
             }
-            pool.transparency[n] = 1.0;
-            // `Packets::of` has checked that no ray has 2^30 steps.
-            pool.k[n] = ray.first as i32;
-            pool.end[n] = ray.end as i32;
-            pool.pixel[n] = (row * self.width + column) as i32;
-            pool.wait[n] = 0;
-            self.sum_of_first += u64::from(ray.first);
+            let rays = rays_of(frame, &column, &row);
+            let at = pool.len;
+            for a in 0..3 {
+                write(&mut pool.delta[a], at, rays.delta[a]);
+                write(&mut pool.rgb[a], at, [0.0; MAX_LANES]);
+            }
+            write(&mut pool.transparency, at, [1.0; MAX_LANES]);
+            write(&mut pool.k, at, rays.first);
+            write(&mut pool.end, at, rays.end);
+            write(&mut pool.pixel, at, pixel);
+            write(&mut pool.wait, at, [0; MAX_LANES]);
+            for n in 0..count {
+                self.sum_of_first += rays.first[n] as u64;
+            }
+            pool.len += count;
+            self.next += count;
         }
-        self.next += count;
-        pool.len = count;
     }
 }
