@@ -5,7 +5,7 @@ mod scene;
 
 use std::ops::Range;
 
-use carina_grid::VolumeView;
+use carina_grid::{Affine, Camera, Grid, VolumeView};
 use carina_isoregion::{class_labels, radius_map};
 use carina_raycast::{CastStats, Frame, InstructionSet, Method, cast_rows};
 use proptest::prelude::*;
@@ -39,10 +39,17 @@ fn transparent_radius(scene: &Scene) -> Vec<u8> {
 }
 
 fn packets_equal_scalar(scene: &Scene, case: &Case) -> Result<(), TestCaseError> {
-    let radius = transparent_radius(scene);
-    let truth = cast(scene, &radius, case, InstructionSet::Portable);
+    packets_equal_scalar_with(scene, &transparent_radius(scene), case)
+}
+
+fn packets_equal_scalar_with(
+    scene: &Scene,
+    radius: &[u8],
+    case: &Case,
+) -> Result<(), TestCaseError> {
+    let truth = cast(scene, radius, case, InstructionSet::Portable);
     for simd in InstructionSet::available() {
-        let found = cast(scene, &radius, case, simd);
+        let found = cast(scene, radius, case, simd);
         prop_assert_eq!(found.1, truth.1, "{}", simd.name());
         if let Some(at) = found.0.iter().zip(&truth.0).position(|(a, b)| a != b) {
             let (pixel, width) = (at / 3, scene.camera.width());
@@ -100,9 +107,57 @@ proptest! {
         }
         let radius = transparent_radius(&clamped);
         let case = Case { shaded, leaps, rows: 0..scene.camera.height() };
-        let truth = cast(&scene, &radius, &case, InstructionSet::Portable);
-        for simd in InstructionSet::available() {
-            prop_assert!(cast(&scene, &radius, &case, simd) == truth, "{}", simd.name());
+        packets_equal_scalar_with(&scene, &radius, &case)?;
+    }
+
+    #[test]
+    fn packets_read_every_byte_of_a_map_as_the_scalar_casters_do(
+        scene in any_scene(), shaded in any::<bool>(), seed in any::<u64>(),
+    ) {
+        // No map that belongs to a volume: its border would be 0, and the very last bytes are the ones hard to gather.
+        let mut state = seed | 1;
+        let radius: Vec<u8> = (0..scene.hu.len())
+            .map(|_| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                if state >> 63 == 0 { 0 } else { (state >> 40) as u8 }
+            })
+            .collect();
+        let rows = 0..scene.camera.height();
+        packets_equal_scalar_with(&scene, &radius, &Case { shaded, leaps: true, rows })?;
+    }
+}
+
+#[test]
+fn rays_that_stand_still_on_an_axis_are_those_of_the_scalar_casters() {
+    // Unrotated grid and camera, and an odd size: the middle column and row have steps of exactly 0.
+    let shape = [9, 11, 13];
+    let grid = Grid::new(shape, Affine::IDENTITY).unwrap();
+    let hu = (0..grid.num_voxels())
+        .map(|n| (n * 7919 % 1500) as i16 - 1000)
+        .collect();
+    let mut scene = Scene::fixed([0.0; 3], [0.0; 3]);
+    (scene.grid, scene.hu) = (grid, hu);
+    // In front of the volume, in it, behind it, and to the side, from where the middle column never meets it.
+    for at in [
+        [6.0, 5.0, -9.0],
+        [6.0, 5.0, 4.0],
+        [6.0, 5.0, 30.0],
+        [-4.0, 5.0, -9.0],
+        [6.0, 40.0, -9.0],
+    ] {
+        let pose = Affine::from_columns([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], at);
+        scene.camera = Camera::new(pose, 1.5, 33, 21).unwrap();
+        for (shaded, leaps) in [(true, true), (true, false), (false, true)] {
+            let rows = 0..21;
+            packets_equal_scalar(
+                &scene,
+                &Case {
+                    shaded,
+                    leaps,
+                    rows,
+                },
+            )
+            .unwrap();
         }
     }
 }
