@@ -88,7 +88,7 @@ def test_strips_put_together_are_the_whole_picture(airway):
 def test_the_instruction_set_does_not_change_the_picture(airway):
     pictures = [Renderer(airway.volume, simd=name).render(view(airway)).rgb for name in ("portable", None)]
     np.testing.assert_array_equal(*pictures)
-    with pytest.raises(RenderError, match="instruction set.*portable"):
+    with pytest.raises(RenderError, match=r"instruction set.*portable"):
         Renderer(airway.volume, simd="abacus").render(view(airway))
 
 
