@@ -1,0 +1,92 @@
+"""Casting the airway view: the table of a scene, the caster that can run now, the picture."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina import _core
+from carina.render.scene import Scene
+from carina.render.transfer import TransferFunction
+from carina.render.views import AirwayView, Picture, RenderStats
+from carina.volume import Volume
+
+__all__ = ["AirwayCaster"]
+
+# Tables kept: one for each step in use, of the present transfer function.
+TABLES_IN_MEMORY = 8
+
+
+class AirwayCaster:
+    """Casts the airway view of one volume, in any thread."""
+
+    def __init__(self, volume: Volume, *, simd: str | None = None) -> None:
+        self._volume = volume
+        self._simd = simd
+        self._swap = threading.Lock()
+        self._tables: dict[tuple[int, int, float], tuple[TransferFunction, _core.TransferTable]] = {}
+
+    def cast(self, scene: Scene, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Picture:
+        """The picture, or the rows ``rows[0]`` to ``rows[1]`` of it."""
+        nearest = scene.transfer.sampling == "nearest"
+        step_vox = 1.0 if nearest else view.step_vox
+        shading = view.shading and not nearest
+        method, leap = _choose_method(scene, view, shading)
+        rgb, counts = _core.cast(
+            scene.values,
+            self._volume.lps_from_ijk,
+            self._table(scene, step_vox * min(self._volume.spacing_mm)),
+            view.pose.lps_from_camera,
+            fov_rad=float(np.deg2rad(view.fov_deg)),
+            width=view.width,
+            height=view.height,
+            rows=rows,
+            light=scene.transfer.light.as_core() if shading else None,
+            nearest=nearest,
+            leap=leap,
+            simd=self._simd,
+        )
+        return Picture(
+            rgb=rgb,
+            view="airway",
+            stats=RenderStats(method, view.width, rgb.shape[0], *counts, seconds=0.0),
+            lps_from_camera=view.pose.lps_from_camera,
+            fov_deg=view.fov_deg,
+        )
+
+    def _table(self, scene: Scene, step_mm: float) -> _core.TransferTable:
+        key = (*scene.range, step_mm)
+        with self._swap:
+            kept = self._tables.get(key)
+        # The entry keeps its transfer function alive, so the identity cannot be another's.
+        if kept is not None and kept[0] is scene.transfer:
+            return kept[1]
+        table = _core.TransferTable(
+            scene.transfer.points,
+            reference_mm=scene.transfer.reference_mm,
+            step_mm=step_mm,
+            lo=scene.range[0],
+            hi=scene.range[1],
+            bin_hu=scene.transfer.bin_hu,
+        )
+        with self._swap:
+            if len(self._tables) >= TABLES_IN_MEMORY:
+                self._tables.clear()
+            self._tables[key] = (scene.transfer, table)
+        return table
+
+
+def _choose_method(
+    scene: Scene, view: AirwayView, shading: bool
+) -> tuple[str, NDArray[np.uint8] | tuple[NDArray[np.uint8], NDArray[np.uint8], list[int]] | None]:
+    """The caster that can run now. With shading only transparent classes are leaped: it varies inside the others."""
+    if view.method == "brute":
+        return "brute", None
+    if not shading and scene.class_maps is not None:
+        maps = scene.class_maps
+        return "leap-all", (maps.labels, maps.radius, maps.class_values)
+    if scene.maps is not None:
+        return "leap", scene.maps.radius
+    return "brute", None

@@ -1,0 +1,176 @@
+"""What pictures are made from: values, wall, radius maps. Replaced whole: a picture never sees half a change."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina import _core
+from carina.errors import CancelledError, GeometryError
+from carina.render.mapcache import MapCache, content_key
+from carina.render.transfer import TransferFunction, transfer_from_histogram, transfer_preset
+from carina.render.tree import TreeField, build_tree_field
+from carina.render.wall import wall_levels, with_wall
+from carina.volume import Volume
+
+__all__ = ["Cancel", "ClassMaps", "Maps", "Progress", "Scene", "SceneKeeper"]
+
+Progress = Callable[[str, float | None], None]
+Cancel = Callable[[], bool]
+
+# Radius maps kept in memory: going back and forth between two transfer functions costs nothing.
+MAPS_IN_MEMORY = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Maps:
+    """What leaping needs for one set of values and one transfer function."""
+
+    values: NDArray[np.int16]
+    runs: tuple[tuple[int, int], ...]
+    radius: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClassMaps:
+    """Labels of all classes, their radii, and one value of each class; for leaps by the step table."""
+
+    values: NDArray[np.int16]
+    points: NDArray[np.float64]
+    labels: NDArray[np.uint8]
+    radius: NDArray[np.uint8]
+    class_values: list[int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What pictures are made from; never changed, only replaced."""
+
+    transfer: TransferFunction
+    lumen: NDArray[np.uint8] | None
+    values: NDArray[np.int16]
+    """Values of the airway view: the volume's, or a copy with the wall."""
+    range: tuple[int, int]
+    tree: TreeField | None
+    maps: Maps | None
+    class_maps: ClassMaps | None
+
+
+class SceneKeeper:
+    """Holds the present scene of one volume and makes the next; :class:`carina.render.Renderer` has the contract."""
+
+    def __init__(self, volume: Volume, transfer: TransferFunction | None, cache_dir: Path | None) -> None:
+        if transfer is None:
+            transfer = transfer_preset("endoscopic") if volume.is_hu else transfer_from_histogram(volume)[0]
+        self._volume = volume
+        self._cache = None if cache_dir is None else MapCache(cache_dir)
+        self._range = (int(volume.hu_zyx.min()), int(volume.hu_zyx.max()))
+        self._scene = Scene(transfer, None, volume.hu_zyx, self._range, None, None, None)
+        self._swap = threading.Lock()
+        self._change = threading.Lock()
+        self._kept: list[Maps] = []
+
+    @property
+    def scene(self) -> Scene:
+        """The present scene."""
+        return self._scene
+
+    def set_transfer(self, transfer: TransferFunction) -> None:
+        """Take another transfer function, with its map where that is still in memory."""
+        with self._change:
+            self._replace(transfer, self._scene.lumen, self._scene.tree)
+
+    def set_lumen(self, lumen_zyx: NDArray[np.uint8] | None) -> None:
+        """Take another lumen, (nz, ny, nx), or none; makes the wall and the field of the tree view."""
+        if lumen_zyx is not None:
+            lumen_zyx = np.ascontiguousarray(lumen_zyx, dtype=np.uint8)
+            if lumen_zyx.shape != self._volume.shape_zyx:
+                msg = f"the lumen has shape {lumen_zyx.shape}, the volume {self._volume.shape_zyx}"
+                raise GeometryError(msg, code="geometry.shape")
+        tree = None if lumen_zyx is None else build_tree_field(lumen_zyx, self._volume.lps_from_ijk)
+        with self._change:
+            self._replace(self._scene.transfer, lumen_zyx, tree)
+
+    def _replace(self, transfer: TransferFunction, lumen: NDArray[np.uint8] | None, tree: TreeField | None) -> None:
+        old = self._scene
+        walled = transfer.wall and lumen is not None
+        levels = wall_levels(transfer)
+        was_walled = old.transfer.wall and old.lumen is not None
+        if not walled:
+            values, value_range = self._volume.hu_zyx, self._range
+        elif was_walled and old.lumen is lumen and wall_levels(old.transfer) == levels:
+            values, value_range = old.values, old.range
+        else:
+            assert lumen is not None
+            values = with_wall(self._volume.hu_zyx, lumen, levels)
+            value_range = (self._range[0], max(self._range[1], int(values.max())))
+        maps = self._find_kept(values, _runs(transfer))
+        with self._swap:
+            self._scene = Scene(transfer, lumen, values, value_range, tree, maps, None)
+
+    def _find_kept(self, values: NDArray[np.int16], runs: tuple[tuple[int, int], ...]) -> Maps | None:
+        return next((m for m in self._kept if m.values is values and m.runs == runs), None)
+
+    def prepare(
+        self, progress: Progress | None = None, cancel: Cancel | None = None, *, all_classes: bool | None = None
+    ) -> None:
+        """Build the maps that the present scene lacks, or take them from the cache."""
+
+        def step(what: str, fraction: float | None) -> None:
+            if cancel is not None and cancel():
+                raise CancelledError("stopped while preparing the volume for fast pictures")
+            if progress is not None:
+                progress(what, fraction)
+
+        what = "preparing fast pictures"
+        while True:
+            scene = self._scene
+            wants_classes = scene.transfer.sampling == "nearest" if all_classes is None else all_classes
+            step(what, 0.0)
+            maps = scene.maps or self._build_maps(scene)
+            step(what, 0.6)
+            class_maps = scene.class_maps
+            if wants_classes and class_maps is None:
+                class_maps = _build_class_maps(scene)
+            step(what, 1.0)
+            with self._swap:
+                # The transfer function or the lumen may have changed meanwhile: then these maps are of the past.
+                if self._scene is scene:
+                    self._scene = dataclasses.replace(scene, maps=maps, class_maps=class_maps)
+                    self._kept = [maps, *(m for m in self._kept if m is not maps)][:MAPS_IN_MEMORY]
+                    return
+
+    def _build_maps(self, scene: Scene) -> Maps:
+        runs = _runs(scene.transfer)
+        key = None if self._cache is None else content_key(scene.values, list(runs))
+        if self._cache is not None and key is not None:
+            found = self._cache.load(key, self._volume.shape_zyx)
+            if found is not None:
+                return Maps(scene.values, runs, found)
+        radius = _core.build_transparent_map(
+            scene.values, scene.transfer.points, reference_mm=scene.transfer.reference_mm, bin_hu=scene.transfer.bin_hu
+        )
+        if self._cache is not None and key is not None:
+            self._cache.store(key, radius)
+        return Maps(scene.values, runs, radius)
+
+
+def _runs(transfer: TransferFunction) -> tuple[tuple[int, int], ...]:
+    runs = _core.transparent_runs(transfer.points, reference_mm=transfer.reference_mm, bin_hu=transfer.bin_hu)
+    return tuple(runs)
+
+
+def _build_class_maps(scene: Scene) -> ClassMaps:
+    transfer = scene.transfer
+    if transfer.sampling == "nearest":
+        labels, classes = _core.label_values(scene.values)
+    else:
+        labels, classes = _core.label_classes(scene.values, transfer.points, reference_mm=transfer.reference_mm)
+    first = [lo for lo, _, _, _ in classes]
+    return ClassMaps(scene.values, transfer.points, labels, _core.build_radius_map(labels), first)
