@@ -3,17 +3,21 @@
 //! Conventions (docs/conventions.md): voxel (0, 0, 0) is the *centre* of the first voxel, so a grid of `n` voxels spans
 //! `-0.5 ..= n - 0.5` on each index axis. Arrays are `[z, y, x]`, x fastest; points and shapes here are `(i, j, k)`.
 //! The camera looks along +z, with +x right and +y down.
+//!
+//! [`InstructionSet`] is here because every crate with kernels for several of them stands on this one.
 
 mod affine;
 mod camera;
 mod clip;
 mod error;
+mod simd;
 mod volume;
 
 pub use affine::Affine;
 pub use camera::{Camera, MAX_FOV_RAD, MIN_FOV_RAD, PixelRay};
 pub use clip::clip_line_to_box;
 pub use error::GridError;
+pub use simd::InstructionSet;
 pub use volume::{Grid, Ijk, Lps, VolumeView, ijk_from_zyx, zyx_from_ijk};
 
 /// Dot product.

@@ -41,10 +41,10 @@ mod packet;
 mod plane;
 mod projection;
 mod sampling;
-mod simd;
 mod transfer;
 mod triplane;
 
+pub use carina_grid::InstructionSet;
 pub use error::RaycastError;
 pub use frame::{Frame, FrameOptions, Interpolation, STOP_TRANSPARENCY};
 pub use image::{CastStats, Method, cast_rows, cast_rows_scalar};
@@ -54,6 +54,5 @@ pub use mask::smoothed_mask;
 pub use plane::{PlaneImage, Window, sample_plane};
 pub use projection::{Projections, maximum_projections};
 pub use sampling::Field;
-pub use simd::InstructionSet;
 pub use transfer::{Transfer, TransferTable};
 pub use triplane::{TriPlane, cast_tri_plane};
