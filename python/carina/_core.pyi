@@ -87,6 +87,18 @@ class TransferTable:
     def entry(self, value: int) -> list[float]:
         """Premultiplied colour and opacity of one step at a value."""
 
+@final
+class CancelToken:
+    """Gives up a picture under way, from any thread; for one picture, since it stays set."""
+
+    def __new__(cls) -> CancelToken: ...
+    def cancel(self) -> None:
+        """The picture is no longer wanted."""
+
+    @property
+    def cancelled(self) -> bool:
+        """Whether it was cancelled."""
+
 def cast(
     hu_zyx: NDArray[np.int16],
     lps_from_ijk: NDArray[np.float64],
@@ -102,8 +114,9 @@ def cast(
     background: tuple[float, float, float] = ...,
     leap: NDArray[np.uint8] | tuple[NDArray[np.uint8], NDArray[np.uint8], list[int]] | None = None,
     simd: str | None = None,
+    stop: CancelToken | None = None,
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int]]:
-    """(rows, width, 3) colours and rays, samples, look-ups, leaps, skipped samples."""
+    """(rows, width, 3) colours and rays, samples, look-ups, leaps, skipped samples; CancelledError once stopped."""
 
 def cut_plane(
     hu_zyx: NDArray[np.int16],

@@ -11,7 +11,7 @@ import pytest
 
 from carina import _core
 from carina.errors import CancelledError, GeometryError, RenderError
-from carina.render import AirwayView, Light, Renderer, TransferFunction, TreeView, transfer_preset
+from carina.render import AirwayView, CancelToken, Light, Renderer, TransferFunction, TreeView, transfer_preset
 from carina.render.mapcache import MapCache
 from carina.render.wall import grow_one_voxel, wall_levels, with_wall
 from carina.scopes import Pose
@@ -183,6 +183,21 @@ def test_cancelling_stops_and_leaves_the_renderer_usable(airway):
     renderer.prepare(lambda what, fraction: said.append((what, fraction)))
     assert said[0][1] == 0.0
     assert said[-1][1] == 1.0
+
+
+def test_a_picture_under_way_is_given_up_and_the_next_one_is_whole(airway):
+    renderer = Renderer(airway.volume)
+    wanted = view(airway, width=96, height=80, method="brute")
+    whole = renderer.render(wanted).rgb
+    long = view(airway, width=2000, height=2000, method="brute", step_vox=0.1)  # minutes, were it not stopped
+    stop = CancelToken()
+    timer = threading.Timer(0.05, stop.cancel)
+    timer.start()
+    with pytest.raises(CancelledError):
+        renderer.render(long, stop=stop)
+    timer.join()
+    assert stop.cancelled
+    np.testing.assert_array_equal(renderer.render(wanted, stop=CancelToken()).rgb, whole)
 
 
 def test_pictures_rendered_during_a_change_show_the_state_before_or_after(airway):

@@ -4,14 +4,17 @@
     reason = "Python hands its arguments over by value"
 )]
 
-use std::sync::OnceLock;
+use std::sync::{
+    OnceLock,
+    atomic::{AtomicBool, Ordering},
+};
 
 use carina_grid::{Camera, VolumeView};
 use carina_isoregion::SegmentTable;
 use carina_raycast::{
     ClassMap, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method, RaycastError,
-    Transfer, TriPlane, Window, cast_rows, cast_tri_plane, maximum_projections, sample_plane,
-    smoothed_mask,
+    Transfer, TriPlane, Window, cast_rows, cast_rows_until, cast_tri_plane, maximum_projections,
+    sample_plane, smoothed_mask,
 };
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
@@ -91,6 +94,35 @@ impl TransferTable {
     }
 }
 
+/// Gives up a picture under way; for one picture, since it stays set.
+#[pyclass(frozen, module = "carina._core")]
+#[derive(Default)]
+struct CancelToken {
+    set: AtomicBool,
+}
+
+#[pymethods]
+impl CancelToken {
+    #[new]
+    fn new() -> Self {
+        Self::default()
+    }
+
+    /// The picture is no longer wanted.
+    fn cancel(&self) {
+        self.set.store(true, Ordering::Relaxed);
+    }
+
+    #[getter]
+    fn cancelled(&self) -> bool {
+        self.set.load(Ordering::Relaxed)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("CancelToken(cancelled={})", self.cancelled())
+    }
+}
+
 /// The instruction set of a name; without one, of `CARINA_SIMD`, which is for tests; else the fastest of this machine.
 fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
     static CHOSEN: OnceLock<Option<String>> = OnceLock::new();
@@ -135,7 +167,7 @@ enum LeapMap<'py> {
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
-    background=[0.0; 3], leap=None, simd=None
+    background=[0.0; 3], leap=None, simd=None, stop=None
 ))]
 fn cast<'py>(
     py: Python<'py>,
@@ -152,6 +184,7 @@ fn cast<'py>(
     background: [f32; 3],
     leap: Option<LeapMap<'py>>,
     simd: Option<&str>,
+    stop: Option<Bound<'py, CancelToken>>,
 ) -> PyResult<(Bound<'py, PyArray3<u8>>, PyStats)> {
     let grid = grid(&hu_zyx, &lps_from_ijk)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
@@ -202,9 +235,20 @@ fn cast<'py>(
             })
         }
     };
-    let (rgb, s) = py
-        .detach(|| cast_rows(&frame, method, start..end, simd))
+    let stop = stop.as_ref().map(|token| &token.get().set);
+    let done = py
+        .detach(|| match stop {
+            None => cast_rows(&frame, method, start..end, simd).map(Some),
+            Some(stop) => cast_rows_until(&frame, method, start..end, simd, stop),
+        })
         .map_err(IntoPy::into_py)?;
+    let Some((rgb, s)) = done else {
+        return Err(carina_error(
+            "CancelledError",
+            "cancelled",
+            "the picture was given up for a newer one",
+        ));
+    };
     let stats = (
         s.num_rays,
         s.num_samples,
@@ -325,6 +369,7 @@ pub(crate) fn best_instruction_set() -> PyResult<&'static str> {
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<TransferTable>()?;
+    module.add_class::<CancelToken>()?;
     module.add_function(wrap_pyfunction!(cast, module)?)?;
     module.add_function(wrap_pyfunction!(cut_plane, module)?)?;
     module.add_function(wrap_pyfunction!(tri_plane, module)?)?;

@@ -1,6 +1,9 @@
 //! From rays to rows of a picture: the choice of caster, rows shared among threads, what was done.
 
-use std::ops::Range;
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicBool, Ordering},
+};
 
 use rayon::prelude::*;
 
@@ -58,14 +61,38 @@ pub fn cast_rows(
     rows: Range<usize>,
     simd: InstructionSet,
 ) -> Result<(Vec<u8>, CastStats), RaycastError> {
-    check(frame, method, &rows, simd)?;
+    cast(frame, method, &rows, simd, None)
+}
+
+/// As [`cast_rows`], but given up once another thread sets `stop`; then `None`.
+///
+/// Looked at before each band of a few rows, so it takes no longer than the dearest band.
+pub fn cast_rows_until(
+    frame: &Frame<'_>,
+    method: Method<'_>,
+    rows: Range<usize>,
+    simd: InstructionSet,
+    stop: &AtomicBool,
+) -> Result<Option<(Vec<u8>, CastStats)>, RaycastError> {
+    let done = cast(frame, method, &rows, simd, Some(stop))?;
+    Ok((!stop.load(Ordering::Relaxed)).then_some(done))
+}
+
+fn cast(
+    frame: &Frame<'_>,
+    method: Method<'_>,
+    rows: &Range<usize>,
+    simd: InstructionSet,
+    stop: Option<&AtomicBool>,
+) -> Result<(Vec<u8>, CastStats), RaycastError> {
+    check(frame, method, rows, simd)?;
     #[cfg(target_arch = "x86_64")]
     if let Some(packets) = Packets::of(frame, method, simd) {
-        return Ok(share(frame, &rows, BAND_ROWS, |first, out| {
+        return Ok(share(frame, rows, BAND_ROWS, stop, |first, out| {
             packets.cast_band(first, out)
         }));
     }
-    Ok(share(frame, &rows, 1, |row, out| {
+    Ok(share(frame, rows, 1, stop, |row, out| {
         cast_row(frame, method, row, out, simd)
     }))
 }
@@ -78,16 +105,17 @@ pub fn cast_rows_scalar(
     simd: InstructionSet,
 ) -> Result<(Vec<u8>, CastStats), RaycastError> {
     check(frame, method, &rows, simd)?;
-    Ok(share(frame, &rows, 1, |row, out| {
+    Ok(share(frame, &rows, 1, None, |row, out| {
         cast_row(frame, method, row, out, simd)
     }))
 }
 
-/// Shares rows among the threads, `num_rows` at a time.
+/// Shares rows among the threads, `num_rows` at a time; once `stop` is set, what is left stays black.
 fn share(
     frame: &Frame<'_>,
     rows: &Range<usize>,
     num_rows: usize,
+    stop: Option<&AtomicBool>,
     cast: impl Fn(usize, &mut [u8]) -> CastStats + Sync,
 ) -> (Vec<u8>, CastStats) {
     let width = frame.camera().width();
@@ -97,7 +125,12 @@ fn share(
         .enumerate()
         // Rows differ in cost by far (dark lumen, near wall): small shares let a thread that is done take more.
         .with_max_len(4 / num_rows)
-        .map(|(n, out)| cast(rows.start + n * num_rows, out))
+        .map(|(n, out)| {
+            if stop.is_some_and(|stop| stop.load(Ordering::Relaxed)) {
+                return CastStats::default();
+            }
+            cast(rows.start + n * num_rows, out)
+        })
         .reduce(CastStats::default, CastStats::plus);
     (rgb, stats)
 }

@@ -47,7 +47,7 @@ mod triplane;
 pub use carina_grid::InstructionSet;
 pub use error::RaycastError;
 pub use frame::{Frame, FrameOptions, Interpolation, STOP_TRANSPARENCY};
-pub use image::{CastStats, Method, cast_rows, cast_rows_scalar};
+pub use image::{CastStats, Method, cast_rows, cast_rows_scalar, cast_rows_until};
 pub use leap::ClassMap;
 pub use light::Light;
 pub use mask::smoothed_mask;

@@ -3,6 +3,7 @@
 from typing import Any
 
 from carina import _core
+from carina._core import CancelToken
 from carina.render.pictures import VIEW_NAMES, mark_tip, render_view, view_spec
 from carina.render.renderer import Renderer
 from carina.render.transfer import PRESETS, Light, TransferFunction, transfer_from_histogram, transfer_preset
@@ -22,6 +23,7 @@ __all__ = [
     "PRESETS",
     "VIEW_NAMES",
     "AirwayView",
+    "CancelToken",
     "CutPlaneView",
     "Light",
     "Picture",

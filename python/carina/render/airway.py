@@ -28,7 +28,14 @@ class AirwayCaster:
         self._swap = threading.Lock()
         self._tables: dict[tuple[int, int, float], tuple[TransferFunction, _core.TransferTable]] = {}
 
-    def cast(self, scene: Scene, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Picture:
+    def cast(
+        self,
+        scene: Scene,
+        view: AirwayView,
+        *,
+        rows: tuple[int, int] | None = None,
+        stop: _core.CancelToken | None = None,
+    ) -> Picture:
         """The picture, or the rows ``rows[0]`` to ``rows[1]`` of it."""
         nearest = scene.transfer.sampling == "nearest"
         step_vox = 1.0 if nearest else view.step_vox
@@ -47,6 +54,7 @@ class AirwayCaster:
             nearest=nearest,
             leap=leap,
             simd=self._simd,
+            stop=stop,
         )
         return Picture(
             rgb=rgb,

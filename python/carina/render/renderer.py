@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from carina._core import CancelToken
 from carina.errors import RenderError
 from carina.render.airway import AirwayCaster
 from carina.render.planes import PlaneCaster
@@ -115,7 +116,7 @@ class Renderer:
         """
         self._scenes.prepare(progress, cancel, all_classes=all_classes)
 
-    def render(self, view: View, *, rows: tuple[int, int] | None = None) -> Picture:
+    def render(self, view: View, *, rows: tuple[int, int] | None = None, stop: CancelToken | None = None) -> Picture:
         """Render one view.
 
         Parameters
@@ -125,18 +126,23 @@ class Renderer:
         rows
             Only for the airway view: first row and the row after the last. Strips put together are the whole picture,
             bit for bit.
+        stop
+            Gives the picture up when another thread cancels it. The airway and the tree view look at it every few rows;
+            the others take milliseconds and do not.
 
         Raises
         ------
         RenderError
             If the view cannot be rendered: a tree without a lumen, a setting out of range.
+        CancelledError
+            If ``stop`` was cancelled.
         """
         started = time.perf_counter()
         if rows is not None and not isinstance(view, AirwayView):
             raise RenderError("only the airway view is rendered in strips", code="render.setting")
         match view:
             case AirwayView():
-                picture = self._airway.cast(self._scenes.scene, view, rows=rows)
+                picture = self._airway.cast(self._scenes.scene, view, rows=rows, stop=stop)
             case CutPlaneView():
                 picture = self._planes.cut_plane(view)
             case SliceView():
@@ -146,13 +152,13 @@ class Renderer:
             case TriPlaneView():
                 picture = self._planes.tri_plane(view)
             case TreeView():
-                picture = self._tree(view)
+                picture = self._tree(view, stop)
         return dataclasses.replace(
             picture, stats=dataclasses.replace(picture.stats, seconds=time.perf_counter() - started)
         )
 
-    def _tree(self, view: TreeView) -> Picture:
+    def _tree(self, view: TreeView, stop: CancelToken | None) -> Picture:
         tree = self._scenes.scene.tree
         if tree is None:
             raise RenderError("there is no airway lumen yet, so no tree to show", code="render.no-lumen")
-        return cast_tree(tree, view, simd=self._simd)
+        return cast_tree(tree, view, simd=self._simd, stop=stop)

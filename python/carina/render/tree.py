@@ -59,7 +59,9 @@ def build_tree_field(lumen_zyx: NDArray[np.uint8], lps_from_ijk: NDArray[np.floa
     )
 
 
-def cast_tree(tree: TreeField, view: TreeView, *, simd: str | None = None) -> Picture:
+def cast_tree(
+    tree: TreeField, view: TreeView, *, simd: str | None = None, stop: _core.CancelToken | None = None
+) -> Picture:
     """The tree from outside."""
     distance = view.distance_mm
     if distance is None:
@@ -78,6 +80,7 @@ def cast_tree(tree: TreeField, view: TreeView, *, simd: str | None = None) -> Pi
         background=BACKGROUND,
         leap=tree.radius,
         simd=simd,
+        stop=stop,
     )
     return Picture(
         rgb=rgb,

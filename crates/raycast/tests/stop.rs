@@ -1,0 +1,42 @@
+//! A picture that is no longer wanted is given up; one that is wanted does not notice that it could be.
+
+mod scene;
+
+use std::sync::atomic::AtomicBool;
+
+use carina_grid::VolumeView;
+use carina_raycast::{CastStats, Frame, InstructionSet, Method, cast_rows, cast_rows_until};
+use scene::{Scene, options};
+
+fn cast(simd: InstructionSet, stop: Option<bool>) -> Option<(Vec<u8>, CastStats)> {
+    let mut scene = Scene::fixed([1.0, -2.0, 0.5], [0.2, 0.9, 0.3]);
+    scene.resize(37, 29);
+    let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
+    let table = scene.table(false);
+    let frame = Frame::new(volume, &table, scene.camera.clone(), options(true, false)).unwrap();
+    match stop {
+        None => Some(cast_rows(&frame, Method::Brute, 0..29, simd).unwrap()),
+        Some(set) => {
+            let stop = AtomicBool::new(set);
+            cast_rows_until(&frame, Method::Brute, 0..29, simd, &stop).unwrap()
+        }
+    }
+}
+
+#[test]
+fn a_picture_that_nobody_stops_is_the_picture() {
+    for simd in InstructionSet::available() {
+        assert!(
+            cast(simd, Some(false)) == cast(simd, None),
+            "{}",
+            simd.name()
+        );
+    }
+}
+
+#[test]
+fn a_picture_that_was_stopped_is_none_and_not_a_black_one() {
+    for simd in InstructionSet::available() {
+        assert!(cast(simd, Some(true)).is_none(), "{}", simd.name());
+    }
+}
