@@ -8,7 +8,7 @@ use crate::{
 
 /// Paper 4.3, "ordinary ray casters": evenly spaced samples, front to back, until the ray is opaque.
 #[inline(always)]
-pub(crate) fn cast<const SHADED: bool, const NEAREST: bool>(
+pub(crate) fn cast<const SHADED: bool, const NEAREST: bool, const HITS: bool>(
     frame: &Frame<'_>,
     ray: &Ray,
     stats: &mut CastStats,
@@ -16,7 +16,7 @@ pub(crate) fn cast<const SHADED: bool, const NEAREST: bool>(
     let mut gathered = Gathered::NOTHING;
     let mut k = ray.first;
     while k < ray.end {
-        frame.add_sample::<SHADED, NEAREST>(ray, k, ray.at(k), &mut gathered);
+        frame.add_sample::<SHADED, NEAREST, HITS>(ray, k, ray.at(k), &mut gathered);
         k += 1;
         if gathered.transparency < STOP_TRANSPARENCY {
             break;

@@ -1,27 +1,47 @@
 //! Front-to-back compositing of one ray.
 
+/// `hit` of a ray that meets no wall.
+pub(crate) const NO_HIT: f32 = -1.0;
+
 /// What a ray has gathered.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Gathered {
     /// Premultiplied colour.
     pub rgb: [f32; 3],
     /// What still shines through.
     pub transparency: f32,
+    /// Where the transparency falls below 1/2, in steps from the camera; [`NO_HIT`] where it does not. Only kept by
+    /// those who ask for it.
+    pub hit: f32,
 }
 
 impl Gathered {
     pub(crate) const NOTHING: Self = Self {
         rgb: [0.0; 3],
         transparency: 1.0,
+        hit: NO_HIT,
     };
 
-    /// Adds a sample of premultiplied colour behind what is there.
+    /// Adds sample `k` of premultiplied colour behind what is there.
     #[inline(always)]
-    pub(crate) fn add(&mut self, rgb: [f32; 3], alpha: f32) {
+    pub(crate) fn add<const HITS: bool>(&mut self, k: u32, rgb: [f32; 3], alpha: f32) {
         for c in 0..3 {
             self.rgb[c] = self.transparency.mul_add(rgb[c], self.rgb[c]);
         }
+        let before = self.transparency;
         self.transparency *= 1.0 - alpha;
+        if HITS {
+            self.cross(k, before, self.transparency);
+        }
+    }
+
+    /// Notes the first wall if the transparency falls below 1/2 within sample `k`, which reaches from `k` to `k + 1`
+    /// steps.
+    #[inline(always)]
+    pub(crate) fn cross(&mut self, k: u32, before: f32, after: f32) {
+        if before >= 0.5 && after < 0.5 {
+            self.hit = k as i32 as f32 + (before - 0.5) / (before - after);
+        }
     }
 
     /// Adds a segment given by its colour and its transparency.

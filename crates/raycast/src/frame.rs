@@ -178,7 +178,7 @@ impl<'a> Frame<'a> {
 
     /// Reads sample `k` and adds it; false if it has no opacity.
     #[inline(always)]
-    pub(crate) fn add_sample<const SHADED: bool, const NEAREST: bool>(
+    pub(crate) fn add_sample<const SHADED: bool, const NEAREST: bool, const HITS: bool>(
         &self,
         ray: &Ray,
         k: u32,
@@ -189,7 +189,7 @@ impl<'a> Frame<'a> {
             let [r, g, b, alpha] = self
                 .table
                 .at_hu(i32::from(self.field.voxel(self.field.nearest(p).0)));
-            gathered.add([r, g, b], alpha);
+            gathered.add::<HITS>(k, [r, g, b], alpha);
             return alpha > 0.0;
         }
         let cell = self.field.cell(p);
@@ -207,7 +207,7 @@ impl<'a> Frame<'a> {
             }
             _ => [r, g, b],
         };
-        gathered.add(rgb, alpha);
+        gathered.add::<HITS>(k, rgb, alpha);
         true
     }
 

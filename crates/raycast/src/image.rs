@@ -86,13 +86,14 @@ fn cast(
     stop: Option<&AtomicBool>,
 ) -> Result<(Vec<u8>, CastStats), RaycastError> {
     check(frame, method, rows, simd)?;
+    let bytes = (0u8, 3 * frame.camera().width());
     #[cfg(target_arch = "x86_64")]
     if let Some(packets) = Packets::of(frame, method, simd) {
-        return Ok(share(frame, rows, BAND_ROWS, stop, |first, out| {
+        return Ok(share(rows, bytes, BAND_ROWS, stop, |first, out| {
             packets.cast_band(first, out)
         }));
     }
-    Ok(share(frame, rows, 1, stop, |row, out| {
+    Ok(share(rows, bytes, 1, stop, |row, out| {
         cast_row(frame, method, row, out, simd)
     }))
 }
@@ -105,23 +106,24 @@ pub fn cast_rows_scalar(
     simd: InstructionSet,
 ) -> Result<(Vec<u8>, CastStats), RaycastError> {
     check(frame, method, &rows, simd)?;
-    Ok(share(frame, &rows, 1, None, |row, out| {
+    let bytes = (0u8, 3 * frame.camera().width());
+    Ok(share(&rows, bytes, 1, None, |row, out| {
         cast_row(frame, method, row, out, simd)
     }))
 }
 
-/// Shares rows among the threads, `num_rows` at a time; once `stop` is set, what is left stays black.
-fn share(
-    frame: &Frame<'_>,
+/// Shares rows of `blank` items, `per_row` in each, among the threads, `num_rows` at a time; once `stop` is set, what is
+/// left stays blank.
+pub(crate) fn share<T: Copy + Send>(
     rows: &Range<usize>,
+    (blank, per_row): (T, usize),
     num_rows: usize,
     stop: Option<&AtomicBool>,
-    cast: impl Fn(usize, &mut [u8]) -> CastStats + Sync,
-) -> (Vec<u8>, CastStats) {
-    let width = frame.camera().width();
-    let mut rgb = vec![0u8; rows.len() * width * 3];
-    let stats = rgb
-        .par_chunks_mut(width * 3 * num_rows)
+    cast: impl Fn(usize, &mut [T]) -> CastStats + Sync,
+) -> (Vec<T>, CastStats) {
+    let mut items = vec![blank; rows.len() * per_row];
+    let stats = items
+        .par_chunks_mut(per_row * num_rows)
         .enumerate()
         // Rows differ in cost by far (dark lumen, near wall): small shares let a thread that is done take more.
         .with_max_len(4 / num_rows)
@@ -132,10 +134,10 @@ fn share(
             cast(rows.start + n * num_rows, out)
         })
         .reduce(CastStats::default, CastStats::plus);
-    (rgb, stats)
+    (items, stats)
 }
 
-fn check(
+pub(crate) fn check(
     frame: &Frame<'_>,
     method: Method<'_>,
     rows: &Range<usize>,
@@ -229,56 +231,62 @@ fn cast_row_body(frame: &Frame<'_>, method: Method<'_>, row: usize, out: &mut [u
             row,
             out,
             #[inline(always)]
-            |frame, ray, stats| brute::cast::<true, false>(frame, ray, stats),
+            |frame, ray, stats| brute::cast::<true, false, false>(frame, ray, stats),
         ),
         (Method::Brute, false, false) => each_pixel(
             frame,
             row,
             out,
             #[inline(always)]
-            |frame, ray, stats| brute::cast::<false, false>(frame, ray, stats),
+            |frame, ray, stats| brute::cast::<false, false, false>(frame, ray, stats),
         ),
         (Method::Brute, false, true) => each_pixel(
             frame,
             row,
             out,
             #[inline(always)]
-            |frame, ray, stats| brute::cast::<false, true>(frame, ray, stats),
+            |frame, ray, stats| brute::cast::<false, true, false>(frame, ray, stats),
         ),
         (Method::LeapTransparent(radius), true, _) => each_pixel(
             frame,
             row,
             out,
             #[inline(always)]
-            |frame, ray, stats| leap::cast_transparent::<true, false>(frame, radius, ray, stats),
+            |frame, ray, stats| {
+                leap::cast_transparent::<true, false, false>(frame, radius, ray, stats)
+            },
         ),
         (Method::LeapTransparent(radius), false, false) => each_pixel(
             frame,
             row,
             out,
             #[inline(always)]
-            |frame, ray, stats| leap::cast_transparent::<false, false>(frame, radius, ray, stats),
+            |frame, ray, stats| {
+                leap::cast_transparent::<false, false, false>(frame, radius, ray, stats)
+            },
         ),
         (Method::LeapTransparent(radius), false, true) => each_pixel(
             frame,
             row,
             out,
             #[inline(always)]
-            |frame, ray, stats| leap::cast_transparent::<false, true>(frame, radius, ray, stats),
+            |frame, ray, stats| {
+                leap::cast_transparent::<false, true, false>(frame, radius, ray, stats)
+            },
         ),
         (Method::LeapClasses(map), _, false) => each_pixel(
             frame,
             row,
             out,
             #[inline(always)]
-            |frame, ray, stats| leap::cast_classes::<false>(frame, map, ray, stats),
+            |frame, ray, stats| leap::cast_classes::<false, false>(frame, map, ray, stats),
         ),
         (Method::LeapClasses(map), _, true) => each_pixel(
             frame,
             row,
             out,
             #[inline(always)]
-            |frame, ray, stats| leap::cast_classes::<true>(frame, map, ray, stats),
+            |frame, ray, stats| leap::cast_classes::<true, false>(frame, map, ray, stats),
         ),
     }
 }

@@ -74,7 +74,7 @@ impl Pace {
 ///
 /// `radius` is the map of the transparent classes, 0 elsewhere.
 #[inline(always)]
-pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool>(
+pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HITS: bool>(
     frame: &Frame<'_>,
     radius: &[u8],
     ray: &Ray,
@@ -109,7 +109,7 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool>(
             wait = WAIT_SAMPLES;
         }
         k += 1;
-        if frame.add_sample::<SHADED, NEAREST>(ray, k - 1, p, &mut gathered) {
+        if frame.add_sample::<SHADED, NEAREST, HITS>(ray, k - 1, p, &mut gathered) {
             wait = 1;
             if gathered.transparency < STOP_TRANSPARENCY {
                 break;
@@ -128,7 +128,7 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool>(
 /// Leaps over every class by the step table. Within one grey level of brute force: a segment's colour is rounded once,
 /// its samples' colours one by one. A leap that crosses the stop limit ends at the sample where brute force stops.
 #[inline(always)]
-pub(crate) fn cast_classes<const NEAREST: bool>(
+pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
     frame: &Frame<'_>,
     map: ClassMap<'_>,
     ray: &Ray,
@@ -156,12 +156,15 @@ pub(crate) fn cast_classes<const NEAREST: bool>(
                 gathered.transparency,
                 STOP_TRANSPARENCY,
             );
+            if HITS {
+                cross_segment(&mut gathered, map.segments, label, k, n);
+            }
             gathered.add_segment(map.segments.segment(label, n));
             stats.num_leaps += 1;
             stats.num_skipped += n as u64;
             k += n as u32;
         } else {
-            frame.add_sample::<false, NEAREST>(ray, k, p, &mut gathered);
+            frame.add_sample::<false, NEAREST, HITS>(ray, k, p, &mut gathered);
             stats.num_samples += 1;
             k += 1;
         }
@@ -170,4 +173,16 @@ pub(crate) fn cast_classes<const NEAREST: bool>(
         }
     }
     gathered
+}
+
+/// Notes the first wall if it lies within a segment: its samples one by one, as the step table has them.
+#[inline(always)]
+fn cross_segment(gathered: &mut Gathered, segments: &SegmentTable, label: u8, k: u32, n: usize) {
+    let through = |samples| gathered.transparency * segments.segment(label, samples)[3];
+    if gathered.transparency < 0.5 || through(n) >= 0.5 {
+        return;
+    }
+    let crossing = segments.samples_until(label, n, gathered.transparency, 0.5);
+    let (before, after) = (through(crossing - 1), through(crossing));
+    gathered.cross(k + crossing as u32 - 1, before, after);
 }

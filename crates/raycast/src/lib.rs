@@ -41,6 +41,7 @@ mod packet;
 mod plane;
 mod projection;
 mod sampling;
+mod surface;
 mod transfer;
 mod triplane;
 
@@ -54,5 +55,6 @@ pub use mask::smoothed_mask;
 pub use plane::{PlaneImage, Window, sample_plane};
 pub use projection::{Projections, maximum_projections};
 pub use sampling::Field;
+pub use surface::{Hit, cast_surface, pick};
 pub use transfer::{Transfer, TransferTable};
 pub use triplane::{TriPlane, cast_tri_plane};

@@ -5,6 +5,7 @@
 
 use super::{
     lanes::Lanes,
+    out::Out,
     pool::{Packet, Pool, Source},
     voxels::Voxels,
 };
@@ -27,7 +28,7 @@ pub(super) struct Scene<'a> {
 }
 
 /// The state of a band.
-struct Band<'a, L: Lanes> {
+struct Band<L: Lanes, O: Out> {
     source: Source,
     searching: Pool,
     shading: Pool,
@@ -36,13 +37,14 @@ struct Band<'a, L: Lanes> {
     stats: CastStats,
     /// Sum of the last sample numbers of the rays that have ended.
     sum_of_end: u64,
-    out: &'a mut [u8],
+    out: O,
 }
 
-impl<L: Lanes> Band<'_, L> {
+impl<L: Lanes, O: Out> Band<L, O> {
     #[inline(always)]
-    fn finish(&mut self, l: L, packet: &mut Packet<L>, lanes: u32, background: [f32; 3]) {
-        self.sum_of_end += packet.finish(l, lanes, background, self.out);
+    fn finish(&mut self, l: L, packet: &mut Packet<L>, lanes: u32) {
+        self.out.write(l, packet, lanes);
+        self.sum_of_end += packet.finish(l, lanes);
     }
 
     /// True if there are rays to search with.
@@ -55,11 +57,11 @@ impl<L: Lanes> Band<'_, L> {
 impl Scene<'_> {
     /// Casts all rays of a band of rows.
     #[inline(always)]
-    pub(super) fn cast<L: Lanes, const SHADED: bool, const LEAP: bool>(
+    pub(super) fn cast<L: Lanes, O: Out, const SHADED: bool, const LEAP: bool>(
         &self,
         l: L,
         source: Source,
-        out: &mut [u8],
+        out: O,
     ) -> CastStats {
         let mut band = Band {
             source,
@@ -72,11 +74,11 @@ impl Scene<'_> {
             out,
         };
         loop {
-            self.search::<L, SHADED, LEAP>(l, &mut band);
+            self.search::<L, O, SHADED, LEAP>(l, &mut band);
             if band.shading.is_empty() && band.shade.occupied == 0 {
                 break;
             }
-            self.shade::<L>(l, &mut band);
+            self.shade(l, &mut band);
         }
         let walked = band.sum_of_end - band.source.sum_of_first();
         band.stats.num_skipped = walked - band.stats.num_samples;
@@ -87,7 +89,11 @@ impl Scene<'_> {
     /// Leaps and clear samples, until enough rays wait for shading or none is left to search. Without shading a visible
     /// sample costs no more than a clear one and is taken here.
     #[inline(always)]
-    fn search<L: Lanes, const SHADED: bool, const LEAP: bool>(&self, l: L, band: &mut Band<'_, L>) {
+    fn search<L: Lanes, O: Out, const SHADED: bool, const LEAP: bool>(
+        &self,
+        l: L,
+        band: &mut Band<L, O>,
+    ) {
         let mut packet = band.search;
         let (mut signed, mut plain) = pace(l, &packet.delta);
         let mut active = packet.occupied;
@@ -102,7 +108,7 @@ impl Scene<'_> {
                 }
                 let ended = packet.occupied & !active;
                 if ended != 0 {
-                    band.finish(l, &mut packet, ended, self.frame.options.background);
+                    band.finish(l, &mut packet, ended);
                 }
                 if band.shading.len() >= SHADE_FROM {
                     break;
@@ -157,7 +163,9 @@ impl Scene<'_> {
                 active &= l.bits(l.less_i(packet.k, packet.end)) & !visible;
             } else {
                 band.stats.num_samples += u64::from(walk.count_ones());
-                let goes_on = self.take_samples::<L, false>(l, &mut packet, walks).1;
+                let goes_on = self
+                    .take_samples::<L, O, false>(l, &mut packet, walks, &mut band.out)
+                    .1;
                 active &= goes_on;
             }
         }
@@ -166,7 +174,7 @@ impl Scene<'_> {
 
     /// Visible samples, until no ray waits for shading and few are left in the lanes.
     #[inline(always)]
-    fn shade<L: Lanes>(&self, l: L, band: &mut Band<'_, L>) {
+    fn shade<L: Lanes, O: Out>(&self, l: L, band: &mut Band<L, O>) {
         let mut packet = band.shade;
         let mut active = packet.occupied;
         // Lanes whose last sample was clear.
@@ -179,7 +187,7 @@ impl Scene<'_> {
                 }
                 let ended = packet.occupied & !active;
                 if ended != 0 {
-                    band.finish(l, &mut packet, ended, self.frame.options.background);
+                    band.finish(l, &mut packet, ended);
                 }
                 band.shading.give_to(l, &mut packet);
                 active = packet.occupied;
@@ -190,7 +198,8 @@ impl Scene<'_> {
             }
             band.stats.num_samples += u64::from(active.count_ones());
             let take = l.mask(active);
-            let (lit, goes_on) = self.take_samples::<L, true>(l, &mut packet, take);
+            let (lit, goes_on) =
+                self.take_samples::<L, O, true>(l, &mut packet, take, &mut band.out);
             clear |= active & goes_on & !lit;
             active &= goes_on & lit;
         }
@@ -200,13 +209,14 @@ impl Scene<'_> {
     /// Takes samples and goes on to the next ones. Gives the lanes where a sample added something and those whose ray has
     /// not ended.
     #[inline(always)]
-    fn take_samples<L: Lanes, const SHADED: bool>(
+    fn take_samples<L: Lanes, O: Out, const SHADED: bool>(
         &self,
         l: L,
         packet: &mut Packet<L>,
         take: L::M,
+        out: &mut O,
     ) -> (u32, u32) {
-        let lit = self.add_samples::<L, SHADED>(l, packet, take);
+        let lit = self.add_samples::<L, O, SHADED>(l, packet, take, out);
         packet.k = l.select_i(take, l.add_i(packet.k, l.splat_i(1)), packet.k);
         let wait = l.select_i(lit, l.splat_i(1), l.sub_i(packet.wait, l.splat_i(1)));
         packet.wait = l.select_i(take, wait, packet.wait);
@@ -256,11 +266,12 @@ impl Scene<'_> {
 
     /// Reads the samples `k` and adds them in the lanes `take`. Gives the lanes where a sample added something.
     #[inline(always)]
-    fn add_samples<L: Lanes, const SHADED: bool>(
+    fn add_samples<L: Lanes, O: Out, const SHADED: bool>(
         &self,
         l: L,
         packet: &mut Packet<L>,
         take: L::M,
+        out: &mut O,
     ) -> L::M {
         let cells = self.voxels.cells(l, packet.at(l, self.frame.origin3()));
         let (value, gradient) = if SHADED {
@@ -302,6 +313,16 @@ impl Scene<'_> {
             packet.rgb[c] = l.select(lit, sum, packet.rgb[c]);
         }
         let through = l.mul(packet.transparency, l.sub(l.splat(1.0), alpha));
+        if O::HITS {
+            // As in `Gathered::cross`.
+            let (half, before) = (l.splat(0.5), packet.transparency);
+            let crossed = l.without(l.and(lit, l.less(through, half)), l.less(before, half));
+            if l.bits(crossed) != 0 {
+                let part = l.div(l.sub(before, half), l.sub(before, through));
+                let hit = l.add(l.to_f(packet.k), part);
+                out.note_hits(l, packet, l.bits(crossed), hit);
+            }
+        }
         packet.transparency = l.select(lit, through, packet.transparency);
         lit
     }

@@ -7,13 +7,15 @@ mod avx2;
 mod avx512;
 mod kernel;
 mod lanes;
+mod out;
 mod pool;
 mod setup;
 mod voxels;
 
-use crate::{CastStats, Frame, InstructionSet, Interpolation, Method};
+use crate::{CastStats, Frame, InstructionSet, Interpolation, Method, composite::Gathered};
 use kernel::Scene;
 use lanes::Lanes;
+use out::{Out, Rgb8, Walls};
 use pool::Source;
 use voxels::Voxels;
 
@@ -63,8 +65,25 @@ impl<'a> Packets<'a> {
 
     /// Casts rows from `first_row` on, as many as `out` holds.
     pub(crate) fn cast_band(&self, first_row: usize, out: &mut [u8]) -> CastStats {
+        let background = self.scene.frame.options.background;
+        let num_pixels = out.len() / 3;
+        let out = Rgb8 {
+            rgb: out,
+            background,
+        };
+        self.cast_to(first_row, num_pixels, out)
+    }
+
+    /// The same with all that the rays gather, first walls included; `out` holds [`Gathered::NOTHING`]. The light at the
+    /// tip is left out.
+    pub(crate) fn cast_walls(&self, first_row: usize, out: &mut [Gathered]) -> CastStats {
+        let num_pixels = out.len();
+        self.cast_to(first_row, num_pixels, Walls(out))
+    }
+
+    fn cast_to<O: Out>(&self, first_row: usize, num_pixels: usize, out: O) -> CastStats {
         let width = self.scene.frame.camera().width();
-        let source = Source::new(width, first_row, out.len() / (3 * width));
+        let source = Source::new(width, first_row, num_pixels / width);
         match self.simd {
             // SAFETY: the instruction set is only handed out where the machine has it. Benchmark:
             // docs/decisions/0003-packets.md.
@@ -76,24 +95,24 @@ impl<'a> Packets<'a> {
     }
 
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-    fn cast_avx512(&self, source: Source, out: &mut [u8]) -> CastStats {
+    fn cast_avx512<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only where the machine has the instructions.
         self.cast(unsafe { avx512::Avx512::new() }, source, out)
     }
 
     #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-    fn cast_avx2(&self, source: Source, out: &mut [u8]) -> CastStats {
+    fn cast_avx2<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only where the machine has the instructions.
         self.cast(unsafe { avx2::Avx2::new() }, source, out)
     }
 
     #[inline(always)]
-    fn cast<L: Lanes>(&self, l: L, source: Source, out: &mut [u8]) -> CastStats {
-        match (self.shaded, self.leaps) {
-            (true, true) => self.scene.cast::<L, true, true>(l, source, out),
-            (true, false) => self.scene.cast::<L, true, false>(l, source, out),
-            (false, true) => self.scene.cast::<L, false, true>(l, source, out),
-            (false, false) => self.scene.cast::<L, false, false>(l, source, out),
+    fn cast<L: Lanes, O: Out>(&self, l: L, source: Source, out: O) -> CastStats {
+        match (self.shaded && !O::HITS, self.leaps) {
+            (true, true) => self.scene.cast::<L, O, true, true>(l, source, out),
+            (true, false) => self.scene.cast::<L, O, true, false>(l, source, out),
+            (false, true) => self.scene.cast::<L, O, false, true>(l, source, out),
+            (false, false) => self.scene.cast::<L, O, false, false>(l, source, out),
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use super::{
     lanes::{Array, Lanes, MAX_LANES},
+    out::each_lane,
     setup::rays_of,
 };
 use crate::Frame;
@@ -61,26 +62,12 @@ impl<L: Lanes> Packet<L> {
         p
     }
 
-    /// Writes the pixels of some lanes, which are free then. Gives the sum of their sample numbers.
+    /// Frees some lanes, whose pixels are written. Gives the sum of their sample numbers.
     #[inline(always)]
-    pub(super) fn finish(&mut self, l: L, lanes: u32, background: [f32; 3], out: &mut [u8]) -> u64 {
-        // As in `Gathered::to_rgb8`; its cast saturates.
-        let mut rgb = [[0; MAX_LANES]; 3];
-        for c in 0..3 {
-            let v = l.fma(self.transparency, l.splat(background[c]), self.rgb[c]);
-            let v = l.fma(v, l.splat(255.0), l.splat(0.5));
-            rgb[c] = l.store_i(l.whole(l.min(l.max(v, l.splat(0.0)), l.splat(255.0))));
-        }
-        let (pixel, k) = (l.store_i(self.pixel), l.store_i(self.k));
+    pub(super) fn finish(&mut self, l: L, lanes: u32) -> u64 {
+        let k = l.store_i(self.k);
         let mut sum = 0;
-        let mut left = lanes;
-        while left != 0 {
-            let n = left.trailing_zeros() as usize % MAX_LANES;
-            left &= left - 1;
-            let at = pixel[n] as usize * 3;
-            out[at..at + 3].copy_from_slice(&[rgb[0][n] as u8, rgb[1][n] as u8, rgb[2][n] as u8]);
-            sum += k[n] as u64;
-        }
+        each_lane(lanes, |n| sum += k[n] as u64);
         self.occupied &= !lanes;
         sum
     }

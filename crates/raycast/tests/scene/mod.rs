@@ -1,5 +1,10 @@
 //! Random volumes on oblique, anisotropic grids, and cameras inside and outside them.
 
+#![allow(
+    dead_code,
+    reason = "not every test that shares this module uses all of it"
+)]
+
 use carina_grid::{Affine, Camera, Grid};
 use carina_raycast::{FrameOptions, Interpolation, Light, Transfer, TransferTable};
 use proptest::prelude::*;
@@ -24,10 +29,6 @@ impl Scene {
     }
 
     /// The same view in another viewport.
-    #[allow(
-        dead_code,
-        reason = "not every test that shares this module changes the size"
-    )]
     pub(crate) fn resize(&mut self, width: usize, height: usize) {
         let pose = *self.camera.lps_from_camera();
         self.camera = Camera::new(pose, 1.5, width, height).unwrap();
