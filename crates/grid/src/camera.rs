@@ -1,11 +1,13 @@
-use crate::{Affine, Grid, GridError};
+use std::sync::Arc;
+
+use crate::{Affine, Grid, GridError, LensRays};
 
 /// The narrowest field of view, 1 degree: a tele lens for looking at a landmark from outside.
 pub const MIN_FOV_RAD: f64 = core::f64::consts::PI / 180.0;
 /// The widest pinhole field of view, 170 degrees: at 180 the image plane is infinite.
 pub const MAX_FOV_RAD: f64 = 170.0 * core::f64::consts::PI / 180.0;
 
-/// A pinhole camera: pose, field of view and viewport.
+/// A camera: pose, lens and viewport. Without a lens of its own it is a pinhole.
 ///
 /// Camera axes: +x right, +y down, +z forward. Pixel (0, 0) is the corner of the top-left pixel; its centre is (0.5, 0.5).
 #[derive(Debug, Clone, PartialEq)]
@@ -14,6 +16,7 @@ pub struct Camera {
     focal_px: f64,
     width: usize,
     height: usize,
+    lens_rays: Option<Arc<LensRays>>,
 }
 
 /// A ray through the centre of one pixel, in patient space.
@@ -26,20 +29,14 @@ pub struct PixelRay {
 }
 
 impl Camera {
-    /// A camera at a rigid pose. `fov_rad` is the full angle across the shorter side of the viewport.
+    /// A pinhole camera at a rigid pose. `fov_rad` is the full angle across the shorter side of the viewport.
     pub fn new(
         lps_from_camera: Affine,
         fov_rad: f64,
         width: usize,
         height: usize,
     ) -> Result<Self, GridError> {
-        // 1e-6: a pose that was multiplied up over a long flight and came through JSON still passes.
-        if !lps_from_camera.is_rigid(1e-6) {
-            return Err(GridError::Transform {
-                what: "lps_from_camera",
-                reason: "its axes are not unit vectors at right angles, right-handed".to_owned(),
-            });
-        }
+        check_pose(&lps_from_camera)?;
         if !(MIN_FOV_RAD - 1e-12..=MAX_FOV_RAD + 1e-12).contains(&fov_rad) {
             return Err(GridError::Camera {
                 what: "field of view",
@@ -60,7 +57,27 @@ impl Camera {
             focal_px: width.min(height) as f64 / 2.0 / libm::tan(fov_rad / 2.0),
             width,
             height,
+            lens_rays: None,
         })
+    }
+
+    /// A camera at a rigid pose whose rays have been built for a lens and a viewport.
+    pub fn with_lens(lps_from_camera: Affine, rays: Arc<LensRays>) -> Result<Self, GridError> {
+        check_pose(&lps_from_camera)?;
+        let [across, down] = rays.optics().focal_px();
+        Ok(Self {
+            lps_from_camera,
+            focal_px: across.min(down),
+            width: rays.width(),
+            height: rays.height(),
+            lens_rays: Some(rays),
+        })
+    }
+
+    /// The rays of the pixels where there is a lens; none for the pinhole formula.
+    #[must_use]
+    pub fn lens_rays(&self) -> Option<&LensRays> {
+        self.lens_rays.as_deref()
     }
 
     /// The pose.
@@ -75,7 +92,7 @@ impl Camera {
         self.lps_from_camera.column(3)
     }
 
-    /// Focal length in pixels.
+    /// Focal length in pixels; with a lens, in the middle of the picture.
     #[must_use]
     pub const fn focal_px(&self) -> f64 {
         self.focal_px
@@ -93,9 +110,16 @@ impl Camera {
         self.height
     }
 
-    /// The ray through the centre of pixel (column, row).
+    /// The ray through the centre of pixel (column, row). Where a lens has none there, its direction is 0.
     #[must_use]
     pub fn ray(&self, column: usize, row: usize) -> PixelRay {
+        if let Some(rays) = self.lens_rays() {
+            let dir = rays.direction(column, row).map(f64::from);
+            return PixelRay {
+                origin_lps: self.origin_lps(),
+                dir_lps: self.lps_from_camera.vector(dir),
+            };
+        }
         let x = (column as f64 + 0.5) - self.width as f64 / 2.0;
         let y = (row as f64 + 0.5) - self.height as f64 / 2.0;
         let len = (x * x + y * y + self.focal_px * self.focal_px).sqrt();
@@ -118,9 +142,36 @@ impl Camera {
     }
 }
 
+fn check_pose(lps_from_camera: &Affine) -> Result<(), GridError> {
+    // 1e-6: a pose that was multiplied up over a long flight and came through JSON still passes.
+    if lps_from_camera.is_rigid(1e-6) {
+        return Ok(());
+    }
+    Err(GridError::Transform {
+        what: "lps_from_camera",
+        reason: "its axes are not unit vectors at right angles, right-handed".to_owned(),
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{ImageField, Lens};
+
+    #[test]
+    fn a_pinhole_lens_has_the_rays_of_the_pinhole_formula() {
+        let plain = Camera::new(Affine::IDENTITY, 1.7, 30, 20).unwrap();
+        let rays = LensRays::build(&Lens::Pinhole, Some(1.7), 30, 20, &ImageField::FULL).unwrap();
+        let lens = Camera::with_lens(Affine::IDENTITY, Arc::new(rays)).unwrap();
+        for (column, row) in [(0, 0), (29, 19), (14, 3)] {
+            let (a, b) = (
+                plain.ray(column, row).dir_lps,
+                lens.ray(column, row).dir_lps,
+            );
+            // Directions are kept in f32.
+            assert!((0..3).all(|n| (a[n] - b[n]).abs() < 6e-8));
+        }
+    }
 
     #[test]
     fn the_field_of_view_spans_the_shorter_side() {

@@ -149,16 +149,33 @@ impl<'a> Frame<'a> {
         farthest / self.table.step_mm() + 2.0
     }
 
-    /// The ray of a pixel, clipped to the box of the voxels.
+    /// One step of a pixel's ray in camera space, mm.
     #[inline(always)]
-    pub(crate) fn ray(&self, column: usize, row: usize) -> Ray {
+    fn step(&self, column: usize, row: usize) -> [f64; 3] {
+        let step_mm = self.table.step_mm();
+        if let Some(rays) = self.camera.lens_rays() {
+            return rays.direction(column, row).map(|v| f64::from(v) * step_mm);
+        }
         let x = (column as f64 + 0.5) - self.camera.width() as f64 / 2.0;
         let y = (row as f64 + 0.5) - self.camera.height() as f64 / 2.0;
         let z = self.camera.focal_px();
-        let scale = self.table.step_mm() / length([x, y, z]);
-        let delta = self
-            .ijk_from_camera
-            .vector([x * scale, y * scale, z * scale]);
+        let scale = step_mm / length([x, y, z]);
+        [x * scale, y * scale, z * scale]
+    }
+
+    /// The ray of a pixel, clipped to the box of the voxels.
+    #[inline(always)]
+    pub(crate) fn ray(&self, column: usize, row: usize) -> Ray {
+        let delta = self.ijk_from_camera.vector(self.step(column, row));
+        // No light falls on this pixel: its lens or its mask has no ray for it.
+        if self.camera.lens_rays().is_some() && delta == [0.0; 3] {
+            return Ray {
+                origin: self.origin,
+                delta: lanes(delta),
+                first: 0,
+                end: 0,
+            };
+        }
         let n = self.grid.shape_ijk();
         let (first, end) =
             clip_line_to_box(self.origin_ijk, delta, [-0.5; 3], n.map(|n| n as f64 - 0.5)).map_or(

@@ -21,13 +21,25 @@ pub(super) fn rays_of(frame: &Frame<'_>, column: &Array<i32>, row: &Array<i32>) 
     let matrix = frame.ijk_from_camera.rows();
     let shape = frame.grid.shape_ijk();
     let mut scaled = [[0.0; MAX_LANES]; 3];
-    for n in 0..MAX_LANES {
-        let x = (f64::from(column[n]) + 0.5) - half_width;
-        let y = (f64::from(row[n]) + 0.5) - half_height;
-        let scale = step_mm / (x * x + y * y + z * z).sqrt();
-        scaled[0][n] = x * scale;
-        scaled[1][n] = y * scale;
-        scaled[2][n] = z * scale;
+    // All have a ray but those that a lens or a mask leaves without.
+    let mut bare = [false; MAX_LANES];
+    if let Some(rays) = camera.lens_rays() {
+        for n in 0..MAX_LANES {
+            let dir = rays.direction(column[n] as usize, row[n] as usize);
+            for a in 0..3 {
+                scaled[a][n] = f64::from(dir[a]) * step_mm;
+            }
+            bare[n] = dir == [0.0; 3];
+        }
+    } else {
+        for n in 0..MAX_LANES {
+            let x = (f64::from(column[n]) + 0.5) - half_width;
+            let y = (f64::from(row[n]) + 0.5) - half_height;
+            let scale = step_mm / (x * x + y * y + z * z).sqrt();
+            scaled[0][n] = x * scale;
+            scaled[1][n] = y * scale;
+            scaled[2][n] = z * scale;
+        }
     }
     let mut t_in = [f64::NEG_INFINITY; MAX_LANES];
     let mut t_out = [f64::INFINITY; MAX_LANES];
@@ -58,7 +70,7 @@ pub(super) fn rays_of(frame: &Frame<'_>, column: &Array<i32>, row: &Array<i32>) 
     let (mut first, mut end) = ([0; MAX_LANES], [0; MAX_LANES]);
     for n in 0..MAX_LANES {
         // What lies behind the camera starts at 0. `Packets::of` has checked that no ray has 2^30 steps.
-        let hit = t_in[n] <= t_out[n];
+        let hit = t_in[n] <= t_out[n] && !bare[n];
         let from = (t_in[n] - 0.5).ceil().max(0.0) as i32;
         let to = (t_out[n] + 0.5).floor().max(0.0) as i32;
         first[n] = if hit { from } else { 0 };

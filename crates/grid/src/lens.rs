@@ -1,0 +1,725 @@
+//! Lens models: from pixels to directions and back, in f64 with `libm`, so that all platforms agree on every bit.
+//!
+//! Sources: Brown-Conrady with the rational radial term as in `OpenCV`'s `calib3d` ("Camera Calibration and 3D
+//! Reconstruction", detailed description); the angular polynomial of Kannala and Brandt 2006 as in `cv2.fisheye`.
+
+use core::f64::consts::PI;
+
+use crate::{GridError, MAX_FOV_RAD, MIN_FOV_RAD};
+
+/// Nearer than this to the plane of the pupil (89.99 degrees), a perspective model has no place on a picture.
+const MAX_PERSPECTIVE_ANGLE_RAD: f64 = 89.99 * PI / 180.0;
+/// Steps in which a model is searched for the angle where it folds back: 0.01 degrees.
+const FOLD_STEP_RAD: f64 = 0.01 * PI / 180.0;
+/// A calibration may be scaled to a viewport whose sides differ from its own by this part, for rounding to whole pixels.
+const ASPECT_TOLERANCE: f64 = 0.01;
+
+/// How the image of a lens departs from the ideal one. Lengths are in focal lengths, angles in radians.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Distortion {
+    /// On the plane at distance 1 (`OpenCV`'s default model): `x' = x R(r) + 2 p1 x y + p2 (r^2 + 2 x^2)`, y alike, with
+    /// `R = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)`.
+    Brown {
+        /// k1 to k6.
+        k: [f64; 6],
+        /// p1, p2.
+        p: [f64; 2],
+    },
+    /// By the angle from the axis (`cv2.fisheye`): `r' = a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8)`.
+    Fisheye {
+        /// k1 to k4.
+        k: [f64; 4],
+    },
+}
+
+/// What `OpenCV` finds out about a camera with a chessboard.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Calibration {
+    /// The model that was fitted.
+    pub distortion: Distortion,
+    /// fx, fy.
+    pub focal_px: [f64; 2],
+    /// Principal point in corner coordinates: `OpenCV`'s plus 1/2, since its pixel (0, 0) is the *centre* of the first.
+    pub center_px: [f64; 2],
+    /// Size of the pictures it was found from, width and height.
+    pub size_px: [usize; 2],
+}
+
+/// A lens, apart from the size of the picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Lens {
+    /// Straight lines stay straight.
+    Pinhole,
+    /// The distance from the middle grows with the angle from the axis, to 170 degrees and beyond.
+    Equidistant,
+    /// A model whose focal length follows from the field of view.
+    Distorted(Distortion),
+    /// A calibration, which has its own field of view.
+    Calibrated(Calibration),
+}
+
+impl Distortion {
+    const NONE: Self = Self::Brown {
+        k: [0.0; 6],
+        p: [0.0; 2],
+    };
+    const EQUIDISTANT: Self = Self::Fisheye { k: [0.0; 4] };
+
+    fn is_finite(&self) -> bool {
+        match self {
+            Self::Brown { k, p } => k.iter().chain(p).all(|v| v.is_finite()),
+            Self::Fisheye { k } => k.iter().all(|v| v.is_finite()),
+        }
+    }
+
+    /// What the radial function takes: the tangent of the angle, or the angle.
+    fn argument(&self, angle_rad: f64) -> f64 {
+        match self {
+            Self::Brown { .. } => libm::tan(angle_rad),
+            Self::Fisheye { .. } => angle_rad,
+        }
+    }
+
+    fn widest_angle_rad(&self) -> f64 {
+        match self {
+            Self::Brown { .. } => MAX_PERSPECTIVE_ANGLE_RAD,
+            Self::Fisheye { .. } => PI,
+        }
+    }
+
+    /// Distance from the middle, and its derivative; NaN where the model has a pole.
+    fn radial(&self, u: f64) -> (f64, f64) {
+        let s = u * u;
+        match self {
+            Self::Brown { k, .. } => {
+                let above = 1.0 + s * (k[0] + s * (k[1] + s * k[2]));
+                let below = 1.0 + s * (k[3] + s * (k[4] + s * k[5]));
+                if below <= 0.0 {
+                    return (f64::NAN, f64::NAN);
+                }
+                // d/ds of the numerator and the denominator.
+                let above_s = k[0] + s * (2.0 * k[1] + s * 3.0 * k[2]);
+                let below_s = k[3] + s * (2.0 * k[4] + s * 3.0 * k[5]);
+                let ratio = above / below;
+                (
+                    u * ratio,
+                    ratio + 2.0 * s * (above_s - ratio * below_s) / below,
+                )
+            }
+            Self::Fisheye { k } => (
+                u * (1.0 + s * (k[0] + s * (k[1] + s * (k[2] + s * k[3])))),
+                1.0 + s * (3.0 * k[0] + s * (5.0 * k[1] + s * (7.0 * k[2] + s * 9.0 * k[3]))),
+            ),
+        }
+    }
+
+    /// The largest argument up to which the radial function grows, and its angle.
+    fn fold(&self) -> (f64, f64) {
+        let grows = |angle: f64| {
+            let (r, slope) = self.radial(self.argument(angle));
+            r.is_finite() && slope > 0.0
+        };
+        let widest = self.widest_angle_rad();
+        let steps = (widest / FOLD_STEP_RAD) as usize;
+        let mut angle = widest;
+        if let Some(n) = (1..=steps).find(|&n| !grows(n as f64 * FOLD_STEP_RAD)) {
+            let (mut low, mut high) = ((n - 1) as f64 * FOLD_STEP_RAD, n as f64 * FOLD_STEP_RAD);
+            while high - low > 1e-12 {
+                let middle = f64::midpoint(low, high);
+                if grows(middle) {
+                    low = middle;
+                } else {
+                    high = middle;
+                }
+            }
+            angle = low;
+        }
+        (self.argument(angle), angle)
+    }
+
+    /// The argument whose radial function is `r`, by Newton's method kept inside a bracket that only shrinks.
+    fn inverse(&self, r: f64, limit: f64) -> Option<f64> {
+        if *self == Self::NONE || *self == Self::EQUIDISTANT {
+            return (r <= limit).then_some(r);
+        }
+        if r > self.radial(limit).0 {
+            return None;
+        }
+        let (mut low, mut high) = (0.0, limit);
+        let mut u = r.min(limit);
+        for _ in 0..200 {
+            let (value, slope) = self.radial(u);
+            if value < r {
+                low = u;
+            } else {
+                high = u;
+            }
+            let newton = u - (value - r) / slope;
+            let next = if newton > low && newton < high {
+                newton
+            } else {
+                f64::midpoint(low, high)
+            };
+            if (next - u).abs() <= 1e-15 * u.abs().max(1e-300) {
+                return Some(next);
+            }
+            u = next;
+        }
+        Some(u)
+    }
+}
+
+/// A lens in front of a picture of a size: directions of pixels and pixels of directions.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Optics {
+    distortion: Distortion,
+    focal_px: [f64; 2],
+    center_px: [f64; 2],
+    size_px: [usize; 2],
+    /// The largest argument of the radial function, and its angle.
+    limit: f64,
+    limit_rad: f64,
+    fov_rad: f64,
+}
+
+fn refuse<T>(what: &'static str, expected: String, found: String) -> Result<T, GridError> {
+    Err(GridError::Camera {
+        what,
+        expected,
+        found,
+    })
+}
+
+impl Optics {
+    /// Sets a lens in front of a picture. `fov_rad` is the full angle across the shorter side, and none for a
+    /// calibration, which has its own.
+    pub fn new(
+        lens: &Lens,
+        fov_rad: Option<f64>,
+        width: usize,
+        height: usize,
+    ) -> Result<Self, GridError> {
+        if !(1..=8192).contains(&width) || !(1..=8192).contains(&height) {
+            return refuse(
+                "viewport",
+                "1 to 8192 pixels on each side".to_owned(),
+                format!("{width} x {height}"),
+            );
+        }
+        let distortion = match lens {
+            Lens::Pinhole => Distortion::NONE,
+            Lens::Equidistant => Distortion::EQUIDISTANT,
+            Lens::Distorted(distortion) => *distortion,
+            Lens::Calibrated(calibration) => calibration.distortion,
+        };
+        if !distortion.is_finite() {
+            return refuse(
+                "lens",
+                "distortion coefficients that are finite numbers".to_owned(),
+                format!("{distortion:?}"),
+            );
+        }
+        let (limit, limit_rad) = distortion.fold();
+        let mut optics = Self {
+            distortion,
+            focal_px: [0.0; 2],
+            center_px: [width as f64 / 2.0, height as f64 / 2.0],
+            size_px: [width, height],
+            limit,
+            limit_rad,
+            fov_rad: 0.0,
+        };
+        match (lens, fov_rad) {
+            (Lens::Calibrated(calibration), None) => optics.scale_calibration(calibration)?,
+            (Lens::Calibrated(_), Some(_)) => {
+                return refuse(
+                    "field of view",
+                    "none, since the calibration has its own".to_owned(),
+                    format!("{:.2} degrees", fov_rad.unwrap_or(0.0).to_degrees()),
+                );
+            }
+            (_, fov_rad) => optics.fit_field(fov_rad.unwrap_or(PI / 2.0))?,
+        }
+        optics.check_circle()?;
+        Ok(optics)
+    }
+
+    /// Focal length so that the field of view spans the shorter side.
+    fn fit_field(&mut self, fov_rad: f64) -> Result<(), GridError> {
+        let found = format!("{:.2} degrees", fov_rad.to_degrees());
+        if !(MIN_FOV_RAD - 1e-12..=MAX_FOV_RAD + 1e-12).contains(&fov_rad) {
+            return refuse("field of view", "1 to 170 degrees".to_owned(), found);
+        }
+        if fov_rad / 2.0 >= self.limit_rad {
+            let widest = 2.0 * self.limit_rad.to_degrees();
+            return refuse(
+                "field of view",
+                format!(
+                    "less than {widest:.1} degrees, where this lens model folds back on itself"
+                ),
+                found,
+            );
+        }
+        let half = self
+            .distortion
+            .radial(self.distortion.argument(fov_rad / 2.0))
+            .0;
+        let side = self.size_px[0].min(self.size_px[1]) as f64;
+        self.focal_px = [side / 2.0 / half; 2];
+        self.fov_rad = fov_rad;
+        Ok(())
+    }
+
+    fn scale_calibration(&mut self, calibration: &Calibration) -> Result<(), GridError> {
+        let (from, to) = (calibration.size_px, self.size_px);
+        if from.contains(&0) || from.iter().any(|&side| side > 1 << 20) {
+            return refuse(
+                "calibration's image size",
+                "1 to 1048576 pixels on each side".to_owned(),
+                format!("{} x {}", from[0], from[1]),
+            );
+        }
+        let scale = [0, 1].map(|a| to[a] as f64 / from[a] as f64);
+        // Rounding to whole pixels changes small pictures by more.
+        let rounding = 1.0 / to[0].min(to[1]) as f64;
+        if (scale[0] / scale[1] - 1.0).abs() > ASPECT_TOLERANCE + rounding {
+            let fit = to[0] as f64 * from[1] as f64 / from[0] as f64;
+            return refuse(
+                "picture size",
+                format!(
+                    "the proportions of the calibration's {} x {}, such as {} x {:.0}",
+                    from[0], from[1], to[0], fit
+                ),
+                format!("{} x {}", to[0], to[1]),
+            );
+        }
+        for a in 0..2 {
+            let (focal, center) = (calibration.focal_px[a], calibration.center_px[a]);
+            if !(focal.is_finite() && focal > 0.0) {
+                return refuse(
+                    "calibration's focal length",
+                    "a number of pixels above 0".to_owned(),
+                    format!("{focal}"),
+                );
+            }
+            if !(0.0..=from[a] as f64).contains(&center) {
+                return refuse(
+                    "calibration's principal point",
+                    format!("0 to {} pixels", from[a]),
+                    format!("{center}"),
+                );
+            }
+            self.focal_px[a] = focal * scale[a];
+            self.center_px[a] = center * scale[a];
+        }
+        let [w, h] = to.map(|side| side as f64);
+        let ends = if w < h {
+            [[0.0, h / 2.0], [w, h / 2.0]]
+        } else {
+            [[w / 2.0, 0.0], [w / 2.0, h]]
+        };
+        if let [Some(a), Some(b)] = ends.map(|end| self.direction(end)) {
+            // Half angles on either side of the axis, which need not lie in the middle.
+            let angle = |d: [f64; 3]| libm::atan2((d[0] * d[0] + d[1] * d[1]).sqrt(), d[2]);
+            self.fov_rad = angle(a) + angle(b);
+        }
+        Ok(())
+    }
+
+    /// Refuses a model that has no direction somewhere in the image circle: outside it, the image is cut at the fold.
+    fn check_circle(&self) -> Result<(), GridError> {
+        let [w, h] = self.size_px.map(|side| side as f64);
+        let radius = w.min(h) / 2.0 * (1.0 - 1e-9);
+        for n in 0..256 {
+            let angle = f64::from(n) * (PI / 128.0);
+            let at = [
+                w / 2.0 + radius * libm::cos(angle),
+                h / 2.0 + radius * libm::sin(angle),
+            ];
+            if self.direction(at).is_none() {
+                return self.refuse_fold();
+            }
+        }
+        Ok(())
+    }
+
+    pub(crate) fn refuse_fold<T>(&self) -> Result<T, GridError> {
+        refuse(
+            "lens",
+            "a model that grows from the middle to the edge of the image circle".to_owned(),
+            format!(
+                "one that folds back {:.1} degrees from the axis, inside the picture",
+                self.limit_rad.to_degrees()
+            ),
+        )
+    }
+
+    /// Where a point of the plane at distance 1 falls, and the derivatives; only for [`Distortion::Brown`].
+    fn bend(&self, x: f64, y: f64) -> ([f64; 2], [[f64; 2]; 2]) {
+        let Distortion::Brown { p: [p1, p2], .. } = self.distortion else {
+            unreachable!("asked for perspective models only")
+        };
+        let u = (x * x + y * y).sqrt();
+        let (r, slope) = self.distortion.radial(u);
+        let ratio = if u > 0.0 { r / u } else { 1.0 };
+        // d ratio / d(x, y) = (slope - ratio) / u^2 * (x, y).
+        let bend = if u > 0.0 {
+            (slope - ratio) / (u * u)
+        } else {
+            0.0
+        };
+        let s = u * u;
+        (
+            [
+                x * ratio + 2.0 * p1 * x * y + p2 * (s + 2.0 * x * x),
+                y * ratio + p1 * (s + 2.0 * y * y) + 2.0 * p2 * x * y,
+            ],
+            [
+                [
+                    ratio + x * x * bend + 2.0 * p1 * y + 6.0 * p2 * x,
+                    x * y * bend + 2.0 * p1 * x + 2.0 * p2 * y,
+                ],
+                [
+                    x * y * bend + 2.0 * p1 * x + 2.0 * p2 * y,
+                    ratio + y * y * bend + 6.0 * p1 * y + 2.0 * p2 * x,
+                ],
+            ],
+        )
+    }
+
+    /// The unit direction, in camera space, that falls on a point of the picture (corner coordinates); none beyond the
+    /// fold of a model, nor behind an angular one.
+    #[must_use]
+    pub fn direction(&self, pixel: [f64; 2]) -> Option<[f64; 3]> {
+        let [x, y] = [0, 1].map(|a| (pixel[a] - self.center_px[a]) / self.focal_px[a]);
+        let r = (x * x + y * y).sqrt();
+        match self.distortion {
+            Distortion::Fisheye { .. } => {
+                let angle = self.distortion.inverse(r, self.limit)?;
+                let across = if r > 0.0 { libm::sin(angle) / r } else { 0.0 };
+                Some([x * across, y * across, libm::cos(angle)])
+            }
+            Distortion::Brown { p, .. } => {
+                let [x, y] = if p == [0.0; 2] {
+                    let u = self.distortion.inverse(r, self.limit)?;
+                    let scale = if r > 0.0 { u / r } else { 1.0 };
+                    [x * scale, y * scale]
+                } else {
+                    self.straighten([x, y], r)?
+                };
+                let length = (x * x + y * y + 1.0).sqrt();
+                Some([x / length, y / length, 1.0 / length])
+            }
+        }
+    }
+
+    /// Newton's method in two dimensions, for models with a tangential part.
+    fn straighten(&self, bent: [f64; 2], r: f64) -> Option<[f64; 2]> {
+        // The tangential part is small: start where the radial part alone leads, or at its end.
+        let u = self.distortion.inverse(r, self.limit).unwrap_or(self.limit);
+        let scale = if r > 0.0 { u / r } else { 1.0 };
+        let [mut x, mut y] = bent.map(|v| v * scale);
+        for _ in 0..100 {
+            let (at, j) = self.bend(x, y);
+            let det = j[0][0] * j[1][1] - j[0][1] * j[1][0];
+            // Turned inside out: beyond the fold.
+            if !(det > 0.0 && det.is_finite()) {
+                return None;
+            }
+            let off = [at[0] - bent[0], at[1] - bent[1]];
+            let step = [
+                (j[1][1] * off[0] - j[0][1] * off[1]) / det,
+                (j[0][0] * off[1] - j[1][0] * off[0]) / det,
+            ];
+            (x, y) = (x - step[0], y - step[1]);
+            if step[0].abs() + step[1].abs() <= 1e-14 * (1.0 + x.abs() + y.abs()) {
+                return ((x * x + y * y).sqrt() <= self.limit).then_some([x, y]);
+            }
+        }
+        None
+    }
+
+    /// Where a direction (camera space, any length above 0) falls on the picture, in corner coordinates; none where the
+    /// lens does not see it. The point may lie outside the picture.
+    #[must_use]
+    pub fn pixel(&self, direction: [f64; 3]) -> Option<[f64; 2]> {
+        let [x, y, z] = direction;
+        if !(x.is_finite() && y.is_finite() && z.is_finite()) {
+            return None;
+        }
+        let across = (x * x + y * y).sqrt();
+        let at = match self.distortion {
+            Distortion::Fisheye { .. } => {
+                let angle = libm::atan2(across, z);
+                // Straight behind the camera there is no side to fall on.
+                if angle > self.limit || (across == 0.0 && z <= 0.0) {
+                    return None;
+                }
+                let scale = if across > 0.0 {
+                    self.distortion.radial(angle).0 / across
+                } else {
+                    0.0
+                };
+                [x * scale, y * scale]
+            }
+            Distortion::Brown { .. } => {
+                if z <= 0.0 || across / z > self.limit {
+                    return None;
+                }
+                self.bend(x / z, y / z).0
+            }
+        };
+        Some([0, 1].map(|a| self.center_px[a] + self.focal_px[a] * at[a]))
+    }
+
+    /// How bright the image of an even field is in a direction, as a part of the middle's: the pupil seen from the side,
+    /// and the light of a solid angle spread over its area in the picture. For a pinhole this is the cos^4 law.
+    #[must_use]
+    pub fn natural_light(&self, direction: [f64; 3]) -> f64 {
+        let [x, y, z] = direction;
+        let sine = (x * x + y * y).sqrt();
+        if z <= 0.0 {
+            return 0.0;
+        }
+        if sine < 1e-9 {
+            return 1.0;
+        }
+        let angle = libm::atan2(sine, z);
+        let (r, slope) = self.distortion.radial(self.distortion.argument(angle));
+        let per_rad = match self.distortion {
+            Distortion::Brown { .. } => slope / (z * z),
+            Distortion::Fisheye { .. } => slope,
+        };
+        (z * sine / (r * per_rad)).clamp(0.0, 1.0)
+    }
+
+    /// Full angle across the shorter side.
+    #[must_use]
+    pub const fn fov_rad(&self) -> f64 {
+        self.fov_rad
+    }
+
+    /// Directions farther from the axis have no place in the picture.
+    #[must_use]
+    pub const fn limit_rad(&self) -> f64 {
+        self.limit_rad
+    }
+
+    /// Focal lengths across and down, pixels.
+    #[must_use]
+    pub const fn focal_px(&self) -> [f64; 2] {
+        self.focal_px
+    }
+
+    /// Where the axis falls, in corner coordinates.
+    #[must_use]
+    pub const fn center_px(&self) -> [f64; 2] {
+        self.center_px
+    }
+
+    /// The distortion.
+    #[must_use]
+    pub const fn distortion(&self) -> Distortion {
+        self.distortion
+    }
+
+    /// Width and height.
+    #[must_use]
+    pub const fn size_px(&self) -> [usize; 2] {
+        self.size_px
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn brown(k1: f64, k2: f64, p1: f64, p2: f64) -> Lens {
+        Lens::Distorted(Distortion::Brown {
+            k: [k1, k2, 0.0, 0.0, 0.0, 0.0],
+            p: [p1, p2],
+        })
+    }
+
+    fn fisheye(k1: f64) -> Lens {
+        Lens::Distorted(Distortion::Fisheye {
+            k: [k1, 0.0, 0.0, 0.0],
+        })
+    }
+
+    #[test]
+    fn an_equidistant_lens_puts_equal_angles_at_equal_distances() {
+        let optics = Optics::new(&Lens::Equidistant, Some(170f64.to_radians()), 340, 340).unwrap();
+        for degrees in [0.0, 10.0, 45.0, 85.0, 100.0f64] {
+            let a = degrees.to_radians();
+            let [x, y] = optics.pixel([a.sin(), 0.0, a.cos()]).unwrap();
+            // 340 pixels over 170 degrees.
+            assert!((x - 170.0 - 2.0 * degrees).abs() < 1e-9 && (y - 170.0).abs() < 1e-12);
+        }
+        // Behind the camera there is a place too, in a picture that is large enough.
+        assert!(optics.pixel([0.1, 0.0, -1.0]).is_some());
+        assert!(optics.pixel([0.0, 0.0, -1.0]).is_none());
+    }
+
+    #[test]
+    fn the_field_of_view_spans_the_shorter_side_with_every_lens() {
+        for lens in [
+            Lens::Pinhole,
+            Lens::Equidistant,
+            brown(-0.1, 0.02, 0.0, 0.0),
+            fisheye(0.16),
+        ] {
+            let optics = Optics::new(&lens, Some(2.0), 300, 200).unwrap();
+            let d = optics.direction([150.0, 0.0]).unwrap();
+            assert!((libm::atan2(-d[1], d[2]) - 1.0).abs() < 1e-12, "{lens:?}");
+            assert!((optics.fov_rad() - 2.0).abs() < 1e-15);
+        }
+    }
+
+    #[test]
+    fn a_model_that_folds_inside_the_picture_is_refused_and_one_that_folds_outside_is_cut() {
+        // r (1 - 0.3 r^2) turns back at r^2 = 1 / 0.9, which is 46.51 degrees.
+        let lens = brown(-0.3, 0.0, 0.0, 0.0);
+        let words = Optics::new(&lens, Some(120f64.to_radians()), 64, 64)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            words.contains("less than 93.0 degrees") && words.contains("120.00"),
+            "{words}"
+        );
+        let optics = Optics::new(&lens, Some(92f64.to_radians()), 64, 64).unwrap();
+        assert!(optics.direction([0.5, 32.0]).is_some());
+        assert!(
+            optics.direction([0.5, 0.5]).is_none(),
+            "the corner lies beyond the fold"
+        );
+        assert!((optics.limit_rad().to_degrees() - 46.51).abs() < 0.01);
+        // The same from a calibration, which asks for no field of view.
+        let folded = Lens::Calibrated(Calibration {
+            distortion: Distortion::Brown {
+                k: [-0.3, 0.0, 0.0, 0.0, 0.0, 0.0],
+                p: [0.0; 2],
+            },
+            focal_px: [20.0, 20.0],
+            center_px: [32.0, 32.0],
+            size_px: [64, 64],
+        });
+        let words = Optics::new(&folded, None, 64, 64).unwrap_err().to_string();
+        assert!(words.contains("folds back 46.5 degrees"), "{words}");
+    }
+
+    #[test]
+    fn a_calibration_scales_with_the_picture_and_refuses_other_proportions() {
+        let lens = Lens::Calibrated(Calibration {
+            distortion: Distortion::Brown {
+                k: [-0.2, 0.05, 0.0, 0.0, 0.0, 0.0],
+                p: [1e-3, -2e-3],
+            },
+            focal_px: [800.0, 810.0],
+            center_px: [645.5, 350.5],
+            size_px: [1280, 720],
+        });
+        let full = Optics::new(&lens, None, 1280, 720).unwrap();
+        let half = Optics::new(&lens, None, 640, 360).unwrap();
+        let (a, b) = (
+            full.direction([100.0, 640.0]),
+            half.direction([50.0, 320.0]),
+        );
+        for (a, b) in a.unwrap().iter().zip(b.unwrap()) {
+            assert!((a - b).abs() < 1e-14);
+        }
+        assert!((full.fov_rad() - half.fov_rad()).abs() < 1e-14);
+        let words = Optics::new(&lens, None, 512, 512).unwrap_err().to_string();
+        assert!(
+            words.contains("1280 x 720") && words.contains("512 x 288"),
+            "{words}"
+        );
+        assert!(Optics::new(&lens, Some(1.0), 640, 360).is_err());
+        for broken in [
+            Calibration {
+                focal_px: [0.0, 800.0],
+                ..calibration_of(&lens)
+            },
+            Calibration {
+                center_px: [-3.0, 300.0],
+                ..calibration_of(&lens)
+            },
+            Calibration {
+                size_px: [0, 720],
+                ..calibration_of(&lens)
+            },
+            Calibration {
+                center_px: [f64::NAN, 300.0],
+                ..calibration_of(&lens)
+            },
+        ] {
+            assert!(Optics::new(&Lens::Calibrated(broken), None, 1280, 720).is_err());
+        }
+    }
+
+    fn calibration_of(lens: &Lens) -> Calibration {
+        match lens {
+            Lens::Calibrated(calibration) => *calibration,
+            _ => unreachable!("made as a calibration"),
+        }
+    }
+
+    #[test]
+    fn the_natural_light_of_a_pinhole_falls_with_the_fourth_power_of_the_cosine() {
+        let optics = Optics::new(&Lens::Pinhole, Some(2.0), 64, 64).unwrap();
+        for angle in [0.1, 0.5, 0.9f64] {
+            let light = optics.natural_light([angle.sin(), 0.0, angle.cos()]);
+            assert!((light - angle.cos().powi(4)).abs() < 1e-12);
+        }
+        // An equidistant lens spends its pixels evenly over the angle and loses less.
+        let fish = Optics::new(&Lens::Equidistant, Some(2.0), 64, 64).unwrap();
+        assert!(fish.natural_light([0.8, 0.0, 0.6]) > optics.natural_light([0.8, 0.0, 0.6]));
+    }
+
+    fn any_lens() -> impl Strategy<Value = Lens> {
+        prop_oneof![
+            Just(Lens::Pinhole),
+            Just(Lens::Equidistant),
+            (-0.4f64..0.4, -0.1f64..0.1).prop_map(|(k1, k2)| brown(k1, k2, 0.0, 0.0)),
+            (-0.1f64..0.3, 0.0f64..0.05, -0.01f64..0.01, -0.01f64..0.01)
+                .prop_map(|(k1, k2, p1, p2)| brown(k1, k2, p1, p2)),
+            (prop::array::uniform6(-0.1f64..0.2))
+                .prop_map(|k| Lens::Distorted(Distortion::Brown { k, p: [0.0; 2] })),
+            prop::array::uniform4(-0.05f64..0.2)
+                .prop_map(|k| Lens::Distorted(Distortion::Fisheye { k })),
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn pixels_and_directions_are_each_others_inverse(
+            lens in any_lens(),
+            fov_deg in 1.0f64..170.0,
+            (width, height) in (16usize..900, 16usize..900),
+            at in prop::array::uniform2(0.0f64..1.0),
+        ) {
+            let Ok(optics) = Optics::new(&lens, Some(fov_deg.to_radians()), width, height) else {
+                return Ok(());
+            };
+            let pixel = [at[0] * width as f64, at[1] * height as f64];
+            if let Some(d) = optics.direction(pixel) {
+                prop_assert!((crate::length(d) - 1.0).abs() < 1e-12);
+                let back = optics.pixel(d);
+                // The very edge of the fold may fall to either side of it.
+                if let Some(back) = back {
+                    // 1e-6 px: near a fold a pixel's direction is badly conditioned, elsewhere this is 1e-10.
+                    prop_assert!((back[0] - pixel[0]).abs() + (back[1] - pixel[1]).abs() < 1e-6, "{pixel:?} {back:?}");
+                } else {
+                    let angle = libm::atan2((d[0] * d[0] + d[1] * d[1]).sqrt(), d[2]);
+                    prop_assert!(angle > optics.limit_rad() - 1e-9);
+                }
+            } else {
+                // Only outside the image circle.
+                let side = width.min(height) as f64;
+                let away = ((pixel[0] - width as f64 / 2.0).powi(2) + (pixel[1] - height as f64 / 2.0).powi(2)).sqrt();
+                prop_assert!(away > side / 2.0 * (1.0 - 1e-6));
+            }
+        }
+    }
+}

@@ -1,0 +1,272 @@
+//! The rays of a picture behind a lens: built once for a lens, a size and an image field, and shared by its pictures.
+
+use rayon::prelude::*;
+
+use crate::{GridError, Lens, Optics};
+
+/// Gains are parts of this.
+pub const FULL_GAIN: u16 = 1 << 15;
+/// Colours are display values; light falls off before that. The exponent of sRGB, near enough for a vignette.
+const DISPLAY_GAMMA: f64 = 2.2;
+
+/// The outline of the picture on the monitor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FieldShape {
+    /// The whole viewport.
+    Full,
+    /// A circle over the shorter side.
+    Round,
+    /// A regular octagon over the shorter side.
+    Octagon,
+}
+
+/// Which part of the viewport shows a picture, and how it darkens towards the edge.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ImageField {
+    /// The outline; pixels outside have no ray and are black.
+    pub shape: FieldShape,
+    /// Width of the soft edge inside the outline, pixels.
+    pub edge_px: f64,
+    /// 0 for an even picture, 1 for the lens's natural fall-off of light, values between for a part of it.
+    pub vignette: f64,
+}
+
+impl ImageField {
+    /// The whole viewport, evenly bright.
+    pub const FULL: Self = Self {
+        shape: FieldShape::Full,
+        edge_px: 0.0,
+        vignette: 0.0,
+    };
+
+    /// How far a point at (x, y) from the middle lies inside the outline, pixels.
+    fn depth_px(&self, x: f64, y: f64, half: f64) -> f64 {
+        match self.shape {
+            FieldShape::Full => f64::INFINITY,
+            FieldShape::Round => half - (x * x + y * y).sqrt(),
+            FieldShape::Octagon => {
+                let (x, y) = (x.abs(), y.abs());
+                let side = half - x.max(y);
+                // The cut corners are as far from the middle as the sides.
+                side.min(half - (x + y) / core::f64::consts::SQRT_2)
+            }
+        }
+    }
+}
+
+/// A ray direction and a gain for each pixel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LensRays {
+    optics: Optics,
+    /// x, y and z of unit directions in camera space; all 0 where a pixel has no ray.
+    dirs: [Vec<f32>; 3],
+    /// Brightness of each pixel; none where all are full.
+    gains: Option<Vec<u16>>,
+}
+
+impl LensRays {
+    /// Finds the ray of every pixel, on all cores; no pixel depends on another.
+    pub fn build(
+        lens: &Lens,
+        fov_rad: Option<f64>,
+        width: usize,
+        height: usize,
+        field: &ImageField,
+    ) -> Result<Self, GridError> {
+        for (what, value, most) in [
+            ("soft edge", field.edge_px, 100.0),
+            ("vignette", field.vignette, 1.0),
+        ] {
+            if !(0.0..=most).contains(&value) {
+                return Err(GridError::Camera {
+                    what,
+                    expected: format!("0 to {most}"),
+                    found: format!("{value}"),
+                });
+            }
+        }
+        let optics = Optics::new(lens, fov_rad, width, height)?;
+        let half = [width as f64 / 2.0, height as f64 / 2.0];
+        let radius = half[0].min(half[1]);
+        let plain = field.shape == FieldShape::Full && field.vignette == 0.0;
+        let mut pixels = vec![([0.0f32; 3], 0u16); width * height];
+        pixels
+            .par_chunks_mut(width)
+            .enumerate()
+            .for_each(|(row, out)| {
+                for (column, pixel) in out.iter_mut().enumerate() {
+                    let at = [column as f64 + 0.5, row as f64 + 0.5];
+                    let depth_px = field.depth_px(at[0] - half[0], at[1] - half[1], radius);
+                    if depth_px <= 0.0 {
+                        continue;
+                    }
+                    let Some(d) = optics.direction(at) else {
+                        continue;
+                    };
+                    let edge = if field.edge_px > 0.0 {
+                        (depth_px / field.edge_px).min(1.0)
+                    } else {
+                        1.0
+                    };
+                    let light = if field.vignette > 0.0 {
+                        libm::pow(optics.natural_light(d), field.vignette / DISPLAY_GAMMA)
+                    } else {
+                        1.0
+                    };
+                    let gain = (edge * light * f64::from(FULL_GAIN) + 0.5) as u16;
+                    *pixel = (d.map(|v| v as f32), gain);
+                }
+            });
+        // A tangential part may fold inside the circle although the circle itself is whole.
+        let inside = |n: usize| {
+            let (x, y) = (
+                (n % width) as f64 + 0.5 - half[0],
+                (n / width) as f64 + 0.5 - half[1],
+            );
+            (x * x + y * y).sqrt() < radius - 0.5
+        };
+        let folded = |n: usize| pixels[n].0 == [0.0; 3] && inside(n);
+        if (0..pixels.len()).into_par_iter().any(folded) {
+            return optics.refuse_fold();
+        }
+        Ok(Self {
+            optics,
+            dirs: std::array::from_fn(|a| pixels.iter().map(|(d, _)| d[a]).collect()),
+            gains: (!plain).then(|| pixels.iter().map(|&(_, gain)| gain).collect()),
+        })
+    }
+
+    /// The lens in front of the picture.
+    #[must_use]
+    pub const fn optics(&self) -> &Optics {
+        &self.optics
+    }
+
+    /// Viewport width.
+    #[must_use]
+    pub const fn width(&self) -> usize {
+        self.optics.size_px()[0]
+    }
+
+    /// Viewport height.
+    #[must_use]
+    pub const fn height(&self) -> usize {
+        self.optics.size_px()[1]
+    }
+
+    /// The unit direction of a pixel in camera space; all 0 where it has no ray.
+    #[inline]
+    #[must_use]
+    pub fn direction(&self, column: usize, row: usize) -> [f32; 3] {
+        let n = row * self.width() + column;
+        [self.dirs[0][n], self.dirs[1][n], self.dirs[2][n]]
+    }
+
+    /// Darkens rows of a picture (RGB, from `first_row` on) by their gains. Per pixel, so strips agree with the whole.
+    pub fn shade_rows(&self, first_row: usize, rgb: &mut [u8]) {
+        let Some(gains) = &self.gains else {
+            return;
+        };
+        let width = self.width();
+        let num_rows = rgb.len() / (3 * width);
+        let gains = &gains[first_row * width..(first_row + num_rows) * width];
+        rgb.par_chunks_exact_mut(3 * width)
+            .zip(gains.par_chunks_exact(width))
+            .for_each(|(rgb, gains)| {
+                for (pixel, &gain) in rgb.chunks_exact_mut(3).zip(gains) {
+                    for value in pixel {
+                        let part = u32::from(*value) * u32::from(gain) + u32::from(FULL_GAIN) / 2;
+                        *value = (part / u32::from(FULL_GAIN)) as u8;
+                    }
+                }
+            });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rays(shape: FieldShape, edge_px: f64, vignette: f64) -> LensRays {
+        let field = ImageField {
+            shape,
+            edge_px,
+            vignette,
+        };
+        LensRays::build(&Lens::Equidistant, Some(2.0), 60, 40, &field).unwrap()
+    }
+
+    fn has_ray(rays: &LensRays, column: usize, row: usize) -> bool {
+        rays.direction(column, row) != [0.0; 3]
+    }
+
+    #[test]
+    fn pixels_outside_the_outline_have_no_ray_and_are_black() {
+        for (shape, corner) in [
+            (FieldShape::Round, false),
+            (FieldShape::Octagon, false),
+            (FieldShape::Full, true),
+        ] {
+            let rays = rays(shape, 1.5, 0.0);
+            assert!(has_ray(&rays, 30, 20) && has_ray(&rays, 30, 0));
+            assert_eq!(has_ray(&rays, 10, 0), corner, "{shape:?}");
+            assert_eq!(has_ray(&rays, 2, 20), corner, "beside the shorter side");
+            let mut rgb = vec![200; 60 * 40 * 3];
+            rays.shade_rows(0, &mut rgb);
+            assert_eq!(rgb[0], if corner { 200 } else { 0 });
+            assert_eq!(rgb[(20 * 60 + 30) * 3], 200);
+        }
+        // An octagon keeps more of the corners than a circle.
+        let area = |shape| {
+            let rays = rays(shape, 0.0, 0.0);
+            (0..2400).filter(|n| has_ray(&rays, n % 60, n / 60)).count() as f64
+        };
+        // Pixel centres inside a curve count its area to a part of its length.
+        assert!((area(FieldShape::Round) - core::f64::consts::PI * 400.0).abs() < 15.0);
+        assert!(
+            (area(FieldShape::Octagon) - 8.0 * (core::f64::consts::PI / 8.0).tan() * 400.0).abs()
+                < 15.0
+        );
+    }
+
+    #[test]
+    fn the_edge_is_soft_and_the_vignette_grows_towards_it() {
+        let value = |rays: &LensRays, row: usize| {
+            let mut rgb = vec![200; 60 * 40 * 3];
+            rays.shade_rows(0, &mut rgb);
+            rgb[(row * 60 + 30) * 3]
+        };
+        let soft = rays(FieldShape::Round, 2.0, 0.0);
+        assert!(value(&soft, 0) > 0 && value(&soft, 0) < 100 && value(&soft, 3) == 200);
+        let dark = rays(FieldShape::Full, 0.0, 1.0);
+        assert!(value(&dark, 0) < value(&dark, 10) && value(&dark, 10) < value(&dark, 20));
+        let faint = rays(FieldShape::Full, 0.0, 0.3);
+        assert!(value(&faint, 0) > value(&dark, 0));
+    }
+
+    #[test]
+    fn strips_are_shaded_as_the_whole_picture() {
+        let rays = rays(FieldShape::Octagon, 1.5, 0.7);
+        let picture: Vec<u8> = (0..60 * 40 * 3).map(|n| (n * 7 % 256) as u8).collect();
+        let mut whole = picture.clone();
+        rays.shade_rows(0, &mut whole);
+        let mut strips = picture;
+        for first in [0, 13, 29] {
+            let last = [13, 29, 40][[0, 13, 29].iter().position(|&f| f == first).unwrap()];
+            rays.shade_rows(first, &mut strips[first * 180..last * 180]);
+        }
+        assert_eq!(whole, strips);
+    }
+
+    #[test]
+    fn a_field_out_of_range_is_refused_with_the_value() {
+        for (edge_px, vignette) in [(-1.0, 0.0), (0.0, 1.5), (f64::NAN, 0.0), (0.0, f64::NAN)] {
+            let field = ImageField {
+                shape: FieldShape::Round,
+                edge_px,
+                vignette,
+            };
+            assert!(LensRays::build(&Lens::Pinhole, Some(1.0), 8, 8, &field).is_err());
+        }
+    }
+}
