@@ -71,10 +71,10 @@ golden: $(STAMP) ## rewrite the golden images (look at them before you commit)
 	CARINA_GOLDEN=rewrite $(PY) -m pytest -m "" -q tests -k golden
 
 bench-setup: $(STAMP)
-	$(UV) pip install -q --python $(PY) "vtk>=9.4"
+	$(UV) pip install -q --python $(PY) "vtk>=9.4" "numba>=0.61" "scipy>=1.14"
 
-bench: bench-setup ## frames per second beside the installed peers, pictures saved in benchmarks/results
-	$(PY) benchmarks/render.py
+bench: bench-setup ## figures beside VTK, numba and scipy; pictures and JSON in benchmarks/results (BENCH=--quick: minutes)
+	.venv/bin/carina bench render $(BENCH) -o benchmarks/results
 
 lock: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## export requirements.lock from pyproject.toml
 	$(if $(wildcard $(PY)),$(PY),python3) tools/lock.py --uv $(UV)

@@ -269,6 +269,61 @@ def doctor(as_json: JsonOption = False) -> None:
         raise SystemExit(report(as_json=as_json))
 
 
+bench = typer.Typer(
+    help="Figures beside the installed peers (VTK, numba, scipy), in the same run. Needs the extra `bench`.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+app.add_typer(bench, name="bench")
+
+BenchFolder = Annotated[Path, typer.Option("-o", "--output", help="Folder for the pictures; made if missing.")]
+BenchCases = Annotated[
+    list[str] | None,
+    typer.Option("--case", help="phantom-256, phantom-512, patient, or a CT's path; may be given several times."),
+]
+BenchOnly = Annotated[list[str] | None, typer.Option("--only", help="Only this section; may be given several times.")]
+BenchQuick = Annotated[bool, typer.Option("--quick", help="A minute or two: small cases, fewer poses and repeats.")]
+BenchRepeats = Annotated[int | None, typer.Option("--repeats", help="Rounds; 7 unless told.", min=1, max=1000)]
+
+
+def _bench(
+    what: str,
+    output: Path,
+    case: list[str] | None,
+    only: list[str] | None,
+    quick: bool,
+    repeats: int | None,
+    as_json: bool,
+) -> None:
+    with exit_codes(as_json):
+        from carina.cli.bench.command import report
+
+        check_output_folder(output)
+        code = report(
+            what, folder=output, cases=case or [], only=only or [], quick=quick, repeats=repeats, as_json=as_json
+        )
+        raise SystemExit(code)
+
+
+@bench.command("render")
+def bench_render(
+    output: BenchFolder = Path("carina-bench"),
+    case: BenchCases = None,
+    only: BenchOnly = None,
+    quick: BenchQuick = False,
+    repeats: BenchRepeats = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Whole frames beside VTK and a numba baseline; leaping beside brute force; the first frame; the paper's setting.
+
+    Sections: frames, small, views, first-frame, paper. The last, and one real case, need CARINA_DATA_DIR. A missed
+    limit is a result and no failure: the exit code is 0.
+
+    Example: carina bench render --quick --only frames --case patient
+    """
+    _bench("render", output, case, only, quick, repeats, as_json)
+
+
 USAGE_ERROR: Any = typer.BadParameter.__base__
 """Root of what typer itself refuses: unknown options, missing arguments, values of the wrong type."""
 

@@ -19,6 +19,8 @@ __all__ = ["report"]
 
 OPTIONAL = {
     "vtk": ("peer renderer for benchmarks", "pip install 'carina[bench]'"),
+    "numba": ("baseline for benchmarks", "pip install 'carina[bench]'"),
+    "scipy": ("peer distance transform for benchmarks", "pip install 'carina[bench]'"),
 }
 NEEDED = ("numpy", "SimpleITK", "pydicom", "starlette", "uvicorn", "websockets", "simplejpeg")
 

@@ -1,0 +1,124 @@
+"""Volumes to measure on, and the poses in them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import carina
+from carina.config import load_settings
+from carina.errors import NoResultError
+from carina.navigate import FlightPath
+from carina.phantom import GENERATOR_VERSION, generate_phantom
+from carina.scopes import Pose
+from carina.volume import Volume, VolumeSource
+
+__all__ = ["PHANTOMS", "Case", "open_case"]
+
+Progress = Callable[[str, float | None], None]
+
+# Boxes in LPS mm: so much of the chest that the shape is exactly the name's.
+PHANTOMS: dict[str, dict[str, Any]] = {
+    "phantom-128": {"spacing_mm": 1.8, "box_lps": ((-115.2, -117.0, -120.4), (115.1, 113.3, 110.0))},
+    "phantom-256": {"spacing_mm": 0.9, "box_lps": ((-115.2, -117.0, -119.6), (114.4, 112.6, 110.0))},
+    "phantom-512": {"spacing_mm": 0.7, "box_lps": ((-179.2, -181.2, -169.4), (178.6, 176.6, 110.0))},
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """A volume, a pose in the middle of its trachea, and a flight from there into a segmental bronchus."""
+
+    name: str
+    volume: Volume
+    trachea: Pose
+    flight: tuple[Pose, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Branch:
+    id: int
+    parent: int | None
+    generation: int
+    points: NDArray[np.float64]
+    radius_mm: float
+
+
+def open_case(name: str, *, poses: int, progress: Progress | None = None) -> Case:
+    """A phantom by name, ``patient`` (the bundled case), or a CT by its path.
+
+    Raises
+    ------
+    VolumeImportError
+        If the path cannot be opened.
+    NoResultError
+        If no airway is found in it.
+    """
+    if name in PHANTOMS:
+        volume, branches = _phantom(name, progress)
+    else:
+        volume = carina.demo_patient() if name == "patient" else carina.open_volume(Path(name), progress=progress)
+        airways = carina.find_airways(volume, progress=progress)
+        branches = [
+            _Branch(b.id, b.parent, b.generation, np.asarray(b.points), float(np.median(b.radius)))
+            for b in airways.tree.branches
+        ]
+        name = name if name == "patient" else Path(name).resolve().name
+    trachea, flight = _poses(branches, poses)
+    return Case(name, volume, trachea, flight)
+
+
+def _poses(branches: Sequence[_Branch], count: int) -> tuple[Pose, tuple[Pose, ...]]:
+    by_id = {b.id: b for b in branches}
+    root = next(b for b in branches if b.parent is None)
+    # Trachea 0, main 1, lobar 2, segmental 3 (on the right the intermediate bronchus is between: 4).
+    segmental = [b for b in branches if 3 <= b.generation <= 4] or [max(branches, key=lambda b: b.generation)]
+    target = max(segmental, key=lambda b: (b.radius_mm, b.id))
+    chain = [target]
+    while chain[0].parent is not None:
+        chain.insert(0, by_id[chain[0].parent])
+    if len(chain) < 2:
+        raise NoResultError("the airways of this volume have no branch to fly into", code="track.no-result")
+    # To the middle of the segmental bronchus; a child's first point is its parent's last.
+    half = target.points[: max(len(target.points) // 2, 2)]
+    points = np.concatenate([chain[0].points, *(b.points[1:] for b in chain[1:-1]), half[1:]])
+    path = FlightPath(points)
+    middle = 0.5 * FlightPath(root.points).length_mm
+    stops = np.linspace(middle, path.length_mm, count)
+    return path.pose_at(middle), tuple(path.pose_at(float(mm)) for mm in stops)
+
+
+def _phantom(name: str, progress: Progress | None) -> tuple[Volume, list[_Branch]]:
+    options = {"seed": 0, "generations": 7, **PHANTOMS[name]}
+    key = hashlib.sha256(json.dumps([GENERATOR_VERSION, options]).encode()).hexdigest()[:12]
+    folder = load_settings().cache_dir / "bench"
+    values_file, truth_file = folder / f"{name}-{key}.npy", folder / f"{name}-{key}.json"
+    if not (values_file.is_file() and truth_file.is_file()):
+        made = generate_phantom(**options, progress=progress)
+        folder.mkdir(parents=True, exist_ok=True)
+        # Whole or not at all: written beside its place, then renamed; the truth last.
+        with tempfile.TemporaryDirectory(dir=folder) as scratch:
+            part = Path(scratch) / "values.npy"
+            np.save(part, made.volume.hu_zyx, allow_pickle=False)
+            part.replace(values_file)
+            part = Path(scratch) / "truth.json"
+            truth = {"lps_from_ijk": made.volume.lps_from_ijk.tolist(), "branches": made.truth["branches"]}
+            part.write_text(json.dumps(truth), encoding="utf-8")
+            part.replace(truth_file)
+    values = np.load(values_file, allow_pickle=False)
+    truth = json.loads(truth_file.read_text(encoding="utf-8"))
+    values.flags.writeable = False
+    source = VolumeSource(format="phantom", title=f"{name}: generated, no patient")
+    branches = [
+        _Branch(b["id"], b["parent"], b["generation"], np.array(b["points"]), float(np.median(b["radius"])))
+        for b in truth["branches"]
+    ]
+    return Volume(values, np.array(truth["lps_from_ijk"]), source=source), branches

@@ -1,0 +1,77 @@
+"""Times taken in turn, so that a busy moment of the machine falls on all alike."""
+
+from __future__ import annotations
+
+import gc
+import statistics
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+__all__ = ["Times", "median_ratio", "take_turns"]
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """What one function took in each round, ms."""
+
+    cpu_ms: tuple[float, ...]
+    """CPU time of the whole process, all threads."""
+    wall_ms: tuple[float, ...]
+
+    @property
+    def median_ms(self) -> float:
+        """Median CPU time."""
+        return statistics.median(self.cpu_ms)
+
+    @property
+    def min_ms(self) -> float:
+        """Least CPU time."""
+        return min(self.cpu_ms)
+
+    def to_json(self) -> dict[str, Any]:
+        """For the report."""
+        return {
+            "median": round(self.median_ms, 3),
+            "min": round(self.min_ms, 3),
+            "max": round(max(self.cpu_ms), 3),
+            "wall_median": round(statistics.median(self.wall_ms), 3),
+            "wall_min": round(min(self.wall_ms), 3),
+            "repeats": len(self.cpu_ms),
+        }
+
+
+def take_turns(functions: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, Times]:
+    """Run the functions A B C A B C ..., after one round that does not count.
+
+    The next round starts with another function, so that none always follows the same one.
+    """
+    names = list(functions)
+    cpu: dict[str, list[float]] = {name: [] for name in names}
+    wall: dict[str, list[float]] = {name: [] for name in names}
+    for function in functions.values():
+        function()
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        for turn in range(repeats):
+            shift = turn % len(names)
+            for name in names[shift:] + names[:shift]:
+                started_wall, started = time.perf_counter_ns(), time.process_time_ns()
+                functions[name]()
+                cpu[name].append((time.process_time_ns() - started) / 1e6)
+                wall[name].append((time.perf_counter_ns() - started_wall) / 1e6)
+            gc.collect()
+    finally:
+        if collecting:
+            gc.enable()
+    return {name: Times(tuple(cpu[name]), tuple(wall[name])) for name in names}
+
+
+def median_ratio(slow: Times, fast: Times) -> float:
+    """How many times as fast: the median over the rounds of the ratio within a round.
+
+    Within a round both met the same neighbours; the ratio of two medians would mix a quiet round with a busy one.
+    """
+    return statistics.median(a / b for a, b in zip(slow.cpu_ms, fast.cpu_ms, strict=True))

@@ -1,0 +1,219 @@
+"""``carina bench``: sections, gates, the report as JSON and as words."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from carina.cli.bench import words
+from carina.cli.bench.gates import Gate
+from carina.cli.bench.machine import load_average, machine_facts, require_peers
+from carina.cli.bench.paper import FILES, FOLDER
+from carina.cli.bench.scene import FOV_DEG, STEP_VOX, STOP_TRANSPARENCY, TRANSFER
+from carina.cli.bench.worker import run_section
+from carina.cli.console import print_json, say
+from carina.config import load_settings
+from carina.errors import UsageError
+
+__all__ = ["SECTIONS", "report"]
+
+REAL_CASE = "ct/QIN-LSC-0003/dicom"
+LARGE = "phantom-512"
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One part of a benchmark: where it is measured, with how many threads, what it must reach and how it reads."""
+
+    function: str
+    threads: int | None
+    gates: Callable[[list[dict[str, Any]]], list[Gate]]
+    words: Callable[[list[dict[str, Any]]], list[str]]
+
+
+def _frame_gates(rows: list[dict[str, Any]]) -> list[Gate]:
+    gates = []
+    for row in rows:
+        where, ratio = f"{row['case']}, {row['view']}", row["ratio"]
+        gates.append(Gate(f"frame over VTK, {where}", ratio["leap_over_vtk"]["median"], 9.0))
+        if "avx2_leap_over_vtk" in ratio:
+            gates.append(Gate(f"frame over VTK with AVX2, {where}", ratio["avx2_leap_over_vtk"]["median"], 0.6 * 9.0))
+        gates.append(Gate(f"brute force over VTK, {where}", ratio["brute_over_vtk"]["median"], 4.0, aim=True))
+        gates.append(Gate(f"leaping over brute force, {where}", ratio["leap_over_brute"]["median"], 2.0, aim=True))
+        off = row["brute_minus_baseline"]
+        gates.append(Gate(f"grey levels off the baseline, {where}", off["max"], 1, "lower"))
+        gates.append(
+            Gate(f"share of pixels off the baseline, {where}", off["share_of_pixels"], 0.001, "lower", aim=True)
+        )
+        gates.append(
+            Gate(f"grey levels between leaping and brute force, {where}", row["leap_minus_brute"]["max"], 0, "lower")
+        )
+        agree = float(row["instruction_sets_agree"])
+        gates.append(Gate(f"instruction sets agree (1 is yes), {where}", agree, 1.0))
+    return gates
+
+
+def _small_gates(rows: list[dict[str, Any]]) -> list[Gate]:
+    note = "wall time; other programs' load counts against it"
+    return [
+        Gate(f"frames/s of 256x256 on two threads, {row['case']}", row["frames_per_s"], 200.0, note=note)
+        for row in rows
+    ]
+
+
+def _view_gates(rows: list[dict[str, Any]]) -> list[Gate]:
+    gates = []
+    for row in rows:
+        where = f"{row['case']}, {row['view']}"
+        gates.append(Gate(f"loads of leaping over brute force, {where}", row["loads_ratio"], 1.03, "lower"))
+        gates.append(Gate(f"time of leaping over brute force, {where}", row["time_ratio"], 1.10, "lower"))
+        off = row["leap_minus_brute"]["max"]
+        gates.append(Gate(f"grey levels between leaping and brute force, {where}", off, 0, "lower"))
+    return gates
+
+
+def _first_frame_gates(rows: list[dict[str, Any]]) -> list[Gate]:
+    note = "ms, wall time; other programs' load counts against it"
+    return [
+        Gate(
+            f"first frame without a cache, {row['case']}", row["wall_ms"]["whole"]["median"], 150.0, "lower", note=note
+        )
+        for row in rows
+    ]
+
+
+def _paper_gates(rows: list[dict[str, Any]]) -> list[Gate]:
+    gates = []
+    for row in rows:
+        where = f"{row['volume']}, {row['transfer']}, {row['view']}"
+        gates.append(
+            Gate(f"paper mode, grey levels off brute force, {where}", row["leap_minus_brute"]["max"], 0, "lower")
+        )
+        speed_up = row["speed_up_time"]
+        gates.append(Gate(f"paper mode, speed-up (the paper: 1.7 to 3.0), {where}", speed_up, 1.7, aim=True))
+    return gates
+
+
+SECTIONS: dict[str, dict[str, Section]] = {
+    "render": {
+        "frames": Section("render:frames", 1, _frame_gates, words.frames),
+        "small": Section("render:small_frames", 2, _small_gates, words.small_frames),
+        "views": Section("views:never_slower", 1, _view_gates, words.views),
+        "first-frame": Section("render:first_frame", None, _first_frame_gates, words.first_frame),
+        "paper": Section("paper:paper_mode", 1, _paper_gates, words.paper),
+    },
+}
+
+
+def report(
+    what: str,
+    *,
+    folder: Path,
+    cases: Sequence[str],
+    only: Sequence[str],
+    quick: bool,
+    repeats: int | None,
+    as_json: bool,
+) -> int:
+    """Measure, print, and save the pictures; always 0 when everything could be measured: a missed gate is a result.
+
+    Raises
+    ------
+    UsageError
+        If a section is unknown.
+    CarinaError
+        If a peer is not installed (exit code 1).
+    """
+    sections = SECTIONS[what]
+    unknown = [name for name in only if name not in sections]
+    if unknown:
+        raise UsageError(f"--only: expected some of {', '.join(sections)}; found {', '.join(unknown)}")
+    require_peers("vtk", "numba", "scipy")
+    folder.mkdir(parents=True, exist_ok=True)
+    started = time.monotonic()
+    facts = machine_facts()
+    document: dict[str, Any] = {
+        "benchmark": what,
+        "version": 1,
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "quick": quick,
+        "machine": facts,
+        "scene": {
+            "fov_deg": FOV_DEG,
+            "step_vox": STEP_VOX,
+            "stop_transparency": STOP_TRANSPARENCY,
+            "vtk_stop_transparency": 255 / 32767,
+            "transfer": TRANSFER.to_json(),
+        },
+        "folder": str(folder),
+        "sections": {},
+        "gates": [],
+    }
+    say(f"{facts['cpu']}, {facts['cores']} cores, {facts['instruction_set']} kernels, load {facts['load_average']}")
+    if what == "render" and load_settings().data_dir is None and (not only or "paper" in only):
+        say("note: CARINA_DATA_DIR is not set: no paper mode (LIDC2, headsq) and no whole real case")
+    gates: list[Gate] = []
+    texts: list[str] = []
+    for name, section in sections.items():
+        if only and name not in only:
+            continue
+        request = _request(what, name, folder, cases, quick, repeats)
+        if request is None:
+            document["sections"][name] = {"rows": [], "left_out": "no data: set CARINA_DATA_DIR"}
+            continue
+        say(f"-- {name}")
+        rows = run_section(section.function, request, threads=section.threads)
+        document["sections"][name] = {"request": request, "rows": rows}
+        reached = section.gates(rows)
+        gates += reached
+        texts += [f"\n{name}", *section.words(rows)]
+        texts += [gate.line() for gate in reached if not gate.passed]
+    document["gates"] = [gate.to_json() for gate in gates]
+    document["machine"]["load_average_after"] = load_average()
+    document["seconds"] = round(time.monotonic() - started, 1)
+    must = [gate for gate in gates if not gate.aim]
+    passed = sum(gate.passed for gate in must)
+    document["gates_passed"], document["gates_missed"] = passed, len(must) - passed
+    text = json.dumps(document, allow_nan=False, ensure_ascii=False, indent=1)
+    (folder / f"{what}.json").write_text(text + "\n", encoding="utf-8")
+    if as_json:
+        print_json(document)
+        return 0
+    print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']} to {load_average()}")
+    print(", ".join(f"{package} {version}" for package, version in facts["versions"].items()))
+    print("\n".join(texts))
+    print(f"\n{passed} gates passed, {len(must) - passed} missed; pictures and {what}.json in {folder}")
+    return 0
+
+
+def _request(
+    what: str, section: str, folder: Path, cases: Sequence[str], quick: bool, repeats: int | None
+) -> dict[str, Any] | None:
+    """What a section is asked to do; None where its data are not there."""
+    data_dir = load_settings().data_dir
+    request: dict[str, Any] = {
+        "folder": str(folder),
+        "repeats": repeats or (3 if quick else 7),
+        "poses": 3 if quick else 8,
+    }
+    if section == "paper":
+        if data_dir is None or not all((data_dir / FOLDER / file).is_file() for file in FILES.values()):
+            return None
+        return {**request, "data_dir": str(data_dir)}
+    if section == "views":
+        return {**request, "cases": ["phantom-256"], "pairs": 7 if quick else 30}
+    if section == "first-frame":
+        return {**request, "cases": ["phantom-256" if quick else LARGE]}
+    if section == "small":
+        return {**request, "cases": list(cases) or ["phantom-256", "patient"]}
+    if cases:
+        return {**request, "cases": list(cases)}
+    chosen = ["phantom-256", "patient"] if quick else ["phantom-256", LARGE, "patient"]
+    if not quick and data_dir is not None and (data_dir / REAL_CASE).is_dir():
+        chosen.append(str(data_dir / REAL_CASE))
+    return {**request, "cases": chosen}

@@ -1,0 +1,46 @@
+"""What the figures must reach (the limits are those of the project's plan), passed or not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+__all__ = ["Gate"]
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """A figure beside its limit."""
+
+    name: str
+    figure: float
+    limit: float
+    better: Literal["higher", "lower"] = "higher"
+    aim: bool = False
+    """Reported beside the gates; missing it fails nothing."""
+    note: str | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the limit is reached; what was not measured is not passed."""
+        return self.figure >= self.limit if self.better == "higher" else self.figure <= self.limit
+
+    def to_json(self) -> dict[str, Any]:
+        """For the report."""
+        return {
+            "name": self.name,
+            "figure": self.figure,
+            "limit": self.limit,
+            "better": self.better,
+            "kind": "aim" if self.aim else "gate",
+            "passed": self.passed,
+            **({} if self.note is None else {"note": self.note}),
+        }
+
+    def line(self) -> str:
+        """For people."""
+        sign = ">=" if self.better == "higher" else "<="
+        word = "passed" if self.passed else "MISSED"
+        kind = "aim " if self.aim else "gate"
+        note = "" if self.note is None else f"  ({self.note})"
+        return f"  {kind} {word}  {self.name}: {self.figure:.4g} (limit {sign} {self.limit:g}){note}"

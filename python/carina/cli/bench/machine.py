@@ -1,0 +1,82 @@
+"""What the figures were taken on."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import os
+import platform
+from pathlib import Path
+from typing import Any
+
+import carina
+from carina.errors import CarinaError
+from carina.render import build_info
+
+__all__ = ["load_average", "machine_facts", "require_peers"]
+
+PEERS = ("vtk", "numba", "scipy", "numpy")
+
+
+def require_peers(*names: str) -> None:
+    """Refuse to run without the packages to compare with.
+
+    Raises
+    ------
+    CarinaError
+        If one is not installed, with the command that installs it; exit code 1 (a missing extra).
+    """
+    missing = [name for name in names if importlib.util.find_spec(name) is None]
+    if missing:
+        verb = "is" if len(missing) == 1 else "are"
+        msg = f"{', '.join(missing)} {verb} not installed; benchmarks need the extra: pip install 'carina[bench]'"
+        raise CarinaError(msg, code="machine.extra")
+    if build_info()["profile"] != "release":
+        raise CarinaError("benchmarks refuse a debug build: run `make setup`", code="machine.debug-build")
+
+
+def load_average() -> list[float] | None:
+    """Processes that wanted a core in the last 1, 5 and 15 minutes; None where the system does not say."""
+    try:
+        return [round(v, 2) for v in os.getloadavg()]
+    except (AttributeError, OSError):
+        return None
+
+
+def _cpu_model() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    facts = dict(line.split(":", 1) for line in lines if ":" in line)
+    named = {key.strip(): value.strip() for key, value in facts.items()}
+    model = named.get("model name", platform.machine())
+    if "cpu family" in named:
+        model += f" (family {named['cpu family']}, model {named.get('model', '?')})"
+    return model
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def machine_facts() -> dict[str, Any]:
+    """Processor, instruction sets, cores, load and versions."""
+    core = build_info()
+    return {
+        "cpu": _cpu_model(),
+        "cores": os.cpu_count(),
+        "instruction_set": core["simd"],
+        "profile": core["profile"],
+        "target": core["target"],
+        "platform": platform.platform(),
+        "load_average": load_average(),
+        "versions": {
+            "carina": carina.__version__,
+            "python": platform.python_version(),
+            **{name: _version(name) for name in PEERS},
+        },
+    }

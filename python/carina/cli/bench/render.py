@@ -1,0 +1,266 @@
+"""Measurements of ``carina bench render``; each function runs in a process of its own and returns rows."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.cli.bench.cases import Case, open_case
+from carina.cli.bench.clock import Times, median_ratio, take_turns
+from carina.cli.bench.machine import load_average
+from carina.cli.bench.pictures import difference, save
+from carina.cli.bench.scene import FOV_DEG, STEP_VOX, TRANSFER
+from carina.cli.console import progress_printer, say
+from carina.errors import RenderError
+from carina.render import AirwayView, Picture, Renderer, TransferFunction, build_info
+from carina.scopes import Pose
+from carina.volume import Volume
+
+__all__ = ["first_frame", "frames", "small_frames"]
+
+Request = dict[str, Any]
+SIZE = 512
+# Poses are compared one by one; 2 to 3 s each on the largest case.
+BASELINE_REPEATS = 3
+
+
+def instruction_sets() -> list[str]:
+    """``avx2`` and the fastest of this machine; one where they are the same, or where there is no AVX2."""
+    best = str(build_info()["simd"])
+    if best != "avx512":
+        return [best]
+    return ["avx2", best]
+
+
+def _view(pose: Pose, method: str, size: int) -> AirwayView:
+    chosen = "brute" if method == "brute" else "leap"
+    return AirwayView(pose, fov_deg=FOV_DEG, width=size, height=size, step_vox=STEP_VOX, method=chosen)  # type: ignore[arg-type]
+
+
+def num_loads(picture: Picture) -> int:
+    """Loads of volume, map and table by the scalar algorithm (deterministic).
+
+    Where the compiled module does not count them: samples and look-ups.
+    """
+    stats = picture.stats
+    return int(getattr(stats, "num_loads", stats.num_samples + stats.num_lookups))
+
+
+def prepared(volume: Volume, transfer: TransferFunction, simd: str | None = None) -> Renderer:
+    """A renderer whose maps are built, without a cache."""
+    renderer = Renderer(volume, transfer=transfer, simd=simd)
+    renderer.prepare()
+    return renderer
+
+
+def frames(request: Request) -> list[dict[str, Any]]:
+    """Whole frames of 512 x 512 beside VTK and the numba baseline: one thread, CPU time, in turn."""
+    from carina.cli.bench.numba_peer import numba_caster
+    from carina.cli.bench.vtk_peer import VtkCaster
+
+    rows = []
+    for name in request["cases"]:
+        case = open_case(name, poses=request["poses"], progress=progress_printer())
+        say(f"{case.name}: {case.volume!r}")
+        sets = instruction_sets()
+        renderers = {simd: prepared(case.volume, TRANSFER, simd) for simd in sets}
+        vtk = VtkCaster(case.volume, TRANSFER, step_vox=STEP_VOX, size=SIZE)
+        say(f"{case.name}: the first picture of VTK is made")
+        baseline = numba_caster(case.volume, TRANSFER, step_vox=STEP_VOX, size=SIZE)
+        poses = [("trachea", case.trachea), *((f"flight-{n}", pose) for n, pose in enumerate(case.flight))]
+        measured = []
+        for label, pose in poses:
+            say(f"{case.name}: {label}")
+            measured.append(_frame_at(request, case, label, pose, renderers, vtk, baseline))
+        vtk.close()
+        rows.append({"case": case.name, "view": "trachea", **measured[0]})
+        rows.append({"case": case.name, "view": "flight", **_over_poses(measured[1:])})
+    return rows
+
+
+def _frame_at(
+    request: Request,
+    case: Case,
+    label: str,
+    pose: Pose,
+    renderers: dict[str, Renderer],
+    vtk: Any,
+    baseline: Callable[[Pose], NDArray[np.uint8]],
+) -> dict[str, Any]:
+    """One pose: times in turn, ratios within rounds, pictures saved and compared."""
+    vtk.look(pose)
+    functions: dict[str, Callable[[], object]] = {"vtk": vtk.cast}
+    for simd, renderer in renderers.items():
+        for method in ("brute", "leap"):
+            functions[f"{method}-{simd}"] = partial(renderer.render, _view(pose, method, SIZE))
+    times = take_turns(functions, request["repeats"])
+    best = next(reversed(renderers))
+    pictures = {m: renderers[best].render(_view(pose, m, SIZE)) for m in ("brute", "leap")}
+    brute, leap = pictures["brute"], pictures["leap"]
+    row: dict[str, Any] = {
+        "cpu_ms": {key: value.to_json() for key, value in times.items()},
+        "ratio": _ratios(times, best),
+        "leap_minus_brute": difference(leap.rgb, brute.rgb),
+        "per_ray": {
+            "samples_brute": round(brute.stats.num_samples / brute.stats.num_rays, 2),
+            "samples_leap": round(leap.stats.num_samples / leap.stats.num_rays, 2),
+            "lookups": round(leap.stats.num_lookups / leap.stats.num_rays, 2),
+            "leaps": round(leap.stats.num_leaps / leap.stats.num_rays, 2),
+        },
+        "loads_ratio": round(num_loads(leap) / max(num_loads(brute), 1), 4),
+    }
+    others = {simd: r.render(_view(pose, "leap", SIZE)).rgb for simd, r in renderers.items() if simd != best}
+    row["instruction_sets_agree"] = all(np.array_equal(rgb, leap.rgb) for rgb in others.values())
+    # The baseline and the window are slow: one picture each, and the baseline's time in the trachea.
+    expected = baseline(pose)
+    row["brute_minus_baseline"] = difference(brute.rgb, expected)
+    shown = vtk.picture()
+    row["brute_minus_vtk"] = difference(brute.rgb, shown)
+    if label == "trachea":
+        slow = take_turns({"numba": lambda: baseline(pose), "vtk-window": vtk.cast_and_show}, BASELINE_REPEATS)
+        row["cpu_ms"] |= {key: value.to_json() for key, value in slow.items()}
+        row["pictures"] = [
+            save(request["folder"], f"{case.name}-{label}-{who}", rgb)
+            for who, rgb in (("carina", leap.rgb), ("vtk", shown), ("baseline", expected))
+        ]
+    else:
+        row["pictures"] = [
+            save(request["folder"], f"{case.name}-{label}-{who}", rgb)
+            for who, rgb in (("carina", leap.rgb), ("vtk", shown))
+        ]
+    return row
+
+
+def _ratios(times: dict[str, Times], best: str) -> dict[str, Any]:
+    """Each twice: median over rounds, and ratio of the least times."""
+
+    def both(slow: str, fast: str) -> dict[str, float]:
+        return {
+            "median": round(median_ratio(times[slow], times[fast]), 3),
+            "min": round(times[slow].min_ms / times[fast].min_ms, 3),
+        }
+
+    ratios = {
+        "leap_over_vtk": both("vtk", f"leap-{best}"),
+        "brute_over_vtk": both("vtk", f"brute-{best}"),
+        "leap_over_brute": both(f"brute-{best}", f"leap-{best}"),
+    }
+    if "leap-avx2" in times:
+        ratios["avx2_leap_over_vtk"] = both("vtk", "leap-avx2")
+        ratios["avx2_leap_over_brute"] = both("brute-avx2", "leap-avx2")
+        ratios["avx2_share"] = both(f"leap-{best}", "leap-avx2")
+    return ratios
+
+
+def _over_poses(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """A flight: medians over its poses, and the worst pose."""
+    ratio = {
+        key: {
+            "median": round(statistics.median(row["ratio"][key]["median"] for row in rows), 3),
+            "min": round(statistics.median(row["ratio"][key]["min"] for row in rows), 3),
+            "worst_pose": round(min(row["ratio"][key]["median"] for row in rows), 3),
+        }
+        for key in rows[0]["ratio"]
+    }
+    cpu = {
+        key: {
+            "median": round(statistics.median(row["cpu_ms"][key]["median"] for row in rows), 3),
+            "min": round(statistics.median(row["cpu_ms"][key]["min"] for row in rows), 3),
+            "repeats": rows[0]["cpu_ms"][key]["repeats"],
+        }
+        for key in rows[0]["cpu_ms"]
+    }
+    worst = {
+        key: {what: max(row[key][what] for row in rows) for what in rows[0][key]}
+        for key in ("leap_minus_brute", "brute_minus_baseline", "brute_minus_vtk")
+    }
+    return {
+        "poses": len(rows),
+        "cpu_ms": cpu,
+        "ratio": ratio,
+        **worst,
+        "per_ray": {
+            key: round(statistics.median(row["per_ray"][key] for row in rows), 2) for key in rows[0]["per_ray"]
+        },
+        "loads_ratio": max(row["loads_ratio"] for row in rows),
+        "instruction_sets_agree": all(row["instruction_sets_agree"] for row in rows),
+        "pictures": [name for row in rows for name in row["pictures"]],
+        "each_pose": [{"ratio": row["ratio"], "per_ray": row["per_ray"]} for row in rows],
+    }
+
+
+def small_frames(request: Request) -> list[dict[str, Any]]:
+    """256 x 256 on two threads: what a person gets along a flight, wall time."""
+    rows = []
+    for name in request["cases"]:
+        case = open_case(name, poses=request["poses"], progress=progress_printer())
+        renderer = prepared(case.volume, TRANSFER)
+        views = [_view(pose, "leap", 256) for pose in (case.trachea, *case.flight)]
+        for view in views:
+            renderer.render(view)
+        wall, cpu = [], []
+        for _ in range(max(request["repeats"], 7)):
+            for view in views:
+                started, started_cpu = time.perf_counter(), time.process_time()
+                renderer.render(view)
+                wall.append(time.perf_counter() - started)
+                cpu.append(time.process_time() - started_cpu)
+        rows.append(
+            {
+                "case": case.name,
+                "frames": len(wall),
+                "wall_ms": {"median": round(1000 * statistics.median(wall), 3), "min": round(1000 * min(wall), 3)},
+                "cpu_ms": {"median": round(1000 * statistics.median(cpu), 3), "min": round(1000 * min(cpu), 3)},
+                "frames_per_s": round(1 / statistics.median(wall), 1),
+                # Where other programs hold the cores, wall time is theirs; this is what the CPU time allows.
+                "frames_per_s_on_two_free_cores": round(2 / statistics.median(cpu), 1),
+                "cores": os.cpu_count(),
+                "load_average": load_average(),
+            }
+        )
+    return rows
+
+
+def first_frame(request: Request) -> list[dict[str, Any]]:
+    """From a volume in memory to its first leaped picture, nothing cached: every structure is built, all threads."""
+    rows = []
+    for name in request["cases"]:
+        case = open_case(name, poses=2, progress=progress_printer())
+        view = _view(case.trachea, "leap", SIZE)
+        int(case.volume.hu_zyx.sum(dtype=np.int64))
+        parts: dict[str, list[float]] = {"look_at_values": [], "prepare": [], "picture": [], "whole": [], "cpu": []}
+        for _ in range(request["repeats"]):
+            marks, cpu = [time.perf_counter()], time.process_time()
+            renderer = Renderer(case.volume, transfer=TRANSFER)
+            marks.append(time.perf_counter())
+            renderer.prepare()
+            marks.append(time.perf_counter())
+            picture = renderer.render(view)
+            marks.append(time.perf_counter())
+            for key, a, b in zip(("look_at_values", "prepare", "picture"), marks, marks[1:], strict=False):
+                parts[key].append(1000 * (b - a))
+            parts["whole"].append(1000 * (marks[-1] - marks[0]))
+            parts["cpu"].append(1000 * (time.process_time() - cpu))
+            if picture.stats.method != "leap":
+                raise RenderError(f"the first frame did not leap ({picture.stats.method})", code="render.setting")
+            del renderer
+        threads = os.cpu_count() or 1
+        rows.append(
+            {
+                "case": case.name,
+                "wall_ms": {
+                    k: {"median": round(statistics.median(v), 2), "min": round(min(v), 2)} for k, v in parts.items()
+                },
+                "cpu_ms_over_threads": round(statistics.median(parts["cpu"]) / threads, 2),
+                "threads": threads,
+                "load_average": load_average(),
+            }
+        )
+    return rows

@@ -1,0 +1,78 @@
+"""The rows of a benchmark as lines for people."""
+
+from __future__ import annotations
+
+from typing import Any
+
+__all__ = ["first_frame", "frames", "paper", "small_frames", "views"]
+
+Rows = list[dict[str, Any]]
+
+
+def frames(rows: Rows) -> list[str]:
+    """Ratios first: they travel from machine to machine, milliseconds do not."""
+    lines = [
+        "  512x512, step 0.5 voxel, shaded, one thread; CPU time, median over rounds (least); VTK without its window",
+        f"  {'case':14} {'view':8} {'leap/VTK':>15} {'AVX2 leap/VTK':>15} {'brute/VTK':>15} {'leap/brute':>15} "
+        f"{'VTK ms':>7} {'brute':>6} {'leap':>6}  off baseline",
+    ]
+    for row in rows:
+        ratio, cpu = row["ratio"], row["cpu_ms"]
+
+        def both(key: str, ratio: dict[str, Any] = ratio) -> str:
+            return f"{ratio[key]['median']:.2f} ({ratio[key]['min']:.2f})" if key in ratio else "-"
+
+        best = [key for key in cpu if key.startswith("leap-")][-1].removeprefix("leap-")
+        off = row["brute_minus_baseline"]
+        lines.append(
+            f"  {row['case'][:14]:14} {row['view']:8} {both('leap_over_vtk'):>15} {both('avx2_leap_over_vtk'):>15} "
+            f"{both('brute_over_vtk'):>15} {both('leap_over_brute'):>15} {cpu['vtk']['median']:7.1f} "
+            f"{cpu[f'brute-{best}']['median']:6.1f} {cpu[f'leap-{best}']['median']:6.1f}  "
+            f"max {off['max']}, {100 * off['share_of_pixels']:.3f} % of pixels"
+        )
+    return lines
+
+
+def small_frames(rows: Rows) -> list[str]:
+    """256 x 256."""
+    return [
+        f"  {row['case'][:14]:14} 256x256, two threads: {row['frames_per_s']:.0f} frames/s; "
+        f"{row['frames_per_s_on_two_free_cores']:.0f} by CPU time; load {row['load_average']} (the paper: 10)"
+        for row in rows
+    ]
+
+
+def views(rows: Rows) -> list[str]:
+    """Leaping over brute force."""
+    lines = [f"  {'view':36} {'loads':>7} {'time':>7}  leap over brute force"]
+    lines += [f"  {row['view'][:36]:36} {row['loads_ratio']:7.3f} {row['time_ratio']:7.3f}" for row in rows]
+    return lines
+
+
+def first_frame(rows: Rows) -> list[str]:
+    """From memory to the first picture."""
+    lines = []
+    for row in rows:
+        wall = row["wall_ms"]
+        parts = ", ".join(
+            f"{key.replace('_', ' ')} {wall[key]['median']:.0f}" for key in ("look_at_values", "prepare", "picture")
+        )
+        lines.append(
+            f"  {row['case'][:14]:14} {wall['whole']['median']:.0f} ms (least {wall['whole']['min']:.0f}; {parts}; "
+            f"CPU time over {row['threads']} threads {row['cpu_ms_over_threads']:.0f}; load {row['load_average']})"
+        )
+    return lines
+
+
+def paper(rows: Rows) -> list[str]:
+    """Leaping over brute force in the paper's setting."""
+    lines = [
+        "  speed-up of leaping; the paper: 1.7 to 3.0, error 0.0 %",
+        f"  {'volume':14} {'transfer':8} {'view':15} {'time':>6} {'steps':>6}  difference",
+    ]
+    lines += [
+        f"  {row['volume'][:14]:14} {row['transfer']:8} {row['view']:15} {row['speed_up_time']:6.2f} "
+        f"{row['speed_up_steps']:6.2f}  max {row['leap_minus_brute']['max']}"
+        for row in rows
+    ]
+    return lines

@@ -1,0 +1,75 @@
+"""One section of a benchmark in a process of its own: ``python -m carina.cli.bench.worker REQUEST``."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from carina.errors import CarinaError
+
+__all__ = ["run_section"]
+
+
+def run_section(function: str, request: dict[str, Any], *, threads: int | None = None) -> Any:
+    """Run ``module:function`` with a request in a new process and return what it returned.
+
+    Parameters
+    ----------
+    function
+        Within this package, such as ``render:frames``.
+    request
+        JSON.
+    threads
+        Threads of the compiled module; all cores unless told.
+
+    Raises
+    ------
+    CarinaError
+        As the section raised it (code, message and exit code), or if the process died.
+    """
+    with tempfile.TemporaryDirectory(prefix="carina-bench-") as scratch:
+        result = Path(scratch) / "result.json"
+        message = json.dumps({"function": function, "request": request, "result": str(result)})
+        environment = dict(os.environ)
+        if threads is not None:
+            environment["RAYON_NUM_THREADS"] = str(threads)
+        command = [sys.executable, "-m", "carina.cli.bench.worker", message]
+        # What libraries print is for people: stdout belongs to the report.
+        done = subprocess.run(command, env=environment, stdout=sys.stderr, check=False)
+        if done.returncode == CANCELLED:
+            raise KeyboardInterrupt
+        if not result.exists():
+            raise CarinaError(f"the benchmark {function} ended with code {done.returncode}", code="machine.benchmark")
+        document = json.loads(result.read_text(encoding="utf-8"))
+    if "error" in document:
+        error = CarinaError(document["error"]["message"], code=document["error"]["code"])
+        error.exit_code = document["error"]["exit_code"]
+        raise error
+    return document["rows"]
+
+
+CANCELLED = 130
+
+
+def _main() -> int:
+    message = json.loads(sys.argv[1])
+    module, _, name = message["function"].partition(":")
+    try:
+        rows = getattr(import_module(f"carina.cli.bench.{module}"), name)(message["request"])
+        document = {"rows": rows}
+    except KeyboardInterrupt:
+        return CANCELLED
+    except CarinaError as error:
+        document = {"error": {"code": error.code, "message": str(error), "exit_code": error.exit_code}}
+    Path(message["result"]).write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_main())

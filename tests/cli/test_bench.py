@@ -1,0 +1,88 @@
+"""What of the benchmarks can be tested without the peers: refusals, clocks, gates, the scene."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import numpy as np
+import pytest
+
+from carina.cli.bench import machine
+from carina.cli.bench.clock import Times, median_ratio, take_turns
+from carina.cli.bench.gates import Gate
+from carina.cli.bench.pictures import difference, save
+from carina.cli.bench.scene import STEP_VOX, TRANSFER, opacity_table
+from carina.cli.bench.worker import run_section
+from carina.errors import CarinaError
+
+
+def test_without_the_extra_the_command_says_what_to_install_and_exits_1(carina, monkeypatch, tmp_path):
+    found = importlib.util.find_spec
+    missing = {"vtk", "numba"}
+    monkeypatch.setattr(machine.importlib.util, "find_spec", lambda name: None if name in missing else found(name))
+    ended = carina("bench", "render", "--json", "-o", tmp_path / "out")
+    assert ended.code == 1
+    assert ended.json()["error"]["code"] == "machine.extra"
+    assert "vtk, numba" in ended.err and "carina[bench]" in ended.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_section_exits_2_and_names_the_known_ones(carina, tmp_path):
+    ended = carina("bench", "render", "--only", "everything", "--json", "-o", tmp_path / "out")
+    assert ended.code == 2
+    assert "frames" in ended.json()["error"]["message"]
+
+
+def test_functions_take_turns_and_the_first_round_does_not_count():
+    calls = []
+    times = take_turns({name: lambda n=name: calls.append(n) for name in "abc"}, 3)
+    assert calls[:3] == ["a", "b", "c"]
+    assert calls[3:] == ["a", "b", "c", "b", "c", "a", "c", "a", "b"]
+    assert all(len(t.cpu_ms) == 3 for t in times.values())
+
+
+def test_ratios_are_taken_within_a_round():
+    slow, fast = Times((10.0, 100.0, 20.0), (0.0,) * 3), Times((5.0, 50.0, 4.0), (0.0,) * 3)
+    assert median_ratio(slow, fast) == 2.0
+
+
+@pytest.mark.parametrize(
+    ("figure", "better", "passed"), [(9.0, "higher", True), (8.99, "higher", False), (9.1, "lower", False)]
+)
+def test_a_gate_is_passed_at_its_limit(figure, better, passed):
+    gate = Gate("frame", figure, 9.0, better)
+    assert gate.passed is passed
+    assert ("MISSED" in gate.line()) is not passed
+
+
+def test_pictures_are_compared_per_pixel(tmp_path):
+    a = np.zeros((2, 2, 3), np.uint8)
+    b = a.copy()
+    b[0, 0, 1], b[1, 1] = 3, 1
+    assert difference(a, b) == {"max": 3, "mean": 0.5, "share_of_pixels": 0.5, "share_above_one": 0.25}
+    assert (tmp_path / save(tmp_path, "picture", b)).is_file()
+
+
+def test_the_baselines_table_is_the_cores():
+    # Written apart from it; they may differ by the rounding of f32.
+    from carina import _core
+
+    step_mm = STEP_VOX * 0.7
+    core = _core.TransferTable(TRANSFER.points, reference_mm=1.0, step_mm=step_mm, lo=-1024, hi=600)
+    expected = opacity_table(TRANSFER, step_mm, -1024, 600)
+    found = np.array([core.entry(hu) for hu in range(-1024, 601)], np.float32)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
+
+
+def test_a_section_that_fails_ends_with_its_own_error(tmp_path):
+    request = {"cases": [str(tmp_path / "no-such-ct")], "poses": 2, "repeats": 1, "folder": str(tmp_path)}
+    with pytest.raises(CarinaError, match="no-such-ct") as caught:
+        run_section("render:small_frames", request, threads=1)
+    assert caught.value.exit_code == 3
+
+
+def test_a_section_runs_in_a_process_of_its_own(tmp_path):
+    request = {"cases": ["patient"], "poses": 2, "repeats": 1, "folder": str(tmp_path)}
+    rows = run_section("render:small_frames", request, threads=2)
+    assert rows[0]["case"] == "patient"
+    assert rows[0]["frames_per_s"] > 0
