@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from carina.export import read_tree, write_tree
     from carina.navigate import FlightPath, Navigator
     from carina.phantom import generate_phantom, write_phantom
-    from carina.render import Renderer, TransferFunction, render_view, transfer_preset
+    from carina.render import Renderer, TransferFunction, render_surface, render_view, transfer_preset
     from carina.scopes import Pose
     from carina.track import Airways, AirwayTree, find_airways, track_paths
     from carina.volume import Volume, demo_patient, inspect_path, open_volume
@@ -45,6 +45,7 @@ _HOME = {
     "inspect_path": "volume",
     "open_volume": "volume",
     "read_tree": "export",
+    "render_surface": "render",
     "render_view": "render",
     "track_paths": "track",
     "transfer_preset": "render",
@@ -72,6 +73,7 @@ __all__ = [
     "inspect_path",
     "open_volume",
     "read_tree",
+    "render_surface",
     "render_view",
     "track_paths",
     "transfer_preset",

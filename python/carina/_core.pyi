@@ -118,6 +118,23 @@ def cast(
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int]]:
     """(rows, width, 3) colours and rays, samples, look-ups, leaps, skipped samples; CancelledError once stopped."""
 
+def cast_surface(
+    hu_zyx: NDArray[np.int16],
+    lps_from_ijk: NDArray[np.float64],
+    table: TransferTable,
+    lps_from_camera: NDArray[np.float64],
+    *,
+    fov_rad: float,
+    width: int,
+    height: int,
+    rows: tuple[int, int] | None = None,
+    pixel: tuple[int, int] | None = None,
+    nearest: bool = False,
+    radius_zyx: NDArray[np.uint8] | None = None,
+    simd: str | None = None,
+) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.float32]]:
+    """First walls of rows, or of one pixel (column, row): depth in mm, positions and normals in LPS; NaN for none."""
+
 def cut_plane(
     hu_zyx: NDArray[np.int16],
     lps_from_ijk: NDArray[np.float64],

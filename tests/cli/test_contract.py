@@ -75,6 +75,9 @@ def store(path, values, spacing=(1.0, 1.0, 1.0)):
         ["render", "CT", "-o", "x.png", "--view", "drone"],
         ["render", "CT", "-o", "x.png", "--method", "guess"],
         ["render", "CT", "-o", "x.png", "--shading", "maybe"],
+        ["render", "CT", "-o", "x.png", "--surface", "x.exr"],
+        ["render", "CT", "-o", "x.png", "--surface", "no-such-folder/x.npz"],
+        ["render", "CT", "-o", "x.png", "--surface", "x.npz", "--view", "axial"],
         ["render", "CT", "-o", "x.png", "--transfer", "no-such-preset"],
         ["render", "CT", "-o", "x.png", "--view", "axial", "--window", "0,-600"],
         ["render", "CT", "-o", "x.png", "--view", "xray-coronal", "--window", "0,-600"],
@@ -267,6 +270,16 @@ def test_the_window_of_an_xray_is_the_one_asked_for(carina, ct, tmp_path):
         carina("render", ct, "--view", "xray-coronal", "--window", window, "--size", "32x32", "-o", name)
         means.append(sitk.GetArrayFromImage(sitk.ReadImage(str(name))).mean())
     assert means[0] > means[1] + 20
+
+
+def test_the_surface_of_an_airway_view_is_written_beside_it(carina, ct, tmp_path):
+    picture, walls = tmp_path / "x.png", tmp_path / "x.npz"
+    ended = carina("render", ct, "--size", "24x16", "-o", picture, "--surface", walls, "--json")
+    assert (ended.code, ended.json()["surface"]) == (0, str(walls))
+    assert picture.exists()
+    with np.load(walls) as archive:
+        assert archive["depth_mm"].shape == (16, 24)
+        assert 0 < np.nanmin(archive["depth_mm"]) < 20
 
 
 def test_the_automatic_pose_in_a_volume_without_airways_exits_4(carina, tmp_path):

@@ -14,7 +14,7 @@ use carina_isoregion::SegmentTable;
 use carina_raycast::{
     ClassMap, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method, RaycastError,
     Transfer, TriPlane, Window, cast_rows, cast_rows_until, cast_tri_plane, maximum_projections,
-    sample_plane, smoothed_mask,
+    pick, sample_plane, smoothed_mask,
 };
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
@@ -163,6 +163,14 @@ enum LeapMap<'py> {
     Transparent(PyReadonlyArray3<'py, u8>),
 }
 
+const fn interpolation(nearest: bool) -> Interpolation {
+    if nearest {
+        Interpolation::Nearest
+    } else {
+        Interpolation::Trilinear
+    }
+}
+
 /// Casts rows of a picture: (rows, width, 3) uint8 and statistics.
 #[pyfunction]
 #[pyo3(signature = (
@@ -192,11 +200,7 @@ fn cast<'py>(
     let camera = Camera::new(pose, fov_rad, width, height).map_err(IntoPy::into_py)?;
     let table = &table.get().inner;
     let options = FrameOptions {
-        interpolation: if nearest {
-            Interpolation::Nearest
-        } else {
-            Interpolation::Trilinear
-        },
+        interpolation: interpolation(nearest),
         light: light.map(
             |(ambient, diffuse, specular, shininess_log2, reach_mm)| Light {
                 ambient,
@@ -257,6 +261,76 @@ fn cast<'py>(
         s.num_skipped,
     );
     Ok((volume_array(py, rgb, [end - start, width, 3])?, stats))
+}
+
+type PySurface<'py> = (
+    Bound<'py, PyArray2<f32>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray3<f32>>,
+);
+
+/// First walls of rows of a picture, or of one pixel (column, row) of it: depth in mm (rows, width), positions and normals
+/// (rows, width, 3) in LPS; NaN where a ray meets none.
+#[pyfunction]
+#[pyo3(signature = (
+    hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, pixel=None, nearest=false,
+    radius_zyx=None, simd=None
+))]
+fn cast_surface<'py>(
+    py: Python<'py>,
+    hu_zyx: PyReadonlyArray3<'py, i16>,
+    lps_from_ijk: PyReadonlyArray2<'py, f64>,
+    table: &Bound<'py, TransferTable>,
+    lps_from_camera: PyReadonlyArray2<'py, f64>,
+    fov_rad: f64,
+    width: usize,
+    height: usize,
+    rows: Option<(usize, usize)>,
+    pixel: Option<(usize, usize)>,
+    nearest: bool,
+    radius_zyx: Option<PyReadonlyArray3<'py, u8>>,
+    simd: Option<&str>,
+) -> PyResult<PySurface<'py>> {
+    let grid = grid(&hu_zyx, &lps_from_ijk)?;
+    let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
+    let pose = affine("lps_from_camera", &lps_from_camera)?;
+    let camera = Camera::new(pose, fov_rad, width, height).map_err(IntoPy::into_py)?;
+    let options = FrameOptions {
+        interpolation: interpolation(nearest),
+        light: None,
+        background: [0.0; 3],
+    };
+    let table = &table.get().inner;
+    let frame = Frame::new(volume, table, camera, options).map_err(IntoPy::into_py)?;
+    let simd = instruction_set(simd)?;
+    let method = match &radius_zyx {
+        None => Method::Brute,
+        Some(radius) => Method::LeapTransparent(values("radius_zyx", radius)?),
+    };
+    let (shape, hits) = if let Some((column, row)) = pixel {
+        (
+            [1, 1],
+            vec![pick(&frame, method, column, row).map_err(IntoPy::into_py)?],
+        )
+    } else {
+        let (start, end) = rows.unwrap_or((0, height));
+        let cast = || carina_raycast::cast_surface(&frame, method, start..end, simd);
+        let (hits, _) = py.detach(cast).map_err(IntoPy::into_py)?;
+        ([end - start, width], hits)
+    };
+    let depth = hits
+        .iter()
+        .map(|hit| hit.map_or(f32::NAN, |hit| hit.depth_mm));
+    let depth = PyArray1::from_iter(py, depth).reshape(shape)?;
+    let points = hits
+        .iter()
+        .flat_map(|hit| hit.map_or([f64::NAN; 3], |hit| hit.position_lps));
+    let points = PyArray1::from_iter(py, points).reshape([shape[0], shape[1], 3])?;
+    let normals = hits
+        .iter()
+        .flat_map(|hit| hit.map_or([f32::NAN; 3], |hit| hit.normal_lps));
+    let normals = PyArray1::from_iter(py, normals).reshape([shape[0], shape[1], 3])?;
+    Ok((depth, points, normals))
 }
 
 type GreyAndInside<'py> = (Bound<'py, PyArray2<u8>>, Bound<'py, PyArray2<u8>>);
@@ -371,6 +445,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<TransferTable>()?;
     module.add_class::<CancelToken>()?;
     module.add_function(wrap_pyfunction!(cast, module)?)?;
+    module.add_function(wrap_pyfunction!(cast_surface, module)?)?;
     module.add_function(wrap_pyfunction!(cut_plane, module)?)?;
     module.add_function(wrap_pyfunction!(tri_plane, module)?)?;
     module.add_function(wrap_pyfunction!(project_maximum, module)?)?;

@@ -183,6 +183,10 @@ def render(
         str | None,
         typer.Option(help="width,level in HU; 1500,-600 for the planes and fitted to the X-rays unless told."),
     ] = None,
+    surface: Annotated[
+        Path | None,
+        typer.Option(help="NPZ to write beside an airway view: depth, position and normal of the wall at each pixel."),
+    ] = None,
     series: SeriesOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -211,6 +215,7 @@ def render(
                 shading=shading == "on",
                 orbit=orbit,
                 window=window,
+                surface=surface,
                 series=series,
                 as_json=as_json,
             )

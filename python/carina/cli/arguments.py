@@ -37,7 +37,7 @@ def parse_size(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def check_output_file(path: Path, suffix: str | None = None) -> None:
+def check_output_file(path: Path, suffix: str | None = None, *, what: str = "-o") -> None:
     """Refuse a result's place before the work and not after it.
 
     Raises
@@ -48,11 +48,11 @@ def check_output_file(path: Path, suffix: str | None = None) -> None:
         If this person may not write there.
     """
     if suffix is not None and path.suffix.lower() != suffix:
-        raise UsageError(f"-o: expected a file name that ends in {suffix}; found {path.name!r}")
+        raise UsageError(f"{what}: expected a file name that ends in {suffix}; found {path.name!r}")
     if not path.parent.is_dir():
-        raise UsageError(f"-o: there is no folder {path.parent}")
+        raise UsageError(f"{what}: there is no folder {path.parent}")
     if path.is_dir():
-        raise UsageError(f"-o: expected a file; {path} is a folder")
+        raise UsageError(f"{what}: expected a file; {path} is a folder")
     _check_writable(path.parent)
 
 

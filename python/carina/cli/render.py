@@ -13,7 +13,7 @@ import carina
 from carina.cli.arguments import check_output_file, parse_point
 from carina.cli.console import interruptible, print_json, progress_printer, say
 from carina.errors import CarinaError, UsageError, VolumeImportError
-from carina.render import TransferFunction, mark_tip, render_view, transfer_preset, view_spec
+from carina.render import TransferFunction, mark_tip, render_surface, render_view, transfer_preset, view_spec
 from carina.scopes import Pose
 
 __all__ = ["report"]
@@ -73,11 +73,16 @@ def report(
     shading: bool,
     orbit: str | None,
     window: str | None,
+    surface: Path | None,
     series: str | None,
     as_json: bool,
 ) -> int:
-    """Render one picture and write it as PNG."""
+    """Render one picture and write it as PNG, and with ``surface`` what wall its pixels show."""
     check_output_file(output, ".png")
+    if surface is not None:
+        check_output_file(surface, ".npz", what="--surface")
+        if view != "airway":
+            raise UsageError(f"--surface: only the airway view has one; found the view {view!r}")
     chosen = _transfer(transfer)
     options: dict[str, Any] = {
         "view": view,
@@ -102,7 +107,7 @@ def report(
         say(f"note: {words}")
     airways = None
     # The lumen closes thin walls in the endoscopic picture, is the tree view's surface, and gives the default pose.
-    wants_wall = view == "airway" and volume.is_hu and (chosen is None or chosen.name == "endoscopic")
+    wants_wall = view == "airway" and volume.is_hu and (chosen is None or chosen.wall)
     # X-rays show the whole volume from wherever it is asked for.
     wants_pose = at is None and not view.startswith("xray-")
     if wants_pose or view == "tree" or wants_wall:
@@ -121,10 +126,24 @@ def report(
         picture = mark_tip(picture, pose.position_lps)
     picture.save(output)
     say(f"wrote {output}")
+    if surface is not None:
+        walls = render_surface(
+            volume,
+            pose=pose,
+            fov_deg=fov_deg,
+            width=size[0],
+            height=size[1],
+            step_vox=step_vox,
+            transfer=chosen,
+            lumen_zyx=lumen_zyx,
+        )
+        walls.save(surface)
+        say(f"wrote {surface}")
     if as_json:
         print_json(
             {
                 "file": str(output),
+                **({} if surface is None else {"surface": str(surface)}),
                 "view": view,
                 "size": list(size),
                 "lps_from_camera": pose.lps_from_camera.tolist(),

@@ -4,8 +4,9 @@ from typing import Any
 
 from carina import _core
 from carina._core import CancelToken
-from carina.render.pictures import VIEW_NAMES, mark_tip, render_view, view_spec
+from carina.render.pictures import VIEW_NAMES, mark_tip, render_surface, render_view, view_spec
 from carina.render.renderer import Renderer
+from carina.render.surface import Hit, Surface
 from carina.render.transfer import PRESETS, Light, TransferFunction, transfer_from_histogram, transfer_preset
 from carina.render.views import (
     AirwayView,
@@ -25,11 +26,13 @@ __all__ = [
     "AirwayView",
     "CancelToken",
     "CutPlaneView",
+    "Hit",
     "Light",
     "Picture",
     "RenderStats",
     "Renderer",
     "SliceView",
+    "Surface",
     "TransferFunction",
     "TreeView",
     "TriPlaneView",
@@ -37,6 +40,7 @@ __all__ = [
     "XrayView",
     "build_info",
     "mark_tip",
+    "render_surface",
     "render_view",
     "transfer_from_histogram",
     "transfer_preset",

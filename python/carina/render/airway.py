@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
+from carina.errors import RenderError
 from carina.render.scene import Scene
+from carina.render.surface import Hit, Surface
 from carina.render.transfer import TransferFunction
 from carina.render.views import AirwayView, Picture, RenderStats
 from carina.volume import Volume
@@ -62,6 +64,46 @@ class AirwayCaster:
             stats=RenderStats(method, view.width, rgb.shape[0], *counts, seconds=0.0),
             lps_from_camera=view.pose.lps_from_camera,
             fov_deg=view.fov_deg,
+        )
+
+    def surface(self, scene: Scene, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Surface:
+        """First walls of the picture, or of the rows ``rows[0]`` to ``rows[1]`` of it."""
+        depth, position, normal = self._first_walls(scene, view, rows=rows)
+        return Surface(depth, position, normal, pose=view.pose, fov_deg=view.fov_deg)
+
+    def pick(self, scene: Scene, view: AirwayView, column: int, row: int) -> Hit | None:
+        """The first wall at one pixel."""
+        if column < 0 or row < 0:
+            raise RenderError(f"a pixel is counted from 0; found column {column}, row {row}", code="render.setting")
+        depth, position, normal = self._first_walls(scene, view, pixel=(column, row))
+        if np.isnan(depth[0, 0]):
+            return None
+        return Hit(float(depth[0, 0]), position[0, 0], normal[0, 0].astype(np.float64))
+
+    def _first_walls(
+        self,
+        scene: Scene,
+        view: AirwayView,
+        *,
+        rows: tuple[int, int] | None = None,
+        pixel: tuple[int, int] | None = None,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.float32]]:
+        nearest = scene.transfer.sampling == "nearest"
+        step_vox = 1.0 if nearest else view.step_vox
+        radius = scene.maps.radius if view.method == "leap" and scene.maps is not None else None
+        return _core.cast_surface(
+            scene.values,
+            self._volume.lps_from_ijk,
+            self._table(scene, step_vox * min(self._volume.spacing_mm)),
+            view.pose.lps_from_camera,
+            fov_rad=float(np.deg2rad(view.fov_deg)),
+            width=view.width,
+            height=view.height,
+            rows=rows,
+            pixel=pixel,
+            nearest=nearest,
+            radius_zyx=radius,
+            simd=self._simd,
         )
 
     def _table(self, scene: Scene, step_mm: float) -> _core.TransferTable:

@@ -14,6 +14,7 @@ from carina.errors import RenderError
 from carina.render.airway import AirwayCaster
 from carina.render.planes import PlaneCaster
 from carina.render.scene import Cancel, Progress, SceneKeeper
+from carina.render.surface import Hit, Surface
 from carina.render.transfer import TransferFunction
 from carina.render.tree import cast_tree
 from carina.render.views import (
@@ -156,6 +157,34 @@ class Renderer:
         return dataclasses.replace(
             picture, stats=dataclasses.replace(picture.stats, seconds=time.perf_counter() - started)
         )
+
+    def surface(self, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Surface:
+        """Depth, position and normal of the first wall at every pixel of an airway view, from the rays of its picture.
+
+        Parameters
+        ----------
+        view
+            What to look at; shading has no part in it.
+        rows
+            First row and the row after the last.
+
+        Returns
+        -------
+        Surface
+            Arrays of the picture's shape; NaN where a ray meets no wall.
+        """
+        return self._airway.surface(self._scenes.scene, view, rows=rows)
+
+    def pick(self, view: AirwayView, column: int, row: int) -> Hit | None:
+        """The first wall at one pixel of an airway view, or None where the ray meets none: one ray, the numbers of
+        :meth:`surface`.
+
+        Raises
+        ------
+        RenderError
+            If the pixel lies outside the picture.
+        """
+        return self._airway.pick(self._scenes.scene, view, column, row)
 
     def _tree(self, view: TreeView, stop: CancelToken | None) -> Picture:
         tree = self._scenes.scene.tree

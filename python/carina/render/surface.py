@@ -1,0 +1,81 @@
+"""The first wall that every pixel of the airway view shows: how far, where, and which way it faces."""
+
+from __future__ import annotations
+
+import errno
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import RenderError
+from carina.scopes import Pose
+
+__all__ = ["Hit", "Surface"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hit:
+    """The wall at one pixel.
+
+    ``depth_mm`` is the way along the ray from the camera's centre; ``position_lps`` and the unit vector ``normal_lps``
+    are (3,); the normal points into the lumen, to the camera's side.
+    """
+
+    depth_mm: float
+    position_lps: NDArray[np.float64]
+    normal_lps: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """The first wall of every pixel of an airway view: where what shines through falls below one half.
+
+    ``depth_mm`` (h, w) float32 is measured along the ray from the camera's centre, not along the camera's axis;
+    ``position_lps`` (h, w, 3) float64; ``normal_lps`` (h, w, 3) float32, unit length, on the camera's side, from a
+    gradient over 0.9 mm. All are NaN where a ray meets no wall. Row 0 is the first row asked for.
+    """
+
+    depth_mm: NDArray[np.float32]
+    position_lps: NDArray[np.float64]
+    normal_lps: NDArray[np.float32]
+    pose: Pose
+    fov_deg: float
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write a NumPy archive and return where; a file of the same name is replaced whole or not at all.
+
+        It holds ``depth_mm``, ``position_lps``, ``normal_lps``, ``lps_from_camera`` (4, 4) and ``fov_deg``.
+
+        Raises
+        ------
+        RenderError
+            If the name does not end in ``.npz``.
+        OSError
+            If the folder does not exist or is not writable.
+        """
+        target = Path(path)
+        if target.suffix.lower() != ".npz":
+            raise RenderError(f"saving a surface: expected a file name that ends in .npz; found {target.name!r}")
+        if not target.parent.is_dir():
+            raise FileNotFoundError(errno.ENOENT, "saving a surface: there is no such folder", str(target.parent))
+        with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".npz", delete=False) as scratch:
+            draft = Path(scratch.name)
+            try:
+                np.savez_compressed(
+                    scratch,
+                    depth_mm=self.depth_mm,
+                    position_lps=self.position_lps,
+                    normal_lps=self.normal_lps,
+                    lps_from_camera=self.pose.lps_from_camera,
+                    fov_deg=np.float64(self.fov_deg),
+                )
+                scratch.close()
+                draft.chmod(0o644)
+                draft.replace(target)
+            finally:
+                draft.unlink(missing_ok=True)
+        return target
