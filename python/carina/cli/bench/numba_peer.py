@@ -69,6 +69,8 @@ def _cast(values, turn, origin, focal_px, size, step_mm, table, lo, light, metri
                         break
                     continue
                 entered = True
+                # Indices clamp to the edge: in the outer half of an edge voxel all is as at its centre.
+                x, y, z = min(max(x, 0.0), nx - 1.0), min(max(y, 0.0), ny - 1.0), min(max(z, 0.0), nz - 1.0)
                 n = int(np.floor(_sample(values, x, y, z) + 0.5)) - lo
                 n = min(max(n, 0), last)
                 alpha = table[n, 3]
