@@ -80,6 +80,12 @@ impl Camera {
         self.lens_rays.as_deref()
     }
 
+    /// The same, to be kept: as long as it is, no other rays have its address.
+    #[must_use]
+    pub const fn shared_lens_rays(&self) -> Option<&Arc<LensRays>> {
+        self.lens_rays.as_ref()
+    }
+
     /// The pose.
     #[must_use]
     pub const fn lps_from_camera(&self) -> &Affine {

@@ -36,6 +36,7 @@ mod image;
 mod leap;
 mod light;
 mod mask;
+mod numbers;
 #[cfg(target_arch = "x86_64")]
 mod packet;
 mod plane;
@@ -52,6 +53,7 @@ pub use image::{CastStats, Method, cast_rows, cast_rows_scalar, cast_rows_until}
 pub use leap::ClassMap;
 pub use light::Light;
 pub use mask::smoothed_mask;
+pub use numbers::FrameNumbers;
 pub use plane::{PlaneImage, Window, sample_plane};
 pub use projection::{Projections, maximum_projections};
 pub use sampling::Field;

@@ -1,0 +1,337 @@
+// The airway view on a GPU: the scalar casters of crates/raycast (brute.rs, leap.rs, sampling.rs, frame.rs, light.rs,
+// composite.rs), operation by operation. WGSL does not promise the bits of a division, a square root or a fused
+// multiply-add, so the picture is held to the CPU's within a grey level and not bit for bit.
+
+override SHADED: bool = true;
+override NEAREST: bool = false;
+override LEAP: bool = true;
+// Instead of a picture, what each ray gathered: for what is lit afterwards, and for depths.
+override WALLS: bool = false;
+
+// Rays stop when less than this shines through: no channel can change by more than half a grey level any more.
+const STOP_TRANSPARENCY: f32 = 1.0 / 512.0;
+// Samples taken after a look-up that found no region: at half a voxel a step two samples share a voxel.
+const WAIT_SAMPLES: u32 = 2u;
+// Steps per voxel along an axis on which a ray stands still, and the most steps that a leap can have.
+const FAR: f32 = 1e30;
+const MAX_STEPS: f32 = 1e9;
+const NO_HIT: f32 = -1.0;
+
+// Laid out as `Uniforms` in uniforms.rs.
+struct Frame {
+    // Voxels per ray step, by unit directions in camera space: rows of a 3x3 matrix.
+    step_i: vec4<f32>,
+    step_j: vec4<f32>,
+    step_k: vec4<f32>,
+    origin: vec4<f32>,
+    // Faces of the volume's box as seen from the origin, subtracted in f64.
+    to_low_face: vec4<f32>,
+    to_high_face: vec4<f32>,
+    // 1 where the origin lies between the two faces of an axis.
+    between_faces: vec4<u32>,
+    // Last voxel of each axis.
+    last: vec4<i32>,
+    // |gradient in LPS per mm|^2 = g^T metric g: xx, yy, zz, then 2xy, 2xz, 2yz.
+    metric_square: vec4<f32>,
+    metric_mixed: vec4<f32>,
+    background: vec4<f32>,
+    // ambient, diffuse, specular, 1 / reach in mm.
+    light: vec4<f32>,
+    width: u32,
+    num_rows: u32,
+    shininess_log2: u32,
+    table_last: i32,
+    table_low_hu: i32,
+    step_mm: f32,
+    guard_vox: f32,
+    unused: f32,
+}
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var volume: texture_3d<i32>;
+@group(0) @binding(2) var radius: texture_3d<u32>;
+// Premultiplied colour and opacity of one ray step by integer HU.
+@group(0) @binding(3) var<storage, read> table: array<vec4<f32>>;
+// Unit directions in camera space, three numbers per pixel; 0 0 0 where a lens has no ray.
+@group(0) @binding(4) var<storage, read> directions: array<f32>;
+// One word per pixel: RGBA, alpha 255. With WALLS five: the bits of colour, transparency and first wall in steps.
+@group(0) @binding(5) var<storage, read_write> out: array<u32>;
+// Samples, look-ups, leaps, skipped samples of each workgroup.
+@group(0) @binding(6) var<storage, read_write> counts: array<vec4<u32>>;
+
+var<workgroup> num_samples: atomic<u32>;
+var<workgroup> num_lookups: atomic<u32>;
+var<workgroup> num_leaps: atomic<u32>;
+var<workgroup> num_skipped: atomic<u32>;
+
+struct Ray {
+    // Voxels per step.
+    delta: vec3<f32>,
+    first: u32,
+    end: u32,
+}
+
+struct Cell {
+    // Lower corner, and the place in the cell, 0..1.
+    ijk: vec3<i32>,
+    t: vec3<f32>,
+}
+
+struct Gathered {
+    rgb: vec3<f32>,
+    transparency: f32,
+    hit: f32,
+}
+
+fn lerp(t: f32, a: f32, b: f32) -> f32 {
+    return fma(t, b - a, a);
+}
+
+fn lerp_ints(t: f32, a: i32, b: i32) -> f32 {
+    return fma(t, f32(b - a), f32(a));
+}
+
+fn voxel(i: i32, j: i32, k: i32) -> i32 {
+    return textureLoad(volume, vec3<i32>(i, j, k), 0).x;
+}
+
+// A row of two voxels along x, interpolated.
+fn row(t: f32, i: i32, i_next: i32, j: i32, k: i32) -> f32 {
+    return lerp_ints(t, voxel(i, j, k), voxel(i_next, j, k));
+}
+
+fn held(p: vec3<f32>) -> vec3<f32> {
+    return clamp(p, vec3<f32>(0.0), vec3<f32>(frame.last.xyz));
+}
+
+fn cell_of(p: vec3<f32>) -> Cell {
+    let x = held(p);
+    let ijk = min(vec3<i32>(x), max(frame.last.xyz - 1, vec3<i32>(0)));
+    return Cell(ijk, x - vec3<f32>(ijk));
+}
+
+fn nearest(p: vec3<f32>) -> vec3<i32> {
+    return vec3<i32>(held(p) + 0.5);
+}
+
+fn value_in(cell: Cell) -> f32 {
+    let a = cell.ijk;
+    let b = min(a + 1, frame.last.xyz);
+    let r00 = row(cell.t.x, a.x, b.x, a.y, a.z);
+    let r10 = row(cell.t.x, a.x, b.x, b.y, a.z);
+    let r01 = row(cell.t.x, a.x, b.x, a.y, b.z);
+    let r11 = row(cell.t.x, a.x, b.x, b.y, b.z);
+    return lerp(cell.t.z, lerp(cell.t.y, r00, r10), lerp(cell.t.y, r01, r11));
+}
+
+// Difference along x of one row, between its two corners.
+fn slope_x(t: f32, i: vec4<i32>, j: i32, k: i32) -> f32 {
+    let low = voxel(i.y, j, k);
+    let high = voxel(i.z, j, k);
+    return lerp_ints(t, high - voxel(i.x, j, k), voxel(i.w, j, k) - low);
+}
+
+// Central differences per voxel, interpolated between the eight corners; a missing neighbour is the edge voxel itself.
+fn gradient_in(cell: Cell) -> vec3<f32> {
+    let t = cell.t;
+    let a = cell.ijk;
+    let b = min(a + 1, frame.last.xyz);
+    let before = max(a - 1, vec3<i32>(0));
+    let after = min(a + 2, frame.last.xyz);
+    let i = vec4<i32>(before.x, a.x, b.x, after.x);
+    let dx = lerp(
+        t.z,
+        lerp(t.y, slope_x(t.x, i, a.y, a.z), slope_x(t.x, i, b.y, a.z)),
+        lerp(t.y, slope_x(t.x, i, a.y, b.z), slope_x(t.x, i, b.y, b.z)),
+    );
+    let r00 = row(t.x, a.x, b.x, a.y, a.z);
+    let r10 = row(t.x, a.x, b.x, b.y, a.z);
+    let r01 = row(t.x, a.x, b.x, a.y, b.z);
+    let r11 = row(t.x, a.x, b.x, b.y, b.z);
+    let y00 = row(t.x, a.x, b.x, before.y, a.z);
+    let y10 = row(t.x, a.x, b.x, after.y, a.z);
+    let y01 = row(t.x, a.x, b.x, before.y, b.z);
+    let y11 = row(t.x, a.x, b.x, after.y, b.z);
+    let z00 = row(t.x, a.x, b.x, a.y, before.z);
+    let z01 = row(t.x, a.x, b.x, a.y, after.z);
+    let z10 = row(t.x, a.x, b.x, b.y, before.z);
+    let z11 = row(t.x, a.x, b.x, b.y, after.z);
+    let dy = lerp(t.z, lerp(t.y, r10 - y00, y10 - r00), lerp(t.y, r11 - y01, y11 - r01));
+    let dz = lerp(t.y, lerp(t.z, r01 - z00, z01 - r00), lerp(t.z, r11 - z10, z11 - r10));
+    return vec3<f32>(dx, dy, dz) * 0.5;
+}
+
+fn entry(hu: i32) -> vec4<f32> {
+    return table[clamp(hu - frame.table_low_hu, 0, frame.table_last)];
+}
+
+// Cosine between the surface normal and the ray, without sign.
+fn facing(delta: vec3<f32>, g: vec3<f32>) -> f32 {
+    let along = fma(g.z, delta.z, fma(g.y, delta.y, g.x * delta.x));
+    let m = frame.metric_square;
+    let n = frame.metric_mixed;
+    let square = fma(g.x, m.x, fma(g.y, n.x, g.z * n.y)) * g.x + fma(g.y, m.y, g.z * n.z) * g.y + m.z * g.z * g.z;
+    let length = sqrt(max(square, 0.0)) * frame.step_mm;
+    // Flat tissue has no direction; 1e-6 HU/mm only keeps 0/0 away.
+    return min(abs(along) / (length + 1e-6), 1.0);
+}
+
+// Shares of the sample's own colour and of white at a distance.
+fn shares(cosine: f32, distance_mm: f32) -> vec2<f32> {
+    var highlight = cosine;
+    for (var n = 0u; n < frame.shininess_log2; n++) {
+        highlight *= highlight;
+    }
+    let part = distance_mm * frame.light.w;
+    let left = 1.0 / fma(part, part, 1.0);
+    return vec2<f32>(fma(cosine, frame.light.y, frame.light.x) * left, frame.light.z * highlight * left);
+}
+
+fn add(gathered: ptr<function, Gathered>, k: u32, rgb: vec3<f32>, alpha: f32) {
+    let before = (*gathered).transparency;
+    let after = before * (1.0 - alpha);
+    (*gathered).rgb = fma(vec3<f32>(before), rgb, (*gathered).rgb);
+    (*gathered).transparency = after;
+    if before >= 0.5 && after < 0.5 {
+        (*gathered).hit = f32(k) + (before - 0.5) / (before - after);
+    }
+}
+
+// Reads sample k and adds it; false if it has no opacity.
+fn add_sample(ray: Ray, k: u32, p: vec3<f32>, gathered: ptr<function, Gathered>) -> bool {
+    if NEAREST {
+        let v = nearest(p);
+        let colour = entry(voxel(v.x, v.y, v.z));
+        add(gathered, k, colour.rgb, colour.a);
+        return colour.a > 0.0;
+    }
+    let cell = cell_of(p);
+    let colour = entry(i32(floor(value_in(cell) + 0.5)));
+    if colour.a <= 0.0 {
+        return false;
+    }
+    var rgb = colour.rgb;
+    if SHADED {
+        let part = shares(facing(ray.delta, gradient_in(cell)), (f32(k) + 0.5) * frame.step_mm);
+        rgb = fma(vec3<f32>(part.x), rgb, vec3<f32>(part.y * colour.a));
+    }
+    add(gathered, k, rgb, colour.a);
+    return true;
+}
+
+fn place(ray: Ray, k: u32) -> vec3<f32> {
+    // As a product: no error adds up along the ray.
+    return fma(vec3<f32>(f32(k) + 0.5), ray.delta, frame.origin.xyz);
+}
+
+fn ray_of(pixel: u32) -> Ray {
+    let dir = vec3<f32>(directions[3u * pixel], directions[3u * pixel + 1u], directions[3u * pixel + 2u]);
+    let delta = vec3<f32>(dot(frame.step_i.xyz, dir), dot(frame.step_j.xyz, dir), dot(frame.step_k.xyz, dir));
+    var first = 0.0;
+    var end = MAX_STEPS;
+    var meets = any(dir != vec3<f32>(0.0));
+    for (var a = 0; a < 3; a++) {
+        // Slower than this a ray does not move by a guard's width within MAX_STEPS: it stands still on the axis.
+        if abs(delta[a]) < 1e-12 {
+            meets = meets && frame.between_faces[a] == 1u;
+            continue;
+        }
+        let u = frame.to_low_face[a] / delta[a];
+        let v = frame.to_high_face[a] / delta[a];
+        // Sample k is at k + 1/2 steps; what lies behind the camera starts at 0.
+        first = max(first, ceil(min(u, v) - 0.5));
+        end = min(end, floor(max(u, v) + 0.5));
+    }
+    if !meets || end <= first {
+        return Ray(delta, 0u, 0u);
+    }
+    return Ray(delta, u32(first), u32(end));
+}
+
+// The largest number of steps from p that stay within `reach` of voxel v on every axis.
+fn steps_within(ray: Ray, p: vec3<f32>, v: vec3<f32>, reach: f32) -> u32 {
+    var steps = MAX_STEPS;
+    for (var a = 0; a < 3; a++) {
+        var on = FAR;
+        if abs(ray.delta[a]) > 1e-12 {
+            let pace = 1.0 / ray.delta[a];
+            on = fma(reach, abs(pace), (v[a] - p[a]) * pace);
+        }
+        steps = min(steps, on);
+    }
+    return u32(max(steps, 0.0));
+}
+
+@compute @workgroup_size(8, 8)
+fn cast_airway(
+    @builtin(global_invocation_id) at: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) num_groups: vec3<u32>,
+) {
+    let on_picture = at.x < frame.width && at.y < frame.num_rows;
+    let pixel = at.y * frame.width + at.x;
+    var gathered = Gathered(vec3<f32>(0.0), 1.0, NO_HIT);
+    if on_picture {
+        let ray = ray_of(pixel);
+        var k = ray.first;
+        var wait = 0u;
+        var lookups = 0u;
+        var leaps = 0u;
+        var skipped = 0u;
+        while k < ray.end {
+            let p = place(ray, k);
+            if LEAP {
+                if wait == 0u {
+                    let v = nearest(p);
+                    lookups += 1u;
+                    let r = textureLoad(radius, v, 0).x;
+                    if r > 0u {
+                        // All corners of this sample and of the next n lie in the cube.
+                        let n = steps_within(ray, p, vec3<f32>(v), f32(r) - frame.guard_vox);
+                        let passed = min(n + 1u, ray.end - k);
+                        leaps += 1u;
+                        skipped += passed;
+                        k += passed;
+                        continue;
+                    }
+                    wait = WAIT_SAMPLES;
+                }
+            }
+            k += 1u;
+            if add_sample(ray, k - 1u, p, &gathered) {
+                wait = 1u;
+                if gathered.transparency < STOP_TRANSPARENCY {
+                    break;
+                }
+            } else if LEAP {
+                wait -= 1u;
+            }
+        }
+        atomicAdd(&num_samples, k - ray.first - skipped);
+        atomicAdd(&num_lookups, lookups);
+        atomicAdd(&num_leaps, leaps);
+        atomicAdd(&num_skipped, skipped);
+        if WALLS {
+            let words = bitcast<vec4<u32>>(vec4<f32>(gathered.rgb, gathered.transparency));
+            for (var c = 0u; c < 4u; c++) {
+                out[5u * pixel + c] = words[c];
+            }
+            out[5u * pixel + 4u] = bitcast<u32>(gathered.hit);
+        } else {
+            let over = fma(vec3<f32>(gathered.transparency), frame.background.rgb, gathered.rgb);
+            let bytes = clamp(fma(over, vec3<f32>(255.0), vec3<f32>(0.5)), vec3<f32>(0.0), vec3<f32>(255.0));
+            let level = vec3<u32>(bytes);
+            out[pixel] = level.r | level.g << 8u | level.b << 16u | 0xff000000u;
+        }
+    }
+    workgroupBarrier();
+    if lane == 0u {
+        counts[group.y * num_groups.x + group.x] = vec4<u32>(
+            atomicLoad(&num_samples),
+            atomicLoad(&num_lookups),
+            atomicLoad(&num_leaps),
+            atomicLoad(&num_skipped),
+        );
+    }
+}

@@ -1,0 +1,284 @@
+//! From a view to a picture: bands of rows, each one dispatch, read back as they are done.
+
+use std::ops::Range;
+
+use carina_raycast::{CastStats, Frame, FrameNumbers, Interpolation, RaycastError};
+
+use crate::{
+    Gpu, GpuError, GpuMap, GpuVolume,
+    device::{Variant, lock},
+    slot::Slot,
+    uniforms::Uniforms,
+};
+
+/// What a ray gathered, before any light: of a frame with a light at the tip, too.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GpuWall {
+    /// Premultiplied colour.
+    pub rgb: [f32; 3],
+    /// What still shines through.
+    pub transparency: f32,
+    /// Where that falls below one half, in steps from the camera; -1 where it does not.
+    pub hit: f32,
+}
+
+/// Pixels on a side of a workgroup.
+const GROUP: usize = 8;
+/// Pixels of a band at most: bounds the buffers of a picture to 16 MB, of walls to 80 MB.
+const BAND_PIXELS: usize = 1 << 21;
+/// Samples of a band at most. Desktop systems reset a device that does not answer for about two seconds; the slowest
+/// one that is worth using takes some 10^9 samples a second.
+const BAND_SAMPLES: f64 = 5e8;
+/// f32 counts steps exactly to 2^24, and a ray's ends are found in f32 here.
+const MOST_STEPS: f64 = 4_194_304.0;
+const WORDS_OF_A_WALL: usize = 5;
+
+/// What is cast: a frame, and where its voxels are on the device.
+#[derive(Clone, Copy)]
+struct Job<'a> {
+    frame: &'a Frame<'a>,
+    numbers: &'a FrameNumbers<'a>,
+    volume: &'a GpuVolume,
+    map: Option<&'a GpuMap>,
+    variant: Variant,
+}
+
+impl Gpu {
+    /// Casts `rows` of a picture as 8-bit RGB, `[row, column, channel]`.
+    ///
+    /// `volume` holds the values of the frame's volume, `map` the radii of its transparent classes; without a map every
+    /// sample is taken. The picture is the CPU's within one grey level on all but a few pixels (crate documentation).
+    pub fn cast(
+        &self,
+        frame: &Frame<'_>,
+        volume: &GpuVolume,
+        map: Option<&GpuMap>,
+        rows: Range<usize>,
+    ) -> Result<(Vec<u8>, CastStats), GpuError> {
+        let mut rgb = Vec::with_capacity(rows.len() * frame.camera().width() * 3);
+        let stats = self.bands(frame, volume, map, rows, false, |words| {
+            let pixels = words.as_chunks::<4>().0;
+            rgb.extend(pixels.iter().flat_map(|&[r, g, b, _]| [r, g, b]));
+            // The buffer was cleared: what the kernel did not write has no alpha.
+            pixels.iter().filter(|pixel| pixel[3] != 255).count()
+        })?;
+        Ok((rgb, stats))
+    }
+
+    /// What the rays of `rows` gather without the light at the tip, first walls included, `[row, column]`.
+    pub fn cast_walls(
+        &self,
+        frame: &Frame<'_>,
+        volume: &GpuVolume,
+        map: Option<&GpuMap>,
+        rows: Range<usize>,
+    ) -> Result<(Vec<GpuWall>, CastStats), GpuError> {
+        let mut walls = Vec::with_capacity(rows.len() * frame.camera().width());
+        let stats = self.bands(frame, volume, map, rows, true, |words| {
+            let before = walls.len();
+            let pixels = words.as_chunks::<{ 4 * WORDS_OF_A_WALL }>().0;
+            walls.extend(pixels.iter().map(|pixel| {
+                let [r, g, b, transparency, hit] = bytemuck::pod_read_unaligned::<[f32; 5]>(pixel);
+                GpuWall {
+                    rgb: [r, g, b],
+                    transparency,
+                    hit,
+                }
+            }));
+            // A first wall lies beyond 0 steps, and none is -1.
+            walls[before..]
+                .iter()
+                .filter(|wall| wall.hit == 0.0)
+                .count()
+        })?;
+        Ok((walls, stats))
+    }
+
+    /// Casts the rows band by band. `take` is handed what the kernel wrote and says how many pixels it did not write.
+    fn bands(
+        &self,
+        frame: &Frame<'_>,
+        volume: &GpuVolume,
+        map: Option<&GpuMap>,
+        rows: Range<usize>,
+        walls: bool,
+        mut take: impl FnMut(&[u8]) -> usize,
+    ) -> Result<CastStats, GpuError> {
+        self.check_alive()?;
+        let numbers = &frame.numbers();
+        check(self, numbers, volume, map, &rows)?;
+        let variant = Variant {
+            shaded: numbers.options.light.is_some() && !walls,
+            nearest: numbers.options.interpolation == Interpolation::Nearest,
+            leap: map.is_some(),
+            walls,
+        };
+        let job = Job {
+            frame,
+            numbers,
+            volume,
+            map,
+            variant,
+        };
+        let by_samples = BAND_SAMPLES / (numbers.width as f64 * numbers.most_steps);
+        let num_rows = (BAND_PIXELS / numbers.width)
+            .min(by_samples as usize)
+            .max(1);
+        let mut stats = CastStats {
+            num_rays: (rows.len() * numbers.width) as u64,
+            ..CastStats::default()
+        };
+        for first in rows.clone().step_by(num_rows) {
+            let band = first..(first + num_rows).min(rows.end);
+            let num_missing = self.band(job, &band, &mut stats, &mut take)?;
+            if num_missing > 0 {
+                return Err(GpuError::Incomplete {
+                    name: self.facts.name.clone(),
+                    num_missing,
+                });
+            }
+        }
+        Ok(stats)
+    }
+
+    fn band(
+        &self,
+        job: Job<'_>,
+        rows: &Range<usize>,
+        stats: &mut CastStats,
+        take: &mut impl FnMut(&[u8]) -> usize,
+    ) -> Result<usize, GpuError> {
+        let width = job.numbers.width;
+        let words = if job.variant.walls {
+            WORDS_OF_A_WALL
+        } else {
+            1
+        };
+        let groups = [width.div_ceil(GROUP), rows.len().div_ceil(GROUP)];
+        let out_bytes = 4 * (rows.len() * width * words) as u64;
+        let count_bytes = 16 * (groups[0] * groups[1]) as u64;
+        let slot = self.slot(out_bytes, count_bytes);
+        let uniforms = Uniforms::new(job.numbers, rows.len());
+        self.queue
+            .write_buffer(&slot.uniforms, 0, bytemuck::bytes_of(&uniforms));
+        let bindings = self.bindings(job, rows, &slot);
+        let mut encoder = self
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        // A pixel that the kernel does not write must not show the last picture.
+        encoder.clear_buffer(&slot.out, 0, Some(out_bytes));
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            pass.set_pipeline(&self.pipeline(job.variant));
+            pass.set_bind_group(0, &bindings, &[]);
+            pass.dispatch_workgroups(groups[0] as u32, groups[1] as u32, 1);
+        }
+        let end = out_bytes + count_bytes;
+        encoder.copy_buffer_to_buffer(&slot.out, 0, &slot.staging, 0, out_bytes);
+        encoder.copy_buffer_to_buffer(&slot.counts, 0, &slot.staging, out_bytes, count_bytes);
+        let index = self.queue.submit([encoder.finish()]);
+        // The read-back is queued behind the kernel; another thread may submit its picture while this one waits.
+        let (tell, told) = std::sync::mpsc::channel();
+        slot.staging
+            .map_async(wgpu::MapMode::Read, 0..end, move |done| {
+                let _ = tell.send(done);
+            });
+        self.wait(index);
+        self.check_alive()?;
+        let lost = |reason: String| GpuError::Device {
+            name: self.facts.name.clone(),
+            reason,
+        };
+        told.try_recv()
+            .map_err(|_| lost("the picture did not come back".to_owned()))?
+            .map_err(|e| lost(e.to_string()))?;
+        let num_missing = {
+            let bytes = slot.staging.get_mapped_range(0..end);
+            let bytes = bytes.map_err(|e| lost(e.to_string()))?;
+            let (out, counts) = bytes.split_at(out_bytes as usize);
+            add_counts(stats, counts);
+            take(out)
+        };
+        slot.staging.unmap();
+        self.check_alive()?;
+        // Only now: a slot whose picture failed may still be mapped or in use, and is dropped.
+        lock(&self.slots).push(slot);
+        Ok(num_missing)
+    }
+
+    fn bindings(&self, job: Job<'_>, rows: &Range<usize>, slot: &Slot) -> wgpu::BindGroup {
+        let directions = self.directions_of(job.frame.camera(), rows);
+        let table = self.table_of(job.numbers);
+        let textures = [&job.volume.view, &job.map.unwrap_or(&self.no_map).view];
+        let buffers = [&table.buffer, &directions.buffer, &slot.out, &slot.counts];
+        let mut resources = vec![slot.uniforms.as_entire_binding()];
+        resources.extend(textures.map(wgpu::BindingResource::TextureView));
+        resources.extend(buffers.map(wgpu::Buffer::as_entire_binding));
+        let entries: Vec<_> = (0u32..)
+            .zip(resources)
+            .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
+            .collect();
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("airway"),
+            layout: &self.layout,
+            entries: &entries,
+        })
+    }
+}
+
+/// Adds what each workgroup counted.
+fn add_counts(stats: &mut CastStats, counts: &[u8]) {
+    for group in counts.as_chunks::<16>().0 {
+        let [samples, lookups, leaps, skipped] =
+            bytemuck::pod_read_unaligned::<[u32; 4]>(group).map(u64::from);
+        stats.num_samples += samples;
+        stats.num_lookups += lookups;
+        stats.num_leaps += leaps;
+        stats.num_skipped += skipped;
+    }
+}
+
+fn check(
+    gpu: &Gpu,
+    numbers: &FrameNumbers<'_>,
+    volume: &GpuVolume,
+    map: Option<&GpuMap>,
+    rows: &Range<usize>,
+) -> Result<(), GpuError> {
+    let refuse = |what: &'static str, expected: String, found: String| {
+        let setting = RaycastError::Setting {
+            what,
+            expected,
+            found,
+        };
+        Err(GpuError::Raycast(setting))
+    };
+    if rows.start > rows.end || rows.end > numbers.height {
+        return refuse(
+            "rows",
+            format!("a range within 0 to {}", numbers.height),
+            format!("{} to {}", rows.start, rows.end),
+        );
+    }
+    let [ni, nj, nk] = numbers.shape_ijk;
+    let map = map.map(|map| ("radius map on the device", map.shape_zyx, map.owner));
+    let volume = ("volume on the device", volume.shape_zyx, volume.owner);
+    for (what, shape, owner) in [volume].into_iter().chain(map) {
+        if shape != [nk, nj, ni] || owner != gpu.id {
+            return refuse(
+                what,
+                format!("the frame's {ni} x {nj} x {nk} voxels, on the same device"),
+                format!("{} x {} x {}", shape[2], shape[1], shape[0]),
+            );
+        }
+    }
+    if numbers.most_steps > MOST_STEPS {
+        return Err(GpuError::Unsupported {
+            reason: format!(
+                "a ray has {:.0} steps, at most {MOST_STEPS:.0} are counted exactly",
+                numbers.most_steps
+            ),
+        });
+    }
+    Ok(())
+}

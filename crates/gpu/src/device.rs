@@ -1,0 +1,251 @@
+//! An opened graphics device: its queue, its pipelines, and whether it still answers.
+
+use std::{
+    collections::HashMap,
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Duration,
+};
+
+use crate::{
+    AdapterFacts, GpuError, GpuMap,
+    adapter::found,
+    rays::{Directions, TableOnDevice},
+    slot::Slot,
+};
+
+/// Longer than any picture takes on a device that is worth using; then the device counts as lost.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+static NEXT: AtomicU64 = AtomicU64::new(1);
+
+/// Which kernel: the overrides of `airway.wgsl`.
+#[allow(
+    clippy::struct_excessive_bools,
+    reason = "each is one override of the shader, and all combine"
+)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(crate) struct Variant {
+    pub(crate) shaded: bool,
+    pub(crate) nearest: bool,
+    pub(crate) leap: bool,
+    pub(crate) walls: bool,
+}
+
+/// A graphics device with the airway view's kernels. Pictures may be cast from several threads at once.
+#[derive(Debug)]
+pub struct Gpu {
+    pub(crate) facts: AdapterFacts,
+    pub(crate) device: wgpu::Device,
+    pub(crate) queue: wgpu::Queue,
+    /// Tells resources of one device from another's.
+    pub(crate) id: u64,
+    pub(crate) layout: wgpu::BindGroupLayout,
+    pub(crate) no_map: GpuMap,
+    /// Buffers of pictures that are not under way.
+    pub(crate) slots: Mutex<Vec<Slot>>,
+    pub(crate) directions: Mutex<Vec<Arc<Directions>>>,
+    pub(crate) tables: Mutex<Vec<Arc<TableOnDevice>>>,
+    pipeline_layout: wgpu::PipelineLayout,
+    shader: wgpu::ShaderModule,
+    pipelines: Mutex<HashMap<Variant, wgpu::ComputePipeline>>,
+    /// The driver's last words.
+    trouble: Arc<Mutex<Option<String>>>,
+}
+
+/// A lock that a panic elsewhere does not close: what it guards are caches, whole at every moment.
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Gpu {
+    /// Opens the adapter at this place of [`crate::adapters`].
+    pub fn open(index: usize) -> Result<Self, GpuError> {
+        let all = found();
+        let Some((facts, adapter)) = all.get(index) else {
+            return Err(GpuError::NoAdapter {
+                index,
+                count: all.len(),
+            });
+        };
+        let refuse = |reason: String| GpuError::Device {
+            name: facts.name.clone(),
+            reason,
+        };
+        let wanted = wgpu::Limits {
+            max_texture_dimension_3d: adapter.limits().max_texture_dimension_3d,
+            ..wgpu::Limits::default()
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("carina"),
+            required_features: wgpu::Features::empty(),
+            required_limits: wanted,
+            memory_hints: wgpu::MemoryHints::MemoryUsage,
+            ..Default::default()
+        }))
+        .map_err(|e| refuse(e.to_string()))?;
+        let trouble = Arc::new(Mutex::new(None));
+        // The default handler panics; ours remembers, and the next picture is refused.
+        let heard = Arc::clone(&trouble);
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            lock(&heard).get_or_insert_with(|| error.to_string());
+        }));
+        let heard = Arc::clone(&trouble);
+        device.set_device_lost_callback(move |reason, message| {
+            lock(&heard).get_or_insert_with(|| format!("lost ({reason:?}): {message}"));
+        });
+        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("airway"),
+            entries: &entries(),
+        });
+        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("airway"),
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        let shader = device.create_shader_module(wgpu::include_wgsl!("airway.wgsl"));
+        let id = NEXT.fetch_add(1, Ordering::Relaxed);
+        let no_map = device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("no map"),
+            size: wgpu::Extent3d::default(),
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D3,
+            format: wgpu::TextureFormat::R8Uint,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        });
+        let gpu = Self {
+            facts: facts.clone(),
+            no_map: GpuMap {
+                view: no_map.create_view(&wgpu::TextureViewDescriptor::default()),
+                shape_zyx: [1; 3],
+                owner: id,
+            },
+            device,
+            queue,
+            id,
+            layout,
+            slots: Mutex::default(),
+            directions: Mutex::default(),
+            tables: Mutex::default(),
+            pipeline_layout,
+            shader,
+            pipelines: Mutex::default(),
+            trouble,
+        };
+        gpu.check_alive()?;
+        Ok(gpu)
+    }
+
+    /// The adapter.
+    #[must_use]
+    pub const fn adapter(&self) -> &AdapterFacts {
+        &self.facts
+    }
+
+    /// Gives the device up, as a driver does that resets: every later picture is refused. For tests of the way back to
+    /// the CPU.
+    pub fn lose(&self) {
+        self.device.destroy();
+        let _ = self.device.poll(wgpu::PollType::Poll);
+        lock(&self.trouble).get_or_insert_with(|| "given up".to_owned());
+    }
+
+    /// Refuses once the driver has reported anything: nothing that comes after it can be trusted.
+    pub(crate) fn check_alive(&self) -> Result<(), GpuError> {
+        match &*lock(&self.trouble) {
+            None => Ok(()),
+            Some(reason) => Err(GpuError::Device {
+                name: self.facts.name.clone(),
+                reason: reason.clone(),
+            }),
+        }
+    }
+
+    /// Runs `work` and returns what the driver had to say against it.
+    pub(crate) fn watched<T>(&self, work: impl FnOnce() -> T) -> (T, Option<String>) {
+        let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let made = work();
+        let said = [validation, memory].map(|scope| pollster::block_on(scope.pop()));
+        (
+            made,
+            said.into_iter().flatten().next().map(|e| e.to_string()),
+        )
+    }
+
+    /// Waits for a submission; a device that does not answer counts as lost.
+    pub(crate) fn wait(&self, index: wgpu::SubmissionIndex) {
+        let done = self.device.poll(wgpu::PollType::Wait {
+            submission_index: Some(index),
+            timeout: Some(PATIENCE),
+        });
+        if let Err(e) = done {
+            lock(&self.trouble).get_or_insert_with(|| format!("no answer: {e}"));
+        }
+    }
+
+    /// The kernel of a variant, compiled on first use.
+    pub(crate) fn pipeline(&self, variant: Variant) -> wgpu::ComputePipeline {
+        let mut pipelines = lock(&self.pipelines);
+        let constants = [
+            ("SHADED", variant.shaded),
+            ("NEAREST", variant.nearest),
+            ("LEAP", variant.leap),
+            ("WALLS", variant.walls),
+        ]
+        .map(|(name, on)| (name, f64::from(u8::from(on))));
+        let make = || {
+            self.device
+                .create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                    label: Some("airway"),
+                    layout: Some(&self.pipeline_layout),
+                    module: &self.shader,
+                    entry_point: Some("cast_airway"),
+                    compilation_options: wgpu::PipelineCompilationOptions {
+                        constants: &constants,
+                        ..Default::default()
+                    },
+                    cache: None,
+                })
+        };
+        pipelines.entry(variant).or_insert_with(make).clone()
+    }
+}
+
+fn entries() -> [wgpu::BindGroupLayoutEntry; 7] {
+    let texture = |sample_type| wgpu::BindingType::Texture {
+        sample_type,
+        view_dimension: wgpu::TextureViewDimension::D3,
+        multisampled: false,
+    };
+    let buffer = |ty| wgpu::BindingType::Buffer {
+        ty,
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    };
+    let read = buffer(wgpu::BufferBindingType::Storage { read_only: true });
+    let write = buffer(wgpu::BufferBindingType::Storage { read_only: false });
+    let mut binding = 0;
+    [
+        buffer(wgpu::BufferBindingType::Uniform),
+        texture(wgpu::TextureSampleType::Sint),
+        texture(wgpu::TextureSampleType::Uint),
+        read,
+        read,
+        write,
+        write,
+    ]
+    .map(|ty| {
+        binding += 1;
+        wgpu::BindGroupLayoutEntry {
+            binding: binding - 1,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty,
+            count: None,
+        }
+    })
+}

@@ -1,0 +1,136 @@
+//! What stays on the device between pictures because it changes seldom: directions of rays and transfer tables.
+
+use std::{ops::Range, sync::Arc};
+
+use carina_grid::{Camera, LensRays};
+use carina_raycast::FrameNumbers;
+
+use crate::{Gpu, device::lock};
+
+/// The unit directions of some rows of pixels in camera space, for one lens and one size of picture.
+#[derive(Debug)]
+pub(crate) struct Directions {
+    pub(crate) buffer: wgpu::Buffer,
+    key: DirectionsKey,
+}
+
+/// Whatever the directions depend on; the pose is not among it.
+#[derive(Debug, Clone)]
+struct DirectionsKey {
+    /// Kept alive, so that its address stays its own.
+    lens: Option<Arc<LensRays>>,
+    focal_px_bits: u64,
+    width: usize,
+    height: usize,
+    rows: Range<usize>,
+}
+
+impl PartialEq for DirectionsKey {
+    fn eq(&self, other: &Self) -> bool {
+        let lens = match (&self.lens, &other.lens) {
+            (None, None) => true,
+            (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+            _ => false,
+        };
+        lens && self.focal_px_bits == other.focal_px_bits
+            && (self.width, self.height) == (other.width, other.height)
+            && self.rows == other.rows
+    }
+}
+
+/// A transfer table on the device.
+#[derive(Debug)]
+pub(crate) struct TableOnDevice {
+    pub(crate) buffer: wgpu::Buffer,
+    entries: Vec<[f32; 4]>,
+}
+
+/// Kept of each: while a camera moves, the frame budget goes back and forth between a few sizes and steps.
+const KEPT: usize = 6;
+
+/// Finds the item of a key among the kept ones or makes it; the ones least lately used go first.
+fn kept<T, K: PartialEq + ?Sized>(
+    all: &mut Vec<Arc<T>>,
+    key: &K,
+    key_of: impl Fn(&T) -> &K,
+    make: impl FnOnce() -> T,
+) -> Arc<T> {
+    let place = all.iter().position(|item| key_of(item) == key);
+    let item = place.map_or_else(|| Arc::new(make()), |n| all.remove(n));
+    all.insert(0, Arc::clone(&item));
+    all.truncate(KEPT);
+    item
+}
+
+/// Directions of `rows`; a pinhole's computed in f64 and rounded once, a lens's as it has them, 0 where it has none.
+fn directions(camera: &Camera, rows: &Range<usize>) -> Vec<f32> {
+    let (width, z) = (camera.width(), camera.focal_px());
+    let (half_width, half_height) = (width as f64 / 2.0, camera.height() as f64 / 2.0);
+    let mut out = Vec::with_capacity(rows.len() * width * 3);
+    for row in rows.clone() {
+        for column in 0..width {
+            if let Some(rays) = camera.lens_rays() {
+                out.extend(rays.direction(column, row));
+                continue;
+            }
+            let (x, y) = (
+                (column as f64 + 0.5) - half_width,
+                (row as f64 + 0.5) - half_height,
+            );
+            let len = (x * x + y * y + z * z).sqrt();
+            out.extend([x / len, y / len, z / len].map(|v| v as f32));
+        }
+    }
+    out
+}
+
+impl Gpu {
+    pub(crate) fn directions_of(&self, camera: &Camera, rows: &Range<usize>) -> Arc<Directions> {
+        let key = DirectionsKey {
+            lens: camera.shared_lens_rays().cloned(),
+            focal_px_bits: camera.focal_px().to_bits(),
+            width: camera.width(),
+            height: camera.height(),
+            rows: rows.clone(),
+        };
+        let mut all = lock(&self.directions);
+        kept(
+            &mut all,
+            &key,
+            |item| &item.key,
+            || Directions {
+                buffer: self.filled(
+                    "directions",
+                    bytemuck::cast_slice(&directions(camera, rows)),
+                ),
+                key: key.clone(),
+            },
+        )
+    }
+
+    pub(crate) fn table_of(&self, numbers: &FrameNumbers<'_>) -> Arc<TableOnDevice> {
+        let mut all = lock(&self.tables);
+        let wanted = numbers.entries;
+        kept(
+            &mut all,
+            wanted,
+            |item| &item.entries,
+            || TableOnDevice {
+                buffer: self.filled("table", bytemuck::cast_slice(wanted)),
+                entries: wanted.to_vec(),
+            },
+        )
+    }
+
+    /// A buffer that shaders read, with these bytes in it.
+    fn filled(&self, label: &str, bytes: &[u8]) -> wgpu::Buffer {
+        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: bytes.len() as u64,
+            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        self.queue.write_buffer(&buffer, 0, bytes);
+        buffer
+    }
+}

@@ -1,0 +1,55 @@
+//! Buffers of a picture under way.
+
+use crate::{Gpu, device::lock, uniforms::Uniforms};
+
+/// Buffers of one band: kept and used again.
+#[derive(Debug)]
+pub(crate) struct Slot {
+    out_bytes: u64,
+    count_bytes: u64,
+    pub(crate) uniforms: wgpu::Buffer,
+    pub(crate) out: wgpu::Buffer,
+    pub(crate) counts: wgpu::Buffer,
+    /// Pixels and counts, as the CPU reads them.
+    pub(crate) staging: wgpu::Buffer,
+}
+
+impl Gpu {
+    /// Buffers of at least these sizes, from the ones that are free.
+    pub(crate) fn slot(&self, out_bytes: u64, count_bytes: u64) -> Slot {
+        {
+            let mut free = lock(&self.slots);
+            let fits = |slot: &Slot| slot.out_bytes >= out_bytes && slot.count_bytes >= count_bytes;
+            if let Some(n) = free.iter().position(fits) {
+                return free.swap_remove(n);
+            }
+            // Too small for what is asked now: a larger one takes its place.
+            free.pop();
+        }
+        let buffer = |label: &str, size: u64, usage: wgpu::BufferUsages| {
+            self.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size,
+                usage: usage | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            })
+        };
+        let written = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC;
+        Slot {
+            out_bytes,
+            count_bytes,
+            uniforms: buffer(
+                "frame",
+                size_of::<Uniforms>() as u64,
+                wgpu::BufferUsages::UNIFORM,
+            ),
+            out: buffer("pixels", out_bytes, written),
+            counts: buffer("counts", count_bytes, written),
+            staging: buffer(
+                "read-back",
+                out_bytes + count_bytes,
+                wgpu::BufferUsages::MAP_READ,
+            ),
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! What all rays of a picture share, as the shader reads it.
+
+use bytemuck::{Pod, Zeroable};
+use carina_raycast::FrameNumbers;
+
+/// `Frame` of `airway.wgsl`, field by field.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Uniforms {
+    step_i: [f32; 4],
+    step_j: [f32; 4],
+    step_k: [f32; 4],
+    origin: [f32; 4],
+    to_low_face: [f32; 4],
+    to_high_face: [f32; 4],
+    between_faces: [u32; 4],
+    last: [i32; 4],
+    metric_square: [f32; 4],
+    metric_mixed: [f32; 4],
+    background: [f32; 4],
+    light: [f32; 4],
+    width: u32,
+    num_rows: u32,
+    shininess_log2: u32,
+    table_last: i32,
+    table_low_hu: i32,
+    step_mm: f32,
+    guard_vox: f32,
+    unused: f32,
+}
+
+impl Uniforms {
+    /// For `num_rows` rows of a picture.
+    pub(crate) fn new(numbers: &FrameNumbers<'_>, num_rows: usize) -> Self {
+        // Products in f64, rounded once: a direction then takes three products to become a step.
+        let step = |row: usize| -> [f32; 4] {
+            let m = numbers.ijk_from_camera.rows()[row];
+            [m[0], m[1], m[2], 0.0].map(|v| (v * numbers.step_mm) as f32)
+        };
+        let lanes = |values: [f64; 3]| [values[0], values[1], values[2], 0.0].map(|v| v as f32);
+        let shape = numbers.shape_ijk;
+        let low: [f64; 3] = std::array::from_fn(|a| -0.5 - numbers.origin_ijk[a]);
+        let high: [f64; 3] = std::array::from_fn(|a| shape[a] as f64 - 0.5 - numbers.origin_ijk[a]);
+        let [xx, yy, zz, xy, xz, yz] = numbers.metric;
+        let light = numbers.options.light;
+        let [r, g, b] = numbers.options.background;
+        Self {
+            step_i: step(0),
+            step_j: step(1),
+            step_k: step(2),
+            origin: lanes(numbers.origin_ijk),
+            to_low_face: lanes(low),
+            to_high_face: lanes(high),
+            between_faces: std::array::from_fn(|a| {
+                u32::from(a < 3 && low[a] <= 0.0 && high[a] >= 0.0)
+            }),
+            last: std::array::from_fn(|a| if a < 3 { shape[a] as i32 - 1 } else { 0 }),
+            metric_square: [xx, yy, zz, 0.0],
+            metric_mixed: [xy, xz, yz, 0.0],
+            background: [r, g, b, 1.0],
+            // An endless reach is 1/inf = 0: no light is lost. WGSL has no infinities to rely on.
+            light: light.map_or([0.0; 4], |light| {
+                [
+                    light.ambient,
+                    light.diffuse,
+                    light.specular,
+                    1.0 / light.reach_mm,
+                ]
+            }),
+            width: numbers.width as u32,
+            num_rows: num_rows as u32,
+            shininess_log2: light.map_or(0, |light| light.shininess_log2),
+            table_last: numbers.entries.len() as i32 - 1,
+            table_low_hu: numbers.low_hu,
+            step_mm: numbers.step_mm as f32,
+            guard_vox: numbers.guard_vox,
+            unused: 0.0,
+        }
+    }
+}

@@ -1,0 +1,307 @@
+//! The contract of the GPU caster: the CPU's picture within one grey level on 99.9 % of pixels, whatever the view; and
+//! trouble is an error, never a wrong picture.
+#![cfg(feature = "wgpu")]
+
+#[path = "../../raycast/tests/scene/mod.rs"]
+mod scene;
+
+use std::sync::{Arc, OnceLock};
+
+use carina_gpu::{Gpu, GpuError, adapters};
+use carina_grid::{Camera, FieldShape, ImageField, Lens, LensRays, VolumeView};
+use carina_isoregion::{class_labels, radius_map};
+use carina_raycast::{CastStats, Frame, InstructionSet, Method, cast_rows, cast_surface};
+use proptest::{
+    strategy::{Strategy, ValueTree},
+    test_runner::TestRunner,
+};
+use scene::{Scene, any_scene, options};
+
+/// Every adapter of this machine. `make test-gpu` sets `CARINA_GPU_REQUIRED`, so that no adapter is a failure there.
+fn gpus() -> &'static [Gpu] {
+    static GPUS: OnceLock<Vec<Gpu>> = OnceLock::new();
+    GPUS.get_or_init(|| {
+        let all: Vec<Gpu> = (0..adapters().len())
+            .map(|index| Gpu::open(index).expect("an adapter that is listed opens"))
+            .collect();
+        for gpu in &all {
+            println!("tested on {:?}", gpu.adapter());
+        }
+        if all.is_empty() {
+            assert!(
+                std::env::var_os("CARINA_GPU_REQUIRED").is_none(),
+                "no graphics adapter, not even a software one: install mesa-vulkan-drivers"
+            );
+            println!(
+                "SKIPPED: no graphics adapter (Debian: mesa-vulkan-drivers has one in software)"
+            );
+        }
+        all
+    })
+}
+
+fn radius(scene: &Scene, nearest: bool) -> Vec<u8> {
+    let entries = scene.transfer(nearest).range(-1100, 3100);
+    let labels = class_labels(&scene.hu, -1100, &entries, true)
+        .unwrap()
+        .labels;
+    radius_map(&labels, scene.grid.shape_zyx()).unwrap()
+}
+
+struct Pair {
+    cpu: (Vec<u8>, CastStats),
+    gpu: (Vec<u8>, CastStats),
+}
+
+fn cast(gpu: &Gpu, scene: &Scene, shaded: bool, nearest: bool, leaps: bool) -> Pair {
+    let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
+    let table = scene.table(nearest);
+    let frame = Frame::new(
+        volume,
+        &table,
+        scene.camera.clone(),
+        options(shaded, nearest),
+    )
+    .unwrap();
+    let rows = 0..scene.camera.height();
+    let radius = radius(scene, nearest);
+    let method = if leaps {
+        Method::LeapTransparent(&radius)
+    } else {
+        Method::Brute
+    };
+    let shape = scene.grid.shape_zyx();
+    let on_device = gpu.upload_volume(&scene.hu, shape).unwrap();
+    let map = leaps.then(|| gpu.upload_map(&radius, shape).unwrap());
+    Pair {
+        cpu: cast_rows(&frame, method, rows.clone(), InstructionSet::best()).unwrap(),
+        gpu: gpu.cast(&frame, &on_device, map.as_ref(), rows).unwrap(),
+    }
+}
+
+/// The largest difference of each pixel's channels.
+fn differences(pair: &Pair) -> Vec<u8> {
+    assert_eq!(pair.cpu.0.len(), pair.gpu.0.len());
+    let pixels = pair.cpu.0.chunks(3).zip(pair.gpu.0.chunks(3));
+    pixels
+        .map(|(a, b)| (0..3).map(|c| a[c].abs_diff(b[c])).max().unwrap())
+        .collect()
+}
+
+fn frame_of<T>(scene: &Scene, look: impl FnOnce(&Frame<'_>) -> T) -> T {
+    let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
+    let table = scene.table(false);
+    let frame = Frame::new(volume, &table, scene.camera.clone(), options(true, false)).unwrap();
+    look(&frame)
+}
+
+fn inside() -> Scene {
+    Scene::fixed([1.0, -0.5, 0.7], [0.4, 0.2, 0.1])
+}
+
+#[test]
+fn pictures_of_random_scenes_are_the_cpus_within_a_grey_level() {
+    for gpu in gpus() {
+        let mut runner = TestRunner::deterministic();
+        let (mut num_off, mut worst, mut num_pixels, mut num_lit) = (0, 0, 0, 0);
+        for n in 0..300 {
+            let scene = any_scene().new_tree(&mut runner).unwrap().current();
+            // All kernels in turn: shaded, nearest, plain; leaping and not.
+            let pair = cast(gpu, &scene, n % 3 == 0, n % 3 == 1, n % 2 == 0);
+            let found = differences(&pair);
+            num_off += found.iter().filter(|&&d| d > 1).count();
+            worst = worst.max(*found.iter().max().unwrap());
+            num_pixels += found.len();
+            num_lit += pair.gpu.0.chunks(3).filter(|p| p[0] > 40).count();
+            let (cpu, gpu) = (pair.cpu.1, pair.gpu.1);
+            assert_eq!(cpu.num_rays, gpu.num_rays);
+            // A ray's ends are found in f32 on the device: a sample on a face of the box may be in or out.
+            for (a, b) in [
+                (cpu.num_samples, gpu.num_samples),
+                (
+                    cpu.num_samples + cpu.num_skipped,
+                    gpu.num_samples + gpu.num_skipped,
+                ),
+                (cpu.num_lookups, gpu.num_lookups),
+                (cpu.num_leaps, gpu.num_leaps),
+            ] {
+                assert!(a.abs_diff(b) <= 10 + a / 100, "scene {n}: {cpu:?} {gpu:?}");
+            }
+        }
+        println!("{num_off} of {num_pixels} pixels off by more than a level, worst {worst}");
+        assert!(
+            num_lit * 10 > num_pixels,
+            "dark pictures would agree with anything"
+        );
+        assert!(num_off * 1000 <= num_pixels);
+        // Where a table steps from clear to opaque within 1 HU, rounding may move a wall by one sample on a ray: its
+        // colour stays the wall's. A pixel farther off is another thing's colour.
+        assert!(worst <= 40, "a pixel is off by {worst}");
+    }
+}
+
+#[test]
+fn strips_assembled_are_the_whole_picture_bit_for_bit() {
+    for gpu in gpus() {
+        let mut scene = inside();
+        scene.resize(61, 47);
+        frame_of(&scene, |frame| {
+            let volume = gpu
+                .upload_volume(&scene.hu, scene.grid.shape_zyx())
+                .unwrap();
+            let part = |rows| gpu.cast(frame, &volume, None, rows).unwrap();
+            let (whole, stats) = part(0..47);
+            let strips = [part(0..5), part(5..6), part(6..47)];
+            assert!(whole == strips.each_ref().map(|(rgb, _)| rgb.clone()).concat());
+            let num_samples: u64 = strips.iter().map(|(_, stats)| stats.num_samples).sum();
+            assert_eq!(num_samples, stats.num_samples);
+            assert!(part(9..9).0.is_empty());
+        });
+    }
+}
+
+#[test]
+fn a_lens_with_a_round_image_gives_the_cpus_picture() {
+    for gpu in gpus() {
+        let mut scene = inside();
+        let mut pictures = Vec::new();
+        for fov_rad in [1.2, 2.9] {
+            let field = ImageField {
+                shape: FieldShape::Round,
+                ..ImageField::FULL
+            };
+            let lens = LensRays::build(&Lens::Equidistant, Some(fov_rad), 64, 48, &field).unwrap();
+            let pose = *scene.camera.lps_from_camera();
+            scene.camera = Camera::with_lens(pose, Arc::new(lens)).unwrap();
+            let pair = cast(gpu, &scene, true, false, true);
+            assert!(differences(&pair).iter().filter(|&&d| d > 1).count() <= 3);
+            assert_eq!(
+                pair.gpu.0[..3],
+                [0; 3],
+                "the corner lies outside the image circle"
+            );
+            assert!(pair.gpu.0.iter().any(|&v| v > 100));
+            pictures.push(pair.gpu.0);
+        }
+        // Directions are kept on the device: another lens must not get the last one's.
+        assert!(pictures[0] != pictures[1]);
+    }
+}
+
+#[test]
+fn first_walls_are_the_cpus() {
+    for gpu in gpus() {
+        let mut runner = TestRunner::deterministic();
+        let (mut num_far, mut num_walls) = (0, 0);
+        for _ in 0..60 {
+            let scene = any_scene().new_tree(&mut runner).unwrap().current();
+            frame_of(&scene, |frame| {
+                let volume = gpu
+                    .upload_volume(&scene.hu, scene.grid.shape_zyx())
+                    .unwrap();
+                let rows = 0..scene.camera.height();
+                let (walls, _) = gpu.cast_walls(frame, &volume, None, rows.clone()).unwrap();
+                let (expected, _) =
+                    cast_surface(frame, Method::Brute, rows, InstructionSet::best()).unwrap();
+                let step_mm = frame.numbers().step_mm as f32;
+                for (wall, hit) in walls.iter().zip(&expected) {
+                    let depth = hit.map_or(-1.0, |hit| hit.depth_mm);
+                    let found = if wall.hit < 0.0 {
+                        -1.0
+                    } else {
+                        wall.hit * step_mm
+                    };
+                    num_walls += usize::from(hit.is_some());
+                    // A hundredth of a step: another entry of the table moves the crossing by less.
+                    num_far += usize::from((depth - found).abs() > 0.01 * step_mm);
+                    assert!((0.0..=1.0).contains(&wall.transparency));
+                }
+            });
+        }
+        println!("{num_far} of {num_walls} first walls elsewhere");
+        assert!(num_walls > 1000 && num_far * 1000 <= num_walls);
+    }
+}
+
+#[test]
+fn a_picture_of_several_bands_is_the_cpus() {
+    for gpu in gpus() {
+        let mut scene = inside();
+        // More than two million pixels: two dispatches.
+        scene.resize(2048, 1100);
+        let pair = cast(gpu, &scene, true, false, true);
+        let found = differences(&pair);
+        let num_off = found.iter().filter(|&&d| d > 1).count();
+        assert!(num_off * 1000 <= found.len(), "{num_off} pixels off");
+        assert!(pair.gpu.0.iter().any(|&v| v > 100));
+    }
+}
+
+#[test]
+fn pictures_cast_by_several_threads_at_once_are_the_same() {
+    for gpu in gpus() {
+        let mut scene = inside();
+        scene.resize(96, 80);
+        let expected = cast(gpu, &scene, true, false, true).gpu;
+        std::thread::scope(|scope| {
+            let casts: Vec<_> = (0..4)
+                .map(|_| {
+                    scope.spawn(|| {
+                        (0..5)
+                            .map(|_| cast(gpu, &scene, true, false, true).gpu)
+                            .collect::<Vec<_>>()
+                    })
+                })
+                .collect();
+            for found in casts.into_iter().flat_map(|thread| thread.join().unwrap()) {
+                assert!(found == expected);
+            }
+        });
+    }
+}
+
+#[test]
+fn what_does_not_fit_or_does_not_belong_together_is_refused() {
+    for gpu in gpus() {
+        let scene = inside();
+        let shape = scene.grid.shape_zyx();
+        let volume = gpu.upload_volume(&scene.hu, shape).unwrap();
+        let long = vec![0i16; 70_000];
+        let refused = gpu.upload_volume(&long, [1, 1, 70_000]).unwrap_err();
+        assert!(matches!(refused, GpuError::DoesNotFit { .. }), "{refused}");
+        assert_eq!(refused.code(), "render.gpu");
+        let other = gpu.upload_volume(&scene.hu[1..2], [1, 1, 1]).unwrap();
+        let map = gpu.upload_map(&[0], [1, 1, 1]).unwrap();
+        frame_of(&scene, |frame| {
+            assert!(gpu.cast(frame, &other, None, 0..1).is_err());
+            assert!(gpu.cast(frame, &volume, Some(&map), 0..1).is_err());
+            let refused = gpu.cast(frame, &volume, None, 0..999).unwrap_err();
+            assert_eq!(refused.code(), "render.setting");
+        });
+    }
+    let refused = Gpu::open(9999).unwrap_err();
+    assert!(matches!(refused, GpuError::NoAdapter { index: 9999, .. }));
+}
+
+#[test]
+fn a_lost_device_gives_errors_and_no_pictures() {
+    for index in 0..gpus().len() {
+        let gpu = Gpu::open(index).unwrap();
+        let scene = inside();
+        let volume = gpu
+            .upload_volume(&scene.hu, scene.grid.shape_zyx())
+            .unwrap();
+        frame_of(&scene, |frame| {
+            assert!(gpu.cast(frame, &volume, None, 0..4).is_ok());
+            gpu.lose();
+            for _ in 0..2 {
+                let refused = gpu.cast(frame, &volume, None, 0..4).unwrap_err();
+                assert!(matches!(refused, GpuError::Device { .. }), "{refused}");
+            }
+        });
+        assert!(
+            gpu.upload_volume(&scene.hu, scene.grid.shape_zyx())
+                .is_err()
+        );
+    }
+}

@@ -1,0 +1,49 @@
+"""Find a Vulkan driver for the GPU tests; ``--install`` installs Debian's software one where there is none."""
+
+from __future__ import annotations
+
+import ctypes.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+# lavapipe is in the first; the second is the loader that finds it.
+PACKAGES = ("mesa-vulkan-drivers", "libvulkan1")
+PLACES = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
+NAMED = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")
+
+
+def find_driver() -> str | None:
+    """A Vulkan driver's manifest, or the system's own API on macOS and Windows; else None."""
+    if sys.platform in {"darwin", "win32"}:
+        return "Metal" if sys.platform == "darwin" else "Direct3D 12"
+    if ctypes.util.find_library("vulkan") is None:
+        return None
+    named = next((value for name in NAMED if (value := os.environ.get(name))), None)
+    found = (str(path) for place in PLACES for path in sorted(Path(place).glob("*.json")))
+    return named or next(found, None)
+
+
+def install_driver() -> bool:
+    """Install Debian's lavapipe where this is a Debian and we are root; say what to do otherwise."""
+    apt = shutil.which("apt-get")
+    if apt is None or not hasattr(os, "geteuid") or os.geteuid() != 0:
+        print(
+            f"no Vulkan driver found: install {' and '.join(PACKAGES)} (a driver in software is enough)",
+            file=sys.stderr,
+        )
+        return False
+    quiet = {"stdout": subprocess.DEVNULL}
+    subprocess.run([apt, "update", "-q"], check=True, **quiet)
+    subprocess.run([apt, "install", "-y", "-q", "--no-install-recommends", *PACKAGES], check=True, **quiet)
+    return True
+
+
+if __name__ == "__main__":
+    if find_driver() is None and "--install" in sys.argv[1:]:
+        install_driver()
+    driver = find_driver()
+    print(f"graphics driver: {driver or 'none'}")
+    sys.exit(0 if driver else 1)
