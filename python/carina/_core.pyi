@@ -60,13 +60,24 @@ def transparent_runs(
 ) -> list[tuple[int, int]]:
     """The transparent runs of a transfer function over all int16 values."""
 
-def build_radius_map(labels_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The radius map of a label volume."""
-
-def build_transparent_map(
-    hu_zyx: NDArray[np.int16], points: NDArray[np.float64], *, reference_mm: float = 1.0, bin_hu: int = 1
+def build_radius_map(
+    labels_zyx: NDArray[np.uint8],
+    *,
+    cancel: Callable[[], bool] | None = None,
+    simd: str | None = None,
+    num_slabs: int | None = None,
 ) -> NDArray[np.uint8]:
-    """The radius map of the transparent classes of a transfer function; 0 elsewhere."""
+    """The radius map of a label volume; one slab for each thread unless told."""
+
+def build_run_map(
+    hu_zyx: NDArray[np.int16],
+    runs: Sequence[tuple[int, int]],
+    *,
+    cancel: Callable[[], bool] | None = None,
+    simd: str | None = None,
+    num_slabs: int | None = None,
+) -> NDArray[np.uint8]:
+    """The radius map of disjoint runs of values (first, last); 0 where a value is in none."""
 
 # ---- raycast ----
 

@@ -122,7 +122,7 @@ def test_going_back_to_a_transfer_function_needs_no_new_map(airway, monkeypatch)
     renderer.set_transfer(black)
     assert not renderer.prepared
     renderer.prepare()
-    monkeypatch.setattr(_core, "build_transparent_map", None)
+    monkeypatch.setattr(_core, "build_run_map", None)
     renderer.set_transfer(transfer_preset("endoscopic"))
     assert renderer.prepared
     renderer.prepare()
@@ -137,7 +137,7 @@ def test_maps_are_found_on_disk_again_and_built_again_when_damaged(airway, tmp_p
     assert path.name.split(".")[0].isalnum(), "a name from the content, nothing about the patient"
 
     with monkeypatch.context() as patched:
-        patched.setattr(_core, "build_transparent_map", None)
+        patched.setattr(_core, "build_run_map", None)
         again = Renderer(airway.volume, cache_dir=folder)
         again.prepare()
         np.testing.assert_array_equal(again.render(view(airway)).rgb, expected)

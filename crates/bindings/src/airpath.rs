@@ -5,7 +5,6 @@
 )]
 
 use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, Instant};
 
 use carina_airpath::flood::{FloodLimits, flood};
 use carina_airpath::graph::{Graph, NO_NODE};
@@ -26,6 +25,7 @@ use pyo3::types::{PyDict, PyList};
 
 use crate::arrays;
 use crate::errors::{IntoPy, carina_error};
+use crate::watch::PyWatch;
 
 impl IntoPy for TrackError {
     fn into_py(self) -> PyErr {
@@ -39,78 +39,12 @@ impl IntoPy for TrackError {
     }
 }
 
-/// Looks at Ctrl-C and at the caller's `cancel()`, and reports to `progress(share)`, at most every 50 ms.
-struct PyWatch {
-    cancel: Option<Py<PyAny>>,
-    progress: Option<Py<PyAny>>,
-    state: Mutex<WatchState>,
-}
-
-struct WatchState {
-    looked: Instant,
-    /// What a callback or Ctrl-C raised; handed on as it is.
-    raised: Option<PyErr>,
-}
-
-const BETWEEN_LOOKS: Duration = Duration::from_millis(50);
-
-impl PyWatch {
-    fn new(cancel: Option<Py<PyAny>>, progress: Option<Py<PyAny>>) -> Self {
-        Self {
-            cancel,
-            progress,
-            state: Mutex::new(WatchState {
-                looked: Instant::now(),
-                raised: None,
-            }),
-        }
-    }
-
-    fn look(&self, share: f64) -> PyResult<bool> {
-        Python::attach(|py| {
-            py.check_signals()?;
-            if let Some(progress) = &self.progress {
-                progress.call1(py, (share,))?;
-            }
-            self.cancel
-                .as_ref()
-                .map_or(Ok(true), |cancel| Ok(!cancel.call0(py)?.is_truthy(py)?))
-        })
-    }
-
-    /// The error to raise in Python.
-    fn error(&self, error: TrackError) -> PyErr {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        state.raised.take().unwrap_or_else(|| error.into_py())
-    }
-}
-
 impl Watch for PyWatch {
     fn go_on(&self, share: f64) -> Result<(), TrackError> {
-        {
-            // Another thread is looking already, or did just now.
-            let Ok(mut state) = self.state.try_lock() else {
-                return Ok(());
-            };
-            if state.raised.is_some() {
-                return Err(TrackError::Cancelled);
-            }
-            if state.looked.elapsed() < BETWEEN_LOOKS {
-                return Ok(());
-            }
-            state.looked = Instant::now();
-        }
-        // The lock is not held here: a callback may wait for a thread that reports as well.
-        match self.look(share) {
-            Ok(true) => Ok(()),
-            Ok(false) => Err(TrackError::Cancelled),
-            Err(raised) => {
-                self.state
-                    .lock()
-                    .unwrap_or_else(PoisonError::into_inner)
-                    .raised = Some(raised);
-                Err(TrackError::Cancelled)
-            }
+        if self.goes_on(share) {
+            Ok(())
+        } else {
+            Err(TrackError::Cancelled)
         }
     }
 }

@@ -4,7 +4,7 @@
     reason = "Python hands its arguments over by value"
 )]
 
-use carina_isoregion::{ClassLabels, IsoRegionError, class_labels, radius_map, value_labels};
+use carina_isoregion::{ClassLabels, IsoRegionError, MapBuilder, class_labels, value_labels};
 use carina_raycast::Transfer;
 use numpy::{PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -12,15 +12,16 @@ use pyo3::prelude::*;
 use crate::{
     arrays::values,
     errors::{IntoPy, carina_error},
-    raycast::transfer,
+    raycast::{instruction_set, transfer},
+    watch::PyWatch,
 };
 
 impl IntoPy for IsoRegionError {
     fn into_py(self) -> PyErr {
-        let class = if self.code().starts_with("render") {
-            "RenderError"
-        } else {
-            "GeometryError"
+        let class = match self {
+            Self::EmptyTable => "RenderError",
+            Self::Length { .. } => "GeometryError",
+            Self::Cancelled => "CancelledError",
         };
         carina_error(class, self.code(), &self.to_string())
     }
@@ -103,50 +104,82 @@ fn transparent_runs(
     points: PyReadonlyArray2<'_, f64>,
     reference_mm: f64,
     bin_hu: i32,
-) -> PyResult<Vec<(i32, i32)>> {
+) -> PyResult<Vec<(i16, i16)>> {
     let transfer = transfer(&points, reference_mm, bin_hu)?;
     let (lo, hi) = (i32::from(i16::MIN), i32::from(i16::MAX));
-    let mut runs: Vec<(i32, i32)> = Vec::new();
-    for hu in (lo..=hi).filter(|&hu| transfer.at(hu)[3] == 0.0) {
-        match runs.last_mut() {
-            Some(run) if run.1 == hu - 1 => run.1 = hu,
-            _ => runs.push((hu, hu)),
-        }
-    }
-    Ok(runs)
+    carina_isoregion::transparent_runs(lo, &transfer.range(lo, hi)).map_err(IntoPy::into_py)
+}
+
+/// A radius map written straight into an array of numpy's, whose large arrays lie in large pages: in small ones, a
+/// third of the time goes into page faults.
+fn map_array<'py>(
+    py: Python<'py>,
+    shape_zyx: [usize; 3],
+    cancel: Option<Py<PyAny>>,
+    simd: Option<&str>,
+    num_slabs: Option<usize>,
+    build: impl Send + FnOnce(MapBuilder<'_>, &mut [u8]) -> Result<(), IsoRegionError>,
+) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    let simd = instruction_set(simd)?;
+    let watch = PyWatch::new(cancel, None);
+    // SAFETY: not initialized, but bytes hold anything, and nobody else sees the array before it is written.
+    // Benchmark: benchmarks/isoregion.py.
+    let array = unsafe { PyArray3::<u8>::new(py, shape_zyx, false) };
+    // SAFETY: the array is new: C-contiguous, and this is the only reference to its values.
+    let out = unsafe { array.as_slice_mut() }?;
+    py.detach(|| {
+        let cancelled = || !watch.goes_on(0.0);
+        let builder = MapBuilder {
+            simd,
+            cancelled: Some(&cancelled),
+            ..MapBuilder::default()
+        };
+        let num_slabs = num_slabs.unwrap_or(builder.num_slabs);
+        build(
+            MapBuilder {
+                num_slabs,
+                ..builder
+            },
+            out,
+        )
+    })
+    .map_err(|e| watch.error(e))?;
+    Ok(array)
 }
 
 /// The radius map of a label volume.
 #[pyfunction]
+#[pyo3(signature = (labels_zyx, *, cancel=None, simd=None, num_slabs=None))]
 fn build_radius_map<'py>(
     py: Python<'py>,
     labels_zyx: PyReadonlyArray3<'py, u8>,
+    cancel: Option<Py<PyAny>>,
+    simd: Option<&str>,
+    num_slabs: Option<usize>,
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let shape = shape_of(&labels_zyx);
     let labels = values("labels_zyx", &labels_zyx)?;
-    let radius = py
-        .detach(|| radius_map(labels, shape))
-        .map_err(IntoPy::into_py)?;
-    volume_array(py, radius, shape)
+    map_array(py, shape, cancel, simd, num_slabs, |builder, out| {
+        builder.radius_map(labels, shape, out)
+    })
 }
 
-/// The radius map of the transparent classes of a transfer function; 0 elsewhere.
+/// The radius map of runs of values; 0 where a value is in none.
 #[pyfunction]
-#[pyo3(signature = (hu_zyx, points, *, reference_mm=1.0, bin_hu=1))]
-fn build_transparent_map<'py>(
+#[pyo3(signature = (hu_zyx, runs, *, cancel=None, simd=None, num_slabs=None))]
+fn build_run_map<'py>(
     py: Python<'py>,
     hu_zyx: PyReadonlyArray3<'py, i16>,
-    points: PyReadonlyArray2<'py, f64>,
-    reference_mm: f64,
-    bin_hu: i32,
+    runs: Vec<(i16, i16)>,
+    cancel: Option<Py<PyAny>>,
+    simd: Option<&str>,
+    num_slabs: Option<usize>,
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
-    let transfer = transfer(&points, reference_mm, bin_hu)?;
     let shape = shape_of(&hu_zyx);
     let hu = values("hu_zyx", &hu_zyx)?;
-    let radius = py
-        .detach(|| radius_map(&classes_of(hu, &transfer, true)?.labels, shape))
-        .map_err(IntoPy::into_py)?;
-    volume_array(py, radius, shape)
+    map_array(py, shape, cancel, simd, num_slabs, |builder, out| {
+        builder.run_map(hu, shape, &runs, out)
+    })
 }
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -154,6 +187,6 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(label_values, module)?)?;
     module.add_function(wrap_pyfunction!(transparent_runs, module)?)?;
     module.add_function(wrap_pyfunction!(build_radius_map, module)?)?;
-    module.add_function(wrap_pyfunction!(build_transparent_map, module)?)?;
+    module.add_function(wrap_pyfunction!(build_run_map, module)?)?;
     Ok(())
 }

@@ -11,6 +11,7 @@ mod isoregion;
 mod phantom;
 mod raycast;
 mod scope;
+mod watch;
 
 /// What was built and what it uses: `profile`, `simd`, `threads`, `version`.
 #[pyfunction]

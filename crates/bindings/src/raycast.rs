@@ -124,7 +124,7 @@ impl CancelToken {
 }
 
 /// The instruction set of a name; without one, of `CARINA_SIMD`, which is for tests; else the fastest of this machine.
-fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
+pub(crate) fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
     static CHOSEN: OnceLock<Option<String>> = OnceLock::new();
     let chosen = || {
         std::env::var("CARINA_SIMD")

@@ -16,6 +16,9 @@ pub enum IsoRegionError {
     /// A table of colours that covers no value.
     #[error("the table of colours is empty: it must cover every value of the volume")]
     EmptyTable,
+    /// The caller asked to stop.
+    #[error("building the map was stopped")]
+    Cancelled,
 }
 
 impl IsoRegionError {
@@ -25,20 +28,21 @@ impl IsoRegionError {
         match self {
             Self::Length { .. } => "geometry.length",
             Self::EmptyTable => "render.transfer",
+            Self::Cancelled => "cancelled",
         }
     }
 }
 
 /// Refuses labels that do not fill the shape.
-pub(crate) fn check_length(labels: &[u8], shape_zyx: [usize; 3]) -> Result<(), IsoRegionError> {
+pub(crate) fn check_length(found: usize, shape_zyx: [usize; 3]) -> Result<(), IsoRegionError> {
     let expected = shape_zyx.iter().product();
-    if labels.len() == expected {
+    if found == expected {
         Ok(())
     } else {
         Err(IsoRegionError::Length {
             shape_zyx,
             expected,
-            found: labels.len(),
+            found,
         })
     }
 }

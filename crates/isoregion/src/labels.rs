@@ -70,6 +70,20 @@ pub fn class_labels(
     Ok(label_runs(hu, kept.collect()))
 }
 
+/// The transparent runs of a table, first and last value of each, in order: what a transparent map depends on.
+pub fn transparent_runs(lo_hu: i32, table: &[Rgba]) -> Result<Vec<(i16, i16)>, IsoRegionError> {
+    let runs = runs_of_one_colour(lo_hu, table)?;
+    let value = |v: i32| v.clamp(i16::MIN.into(), i16::MAX.into()) as i16;
+    let clear = runs.into_iter().filter(|run| run.2);
+    Ok(clear.map(|(lo, hi, _)| (value(lo), value(hi))).collect())
+}
+
+/// Labels of transparent runs that are given.
+pub(crate) fn run_labels(hu: &[i16], runs: &[(i16, i16)]) -> ClassLabels {
+    let runs = runs.iter().map(|&(lo, hi)| (lo.into(), hi.into(), true));
+    label_runs(hu, runs.collect())
+}
+
 /// Maximal runs `(lo, hi, transparent)`; the first and last are extended over all int16 values.
 fn runs_of_one_colour(lo_hu: i32, table: &[Rgba]) -> Result<Vec<(i32, i32, bool)>, IsoRegionError> {
     // Compared before premultiplication and by bits: then every later table made from it is uniform over the run too.
@@ -100,14 +114,30 @@ const fn position(hu: i16) -> usize {
 }
 
 fn histogram(hu: &[i16]) -> Vec<u64> {
-    hu.par_chunks(1 << 20)
+    // Equal values come in rows; counting neighbours in tables of their own, no addition waits for the one before.
+    const LANES: usize = 4;
+    // Chunks are small enough for u32, and as few as threads need: a table is longer than most rows of slices.
+    hu.par_chunks((hu.len() / (4 * rayon::current_num_threads()) + 1).clamp(1 << 20, 1 << 30))
+        .map(|chunk| {
+            let mut counts = vec![[0u32; LANES]; NUM_VALUES];
+            let (fours, rest) = chunk.as_chunks::<LANES>();
+            for four in fours {
+                for lane in 0..LANES {
+                    counts[position(four[lane])][lane] += 1;
+                }
+            }
+            for &v in rest {
+                counts[position(v)][0] += 1;
+            }
+            counts
+        })
         .fold(
             || vec![0u64; NUM_VALUES],
-            |mut counts, chunk| {
-                for &v in chunk {
-                    counts[position(v)] += 1;
+            |mut sum, counts| {
+                for (sum, lanes) in sum.iter_mut().zip(counts) {
+                    *sum += lanes.map(u64::from).iter().sum::<u64>();
                 }
-                counts
+                sum
             },
         )
         .reduce(

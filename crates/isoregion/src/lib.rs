@@ -4,15 +4,25 @@
 //! label. [`paper_radius_map`] is the paper's construction, slow and readable; [`radius_map`] is the one to use and
 //! equals it.
 
+#![allow(
+    clippy::inline_always,
+    reason = "a kernel is compiled once per instruction set; what it calls must be compiled inside it or loses the set"
+)]
+
+mod bytes;
 mod error;
 mod labels;
 mod map;
 mod reference;
 mod segment_table;
+mod sweep;
+mod uniform;
 
 pub use error::IsoRegionError;
-pub use labels::{Class, ClassLabels, Rgba, VALUE_BIN_HU, class_labels, value_bin, value_labels};
-pub use map::radius_map;
+pub use labels::{
+    Class, ClassLabels, Rgba, VALUE_BIN_HU, class_labels, transparent_runs, value_bin, value_labels,
+};
+pub use map::{MapBuilder, radius_map};
 pub use reference::paper_radius_map;
 pub use segment_table::{MAX_SEGMENT_SAMPLES, SegmentTable};
 

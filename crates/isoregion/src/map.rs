@@ -1,144 +1,161 @@
 //! The fast construction of the radius map.
 
-use rayon::prelude::*;
+use carina_grid::InstructionSet;
 
-use crate::{IsoRegionError, error::check_length};
+use crate::{
+    IsoRegionError,
+    bytes::run,
+    error::check_length,
+    labels::run_labels,
+    sweep::{Push, Sweep},
+    uniform::Source,
+};
 
-/// Radius of every voxel: the same map as [`crate::paper_radius_map`], in two sweeps.
-///
-/// A voxel is *heterogeneous* if it has label 0 or one of its 26 neighbours is missing or has another label. The radius
-/// of a voxel is its chessboard distance to the nearest heterogeneous one: inside the largest uniform cube no voxel but
-/// those of the outermost shell can be heterogeneous, and one of that shell is, or the cube would grow. Chessboard
-/// distances are exact after a forward and a backward sweep of `d = 1 + min` over the 13 neighbours already visited.
+/// Slabs thinner than this are not split: their borders would cost more than a second thread gains.
+const MIN_SLAB_SLICES: usize = 8;
+
+/// More runs than this are labelled first: the kernel takes each run by itself.
+const MAX_RUNS: usize = 4;
+
+/// How a map is built. The map does not depend on it.
+#[derive(Clone, Copy)]
+pub struct MapBuilder<'a> {
+    /// Instructions of the kernels.
+    pub simd: InstructionSet,
+    /// The volume is cut into so many slabs of slices, or the power of two above; one for each thread.
+    pub num_slabs: usize,
+    /// Asked once a slice, from any thread; where it says yes, the build ends with [`IsoRegionError::Cancelled`].
+    pub cancelled: Option<&'a (dyn Fn() -> bool + Sync)>,
+}
+
+impl Default for MapBuilder<'_> {
+    fn default() -> Self {
+        Self {
+            simd: InstructionSet::best(),
+            num_slabs: rayon::current_num_threads(),
+            cancelled: None,
+        }
+    }
+}
+
+/// Radius of every voxel: the same map as [`crate::paper_radius_map`], built as [`MapBuilder`] does unless told.
 pub fn radius_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>, IsoRegionError> {
-    check_length(labels, shape_zyx)?;
-    if labels.is_empty() {
-        return Ok(Vec::new());
-    }
-    let mut radius = homogeneous(labels, shape_zyx);
-    sweep(&mut radius, shape_zyx);
-    Ok(radius)
+    let mut out = vec![0; labels.len()];
+    MapBuilder::default().radius_map(labels, shape_zyx, &mut out)?;
+    Ok(out)
 }
 
-/// 255 where the 3x3x3 neighbourhood exists and holds one label other than 0, else 0.
-fn homogeneous(labels: &[u8], [nz, ny, nx]: [usize; 3]) -> Vec<u8> {
-    let plane = ny * nx;
-    // Separable: first 3x3 within each slice, then three slices that are each uniform and agree in their centres.
-    let mut flat = vec![0u8; labels.len()];
-    flat.par_chunks_mut(plane)
-        .zip(labels.par_chunks(plane))
-        .for_each_init(
-            || vec![0u8; plane],
-            |along_x, (flat, labels)| {
-                if ny < 3 || nx < 3 {
-                    return;
-                }
-                for (out, row) in along_x.chunks_mut(nx).zip(labels.chunks(nx)) {
-                    for ((out, w), centre) in
-                        out[1..nx - 1].iter_mut().zip(row.windows(3)).zip(&row[1..])
-                    {
-                        *out = all(w[0] == *centre && w[2] == *centre && *centre != 0);
-                    }
-                }
-                for y in 1..ny - 1 {
-                    let (u, v, w) = three_rows(along_x, y, nx);
-                    let (a, b, c) = three_rows(labels, y, nx);
-                    let out = &mut flat[y * nx..][..nx];
-                    for x in 1..nx - 1 {
-                        out[x] = u[x] & v[x] & w[x] & all(a[x] == b[x]) & all(c[x] == b[x]);
-                    }
-                }
-            },
+impl MapBuilder<'_> {
+    /// Writes the radius of every voxel to `out`, whatever it holds.
+    ///
+    /// A voxel is *heterogeneous* if it has label 0 or one of its 26 neighbours is missing or has another label. The
+    /// radius of a voxel is its chessboard distance to the nearest heterogeneous one: inside the largest uniform cube
+    /// no voxel but those of the outermost shell can be heterogeneous, and one of that shell is, or the cube would grow.
+    pub fn radius_map(
+        &self,
+        labels: &[u8],
+        shape_zyx: [usize; 3],
+        out: &mut [u8],
+    ) -> Result<(), IsoRegionError> {
+        self.build(Source::Labels(labels), labels.len(), shape_zyx, out)
+    }
+
+    /// Writes the radius map of the classes that `runs` (first and last value of each, disjoint) describe to `out`, from
+    /// the values themselves: with few runs no label volume comes to be. Values in no run have radius 0.
+    pub fn run_map(
+        &self,
+        hu: &[i16],
+        shape_zyx: [usize; 3],
+        runs: &[(i16, i16)],
+        out: &mut [u8],
+    ) -> Result<(), IsoRegionError> {
+        if runs.len() > MAX_RUNS {
+            return self.radius_map(&run_labels(hu, runs).labels, shape_zyx, out);
+        }
+        let runs: Vec<_> = runs.iter().map(|&(lo, hi)| (lo, lo.abs_diff(hi))).collect();
+        self.build(Source::Runs(hu, &runs), hu.len(), shape_zyx, out)
+    }
+
+    fn build(
+        &self,
+        source: Source<'_>,
+        num_voxels: usize,
+        shape_zyx: [usize; 3],
+        out: &mut [u8],
+    ) -> Result<(), IsoRegionError> {
+        check_length(num_voxels, shape_zyx)?;
+        check_length(out.len(), shape_zyx)?;
+        if num_voxels > 0 {
+            self.slab(source, shape_zyx, 0, self.num_slabs, out);
+        }
+        if self.stopped() {
+            return Err(IsoRegionError::Cancelled);
+        }
+        Ok(())
+    }
+
+    fn stopped(&self) -> bool {
+        self.cancelled.is_some_and(|cancelled| cancelled())
+    }
+
+    /// Exact distances within slices `first_z ..`: of one slab, or of two halves that then tell each other.
+    fn slab(
+        &self,
+        source: Source<'_>,
+        shape_zyx: [usize; 3],
+        first_z: usize,
+        num_slabs: usize,
+        out: &mut [u8],
+    ) {
+        let [_, ny, nx] = shape_zyx;
+        let plane = ny * nx;
+        let num_slices = out.len() / plane;
+        if num_slabs <= 1 || num_slices < 2 * MIN_SLAB_SLICES {
+            self.sweep(source, shape_zyx, first_z, out);
+            return;
+        }
+        let half = num_slices / 2;
+        let (low, high) = out.split_at_mut(half * plane);
+        let num_slabs = num_slabs.div_ceil(2);
+        rayon::join(
+            || self.slab(source, shape_zyx, first_z, num_slabs, low),
+            || self.slab(source, shape_zyx, first_z + half, num_slabs, high),
         );
-    let mut out = vec![0u8; labels.len()];
-    if nz >= 3 {
-        out[plane..(nz - 1) * plane]
-            .par_chunks_mut(plane)
-            .enumerate()
-            .for_each(|(n, out)| {
-                let (u, v, w) = three_rows(&flat, n + 1, plane);
-                let (a, b, c) = three_rows(labels, n + 1, plane);
-                for x in 0..plane {
-                    out[x] = u[x] & v[x] & w[x] & all(a[x] == b[x]) & all(c[x] == b[x]);
-                }
-            });
-    }
-    out
-}
-
-const fn all(condition: bool) -> u8 {
-    if condition { 255 } else { 0 }
-}
-
-/// Rows `n - 1`, `n` and `n + 1` of length `len`.
-fn three_rows(data: &[u8], n: usize, len: usize) -> (&[u8], &[u8], &[u8]) {
-    (
-        &data[(n - 1) * len..][..len],
-        &data[n * len..][..len],
-        &data[(n + 1) * len..][..len],
-    )
-}
-
-/// Turns 0/255 into chessboard distances to the nearest 0. The outermost voxels are 0 in any case.
-fn sweep(d: &mut [u8], [nz, ny, nx]: [usize; 3]) {
-    if nz < 3 || ny < 3 || nx < 3 {
-        return;
-    }
-    let plane = ny * nx;
-    let mut before = vec![0u8; nx];
-    let mut scratch = vec![0u8; nx];
-    for z in 1..nz - 1 {
-        let (done, rest) = d.split_at_mut(z * plane);
-        let (slice, last) = (&mut rest[..plane], &done[(z - 1) * plane..]);
-        for y in 1..ny - 1 {
-            let (above, here) = slice.split_at_mut(y * nx);
-            let (a, b, c) = three_rows(last, y, nx);
-            min4(&mut before, a, b, c, &above[(y - 1) * nx..]);
-            relax(&mut here[..nx], &before, &mut scratch, false);
+        if self.stopped() {
+            return;
         }
+        // Both borders as they are before either half changes: a half's own distances at its border are exact, and a
+        // shortest path never comes back.
+        let (below, above) = (low[(half - 1) * plane..].to_vec(), high[..plane].to_vec());
+        rayon::join(
+            || self.push(&above, low, [ny, nx], false),
+            || self.push(&below, high, [ny, nx], true),
+        );
     }
-    for z in (1..nz - 1).rev() {
-        let (rest, done) = d.split_at_mut((z + 1) * plane);
-        let (slice, next) = (&mut rest[z * plane..], &done[..plane]);
-        for y in (1..ny - 1).rev() {
-            let (here, below) = slice.split_at_mut((y + 1) * nx);
-            let (a, b, c) = three_rows(next, y, nx);
-            min4(&mut before, a, b, c, &below[..nx]);
-            relax(&mut here[y * nx..], &before, &mut scratch, true);
-        }
-    }
-}
 
-fn min4(out: &mut [u8], a: &[u8], b: &[u8], c: &[u8], e: &[u8]) {
-    let n = out.len();
-    let (a, b, c, e) = (&a[..n], &b[..n], &c[..n], &e[..n]);
-    for x in 0..n {
-        out[x] = a[x].min(b[x]).min(c[x].min(e[x]));
+    fn sweep(&self, source: Source<'_>, shape_zyx: [usize; 3], first_z: usize, out: &mut [u8]) {
+        let stopped = || self.stopped();
+        let sweep = Sweep {
+            source,
+            shape_zyx,
+            first_z,
+            out,
+            stopped: &stopped,
+        };
+        run(self.simd, shape_zyx[2], sweep);
     }
-}
 
-/// `row = min(row, 1 + min of the three `before` beside it, 1 + the row's neighbour already visited)`.
-fn relax(row: &mut [u8], before: &[u8], scratch: &mut [u8], backward: bool) {
-    let n = row.len();
-    for x in 1..n - 1 {
-        let near = before[x - 1].min(before[x]).min(before[x + 1]);
-        row[x] = row[x].min(near.saturating_add(1));
-    }
-    // The chain along the row is a prefix minimum of d[x - s] + s: log steps keep it free of a carried dependency.
-    let mut s = 1;
-    while s < n && s < 256 {
-        let cost = s as u8;
-        scratch.copy_from_slice(row);
-        if backward {
-            for (out, &v) in row[..n - s].iter_mut().zip(&scratch[s..]) {
-                *out = (*out).min(v.saturating_add(cost));
-            }
-        } else {
-            for (out, &v) in row[s..].iter_mut().zip(&scratch[..n - s]) {
-                *out = (*out).min(v.saturating_add(cost));
-            }
+    fn push(&self, edge: &[u8], slab: &mut [u8], [ny, nx]: [usize; 2], forward: bool) {
+        if ny < 3 || nx < 3 {
+            return;
         }
-        s *= 2;
+        let push = Push {
+            edge,
+            slab,
+            shape_yx: [ny, nx],
+            forward,
+        };
+        run(self.simd, nx, push);
     }
 }
 
@@ -148,45 +165,160 @@ mod tests {
     use crate::paper_radius_map;
     use proptest::prelude::*;
 
+    /// Blocks of labels with odd voxels strewn in: large regions, thin ones, label 0, and faces.
+    fn random_labels(
+        [nz, ny, nx]: [usize; 3],
+        num_labels: usize,
+        num_odd: usize,
+        block: usize,
+        seed: u64,
+    ) -> Vec<u8> {
+        let mut state = seed;
+        let mut next = || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as usize
+        };
+        let blocks: Vec<u8> = (0..27 * 27)
+            .map(|_| {
+                if next() % 3 > 0 {
+                    1
+                } else {
+                    (next() % num_labels) as u8
+                }
+            })
+            .collect();
+        let mut labels: Vec<u8> = (0..nz * ny * nx)
+            .map(|i| {
+                let (z, y, x) = (i / nx / ny, i / nx % ny, i % nx);
+                blocks[((z / (2 * block)) * 9 + (y / block) * 3 + x / (3 * block)) % blocks.len()]
+            })
+            .collect();
+        for _ in 0..num_odd {
+            let at = next() % labels.len();
+            labels[at] = (next() % num_labels) as u8;
+        }
+        labels
+    }
+
+    /// Every instruction set of the machine, whole and in slabs.
+    fn builders() -> Vec<MapBuilder<'static>> {
+        InstructionSet::available()
+            .into_iter()
+            .flat_map(|simd| {
+                [1, 2, 4].map(|num_slabs| MapBuilder {
+                    simd,
+                    num_slabs,
+                    cancelled: None,
+                })
+            })
+            .collect()
+    }
+
     proptest! {
         #[test]
         fn the_fast_map_equals_the_papers(
-            shape in proptest::array::uniform3(1usize..24),
+            // Rows shorter than any register, longer than every one, and not a whole number of them.
+            shape in (1usize..40, 1usize..20, prop_oneof![1usize..24, 30usize..36, 60usize..70, 90usize..140]),
             seed in any::<u64>(),
+            num_labels in prop_oneof![1usize..5, 5usize..256],
             num_odd in 0usize..30,
-            block in 1usize..9,
+            block in 1usize..30,
         ) {
-            // Blocks of labels with odd voxels strewn in: large regions, thin ones, label 0, and faces.
-            let mut state = seed;
-            let mut next = || {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                (state >> 33) as usize
-            };
-            let [nz, ny, nx] = shape;
-            let blocks: Vec<u8> = (0..27 * 27).map(|_| [1, 1, 1, 2, 0][next() % 5]).collect();
-            let mut labels: Vec<u8> = (0..nz * ny * nx)
-                .map(|i| {
-                    let (z, y, x) = (i / nx / ny, i / nx % ny, i % nx);
-                    blocks[((z / (2 * block)) * 9 + (y / block) * 3 + x / (3 * block)) % blocks.len()]
-                })
-                .collect();
-            for _ in 0..num_odd {
-                let at = next() % labels.len();
-                labels[at] = (next() % 4) as u8;
+            let shape = [shape.0, shape.1, shape.2];
+            let labels = random_labels(shape, num_labels, num_odd, block, seed);
+            let expected = paper_radius_map(&labels, shape).unwrap();
+            for builder in builders() {
+                // What `out` held before does not matter.
+                let mut out = vec![77; labels.len()];
+                builder.radius_map(&labels, shape, &mut out).unwrap();
+                prop_assert!(out == expected, "{:?}, {} slabs", builder.simd, builder.num_slabs);
             }
-            prop_assert_eq!(radius_map(&labels, shape).unwrap(), paper_radius_map(&labels, shape).unwrap());
         }
+
+        #[test]
+        fn a_map_of_runs_equals_the_map_of_their_labels(
+            shape in (1usize..24, 1usize..12, 1usize..90),
+            seed in any::<u64>(),
+            num_runs in 0usize..8,
+            num_odd in 0usize..30,
+        ) {
+            let shape = [shape.0, shape.1, shape.2];
+            let ends = |n: usize| [i16::MIN, -700, -650, -20, 0, 9, 10, 400, 1000, 1001, 1002, 1003, 2000, 2500, 3000, i16::MAX][n];
+            let runs: Vec<(i16, i16)> = (0..num_runs).map(|n| (ends(2 * n), ends(2 * n + 1))).collect();
+            // Values at the ends of runs, within them and between them.
+            let hu: Vec<i16> = random_labels(shape, 200, num_odd, 9, seed)
+                .into_iter()
+                .map(|v| ends(usize::from(v) % 16).saturating_add((i16::from(v) / 16 - 5).signum()))
+                .collect();
+            let labels: Vec<u8> = hu
+                .iter()
+                .map(|v| runs.iter().position(|(lo, hi)| (lo..=hi).contains(&v)).map_or(0, |n| n as u8 + 1))
+                .collect();
+            let expected = paper_radius_map(&labels, shape).unwrap();
+            for builder in builders() {
+                let mut out = vec![77; hu.len()];
+                builder.run_map(&hu, shape, &runs, &mut out).unwrap();
+                prop_assert!(out == expected, "{:?}, {} slabs", builder.simd, builder.num_slabs);
+            }
+        }
+    }
+
+    #[test]
+    fn long_empty_rows_count_to_255_and_no_further() {
+        // 3 x 3 faces are always near, so the paper's iteration is quick on a long thin box.
+        let shape = [7, 9, 700];
+        for at in [0, 64, 300, 699] {
+            let mut labels = vec![1u8; 7 * 9 * 700];
+            labels[3 * 9 * 700 + 4 * 700 + at] = 2;
+            let expected = paper_radius_map(&labels, shape).unwrap();
+            for builder in builders() {
+                let mut out = vec![0; labels.len()];
+                builder.radius_map(&labels, shape, &mut out).unwrap();
+                assert!(out == expected);
+            }
+        }
+    }
+
+    #[test]
+    fn a_build_that_is_stopped_says_so() {
+        let labels = vec![1; 64 * 64 * 64];
+        let mut out = vec![0; labels.len()];
+        for num_slabs in [1, 4] {
+            let builder = MapBuilder {
+                num_slabs,
+                cancelled: Some(&|| true),
+                ..MapBuilder::default()
+            };
+            let stopped = builder.radius_map(&labels, [64; 3], &mut out);
+            assert_eq!(stopped, Err(IsoRegionError::Cancelled));
+        }
+    }
+
+    #[test]
+    fn an_array_that_does_not_fit_the_shape_is_refused() {
+        let map = MapBuilder::default().radius_map(&[1; 8], [2; 3], &mut [0; 7]);
+        assert_eq!(map.unwrap_err().code(), "geometry.length");
     }
 
     #[test]
     fn radii_stop_at_255_and_never_wrap() {
         // A thin stack would never get there, so the cube is 515 voxels wide: its middle would have radius 257.
         let n = 515;
-        let radius = radius_map(&vec![1; n * n * n], [n, n, n]).unwrap();
-        let at = |z: usize, y: usize, x: usize| radius[(z * n + y) * n + x];
-        assert_eq!(at(257, 257, 257), 255);
-        assert_eq!(at(254, 257, 257), 254);
-        assert_eq!(at(257, 257, 3), 3);
-        assert_eq!(at(257, 514, 257), 0);
+        let labels = vec![1; n * n * n];
+        for num_slabs in [1, 2] {
+            let builder = MapBuilder {
+                num_slabs,
+                ..MapBuilder::default()
+            };
+            let mut radius = vec![0; n * n * n];
+            builder.radius_map(&labels, [n; 3], &mut radius).unwrap();
+            let at = |z: usize, y: usize, x: usize| radius[(z * n + y) * n + x];
+            assert_eq!(at(257, 257, 257), 255);
+            assert_eq!(at(254, 257, 257), 254);
+            assert_eq!(at(257, 257, 3), 3);
+            assert_eq!(at(257, 514, 257), 0);
+        }
     }
 }

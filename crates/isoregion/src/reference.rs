@@ -6,7 +6,7 @@ use crate::{IsoRegionError, MAX_RADIUS_VOX, error::check_length};
 ///
 /// Departure: radii stop at 255, so that one byte holds them; label 0 has radius 0 (it stands for "not one colour").
 pub fn paper_radius_map(labels: &[u8], shape_zyx: [usize; 3]) -> Result<Vec<u8>, IsoRegionError> {
-    check_length(labels, shape_zyx)?;
+    check_length(labels.len(), shape_zyx)?;
     let [nz, ny, nx] = shape_zyx.map(|n| n as isize);
     let at = |[z, y, x]: [isize; 3]| -> Option<usize> {
         let inside = (0..nz).contains(&z) && (0..ny).contains(&y) && (0..nx).contains(&x);

@@ -153,9 +153,7 @@ class SceneKeeper:
             found = self._cache.load(key, self._volume.shape_zyx)
             if found is not None:
                 return Maps(scene.values, runs, found)
-        radius = _core.build_transparent_map(
-            scene.values, scene.transfer.points, reference_mm=scene.transfer.reference_mm, bin_hu=scene.transfer.bin_hu
-        )
+        radius = _core.build_run_map(scene.values, runs)
         if self._cache is not None and key is not None:
             self._cache.store(key, radius)
         return Maps(scene.values, runs, radius)

@@ -52,7 +52,7 @@ def build_tree_field(lumen_zyx: NDArray[np.uint8], lps_from_ijk: NDArray[np.floa
     return TreeField(
         values=values,
         lps_from_ijk=place,
-        radius=_core.build_transparent_map(values, SURFACE),
+        radius=_core.build_run_map(values, _core.transparent_runs(SURFACE)),
         center_lps=center,
         radius_mm=geometry.bounding_radius_mm(inside, center) + float(spacing.max()),
         step_mm=0.4 * float(spacing.min()),

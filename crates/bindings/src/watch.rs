@@ -1,0 +1,82 @@
+//! Long calls look up now and then: at Ctrl-C, at the caller's `cancel()`, and to report how far they are.
+
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use pyo3::prelude::*;
+
+use crate::errors::IntoPy;
+
+/// Looks at Ctrl-C and at the caller's `cancel()`, and reports to `progress(share)`, at most every 50 ms.
+pub(crate) struct PyWatch {
+    cancel: Option<Py<PyAny>>,
+    progress: Option<Py<PyAny>>,
+    state: Mutex<WatchState>,
+}
+
+struct WatchState {
+    looked: Instant,
+    /// What a callback or Ctrl-C raised; handed on as it is.
+    raised: Option<PyErr>,
+    stopped: bool,
+}
+
+const BETWEEN_LOOKS: Duration = Duration::from_millis(50);
+
+impl PyWatch {
+    pub(crate) fn new(cancel: Option<Py<PyAny>>, progress: Option<Py<PyAny>>) -> Self {
+        Self {
+            cancel,
+            progress,
+            state: Mutex::new(WatchState {
+                looked: Instant::now(),
+                raised: None,
+                stopped: false,
+            }),
+        }
+    }
+
+    fn look(&self, share: f64) -> PyResult<bool> {
+        Python::attach(|py| {
+            py.check_signals()?;
+            if let Some(progress) = &self.progress {
+                progress.call1(py, (share,))?;
+            }
+            self.cancel
+                .as_ref()
+                .map_or(Ok(true), |cancel| Ok(!cancel.call0(py)?.is_truthy(py)?))
+        })
+    }
+
+    /// False once the call should end: from any thread, without the GIL.
+    pub(crate) fn goes_on(&self, share: f64) -> bool {
+        {
+            // Another thread is looking already, or did just now.
+            let Ok(mut state) = self.state.try_lock() else {
+                return true;
+            };
+            if state.stopped {
+                return false;
+            }
+            if state.looked.elapsed() < BETWEEN_LOOKS {
+                return true;
+            }
+            state.looked = Instant::now();
+        }
+        // The lock is not held here: a callback may wait for a thread that reports as well.
+        let found = self.look(share);
+        let goes_on = matches!(found, Ok(true));
+        if !goes_on {
+            let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+            state.stopped = true;
+            state.raised = found.err().or(state.raised.take());
+        }
+        goes_on
+    }
+
+    /// The error to raise in Python: what a callback raised, else this one.
+    pub(crate) fn error(&self, otherwise: impl IntoPy) -> PyErr {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        state.raised.take().unwrap_or_else(|| otherwise.into_py())
+    }
+}

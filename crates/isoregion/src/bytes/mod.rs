@@ -1,0 +1,198 @@
+//! What the map's kernels need of an instruction set: rows of bytes, one voxel each, a register at a time.
+
+mod portable;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
+use carina_grid::InstructionSet;
+use portable::Portable;
+#[cfg(target_arch = "x86_64")]
+use x86::{Avx2, Avx512, Sse2};
+
+/// An instruction set. A value of the type is the proof that the machine has it.
+///
+/// A register holds `N` voxels beside each other along x. All numbers are distances; 255 stands for 255 and more.
+pub(crate) trait Bytes: Copy {
+    /// Voxels in a register; divides 64.
+    const N: usize;
+    /// A register.
+    type V: Copy;
+
+    fn splat(self, v: u8) -> Self::V;
+    fn min(self, a: Self::V, b: Self::V) -> Self::V;
+    /// Saturates at 255.
+    fn add(self, a: Self::V, b: Self::V) -> Self::V;
+    fn is_zero(self, v: Self::V) -> bool;
+    fn same(self, a: Self::V, b: Self::V) -> bool;
+    /// For each voxel the one before it; `before` holds those before the first.
+    fn previous(self, before: Self::V, v: Self::V) -> Self::V;
+    /// For each voxel the one after it; `after` holds those after the last.
+    fn next(self, v: Self::V, after: Self::V) -> Self::V;
+    /// 255 where the bit is set, else 0.
+    fn expand(self, bits: u64) -> Self::V;
+    /// For each voxel the least of all in the register, each with its distance added.
+    fn spread(self, v: Self::V) -> Self::V;
+    /// `1, 2 ..= N`.
+    fn rising(self) -> Self::V;
+    /// `N ..= 2, 1`.
+    fn falling(self) -> Self::V;
+
+    /// # Safety
+    /// `N` bytes from `at` must be readable.
+    unsafe fn load(self, at: *const u8) -> Self::V;
+    /// # Safety
+    /// `N` bytes from `at` must be writable.
+    unsafe fn store(self, at: *mut u8, v: Self::V);
+    /// Bit n is set where bytes n are equal.
+    ///
+    /// # Safety
+    /// 64 bytes from `a` and from `b` must be readable.
+    unsafe fn equal64(self, a: *const u8, b: *const u8) -> u64;
+    /// Bit n is set where value n lies in `lo ..= lo + width`.
+    ///
+    /// # Safety
+    /// 64 values from `at` must be readable.
+    unsafe fn within64(self, at: *const i16, lo: i16, width: u16) -> u64;
+}
+
+/// Code that is compiled once for each instruction set.
+pub(crate) trait Kernel {
+    /// Must be inlined, or it loses the set.
+    fn run<B: Bytes>(self, b: B);
+}
+
+/// Runs a kernel with the widest registers that the set has and that rows of `nx` voxels fill.
+pub(crate) fn run<K: Kernel>(simd: InstructionSet, nx: usize, kernel: K) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        #[target_feature(enable = "avx512f,avx512bw,avx2,bmi1,bmi2,lzcnt,popcnt")]
+        fn avx512<K: Kernel>(kernel: K) {
+            // SAFETY: this function runs only where the machine has the instructions.
+            kernel.run(unsafe { Avx512::new() });
+        }
+        #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+        fn avx2<K: Kernel>(kernel: K) {
+            // SAFETY: this function runs only where the machine has the instructions.
+            kernel.run(unsafe { Avx2::new() });
+        }
+        if simd == InstructionSet::Avx512 && nx >= Avx512::N {
+            // SAFETY: the set is only handed out where the machine has it. Benchmark: benches/map.rs.
+            return unsafe { avx512(kernel) };
+        }
+        if matches!(simd, InstructionSet::Avx512 | InstructionSet::Avx2) && nx >= Avx2::N {
+            // SAFETY: as above.
+            return unsafe { avx2(kernel) };
+        }
+        if nx >= Sse2::N {
+            return kernel.run(Sse2);
+        }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = simd;
+    if nx >= Portable::<16>::N {
+        kernel.run(Portable::<16>);
+    } else {
+        kernel.run(Portable::<1>);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every operation against the plain loop that says what it does.
+    fn check<B: Bytes>(b: B) {
+        let n = B::N;
+        let load = |v: &[u8]| {
+            assert!(v.len() >= n);
+            // SAFETY: long enough.
+            unsafe { b.load(v.as_ptr()) }
+        };
+        let values = |v: B::V| {
+            let mut out = vec![0u8; n];
+            // SAFETY: n bytes.
+            unsafe { b.store(out.as_mut_ptr(), v) };
+            out
+        };
+        let mut state = 9u64;
+        for round in 0..200u64 {
+            let mut random = || {
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
+                (state >> 40) as u8
+            };
+            let p: Vec<u8> = (0..64).map(|_| random() % (1 + round as u8 % 7)).collect();
+            let q: Vec<u8> = (0..64).map(|_| random()).collect();
+            let (vp, vq) = (load(&p), load(&q));
+            let each = |f: &dyn Fn(usize) -> u8| (0..n).map(f).collect::<Vec<_>>();
+            assert_eq!(values(b.min(vp, vq)), each(&|i| p[i].min(q[i])));
+            assert_eq!(values(b.add(vp, vq)), each(&|i| p[i].saturating_add(q[i])));
+            assert_eq!(values(b.splat(q[3])), vec![q[3]; n]);
+            assert_eq!(b.is_zero(vp), p[..n].iter().all(|&v| v == 0));
+            assert!(b.is_zero(b.splat(0)) && b.same(vq, vq));
+            assert_eq!(b.same(vp, vq), p[..n] == q[..n]);
+            assert_eq!(
+                values(b.previous(vp, vq)),
+                each(&|i| if i == 0 { p[n - 1] } else { q[i - 1] })
+            );
+            assert_eq!(
+                values(b.next(vp, vq)),
+                each(&|i| if i == n - 1 { q[0] } else { p[i + 1] })
+            );
+            let bits = u64::from_le_bytes(q[..8].try_into().unwrap());
+            assert_eq!(
+                values(b.expand(bits)),
+                each(&|i| if bits >> i & 1 == 1 { 255 } else { 0 })
+            );
+            assert_eq!(
+                values(b.spread(vq)),
+                each(&|i| {
+                    (0..n)
+                        .map(|j| q[j].saturating_add(i.abs_diff(j) as u8))
+                        .min()
+                        .unwrap()
+                })
+            );
+            assert_eq!(values(b.rising()), each(&|i| i as u8 + 1));
+            assert_eq!(values(b.falling()), each(&|i| (n - i) as u8));
+            // SAFETY: both hold 64 bytes.
+            let equal = unsafe { b.equal64(p.as_ptr(), q.as_ptr()) };
+            let mut hu: Vec<i16> = (0..64).map(|i| i16::from_le_bytes([p[i], q[i]])).collect();
+            hu[0] = i16::MIN;
+            hu[1] = i16::MAX;
+            for (lo, hi) in [
+                (i16::MIN, -100),
+                (-300, 4000),
+                (77, i16::MAX),
+                (hu[9], hu[9]),
+            ] {
+                // SAFETY: 64 values.
+                let within = unsafe { b.within64(hu.as_ptr(), lo, lo.abs_diff(hi)) };
+                for i in 0..64 {
+                    assert_eq!(equal >> i & 1 == 1, p[i] == q[i]);
+                    assert_eq!(within >> i & 1 == 1, (lo..=hi).contains(&hu[i]));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn every_instruction_set_does_what_the_operations_say() {
+        check(Portable::<1>);
+        check(Portable::<16>);
+        #[cfg(target_arch = "x86_64")]
+        {
+            check(Sse2);
+            if InstructionSet::Avx2.is_available() {
+                // SAFETY: the machine has it.
+                check(unsafe { Avx2::new() });
+            }
+            if InstructionSet::Avx512.is_available() {
+                // SAFETY: the machine has it.
+                check(unsafe { Avx512::new() });
+            }
+        }
+        assert!(InstructionSet::Portable.is_available());
+    }
+}

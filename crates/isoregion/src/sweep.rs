@@ -1,0 +1,322 @@
+//! Chessboard distances within a slab of slices, and across the border of two slabs.
+//!
+//! The distance of a voxel to the nearest 0 is the length of a path of steps to any of the 26 neighbours. The steps of
+//! such a path can be put in order: first those along x, then those that a forward sweep makes (`FORWARD` below), then
+//! those of a backward sweep; none leaves the box of its two ends. So distances along rows, which need nothing but the
+//! row, and two sweeps are exact. The sweeps read the rows before (after) a row, not the row itself: no chain along x.
+
+use crate::{
+    bytes::{Bytes, Kernel},
+    uniform::{Source, Uniform},
+};
+
+/// Distances in slices `first_z ..` of a volume, as many as `out` holds, as if there were no 0 beyond them.
+///
+/// `stopped` is asked before each slice; the distances of a stopped sweep are of no use.
+pub(crate) struct Sweep<'a> {
+    pub(crate) source: Source<'a>,
+    pub(crate) shape_zyx: [usize; 3],
+    pub(crate) first_z: usize,
+    pub(crate) out: &'a mut [u8],
+    pub(crate) stopped: &'a dyn Fn() -> bool,
+}
+
+impl Kernel for Sweep<'_> {
+    #[inline(always)]
+    fn run<B: Bytes>(self, b: B) {
+        let Self {
+            source,
+            shape_zyx,
+            first_z,
+            out,
+            stopped,
+        } = self;
+        let [nz, ny, nx] = shape_zyx;
+        let plane = ny * nx;
+        let num_slices = out.len() / plane;
+        if shape_zyx.iter().any(|&n| n < 3) {
+            out.fill(0);
+            return;
+        }
+        let inner = |n: usize| (1..nz - 1).contains(&(first_z + n));
+        let mut uniform = Uniform::new(source, shape_zyx);
+        let mut bits = vec![0; uniform.num_words()];
+        let mut read = first_z.saturating_sub(1);
+        for n in 0..num_slices {
+            if stopped() {
+                return;
+            }
+            let (done, rest) = out.split_at_mut(n * plane);
+            let slice = &mut rest[..plane];
+            if !inner(n) {
+                slice.fill(0);
+                continue;
+            }
+            let z = first_z + n;
+            while read <= z + 1 {
+                uniform.read(b, read);
+                read += 1;
+            }
+            slice[..nx].fill(0);
+            slice[plane - nx..].fill(0);
+            for y in 1..ny - 1 {
+                let (above, here) = slice.split_at_mut(y * nx);
+                let row = &mut here[..nx];
+                if !uniform.row(z, y, &mut bits) {
+                    row.fill(0);
+                    continue;
+                }
+                distances_along_row(b, &bits, row);
+                let above = &above[(y - 1) * nx..];
+                if n > 0 {
+                    let last = &done[(n - 1) * plane..];
+                    relax(b, row, beside(last, y, nx).with(above));
+                } else {
+                    relax(b, row, [above]);
+                }
+            }
+        }
+        for n in (0..num_slices).rev().filter(|&n| inner(n)) {
+            if stopped() {
+                return;
+            }
+            let (rest, done) = out.split_at_mut((n + 1) * plane);
+            let slice = &mut rest[n * plane..];
+            for y in (1..ny - 1).rev() {
+                let (here, below) = slice.split_at_mut((y + 1) * nx);
+                let row = &mut here[y * nx..];
+                if n + 1 < num_slices {
+                    relax(b, row, beside(done, y, nx).with(below));
+                } else {
+                    relax(b, row, [&*below]);
+                }
+            }
+        }
+    }
+}
+
+/// Carries distances from `edge`, the slice beside a finished slab, into it: forward from its first slice on, or
+/// backward from its last. Both slabs' own distances are exact, so steps to other slices are all that is missing.
+pub(crate) struct Push<'a> {
+    pub(crate) edge: &'a [u8],
+    pub(crate) slab: &'a mut [u8],
+    pub(crate) shape_yx: [usize; 2],
+    pub(crate) forward: bool,
+}
+
+impl Kernel for Push<'_> {
+    #[inline(always)]
+    fn run<B: Bytes>(self, b: B) {
+        let Self {
+            edge,
+            slab,
+            shape_yx: [ny, nx],
+            forward,
+        } = self;
+        let plane = ny * nx;
+        let num_slices = slab.len() / plane;
+        for n in 0..num_slices {
+            let (slice, last): (&mut [u8], &[u8]) = if forward {
+                let (done, rest) = slab.split_at_mut(n * plane);
+                let last = n.checked_sub(1).map_or(edge, |m| &done[m * plane..]);
+                (&mut rest[..plane], last)
+            } else {
+                let (rest, done) = slab.split_at_mut((num_slices - n) * plane);
+                let start = rest.len() - plane;
+                (
+                    &mut rest[start..],
+                    if n == 0 { edge } else { &done[..plane] },
+                )
+            };
+            let mut changed = false;
+            for y in 1..ny - 1 {
+                changed |= relax(b, &mut slice[y * nx..][..nx], beside(last, y, nx));
+            }
+            // Slices further on depend on this one alone.
+            if !changed {
+                return;
+            }
+        }
+    }
+}
+
+/// Rows `y - 1`, `y` and `y + 1` of a slice.
+#[inline(always)]
+fn beside(slice: &[u8], y: usize, nx: usize) -> [&[u8]; 3] {
+    [
+        &slice[(y - 1) * nx..][..nx],
+        &slice[y * nx..][..nx],
+        &slice[(y + 1) * nx..][..nx],
+    ]
+}
+
+/// One row more.
+trait With<'a> {
+    fn with(self, row: &'a [u8]) -> [&'a [u8]; 4];
+}
+
+impl<'a> With<'a> for [&'a [u8]; 3] {
+    #[inline(always)]
+    fn with(self, row: &'a [u8]) -> [&'a [u8]; 4] {
+        [self[0], self[1], self[2], row]
+    }
+}
+
+// No closures from here on: a closure is a function of its own and has not the instructions of its kernel.
+
+/// Distance along the row to the nearest bit that is not set, 0 there. The last voxel's bit is not set.
+#[inline(always)]
+fn distances_along_row<B: Bytes>(b: B, bits: &[u64], row: &mut [u8]) {
+    let nx = row.len();
+    assert!(nx >= B::N);
+    let (mut x, mut before) = (0, 0);
+    while x + B::N <= nx {
+        before = distances_in_block(b, bits, row, x, before);
+        x += B::N;
+    }
+    if x < nx {
+        // A whole register again, some of it for the second time.
+        let x = nx - B::N;
+        distances_in_block(b, bits, row, x, ones_before(bits, x));
+    }
+}
+
+/// The same for voxels `x ..= x + N - 1`, `before` set bits lying right before them; returns how many do at the end.
+#[inline(always)]
+fn distances_in_block<B: Bytes>(b: B, bits: &[u64], row: &mut [u8], x: usize, before: u8) -> u8 {
+    let whole = if B::N == 64 { !0 } else { (1 << B::N) - 1 };
+    let set = bits_from(bits, x) & whole;
+    let mut out = b.splat(0);
+    if set != 0 {
+        let rising = b.add(b.rising(), b.splat(before));
+        let falling = b.add(b.falling(), b.splat(ones_from(bits, x + B::N)));
+        out = b.min(rising, falling);
+        if set != whole {
+            out = b.min(b.spread(b.expand(set)), out);
+        }
+    }
+    debug_assert!(x + B::N <= row.len());
+    // SAFETY: the caller's loops end at the row's end. Benchmark: benches/map.rs.
+    unsafe { b.store(row.as_mut_ptr().add(x), out) };
+    if set == whole {
+        before.saturating_add(B::N as u8)
+    } else {
+        (set << (64 - B::N)).leading_ones() as u8
+    }
+}
+
+/// 64 bits from position `at` on; 0 beyond the end.
+#[inline(always)]
+fn bits_from(bits: &[u64], at: usize) -> u64 {
+    let (word, shift) = (at / 64, at % 64);
+    if word >= bits.len() {
+        return 0;
+    }
+    let low = bits[word] >> shift;
+    if shift == 0 || word + 1 == bits.len() {
+        low
+    } else {
+        low | bits[word + 1] << (64 - shift)
+    }
+}
+
+/// How many bits are set from `at` on, up to 255.
+#[inline(always)]
+fn ones_from(bits: &[u64], at: usize) -> u8 {
+    let mut count = 0;
+    while count < 255 {
+        let ones = bits_from(bits, at + count).trailing_ones() as usize;
+        count += ones;
+        if ones < 64 {
+            break;
+        }
+    }
+    count.min(255) as u8
+}
+
+/// How many bits are set right before `at`, up to 255.
+#[inline(always)]
+fn ones_before(bits: &[u64], at: usize) -> u8 {
+    let set = |n: &usize| bits[n / 64] >> (n % 64) & 1 == 1;
+    (0..at).rev().take(255).take_while(set).count() as u8
+}
+
+/// The least of the rows, voxels `x ..= x + N - 1`.
+///
+/// # Safety
+/// Every row must hold them.
+#[inline(always)]
+unsafe fn least<B: Bytes, const R: usize>(b: B, rows: [&[u8]; R], x: usize) -> B::V {
+    // SAFETY: as promised by the caller. Benchmark: benches/map.rs.
+    unsafe {
+        let mut out = b.load(rows[0].as_ptr().add(x));
+        let mut n = 1;
+        while n < R {
+            out = b.min(out, b.load(rows[n].as_ptr().add(x)));
+            n += 1;
+        }
+        out
+    }
+}
+
+/// `row = min(row, 1 + min over the rows' voxels at x - 1, x and x + 1)`; true if anything changed.
+///
+/// The first and the last voxel of the row are 0: what lies beside them does not matter.
+#[inline(always)]
+fn relax<B: Bytes, const R: usize>(b: B, row: &mut [u8], rows: [&[u8]; R]) -> bool {
+    let nx = row.len();
+    assert!(nx >= B::N);
+    for r in rows {
+        assert!(r.len() >= nx);
+    }
+    let start = row.as_mut_ptr();
+    let (full, one) = (b.splat(255), b.splat(1));
+    let mut changed = false;
+    let (mut x, mut ready) = (0, false);
+    let (mut before, mut here) = (full, full);
+    // SAFETY: x + N <= nx wherever N voxels from x are read or written, and all rows are at least nx long. Benchmark:
+    // benches/map.rs.
+    unsafe {
+        while x + B::N <= nx {
+            let old = b.load(start.add(x));
+            if b.is_zero(old) {
+                ready = false;
+            } else {
+                if !ready {
+                    if x > 0 {
+                        before = least(b, rows, x - B::N);
+                    }
+                    here = least(b, rows, x);
+                }
+                // Without a whole register after it, the last voxel's neighbour is left to the rest below.
+                ready = x + 2 * B::N <= nx;
+                let after = if ready {
+                    least(b, rows, x + B::N)
+                } else {
+                    full
+                };
+                let beside = b.min(b.previous(before, here), b.next(here, after));
+                let new = b.min(old, b.add(b.min(here, beside), one));
+                // Many registers stay as they are; what is not written need not go back to memory.
+                if !b.same(new, old) {
+                    changed = true;
+                    b.store(start.add(x), new);
+                }
+                (before, here) = (here, after);
+            }
+            x += B::N;
+        }
+        if x < nx {
+            let x = nx - B::N;
+            let old = b.load(start.add(x));
+            if !b.is_zero(old) {
+                let here = least(b, rows, x);
+                let beside = b.min(least(b, rows, x - 1), b.next(here, full));
+                let new = b.min(old, b.add(b.min(here, beside), one));
+                changed |= !b.same(new, old);
+                b.store(start.add(x), new);
+            }
+        }
+    }
+    changed
+}
