@@ -142,17 +142,25 @@ class SmallRenderer:
     lumen: Any = None
     prepared: int = 0
     on_render: Callable[[Any], None] = lambda _view: None
+    hit: Any = None
+    """What a pick finds."""
+    picks: list[Any] = field(default_factory=list)
 
-    def render(self, view: Any) -> Any:
+    def pick(self, view: Any, column: int, row: int) -> Any:
+        self.picks.append((view, column, row))
+        return self.hit
+
+    def render(self, view: Any, *, stop: Any = None) -> Any:
         self.views.append(view)
         self.on_render(view)
-        pose = getattr(view, "pose", None)
-        planar = pose is None
+        if stop is not None and stop.cancelled and type(view).__name__ == "AirwayView":
+            raise CancelledError("given up")
+        planar = type(view).__name__ != "AirwayView"
         return SimpleNamespace(
             rgb=np.full((view.height, view.width, 3), 90, dtype=np.uint8),
             view=type(view).__name__,
             lps_from_pixel=np.eye(4) if planar else None,
-            lps_from_camera=None if planar else pose.lps_from_camera,
+            lps_from_camera=None if planar else view.pose.lps_from_camera,
             fov_deg=None if planar else 90.0,
             stats=SimpleNamespace(method="brute"),
         )

@@ -7,8 +7,10 @@ import json
 import threading
 from dataclasses import dataclass
 from socket import create_connection
+from types import SimpleNamespace
 
 import httpx
+import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
@@ -433,6 +435,36 @@ def test_without_acks_no_more_than_three_airway_pictures_come(live):
         window.send(*(wire.Ack(p.frame_id) for p in window.pictures))
         newest = window.until(lambda m: isinstance(m, wire.PictureHeader))
         assert newest.pose_id == [m for m in window.seen if isinstance(m, wire.Pose)][-1].pose_id
+
+
+def test_a_click_in_the_airway_view_is_answered_with_the_wall_point(live):
+    with live.window() as window:
+        window.send(SHOWN)
+        open_case(window)
+        shown = window.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.full)
+        window.send(wire.Pick(pick_id=1, frame_id=shown.frame_id, column=80.5, row=60.5))
+        nothing = window.until(lambda m: isinstance(m, wire.Picked))
+        assert (nothing.pick_id, nothing.lps, nothing.depth_mm, nothing.voxel_value) == (1, None, None, None)
+        # A voxel of tissue beside the trachea.
+        wall = lps((18.2, 14.0, 30.0))
+        live.session.scene().renderer.hit = SimpleNamespace(position_lps=np.array(wall), depth_mm=7.126)
+        window.send(wire.Pick(pick_id=2, frame_id=shown.frame_id, column=12.0, row=100.0))
+        found = window.until(lambda m: isinstance(m, wire.Picked))
+        assert found == wire.Picked(2, wall, 7.13, 40, 0, "Trachea", 0)
+        view, column, row = live.session.scene().renderer.picks[-1]
+        assert (column, row) == (12, 100)
+        np.testing.assert_array_equal(view.pose.lps_from_camera.ravel(), shown.lps_from_camera)
+        window.send(wire.Pick(pick_id=3, frame_id=10_000_000, column=12.0, row=100.0))
+        assert window.until(lambda m: isinstance(m, wire.Error)).code == "session.pick"
+
+
+def test_the_asked_rate_is_told_and_another_can_be_asked_for(live):
+    with live.window() as window:
+        assert window.until_state(lambda s: True).frame_rate_hz == 60.0
+        window.send(wire.SetFrameRate(24.0))
+        assert window.until_state(lambda s: s.frame_rate_hz != 60.0).frame_rate_hz == 24.0
+    with live.window() as later:
+        assert later.until_state(lambda s: True).frame_rate_hz == 24.0
 
 
 def test_a_refused_file_keeps_the_session_and_says_the_words_of_the_refusal(live):

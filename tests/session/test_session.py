@@ -559,3 +559,18 @@ def test_the_voxel_under_a_point_is_told_and_nothing_outside_the_volume():
     # On the outer face of the first voxel; rounding alone would look for the voxel before it.
     assert bench.session.value_at(lps((-0.4999, 0.0, 0.0))) == 40
     assert bench.session.value_at(lps((-0.6, 0.0, 0.0))) is None
+
+
+def test_a_wall_point_is_told_with_its_voxel_and_the_nearest_branch():
+    bench = small_bench()
+    bench.session.open_path("case")
+    bench.background.run_next()
+    lumen = tuple(float(v) for v in small_volume().to_lps((16.0, 14.0, 30.0)))
+    before = bench.session.wall_point(lumen)
+    assert (before.lps, before.voxel_value, before.branch_id, before.branch_name) == (lumen, -980, None, None)
+    bench.background.run_all()
+    left = tuple(float(v) for v in small_volume().to_lps((25.0, 16.5, 13.0)))
+    found = bench.session.wall_point(left)
+    assert (found.voxel_value, found.branch_id, found.branch_name, found.generation) == (40, 2, "LMB", 1)
+    outside = tuple(float(v) for v in small_volume().to_lps((-5.0, 0.0, 0.0)))
+    assert bench.session.wall_point(outside).voxel_value is None

@@ -7,12 +7,19 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, assert_never
 
 from carina.errors import CarinaError, UsageError
 from carina.server import messages as wire
-from carina.server.presenter import pose_message, route_message, start_message, state_message, tree_message
+from carina.server.presenter import (
+    picked_message,
+    pose_message,
+    route_message,
+    start_message,
+    state_message,
+    tree_message,
+)
 from carina.server.pump import FramePump
 from carina.server.uploads import Uploads
 from carina.session import Changed, Event, JobEnded, JobProgress, Orbit, Said, Session, Trouble, log_fault
@@ -179,7 +186,7 @@ class Hub:
                 )
             )
         if topic == "state":
-            return wire.encode_message(state_message(snapshot))
+            return wire.encode_message(state_message(snapshot, frame_rate_hz=self.pump.rate_hz))
         if topic == "tree":
             airways = None if document is None else document.airways
             return self._cached("tree", airways, lambda: tree_message(airways))
@@ -199,7 +206,7 @@ class Hub:
     def _on_event(self, event: Event) -> None:
         """From any thread, with the session locked: hand on and return."""
         if isinstance(event, Changed) and event.topics & {"views", "pose"}:
-            self.pump.wake()
+            self.pump.content_changed()
         self._in_loop(self._note, event)
 
     def _deliver(self, data: bytes) -> None:
@@ -294,6 +301,8 @@ class Hub:
                 session.set_crosshair(None if message.lps is None else _three(message.lps))
             case wire.Probe():
                 self._push(wire.Value(message.lps, session.value_at(_three(message.lps))))
+            case wire.Pick():
+                self._pick(message)
             case wire.SetOrbit():
                 orbit = Orbit(message.azimuth_deg, message.elevation_deg, message.distance_mm)
                 session.set_orbit(message.view, orbit)
@@ -301,6 +310,16 @@ class Hub:
                 session.set_zoom(message.view, mm_per_px=message.mm_per_px, extent_mm=message.extent_mm)
             case _:
                 self._do_rare(message)
+
+    def _pick(self, message: wire.Pick) -> None:
+        """The wall under a click, in the picture that was clicked in and not in a newer one."""
+        shown = self.pump.shown(message.frame_id)
+        if shown is None:
+            raise UsageError("this picture is gone; click again in the one on the screen", code="session.pick")
+        hit = shown.wall_at(message.column, message.row)
+        wall = None if hit is None else self.session.wall_point(_three(hit.position_lps))
+        depth_mm = None if hit is None else round(float(hit.depth_mm), 2)
+        self._push(picked_message(message.pick_id, wall, depth_mm))
 
     def _do_rare(self, message: Any) -> None:
         session = self.session
@@ -337,6 +356,10 @@ class Hub:
                 session.set_transfer(preset=message.preset, document=message.document)
             case wire.SetShading():
                 session.set_shading(message.on)
+            case wire.SetFrameRate():
+                self.pump.set_rate(message.rate_hz)
+                if self._outbox is not None:
+                    self._outbox.mark("state")
             case wire.SetMethod():
                 session.set_method(message.method)
             case wire.SetOperator():
@@ -361,6 +384,6 @@ def _progress(event: JobProgress) -> wire.Progress:
     return wire.Progress(event.job_id, event.title, event.what, event.fraction, left_s)
 
 
-def _three(values: tuple[float, ...]) -> tuple[float, float, float]:
-    x, y, z = values
+def _three(values: Iterable[float]) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
     return x, y, z

@@ -29,6 +29,7 @@ from carina.server.messages_from_client import (
     OpenPath,
     OpenRecent,
     OpenUpload,
+    Pick,
     Place,
     PreviousFork,
     Probe,
@@ -37,6 +38,7 @@ from carina.server.messages_from_client import (
     ResetLook,
     SetCrosshair,
     SetFov,
+    SetFrameRate,
     SetLumenThreshold,
     SetMethod,
     SetMode,
@@ -62,6 +64,7 @@ from carina.server.messages_from_server import (
     Notice,
     Orbit,
     OtherSeries,
+    Picked,
     PictureHeader,
     Pose,
     Progress,
@@ -112,6 +115,8 @@ __all__ = [
     "OpenUpload",
     "Orbit",
     "OtherSeries",
+    "Pick",
+    "Picked",
     "PictureHeader",
     "Place",
     "Pose",
@@ -128,6 +133,7 @@ __all__ = [
     "ServerHello",
     "SetCrosshair",
     "SetFov",
+    "SetFrameRate",
     "SetLumenThreshold",
     "SetMethod",
     "SetMode",
@@ -179,9 +185,11 @@ CLIENT_MESSAGES = _by_type(
     ClientHello, OpenPath, OpenDemo, OpenUpload, OpenRecent, CloseCase, Cancel, Layout, Ack, Steer, SetMode, ToggleMode,
     GoTo, NextFork, PreviousFork, Place, LevelHorizon, ResetLook, SetOperator, SetRoot, AddTarget, RemoveTarget,
     ChooseRoute, SetCrosshair, SetWindow, SetFov, SetTransfer, SetShading, SetMethod, SetLumenThreshold, SetOrbit,
-    SetZoom, Probe, Undo, Redo, AcceptNotice,
+    SetZoom, SetFrameRate, Probe, Pick, Undo, Redo, AcceptNotice,
 )  # fmt: skip
-SERVER_MESSAGES = _by_type(ServerHello, Start, State, Tree, Route, Pose, Value, Progress, Done, Error, Notice, Status)
+SERVER_MESSAGES = _by_type(
+    ServerHello, Start, State, Tree, Route, Pose, Value, Picked, Progress, Done, Error, Notice, Status,
+)  # fmt: skip
 
 
 def _parse(classes: dict[str, type[Any]], text: str | bytes, max_bytes: int) -> Any:

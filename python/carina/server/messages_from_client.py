@@ -37,6 +37,7 @@ __all__ = [
     "OpenPath",
     "OpenRecent",
     "OpenUpload",
+    "Pick",
     "Place",
     "PreviousFork",
     "Probe",
@@ -45,6 +46,7 @@ __all__ = [
     "ResetLook",
     "SetCrosshair",
     "SetFov",
+    "SetFrameRate",
     "SetLumenThreshold",
     "SetMethod",
     "SetMode",
@@ -267,6 +269,28 @@ class Probe:
 
     wire_type: ClassVar[str] = "probe"
     lps: PointLps
+
+
+@dataclass(frozen=True, slots=True)
+class Pick:
+    """Ask for the wall under a place in an airway picture; the answer is ``picked``."""
+
+    wire_type: ClassVar[str] = "pick"
+    pick_id: Count
+    """Named by the answer."""
+    frame_id: Count
+    """The picture that is on the screen: the tip may have moved on since."""
+    column: Annotated[float, Range(0.0, 4096.0)]
+    """Corner coordinates of that picture's own pixels (centre of the first = 0.5)."""
+    row: Annotated[float, Range(0.0, 4096.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class SetFrameRate:
+    """Ask for so many airway pictures per second while moving; resolution gives way to it, then the ray step."""
+
+    wire_type: ClassVar[str] = "set_frame_rate"
+    rate_hz: Annotated[float, Range(5.0, 240.0)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ __all__ = [
     "Notice",
     "Orbit",
     "OtherSeries",
+    "Picked",
     "PictureHeader",
     "Pose",
     "Progress",
@@ -201,6 +202,8 @@ class State:
     orbit_tree: Orbit
     orbit_tri_plane: Orbit
     zoom: Zoom
+    frame_rate_hz: float
+    """Airway pictures per second that are asked for while moving."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -349,6 +352,22 @@ class Value:
 
 
 @dataclass(frozen=True, slots=True)
+class Picked:
+    """Answer to ``pick``: the wall under a pixel of an airway picture. All null where the ray meets no wall."""
+
+    wire_type: ClassVar[str] = "picked"
+    pick_id: Count
+    lps: PointLps | None
+    depth_mm: float | None
+    """From the lens, along the ray."""
+    voxel_value: Annotated[int, Range(-32_768, 32_767)] | None
+    branch_id: Annotated[int, Range(0, 2**31)] | None
+    """The branch whose centreline is nearest; null without a tree."""
+    branch_name: Words | None
+    generation: Annotated[int, Range(0, 1000)] | None
+
+
+@dataclass(frozen=True, slots=True)
 class Status:
     """How the stream runs; twice a second while pictures go."""
 
@@ -369,6 +388,9 @@ class PictureHeader:
 
     frame_id: Count
     view: ViewName
+    """What it shows."""
+    stands_for: ViewName | None
+    """Where it is shown instead: the cut-plane is the view finder while the airway view is too slow (paper 3.1)."""
     pose_id: Count
     lps_from_camera: Matrix4 | None
     """Camera of a perspective view."""
@@ -377,6 +399,9 @@ class PictureHeader:
     """Planar view: (column, row, 0, 1) in corner coordinates of *this* picture (centre = +0.5) to LPS."""
     width: Pixels
     height: Pixels
+    step_vox: float | None
+    """Ray step of an airway view, in units of the smallest spacing; coarser than 0.5 only where fewer pixels alone do
+    not make the picture quick enough."""
     codec: Literal["jpeg", "png"]
     quality: Annotated[int, Range(1, 100)]
     full: bool

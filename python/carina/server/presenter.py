@@ -8,10 +8,10 @@ import numpy as np
 
 from carina.server import messages as wire
 from carina.server.wire_codec import decode_fields
-from carina.session import ChosenRoute, PoseInfo, RecentCase, Snapshot
+from carina.session import ChosenRoute, PoseInfo, RecentCase, Snapshot, WallPoint
 from carina.session.document import Document
 
-__all__ = ["demos", "pose_message", "route_message", "start_message", "state_message", "tree_message"]
+__all__ = ["demos", "picked_message", "pose_message", "route_message", "start_message", "state_message", "tree_message"]
 
 
 def demos(patient_citation: str | None) -> tuple[wire.Demo, ...]:
@@ -53,7 +53,7 @@ def _case(snapshot: Snapshot) -> wire.CaseInfo | None:
     )
 
 
-def state_message(snapshot: Snapshot) -> wire.State:
+def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
     """All that is shown, but the pose, the tree and the route."""
     document = snapshot.document
     airways = None if document is None else document.airways
@@ -82,6 +82,7 @@ def state_message(snapshot: Snapshot) -> wire.State:
         orbit_tree=wire.Orbit(tree.azimuth_deg, tree.elevation_deg, tree.distance_mm),
         orbit_tri_plane=wire.Orbit(tri.azimuth_deg, tri.elevation_deg, tri.distance_mm),
         zoom=wire.Zoom(zoom.axial_mm_per_px, zoom.coronal_mm_per_px, zoom.sagittal_mm_per_px, zoom.cut_plane_extent_mm),
+        frame_rate_hz=frame_rate_hz,
     )
 
 
@@ -150,6 +151,21 @@ def pose_message(info: PoseInfo) -> wire.Pose:
         generation=info.generation,
         lumen_mm=info.lumen_mm,
         inside=info.inside,
+    )
+
+
+def picked_message(pick_id: int, wall: WallPoint | None, depth_mm: float | None) -> wire.Picked:
+    """What was found under a click in the airway view."""
+    if wall is None:
+        return wire.Picked(pick_id, None, None, None, None, None, None)
+    return wire.Picked(
+        pick_id=pick_id,
+        lps=wall.lps,
+        depth_mm=depth_mm,
+        voxel_value=wall.voxel_value,
+        branch_id=wall.branch_id,
+        branch_name=wall.branch_name,
+        generation=wall.generation,
     )
 
 

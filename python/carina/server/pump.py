@@ -6,26 +6,59 @@ import itertools
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
-from carina.errors import CarinaError
+from carina.errors import CancelledError, CarinaError, UsageError
+from carina.render import CancelToken
+from carina.server.budget import FULL_STEP_VOX
 from carina.server.messages import PictureHeader, Status
-from carina.server.pacing import FrameScheduler, RenderOrder
+from carina.server.pacing import DEFAULT_RATE_HZ, MOVING, FrameScheduler, RenderOrder
 from carina.server.wire_codec import encode_picture
-from carina.session import Scene, log_fault
+from carina.session import Renderer, Scene, log_fault
 
-__all__ = ["FramePump", "encode_jpeg"]
+__all__ = ["FramePump", "ShownPicture", "encode_jpeg"]
 
 logger = logging.getLogger(__name__)
 
 MOVING_QUALITY = 85
 STILL_QUALITY = 95
 STATUS_EVERY_S = 0.5
+MAX_SHOWN = 64
+"""Airway pictures that a click may still be meant for: more than can be on their way to a screen."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShownPicture:
+    """What an airway picture was made from, to find the wall under a click in it."""
+
+    renderer: Renderer
+    view: Any
+    """In the size that the client asked for: a coarse picture is clicked in as exactly as a fine one."""
+    width: int
+    height: int
+    """Of the picture that was shown."""
+
+    def wall_at(self, column: float, row: float) -> Any:
+        """The first wall under a place in the picture (corner coordinates), or None.
+
+        Raises
+        ------
+        UsageError
+            ``session.pick`` if the place lies outside the picture.
+        """
+        if not (column <= self.width and row <= self.height):
+            msg = f"the place ({column:g}, {row:g}) lies outside the picture of {self.width} x {self.height} pixels"
+            raise UsageError(msg, code="session.pick")
+        # The picture's last edge belongs to its last pixel.
+        n = min(int(column / self.width * self.view.width), self.view.width - 1)
+        m = min(int(row / self.height * self.view.height), self.view.height - 1)
+        return self.renderer.pick(self.view, n, m)
 
 
 def encode_jpeg(rgb: NDArray[np.uint8], *, full: bool) -> tuple[bytes, int]:
@@ -68,9 +101,12 @@ class FramePump:
         self._clock = clock
         self._threads = threads
         self._simd = simd
-        self._scheduler = FrameScheduler()
+        self._rate_hz = DEFAULT_RATE_HZ
+        self._scheduler = FrameScheduler(rate_hz=self._rate_hz)
         self._lock = threading.Lock()
         """Guards the scheduler. Never held while the session is asked: it calls :meth:`wake` under its own lock."""
+        self._under_way: tuple[RenderOrder, CancelToken] | None = None
+        self._shown: dict[int, ShownPicture] = {}
         self._woken = threading.Event()
         self._stopped = False
         self._frame_ids = itertools.count(1)
@@ -87,6 +123,23 @@ class FramePump:
             self._scheduler.set_layout(views)
         self.wake()
 
+    def set_rate(self, rate_hz: float) -> None:
+        """Ask for so many airway pictures per second while moving."""
+        with self._lock:
+            self._rate_hz = rate_hz
+            self._scheduler.set_rate(rate_hz)
+        self.wake()
+
+    @property
+    def rate_hz(self) -> float:
+        """Airway pictures per second that are asked for while moving."""
+        return self._rate_hz
+
+    def shown(self, frame_id: int) -> ShownPicture | None:
+        """An airway picture that was sent a moment ago, so that a click in it means what the person saw."""
+        with self._lock:
+            return self._shown.get(frame_id)
+
     def acknowledge(self, frame_id: int) -> None:
         """The client has decoded a picture."""
         with self._lock:
@@ -102,6 +155,22 @@ class FramePump:
     def wake(self) -> None:
         """Something changed."""
         self._woken.set()
+
+    def content_changed(self) -> None:
+        """What pictures show has changed: a fine one under way that this makes old is given up."""
+        with self._lock:
+            under_way = self._under_way
+        if under_way is not None and under_way[0].grade > MOVING and self._is_old(under_way[0]):
+            under_way[1].cancel()
+        self.wake()
+
+    def _is_old(self, order: RenderOrder) -> bool:
+        scene = self._scene()
+        if scene is None:
+            return True
+        now_s = self._clock()
+        with self._lock:
+            return self._scheduler.gives_way(order, _keys(scene, self._scheduler), now_s)
 
     def stop(self) -> None:
         """End :meth:`run` after the picture under way."""
@@ -137,26 +206,42 @@ class FramePump:
         if scene is None:
             return False
         began_s = self._clock()
+        stop = CancelToken()
         with self._lock:
-            self._scheduler.observe({view: scene.key(view) for view in self._scheduler.visible}, began_s)
+            self._scheduler.observe(_keys(scene, self._scheduler), began_s)
             order = self._scheduler.next_order(began_s)
+            self._under_way = None if order is None else (order, stop)
         if order is None:
             return False
         try:
-            view = scene.spec(order.view, order.width, order.height, order.step_vox, full_width=order.full_width)
-            picture = scene.renderer.render(view)
+            # Once more, since a change before `_under_way` was set could not give this picture up.
+            if order.grade > MOVING and self._is_old(order):
+                return True
+            self._render(scene, order, stop, began_s)
+        finally:
+            with self._lock:
+                self._under_way = None
+        return True
+
+    def _render(self, scene: Scene, order: RenderOrder, stop: CancelToken, began_s: float) -> None:
+        shows = "cut-plane" if order.purpose == "finder" else order.view
+        try:
+            view = scene.spec(shows, order.width, order.height, order.step_vox, full_width=order.full_width)
+            picture = scene.renderer.render(view, stop=stop)
             rendered_s = self._clock() - began_s
             frame_id = next(self._frame_ids)
             payload, quality = encode_jpeg(picture.rgb, full=order.full)
             header = PictureHeader(
                 frame_id=frame_id,
-                view=cast(Any, order.view),
+                view=cast(Any, shows),
+                stands_for=cast(Any, order.view) if shows != order.view else None,
                 pose_id=scene.pose_id,
                 lps_from_camera=_matrix(picture.lps_from_camera),
                 fov_deg=None if picture.fov_deg is None else float(picture.fov_deg),
                 lps_from_pixel=_matrix(picture.lps_from_pixel),
                 width=int(picture.rgb.shape[1]),
                 height=int(picture.rgb.shape[0]),
+                step_vox=order.step_vox if shows == "airway" else None,
                 codec="jpeg",
                 quality=quality,
                 full=order.full,
@@ -165,23 +250,31 @@ class FramePump:
             )
             data = encode_picture(header, payload)
         except CarinaError as trouble:
-            self._failed(order, trouble.code, str(trouble))
-            return True
+            if isinstance(trouble, CancelledError) and stop.cancelled:
+                with self._lock:
+                    self._scheduler.given_up(order, self._clock() - began_s)
+            else:
+                self._failed(order, trouble.code, str(trouble))
+            return
         except BaseException as trouble:
             # BaseException: a panic of the compiled module is no Exception.
             log_fault(logger, f"rendering failed: {order.view}", trouble)
             words = f"the {order.view} view could not be rendered, by a fault of Carina ({type(trouble).__name__})"
             self._failed(order, "carina.fault", words)
-            return True
+            return
         self._last_words = None
         now_s = self._clock()
         with self._lock:
-            wanted = self._scheduler.rendered(order, frame_id, now_s - began_s)
+            wanted = self._scheduler.rendered(order, frame_id, now_s - began_s, now_s)
+            if wanted and shows == "airway":
+                fine = scene.spec(shows, order.full_width, order.full_height, FULL_STEP_VOX)
+                self._shown[frame_id] = ShownPicture(scene.renderer, fine, header.width, header.height)
+                while len(self._shown) > MAX_SHOWN:
+                    del self._shown[next(iter(self._shown))]
         if wanted:
             self._deliver(data)
-            if order.view == "airway":
+            if shows == "airway":
                 self._note_status(now_s, scene, header)
-        return True
 
     def _failed(self, order: RenderOrder, code: str, words: str) -> None:
         with self._lock:
@@ -216,6 +309,10 @@ class FramePump:
                 simd=self._simd,
             )
         )
+
+
+def _keys(scene: Scene, scheduler: FrameScheduler) -> dict[str, Hashable]:
+    return {view: scene.key(view) for view in scheduler.visible}
 
 
 def _matrix(matrix: NDArray[np.float64] | None) -> tuple[float, ...] | None:

@@ -7,7 +7,7 @@ from carina.session.recent import LocalStore, RecentCase
 from carina.session.routes import ChosenRoute
 from carina.session.scene import Orbit, Renderer, Scene, Zoom
 from carina.session.session import Session
-from carina.session.snapshot import Changed, PoseInfo, Said, Snapshot, Trouble
+from carina.session.snapshot import Changed, PoseInfo, Said, Snapshot, Trouble, WallPoint
 
 __all__ = [
     "Changed",
@@ -26,6 +26,7 @@ __all__ = [
     "Session",
     "Snapshot",
     "Trouble",
+    "WallPoint",
     "Zoom",
     "default_parts",
     "log_fault",

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from carina.render import Picture, TransferFunction
+    from carina.render import CancelToken, Hit, Picture, TransferFunction
 
 __all__ = ["VIEWS", "Orbit", "Renderer", "Scene", "Zoom"]
 
@@ -36,8 +36,11 @@ PLANES = NORMAL_AXIS.keys()
 class Renderer(Protocol):
     """What a session asks of a renderer: one machine's or a cluster's."""
 
-    def render(self, view: Any) -> Picture:
-        """One picture; safe beside the other methods."""
+    def render(self, view: Any, *, stop: CancelToken | None = None) -> Picture:
+        """One picture; safe beside the other methods. It may be given up once ``stop`` is cancelled."""
+
+    def pick(self, view: Any, column: int, row: int) -> Hit | None:
+        """The first wall under a pixel of an airway view."""
 
     def set_transfer(self, transfer: TransferFunction) -> None:
         """Show the volume with another transfer function."""

@@ -22,7 +22,7 @@ from carina.session.document import Document, Method, Operator, Point, Target
 from carina.session.jobs import Job
 from carina.session.routes import ChosenRoute, default_branch_id, route_to_branch, route_to_target
 from carina.session.scene import Orbit
-from carina.session.snapshot import Said
+from carina.session.snapshot import Said, WallPoint
 from carina.session.start_pose import pose_at_root
 from carina.volume import Volume
 
@@ -388,6 +388,16 @@ class Session(SessionCore):
         # Clipped: a point on the volume's outermost face rounds to the voxel beyond it.
         i, j, k = np.clip(np.rint(volume.to_ijk(point)).astype(int), 0, (nx - 1, ny - 1, nz - 1))
         return int(volume.hu_zyx[k, j, i])
+
+    def wall_point(self, lps: Point) -> WallPoint:
+        """What the scan and the tree say about a point of the wall (LPS mm)."""
+        value = self.value_at(lps)
+        with self._lock:
+            index = self._needed_case().index
+        if index is None:
+            return WallPoint(lps, value, None, None, None)
+        branch_id, _, _ = index.nearest(np.asarray(lps, dtype=np.float64))
+        return WallPoint(lps, value, branch_id, index.name(branch_id), index.generation(branch_id))
 
     # ------------------------------------------------------------ flight
 

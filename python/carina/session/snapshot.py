@@ -12,7 +12,7 @@ from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Or
 if TYPE_CHECKING:
     from carina.volume import Volume
 
-__all__ = ["AirwayStatus", "CaseSnapshot", "Changed", "PoseInfo", "Said", "Snapshot", "Stage", "Trouble"]
+__all__ = ["AirwayStatus", "CaseSnapshot", "Changed", "PoseInfo", "Said", "Snapshot", "Stage", "Trouble", "WallPoint"]
 
 Stage = Literal["empty", "opening", "ready"]
 AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
@@ -51,6 +51,19 @@ class PoseInfo:
     lumen_mm: float | None
     """Diameter of the lumen at the nearest centreline point."""
     inside: bool
+
+
+@dataclass(frozen=True, slots=True)
+class WallPoint:
+    """A point of the wall, and what the scan and the tree say about it."""
+
+    lps: tuple[float, float, float]
+    voxel_value: int | None
+    """Of the voxel it lies in; None outside the volume."""
+    branch_id: int | None
+    """The branch whose centreline is nearest; None without a tree."""
+    branch_name: str | None
+    generation: int | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ import { forkAhead } from "../state/fork";
 import { fixed, mm } from "../state/format";
 import { nextStopMm } from "../state/route";
 import { cameraFromMatrix } from "../state/vec";
+import { wallPointLines } from "../state/wall-point";
 import type { StateMessage } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, Choice, SwitchKey, Tip } from "./controls";
@@ -40,12 +41,27 @@ export function AirwayStage() {
           onDoubleClick={() => station.ui({ full: station.state.ui.full === "airway" ? null : "airway" })}
         />
         {shown ? (
-          <Readings />
+          <>
+            <Readings />
+            <FinderLabel />
+          </>
         ) : (
           <p className="empty centre">The view from the tip appears here as soon as the CT is read.</p>
         )}
       </div>
     </section>
+  );
+}
+
+/** Says that the picture is not the airway view. */
+function FinderLabel() {
+  const standsIn = useApp((state) => state.frames.airway?.stands_for === "airway");
+  if (!standsIn) return null;
+  return (
+    <p className="finder-label" role="status" data-testid="view-finder">
+      <strong>View finder: cut-plane across the tip</strong>
+      <span>The airway view is too slow while moving. Hold still to see it.</span>
+    </p>
   );
 }
 
@@ -195,6 +211,24 @@ function Fov() {
   );
 }
 
+/** The wall point that was clicked last. */
+function WallReading() {
+  const picks = useApp((state) => state.picks);
+  const tree = useApp((state) => state.tree);
+  const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
+  const newest = picks.at(-1);
+  if (newest === undefined) return null;
+  const label = newest.branchId === null ? null : (tree?.byId.get(newest.branchId)?.label ?? null);
+  return (
+    <div className="wall-reading" role="status" data-testid="wall-point">
+      <strong>wall point</strong>
+      {wallPointLines(picks, label, isHu).map((words) => (
+        <span key={words}>{words}</span>
+      ))}
+    </div>
+  );
+}
+
 /** Nearer than this the route is at its end. */
 const AT_END_MM = 0.1;
 
@@ -237,6 +271,7 @@ function Readings() {
             lumen <strong>{mm(pose.lumen_mm)}</strong>
           </span>
         )}
+        <WallReading />
       </div>
       <div className="reading bottom-left numbers">
         {atEnd ? <span>end of the route</span> : null}

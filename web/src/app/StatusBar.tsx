@@ -1,16 +1,16 @@
 /** How it runs, said honestly, and the sentence that is always there. */
 
 import { useEffect, useState } from "react";
+import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue } from "react-aria-components";
 import { greyWindow } from "../state/app-state";
-import { coordinates, fixed, plural, windowWords } from "../state/format";
+import { coordinates, finenessWords, fixed, plural, windowWords } from "../state/format";
 import { asVec3 } from "../state/vec";
 import { useApp, useStation } from "./context";
-import { Act } from "./controls";
+import { Act, Tip } from "./controls";
 
 export function StatusBar() {
   const station = useStation();
   const status = useApp((state) => state.status);
-  const method = useApp((state) => state.session?.method ?? "leap");
   const mode = useApp((state) => state.session?.mode ?? "free");
   const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
   const width = useApp((state) => greyWindow(state).width_hu);
@@ -21,8 +21,9 @@ export function StatusBar() {
     <footer className="status-bar numbers">
       <ConnectionWords />
       <PaceWords />
+      <FineWords />
       <span className="wide">
-        {method === "leap" ? "leaping" : "brute force"}
+        <MethodWords />
         {status === null ? "" : `, ${plural(status.threads, "core")}`}
         <span className="spare">{status === null ? "" : `, ${simdWords(status.simd)}`}</span>
       </span>
@@ -77,6 +78,64 @@ function CursorWords() {
   );
 }
 
+const RATES_HZ = [15, 30, 60] as const;
+
+/** The rate that is asked for, beside the one that is reached. */
+function AskedRate() {
+  const station = useStation();
+  const rate = useApp((state) => state.session?.frame_rate_hz ?? 60);
+  const choices = RATES_HZ.some((known) => known === rate) ? RATES_HZ : [...RATES_HZ, rate];
+  return (
+    <Select
+      aria-label="Pictures per second to ask for while moving"
+      className="select small"
+      selectedKey={String(rate)}
+      onSelectionChange={(key) => {
+        if (key !== null && Number(key) !== rate) station.send({ type: "set_frame_rate", rate_hz: Number(key) });
+      }}
+    >
+      <Tip words="Airway pictures per second to ask for while moving: fewer are finer">
+        <Button className="plain-text">
+          <SelectValue>{() => `of ${fixed(rate)}/s`}</SelectValue>
+        </Button>
+      </Tip>
+      <Popover className="popover" offset={4}>
+        <ListBox className="listbox">
+          {choices.map((hz) => (
+            <ListBoxItem key={hz} id={String(hz)} textValue={`${fixed(hz)} per second`} className="listbox-item">
+              {fixed(hz)} per second
+            </ListBoxItem>
+          ))}
+        </ListBox>
+      </Popover>
+    </Select>
+  );
+}
+
+/** How the airway picture that is on the screen was made, and not how the next one will be. */
+function MethodWords() {
+  const asked = useApp((state) => state.session?.method ?? "leap");
+  const made = useApp((state) => state.frames.airway?.method ?? null);
+  if (made === null || made === "plane") return asked === "leap" ? "leaping" : "brute force";
+  if (made.startsWith("leap")) return "leaping";
+  return asked === "leap" ? "brute force until leaping is ready" : "brute force";
+}
+
+/** How fine the airway picture on the screen is. */
+function FineWords() {
+  const station = useStation();
+  const frame = useApp((state) => state.frames.airway ?? null);
+  if (frame === null) return null;
+  if (frame.stands_for !== null) return <span className="warning-text">view finder</span>;
+  const wanted = station.wall.find("airway")?.wantedPixels?.width ?? frame.width;
+  const words = finenessWords(frame, wanted);
+  return (
+    <span className={frame.full ? "wide" : undefined} title="Size and ray step of the airway picture on the screen">
+      {words}
+    </span>
+  );
+}
+
 /** Later than this, the picture is called late. */
 const LATE_MS = 700;
 
@@ -85,7 +144,7 @@ function PaceWords() {
   return (
     <>
       <span title="Airway pictures per second during the last movement">
-        frame {fps === null ? "\u2013" : `${fps}/s`}
+        frame {fps === null ? "\u2013" : `${fps}/s`} <AskedRate />
       </span>
       {waitingMs > LATE_MS ? (
         <span className="warning-text">picture {fixed(waitingMs / 1000, 1)} s behind</span>

@@ -2,7 +2,7 @@
 
 import { WHEEL_MM_PER_PX } from "../input/flight";
 import { listenToPointer, type PointerHandlers, type PointerPlace } from "../input/pointer";
-import { crosshairLps, greyWindow } from "../state/app-state";
+import { type AppState, crosshairLps, greyWindow } from "../state/app-state";
 import { type FlatGeometry, geometryOf, lpsFromPixel, mmPerPixel, normalOf } from "../state/projection";
 import { add, asVec3, cameraFromMatrix, distance, dot, scale, sub, type Vec3 } from "../state/vec";
 import { clampToVolume } from "../state/volume";
@@ -85,8 +85,34 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
 }
 
 function airwayGestures(station: Workstation, viewport: Viewport): Gestures {
+  /** What was before a click that may turn out to be the first half of a double click. */
+  let before: { crosshair: Vec3 | null; picks: AppState["picks"]; atMs: number } | null = null;
   return {
+    unclick: () => {
+      if (before === null || performance.now() - before.atMs > DOUBLE_CLICK_MS) return;
+      station.forgetPicks(before);
+      before = null;
+    },
     pointer: {
+      click: (at) => {
+        const { header, frame } = viewport;
+        const pixel = viewport.pixelAt(at);
+        if (header === null || pixel === null) return;
+        const nowMs = performance.now();
+        if (station.state.ui.armed !== null) before = null;
+        else if (before === null || nowMs - before.atMs > DOUBLE_CLICK_MS) {
+          before = { crosshair: crosshairLps(station.state), picks: station.state.picks, atMs: nowMs };
+        }
+        const geometry = geometryOf(header);
+        if (geometry?.kind === "flat") {
+          // The view finder is a cut-plane, and is clicked in like one.
+          station.pick(lpsFromPixel(geometry, pixel));
+          return;
+        }
+        const fromMiddle = Math.hypot(at.x - frame.x - frame.width / 2, at.y - frame.y - frame.height / 2);
+        if (viewport.shape === "round" && fromMiddle > frame.width / 2) return;
+        station.pickWall(header, pixel);
+      },
       drag: (_at, moved, button) => {
         if (button !== "main") return;
         const fovRad = ((station.state.session?.fov_deg ?? 90) * Math.PI) / 180;

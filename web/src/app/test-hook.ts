@@ -1,6 +1,6 @@
 /**
  * What browser tests may read: `window.__carina.state`, and on every picture's canvas `data-view`, `data-frame-id`,
- * `data-pose-id` and `data-full`. Nothing in the product reads either.
+ * `data-pose-id`, `data-full` and `data-shows`. Nothing in the product reads either.
  */
 
 import type { AppState } from "../state/app-state";

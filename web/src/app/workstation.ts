@@ -10,12 +10,14 @@ import { mainLeaf, neighbourWay } from "../state/airways";
 import { type AppState, type Connection, crosshairLps, pathMm, tipLps, type Ui } from "../state/app-state";
 import { forkAhead } from "../state/fork";
 import { PaceMeter } from "../state/pace";
+import type { PixelPoint } from "../state/projection";
 import { clampToRoute } from "../state/route";
 import { Store } from "../state/store";
-import { cameraFromMatrix, type Vec3 } from "../state/vec";
+import { asVec3, cameraFromMatrix, type Vec3 } from "../state/vec";
+import type { WallPoint } from "../state/wall-point";
 import { sceneOf } from "../views/scene";
 import { Wall } from "../views/wall";
-import type { ClientMessage, Demo, StateMessage } from "../wire/messages";
+import type { ClientMessage, Demo, PickedMessage, PictureHeader, StateMessage } from "../wire/messages";
 
 const XRAYS = ["xray-coronal", "xray-sagittal", "xray-axial"] as const;
 /** One press of the path bar's arrows. */
@@ -32,6 +34,8 @@ export class Workstation {
   readonly #soon = new Map<string, ClientMessage>();
   #uploadStop: AbortController | null = null;
   #autoWanted = false;
+  #pickId = 0;
+  #pickForgotten = 0;
   readonly #pace = new PaceMeter();
 
   constructor(connect: () => WebSocket) {
@@ -40,7 +44,9 @@ export class Workstation {
       draw: (header, image) => {
         // A view that has just left the screen is not remembered either: it would lie when it comes back.
         if (!this.wall.draw(header, image)) return;
+        // What stands in for the airway view says nothing about how quickly that one follows.
         if (header.view === "airway") this.#pace.pictureDrawn(header.pose_id, performance.now());
+        else if (header.stands_for === "airway") this.#pace.standInDrawn(header.pose_id);
         this.store.dispatch({ kind: "picture", header });
       },
       acknowledge: (frameId) => this.#stream.send({ type: "ack", frame_id: frameId }),
@@ -66,6 +72,7 @@ export class Workstation {
           const before = this.state;
           if (message.type === "pose") this.#pace.poseArrived(message.pose_id, performance.now());
           this.store.dispatch({ kind: "server", message, nowMs: performance.now() });
+          if (message.type === "picked") this.#picked(message);
           // Another case: its first picture may have an older number than the last one of the case before.
           if (message.type === "state" && caseKey(before.session) !== caseKey(message)) {
             this.#board.reset();
@@ -193,6 +200,31 @@ export class Workstation {
   chooseTarget = (targetId: string): void =>
     void this.send({ type: "choose_route", target_id: targetId, branch_id: null });
 
+  /** Asks for the wall under a place in the airway picture that is on the screen. */
+  pickWall(header: PictureHeader, at: PixelPoint): void {
+    if (at.column < 0 || at.row < 0 || at.column > header.width || at.row > header.height) return;
+    this.#pickId += 1;
+    this.send({ type: "pick", pick_id: this.#pickId, frame_id: header.frame_id, ...at });
+  }
+
+  /** What was asked for so far is not waited for any more: the clicks were a double click. */
+  forgetPicks(before: { picks: readonly WallPoint[]; crosshair: Vec3 | null }): void {
+    this.#pickForgotten = this.#pickId;
+    this.store.dispatch({ kind: "picks", picks: before.picks });
+    this.sendSoon({ type: "set_crosshair", lps: before.crosshair });
+  }
+
+  #picked(message: PickedMessage): void {
+    if (message.pick_id <= this.#pickForgotten) return;
+    if (message.lps === null) {
+      this.notice("There is no wall under this place: the ray leaves the scan.");
+      return;
+    }
+    const lps = asVec3(message.lps);
+    if (this.state.ui.armed === null) this.store.dispatch({ kind: "picked", message });
+    this.pick(lps);
+  }
+
   /** A click in a slice: marks what is being marked, else moves the crosshair. */
   pick(lps: Vec3): void {
     const { armed } = this.state.ui;
@@ -203,6 +235,12 @@ export class Workstation {
   }
 
   act = (action: Action): void => this.#actions[action]();
+
+  #wallPointAhead(): void {
+    const header = this.wall.find("airway")?.header ?? null;
+    if (header === null || header.view !== "airway") return;
+    this.pickWall(header, { column: header.width / 2, row: header.height / 2 });
+  }
 
   readonly #actions: Readonly<Record<Action, () => void>> = {
     auto_advance: () => this.#autoAdvance(),
@@ -231,9 +269,12 @@ export class Workstation {
     undo: () => this.send({ type: "undo" }),
     redo: () => this.send({ type: "redo" }),
     key_card: () => this.ui({ keyCardOpen: !this.state.ui.keyCardOpen }),
+    wall_point: () => this.#wallPointAhead(),
     leave: () => {
       this.flight.stopAuto();
-      this.ui(this.state.ui.armed === null ? { full: null } : { armed: null });
+      const { armed, full } = this.state.ui;
+      if (armed === null && full === null) this.store.dispatch({ kind: "picks", picks: [] });
+      else this.ui(armed === null ? { full: null } : { armed: null });
     },
   };
 

@@ -12,6 +12,7 @@ export type Action =
   | "flip_operator"
   | "reset_look"
   | "crosshair_to_tip"
+  | "wall_point"
   | "swap_outside"
   | "next_xray"
   | "toggle_shape"
@@ -108,6 +109,13 @@ export const KEYMAP: readonly Binding[] = [
   { key: "z", ctrl: true, shift: false, label: "Ctrl+Z", words: "Undo", group: "Plan", command: press("undo") },
   { key: "z", ctrl: true, shift: true, label: "Ctrl+Shift+Z", words: "Redo", group: "Plan", command: press("redo") },
   { key: "c", label: "C", words: "Crosshair back to the tip", group: "Pictures", command: press("crosshair_to_tip") },
+  {
+    key: "e",
+    label: "E",
+    words: "Wall in the middle of the airway view: place, distance, HU (or click the wall; Esc takes the marks away)",
+    group: "Pictures",
+    command: press("wall_point"),
+  },
   { key: "t", label: "T", words: "Airway tree, or tri-plane", group: "Pictures", command: press("swap_outside") },
   { key: "x", label: "X", words: "X-ray from the next side", group: "Pictures", command: press("next_xray") },
   {

@@ -12,17 +12,24 @@ function randomOf(seed: number): () => number {
   };
 }
 
-function picture(frameId: number, poseId: number, view: ViewName = "airway"): WirePicture {
+function picture(
+  frameId: number,
+  poseId: number,
+  view: ViewName = "airway",
+  standsFor: ViewName | null = null,
+): WirePicture {
   return {
     header: {
       frame_id: frameId,
       view,
+      stands_for: standsFor,
       pose_id: poseId,
       lps_from_camera: null,
       fov_deg: null,
       lps_from_pixel: null,
       width: 16,
       height: 16,
+      step_vox: null,
       codec: "jpeg",
       quality: 85,
       full: false,
@@ -104,6 +111,20 @@ describe("pictures", () => {
     expect(drawn.map((header) => header.view)).toEqual(["axial"]);
   });
 
+  it("that stand in for a view take part in its order, and not in that of what they show", async () => {
+    const { made, drawn, decodes } = board();
+    made.receive(picture(1, 4, "airway"));
+    await decodes[0]?.end();
+    made.receive(picture(2, 9, "cut-plane"));
+    await decodes[1]?.end();
+    made.receive(picture(3, 5, "cut-plane", "airway"));
+    await decodes[2]?.end();
+    made.receive(picture(4, 4, "airway"));
+    made.receive(picture(5, 6, "airway"));
+    await decodes[3]?.end();
+    expect(drawn.map((header) => header.frame_id)).toEqual([1, 2, 3, 5]);
+  });
+
   it("that cannot be decoded are acknowledged and reported, and the next one is drawn", async () => {
     const { made, drawn, acknowledged, failures, decodes } = board();
     made.receive(picture(1, 1));
@@ -125,13 +146,14 @@ describe("pictures", () => {
     expect(drawn.map((header) => header.frame_id)).toEqual([1]);
   });
 
-  it("stay in order whatever the network and the decoder do", async () => {
+  it("stay in order whatever the network and the decoder do, with the view finder between them", async () => {
     const random = randomOf(7);
     for (let round = 0; round < 60; round += 1) {
       const { made, drawn, acknowledged, decodes } = board();
       let ended = 0;
       for (let frame = 1; frame <= 25; frame += 1) {
-        made.receive(picture(frame, Math.max(1, frame - Math.floor(4 * random()))));
+        const pose = Math.max(1, frame - Math.floor(4 * random()));
+        made.receive(random() < 0.3 ? picture(frame, pose, "cut-plane", "airway") : picture(frame, pose));
         while (ended < decodes.length && random() < 0.5) {
           await decodes[ended]?.end(random() < 0.1);
           ended += 1;

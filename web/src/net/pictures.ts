@@ -26,6 +26,10 @@ interface ViewQueue {
   decoding: boolean;
 }
 
+/** The place on the screen that a picture is for: its own view, or the one that it stands in for. */
+export const placeOf = (header: Pick<PictureHeader, "view" | "stands_for">): ViewName =>
+  header.stands_for ?? header.view;
+
 export function isOlder(a: Pick<PictureHeader, "pose_id" | "frame_id">, b: typeof a): boolean {
   return a.pose_id < b.pose_id || (a.pose_id === b.pose_id && a.frame_id < b.frame_id);
 }
@@ -44,7 +48,7 @@ export class PictureBoard<T extends Decoded> {
   }
 
   receive(picture: WirePicture): void {
-    const { view } = picture.header;
+    const view = placeOf(picture.header);
     const queue = this.#views.get(view) ?? { shown: null, waiting: null, decoding: false };
     this.#views.set(view, queue);
     const rival = queue.waiting?.header ?? queue.shown;

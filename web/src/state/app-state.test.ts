@@ -27,6 +27,7 @@ const EMPTY: StateMessage = {
   lumen_threshold: null,
   orbit_tree: { azimuth_deg: 0, elevation_deg: 0, distance_mm: null },
   orbit_tri_plane: { azimuth_deg: 0, elevation_deg: 0, distance_mm: null },
+  frame_rate_hz: 60,
   zoom: {
     axial_mm_per_px: null,
     coronal_mm_per_px: null,

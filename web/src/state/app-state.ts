@@ -2,6 +2,7 @@
 
 import type {
   ClientMessage,
+  PickedMessage,
   PictureHeader,
   PoseMessage,
   ProgressMessage,
@@ -18,6 +19,7 @@ import { type Optimistic, shown } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
 import type { Step } from "./steps";
 import { asVec3, distance, type Vec3 } from "./vec";
+import { addPick, type WallPoint } from "./wall-point";
 
 export type CellName = "axial" | "coronal" | "sagittal" | "cut-plane" | "xray" | "outside";
 export type XrayView = "xray-coronal" | "xray-sagittal" | "xray-axial";
@@ -71,7 +73,9 @@ export interface AppState {
   readonly messages: readonly Message[];
   readonly nextMessageId: number;
   readonly status: StatusMessage | null;
-  /** Header of the picture that each view shows now. */
+  /** Points of the wall that were clicked in the airway view, newest last. */
+  readonly picks: readonly WallPoint[];
+  /** Header of the picture that each place shows now; where another stands in for a view, that one's. */
   readonly frames: Readonly<Partial<Record<ViewName, PictureHeader>>>;
   readonly pace: Pace;
   /** The voxel under the cursor, as last answered; null while the cursor is over no slice. */
@@ -97,6 +101,7 @@ export const INITIAL_STATE: AppState = {
   messages: [],
   nextMessageId: 1,
   status: null,
+  picks: [],
   frames: {},
   pace: NO_PACE,
   probed: null,
@@ -121,6 +126,8 @@ export type AppEvent =
   | { kind: "sent"; message: ClientMessage; nowMs: number }
   | { kind: "connection"; connection: Connection }
   | { kind: "picture"; header: PictureHeader }
+  | { kind: "picked"; message: PickedMessage }
+  | { kind: "picks"; picks: readonly WallPoint[] }
   | { kind: "pace"; pace: Pace }
   | { kind: "upload"; upload: Upload | null }
   | { kind: "say"; message: Omit<Message, "id"> }
@@ -138,7 +145,11 @@ export function reduce(state: AppState, event: AppEvent): AppState {
     case "connection":
       return connectionChanged(state, event.connection);
     case "picture":
-      return { ...state, frames: { ...state.frames, [event.header.view]: event.header } };
+      return { ...state, frames: { ...state.frames, [event.header.stands_for ?? event.header.view]: event.header } };
+    case "picked":
+      return { ...state, picks: addPick(state.picks, event.message) };
+    case "picks":
+      return { ...state, picks: event.picks };
     case "pace":
       return samePace(event.pace, state.pace) ? state : { ...state, pace: event.pace };
     case "upload":
@@ -173,6 +184,9 @@ function receive(state: AppState, message: ServerMessage, nowMs: number): AppSta
     case "value":
       // An answer that comes after the cursor has left says nothing any more.
       return state.ui.cursorLps === null ? state : { ...state, probed: message };
+    case "picked":
+      // The workstation judges first whether the answer is still wanted.
+      return state;
     case "progress":
       return {
         ...state,
@@ -196,11 +210,11 @@ function sessionChanged(state: AppState, session: StateMessage, nowMs: number): 
   const now = session.case;
   let next: AppState = { ...state, session };
   if (now === null && before !== null) {
-    next = { ...next, frames: {}, pose: null, route: null, tree: null, status: null, local: NOTHING_LOCAL };
+    next = { ...next, frames: {}, picks: [], pose: null, route: null, tree: null, status: null, local: NOTHING_LOCAL };
     next = { ...next, ui: { ...next.ui, full: null, armed: null, advancing: false, cursorLps: null, step: "open" } };
   } else if (now !== null && (before === null || before.title !== now.title)) {
     const hasFindings = now.quality.length + now.warnings.length > 0 || !now.is_hu;
-    next = { ...next, local: NOTHING_LOCAL, ui: { ...next.ui, step: hasFindings ? "check" : "airways" } };
+    next = { ...next, picks: [], local: NOTHING_LOCAL, ui: { ...next.ui, step: hasFindings ? "check" : "airways" } };
   }
   return {
     ...next,

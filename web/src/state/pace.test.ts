@@ -51,3 +51,17 @@ describe("the pace", () => {
     expect(meter.read(100_000).ageMs).toBe(1);
   });
 });
+
+describe("the view finder", () => {
+  it("answers a pose and is no picture of the airway view", () => {
+    const meter = new PaceMeter();
+    for (let pose = 1; pose < 20; pose += 1) {
+      meter.poseArrived(pose, pose * 20);
+      meter.pictureDrawn(pose, pose * 20 + 5);
+    }
+    expect(meter.read(400).fps).toBe(50);
+    meter.poseArrived(20, 400);
+    meter.standInDrawn(20);
+    expect(meter.read(900)).toEqual({ fps: null, ageMs: null, waitingMs: 0 });
+  });
+});

@@ -49,6 +49,15 @@ export class PaceMeter {
     this.#gapMs = this.#gapMs === null ? gap : this.#gapMs + SMOOTHING * (gap - this.#gapMs);
   }
 
+  /** Another picture stands in for this pose: it is answered, and none of this view's pictures was drawn. */
+  standInDrawn(poseId: number): void {
+    this.#shownPose = poseId;
+    this.#lastDrawMs = null;
+    this.#gapMs = null;
+    this.#ageMs = null;
+    for (const known of [...this.#arrivedMs.keys()]) if (known <= poseId) this.#arrivedMs.delete(known);
+  }
+
   read(nowMs: number): Pace {
     const waitsSince = this.#shownPose === this.#newestPose ? undefined : this.#arrivedMs.get(this.#newestPose);
     return {

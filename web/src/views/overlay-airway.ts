@@ -6,6 +6,7 @@ import { pointsBetween } from "../state/route";
 import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
 import type { Scene } from "./scene";
 import { RING_PX, type Viewport } from "./viewport";
+import { paintWallMarks } from "./wall-marks";
 
 /** The line begins where it no longer covers what the tip touches, and ends before it shines through walls. */
 const LINE_FROM_MM = 6;
@@ -26,13 +27,14 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
     return;
   }
 
+  ink.save();
+  ink.beginPath();
+  if (round) ink.arc(centre.x, centre.y, frame.width / 2, 0, 2 * Math.PI);
+  else ink.rect(frame.x, frame.y, frame.width, frame.height);
+  ink.clip();
   if (scene.routeLineVisible && scene.route !== null && scene.pathMm !== null) {
     const ahead = pointsBetween(scene.route, scene.pathMm + LINE_FROM_MM, scene.pathMm + LINE_TO_MM);
     ink.save();
-    ink.beginPath();
-    if (round) ink.arc(centre.x, centre.y, frame.width / 2, 0, 2 * Math.PI);
-    else ink.rect(frame.x, frame.y, frame.width, frame.height);
-    ink.clip();
     ink.setLineDash([1, 7]);
     for (const run of projectLine(geometry, ahead)) {
       const points = run.map((point) => viewport.screenAt(point));
@@ -41,6 +43,8 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
     }
     ink.restore();
   }
+  paintWallMarks(ink, viewport, geometry, scene);
+  ink.restore();
   const marks = ringMarks(geometry.camera);
   if (round) paintDial(ink, centre, radius, marks);
   for (const mark of marks) {

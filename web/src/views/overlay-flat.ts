@@ -15,6 +15,7 @@ import type { ViewName } from "../wire/messages";
 import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
+import { paintWallMarks } from "./wall-marks";
 
 /** Within this distance something counts as lying in a slice. */
 const IN_PLANE_MM = 2.5;
@@ -50,6 +51,7 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
     targetMark(ink, at, colour, near ? 1 : 0.35);
     if (near && !seesThrough) names.name(ink, target.name, at, colour, viewport.size);
   }
+  paintWallMarks(ink, viewport, geometry, scene, inPlane);
   if (scene.tip !== null) {
     const seen = pixelFromLps(geometry, scene.tip.position);
     const ahead = pixelFromLps(geometry, add(scene.tip.position, scale(scene.tip.forward, 6)));

@@ -6,6 +6,7 @@ import { INK, type Ink, line, NamePlaces, targetMark, tipMark } from "./ink";
 import { paintLetters } from "./overlay-flat";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
+import { paintWallMarks } from "./wall-marks";
 
 /** The length of the look arrow in the patient. */
 const LOOK_MM = 12;
@@ -31,6 +32,7 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
     targetMark(ink, at, colour, 1);
     names.name(ink, target.name, at, colour, viewport.size);
   }
+  paintWallMarks(ink, viewport, geometry, scene, () => true);
   if (scene.tip !== null) {
     const seen = pixelFromLps(geometry, scene.tip.position);
     const ahead = pixelFromLps(geometry, add(scene.tip.position, scale(scene.tip.forward, LOOK_MM)));

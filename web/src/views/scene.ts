@@ -24,6 +24,8 @@ export interface Scene {
   targets: readonly SceneTarget[];
   root: Vec3 | null;
   airwayShape: "round" | "full";
+  /** Clicked points of the wall, newest last. */
+  wallPoints: readonly Vec3[];
 }
 
 let cachedFor: RouteInfo | null = null;
@@ -53,5 +55,6 @@ export function sceneOf(state: AppState): Scene {
       })) ?? [],
     root: state.session?.root_lps == null ? null : asVec3(state.session.root_lps),
     airwayShape: state.ui.airwayShape,
+    wallPoints: state.picks.map((point) => point.lps),
   };
 }

@@ -48,6 +48,10 @@ export class Viewport {
     return this.#view;
   }
 
+  get shape(): Shape {
+    return this.#shape;
+  }
+
   /** Another view in the same place; the old picture must not pose as the new one. */
   show(view: ViewName, shape: Shape): void {
     const changed = view !== this.#view;
@@ -180,6 +184,8 @@ export class Viewport {
     dataset.frameId = this.header === null ? "" : String(this.header.frame_id);
     dataset.poseId = this.header === null ? "" : String(this.header.pose_id);
     dataset.full = this.header === null ? "" : String(this.header.full);
+    // Empty unless another picture stands in for the view.
+    dataset.shows = this.header === null || this.header.stands_for === null ? "" : this.header.view;
   }
 }
 

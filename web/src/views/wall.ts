@@ -41,7 +41,7 @@ export class Wall {
   }
 
   draw(header: PictureHeader, image: CanvasImageSource): boolean {
-    const viewport = this.find(header.view);
+    const viewport = this.find(header.stands_for ?? header.view);
     if (viewport === null) return false;
     viewport.draw(header, image);
     this.touch();
@@ -96,7 +96,8 @@ export class Wall {
 function paint(viewport: Viewport, scene: Scene): void {
   const ink = viewport.ink();
   if (ink === null) return;
-  switch (viewport.view) {
+  // What the picture shows decides, not the place that it is in: the view finder is a cut-plane in the airway's place.
+  switch (viewport.header?.view ?? viewport.view) {
     case "airway":
       paintAirway(ink, viewport, scene);
       return;

@@ -219,10 +219,25 @@ export interface SetZoomMessage {
   readonly extent_mm: number | null;
 }
 
+/** Ask for so many airway pictures per second while moving; resolution gives way to it, then the ray step. */
+export interface SetFrameRateMessage {
+  readonly type: "set_frame_rate";
+  readonly rate_hz: number;
+}
+
 /** Ask for the number of the voxel at a point; the answer is `value`. */
 export interface ProbeMessage {
   readonly type: "probe";
   readonly lps: readonly [number, number, number];
+}
+
+/** Ask for the wall under a place in an airway picture; the answer is `picked`. */
+export interface PickMessage {
+  readonly type: "pick";
+  readonly pick_id: number;
+  readonly frame_id: number;
+  readonly column: number;
+  readonly row: number;
 }
 
 /** Take back the last change. */
@@ -360,6 +375,7 @@ export interface StateMessage {
   readonly orbit_tree: Orbit;
   readonly orbit_tri_plane: Orbit;
   readonly zoom: Zoom;
+  readonly frame_rate_hz: number;
 }
 
 /** A branch of a `carina-tree` document. */
@@ -444,6 +460,18 @@ export interface ValueMessage {
   readonly voxel_value: number | null;
 }
 
+/** Answer to `pick`: the wall under a pixel of an airway picture. All null where the ray meets no wall. */
+export interface PickedMessage {
+  readonly type: "picked";
+  readonly pick_id: number;
+  readonly lps: readonly [number, number, number] | null;
+  readonly depth_mm: number | null;
+  readonly voxel_value: number | null;
+  readonly branch_id: number | null;
+  readonly branch_name: string | null;
+  readonly generation: number | null;
+}
+
 /** A job's progress; fraction and time left are null where they cannot be known. */
 export interface ProgressMessage {
   readonly type: "progress";
@@ -490,12 +518,14 @@ export interface StatusMessage {
 export interface PictureHeader {
   readonly frame_id: number;
   readonly view: "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "axial" | "coronal" | "sagittal" | "tree";
+  readonly stands_for: "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "axial" | "coronal" | "sagittal" | "tree" | null;
   readonly pose_id: number;
   readonly lps_from_camera: readonly number[] | null;
   readonly fov_deg: number | null;
   readonly lps_from_pixel: readonly number[] | null;
   readonly width: number;
   readonly height: number;
+  readonly step_vox: number | null;
   readonly codec: "jpeg" | "png";
   readonly quality: number;
   readonly full: boolean;
@@ -536,7 +566,9 @@ export type ClientMessage =
   | SetLumenThresholdMessage
   | SetOrbitMessage
   | SetZoomMessage
+  | SetFrameRateMessage
   | ProbeMessage
+  | PickMessage
   | UndoMessage
   | RedoMessage
   | AcceptNoticeMessage;
@@ -549,6 +581,7 @@ export type ServerMessage =
   | RouteMessage
   | PoseMessage
   | ValueMessage
+  | PickedMessage
   | ProgressMessage
   | DoneMessage
   | ErrorMessage

@@ -1,0 +1,130 @@
+"""A renderer, a hand and a client that take simulated time, for tests of the frame pump's judgement."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from carina.server.pacing import FrameScheduler, RenderOrder
+
+AIRWAY = {"airway": (800, 640)}
+ALL_VIEWS = {
+    **AIRWAY,
+    "axial": (300, 250),
+    "coronal": (300, 250),
+    "sagittal": (300, 250),
+    "cut-plane": (300, 250),
+    "tri-plane": (300, 250),
+}
+
+
+@dataclass
+class Machine:
+    """What a picture costs: so much for each picture, ray and sample of a ray; nobody outside knows."""
+
+    full_s: float
+    """A full airway picture of 800 x 640 pixels."""
+    each_s: float = 0.001
+    samples: float = 0.5
+    """Part of a full picture's time that goes to samples."""
+    slices_s: float = 0.002
+    """A slice at full size."""
+    slowed: Callable[[float], float] = lambda _now_s: 1.0
+
+    def seconds(self, order: RenderOrder, now_s: float) -> float:
+        pixels = order.width * order.height
+        if order.view == "airway" and order.purpose != "finder":
+            per_ray = (self.full_s - self.each_s) / (800 * 640)
+            work_s = per_ray * pixels * (1.0 - self.samples + self.samples * 0.5 / order.step_vox)
+        else:
+            work_s = self.slices_s * pixels / (300 * 250)
+        return (self.each_s + work_s) * self.slowed(now_s)
+
+
+@dataclass
+class Simulation:
+    """Plays pump, renderer and client against a scheduler; a hand moves the tip ``hand_per_s`` times a second."""
+
+    machine: Machine
+    layout: dict[str, tuple[int, int]] = field(default_factory=lambda: dict(AIRWAY))
+    rate_hz: float = 60.0
+    hand_per_s: float = 60.0
+    ack_s: float = 0.005
+    now_s: float = 10.0
+    pose: int = 0
+    sent: list[tuple[float, RenderOrder]] = field(default_factory=list)
+    probes: list[tuple[float, float]] = field(default_factory=list)
+    """When a probe began, and what it took."""
+    spent_s: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.scheduler = FrameScheduler(rate_hz=self.rate_hz)
+        self.scheduler.set_layout(self.layout)
+        self._acks: list[tuple[float, int]] = []
+        self._frame_id = 0
+
+    def fly(self, seconds: float, *, moves: bool = True) -> list[tuple[float, RenderOrder]]:
+        """What was sent while the hand moved (or rested) for so long."""
+        first, end_s = len(self.sent), self.now_s + seconds
+        start_s, start_pose = self.now_s, self.pose
+        while self.now_s < end_s:
+            if moves:
+                self.pose = start_pose + 1 + math.floor((self.now_s - start_s) * self.hand_per_s + 1e-9)
+            for due_s, frame_id in [a for a in self._acks if a[0] <= self.now_s]:
+                self._acks.remove((due_s, frame_id))
+                self.scheduler.acknowledge(frame_id)
+            self.scheduler.observe(dict.fromkeys(self.layout, self.pose), self.now_s)
+            order = self.scheduler.next_order(self.now_s)
+            if order is not None:
+                self._render(order)
+                continue
+            times = [end_s, *(due_s for due_s, _ in self._acks)]
+            wake_s = self.scheduler.wake_s(self.now_s)
+            if wake_s is not None:
+                assert wake_s > self.now_s, "asked to wake at once, and there was nothing to do"
+                times.append(wake_s)
+            if moves:
+                times.append(start_s + (self.pose - start_pose) / self.hand_per_s)
+            self.now_s = max(min(times), self.now_s + 1e-6)
+        return self.sent[first:]
+
+    def rest(self, seconds: float) -> list[tuple[float, RenderOrder]]:
+        """What was sent while the hand rested."""
+        return self.fly(seconds, moves=False)
+
+    def _render(self, order: RenderOrder) -> None:
+        seconds = self.machine.seconds(order, self.now_s)
+        if order.purpose == "probe":
+            self.probes.append((self.now_s, seconds))
+        self.now_s += seconds
+        self._frame_id += 1
+        name = order.purpose if order.view == "airway" else order.view
+        self.spent_s[name] = self.spent_s.get(name, 0.0) + seconds
+        if self.scheduler.rendered(order, self._frame_id, seconds, self.now_s):
+            self.sent.append((self.now_s, order))
+            self._acks.append((self.now_s + self.ack_s, self._frame_id))
+
+
+def airway(sent: list[tuple[float, RenderOrder]]) -> list[tuple[float, RenderOrder]]:
+    """The airway pictures of what was sent."""
+    return [entry for entry in sent if entry[1].view == "airway"]
+
+
+def rate_hz(sent: list[tuple[float, RenderOrder]]) -> float:
+    """Airway pictures per second."""
+    times = [time_s for time_s, _ in airway(sent)]
+    return (len(times) - 1) / (times[-1] - times[0])
+
+
+def num_changes(sent: list[tuple[float, RenderOrder]]) -> int:
+    """How often the level changed."""
+    levels = [order.level for _, order in airway(sent)]
+    return sum(a != b for a, b in itertools.pairwise(levels))
+
+
+def num_coarser(sent: list[tuple[float, RenderOrder]]) -> int:
+    """How often the level changed to a coarser one."""
+    levels = [order.level for _, order in airway(sent)]
+    return sum(a < b for a, b in itertools.pairwise(levels))

@@ -1,0 +1,67 @@
+/** Marks at clicked points of the airway wall, fixed to the patient, in every kind of picture. */
+
+import { mm } from "../state/format";
+import { type Geometry, pixelFromLps } from "../state/projection";
+import { distance } from "../state/vec";
+import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
+import type { Scene } from "./scene";
+import type { Viewport } from "./viewport";
+
+/** Further away than this a wall point of the airway view most likely lies behind another wall. */
+const FAR_MM = 60;
+const FAINT = 0.35;
+const ARM_PX = 7;
+const GAP_PX = 2.5;
+
+/** `isNear` tells from the depth behind a plane, or before a camera, whether a point belongs to what is shown. */
+export function paintWallMarks(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  scene: Scene,
+  isNear: (depthMm: number) => boolean = (depthMm) => depthMm <= FAR_MM,
+): void {
+  const marks = scene.wallPoints.map((lps) => {
+    const seen = pixelFromLps(geometry, lps);
+    return seen === null ? null : { at: viewport.screenAt(seen), near: isNear(seen.depthMm) };
+  });
+  const [first, second] = marks;
+  const [a, b] = scene.wallPoints;
+  if (first != null && second != null && a !== undefined && b !== undefined) {
+    const alpha = first.near && second.near ? 0.9 : FAINT;
+    line(ink, [first.at, second.at], INK.halo, 3.5, 0.6 * alpha);
+    line(ink, [first.at, second.at], INK.text, 1.5, alpha);
+    const middle = { x: (first.at.x + second.at.x) / 2, y: (first.at.y + second.at.y) / 2 - 10 };
+    if (first.near && second.near) label(ink, mm(distance(a, b)), middle, { size: 12, bold: true });
+  }
+  for (const [index, mark] of marks.entries()) {
+    if (mark !== null) wallMark(ink, mark.at, mark.near ? 1 : FAINT, index === marks.length - 1);
+  }
+}
+
+/** A cross that leaves its middle free; the newest one has a ring. */
+function wallMark(ink: Ink, at: ScreenPoint, alpha: number, newest: boolean): void {
+  for (const [colour, width] of [
+    [INK.halo, 4],
+    [INK.text, 1.75],
+  ] as const) {
+    for (const [dx, dy] of [
+      [1, 1],
+      [1, -1],
+      [-1, 1],
+      [-1, -1],
+    ] as const) {
+      const from = { x: at.x + dx * GAP_PX, y: at.y + dy * GAP_PX };
+      line(ink, [from, { x: at.x + dx * ARM_PX, y: at.y + dy * ARM_PX }], colour, width, alpha);
+    }
+    if (!newest) continue;
+    ink.save();
+    ink.globalAlpha = alpha;
+    ink.strokeStyle = colour;
+    ink.lineWidth = width;
+    ink.beginPath();
+    ink.arc(at.x, at.y, ARM_PX + 3, 0, 2 * Math.PI);
+    ink.stroke();
+    ink.restore();
+  }
+}
