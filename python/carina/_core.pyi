@@ -26,6 +26,8 @@ class FlightCurve:
         """(path_mm, distance_mm)."""
     def knots_lps(self) -> NDArray[np.float64]:
         """(m, 3), a copy."""
+    def tangent_frames(self) -> NDArray[np.float64]:
+        """(m, 4, 4), at the knots: +z is the curve's own direction."""
 
 # ---- phantom ----
 
@@ -172,6 +174,32 @@ def tri_plane(
     brightness: tuple[float, float, float] = ...,
 ) -> NDArray[np.uint8]:
     """Three planes in occlusion order, (height, width, 3)."""
+
+def radiograph(
+    hu_zyx: NDArray[np.int16],
+    lps_from_ijk: NDArray[np.float64],
+    lps_from_pixel: NDArray[np.float64],
+    *,
+    width: int,
+    height: int,
+    source_lps: tuple[float, float, float] | None = None,
+    air: float = -1000.0,
+    bone: float = 100.0,
+    bone_gain: float = 1.0,
+    simd: str | None = None,
+) -> NDArray[np.float32]:
+    """Water-equivalent length of each ray, (height, width) mm."""
+
+def sample_lines(
+    hu_zyx: NDArray[np.int16],
+    lps_from_ijk: NDArray[np.float64],
+    lines: NDArray[np.float64],
+    *,
+    width: int,
+    window_hu: tuple[float, float],
+    slab: tuple[float, str] | None = None,
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Grey levels of rows of start, step and through, (rows, 9), and where the volume is."""
 
 def project_maximum(
     hu_zyx: NDArray[np.int16],

@@ -11,6 +11,7 @@ mod isoregion;
 mod phantom;
 mod raycast;
 mod scope;
+mod views;
 mod watch;
 
 /// What was built and what it uses: `profile`, `simd`, `threads`, `version`.
@@ -40,5 +41,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     airpath::register(module)?;
     phantom::register(module)?;
     scope::register(module)?;
+    views::register(module)?;
     Ok(())
 }

@@ -1,7 +1,10 @@
 //! Bindings of `carina-scope`.
 
 use carina_scope::{FlightCurve, ScopeError};
-use numpy::{PyArray2, PyReadonlyArray2, PyUntypedArrayMethods, ToPyArray, ndarray::Array2};
+use numpy::{
+    PyArray2, PyArray3, PyReadonlyArray2, PyUntypedArrayMethods, ToPyArray,
+    ndarray::{Array2, Array3},
+};
 use pyo3::prelude::*;
 
 use crate::errors::{IntoPy, carina_error};
@@ -75,6 +78,20 @@ impl PyFlightCurve {
             }
         }
         knots.to_pyarray(py)
+    }
+
+    fn tangent_frames<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray3<f64>> {
+        let frames = self.0.tangent_frames();
+        let mut out = Array3::zeros((frames.len(), 4, 4));
+        for (n, frame) in frames.iter().enumerate() {
+            for (r, row) in frame.rows().iter().enumerate() {
+                for (c, &value) in row.iter().enumerate() {
+                    out[[n, r, c]] = value;
+                }
+            }
+            out[[n, 3, 3]] = 1.0;
+        }
+        out.to_pyarray(py)
     }
 
     fn __repr__(&self) -> String {

@@ -30,11 +30,13 @@
 
 mod brute;
 mod composite;
+mod drr;
 mod error;
 mod frame;
 mod image;
 mod leap;
 mod light;
+mod lines;
 mod mask;
 mod numbers;
 #[cfg(target_arch = "x86_64")]
@@ -47,11 +49,13 @@ mod transfer;
 mod triplane;
 
 pub use carina_grid::InstructionSet;
+pub use drr::{Attenuation, Projector, cast_radiograph};
 pub use error::RaycastError;
 pub use frame::{Frame, FrameOptions, Interpolation, STOP_TRANSPARENCY};
 pub use image::{CastStats, Method, cast_rows, cast_rows_scalar, cast_rows_until};
 pub use leap::ClassMap;
 pub use light::Light;
+pub use lines::{PixelLine, Slab, SlabKind, sample_lines};
 pub use mask::smoothed_mask;
 pub use numbers::FrameNumbers;
 pub use plane::{PlaneImage, Window, sample_plane};

@@ -11,6 +11,8 @@ const POSITION_SIGMA_MM: f64 = 2.0;
 /// How far ahead the gaze is centred, and over which width: about one length of a subsegmental airway (7 to 10 mm) in all.
 const GAZE_AHEAD_MM: f64 = 3.0;
 const GAZE_SIGMA_MM: f64 = 4.0;
+/// Width of the smoothing of tangents: planes across the curve must not rock with what is left of the stairs.
+const TANGENT_SIGMA_MM: f64 = 2.0;
 /// A patient is not longer than this; a longer "path" is broken input and would take memory without end.
 const MAX_LENGTH_MM: f64 = 20_000.0;
 
@@ -32,6 +34,7 @@ pub struct FlightCurve {
     step_mm: f64,
     length_mm: f64,
     frames: Vec<Affine>,
+    up: [f64; 3],
 }
 
 impl FlightCurve {
@@ -115,26 +118,14 @@ impl FlightCurve {
                 reason: "lies along the start of the path",
             });
         }
-        // Double reflection wants a curve and its tangents. The gaze is not the tangent of the flown curve, so the frames are
-        // taken along the curve that has the gaze for tangent, and then moved onto the flown one.
-        let mut along = vec![[0.0; 3]; gazes.len()];
-        for i in 1..gazes.len() {
-            along[i] = std::array::from_fn(|a| {
-                along[i - 1][a] + 0.5 * step_mm * (gazes[i - 1][a] + gazes[i][a])
-            });
-        }
-        let frames = rotation_minimizing_frames(&along, &gazes, up)
-            .ok_or(ScopeError::Up {
-                reason: "lies along the start of the path",
-            })?
-            .iter()
-            .zip(&knots)
-            .map(|(f, &knot)| Affine::from_columns(f.column(0), f.column(1), f.column(2), knot))
-            .collect();
+        let frames = frames_along(&knots, &gazes, up, step_mm).ok_or(ScopeError::Up {
+            reason: "lies along the start of the path",
+        })?;
         Ok(Self {
             step_mm,
             length_mm,
             frames,
+            up,
         })
     }
 
@@ -153,6 +144,28 @@ impl FlightCurve {
     /// Positions of the knots, evenly spaced in mm of the polyline.
     pub fn knots(&self) -> impl Iterator<Item = [f64; 3]> + '_ {
         self.frames.iter().map(|f| f.column(3))
+    }
+
+    /// Distance of the knots, in mm of the polyline.
+    #[must_use]
+    pub const fn step_mm(&self) -> f64 {
+        self.step_mm
+    }
+
+    /// A frame at each knot whose +z is the curve's own direction, not the gaze: right and down span the plane across the
+    /// airway. They turn about the direction as little as can be.
+    #[must_use]
+    pub fn tangent_frames(&self) -> Vec<Affine> {
+        let knots: Vec<[f64; 3]> = self.knots().collect();
+        let tangents = gaze(&knots, 0.0, TANGENT_SIGMA_MM, self.step_mm);
+        // The gaze at the start is within a bend of the tangent; where "up" should lie along it, the gaze's frame has one
+        // that does not.
+        frames_along(&knots, &tangents, self.up, self.step_mm)
+            .or_else(|| {
+                let up = self.frames[0].column(1).map(|v| -v);
+                frames_along(&knots, &tangents, up, self.step_mm)
+            })
+            .unwrap_or_else(|| self.frames.clone())
     }
 
     /// The camera (`lps_from_camera`) at a place, clamped to the ends.
@@ -203,6 +216,32 @@ impl FlightCurve {
         best.path_mm = best.path_mm.min(self.length_mm);
         best
     }
+}
+
+/// Frames that look along `looks` and stand at `knots`.
+///
+/// Double reflection wants a curve and its tangents. The looks are not the tangents of the knots' curve, so the frames are
+/// taken along the curve that has them for tangents, and then moved onto the knots.
+fn frames_along(
+    knots: &[[f64; 3]],
+    looks: &[[f64; 3]],
+    up: [f64; 3],
+    step_mm: f64,
+) -> Option<Vec<Affine>> {
+    let mut along = vec![[0.0; 3]; looks.len()];
+    for i in 1..looks.len() {
+        along[i] = std::array::from_fn(|a| {
+            along[i - 1][a] + 0.5 * step_mm * (looks[i - 1][a] + looks[i][a])
+        });
+    }
+    let frames = rotation_minimizing_frames(&along, looks, up)?;
+    Some(
+        frames
+            .iter()
+            .zip(knots)
+            .map(|(f, &knot)| Affine::from_columns(f.column(0), f.column(1), f.column(2), knot))
+            .collect(),
+    )
 }
 
 /// Points every `step_mm` along a polyline, both ends included.
@@ -339,5 +378,38 @@ mod tests {
         assert!(FlightCurve::new(&[p, [1.0, 2.0, 9.0]], None, f64::NAN).is_err());
         let short = FlightCurve::new(&[p, [1.0, 2.0, 3.01]], None, 0.5).unwrap();
         assert!(short.pose_at(0.005).is_rigid(1e-12));
+    }
+
+    #[test]
+    fn tangent_frames_stand_across_the_curve_and_do_not_spin() {
+        // A quarter circle of radius 40 mm in the coronal plane, straight ends.
+        let points: Vec<[f64; 3]> = (0..=200)
+            .map(|i| {
+                let s = f64::from(i) * 0.5;
+                if s < 20.0 {
+                    return [0.0, 0.0, -s];
+                }
+                let angle = ((s - 20.0) / 40.0).min(std::f64::consts::FRAC_PI_2);
+                let rest = (s - 20.0 - 40.0 * std::f64::consts::FRAC_PI_2).max(0.0);
+                [
+                    40.0 * (1.0 - libm::cos(angle)) + rest,
+                    0.0,
+                    -20.0 - 40.0 * libm::sin(angle),
+                ]
+            })
+            .collect();
+        let curve = FlightCurve::new(&points, None, 0.5).unwrap();
+        let frames = curve.tangent_frames();
+        let knots: Vec<[f64; 3]> = curve.knots().collect();
+        assert_eq!(frames.len(), knots.len());
+        for i in 1..frames.len() - 1 {
+            assert!(frames[i].is_rigid(1e-9));
+            assert_eq!(frames[i].column(3), knots[i]);
+            // Down stays posterior: the curve lies in the coronal plane.
+            assert!((frames[i].column(1)[1] - 1.0).abs() < 1e-6, "{i}");
+            let chord = unit(std::array::from_fn(|a| knots[i + 1][a] - knots[i - 1][a])).unwrap();
+            // 2 degrees: where the bend begins, its smoothing over 2 mm of 40 mm.
+            assert!(dot(chord, frames[i].column(2)) > 0.9994, "{i}");
+        }
     }
 }
