@@ -183,7 +183,7 @@ def radiograph(
     width: int,
     height: int,
     source_lps: tuple[float, float, float] | None = None,
-    air: float = -1000.0,
+    air: float = ...,
     bone: float = 100.0,
     bone_gain: float = 1.0,
     simd: str | None = None,

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 
+from carina.navigate import FlightPath
 from carina.render import (
     AirwayView,
     CutPlaneView,
+    DrrView,
+    PathView,
     Renderer,
     SliceView,
     TreeView,
@@ -25,6 +28,7 @@ GOLDEN = TESTS / "golden" / "render"
 OUT = TESTS / "out" / "golden"
 SIZE = {"width": 96, "height": 96}
 AT = (0.5, -1.0, 26.0)
+WAY = FlightPath([(0.0, 0.0, 40.0), (0.0, 0.0, 0.0), (-22.0, 4.0, -34.0)])
 
 # Name: (view of the phantom's pose, transfer function, what a person must see).
 CASES = {
@@ -67,6 +71,21 @@ CASES = {
         lambda _: SliceView(plane="coronal", center_lps=AT, **SIZE),
         "endoscopic",
         "a dark Y: trachea from the top, the wide right bronchus goes to the lower left",
+    ),
+    "drr-oblique": (
+        lambda _: DrrView(-30.0, 15.0, **SIZE),
+        "endoscopic",
+        "a radiograph turned to the right: a bright spine left of the middle, and the airways as a darker Y",
+    ),
+    "straightened": (
+        lambda _: PathView("straightened", WAY.frames(), **SIZE),
+        "endoscopic",
+        "one straight dark tube from top to bottom; the left bronchus leaves it to the right",
+    ),
+    "curved": (
+        lambda _: PathView("curved", WAY.frames(), **SIZE),
+        "endoscopic",
+        "a dark Y whose right bronchus runs to the end of the picture at the lower left",
     ),
     "tree": (
         lambda _: TreeView(azimuth_deg=20.0, elevation_deg=10.0, **SIZE),

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from render_grids import place, rotation
 
 from carina.errors import RenderError, UsageError
+from carina.navigate import FlightPath
 from carina.render import (
+    VIEW_NAMES,
     CutPlaneView,
     Renderer,
+    Slab,
     SliceView,
     TreeView,
     TriPlaneView,
@@ -229,19 +234,8 @@ def test_marking_the_tip_draws_a_small_cross_there_and_nowhere_else():
 
 
 def test_every_view_of_the_command_line_renders(airway):
-    names = (
-        "airway",
-        "cut-plane",
-        "tri-plane",
-        "xray-axial",
-        "xray-coronal",
-        "xray-sagittal",
-        "axial",
-        "coronal",
-        "sagittal",
-        "tree",
-    )
-    for name in names:
+    path = FlightPath([(0.0, 0.0, 50.0), (0.0, 0.0, 0.0), (-20.0, 4.0, -30.0)]).frames()
+    for name in VIEW_NAMES:
         picture = render_view(
             airway.volume,
             view=name,
@@ -250,15 +244,36 @@ def test_every_view_of_the_command_line_renders(airway):
             height=30,
             orbit=(10.0, 5.0),
             lumen_zyx=airway.lumen_zyx,
+            path=path,
         )
         assert picture.view == name
         assert picture.rgb.shape == (30, 40, 3)
         assert picture.rgb.std() > 1
         assert picture.stats.seconds > 0
-    with pytest.raises(UsageError, match="drr"):
-        render_view(airway.volume, view="drr", pose=airway.pose)
+    with pytest.raises(UsageError, match="drone"):
+        render_view(airway.volume, view="drone", pose=airway.pose)
+    with pytest.raises(UsageError, match="path"):
+        render_view(airway.volume, view="straightened", pose=airway.pose)
     with pytest.raises(UsageError, match="orbit"):
         render_view(airway.volume, view="tri-plane", pose=airway.pose, orbit=(1.0,))
+
+
+@pytest.mark.parametrize("axes", GRIDS)
+def test_a_slab_gathers_what_lies_before_and_behind_a_plane(axes):
+    renderer = Renderer(volume_with_blob(axes, np.add(MIDDLE, (0.0, 9.0, 0.0))))
+    for view in (
+        SliceView("coronal", MIDDLE, 60, 60),
+        CutPlaneView(Pose.looking(MIDDLE, (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), 60, 60),
+    ):
+        assert renderer.render(view).rgb.max() < 100
+        assert renderer.render(dataclasses.replace(view, slab=Slab(10.0, "max"))).rgb.max() < 100
+        thick = renderer.render(dataclasses.replace(view, slab=Slab(20.0, "max")))
+        assert bright_center(thick.rgb) == pytest.approx(thick.pixel_of(np.add(MIDDLE, (0.0, 9.0, 0.0))), abs=1.5)
+        least = renderer.render(dataclasses.replace(view, slab=Slab(20.0, "min")))
+        assert least.rgb.max() < 100
+        # No thickness is the plane itself, whichever way it is read.
+        thin = renderer.render(dataclasses.replace(view, slab=Slab(0.0, "mean")))
+        assert np.abs(thin.rgb.astype(int) - renderer.render(view).rgb).max() <= 1
 
 
 def test_odd_windows_and_planes_are_refused():

@@ -162,7 +162,8 @@ def render(
     view: Annotated[
         str,
         typer.Option(
-            help="airway, cut-plane, tri-plane, xray-axial, xray-coronal, xray-sagittal, axial, coronal, sagittal, tree"
+            help="airway, cut-plane, tri-plane, xray-axial, xray-coronal, xray-sagittal, drr, axial, coronal, "
+            "sagittal, straightened, curved, tree"
         ),
     ] = "airway",
     at: Annotated[str, typer.Option(help="Tip position x,y,z in mm (LPS), or auto: the top of the trachea.")] = "auto",
@@ -186,6 +187,23 @@ def render(
     surface: Annotated[
         Path | None,
         typer.Option(help="NPZ to write beside an airway view: depth, position and normal of the wall at each pixel."),
+    ] = None,
+    tree: Annotated[
+        Path | None, typer.Option(help="Tree of the straightened and curved views; the scan's own unless given.")
+    ] = None,
+    to: Annotated[
+        str | None, typer.Option(help="Where those views lead: a branch's name or id, or a point x,y,z in mm (LPS).")
+    ] = None,
+    turn: Annotated[float, typer.Option(help="Turn of their cutting plane about the path, degrees.")] = 0.0,
+    carm_primary: Annotated[
+        float, typer.Option(help="C-arm of drr: LAO above 0, RAO below 0, degrees; 90 is lateral.")
+    ] = 0.0,
+    carm_secondary: Annotated[float, typer.Option(help="C-arm of drr: cranial above 0, caudal below 0.")] = 0.0,
+    tone: Annotated[
+        str, typer.Option(help="drr as radiograph (bone white) or fluoroscopy (bone dark).")
+    ] = "radiograph",
+    slab: Annotated[
+        str | None, typer.Option(help="Thick planes: mm and min, max or mean, such as 10,min to see airways.")
     ] = None,
     series: SeriesOption = None,
     as_json: JsonOption = False,
@@ -216,6 +234,12 @@ def render(
                 orbit=orbit,
                 window=window,
                 surface=surface,
+                tree=tree,
+                to=to,
+                turn_deg=turn,
+                carm_deg=(carm_primary, carm_secondary),
+                tone=tone,
+                slab=slab,
                 series=series,
                 as_json=as_json,
             )

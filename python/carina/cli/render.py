@@ -4,24 +4,43 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 import carina
+from carina.cli.along import check_destination, way_to
 from carina.cli.arguments import check_output_file, parse_point
 from carina.cli.console import interruptible, print_json, progress_printer, say
 from carina.errors import CarinaError, UsageError, VolumeImportError
-from carina.render import TransferFunction, mark_tip, render_surface, render_view, transfer_preset, view_spec
-from carina.scopes import Pose
+from carina.render import (
+    PathSpan,
+    Picture,
+    Slab,
+    TransferFunction,
+    letter_edges,
+    mark_path,
+    mark_tip,
+    render_surface,
+    render_view,
+    transfer_preset,
+    view_spec,
+)
+from carina.scopes import PathFrames, Pose
+from carina.session.routes import ChosenRoute
 
 __all__ = ["report"]
 
 MAX_TRANSFER_BYTES = 1_000_000
 # Planes through the tip: outside the volume they would be a picture of nothing.
+PLANE_VIEWS = {"cut-plane", "axial", "coronal", "sagittal"}
 VIEWS_INSIDE = {"cut-plane", "tri-plane", "axial", "coronal", "sagittal"}
-MARKED_VIEWS = {"xray-axial", "xray-coronal", "xray-sagittal", "axial", "coronal", "sagittal", "tree"}
+MARKED_VIEWS = {"xray-axial", "xray-coronal", "xray-sagittal", "drr", "axial", "coronal", "sagittal", "tree"}
+PATH_VIEWS = {"straightened", "curved"}
+LETTERED_VIEWS = {"drr", *PATH_VIEWS}
+# Stands for the path while the arguments are checked.
+_ANY_PATH = PathFrames(np.array([0.0, 1.0]), np.stack([np.eye(4)] * 2))
 
 
 def _transfer(text: str | None) -> TransferFunction | None:
@@ -57,6 +76,23 @@ def _window(text: str | None) -> tuple[float, float] | None:
     return width, level
 
 
+def _slab(text: str | None) -> Slab | None:
+    if text is None:
+        return None
+    thickness, _, kind = text.partition(",")
+    try:
+        return Slab(float(thickness), cast(Any, kind or "mean"))
+    except ValueError:
+        raise UsageError(
+            f"--slab: expected a thickness in mm and min, max or mean, such as 10,min; found {text!r}"
+        ) from None
+
+
+def _along(picture: Picture, way: ChosenRoute) -> Picture:
+    spans = [PathSpan(s.name or f"generation {s.generation}", s.from_mm, s.to_mm) for s in way.spans]
+    return mark_path(picture, spans=spans, radius_mm=(way.cumulative_mm, way.radius_mm))
+
+
 def report(
     path: Path,
     *,
@@ -74,6 +110,12 @@ def report(
     orbit: str | None,
     window: str | None,
     surface: Path | None,
+    tree: Path | None,
+    to: str | None,
+    turn_deg: float,
+    carm_deg: tuple[float, float],
+    tone: str,
+    slab: str | None,
     series: str | None,
     as_json: bool,
 ) -> int:
@@ -94,7 +136,19 @@ def report(
         "shading": shading,
         "orbit": None if orbit is None else tuple(float(v) for v in parse_point(orbit, "--orbit")),
         "window_hu": _window(window),
+        "carm_deg": carm_deg,
+        "tone": tone,
+        "turn_deg": turn_deg,
+        "slab": _slab(slab),
     }
+    along_path = view in PATH_VIEWS
+    if along_path:
+        to = check_destination(to, view)
+        options["path"] = _ANY_PATH
+    elif to is not None or tree is not None:
+        raise UsageError(f"--to and --tree are for {' and '.join(sorted(PATH_VIEWS))}; found the view {view!r}")
+    if slab is not None and not (along_path or view in PLANE_VIEWS):
+        raise UsageError(f"--slab: only planes and views along a path can be thick; found the view {view!r}")
     direction = (0.0, 0.0, -1.0) if look is None else look
     # What is wrong with the arguments is said now, and not after minutes of reading and tracking.
     view_spec(pose=Pose.looking((0.0, 0.0, 0.0) if at is None else at, direction, up), **options)
@@ -109,7 +163,11 @@ def report(
     # The lumen closes thin walls in the endoscopic picture, is the tree view's surface, and gives the default pose.
     wants_wall = view == "airway" and volume.is_hu and (chosen is None or chosen.wall)
     # X-rays show the whole volume from wherever it is asked for.
-    wants_pose = at is None and not view.startswith("xray-")
+    wants_pose = at is None and not view.startswith("xray-") and view != "drr" and not along_path
+    way = None
+    if to is not None:
+        way = way_to(volume, to, tree_file=tree, progress=progress)
+        options["path"] = way.path.frames()
     if wants_pose or view == "tree" or wants_wall:
         try:
             airways = carina.find_airways(volume, progress=progress)
@@ -124,6 +182,12 @@ def report(
     picture = interruptible(lambda: render_view(volume, pose=pose, transfer=chosen, lumen_zyx=lumen_zyx, **options))
     if view in MARKED_VIEWS and at is not None:
         picture = mark_tip(picture, pose.position_lps)
+    if way is not None:
+        picture = _along(picture, way)
+        if at is not None:
+            picture = mark_tip(picture, at)
+    if view in LETTERED_VIEWS:
+        picture = letter_edges(picture)
     picture.save(output)
     say(f"wrote {output}")
     if surface is not None:
@@ -146,6 +210,7 @@ def report(
                 **({} if surface is None else {"surface": str(surface)}),
                 "view": view,
                 "size": list(size),
+                **({} if way is None else {"path_mm": way.length_mm, "to": way.title}),
                 "lps_from_camera": pose.lps_from_camera.tolist(),
                 "stats": dataclasses.asdict(picture.stats),
             }

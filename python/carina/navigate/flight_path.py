@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from carina import _core
 from carina.errors import UsageError
-from carina.scopes import Pose
+from carina.scopes import PathFrames, Pose
 
 __all__ = ["FlightPath"]
 
@@ -98,6 +98,11 @@ class FlightPath:
     def pose_at(self, path_mm: float) -> Pose:
         """The camera at a place, looking along the path ahead; clamped to the ends."""
         return Pose(self._curve.pose_at(float(path_mm)))
+
+    def frames(self) -> PathFrames:
+        """The plane across the path at each knot: +z is the path's own direction, not the gaze."""
+        frames = self._curve.tangent_frames()
+        return PathFrames(np.linspace(0.0, self.length_mm, len(frames)), frames)
 
     def nearest_mm(self, point_lps: ArrayLike) -> float:
         """The place nearest to a point (LPS mm)."""

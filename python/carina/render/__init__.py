@@ -4,6 +4,7 @@ from typing import Any
 
 from carina import _core
 from carina._core import CancelToken
+from carina.render.lettering import PathSpan, letter_edges, mark_path
 from carina.render.pictures import VIEW_NAMES, mark_tip, render_surface, render_view, view_spec
 from carina.render.renderer import Renderer
 from carina.render.surface import Hit, Surface
@@ -11,8 +12,12 @@ from carina.render.transfer import PRESETS, Light, TransferFunction, transfer_fr
 from carina.render.views import (
     AirwayView,
     CutPlaneView,
+    DrrView,
+    PathView,
     Picture,
+    PictureLines,
     RenderStats,
+    Slab,
     SliceView,
     TreeView,
     TriPlaneView,
@@ -26,11 +31,16 @@ __all__ = [
     "AirwayView",
     "CancelToken",
     "CutPlaneView",
+    "DrrView",
     "Hit",
     "Light",
+    "PathSpan",
+    "PathView",
     "Picture",
+    "PictureLines",
     "RenderStats",
     "Renderer",
+    "Slab",
     "SliceView",
     "Surface",
     "TransferFunction",
@@ -39,6 +49,8 @@ __all__ = [
     "View",
     "XrayView",
     "build_info",
+    "letter_edges",
+    "mark_path",
     "mark_tip",
     "render_surface",
     "render_view",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +16,18 @@ from carina.render.views import (
     WINDOW_HU,
     AirwayView,
     CutPlaneView,
+    DrrView,
+    PathView,
     Picture,
     Plane,
+    Slab,
     SliceView,
     TreeView,
     TriPlaneView,
     View,
     XrayView,
 )
-from carina.scopes import Pose
+from carina.scopes import PathFrames, Pose
 from carina.volume import Volume
 
 __all__ = ["VIEW_NAMES", "mark_tip", "render_surface", "render_view", "view_spec"]
@@ -36,9 +39,12 @@ VIEW_NAMES = (
     "xray-axial",
     "xray-coronal",
     "xray-sagittal",
+    "drr",
     "axial",
     "coronal",
     "sagittal",
+    "straightened",
+    "curved",
     "tree",
 )
 MARK_RGB = (70, 220, 235)
@@ -60,6 +66,11 @@ def render_view(
     window_hu: tuple[float, float] | None = None,
     extent_mm: float = 60.0,
     mm_per_px: float | None = None,
+    carm_deg: tuple[float, float] = (0.0, 0.0),
+    tone: Literal["radiograph", "fluoroscopy"] | str = "radiograph",
+    path: PathFrames | None = None,
+    turn_deg: float = 0.0,
+    slab: Slab | None = None,
     lumen_zyx: NDArray[np.uint8] | None = None,
 ) -> Picture:
     """Render one picture of a volume.
@@ -69,8 +80,8 @@ def render_view(
     volume
         The volume.
     view
-        ``airway``, ``cut-plane``, ``tri-plane``, ``xray-axial``, ``xray-coronal``, ``xray-sagittal``, ``axial``,
-        ``coronal``, ``sagittal`` or ``tree``.
+        ``airway``, ``cut-plane``, ``tri-plane``, ``xray-axial``, ``xray-coronal``, ``xray-sagittal``, ``drr``,
+        ``axial``, ``coronal``, ``sagittal``, ``straightened``, ``curved`` or ``tree``.
     pose
         The tip: camera of the airway view, centre of the planes.
     fov_deg
@@ -78,7 +89,14 @@ def render_view(
     orbit
         Azimuth and elevation in degrees and, if wished, distance in mm, of the camera of ``tri-plane`` and ``tree``.
     window_hu
-        Width and level; (1500, -600) for planes and fitted to the values of an X-ray unless told.
+        Width and level; (1500, -600) for planes and fitted to the values of an X-ray unless told. Of ``drr`` in mm of
+        water.
+    carm_deg, tone
+        Primary (LAO above 0) and secondary (cranial above 0) angle of ``drr``, and its tone.
+    path, turn_deg
+        The path of ``straightened`` and ``curved``, and the turn of their cutting plane.
+    slab
+        Shows planes and paths as a thick slice.
     lumen_zyx
         The airway lumen, needed for ``tree``, and for the closed wall of the endoscopic airway view.
 
@@ -107,6 +125,11 @@ def render_view(
         window_hu=window_hu,
         extent_mm=extent_mm,
         mm_per_px=mm_per_px,
+        carm_deg=carm_deg,
+        tone=tone,
+        path=path,
+        turn_deg=turn_deg,
+        slab=slab,
     )
     renderer = Renderer(volume, transfer=transfer)
     if lumen_zyx is not None and view in {"airway", "tree"}:
@@ -190,6 +213,11 @@ def view_spec(
     window_hu: tuple[float, float] | None = None,
     extent_mm: float = 60.0,
     mm_per_px: float | None = None,
+    carm_deg: tuple[float, float] = (0.0, 0.0),
+    tone: Literal["radiograph", "fluoroscopy"] | str = "radiograph",
+    path: PathFrames | None = None,
+    turn_deg: float = 0.0,
+    slab: Slab | None = None,
 ) -> View:
     """The view that :func:`render_view` renders, checked without a volume; parameters and errors are the same."""
     size = {"width": width, "height": height}
@@ -203,13 +231,36 @@ def view_spec(
             chosen = cast(Literal["leap", "brute"], method)
             return AirwayView(pose, fov_deg=fov_deg, step_vox=step_vox, shading=shading, method=chosen, **size)
         case "cut-plane":
-            return CutPlaneView(pose, extent_mm=extent_mm, window_hu=grey, **size)
+            return CutPlaneView(pose, extent_mm=extent_mm, window_hu=grey, slab=slab, width=width, height=height)
         case "tri-plane":
             return TriPlaneView((x, y, z), window_hu=grey, width=width, height=height, **around)
         case "xray-axial" | "xray-coronal" | "xray-sagittal":
             return XrayView(axis=cast(Plane, view.removeprefix("xray-")), window_hu=window_hu, **size)
         case "axial" | "coronal" | "sagittal":
-            return SliceView(plane=view, center_lps=(x, y, z), mm_per_px=mm_per_px, window_hu=grey, **size)
+            return SliceView(
+                plane=view,
+                center_lps=(x, y, z),
+                mm_per_px=mm_per_px,
+                window_hu=grey,
+                slab=slab,
+                width=width,
+                height=height,
+            )
+        case "drr":
+            return DrrView(*carm_deg, width, height, mm_per_px=mm_per_px, tone=cast(Any, tone), window_mm=window_hu)
+        case "straightened" | "curved":
+            if path is None:
+                raise UsageError(f"the {view} view needs a path to lie along", code="render.no-path")
+            return PathView(
+                view,
+                path,
+                turn_deg=turn_deg,
+                mm_per_px=mm_per_px,
+                window_hu=grey,
+                slab=slab,
+                width=width,
+                height=height,
+            )
         case "tree":
             return TreeView(width=width, height=height, **around)
         case _:

@@ -37,11 +37,11 @@ class PlaneCaster:
             view.width,
             view.height,
         )
-        return self._plane("cut-plane", matrix, view.width, view.height, view.window_hu)
+        return self._plane("cut-plane", matrix, view)
 
     def slice(self, view: SliceView) -> Picture:
         """A slice along patient axes."""
-        return self._plane(view.plane, self._slice_matrix(view), view.width, view.height, view.window_hu)
+        return self._plane(view.plane, self._slice_matrix(view), view)
 
     def xray(self, view: XrayView) -> Picture:
         """A maximum intensity projection."""
@@ -97,17 +97,28 @@ class PlaneCaster:
             fov_deg=view.fov_deg,
         )
 
-    def _plane(
-        self, name: str, matrix: NDArray[np.float64], width: int, height: int, window_hu: tuple[float, float]
-    ) -> Picture:
-        grey, _ = _core.cut_plane(
-            self._volume.hu_zyx,
-            self._volume.lps_from_ijk,
-            matrix,
-            width=width,
-            height=height,
-            window_hu=window_hu,
-        )
+    def _plane(self, name: str, matrix: NDArray[np.float64], view: CutPlaneView | SliceView) -> Picture:
+        volume = self._volume
+        if view.slab is None:
+            grey, _ = _core.cut_plane(
+                volume.hu_zyx,
+                volume.lps_from_ijk,
+                matrix,
+                width=view.width,
+                height=view.height,
+                window_hu=view.window_hu,
+            )
+        else:
+            starts = matrix[:3, 3] + (np.arange(view.height) + 0.5)[:, None] * matrix[:3, 1]
+            lines = np.hstack([starts, np.broadcast_to(matrix[:3, [0, 2]].T.ravel(), (view.height, 6))])
+            grey, _ = _core.sample_lines(
+                volume.hu_zyx,
+                volume.lps_from_ijk,
+                np.ascontiguousarray(lines),
+                width=view.width,
+                window_hu=view.window_hu,
+                slab=(view.slab.thickness_mm, view.slab.kind),
+            )
         return _planar_picture(name, "plane", grey, matrix)
 
     def _slice_matrix(self, view: SliceView) -> NDArray[np.float64]:

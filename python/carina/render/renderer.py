@@ -13,6 +13,8 @@ from carina._core import CancelToken
 from carina.errors import RenderError
 from carina.render.airway import AirwayCaster
 from carina.render.planes import PlaneCaster
+from carina.render.radiograph import cast_drr
+from carina.render.reformation import cast_path_view
 from carina.render.scene import Cancel, Progress, SceneKeeper
 from carina.render.surface import Hit, Surface
 from carina.render.transfer import TransferFunction
@@ -20,6 +22,8 @@ from carina.render.tree import cast_tree
 from carina.render.views import (
     AirwayView,
     CutPlaneView,
+    DrrView,
+    PathView,
     Picture,
     SliceView,
     TreeView,
@@ -154,6 +158,10 @@ class Renderer:
                 picture = self._planes.tri_plane(view)
             case TreeView():
                 picture = self._tree(view, stop)
+            case DrrView():
+                picture = cast_drr(self._volume, view, simd=self._simd)
+            case PathView():
+                picture = cast_path_view(self._volume, view)
         return dataclasses.replace(
             picture, stats=dataclasses.replace(picture.stats, seconds=time.perf_counter() - started)
         )

@@ -14,13 +14,17 @@ import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from carina.errors import RenderError
-from carina.scopes import Pose
+from carina.scopes import PathFrames, Pose
 
 __all__ = [
     "AirwayView",
     "CutPlaneView",
+    "DrrView",
+    "PathView",
     "Picture",
+    "PictureLines",
     "RenderStats",
+    "Slab",
     "SliceView",
     "TreeView",
     "TriPlaneView",
@@ -61,6 +65,20 @@ def _check_plane(name: str) -> None:
         raise RenderError(f"expected one of {', '.join(PLANES)}; found {name!r}", code="render.setting")
 
 
+@dataclass(frozen=True, slots=True)
+class Slab:
+    """A thick slice: the largest, smallest or mean value over ``thickness_mm`` (0 to 500); ``min`` shows airways."""
+
+    thickness_mm: float
+    kind: Literal["max", "min", "mean"]
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.thickness_mm <= 500.0:
+            raise RenderError(f"a slab is 0 to 500 mm thick; found {self.thickness_mm}", code="render.setting")
+        if self.kind not in {"max", "min", "mean"}:
+            raise RenderError(f"a slab shows max, min or mean; found {self.kind!r}", code="render.setting")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class AirwayView:
     """What the scope's tip sees: direct volume rendering (paper 3.1).
@@ -95,6 +113,7 @@ class CutPlaneView:
     height: int = 512
     extent_mm: float = 60.0
     window_hu: tuple[float, float] = WINDOW_HU
+    slab: Slab | None = None
 
     def __post_init__(self) -> None:
         _check(self.width, self.height, window_hu=self.window_hu)
@@ -145,6 +164,90 @@ class XrayView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DrrView:
+    """A digitally reconstructed radiograph: X-rays from a C-arm, attenuated by the volume.
+
+    Angles are those of DICOM PS3.3 C.8.7.5 (Positioner Primary and Secondary Angle), for a supine patient:
+    ``primary_deg`` turns the detector from anterior (0) towards the patient's left (LAO, above 0) or right (RAO, below
+    0), ``secondary_deg`` towards the head (cranial, above 0) or the feet (caudal, below 0). The picture is seen from
+    the detector, as fluoroscopy shows it: at 0, 0 patient right is on screen left. The C-arm turns about the volume's
+    centre.
+
+    ``sid_mm`` is the distance from source to detector, ``sod_mm`` that from the source to the centre; ``parallel``
+    takes parallel rays. ``mm_per_px`` counts at the centre; None shows the box as it is seen at primary 0 and 90. Tone:
+    ``radiograph`` is the logarithm, bone white; ``fluoroscopy`` the intensity itself, bone dark. ``window_mm`` are
+    width and level in mm of water; None fits them to the picture.
+    """
+
+    primary_deg: float = 0.0
+    secondary_deg: float = 0.0
+    width: int = 512
+    height: int = 512
+    parallel: bool = False
+    sid_mm: float = 1200.0
+    sod_mm: float = 800.0
+    mm_per_px: float | None = None
+    tone: Literal["radiograph", "fluoroscopy"] = "radiograph"
+    window_mm: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        _check(self.width, self.height, window_hu=self.window_mm)
+        _check_mm("the size of a pixel", self.mm_per_px)
+        if not -360.0 <= self.primary_deg <= 360.0:
+            raise RenderError(
+                f"the primary angle is -360 to 360 degrees; found {self.primary_deg}", code="render.setting"
+            )
+        if not -90.0 <= self.secondary_deg <= 90.0:
+            raise RenderError(
+                f"the secondary angle is -90 to 90 degrees; found {self.secondary_deg}", code="render.setting"
+            )
+        if not 100.0 <= self.sod_mm <= self.sid_mm <= 5000.0:
+            found = f"{self.sod_mm} and {self.sid_mm}"
+            raise RenderError(
+                f"from the source to the centre and to the detector are 100 to 5000 mm, in this order; found {found}",
+                code="render.setting",
+            )
+        if self.tone not in {"radiograph", "fluoroscopy"}:
+            raise RenderError(f"expected radiograph or fluoroscopy; found {self.tone!r}", code="render.setting")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathView:
+    """The airway along a path, root at the top, in one picture; mm are equal across and down.
+
+    ``straightened`` lays the planes across the path below one another: the path is a straight line, places on it lie at
+    their mm along the route. It is shown 40 mm to either side; ``turn_deg`` turns the cutting plane about the path.
+    ``curved`` is the stretched curved planar reformation: the surface that a line sweeps along the path, unrolled, so
+    that lengths on it are true. The line runs from patient right to left at ``turn_deg`` 0, as in a coronal slice, and
+    from anterior to posterior at 90, as in a sagittal one.
+
+    With ``mm_per_px`` the picture is centred on the place ``center_mm``; without, the whole path fits.
+
+    References
+    ----------
+    Kanitsar, Fleischmann, Wegenkittl, Felkel, Groeller, "CPR - curved planar reformation", IEEE Visualization 2002.
+    """
+
+    kind: Literal["straightened", "curved"]
+    path: PathFrames
+    turn_deg: float = 0.0
+    width: int = 512
+    height: int = 512
+    mm_per_px: float | None = None
+    center_mm: float = 0.0
+    window_hu: tuple[float, float] = WINDOW_HU
+    slab: Slab | None = None
+
+    def __post_init__(self) -> None:
+        _check(self.width, self.height, window_hu=self.window_hu)
+        _check_mm("the size of a pixel", self.mm_per_px)
+        if self.kind not in {"straightened", "curved"}:
+            raise RenderError(f"expected straightened or curved; found {self.kind!r}", code="render.setting")
+        if not (np.isfinite(self.turn_deg) and np.isfinite(self.center_mm)):
+            raise RenderError("the turn and the place of a path view are finite numbers", code="render.setting")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SliceView:
     """A slice along patient axes, in radiological display: patient right on screen left, sagittal with anterior on the
     left.
@@ -159,6 +262,7 @@ class SliceView:
     height: int = 512
     mm_per_px: float | None = None
     window_hu: tuple[float, float] = WINDOW_HU
+    slab: Slab | None = None
 
     def __post_init__(self) -> None:
         _check(self.width, self.height, window_hu=self.window_hu)
@@ -183,14 +287,15 @@ class TreeView:
         _check_mm("the camera's distance", self.distance_mm)
 
 
-View = AirwayView | CutPlaneView | TriPlaneView | XrayView | SliceView | TreeView
+View = AirwayView | CutPlaneView | TriPlaneView | XrayView | SliceView | TreeView | DrrView | PathView
 
 
 @dataclass(frozen=True, slots=True)
 class RenderStats:
     """What a picture took.
 
-    ``method`` is the caster that ran: ``leap``, ``leap-all``, ``brute``, ``plane`` or ``projection``.
+    ``method`` is the caster that ran: ``leap``, ``leap-all``, ``brute``, ``plane``, ``projection``, ``radiograph`` or
+    ``lines``.
     """
 
     method: str
@@ -205,12 +310,56 @@ class RenderStats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PictureLines:
+    """Where the rows of a picture lie whose surface is curved.
+
+    Pixel corner (column, row) is at ``start_lps + column * step_lps`` of the row's middle; all are (height, 3) mm LPS.
+    ``path_mm`` (height,) is each row's place along the path, NaN beyond its ends; ``path_column`` (height,) where the
+    path crosses the row.
+    """
+
+    start_lps: NDArray[np.float64]
+    step_lps: NDArray[np.float64]
+    path_mm: NDArray[np.float64]
+    path_column: NDArray[np.float64]
+    mm_per_px: float
+
+    def lps_of(self, column: float, row: float) -> NDArray[np.float64]:
+        """The point at a place of the picture, rows clamped to it."""
+        middles = np.arange(len(self.start_lps)) + 0.5
+        start, step = (
+            np.array([np.interp(row, middles, values[:, axis]) for axis in range(3)])
+            for values in (self.start_lps, self.step_lps)
+        )
+        return np.asarray(start + column * step)
+
+    def pixel_of(self, point_lps: NDArray[np.float64]) -> tuple[float, float]:
+        """The place (column, row) whose point is nearest."""
+        offset = point_lps - self.start_lps
+        columns = np.einsum("ij,ij->i", offset, self.step_lps) / np.einsum("ij,ij->i", self.step_lps, self.step_lps)
+        columns = np.clip(columns, 0.0, None)
+        away = np.linalg.norm(offset - columns[:, None] * self.step_lps, axis=1)
+        row = int(np.argmin(away))
+        # Between two rows: where the distances to both fall in proportion.
+        sides = [n for n in (row - 1, row + 1) if 0 <= n < len(away)]
+        beside = min(sides, key=lambda n: float(away[n]), default=row)
+        total = float(away[row] + away[beside])
+        t = float(away[row]) / total if beside != row and total > 0.0 and total < 1.5 * self.mm_per_px else 0.0
+        return (
+            float((1.0 - t) * columns[row] + t * columns[beside]),
+            row + 0.5 + t * (beside - row),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Picture:
     """A rendered view.
 
     ``rgb`` is (height, width, 3) uint8. Planar views have ``lps_from_pixel`` (4x4): it maps (column, row, depth in mm,
     1) to LPS, pixel (0, 0) being the top-left *corner* of the top-left pixel; its third column is the direction of
-    projection or the plane's normal. Perspective views have ``lps_from_camera`` (4x4) and ``fov_deg``.
+    projection or the plane's normal. Perspective views have ``lps_from_camera`` (4x4) and ``fov_deg``; that of a
+    radiograph is the X-ray source, with +x mirrored, since the picture is seen from the other side. Views along a path
+    have ``lines``.
     """
 
     rgb: NDArray[np.uint8]
@@ -219,10 +368,13 @@ class Picture:
     lps_from_pixel: NDArray[np.float64] | None = None
     lps_from_camera: NDArray[np.float64] | None = None
     fov_deg: float | None = None
+    lines: PictureLines | None = None
 
     def pixel_of(self, point_lps: NDArray[np.float64] | tuple[float, float, float]) -> tuple[float, float] | None:
         """Where a point appears, as (column, row) in corner coordinates; None if it is behind the camera."""
         point = np.asarray(point_lps, dtype=np.float64)
+        if self.lines is not None:
+            return self.lines.pixel_of(point)
         if self.lps_from_pixel is not None:
             column, row, _ = np.linalg.solve(self.lps_from_pixel[:3, :3], point - self.lps_from_pixel[:3, 3])
             return float(column), float(row)

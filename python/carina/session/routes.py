@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.errors import NoResultError
 from carina.navigate import FlightPath
 from carina.track import AirwayTree, Route, TrackedPath
 
@@ -18,6 +19,7 @@ __all__ = [
     "default_branch_id",
     "lookouts_mm",
     "route_to_branch",
+    "route_to_point",
     "route_to_target",
 ]
 
@@ -103,6 +105,38 @@ def route_to_branch(tree: AirwayTree, branch_id: int) -> ChosenRoute:
     branch = tree.branch(branch_id)
     title = branch.name or f"branch {branch_id}, generation {branch.generation}"
     return _chosen(route, tree, route_id=f"branch-{branch_id}", title=title, branch_id=branch_id)
+
+
+def route_to_point(tree: AirwayTree, point_lps: NDArray[np.float64], *, snap_mm: float = 5.0) -> ChosenRoute:
+    """The way from the root to the place of the tree that is nearest to a point.
+
+    Raises
+    ------
+    NoResultError
+        If no centreline comes within ``snap_mm``, or the place is the root itself.
+    """
+    branch, _, away_mm = tree.nearest_branch(point_lps)
+    if away_mm > snap_mm:
+        msg = (
+            f"the nearest centreline of the tree is {away_mm:.1f} mm from the point; at most {snap_mm:g} mm are bridged"
+        )
+        raise NoResultError(msg, code="track.outside-lumen")
+    whole = tree.route_to(branch.id)
+    last = int(np.argmin(np.linalg.norm(whole.points_lps - point_lps, axis=1)))
+    if last == 0:
+        raise NoResultError("the point lies at the root: there is no way to go", code="track.no-path")
+    end_mm = float(whole.cumulative_mm[last])
+    cut = Route(
+        whole.points_lps[: last + 1],
+        whole.cumulative_mm[: last + 1],
+        whole.radius_mm[: last + 1],
+        whole.generation[: last + 1],
+        whole.branch_ids[: last + 1],
+        [mm for mm in whole.forks_mm if mm < end_mm],
+    )
+    return _chosen(
+        cut, tree, route_id=f"branch-{branch.id}", title=branch.name or f"branch {branch.id}", branch_id=None
+    )
 
 
 def route_to_target(tree: AirwayTree, path: TrackedPath, target_id: str, name: str) -> ChosenRoute:

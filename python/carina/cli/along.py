@@ -1,0 +1,66 @@
+"""The way that a view or a flight lies along: a tree from a file or from the scan, and where to."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import carina
+from carina.cli.arguments import parse_point
+from carina.errors import UsageError
+from carina.export import read_tree
+from carina.session.routes import ChosenRoute, route_to_branch, route_to_point, route_to_target
+from carina.track import AirwayTree
+from carina.track.airways import Progress
+from carina.volume import Volume
+
+__all__ = ["check_destination", "way_to"]
+
+MAX_NAMES_SAID = 12
+
+
+def check_destination(to: str | None, view: str) -> str:
+    """Refuse a missing or broken ``--to`` before the work."""
+    if to is None:
+        raise UsageError(
+            f"the {view} view lies along a route, and there is none yet: name its end with --to "
+            "(a branch's name or id, or x,y,z)"
+        )
+    if "," in to:
+        parse_point(to, "--to")
+    return to
+
+
+def way_to(volume: Volume, to: str, *, tree_file: Path | None, progress: Progress | None) -> ChosenRoute:
+    """The route to a branch's tip by name or id, or to a point x,y,z (LPS mm).
+
+    Raises
+    ------
+    UsageError
+        If the tree has no such branch.
+    NoResultError
+        If no path leads to the point.
+    """
+    airways = None
+    if tree_file is None:
+        airways = carina.find_airways(volume, progress=progress)
+        tree = airways.tree
+    else:
+        tree = read_tree(tree_file)
+    if "," in to:
+        point = parse_point(to, "--to")
+        if airways is None:
+            return route_to_point(tree, point)
+        return route_to_target(tree, airways.tracker.path_to(point), "target", "target")
+    return route_to_branch(tree, _branch_id(tree, to))
+
+
+def _branch_id(tree: AirwayTree, to: str) -> int:
+    branch = tree.named(to)
+    if branch is not None:
+        return branch.id
+    if re.fullmatch(r"\d{1,9}", to):
+        return tree.branch(int(to)).id
+    names = [b.name for b in tree.branches if b.name]
+    known = ", ".join(names[:MAX_NAMES_SAID]) + (", ..." if len(names) > MAX_NAMES_SAID else "")
+    raise UsageError(f"--to: no branch is called {to!r}; named are: {known or 'none'}; each also has an id")

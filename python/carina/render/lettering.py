@@ -1,0 +1,197 @@
+"""Letters, ticks and names in pictures that leave Carina as files; the window draws its own."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import UsageError
+from carina.render.views import Picture
+
+__all__ = ["PathSpan", "letter_edges", "letters_of", "mark_path"]
+
+# Dots of a 5 x 8 letter: a byte for each column, its lowest bit at the top.
+_DOTS = {
+    " '()+,-.": "0000000000 0008070300 001c224100 0041221c00 08083e0808 0080703000 0808080808 0000606000",
+    "/": "2010080402",
+    "01234567": "3e5149453e 00427f4000 7249494946 2141494d33 1814127f10 2745454539 3c4a494931 4121110907",
+    "89": "3649494936 464949291e",
+    "ABCDEFGH": "7c1211127c 7f49494936 3e41414122 7f4141413e 7f49494941 7f09090901 3e41415173 7f0808087f",
+    "IJKLM": "00417f4100 2040413f01 7f08142241 7f40404040 7f021c027f",
+    "NOPQRSTU": "7f0408107f 3e4141413e 7f09090906 3e4151215e 7f09192946 2649494932 03017f0103 3f4040403f",
+    "VWXYZ": "1f2040201f 3f4038403f 6314081463 0304780403 6159494d43",
+    "abcdefgh": "2054547840 7f28444438 3844444428 384444287f 3854545418 00087e0902 18a4a49c78 7f08040478",
+    "ijklm": "00447d4000 2040403d00 7f10284400 00417f4000 7c04780478",
+    "nopqrstu": "7c08040478 3844444438 fc18242418 18242418fc 7c08040408 4854545424 04043f4424 3c4040207c",
+    "vwxyz": "1c2040201c 3c4030403c 4428102844 4c9090907c 4464544c44",
+}
+_GLYPHS = {
+    letter: bytes.fromhex(columns)
+    for letters, dots in _DOTS.items()
+    for letter, columns in zip(letters, dots.split(), strict=True)
+}
+_ADVANCE, _HEIGHT = 6, 8
+_TEXT_RGB, _QUIET_RGB, _AXIS_RGB, _RADIUS_RGB = (230, 232, 234), (169, 177, 184), (79, 211, 230), (79, 211, 230)
+
+_LETTERS = (("L", "R"), ("P", "A"), ("S", "I"))
+
+
+@dataclass(frozen=True, slots=True)
+class PathSpan:
+    """A branch along a path, with the name to print."""
+
+    name: str
+    from_mm: float
+    to_mm: float
+
+
+def letters_of(direction_lps: NDArray[np.float64]) -> str:
+    """The letters that name a direction, dominant first; a second one where it is oblique by 12 degrees and more."""
+    unit = np.asarray(direction_lps, dtype=np.float64) / float(np.linalg.norm(direction_lps))
+    order = np.argsort(-np.abs(unit), kind="stable")[:2]
+    return "".join(
+        _LETTERS[axis][0 if unit[axis] >= 0 else 1] for n, axis in enumerate(order) if n == 0 or abs(unit[axis]) >= 0.2
+    )
+
+
+def letter_edges(picture: Picture) -> Picture:
+    """A copy of a picture with the patient's directions at its four edges, from its own geometry.
+
+    Raises
+    ------
+    UsageError
+        If the picture does not know where its pixels are.
+    """
+    rgb = picture.rgb.copy()
+    height, width = rgb.shape[:2]
+    if picture.lines is not None:
+        middle = height // 2
+        right = picture.lines.step_lps[middle]
+        ends = (
+            picture.lines.start_lps[[0, -1]]
+            + picture.lines.path_column[[0, -1], None] * picture.lines.step_lps[[0, -1]]
+        )
+        down = ends[1] - ends[0]
+    else:
+        matrix = picture.lps_from_pixel if picture.lps_from_pixel is not None else picture.lps_from_camera
+        if matrix is None:
+            raise UsageError("this picture does not know where its pixels are, so it has no letters")
+        right, down = matrix[:3, 0], matrix[:3, 1]
+    size = _size(rgb)
+    inset = 3 * size
+    sides = (inset, width - inset, height // 2)
+    if picture.lines is not None:
+        # The axis stands at the left and the names at the right.
+        sides = (width // 4, width - width // 4, inset + _HEIGHT * size // 2)
+    for direction, column, row, align in (
+        (-right, sides[0], sides[2], 0.0),
+        (right, sides[1], sides[2], 1.0),
+        (-down, width // 2, inset + _HEIGHT * size // 2, 0.5),
+        (down, width // 2, height - inset - _HEIGHT * size // 2, 0.5),
+    ):
+        _write(rgb, letters_of(direction), column, row, align=align, size=size)
+    return dataclasses.replace(picture, rgb=rgb)
+
+
+def mark_path(
+    picture: Picture,
+    *,
+    spans: Sequence[PathSpan] = (),
+    radius_mm: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+) -> Picture:
+    """A copy of a view along a path with its axis: distances in mm, the branches' names, the lumen.
+
+    Parameters
+    ----------
+    picture
+        A ``straightened`` or ``curved`` picture.
+    spans
+        Branches along the path; names are left out where they would print over one another.
+    radius_mm
+        Places (n,) and lumen radii (n,) along the path, mm: drawn as two dotted lines in the straightened picture.
+
+    Raises
+    ------
+    UsageError
+        If the picture is no view along a path.
+    """
+    lines = picture.lines
+    if lines is None:
+        raise UsageError("only views along a path have an axis of places")
+    rgb = picture.rgb.copy()
+    height, width = rgb.shape[:2]
+    size = _size(rgb)
+    known = np.isfinite(lines.path_mm)
+    rows = np.flatnonzero(known)
+    if rows.size == 0:
+        return dataclasses.replace(picture, rgb=rgb)
+    if radius_mm is not None and picture.view == "straightened":
+        reach = np.interp(lines.path_mm[rows], radius_mm[0], radius_mm[1]) / lines.mm_per_px
+        for side in (-1.0, 1.0):
+            columns = (lines.path_column[rows] + side * reach).astype(int)
+            shown = (rows // size % 4 < 2) & (columns >= 0) & (columns < width)
+            rgb[rows[shown], columns[shown]] = _RADIUS_RGB
+
+    def row_of(place_mm: float) -> int | None:
+        if not lines.path_mm[rows[0]] <= place_mm <= lines.path_mm[rows[-1]]:
+            return None
+        return round(float(np.interp(place_mm, lines.path_mm[rows], rows)))
+
+    axis = 3 * size
+    rgb[rows[0] : rows[-1] + 1, axis : axis + size] = _AXIS_RGB
+    per_px = (lines.path_mm[rows[-1]] - lines.path_mm[rows[0]]) / max(rows[-1] - rows[0], 1)
+    tick_mm = next(mm for mm in (1, 2, 5, 10, 20, 50, 100, 1000) if mm / max(per_px, 1e-6) >= 3 * _HEIGHT * size)
+    first = int(np.ceil(lines.path_mm[rows[0]] / tick_mm - 1e-3))
+    for place_mm in np.arange(first, lines.path_mm[rows[-1]] / tick_mm + 1e-3) * tick_mm:
+        row = row_of(float(np.clip(place_mm, lines.path_mm[rows[0]], lines.path_mm[rows[-1]])))
+        if row is not None:
+            rgb[row : row + size, axis : axis + 5 * size] = _AXIS_RGB
+            _write(rgb, f"{place_mm:.0f} mm", axis + 7 * size, row, size=size)
+    taken = -height
+    for span in spans:
+        start = row_of(span.from_mm) if span.from_mm > lines.path_mm[rows[0]] else int(rows[0])
+        end = row_of(span.to_mm) if span.to_mm < lines.path_mm[rows[-1]] else int(rows[-1])
+        if start is None or end is None:
+            continue
+        right = width - 3 * size
+        rgb[start : start + size, max(right - 5 * size, 0) : right] = _QUIET_RGB
+        row = (start + end) // 2
+        if row - taken > (_HEIGHT + 2) * size:
+            _write(rgb, span.name, right, row, align=1.0, size=size)
+            taken = row
+    return dataclasses.replace(picture, rgb=rgb)
+
+
+def _size(rgb: NDArray[np.uint8]) -> int:
+    return 1 if min(rgb.shape[:2]) < 400 else 2
+
+
+def _write(rgb: NDArray[np.uint8], text: str, column: int, row: int, *, align: float = 0.0, size: int = 1) -> None:
+    """Text with its middle at a row, light on a dark edge; what lies outside the picture is cut off."""
+    dots = np.zeros((_HEIGHT, max(_ADVANCE * len(text) - 1, 1)), dtype=bool)
+    for n, letter in enumerate(text):
+        for m, bits in enumerate(_GLYPHS.get(letter, _GLYPHS["-"])):
+            dots[:, _ADVANCE * n + m] = [bits >> bit & 1 for bit in range(_HEIGHT)]
+    dots = np.pad(np.repeat(np.repeat(dots, size, axis=0), size, axis=1), 1)
+    edge = np.zeros_like(dots)
+    for across in (-1, 0, 1):
+        for along in (-1, 0, 1):
+            edge |= np.roll(np.roll(dots, across, axis=0), along, axis=1)
+    top, left = row - dots.shape[0] // 2, column - int(align * dots.shape[1])
+    height, width = rgb.shape[:2]
+    inside = (
+        slice(max(top, 0), min(top + dots.shape[0], height)),
+        slice(max(left, 0), min(left + dots.shape[1], width)),
+    )
+    part = (
+        slice(inside[0].start - top, inside[0].stop - top),
+        slice(inside[1].start - left, inside[1].stop - left),
+    )
+    if inside[0].start >= inside[0].stop or inside[1].start >= inside[1].stop:
+        return
+    rgb[inside][edge[part]] = (8, 10, 12)
+    rgb[inside][dots[part]] = _TEXT_RGB

@@ -1,0 +1,113 @@
+"""Pictures along a path: where their rows lie in the patient (Kanitsar et al., IEEE Visualization 2002)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina import _core
+from carina.render.views import PathView, Picture, PictureLines, RenderStats
+from carina.volume import Volume
+
+__all__ = ["HALF_WIDTH_MM", "cast_path_view"]
+
+Points = NDArray[np.float64]
+
+HALF_WIDTH_MM = 40.0
+"""Half the width of a straightened airway: farther out the planes of a bend cross one another."""
+# Room beyond the ends of a path that is shown whole.
+END_MM = 8.0
+
+
+def cast_path_view(volume: Volume, view: PathView) -> Picture:
+    """The picture of a straightened airway or of a curved reformation."""
+    lines, through = _straightened(view) if view.kind == "straightened" else _curved(view)
+    table = np.ascontiguousarray(np.hstack([lines.start_lps, lines.step_lps, through]))
+    grey, _ = _core.sample_lines(
+        volume.hu_zyx,
+        volume.lps_from_ijk,
+        table,
+        width=view.width,
+        window_hu=view.window_hu,
+        slab=None if view.slab is None else (view.slab.thickness_mm, view.slab.kind),
+    )
+    if view.kind == "straightened":
+        across_mm = np.abs(np.arange(view.width) + 0.5 - view.width / 2) * lines.mm_per_px
+        grey[:, across_mm > HALF_WIDTH_MM] = 0
+    stats = RenderStats("lines", view.width, view.height, *(view.width * view.height,) * 2, 0, 0, 0, 0.0)
+    return Picture(rgb=np.repeat(grey[:, :, None], 3, axis=2), view=view.kind, stats=stats, lines=lines)
+
+
+def _straightened(view: PathView) -> tuple[PictureLines, Points]:
+    path = view.path
+    mm_per_px = view.mm_per_px or (path.length_mm + 2 * END_MM) / view.height
+    center_mm = view.center_mm if view.mm_per_px else float(path.path_mm[0] + path.path_mm[-1]) / 2
+    rows_mm = np.asarray(center_mm + (np.arange(view.height) + 0.5 - view.height / 2) * mm_per_px, dtype=np.float64)
+    points, axes = path.at(rows_mm)
+    turn = np.deg2rad(view.turn_deg)
+    # A camera that looks down the airway with anterior up has patient right on its right: mirrored, so that the picture
+    # begins as a coronal slice does at 0, and as a sagittal one at 90.
+    across = np.sin(turn) * axes[:, :, 1] - np.cos(turn) * axes[:, :, 0]
+    through = np.cos(turn) * axes[:, :, 1] + np.sin(turn) * axes[:, :, 0]
+    step = across * mm_per_px
+    beyond = (rows_mm < path.path_mm[0]) | (rows_mm > path.path_mm[-1])
+    lines = PictureLines(
+        start_lps=points - step * (view.width / 2),
+        step_lps=step,
+        path_mm=np.where(beyond, np.nan, rows_mm),
+        path_column=np.full(view.height, view.width / 2),
+        mm_per_px=mm_per_px,
+    )
+    return lines, through
+
+
+def _curved(view: PathView) -> tuple[PictureLines, Points]:
+    path = view.path
+    turn = np.deg2rad(view.turn_deg)
+    across = np.array([np.cos(turn), np.sin(turn), 0.0])
+    points = path.points_lps
+    steps = np.diff(points, axis=0)
+    steps -= (steps @ across)[:, None] * across
+    # Length of the unrolled surface. Where the path runs along the sweeping line it does not grow; a hair of it keeps
+    # rows and places in one order.
+    unrolled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
+    unrolled += 1e-6 * (path.path_mm - path.path_mm[0])
+    sideways = points @ across
+    if view.mm_per_px:
+        mm_per_px = view.mm_per_px
+        middle = float(np.interp(view.center_mm, path.path_mm, unrolled))
+        center = float(np.interp(view.center_mm, path.path_mm, sideways))
+    else:
+        down_mm, across_mm = float(unrolled[-1]) + 2 * END_MM, float(np.ptp(sideways)) + 2 * END_MM
+        mm_per_px = max(down_mm / view.height, across_mm / view.width)
+        middle, center = float(unrolled[-1]) / 2, float(sideways.min() + sideways.max()) / 2
+    rows = middle + (np.arange(view.height) + 0.5 - view.height / 2) * mm_per_px
+    inside = np.clip(rows, 0.0, unrolled[-1])
+    at = np.stack([np.interp(inside, unrolled, points[:, axis]) for axis in range(3)], axis=1)
+    # Beyond an end the surface runs on at a right angle to the sweeping line.
+    ways = [_way(steps, forward=forward) for forward in (True, False)]
+    at += np.clip(rows, None, 0.0)[:, None] * ways[0] + (rows - np.clip(rows, None, unrolled[-1]))[:, None] * ways[1]
+    here = at @ across
+    step = np.broadcast_to(across * mm_per_px, (view.height, 3)).copy()
+    start = at + (center - here)[:, None] * across - step * (view.width / 2)
+    down = np.gradient(at - here[:, None] * across, axis=0)
+    through = np.cross(across, down)
+    length = np.linalg.norm(through, axis=1)[:, None]
+    through = np.where(length > 1e-9, through / np.maximum(length, 1e-9), np.cross(across, ways[0]))
+    lines = PictureLines(
+        start_lps=start,
+        step_lps=step,
+        path_mm=np.where(rows == inside, np.interp(inside, unrolled, path.path_mm), np.nan),
+        path_column=(here - center) / mm_per_px + view.width / 2,
+        mm_per_px=mm_per_px,
+    )
+    return lines, through
+
+
+def _way(steps: Points, *, forward: bool) -> Points:
+    """The direction of the first (last) step that has one; caudal where the path runs along the sweeping line alone."""
+    for step in steps if forward else steps[::-1]:
+        length = float(np.linalg.norm(step))
+        if length > 1e-9:
+            return np.asarray(step / length)
+    return np.array([0.0, 0.0, -1.0])

@@ -1,0 +1,72 @@
+"""A path as places with frames: what a curved picture of an airway is laid along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import UsageError
+
+__all__ = ["PathFrames"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathFrames:
+    """Places along a path and the plane across it at each.
+
+    Parameters
+    ----------
+    path_mm
+        (n,) mm along the route, strictly increasing; two places at least.
+    lps_from_frame
+        (n, 4, 4), rigid: +z runs along the path, +x and +y span the plane across it, the origin lies on the path (LPS
+        mm). Neighbours should turn about +z as little as can be.
+
+    Raises
+    ------
+    UsageError
+        If the shapes do not fit or a number is not finite.
+    """
+
+    path_mm: NDArray[np.float64]
+    lps_from_frame: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        num = len(self.path_mm)
+        if num < 2 or self.path_mm.shape != (num,) or self.lps_from_frame.shape != (num, 4, 4):
+            found = f"{self.path_mm.shape} and {self.lps_from_frame.shape}"
+            raise UsageError(f"a path needs places (n,) and frames (n, 4, 4), n at least 2; found {found}")
+        if not (np.isfinite(self.lps_from_frame).all() and np.isfinite(self.path_mm).all()):
+            raise UsageError("a path's frames must be finite numbers")
+        if not (np.diff(self.path_mm) > 0).all():
+            raise UsageError("places along a path must increase")
+
+    @property
+    def length_mm(self) -> float:
+        """From the first place to the last."""
+        return float(self.path_mm[-1] - self.path_mm[0])
+
+    @property
+    def points_lps(self) -> NDArray[np.float64]:
+        """(n, 3), the path."""
+        return self.lps_from_frame[:, :3, 3]
+
+    def at(self, path_mm: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Points (m, 3) and axes (m, 3, 3; columns right, down, along) at places; straight on beyond an end."""
+        inside = np.clip(path_mm, self.path_mm[0], self.path_mm[-1])
+        place = np.interp(inside, self.path_mm, np.arange(len(self.path_mm), dtype=np.float64))
+        first = np.minimum(place.astype(np.int64), len(self.path_mm) - 2)
+        t = (place - first)[:, None, None]
+        mixed = (1.0 - t) * self.lps_from_frame[first] + t * self.lps_from_frame[first + 1]
+        # Neighbouring frames differ by little: mixing and squaring is a rotation between them.
+        along = _unit(mixed[:, :3, 2])
+        down = mixed[:, :3, 1]
+        down = _unit(down - np.einsum("ij,ij->i", down, along)[:, None] * along)
+        axes = np.stack([np.cross(down, along), down, along], axis=2)
+        return mixed[:, :3, 3] + (path_mm - inside)[:, None] * along, axes
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None])

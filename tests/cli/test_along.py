@@ -1,0 +1,90 @@
+"""``carina render`` along a route, of an X-ray and of thick slices, as a person runs it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+
+RMB = "-20.2,3.0,-26.6"  # end of the right main bronchus of the phantom with seed 0 (truth.json)
+FAR = "-100,0,20"  # more than 5 mm from every airway
+
+
+@pytest.fixture(scope="module")
+def tree(phantom_folder, tmp_path_factory):
+    """The phantom's exact tree as a file."""
+    file = tmp_path_factory.mktemp("tree") / "tree.json"
+    truth = json.loads((phantom_folder / "truth.json").read_text())
+    file.write_text(json.dumps({**truth, "format": "carina-tree"}))
+    return file
+
+
+def picture(path):
+    return sitk.GetArrayFromImage(sitk.ReadImage(str(path)))
+
+
+@pytest.mark.parametrize("view", ["straightened", "curved"])
+def test_a_view_along_the_way_to_a_branch_or_a_point(carina, ct, tree, tmp_path, view):
+    branches = json.loads(tree.read_text())["branches"]
+    deepest = max(branches, key=lambda b: b["generation"])
+    for to in (branches[1]["name"] or "1", str(deepest["id"]), RMB):
+        output = tmp_path / "x.png"
+        ended = carina(
+            "render", ct, "--view", view, "--tree", tree, f"--to={to}", "--size", "300x400", "-o", output, "--json"
+        )
+        assert ended.code == 0, ended.err
+        found = ended.json()
+        assert found["path_mm"] > 20
+        rgb = picture(output)
+        assert rgb.shape == (400, 300, 3)
+        # The axis stands at the left, in the accent colour.
+        assert (rgb[:, 3:12] == (79, 211, 230)).all(axis=2).sum() > 200
+        # The airway runs down the middle of a straightened picture, air among tissue.
+        if view == "straightened":
+            assert np.median(rgb[100:300, 148:152]) < 110
+
+
+def test_without_a_tree_the_scan_gives_one(carina, ct, tmp_path):
+    output = tmp_path / "x.png"
+    ended = carina("render", ct, "--view", "straightened", f"--to={RMB}", "--turn", "90", "-o", output)
+    assert ended.code == 0, ended.err
+    assert picture(output).std() > 20
+
+
+def test_what_cannot_be_reached_is_said(carina, ct, tree, tmp_path):
+    output = tmp_path / "x.png"
+    for more in ([], ["--tree", tree]):
+        ended = carina("render", ct, "--view", "straightened", *more, f"--to={FAR}", "-o", output)
+        assert ended.code == 4
+        assert "mm" in ended.err
+    missing = carina("render", ct, "--view", "straightened", "-o", output)
+    assert missing.code == 2
+    assert "no route" in missing.err or "none yet" in missing.err
+    no_tree = carina(
+        "render", ct, "--view", "straightened", "--tree", tmp_path / "none.json", "--to", "1", "-o", output
+    )
+    assert no_tree.code == 3
+    assert not output.exists()
+
+
+def test_a_radiograph_from_a_c_arm_has_its_letters(carina, ct, tmp_path):
+    frontal, lateral = tmp_path / "a.png", tmp_path / "b.png"
+    assert carina("render", ct, "--view", "drr", "--size", "200x200", "-o", frontal).code == 0
+    turned = ["--carm-primary", "-90", "--carm-secondary", "10", "--tone", "fluoroscopy"]
+    assert carina("render", ct, "--view", "drr", *turned, "--size", "200x200", "-o", lateral).code == 0
+    first, second = picture(frontal), picture(lateral)
+    assert first.std() > 30
+    assert (first != second).mean() > 0.5
+
+
+def test_thick_slices_show_airways_by_their_minimum(carina, ct, tmp_path):
+    means = {}
+    for slab in ("0", "20,max", "20,min", "20"):
+        output = tmp_path / "x.png"
+        ended = carina("render", ct, "--view", "coronal", "--at", "0,0,0", "--slab", slab, "-o", output)
+        assert ended.code == 0, ended.err
+        means[slab] = picture(output).mean()
+    assert means["20,min"] < means["20"] < means["20,max"]
+    assert means["20,min"] < means["0"] < means["20,max"]
