@@ -145,6 +145,7 @@ class SmallRenderer:
     hit: Any = None
     """What a pick finds."""
     picks: list[Any] = field(default_factory=list)
+    on_prepare: Callable[[], None] = lambda: None
 
     def pick(self, view: Any, column: int, row: int) -> Any:
         self.picks.append((view, column, row))
@@ -172,6 +173,7 @@ class SmallRenderer:
         self.lumen = lumen_zyx
 
     def prepare(self, progress: Any = None, cancel: Any = None) -> None:
+        self.on_prepare()
         if cancel is not None and cancel():
             raise CancelledError("stopped")
         self.prepared += 1

@@ -49,6 +49,12 @@ def generate_chest(
 _Classes = list[tuple[int, int, int, bool]]
 """First value, last value, voxels, fully transparent."""
 
+def value_range(hu_zyx: NDArray[np.int16]) -> tuple[int, int]:
+    """The smallest and the largest value."""
+
+def content_digest(voxels: NDArray[np.int16] | NDArray[np.uint8]) -> str:
+    """BLAKE3 over the bytes of a [z, y, x] array, hexadecimal; not of its shape."""
+
 def label_classes(
     hu_zyx: NDArray[np.int16], points: NDArray[np.float64], *, reference_mm: float = 1.0, bin_hu: int = 1
 ) -> tuple[NDArray[np.uint8], _Classes]:

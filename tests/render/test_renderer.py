@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ import pytest
 from carina import _core
 from carina.errors import CancelledError, GeometryError, RenderError
 from carina.render import AirwayView, CancelToken, Light, Renderer, TransferFunction, TreeView, transfer_preset
-from carina.render.mapcache import MapCache
 from carina.render.wall import grow_one_voxel, wall_levels, with_wall
 from carina.scopes import Pose
 from carina.volume import Volume
@@ -128,50 +126,49 @@ def test_going_back_to_a_transfer_function_needs_no_new_map(airway, monkeypatch)
     renderer.prepare()
 
 
-def test_maps_are_found_on_disk_again_and_built_again_when_damaged(airway, tmp_path, monkeypatch):
-    folder = tmp_path / "maps"
-    first = Renderer(airway.volume, cache_dir=folder)
-    first.prepare()
-    expected = first.render(view(airway)).rgb
-    (path,) = folder.iterdir()
-    assert path.name.split(".")[0].isalnum(), "a name from the content, nothing about the patient"
+def test_pictures_go_on_by_brute_force_while_a_slow_map_is_built(airway, monkeypatch):
+    renderer = Renderer(airway.volume)
+    expected = renderer.render(view(airway, method="brute")).rgb
+    building, go_on = threading.Event(), threading.Event()
+    build = _core.build_run_map
 
-    with monkeypatch.context() as patched:
-        patched.setattr(_core, "build_run_map", None)
-        again = Renderer(airway.volume, cache_dir=folder)
-        again.prepare()
-        np.testing.assert_array_equal(again.render(view(airway)).rgb, expected)
+    def slowly(*arguments, **options):
+        building.set()
+        assert go_on.wait(30)
+        return build(*arguments, **options)
 
-    good = path.read_bytes()
-    for damaged in (good[:-9], good[:40] + bytes([good[40] ^ 1]) + good[41:], b"", b"x" * len(good)):
-        path.write_bytes(damaged)
-        rebuilt = Renderer(airway.volume, cache_dir=folder)
-        rebuilt.prepare()
-        np.testing.assert_array_equal(rebuilt.render(view(airway)).rgb, expected)
-        assert path.read_bytes() == good
-
-
-def test_another_volume_or_other_classes_get_another_map(airway, tmp_path):
-    for volume, transfer in (
-        (airway.volume, transfer_preset("endoscopic")),
-        (airway.volume, TransferFunction(points=np.array([[-400.0, 1, 1, 1, 0.0], [0.0, 1, 1, 1, 1.0]]))),
-        (Volume(airway.volume.hu_zyx + np.int16(1), airway.volume.lps_from_ijk), transfer_preset("endoscopic")),
-    ):
-        Renderer(volume, transfer=transfer, cache_dir=tmp_path).prepare()
-    assert len(list(tmp_path.iterdir())) == 3
+    monkeypatch.setattr(_core, "build_run_map", slowly)
+    worker = threading.Thread(target=renderer.prepare)
+    worker.start()
+    assert building.wait(30)
+    meanwhile = renderer.render(view(airway))
+    go_on.set()
+    worker.join()
+    assert meanwhile.stats.method == "brute"
+    np.testing.assert_array_equal(meanwhile.rgb, expected)
+    after = renderer.render(view(airway))
+    assert after.stats.method == "leap"
+    np.testing.assert_array_equal(after.rgb, expected)
 
 
-def test_the_cache_stays_below_its_bound_and_an_unwritable_one_costs_no_picture(airway, tmp_path):
-    cache = MapCache(tmp_path / "small", max_bytes=5000)
-    for n in range(6):
-        cache.store(f"{n}", np.full((10, 12, 14), n, dtype=np.uint8))
-    kept = list((tmp_path / "small").iterdir())
-    assert 0 < sum(p.stat().st_size for p in kept) <= 5000
-    blocked = tmp_path / "file"
-    blocked.write_text("not a folder")
-    renderer = Renderer(airway.volume, cache_dir=Path(blocked))
+def test_the_map_of_a_transfer_function_that_was_replaced_while_it_was_built_is_not_shown(airway, monkeypatch):
+    renderer = Renderer(airway.volume)
+    everything = TransferFunction(points=np.array([[-2000.0, 1, 1, 1, 0.2], [-400.0, 1, 1, 1, 0.9]]))
+    build = _core.build_run_map
+    built = []
+
+    def meanwhile(*arguments, **options):
+        if not built:
+            renderer.set_transfer(everything)
+        built.append(arguments[1])
+        return build(*arguments, **options)
+
+    monkeypatch.setattr(_core, "build_run_map", meanwhile)
     renderer.prepare()
-    assert renderer.render(view(airway)).stats.method == "leap"
+    assert len(built) == 2
+    assert built[-1] == (), "nothing is clear"
+    leap, brute = (renderer.render(view(airway, method=method)) for method in ("leap", "brute"))
+    np.testing.assert_array_equal(leap.rgb, brute.rgb)
 
 
 def test_cancelling_stops_and_leaves_the_renderer_usable(airway):

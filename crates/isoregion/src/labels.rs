@@ -1,8 +1,6 @@
 //! Label volumes: what an `IsoRegion` map compares.
 
-use rayon::prelude::*;
-
-use crate::IsoRegionError;
+use crate::{IsoRegionError, map::num_threads};
 
 /// Width of a bin of the paper's value labelling: 256 bins cover the 4096 HU of a 12-bit CT.
 pub const VALUE_BIN_HU: i32 = 16;
@@ -113,40 +111,63 @@ const fn position(hu: i16) -> usize {
     (hu as i32 - i16::MIN as i32) as usize
 }
 
+/// Part of the values for each thread, as `work` does it. Threads of their own, as for maps.
+fn in_threads<T: Send>(hu: &[i16], work: impl Fn(&[i16]) -> T + Sync) -> Vec<T> {
+    let part = hu.len().div_ceil(num_threads()).max(1 << 16);
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = hu
+            .chunks(part)
+            .map(|chunk| scope.spawn(|| work(chunk)))
+            .collect();
+        // A panic of a part is a panic of the whole.
+        let results = threads.into_iter().map(|t| t.join().expect("counting"));
+        results.collect()
+    })
+}
+
+/// The smallest and the largest value, or `None` of no voxels.
+#[must_use]
+pub fn value_range(hu: &[i16]) -> Option<(i16, i16)> {
+    let parts = in_threads(hu, |chunk| {
+        // Blocks short enough for the compiler to keep in registers.
+        let (mut lo, mut hi) = ([i16::MAX; 64], [i16::MIN; 64]);
+        let (blocks, rest) = chunk.as_chunks::<64>();
+        for block in blocks {
+            for n in 0..64 {
+                lo[n] = lo[n].min(block[n]);
+                hi[n] = hi[n].max(block[n]);
+            }
+        }
+        let least = lo.iter().chain(rest).min().copied();
+        least.zip(hi.iter().chain(rest).max().copied())
+    });
+    let parts = parts.into_iter().flatten();
+    parts.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+}
+
 fn histogram(hu: &[i16]) -> Vec<u64> {
     // Equal values come in rows; counting neighbours in tables of their own, no addition waits for the one before.
     const LANES: usize = 4;
-    // Chunks are small enough for u32, and as few as threads need: a table is longer than most rows of slices.
-    hu.par_chunks((hu.len() / (4 * rayon::current_num_threads()) + 1).clamp(1 << 20, 1 << 30))
-        .map(|chunk| {
-            let mut counts = vec![[0u32; LANES]; NUM_VALUES];
-            let (fours, rest) = chunk.as_chunks::<LANES>();
-            for four in fours {
-                for lane in 0..LANES {
-                    counts[position(four[lane])][lane] += 1;
-                }
+    let parts = in_threads(hu, |chunk| {
+        let mut counts = vec![[0u32; LANES]; NUM_VALUES];
+        let (fours, rest) = chunk.as_chunks::<LANES>();
+        for four in fours {
+            for lane in 0..LANES {
+                counts[position(four[lane])][lane] += 1;
             }
-            for &v in rest {
-                counts[position(v)][0] += 1;
-            }
-            counts
-        })
-        .fold(
-            || vec![0u64; NUM_VALUES],
-            |mut sum, counts| {
-                for (sum, lanes) in sum.iter_mut().zip(counts) {
-                    *sum += lanes.map(u64::from).iter().sum::<u64>();
-                }
-                sum
-            },
-        )
-        .reduce(
-            || vec![0u64; NUM_VALUES],
-            |mut a, b| {
-                a.iter_mut().zip(b).for_each(|(x, y)| *x += y);
-                a
-            },
-        )
+        }
+        for &v in rest {
+            counts[position(v)][0] += 1;
+        }
+        counts
+    });
+    let mut sum = vec![0u64; NUM_VALUES];
+    for counts in parts {
+        for (sum, lanes) in sum.iter_mut().zip(counts) {
+            *sum += lanes.map(u64::from).iter().sum::<u64>();
+        }
+    }
+    sum
 }
 
 /// Labels disjoint runs by frequency; values in no run get label 0.
@@ -171,14 +192,17 @@ fn label_runs(hu: &[i16], runs: Vec<(i32, i32, bool)>) -> ClassLabels {
         label_of[clamp(class.lo_hu)..=clamp(class.hi_hu)].fill(n as u8 + 1);
     }
     let mut labels = vec![0u8; hu.len()];
-    labels
-        .par_chunks_mut(1 << 18)
-        .zip(hu.par_chunks(1 << 18))
-        .for_each(|(labels, hu)| {
-            for (label, &v) in labels.iter_mut().zip(hu) {
-                *label = label_of[position(v)];
-            }
-        });
+    let part = hu.len().div_ceil(num_threads()).max(1 << 16);
+    std::thread::scope(|scope| {
+        for (labels, hu) in labels.chunks_mut(part).zip(hu.chunks(part)) {
+            let label_of = &label_of;
+            scope.spawn(move || {
+                for (label, &v) in labels.iter_mut().zip(hu) {
+                    *label = label_of[position(v)];
+                }
+            });
+        }
+    });
     ClassLabels { labels, classes }
 }
 
@@ -234,6 +258,20 @@ mod tests {
         }
         assert_eq!(out.classes[0].lo_hu, 299 * 16);
         assert_eq!(value_bin(-1), -1);
+    }
+
+    #[test]
+    fn the_range_of_values_is_that_of_every_one_of_them() {
+        assert_eq!(value_range(&[]), None);
+        assert_eq!(value_range(&[7]), Some((7, 7)));
+        for n in [63, 64, 65, 200_000] {
+            for at in [0, n / 2, n - 1] {
+                let mut hu = vec![5i16; n];
+                hu[at] = i16::MIN;
+                hu[(at + 1) % n] = i16::MAX;
+                assert_eq!(value_range(&hu), Some((i16::MIN, i16::MAX)), "{n} {at}");
+            }
+        }
     }
 
     #[test]

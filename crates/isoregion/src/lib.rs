@@ -20,7 +20,8 @@ mod uniform;
 
 pub use error::IsoRegionError;
 pub use labels::{
-    Class, ClassLabels, Rgba, VALUE_BIN_HU, class_labels, transparent_runs, value_bin, value_labels,
+    Class, ClassLabels, Rgba, VALUE_BIN_HU, class_labels, transparent_runs, value_bin,
+    value_labels, value_range,
 };
 pub use map::{MapBuilder, radius_map};
 pub use reference::paper_radius_map;

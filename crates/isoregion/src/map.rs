@@ -1,5 +1,7 @@
 //! The fast construction of the radius map.
 
+use std::num::NonZero;
+
 use carina_grid::InstructionSet;
 
 use crate::{
@@ -32,10 +34,15 @@ impl Default for MapBuilder<'_> {
     fn default() -> Self {
         Self {
             simd: InstructionSet::best(),
-            num_slabs: rayon::current_num_threads(),
+            num_slabs: num_threads(),
             cancelled: None,
         }
     }
+}
+
+/// Threads that a map is built in unless told.
+pub(crate) fn num_threads() -> usize {
+    std::thread::available_parallelism().map_or(1, NonZero::get)
 }
 
 /// Radius of every voxel: the same map as [`crate::paper_radius_map`], built as [`MapBuilder`] does unless told.
@@ -117,7 +124,9 @@ impl MapBuilder<'_> {
         let half = num_slices / 2;
         let (low, high) = out.split_at_mut(half * plane);
         let num_slabs = num_slabs.div_ceil(2);
-        rayon::join(
+        // Threads of its own, not the pool's: pictures are cast there, and one that comes while a map is built must not
+        // wait for it.
+        join(
             || self.slab(source, shape_zyx, first_z, num_slabs, low),
             || self.slab(source, shape_zyx, first_z + half, num_slabs, high),
         );
@@ -127,7 +136,7 @@ impl MapBuilder<'_> {
         // Both borders as they are before either half changes: a half's own distances at its border are exact, and a
         // shortest path never comes back.
         let (below, above) = (low[(half - 1) * plane..].to_vec(), high[..plane].to_vec());
-        rayon::join(
+        join(
             || self.push(&above, low, [ny, nx], false),
             || self.push(&below, high, [ny, nx], true),
         );
@@ -157,6 +166,14 @@ impl MapBuilder<'_> {
         };
         run(self.simd, nx, push);
     }
+}
+
+/// Runs both at once.
+fn join(one: impl FnOnce() + Send, other: impl FnOnce()) {
+    std::thread::scope(|scope| {
+        scope.spawn(one);
+        other();
+    });
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool) -> in
     inspection = inspect_path(path, series=series)
     volume = carina.open_volume(path, series=series, progress=progress)
     quality = quality_gate(volume)
-    low, high = int(volume.hu_zyx.min()), int(volume.hu_zyx.max())
+    low, high = volume.value_range
     if as_json:
         print_json(
             {

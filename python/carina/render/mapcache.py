@@ -1,99 +1,204 @@
-"""Radius maps on disk: found by what they were made from, checked when read, safe to delete."""
+"""IsoRegion maps on disk: found by what they were made from, checked when read, safe to delete.
+
+Building a map is faster than reading it on most machines, so only maps that were slow to build are kept
+(docs/decisions/0006-maps-are-built.md).
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import logging
 import os
 import struct
 import tempfile
-import zlib
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MapCache", "content_key"]
+from carina import _core
+
+__all__ = ["SLOW_NS_PER_VOXEL", "CachedMap", "MapCache", "MapName"]
 
 logger = logging.getLogger(__name__)
 
 # Raised when the map of the same input would come out different, or the file's layout changes.
-MAP_VERSION = 1
-_MAGIC = b"CARINAMP"
-_HEADER = struct.Struct("<8sIIIII")
+MAP_VERSION = 2
+SLOW_NS_PER_VOXEL = 5.0
+"""Maps that took longer to build are kept: three times what naming, reading and checking one takes."""
 DEFAULT_MAX_BYTES = 2 << 30
+_MAGIC = b"CARINAMP"
+# Magic, version, length of the JSON header, then the header, then its arrays one after the other.
+_START = struct.Struct("<8sII")
+_MAX_HEADER_BYTES = 1 << 20
+_ABANDONED_S = 3600.0
+
+Arrays = tuple[NDArray[np.uint8], ...]
 
 
-def content_key(values_zyx: NDArray[np.int16], classes: list[tuple[int, int]]) -> str:
-    """Name of a volume's map under transparent classes: made from voxel values alone, nothing about the patient."""
-    digest = hashlib.blake2b(digest_size=20)
-    digest.update(repr((MAP_VERSION, values_zyx.shape, classes)).encode())
-    digest.update(np.ascontiguousarray(values_zyx).data)
-    return digest.hexdigest()
+@dataclass(frozen=True, slots=True)
+class MapName:
+    """What a map is made from: voxel values and classes. Nothing about the patient."""
+
+    values_zyx: NDArray[np.int16]
+    classes: Any
+    """The kind of map and its classes, as plain values; what it prints is what counts."""
+
+    @property
+    def stem(self) -> str:
+        """The part of the name that costs nothing: of the classes and the shape."""
+        text = repr((MAP_VERSION, self.values_zyx.shape, self.classes))
+        return hashlib.blake2b(text.encode(), digest_size=10).hexdigest()
+
+    def full(self) -> str:
+        """The whole name. Reads every voxel."""
+        return self.stem + _core.content_digest(np.ascontiguousarray(self.values_zyx))[:40]
+
+
+@dataclass(frozen=True, slots=True)
+class CachedMap:
+    """Arrays ``(nz, ny, nx)`` uint8 of the volume's shape, and what they mean as JSON values."""
+
+    arrays: Arrays
+    meaning: Any = None
 
 
 class MapCache:
-    """A folder of maps of bounded size.
+    """A folder of maps of bounded size; may be used by several processes, and deleted while it is.
 
     A file that is cut short or altered is taken for missing and removed. Trouble with the disk costs time, never a
-    picture: it is logged and the map is built again.
+    picture: it is logged and the map is built again. Storing happens in a thread of its own.
     """
 
     def __init__(self, folder: Path, *, max_bytes: int = DEFAULT_MAX_BYTES) -> None:
         self._folder = Path(folder)
         self._max_bytes = max_bytes
+        self._storing: list[threading.Thread] = []
 
-    def _path(self, key: str) -> Path:
-        return self._folder / f"{key}.isoregion"
+    def get_or_build(self, name: MapName, build: Callable[[], CachedMap]) -> CachedMap:
+        """The map of this name from disk, else from ``build``; then kept on disk, if it was slow to build."""
+        # Naming reads the whole volume; where no file can be meant, that is left for later.
+        if any(self._folder.glob(f"{name.stem}*.isoregion")):
+            found = self._load(name)
+            if found is not None:
+                return found
+        began_s = time.perf_counter()
+        built = build()
+        if (time.perf_counter() - began_s) * 1e9 > SLOW_NS_PER_VOXEL * name.values_zyx.size:
+            thread = threading.Thread(target=self._store, args=(name, built), name="carina-map-store")
+            self._storing = [t for t in self._storing if t.is_alive()] + [thread]
+            thread.start()
+        return built
 
-    def load(self, key: str, shape_zyx: tuple[int, int, int]) -> NDArray[np.uint8] | None:
-        """The map of this name, or None."""
-        path = self._path(key)
+    def wait_stored(self) -> None:
+        """Wait until nothing is being stored."""
+        for thread in self._storing:
+            thread.join()
+
+    def _path(self, name: MapName) -> Path:
+        return self._folder / f"{name.full()}.isoregion"
+
+    def _load(self, name: MapName) -> CachedMap | None:
+        path = self._path(name)
         try:
-            raw = path.read_bytes()
-        except OSError:
+            with path.open("rb") as file:
+                found = _read(file, name.values_zyx.shape)
+        except FileNotFoundError:
             return None
-        count = int(np.prod(shape_zyx))
-        if len(raw) == _HEADER.size + count:
-            magic, version, nz, ny, nx, checksum = _HEADER.unpack_from(raw)
-            body = memoryview(raw)[_HEADER.size :]
-            same = magic == _MAGIC and version == MAP_VERSION and (nz, ny, nx) == shape_zyx
-            if same and zlib.crc32(body) == checksum:
-                try:
-                    os.utime(path)
-                except OSError:
-                    logger.debug("the age of a cached map could not be renewed")
-                return np.frombuffer(body, dtype=np.uint8).reshape(shape_zyx)
-        logger.warning("a cached IsoRegion map was damaged; it is built again")
-        path.unlink(missing_ok=True)
-        return None
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            logger.warning("a cached IsoRegion map cannot be read and is built again: %s", type(error).__name__)
+            logger.debug("reading a cached map", exc_info=error)
+            _remove(path)
+            return None
+        try:
+            os.utime(path)
+        except OSError:
+            logger.debug("the age of a cached map could not be renewed")
+        return found
 
-    def store(self, key: str, radius_zyx: NDArray[np.uint8]) -> None:
+    def _store(self, name: MapName, built: CachedMap) -> None:
         """Write a map whole or not at all, then drop the oldest beyond the bound."""
-        nz, ny, nx = radius_zyx.shape
-        body = np.ascontiguousarray(radius_zyx).data
-        header = _HEADER.pack(_MAGIC, MAP_VERSION, nz, ny, nx, zlib.crc32(body))
-        if len(header) + body.nbytes > self._max_bytes:
+        header = json.dumps(
+            {
+                "shape_zyx": list(name.values_zyx.shape),
+                "digests": [_core.content_digest(a) for a in built.arrays],
+                "meaning": built.meaning,
+            }
+        ).encode()
+        if sum(a.nbytes for a in built.arrays) + len(header) + _START.size > self._max_bytes:
             return
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            handle, name = tempfile.mkstemp(dir=self._folder, suffix=".part")
+            handle, part = tempfile.mkstemp(dir=self._folder, suffix=".part")
             try:
                 with os.fdopen(handle, "wb") as out:
+                    out.write(_START.pack(_MAGIC, MAP_VERSION, len(header)))
                     out.write(header)
-                    out.write(body)
-                Path(name).replace(self._path(key))
+                    for array in built.arrays:
+                        out.write(array.data)
+                Path(part).replace(self._path(name))
             except BaseException:
-                Path(name).unlink(missing_ok=True)
+                _remove(Path(part))
                 raise
             self._trim()
         except OSError as error:
             logger.warning("an IsoRegion map could not be cached: %s", error.strerror)
 
     def _trim(self) -> None:
-        files = sorted(self._folder.glob("*.isoregion"), key=lambda path: path.stat().st_mtime, reverse=True)
+        """Drop the maps that were used longest ago, and what a process that was killed has left."""
+        ages = []
+        for path in self._folder.iterdir():
+            try:
+                stat = path.stat()
+            except OSError:
+                continue  # Another process was faster.
+            if path.suffix == ".isoregion":
+                ages.append((stat.st_mtime, stat.st_size, path))
+            elif path.suffix == ".part" and time.time() - stat.st_mtime > _ABANDONED_S:
+                _remove(path)
         total = 0
-        for path in files:
-            total += path.stat().st_size
+        for _, size, path in sorted(ages, reverse=True):
+            total += size
             if total > self._max_bytes:
-                path.unlink(missing_ok=True)
+                _remove(path)
+
+
+def _read(file: Any, shape_zyx: tuple[int, ...]) -> CachedMap:
+    """The map in an open file.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        If it is damaged, or of another version or shape.
+    """
+    magic, version, header_bytes = _START.unpack(file.read(_START.size).ljust(_START.size, b"\0"))
+    if magic != _MAGIC or version != MAP_VERSION or header_bytes > _MAX_HEADER_BYTES:
+        raise ValueError("not a map of this version")
+    header = json.loads(file.read(header_bytes))
+    digests = list(header["digests"])
+    count = int(np.prod(shape_zyx))
+    # Checked before anything large is allocated.
+    body_bytes = os.fstat(file.fileno()).st_size - _START.size - header_bytes
+    if tuple(header["shape_zyx"]) != shape_zyx or body_bytes != count * len(digests):
+        raise ValueError("not a map of this shape")
+    arrays = []
+    for digest in digests:
+        array = np.empty(shape_zyx, dtype=np.uint8)
+        if file.readinto(array.data.cast("B")) != count or _core.content_digest(array) != digest:
+            raise ValueError("cut short or altered")
+        arrays.append(array)
+    return CachedMap(tuple(arrays), header["meaning"])
+
+
+def _remove(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        # In use (Windows), or not ours to delete: it stays, and is looked at again next time.
+        logger.debug("a cached map could not be removed", exc_info=error)

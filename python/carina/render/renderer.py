@@ -50,7 +50,7 @@ class Renderer:
         Transfer function of the airway view; the *endoscopic* preset, or one from the histogram where the volume is not
         in HU.
     cache_dir
-        Folder for radius maps; None keeps them in memory only.
+        Folder for maps that were slow to build (docs/decisions/0006-maps-are-built.md); None keeps none.
     simd
         Instruction set of the kernels (``portable``, ``avx2``, ``avx512``) for tests; unless told, what ``CARINA_SIMD``
         names, or the fastest of this machine. The pictures are the same.
@@ -109,7 +109,8 @@ class Renderer:
         progress
             Called with what is being done and the fraction done.
         cancel
-            Asked between steps.
+            Asked every 50 ms. A change of transfer function or lumen while maps are built makes them stale: they are
+            built again for the newest.
         all_classes
             Also build labels and radii of opaque classes, for leaps by the step table with shading off (paper 4.3).
             Unless told, only for transfer functions of sampling ``nearest``, which are the paper's. Twice the memory.
@@ -120,6 +121,10 @@ class Renderer:
             If ``cancel`` said so; what was ready before stays in use.
         """
         self._scenes.prepare(progress, cancel, all_classes=all_classes)
+
+    def wait_stored(self) -> None:
+        """Wait until the maps that the cache keeps are on disk; storing goes on in the background otherwise."""
+        self._scenes.wait_stored()
 
     def render(self, view: View, *, rows: tuple[int, int] | None = None, stop: CancelToken | None = None) -> Picture:
         """Render one view.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.errors import CancelledError, GeometryError
-from carina.render.mapcache import MapCache, content_key
+from carina.render.mapcache import CachedMap, MapCache, MapName
 from carina.render.transfer import TransferFunction, transfer_from_histogram, transfer_preset
 from carina.render.tree import TreeField, build_tree_field
 from carina.render.wall import wall_levels, with_wall
@@ -70,7 +70,7 @@ class SceneKeeper:
             transfer = transfer_preset("endoscopic") if volume.is_hu else transfer_from_histogram(volume)[0]
         self._volume = volume
         self._cache = None if cache_dir is None else MapCache(cache_dir)
-        self._range = (int(volume.hu_zyx.min()), int(volume.hu_zyx.max()))
+        self._range = volume.value_range
         self._scene = Scene(transfer, None, volume.hu_zyx, self._range, None, None, None)
         self._swap = threading.Lock()
         self._change = threading.Lock()
@@ -109,7 +109,7 @@ class SceneKeeper:
         else:
             assert lumen is not None
             values = with_wall(self._volume.hu_zyx, lumen, levels)
-            value_range = (self._range[0], max(self._range[1], int(values.max())))
+            value_range = (self._range[0], max(self._range[1], _core.value_range(values)[1]))
         maps = self._find_kept(values, _runs(transfer))
         with self._swap:
             self._scene = Scene(transfer, lumen, values, value_range, tree, maps, None)
@@ -133,11 +133,11 @@ class SceneKeeper:
             scene = self._scene
             wants_classes = scene.transfer.sampling == "nearest" if all_classes is None else all_classes
             step(what, 0.0)
-            maps = scene.maps or self._build_maps(scene)
-            step(what, 0.6)
+            maps = scene.maps or self._build_maps(scene, cancel)
+            step(what, 0.3 if wants_classes else 1.0)
             class_maps = scene.class_maps
             if wants_classes and class_maps is None:
-                class_maps = _build_class_maps(scene)
+                class_maps = self._build_class_maps(scene, cancel)
             step(what, 1.0)
             with self._swap:
                 # The transfer function or the lumen may have changed meanwhile: then these maps are of the past.
@@ -146,29 +146,40 @@ class SceneKeeper:
                     self._kept = [maps, *(m for m in self._kept if m is not maps)][:MAPS_IN_MEMORY]
                     return
 
-    def _build_maps(self, scene: Scene) -> Maps:
+    def _get_or_build(self, name: MapName, build: Callable[[], CachedMap]) -> CachedMap:
+        return build() if self._cache is None else self._cache.get_or_build(name, build)
+
+    def _build_maps(self, scene: Scene, cancel: Cancel | None) -> Maps:
         runs = _runs(scene.transfer)
-        key = None if self._cache is None else content_key(scene.values, list(runs))
-        if self._cache is not None and key is not None:
-            found = self._cache.load(key, self._volume.shape_zyx)
-            if found is not None:
-                return Maps(scene.values, runs, found)
-        radius = _core.build_run_map(scene.values, runs)
-        if self._cache is not None and key is not None:
-            self._cache.store(key, radius)
-        return Maps(scene.values, runs, radius)
+        found = self._get_or_build(
+            MapName(scene.values, ("transparent", runs)),
+            lambda: CachedMap((_core.build_run_map(scene.values, runs, cancel=cancel),)),
+        )
+        return Maps(scene.values, runs, found.arrays[0])
+
+    def _build_class_maps(self, scene: Scene, cancel: Cancel | None) -> ClassMaps:
+        transfer = scene.transfer
+        by_value = transfer.sampling == "nearest"
+
+        def build() -> CachedMap:
+            if by_value:
+                labels, classes = _core.label_values(scene.values)
+            else:
+                labels, classes = _core.label_classes(scene.values, transfer.points, reference_mm=transfer.reference_mm)
+            radius = _core.build_radius_map(labels, cancel=cancel)
+            return CachedMap((labels, radius), [lo for lo, _, _, _ in classes])
+
+        classes = ("values",) if by_value else ("classes", transfer.points.tolist(), transfer.reference_mm)
+        found = self._get_or_build(MapName(scene.values, classes), build)
+        labels, radius = found.arrays
+        return ClassMaps(scene.values, transfer.points, labels, radius, found.meaning)
+
+    def wait_stored(self) -> None:
+        """Wait until the cache has written what it keeps."""
+        if self._cache is not None:
+            self._cache.wait_stored()
 
 
 def _runs(transfer: TransferFunction) -> tuple[tuple[int, int], ...]:
     runs = _core.transparent_runs(transfer.points, reference_mm=transfer.reference_mm, bin_hu=transfer.bin_hu)
     return tuple(runs)
-
-
-def _build_class_maps(scene: Scene) -> ClassMaps:
-    transfer = scene.transfer
-    if transfer.sampling == "nearest":
-        labels, classes = _core.label_values(scene.values)
-    else:
-        labels, classes = _core.label_classes(scene.values, transfer.points, reference_mm=transfer.reference_mm)
-    first = [lo for lo, _, _, _ in classes]
-    return ClassMaps(scene.values, transfer.points, labels, _core.build_radius_map(labels), first)

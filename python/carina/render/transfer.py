@@ -259,7 +259,7 @@ def transfer_from_histogram(volume: Volume) -> tuple[TransferFunction, float]:
     ----------
     N. Otsu, A threshold selection method from gray-level histograms, IEEE Trans. SMC 9 (1979).
     """
-    lo, hi = int(volume.hu_zyx.min()), int(volume.hu_zyx.max())
+    lo, hi = volume.value_range
     counts = np.bincount(volume.hu_zyx.ravel().astype(np.int32) - lo, minlength=hi - lo + 1).astype(np.float64)
     values = np.arange(lo, hi + 1, dtype=np.float64)
     if hi == lo:

@@ -48,6 +48,10 @@ class OpenCase:
     shown_transfer: Any = None
     """What the renderer was last given; the document may be ahead of it."""
     shown_airways: Any = None
+    display_wanted: int = 0
+    """Grows with each change that the renderer must follow."""
+    display_followed: bool = False
+    """A job brings the renderer to the newest."""
     has_lumen: bool = False
     """The renderer has been given a lumen."""
     content_number: int = 0
@@ -77,7 +81,7 @@ def new_case(volume: Volume, number: int, *, parts: Parts, renderer_factory: Ren
     threshold: float | None = None
     window = LUNG_WINDOW_HU
     presets = parts.presets
-    low, high = int(volume.hu_zyx.min()), int(volume.hu_zyx.max())
+    low, high = volume.value_range
     if volume.is_hu:
         transfer = parts.transfer_preset("endoscopic")
     else:

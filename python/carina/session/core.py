@@ -8,9 +8,10 @@ import time
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
-from carina.errors import UsageError
+from carina.errors import CancelledError, UsageError
 from carina.session.case import OpenCase, pose_info
 from carina.session.document import Document
 from carina.session.history import History
@@ -162,27 +163,62 @@ class SessionCore:
             self._sync_display(case)
 
     def _sync_display(self, case: OpenCase) -> None:
-        """Give the renderer the document's transfer function and lumen, then make it fast."""
+        """Give the renderer the document's transfer function and lumen, then make it fast.
 
-        def work(job: Job) -> None:
-            job.check()
-            with self._lock:
-                document = case.document
-                new_transfer = document.transfer is not case.shown_transfer
-                new_lumen = document.airways is not case.shown_airways
-                case.shown_transfer, case.shown_airways = document.transfer, document.airways
-            if new_transfer:
-                case.renderer.set_transfer(document.transfer)
-            if new_lumen:
-                case.renderer.set_lumen(None if document.airways is None else document.airways.lumen_zyx)
-            if new_transfer or new_lumen:
+        One job follows the document, however many changes come: a change while it works makes what it builds stale, and
+        it begins again with the newest.
+        """
+        with self._lock:
+            case.display_wanted += 1
+            if not case.display_followed:
+                case.display_followed = True
+                self._jobs.start(
+                    "display", "preparing fast pictures", partial(self._follow_display, case, case.display_wanted)
+                )
+
+    def _follow_display(self, case: OpenCase, wanted: int, job: Job) -> None:
+        try:
+            while True:
+                job.check()
                 with self._lock:
-                    case.has_lumen = document.airways is not None
-                    case.content_number += 1
-                    self._changed("views")
-            case.renderer.prepare(job.progress, job.cancel)
+                    wanted = case.display_wanted
+                try:
+                    self._show_document(case, job, partial(self._is_stale, case, job, wanted))
+                except CancelledError:
+                    # Stopped by a person or by another case, unless it was only the newer change.
+                    job.check()
+                with self._lock:
+                    if case.display_wanted == wanted:
+                        case.display_followed = False
+                        return
+        except BaseException:
+            with self._lock:
+                case.display_followed = False
+                if case.display_wanted != wanted and self._case is case:
+                    # What came after the change that this job was stopped at, or failed with.
+                    self._sync_display(case)
+            raise
 
-        self._jobs.start("display", "preparing fast pictures", work)
+    @staticmethod
+    def _is_stale(case: OpenCase, job: Job, wanted: int) -> bool:
+        return job.cancel() or case.display_wanted != wanted
+
+    def _show_document(self, case: OpenCase, job: Job, stale: Callable[[], bool]) -> None:
+        with self._lock:
+            document = case.document
+            new_transfer = document.transfer is not case.shown_transfer
+            new_lumen = document.airways is not case.shown_airways
+            case.shown_transfer, case.shown_airways = document.transfer, document.airways
+        if new_transfer:
+            case.renderer.set_transfer(document.transfer)
+        if new_lumen:
+            case.renderer.set_lumen(None if document.airways is None else document.airways.lumen_zyx)
+        if new_transfer or new_lumen:
+            with self._lock:
+                case.has_lumen = document.airways is not None
+                case.content_number += 1
+                self._changed("views")
+        case.renderer.prepare(job.progress, stale)
 
     def _moved(self) -> None:
         self._pose_id += 1

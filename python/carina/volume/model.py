@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from carina import _core
 from carina.errors import GeometryError
 
 __all__ = ["SeriesInfo", "Volume", "VolumeSource"]
@@ -56,6 +57,7 @@ class Volume:
     is_hu: bool = True
     not_hu_reason: str | None = None
     source: VolumeSource = field(default_factory=lambda: VolumeSource(format="array", title="volume"))
+    _range: tuple[int, int] | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         values = self.hu_zyx
@@ -85,6 +87,14 @@ class Volume:
         """Shape of the array."""
         nz, ny, nx = self.hu_zyx.shape
         return nz, ny, nx
+
+    @property
+    def value_range(self) -> tuple[int, int]:
+        """The smallest and the largest value. Found when first asked for, and kept."""
+        if self._range is None:
+            object.__setattr__(self, "_range", _core.value_range(self.hu_zyx))
+        assert self._range is not None
+        return self._range
 
     @property
     def spacing_mm(self) -> tuple[float, float, float]:

@@ -83,7 +83,7 @@ def quality_gate(volume: Volume) -> Quality:
     if not volume.is_hu:
         findings.append(Finding("not-hu", f"not in Hounsfield units: {volume.not_hu_reason}"))
     values = volume.hu_zyx
-    if not volume.is_hu and int(values.max()) - int(values.min()) <= 1:
+    if not volume.is_hu and volume.value_range[1] - volume.value_range[0] <= 1:
         findings.append(Finding("mask", "the volume holds two values only: this is a mask, not a scan"))
     findings += _spacing_findings(volume.spacing_mm)
     lung_litres: float | None = None

@@ -1,0 +1,133 @@
+"""The display follows the document: newest wins, nothing queues up, and pictures never wait for a map."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+
+import numpy as np
+import pytest
+
+from carina import _core, render
+from carina.errors import TrackingError
+from carina.server.pump import FramePump
+from carina.session import JobEnded, Session
+from carina.session.parts import default_parts
+from small_case import small_airways, small_bench, small_volume
+
+
+def names(bench):
+    return [job.title for job in bench.session.jobs.running]
+
+
+def test_a_burst_of_changes_is_one_job_and_one_map_of_the_newest():
+    bench = small_bench()
+    bench.open()
+    renderer = bench.renderers[-1]
+    before = renderer.prepared
+    for n in range(20):
+        bench.session.set_transfer(document={"n": n})
+    newest = bench.session.snapshot().document.transfer
+    assert len(bench.background.waiting) == 1
+    bench.background.run_all()
+    assert renderer.transfer is newest
+    assert renderer.prepared == before + 1
+
+
+def test_a_change_while_a_map_is_built_ends_that_build_and_the_same_job_begins_again_with_the_newest():
+    bench = small_bench()
+    bench.open()
+    renderer = bench.renderers[-1]
+    bench.events.clear()
+    before = renderer.prepared
+    changes = iter(range(3))
+
+    def change():
+        if next(changes, None) is not None:
+            bench.session.set_transfer(document={})
+
+    renderer.on_prepare = change
+    bench.session.set_transfer(preset="ct-grey")
+    bench.background.run_all()
+    assert renderer.transfer is bench.session.snapshot().document.transfer
+    assert renderer.prepared == before + 1, "three builds were stale when they looked up"
+    assert [e.outcome for e in bench.of_type(JobEnded)] == ["done"]
+    assert not names(bench)
+
+
+def test_a_change_after_a_person_stopped_the_preparation_is_followed():
+    bench = small_bench()
+    bench.open()
+    renderer = bench.renderers[-1]
+    bench.session.set_transfer(preset="ct-grey")
+    (job,) = bench.session.jobs.running
+    bench.session.cancel(job.job_id)
+    # The change comes when the job has been stopped and has not yet ended.
+    bench.session.set_transfer(document={})
+    bench.background.run_all()
+    assert renderer.transfer is bench.session.snapshot().document.transfer
+    bench.session.set_transfer(preset="endoscopic")
+    bench.background.run_all()
+    assert renderer.transfer is bench.session.snapshot().document.transfer
+
+
+def test_a_renderer_that_fails_is_told_of_the_next_change():
+    bench = small_bench()
+    bench.open()
+    renderer = bench.renderers[-1]
+
+    def fail():
+        raise MemoryError
+
+    renderer.on_prepare = fail
+    bench.session.set_transfer(preset="ct-grey")
+    bench.background.run_all()
+    renderer.on_prepare = lambda: None
+    bench.session.set_transfer(preset="endoscopic")
+    bench.background.run_all()
+    assert renderer.transfer is bench.session.snapshot().document.transfer
+
+
+@pytest.mark.parametrize("lumen", [False, True])
+def test_pictures_of_a_new_preset_come_while_its_map_is_built(monkeypatch, lumen):
+    """The real renderer under the real pump; the map takes as long as the test likes."""
+    building, go_on = threading.Event(), threading.Event()
+    build = _core.build_run_map
+
+    def slowly(*arguments, **options):
+        if options:  # The tree view's own small map has no cancel.
+            building.set()
+            assert go_on.wait(60)
+        return build(*arguments, **options)
+
+    parts = default_parts()
+    volume = small_volume()
+    found = small_airways(volume) if lumen else None
+
+    def find_airways(_volume, **_options):
+        if found is None:
+            raise TrackingError("none in this test")
+        return found
+
+    session = Session(
+        lambda volume, transfer: render.Renderer(volume, transfer=transfer),
+        parts=dataclasses.replace(parts, find_airways=find_airways),
+    )
+    delivered: list[bytes] = []
+    pump = FramePump(session.scene, delivered.append, lambda _said: None, clock=lambda: 0.0)
+    try:
+        session.open_volume(volume)
+        assert session.jobs.wait_idle(60)
+        monkeypatch.setattr(_core, "build_run_map", slowly)
+        everything = render.TransferFunction(points=np.array([[-2000.0, 1, 1, 1, 0.2], [-400.0, 1, 1, 1, 0.9]]))
+        session.set_transfer(document=everything.to_json())
+        assert building.wait(60)
+        pump.set_layout({"airway": (64, 48), "axial": (32, 32)})
+        while pump.step():
+            pass
+        assert b'"view":"airway"' in delivered[0].replace(b" ", b"")
+        assert b'"method":"brute"' in delivered[0].replace(b" ", b"")
+        assert len(delivered) >= 2
+    finally:
+        go_on.set()
+        session.close()
