@@ -87,6 +87,56 @@ def build_run_map(
 ) -> NDArray[np.uint8]:
     """The radius map of disjoint runs of values (first, last); 0 where a value is in none."""
 
+# ---- optics ----
+
+@final
+class Optics:
+    """A lens in front of a picture of a size; ``brown`` (k1 k2 p1 p2 k3 k4 k5 k6) or ``fisheye`` (k1 to k4)."""
+
+    def __new__(
+        cls,
+        model: str,
+        coefficients: Sequence[float],
+        *,
+        width: int,
+        height: int,
+        fov_rad: float | None = None,
+        focal_px: tuple[float, float] | None = None,
+        center_px: tuple[float, float] | None = None,
+        calibrated_size_px: tuple[int, int] | None = None,
+    ) -> Optics: ...
+    def directions(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Unit directions (n, 3) in camera space of points of the picture; NaN where the lens has none."""
+
+    def pixels(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points of the picture (n, 2) of directions in camera space; NaN where the lens does not see them."""
+
+    def rays(self, *, shape: str, edge_px: float, vignette: float) -> LensRays:
+        """The rays of all pixels inside an outline."""
+
+    @property
+    def fov_rad(self) -> float: ...
+    @property
+    def limit_rad(self) -> float: ...
+    @property
+    def focal_px(self) -> tuple[float, float]: ...
+    @property
+    def center_px(self) -> tuple[float, float]: ...
+
+@final
+class LensRays:
+    """The rays of all pixels of a picture behind a lens, and how bright each pixel is."""
+
+def defocus(
+    rgb: NDArray[np.uint8],
+    depth_mm: NDArray[np.float32],
+    *,
+    near_mm: float,
+    far_mm: float,
+    lens: LensRays | None = None,
+) -> NDArray[np.uint8]:
+    """A whole picture (h, w, 3) blurred by its depth (h, w), then darkened by its lens."""
+
 # ---- raycast ----
 
 @final
@@ -134,6 +184,8 @@ def cast(
     leap: NDArray[np.uint8] | tuple[NDArray[np.uint8], NDArray[np.uint8], list[int]] | None = None,
     simd: str | None = None,
     stop: CancelToken | None = None,
+    lens: LensRays | None = None,
+    darken: bool = True,
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int]]:
     """(rows, width, 3) colours and rays, samples, look-ups, leaps, skipped samples; CancelledError once stopped."""
 
@@ -151,6 +203,7 @@ def cast_surface(
     nearest: bool = False,
     radius_zyx: NDArray[np.uint8] | None = None,
     simd: str | None = None,
+    lens: LensRays | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.float32]]:
     """First walls of rows, or of one pixel (column, row): depth in mm, positions and normals in LPS; NaN for none."""
 

@@ -8,6 +8,7 @@ mod airpath;
 mod arrays;
 mod errors;
 mod isoregion;
+mod optics;
 mod phantom;
 mod raycast;
 mod scope;
@@ -37,6 +38,7 @@ fn build_info(py: Python<'_>) -> PyResult<Bound<'_, pyo3::types::PyDict>> {
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(build_info, module)?)?;
     isoregion::register(module)?;
+    optics::register(module)?;
     raycast::register(module)?;
     airpath::register(module)?;
     phantom::register(module)?;

@@ -26,6 +26,7 @@ use crate::{
     arrays::{affine, grid, values},
     errors::{IntoPy, carina_error},
     isoregion::volume_array,
+    optics::{LensRays, camera},
 };
 
 impl IntoPy for RaycastError {
@@ -175,7 +176,7 @@ const fn interpolation(nearest: bool) -> Interpolation {
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
-    background=[0.0; 3], leap=None, simd=None, stop=None
+    background=[0.0; 3], leap=None, simd=None, stop=None, lens=None, darken=true
 ))]
 fn cast<'py>(
     py: Python<'py>,
@@ -193,11 +194,13 @@ fn cast<'py>(
     leap: Option<LeapMap<'py>>,
     simd: Option<&str>,
     stop: Option<Bound<'py, CancelToken>>,
+    lens: Option<Bound<'py, LensRays>>,
+    darken: bool,
 ) -> PyResult<(Bound<'py, PyArray3<u8>>, PyStats)> {
     let grid = grid(&hu_zyx, &lps_from_ijk)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
     let pose = affine("lps_from_camera", &lps_from_camera)?;
-    let camera = Camera::new(pose, fov_rad, width, height).map_err(IntoPy::into_py)?;
+    let camera = camera(pose, fov_rad, width, height, lens.as_ref())?;
     let table = &table.get().inner;
     let options = FrameOptions {
         interpolation: interpolation(nearest),
@@ -241,9 +244,19 @@ fn cast<'py>(
     };
     let stop = stop.as_ref().map(|token| &token.get().set);
     let done = py
-        .detach(|| match stop {
-            None => cast_rows(&frame, method, start..end, simd).map(Some),
-            Some(stop) => cast_rows_until(&frame, method, start..end, simd, stop),
+        .detach(|| {
+            let done = match stop {
+                None => cast_rows(&frame, method, start..end, simd).map(Some),
+                Some(stop) => cast_rows_until(&frame, method, start..end, simd, stop),
+            };
+            done.map(|done| {
+                done.map(|(mut rgb, stats)| {
+                    if let Some(rays) = frame.camera().lens_rays().filter(|_| darken) {
+                        rays.shade_rows(start, &mut rgb);
+                    }
+                    (rgb, stats)
+                })
+            })
         })
         .map_err(IntoPy::into_py)?;
     let Some((rgb, s)) = done else {
@@ -274,7 +287,7 @@ type PySurface<'py> = (
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, pixel=None, nearest=false,
-    radius_zyx=None, simd=None
+    radius_zyx=None, simd=None, lens=None
 ))]
 fn cast_surface<'py>(
     py: Python<'py>,
@@ -290,11 +303,12 @@ fn cast_surface<'py>(
     nearest: bool,
     radius_zyx: Option<PyReadonlyArray3<'py, u8>>,
     simd: Option<&str>,
+    lens: Option<Bound<'py, LensRays>>,
 ) -> PyResult<PySurface<'py>> {
     let grid = grid(&hu_zyx, &lps_from_ijk)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
     let pose = affine("lps_from_camera", &lps_from_camera)?;
-    let camera = Camera::new(pose, fov_rad, width, height).map_err(IntoPy::into_py)?;
+    let camera = camera(pose, fov_rad, width, height, lens.as_ref())?;
     let options = FrameOptions {
         interpolation: interpolation(nearest),
         light: None,

@@ -162,12 +162,13 @@ fn check_pose(lps_from_camera: &Affine) -> Result<(), GridError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{ImageField, Lens};
+    use crate::{ImageField, Lens, Optics};
 
     #[test]
     fn a_pinhole_lens_has_the_rays_of_the_pinhole_formula() {
         let plain = Camera::new(Affine::IDENTITY, 1.7, 30, 20).unwrap();
-        let rays = LensRays::build(&Lens::Pinhole, Some(1.7), 30, 20, &ImageField::FULL).unwrap();
+        let optics = Optics::new(&Lens::Pinhole, Some(1.7), 30, 20).unwrap();
+        let rays = LensRays::build(optics, &ImageField::FULL).unwrap();
         let lens = Camera::with_lens(Affine::IDENTITY, Arc::new(rays)).unwrap();
         for (column, row) in [(0, 0), (29, 19), (14, 3)] {
             let (a, b) = (

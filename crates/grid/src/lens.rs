@@ -493,6 +493,17 @@ impl Optics {
         (z * sine / (r * per_rad)).clamp(0.0, 1.0)
     }
 
+    /// True if the picture's quarters are mirror images.
+    #[must_use]
+    pub fn is_symmetric(&self) -> bool {
+        let [w, h] = self.size_px.map(|side| side as f64);
+        let straight = match self.distortion {
+            Distortion::Brown { p, .. } => p == [0.0; 2],
+            Distortion::Fisheye { .. } => true,
+        };
+        straight && self.center_px == [w / 2.0, h / 2.0] && self.focal_px[0] == self.focal_px[1]
+    }
+
     /// Full angle across the shorter side.
     #[must_use]
     pub const fn fov_rad(&self) -> f64 {

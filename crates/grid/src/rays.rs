@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::{GridError, Lens, Optics};
+use crate::{GridError, Optics};
 
 /// Gains are parts of this.
 pub const FULL_GAIN: u16 = 1 << 15;
@@ -54,6 +54,45 @@ impl ImageField {
     }
 }
 
+/// What is left of the light in a direction, by the cosine of its angle from the axis.
+struct Light {
+    /// At `LIGHT_STEPS + 1` cosines from 0 to 1; empty for an even picture.
+    table: Vec<f64>,
+}
+
+/// Steps of the table: to the next one, a gain changes by less than a grey level.
+const LIGHT_STEPS: usize = 1024;
+
+impl Light {
+    fn of(optics: &Optics, vignette: f64) -> Self {
+        let at = |n: usize| {
+            let cosine = n as f64 / LIGHT_STEPS as f64;
+            let sine = (1.0 - cosine * cosine).sqrt();
+            libm::pow(
+                optics.natural_light([sine, 0.0, cosine]),
+                vignette / DISPLAY_GAMMA,
+            )
+        };
+        Self {
+            table: if vignette > 0.0 {
+                (0..=LIGHT_STEPS).map(at).collect()
+            } else {
+                Vec::new()
+            },
+        }
+    }
+
+    fn in_direction(&self, direction: [f64; 3]) -> f64 {
+        if self.table.is_empty() {
+            return 1.0;
+        }
+        let at = direction[2].clamp(0.0, 1.0) * LIGHT_STEPS as f64;
+        let n = (at as usize).min(LIGHT_STEPS - 1);
+        let part = at - n as f64;
+        self.table[n] + part * (self.table[n + 1] - self.table[n])
+    }
+}
+
 /// A ray direction and a gain for each pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LensRays {
@@ -66,13 +105,7 @@ pub struct LensRays {
 
 impl LensRays {
     /// Finds the ray of every pixel, on all cores; no pixel depends on another.
-    pub fn build(
-        lens: &Lens,
-        fov_rad: Option<f64>,
-        width: usize,
-        height: usize,
-        field: &ImageField,
-    ) -> Result<Self, GridError> {
+    pub fn build(optics: Optics, field: &ImageField) -> Result<Self, GridError> {
         for (what, value, most) in [
             ("soft edge", field.edge_px, 100.0),
             ("vignette", field.vignette, 1.0),
@@ -85,38 +118,65 @@ impl LensRays {
                 });
             }
         }
-        let optics = Optics::new(lens, fov_rad, width, height)?;
+        let [width, height] = optics.size_px();
         let half = [width as f64 / 2.0, height as f64 / 2.0];
         let radius = half[0].min(half[1]);
         let plain = field.shape == FieldShape::Full && field.vignette == 0.0;
+        let light = Light::of(&optics, field.vignette);
+        let pixel = |column: usize, row: usize| {
+            let at = [column as f64 + 0.5, row as f64 + 0.5];
+            let depth_px = field.depth_px(at[0] - half[0], at[1] - half[1], radius);
+            let bare = ([0.0f32; 3], 0u16);
+            if depth_px <= 0.0 {
+                return bare;
+            }
+            let Some(d) = optics.direction(at) else {
+                return bare;
+            };
+            let edge = if field.edge_px > 0.0 {
+                (depth_px / field.edge_px).min(1.0)
+            } else {
+                1.0
+            };
+            let gain = edge * light.in_direction(d) * f64::from(FULL_GAIN) + 0.5;
+            (d.map(|v| v as f32), gain as u16)
+        };
         let mut pixels = vec![([0.0f32; 3], 0u16); width * height];
-        pixels
-            .par_chunks_mut(width)
-            .enumerate()
-            .for_each(|(row, out)| {
-                for (column, pixel) in out.iter_mut().enumerate() {
-                    let at = [column as f64 + 0.5, row as f64 + 0.5];
-                    let depth_px = field.depth_px(at[0] - half[0], at[1] - half[1], radius);
-                    if depth_px <= 0.0 {
-                        continue;
+        if optics.is_symmetric() {
+            // A quarter is computed, and mirrored.
+            let (columns, rows) = (width.div_ceil(2), height.div_ceil(2));
+            pixels
+                .par_chunks_mut(width)
+                .take(rows)
+                .enumerate()
+                .for_each(|(row, out)| {
+                    for column in 0..columns {
+                        let ([x, y, z], gain) = pixel(column, row);
+                        out[column] = ([x, y, z], gain);
+                        // The middle column of an odd width is its own mirror: there x is 0.
+                        out[width - 1 - column] = ([0.0 - x, y, z], gain);
                     }
-                    let Some(d) = optics.direction(at) else {
-                        continue;
-                    };
-                    let edge = if field.edge_px > 0.0 {
-                        (depth_px / field.edge_px).min(1.0)
-                    } else {
-                        1.0
-                    };
-                    let light = if field.vignette > 0.0 {
-                        libm::pow(optics.natural_light(d), field.vignette / DISPLAY_GAMMA)
-                    } else {
-                        1.0
-                    };
-                    let gain = (edge * light * f64::from(FULL_GAIN) + 0.5) as u16;
-                    *pixel = (d.map(|v| v as f32), gain);
-                }
-            });
+                });
+            let (above, below) = pixels.split_at_mut(rows * width);
+            below
+                .par_chunks_mut(width)
+                .enumerate()
+                .for_each(|(n, out)| {
+                    let row = height - 1 - (rows + n);
+                    for (to, &([x, y, z], gain)) in out.iter_mut().zip(&above[row * width..]) {
+                        *to = ([x, 0.0 - y, z], gain);
+                    }
+                });
+        } else {
+            pixels
+                .par_chunks_mut(width)
+                .enumerate()
+                .for_each(|(row, out)| {
+                    for (column, out) in out.iter_mut().enumerate() {
+                        *out = pixel(column, row);
+                    }
+                });
+        }
         // A tangential part may fold inside the circle although the circle itself is whole.
         let inside = |n: usize| {
             let (x, y) = (
@@ -186,6 +246,7 @@ impl LensRays {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Lens;
 
     fn rays(shape: FieldShape, edge_px: f64, vignette: f64) -> LensRays {
         let field = ImageField {
@@ -193,7 +254,11 @@ mod tests {
             edge_px,
             vignette,
         };
-        LensRays::build(&Lens::Equidistant, Some(2.0), 60, 40, &field).unwrap()
+        LensRays::build(
+            Optics::new(&Lens::Equidistant, Some(2.0), 60, 40).unwrap(),
+            &field,
+        )
+        .unwrap()
     }
 
     fn has_ray(rays: &LensRays, column: usize, row: usize) -> bool {
@@ -227,6 +292,21 @@ mod tests {
             (area(FieldShape::Octagon) - 8.0 * (core::f64::consts::PI / 8.0).tan() * 400.0).abs()
                 < 15.0
         );
+    }
+
+    #[test]
+    fn mirrored_quarters_are_what_the_lens_says() {
+        for (width, height) in [(31, 20), (20, 31), (9, 9), (1, 1), (2, 5)] {
+            let optics = Optics::new(&Lens::Equidistant, Some(2.5), width, height).unwrap();
+            assert!(optics.is_symmetric());
+            let rays = LensRays::build(optics.clone(), &ImageField::FULL).unwrap();
+            for n in 0..width * height {
+                let (column, row) = (n % width, n / width);
+                let at = [column as f64 + 0.5, row as f64 + 0.5];
+                let expected = optics.direction(at).unwrap().map(|v| v as f32);
+                assert_eq!(rays.direction(column, row), expected, "{column} {row}");
+            }
+        }
     }
 
     #[test]
@@ -266,7 +346,8 @@ mod tests {
                 edge_px,
                 vignette,
             };
-            assert!(LensRays::build(&Lens::Pinhole, Some(1.0), 8, 8, &field).is_err());
+            let optics = Optics::new(&Lens::Pinhole, Some(1.0), 8, 8).unwrap();
+            assert!(LensRays::build(optics, &field).is_err());
         }
     }
 }

@@ -30,6 +30,7 @@
 
 mod brute;
 mod composite;
+mod defocus;
 mod drr;
 mod error;
 mod frame;
@@ -49,6 +50,7 @@ mod transfer;
 mod triplane;
 
 pub use carina_grid::InstructionSet;
+pub use defocus::{Focus, defocus};
 pub use drr::{Attenuation, Projector, cast_radiograph};
 pub use error::RaycastError;
 pub use frame::{Frame, FrameOptions, Interpolation, STOP_TRANSPARENCY};

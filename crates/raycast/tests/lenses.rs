@@ -5,7 +5,8 @@ mod scene;
 use std::sync::Arc;
 
 use carina_grid::{
-    Affine, Camera, Distortion, FieldShape, ImageField, Lens, LensRays, VolumeView, cross, unit,
+    Affine, Camera, Distortion, FieldShape, ImageField, Lens, LensRays, Optics, VolumeView, cross,
+    unit,
 };
 use carina_isoregion::{class_labels, radius_map};
 use carina_raycast::{CastStats, Frame, InstructionSet, Method, cast_rows};
@@ -57,7 +58,7 @@ proptest! {
         leaps in any::<bool>(),
     ) {
         let field = ImageField { shape, edge_px: 1.5, vignette: 0.5 };
-        let Ok(rays) = LensRays::build(&lens, Some(fov), width, height, &field) else {
+        let Ok(rays) = Optics::new(&lens, Some(fov), width, height).and_then(|optics| LensRays::build(optics, &field)) else {
             return Ok(());
         };
         let camera = Camera::with_lens(*scene.camera.lps_from_camera(), Arc::new(rays)).unwrap();
@@ -86,7 +87,7 @@ proptest! {
         (lens, fov) in any_lens(),
         at in prop::array::uniform2(0.0f64..1.0),
     ) {
-        let Ok(rays) = LensRays::build(&lens, Some(fov), 23, 19, &ImageField::FULL) else {
+        let Ok(rays) = Optics::new(&lens, Some(fov), 23, 19).and_then(|optics| LensRays::build(optics, &ImageField::FULL)) else {
             return Ok(());
         };
         let (column, row) = ((at[0] * 23.0) as usize, (at[1] * 19.0) as usize);

@@ -1,0 +1,207 @@
+//! Depth of field of a lens of fixed focus: pictures blurred by the distance of what they show.
+//!
+//! A whole picture is needed, with depth: blur reaches over the edges of strips.
+
+use core::f32::consts::PI;
+
+use carina_grid::LensRays;
+use rayon::prelude::*;
+
+use crate::RaycastError;
+
+/// Circles up to this part of the shorter side pass for points: about one sensor pixel of a video bronchoscope (400 x 400).
+const SHARP_PART: f32 = 1.0 / 400.0;
+/// Circles have at most this part of the shorter side as radius: nearer walls than that blind a scope anyway.
+const WIDEST_PART: f32 = 1.0 / 32.0;
+
+/// In place of a radius: no part of the picture.
+const NO_RAY: f32 = -1.0;
+
+/// The range that is shown sharp, mm from the tip.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Focus {
+    /// Nearest sharp distance.
+    pub near_mm: f32,
+    /// Farthest sharp distance.
+    pub far_mm: f32,
+}
+
+impl Focus {
+    fn check(self) -> Result<(), RaycastError> {
+        if 0.0 < self.near_mm && self.near_mm < self.far_mm && self.far_mm.is_finite() {
+            return Ok(());
+        }
+        Err(RaycastError::Setting {
+            what: "depth of field",
+            expected: "from above 0 mm to a larger distance".to_owned(),
+            found: format!("{} to {} mm", self.near_mm, self.far_mm),
+        })
+    }
+
+    /// Radius of the circle of confusion at a depth, pixels; without a depth, of something very far.
+    ///
+    /// A thin lens of a fixed focus has circles in proportion to `|1/d - 1/d_focus|`; the ends of the range are where they
+    /// just pass for points, which gives the focus and, together, the aperture.
+    fn radius_px(self, depth_mm: f32, side: f32) -> f32 {
+        let (near, far) = (1.0 / self.near_mm, 1.0 / self.far_mm);
+        let (focus, range) = (f32::midpoint(near, far), (near - far) / 2.0);
+        let at = if depth_mm > 0.0 { 1.0 / depth_mm } else { 0.0 };
+        let sharp = side * SHARP_PART / 2.0;
+        (sharp * (at - focus).abs() / range).min(side * WIDEST_PART)
+    }
+}
+
+/// Blurs a picture (RGB) by the depth of its pixels (mm, NaN for none). Pixels without a ray neither give nor take.
+///
+/// Each pixel gathers from those whose circle reaches it. What lies behind a sharper edge does not run over it.
+pub fn defocus(
+    rgb: &[u8],
+    depth_mm: &[f32],
+    width: usize,
+    focus: Focus,
+    rays: Option<&LensRays>,
+) -> Result<Vec<u8>, RaycastError> {
+    focus.check()?;
+    let height = depth_mm.len().checked_div(width).unwrap_or(0);
+    if rgb.len() != depth_mm.len() * 3 || width * height != depth_mm.len() {
+        return Err(RaycastError::Setting {
+            what: "depth",
+            expected: format!("one for each of {} pixels", rgb.len() / 3),
+            found: format!("{}", depth_mm.len()),
+        });
+    }
+    let side = width.min(height) as f32;
+    let has_ray = |column, row| rays.is_none_or(|r| r.direction(column, row) != [0.0; 3]);
+    let radii: Vec<f32> = depth_mm
+        .par_iter()
+        .enumerate()
+        .map(|(n, &depth)| {
+            if has_ray(n % width, n / width) {
+                focus.radius_px(depth, side)
+            } else {
+                NO_RAY
+            }
+        })
+        .collect();
+    let depth = |n: usize| {
+        if depth_mm[n] > 0.0 {
+            depth_mm[n]
+        } else {
+            f32::INFINITY
+        }
+    };
+    let widest = radii.iter().copied().fold(0.0, f32::max);
+    let reach = (widest + 0.5).ceil() as usize;
+    let mut out = rgb.to_vec();
+    out.par_chunks_mut(width * 3)
+        .enumerate()
+        .for_each(|(row, out)| {
+            for (column, pixel) in out.chunks_exact_mut(3).enumerate() {
+                let here = row * width + column;
+                if radii[here] == NO_RAY {
+                    continue;
+                }
+                let (mut sum, mut total) = ([0.0f32; 3], 0.0f32);
+                for y in row.saturating_sub(reach)..(row + reach + 1).min(height) {
+                    for x in column.saturating_sub(reach)..(column + reach + 1).min(width) {
+                        let there = y * width + x;
+                        let mut radius = radii[there];
+                        if radius == NO_RAY {
+                            continue;
+                        }
+                        if depth(there) > depth(here) {
+                            radius = radius.min(radii[here]);
+                        }
+                        let (dx, dy) = (x.abs_diff(column) as f32, y.abs_diff(row) as f32);
+                        let covered = (radius + 0.5 - (dx * dx + dy * dy).sqrt()).clamp(0.0, 1.0);
+                        // A circle within its own pixel lights no other.
+                        let spread = radius.max(0.5);
+                        let weight = covered / (PI * spread * spread);
+                        total += weight;
+                        for c in 0..3 {
+                            sum[c] += weight * f32::from(rgb[there * 3 + c]);
+                        }
+                    }
+                }
+                for c in 0..3 {
+                    pixel[c] = (sum[c] / total + 0.5) as u8;
+                }
+            }
+        });
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FOCUS: Focus = Focus {
+        near_mm: 3.0,
+        far_mm: 50.0,
+    };
+
+    /// A white edge on black, 400 pixels square.
+    fn edge(depth_mm: f32) -> Vec<u8> {
+        let rgb: Vec<u8> = (0..400 * 400)
+            .flat_map(|n| [if n % 400 < 200 { 255 } else { 0 }; 3])
+            .collect();
+        defocus(&rgb, &vec![depth_mm; 400 * 400], 400, FOCUS, None).unwrap()
+    }
+
+    /// Over how many pixels the edge runs from light to dark.
+    fn width_of_edge(picture: &[u8]) -> usize {
+        (0..400)
+            .filter(|column| (10..245).contains(&picture[(200 * 400 + column) * 3]))
+            .count()
+    }
+
+    #[test]
+    fn what_lies_in_the_range_is_sharp_and_what_is_nearer_is_not() {
+        for depth_mm in [3.0, 6.0, 20.0, 50.0] {
+            assert!(width_of_edge(&edge(depth_mm)) <= 2, "{depth_mm} mm");
+        }
+        let near = width_of_edge(&edge(1.0));
+        let nearer = width_of_edge(&edge(0.5));
+        assert!(near >= 4 && nearer > near, "{near} {nearer}");
+    }
+
+    #[test]
+    fn an_even_picture_stays_even_and_a_sharp_edge_before_a_blurred_wall_stays() {
+        let even = vec![77; 60 * 60 * 3];
+        let depths: Vec<f32> = (0..3600).map(|n| 0.3 + (n % 60) as f32).collect();
+        assert_eq!(defocus(&even, &depths, 60, FOCUS, None).unwrap(), even);
+        // A dark wall in focus before something white and very far, with a focus that leaves the far out.
+        let focus = Focus {
+            near_mm: 3.0,
+            far_mm: 4.0,
+        };
+        let half = |n: usize| n % 400 < 200;
+        let rgb: Vec<u8> = (0..160_000)
+            .flat_map(|n| [if half(n) { 0 } else { 255 }; 3])
+            .collect();
+        let depths: Vec<f32> = (0..160_000)
+            .map(|n| if half(n) { 3.4 } else { f32::NAN })
+            .collect();
+        let picture = defocus(&rgb, &depths, 400, focus, None).unwrap();
+        let at = |column: usize| picture[(200 * 400 + column) * 3];
+        assert!(at(197) == 0 && at(195) == 0, "nothing runs over the wall");
+    }
+
+    #[test]
+    fn a_range_that_is_none_and_depths_of_another_size_are_refused() {
+        let run = |near_mm, far_mm, num_depths| {
+            let focus = Focus { near_mm, far_mm };
+            defocus(&[0; 27], &vec![1.0; num_depths], 3, focus, None)
+        };
+        assert!(run(3.0, 50.0, 9).is_ok());
+        for (near_mm, far_mm) in [
+            (0.0, 5.0),
+            (5.0, 5.0),
+            (f32::NAN, 5.0),
+            (3.0, f32::INFINITY),
+        ] {
+            assert!(run(near_mm, far_mm, 9).is_err());
+        }
+        assert!(run(3.0, 50.0, 8).is_err());
+    }
+}
