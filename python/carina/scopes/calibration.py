@@ -1,0 +1,267 @@
+"""Camera calibrations as OpenCV writes them: YAML, XML or JSON, of ``cv2.calibrateCamera`` or ``cv2.fisheye``.
+
+The readers take what `cv::FileStorage` writes and ROS's ``camera_info`` files, and nothing more: no tags that make
+objects, no entities, no anchors. Names of the entries differ between OpenCV's own samples; those are known, in upper or
+lower case.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+from carina.errors import CarinaError, RenderError, VolumeImportError
+from carina.scopes.lens import Calibration, Lens
+
+__all__ = ["lens_from_file", "lens_from_text"]
+
+MAX_BYTES = 1_000_000
+MATRIX_KEYS = ("camera_matrix", "cameramatrix", "intrinsic_matrix", "k", "mtx", "m1")
+COEFFICIENT_KEYS = (
+    "distortion_coefficients",
+    "distortioncoefficients",
+    "dist_coeffs",
+    "dist_coeff",
+    "distcoeffs",
+    "d",
+    "dist",
+    "d1",
+)
+SIZE_KEYS = ("image_size", "imagesize", "resolution")
+WIDTH_KEYS, HEIGHT_KEYS = ("image_width", "width"), ("image_height", "height")
+NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?\.?(?:nan|inf)\b", re.IGNORECASE)
+Entries = dict[str, Any]
+
+
+def lens_from_file(path: str | os.PathLike[str]) -> Lens:
+    """Read a camera calibration.
+
+    Parameters
+    ----------
+    path
+        ``.yml``, ``.yaml``, ``.xml`` or ``.json``, as ``cv2.FileStorage`` writes them, with ``camera_matrix``,
+        ``distortion_coefficients``, ``image_width`` and ``image_height`` (other common names are known). The model is
+        OpenCV's default with 4, 5 or 8 coefficients, or that of ``cv2.fisheye`` where ``fisheye_model: 1`` or
+        ``distortion_model: fisheye`` says so.
+
+    Returns
+    -------
+    Lens
+        With its own field of view, for pictures of the calibration's proportions.
+
+    Raises
+    ------
+    VolumeImportError
+        If the file cannot be read, or is no such calibration; the message says what is missing.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise VolumeImportError(f"{path}: cannot be read: {error.strerror}", code="render.lens") from error
+    if len(data) > MAX_BYTES:
+        raise VolumeImportError(f"{path}: too large for a camera calibration", code="render.lens")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise VolumeImportError(f"{path}: is no text; expected a camera calibration", code="render.lens") from error
+    try:
+        return lens_from_text(text)
+    except CarinaError as error:
+        # In a file it is the file that is refused, not an argument.
+        raise VolumeImportError(f"{path}: {error}", code="render.lens") from error
+
+
+def lens_from_text(text: str) -> Lens:
+    """The lens of a calibration's text; see :func:`lens_from_file`."""
+    start = text.lstrip()[:1]
+    try:
+        if start == "<":
+            entries = _read_xml(text)
+        elif start == "{":
+            entries = _read_json(text)
+        else:
+            entries = _read_yaml(text)
+    except RecursionError as error:
+        raise _refused("expected a camera calibration, found entries inside entries without end") from error
+    return _lens({key.lower(): value for key, value in entries.items()})
+
+
+def _refused(words: str) -> VolumeImportError:
+    return VolumeImportError(f"reading a camera calibration: {words}", code="render.lens")
+
+
+# ------------------------------------------------------------ the three forms
+
+
+def _read_json(text: str) -> Entries:
+    try:
+        value = json.loads(text)
+    except ValueError as error:
+        raise _refused(f"expected JSON, found a fault: {error}") from error
+    if not isinstance(value, dict):
+        raise _refused("expected one JSON object")
+    return value
+
+
+def _read_xml(text: str) -> Entries:
+    # Entities can blow a small file up; OpenCV writes none.
+    if "<!" in re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL):
+        raise _refused("expected OpenCV's XML, found a document type or entities")
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise _refused(f"expected XML, found a fault: {error}") from error
+    return {child.tag: _xml_value(child) for child in root}
+
+
+def _xml_value(node: ET.Element) -> Any:
+    if len(node):
+        return {child.tag: (child.text or "").strip() for child in node}
+    return (node.text or "").strip()
+
+
+def _read_yaml(text: str) -> Entries:
+    """Top-level entries of OpenCV's YAML: scalars, lists, and matrices as maps of scalars and one list."""
+    entries: Entries = {}
+    inner: Entries | None = None
+    lines = text.splitlines()
+    n = 0
+    while n < len(lines):
+        line = lines[n].split(" #")[0].rstrip()
+        n += 1
+        if not line.strip() or line.startswith(("%", "---", "...", "#")):
+            continue
+        match = re.fullmatch(r"(\s*)([\w-]+)\s*:\s*(.*)", line)
+        if match is None:
+            raise _refused(f"expected OpenCV's YAML, found on line {n}: {line.strip()[:60]!r}")
+        indent, key, value = match.groups()
+        if value.startswith("["):
+            # A list runs over as many lines as it needs.
+            depth = value.count("[") - value.count("]")
+            while depth > 0 and n < len(lines):
+                part = lines[n].strip()
+                depth += part.count("[") - part.count("]")
+                value += " " + part
+                n += 1
+            if depth != 0:
+                raise _refused(f"the list of {key!r} does not end")
+        if indent and inner is not None:
+            inner[key] = value
+        elif value in {"", "!!opencv-matrix"}:
+            inner = entries.setdefault(key, {})
+        else:
+            inner, entries[key] = None, value
+    return entries
+
+
+# ------------------------------------------------------------ from entries to a lens
+
+
+def _numbers(what: str, value: Any) -> list[float]:
+    """The numbers of a matrix entry in any of the three forms, row by row."""
+    if isinstance(value, dict):
+        data = {key.lower(): entry for key, entry in value.items()}
+        if "data" not in data:
+            raise _refused(f"{what} has no data")
+        found = _numbers(what, data["data"])
+        sides = [data.get("rows"), data.get("cols")]
+        if None not in sides:
+            rows, cols = (_whole(f"{what}'s {name}", side) for name, side in zip(("rows", "cols"), sides, strict=True))
+            if rows * cols != len(found):
+                raise _refused(f"{what} says {rows} x {cols} numbers and has {len(found)}")
+        return found
+    if isinstance(value, bool) or value is None:
+        raise _refused(f"{what}: expected numbers, found {value}")
+    if isinstance(value, int | float):
+        return [float(value)]
+    if isinstance(value, list):
+        return [number for entry in value for number in _numbers(what, entry)]
+    rest = NUMBER.sub(" ", str(value))
+    if re.sub(r"[\s,\[\]]", "", rest):
+        raise _refused(f"{what}: expected numbers, found {str(value)[:60]!r}")
+    return [float(text.lower().replace(".n", "n").replace(".i", "i")) for text in NUMBER.findall(str(value))]
+
+
+def _finite(what: str, value: Any) -> list[float]:
+    found = _numbers(what, value)
+    wrong = [number for number in found if not math.isfinite(number)]
+    if wrong:
+        raise _refused(f"{what}: expected finite numbers, found {wrong[0]}")
+    return found
+
+
+def _whole(what: str, value: Any) -> int:
+    found = _finite(what, value)
+    if len(found) != 1 or found[0] != int(found[0]) or not 1 <= found[0] <= 1 << 20:
+        raise _refused(f"{what}: expected a whole number from 1 to 1048576, found {value}")
+    return int(found[0])
+
+
+def _entry(entries: Entries, keys: tuple[str, ...]) -> Any:
+    return next((entries[key] for key in keys if key in entries), None)
+
+
+def _lens(entries: Entries) -> Lens:
+    matrix, coefficients = _entry(entries, MATRIX_KEYS), _entry(entries, COEFFICIENT_KEYS)
+    if matrix is None:
+        raise _refused("it has no camera_matrix")
+    if coefficients is None:
+        raise _refused("it has no distortion_coefficients")
+    size = _entry(entries, SIZE_KEYS)
+    sides = [_entry(entries, WIDTH_KEYS), _entry(entries, HEIGHT_KEYS)]
+    if size is not None:
+        sides = list(_finite("image_size", size))
+    if len(sides) != 2 or None in sides:
+        raise _refused("it has no image_width and image_height, so the calibration cannot be scaled to a picture")
+    width, height = (_whole(name, side) for name, side in zip(("image_width", "image_height"), sides, strict=True))
+    m = _finite("camera_matrix", matrix)
+    if len(m) != 9:
+        raise _refused(f"camera_matrix: expected 3 x 3 numbers, found {len(m)}")
+    if m[1] != 0.0 or m[3] != 0.0 or m[6:] != [0.0, 0.0, 1.0]:
+        raise _refused(f"camera_matrix: expected fx 0 cx, 0 fy cy, 0 0 1; found {m}")
+    if not (m[0] > 0.0 and m[4] > 0.0):
+        raise _refused(f"camera_matrix: expected focal lengths above 0 pixels, found {m[0]:g} and {m[4]:g}")
+    # OpenCV counts from the centre of the first pixel.
+    center = (m[2] + 0.5, m[5] + 0.5)
+    if not (0.0 <= center[0] <= width and 0.0 <= center[1] <= height):
+        raise _refused(f"camera_matrix: the principal point {m[2]:g}, {m[5]:g} lies outside {width} x {height} pixels")
+    known = Calibration((m[0], m[4]), center, (width, height))
+    d = _finite("distortion_coefficients", coefficients)
+    if _is_fisheye(entries):
+        if len(d) != 4:
+            raise _refused(f"distortion_coefficients: expected k1 to k4 of a fisheye lens, found {len(d)} numbers")
+        return _usable(Lens("fisheye", tuple(d), known))
+    # 12 and 14 are thin prisms and tilted sensors: nothing that a scope has; refused unless they say nothing.
+    if len(d) in {12, 14} and not any(d[8:]):
+        d = d[:8]
+    if len(d) not in {4, 5, 8}:
+        raise _refused(f"distortion_coefficients: expected k1 k2 p1 p2 [k3 [k4 k5 k6]], found {len(d)} numbers")
+    return _usable(Lens("brown", (*d, *(0.0,) * (8 - len(d))), known))
+
+
+def _usable(lens: Lens) -> Lens:
+    """Refuse what no picture could be made with: a model that folds back inside the image circle."""
+    assert lens.calibration is not None
+    width, height = lens.calibration.size_px
+    scale = max(1.0, max(width, height) / 4096)
+    try:
+        lens.optics(max(1, round(width / scale)), max(1, round(height / scale)))
+    except RenderError as error:
+        raise _refused(str(error)) from error
+    return lens
+
+
+def _is_fisheye(entries: Entries) -> bool:
+    model = str(entries.get("distortion_model", entries.get("camera_model", ""))).strip("\"' ").lower()
+    if model in {"fisheye", "equidistant", "kannala-brandt", "kannala_brandt", "opencv_fisheye"}:
+        return True
+    if model not in {"", "plumb_bob", "rational_polynomial", "pinhole", "brown", "opencv", "radtan"}:
+        raise _refused(f"distortion_model: expected plumb_bob, rational_polynomial or fisheye, found {model!r}")
+    marked = entries.get("fisheye_model")
+    return marked is not None and _finite("fisheye_model", marked)[:1] not in ([], [0.0])

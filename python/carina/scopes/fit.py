@@ -1,0 +1,107 @@
+"""The generic scope's optics, fitted to published measurements of one bronchoscope (docs/decisions/0007-optics.md).
+
+The figures (Masters 2005, a bronchoscope over test charts): linear magnification, relative to 100 mm from the tip, of
+9.55 at 10 mm and of 40 at 3 mm; at 15 mm the middle is enlarged 39 % more than the edge; at 3 mm the distortion reaches
+30 %. They come from one scope and do not agree with each other exactly; the residuals say by how much.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+__all__ = ["FOV_DEG", "FittedOptics", "Residual", "fit_generic_optics"]
+
+FOV_DEG = 120.0
+"""Not published for that scope; the usual one of adult scopes today (basis k)."""
+REFERENCE_MM = 100.0
+MAGNIFICATION_AT = ((10.0, 9.55), (3.0, 40.0))
+CENTRE_TO_EDGE = 1.39
+DISTORTION = -0.30
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """One published figure, what the fitted optics gives, and the difference as a part of the figure."""
+
+    what: str
+    published: float
+    fitted: float
+
+    @property
+    def relative(self) -> float:
+        """(fitted - published) / published."""
+        return self.fitted / self.published - 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class FittedOptics:
+    """The two parameters of the model and how well they do.
+
+    ``k1`` is that of :meth:`carina.scopes.Lens.fisheye`. ``face_mm`` is how far the tip's front face lies before the
+    camera's centre (the entrance pupil); below 0, behind it.
+    """
+
+    k1: float
+    face_mm: float
+    residuals: tuple[Residual, ...]
+
+
+def fit_generic_optics(fov_deg: float = FOV_DEG) -> FittedOptics:
+    """Fit the model to the published figures by least squares of the logarithms.
+
+    The model is a central projection: an entrance pupil ``face_mm`` behind the tip's front face, and a radial image
+    r(a) = f (a + k1 a^3) of the angle a. A chart at d mm before the face is d + face_mm from the pupil, so
+
+    - magnification in the middle, relative to 100 mm: (100 + face_mm) / (d + face_mm);
+    - magnification at the edge relative to the middle, for a chart at any distance: r(a) / (f tan a) at half the field
+      of view. Distortion is the same number less 1. One pupil has one distortion at all distances, so the two figures
+      (0.719 at 15 mm, 0.70 at 3 mm) cannot both be met.
+
+    Parameters
+    ----------
+    fov_deg
+        Field of view that the distortion is reached at, 10 to 175 degrees.
+
+    Returns
+    -------
+    FittedOptics
+        Parameters and residuals.
+
+    References
+    ----------
+    Masters 2005, after features.md 5.1 "Optics". Kannala and Brandt 2006 for the polynomial.
+    """
+    half = math.radians(fov_deg) / 2
+    # One unknown, two figures: least squares of the logarithms is their geometric mean.
+    edge = math.sqrt((1.0 / CENTRE_TO_EDGE) * (1.0 + DISTORTION))
+    k1 = (edge * math.tan(half) / half - 1.0) / half**2
+    face_mm = _fit_face()
+    fitted_edge = half * (1.0 + k1 * half**2) / math.tan(half)
+    residuals = [
+        Residual(f"magnification at {d:g} mm, relative to 100 mm", published, _magnification(d, face_mm))
+        for d, published in MAGNIFICATION_AT
+    ]
+    residuals.append(Residual("middle over edge at 15 mm", CENTRE_TO_EDGE, 1.0 / fitted_edge))
+    residuals.append(Residual("edge over ideal at 3 mm (1 - distortion)", 1.0 + DISTORTION, fitted_edge))
+    return FittedOptics(k1, face_mm, tuple(residuals))
+
+
+def _magnification(distance_mm: float, face_mm: float) -> float:
+    return (REFERENCE_MM + face_mm) / (distance_mm + face_mm)
+
+
+def _fit_face() -> float:
+    """Gauss-Newton on the logarithms, from a pupil in the face."""
+    face = 0.0
+    for _ in range(50):
+        top = bottom = 0.0
+        for d, published in MAGNIFICATION_AT:
+            off = math.log(_magnification(d, face) / published)
+            slope = 1.0 / (REFERENCE_MM + face) - 1.0 / (d + face)
+            top, bottom = top + off * slope, bottom + slope * slope
+        step = top / bottom
+        face -= step
+        if abs(step) < 1e-14:
+            break
+    return face

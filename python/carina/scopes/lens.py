@@ -1,0 +1,233 @@
+"""How the scope sees: the lens, the outline of its picture, and both in front of a picture of a size.
+
+Camera axes: +x right, +y down, +z forward. Points of a picture are in corner coordinates: pixel (0, 0) is the corner of
+the top-left pixel, its centre is (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina import _core
+from carina.errors import RenderError
+
+__all__ = ["FULL_FRAME", "MASKS", "PINHOLE", "Calibration", "DepthOfField", "ImageField", "Lens", "Mask", "Optics"]
+
+Mask = Literal["none", "round", "octagon"]
+Model = Literal["pinhole", "equidistant", "brown", "fisheye"]
+MASKS: tuple[Mask, ...] = ("none", "round", "octagon")
+DEFAULT_FOV_DEG = 90.0
+# A picture of 1024 x 1024 has rays of 14 MB; a flight needs its moving and its still size.
+RAYS_IN_MEMORY = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Where a calibration puts the picture: focal lengths and principal point in pixels of pictures of ``size_px``.
+
+    ``center_px`` is in corner coordinates: OpenCV's value plus 1/2, since its pixel (0, 0) is the centre of the first.
+    """
+
+    focal_px: tuple[float, float]
+    center_px: tuple[float, float]
+    size_px: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """A lens, apart from the size of the picture.
+
+    ``brown`` is OpenCV's default model with k1 k2 p1 p2 k3 k4 k5 k6, ``fisheye`` that of ``cv2.fisheye`` with k1 to k4:
+    the distance from the middle is f (a + k1 a^3 + k2 a^5 + ...) at the angle a. Use the class methods.
+
+    Raises
+    ------
+    RenderError
+        If a coefficient is not finite.
+    """
+
+    model: Model
+    coefficients: tuple[float, ...] = ()
+    calibration: Calibration | None = None
+
+    def __post_init__(self) -> None:
+        expected = {"pinhole": 0, "equidistant": 0, "brown": 8, "fisheye": 4}.get(self.model)
+        if len(self.coefficients) != expected:
+            raise RenderError(
+                "a lens is pinhole or equidistant, brown with 8 coefficients or fisheye with 4; "
+                f"found {self.model} with {len(self.coefficients)}",
+                code="render.camera",
+            )
+        if not all(math.isfinite(value) for value in self.coefficients):
+            raise RenderError(
+                f"a lens's coefficients are finite numbers; found {self.coefficients}", code="render.camera"
+            )
+
+    @classmethod
+    def pinhole(cls) -> Lens:
+        """Straight lines stay straight."""
+        return cls("pinhole")
+
+    @classmethod
+    def equidistant(cls) -> Lens:
+        """The distance from the middle grows with the angle."""
+        return cls("equidistant")
+
+    @classmethod
+    def brown(cls, k1: float, k2: float = 0.0, *, k3: float = 0.0, p1: float = 0.0, p2: float = 0.0) -> Lens:
+        """Brown's radial and tangential distortion; k1 below 0 is a barrel."""
+        return cls("brown", (k1, k2, p1, p2, k3, 0.0, 0.0, 0.0))
+
+    @classmethod
+    def fisheye(cls, k1: float, k2: float = 0.0, k3: float = 0.0, k4: float = 0.0) -> Lens:
+        """An equidistant lens with a polynomial of the angle (Kannala and Brandt 2006)."""
+        return cls("fisheye", (k1, k2, k3, k4))
+
+    def optics(self, width: int, height: int, fov_deg: float | None = None) -> Optics:
+        """This lens in front of a picture.
+
+        Parameters
+        ----------
+        width, height
+            Pixels, 1 to 8192.
+        fov_deg
+            Full angle across the shorter side, 1 to 170 degrees; 90 unless told. A calibration has its own, and refuses
+            another.
+
+        Raises
+        ------
+        RenderError
+            If a value is out of range, the model folds back on itself inside the image circle, or a calibration's
+            pictures have other proportions.
+        """
+        return _optics(self, width, height, None if fov_deg is None else float(fov_deg))
+
+
+PINHOLE = Lens.pinhole()
+
+
+@dataclass(frozen=True, slots=True)
+class ImageField:
+    """The outline of the picture on the monitor, over the shorter side, and how it darkens towards the edge.
+
+    Pixels outside have no ray and are black. ``edge_px`` is the width of the soft edge inside the outline; ``vignette``
+    is 0 for an even picture, 1 for the lens's natural fall-off of light (cos^4 for a pinhole), or a part of it.
+
+    Raises
+    ------
+    RenderError
+        If a value is out of range.
+    """
+
+    mask: Mask = "none"
+    edge_px: float = 1.5
+    vignette: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.mask not in MASKS:
+            raise RenderError(f"a mask is {', '.join(MASKS)}; found {self.mask!r}", code="render.camera")
+        if not 0.0 <= self.edge_px <= 100.0:
+            raise RenderError(f"a soft edge is 0 to 100 pixels wide; found {self.edge_px:g}", code="render.camera")
+        if not 0.0 <= self.vignette <= 1.0:
+            raise RenderError(f"a vignette is 0 to 1; found {self.vignette:g}", code="render.camera")
+
+
+FULL_FRAME = ImageField()
+
+
+@dataclass(frozen=True, slots=True)
+class DepthOfField:
+    """The range that a scope of fixed focus shows sharp, mm from the tip.
+
+    Raises
+    ------
+    RenderError
+        Unless 0 < ``near_mm`` < ``far_mm``.
+    """
+
+    near_mm: float
+    far_mm: float
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.near_mm < self.far_mm and math.isfinite(self.far_mm)):
+            raise RenderError(
+                f"a depth of field runs from above 0 mm to a larger distance; found {self.near_mm:g} to "
+                f"{self.far_mm:g} mm",
+                code="render.camera",
+            )
+
+
+class Optics:
+    """A lens in front of a picture of a size: where directions fall, and what lies behind pixels. See `Lens.optics`."""
+
+    __slots__ = ("_core", "fov_deg", "lens")
+
+    def __init__(self, lens: Lens, fov_deg: float | None, core: _core.Optics) -> None:
+        self.lens = lens
+        self.fov_deg = math.degrees(core.fov_rad) if fov_deg is None else fov_deg
+        """Full angle across the shorter side: as asked for, or a calibration's."""
+        self._core = core
+
+    @property
+    def limit_deg(self) -> float:
+        """Directions farther from the axis have no place in the picture."""
+        return math.degrees(self._core.limit_rad)
+
+    @property
+    def focal_px(self) -> tuple[float, float]:
+        """Focal lengths across and down."""
+        return self._core.focal_px
+
+    @property
+    def center_px(self) -> tuple[float, float]:
+        """Where the axis falls, in corner coordinates."""
+        return self._core.center_px
+
+    def directions_of(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Unit directions (n, 3) in camera space of points of the picture (n, 2); NaN where the lens has none."""
+        return self._core.directions(np.ascontiguousarray(pixels, dtype=np.float64))
+
+    def pixels_of(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points of the picture (n, 2) of directions (n, 3) in camera space, of any length; NaN where unseen."""
+        return self._core.pixels(np.ascontiguousarray(directions, dtype=np.float64))
+
+    def rays(self, field: ImageField) -> _core.LensRays:
+        """The rays of all pixels, for the casters; the last few are kept."""
+        return _rays(self, field)
+
+    def __repr__(self) -> str:
+        return f"Optics({self.lens.model}, fov_deg={self.fov_deg:.1f})"
+
+
+@functools.lru_cache(maxsize=64)
+def _optics(lens: Lens, width: int, height: int, fov_deg: float | None) -> Optics:
+    model, coefficients = lens.model, lens.coefficients
+    if model == "pinhole":
+        model, coefficients = "brown", (0.0,) * 8
+    elif model == "equidistant":
+        model, coefficients = "fisheye", (0.0,) * 4
+    known = lens.calibration
+    if known is None and fov_deg is None:
+        fov_deg = DEFAULT_FOV_DEG
+    core = _core.Optics(
+        model,
+        coefficients,
+        width=width,
+        height=height,
+        fov_rad=None if fov_deg is None else math.radians(fov_deg),
+        focal_px=None if known is None else known.focal_px,
+        center_px=None if known is None else known.center_px,
+        calibrated_size_px=None if known is None else known.size_px,
+    )
+    return Optics(lens, fov_deg, core)
+
+
+@functools.lru_cache(maxsize=RAYS_IN_MEMORY)
+def _rays(optics: Optics, field: ImageField) -> _core.LensRays:
+    return optics._core.rays(shape=field.mask, edge_px=field.edge_px, vignette=field.vignette)

@@ -1,0 +1,360 @@
+"""The library of bronchoscopes: what is known of each instrument, and on what basis.
+
+Basis of a figure: ``s`` was read in a source, ``k`` is common knowledge that was not checked against the maker's data.
+Unknown is None, never a guess. Sizes are nominal: measured diameters exceed them (`FIT_MARGIN_MM`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from carina.errors import UsageError
+from carina.scopes.fit import FOV_DEG, fit_generic_optics
+from carina.scopes.lens import DepthOfField, ImageField, Lens, Mask
+from carina.scopes.pose import Pose
+
+__all__ = ["DEFAULT_SCOPE", "FIT_MARGIN_MM", "ScopePreset", "scope_preset", "scope_presets"]
+
+FIT_MARGIN_MM = 0.4
+"""Measured maximum diameters exceed the stated tip by 0.19 to 0.66 mm, mean 0.41 (10 scopes of 2.2 to 4.9 mm; s)."""
+DEFAULT_SCOPE = "generic"
+ScopeClass = Literal["diagnostic", "therapeutic", "thin", "ultrathin", "paediatric", "ebus", "single-use", "robotic"]
+Point = tuple[float, float, float]
+
+_FIT = fit_generic_optics()
+_LENS = Lens.fisheye(_FIT.k1)
+# What the lens loses towards the edge by nature, and cameras put half of it right (k).
+_VIGNETTE = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class ScopePreset:
+    """One instrument. Lengths in mm, angles in degrees; None where nothing is known."""
+
+    name: str
+    title: str
+    scope_class: ScopeClass
+    tip_mm: float
+    """Outer diameter of the distal end, as stated."""
+    tube_mm: float | None
+    """Outer diameter of the insertion tube where it differs."""
+    channel_mm: float | None
+    """Inner diameter of the working channel."""
+    fov_deg: float | None
+    focus_mm: tuple[float, float] | None
+    """Depth of field, near and far."""
+    flexion_deg: tuple[float, float] | None
+    """Greatest flexion up and down."""
+    length_mm: float | None
+    """Working length."""
+    basis: str
+    """``s`` or ``k`` (see above), or which figure is which."""
+    view_up_deg: float = 0.0
+    """How far the direction of view looks up from the shaft's axis; 35 for a forward-oblique EBUS scope."""
+    mask: Mask = "round"
+    """Outline of the picture (k)."""
+    lens: Lens = _LENS
+    """The generic lens: no maker publishes one."""
+    rigid_tip_mm: float | None = 10.0
+    """Longest rigid part of the tip ("< 10 mm", a specification of the 1960s; s)."""
+    bending_mm: tuple[float, float] | None = (30.0, 50.0)
+    """Length of the bending section, shortest and longest of the class (k)."""
+    bend_radius_mm: tuple[float, float] | None = (10.0, 15.0)
+    """Radius at full flexion, tightest and widest of the class (k)."""
+
+    @property
+    def fit_mm(self) -> float:
+        """The lumen that it needs: tip with the margin for true sizes, or the tube where that is larger."""
+        return max(self.tip_mm + FIT_MARGIN_MM, self.tube_mm or 0.0)
+
+    @property
+    def face_mm(self) -> float:
+        """How far the tip's face lies before the camera's centre; fitted, below 0 behind it."""
+        return _FIT.face_mm
+
+    @property
+    def guides_mm(self) -> tuple[Point, ...]:
+        """Light guides in camera coordinates: two on the face, left and right of the lens and a little above it (k)."""
+        across, up = 0.28 * self.tip_mm, 0.1 * self.tip_mm
+        return ((-across, -up, self.face_mm), (across, -up, self.face_mm))
+
+    @property
+    def usual_fov_deg(self) -> float:
+        """The field of view, or the generic scope's where none is known."""
+        return FOV_DEG if self.fov_deg is None else self.fov_deg
+
+    @property
+    def field(self) -> ImageField:
+        """Outline and vignette of its picture."""
+        return ImageField(self.mask, vignette=_VIGNETTE)
+
+    @property
+    def depth_of_field(self) -> DepthOfField | None:
+        """The range that it shows sharp."""
+        return None if self.focus_mm is None else DepthOfField(*self.focus_mm)
+
+    def camera_pose(self, tip: Pose) -> Pose:
+        """The pose of its camera when the shaft ends at ``tip``: looking up by `view_up_deg`."""
+        if self.view_up_deg == 0.0:
+            return tip
+        c, s = math.cos(math.radians(self.view_up_deg)), math.sin(math.radians(self.view_up_deg))
+        turn = np.eye(4)
+        # About +x, right: forward goes towards -y, up.
+        turn[1:3, 1:3] = [[c, -s], [s, c]]
+        return Pose(tip.lps_from_camera @ turn)
+
+
+def _single_use(size: str, tip: float, channel: float, down: float) -> ScopePreset:
+    return ScopePreset(
+        f"single-use-{size}",
+        f"Single-use, {size} (Ambu aScope 4)",
+        "single-use",
+        tip,
+        None,
+        channel,
+        85.0,
+        (6.0, 50.0),
+        (180.0, down),
+        600.0,
+        "k",
+        mask="octagon",
+    )
+
+
+_PRESETS = (
+    ScopePreset(
+        DEFAULT_SCOPE,
+        "Generic adult scope",
+        "diagnostic",
+        4.9,
+        None,
+        2.0,
+        FOV_DEG,
+        (3.0, 100.0),
+        (180.0, 130.0),
+        600.0,
+        "size, channel, flexion and length of the standard scope (s); optics fitted to published measurements (s), "
+        "field of view and focus k",
+    ),
+    ScopePreset(
+        "therapeutic",
+        "Therapeutic (BF-1TH190 type)",
+        "therapeutic",
+        6.0,
+        6.2,
+        2.8,
+        120.0,
+        (3.0, 100.0),
+        (180.0, 130.0),
+        600.0,
+        "k",
+        mask="octagon",
+    ),
+    ScopePreset(
+        "diagnostic",
+        "Diagnostic HD (BF-H190)",
+        "diagnostic",
+        5.5,
+        5.1,
+        2.0,
+        120.0,
+        (3.0, 100.0),
+        (210.0, 130.0),
+        600.0,
+        "k",
+        mask="octagon",
+    ),
+    ScopePreset(
+        "standard",
+        "Standard (BF-P160)",
+        "diagnostic",
+        4.9,
+        None,
+        2.0,
+        120.0,
+        (3.0, 50.0),
+        (180.0, 130.0),
+        600.0,
+        "s; field of view and focus k",
+        mask="octagon",
+    ),
+    ScopePreset(
+        "standard-fibre",
+        "Standard fibrescope (FB-15V)",
+        "diagnostic",
+        4.9,
+        None,
+        2.2,
+        120.0,
+        (3.0, 50.0),
+        (180.0, 130.0),
+        600.0,
+        "s; field of view and focus k (old fibrescopes: 80 degrees, 5 to 30 mm; s)",
+    ),
+    ScopePreset(
+        "eb-1570k",
+        "Diagnostic (PENTAX EB-1570K)",
+        "diagnostic",
+        5.5,
+        None,
+        2.0,
+        None,
+        None,
+        (210.0, 130.0),
+        600.0,
+        "s",
+    ),
+    ScopePreset(
+        "lf-v",
+        "Intubation scope (Olympus LF-V)",
+        "thin",
+        4.1,
+        None,
+        1.2,
+        None,
+        None,
+        None,
+        600.0,
+        "s",
+    ),
+    ScopePreset(
+        "thin",
+        "Thin (BF-P190, P290)",
+        "thin",
+        4.2,
+        4.1,
+        2.0,
+        110.0,
+        (2.0, 50.0),
+        (210.0, 130.0),
+        600.0,
+        'k; "4.0 mm thin, 2.0 channel" s',
+        mask="octagon",
+    ),
+    ScopePreset(
+        "ultrathin",
+        "Ultrathin (BF-MP190F, MP290F)",
+        "ultrathin",
+        3.0,
+        None,
+        1.7,
+        90.0,
+        (2.0, 50.0),
+        (210.0, 130.0),
+        600.0,
+        "size and channel s, rest k",
+    ),
+    ScopePreset(
+        "ultrathin-xp160f",
+        "Ultrathin, older (BF-XP160F)",
+        "ultrathin",
+        2.8,
+        None,
+        1.2,
+        90.0,
+        (2.0, 50.0),
+        (180.0, 130.0),
+        600.0,
+        "channel s, rest k",
+    ),
+    ScopePreset(
+        "ultrathin-xp190",
+        "Ultrathin, older (BF-XP190)",
+        "ultrathin",
+        3.1,
+        None,
+        1.2,
+        110.0,
+        (2.0, 50.0),
+        (210.0, 130.0),
+        600.0,
+        "channel s, rest k",
+    ),
+    ScopePreset(
+        "paediatric",
+        "Paediatric 3.6 (BF-3C160)",
+        "paediatric",
+        3.8,
+        None,
+        1.2,
+        120.0,
+        (3.0, 50.0),
+        (180.0, 130.0),
+        600.0,
+        "k",
+        mask="octagon",
+    ),
+    ScopePreset(
+        "ebus",
+        "EBUS (BF-UC180F), looks 35 degrees up",
+        "ebus",
+        6.9,
+        6.3,
+        2.2,
+        80.0,
+        (2.0, 50.0),
+        (120.0, 90.0),
+        600.0,
+        "k",
+        view_up_deg=35.0,
+    ),
+    _single_use("slim", 3.8, 1.2, 180.0),
+    _single_use("regular", 5.0, 2.2, 180.0),
+    _single_use("large", 5.8, 2.8, 160.0),
+    ScopePreset(
+        "ion",
+        "Ion catheter with vision probe",
+        "robotic",
+        3.5,
+        None,
+        2.0,
+        None,
+        None,
+        (180.0, 180.0),
+        None,
+        "OD and 180 degrees in any direction s, rest k",
+        rigid_tip_mm=None,
+        bending_mm=None,
+        bend_radius_mm=None,
+    ),
+    ScopePreset(
+        "monarch",
+        "Monarch scope (sheath 5.7 mm)",
+        "robotic",
+        4.4,
+        None,
+        2.1,
+        None,
+        None,
+        (180.0, 180.0),
+        None,
+        "k",
+        rigid_tip_mm=None,
+        bending_mm=None,
+        bend_radius_mm=None,
+    ),
+)
+_BY_NAME = {preset.name: preset for preset in _PRESETS}
+
+
+def scope_presets() -> tuple[ScopePreset, ...]:
+    """All instruments of the library, the generic one first."""
+    return _PRESETS
+
+
+def scope_preset(name: str) -> ScopePreset:
+    """The instrument of a name.
+
+    Raises
+    ------
+    UsageError
+        If there is none; the message lists the names.
+    """
+    found = _BY_NAME.get(name)
+    if found is None:
+        raise UsageError(f"expected a scope among {', '.join(_BY_NAME)}; found {name!r}", code="scope.name")
+    return found
