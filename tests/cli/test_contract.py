@@ -63,6 +63,17 @@ def store(path, values, spacing=(1.0, 1.0, 1.0)):
         ["render", "CT", "-o", "x.png", "--fov", "171"],
         ["render", "CT", "-o", "x.png", "--fov", "nan"],
         ["render", "CT", "-o", "x.png", "--fov", "wide"],
+        ["render", "CT", "-o", "x.png", "--lens", "equidistant", "--fov", "170.5"],
+        ["render", "CT", "-o", "x.png", "--lens", "fisheye"],
+        ["render", "CT", "-o", "x.png", "--lens", "lens.txt"],
+        ["render", "CT", "-o", "x.png", "--scope", "BF-1000"],
+        ["render", "CT", "-o", "x.png", "--mask", "square"],
+        ["render", "CT", "-o", "x.png", "--vignette", "2"],
+        ["render", "CT", "-o", "x.png", "--vignette", "nan"],
+        ["render", "CT", "-o", "x.png", "--focus", "50,3"],
+        ["render", "CT", "-o", "x.png", "--focus", "scope"],
+        ["render", "CT", "-o", "x.png", "--focus", "3"],
+        ["render", "CT", "-o", "x.png", "--view", "axial", "--scope", "generic"],
         ["render", "CT", "-o", "x.png", "--size", "0x0"],
         ["render", "CT", "-o", "x.png", "--size", "9999x9"],
         ["render", "CT", "-o", "x.png", "--size", "-5x5"],
@@ -212,6 +223,48 @@ def test_a_transfer_file_that_is_none_exits_3_before_the_ct_is_read(carina, tmp_
     ended = carina("render", "/no/such/ct", "--transfer", file, "-o", tmp_path / "x.png", "--json")
     assert ended.code == 3, ended.err
     assert "transfer.json" in ended.json()["error"]["message"]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        None,
+        b"",
+        b"\xff\xfe",
+        b"{",
+        b"<a>",
+        b"%YAML:1.0\n---\nimage_width: 64\nimage_height: 64\n",
+        b'{"image_width": 64, "image_height": 64, "K": [[50, 0, 32], [0, NaN, 32], [0, 0, 1]], "D": [0, 0, 0, 0]}',
+        b'{"image_width": 64, "image_height": 64, "K": [[50, 0, 32], [0, 50, 32], [0, 0, 1]], "D": [-3, 0, 0, 0]}',
+    ],
+)
+def test_a_calibration_that_is_none_exits_3_before_the_ct_is_read(carina, tmp_path, content):
+    file = tmp_path / "lens.yml"
+    if content is not None:
+        file.write_bytes(content)
+    ended = carina("render", "/no/such/ct", "--lens", file, "-o", tmp_path / "x.png", "--json")
+    assert ended.code == 3, ended.err
+    assert "lens.yml" in ended.json()["error"]["message"]
+
+
+def test_a_picture_through_a_scope_and_through_a_calibration(carina, ct, tmp_path):
+    seen = {}
+    lens = tmp_path / "lens.json"
+    lens.write_text('{"image_size": [96, 72], "K": [[60, 0, 47.5], [0, 60, 35.5], [0, 0, 1]], "D": [-0.1, 0, 0, 0]}')
+    for name, options in {
+        "scope": ["--scope", "ebus", "--size", "64x64", "--focus", "scope"],
+        "calibration": ["--lens", lens, "--size", "96x72", "--mask", "octagon"],
+    }.items():
+        at = ["--at", "0,0,20", "--look", "0,0,-1", "--transfer", "ct-grey"]
+        ended = carina("render", ct, *at, *options, "-o", tmp_path / f"{name}.png", "--json")
+        assert ended.code == 0, ended.err
+        seen[name] = ended.json()
+    assert seen["scope"]["fov_deg"] == 80.0
+    # The camera of a forward-oblique scope looks 35 degrees up, to anterior, from the direction of its shaft.
+    forward = [row[2] for row in seen["scope"]["lps_from_camera"][:3]]
+    assert forward == pytest.approx([0.0, -0.5736, -0.8192], abs=1e-4)
+    # 72 pixels at a focal length of 60, and a barrel.
+    assert 62.0 < seen["calibration"]["fov_deg"] < 66.0
 
 
 # ---------------------------------------------------------------- results

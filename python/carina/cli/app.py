@@ -169,7 +169,23 @@ def render(
     at: Annotated[str, typer.Option(help="Tip position x,y,z in mm (LPS), or auto: the top of the trachea.")] = "auto",
     look: Annotated[str | None, typer.Option(help="Viewing direction dx,dy,dz; caudal unless told.")] = None,
     up: Annotated[str | None, typer.Option(help="Direction that appears up; anterior unless told.")] = None,
-    fov: Annotated[float, typer.Option(help="Full field of view across the shorter side, degrees.")] = 90.0,
+    fov: Annotated[
+        float | None,
+        typer.Option(help="Full field of view across the shorter side, 1 to 170 degrees; the scope's, or 90."),
+    ] = None,
+    scope: Annotated[
+        str | None, typer.Option(help="Look through an instrument: generic, standard, ultrathin, ebus, ... or none.")
+    ] = None,
+    lens: Annotated[
+        str | None, typer.Option(help="pinhole, equidistant, or an OpenCV calibration file (.yml, .xml, .json).")
+    ] = None,
+    mask: Annotated[str | None, typer.Option(help="Outline of the picture: none, round or octagon.")] = None,
+    vignette: Annotated[
+        float | None, typer.Option(help="0 for an even picture to 1 for the lens's natural fall-off of light.")
+    ] = None,
+    focus: Annotated[
+        str | None, typer.Option(help="Blur what is nearer or farther: near,far in mm, or scope for the scope's own.")
+    ] = None,
     size: Annotated[str, typer.Option(help="WxH in pixels.")] = "512x512",
     method: Annotated[str, typer.Option(help="leap or brute")] = "leap",
     step_vox: Annotated[float, typer.Option(help="Ray step in units of the smallest voxel spacing.")] = 0.5,
@@ -213,6 +229,7 @@ def render(
     Example: carina render ~/scans/thorax --view airway --at -2,15,-120 --look 0,0,-1 --size 768x768 -o carina.png
     """
     with exit_codes(as_json):
+        from carina.cli.optics import SeenThrough
         from carina.cli.render import report
 
         if shading not in {"on", "off"}:
@@ -226,6 +243,7 @@ def render(
                 look=None if look is None else parse_point(look, "--look"),
                 up=None if up is None else parse_point(up, "--up"),
                 fov_deg=fov,
+                seen=SeenThrough(scope=scope, lens=lens, mask=mask, vignette=vignette, focus=focus),
                 size=parse_size(size),
                 method=method,
                 step_vox=step_vox,

@@ -13,6 +13,7 @@ import carina
 from carina.cli.along import check_destination, way_to
 from carina.cli.arguments import check_output_file, parse_point
 from carina.cli.console import interruptible, print_json, progress_printer, say
+from carina.cli.optics import SeenThrough
 from carina.errors import CarinaError, UsageError, VolumeImportError
 from carina.render import (
     PathSpan,
@@ -101,7 +102,8 @@ def report(
     at: NDArray[np.float64] | None,
     look: NDArray[np.float64] | None,
     up: NDArray[np.float64] | None,
-    fov_deg: float,
+    fov_deg: float | None,
+    seen: SeenThrough,
     size: tuple[int, int],
     method: str,
     step_vox: float,
@@ -140,6 +142,7 @@ def report(
         "tone": tone,
         "turn_deg": turn_deg,
         "slab": _slab(slab),
+        **seen.options(view),
     }
     along_path = view in PATH_VIEWS
     if along_path:
@@ -199,10 +202,14 @@ def report(
             height=size[1],
             step_vox=step_vox,
             transfer=chosen,
+            scope=options["scope"],
+            lens=options["lens"],
+            mask=options["mask"],
             lumen_zyx=lumen_zyx,
         )
         walls.save(surface)
         say(f"wrote {surface}")
+    camera = picture.lps_from_camera if view == "airway" else None
     if as_json:
         print_json(
             {
@@ -211,7 +218,8 @@ def report(
                 "view": view,
                 "size": list(size),
                 **({} if way is None else {"path_mm": way.length_mm, "to": way.title}),
-                "lps_from_camera": pose.lps_from_camera.tolist(),
+                "lps_from_camera": (pose.lps_from_camera if camera is None else camera).tolist(),
+                **({} if picture.fov_deg is None else {"fov_deg": picture.fov_deg}),
                 "stats": dataclasses.asdict(picture.stats),
             }
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 
 import numpy as np
@@ -13,6 +14,7 @@ from carina.render.scene import Scene
 from carina.render.surface import Hit, Surface
 from carina.render.transfer import TransferFunction
 from carina.render.views import AirwayView, Picture, RenderStats
+from carina.scopes import PINHOLE
 from carina.volume import Volume
 
 __all__ = ["AirwayCaster"]
@@ -43,12 +45,15 @@ class AirwayCaster:
         step_vox = 1.0 if nearest else view.step_vox
         shading = view.shading and not nearest
         method, leap = _choose_method(scene, view, shading)
+        lens = _rays(view)
+        if rows is not None and view.depth_of_field is not None:
+            raise RenderError("depth of field needs the whole picture, not rows of it", code="render.setting")
         rgb, counts = _core.cast(
             scene.values,
             self._volume.lps_from_ijk,
             self._table(scene, step_vox * min(self._volume.spacing_mm)),
             view.pose.lps_from_camera,
-            fov_rad=float(np.deg2rad(view.fov_deg)),
+            fov_rad=math.radians(view.optics.fov_deg),
             width=view.width,
             height=view.height,
             rows=rows,
@@ -57,19 +62,26 @@ class AirwayCaster:
             leap=leap,
             simd=self._simd,
             stop=stop,
+            lens=lens,
+            darken=view.depth_of_field is None,
         )
+        if view.depth_of_field is not None:
+            near_mm, far_mm = view.depth_of_field.near_mm, view.depth_of_field.far_mm
+            depth_mm, _, _ = self._first_walls(scene, view)
+            rgb = _core.defocus(rgb, depth_mm, near_mm=near_mm, far_mm=far_mm, lens=lens)
         return Picture(
             rgb=rgb,
             view="airway",
             stats=RenderStats(method, view.width, rgb.shape[0], *counts, seconds=0.0),
             lps_from_camera=view.pose.lps_from_camera,
-            fov_deg=view.fov_deg,
+            fov_deg=view.optics.fov_deg,
+            optics=None if view.lens == PINHOLE else view.optics,
         )
 
     def surface(self, scene: Scene, view: AirwayView, *, rows: tuple[int, int] | None = None) -> Surface:
         """First walls of the picture, or of the rows ``rows[0]`` to ``rows[1]`` of it."""
         depth, position, normal = self._first_walls(scene, view, rows=rows)
-        return Surface(depth, position, normal, pose=view.pose, fov_deg=view.fov_deg)
+        return Surface(depth, position, normal, pose=view.pose, fov_deg=view.optics.fov_deg)
 
     def pick(self, scene: Scene, view: AirwayView, column: int, row: int) -> Hit | None:
         """The first wall at one pixel."""
@@ -96,7 +108,7 @@ class AirwayCaster:
             self._volume.lps_from_ijk,
             self._table(scene, step_vox * min(self._volume.spacing_mm)),
             view.pose.lps_from_camera,
-            fov_rad=float(np.deg2rad(view.fov_deg)),
+            fov_rad=math.radians(view.optics.fov_deg),
             width=view.width,
             height=view.height,
             rows=rows,
@@ -104,6 +116,7 @@ class AirwayCaster:
             nearest=nearest,
             radius_zyx=radius,
             simd=self._simd,
+            lens=_rays(view),
         )
 
     def _table(self, scene: Scene, step_mm: float) -> _core.TransferTable:
@@ -126,6 +139,13 @@ class AirwayCaster:
                 self._tables.clear()
             self._tables[key] = (scene.transfer, table)
         return table
+
+
+def _rays(view: AirwayView) -> _core.LensRays | None:
+    """The rays of a picture through a lens or a mask; None for the pinhole formula, which is quicker."""
+    if view.lens == PINHOLE and view.field.mask == "none" and view.field.vignette == 0.0:
+        return None
+    return view.optics.rays(view.field)
 
 
 def _choose_method(

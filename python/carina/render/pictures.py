@@ -27,7 +27,7 @@ from carina.render.views import (
     View,
     XrayView,
 )
-from carina.scopes import PathFrames, Pose
+from carina.scopes import FULL_FRAME, DepthOfField, ImageField, Lens, Mask, PathFrames, Pose, ScopePreset, scope_preset
 from carina.volume import Volume
 
 __all__ = ["VIEW_NAMES", "mark_tip", "render_surface", "render_view", "view_spec"]
@@ -55,7 +55,7 @@ def render_view(
     *,
     view: str,
     pose: Pose,
-    fov_deg: float = 90.0,
+    fov_deg: float | None = None,
     width: int = 512,
     height: int = 512,
     method: Literal["leap", "brute"] | str = "leap",
@@ -71,6 +71,11 @@ def render_view(
     path: PathFrames | None = None,
     turn_deg: float = 0.0,
     slab: Slab | None = None,
+    scope: ScopePreset | str | None = None,
+    lens: Lens | None = None,
+    mask: Mask | None = None,
+    vignette: float | None = None,
+    depth_of_field: DepthOfField | None = None,
     lumen_zyx: NDArray[np.uint8] | None = None,
 ) -> Picture:
     """Render one picture of a volume.
@@ -85,7 +90,14 @@ def render_view(
     pose
         The tip: camera of the airway view, centre of the planes.
     fov_deg
-        Full angle across the shorter side, of the airway view.
+        Full angle across the shorter side, of the airway view: unless told that of the scope, of the calibration, or
+        90.
+    scope
+        Look through this instrument (see :func:`carina.scopes.scope_presets`): its lens, field of view, mask and
+        direction of view; ``pose`` is then the end of its shaft.
+    lens, mask, vignette, depth_of_field
+        Of the airway view, in place of the scope's; a pinhole over the full frame without any, and never blurred unless
+        told.
     orbit
         Azimuth and elevation in degrees and, if wished, distance in mm, of the camera of ``tri-plane`` and ``tree``.
     window_hu
@@ -108,7 +120,7 @@ def render_view(
     Raises
     ------
     UsageError
-        If there is no view of this name, or ``orbit`` has not two or three values.
+        If there is no view or scope of this name, or ``orbit`` has not two or three values.
     RenderError
         If a setting is out of range, or a tree is asked for without a lumen.
     """
@@ -130,6 +142,11 @@ def render_view(
         path=path,
         turn_deg=turn_deg,
         slab=slab,
+        scope=scope,
+        lens=lens,
+        mask=mask,
+        vignette=vignette,
+        depth_of_field=depth_of_field,
     )
     renderer = Renderer(volume, transfer=transfer)
     if lumen_zyx is not None and view in {"airway", "tree"}:
@@ -143,11 +160,14 @@ def render_surface(
     volume: Volume,
     *,
     pose: Pose,
-    fov_deg: float = 90.0,
+    fov_deg: float | None = None,
     width: int = 512,
     height: int = 512,
     step_vox: float = 0.5,
     transfer: TransferFunction | None = None,
+    scope: ScopePreset | str | None = None,
+    lens: Lens | None = None,
+    mask: Mask | None = None,
     lumen_zyx: NDArray[np.uint8] | None = None,
 ) -> Surface:
     """Depth, position and normal of the first wall at every pixel of an airway view.
@@ -159,7 +179,9 @@ def render_surface(
     pose
         Camera of the airway view.
     fov_deg
-        Full angle across the shorter side.
+        Full angle across the shorter side; as in :func:`render_view`.
+    scope, lens, mask
+        As in :func:`render_view`.
     step_vox
         Ray step in units of the smallest spacing.
     transfer
@@ -191,7 +213,8 @@ def render_surface(
     >>> abs(float(surface.depth_mm[4, 4]) - 12) < 0.5
     True
     """
-    view = AirwayView(pose, fov_deg=fov_deg, width=width, height=height, step_vox=step_vox)
+    seen = _seen_through(scope, lens, mask, None)
+    view = _airway_view(pose, scope, fov_deg=fov_deg, **seen, width=width, height=height, step_vox=step_vox)
     renderer = Renderer(volume, transfer=transfer)
     if lumen_zyx is not None:
         renderer.set_lumen(lumen_zyx)
@@ -203,7 +226,7 @@ def view_spec(
     *,
     view: str,
     pose: Pose,
-    fov_deg: float = 90.0,
+    fov_deg: float | None = None,
     width: int = 512,
     height: int = 512,
     method: Literal["leap", "brute"] | str = "leap",
@@ -218,6 +241,11 @@ def view_spec(
     path: PathFrames | None = None,
     turn_deg: float = 0.0,
     slab: Slab | None = None,
+    scope: ScopePreset | str | None = None,
+    lens: Lens | None = None,
+    mask: Mask | None = None,
+    vignette: float | None = None,
+    depth_of_field: DepthOfField | None = None,
 ) -> View:
     """The view that :func:`render_view` renders, checked without a volume; parameters and errors are the same."""
     size = {"width": width, "height": height}
@@ -229,7 +257,9 @@ def view_spec(
     match view:
         case "airway":
             chosen = cast(Literal["leap", "brute"], method)
-            return AirwayView(pose, fov_deg=fov_deg, step_vox=step_vox, shading=shading, method=chosen, **size)
+            seen = _seen_through(scope, lens, mask, vignette)
+            more = {"step_vox": step_vox, "shading": shading, "method": chosen, "depth_of_field": depth_of_field}
+            return _airway_view(pose, scope, fov_deg=fov_deg, **seen, **more, **size)
         case "cut-plane":
             return CutPlaneView(pose, extent_mm=extent_mm, window_hu=grey, slab=slab, width=width, height=height)
         case "tri-plane":
@@ -265,6 +295,25 @@ def view_spec(
             return TreeView(width=width, height=height, **around)
         case _:
             raise UsageError(f"expected a view among {', '.join(VIEW_NAMES)}; found {view!r}")
+
+
+def _preset(scope: ScopePreset | str | None) -> ScopePreset | None:
+    return scope_preset(scope) if isinstance(scope, str) else scope
+
+
+def _seen_through(
+    scope: ScopePreset | str | None, lens: Lens | None, mask: Mask | None, vignette: float | None
+) -> dict[str, Any]:
+    """Lens and field of an airway view: what was asked for, else the scope's."""
+    preset = _preset(scope)
+    own = FULL_FRAME if preset is None else preset.field
+    field = ImageField(own.mask if mask is None else mask, vignette=own.vignette if vignette is None else vignette)
+    return {"field": field} if lens is None else {"field": field, "lens": lens}
+
+
+def _airway_view(pose: Pose, scope: ScopePreset | str | None, **settings: Any) -> AirwayView:
+    preset = _preset(scope)
+    return AirwayView(pose, **settings) if preset is None else AirwayView.of_scope(preset, pose, **settings)
 
 
 def mark_tip(picture: Picture, point_lps: NDArray[np.float64] | tuple[float, float, float]) -> Picture:

@@ -7,14 +7,14 @@ import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from carina.errors import RenderError
-from carina.scopes import PathFrames, Pose
+from carina.scopes import FULL_FRAME, PINHOLE, DepthOfField, ImageField, Lens, Optics, PathFrames, Pose, ScopePreset
 
 __all__ = [
     "AirwayView",
@@ -83,25 +83,48 @@ class Slab:
 class AirwayView:
     """What the scope's tip sees: direct volume rendering (paper 3.1).
 
-    ``fov_deg`` is the full angle across the shorter side; ``step_vox`` the ray step in units of the smallest spacing.
-    ``leap`` and ``brute`` give the same picture. With a transfer function of sampling ``nearest`` (paper) shading is
-    off and the step is one voxel.
+    ``pose`` is the camera's. ``fov_deg`` is the full angle across the shorter side; None is 90, or a calibration's own.
+    ``field`` is the outline of the picture and its vignette. With ``depth_of_field`` what is nearer or farther is
+    blurred; that needs the whole picture and about twice the time. ``step_vox`` is the ray step in units of the
+    smallest spacing. ``leap`` and ``brute`` give the same picture. With a transfer function of sampling ``nearest``
+    (paper) shading is off and the step is one voxel.
     """
 
     pose: Pose
-    fov_deg: float = 90.0
+    fov_deg: float | None = None
     width: int = 512
     height: int = 512
     step_vox: float = 0.5
     shading: bool = True
     method: Literal["leap", "brute"] = "leap"
+    lens: Lens = PINHOLE
+    field: ImageField = FULL_FRAME
+    depth_of_field: DepthOfField | None = None
 
     def __post_init__(self) -> None:
         _check(self.width, self.height, fov_deg=self.fov_deg)
+        # Made here and kept for the picture: a lens that does not fit is refused before anything is cast.
+        _ = self.optics
         if not 0.01 <= self.step_vox <= 100:
             raise RenderError(f"the ray step is 0.01 to 100 voxels; found {self.step_vox}", code="render.setting")
         if self.method not in {"leap", "brute"}:
             raise RenderError(f"expected the method leap or brute; found {self.method!r}", code="render.setting")
+
+    @property
+    def optics(self) -> Optics:
+        """The lens in front of this picture."""
+        return self.lens.optics(self.width, self.height, self.fov_deg)
+
+    @classmethod
+    def of_scope(cls, scope: ScopePreset, tip: Pose, *, fov_deg: float | None = None, **settings: Any) -> AirwayView:
+        """What an instrument shows when its shaft ends at ``tip``: its lens, field of view, outline and direction.
+
+        Any of them can be overridden, and all other settings given, by name. Depth of field stays off unless told.
+        """
+        seen = {"lens": scope.lens, "field": scope.field, **settings}
+        if fov_deg is None and seen["lens"].calibration is None:
+            fov_deg = scope.usual_fov_deg
+        return cls(scope.camera_pose(tip), fov_deg=fov_deg, **seen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -359,7 +382,7 @@ class Picture:
     1) to LPS, pixel (0, 0) being the top-left *corner* of the top-left pixel; its third column is the direction of
     projection or the plane's normal. Perspective views have ``lps_from_camera`` (4x4) and ``fov_deg``; that of a
     radiograph is the X-ray source, with +x mirrored, since the picture is seen from the other side. Views along a path
-    have ``lines``.
+    have ``lines``; an airway view through another lens than a pinhole has ``optics``.
     """
 
     rgb: NDArray[np.uint8]
@@ -369,9 +392,13 @@ class Picture:
     lps_from_camera: NDArray[np.float64] | None = None
     fov_deg: float | None = None
     lines: PictureLines | None = None
+    optics: Optics | None = None
 
     def pixel_of(self, point_lps: NDArray[np.float64] | tuple[float, float, float]) -> tuple[float, float] | None:
-        """Where a point appears, as (column, row) in corner coordinates; None if it is behind the camera."""
+        """Where a point appears, as (column, row) in corner coordinates; None if the camera cannot see it.
+
+        It may lie outside the picture or its mask.
+        """
         point = np.asarray(point_lps, dtype=np.float64)
         if self.lines is not None:
             return self.lines.pixel_of(point)
@@ -380,7 +407,11 @@ class Picture:
             return float(column), float(row)
         if self.lps_from_camera is None or self.fov_deg is None:
             return None
-        x, y, z = self.lps_from_camera[:3, :3].T @ (point - self.lps_from_camera[:3, 3])
+        in_camera = self.lps_from_camera[:3, :3].T @ (point - self.lps_from_camera[:3, 3])
+        if self.optics is not None:
+            column, row = self.optics.pixels_of(in_camera[None])[0]
+            return None if np.isnan(column) else (float(column), float(row))
+        x, y, z = in_camera
         if z <= 0:
             return None
         height, width = self.rgb.shape[:2]

@@ -1,0 +1,80 @@
+"""What the airway view is looked through, as people type it: a scope, a lens, a mask."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from carina.cli.console import say
+from carina.errors import UsageError
+from carina.scopes import MASKS, DepthOfField, ImageField, Lens, lens_from_file, scope_preset
+
+__all__ = ["SeenThrough"]
+
+CALIBRATION_SUFFIXES = (".yml", ".yaml", ".xml", ".json")
+
+
+@dataclass(frozen=True, slots=True)
+class SeenThrough:
+    """``--scope``, ``--lens``, ``--mask``, ``--vignette`` and ``--focus``; None where not given."""
+
+    scope: str | None
+    lens: str | None
+    mask: str | None
+    vignette: float | None
+    focus: str | None
+
+    def options(self, view: str) -> dict[str, Any]:
+        """As :func:`carina.render_view` takes them.
+
+        Raises
+        ------
+        UsageError
+            If a value is none that can be meant, or the view is seen through no lens.
+        VolumeImportError
+            If a calibration file is refused.
+        """
+        given = {name: getattr(self, name) for name in self.__slots__ if getattr(self, name) is not None}
+        if given and view != "airway":
+            raise UsageError(f"--{next(iter(given))}: only the airway view has one; found the view {view!r}")
+        scope = None if self.scope in {None, "none"} else scope_preset(str(self.scope))
+        if self.mask is not None and self.mask not in MASKS:
+            raise UsageError(f"--mask: expected {', '.join(MASKS)}; found {self.mask!r}")
+        if self.vignette is not None:
+            ImageField(vignette=self.vignette)
+        focus = self._focus(None if scope is None else scope.depth_of_field)
+        return {
+            "scope": scope,
+            "lens": self._lens(),
+            "mask": self.mask,
+            "vignette": self.vignette,
+            "depth_of_field": focus,
+        }
+
+    def _lens(self) -> Lens | None:
+        if self.lens is None or self.lens in {"pinhole", "equidistant"}:
+            return None if self.lens is None else Lens(self.lens)  # type: ignore[arg-type]
+        if not self.lens.lower().endswith(CALIBRATION_SUFFIXES):
+            raise UsageError(
+                f"--lens: expected pinhole, equidistant or a calibration file ({', '.join(CALIBRATION_SUFFIXES)}); "
+                f"found {self.lens!r}"
+            )
+        lens = lens_from_file(self.lens)
+        assert lens.calibration is not None
+        model = "OpenCV's fisheye model" if lens.model == "fisheye" else "OpenCV's default model"
+        say("calibration: {}, {} x {} pixels".format(model, *lens.calibration.size_px))
+        return lens
+
+    def _focus(self, own: DepthOfField | None) -> DepthOfField | None:
+        if self.focus is None:
+            return None
+        if self.focus == "scope":
+            if own is None:
+                raise UsageError("--focus scope: needs a --scope whose depth of field is known")
+            return own
+        try:
+            near_mm, far_mm = (float(part) for part in self.focus.split(","))
+        except ValueError:
+            words = f"--focus: expected near,far in mm, such as 3,50, or scope; found {self.focus!r}"
+            raise UsageError(words) from None
+        return DepthOfField(near_mm, far_mm)
