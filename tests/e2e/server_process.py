@@ -28,11 +28,11 @@ class Server:
         return [line for line in self.log if "ERROR" in line or "Traceback" in line or "CRITICAL" in line]
 
 
-def start_server(arguments: list[str], home: Path) -> Server:
-    """Start ``carina ARGUMENTS`` on loopback and wait for its URL."""
+def start_server(arguments: list[str], home: Path, *, program: tuple[str, ...] = ("-m", "carina.cli")) -> Server:
+    """Start ``carina ARGUMENTS`` on loopback and wait for its URL; ``program`` is what Python runs."""
     environment = {**os.environ, "XDG_CONFIG_HOME": str(home / "config"), "XDG_STATE_HOME": str(home / "state")}
     process = subprocess.Popen(
-        [sys.executable, "-m", "carina.cli", *arguments, "--no-browser", "--json"],
+        [sys.executable, *program, *arguments, "--no-browser", "--json"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

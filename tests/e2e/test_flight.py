@@ -18,7 +18,7 @@ def server(tmp_path_factory) -> Iterator[Server]:
     running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
     yield running
     code = stop_server(running)
-    assert code in {0, 130}
+    assert code == 0, "Ctrl-C is how a workstation is closed"
     assert running.errors() == []
 
 

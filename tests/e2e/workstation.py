@@ -109,6 +109,41 @@ class Workstation:
         """What ``watch_pose_ids`` wrote down."""
         return self.page.evaluate("() => window.__poses")
 
+    def watch_stand_ins(self) -> None:
+        """Write down from now on which view is shown in the airway view's place."""
+        self.page.evaluate(
+            """() => {
+                const canvas = document.querySelector('canvas[data-view=airway]');
+                window.__shown = [];
+                new MutationObserver(() => window.__shown.push(canvas.dataset.shows || 'airway'))
+                    .observe(canvas, {attributes: true, attributeFilter: ['data-frame-id']});
+            }"""
+        )
+
+    def watched_stand_ins(self) -> list[str]:
+        """What ``watch_stand_ins`` wrote down."""
+        return self.page.evaluate("() => window.__shown")
+
+    def fly_until(self, condition: str, seconds: float) -> None:
+        """Move forth and back until an expression of the page holds; fails where it does not within the time."""
+        for _ in range(int(seconds / 1.2) + 1):
+            for key in ("w", "s"):
+                self.hold(key, 600)
+                if self.page.evaluate(f"() => Boolean({condition})"):
+                    return
+        raise AssertionError(f"not within {seconds} s of flight: {condition}")
+
+    def click_airway(self, right: float, down: float, *, twice: bool = False) -> None:
+        """Click in the airway picture, at parts of its sides."""
+        canvas = self.page.locator("canvas[data-view=airway]")
+        box = canvas.bounding_box()
+        at = {"x": right * box["width"], "y": down * box["height"]}
+        (canvas.dblclick if twice else canvas.click)(position=at, force=True)
+
+    def wanted_width(self) -> int:
+        """Width in pixels of a full airway picture."""
+        return self.page.evaluate("() => document.querySelector('canvas[data-view=airway]').width")
+
     def pixels(self, view: str) -> list[int]:
         """A coarse grid of pixel values of a view: enough to see that it changed."""
         return self.page.evaluate(

@@ -116,7 +116,8 @@ function AskedRate() {
 function MethodWords() {
   const asked = useApp((state) => state.session?.method ?? "leap");
   const made = useApp((state) => state.frames.airway?.method ?? null);
-  if (made === null || made === "plane") return asked === "leap" ? "leaping" : "brute force";
+  if (made === "plane") return "cut-plane";
+  if (made === null) return asked === "leap" ? "leaping" : "brute force";
   if (made.startsWith("leap")) return "leaping";
   return asked === "leap" ? "brute force until leaping is ready" : "brute force";
 }
@@ -130,7 +131,10 @@ function FineWords() {
   const wanted = station.wall.find("airway")?.wantedPixels?.width ?? frame.width;
   const words = finenessWords(frame, wanted);
   return (
-    <span className={frame.full ? "wide" : undefined} title="Size and ray step of the airway picture on the screen">
+    <span
+      className={frame.full ? "wide" : undefined}
+      title="Size and ray step of the airway picture on the screen: coarse while moving, full at rest"
+    >
       {words}
     </span>
   );
@@ -143,7 +147,7 @@ function PaceWords() {
   const { fps, ageMs, waitingMs } = useApp((state) => state.pace);
   return (
     <>
-      <span title="Airway pictures per second during the last movement">
+      <span className="pace" title="Airway pictures per second during the last movement">
         frame {fps === null ? "\u2013" : `${fps}/s`} <AskedRate />
       </span>
       {waitingMs > LATE_MS ? (

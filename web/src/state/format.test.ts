@@ -3,18 +3,12 @@ import { finenessWords } from "./format";
 
 describe("how fine a picture is", () => {
   it("is said with its part of the resolution, and its step where that is longer", () => {
-    expect(finenessWords({ full: false, width: 240, step_vox: 0.5 }, 600)).toBe("coarse while moving: 40 %");
-    expect(finenessWords({ full: false, width: 150, step_vox: 1.4 }, 600)).toBe(
-      "coarse while moving: 25 %, step 1.4 voxel",
-    );
-    expect(finenessWords({ full: true, width: 600, step_vox: 0.5 }, 600)).toBe("full resolution");
-  });
-
-  it("does not call a picture coarse that is as fine as any", () => {
-    expect(finenessWords({ full: false, width: 600, step_vox: 0.5 }, 600)).toBe("full resolution");
+    expect(finenessWords({ width: 240, step_vox: 0.5 }, 600)).toBe("coarse: 40 %");
+    expect(finenessWords({ width: 150, step_vox: 1.4 }, 600)).toBe("coarse: 25 %, step 1.4 voxel");
+    expect(finenessWords({ width: 600, step_vox: 0.5 }, 600)).toBe("full resolution");
   });
 
   it("does not call a picture fine that was made for a smaller place", () => {
-    expect(finenessWords({ full: true, width: 300, step_vox: 0.5 }, 600)).toBe("coarse: 50 %");
+    expect(finenessWords({ width: 300, step_vox: 0.5 }, 600)).toBe("coarse: 50 %");
   });
 });

@@ -47,14 +47,11 @@ export const plural = (count: number, one: string, many = `${one}s`): string => 
 /** The finest ray step, in units of the smallest voxel spacing. */
 const FINE_STEP_VOX = 0.5;
 
-/** How fine an airway picture is: `coarse while moving: 42 %`, also with its ray step where that is longer. */
-export function finenessWords(
-  picture: { full: boolean; width: number; step_vox: number | null },
-  wantedWidth: number,
-): string {
+/** How fine an airway picture is: `coarse: 42 %`, also with its ray step where that is longer. */
+export function finenessWords(picture: { width: number; step_vox: number | null }, wantedWidth: number): string {
   const percent = Math.min(Math.round((100 * picture.width) / Math.max(wantedWidth, 1)), 100);
   const step = picture.step_vox ?? FINE_STEP_VOX;
   if (percent >= 100 && step <= FINE_STEP_VOX) return "full resolution";
   const stepWords = step > FINE_STEP_VOX ? `, step ${fixed(step, 1)} voxel` : "";
-  return `${picture.full ? "coarse" : "coarse while moving"}: ${percent} %${stepWords}`;
+  return `coarse: ${percent} %${stepWords}`;
 }

@@ -21,9 +21,9 @@ describe("wall points", () => {
   it("say where they are, how far away, what the scan shows and in which airway", () => {
     expect(wallPointLines(picked(answer([-12.34, -4.5, 100.2])), null, true)).toEqual([
       "R\u202f12.3  A\u202f4.5  S\u202f100.2 mm",
-      "14.3\u202fmm from the lens",
-      "\u2212412 HU",
       "RUL, generation 2",
+      "14.3\u202fmm away",
+      "\u2212412 HU",
     ]);
   });
 
@@ -31,13 +31,16 @@ describe("wall points", () => {
     const bare = answer([1, 2, 3], { branch_id: null, branch_name: null, generation: null });
     expect(wallPointLines(picked(bare), null, false).slice(2)).toEqual(["\u2212412 (not HU)"]);
     const unnamed = answer([1, 2, 3], { branch_name: null, generation: 6, voxel_value: null });
-    expect(wallPointLines(picked(unnamed), "branch 17", true).slice(2)).toEqual(["branch 17, generation 6"]);
+    expect(wallPointLines(picked(unnamed), "branch 17", true).slice(1)).toEqual([
+      "branch 17, generation 6",
+      "14.3\u202fmm away",
+    ]);
   });
 
   it("two of them have a distance, and the oldest leaves when a third comes", () => {
     const two = picked(answer([0, 0, 0]), answer([3, 4, 0]));
     expect(pointsApartMm(two)).toBeCloseTo(5);
-    expect(wallPointLines(two, null, true).at(-1)).toBe("5.0\u202fmm from the point before");
+    expect(wallPointLines(two, null, true).at(-1)).toBe("5.0\u202fmm apart");
     const three = addPick(two, answer([3, 4, 12]));
     expect(three).toHaveLength(2);
     expect(pointsApartMm(three)).toBeCloseTo(12);

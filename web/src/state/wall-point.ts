@@ -41,13 +41,15 @@ export function pointsApartMm(points: readonly WallPoint[]): number | null {
 export function wallPointLines(points: readonly WallPoint[], label: string | null, isHu: boolean): readonly string[] {
   const newest = points.at(-1);
   if (newest === undefined) return [];
-  const lines = [coordinates(newest.lps), `${mm(newest.depthMm)} from the lens`];
-  if (newest.voxelValue !== null) lines.push(`${fixed(newest.voxelValue)}${isHu ? " HU" : " (not HU)"}`);
+  // Long lines first: they stand where the round picture leaves the most room.
+  const lines = [coordinates(newest.lps)];
   const branch = newest.branchName ?? label;
   if (branch !== null) {
     lines.push(newest.generation === null ? branch : `${branch}, generation ${newest.generation}`);
   }
+  lines.push(`${mm(newest.depthMm)} away`);
+  if (newest.voxelValue !== null) lines.push(`${fixed(newest.voxelValue)}${isHu ? " HU" : " (not HU)"}`);
   const apart = pointsApartMm(points);
-  if (apart !== null) lines.push(`${mm(apart)} from the point before`);
+  if (apart !== null) lines.push(`${mm(apart)} apart`);
   return lines;
 }

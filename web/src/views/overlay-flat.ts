@@ -38,6 +38,10 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   const geometry = geometryOf(header);
   if (geometry === null || geometry.kind !== "flat") return;
   const seesThrough = header.view.startsWith("xray");
+  const standsIn = header.stands_for !== null;
+  ink.save();
+  // In the place of a round airway view the picture is round, and nothing is drawn beyond it but the letters.
+  if (standsIn) clipToPicture(ink, viewport);
   const inPlane = (depthMm: number) => seesThrough || Math.abs(depthMm) <= IN_PLANE_MM;
   if (isSlice(header.view)) paintCrosshair(ink, viewport, geometry, scene, header.view);
   paintRoute(ink, viewport, geometry, scene, inPlane);
@@ -60,8 +64,21 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
       tipMark(ink, at, ahead === null ? null : minus(viewport.screenAt(ahead), at), inPlane(seen.depthMm));
     }
   }
+  if (standsIn) paintScale(ink, viewport, geometry, { x: viewport.size.width / 2, y: viewport.frame.y + 40 });
+  ink.restore();
   paintLetters(ink, viewport, geometry);
-  paintScale(ink, viewport, geometry);
+  if (!standsIn) paintScale(ink, viewport, geometry);
+}
+
+function clipToPicture(ink: Ink, viewport: Viewport): void {
+  const { frame } = viewport;
+  ink.beginPath();
+  if (viewport.shape === "round") {
+    ink.arc(frame.x + frame.width / 2, frame.y + frame.height / 2, frame.width / 2, 0, 2 * Math.PI);
+  } else {
+    ink.rect(frame.x, frame.y, frame.width, frame.height);
+  }
+  ink.clip();
 }
 
 const minus = (a: ScreenPoint, b: ScreenPoint): ScreenPoint => ({ x: a.x - b.x, y: a.y - b.y });
@@ -158,13 +175,14 @@ export function paintLetters(ink: Ink, viewport: Viewport, geometry: Parameters<
   label(ink, letters.right, { x: width - 6, y: height / 2 }, { ...style, align: "right" });
 }
 
-function paintScale(ink: Ink, viewport: Viewport, geometry: FlatGeometry): void {
+/** In the lower left corner, or with its middle at a place. */
+function paintScale(ink: Ink, viewport: Viewport, geometry: FlatGeometry, middle: ScreenPoint | null = null): void {
   const mmPerCss = mmPerPixel(geometry) / viewport.magnification;
   if (!(mmPerCss > 0)) return;
   const { width, height } = viewport.size;
   const bar = scaleBar(mmPerCss, Math.min(0.3 * width, 120));
-  const x = 8;
-  const y = height - 9;
+  const x = middle === null ? 8 : middle.x - bar.px / 2;
+  const y = middle === null ? height - 9 : middle.y;
   for (const [stroke, thick] of [
     [INK.halo, 4],
     [INK.text, 1.5],

@@ -10,7 +10,11 @@ import type { Viewport } from "./viewport";
 /** Further away than this a wall point of the airway view most likely lies behind another wall. */
 const FAR_MM = 60;
 const FAINT = 0.35;
-const ARM_PX = 7;
+const ARM_PX = 6;
+/** Nearer together than this, a label would cover the marks. */
+const LABEL_FROM_PX = 70;
+/** In a smaller cell the marks are smaller too. */
+const SMALL_CELL_PX = 400;
 const GAP_PX = 2.5;
 
 /** `isNear` tells from the depth behind a plane, or before a camera, whether a point belongs to what is shown. */
@@ -25,22 +29,25 @@ export function paintWallMarks(
     const seen = pixelFromLps(geometry, lps);
     return seen === null ? null : { at: viewport.screenAt(seen), near: isNear(seen.depthMm) };
   });
+  const size = Math.min(viewport.size.width, viewport.size.height) < SMALL_CELL_PX ? 0.7 : 1;
   const [first, second] = marks;
   const [a, b] = scene.wallPoints;
   if (first != null && second != null && a !== undefined && b !== undefined) {
     const alpha = first.near && second.near ? 0.9 : FAINT;
     line(ink, [first.at, second.at], INK.halo, 3.5, 0.6 * alpha);
     line(ink, [first.at, second.at], INK.text, 1.5, alpha);
+    const span = Math.hypot(second.at.x - first.at.x, second.at.y - first.at.y);
     const middle = { x: (first.at.x + second.at.x) / 2, y: (first.at.y + second.at.y) / 2 - 10 };
-    if (first.near && second.near) label(ink, mm(distance(a, b)), middle, { size: 12, bold: true });
+    if (first.near && second.near && span > LABEL_FROM_PX)
+      label(ink, mm(distance(a, b)), middle, { size: 12, bold: true });
   }
   for (const [index, mark] of marks.entries()) {
-    if (mark !== null) wallMark(ink, mark.at, mark.near ? 1 : FAINT, index === marks.length - 1);
+    if (mark !== null) wallMark(ink, mark.at, mark.near ? 1 : FAINT, index === marks.length - 1, size);
   }
 }
 
 /** A cross that leaves its middle free; the newest one has a ring. */
-function wallMark(ink: Ink, at: ScreenPoint, alpha: number, newest: boolean): void {
+function wallMark(ink: Ink, at: ScreenPoint, alpha: number, newest: boolean, size: number): void {
   for (const [colour, width] of [
     [INK.halo, 4],
     [INK.text, 1.75],
@@ -51,8 +58,8 @@ function wallMark(ink: Ink, at: ScreenPoint, alpha: number, newest: boolean): vo
       [-1, 1],
       [-1, -1],
     ] as const) {
-      const from = { x: at.x + dx * GAP_PX, y: at.y + dy * GAP_PX };
-      line(ink, [from, { x: at.x + dx * ARM_PX, y: at.y + dy * ARM_PX }], colour, width, alpha);
+      const from = { x: at.x + dx * size * GAP_PX, y: at.y + dy * size * GAP_PX };
+      line(ink, [from, { x: at.x + dx * size * ARM_PX, y: at.y + dy * size * ARM_PX }], colour, width, alpha);
     }
     if (!newest) continue;
     ink.save();
@@ -60,7 +67,7 @@ function wallMark(ink: Ink, at: ScreenPoint, alpha: number, newest: boolean): vo
     ink.strokeStyle = colour;
     ink.lineWidth = width;
     ink.beginPath();
-    ink.arc(at.x, at.y, ARM_PX + 3, 0, 2 * Math.PI);
+    ink.arc(at.x, at.y, size * (ARM_PX + 3), 0, 2 * Math.PI);
     ink.stroke();
     ink.restore();
   }
