@@ -82,6 +82,7 @@ bench-setup: $(STAMP)
 
 bench: bench-setup ## figures beside VTK, numba and scipy; pictures and JSON in benchmarks/results (BENCH=--quick: minutes)
 	.venv/bin/carina bench render $(BENCH) -o benchmarks/results
+	.venv/bin/carina bench isoregion $(BENCH) -o benchmarks/results
 
 lock: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## export requirements.lock from pyproject.toml
 	$(if $(wildcard $(PY)),$(PY),python3) tools/lock.py --uv $(UV)

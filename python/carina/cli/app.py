@@ -371,6 +371,24 @@ def bench_render(
     _bench("render", output, case, only, quick, repeats, as_json)
 
 
+@bench.command("isoregion")
+def bench_isoregion(
+    output: BenchFolder = Path("carina-bench"),
+    case: BenchCases = None,
+    only: BenchOnly = None,
+    quick: BenchQuick = False,
+    repeats: BenchRepeats = None,
+    as_json: JsonOption = False,
+) -> None:
+    """IsoRegion map, projections and oblique slices of a large CT beside scipy, numpy and VTK; the server's memory.
+
+    Sections: map, prepare, projections, plane, memory. A missed limit is a result and no failure: the exit code is 0.
+
+    Example: carina bench isoregion --only map --json
+    """
+    _bench("isoregion", output, case, only, quick, repeats, as_json)
+
+
 USAGE_ERROR: Any = typer.BadParameter.__base__
 """Root of what typer itself refuses: unknown options, missing arguments, values of the wrong type."""
 

@@ -7,6 +7,7 @@ from carina._core import CancelToken
 from carina.render.lettering import PathSpan, letter_edges, mark_path
 from carina.render.pictures import VIEW_NAMES, mark_tip, render_surface, render_view, view_spec
 from carina.render.renderer import Renderer
+from carina.render.structures import build_isoregion_map, project_maximum, sample_plane
 from carina.render.surface import Hit, Surface
 from carina.render.transfer import PRESETS, Light, TransferFunction, transfer_from_histogram, transfer_preset
 from carina.render.views import (
@@ -49,11 +50,14 @@ __all__ = [
     "View",
     "XrayView",
     "build_info",
+    "build_isoregion_map",
     "letter_edges",
     "mark_path",
     "mark_tip",
+    "project_maximum",
     "render_surface",
     "render_view",
+    "sample_plane",
     "transfer_from_histogram",
     "transfer_preset",
     "view_spec",

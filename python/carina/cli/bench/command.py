@@ -99,6 +99,44 @@ def _paper_gates(rows: list[dict[str, Any]]) -> list[Gate]:
     return gates
 
 
+def _map_gates(rows: list[dict[str, Any]]) -> list[Gate]:
+    gates = []
+    for row in rows:
+        gates.append(Gate(f"map of many labels over scipy cdt, {row['case']}", row["ratio"]["median"], 30.0))
+        equal = float(row["equal_to_scipy_on_two_labels"])
+        gates.append(Gate(f"equal to scipy where both can (1 is yes), {row['case']}", equal, 1.0))
+    return gates
+
+
+def _projection_gates(rows: list[dict[str, Any]]) -> list[Gate]:
+    gates = []
+    for row in rows:
+        gates.append(Gate(f"three projections over numpy, {row['case']}", row["ratio"]["median"], 4.0))
+        gates.append(Gate(f"equal to numpy (1 is yes), {row['case']}", float(row["equal"]), 1.0))
+    return gates
+
+
+def _plane_gates(rows: list[dict[str, Any]]) -> list[Gate]:
+    gates = []
+    for row in rows:
+        gates.append(Gate(f"oblique slice over vtkImageReslice, {row['case']}", row["ratio"]["median"], 8.0))
+        gates.append(Gate(f"grey levels off VTK's slice, {row['case']}", row["carina_minus_vtk"]["max"], 1, "lower"))
+    return gates
+
+
+def _memory_gates(rows: list[dict[str, Any]]) -> list[Gate]:
+    note = "times the int16 volume, the server whole, tracker included"
+    return [
+        Gate(f"peak memory of the server, {row['case']}", row["times_volume"], 5.0, "lower", note=note)
+        for row in rows
+        if row["times_volume"] is not None
+    ]
+
+
+def _no_gates(_rows: list[dict[str, Any]]) -> list[Gate]:
+    return []
+
+
 SECTIONS: dict[str, dict[str, Section]] = {
     "render": {
         "frames": Section("render:frames", 1, _frame_gates, words.frames),
@@ -106,6 +144,13 @@ SECTIONS: dict[str, dict[str, Section]] = {
         "views": Section("views:never_slower", 1, _view_gates, words.views),
         "first-frame": Section("render:first_frame", None, _first_frame_gates, words.first_frame),
         "paper": Section("paper:paper_mode", 1, _paper_gates, words.paper),
+    },
+    "isoregion": {
+        "map": Section("isoregion:maps", 1, _map_gates, words.beside),
+        "prepare": Section("isoregion:prepared_maps", None, _no_gates, words.prepared),
+        "projections": Section("isoregion:projections", 1, _projection_gates, words.beside),
+        "plane": Section("isoregion:planes", 1, _plane_gates, words.beside),
+        "memory": Section("memory:server_memory", None, _memory_gates, words.memory),
     },
 }
 
@@ -205,6 +250,8 @@ def _request(
         if data_dir is None or not all((data_dir / FOLDER / file).is_file() for file in FILES.values()):
             return None
         return {**request, "data_dir": str(data_dir)}
+    if what == "isoregion":
+        return {**request, "cases": list(cases) or ["phantom-256" if quick else LARGE]}
     if section == "views":
         return {**request, "cases": ["phantom-256"], "pairs": 7 if quick else 30}
     if section == "first-frame":

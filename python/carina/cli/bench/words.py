@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["first_frame", "frames", "paper", "small_frames", "views"]
+__all__ = ["beside", "first_frame", "frames", "memory", "paper", "prepared", "small_frames", "views"]
 
 Rows = list[dict[str, Any]]
 
@@ -76,3 +76,36 @@ def paper(rows: Rows) -> list[str]:
         for row in rows
     ]
     return lines
+
+
+def beside(rows: Rows) -> list[str]:
+    """One function beside its peer."""
+    lines = []
+    for row in rows:
+        times = ", ".join(f"{key} {value['median']:.4g} ms" for key, value in row["cpu_ms"].items())
+        more = f"; {row['bytes_per_voxel']} bytes a voxel" if row.get("bytes_per_voxel") is not None else ""
+        ratio = row["ratio"]
+        lines.append(
+            f"  {row['case'][:14]:14} {ratio['median']:.2f}x (least times: {ratio['min']:.2f}x)  {times}{more}"
+        )
+    return lines
+
+
+def prepared(rows: Rows) -> list[str]:
+    """From HU to the map, all threads."""
+    return [
+        f"  {row['case'][:14]:14} {row['wall_ms']['median']:.0f} ms (least {row['wall_ms']['min']:.0f}); "
+        f"CPU time {row['cpu_ms']['median']:.0f}"
+        for row in rows
+    ]
+
+
+def memory(rows: Rows) -> list[str]:
+    """The server's peak."""
+    return [
+        f"  {row['case'][:14]:14} peak {row['peak_bytes'] / 2**20:.0f} MiB, {row['times_volume']:.2f} times the volume "
+        f"({row['volume_bytes'] / 2**20:.0f} MiB); {row['peak_bytes_at_start'] / 2**20:.0f} MiB before a case"
+        if row["peak_bytes"] is not None
+        else f"  {row['case'][:14]:14} this system does not say"
+        for row in rows
+    ]

@@ -1,0 +1,85 @@
+"""What pictures are made from, for scripts: IsoRegion maps, projections, planes as plain arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina import _core
+from carina.errors import GeometryError
+from carina.volume import Volume
+
+__all__ = ["build_isoregion_map", "project_maximum", "sample_plane"]
+
+
+def build_isoregion_map(labels_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Find, for every voxel, the largest cube of equal labels centred on it.
+
+    Parameters
+    ----------
+    labels_zyx
+        (nz, ny, nx) uint8, C order. Label 0 is never leaped: its radius is 0. Not modified.
+
+    Returns
+    -------
+    numpy.ndarray
+        (nz, ny, nx) uint8 of chessboard radii: the cube of a voxel has ``2 r + 1`` voxels on each side. 0 marks a voxel
+        with an unequal or missing neighbour; cubes beyond 255 are recorded as 255.
+
+    Raises
+    ------
+    GeometryError
+        If the array has not three axes, or one of them is empty.
+
+    References
+    ----------
+    Paper 4.2.
+
+    Examples
+    --------
+    >>> build_isoregion_map(np.ones((5, 5, 5), np.uint8))[2, 2]
+    array([0, 1, 2, 1, 0], dtype=uint8)
+    """
+    if labels_zyx.ndim != 3 or 0 in labels_zyx.shape:
+        raise GeometryError(
+            f"labels have shape {labels_zyx.shape}; expected three axes, none empty", code="geometry.shape"
+        )
+    return _core.build_radius_map(np.ascontiguousarray(labels_zyx, dtype=np.uint8))
+
+
+def project_maximum(volume: Volume) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.int16]]:
+    """Maximum intensity projections along the grid's axes, in one pass (paper 3.1).
+
+    Returns
+    -------
+    tuple
+        Along i ``[k, j]``, along j ``[k, i]`` and along k ``[j, i]``; HU, int16.
+    """
+    return _core.project_maximum(volume.hu_zyx)
+
+
+def sample_plane(
+    volume: Volume, lps_from_pixel: NDArray[np.float64], *, width: int, height: int, window_hu: tuple[float, float]
+) -> NDArray[np.uint8]:
+    """A plane anywhere in the volume, trilinear, as grey levels.
+
+    Parameters
+    ----------
+    volume
+        The volume.
+    lps_from_pixel
+        4x4; maps (column, row, depth in mm, 1) to LPS mm, pixel (0, 0) being the *corner* of the first pixel.
+    width, height
+        Pixels.
+    window_hu
+        Width and level.
+
+    Returns
+    -------
+    numpy.ndarray
+        (height, width) uint8; 0 outside the volume.
+    """
+    grey, _ = _core.cut_plane(
+        volume.hu_zyx, volume.lps_from_ijk, lps_from_pixel, width=width, height=height, window_hu=window_hu
+    )
+    return grey
