@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 
 import numpy as np
 import pytest
 
 from carina.cli.bench import machine
 from carina.cli.bench.clock import Times, median_ratio, take_turns
+from carina.cli.bench.command import SECTIONS
 from carina.cli.bench.gates import Gate
 from carina.cli.bench.pictures import difference, save
 from carina.cli.bench.scene import STEP_VOX, TRANSFER, opacity_table
@@ -86,3 +88,22 @@ def test_a_section_runs_in_a_process_of_its_own(tmp_path):
     rows = run_section("render:small_frames", request, threads=2)
     assert rows[0]["case"] == "patient"
     assert rows[0]["frames_per_s"] > 0
+
+
+def test_projections_are_measured_judged_and_told(tmp_path):
+    request = {"cases": ["patient"], "repeats": 2, "folder": str(tmp_path)}
+    rows = run_section("isoregion:projections", request, threads=1)
+    section = SECTIONS["isoregion"]["projections"]
+    ratio, equal = section.gates(rows)
+    assert equal.passed
+    assert ratio.figure == rows[0]["ratio"]["median"] > 0
+    (line,) = section.words(rows)
+    assert "patient" in line and "numpy" in line
+
+
+def test_the_server_is_started_looked_at_and_its_peak_read(tmp_path):
+    (row,) = run_section("memory:server_memory", {"cases": ["patient"], "folder": str(tmp_path)})
+    assert set(row["views_seen"]) >= {"airway", "tree", "tri-plane", "xray-axial"}
+    if sys.platform == "linux":
+        assert row["peak_bytes"] > row["volume_bytes"]
+        assert "times the volume" in SECTIONS["isoregion"]["memory"].words([row])[0]

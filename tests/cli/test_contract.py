@@ -81,6 +81,9 @@ def store(path, values, spacing=(1.0, 1.0, 1.0)):
         ["render", "CT", "-o", "x.png", "--step-vox", "0"],
         ["render", "CT", "-o", "x.png", "--step-vox", "-1"],
         ["render", "CT", "-o", "x.png", "--step-vox", "nan"],
+        ["render", "CT", "-o", "x.png", "--size", "8193x512"],
+        ["render", "CT", "-o", "x.png", "--at", "nan,0,0"],
+        ["render", "CT", "-o", "x.png", "--look", "0,nan,0"],
         ["render", "CT", "-o", "x.png", "--look", "0,0,0"],
         ["render", "CT", "-o", "x.png", "--look", "0,0,1", "--up", "0,0,-2"],
         ["render", "CT", "-o", "x.png", "--up", "0,0,0"],
@@ -149,8 +152,8 @@ def test_a_wrong_log_level_exits_2_in_words(carina, monkeypatch):
 
 
 def test_help_of_every_verb_has_an_example_and_exits_0(carina):
-    for verb in ("open", "demo", "info", "track", "render", "phantom", "doctor"):
-        ended = carina(verb, "--help")
+    for verb in ("open", "demo", "info", "track", "render", "phantom", "doctor", "bench render", "bench isoregion"):
+        ended = carina(*verb.split(), "--help")
         assert ended.code == 0
         assert f"Example: carina {verb}" in " ".join(ended.out.split())
     assert carina("--version").out.startswith("carina ")
@@ -205,6 +208,7 @@ def test_a_file_that_is_none_exits_3_and_is_named(carina, tmp_path, name, conten
         b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0]]}',
         b'{"format": "carina-transfer", "version": 1, "points": [["a", 0, 0, 0, 0]]}',
         b'{"format": "carina-transfer", "version": 1, "points": [[0, 2, 0, 0, 0]]}',
+        b'{"format": "carina-transfer", "version": 1, "points": [[5, 0, 0, 0, 0], [4, 0, 0, 0, 0]]}',
         b'{"format": "carina-transfer", "version": 1, "points": {"0": 1}}',
         b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0, 0]], "reference_mm": "x"}',
         b'{"format": "carina-transfer", "version": 1, "points": [[0, 0, 0, 0, 0]], "reference_mm": 0}',

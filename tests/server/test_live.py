@@ -15,6 +15,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from carina.render import TransferFunction
 from carina.server import messages as wire
 from carina.server.security import Gate
 from carina.server.serve import bind, make_server, start_url
@@ -376,6 +377,43 @@ def test_a_command_that_cannot_be_done_is_answered_and_the_socket_stays_open(liv
         error = window.until(lambda m: isinstance(m, wire.Error))
         assert (error.code, error.message) == ("session.no-case", "no case is open")
         open_case(window)
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        ({"type": "set_fov", "fov_deg": 171}, ["170", "171"]),
+        ({"type": "set_fov", "fov_deg": 59}, ["60", "59"]),
+        ({"type": "layout", "views": [{"view": "airway", "width": 0, "height": 64}]}, ["16", "0"]),
+        ({"type": "layout", "views": [{"view": "airway", "width": 8193, "height": 64}]}, ["4096", "8193"]),
+    ],
+)
+def test_a_value_out_of_range_closes_the_socket_with_the_value_and_the_range(live, message, words):
+    with live.window() as window:
+        window.socket.send(json.dumps(message))
+        closed, reason = window.close_code()
+        assert closed == 4400
+        assert all(word in reason for word in words), reason
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        ([], "at least one point"),
+        ([[5, 1, 1, 1, 0], [4, 1, 1, 1, 1]], "found 4 at point 1 after 5"),
+        ([[0, 1, 2, 1, 0.5]], "0 to 1; found at point 0"),
+    ],
+)
+def test_a_transfer_function_that_is_none_is_refused_in_words_and_the_old_one_stays(tmp_path, points, words):
+    with running(tmp_path, transfer_from_json=TransferFunction.from_json) as live, live.window() as window:
+        before = open_case(window)
+        document = {"format": "carina-transfer", "version": 1, "points": points}
+        window.send(wire.SetTransfer(preset=None, document=document))
+        error = window.until(lambda m: isinstance(m, wire.Error))
+        assert error.code == "render.transfer"
+        assert words in error.message
+        window.send(wire.SetShading(on=not before.shading))
+        assert window.until_state(lambda s: s.shading is not before.shading).transfer == before.transfer
 
 
 def test_opening_a_case_brings_state_tree_route_pose_and_pictures_of_all_views(live):

@@ -149,13 +149,23 @@ impl Camera {
 }
 
 fn check_pose(lps_from_camera: &Affine) -> Result<(), GridError> {
+    let position = lps_from_camera.column(3);
+    if position.iter().any(|v| !v.is_finite()) {
+        return Err(GridError::Transform {
+            what: "lps_from_camera",
+            reason: format!("its position is not finite: {position:?}"),
+        });
+    }
     // 1e-6: a pose that was multiplied up over a long flight and came through JSON still passes.
     if lps_from_camera.is_rigid(1e-6) {
         return Ok(());
     }
     Err(GridError::Transform {
         what: "lps_from_camera",
-        reason: "its axes are not unit vectors at right angles, right-handed".to_owned(),
+        reason: format!(
+            "its axes are not unit vectors at right angles, right-handed: rows {:?}",
+            lps_from_camera.rows()
+        ),
     })
 }
 

@@ -28,7 +28,7 @@ impl Transfer {
         }
         for (n, p) in points.iter().enumerate() {
             if p.iter().any(|v| !v.is_finite()) {
-                return refuse(format!("point {n} holds a value that is not finite"));
+                return refuse(format!("point {n} holds a value that is not finite: {p:?}"));
             }
             if p[1..].iter().any(|v| !(0.0..=1.0).contains(v)) {
                 return refuse(format!(

@@ -85,11 +85,27 @@ class TransferFunction:
     def __post_init__(self) -> None:
         points = np.array(self.points, dtype=np.float64)
         if points.ndim != 2 or points.shape[1:] != (5,) or len(points) == 0:
-            raise RenderError("a transfer function needs points [hu, r, g, b, alpha]", code="render.transfer")
-        if not np.isfinite(points).all() or (points[:, 1:] < 0).any() or (points[:, 1:] > 1).any():
-            raise RenderError("colours and opacities of a transfer function lie in 0 to 1", code="render.transfer")
-        if (np.diff(points[:, 0]) < 0).any():
-            raise RenderError("the points of a transfer function must be in order of value", code="render.transfer")
+            msg = (
+                "a transfer function needs at least one point, each [hu, r, g, b, alpha]; "
+                f"found an array of shape {points.shape}"
+            )
+            raise RenderError(msg, code="render.transfer")
+        outside = ~np.isfinite(points).all(axis=1) | ~((points[:, 1:] >= 0) & (points[:, 1:] <= 1)).all(axis=1)
+        if outside.any():
+            at = int(np.flatnonzero(outside)[0])
+            msg = (
+                "values of a transfer function are finite, its colours and opacities lie in 0 to 1; "
+                f"found at point {at}: {points[at].tolist()}"
+            )
+            raise RenderError(msg, code="render.transfer")
+        falling = np.flatnonzero(np.diff(points[:, 0]) < 0)
+        if len(falling):
+            before, after = points[falling[0] : falling[0] + 2, 0]
+            msg = (
+                "the points of a transfer function must be in order of value; "
+                f"found {after:g} at point {falling[0] + 1} after {before:g}"
+            )
+            raise RenderError(msg, code="render.transfer")
         if not (np.isfinite(self.reference_mm) and self.reference_mm > 0):
             raise RenderError("a transfer function's reference length is above 0 mm", code="render.transfer")
         if self.unit not in {"HU", "raw"} or self.sampling not in {"trilinear", "nearest"}:

@@ -43,11 +43,18 @@ class Pose:
     def __post_init__(self) -> None:
         m = np.array(self.lps_from_camera, dtype=np.float64)
         if m.shape != (4, 4) or not np.isfinite(m).all():
-            raise UsageError("a pose is a finite 4x4 matrix")
+            found = f"shape {m.shape}" if m.shape != (4, 4) else f"{m.ravel().tolist()}"
+            raise UsageError(f"a pose is a 4x4 matrix of finite numbers; found {found}")
+        if not np.array_equal(m[3], [0.0, 0.0, 0.0, 1.0]):
+            raise UsageError(f"a pose's last row is 0, 0, 0, 1; found {m[3].tolist()}")
         r = m[:3, :3]
         # 1e-6: poses pass through JSON and many small rotations; anything worse is a different matrix, not rounding.
         if np.abs(r.T @ r - np.eye(3)).max() > 1e-6 or np.linalg.det(r) < 0:
-            raise UsageError("a pose's axes must be unit vectors at right angles, right-handed")
+            lengths = ", ".join(f"{v:g}" for v in np.linalg.norm(r, axis=0))
+            raise UsageError(
+                "a pose's axes must be unit vectors at right angles, right-handed (determinant 1); found lengths "
+                f"{lengths} and determinant {np.linalg.det(r):g}"
+            )
         m.flags.writeable = False
         object.__setattr__(self, "lps_from_camera", m)
 
@@ -74,13 +81,21 @@ class Pose:
         look = np.asarray(look_lps, dtype=np.float64)
         norm = float(np.linalg.norm(look))
         if at.shape != (3,) or look.shape != (3,) or not np.isfinite(at).all() or not np.isfinite(norm) or norm < 1e-9:
-            raise UsageError("a pose needs a finite position and a viewing direction longer than 0")
+            raise UsageError(
+                "a pose needs a position of three finite numbers and a viewing direction longer than 0; "
+                f"found position {at.tolist()}, direction {look.tolist()}"
+            )
         forward = look / norm
         up = upright(forward) if up_lps is None else np.asarray(up_lps, dtype=np.float64)
+        if up.shape != (3,) or not np.isfinite(up).all():
+            raise UsageError(f"the up direction is three finite numbers; found {up.tolist()}")
         down = -(up - float(up @ forward) * forward)
         length = float(np.linalg.norm(down))
         if not length > 1e-6 * max(1.0, float(np.linalg.norm(up))):
-            raise UsageError("the up direction must not be parallel to the viewing direction")
+            raise UsageError(
+                "the up direction must be longer than 0 and not parallel to the viewing direction; "
+                f"found up {up.tolist()}, viewing direction {look.tolist()}"
+            )
         down /= length
         right = np.cross(down, forward)
         m = np.eye(4)

@@ -189,7 +189,9 @@ def _decode_number(kind: Any, value: Any, where: str, bounds: tuple[Any, ...]) -
     for bound in bounds:
         # Compared before the conversion: a huge integer has no float.
         if isinstance(bound, Range) and not bound.low <= value <= bound.high:
-            _refuse("range", f"{where} must lie between {bound.low:g} and {bound.high:g}")
+            # A huge integer has too many digits to be written, too.
+            found = "more" if abs(value) > 1e15 else f"{value:g}"
+            _refuse("range", f"{where} must lie between {bound.low:g} and {bound.high:g}; found {found}")
     try:
         number = kind(value)
     except OverflowError:
