@@ -41,6 +41,8 @@ class Case:
     volume: Volume
     trachea: Pose
     flight: tuple[Pose, ...]
+    lumen_zyx: NDArray[np.uint8] | None = None
+    """Where the airways were found in a CT."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,18 +64,25 @@ def open_case(name: str, *, poses: int, progress: Progress | None = None) -> Cas
     NoResultError
         If no airway is found in it.
     """
+    lumen = None
     if name in PHANTOMS:
         volume, branches = _phantom(name, progress)
     else:
         volume = carina.demo_patient() if name == "patient" else carina.open_volume(Path(name), progress=progress)
         airways = carina.find_airways(volume, progress=progress)
+        lumen = airways.lumen_zyx
         branches = [
             _Branch(b.id, b.parent, b.generation, np.asarray(b.points), float(np.median(b.radius)))
             for b in airways.tree.branches
         ]
-        name = name if name == "patient" else Path(name).resolve().name
+        name = name if name == "patient" else _name_of(Path(name).resolve())
     trachea, flight = _poses(branches, poses)
-    return Case(name, volume, trachea, flight)
+    return Case(name, volume, trachea, flight, lumen)
+
+
+def _name_of(path: Path) -> str:
+    """A folder that says only what is in it has its parent's name too."""
+    return f"{path.parent.name}-{path.name}" if path.name.lower() in {"dicom", "ct", "images"} else path.name
 
 
 def _poses(branches: Sequence[_Branch], count: int) -> tuple[Pose, tuple[Pose, ...]]:

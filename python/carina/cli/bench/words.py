@@ -36,7 +36,7 @@ def frames(rows: Rows) -> list[str]:
 def small_frames(rows: Rows) -> list[str]:
     """256 x 256."""
     return [
-        f"  {row['case'][:14]:14} 256x256, two threads: {row['frames_per_s']:.0f} frames/s; "
+        f"  {row['case'][:14]:14} {row['look']:10} 256x256, two threads: {row['frames_per_s']:.0f} frames/s; "
         f"{row['frames_per_s_on_two_free_cores']:.0f} by CPU time; load {row['load_average']} (the paper: 10)"
         for row in rows
     ]
