@@ -2,18 +2,18 @@
 //!
 //! `cargo bench -p carina-raycast --bench packets` casts a forked tube. With folders as arguments it casts what each
 //! holds: `NAME.i16` (HU, `[z, y, x]`), `NAME.u8` (radius map) and `NAME.txt` (shape, `lps_from_ijk`, table, transfer
-//! function, light, poses), given as `FOLDER/NAME`. `--quick` casts shaded leaps only.
+//! function, light, poses), given as `FOLDER/NAME`. `--quick` casts shaded leaps only, without the scalar caster;
+//! `--shaded`, `--flat`, `--leap`, `--brute` narrow the choice; `--repeats=N`; `--size=N`.
+//!
+//! Times are those of the thread on its processor, so that a busy machine disturbs them less.
 
-use std::{
-    fs,
-    time::{Duration, Instant},
-};
+use std::{env, fs};
 
 use carina_grid::{Affine, Camera, Grid, VolumeView};
 use carina_isoregion::{class_labels, radius_map};
 use carina_raycast::{
-    Frame, FrameOptions, InstructionSet, Interpolation, Light, Method, Transfer, TransferTable,
-    cast_rows, cast_rows_scalar,
+    CastStats, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method, Transfer,
+    TransferTable, cast_rows, cast_rows_scalar,
 };
 
 struct Case {
@@ -130,56 +130,141 @@ fn forked_tube() -> Case {
     }
 }
 
-fn median(mut times: Vec<Duration>) -> f64 {
-    times.sort();
-    times[times.len() / 2].as_secs_f64() * 1e3
+#[repr(C)]
+struct Timespec {
+    s: i64,
+    ns: i64,
 }
 
-fn bench(case: &Case, quick: bool) {
-    let repeats = if quick { 25 } else { 7 };
+#[cfg(target_os = "linux")]
+unsafe extern "C" {
+    fn clock_gettime(clock: i32, time: *mut Timespec) -> i32;
+}
+
+/// Time that this thread has had a processor, ms.
+#[cfg(target_os = "linux")]
+fn thread_ms() -> f64 {
+    const CLOCK_THREAD_CPUTIME_ID: i32 = 3;
+    let mut time = Timespec { s: 0, ns: 0 };
+    // SAFETY: the function writes one timespec, whose layout on 64-bit Linux is this one.
+    let failed = unsafe { clock_gettime(CLOCK_THREAD_CPUTIME_ID, &raw mut time) };
+    assert_eq!(failed, 0, "the thread's clock");
+    time.s as f64 * 1e3 + time.ns as f64 * 1e-6
+}
+
+/// Wall time elsewhere.
+#[cfg(not(target_os = "linux"))]
+fn thread_ms() -> f64 {
+    static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
+    START
+        .get_or_init(std::time::Instant::now)
+        .elapsed()
+        .as_secs_f64()
+        * 1e3
+}
+
+fn median(times: &mut [f64]) -> f64 {
+    times.sort_by(f64::total_cmp);
+    times[times.len() / 2]
+}
+
+struct Choice {
+    quick: bool,
+    shading: Vec<bool>,
+    leap: bool,
+    brute: bool,
+    repeats: usize,
+    size: usize,
+}
+
+impl Choice {
+    fn from_arguments() -> Self {
+        let has = |name: &str| env::args().any(|a| a == name);
+        let number = |name: &str| env::args().find_map(|a| a.strip_prefix(name)?.parse().ok());
+        let quick = has("--quick");
+        let mut shading = vec![];
+        if quick || has("--shaded") || !has("--flat") {
+            shading.push(true);
+        }
+        if !quick && (has("--flat") || !has("--shaded")) {
+            shading.push(false);
+        }
+        Self {
+            quick,
+            shading,
+            leap: quick || has("--leap") || !has("--brute"),
+            brute: !quick && (has("--brute") || !has("--leap")),
+            repeats: number("--repeats=").unwrap_or(if quick { 25 } else { 7 }),
+            size: number("--size=").unwrap_or(512),
+        }
+    }
+}
+
+fn bench(case: &Case, choice: &Choice) {
     let volume = VolumeView::new(&case.hu, &case.grid).expect("a volume");
-    // The first is the scalar caster compiled for the best set. Portable is left out where there is better: it calls a
-    // function for each fused multiply-add.
-    let mut sets = vec![InstructionSet::best()];
-    sets.extend(InstructionSet::available().into_iter().skip(1));
+    // Portable is left out where there is better: it calls a function for each fused multiply-add.
+    let mut casters: Vec<(bool, InstructionSet)> = InstructionSet::available()
+        .into_iter()
+        .skip(1)
+        .map(|simd| (false, simd))
+        .collect();
+    // The scalar caster compiled for the best set.
+    if !choice.quick {
+        casters.insert(0, (true, InstructionSet::best()));
+    }
     for (name, pose) in &case.poses {
-        for shaded in if quick { vec![true] } else { vec![true, false] } {
+        for &shaded in &choice.shading {
             let options = FrameOptions {
                 interpolation: Interpolation::Trilinear,
                 light: shaded.then_some(case.light),
                 background: [0.0; 3],
             };
-            let camera = Camera::new(*pose, std::f64::consts::FRAC_PI_2, 512, 512).expect("camera");
+            let camera = Camera::new(*pose, std::f64::consts::FRAC_PI_2, choice.size, choice.size)
+                .expect("camera");
             let frame = Frame::new(volume, &case.table, camera, options).expect("a frame");
-            let methods = [
-                ("leap", Method::LeapTransparent(&case.radius)),
-                ("brute", Method::Brute),
-            ];
-            for (method_name, method) in methods.into_iter().take(if quick { 1 } else { 2 }) {
-                let mut times = vec![Vec::new(); sets.len()];
-                let mut truth = None;
-                for _ in 0..repeats {
-                    for (n, &simd) in sets.iter().enumerate() {
-                        let start = Instant::now();
-                        let cast = if n == 0 { cast_rows_scalar } else { cast_rows };
-                        let out = cast(&frame, method, 0..512, simd).expect("a picture");
-                        times[n].push(start.elapsed());
-                        assert!(*truth.get_or_insert_with(|| out.clone()) == out, "{simd:?}");
+            let mut methods = vec![];
+            if choice.leap {
+                methods.push(("leap", Method::LeapTransparent(&case.radius)));
+            }
+            if choice.brute {
+                methods.push(("brute", Method::Brute));
+            }
+            // All methods and sets in turn: neighbours on the machine disturb them alike.
+            let mut times = vec![vec![Vec::new(); casters.len()]; methods.len()];
+            let mut stats = vec![CastStats::default(); methods.len()];
+            let mut truth = None;
+            for _ in 0..choice.repeats {
+                for (m, &(_, method)) in methods.iter().enumerate() {
+                    for (n, &(scalar, simd)) in casters.iter().enumerate() {
+                        let start = thread_ms();
+                        let cast = if scalar { cast_rows_scalar } else { cast_rows };
+                        let out = cast(&frame, method, 0..choice.size, simd).expect("a picture");
+                        times[m][n].push(thread_ms() - start);
+                        stats[m] = out.1;
+                        assert!(
+                            *truth.get_or_insert_with(|| out.0.clone()) == out.0,
+                            "{simd:?}"
+                        );
                     }
                 }
-                let ms: Vec<f64> = times.into_iter().map(median).collect();
-                let stats = truth.map(|t| t.1).unwrap_or_default();
-                let per_ray = |n: u64| n as f64 / stats.num_rays as f64;
+            }
+            for (m, (method_name, _)) in methods.iter().enumerate() {
+                let per_ray = |n: u64| n as f64 / stats[m].num_rays as f64;
                 print!(
-                    "{:12} {name:10} {:6} {method_name:5} {:5.1} samples, {:4.1} look-ups a ray:",
+                    "{:8} {name:10} {:6} {method_name:5} per ray {:5.1} samples {:4.1} look-ups {:4.1} leaps:",
                     case.name,
                     if shaded { "shaded" } else { "flat" },
-                    per_ray(stats.num_samples),
-                    per_ray(stats.num_lookups),
+                    per_ray(stats[m].num_samples),
+                    per_ray(stats[m].num_lookups),
+                    per_ray(stats[m].num_leaps),
                 );
-                print!("  scalar {:6.1} ms", ms[0]);
-                for (simd, ms_of) in sets.iter().zip(&ms).skip(1) {
-                    print!("  {} {ms_of:6.1} ms ({:.2}x)", simd.name(), ms[0] / ms_of);
+                let ms: Vec<f64> = times[m].iter_mut().map(|t| median(t)).collect();
+                for (&(scalar, simd), (ms_of, t)) in casters.iter().zip(ms.iter().zip(&times[m])) {
+                    let name = if scalar { "scalar" } else { simd.name() };
+                    print!("  {name} {ms_of:6.1} (min {:5.1}) ms", t[0]);
+                    if !choice.quick && !scalar {
+                        print!(" {:.2}x", ms[0] / ms_of);
+                    }
                 }
                 println!();
             }
@@ -190,17 +275,18 @@ fn bench(case: &Case, quick: bool) {
 fn main() {
     rayon::ThreadPoolBuilder::new()
         .num_threads(1)
+        .use_current_thread()
         .build_global()
         .expect("one thread");
-    let quick = std::env::args().any(|a| a == "--quick");
-    let paths: Vec<String> = std::env::args()
+    let choice = Choice::from_arguments();
+    let paths: Vec<String> = env::args()
         .skip(1)
         .filter(|a| !a.starts_with("--"))
         .collect();
     if paths.is_empty() {
-        bench(&forked_tube(), quick);
+        bench(&forked_tube(), &choice);
     }
     for path in paths {
-        bench(&read_case(&path), quick);
+        bench(&read_case(&path), &choice);
     }
 }
