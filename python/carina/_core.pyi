@@ -186,8 +186,11 @@ def cast(
     stop: CancelToken | None = None,
     lens: LensRays | None = None,
     darken: bool = True,
-) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int]]:
-    """(rows, width, 3) colours and rays, samples, look-ups, leaps, skipped samples; CancelledError once stopped."""
+) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int, int, int]]:
+    """(rows, width, 3) colours; rays, samples, look-ups, leaps, skipped samples, shaded samples, reads.
+
+    CancelledError once stopped.
+    """
 
 def cast_surface(
     hu_zyx: NDArray[np.int16],

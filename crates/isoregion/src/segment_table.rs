@@ -13,6 +13,11 @@ pub struct SegmentTable {
 }
 
 impl SegmentTable {
+    /// Of no classes.
+    pub const EMPTY: Self = Self {
+        entries: Vec::new(),
+    };
+
     /// From the premultiplied colour and opacity of *one* sample of each class (`label - 1`).
     #[must_use]
     pub fn new(classes: &[[f32; 4]]) -> Self {
@@ -33,6 +38,13 @@ impl SegmentTable {
             }
         }
         Self { entries }
+    }
+
+    /// All entries: [`MAX_SEGMENT_SAMPLES`]` + 1` for each class, by number of samples.
+    #[inline]
+    #[must_use]
+    pub fn entries(&self) -> &[[f32; 4]] {
+        &self.entries
     }
 
     /// `[r, g, b, transparency]` of `num_samples` samples of the class with `label` (1 or more).

@@ -14,14 +14,17 @@ pub(crate) fn cast<const SHADED: bool, const NEAREST: bool, const HITS: bool>(
     stats: &mut CastStats,
 ) -> Gathered {
     let mut gathered = Gathered::NOTHING;
+    let mut num_lit = 0u32;
     let mut k = ray.first;
     while k < ray.end {
-        frame.add_sample::<SHADED, NEAREST, HITS>(ray, k, ray.at(k), &mut gathered);
+        let lit = frame.add_sample::<SHADED, NEAREST, HITS>(ray, k, ray.at(k), &mut gathered);
+        num_lit += u32::from(lit);
         k += 1;
         if gathered.transparency < STOP_TRANSPARENCY {
             break;
         }
     }
     stats.num_samples += u64::from(k - ray.first);
+    stats.num_shaded += if SHADED { u64::from(num_lit) } else { 0 };
     gathered
 }

@@ -7,11 +7,12 @@ use std::{
 
 use rayon::prelude::*;
 
-#[cfg(target_arch = "x86_64")]
-use crate::packet::{BAND_ROWS, Packets};
 use crate::{
-    ClassMap, Frame, InstructionSet, Interpolation, RaycastError, brute, composite::Gathered,
-    frame::Ray, leap,
+    ClassMap, Frame, InstructionSet, Interpolation, RaycastError, brute,
+    composite::Gathered,
+    frame::Ray,
+    leap::{self, Start},
+    packet::{BAND_ROWS, Packets},
 };
 
 /// Which caster.
@@ -38,9 +39,39 @@ pub struct CastStats {
     pub num_leaps: u64,
     /// Samples that leaps stood for.
     pub num_skipped: u64,
+    /// Samples that were lit, for which a gradient was read.
+    pub num_shaded: u64,
+    /// Reads of the volume and of the maps: see [`CastStats::sample_loads`].
+    pub num_loads: u64,
 }
 
 impl CastStats {
+    /// Reads of a sample: the four rows of its cell, two voxels each; or the nearest voxel.
+    pub(crate) const fn sample_loads(nearest: bool) -> u32 {
+        if nearest { 1 } else { 4 }
+    }
+
+    /// Further reads of a lit sample: its gradient takes the eight rows beside its cell. (The cell's own are then read two
+    /// voxels longer.)
+    const GRADIENT_LOADS: u64 = 8;
+
+    /// Counts the reads, which follow from the other counts: of samples and their gradients, one radius for each look-up,
+    /// and one label for each leap over a class. Reads of the transfer and step tables are left out: they are small and
+    /// stay in the nearest cache, and a leap saves them as well.
+    pub(crate) fn with_loads(self, frame: &Frame<'_>, method: Method<'_>) -> Self {
+        let nearest = frame.options.interpolation == Interpolation::Nearest;
+        let labels = match method {
+            Method::LeapClasses(_) => self.num_leaps,
+            Method::Brute | Method::LeapTransparent(_) => 0,
+        };
+        let samples = u64::from(Self::sample_loads(nearest)) * self.num_samples;
+        let gradients = Self::GRADIENT_LOADS * self.num_shaded;
+        Self {
+            num_loads: samples + gradients + self.num_lookups + labels,
+            ..self
+        }
+    }
+
     fn plus(self, other: Self) -> Self {
         Self {
             num_rays: self.num_rays + other.num_rays,
@@ -48,6 +79,8 @@ impl CastStats {
             num_lookups: self.num_lookups + other.num_lookups,
             num_leaps: self.num_leaps + other.num_leaps,
             num_skipped: self.num_skipped + other.num_skipped,
+            num_shaded: self.num_shaded + other.num_shaded,
+            num_loads: self.num_loads + other.num_loads,
         }
     }
 }
@@ -87,14 +120,14 @@ fn cast(
 ) -> Result<(Vec<u8>, CastStats), RaycastError> {
     check(frame, method, rows, simd)?;
     let bytes = (0u8, 3 * frame.camera().width());
-    #[cfg(target_arch = "x86_64")]
     if let Some(packets) = Packets::of(frame, method, simd) {
         return Ok(share(rows, bytes, BAND_ROWS, stop, |first, out| {
-            packets.cast_band(first, out)
+            packets.cast_band(first, out).with_loads(frame, method)
         }));
     }
+    let start = Start::of(frame, method);
     Ok(share(rows, bytes, 1, stop, |row, out| {
-        cast_row(frame, method, row, out, simd)
+        cast_row(frame, method, start, row, out, simd).with_loads(frame, method)
     }))
 }
 
@@ -107,8 +140,9 @@ pub fn cast_rows_scalar(
 ) -> Result<(Vec<u8>, CastStats), RaycastError> {
     check(frame, method, &rows, simd)?;
     let bytes = (0u8, 3 * frame.camera().width());
+    let start = Start::of(frame, method);
     Ok(share(&rows, bytes, 1, None, |row, out| {
-        cast_row(frame, method, row, out, simd)
+        cast_row(frame, method, start, row, out, simd).with_loads(frame, method)
     }))
 }
 
@@ -194,27 +228,38 @@ fn check_maps(frame: &Frame<'_>, method: Method<'_>) -> Result<(), RaycastError>
 fn cast_row(
     frame: &Frame<'_>,
     method: Method<'_>,
+    start: Start,
     row: usize,
     out: &mut [u8],
     simd: InstructionSet,
 ) -> CastStats {
     match simd {
-        InstructionSet::Portable => cast_row_body(frame, method, row, out),
+        InstructionSet::Portable | InstructionSet::Neon => {
+            cast_row_body(frame, method, start, row, out)
+        }
         #[cfg(target_arch = "x86_64")]
         // SAFETY: these sets are only handed out where the machine has AVX2, FMA, BMI1, BMI2, LZCNT and POPCNT.
         // Benchmark: the portable build calls a function for every fused multiply-add and is several times slower.
         InstructionSet::Avx2 | InstructionSet::Avx512 => unsafe {
-            cast_row_avx2(frame, method, row, out)
+            cast_row_avx2(frame, method, start, row, out)
         },
         #[cfg(not(target_arch = "x86_64"))]
-        InstructionSet::Avx2 | InstructionSet::Avx512 => cast_row_body(frame, method, row, out),
+        InstructionSet::Avx2 | InstructionSet::Avx512 => {
+            cast_row_body(frame, method, start, row, out)
+        }
     }
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-fn cast_row_avx2(frame: &Frame<'_>, method: Method<'_>, row: usize, out: &mut [u8]) -> CastStats {
-    cast_row_body(frame, method, row, out)
+fn cast_row_avx2(
+    frame: &Frame<'_>,
+    method: Method<'_>,
+    start: Start,
+    row: usize,
+    out: &mut [u8],
+) -> CastStats {
+    cast_row_body(frame, method, start, row, out)
 }
 
 #[allow(
@@ -222,7 +267,13 @@ fn cast_row_avx2(frame: &Frame<'_>, method: Method<'_>, row: usize, out: &mut [u
     reason = "a function passed as a value is compiled outside cast_row_avx2 and loses its instruction set: 3 times slower"
 )]
 #[inline(always)]
-fn cast_row_body(frame: &Frame<'_>, method: Method<'_>, row: usize, out: &mut [u8]) -> CastStats {
+fn cast_row_body(
+    frame: &Frame<'_>,
+    method: Method<'_>,
+    start: Start,
+    row: usize,
+    out: &mut [u8],
+) -> CastStats {
     let shaded = frame.options.light.is_some();
     let nearest = frame.options.interpolation == Interpolation::Nearest;
     match (method, shaded, nearest) {
@@ -253,7 +304,7 @@ fn cast_row_body(frame: &Frame<'_>, method: Method<'_>, row: usize, out: &mut [u
             out,
             #[inline(always)]
             |frame, ray, stats| {
-                leap::cast_transparent::<true, false, false>(frame, radius, ray, stats)
+                leap::cast_transparent::<true, false, false>(frame, radius, start, ray, stats)
             },
         ),
         (Method::LeapTransparent(radius), false, false) => each_pixel(
@@ -262,7 +313,7 @@ fn cast_row_body(frame: &Frame<'_>, method: Method<'_>, row: usize, out: &mut [u
             out,
             #[inline(always)]
             |frame, ray, stats| {
-                leap::cast_transparent::<false, false, false>(frame, radius, ray, stats)
+                leap::cast_transparent::<false, false, false>(frame, radius, start, ray, stats)
             },
         ),
         (Method::LeapTransparent(radius), false, true) => each_pixel(
@@ -271,7 +322,7 @@ fn cast_row_body(frame: &Frame<'_>, method: Method<'_>, row: usize, out: &mut [u
             out,
             #[inline(always)]
             |frame, ray, stats| {
-                leap::cast_transparent::<false, true, false>(frame, radius, ray, stats)
+                leap::cast_transparent::<false, true, false>(frame, radius, start, ray, stats)
             },
         ),
         (Method::LeapClasses(map), _, false) => each_pixel(
@@ -279,14 +330,14 @@ fn cast_row_body(frame: &Frame<'_>, method: Method<'_>, row: usize, out: &mut [u
             row,
             out,
             #[inline(always)]
-            |frame, ray, stats| leap::cast_classes::<false, false>(frame, map, ray, stats),
+            |frame, ray, stats| leap::cast_classes::<false, false>(frame, map, start, ray, stats),
         ),
         (Method::LeapClasses(map), _, true) => each_pixel(
             frame,
             row,
             out,
             #[inline(always)]
-            |frame, ray, stats| leap::cast_classes::<true, false>(frame, map, ray, stats),
+            |frame, ray, stats| leap::cast_classes::<true, false>(frame, map, start, ray, stats),
         ),
     }
 }

@@ -1,11 +1,23 @@
 //! The leaping caster (paper 4.3): the brute-force samples, less those that a map shows to be known.
+//!
+//! # When a ray asks the map
+//! A look-up that finds no region has cost a read for nothing. In the open lumen nearly every look-up pays; in dense or
+//! noisy tissue none does, and leaping must not cost more than brute force there. So every ray has *patience*: after a
+//! look-up that did not pay it takes that many samples before it asks again, and each time twice as many, up to
+//! [`MOST_PATIENCE`]. A leap that pays sets the patience back. Directly after a sample that added something no ray asks:
+//! the next one nearly always does too. Where the camera stands in no region, or outside the volume (whose outermost
+//! voxels have radius 0), all rays start with [`BLIND_SAMPLES`] samples and more patience.
+//!
+//! The rule looks at nothing but the ray itself and the camera's voxel, so it is the same in packets, and for each
+//! split of the picture. In the worst case, a ray that leaves a region behind and never finds another, it costs about
+//! one read more than brute force; over a long ray without regions less than 1 percent (docs/decisions/0005).
 
 use carina_isoregion::{MAX_SEGMENT_SAMPLES, SegmentTable};
 
 use crate::{
     composite::Gathered,
     frame::{Frame, Ray, STOP_TRANSPARENCY},
-    image::CastStats,
+    image::{CastStats, Method},
     sampling::Lanes,
 };
 
@@ -25,8 +37,104 @@ pub(crate) const FAR: f32 = 1e30;
 /// More steps than any ray has within a cube of 511 voxels.
 pub(crate) const MAX_STEPS: f32 = 1e9;
 
-/// Samples taken after a look-up that found no region: at half a voxel a step two samples share a voxel.
-pub(crate) const WAIT_SAMPLES: u32 = 2;
+/// Samples after the first look-up that did not pay: at half a voxel a step two samples share a voxel.
+pub(crate) const LEAST_PATIENCE: u32 = 2;
+/// At most this many samples between look-ups: the price of one is then below 1 percent of the samples' reads.
+pub(crate) const MOST_PATIENCE: u32 = 128;
+/// Samples before the first look-up of rays that start in no region.
+const BLIND_SAMPLES: u32 = 8;
+
+/// Leaps that pay: by the reads that they save and those of a look-up.
+#[derive(Clone, Copy)]
+pub(crate) struct Price {
+    /// Shorter leaps cost more than their samples.
+    pub worth: u32,
+    /// Leaps this long also pay for the next few look-ups that fail.
+    pub pays: u32,
+}
+
+impl Price {
+    /// For samples and look-ups of so many reads.
+    pub(crate) const fn of(sample_loads: u32, lookup_loads: u32) -> Self {
+        Self {
+            worth: lookup_loads.div_ceil(sample_loads),
+            // With patience 2, 4, 8, ... about three failing look-ups exceed 3 percent of the reads between them.
+            pays: (lookup_loads + 3).div_ceil(sample_loads),
+        }
+    }
+}
+
+/// How the rays of a picture start to ask.
+#[derive(Clone, Copy)]
+pub(crate) struct Start {
+    /// Samples before the first look-up.
+    pub wait: u32,
+    pub patience: u32,
+}
+
+impl Start {
+    pub(crate) fn of(frame: &Frame<'_>, method: Method<'_>) -> Self {
+        let radius = match method {
+            Method::Brute => &[],
+            Method::LeapTransparent(radius) => radius,
+            Method::LeapClasses(map) => map.radius,
+        };
+        let in_region = frame
+            .camera_voxel()
+            .is_some_and(|index| radius.get(index).is_some_and(|&r| r > 0));
+        if in_region {
+            Self {
+                wait: 0,
+                patience: LEAST_PATIENCE,
+            }
+        } else {
+            Self {
+                wait: BLIND_SAMPLES,
+                patience: 2 * BLIND_SAMPLES,
+            }
+        }
+    }
+}
+
+/// When one ray asks next.
+struct Asking {
+    at: u32,
+    patience: u32,
+}
+
+impl Asking {
+    #[inline(always)]
+    fn of(start: Start, ray: &Ray) -> Self {
+        Self {
+            at: ray.first + start.wait,
+            patience: start.patience,
+        }
+    }
+
+    /// After a look-up for sample `k` that found nothing.
+    #[inline(always)]
+    fn failed(&mut self, k: u32) {
+        self.at = k + self.patience;
+        self.patience = (2 * self.patience).min(MOST_PATIENCE);
+    }
+
+    /// After a leap from sample `k` over `n` samples.
+    #[inline(always)]
+    fn leaped(&mut self, k: u32, n: u32, price: Price) {
+        if n < price.worth {
+            self.failed(k);
+        }
+        if n >= price.pays {
+            self.patience = LEAST_PATIENCE;
+        }
+    }
+
+    /// After sample `k`, which added something.
+    #[inline(always)]
+    fn lit(&mut self, k: u32) {
+        self.at = self.at.max(k + 2);
+    }
+}
 
 /// A ray's reach in steps: how far it may go before it leaves a cube.
 #[derive(Clone, Copy)]
@@ -77,19 +185,19 @@ impl Pace {
 pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HITS: bool>(
     frame: &Frame<'_>,
     radius: &[u8],
+    start: Start,
     ray: &Ray,
     stats: &mut CastStats,
 ) -> Gathered {
     let mut gathered = Gathered::NOTHING;
     let pace = Pace::of(ray);
+    let price = const { Price::of(CastStats::sample_loads(NEAREST), 1) };
     let mut k = ray.first;
-    let mut counts = [0u32; 3];
-    // Samples to take before the map is asked again. Where a sample added something, the next one nearly always does
-    // too; where the map knew nothing, the next sample is often in the same voxel.
-    let mut wait = 0;
+    let mut counts = [0u32; 4];
+    let mut asking = Asking::of(start, ray);
     while k < ray.end {
         let p = ray.at(k);
-        if wait == 0 {
+        if k >= asking.at {
             let (index, v) = frame.field.nearest(p);
             counts[0] += 1;
             // SAFETY: `cast_rows` has checked that the map has the volume's voxels; `nearest` clamps to them.
@@ -103,25 +211,27 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HI
                     .min(ray.end - k);
                 counts[1] += 1;
                 counts[2] += n;
+                asking.leaped(k, n, price);
                 k += n;
                 continue;
             }
-            wait = WAIT_SAMPLES;
+            asking.failed(k);
         }
-        k += 1;
-        if frame.add_sample::<SHADED, NEAREST, HITS>(ray, k - 1, p, &mut gathered) {
-            wait = 1;
+        if frame.add_sample::<SHADED, NEAREST, HITS>(ray, k, p, &mut gathered) {
+            counts[3] += 1;
+            asking.lit(k);
             if gathered.transparency < STOP_TRANSPARENCY {
+                k += 1;
                 break;
             }
-        } else {
-            wait -= 1;
         }
+        k += 1;
     }
     stats.num_lookups += u64::from(counts[0]);
     stats.num_leaps += u64::from(counts[1]);
     stats.num_skipped += u64::from(counts[2]);
     stats.num_samples += u64::from(k - ray.first - counts[2]);
+    stats.num_shaded += if SHADED { u64::from(counts[3]) } else { 0 };
     gathered
 }
 
@@ -131,48 +241,69 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HI
 pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
     frame: &Frame<'_>,
     map: ClassMap<'_>,
+    start: Start,
     ray: &Ray,
     stats: &mut CastStats,
 ) -> Gathered {
     let mut gathered = Gathered::NOTHING;
     let pace = Pace::of(ray);
+    let price = const { Price::of(CastStats::sample_loads(NEAREST), 2) };
     // A nearest-voxel sample needs its own voxel in the cube, not eight corners: half a voxel more on each side.
-    let margin = if NEAREST { 0.5 } else { 0.0 } - frame.guard_vox;
+    let margin = class_margin(frame, NEAREST);
     let mut k = ray.first;
+    let mut asking = Asking::of(start, ray);
     while k < ray.end {
         let p = ray.at(k);
-        let (index, v) = frame.field.nearest(p);
-        stats.num_lookups += 1;
-        let (label, r) = (map.labels[index], map.radius[index]);
-        if label != 0 && (NEAREST || r > 0) {
-            let n = pace
-                .steps(p, v, f32::from(r) + margin)
-                .saturating_add(1)
-                .min(ray.end - k)
-                .min(MAX_SEGMENT_SAMPLES as u32);
-            let n = map.segments.samples_until(
-                label,
-                n as usize,
-                gathered.transparency,
-                STOP_TRANSPARENCY,
-            );
-            if HITS {
-                cross_segment(&mut gathered, map.segments, label, k, n);
+        if k >= asking.at {
+            let (index, v) = frame.field.nearest(p);
+            stats.num_lookups += 1;
+            // The label is read only where it counts; where it is 0, the radius is.
+            let r = map.radius[index];
+            let label = if r > 0 { map.labels[index] } else { 0 };
+            if label != 0 {
+                let n = pace
+                    .steps(p, v, f32::from(r) + margin)
+                    .saturating_add(1)
+                    .min(ray.end - k)
+                    .min(MAX_SEGMENT_SAMPLES as u32);
+                let n = map.segments.samples_until(
+                    label,
+                    n as usize,
+                    gathered.transparency,
+                    STOP_TRANSPARENCY,
+                );
+                if HITS {
+                    cross_segment(&mut gathered, map.segments, label, k, n);
+                }
+                gathered.add_segment(map.segments.segment(label, n));
+                stats.num_leaps += 1;
+                stats.num_skipped += n as u64;
+                asking.leaped(k, n as u32, price);
+                k += n as u32;
+                if gathered.transparency < STOP_TRANSPARENCY {
+                    break;
+                }
+                continue;
             }
-            gathered.add_segment(map.segments.segment(label, n));
-            stats.num_leaps += 1;
-            stats.num_skipped += n as u64;
-            k += n as u32;
-        } else {
-            frame.add_sample::<false, NEAREST, HITS>(ray, k, p, &mut gathered);
-            stats.num_samples += 1;
-            k += 1;
+            asking.failed(k);
         }
+        frame.add_sample::<false, NEAREST, HITS>(ray, k, p, &mut gathered);
+        stats.num_samples += 1;
+        k += 1;
         if gathered.transparency < STOP_TRANSPARENCY {
             break;
         }
     }
     gathered
+}
+
+/// What a leap over a class may reach beyond the radius.
+pub(crate) fn class_margin(frame: &Frame<'_>, nearest: bool) -> f32 {
+    if nearest {
+        0.5 - frame.guard_vox
+    } else {
+        -frame.guard_vox
+    }
 }
 
 /// Notes the first wall if it lies within a segment: its samples one by one, as the step table has them.

@@ -5,8 +5,8 @@
 //! camera's centre.
 //!
 //! Kernels use IEEE f32 add, multiply, divide, square root and explicit fused multiply-add in a fixed order, so the
-//! picture depends neither on threads nor on strips nor on the instruction set. On machines with AVX2 or AVX-512 the
-//! module `packet` casts 8 or 16 rays at once, with the same bits; the scalar casters define truth.
+//! picture depends neither on threads nor on strips nor on the instruction set. The module `packet` casts
+//! 8 or 16 rays at once, with the same bits; the scalar casters define truth.
 
 #![allow(
     clippy::inline_always,
@@ -15,10 +15,6 @@
 #![allow(
     clippy::needless_range_loop,
     reason = "the loop variable is an axis or a channel of several short arrays at once"
-)]
-#![cfg_attr(
-    not(target_arch = "x86_64"),
-    allow(dead_code, reason = "packets exist for x86_64 only")
 )]
 #![cfg_attr(
     test,
@@ -40,7 +36,6 @@ mod light;
 mod lines;
 mod mask;
 mod numbers;
-#[cfg(target_arch = "x86_64")]
 mod packet;
 mod plane;
 mod projection;

@@ -6,14 +6,13 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-#[cfg(target_arch = "x86_64")]
-use crate::packet::{BAND_ROWS, Packets};
 use crate::{
     CastStats, Frame, InstructionSet, Interpolation, Method, RaycastError, TransferTable, brute,
     composite::Gathered,
     frame::Ray,
     image::{check, share},
-    leap,
+    leap::{self, Start},
+    packet::{BAND_ROWS, Packets},
     sampling::Lanes,
 };
 
@@ -76,7 +75,8 @@ pub fn pick(
     }
     check(frame, method, &(row..row + 1), InstructionSet::Portable)?;
     let ray = frame.ray(column, row);
-    let wall = cast_wall(frame, method, &ray, &mut CastStats::default());
+    let start = Start::of(frame, method);
+    let wall = cast_wall(frame, method, start, &ray, &mut CastStats::default());
     let found = wall.hit >= 0.0;
     Ok(found.then(|| hit_of(frame, &Normals::of(frame), column, row, wall.hit)))
 }
@@ -90,14 +90,13 @@ pub(crate) fn cast_walls(
 ) -> Result<(Vec<Gathered>, CastStats), RaycastError> {
     check(frame, method, &rows, simd)?;
     let pixels = (Gathered::NOTHING, frame.camera().width());
-    #[cfg(target_arch = "x86_64")]
-    if let Some(packets) = Packets::of(frame, method, simd) {
+    if let Some(packets) = Packets::of(frame, method, simd).filter(Packets::find_walls) {
         return Ok(share(&rows, pixels, BAND_ROWS, None, |first, out| {
-            packets.cast_walls(first, out)
+            packets.cast_walls(first, out).with_loads(frame, method)
         }));
     }
     Ok(share(&rows, pixels, 1, None, |row, out| {
-        cast_walls_row(frame, method, row, out)
+        cast_walls_row(frame, method, row, out).with_loads(frame, method)
     }))
 }
 
@@ -108,30 +107,36 @@ pub(crate) fn cast_walls_row(
     row: usize,
     out: &mut [Gathered],
 ) -> CastStats {
-    let mut stats = CastStats::default();
+    let (start, mut stats) = (Start::of(frame, method), CastStats::default());
     for (column, pixel) in out.iter_mut().enumerate() {
-        *pixel = cast_wall(frame, method, &frame.ray(column, row), &mut stats);
+        *pixel = cast_wall(frame, method, start, &frame.ray(column, row), &mut stats);
     }
     stats.num_rays = out.len() as u64;
     stats
 }
 
-fn cast_wall(frame: &Frame<'_>, method: Method<'_>, ray: &Ray, stats: &mut CastStats) -> Gathered {
+fn cast_wall(
+    frame: &Frame<'_>,
+    method: Method<'_>,
+    start: Start,
+    ray: &Ray,
+    stats: &mut CastStats,
+) -> Gathered {
     let nearest = frame.options.interpolation == Interpolation::Nearest;
     match (method, nearest) {
         (Method::Brute, false) => brute::cast::<false, false, true>(frame, ray, stats),
         (Method::Brute, true) => brute::cast::<false, true, true>(frame, ray, stats),
         (Method::LeapTransparent(radius), false) => {
-            leap::cast_transparent::<false, false, true>(frame, radius, ray, stats)
+            leap::cast_transparent::<false, false, true>(frame, radius, start, ray, stats)
         }
         (Method::LeapTransparent(radius), true) => {
-            leap::cast_transparent::<false, true, true>(frame, radius, ray, stats)
+            leap::cast_transparent::<false, true, true>(frame, radius, start, ray, stats)
         }
         (Method::LeapClasses(map), false) => {
-            leap::cast_classes::<false, true>(frame, map, ray, stats)
+            leap::cast_classes::<false, true>(frame, map, start, ray, stats)
         }
         (Method::LeapClasses(map), true) => {
-            leap::cast_classes::<true, true>(frame, map, ray, stats)
+            leap::cast_classes::<true, true>(frame, map, start, ray, stats)
         }
     }
 }

@@ -6,55 +6,104 @@ mod scene;
 use std::ops::Range;
 
 use carina_grid::{Affine, Camera, Grid, VolumeView};
-use carina_isoregion::{class_labels, radius_map};
-use carina_raycast::{CastStats, Frame, InstructionSet, Method, cast_rows};
+use carina_isoregion::{SegmentTable, class_labels, radius_map, value_labels};
+use carina_raycast::{
+    CastStats, ClassMap, Frame, InstructionSet, Method, cast_rows, cast_rows_scalar,
+};
 use proptest::prelude::*;
 use scene::{Scene, any_scene, options};
 
+/// Which caster, and how it reads samples.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Kind {
+    Brute,
+    Transparent,
+    /// Leaps over all classes; never shaded.
+    Classes,
+}
+
+#[derive(Debug, Clone)]
 struct Case {
+    kind: Kind,
     shaded: bool,
-    leaps: bool,
+    nearest: bool,
     rows: Range<usize>,
 }
 
-fn cast(scene: &Scene, radius: &[u8], case: &Case, simd: InstructionSet) -> (Vec<u8>, CastStats) {
-    let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
-    let table = scene.table(false);
-    let settings = options(case.shaded, false);
-    let frame = Frame::new(volume, &table, scene.camera.clone(), settings).unwrap();
-    let method = if case.leaps {
-        Method::LeapTransparent(radius)
-    } else {
-        Method::Brute
-    };
-    cast_rows(&frame, method, case.rows.clone(), simd).unwrap()
+fn any_kind() -> impl Strategy<Value = (Kind, bool, bool)> {
+    prop_oneof![
+        (Just(Kind::Brute), any::<bool>(), any::<bool>()),
+        (Just(Kind::Transparent), any::<bool>(), any::<bool>()),
+        (Just(Kind::Classes), Just(false), any::<bool>()),
+    ]
+    .prop_map(|(kind, shaded, nearest)| (kind, shaded, nearest && !shaded))
 }
 
-fn transparent_radius(scene: &Scene) -> Vec<u8> {
-    let entries = scene.transfer(false).range(-1100, 3100);
-    let labels = class_labels(&scene.hu, -1100, &entries, true)
-        .unwrap()
-        .labels;
-    radius_map(&labels, scene.grid.shape_zyx()).unwrap()
+/// Radii and labels of a volume, and a value of each class.
+struct Maps {
+    radius: Vec<u8>,
+    labels: Vec<u8>,
+    values: Vec<i32>,
+}
+
+fn maps(scene: &Scene, case: &Case) -> Maps {
+    let entries = scene.transfer(case.nearest).range(-1100, 3100);
+    let only_transparent = case.kind != Kind::Classes;
+    let out = if case.nearest && case.kind == Kind::Classes {
+        value_labels(&scene.hu, |_, _| false)
+    } else {
+        class_labels(&scene.hu, -1100, &entries, only_transparent).unwrap()
+    };
+    Maps {
+        radius: radius_map(&out.labels, scene.grid.shape_zyx()).unwrap(),
+        labels: out.labels,
+        values: out.classes.iter().map(|class| class.lo_hu).collect(),
+    }
+}
+
+type Cast = (Vec<u8>, CastStats);
+
+/// By the scalar casters, and by packets on every instruction set.
+fn cast(scene: &Scene, maps: &Maps, case: &Case) -> (Cast, Vec<(InstructionSet, Cast)>) {
+    let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
+    let table = scene.table(case.nearest);
+    let settings = options(case.shaded, case.nearest);
+    let frame = Frame::new(volume, &table, scene.camera.clone(), settings).unwrap();
+    let colours: Vec<_> = maps.values.iter().map(|&v| table.entry(v)).collect();
+    let segments = SegmentTable::new(&colours);
+    let method = match case.kind {
+        Kind::Brute => Method::Brute,
+        Kind::Transparent => Method::LeapTransparent(&maps.radius),
+        Kind::Classes => Method::LeapClasses(ClassMap {
+            labels: &maps.labels,
+            radius: &maps.radius,
+            segments: &segments,
+        }),
+    };
+    let best = InstructionSet::best();
+    let truth = cast_rows_scalar(&frame, method, case.rows.clone(), best).unwrap();
+    let found = InstructionSet::available()
+        .into_iter()
+        .map(|simd| {
+            let out = cast_rows(&frame, method, case.rows.clone(), simd).unwrap();
+            (simd, out)
+        })
+        .collect();
+    (truth, found)
 }
 
 fn packets_equal_scalar(scene: &Scene, case: &Case) -> Result<(), TestCaseError> {
-    packets_equal_scalar_with(scene, &transparent_radius(scene), case)
+    packets_equal_scalar_with(scene, &maps(scene, case), case)
 }
 
-fn packets_equal_scalar_with(
-    scene: &Scene,
-    radius: &[u8],
-    case: &Case,
-) -> Result<(), TestCaseError> {
-    let truth = cast(scene, radius, case, InstructionSet::Portable);
-    for simd in InstructionSet::available() {
-        let found = cast(scene, radius, case, simd);
-        prop_assert_eq!(found.1, truth.1, "{}", simd.name());
+fn packets_equal_scalar_with(scene: &Scene, maps: &Maps, case: &Case) -> Result<(), TestCaseError> {
+    let (truth, all) = cast(scene, maps, case);
+    for (simd, found) in all {
+        prop_assert_eq!(found.1, truth.1, "{} {:?}", simd.name(), case);
         if let Some(at) = found.0.iter().zip(&truth.0).position(|(a, b)| a != b) {
             let (pixel, width) = (at / 3, scene.camera.width());
             return Err(TestCaseError::fail(format!(
-                "{}: column {}, row {}: {} for {}",
+                "{} {case:?}: column {}, row {}: {} for {}",
                 simd.name(),
                 pixel % width,
                 case.rows.start + pixel / width,
@@ -73,21 +122,21 @@ proptest! {
     fn packets_equal_the_scalar_casters_bit_for_bit(
         mut scene in any_scene(),
         size in (1usize..40, 1usize..24),
-        shaded in any::<bool>(),
-        leaps in any::<bool>(),
+        kind in any_kind(),
         cut in prop::array::uniform2(0.0f64..1.0),
     ) {
         // Widths and heights that fill no packet, and strips that start and end inside a band.
         scene.resize(size.0, size.1);
         let at = cut.map(|c| (c * (size.1 + 1) as f64) as usize);
         let rows = at[0].min(at[1])..at[0].max(at[1]);
-        packets_equal_scalar(&scene, &Case { shaded, leaps, rows })?;
-        packets_equal_scalar(&scene, &Case { shaded, leaps, rows: 0..size.1 })?;
+        let (kind, shaded, nearest) = kind;
+        packets_equal_scalar(&scene, &Case { kind, shaded, nearest, rows })?;
+        packets_equal_scalar(&scene, &Case { kind, shaded, nearest, rows: 0..size.1 })?;
     }
 
     #[test]
     fn packets_read_extreme_values_as_the_scalar_casters_do(
-        mut scene in any_scene(), shaded in any::<bool>(), leaps in any::<bool>(), seed in any::<u64>(),
+        mut scene in any_scene(), kind in any_kind(), seed in any::<u64>(),
     ) {
         // All of int16, so that differences of voxels need 17 bits and the table is left on both sides.
         let mut state = seed | 1;
@@ -105,27 +154,42 @@ proptest! {
         for hu in &mut clamped.hu {
             *hu = (*hu).clamp(-1100, 3100);
         }
-        let radius = transparent_radius(&clamped);
-        let case = Case { shaded, leaps, rows: 0..scene.camera.height() };
-        packets_equal_scalar_with(&scene, &radius, &case)?;
+        let (kind, shaded, nearest) = kind;
+        let case = Case { kind, shaded, nearest, rows: 0..scene.camera.height() };
+        packets_equal_scalar_with(&scene, &maps(&clamped, &case), &case)?;
     }
 
     #[test]
     fn packets_read_every_byte_of_a_map_as_the_scalar_casters_do(
-        scene in any_scene(), shaded in any::<bool>(), seed in any::<u64>(),
+        scene in any_scene(), kind in any_kind(), seed in any::<u64>(),
     ) {
-        // No map that belongs to a volume: its border would be 0, and the very last bytes are the ones hard to gather.
+        // No maps that belong to a volume: their border would be 0, and the very last bytes are the ones hard to gather.
         let mut state = seed | 1;
-        let radius: Vec<u8> = (0..scene.hu.len())
-            .map(|_| {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                if state >> 63 == 0 { 0 } else { (state >> 40) as u8 }
-            })
-            .collect();
+        let mut random = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            if state >> 63 == 0 { 0 } else { (state >> 40) as u8 }
+        };
+        let (kind, shaded, nearest) = kind;
+        let maps = Maps {
+            radius: scene.hu.iter().map(|_| random()).collect(),
+            labels: scene.hu.iter().map(|_| random()).collect(),
+            values: (0..255).map(|n| n * 16 - 1100).collect(),
+        };
         let rows = 0..scene.camera.height();
-        packets_equal_scalar_with(&scene, &radius, &Case { shaded, leaps: true, rows })?;
+        packets_equal_scalar_with(&scene, &maps, &Case { kind, shaded, nearest, rows })?;
     }
 }
+
+const KINDS: [(Kind, bool, bool); 8] = [
+    (Kind::Brute, true, false),
+    (Kind::Transparent, true, false),
+    (Kind::Brute, false, false),
+    (Kind::Transparent, false, false),
+    (Kind::Classes, false, false),
+    (Kind::Brute, false, true),
+    (Kind::Transparent, false, true),
+    (Kind::Classes, false, true),
+];
 
 #[test]
 fn rays_that_stand_still_on_an_axis_are_those_of_the_scalar_casters() {
@@ -147,17 +211,15 @@ fn rays_that_stand_still_on_an_axis_are_those_of_the_scalar_casters() {
     ] {
         let pose = Affine::from_columns([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], at);
         scene.camera = Camera::new(pose, 1.5, 33, 21).unwrap();
-        for (shaded, leaps) in [(true, true), (true, false), (false, true)] {
+        for (kind, shaded, nearest) in KINDS {
             let rows = 0..21;
-            packets_equal_scalar(
-                &scene,
-                &Case {
-                    shaded,
-                    leaps,
-                    rows,
-                },
-            )
-            .unwrap();
+            let case = Case {
+                kind,
+                shaded,
+                nearest,
+                rows,
+            };
+            packets_equal_scalar(&scene, &case).unwrap();
         }
     }
 }
@@ -168,17 +230,15 @@ fn packets_equal_the_scalar_casters_over_a_whole_picture() {
     for offset in [[0.0, 0.5, -0.5], [30.0, -8.0, 4.0]] {
         let mut scene = Scene::fixed(offset, [0.2, -1.1, 0.4]);
         scene.resize(131, 97);
-        for (shaded, leaps) in [(true, true), (true, false), (false, true), (false, false)] {
+        for (kind, shaded, nearest) in KINDS {
             let rows = 0..97;
-            packets_equal_scalar(
-                &scene,
-                &Case {
-                    shaded,
-                    leaps,
-                    rows,
-                },
-            )
-            .unwrap();
+            let case = Case {
+                kind,
+                shaded,
+                nearest,
+                rows,
+            };
+            packets_equal_scalar(&scene, &case).unwrap();
         }
     }
 }

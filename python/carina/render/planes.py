@@ -92,7 +92,7 @@ class PlaneCaster:
         return Picture(
             rgb=rgb,
             view="tri-plane",
-            stats=RenderStats("plane", view.width, view.height, count, count, 0, 0, 0, 0.0),
+            stats=RenderStats("plane", view.width, view.height, count, count, 0, 0, 0, 0, 0, 0.0),
             lps_from_camera=pose.lps_from_camera,
             fov_deg=view.fov_deg,
         )
@@ -134,7 +134,7 @@ class PlaneCaster:
 
 def _planar_picture(name: str, method: str, grey: NDArray[np.uint8], matrix: NDArray[np.float64]) -> Picture:
     height, width = grey.shape
-    stats = RenderStats(method, width, height, width * height, width * height, 0, 0, 0, 0.0)
+    stats = RenderStats(method, width, height, width * height, width * height, 0, 0, 0, 0, 0, 0.0)
     rgb = np.repeat(grey[:, :, None], 3, axis=2)
     return Picture(rgb=rgb, view=name, stats=stats, lps_from_pixel=matrix)
 

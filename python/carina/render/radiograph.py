@@ -49,7 +49,7 @@ def cast_drr(volume: Volume, view: DrrView, *, simd: str | None = None) -> Pictu
     )
     rgb = np.repeat(_toned(water_mm, view)[:, :, None], 3, axis=2)
     count = view.width * view.height
-    stats = RenderStats("radiograph", view.width, view.height, count, 0, 0, 0, 0, 0.0)
+    stats = RenderStats("radiograph", view.width, view.height, count, 0, 0, 0, 0, 0, 0, 0.0)
     if view.parallel:
         return Picture(rgb=rgb, view="drr", stats=stats, lps_from_pixel=matrix)
     camera = np.eye(4)

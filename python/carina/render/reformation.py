@@ -34,7 +34,7 @@ def cast_path_view(volume: Volume, view: PathView) -> Picture:
     if view.kind == "straightened":
         across_mm = np.abs(np.arange(view.width) + 0.5 - view.width / 2) * lines.mm_per_px
         grey[:, across_mm > HALF_WIDTH_MM] = 0
-    stats = RenderStats("lines", view.width, view.height, *(view.width * view.height,) * 2, 0, 0, 0, 0.0)
+    stats = RenderStats("lines", view.width, view.height, *(view.width * view.height,) * 2, 0, 0, 0, 0, 0, 0.0)
     return Picture(rgb=np.repeat(grey[:, :, None], 3, axis=2), view=view.kind, stats=stats, lines=lines)
 
 

@@ -52,8 +52,8 @@ class Renderer:
     cache_dir
         Folder for maps that were slow to build (docs/decisions/0006-maps-are-built.md); None keeps none.
     simd
-        Instruction set of the kernels (``portable``, ``avx2``, ``avx512``) for tests; unless told, what ``CARINA_SIMD``
-        names, or the fastest of this machine. The pictures are the same.
+        Instruction set of the kernels (``portable``, ``avx2``, ``avx512``, ``neon``) for tests; unless told, what
+        ``CARINA_SIMD`` names, or the fastest of this machine. The pictures are the same.
     """
 
     def __init__(

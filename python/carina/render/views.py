@@ -318,7 +318,9 @@ class RenderStats:
     """What a picture took.
 
     ``method`` is the caster that ran: ``leap``, ``leap-all``, ``brute``, ``plane``, ``projection``, ``radiograph`` or
-    ``lines``.
+    ``lines``. ``num_loads`` counts the reads of volume and maps: four rows of two voxels for each sample (one voxel
+    where sampling is ``nearest``), eight more for the gradient of each shaded one, one radius for each look-up, one
+    label for each leap over all classes; 0 for planes.
     """
 
     method: str
@@ -329,6 +331,8 @@ class RenderStats:
     num_lookups: int
     num_leaps: int
     num_skipped: int
+    num_shaded: int
+    num_loads: int
     seconds: float
 
 

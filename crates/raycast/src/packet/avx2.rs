@@ -1,21 +1,15 @@
 //! Eight rays: AVX2 and FMA.
+#![allow(
+    clippy::wildcard_imports,
+    reason = "half a hundred intrinsics, each named in full where it is used"
+)]
 
-use std::arch::x86_64::{
-    __m256, __m256i, _CMP_LT_OQ, _mm_loadu_ps, _mm256_add_epi32, _mm256_add_ps, _mm256_and_ps,
-    _mm256_and_si256, _mm256_andnot_si256, _mm256_blendv_epi8, _mm256_blendv_ps,
-    _mm256_castps_si256, _mm256_castps128_ps256, _mm256_castsi256_ps, _mm256_castsi256_si128,
-    _mm256_cmp_ps, _mm256_cmpeq_epi32, _mm256_cmpgt_epi32, _mm256_cvtepi32_ps, _mm256_cvttps_epi32,
-    _mm256_div_ps, _mm256_extracti128_si256, _mm256_floor_ps, _mm256_fmadd_ps,
-    _mm256_i32gather_epi32, _mm256_i32gather_epi64, _mm256_insertf128_ps, _mm256_loadu_ps,
-    _mm256_loadu_si256, _mm256_madd_epi16, _mm256_max_epi32, _mm256_max_ps, _mm256_min_epi32,
-    _mm256_min_ps, _mm256_movemask_ps, _mm256_mul_ps, _mm256_mullo_epi32, _mm256_permute4x64_epi64,
-    _mm256_permutevar8x32_epi32, _mm256_set1_epi32, _mm256_set1_ps, _mm256_setr_epi32,
-    _mm256_shuffle_ps, _mm256_slli_epi32, _mm256_sqrt_ps, _mm256_srai_epi32, _mm256_srlv_epi32,
-    _mm256_storeu_ps, _mm256_storeu_si256, _mm256_sub_epi32, _mm256_sub_ps, _mm256_unpackhi_ps,
-    _mm256_unpacklo_ps,
+use std::arch::x86_64::*;
+
+use super::{
+    lanes::{Array, Lanes},
+    loads::{eight_voxels, four_bytes, four_pairs, four_quads, lane_pointers},
 };
-
-use super::lanes::{Array, Lanes};
 
 /// The machine has AVX2 and FMA.
 #[derive(Clone, Copy)]
@@ -93,6 +87,16 @@ macro_rules! operations {
     )*};
 }
 
+/// Two halves in one register.
+///
+/// # Safety
+/// The machine must have AVX2.
+#[inline(always)]
+unsafe fn whole_of([a, b]: [__m128i; 2]) -> __m256i {
+    // SAFETY: as promised by the caller.
+    unsafe { _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(a), b) }
+}
+
 impl Lanes for Avx2 {
     const N: usize = 8;
     type F = __m256;
@@ -112,6 +116,7 @@ impl Lanes for Avx2 {
             _mm256_storeu_si256(out.as_mut_ptr().cast(), v);
             out
         }}
+        fn load_i(values: &Array<i32>) -> __m256i { _mm256_loadu_si256(values.as_ptr().cast()) }
         fn fill(old: __m256, mask: u32, values: &Array<f32>) -> __m256 {{
             let values = _mm256_castps_si256(_mm256_loadu_ps(values.as_ptr()));
             let turn = _mm256_loadu_si256(TURN[(mask & 255) as usize].as_ptr().cast());
@@ -163,6 +168,7 @@ impl Lanes for Avx2 {
         fn mask(bits: u32) -> __m256i { lanes_of(bits) }
         fn bits(a: __m256i) -> u32 { _mm256_movemask_ps(_mm256_castsi256_ps(a)) as u32 }
         fn and(a: __m256i, b: __m256i) -> __m256i { _mm256_and_si256(a, b) }
+        fn or(a: __m256i, b: __m256i) -> __m256i { _mm256_or_si256(a, b) }
         fn without(a: __m256i, b: __m256i) -> __m256i { _mm256_andnot_si256(b, a) }
 
         // Products with 1, 0 and -1, added in pairs, in i32: nothing can overflow.
@@ -172,36 +178,72 @@ impl Lanes for Avx2 {
     }
 
     #[inline(always)]
-    unsafe fn pairs(self, data: *const i16, index: __m256i) -> __m256i {
-        // SAFETY: as promised by the caller; a gather needs no alignment.
-        unsafe { _mm256_i32gather_epi32::<2>(data.cast(), index) }
-    }
-
-    #[inline(always)]
-    unsafe fn quads(self, data: *const i16, index: __m256i) -> [__m256i; 2] {
-        // SAFETY: as promised by the caller; a gather needs no alignment.
+    unsafe fn pairs<const R: usize>(
+        self,
+        data: *const i16,
+        base: __m256i,
+        offsets: [i32; R],
+    ) -> [__m256i; R] {
+        let index = self.store_i(base);
+        let mut out = [base; R];
+        // SAFETY: every pair lies in the data, as promised by the caller. Four lanes at a time, whose addresses stay in
+        // registers for all offsets.
         unsafe {
-            let lo = _mm256_i32gather_epi64::<2>(data.cast(), _mm256_castsi256_si128(index));
-            let hi = _mm256_i32gather_epi64::<2>(data.cast(), _mm256_extracti128_si256::<1>(index));
-            let (lo, hi) = (_mm256_castsi256_ps(lo), _mm256_castsi256_ps(hi));
-            // Even and odd halves; the shuffle works within 128 bits, so the quarters are put in order after it.
-            let even = _mm256_castps_si256(_mm256_shuffle_ps::<0x88>(lo, hi));
-            let odd = _mm256_castps_si256(_mm256_shuffle_ps::<0xdd>(lo, hi));
-            [
-                _mm256_permute4x64_epi64::<0xd8>(even),
-                _mm256_permute4x64_epi64::<0xd8>(odd),
-            ]
+            let mut parts = [[_mm_setzero_si128(); 2]; R];
+            for part in 0..2 {
+                let lanes = lane_pointers(data, &index, 4 * part);
+                for n in 0..R {
+                    parts[n][part] = four_pairs(lanes, offsets[n]);
+                }
+            }
+            for n in 0..R {
+                out[n] = whole_of(parts[n]);
+            }
         }
+        out
     }
 
     #[inline(always)]
-    unsafe fn bytes(self, data: *const u8, last_word: i32, index: __m256i) -> __m256i {
-        // SAFETY: 4 bytes from an index of at most `last_word` lie in the data, as promised by the caller.
+    unsafe fn quads<const R: usize>(
+        self,
+        data: *const i16,
+        base: __m256i,
+        offsets: [i32; R],
+    ) -> [[__m256i; 2]; R] {
+        let index = self.store_i(base);
+        let mut out = [[base; 2]; R];
+        // SAFETY: all four voxels lie in the data, as promised by the caller.
         unsafe {
-            let start = _mm256_min_epi32(index, _mm256_set1_epi32(last_word));
-            let word = _mm256_i32gather_epi32::<1>(data.cast(), start);
-            let shift = _mm256_slli_epi32::<3>(_mm256_sub_epi32(index, start));
-            _mm256_and_si256(_mm256_srlv_epi32(word, shift), _mm256_set1_epi32(255))
+            let mut parts = [[[_mm_setzero_si128(); 2]; 2]; R];
+            for part in 0..2 {
+                let lanes = lane_pointers(data, &index, 4 * part);
+                for n in 0..R {
+                    let [first, second] = four_quads(lanes, offsets[n]);
+                    parts[n][0][part] = first;
+                    parts[n][1][part] = second;
+                }
+            }
+            for n in 0..R {
+                out[n] = [whole_of(parts[n][0]), whole_of(parts[n][1])];
+            }
+        }
+        out
+    }
+
+    #[inline(always)]
+    unsafe fn voxels(self, data: *const i16, index: __m256i) -> __m256i {
+        let index = self.store_i(index);
+        // SAFETY: the voxel lies in the data, as promised by the caller.
+        unsafe { _mm256_cvtepi16_epi32(eight_voxels(data, &index, 0)) }
+    }
+
+    #[inline(always)]
+    unsafe fn bytes(self, data: *const u8, index: __m256i) -> __m256i {
+        let index = self.store_i(index);
+        // SAFETY: the byte lies in the data, as promised by the caller.
+        unsafe {
+            let (a, b) = (four_bytes(data, &index, 0), four_bytes(data, &index, 4));
+            _mm256_cvtepu8_epi32(_mm_unpacklo_epi32(a, b))
         }
     }
 

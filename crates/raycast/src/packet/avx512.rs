@@ -1,21 +1,15 @@
 //! Sixteen rays: AVX-512 F, BW, DQ and VL.
+#![allow(
+    clippy::wildcard_imports,
+    reason = "half a hundred intrinsics, each named in full where it is used"
+)]
 
-use std::arch::x86_64::{
-    __m512, __m512i, __mmask16, _CMP_LT_OQ, _MM_FROUND_NO_EXC, _MM_FROUND_TO_NEG_INF, _mm_loadu_ps,
-    _mm512_abs_ps, _mm512_add_epi32, _mm512_add_ps, _mm512_and_si512, _mm512_castps128_ps512,
-    _mm512_castsi512_si256, _mm512_cmp_ps_mask, _mm512_cmplt_epi32_mask, _mm512_cvtepi32_ps,
-    _mm512_cvttps_epi32, _mm512_div_ps, _mm512_extracti64x4_epi64, _mm512_fmadd_ps,
-    _mm512_i32gather_epi32, _mm512_i32gather_epi64, _mm512_insertf32x4, _mm512_loadu_ps,
-    _mm512_loadu_si512, _mm512_madd_epi16, _mm512_mask_blend_epi32, _mm512_mask_blend_ps,
-    _mm512_mask_expand_epi32, _mm512_mask_expand_ps, _mm512_maskz_compress_epi32,
-    _mm512_maskz_compress_ps, _mm512_max_epi32, _mm512_max_ps, _mm512_min_epi32, _mm512_min_ps,
-    _mm512_mul_ps, _mm512_mullo_epi32, _mm512_permutex2var_epi32, _mm512_roundscale_ps,
-    _mm512_set1_epi32, _mm512_set1_ps, _mm512_setr_epi32, _mm512_shuffle_ps, _mm512_slli_epi32,
-    _mm512_sqrt_ps, _mm512_srai_epi32, _mm512_srlv_epi32, _mm512_storeu_ps, _mm512_storeu_si512,
-    _mm512_sub_epi32, _mm512_sub_ps, _mm512_unpackhi_ps, _mm512_unpacklo_ps,
+use std::arch::x86_64::*;
+
+use super::{
+    lanes::{Array, Lanes},
+    loads::{eight_voxels, four_bytes, four_pairs, four_quads, lane_pointers},
 };
-
-use super::lanes::{Array, Lanes};
 
 /// The machine has AVX-512 F, BW, DQ and VL.
 #[derive(Clone, Copy)]
@@ -44,6 +38,20 @@ macro_rules! operations {
     )*};
 }
 
+/// Four quarters in one register.
+///
+/// # Safety
+/// The machine must have AVX-512 F.
+#[inline(always)]
+unsafe fn whole_of([a, b, c, d]: [__m128i; 4]) -> __m512i {
+    // SAFETY: as promised by the caller.
+    unsafe {
+        let ab = _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(a), b);
+        let cd = _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(c), d);
+        _mm512_inserti64x4::<1>(_mm512_castsi256_si512(ab), cd)
+    }
+}
+
 impl Lanes for Avx512 {
     const N: usize = 16;
     type F = __m512;
@@ -63,6 +71,7 @@ impl Lanes for Avx512 {
             _mm512_storeu_si512(out.as_mut_ptr().cast(), v);
             out
         }}
+        fn load_i(values: &Array<i32>) -> __m512i { _mm512_loadu_si512(values.as_ptr().cast()) }
         fn fill(old: __m512, mask: u32, values: &Array<f32>) -> __m512 {
             _mm512_mask_expand_ps(old, mask as u16, _mm512_loadu_ps(values.as_ptr()))
         }
@@ -117,40 +126,86 @@ impl Lanes for Avx512 {
         a & b
     }
     #[inline(always)]
+    fn or(self, a: __mmask16, b: __mmask16) -> __mmask16 {
+        a | b
+    }
+    #[inline(always)]
     fn without(self, a: __mmask16, b: __mmask16) -> __mmask16 {
         a & !b
     }
 
     #[inline(always)]
-    unsafe fn pairs(self, data: *const i16, index: __m512i) -> __m512i {
-        // SAFETY: as promised by the caller; a gather needs no alignment.
-        unsafe { _mm512_i32gather_epi32::<2>(index, data.cast()) }
+    unsafe fn pairs<const R: usize>(
+        self,
+        data: *const i16,
+        base: __m512i,
+        offsets: [i32; R],
+    ) -> [__m512i; R] {
+        let index = self.store_i(base);
+        let mut out = [base; R];
+        // SAFETY: every pair lies in the data, as promised by the caller. Four lanes at a time, whose addresses stay in
+        // registers for all offsets.
+        unsafe {
+            let mut parts = [[_mm_setzero_si128(); 4]; R];
+            for part in 0..4 {
+                let lanes = lane_pointers(data, &index, 4 * part);
+                for n in 0..R {
+                    parts[n][part] = four_pairs(lanes, offsets[n]);
+                }
+            }
+            for n in 0..R {
+                out[n] = whole_of(parts[n]);
+            }
+        }
+        out
     }
 
     #[inline(always)]
-    unsafe fn quads(self, data: *const i16, index: __m512i) -> [__m512i; 2] {
-        // SAFETY: as promised by the caller; a gather needs no alignment.
+    unsafe fn quads<const R: usize>(
+        self,
+        data: *const i16,
+        base: __m512i,
+        offsets: [i32; R],
+    ) -> [[__m512i; 2]; R] {
+        let index = self.store_i(base);
+        let mut out = [[base; 2]; R];
+        // SAFETY: all four voxels lie in the data, as promised by the caller.
         unsafe {
-            let lo = _mm512_i32gather_epi64::<2>(_mm512_castsi512_si256(index), data.cast());
-            let hi =
-                _mm512_i32gather_epi64::<2>(_mm512_extracti64x4_epi64::<1>(index), data.cast());
-            let even = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
-            let odd = _mm512_setr_epi32(1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31);
-            [
-                _mm512_permutex2var_epi32(lo, even, hi),
-                _mm512_permutex2var_epi32(lo, odd, hi),
-            ]
+            let mut parts = [[[_mm_setzero_si128(); 4]; 2]; R];
+            for part in 0..4 {
+                let lanes = lane_pointers(data, &index, 4 * part);
+                for n in 0..R {
+                    let [first, second] = four_quads(lanes, offsets[n]);
+                    parts[n][0][part] = first;
+                    parts[n][1][part] = second;
+                }
+            }
+            for n in 0..R {
+                out[n] = [whole_of(parts[n][0]), whole_of(parts[n][1])];
+            }
+        }
+        out
+    }
+
+    #[inline(always)]
+    unsafe fn voxels(self, data: *const i16, index: __m512i) -> __m512i {
+        let index = self.store_i(index);
+        // SAFETY: the voxel lies in the data, as promised by the caller.
+        unsafe {
+            let (a, b) = (eight_voxels(data, &index, 0), eight_voxels(data, &index, 8));
+            _mm512_cvtepi16_epi32(_mm256_inserti128_si256::<1>(_mm256_castsi128_si256(a), b))
         }
     }
 
     #[inline(always)]
-    unsafe fn bytes(self, data: *const u8, last_word: i32, index: __m512i) -> __m512i {
-        // SAFETY: 4 bytes from an index of at most `last_word` lie in the data, as promised by the caller.
+    unsafe fn bytes(self, data: *const u8, index: __m512i) -> __m512i {
+        let index = self.store_i(index);
+        // SAFETY: the byte lies in the data, as promised by the caller.
         unsafe {
-            let start = _mm512_min_epi32(index, _mm512_set1_epi32(last_word));
-            let word = _mm512_i32gather_epi32::<1>(start, data.cast());
-            let shift = _mm512_slli_epi32::<3>(_mm512_sub_epi32(index, start));
-            _mm512_and_si512(_mm512_srlv_epi32(word, shift), _mm512_set1_epi32(255))
+            let (a, b) = (four_bytes(data, &index, 0), four_bytes(data, &index, 4));
+            let (c, d) = (four_bytes(data, &index, 8), four_bytes(data, &index, 12));
+            let (ab, cd) = (_mm_unpacklo_epi32(a, b), _mm_unpacklo_epi32(c, d));
+            _mm512_cvtepu8_epi32(_mm_unpacklo_epi64(ab, cd))
         }
     }
 

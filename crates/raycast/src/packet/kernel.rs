@@ -3,7 +3,10 @@
 //! *Search*: rays leap and take samples that are surely clear. *Shade*: rays take samples that may be visible, one after
 //! the other, until one is clear or the ray ends. A lane whose ray has left takes another ray.
 
+use carina_isoregion::SegmentTable;
+
 use super::{
+    ask::Pace,
     lanes::Lanes,
     out::Out,
     pool::{Packet, Pool, Source},
@@ -11,9 +14,15 @@ use super::{
 };
 use crate::{
     CastStats, Frame,
-    frame::STOP_TRANSPARENCY,
-    leap::{FAR, MAX_STEPS, WAIT_SAMPLES},
+    leap::{Price, Start},
 };
+
+/// No leaps.
+pub(super) const BRUTE: u8 = 0;
+/// Leaps over transparent classes.
+pub(super) const TRANSPARENT: u8 = 1;
+/// Leaps over all classes by the step table.
+pub(super) const CLASSES: u8 = 2;
 
 /// Rays that wait for shading before it starts: a change of stage saves and loads all lanes.
 const SHADE_FROM: usize = 48;
@@ -25,6 +34,13 @@ pub(super) struct Scene<'a> {
     pub voxels: Voxels<'a>,
     /// Empty for brute force.
     pub radius: &'a [u8],
+    /// Empty unless all classes are leaped, like the step table.
+    pub labels: &'a [u8],
+    pub segments: &'a SegmentTable,
+    /// What a leap may reach beyond the radius.
+    pub margin: f32,
+    pub start: Start,
+    pub price: Price,
 }
 
 /// The state of a band.
@@ -57,7 +73,13 @@ impl<L: Lanes, O: Out> Band<L, O> {
 impl Scene<'_> {
     /// Casts all rays of a band of rows.
     #[inline(always)]
-    pub(super) fn cast<L: Lanes, O: Out, const SHADED: bool, const LEAP: bool>(
+    pub(super) fn cast<
+        L: Lanes,
+        O: Out,
+        const SHADED: bool,
+        const NEAREST: bool,
+        const LEAP: u8,
+    >(
         &self,
         l: L,
         source: Source,
@@ -74,7 +96,7 @@ impl Scene<'_> {
             out,
         };
         loop {
-            self.search::<L, O, SHADED, LEAP>(l, &mut band);
+            self.search::<L, O, SHADED, NEAREST, LEAP>(l, &mut band);
             if band.shading.is_empty() && band.shade.occupied == 0 {
                 break;
             }
@@ -89,13 +111,13 @@ impl Scene<'_> {
     /// Leaps and clear samples, until enough rays wait for shading or none is left to search. Without shading a visible
     /// sample costs no more than a clear one and is taken here.
     #[inline(always)]
-    fn search<L: Lanes, O: Out, const SHADED: bool, const LEAP: bool>(
+    fn search<L: Lanes, O: Out, const SHADED: bool, const NEAREST: bool, const LEAP: u8>(
         &self,
         l: L,
         band: &mut Band<L, O>,
     ) {
         let mut packet = band.search;
-        let (mut signed, mut plain) = pace(l, &packet.delta);
+        let mut pace = Pace::of(l, &packet.delta);
         let mut active = packet.occupied;
         // Lanes whose next sample may be visible.
         let mut visible = 0;
@@ -114,12 +136,13 @@ impl Scene<'_> {
                     break;
                 }
                 if band.searching.is_empty() && !band.source.is_empty() {
-                    band.source.set_up(self.frame, &mut band.searching);
+                    band.source
+                        .set_up(self.frame, self.start, &mut band.searching);
                 }
                 if !band.searching.is_empty() {
                     band.searching.give_to(l, &mut packet);
-                    if LEAP {
-                        (signed, plain) = pace(l, &packet.delta);
+                    if LEAP != BRUTE {
+                        pace = Pace::of(l, &packet.delta);
                     }
                 }
                 active = packet.occupied & l.bits(l.less_i(packet.k, packet.end));
@@ -131,48 +154,50 @@ impl Scene<'_> {
                 }
             }
             let mut walk = active;
-            if LEAP {
-                let ask = active & l.bits(l.less_i(packet.wait, l.splat_i(1)));
-                walk &= !ask;
+            if LEAP != BRUTE {
+                walk &= l.bits(l.less_i(packet.k, packet.ask_at));
+                let ask = active & !walk;
                 if ask.count_ones() >= walk.count_ones() {
-                    let p = packet.at(l, self.frame.origin3());
-                    let (leaps, n) = self.leap(l, &packet, p, (&signed, &plain));
                     let asked = l.mask(ask);
-                    let leaps = l.and(asked, leaps);
+                    let leaps = if LEAP == CLASSES {
+                        let (leaps, opaque) = self.ask_classes(l, &mut packet, &pace, asked);
+                        active &= !l.bits(opaque);
+                        leaps
+                    } else {
+                        self.ask(l, &mut packet, &pace, asked)
+                    };
                     band.stats.num_lookups += u64::from(ask.count_ones());
                     band.stats.num_leaps += u64::from(l.bits(leaps).count_ones());
-                    packet.k = l.select_i(leaps, l.add_i(packet.k, n), packet.k);
-                    let waits = l.without(asked, leaps);
-                    packet.wait = l.select_i(waits, l.splat_i(WAIT_SAMPLES as i32), packet.wait);
                     active &= l.bits(l.less_i(packet.k, packet.end));
                     continue;
                 }
             }
             let walks = l.mask(walk);
             if SHADED {
-                let cells = self.voxels.cells(l, packet.at(l, self.frame.origin3()));
-                let n = self.entry_of(l, self.voxels.value(l, &cells));
-                // All entries before the first visible one have no opacity.
-                let clear = l.less_i(n, l.splat_i(self.frame.table.first_visible));
-                let clear = l.and(clear, walks);
+                let clear = l.and(walks, self.clear_samples(l, &packet));
                 let clear_bits = l.bits(clear);
                 band.stats.num_samples += u64::from(clear_bits.count_ones());
                 packet.k = l.select_i(clear, l.add_i(packet.k, l.splat_i(1)), packet.k);
-                packet.wait = l.select_i(clear, l.sub_i(packet.wait, l.splat_i(1)), packet.wait);
                 visible |= walk & !clear_bits;
                 active &= l.bits(l.less_i(packet.k, packet.end)) & !visible;
             } else {
                 band.stats.num_samples += u64::from(walk.count_ones());
-                let goes_on = self
-                    .take_samples::<L, O, false>(l, &mut packet, walks, &mut band.out)
-                    .1;
-                active &= goes_on;
+                let (lit, goes_on) =
+                    self.take_samples::<L, O, false, NEAREST>(l, &mut packet, walks, &mut band.out);
+                if LEAP == TRANSPARENT {
+                    // Not directly after a sample that added something.
+                    let next = l.add_i(packet.k, l.splat_i(1));
+                    let later = l.max_i(packet.ask_at, next);
+                    packet.ask_at = l.select_i(lit, later, packet.ask_at);
+                }
+                active &= !walk | l.bits(goes_on);
             }
         }
         band.search = packet;
     }
 
-    /// Visible samples, until no ray waits for shading and few are left in the lanes.
+    /// Visible samples, until no ray waits for shading and few are left in the lanes. No ray asks the map here: a sample
+    /// follows one that added something, or the map has been asked.
     #[inline(always)]
     fn shade<L: Lanes, O: Out>(&self, l: L, band: &mut Band<L, O>) {
         let mut packet = band.shade;
@@ -199,161 +224,12 @@ impl Scene<'_> {
             band.stats.num_samples += u64::from(active.count_ones());
             let take = l.mask(active);
             let (lit, goes_on) =
-                self.take_samples::<L, O, true>(l, &mut packet, take, &mut band.out);
+                self.take_samples::<L, O, true, false>(l, &mut packet, take, &mut band.out);
+            let (lit, goes_on) = (l.bits(lit), l.bits(goes_on));
+            band.stats.num_shaded += u64::from(lit.count_ones());
             clear |= active & goes_on & !lit;
             active &= goes_on & lit;
         }
         band.shade = packet;
     }
-
-    /// Takes samples and goes on to the next ones. Gives the lanes where a sample added something and those whose ray has
-    /// not ended.
-    #[inline(always)]
-    fn take_samples<L: Lanes, O: Out, const SHADED: bool>(
-        &self,
-        l: L,
-        packet: &mut Packet<L>,
-        take: L::M,
-        out: &mut O,
-    ) -> (u32, u32) {
-        let lit = self.add_samples::<L, O, SHADED>(l, packet, take, out);
-        packet.k = l.select_i(take, l.add_i(packet.k, l.splat_i(1)), packet.k);
-        let wait = l.select_i(lit, l.splat_i(1), l.sub_i(packet.wait, l.splat_i(1)));
-        packet.wait = l.select_i(take, wait, packet.wait);
-        let faint = l.less(packet.transparency, l.splat(STOP_TRANSPARENCY));
-        let opaque = l.and(lit, faint);
-        let goes_on = l.without(l.less_i(packet.k, packet.end), opaque);
-        (l.bits(lit), l.bits(goes_on))
-    }
-
-    /// Asks the map at positions: the lanes that leap, and how far.
-    #[inline(always)]
-    fn leap<L: Lanes>(
-        &self,
-        l: L,
-        packet: &Packet<L>,
-        p: [L::F; 3],
-        (signed, plain): (&[L::F; 3], &[L::F; 3]),
-    ) -> (L::M, L::I) {
-        let (index, v) = self.voxels.nearest(l, p);
-        // SAFETY: the map has the volume's voxels, of which there are 4 or more, and `nearest` clamps to them in all
-        // lanes. Benchmark: docs/decisions/0003-packets.md.
-        let r = unsafe { l.bytes(self.radius.as_ptr(), self.radius.len() as i32 - 4, index) };
-        // As in `leap::Pace::steps`.
-        let reach = l.sub(l.to_f(r), l.splat(self.frame.guard_vox));
-        let mut on = v;
-        for a in 0..3 {
-            let ahead = l.mul(l.sub(v[a], p[a]), signed[a]);
-            on[a] = l.fma(reach, plain[a], ahead);
-        }
-        let steps = l.min(l.min(on[0], on[1]), l.min(on[2], l.splat(MAX_STEPS)));
-        let steps = l.whole(l.max(steps, l.splat(0.0)));
-        let left = l.sub_i(packet.end, packet.k);
-        (
-            l.less_i(l.splat_i(0), r),
-            l.min_i(l.add_i(steps, l.splat_i(1)), left),
-        )
-    }
-
-    /// Entries of the transfer table for sampled values; as in `TransferTable::at`.
-    #[inline(always)]
-    fn entry_of<L: Lanes>(&self, l: L, value: L::F) -> L::I {
-        let table = self.frame.table;
-        let hu = l.whole(l.floor(l.add(value, l.splat(0.5))));
-        let n = l.sub_i(hu, l.splat_i(table.lo_hu));
-        l.max_i(l.min_i(n, l.splat_i(table.last)), l.splat_i(0))
-    }
-
-    /// Reads the samples `k` and adds them in the lanes `take`. Gives the lanes where a sample added something.
-    #[inline(always)]
-    fn add_samples<L: Lanes, O: Out, const SHADED: bool>(
-        &self,
-        l: L,
-        packet: &mut Packet<L>,
-        take: L::M,
-        out: &mut O,
-    ) -> L::M {
-        let cells = self.voxels.cells(l, packet.at(l, self.frame.origin3()));
-        let (value, gradient) = if SHADED {
-            self.voxels.value_and_gradient(l, &cells, take)
-        } else {
-            (self.voxels.value(l, &cells), packet.delta)
-        };
-        let n = self.entry_of(l, value);
-        // All entries before the first visible one have no opacity. In shading hardly ever all lanes are clear.
-        let visible = l.without(take, l.less_i(n, l.splat_i(self.frame.table.first_visible)));
-        if !SHADED && l.bits(visible) == 0 {
-            return visible;
-        }
-        // SAFETY: 0 ..= `last` in all lanes; `last` is the last entry. Benchmark: docs/decisions/0003-packets.md.
-        let [r, g, b, alpha] = unsafe { l.entries(self.frame.table.entries.as_ptr(), n) };
-        let lit = l.and(take, l.less(l.splat(0.0), alpha));
-        let mut rgb = [r, g, b];
-        if let (true, Some(light)) = (SHADED, &self.frame.options.light) {
-            let facing = self.facing(l, &packet.delta, gradient);
-            // As in `Light::shares`.
-            let mut highlight = facing;
-            for _ in 0..light.shininess_log2 {
-                highlight = l.mul(highlight, highlight);
-            }
-            let t = l.add(l.to_f(packet.k), l.splat(0.5));
-            let distance = l.mul(t, l.splat(self.frame.step_mm));
-            let part = l.div(distance, l.splat(light.reach_mm));
-            let left = l.div(l.splat(1.0), l.fma(part, part, l.splat(1.0)));
-            let own = l.fma(facing, l.splat(light.diffuse), l.splat(light.ambient));
-            let own = l.mul(own, left);
-            let white = l.mul(l.mul(l.splat(light.specular), highlight), left);
-            let white = l.mul(white, alpha);
-            for c in 0..3 {
-                rgb[c] = l.fma(own, rgb[c], white);
-            }
-        }
-        for c in 0..3 {
-            let sum = l.fma(packet.transparency, rgb[c], packet.rgb[c]);
-            packet.rgb[c] = l.select(lit, sum, packet.rgb[c]);
-        }
-        let through = l.mul(packet.transparency, l.sub(l.splat(1.0), alpha));
-        if O::HITS {
-            // As in `Gathered::cross`.
-            let (half, before) = (l.splat(0.5), packet.transparency);
-            let crossed = l.without(l.and(lit, l.less(through, half)), l.less(before, half));
-            if l.bits(crossed) != 0 {
-                let part = l.div(l.sub(before, half), l.sub(before, through));
-                let hit = l.add(l.to_f(packet.k), part);
-                out.note_hits(l, packet, l.bits(crossed), hit);
-            }
-        }
-        packet.transparency = l.select(lit, through, packet.transparency);
-        lit
-    }
-
-    /// Cosines between surface normals and rays, without sign; as in `Frame::facing`.
-    #[inline(always)]
-    fn facing<L: Lanes>(&self, l: L, delta: &[L::F; 3], g: [L::F; 3]) -> L::F {
-        let along = l.fma(g[2], delta[2], l.fma(g[1], delta[1], l.mul(g[0], delta[0])));
-        let [xx, yy, zz, xy, xz, yz] = self.frame.metric;
-        let s = |v: f32| l.splat(v);
-        let x = l.mul(
-            l.fma(g[0], s(xx), l.fma(g[1], s(xy), l.mul(g[2], s(xz)))),
-            g[0],
-        );
-        let y = l.mul(l.fma(g[1], s(yy), l.mul(g[2], s(yz))), g[1]);
-        let square = l.add(l.add(x, y), l.mul(l.mul(s(zz), g[2]), g[2]));
-        let length = l.mul(l.sqrt(l.max(square, s(0.0))), s(self.frame.step_mm));
-        l.min(l.div(l.abs(along), l.add(length, s(1e-6))), s(1.0))
-    }
-}
-
-/// Steps per voxel on each axis, with the sign of the direction and without it; as in `leap::Pace::of`.
-#[inline(always)]
-fn pace<L: Lanes>(l: L, delta: &[L::F; 3]) -> ([L::F; 3], [L::F; 3]) {
-    let (mut signed, mut plain) = (*delta, *delta);
-    for a in 0..3 {
-        // An axis along which a ray stands still never ends a leap.
-        let moves = l.less(l.splat(1e-12), l.abs(delta[a]));
-        let inverse = l.div(l.splat(1.0), delta[a]);
-        signed[a] = l.select(moves, inverse, l.splat(0.0));
-        plain[a] = l.select(moves, l.abs(inverse), l.splat(FAR));
-    }
-    (signed, plain)
 }

@@ -24,6 +24,7 @@ pub(super) trait Lanes: Copy {
     fn splat_i(self, v: i32) -> Self::I;
     fn store(self, v: Self::F) -> Array<f32>;
     fn store_i(self, v: Self::I) -> Array<i32>;
+    fn load_i(self, values: &Array<i32>) -> Self::I;
     /// Lanes of the mask take the values in turn, the others stay.
     fn fill(self, old: Self::F, mask: u32, values: &Array<f32>) -> Self::F;
     /// The same for integers.
@@ -64,6 +65,7 @@ pub(super) trait Lanes: Copy {
     fn mask(self, bits: u32) -> Self::M;
     fn bits(self, a: Self::M) -> u32;
     fn and(self, a: Self::M, b: Self::M) -> Self::M;
+    fn or(self, a: Self::M, b: Self::M) -> Self::M;
     /// `a` without `b`.
     fn without(self, a: Self::M, b: Self::M) -> Self::M;
 
@@ -74,21 +76,36 @@ pub(super) trait Lanes: Copy {
     /// Second less first.
     fn rise(self, pair: Self::I) -> Self::I;
 
-    /// Voxels `index` and `index + 1`, the first one in the low half.
+    /// Voxels `base + offset` and the next ones along x, the first one in the low half, for each offset.
     ///
     /// # Safety
-    /// In every lane both must lie in the data.
-    unsafe fn pairs(self, data: *const i16, index: Self::I) -> Self::I;
-    /// Voxels `index ..= index + 3` as two pairs.
+    /// In every lane and for every offset both must lie in the data.
+    unsafe fn pairs<const R: usize>(
+        self,
+        data: *const i16,
+        base: Self::I,
+        offsets: [i32; R],
+    ) -> [Self::I; R];
+    /// Voxels `base + offset` and the next three along x, as two pairs, for each offset.
     ///
     /// # Safety
-    /// In every lane all four must lie in the data.
-    unsafe fn quads(self, data: *const i16, index: Self::I) -> [Self::I; 2];
-    /// The byte at `index`, 0..255. `last_word` is the number of bytes less 4: a load at the very end starts earlier.
+    /// In every lane and for every offset all four must lie in the data.
+    unsafe fn quads<const R: usize>(
+        self,
+        data: *const i16,
+        base: Self::I,
+        offsets: [i32; R],
+    ) -> [[Self::I; 2]; R];
+    /// The voxel at `index`.
     ///
     /// # Safety
-    /// In every lane the byte must lie in the data, and there must be at least 4 bytes.
-    unsafe fn bytes(self, data: *const u8, last_word: i32, index: Self::I) -> Self::I;
+    /// In every lane it must lie in the data.
+    unsafe fn voxels(self, data: *const i16, index: Self::I) -> Self::I;
+    /// The byte at `index`, 0..255.
+    ///
+    /// # Safety
+    /// In every lane it must lie in the data.
+    unsafe fn bytes(self, data: *const u8, index: Self::I) -> Self::I;
     /// Four numbers at `index`, as one register for each of the four.
     ///
     /// # Safety

@@ -3,17 +3,30 @@
 //! The scalar casters in [`crate::brute`] and [`crate::leap`] define truth. A lane does their operations in their order,
 //! so pictures and statistics are equal bit for bit; only which rays advance together differs.
 
+mod ask;
+#[cfg(target_arch = "x86_64")]
 mod avx2;
+#[cfg(target_arch = "x86_64")]
 mod avx512;
 mod kernel;
 mod lanes;
+#[cfg(target_arch = "x86_64")]
+mod loads;
 mod out;
 mod pool;
+mod portable;
+mod sample;
 mod setup;
 mod voxels;
 
-use crate::{CastStats, Frame, InstructionSet, Interpolation, Method, composite::Gathered};
-use kernel::Scene;
+use carina_isoregion::SegmentTable;
+
+use crate::{
+    CastStats, ClassMap, Frame, InstructionSet, Interpolation, Method,
+    composite::Gathered,
+    leap::{Price, Start, class_margin},
+};
+use kernel::{BRUTE, CLASSES, Scene, TRANSPARENT};
 use lanes::Lanes;
 use out::{Out, Rgb8, Walls};
 use pool::Source;
@@ -27,13 +40,16 @@ pub(crate) const BAND_ROWS: usize = 4;
 pub(crate) struct Packets<'a> {
     scene: Scene<'a>,
     shaded: bool,
-    leaps: bool,
+    nearest: bool,
+    leap: u8,
     simd: InstructionSet,
 }
 
+static NO_SEGMENTS: SegmentTable = SegmentTable::EMPTY;
+
 impl<'a> Packets<'a> {
-    /// `None` where the scalar casters do the work: nearest voxels, leaps over all classes, volumes beyond 32-bit
-    /// indices, rays of 2^30 steps, instruction sets without packets.
+    /// `None` where the scalar casters do the work: volumes beyond 32-bit indices, with an axis above 65,535 voxels or one
+    /// voxel along x, and rays of 2^30 steps.
     ///
     /// The maps have been checked against the volume.
     pub(crate) fn of(
@@ -41,26 +57,46 @@ impl<'a> Packets<'a> {
         method: Method<'a>,
         simd: InstructionSet,
     ) -> Option<Self> {
-        let radius = match method {
-            Method::Brute => None,
-            Method::LeapTransparent(radius) => Some(radius),
-            Method::LeapClasses(_) => return None,
+        let nearest = frame.options.interpolation == Interpolation::Nearest;
+        let none = ClassMap {
+            labels: &[],
+            radius: &[],
+            segments: &NO_SEGMENTS,
         };
-        let fits = simd != InstructionSet::Portable
-            && frame.options.interpolation == Interpolation::Trilinear
-            && frame.most_steps() < f64::from(1 << 30);
+        let (leap, map, margin, lookup_loads) = match method {
+            Method::Brute => (BRUTE, none, 0.0, 1),
+            Method::LeapTransparent(radius) => (
+                TRANSPARENT,
+                ClassMap { radius, ..none },
+                -frame.guard_vox,
+                1,
+            ),
+            Method::LeapClasses(map) if map.segments.entries().is_empty() => return None,
+            Method::LeapClasses(map) => (CLASSES, map, class_margin(frame, nearest), 2),
+        };
+        let fits = frame.most_steps() < f64::from(1 << 30);
         let voxels = Voxels::of(&frame.field).filter(|_| fits)?;
-        debug_assert!(radius.is_none_or(|radius| radius.len() == voxels.num_voxels()));
         Some(Self {
             scene: Scene {
                 frame,
                 voxels,
-                radius: radius.unwrap_or(&[]),
+                radius: map.radius,
+                labels: map.labels,
+                segments: map.segments,
+                margin,
+                start: Start::of(frame, method),
+                price: Price::of(CastStats::sample_loads(nearest), lookup_loads),
             },
             shaded: frame.options.light.is_some(),
-            leaps: radius.is_some(),
+            nearest,
+            leap,
             simd,
         })
+    }
+
+    /// True if packets find first walls for this picture: not with nearest voxels, nor within segments of opaque classes.
+    pub(crate) fn find_walls(&self) -> bool {
+        !self.nearest && self.leap != CLASSES
     }
 
     /// Casts rows from `first_row` on, as many as `out` holds.
@@ -85,21 +121,31 @@ impl<'a> Packets<'a> {
         let width = self.scene.frame.camera().width();
         let source = Source::new(width, first_row, num_pixels / width);
         match self.simd {
+            #[cfg(target_arch = "x86_64")]
             // SAFETY: the instruction set is only handed out where the machine has it. Benchmark:
             // docs/decisions/0003-packets.md.
             InstructionSet::Avx512 => unsafe { self.cast_avx512(source, out) },
+            #[cfg(target_arch = "x86_64")]
             // SAFETY: as above.
             InstructionSet::Avx2 => unsafe { self.cast_avx2(source, out) },
-            InstructionSet::Portable => unreachable!("`of` makes no packets for it"),
+            InstructionSet::Portable | InstructionSet::Neon => {
+                self.cast(portable::Portable, source, out)
+            }
+            #[cfg(not(target_arch = "x86_64"))]
+            InstructionSet::Avx2 | InstructionSet::Avx512 => {
+                unreachable!("not handed out on this machine")
+            }
         }
     }
 
+    #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn cast_avx512<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only where the machine has the instructions.
         self.cast(unsafe { avx512::Avx512::new() }, source, out)
     }
 
+    #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn cast_avx2<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only where the machine has the instructions.
@@ -108,11 +154,26 @@ impl<'a> Packets<'a> {
 
     #[inline(always)]
     fn cast<L: Lanes, O: Out>(&self, l: L, source: Source, out: O) -> CastStats {
-        match (self.shaded && !O::HITS, self.leaps) {
-            (true, true) => self.scene.cast::<L, O, true, true>(l, source, out),
-            (true, false) => self.scene.cast::<L, O, true, false>(l, source, out),
-            (false, true) => self.scene.cast::<L, O, false, true>(l, source, out),
-            (false, false) => self.scene.cast::<L, O, false, false>(l, source, out),
+        let scene = &self.scene;
+        if O::HITS {
+            return match self.leap {
+                BRUTE => scene.cast::<L, O, false, false, BRUTE>(l, source, out),
+                _ => scene.cast::<L, O, false, false, TRANSPARENT>(l, source, out),
+            };
+        }
+        match (self.shaded, self.nearest, self.leap) {
+            (true, _, BRUTE) => scene.cast::<L, O, true, false, BRUTE>(l, source, out),
+            (true, _, _) => scene.cast::<L, O, true, false, TRANSPARENT>(l, source, out),
+            (false, false, BRUTE) => scene.cast::<L, O, false, false, BRUTE>(l, source, out),
+            (false, false, TRANSPARENT) => {
+                scene.cast::<L, O, false, false, TRANSPARENT>(l, source, out)
+            }
+            (false, false, _) => scene.cast::<L, O, false, false, CLASSES>(l, source, out),
+            (false, true, BRUTE) => scene.cast::<L, O, false, true, BRUTE>(l, source, out),
+            (false, true, TRANSPARENT) => {
+                scene.cast::<L, O, false, true, TRANSPARENT>(l, source, out)
+            }
+            (false, true, _) => scene.cast::<L, O, false, true, CLASSES>(l, source, out),
         }
     }
 }

@@ -5,7 +5,7 @@ use super::{
     out::each_lane,
     setup::rays_of,
 };
-use crate::Frame;
+use crate::{Frame, leap::Start};
 
 /// Rays set up at a time.
 const BATCH: usize = 64;
@@ -24,8 +24,9 @@ pub(super) struct Packet<L: Lanes> {
     pub end: L::I,
     /// Place in the band.
     pub pixel: L::I,
-    /// Samples to take before the map is asked again (see `leap`).
-    pub wait: L::I,
+    /// The sample from which on the map is asked, and the ray's patience (see `leap`).
+    pub ask_at: L::I,
+    pub patience: L::I,
     /// Lanes that hold a ray.
     pub occupied: u32,
 }
@@ -41,7 +42,8 @@ impl<L: Lanes> Packet<L> {
             k: none,
             end: none,
             pixel: none,
-            wait: none,
+            ask_at: none,
+            patience: none,
             occupied: 0,
         }
     }
@@ -82,7 +84,8 @@ pub(super) struct Pool {
     k: [i32; CAPACITY],
     end: [i32; CAPACITY],
     pixel: [i32; CAPACITY],
-    wait: [i32; CAPACITY],
+    ask_at: [i32; CAPACITY],
+    patience: [i32; CAPACITY],
 }
 
 #[inline(always)]
@@ -107,7 +110,8 @@ impl Pool {
             k: [0; CAPACITY],
             end: [0; CAPACITY],
             pixel: [0; CAPACITY],
-            wait: [0; CAPACITY],
+            ask_at: [0; CAPACITY],
+            patience: [0; CAPACITY],
         }
     }
 
@@ -145,7 +149,16 @@ impl Pool {
             at,
             l.store_i(l.pack_i(packet.pixel, lanes)),
         );
-        write(&mut self.wait, at, l.store_i(l.pack_i(packet.wait, lanes)));
+        write(
+            &mut self.ask_at,
+            at,
+            l.store_i(l.pack_i(packet.ask_at, lanes)),
+        );
+        write(
+            &mut self.patience,
+            at,
+            l.store_i(l.pack_i(packet.patience, lanes)),
+        );
         self.len += lanes.count_ones() as usize;
         packet.occupied &= !lanes;
     }
@@ -168,7 +181,8 @@ impl Pool {
         packet.k = l.fill_i(packet.k, lanes, window(&self.k, at));
         packet.end = l.fill_i(packet.end, lanes, window(&self.end, at));
         packet.pixel = l.fill_i(packet.pixel, lanes, window(&self.pixel, at));
-        packet.wait = l.fill_i(packet.wait, lanes, window(&self.wait, at));
+        packet.ask_at = l.fill_i(packet.ask_at, lanes, window(&self.ask_at, at));
+        packet.patience = l.fill_i(packet.patience, lanes, window(&self.patience, at));
         packet.occupied |= lanes;
     }
 }
@@ -214,7 +228,7 @@ impl Source {
 
     /// Sets rays up in an empty pool.
     #[inline(always)]
-    pub(super) fn set_up(&mut self, frame: &Frame<'_>, pool: &mut Pool) {
+    pub(super) fn set_up(&mut self, frame: &Frame<'_>, start: Start, pool: &mut Pool) {
         pool.len = 0;
         while pool.len < BATCH && !self.is_empty() {
             let (mut column, mut row, mut pixel) = ([0; MAX_LANES], [0; MAX_LANES], [0; MAX_LANES]);
@@ -239,7 +253,12 @@ impl Source {
             write(&mut pool.k, at, rays.first);
             write(&mut pool.end, at, rays.end);
             write(&mut pool.pixel, at, pixel);
-            write(&mut pool.wait, at, [0; MAX_LANES]);
+            write(
+                &mut pool.ask_at,
+                at,
+                rays.first.map(|first| first + start.wait as i32),
+            );
+            write(&mut pool.patience, at, [start.patience as i32; MAX_LANES]);
             for n in 0..count {
                 self.sum_of_first += rays.first[n] as u64;
             }

@@ -13,6 +13,8 @@ pub(super) struct Voxels<'a> {
     last: [f32; 3],
     last_cell: [i32; 3],
     stride: [i32; 3],
+    /// Place of voxel (1, 1, 1) if its cell has neighbours on all sides.
+    inner: Option<i32>,
 }
 
 /// A cell of eight voxels and the place in it, for each lane. Every lane's cell lies in the volume, also that of a lane
@@ -22,6 +24,15 @@ pub(super) struct Cells<L: Lanes> {
     ijk: [L::I; 3],
     base: L::I,
     t: [L::F; 3],
+}
+
+/// What a value and its gradient take.
+struct Rows<L: Lanes> {
+    /// The four rows of the cell, four voxels each.
+    own: [[L::I; 4]; 4],
+    /// The rows before and after it, two voxels each as a pair: along y at the lower and the upper z, along z at the lower
+    /// and the upper y.
+    beside: [L::I; 8],
 }
 
 #[inline(always)]
@@ -49,16 +60,16 @@ impl<'a> Voxels<'a> {
             && field.data.len() < i32::MAX as usize
             && x >= 1.0
             && x.max(y).max(z) <= LONGEST_AXIS;
-        fits.then(|| Self {
-            data: field.data,
-            last: [x, y, z],
-            last_cell: [0, 1, 2].map(|a| field.last_cell[a]),
-            stride: field.stride.map(|s| s as i32),
+        fits.then(|| {
+            let stride = field.stride.map(|s| s as i32);
+            Self {
+                data: field.data,
+                last: [x, y, z],
+                last_cell: [0, 1, 2].map(|a| field.last_cell[a]),
+                stride,
+                inner: (x.min(y).min(z) >= 3.0).then(|| stride.iter().sum()),
+            }
         })
-    }
-
-    pub(super) fn num_voxels(&self) -> usize {
-        self.data.len()
     }
 
     /// Coordinates held in `0 ..= last`; NaN becomes 0.
@@ -106,37 +117,36 @@ impl<'a> Voxels<'a> {
         (self.index(l, ijk), v)
     }
 
-    /// The four rows of a cell, along x, from its lower corner.
+    /// Values of voxels given by their places.
     #[inline(always)]
-    fn corners<L: Lanes>(&self, l: L, base: L::I) -> [L::I; 4] {
-        let (sy, sz) = (l.splat_i(self.stride[1]), l.splat_i(self.stride[2]));
-        let up = l.add_i(base, sz);
-        [base, l.add_i(base, sy), up, l.add_i(up, sy)]
+    pub(super) fn at<L: Lanes>(&self, l: L, index: L::I) -> L::I {
+        // SAFETY: `nearest` clamps to the volume in all lanes. Benchmark: docs/decisions/0005-loads.md.
+        unsafe { l.voxels(self.data.as_ptr(), index) }
     }
 
-    /// A voxel and the next one along x.
+    /// Memory steps from a cell's lower corner to its four rows along x.
     #[inline(always)]
-    fn pair<L: Lanes>(&self, l: L, index: L::I) -> L::I {
-        // SAFETY: every index is a sum over the axes of (0 ..= n - 1) * stride with at most n - 2 along x: `cells` clamps
-        // the lower corner to last_cell, and `value_and_gradient` steps further only where the neighbour exists. That
-        // holds in lanes at rest as well. Benchmark: docs/decisions/0003-packets.md.
-        unsafe { l.pairs(self.data.as_ptr(), index) }
+    fn rows(&self) -> [i32; 4] {
+        let [_, sy, sz] = self.stride;
+        [0, sy, sz, sy + sz]
     }
 
     /// Interpolated values.
     #[inline(always)]
     pub(super) fn value<L: Lanes>(&self, l: L, cells: &Cells<L>) -> L::F {
+        // SAFETY: `cells` clamps the lower corner to last_cell in all lanes, so that one step more on each axis is a voxel;
+        // an axis of one voxel has stride 0, and x has two or more. Benchmark: docs/decisions/0005-loads.md.
+        let pairs = unsafe { l.pairs(self.data.as_ptr(), cells.base, self.rows()) };
         let [tx, ty, tz] = cells.t;
         let mut r = [tx; 4];
-        let corners = self.corners(l, cells.base);
         for n in 0..4 {
-            r[n] = lerp_pair(l, tx, self.pair(l, corners[n]));
+            r[n] = lerp_pair(l, tx, pairs[n]);
         }
         lerp(l, tz, lerp(l, ty, r[0], r[1]), lerp(l, ty, r[2], r[3]))
     }
 
-    /// Interpolated values and interpolated central differences per voxel. The four rows of the cell are read once, with
-    /// a voxel more on each side.
+    /// Interpolated values and interpolated central differences per voxel, for the wanted lanes. The four rows of the cell
+    /// are read once, with a voxel more on each side.
     #[inline(always)]
     pub(super) fn value_and_gradient<L: Lanes>(
         &self,
@@ -144,12 +154,65 @@ impl<'a> Voxels<'a> {
         cells: &Cells<L>,
         wanted: L::M,
     ) -> (L::F, [L::F; 3]) {
-        let [tx, ty, tz] = cells.t;
-        // Lanes with a voxel before the cell and one after it, and memory steps from the lower corner to these, held at
-        // the edge.
+        let mut inside = wanted;
+        for a in 0..3 {
+            inside = l.and(inside, l.less_i(l.splat_i(0), cells.ijk[a]));
+            inside = l.and(inside, l.less_i(cells.ijk[a], l.splat_i(self.last_cell[a])));
+        }
+        let read = match self.inner {
+            Some(inner) if l.bits(l.without(wanted, inside)) == 0 => {
+                self.read_inside(l, l.select_i(inside, cells.base, l.splat_i(inner)))
+            }
+            _ => self.read_at_edge(l, cells),
+        };
+        interpolate(l, cells.t, &read)
+    }
+
+    /// Reads cells that have neighbours on all sides.
+    #[inline(always)]
+    fn read_inside<L: Lanes>(&self, l: L, base: L::I) -> Rows<L> {
+        let [_, sy, sz] = self.stride;
+        // SAFETY: the neighbours before the cell and after it exist, in all lanes: those that have none were given an inner
+        // cell. Benchmark: docs/decisions/0005-loads.md.
+        let [_, r10, r01, r11] = self.rows();
+        let (quads, pairs) = unsafe {
+            (
+                l.quads(self.data.as_ptr(), base, [-1, r10 - 1, r01 - 1, r11 - 1]),
+                l.pairs(
+                    self.data.as_ptr(),
+                    base,
+                    [
+                        -sy,
+                        2 * sy,
+                        sz - sy,
+                        sz + 2 * sy,
+                        -sz,
+                        2 * sz,
+                        sy - sz,
+                        sy + 2 * sz,
+                    ],
+                ),
+            )
+        };
+        let mut own = [[base; 4]; 4];
+        for n in 0..4 {
+            let [first, second] = quads[n];
+            own[n] = [
+                l.first(first),
+                l.second(first),
+                l.first(second),
+                l.second(second),
+            ];
+        }
+        Rows { own, beside: pairs }
+    }
+
+    /// Reads cells some of which lie at the edge, where the missing neighbour is the edge voxel itself.
+    #[inline(always)]
+    fn read_at_edge<L: Lanes>(&self, l: L, cells: &Cells<L>) -> Rows<L> {
         let zero = l.splat_i(0);
-        let (mut has_before, mut has_after) = ([wanted; 3], [wanted; 3]);
         let (mut before, mut after) = ([zero; 3], [zero; 3]);
+        let (mut has_before, mut has_after) = ([l.mask(0); 3], [l.mask(0); 3]);
         for a in 0..3 {
             let s = self.stride[a];
             has_before[a] = l.less_i(zero, cells.ijk[a]);
@@ -157,62 +220,72 @@ impl<'a> Voxels<'a> {
             before[a] = l.select_i(has_before[a], l.splat_i(s), zero);
             after[a] = l.select_i(has_after[a], l.splat_i(2 * s), l.splat_i(s));
         }
-        let corners = self.corners(l, cells.base);
-        let (mut r, mut dx) = ([tx; 4], [tx; 4]);
-        let at_edge = l.bits(l.without(wanted, l.and(has_before[0], has_after[0]))) != 0;
+        // SAFETY: a sum over the axes of (0 ..= n - 1) * stride with at most n - 2 along x, in all lanes: `cells` clamps the
+        // lower corner to last_cell, and further steps are taken only where the neighbour exists. Benchmark:
+        // docs/decisions/0005-loads.md.
+        let pair = |index: L::I| unsafe { l.pairs(self.data.as_ptr(), index, [0])[0] };
+        let mut corners = [cells.base; 4];
         for n in 0..4 {
-            // Four voxels along x.
-            let [v0, v1, v2, v3] = if at_edge {
-                let first = self.pair(l, l.sub_i(corners[n], before[0]));
-                let second = self.pair(l, l.add_i(corners[n], l.sub_i(after[0], l.splat_i(1))));
-                [
-                    l.first(first),
-                    l.select_i(has_before[0], l.second(first), l.first(first)),
-                    l.select_i(has_after[0], l.first(second), l.second(second)),
-                    l.second(second),
-                ]
-            } else {
-                let last = l.splat_i(self.data.len() as i32 - 4);
-                let start = l.sub_i(corners[n], l.splat_i(1));
-                let start = l.max_i(l.min_i(start, last), zero);
-                // SAFETY: 0 ..= number of voxels less 4; a wanted lane has all four in its row. Benchmark: as in `pair`.
-                let [first, second] = unsafe { l.quads(self.data.as_ptr(), start) };
-                [
-                    l.first(first),
-                    l.second(first),
-                    l.first(second),
-                    l.second(second),
-                ]
-            };
-            r[n] = lerp_ints(l, tx, v1, v2);
-            dx[n] = lerp_ints(l, tx, l.sub_i(v2, v0), l.sub_i(v3, v1));
+            corners[n] = l.add_i(cells.base, l.splat_i(self.rows()[n]));
         }
-        let row = |index: L::I| lerp_pair(l, tx, self.pair(l, index));
+        let mut own = [[zero; 4]; 4];
+        for n in 0..4 {
+            let first = pair(l.sub_i(corners[n], before[0]));
+            let second = pair(l.add_i(corners[n], l.sub_i(after[0], l.splat_i(1))));
+            own[n] = [
+                l.first(first),
+                l.select_i(has_before[0], l.second(first), l.first(first)),
+                l.select_i(has_after[0], l.first(second), l.second(second)),
+                l.second(second),
+            ];
+        }
         let [b00, b10, b01, _] = corners;
-        let y00 = row(l.sub_i(b00, before[1]));
-        let y10 = row(l.add_i(b00, after[1]));
-        let y01 = row(l.sub_i(b01, before[1]));
-        let y11 = row(l.add_i(b01, after[1]));
-        let z00 = row(l.sub_i(b00, before[2]));
-        let z01 = row(l.add_i(b00, after[2]));
-        let z10 = row(l.sub_i(b10, before[2]));
-        let z11 = row(l.add_i(b10, after[2]));
-        let [r00, r10, r01, r11] = r;
-        let dx = lerp(l, tz, lerp(l, ty, dx[0], dx[1]), lerp(l, ty, dx[2], dx[3]));
-        let dy = lerp(
-            l,
-            tz,
-            lerp(l, ty, l.sub(r10, y00), l.sub(y10, r00)),
-            lerp(l, ty, l.sub(r11, y01), l.sub(y11, r01)),
-        );
-        let dz = lerp(
-            l,
-            ty,
-            lerp(l, tz, l.sub(r01, z00), l.sub(z01, r00)),
-            lerp(l, tz, l.sub(r11, z10), l.sub(z11, r10)),
-        );
-        let value = lerp(l, tz, lerp(l, ty, r00, r10), lerp(l, ty, r01, r11));
-        let half = l.splat(0.5);
-        (value, [l.mul(dx, half), l.mul(dy, half), l.mul(dz, half)])
+        let mut beside = [
+            l.sub_i(b00, before[1]),
+            l.add_i(b00, after[1]),
+            l.sub_i(b01, before[1]),
+            l.add_i(b01, after[1]),
+            l.sub_i(b00, before[2]),
+            l.add_i(b00, after[2]),
+            l.sub_i(b10, before[2]),
+            l.add_i(b10, after[2]),
+        ];
+        for n in 0..8 {
+            beside[n] = pair(beside[n]);
+        }
+        Rows { own, beside }
     }
+}
+
+/// As in `Field::value_in` and `Field::gradient_in`.
+#[inline(always)]
+fn interpolate<L: Lanes>(l: L, [tx, ty, tz]: [L::F; 3], read: &Rows<L>) -> (L::F, [L::F; 3]) {
+    let (mut r, mut dx) = ([tx; 4], [tx; 4]);
+    for n in 0..4 {
+        let [v0, v1, v2, v3] = read.own[n];
+        r[n] = lerp_ints(l, tx, v1, v2);
+        dx[n] = lerp_ints(l, tx, l.sub_i(v2, v0), l.sub_i(v3, v1));
+    }
+    let mut beside = [tx; 8];
+    for n in 0..8 {
+        beside[n] = lerp_pair(l, tx, read.beside[n]);
+    }
+    let [y00, y10, y01, y11, z00, z01, z10, z11] = beside;
+    let [r00, r10, r01, r11] = r;
+    let dx = lerp(l, tz, lerp(l, ty, dx[0], dx[1]), lerp(l, ty, dx[2], dx[3]));
+    let dy = lerp(
+        l,
+        tz,
+        lerp(l, ty, l.sub(r10, y00), l.sub(y10, r00)),
+        lerp(l, ty, l.sub(r11, y01), l.sub(y11, r01)),
+    );
+    let dz = lerp(
+        l,
+        ty,
+        lerp(l, tz, l.sub(r01, z00), l.sub(z01, r00)),
+        lerp(l, tz, l.sub(r11, z10), l.sub(z11, r10)),
+    );
+    let value = lerp(l, tz, lerp(l, ty, r00, r10), lerp(l, ty, r01, r11));
+    let half = l.splat(0.5);
+    (value, [l.mul(dx, half), l.mul(dy, half), l.mul(dz, half)])
 }

@@ -1,0 +1,157 @@
+//! Look-ups of a packet and what they are good for; the operations of [`crate::leap`], lane by lane.
+
+use carina_isoregion::MAX_SEGMENT_SAMPLES;
+
+use super::{kernel::Scene, lanes::Lanes, out::each_lane, pool::Packet};
+use crate::{
+    frame::STOP_TRANSPARENCY,
+    leap::{FAR, LEAST_PATIENCE, MAX_STEPS, MOST_PATIENCE, Price},
+};
+
+/// Steps per voxel on each axis, with the sign of the direction and without it; as in `leap::Pace`.
+#[derive(Clone, Copy)]
+pub(super) struct Pace<L: Lanes> {
+    signed: [L::F; 3],
+    plain: [L::F; 3],
+}
+
+impl<L: Lanes> Pace<L> {
+    #[inline(always)]
+    pub(super) fn of(l: L, delta: &[L::F; 3]) -> Self {
+        let (mut signed, mut plain) = (*delta, *delta);
+        for a in 0..3 {
+            // An axis along which a ray stands still never ends a leap.
+            let moves = l.less(l.splat(1e-12), l.abs(delta[a]));
+            let inverse = l.div(l.splat(1.0), delta[a]);
+            signed[a] = l.select(moves, inverse, l.splat(0.0));
+            plain[a] = l.select(moves, l.abs(inverse), l.splat(FAR));
+        }
+        Self { signed, plain }
+    }
+
+    /// As in `leap::Pace::steps`.
+    #[inline(always)]
+    fn steps(&self, l: L, p: [L::F; 3], v: [L::F; 3], reach: L::F) -> L::I {
+        let mut on = v;
+        for a in 0..3 {
+            let ahead = l.mul(l.sub(v[a], p[a]), self.signed[a]);
+            on[a] = l.fma(reach, self.plain[a], ahead);
+        }
+        let steps = l.min(l.min(on[0], on[1]), l.min(on[2], l.splat(MAX_STEPS)));
+        l.whole(l.max(steps, l.splat(0.0)))
+    }
+}
+
+impl Scene<'_> {
+    /// Asks the map in some lanes. Those where it knows something leap; the others become more patient. Gives the lanes
+    /// that have leaped.
+    #[inline(always)]
+    pub(super) fn ask<L: Lanes>(
+        &self,
+        l: L,
+        packet: &mut Packet<L>,
+        pace: &Pace<L>,
+        asked: L::M,
+    ) -> L::M {
+        let p = packet.at(l, self.frame.origin3());
+        let (index, v) = self.voxels.nearest(l, p);
+        // SAFETY: the map has the volume's voxels, and `nearest` clamps to them in all lanes. Benchmark:
+        // docs/decisions/0005-loads.md.
+        let r = unsafe { l.bytes(self.radius.as_ptr(), index) };
+        let leaps = l.and(asked, l.less_i(l.splat_i(0), r));
+        let n = pace.steps(l, p, v, l.add(l.to_f(r), l.splat(self.margin)));
+        let left = l.sub_i(packet.end, packet.k);
+        let n = l.min_i(l.add_i(n, l.splat_i(1)), left);
+        self.settle(l, packet, asked, leaps, n);
+        leaps
+    }
+
+    /// Goes on after look-ups: leaps of `n` samples, and the rays' patience; as in `leap::Asking`.
+    #[inline(always)]
+    fn settle<L: Lanes>(&self, l: L, packet: &mut Packet<L>, asked: L::M, leaps: L::M, n: L::I) {
+        let Price { worth, pays } = self.price;
+        let mut failed = l.without(asked, leaps);
+        let mut paid = leaps;
+        if worth > 1 {
+            let short = l.and(leaps, l.less_i(n, l.splat_i(worth as i32)));
+            failed = l.or(failed, short);
+        }
+        if pays > 1 {
+            paid = l.without(leaps, l.less_i(n, l.splat_i(pays as i32)));
+        }
+        packet.ask_at = l.select_i(failed, l.add_i(packet.k, packet.patience), packet.ask_at);
+        let twice = l.add_i(packet.patience, packet.patience);
+        let more = l.min_i(twice, l.splat_i(MOST_PATIENCE as i32));
+        let patience = l.select_i(failed, more, packet.patience);
+        packet.patience = l.select_i(paid, l.splat_i(LEAST_PATIENCE as i32), patience);
+        packet.k = l.select_i(leaps, l.add_i(packet.k, n), packet.k);
+    }
+
+    /// Asks the map of all classes in some lanes, and adds segments where it knows something; as in `leap::cast_classes`.
+    /// Gives the lanes that have leaped and those whose ray is opaque now.
+    #[inline(always)]
+    pub(super) fn ask_classes<L: Lanes>(
+        &self,
+        l: L,
+        packet: &mut Packet<L>,
+        pace: &Pace<L>,
+        asked: L::M,
+    ) -> (L::M, L::M) {
+        let p = packet.at(l, self.frame.origin3());
+        let (index, v) = self.voxels.nearest(l, p);
+        // SAFETY: both maps have the volume's voxels, and `nearest` clamps to them in all lanes. Benchmark:
+        // docs/decisions/0005-loads.md.
+        let (r, label) = unsafe {
+            (
+                l.bytes(self.radius.as_ptr(), index),
+                l.bytes(self.labels.as_ptr(), index),
+            )
+        };
+        let zero = l.splat_i(0);
+        let leaps = l.and(asked, l.and(l.less_i(zero, r), l.less_i(zero, label)));
+        let n = pace.steps(l, p, v, l.add(l.to_f(r), l.splat(self.margin)));
+        let left = l.sub_i(packet.end, packet.k);
+        let n = l.min_i(l.add_i(n, l.splat_i(1)), left);
+        let mut n = l.min_i(n, l.splat_i(MAX_SEGMENT_SAMPLES as i32));
+        let segments = self.segments.entries();
+        let row = l.mul_i(
+            l.sub_i(label, l.splat_i(1)),
+            l.splat_i(MAX_SEGMENT_SAMPLES as i32 + 1),
+        );
+        let read = |n: L::I| {
+            let at = l.max_i(
+                l.min_i(l.add_i(row, n), l.splat_i(segments.len() as i32 - 1)),
+                zero,
+            );
+            // SAFETY: held within the table, which has entries, in all lanes. Benchmark: docs/decisions/0005-loads.md.
+            unsafe { l.entries(segments.as_ptr(), at) }
+        };
+        let limit = l.splat(STOP_TRANSPARENCY);
+        let mut segment = read(n);
+        let faint = l.less(l.mul(packet.transparency, segment[3]), limit);
+        let crossing = l.bits(l.and(leaps, faint));
+        if crossing != 0 {
+            // Once in a ray's life: find the sample where brute force stops.
+            let (labels, transparency) = (l.store_i(label), l.store(packet.transparency));
+            let mut cut = l.store_i(n);
+            each_lane(crossing, |lane| {
+                cut[lane] = self.segments.samples_until(
+                    labels[lane] as u8,
+                    cut[lane] as usize,
+                    transparency[lane],
+                    STOP_TRANSPARENCY,
+                ) as i32;
+            });
+            n = l.load_i(&cut);
+            segment = read(n);
+        }
+        for c in 0..3 {
+            let sum = l.fma(packet.transparency, segment[c], packet.rgb[c]);
+            packet.rgb[c] = l.select(leaps, sum, packet.rgb[c]);
+        }
+        let through = l.mul(packet.transparency, segment[3]);
+        packet.transparency = l.select(leaps, through, packet.transparency);
+        self.settle(l, packet, asked, leaps, n);
+        (leaps, l.and(leaps, l.less(packet.transparency, limit)))
+    }
+}

@@ -1,0 +1,216 @@
+//! Eight rays in plain arrays: loops that the compiler turns into whatever vector instructions the target has. It is the
+//! packet kernel of NEON, and on every machine the one that tests compare with the scalar casters.
+
+use std::array::from_fn;
+
+use super::lanes::{Array, Lanes, MAX_LANES};
+
+const N: usize = 8;
+
+/// No instruction but those that the target has.
+#[derive(Clone, Copy)]
+pub(super) struct Portable;
+
+/// Each operation lane by lane.
+macro_rules! lane_by_lane {
+    ($(fn $name:ident($($arg:ident: $type:ty),*) -> $out:ty { $body:expr })*) => {$(
+        #[inline(always)]
+        fn $name(self, $($arg: [$type; N]),*) -> [$out; N] {
+            from_fn(
+                #[inline(always)]
+                |n| {
+                    $(let $arg = $arg[n];)*
+                    $body
+                },
+            )
+        }
+    )*};
+}
+
+#[inline(always)]
+fn store<T: Copy + Default>(v: [T; N]) -> Array<T> {
+    let mut out = [T::default(); MAX_LANES];
+    out[..N].copy_from_slice(&v);
+    out
+}
+
+#[inline(always)]
+fn fill<T: Copy>(mut lanes: [T; N], mask: u32, values: &Array<T>) -> [T; N] {
+    let mut turn = 0;
+    for n in 0..N {
+        let taken = mask >> n & 1 == 1;
+        lanes[n] = if taken { values[turn] } else { lanes[n] };
+        turn += usize::from(taken);
+    }
+    lanes
+}
+
+#[inline(always)]
+fn pack<T: Copy>(v: [T; N], mask: u32) -> [T; N] {
+    let mut out = v;
+    let mut turn = 0;
+    for n in 0..N {
+        out[turn] = v[n];
+        turn += (mask >> n & 1) as usize;
+        // A full register has moved all of its lanes by now.
+        turn = if turn < N { turn } else { N - 1 };
+    }
+    out
+}
+
+/// The lower or the upper half of a pair of int16.
+#[inline(always)]
+const fn halves(pair: i32) -> (i32, i32) {
+    (pair << 16 >> 16, pair >> 16)
+}
+
+impl Lanes for Portable {
+    const N: usize = N;
+    type F = [f32; N];
+    type I = [i32; N];
+    /// All bits of a lane, or none.
+    type M = [i32; N];
+
+    #[inline(always)]
+    fn splat(self, v: f32) -> [f32; N] {
+        [v; N]
+    }
+    #[inline(always)]
+    fn splat_i(self, v: i32) -> [i32; N] {
+        [v; N]
+    }
+    #[inline(always)]
+    fn store(self, v: [f32; N]) -> Array<f32> {
+        store(v)
+    }
+    #[inline(always)]
+    fn store_i(self, v: [i32; N]) -> Array<i32> {
+        store(v)
+    }
+    #[inline(always)]
+    fn load_i(self, values: &Array<i32>) -> [i32; N] {
+        from_fn(|n| values[n])
+    }
+    #[inline(always)]
+    fn fill(self, old: [f32; N], mask: u32, values: &Array<f32>) -> [f32; N] {
+        fill(old, mask, values)
+    }
+    #[inline(always)]
+    fn fill_i(self, old: [i32; N], mask: u32, values: &Array<i32>) -> [i32; N] {
+        fill(old, mask, values)
+    }
+    #[inline(always)]
+    fn pack(self, v: [f32; N], mask: u32) -> [f32; N] {
+        pack(v, mask)
+    }
+    #[inline(always)]
+    fn pack_i(self, v: [i32; N], mask: u32) -> [i32; N] {
+        pack(v, mask)
+    }
+
+    lane_by_lane! {
+        fn add(a: f32, b: f32) -> f32 { a + b }
+        fn sub(a: f32, b: f32) -> f32 { a - b }
+        fn mul(a: f32, b: f32) -> f32 { a * b }
+        fn div(a: f32, b: f32) -> f32 { a / b }
+        fn fma(a: f32, b: f32, c: f32) -> f32 { a.mul_add(b, c) }
+        fn min(a: f32, b: f32) -> f32 { if a < b { a } else { b } }
+        fn max(a: f32, b: f32) -> f32 { if a > b { a } else { b } }
+        fn abs(a: f32) -> f32 { a.abs() }
+        fn sqrt(a: f32) -> f32 { a.sqrt() }
+        fn floor(a: f32) -> f32 { a.floor() }
+        fn less(a: f32, b: f32) -> i32 { -i32::from(a < b) }
+        fn select(mask: i32, yes: f32, no: f32) -> f32 {
+            f32::from_bits(yes.to_bits() & mask as u32 | no.to_bits() & !mask as u32)
+        }
+
+        fn add_i(a: i32, b: i32) -> i32 { a.wrapping_add(b) }
+        fn sub_i(a: i32, b: i32) -> i32 { a.wrapping_sub(b) }
+        fn mul_i(a: i32, b: i32) -> i32 { a.wrapping_mul(b) }
+        fn min_i(a: i32, b: i32) -> i32 { if a < b { a } else { b } }
+        fn max_i(a: i32, b: i32) -> i32 { if a > b { a } else { b } }
+        fn less_i(a: i32, b: i32) -> i32 { -i32::from(a < b) }
+        fn select_i(mask: i32, yes: i32, no: i32) -> i32 { yes & mask | no & !mask }
+
+        // Saturates, where the other sets give a number that no ray at work ever has.
+        fn whole(a: f32) -> i32 { a as i32 }
+        fn to_f(a: i32) -> f32 { a as f32 }
+
+        fn and(a: i32, b: i32) -> i32 { a & b }
+        fn or(a: i32, b: i32) -> i32 { a | b }
+        fn without(a: i32, b: i32) -> i32 { a & !b }
+
+        fn first(pair: i32) -> i32 { halves(pair).0 }
+        fn second(pair: i32) -> i32 { halves(pair).1 }
+        fn rise(pair: i32) -> i32 { halves(pair).1 - halves(pair).0 }
+    }
+
+    #[inline(always)]
+    fn mask(self, bits: u32) -> [i32; N] {
+        from_fn(|n| -((bits >> n & 1) as i32))
+    }
+    #[inline(always)]
+    fn bits(self, a: [i32; N]) -> u32 {
+        (0..N).fold(0, |bits, n| bits | (a[n] as u32 & 1) << n)
+    }
+
+    #[inline(always)]
+    unsafe fn pairs<const R: usize>(
+        self,
+        data: *const i16,
+        base: [i32; N],
+        offsets: [i32; R],
+    ) -> [[i32; N]; R] {
+        offsets.map(
+            #[inline(always)]
+            |offset| {
+                from_fn(
+                    #[inline(always)]
+                    |n| {
+                        // SAFETY: both voxels lie in the data, as promised by the caller. Benchmark: as in `sampling`.
+                        let [a, b] = unsafe {
+                            let at = data.offset(base[n] as isize + offset as isize);
+                            at.cast::<[i16; 2]>().read_unaligned()
+                        };
+                        i32::from(b) << 16 | i32::from(a) & 0xffff
+                    },
+                )
+            },
+        )
+    }
+
+    #[inline(always)]
+    unsafe fn quads<const R: usize>(
+        self,
+        data: *const i16,
+        base: [i32; N],
+        offsets: [i32; R],
+    ) -> [[[i32; N]; 2]; R] {
+        offsets.map(
+            #[inline(always)]
+            |offset| {
+                // SAFETY: all four voxels lie in the data, as promised by the caller. Benchmark: as in `sampling`.
+                unsafe { self.pairs(data, base, [offset, offset + 2]) }
+            },
+        )
+    }
+
+    #[inline(always)]
+    unsafe fn voxels(self, data: *const i16, index: [i32; N]) -> [i32; N] {
+        // SAFETY: the voxel lies in the data, as promised by the caller. Benchmark: as in `sampling`.
+        index.map(|index| i32::from(unsafe { *data.add(index as usize) }))
+    }
+
+    #[inline(always)]
+    unsafe fn bytes(self, data: *const u8, index: [i32; N]) -> [i32; N] {
+        // SAFETY: the byte lies in the data, as promised by the caller. Benchmark: as in `sampling`.
+        index.map(|index| i32::from(unsafe { *data.add(index as usize) }))
+    }
+
+    #[inline(always)]
+    unsafe fn entries(self, table: *const [f32; 4], index: [i32; N]) -> [[f32; N]; 4] {
+        // SAFETY: the entry lies in the table, as promised by the caller. Benchmark: as in `sampling`.
+        let entries = index.map(|index| unsafe { *table.add(index as usize) });
+        from_fn(|c| from_fn(|n| entries[n][c]))
+    }
+}

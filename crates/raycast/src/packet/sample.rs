@@ -1,0 +1,134 @@
+//! Samples of a packet: read, classified, lit and added; the operations of `Frame::add_sample`, lane by lane.
+
+use super::{kernel::Scene, lanes::Lanes, out::Out, pool::Packet};
+use crate::frame::STOP_TRANSPARENCY;
+
+impl Scene<'_> {
+    /// Takes samples and goes on to the next ones. Gives the lanes where a sample added something and those whose ray has
+    /// not ended.
+    #[inline(always)]
+    pub(super) fn take_samples<L: Lanes, O: Out, const SHADED: bool, const NEAREST: bool>(
+        &self,
+        l: L,
+        packet: &mut Packet<L>,
+        take: L::M,
+        out: &mut O,
+    ) -> (L::M, L::M) {
+        let lit = self.add_samples::<L, O, SHADED, NEAREST>(l, packet, take, out);
+        packet.k = l.select_i(take, l.add_i(packet.k, l.splat_i(1)), packet.k);
+        let faint = l.less(packet.transparency, l.splat(STOP_TRANSPARENCY));
+        let opaque = l.and(lit, faint);
+        (lit, l.without(l.less_i(packet.k, packet.end), opaque))
+    }
+
+    /// Reads the samples `k` and tells where they are surely clear.
+    #[inline(always)]
+    pub(super) fn clear_samples<L: Lanes>(&self, l: L, packet: &Packet<L>) -> L::M {
+        let cells = self.voxels.cells(l, packet.at(l, self.frame.origin3()));
+        let n = self.entry_of(l, self.voxels.value(l, &cells));
+        // All entries before the first visible one have no opacity.
+        l.less_i(n, l.splat_i(self.frame.table.first_visible))
+    }
+
+    /// Entries of the transfer table for sampled values; as in `TransferTable::at`.
+    #[inline(always)]
+    fn entry_of<L: Lanes>(&self, l: L, value: L::F) -> L::I {
+        self.entry_of_hu(l, l.whole(l.floor(l.add(value, l.splat(0.5)))))
+    }
+
+    /// The same for integers; as in `TransferTable::at_hu`.
+    #[inline(always)]
+    fn entry_of_hu<L: Lanes>(&self, l: L, hu: L::I) -> L::I {
+        let table = self.frame.table;
+        let n = l.sub_i(hu, l.splat_i(table.lo_hu));
+        l.max_i(l.min_i(n, l.splat_i(table.last)), l.splat_i(0))
+    }
+
+    /// Reads the samples `k` and adds them in the lanes `take`. Gives the lanes where a sample added something.
+    #[inline(always)]
+    fn add_samples<L: Lanes, O: Out, const SHADED: bool, const NEAREST: bool>(
+        &self,
+        l: L,
+        packet: &mut Packet<L>,
+        take: L::M,
+        out: &mut O,
+    ) -> L::M {
+        let p = packet.at(l, self.frame.origin3());
+        let mut gradient = packet.delta;
+        let n = if NEAREST {
+            let voxel = self.voxels.nearest(l, p).0;
+            self.entry_of_hu(l, self.voxels.at(l, voxel))
+        } else {
+            let cells = self.voxels.cells(l, p);
+            let value = if SHADED {
+                let (value, rise) = self.voxels.value_and_gradient(l, &cells, take);
+                gradient = rise;
+                value
+            } else {
+                self.voxels.value(l, &cells)
+            };
+            self.entry_of(l, value)
+        };
+        // All entries before the first visible one have no opacity. In shading hardly ever all lanes are clear.
+        let visible = l.without(take, l.less_i(n, l.splat_i(self.frame.table.first_visible)));
+        if !SHADED && l.bits(visible) == 0 {
+            return visible;
+        }
+        // SAFETY: 0 ..= `last` in all lanes; `last` is the last entry. Benchmark: docs/decisions/0003-packets.md.
+        let [r, g, b, alpha] = unsafe { l.entries(self.frame.table.entries.as_ptr(), n) };
+        let lit = l.and(take, l.less(l.splat(0.0), alpha));
+        let mut rgb = [r, g, b];
+        if let (true, Some(light)) = (SHADED, &self.frame.options.light) {
+            let facing = self.facing(l, &packet.delta, gradient);
+            // As in `Light::shares`.
+            let mut highlight = facing;
+            for _ in 0..light.shininess_log2 {
+                highlight = l.mul(highlight, highlight);
+            }
+            let t = l.add(l.to_f(packet.k), l.splat(0.5));
+            let distance = l.mul(t, l.splat(self.frame.step_mm));
+            let part = l.div(distance, l.splat(light.reach_mm));
+            let left = l.div(l.splat(1.0), l.fma(part, part, l.splat(1.0)));
+            let own = l.fma(facing, l.splat(light.diffuse), l.splat(light.ambient));
+            let own = l.mul(own, left);
+            let white = l.mul(l.mul(l.splat(light.specular), highlight), left);
+            let white = l.mul(white, alpha);
+            for c in 0..3 {
+                rgb[c] = l.fma(own, rgb[c], white);
+            }
+        }
+        for c in 0..3 {
+            let sum = l.fma(packet.transparency, rgb[c], packet.rgb[c]);
+            packet.rgb[c] = l.select(lit, sum, packet.rgb[c]);
+        }
+        let through = l.mul(packet.transparency, l.sub(l.splat(1.0), alpha));
+        if O::HITS {
+            // As in `Gathered::cross`.
+            let (half, before) = (l.splat(0.5), packet.transparency);
+            let crossed = l.without(l.and(lit, l.less(through, half)), l.less(before, half));
+            if l.bits(crossed) != 0 {
+                let part = l.div(l.sub(before, half), l.sub(before, through));
+                let hit = l.add(l.to_f(packet.k), part);
+                out.note_hits(l, packet, l.bits(crossed), hit);
+            }
+        }
+        packet.transparency = l.select(lit, through, packet.transparency);
+        lit
+    }
+
+    /// Cosines between surface normals and rays, without sign; as in `Frame::facing`.
+    #[inline(always)]
+    fn facing<L: Lanes>(&self, l: L, delta: &[L::F; 3], g: [L::F; 3]) -> L::F {
+        let along = l.fma(g[2], delta[2], l.fma(g[1], delta[1], l.mul(g[0], delta[0])));
+        let [xx, yy, zz, xy, xz, yz] = self.frame.metric;
+        let s = |v: f32| l.splat(v);
+        let x = l.mul(
+            l.fma(g[0], s(xx), l.fma(g[1], s(xy), l.mul(g[2], s(xz)))),
+            g[0],
+        );
+        let y = l.mul(l.fma(g[1], s(yy), l.mul(g[2], s(yz))), g[1]);
+        let square = l.add(l.add(x, y), l.mul(l.mul(s(zz), g[2]), g[2]));
+        let length = l.mul(l.sqrt(l.max(square, s(0.0))), s(self.frame.step_mm));
+        l.min(l.div(l.abs(along), l.add(length, s(1e-6))), s(1.0))
+    }
+}
