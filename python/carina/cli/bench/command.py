@@ -85,7 +85,7 @@ def _first_frame_gates(rows: list[dict[str, Any]]) -> list[Gate]:
     for row in rows:
         whole = row["wall_ms"]["whole"]
         note = (
-            f"ms by the clock, the least of {row['repeats']}; median {whole['median']:.0f}, load {row['load_average']}; "
+            f"ms by the clock, least of {row['repeats']}; median {whole['median']:.0f}, load {row['load_average']}; "
             f"CPU time over {row['threads']} threads {row['cpu_ms_over_threads']:.0f}"
         )
         gates.append(Gate(f"first frame without a cache, {row['case']}", whole["min"], 150.0, "lower", note=note))
