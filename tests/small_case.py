@@ -161,6 +161,7 @@ class SmallRenderer:
             rgb=np.full((view.height, view.width, 3), 90, dtype=np.uint8),
             view=type(view).__name__,
             lps_from_pixel=np.eye(4) if planar else None,
+            lines=None,
             lps_from_camera=None if planar else view.pose.lps_from_camera,
             fov_deg=None if planar else 90.0,
             stats=SimpleNamespace(method="brute"),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import UsageError
-from carina.render.views import Picture
+from carina.render.views import Picture, PictureLines
 
 __all__ = ["PathSpan", "letter_edges", "letters_of", "mark_path"]
 
@@ -36,6 +36,9 @@ _GLYPHS = {
 }
 _ADVANCE, _HEIGHT = 6, 8
 _TEXT_RGB, _QUIET_RGB, _AXIS_RGB, _RADIUS_RGB = (230, 232, 234), (169, 177, 184), (79, 211, 230), (79, 211, 230)
+
+# A direction of the path is that over this many rows.
+LOCAL_ROWS = 12
 
 _LETTERS = (("L", "R"), ("P", "A"), ("S", "I"))
 
@@ -68,33 +71,38 @@ def letter_edges(picture: Picture) -> Picture:
     """
     rgb = picture.rgb.copy()
     height, width = rgb.shape[:2]
-    if picture.lines is not None:
-        middle = height // 2
-        right = picture.lines.step_lps[middle]
-        ends = (
-            picture.lines.start_lps[[0, -1]]
-            + picture.lines.path_column[[0, -1], None] * picture.lines.step_lps[[0, -1]]
-        )
-        down = ends[1] - ends[0]
+    lines = picture.lines
+    if lines is not None:
+        # The letters stand at the ends of a way that bends: each is right where it stands.
+        known = np.flatnonzero(np.isfinite(lines.path_mm))
+        first, last = (int(known[0]), int(known[-1])) if known.size > 1 else (0, height - 1)
+        right = lines.step_lps[first]
+        up, down = -_way(lines, first, min(first + LOCAL_ROWS, last)), _way(lines, max(last - LOCAL_ROWS, first), last)
     else:
         matrix = picture.lps_from_pixel if picture.lps_from_pixel is not None else picture.lps_from_camera
         if matrix is None:
             raise UsageError("this picture does not know where its pixels are, so it has no letters")
-        right, down = matrix[:3, 0], matrix[:3, 1]
+        right, up, down = matrix[:3, 0], -matrix[:3, 1], matrix[:3, 1]
     size = _size(rgb)
     inset = 3 * size
     sides = (inset, width - inset, height // 2)
-    if picture.lines is not None:
+    if lines is not None:
         # The axis stands at the left and the names at the right.
         sides = (width // 4, width - width // 4, inset + _HEIGHT * size // 2)
     for direction, column, row, align in (
         (-right, sides[0], sides[2], 0.0),
         (right, sides[1], sides[2], 1.0),
-        (-down, width // 2, inset + _HEIGHT * size // 2, 0.5),
+        (up, width // 2, inset + _HEIGHT * size // 2, 0.5),
         (down, width // 2, height - inset - _HEIGHT * size // 2, 0.5),
     ):
         _write(rgb, letters_of(direction), column, row, align=align, size=size)
     return dataclasses.replace(picture, rgb=rgb)
+
+
+def _way(lines: PictureLines, first: int, last: int) -> NDArray[np.float64]:
+    """From one row to another along the path."""
+    ends = [lines.lps_of(float(lines.path_column[row]), row + 0.5) for row in (first, last)]
+    return ends[1] - ends[0] if last > first else np.array([0.0, 0.0, -1.0])
 
 
 def mark_path(

@@ -252,7 +252,7 @@ def view_spec(
     x, y, z = (float(v) for v in pose.position_lps)
     if orbit is not None and len(orbit) not in {2, 3}:
         raise UsageError(f"an orbit is azimuth, elevation and, if wished, distance; found {orbit}")
-    around = dict(zip(("azimuth_deg", "elevation_deg", "distance_mm"), orbit or (), strict=False))
+    around: dict[str, Any] = dict(zip(("azimuth_deg", "elevation_deg", "distance_mm"), orbit or (), strict=False))
     grey = WINDOW_HU if window_hu is None else window_hu
     match view:
         case "airway":

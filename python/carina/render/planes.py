@@ -73,7 +73,8 @@ class PlaneCaster:
             radius = geometry.bounding_radius_mm(geometry.box_corners_lps(self._volume), self._volume.center_lps)
             # Three planes fill a quarter less than the sphere round the box.
             distance = 0.75 * radius / float(np.sin(np.deg2rad(view.fov_deg) / 2))
-        pose = geometry.orbit_pose(center, view.azimuth_deg, view.elevation_deg, distance)
+        aim = center if view.look_at == "point" else self._volume.center_lps
+        pose = geometry.orbit_pose(aim, view.azimuth_deg, view.elevation_deg, distance)
         x, y, z = (float(v) for v in center)
         rgb = _core.tri_plane(
             self._volume.hu_zyx,

@@ -148,7 +148,10 @@ class TriPlaneView:
     """Sagittal, coronal and axial plane through a point, in occlusion order, from an orbit camera (paper 3.1).
 
     Azimuth 0 looks from anterior, 90 from the patient's left; positive elevation from above. ``distance_mm`` is that of
-    the camera from the point; None fits the volume. Values below ``clear_below`` are seen through.
+    the camera from what it looks at; None fits the volume. Values below ``clear_below`` are seen through.
+
+    The camera looks at the planes' meeting point, or with ``look_at`` ``volume`` at the middle of the volume: then it
+    stays where it is while a plane is moved.
     """
 
     center_lps: tuple[float, float, float]
@@ -160,11 +163,14 @@ class TriPlaneView:
     fov_deg: float = 30.0
     window_hu: tuple[float, float] = WINDOW_HU
     clear_below: float | None = None
+    look_at: Literal["point", "volume"] = "point"
 
     def __post_init__(self) -> None:
         _check(self.width, self.height, fov_deg=self.fov_deg, window_hu=self.window_hu)
         _check_mm("the camera's distance", self.distance_mm)
         _check_point("the planes' meeting point", self.center_lps)
+        if self.look_at not in {"point", "volume"}:
+            raise RenderError(f"the camera looks at point or volume; found {self.look_at!r}", code="render.setting")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

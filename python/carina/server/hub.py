@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, assert_never
 
 from carina.errors import CarinaError, UsageError
+from carina.render import Slab
 from carina.server import messages as wire
 from carina.server.presenter import (
     picked_message,
@@ -22,7 +23,19 @@ from carina.server.presenter import (
 )
 from carina.server.pump import FramePump
 from carina.server.uploads import Uploads
-from carina.session import Changed, Event, JobEnded, JobProgress, Orbit, Said, Session, Trouble, log_fault
+from carina.session import (
+    Carm,
+    Changed,
+    Event,
+    JobEnded,
+    JobProgress,
+    Orbit,
+    Reformation,
+    Said,
+    Session,
+    Trouble,
+    log_fault,
+)
 
 __all__ = ["Hub", "Outbox"]
 
@@ -307,7 +320,18 @@ class Hub:
                 orbit = Orbit(message.azimuth_deg, message.elevation_deg, message.distance_mm)
                 session.set_orbit(message.view, orbit)
             case wire.SetZoom():
-                session.set_zoom(message.view, mm_per_px=message.mm_per_px, extent_mm=message.extent_mm)
+                session.set_zoom(
+                    message.view,
+                    mm_per_px=message.mm_per_px,
+                    extent_mm=message.extent_mm,
+                    center_lps=None if message.center_lps is None else _three(message.center_lps),
+                )
+            case wire.SetCarm():
+                session.set_carm(Carm(message.primary_deg, message.secondary_deg, message.mm_per_px, message.tone))
+            case wire.SetReformation():
+                session.set_reformation(Reformation(message.turn_deg, message.mm_per_px))
+            case wire.SetSlab():
+                session.set_slab(Slab(message.thickness_mm, message.kind) if message.thickness_mm > 0.0 else None)
             case _:
                 self._do_rare(message)
 

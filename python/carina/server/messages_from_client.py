@@ -18,6 +18,8 @@ from carina.server.wire_fields import (
     PathText,
     Pixels,
     PointLps,
+    SlabKind,
+    Tone,
     ViewName,
 )
 
@@ -44,6 +46,7 @@ __all__ = [
     "Redo",
     "RemoveTarget",
     "ResetLook",
+    "SetCarm",
     "SetCrosshair",
     "SetFov",
     "SetFrameRate",
@@ -52,8 +55,10 @@ __all__ = [
     "SetMode",
     "SetOperator",
     "SetOrbit",
+    "SetReformation",
     "SetRoot",
     "SetShading",
+    "SetSlab",
     "SetTransfer",
     "SetWindow",
     "SetZoom",
@@ -133,7 +138,7 @@ class Layout:
     """The views on screen; no others are rendered."""
 
     wire_type: ClassVar[str] = "layout"
-    views: Annotated[tuple[ViewSize, ...], Length(0, 10)]
+    views: Annotated[tuple[ViewSize, ...], Length(0, 13)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -362,6 +367,37 @@ class SetZoom:
     view: Literal["axial", "coronal", "sagittal", "cut-plane"]
     mm_per_px: Annotated[float, Range(0.01, 20.0)] | None
     extent_mm: Annotated[float, Range(2.0, 1000.0)] | None
+    center_lps: PointLps | None
+    """Middle of a zoomed slice until the tip moves; null is the point that is shown. Not of the cut-plane."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetCarm:
+    """Where the radiograph's C-arm stands: LAO and cranial above 0; mm_per_px counts at its centre, null fits."""
+
+    wire_type: ClassVar[str] = "set_carm"
+    primary_deg: Annotated[float, Range(-180.0, 180.0)]
+    secondary_deg: Annotated[float, Range(-90.0, 90.0)]
+    mm_per_px: Annotated[float, Range(0.01, 20.0)] | None
+    tone: Tone
+
+
+@dataclass(frozen=True, slots=True)
+class SetReformation:
+    """Turn of the cutting plane of the views along the route, and their scale; null fits the route."""
+
+    wire_type: ClassVar[str] = "set_reformation"
+    turn_deg: Annotated[float, Range(-180.0, 180.0)]
+    mm_per_px: Annotated[float, Range(0.01, 20.0)] | None
+
+
+@dataclass(frozen=True, slots=True)
+class SetSlab:
+    """Thickness of slices and views along the route, and what they show of it; 0 mm are thin slices."""
+
+    wire_type: ClassVar[str] = "set_slab"
+    thickness_mm: Annotated[float, Range(0.0, 500.0)]
+    kind: SlabKind
 
 
 @dataclass(frozen=True, slots=True)

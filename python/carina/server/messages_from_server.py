@@ -18,11 +18,14 @@ from carina.server.wire_fields import (
     Pixels,
     PointLps,
     PointsLps,
+    SlabKind,
+    Tone,
     ViewName,
     Words,
 )
 
 __all__ = [
+    "Carm",
     "CaseInfo",
     "Demo",
     "Done",
@@ -34,13 +37,16 @@ __all__ = [
     "OtherSeries",
     "Picked",
     "PictureHeader",
+    "PictureLines",
     "Pose",
     "Progress",
     "RecentCase",
+    "Reformation",
     "Route",
     "RouteInfo",
     "RouteSpan",
     "ServerHello",
+    "Slab",
     "Start",
     "State",
     "Status",
@@ -158,6 +164,32 @@ class Zoom:
 
 
 @dataclass(frozen=True, slots=True)
+class Carm:
+    """Where the radiograph's C-arm stands: LAO and cranial above 0; scale null fits."""
+
+    primary_deg: float
+    secondary_deg: float
+    mm_per_px: float | None
+    tone: Tone
+
+
+@dataclass(frozen=True, slots=True)
+class Reformation:
+    """Turn and scale of the views along the route; scale null fits."""
+
+    turn_deg: float
+    mm_per_px: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Slab:
+    """Thickness of slices and views along the route; 0 are thin slices."""
+
+    thickness_mm: float
+    kind: SlabKind
+
+
+@dataclass(frozen=True, slots=True)
 class Target:
     """A target as asked and as used; ``problem`` says in words why there is no path."""
 
@@ -202,6 +234,9 @@ class State:
     orbit_tree: Orbit
     orbit_tri_plane: Orbit
     zoom: Zoom
+    carm: Carm
+    reformation: Reformation
+    slab: Slab
     frame_rate_hz: float
     """Airway pictures per second that are asked for while moving."""
 
@@ -383,6 +418,24 @@ class Status:
 
 
 @dataclass(frozen=True, slots=True)
+class PictureLines:
+    """Where the rows of a picture lie whose surface is curved: parallel lists over some of its rows, linear between.
+
+    Pixel (column, row) is at ``start_lps + column * step_lps``, in corner coordinates of *this* picture.
+    """
+
+    row: Numbers
+    """Corner coordinates, increasing: the middle of a picture's first row is 0.5."""
+    start_lps: PointsLps
+    step_lps: PointsLps
+    path_mm: Numbers
+    """Place on the route; where a row lies beyond it, the route's end."""
+    path_column: Numbers
+    """Where the route crosses the row."""
+    mm_per_px: float
+
+
+@dataclass(frozen=True, slots=True)
 class PictureHeader:
     """Header of a binary message; the payload follows."""
 
@@ -397,6 +450,8 @@ class PictureHeader:
     fov_deg: float | None
     lps_from_pixel: Matrix4 | None
     """Planar view: (column, row, 0, 1) in corner coordinates of *this* picture (centre = +0.5) to LPS."""
+    lines: PictureLines | None
+    """View along the route."""
     width: Pixels
     height: Pixels
     step_vox: float | None

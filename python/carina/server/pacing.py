@@ -41,7 +41,7 @@ LOST_AFTER_S = 3.0
 FINDER, MOVING, PAUSED, FULL = 0, 1, 2, 3
 """Grades of a picture."""
 
-COSTLY_VIEWS = frozenset({"airway", "tri-plane", "tree"})
+COSTLY_VIEWS = frozenset({"airway", "tri-plane", "tree", "drr"})
 """Cast with perspective rays: the first picture is coarse, since it may take long. The others cost milliseconds."""
 
 

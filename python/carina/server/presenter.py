@@ -6,12 +6,22 @@ from typing import Any
 
 import numpy as np
 
+from carina.render import PictureLines
 from carina.server import messages as wire
 from carina.server.wire_codec import decode_fields
 from carina.session import ChosenRoute, PoseInfo, RecentCase, Snapshot, WallPoint
 from carina.session.document import Document
 
-__all__ = ["demos", "picked_message", "pose_message", "route_message", "start_message", "state_message", "tree_message"]
+__all__ = [
+    "demos",
+    "picked_message",
+    "picture_lines",
+    "pose_message",
+    "route_message",
+    "start_message",
+    "state_message",
+    "tree_message",
+]
 
 
 def demos(patient_citation: str | None) -> tuple[wire.Demo, ...]:
@@ -26,6 +36,30 @@ def start_message(*, notice_accepted: bool, recent: tuple[RecentCase, ...], pati
     """What the start page shows; paths stay on the server's side."""
     cases = tuple(wire.RecentCase(c.recent_id, c.date, c.title) for c in recent)
     return wire.Start(notice_accepted, cases, demos(patient_citation))
+
+
+# Rows of a curved picture that its header names: this far apart, linear between.
+ROWS_APART = 6
+
+
+def picture_lines(lines: PictureLines | None) -> wire.PictureLines | None:
+    """The lines of a curved picture, thinned out."""
+    if lines is None:
+        return None
+    height = len(lines.path_mm)
+    known = np.flatnonzero(np.isfinite(lines.path_mm))
+    ends = known[[0, -1]] if known.size else np.empty(0, dtype=np.int64)
+    rows = np.unique(np.concatenate([np.arange(0, height, ROWS_APART), ends, [height - 1]]))
+    places = np.interp(rows, known, lines.path_mm[known]) if known.size else np.zeros(rows.size)
+    return wire.PictureLines(
+        row=_floats(rows + 0.5),
+        start_lps=tuple(_floats(p) for p in np.round(lines.start_lps[rows], 3)),
+        # Times the width of a picture of 4096 px these still are good to a hundredth of a millimetre.
+        step_lps=tuple(_floats(p) for p in np.round(lines.step_lps[rows], 6)),
+        path_mm=_floats(np.round(places, 3)),
+        path_column=_floats(np.round(lines.path_column[rows], 2)),
+        mm_per_px=lines.mm_per_px,
+    )
 
 
 def _case(snapshot: Snapshot) -> wire.CaseInfo | None:
@@ -57,6 +91,7 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
     """All that is shown, but the pose, the tree and the route."""
     document = snapshot.document
     airways = None if document is None else document.airways
+    carm, slab = snapshot.carm, snapshot.slab
     tree, tri, zoom = snapshot.orbit_tree, snapshot.orbit_tri_plane, snapshot.zoom
     return wire.State(
         case=_case(snapshot),
@@ -81,6 +116,9 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
         lumen_threshold=_threshold(document),
         orbit_tree=wire.Orbit(tree.azimuth_deg, tree.elevation_deg, tree.distance_mm),
         orbit_tri_plane=wire.Orbit(tri.azimuth_deg, tri.elevation_deg, tri.distance_mm),
+        carm=wire.Carm(carm.primary_deg, carm.secondary_deg, carm.mm_per_px, carm.tone),
+        reformation=wire.Reformation(snapshot.reformation.turn_deg, snapshot.reformation.mm_per_px),
+        slab=wire.Slab(0.0, "min") if slab is None else wire.Slab(slab.thickness_mm, slab.kind),
         zoom=wire.Zoom(zoom.axial_mm_per_px, zoom.coronal_mm_per_px, zoom.sagittal_mm_per_px, zoom.cut_plane_extent_mm),
         frame_rate_hz=frame_rate_hz,
     )

@@ -19,6 +19,7 @@ from carina.render import CancelToken
 from carina.server.budget import FULL_STEP_VOX
 from carina.server.messages import PictureHeader, Status
 from carina.server.pacing import DEFAULT_RATE_HZ, MOVING, FrameScheduler, RenderOrder
+from carina.server.presenter import picture_lines
 from carina.server.wire_codec import encode_picture
 from carina.session import Renderer, Scene, log_fault
 
@@ -239,6 +240,7 @@ class FramePump:
                 lps_from_camera=_matrix(picture.lps_from_camera),
                 fov_deg=None if picture.fov_deg is None else float(picture.fov_deg),
                 lps_from_pixel=_matrix(picture.lps_from_pixel),
+                lines=picture_lines(picture.lines),
                 width=int(picture.rgb.shape[1]),
                 height=int(picture.rgb.shape[0]),
                 step_vox=order.step_vox if shows == "airway" else None,

@@ -22,6 +22,8 @@ __all__ = [
     "Pixels",
     "PointLps",
     "PointsLps",
+    "SlabKind",
+    "Tone",
     "ViewName",
     "Words",
 ]
@@ -45,11 +47,16 @@ ViewName = Literal[
     "xray-axial",
     "xray-coronal",
     "xray-sagittal",
+    "drr",
     "axial",
     "coronal",
     "sagittal",
+    "straightened",
+    "curved",
     "tree",
 ]
+Tone = Literal["radiograph", "fluoroscopy"]
+SlabKind = Literal["max", "min", "mean"]
 OrbitView = Literal["tree", "tri-plane"]
 Mode = Literal["free", "path"]
 Operator = Literal["head", "facing"]

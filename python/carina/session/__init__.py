@@ -5,11 +5,12 @@ from carina.session.jobs import JobEnded, JobProgress, log_fault
 from carina.session.parts import Parts, default_parts
 from carina.session.recent import LocalStore, RecentCase
 from carina.session.routes import ChosenRoute
-from carina.session.scene import Orbit, Renderer, Scene, Zoom
+from carina.session.scene import Carm, Orbit, Reformation, Renderer, Scene, Zoom
 from carina.session.session import Session
 from carina.session.snapshot import Changed, PoseInfo, Said, Snapshot, Trouble, WallPoint
 
 __all__ = [
+    "Carm",
     "Changed",
     "ChosenRoute",
     "Event",
@@ -20,6 +21,7 @@ __all__ = [
     "Parts",
     "PoseInfo",
     "RecentCase",
+    "Reformation",
     "Renderer",
     "Said",
     "Scene",

@@ -10,11 +10,12 @@ import numpy as np
 
 from carina.errors import UsageError
 from carina.navigate import Navigator
+from carina.render import Slab
 from carina.session.document import Document, Point
 from carina.session.history import History
 from carina.session.parts import Parts, RendererFactory
 from carina.session.routes import AirwayIndex
-from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Orbit, Renderer, Zoom
+from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Carm, Orbit, Reformation, Renderer, Zoom
 from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, PoseInfo
 from carina.session.start_pose import pose_before_airways
 from carina.volume import Volume
@@ -45,6 +46,9 @@ class OpenCase:
     orbit_tree: Orbit = DEFAULT_ORBIT_TREE
     orbit_tri_plane: Orbit = DEFAULT_ORBIT_TRI_PLANE
     zoom: Zoom = field(default_factory=Zoom)
+    carm: Carm = field(default_factory=Carm)
+    reformation: Reformation = field(default_factory=Reformation)
+    slab: Slab | None = None
     shown_transfer: Any = None
     """What the renderer was last given; the document may be ahead of it."""
     shown_airways: Any = None

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from carina.errors import NoResultError
 from carina.navigate import FlightPath
+from carina.scopes import PathFrames
 from carina.track import AirwayTree, Route, TrackedPath
 
 __all__ = [
@@ -51,6 +52,8 @@ class ChosenRoute:
     """Where to stop for each fork: in front of it, with its openings in view."""
     spans: tuple[RouteSpan, ...]
     path: FlightPath
+    frames: PathFrames
+    """The plane across the path at its places, for the views along it."""
     target_id: str | None = None
     branch_id: int | None = None
 
@@ -173,6 +176,7 @@ def _chosen(
     spans = _spans(branch_ids, generation, cumulative_mm, names)
     forks_mm = tuple(float(mm) for mm in route.forks_mm)
     stops_mm = lookouts_mm(forks_mm, spans, cumulative_mm, radius_mm)
+    path = FlightPath(points, forks_mm=_inside(forks_mm, points), lookouts_mm=_inside(stops_mm, points))
     return ChosenRoute(
         route_id=route_id,
         title=title,
@@ -184,7 +188,8 @@ def _chosen(
         forks_mm=forks_mm,
         lookouts_mm=stops_mm,
         spans=spans,
-        path=FlightPath(points, forks_mm=_inside(forks_mm, points), lookouts_mm=_inside(stops_mm, points)),
+        path=path,
+        frames=path.frames(),
         target_id=target_id,
         branch_id=branch_id,
     )

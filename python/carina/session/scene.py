@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, Protocol, cast
+
+import numpy as np
 
 from carina import render
-from carina.scopes import Pose
+from carina.scopes import PathFrames, Pose
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from carina.render import CancelToken, Hit, Picture, TransferFunction
 
-__all__ = ["VIEWS", "Orbit", "Renderer", "Scene", "Zoom"]
+__all__ = ["VIEWS", "Carm", "Orbit", "Reformation", "Renderer", "Scene", "Zoom"]
 
 VIEWS = (
     "airway",
@@ -24,13 +25,17 @@ VIEWS = (
     "xray-axial",
     "xray-coronal",
     "xray-sagittal",
+    "drr",
     "axial",
     "coronal",
     "sagittal",
+    "straightened",
+    "curved",
     "tree",
 )
 NORMAL_AXIS = {"axial": 2, "coronal": 1, "sagittal": 0}
 PLANES = NORMAL_AXIS.keys()
+PATH_VIEWS = ("straightened", "curved")
 
 
 class Renderer(Protocol):
@@ -70,13 +75,42 @@ DEFAULT_ORBIT_TRI_PLANE = Orbit(azimuth_deg=35.0, elevation_deg=25.0)
 
 
 @dataclass(frozen=True, slots=True)
+class Carm:
+    """Angles, scale and tone of the radiograph; see :class:`carina.render.DrrView`."""
+
+    primary_deg: float = 0.0
+    secondary_deg: float = 0.0
+    mm_per_px: float | None = None
+    tone: Literal["radiograph", "fluoroscopy"] = "radiograph"
+
+
+@dataclass(frozen=True, slots=True)
+class Reformation:
+    """Turn and scale of the views along the route; a scale of None fits the route, else the tip is in the middle."""
+
+    turn_deg: float = 0.0
+    mm_per_px: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Zoom:
-    """Scales of the planar views; None fits."""
+    """Scales of the planar views; None fits.
+
+    Centres are where slices were zoomed to, until the tip moves; None is the point that is shown.
+    """
 
     axial_mm_per_px: float | None = None
     coronal_mm_per_px: float | None = None
     sagittal_mm_per_px: float | None = None
     cut_plane_extent_mm: float | None = None
+    axial_center_lps: tuple[float, float, float] | None = None
+    coronal_center_lps: tuple[float, float, float] | None = None
+    sagittal_center_lps: tuple[float, float, float] | None = None
+
+    @property
+    def following(self) -> Zoom:
+        """The same scales, round the point that is shown."""
+        return replace(self, axial_center_lps=None, coronal_center_lps=None, sagittal_center_lps=None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +135,14 @@ class Scene:
     orbit_tri_plane: Orbit
     zoom: Zoom
     has_lumen: bool
+    carm: Carm = Carm()
+    reformation: Reformation = Reformation()
+    slab: render.Slab | None = None
+    """Thick slices and views along the route."""
+    frames: PathFrames | None = None
+    """The route, as the views along it want it."""
+    path_mm: float | None = None
+    """The tip's place on the route; None in free movement."""
 
     @property
     def shown_lps(self) -> tuple[float, float, float]:
@@ -122,8 +164,18 @@ class Scene:
         if view in PLANES:
             if self._mm_per_px(view) is None:
                 # The whole slice fits: only its depth matters.
-                return (*case, self._shown_key()[NORMAL_AXIS[view]], self.window_hu)
-            return (*case, self._shown_key(), self.window_hu, self._mm_per_px(view))
+                return (*case, self._shown_key()[NORMAL_AXIS[view]], self.window_hu, self.slab)
+            center = tuple(round(v, 2) for v in self._slice_center(view))
+            return (*case, center, self.window_hu, self._mm_per_px(view), self.slab)
+        if view == "drr":
+            # Like the other X-rays: the tip is only marked in it.
+            return (*case, self.carm)
+        if view in PATH_VIEWS:
+            if self.frames is None:
+                return None
+            # The frames themselves: a route is known by its identity, and this keeps it from being another's.
+            place = None if self.reformation.mm_per_px is None else round(self._path_place_mm(), 2)
+            return (*case, self.frames, self.reformation, place, self.window_hu, self.slab)
         if view == "tree":
             return (*case, self.content_number, self.orbit_tree) if self.has_lumen else None
         return case
@@ -154,18 +206,41 @@ class Scene:
                 width=width,
                 height=height,
                 window_hu=window_hu,
+                # A plane that is dragged must not take the camera along.
+                look_at="volume",
             )
         if view in PLANES:
-            mm_per_px = self._mm_per_px(view)
-            if mm_per_px is not None and full_width is not None:
-                mm_per_px *= full_width / width
+            mm_per_px = _in_smaller_picture(self._mm_per_px(view), full_width, width)
             return render.SliceView(
                 plane=cast(Any, view),
-                center_lps=self.shown_lps,
+                center_lps=self.shown_lps if mm_per_px is None else self._slice_center(view),
                 width=width,
                 height=height,
                 mm_per_px=mm_per_px,
                 window_hu=window_hu,
+                slab=self.slab,
+            )
+        if view == "drr":
+            return render.DrrView(
+                self.carm.primary_deg,
+                self.carm.secondary_deg,
+                width,
+                height,
+                mm_per_px=_in_smaller_picture(self.carm.mm_per_px, full_width, width),
+                tone=self.carm.tone,
+            )
+        if view in PATH_VIEWS:
+            assert self.frames is not None
+            return render.PathView(
+                cast(Any, view),
+                self.frames,
+                turn_deg=self.reformation.turn_deg,
+                width=width,
+                height=height,
+                mm_per_px=_in_smaller_picture(self.reformation.mm_per_px, full_width, width),
+                center_mm=self._path_place_mm(),
+                window_hu=window_hu,
+                slab=self.slab,
             )
         if view == "tree":
             orbit = self.orbit_tree
@@ -182,6 +257,29 @@ class Scene:
         scale: float | None = getattr(self.zoom, f"{view}_mm_per_px")
         return scale
 
+    def _slice_center(self, view: str) -> tuple[float, float, float]:
+        """The middle of a zoomed slice: where it was zoomed to, at the depth that is shown."""
+        shown = self.shown_lps
+        center: tuple[float, float, float] | None = getattr(self.zoom, f"{view}_center_lps")
+        if center is None:
+            return shown
+        axis = NORMAL_AXIS[view]
+        x, y, z = (shown[n] if n == axis else center[n] for n in range(3))
+        return x, y, z
+
+    def _path_place_mm(self) -> float:
+        """The tip's place on the route, or the nearest."""
+        assert self.frames is not None
+        if self.path_mm is not None:
+            return self.path_mm
+        away = np.linalg.norm(self.frames.points_lps - self.pose.position_lps, axis=1)
+        return float(self.frames.path_mm[int(np.argmin(away))])
+
     def _shown_key(self) -> tuple[float, ...]:
         # A hundredth of a millimetre is far below a pixel: turning on the spot asks for no new slices.
         return tuple(round(v, 2) for v in self.shown_lps)
+
+
+def _in_smaller_picture(mm_per_px: float | None, full_width: int | None, width: int) -> float | None:
+    """A chosen scale, kept in mm across a picture of fewer pixels."""
+    return mm_per_px if mm_per_px is None or full_width is None else mm_per_px * full_width / width

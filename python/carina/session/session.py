@@ -15,13 +15,14 @@ import numpy as np
 
 from carina.errors import CarinaError, NoResultError, TrackingError, UsageError
 from carina.navigate import Navigator
+from carina.render import Slab
 from carina.scopes import Pose
 from carina.session.case import HISTOGRAM_PRESET, OpenCase, as_point, new_case
 from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.document import Document, Method, Operator, Point, Target
 from carina.session.jobs import Job
 from carina.session.routes import ChosenRoute, default_branch_id, route_to_branch, route_to_target
-from carina.session.scene import Orbit
+from carina.session.scene import Carm, Orbit, Reformation
 from carina.session.snapshot import Said, WallPoint
 from carina.session.start_pose import pose_at_root
 from carina.volume import Volume
@@ -355,22 +356,43 @@ class Session(SessionCore):
         case = self._needed_case()
         if lps is not None:
             case.check_inside(lps)
-        self._look(case, crosshair_lps=lps)
+            self._look(case, crosshair_lps=lps)
+        else:
+            self._look(case, crosshair_lps=None, zoom=case.zoom.following)
 
     def set_orbit(self, view: Literal["tree", "tri-plane"], orbit: Orbit) -> None:
         """Camera of an outside view."""
         self._look(self._needed_case(), **{"orbit_tree" if view == "tree" else "orbit_tri_plane": orbit})
 
-    def set_zoom(self, view: str, *, mm_per_px: float | None = None, extent_mm: float | None = None) -> None:
-        """Scale of a planar view; None fits."""
+    def set_zoom(
+        self,
+        view: str,
+        *,
+        mm_per_px: float | None = None,
+        extent_mm: float | None = None,
+        center_lps: Point | None = None,
+    ) -> None:
+        """Scale of a planar view; None fits. A slice stays round its centre until the tip moves."""
         case = self._needed_case()
         if view == "cut-plane":
             self._look(case, zoom=replace(case.zoom, cut_plane_extent_mm=extent_mm))
         elif view in {"axial", "coronal", "sagittal"}:
-            changed: dict[str, Any] = {f"{view}_mm_per_px": mm_per_px}
+            changed: dict[str, Any] = {f"{view}_mm_per_px": mm_per_px, f"{view}_center_lps": center_lps}
             self._look(case, zoom=replace(case.zoom, **changed))
         else:
             raise UsageError(f"the view {view!r} has no zoom")
+
+    def set_carm(self, carm: Carm) -> None:
+        """Where the radiograph's C-arm stands."""
+        self._look(self._needed_case(), carm=carm)
+
+    def set_reformation(self, reformation: Reformation) -> None:
+        """Turn and scale of the views along the route."""
+        self._look(self._needed_case(), reformation=reformation)
+
+    def set_slab(self, slab: Slab | None) -> None:
+        """Thick slices; None for thin ones."""
+        self._look(self._needed_case(), slab=slab)
 
     def _look(self, case: OpenCase, **values: Any) -> None:
         with self._lock:
@@ -448,6 +470,9 @@ class Session(SessionCore):
             mode = case.navigator.mode
             move(case.navigator)
             case.person_moved = True
+            if case.crosshair_lps is None and case.zoom != (following := case.zoom.following):
+                # Slices follow the tip again.
+                case.zoom = following
             self._moved()
             if case.navigator.mode != mode:
                 self._changed("state", "pose", "views")

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
+from carina.render import Slab
 from carina.scopes import Pose
 from carina.session.document import Document
-from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Orbit, Zoom
+from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Carm, Orbit, Reformation, Zoom
 
 if TYPE_CHECKING:
     from carina.volume import Volume
@@ -80,6 +81,9 @@ class Snapshot:
     orbit_tree: Orbit = DEFAULT_ORBIT_TREE
     orbit_tri_plane: Orbit = DEFAULT_ORBIT_TRI_PLANE
     zoom: Zoom = field(default_factory=Zoom)
+    carm: Carm = field(default_factory=Carm)
+    reformation: Reformation = field(default_factory=Reformation)
+    slab: Slab | None = None
     undo_label: str | None = None
     redo_label: str | None = None
     transfer_presets: tuple[str, ...] = ()

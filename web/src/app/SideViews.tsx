@@ -17,10 +17,18 @@ const SLICES = [
   { cell: "sagittal", title: "Sagittal" },
 ] as const;
 
+const CUTS = {
+  "cut-plane": { title: "Cut-plane", next: "straightened airway" },
+  straightened: { title: "Straightened", next: "curved reformation" },
+  curved: { title: "Curved", next: "cut-plane" },
+} as const;
+
 export function SideViews() {
   const station = useStation();
   const xray = useApp((state) => state.ui.xray);
+  const cut = useApp((state) => state.ui.cut);
   const outside = useApp((state) => state.ui.outside);
+  const hasRoute = useApp((state) => state.route !== null);
   const hasTree = useApp((state) => state.tree !== null);
   return (
     <section className="side-views" aria-label="Slices and overviews">
@@ -36,9 +44,24 @@ export function SideViews() {
       ))}
       <Cell
         cell="cut-plane"
-        view="cut-plane"
-        title="Cut-plane"
-        empty="The plane across the tip, at right angles to the scope, appears here when a CT is open."
+        view={cut}
+        title={CUTS[cut].title}
+        tools={
+          <Act
+            kind="icon"
+            icon="swap"
+            words={`Show the ${CUTS[cut].next} here`}
+            keys={keyOf("next_cut")}
+            onPress={() => station.act("next_cut")}
+          />
+        }
+        empty={
+          cut === "cut-plane"
+            ? "The plane across the tip, at right angles to the scope, appears here when a CT is open."
+            : hasRoute
+              ? "This picture is on its way."
+              : "There is no route yet. Choose a branch in the list, or mark a target: the airway along the way there appears here."
+        }
       />
       <Cell
         cell="xray"
@@ -52,6 +75,12 @@ export function SideViews() {
               { value: "xray-coronal", label: "AP", words: "X-ray from the front", keys: keyOf("next_xray") },
               { value: "xray-sagittal", label: "Lat", words: "X-ray from the side", keys: keyOf("next_xray") },
               { value: "xray-axial", label: "Ax", words: "X-ray from below", keys: keyOf("next_xray") },
+              {
+                value: "drr",
+                label: "DRR",
+                words: "Radiograph from the C-arm: drag to turn it",
+                keys: keyOf("next_xray"),
+              },
             ]}
             onChange={(value) => station.ui({ xray: value })}
           />
@@ -96,7 +125,7 @@ function Cell({ cell, view, title, reading, tools, empty }: CellProps) {
   const shown = useApp((state) => state.frames[view] !== undefined);
   const armed = useApp((state) => state.ui.armed);
   const markable =
-    armed !== null && (view === "axial" || view === "coronal" || view === "sagittal" || view === "cut-plane");
+    armed !== null && !view.startsWith("xray") && view !== "drr" && view !== "tree" && view !== "tri-plane";
   const toggleFull = () => station.ui({ full: station.state.ui.full === cell ? null : cell });
   return (
     <section className="cell" data-cell={cell} data-armed={markable || undefined} aria-label={title}>

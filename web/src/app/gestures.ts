@@ -1,34 +1,26 @@
 /** What the mouse, the wheel and the keys of a focused picture do, by kind of picture. */
 
 import { WHEEL_MM_PER_PX } from "../input/flight";
-import { listenToPointer, type PointerHandlers, type PointerPlace } from "../input/pointer";
-import { type AppState, crosshairLps, greyWindow } from "../state/app-state";
+import { listenToPointer, type PointerPlace } from "../input/pointer";
+import { type AppState, crosshairLps } from "../state/app-state";
 import { type FlatGeometry, geometryOf, lpsFromPixel, mmPerPixel, normalOf } from "../state/projection";
-import { add, asVec3, cameraFromMatrix, distance, dot, scale, sub, type Vec3 } from "../state/vec";
-import { clampToVolume } from "../state/volume";
+import { add, asVec3, cameraFromMatrix, distance, dot, scale, sub, unit, type Vec3 } from "../state/vec";
+import { clampToVolume, middleOf } from "../state/volume";
 import type { Viewport } from "../views/viewport";
 import type { ViewName } from "../wire/messages";
+import { dragWindow, type Gestures, ORBIT_DEG_PER_PX, ORBIT_KEY_DEG, ZOOM_KEY_PX, ZOOM_PER_PX } from "./gesture-parts";
+import { carmGestures, pathGestures } from "./gestures-along";
+import { planeDrag } from "./gestures-planes";
 import type { Workstation } from "./workstation";
 
-const ORBIT_DEG_PER_PX = 0.5;
-const ORBIT_KEY_DEG = 5;
 const CROSSHAIR_KEY_MM = 1;
-const WINDOW_HU_PER_PX = 3;
-const ZOOM_PER_PX = 0.0015;
 /** A wheel notch (100 px) scrolls one slice. */
 const SCROLL_SLICES_PER_PX = 0.01;
-const ZOOM_KEY_PX = 120;
 const DOUBLE_CLICK_MS = 700;
+const ZOOM_MEMORY_MS = 400;
 
 type Slice = "axial" | "coronal" | "sagittal";
 const isSlice = (view: ViewName): view is Slice => view === "axial" || view === "coronal" || view === "sagittal";
-
-interface Gestures {
-  pointer: PointerHandlers;
-  /** Takes back what the clicks of a double click have done. */
-  unclick?(): void;
-  key?(key: string, shift: boolean): boolean;
-}
 
 /** Returns how to stop. `doubleClick` makes the picture's cell full, and back. */
 export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick: () => void): () => void {
@@ -41,6 +33,11 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
       case "sagittal":
       case "cut-plane":
         return flatGestures(station, viewport);
+      case "straightened":
+      case "curved":
+        return pathGestures(station, viewport);
+      case "drr":
+        return carmGestures(station, viewport);
       case "tree":
       case "tri-plane":
         return orbitGestures(station, viewport, viewport.view);
@@ -125,22 +122,10 @@ function airwayGestures(station: Workstation, viewport: Viewport): Gestures {
   };
 }
 
-function dragWindow(station: Workstation, moved: { dx: number; dy: number }): void {
-  const window = greyWindow(station.state);
-  // Volumes that are not HU may span a few grey levels only: then the drag is finer.
-  const range = station.state.session?.case?.value_range;
-  const perPx =
-    range === undefined ? WINDOW_HU_PER_PX : Math.min(WINDOW_HU_PER_PX, ((range[1] ?? 0) - (range[0] ?? 0)) / 500);
-  station.sendSoon({
-    type: "set_window",
-    width_hu: Math.min(Math.max(window.width_hu + moved.dx * perPx, 1), 65_536),
-    level_hu: Math.min(Math.max(window.level_hu - moved.dy * perPx, -32_768), 32_768),
-  });
-}
-
 function flatGestures(station: Workstation, viewport: Viewport): Gestures {
   /** Where the picture lay when the drag began: it may move under the pointer while it is zoomed. */
   let held: { geometry: FlatGeometry; viewport: Viewport["header"] } | null = null;
+  const zoomed = zoomsUnderWay();
   const flat = (): FlatGeometry | null => {
     if (viewport.header === null) return null;
     const geometry = geometryOf(viewport.header);
@@ -168,18 +153,39 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
     const way = viewport.view === "axial" ? -step : step;
     moveCrosshair(add(centre, scale(normalOf(geometry), slices * way)));
   };
-  const zoom = (deltaPx: number): void => {
+  /** About the cursor, so that what lies under it stays there; with keys about the middle. */
+  const zoom = (deltaPx: number, at: PointerPlace | null): void => {
     const geometry = flat();
     const { header, wantedPixels } = viewport;
     if (geometry === null || header === null || wantedPixels === null) return;
     const factor = Math.exp(deltaPx * ZOOM_PER_PX);
     const extentMm = mmPerPixel(geometry) * header.width;
     if (isSlice(viewport.view)) {
-      const mmPerPx = Math.min(Math.max((extentMm / wantedPixels.width) * factor, 0.02), 10);
-      station.sendSoon({ type: "set_zoom", view: viewport.view, mm_per_px: mmPerPx, extent_mm: null });
+      const before = zoomed.now(viewport.view) ?? {
+        mmPerPx: extentMm / wantedPixels.width,
+        middle: lpsFromPixel(geometry, { column: header.width / 2, row: header.height / 2 }),
+      };
+      const mmPerPx = Math.min(Math.max(before.mmPerPx * factor, 0.02), 10);
+      const pixel = at === null ? null : viewport.pixelAt(at);
+      let middle = before.middle;
+      if (pixel !== null) {
+        // From the middle of the picture to the cursor, mm; the same pixels are another way after the zoom.
+        const perPx = wantedPixels.width / header.width;
+        const right = (pixel.column - header.width / 2) * perPx * (before.mmPerPx - mmPerPx);
+        const down = (pixel.row - header.height / 2) * perPx * (before.mmPerPx - mmPerPx);
+        middle = add(middle, add(scale(unit(geometry.perColumn), right), scale(unit(geometry.perRow), down)));
+      }
+      zoomed.note(viewport.view, { mmPerPx, middle });
+      station.sendSoon({
+        type: "set_zoom",
+        view: viewport.view,
+        mm_per_px: mmPerPx,
+        extent_mm: null,
+        center_lps: middle,
+      });
     } else {
       const extent = Math.min(Math.max(extentMm * factor, 5), 500);
-      station.sendSoon({ type: "set_zoom", view: "cut-plane", mm_per_px: null, extent_mm: extent });
+      station.sendSoon({ type: "set_zoom", view: "cut-plane", mm_per_px: null, extent_mm: extent, center_lps: null });
     }
   };
   const moveBy = (right: number, down: number): void => {
@@ -229,9 +235,9 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
         if (lps !== null) station.sendSoon({ type: "probe", lps });
         if (shift && lps !== null) moveCrosshair(lps);
       },
-      wheel: (delta, isZoom) => {
+      wheel: (delta, isZoom, at) => {
         if (isZoom || !isSlice(viewport.view)) {
-          zoom(delta);
+          zoom(delta, at);
           return;
         }
         scrolled += delta * SCROLL_SLICES_PER_PX;
@@ -242,8 +248,8 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
     },
     key: (name, shift) => {
       if (name === "PageUp" || name === "PageDown") scroll(name === "PageUp" ? -1 : 1);
-      else if (name === "+" || name === "=") zoom(-ZOOM_KEY_PX);
-      else if (name === "-") zoom(ZOOM_KEY_PX);
+      else if (name === "+" || name === "=") zoom(-ZOOM_KEY_PX, null);
+      else if (name === "-") zoom(ZOOM_KEY_PX, null);
       else if (name === "Home") fitPicture(station, viewport.view);
       else if (shift && name === "ArrowLeft") moveBy(-CROSSHAIR_KEY_MM, 0);
       else if (shift && name === "ArrowRight") moveBy(CROSSHAIR_KEY_MM, 0);
@@ -255,9 +261,26 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
   };
 }
 
+interface SliceZoom {
+  mmPerPx: number;
+  middle: Vec3;
+}
+
+/** Turns of the wheel come faster than pictures: each builds on the one before, not on the picture that is still shown. */
+function zoomsUnderWay() {
+  let last: { view: ViewName; zoom: SliceZoom; atMs: number } | null = null;
+  return {
+    now: (view: ViewName): SliceZoom | null =>
+      last !== null && last.view === view && performance.now() - last.atMs < ZOOM_MEMORY_MS ? last.zoom : null,
+    note: (view: ViewName, zoom: SliceZoom): void => {
+      last = { view, zoom, atMs: performance.now() };
+    },
+  };
+}
+
 function fitPicture(station: Workstation, view: ViewName): void {
   if (isSlice(view) || view === "cut-plane") {
-    station.sendSoon({ type: "set_zoom", view, mm_per_px: null, extent_mm: null });
+    station.sendSoon({ type: "set_zoom", view, mm_per_px: null, extent_mm: null, center_lps: null });
   }
 }
 
@@ -269,6 +292,7 @@ function sliceStepMm(station: Workstation, view: ViewName): number {
 }
 
 function orbitGestures(station: Workstation, viewport: Viewport, view: "tree" | "tri-plane"): Gestures {
+  const planes = view === "tri-plane" ? planeDrag(station, viewport) : null;
   /** What was sent last, ahead of the server's word while a drag runs. */
   let local: { azimuth_deg: number; elevation_deg: number; distance_mm: number | null } | null = null;
   let localUntilMs = 0;
@@ -299,16 +323,21 @@ function orbitGestures(station: Workstation, viewport: Viewport, view: "tree" | 
   };
   return {
     pointer: {
-      drag: (_at, moved, button) => {
-        if (button === "main") turn(-moved.dx * ORBIT_DEG_PER_PX, moved.dy * ORBIT_DEG_PER_PX);
-        else if (view === "tri-plane") dragWindow(station, moved);
+      drag: (at, moved, button) => {
+        if (button === "main") {
+          if (planes?.drag(at, moved) === true) return;
+          turn(-moved.dx * ORBIT_DEG_PER_PX, moved.dy * ORBIT_DEG_PER_PX);
+        } else if (view === "tri-plane") dragWindow(station, moved);
       },
+      release: () => planes?.release(),
+      hover: (at) => planes?.hover(at),
       wheel: (delta) => zoom(delta),
     },
     key: (name, shift) => {
       if (name === "+" || name === "=") zoom(-ZOOM_KEY_PX);
       else if (name === "-") zoom(ZOOM_KEY_PX);
       else if (name === "Home") change({ azimuth_deg: 0, elevation_deg: 0, distance_mm: null });
+      else if (planes?.key(name) === true) return true;
       else if (shift && name === "ArrowLeft") turn(ORBIT_KEY_DEG, 0);
       else if (shift && name === "ArrowRight") turn(-ORBIT_KEY_DEG, 0);
       else if (shift && name === "ArrowUp") turn(0, -ORBIT_KEY_DEG);
@@ -325,8 +354,8 @@ function seenDistanceMm(station: Workstation, viewport: Viewport, view: "tree" |
   if (matrix === null) return null;
   const camera = cameraFromMatrix(matrix);
   if (view === "tri-plane") {
-    const centre = station.centre();
-    return centre === null ? null : distance(centre, camera.position);
+    const info = station.state.session?.case;
+    return info == null ? null : distance(middleOf(info), camera.position);
   }
   let low: Vec3 | null = null;
   let high: Vec3 | null = null;

@@ -19,7 +19,15 @@ import { sceneOf } from "../views/scene";
 import { Wall } from "../views/wall";
 import type { ClientMessage, Demo, PickedMessage, PictureHeader, StateMessage } from "../wire/messages";
 
-const XRAYS = ["xray-coronal", "xray-sagittal", "xray-axial"] as const;
+const XRAYS = ["xray-coronal", "xray-sagittal", "xray-axial", "drr"] as const;
+const CUTS = ["cut-plane", "straightened", "curved"] as const;
+/** What the key for thick slices goes through. */
+const SLABS = [
+  { thickness_mm: 0, kind: "min" },
+  { thickness_mm: 10, kind: "min" },
+  { thickness_mm: 10, kind: "max" },
+  { thickness_mm: 5, kind: "mean" },
+] as const;
 /** One press of the path bar's arrows. */
 const STEP_MM = 2;
 const PACE_MS = 500;
@@ -258,6 +266,21 @@ export class Workstation {
     crosshair_to_tip: () => this.send({ type: "set_crosshair", lps: null }),
     swap_outside: () => this.ui({ outside: this.state.ui.outside === "tree" ? "tri-plane" : "tree" }),
     next_xray: () => this.ui({ xray: XRAYS[(XRAYS.indexOf(this.state.ui.xray) + 1) % XRAYS.length] ?? "xray-coronal" }),
+    next_cut: () => this.ui({ cut: CUTS[(CUTS.indexOf(this.state.ui.cut) + 1) % CUTS.length] ?? "cut-plane" }),
+    toggle_tone: () => {
+      const carm = this.state.session?.carm;
+      if (carm === undefined) return;
+      this.ui({ xray: "drr" });
+      this.sendSoon({ type: "set_carm", ...carm, tone: carm.tone === "radiograph" ? "fluoroscopy" : "radiograph" });
+    },
+    next_slab: () => {
+      const slab = this.state.session?.slab;
+      const at = SLABS.findIndex(
+        (choice) =>
+          choice.thickness_mm === slab?.thickness_mm && (choice.thickness_mm === 0 || choice.kind === slab.kind),
+      );
+      this.sendSoon({ type: "set_slab", ...(SLABS[(at + 1) % SLABS.length] ?? SLABS[0]) });
+    },
     toggle_shape: () => this.ui({ airwayShape: this.state.ui.airwayShape === "round" ? "full" : "round" }),
     toggle_route_line: () => this.ui({ routeLineVisible: !this.state.ui.routeLineVisible }),
     arm_target: () => this.ui({ armed: this.state.ui.armed === "target" ? null : "target", step: "target" }),
@@ -329,6 +352,11 @@ export class Workstation {
   }
 
   // ------------------------------------------------------------------ places
+
+  /** The tip's place on the route, ahead of the server while it is dragged; null in free movement. */
+  pathMm(): number | null {
+    return pathMm(this.state);
+  }
 
   /** Where the slices meet now. */
   centre(): Vec3 | null {

@@ -15,6 +15,9 @@ export type Action =
   | "wall_point"
   | "swap_outside"
   | "next_xray"
+  | "next_cut"
+  | "toggle_tone"
+  | "next_slab"
   | "toggle_shape"
   | "toggle_route_line"
   | "arm_target"
@@ -117,7 +120,34 @@ export const KEYMAP: readonly Binding[] = [
     command: press("wall_point"),
   },
   { key: "t", label: "T", words: "Airway tree, or tri-plane", group: "Pictures", command: press("swap_outside") },
-  { key: "x", label: "X", words: "X-ray from the next side", group: "Pictures", command: press("next_xray") },
+  {
+    key: "x",
+    label: "X",
+    words: "X-ray from the next side, or from the C-arm",
+    group: "Pictures",
+    command: press("next_xray"),
+  },
+  {
+    key: "g",
+    label: "G",
+    words: "C-arm picture as radiograph, or as fluoroscopy",
+    group: "Pictures",
+    command: press("toggle_tone"),
+  },
+  {
+    key: "v",
+    label: "V",
+    words: "Cut-plane, straightened airway, or curved reformation",
+    group: "Pictures",
+    command: press("next_cut"),
+  },
+  {
+    key: "i",
+    label: "I",
+    words: "Slices thin, or thick: minimum (airways), maximum, mean",
+    group: "Pictures",
+    command: press("next_slab"),
+  },
   {
     key: "o",
     label: "O",

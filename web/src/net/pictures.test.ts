@@ -27,6 +27,7 @@ function picture(
       lps_from_camera: null,
       fov_deg: null,
       lps_from_pixel: null,
+      lines: null,
       width: 16,
       height: 16,
       step_vox: null,

@@ -34,6 +34,9 @@ const EMPTY: StateMessage = {
     sagittal_mm_per_px: null,
     cut_plane_extent_mm: null,
   },
+  carm: { primary_deg: 0, secondary_deg: 0, mm_per_px: null, tone: "radiograph" },
+  reformation: { turn_deg: 0, mm_per_px: null },
+  slab: { thickness_mm: 0, kind: "min" },
 };
 
 const OPEN: StateMessage = {
@@ -84,6 +87,20 @@ describe("poses", () => {
   it("begin anew with a new connection", () => {
     const open = { kind: "connection", connection: { status: "open", reason: null, retryAtMs: null } } as const;
     expect(following(INITIAL_STATE, from(pose(50)), open, from(pose(1))).pose?.pose_id).toBe(1);
+  });
+});
+
+describe("ways of looking", () => {
+  it("hold as soon as they are sent", () => {
+    const carm = { primary_deg: 12, secondary_deg: -3, mm_per_px: null, tone: "fluoroscopy" } as const;
+    const state = following(
+      INITIAL_STATE,
+      from(OPEN),
+      { kind: "sent", message: { type: "set_carm", ...carm }, nowMs: 0 },
+      { kind: "sent", message: { type: "set_slab", thickness_mm: 10, kind: "min" }, nowMs: 0 },
+    );
+    expect(state.session?.carm).toEqual(carm);
+    expect(state.session?.slab).toEqual({ thickness_mm: 10, kind: "min" });
   });
 });
 

@@ -18,11 +18,14 @@ import { type BranchTree, buildTree } from "./airways";
 import { type Optimistic, shown } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
 import type { Step } from "./steps";
+import type { PlaneName } from "./tri-plane";
 import { asVec3, distance, type Vec3 } from "./vec";
 import { addPick, type WallPoint } from "./wall-point";
 
 export type CellName = "axial" | "coronal" | "sagittal" | "cut-plane" | "xray" | "outside";
-export type XrayView = "xray-coronal" | "xray-sagittal" | "xray-axial";
+export type XrayView = "xray-coronal" | "xray-sagittal" | "xray-axial" | "drr";
+/** What the cell of the cut-plane shows: the plane across the tip, or the whole route. */
+export type CutView = "cut-plane" | "straightened" | "curved";
 export type OutsideView = "tree" | "tri-plane";
 export type Armed = "target" | "root";
 
@@ -53,6 +56,9 @@ export interface Ui {
   readonly full: CellName | "airway" | null;
   readonly outside: OutsideView;
   readonly xray: XrayView;
+  readonly cut: CutView;
+  /** The plane of the tri-plane view that a drag would move. */
+  readonly overPlane: PlaneName | null;
   readonly armed: Armed | null;
   readonly keyCardOpen: boolean;
   readonly airwayShape: "round" | "full";
@@ -111,6 +117,8 @@ export const INITIAL_STATE: AppState = {
     full: null,
     outside: "tree",
     xray: "xray-coronal",
+    cut: "cut-plane",
+    overPlane: null,
     armed: null,
     keyCardOpen: false,
     airwayShape: "round",
@@ -252,11 +260,27 @@ function foresee(state: AppState, message: ClientMessage, nowMs: number): AppSta
     case "previous_fork":
     case "place":
       return state.local.pathMm === null ? state : { ...state, local: { ...state.local, pathMm: null } };
+    case "set_carm":
+      return looksChanged(state, { carm: withoutType(message) });
+    case "set_reformation":
+      return looksChanged(state, { reformation: withoutType(message) });
+    case "set_slab":
+      return looksChanged(state, { slab: withoutType(message) });
     case "accept_notice":
       return state.start === null ? state : { ...state, start: { ...state.start, notice_accepted: true } };
     default:
       return state;
   }
+}
+
+function withoutType<T extends { type: string }>(message: T): Omit<T, "type"> {
+  const { type: _, ...rest } = message;
+  return rest;
+}
+
+/** Ways of looking hold as soon as they are sent; the server's next word confirms them. */
+function looksChanged(state: AppState, looks: Partial<Pick<StateMessage, "carm" | "reformation" | "slab">>): AppState {
+  return state.session === null ? state : { ...state, session: { ...state.session, ...looks } };
 }
 
 function connectionChanged(state: AppState, connection: Connection): AppState {

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { finenessWords } from "./format";
+import { carmWords, finenessWords } from "./format";
 
 describe("how fine a picture is", () => {
   it("is said with its part of the resolution, and its step where that is longer", () => {
@@ -10,5 +10,13 @@ describe("how fine a picture is", () => {
 
   it("does not call a picture fine that was made for a smaller place", () => {
     expect(finenessWords({ width: 300, step_vox: 0.5 }, 600)).toBe("coarse: 50 %");
+  });
+});
+
+describe("the angles of a C-arm", () => {
+  it("are written as fluoroscopy writes them", () => {
+    expect(carmWords({ primary_deg: 0, secondary_deg: 0 })).toEqual(["AP 0\u00b0"]);
+    expect(carmWords({ primary_deg: 30.4, secondary_deg: -15 })).toEqual(["LAO 30\u00b0", "CAUD 15\u00b0"]);
+    expect(carmWords({ primary_deg: -90, secondary_deg: 8 })).toEqual(["RAO 90\u00b0", "CRAN 8\u00b0"]);
   });
 });

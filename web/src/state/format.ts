@@ -39,6 +39,14 @@ export function timeLeft(seconds: number): string {
 
 export const windowWords = (widthHu: number, levelHu: number): string => `W ${fixed(widthHu)}  L ${fixed(levelHu)}`;
 
+/** The angles of a C-arm: `LAO 30\u00b0`, `CRAN 15\u00b0`. */
+export function carmWords(carm: { primary_deg: number; secondary_deg: number }): string[] {
+  const primary = Math.round(carm.primary_deg);
+  const secondary = Math.round(carm.secondary_deg);
+  const first = primary === 0 ? "AP 0\u00b0" : `${primary > 0 ? "LAO" : "RAO"} ${Math.abs(primary)}\u00b0`;
+  return secondary === 0 ? [first] : [first, `${secondary > 0 ? "CRAN" : "CAUD"} ${Math.abs(secondary)}\u00b0`];
+}
+
 /** Words of the server as a sentence of their own. */
 export const sentence = (words: string): string => words.charAt(0).toUpperCase() + words.slice(1);
 

@@ -40,6 +40,16 @@ export function pointAt(route: Pick<RouteInfo, "points_lps" | "cumulative_mm">, 
   return lerp(asVec3(a), asVec3(b), t);
 }
 
+/** The lumen's radius at a distance along the route, between its points; 0 where there are none. */
+export function radiusAt(route: Pick<RouteInfo, "radius_mm" | "cumulative_mm">, pathMm: number): number {
+  const index = indexAt(route.cumulative_mm, pathMm);
+  const a = route.radius_mm[index] ?? 0;
+  const b = route.radius_mm[index + 1] ?? a;
+  const from = route.cumulative_mm[index] ?? 0;
+  const to = route.cumulative_mm[index + 1] ?? from;
+  return to > from ? a + (b - a) * Math.min(Math.max((pathMm - from) / (to - from), 0), 1) : a;
+}
+
 /** Points of the route between two distances, ends included. */
 export function pointsBetween(
   route: Pick<RouteInfo, "points_lps" | "cumulative_mm">,

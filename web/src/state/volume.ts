@@ -1,7 +1,7 @@
 /** The box of the open volume: its voxels span -0.5 to n-0.5 of each index axis. */
 
 import type { CaseInfo } from "../wire/messages";
-import { add, column, cross, dot, scale, sub, type Vec3 } from "./vec";
+import { add, asVec3, column, cross, dot, scale, sub, type Vec3 } from "./vec";
 
 export type Grid = Pick<CaseInfo, "lps_from_ijk" | "shape_zyx">;
 
@@ -28,3 +28,12 @@ export function clampToVolume(grid: Grid, lps: Vec3): Vec3 {
 const EDGE_VOX = 0.499;
 
 const clamp = (value: number, count: number): number => Math.min(Math.max(value, -EDGE_VOX), count - 1 + EDGE_VOX);
+
+/** The middle of the voxels' box. */
+export function middleOf(info: Grid): Vec3 {
+  const [nz, ny, nx] = asVec3(info.shape_zyx);
+  return [nx, ny, nz].reduce<Vec3>(
+    (sum, count, axis) => add(sum, scale(column(info.lps_from_ijk, axis), (count - 1) / 2)),
+    column(info.lps_from_ijk, 3),
+  );
+}

@@ -1,6 +1,6 @@
 /** Over slices, cut-plane and X-ray: crosshair, route, targets, tip, letters, scale. */
 
-import { edgeLetters } from "../state/letters";
+import { edgeLetters, lettersOf } from "../state/letters";
 import {
   axesOf,
   type FlatGeometry,
@@ -10,7 +10,7 @@ import {
   projectLine,
   scaleBar,
 } from "../state/projection";
-import { add, scale } from "../state/vec";
+import { add, scale, type Vec3 } from "../state/vec";
 import type { ViewName } from "../wire/messages";
 import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
 import type { Scene } from "./scene";
@@ -64,10 +64,12 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
       tipMark(ink, at, ahead === null ? null : minus(viewport.screenAt(ahead), at), inPlane(seen.depthMm));
     }
   }
-  if (standsIn) paintScale(ink, viewport, geometry, { x: viewport.size.width / 2, y: viewport.frame.y + 40 });
+  if (standsIn)
+    paintScale(ink, viewport, mmPerPixel(geometry), { x: viewport.size.width / 2, y: viewport.frame.y + 40 });
   ink.restore();
-  paintLetters(ink, viewport, geometry);
-  if (!standsIn) paintScale(ink, viewport, geometry);
+  paintLetters(ink, viewport, axesOf(geometry));
+  if (!standsIn) paintScale(ink, viewport, mmPerPixel(geometry));
+  if (isSlice(header.view)) paintSlab(ink, viewport, scene);
 }
 
 function clipToPicture(ink: Ink, viewport: Viewport): void {
@@ -162,22 +164,43 @@ function paintRoute(
   }
 }
 
-export function paintLetters(ink: Ink, viewport: Viewport, geometry: Parameters<typeof axesOf>[0]): void {
-  const { right, down } = axesOf(geometry);
-  const letters = edgeLetters(right, down);
+/** Letters at the four edges; `sidesAtTop` where an axis and names stand at the sides. */
+export function paintLetters(
+  ink: Ink,
+  viewport: Viewport,
+  { right, down, up }: ReturnType<typeof axesOf> & { up?: Vec3 },
+  sidesAtTop = false,
+): void {
+  const letters = { ...edgeLetters(right, down), ...(up === undefined ? {} : { top: lettersOf(up) }) };
   const { width, height } = viewport.size;
   const size = Math.min(width, height) > 400 ? 15 : 12;
   const inset = size * 0.5 + 5;
   const style = { size, bold: true } as const;
   label(ink, letters.top, { x: width / 2, y: inset }, style);
   label(ink, letters.bottom, { x: width / 2, y: height - inset }, style);
-  label(ink, letters.left, { x: 6, y: height / 2 }, { ...style, align: "left" });
-  label(ink, letters.right, { x: width - 6, y: height / 2 }, { ...style, align: "right" });
+  const sideY = sidesAtTop ? inset : height / 2;
+  label(ink, letters.left, { x: 6, y: sideY }, { ...style, align: "left" });
+  label(ink, letters.right, { x: width - 6, y: sideY }, { ...style, align: "right" });
+}
+
+const SLAB_WORDS = { min: "min", max: "max", mean: "mean" } as const;
+
+/** A slice that is thick says so. */
+export function paintSlab(ink: Ink, viewport: Viewport, scene: Scene): void {
+  if (scene.slab === null || scene.slab.thickness_mm <= 0) return;
+  const { width, height } = viewport.size;
+  const words = `${SLAB_WORDS[scene.slab.kind]} ${scene.slab.thickness_mm} mm`;
+  label(ink, words, { x: width - 8, y: height - 12 }, { size: 11, align: "right" });
 }
 
 /** In the lower left corner, or with its middle at a place. */
-function paintScale(ink: Ink, viewport: Viewport, geometry: FlatGeometry, middle: ScreenPoint | null = null): void {
-  const mmPerCss = mmPerPixel(geometry) / viewport.magnification;
+export function paintScale(
+  ink: Ink,
+  viewport: Viewport,
+  mmPerPicturePx: number,
+  middle: ScreenPoint | null = null,
+): void {
+  const mmPerCss = mmPerPicturePx / viewport.magnification;
   if (!(mmPerCss > 0)) return;
   const { width, height } = viewport.size;
   const bar = scaleBar(mmPerCss, Math.min(0.3 * width, 120));

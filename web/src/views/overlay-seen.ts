@@ -1,8 +1,10 @@
-/** Over the outside pictures (tree, tri-plane): the route, the targets and the tip as their camera sees them. */
+/** Over the outside pictures (tree, tri-plane, radiograph): the route, the targets and the tip as their camera sees them. */
 
-import { geometryOf, pixelFromLps, projectLine } from "../state/projection";
+import { carmWords } from "../state/format";
+import { axesOf, geometryOf, pixelFromLps, projectLine, type SeenGeometry } from "../state/projection";
+import { outlineOf, PLANE_NAMES } from "../state/tri-plane";
 import { add, scale } from "../state/vec";
-import { INK, type Ink, line, NamePlaces, targetMark, tipMark } from "./ink";
+import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
 import { paintLetters } from "./overlay-flat";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
@@ -16,6 +18,8 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (header === null) return;
   const geometry = geometryOf(header);
   if (geometry === null) return;
+  if (header.view === "tri-plane" && geometry.kind === "seen") paintPlanes(ink, viewport, geometry, scene);
+  if (header.view === "drr") paintAngles(ink, scene);
   if (scene.routeLineVisible) {
     for (const run of projectLine(geometry, scene.routePoints)) {
       const points = run.map((point) => viewport.screenAt(point));
@@ -42,5 +46,34 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
       tipMark(ink, at, to === null ? null : { x: to.x - at.x, y: to.y - at.y }, true);
     }
   }
-  paintLetters(ink, viewport, geometry);
+  paintLetters(ink, viewport, axesOf(geometry));
+}
+
+/** The planes' edges in their colours, with their names; the one that a drag would move is drawn stronger. */
+function paintPlanes(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {
+  const { grid, crosshair } = scene;
+  if (grid === null || crosshair === null) return;
+  const names = new NamePlaces();
+  for (const axis of [0, 1, 2] as const) {
+    const name = PLANE_NAMES[axis];
+    const over = scene.overPlane === name;
+    const corners: ScreenPoint[] = [];
+    for (const corner of outlineOf(grid, crosshair, axis)) {
+      const seen = pixelFromLps(geometry, corner);
+      if (seen !== null) corners.push(viewport.screenAt(seen));
+    }
+    const [first] = corners;
+    if (first === undefined || corners.length < 3) continue;
+    line(ink, [...corners, first], PLANE_COLOURS[name], over ? 2 : 1, over ? 1 : 0.65);
+    const rightmost = corners.reduce((best, corner) => (corner.x > best.x ? corner : best), first);
+    names.name(ink, name, { x: rightmost.x - 18, y: rightmost.y }, PLANE_COLOURS[name], viewport.size);
+  }
+}
+
+/** The C-arm's angles, as fluoroscopy writes them. */
+function paintAngles(ink: Ink, scene: Scene): void {
+  if (scene.carm === null) return;
+  carmWords(scene.carm).forEach((words, index) => {
+    label(ink, words, { x: 7, y: 13 + 15 * index }, { size: 11, align: "left" });
+  });
 }

@@ -1,8 +1,10 @@
 /** What is drawn over the pictures, taken from the state once per repaint. */
 
 import { type AppState, crosshairLps, pathMm } from "../state/app-state";
+import type { PlaneName } from "../state/tri-plane";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
-import type { RouteInfo } from "../wire/messages";
+import type { Grid } from "../state/volume";
+import type { RouteInfo, StateMessage } from "../wire/messages";
 
 export interface SceneTarget {
   lps: Vec3;
@@ -24,6 +26,12 @@ export interface Scene {
   targets: readonly SceneTarget[];
   root: Vec3 | null;
   airwayShape: "round" | "full";
+  /** The volume's box. */
+  grid: Grid | null;
+  carm: StateMessage["carm"] | null;
+  slab: StateMessage["slab"] | null;
+  /** The plane of the tri-plane view under the cursor. */
+  overPlane: PlaneName | null;
   /** Clicked points of the wall, newest last. */
   wallPoints: readonly Vec3[];
 }
@@ -55,6 +63,10 @@ export function sceneOf(state: AppState): Scene {
       })) ?? [],
     root: state.session?.root_lps == null ? null : asVec3(state.session.root_lps),
     airwayShape: state.ui.airwayShape,
+    grid: state.session?.case ?? null,
+    carm: state.session?.carm ?? null,
+    slab: state.session?.slab ?? null,
+    overPlane: state.ui.overPlane,
     wallPoints: state.picks.map((point) => point.lps),
   };
 }

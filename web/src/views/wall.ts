@@ -3,6 +3,7 @@
 import type { PictureHeader, ViewName, ViewSize } from "../wire/messages";
 import { paintAirway } from "./overlay-airway";
 import { paintFlat } from "./overlay-flat";
+import { paintLines } from "./overlay-lines";
 import { paintSeen } from "./overlay-seen";
 import type { Scene } from "./scene";
 import type { Shape, Viewport } from "./viewport";
@@ -103,7 +104,12 @@ function paint(viewport: Viewport, scene: Scene): void {
       return;
     case "tree":
     case "tri-plane":
+    case "drr":
       paintSeen(ink, viewport, scene);
+      return;
+    case "straightened":
+    case "curved":
+      paintLines(ink, viewport, scene);
       return;
     case "axial":
     case "coronal":

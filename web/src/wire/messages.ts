@@ -13,7 +13,7 @@ export const CLOSE_CODES = {
 
 /** 4x4, row-major. */
 export type Matrix4 = readonly number[];
-export type ViewName = "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "axial" | "coronal" | "sagittal" | "tree";
+export type ViewName = "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "drr" | "axial" | "coronal" | "sagittal" | "straightened" | "curved" | "tree";
 
 /** First message of a client. */
 export interface ClientHelloMessage {
@@ -58,7 +58,7 @@ export interface CancelMessage {
 
 /** A visible view and its size in device pixels. */
 export interface ViewSize {
-  readonly view: "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "axial" | "coronal" | "sagittal" | "tree";
+  readonly view: "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "drr" | "axial" | "coronal" | "sagittal" | "straightened" | "curved" | "tree";
   readonly width: number;
   readonly height: number;
 }
@@ -217,6 +217,30 @@ export interface SetZoomMessage {
   readonly view: "axial" | "coronal" | "sagittal" | "cut-plane";
   readonly mm_per_px: number | null;
   readonly extent_mm: number | null;
+  readonly center_lps: readonly [number, number, number] | null;
+}
+
+/** Where the radiograph's C-arm stands: LAO and cranial above 0; mm_per_px counts at its centre, null fits. */
+export interface SetCarmMessage {
+  readonly type: "set_carm";
+  readonly primary_deg: number;
+  readonly secondary_deg: number;
+  readonly mm_per_px: number | null;
+  readonly tone: "radiograph" | "fluoroscopy";
+}
+
+/** Turn of the cutting plane of the views along the route, and their scale; null fits the route. */
+export interface SetReformationMessage {
+  readonly type: "set_reformation";
+  readonly turn_deg: number;
+  readonly mm_per_px: number | null;
+}
+
+/** Thickness of slices and views along the route, and what they show of it; 0 mm are thin slices. */
+export interface SetSlabMessage {
+  readonly type: "set_slab";
+  readonly thickness_mm: number;
+  readonly kind: "max" | "min" | "mean";
 }
 
 /** Ask for so many airway pictures per second while moving; resolution gives way to it, then the ray step. */
@@ -349,6 +373,26 @@ export interface Zoom {
   readonly cut_plane_extent_mm: number | null;
 }
 
+/** Where the radiograph's C-arm stands: LAO and cranial above 0; scale null fits. */
+export interface Carm {
+  readonly primary_deg: number;
+  readonly secondary_deg: number;
+  readonly mm_per_px: number | null;
+  readonly tone: "radiograph" | "fluoroscopy";
+}
+
+/** Turn and scale of the views along the route; scale null fits. */
+export interface Reformation {
+  readonly turn_deg: number;
+  readonly mm_per_px: number | null;
+}
+
+/** Thickness of slices and views along the route; 0 are thin slices. */
+export interface Slab {
+  readonly thickness_mm: number;
+  readonly kind: "max" | "min" | "mean";
+}
+
 /** All that is shown, but the pose, the tree and the route. */
 export interface StateMessage {
   readonly type: "state";
@@ -375,6 +419,9 @@ export interface StateMessage {
   readonly orbit_tree: Orbit;
   readonly orbit_tri_plane: Orbit;
   readonly zoom: Zoom;
+  readonly carm: Carm;
+  readonly reformation: Reformation;
+  readonly slab: Slab;
   readonly frame_rate_hz: number;
 }
 
@@ -514,15 +561,28 @@ export interface StatusMessage {
   readonly simd: string;
 }
 
+/** Where the rows of a picture lie whose surface is curved: parallel lists over some of its rows, linear between.
+
+    Pixel (column, row) is at `start_lps + column * step_lps`, in corner coordinates of *this* picture. */
+export interface PictureLines {
+  readonly row: readonly number[];
+  readonly start_lps: readonly (readonly [number, number, number])[];
+  readonly step_lps: readonly (readonly [number, number, number])[];
+  readonly path_mm: readonly number[];
+  readonly path_column: readonly number[];
+  readonly mm_per_px: number;
+}
+
 /** Header of a binary message; the payload follows. */
 export interface PictureHeader {
   readonly frame_id: number;
-  readonly view: "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "axial" | "coronal" | "sagittal" | "tree";
-  readonly stands_for: "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "axial" | "coronal" | "sagittal" | "tree" | null;
+  readonly view: "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "drr" | "axial" | "coronal" | "sagittal" | "straightened" | "curved" | "tree";
+  readonly stands_for: "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "drr" | "axial" | "coronal" | "sagittal" | "straightened" | "curved" | "tree" | null;
   readonly pose_id: number;
   readonly lps_from_camera: readonly number[] | null;
   readonly fov_deg: number | null;
   readonly lps_from_pixel: readonly number[] | null;
+  readonly lines: PictureLines | null;
   readonly width: number;
   readonly height: number;
   readonly step_vox: number | null;
@@ -566,6 +626,9 @@ export type ClientMessage =
   | SetLumenThresholdMessage
   | SetOrbitMessage
   | SetZoomMessage
+  | SetCarmMessage
+  | SetReformationMessage
+  | SetSlabMessage
   | SetFrameRateMessage
   | ProbeMessage
   | PickMessage

@@ -14,9 +14,19 @@ const PRESETS = [
 ] as const;
 type PresetName = (typeof PRESETS)[number]["value"];
 
+const SLABS = [
+  { value: "thin", label: "Thin", mm: 0, kind: "min", words: "Slices as thin as they are" },
+  { value: "min", label: "Min", mm: 10, kind: "min", words: "The least over 10 mm: airways" },
+  { value: "max", label: "Max", mm: 10, kind: "max", words: "The most over 10 mm: vessels, nodules" },
+  { value: "mean", label: "Mean", mm: 5, kind: "mean", words: "The mean over 5 mm: less noise" },
+] as const;
+type SlabName = (typeof SLABS)[number]["value"];
+const THIN = { thickness_mm: 0, kind: "min" } as const;
+
 export function CheckStep() {
   const station = useStation();
   const info = useApp((state) => state.session?.case ?? null);
+  const slab = useApp((state) => state.session?.slab ?? THIN);
   const width = useApp((state) => greyWindow(state).width_hu);
   const level = useApp((state) => greyWindow(state).level_hu);
   if (info === null) return null;
@@ -71,6 +81,19 @@ export function CheckStep() {
         {windowWords(width, level)}
         {info.is_hu ? " HU" : ""}; drag with the right button in a slice to change it
       </p>
+      <h3>Thickness of the slices</h3>
+      <Choice<SlabName>
+        name="Thickness of the slices"
+        value={
+          SLABS.find((choice) => choice.mm === slab.thickness_mm && (choice.mm === 0 || choice.kind === slab.kind))
+            ?.value ?? "thin"
+        }
+        choices={SLABS.map(({ value, label, words }) => ({ value, label, words, keys: keyOf("next_slab") }))}
+        onChange={(value) => {
+          const choice = SLABS.find((one) => one.value === value);
+          if (choice !== undefined) station.send({ type: "set_slab", thickness_mm: choice.mm, kind: choice.kind });
+        }}
+      />
       {info.other_series.length === 0 ? null : (
         <>
           <h3>Other series in the folder</h3>

@@ -1,0 +1,192 @@
+"""The views beside the airway, in a real browser: C-arm, views along the route, movable planes, zoomed slices."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from server_process import Server, start_server, stop_server
+from workstation import PICTURE_MS
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory) -> Iterator[Server]:
+    """``carina demo phantom``, as a person starts it."""
+    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
+    yield running
+    code = stop_server(running)
+    assert code == 0
+    assert running.errors() == []
+
+
+def wait_for(workstation, condition):
+    workstation.page.wait_for_function(f"() => {condition}", timeout=PICTURE_MS)
+
+
+def shown(workstation, view):
+    """Wait until a full picture of a view is on the screen."""
+    wait_for(workstation, f"document.querySelector('canvas[data-view={view}]')?.dataset.full === 'true'")
+
+
+def host(workstation, view):
+    """Where a view's picture takes clicks, CSS px."""
+    return workstation.page.locator(f".picture-host:has(canvas[data-view={view}])").bounding_box()
+
+
+def drag(workstation, view, start, end, button="left"):
+    """Drag between two places of a view, given as parts of its sides."""
+    box, mouse = host(workstation, view), workstation.page.mouse
+    mouse.move(box["x"] + start[0] * box["width"], box["y"] + start[1] * box["height"])
+    mouse.down(button=button)
+    mouse.move(box["x"] + end[0] * box["width"], box["y"] + end[1] * box["height"], steps=6)
+    mouse.up(button=button)
+
+
+def test_the_c_arm_turns_with_a_drag_and_by_keys_and_only_the_marker_follows_the_tip(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.page.get_by_role("radio", name="DRR").or_(workstation.page.get_by_role("button", name="DRR")).click()
+    shown(workstation, "drr")
+    workstation.picture("views-drr")
+    frontal = workstation.pixels("drr")
+    assert 20 < workstation.brightness("drr") < 200
+
+    drag(workstation, "drr", (0.5, 0.5), (0.2, 0.6))
+    wait_for(workstation, "window.__carina.state.session.carm.primary_deg > 10")
+    assert workstation.state("session.carm.secondary_deg") > 3
+    shown(workstation, "drr")
+    wait_for(workstation, "true")
+    assert workstation.pixels("drr") != frontal
+    workstation.picture("views-drr-turned")
+
+    workstation.page.locator(".picture-host:has(canvas[data-view=drr])").focus()
+    workstation.page.keyboard.press("Home")
+    wait_for(workstation, "window.__carina.state.session.carm.primary_deg === 0")
+    workstation.page.keyboard.press("Shift+ArrowLeft")
+    wait_for(workstation, "window.__carina.state.session.carm.primary_deg === 5")
+    workstation.page.keyboard.press("Home")
+    workstation.page.keyboard.press("g")
+    wait_for(workstation, "window.__carina.state.session.carm.tone === 'fluoroscopy'")
+    workstation.page.keyboard.press("g")
+    wait_for(workstation, "window.__carina.state.session.carm.tone === 'radiograph'")
+    workstation.page.wait_for_timeout(1500)
+    shown(workstation, "drr")
+    frame, marks = workstation.frame("drr"), workstation.overlay("drr")
+    workstation.go_to(60.0)
+    workstation.wait_still()
+    assert workstation.frame("drr")["frame_id"] == frame["frame_id"], "the radiograph is not rendered again"
+    assert workstation.overlay("drr") != marks, "its marker has moved"
+    assert workstation.faults == []
+
+
+def test_the_straightened_airway_takes_the_tip_where_it_is_clicked(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.page.keyboard.press("v")
+    shown(workstation, "straightened")
+    workstation.go_to(10.0)
+    workstation.wait_still()
+    workstation.picture("views-straightened")
+    length = workstation.state("route.length_mm")
+
+    box = host(workstation, "straightened")
+    workstation.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    wait_for(workstation, "window.__carina.state.probed?.voxel_value < -500")
+    workstation.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    # The whole route fits, with 8 mm of room at both ends: the middle of the picture is the middle of the route.
+    wait_for(workstation, f"Math.abs(window.__carina.state.pose.path_mm - {length / 2}) < 3")
+
+    before = workstation.pixels("straightened")
+    drag(workstation, "straightened", (0.3, 0.5), (0.8, 0.5))
+    wait_for(workstation, "window.__carina.state.session.reformation.turn_deg > 20")
+    shown(workstation, "straightened")
+    workstation.page.wait_for_timeout(500)
+    assert workstation.pixels("straightened") != before
+    workstation.page.mouse.wheel(0, -600)
+    wait_for(workstation, "window.__carina.state.session.reformation.mm_per_px < 1")
+    workstation.page.wait_for_timeout(500)
+    workstation.picture("views-straightened-zoomed")
+    frame = workstation.frame("straightened")["frame_id"]
+    workstation.go_to(20.0)
+    workstation.page.wait_for_function(
+        "(id) => Number(document.querySelector('canvas[data-view=straightened]').dataset.frameId) > id",
+        arg=frame,
+        timeout=PICTURE_MS,
+    )
+    workstation.page.locator(".picture-host:has(canvas[data-view=straightened])").focus()
+    workstation.page.keyboard.press("Home")
+    workstation.page.keyboard.press("v")
+    shown(workstation, "curved")
+    workstation.picture("views-curved")
+    workstation.page.keyboard.press("v")
+    shown(workstation, "cut-plane")
+    assert workstation.faults == []
+
+
+def test_a_plane_of_the_tri_plane_view_moves_with_a_drag_and_the_background_orbits(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.page.keyboard.press("t")
+    shown(workstation, "tri-plane")
+    workstation.page.locator("[data-cell=outside] canvas.overlay").wait_for(state="attached")
+    workstation.picture("views-tri-plane")
+    before = workstation.state("session.orbit_tri_plane")
+    tip = [workstation.state(f"pose.lps_from_camera[{n}]") for n in (3, 7, 11)]
+
+    drag(workstation, "tri-plane", (0.5, 0.62), (0.5, 0.5))
+    wait_for(workstation, "window.__carina.state.session.crosshair_lps !== null")
+    crosshair = workstation.state("session.crosshair_lps")
+    moved = np.abs(np.subtract(crosshair, tip))
+    # Along one axis alone.
+    assert (moved > 3.0).sum() == 1
+    assert (moved < 0.2).sum() == 2
+    assert workstation.state("session.orbit_tri_plane") == before
+    workstation.page.wait_for_timeout(800)
+    workstation.picture("views-tri-plane-moved")
+
+    workstation.page.locator(".picture-host:has(canvas[data-view=tri-plane])").focus()
+    workstation.page.keyboard.press("PageDown")
+    wait_for(workstation, f"window.__carina.state.session.crosshair_lps[2] < {crosshair[2] - 0.5}")
+    drag(workstation, "tri-plane", (0.03, 0.03), (0.3, 0.03))
+    wait_for(workstation, f"window.__carina.state.session.orbit_tri_plane.azimuth_deg !== {before['azimuth_deg']}")
+    workstation.page.keyboard.press("c")
+    wait_for(workstation, "window.__carina.state.session.crosshair_lps === null")
+    assert workstation.faults == []
+
+
+def test_a_slice_zooms_about_the_cursor_and_says_when_it_is_thick(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    shown(workstation, "axial")
+    box = host(workstation, "axial")
+    at = (box["x"] + 0.3 * box["width"], box["y"] + 0.4 * box["height"])
+    workstation.page.mouse.move(*at)
+    wait_for(workstation, "window.__carina.state.probed !== null")
+    here = workstation.state("ui.cursorLps")
+    workstation.page.keyboard.down("Control")
+    for _ in range(3):
+        workstation.page.mouse.wheel(0, -150)
+    workstation.page.keyboard.up("Control")
+    wait_for(workstation, "window.__carina.state.session.zoom.axial_mm_per_px !== null")
+    workstation.page.wait_for_timeout(800)
+    workstation.page.mouse.move(at[0] + 1, at[1])
+    workstation.page.mouse.move(*at)
+    workstation.page.wait_for_timeout(200)
+    # Under the cursor lies what lay there before; a pixel of the small picture is about a millimetre.
+    np.testing.assert_allclose(workstation.state("ui.cursorLps"), here, atol=1.5)
+    workstation.picture("views-slice-zoomed")
+
+    thin = workstation.pixels("coronal")
+    workstation.page.mouse.move(5, 400)
+    workstation.page.keyboard.press("i")
+    wait_for(workstation, "window.__carina.state.session.slab.thickness_mm === 10")
+    workstation.page.wait_for_timeout(800)
+    assert workstation.pixels("coronal") != thin
+    workstation.picture("views-slab")
+    for _ in range(3):
+        workstation.page.keyboard.press("i")
+    wait_for(workstation, "window.__carina.state.session.slab.thickness_mm === 0")
+    assert workstation.faults == []

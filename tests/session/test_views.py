@@ -1,0 +1,137 @@
+"""What the pictures of a session depend on: which of them a movement of the tip asks for again, and which not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carina import _core
+from carina.render import Renderer, Slab, XrayView
+from carina.session import Carm, Reformation
+from small_case import small_bench, small_volume
+
+OVERVIEWS = ("xray-axial", "xray-coronal", "xray-sagittal", "drr", "straightened", "curved")
+
+
+def opened():
+    bench = small_bench()
+    bench.open()
+    return bench.session
+
+
+def keys(session, views):
+    scene = session.scene()
+    return {view: scene.key(view) for view in views}
+
+
+def test_overviews_are_not_rendered_again_when_the_tip_moves():
+    session = opened()
+    before = keys(session, OVERVIEWS)
+    assert None not in before.values()
+    session.go_to(4.0)
+    session.steer(1.0, 0.1, 0.1, 0.2)
+    session.set_mode("free")
+    session.steer(2.0, 0.3, 0.0, 0.0)
+    assert keys(session, OVERVIEWS) == before
+
+
+def test_projections_are_made_once_for_a_volume(monkeypatch):
+    calls = []
+    real = _core.project_maximum
+    monkeypatch.setattr(_core, "project_maximum", lambda hu: calls.append(1) or real(hu))
+    renderer = Renderer(small_volume())
+    for axis in ("axial", "coronal", "sagittal", "axial"):
+        renderer.render(XrayView(axis=axis, width=30, height=30))
+    assert len(calls) == 1
+
+
+def test_a_c_arm_that_turns_asks_for_the_radiograph_alone():
+    session = opened()
+    before = keys(session, OVERVIEWS)
+    session.set_carm(Carm(-30.0, 15.0, 0.5, "fluoroscopy"))
+    after = keys(session, OVERVIEWS)
+    assert [view for view in OVERVIEWS if after[view] != before[view]] == ["drr"]
+    view = session.scene().spec("drr", 100, 80, 0.5, full_width=200)
+    assert (view.primary_deg, view.secondary_deg, view.tone, view.mm_per_px) == (-30.0, 15.0, "fluoroscopy", 1.0)
+    assert session.snapshot().carm == Carm(-30.0, 15.0, 0.5, "fluoroscopy")
+    assert session.snapshot().undo_label is None
+
+
+def test_views_along_the_route_need_a_route_and_change_with_it():
+    session = opened()
+    before = keys(session, ("straightened", "curved"))
+    session.choose_route(branch_id=2)
+    assert all(session.scene().key(view) not in {None, before[view]} for view in before)
+    session.choose_route()
+    assert keys(session, before) == {"straightened": None, "curved": None}
+
+
+def test_a_zoomed_view_along_the_route_follows_the_tip_on_it_and_beside_it():
+    session = opened()
+    session.set_reformation(Reformation(40.0, 0.25))
+    session.go_to(5.0)
+    scene = session.scene()
+    before = scene.key("straightened")
+    view = scene.spec("straightened", 60, 90, 0.5, full_width=120)
+    assert (view.turn_deg, view.mm_per_px, view.center_mm) == (40.0, 0.5, 5.0)
+    session.set_mode("free")
+    session.steer(3.0, 0.0, 0.0, 0.0)
+    scene = session.scene()
+    assert scene.key("straightened") != before
+    assert scene.spec("straightened", 60, 90, 0.5).center_mm == pytest.approx(8.0, abs=0.5)
+
+
+def test_a_slice_stays_where_it_was_zoomed_until_the_tip_moves():
+    session = opened()
+    tip = session.pose_info().pose.position_lps
+    center = (float(tip[0]) + 9.0, float(tip[1]) - 4.0, 0.0)
+    session.set_zoom("axial", mm_per_px=0.3, center_lps=center)
+    view = session.scene().spec("axial", 60, 50, 0.5)
+    # Beside the tip, at the depth that is shown.
+    assert view.center_lps == pytest.approx((center[0], center[1], tip[2]))
+    assert view.mm_per_px == 0.3
+    session.go_to(3.0)
+    followed = session.scene().spec("axial", 60, 50, 0.5)
+    assert followed.center_lps == pytest.approx(tuple(session.pose_info().pose.position_lps))
+    assert followed.mm_per_px == 0.3
+    # A crosshair stays, and the slices with it, wherever the tip goes.
+    session.set_crosshair(tuple(float(v) for v in tip))
+    session.set_zoom("axial", mm_per_px=0.3, center_lps=center)
+    session.go_to(6.0)
+    assert session.scene().spec("axial", 60, 50, 0.5).center_lps[:2] == pytest.approx(center[:2])
+    session.set_crosshair(None)
+    assert session.scene().spec("axial", 60, 50, 0.5).center_lps[:2] != pytest.approx(center[:2])
+
+
+def test_slabs_change_slices_and_views_along_the_route_and_nothing_else():
+    session = opened()
+    views = ("airway", "cut-plane", "tri-plane", "axial", "coronal", "sagittal", "tree", *OVERVIEWS)
+    before = keys(session, views)
+    session.set_slab(Slab(10.0, "min"))
+    after = keys(session, views)
+    changed = {view for view in views if after[view] != before[view]}
+    assert changed == {"axial", "coronal", "sagittal", "straightened", "curved"}
+    assert session.scene().spec("coronal", 40, 40, 0.5).slab == Slab(10.0, "min")
+    session.set_slab(None)
+    assert keys(session, views) == before
+
+
+def test_a_curved_picture_names_the_lines_of_its_rows():
+    from carina.server.presenter import picture_lines
+
+    session = opened()
+    view = session.scene().spec("curved", 70, 100, 0.5)
+    lines = Renderer(small_volume()).render(view).lines
+    told = picture_lines(lines)
+    assert told.row[0] == 0.5
+    assert told.row[-1] == 99.5
+    assert all(b > a for a, b in zip(told.row, told.row[1:], strict=False))
+    for row in (0.5, 13.5, 50.5, 99.5):
+        for column in (0.0, 35.0, 70.0):
+            start, step = (
+                np.array([np.interp(row, told.row, [p[a] for p in points]) for a in range(3)])
+                for points in (told.start_lps, told.step_lps)
+            )
+            # A tenth of a pixel: between two rows that are named the path bends a little.
+            np.testing.assert_allclose(start + column * step, lines.lps_of(column, row), atol=0.1 * lines.mm_per_px)
+    assert picture_lines(None) is None

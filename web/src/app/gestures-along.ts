@@ -1,0 +1,154 @@
+/** What the mouse, the wheel and the keys do in the pictures along the route, and in the radiograph. */
+
+import type { PointerPlace } from "../input/pointer";
+import { linesOf, lpsAt, pathMmAt } from "../state/lines";
+import { geometryOf } from "../state/projection";
+import { distance, type Vec3 } from "../state/vec";
+import { middleOf } from "../state/volume";
+import type { Viewport } from "../views/viewport";
+import type { StateMessage } from "../wire/messages";
+import { dragWindow, type Gestures, ORBIT_DEG_PER_PX, ORBIT_KEY_DEG, ZOOM_KEY_PX, ZOOM_PER_PX } from "./gesture-parts";
+import type { Workstation } from "./workstation";
+
+/** What was sent holds against the server's word for this long, so that a drag does not stumble over older news. */
+const OWN_WORD_MS = 600;
+const DOUBLE_CLICK_MS = 700;
+const STEP_MM = 2;
+const MM_PER_PX = { least: 0.02, most: 10 } as const;
+
+type Carm = StateMessage["carm"];
+type Reformation = StateMessage["reformation"];
+
+/** The newest of what was sent and what the server says. */
+function ownWord<T>(server: () => T): { now(): T; set(value: T): void } {
+  let own: { value: T; untilMs: number } | null = null;
+  return {
+    now: () => (own !== null && performance.now() < own.untilMs ? own.value : server()),
+    set: (value) => {
+      own = { value, untilMs: performance.now() + OWN_WORD_MS };
+    },
+  };
+}
+
+const clampScale = (mmPerPx: number): number => Math.min(Math.max(mmPerPx, MM_PER_PX.least), MM_PER_PX.most);
+const halfTurn = (deg: number): number => ((((deg + 180) % 360) + 360) % 360) - 180;
+
+const STRAIGHT: Reformation = { turn_deg: 0, mm_per_px: null };
+const FRONTAL: Carm = { primary_deg: 0, secondary_deg: 0, mm_per_px: null, tone: "radiograph" };
+
+export function pathGestures(station: Workstation, viewport: Viewport): Gestures {
+  const shown = ownWord<Reformation>(() => station.state.session?.reformation ?? STRAIGHT);
+  const change = (next: Reformation) => {
+    shown.set(next);
+    station.sendSoon({ type: "set_reformation", ...next });
+  };
+  const turn = (deg: number) => change({ ...shown.now(), turn_deg: halfTurn(shown.now().turn_deg + deg) });
+  const lines = () => linesOf(viewport.header?.lines ?? null);
+  const pointAt = (at: PointerPlace): Vec3 | null => {
+    const geometry = lines();
+    const pixel = viewport.pixelAt(at);
+    return geometry === null || pixel === null ? null : lpsAt(geometry, pixel);
+  };
+  const zoom = (deltaPx: number) => {
+    const geometry = lines();
+    const { header, wantedPixels } = viewport;
+    if (geometry === null || header === null || wantedPixels === null) return;
+    const scaleNow = shown.now().mm_per_px ?? (geometry.mmPerPx * header.width) / wantedPixels.width;
+    change({ ...shown.now(), mm_per_px: clampScale(scaleNow * Math.exp(deltaPx * ZOOM_PER_PX)) });
+  };
+  /** The tip's place before a click that may turn out to be the first half of a double click. */
+  let before: { pathMm: number; atMs: number } | null = null;
+  return {
+    unclick: () => {
+      if (before !== null && performance.now() - before.atMs < DOUBLE_CLICK_MS) station.goTo(before.pathMm);
+      before = null;
+    },
+    pointer: {
+      click: (at) => {
+        const geometry = lines();
+        const pixel = viewport.pixelAt(at);
+        const lps = pointAt(at);
+        if (geometry === null || pixel === null || lps === null) return;
+        if (station.state.ui.armed !== null) {
+          station.pick(lps);
+          return;
+        }
+        const here = station.pathMm();
+        const nowMs = performance.now();
+        if (here !== null && (before === null || nowMs - before.atMs > DOUBLE_CLICK_MS)) {
+          before = { pathMm: here, atMs: nowMs };
+        }
+        station.goTo(pathMmAt(geometry, pixel.row));
+      },
+      drag: (_at, moved, button) => {
+        if (button === "main") turn(moved.dx * ORBIT_DEG_PER_PX);
+        else dragWindow(station, moved);
+      },
+      hover: (at) => {
+        const lps = at === null ? null : pointAt(at);
+        station.ui({ cursorLps: lps });
+        if (lps !== null) station.sendSoon({ type: "probe", lps });
+      },
+      wheel: (delta) => zoom(delta),
+    },
+    key: (name, shift) => {
+      if (name === "+" || name === "=") zoom(-ZOOM_KEY_PX);
+      else if (name === "-") zoom(ZOOM_KEY_PX);
+      else if (name === "Home") change(STRAIGHT);
+      else if (shift && name === "ArrowLeft") turn(-ORBIT_KEY_DEG);
+      else if (shift && name === "ArrowRight") turn(ORBIT_KEY_DEG);
+      else if (shift && (name === "ArrowUp" || name === "ArrowDown")) {
+        const here = station.pathMm();
+        if (here !== null) station.goTo(here + (name === "ArrowUp" ? -STEP_MM : STEP_MM));
+      } else return false;
+      return true;
+    },
+  };
+}
+
+export function carmGestures(station: Workstation, viewport: Viewport): Gestures {
+  const shown = ownWord<Carm>(() => station.state.session?.carm ?? FRONTAL);
+  const change = (next: Carm) => {
+    shown.set(next);
+    station.sendSoon({ type: "set_carm", ...next });
+  };
+  const turn = (primary: number, secondary: number) => {
+    const now = shown.now();
+    change({
+      ...now,
+      primary_deg: halfTurn(now.primary_deg + primary),
+      secondary_deg: Math.min(Math.max(now.secondary_deg + secondary, -90), 90),
+    });
+  };
+  const zoom = (deltaPx: number) => {
+    const { header, wantedPixels } = viewport;
+    const info = station.state.session?.case;
+    if (header === null || wantedPixels === null || info == null) return;
+    const geometry = geometryOf(header);
+    if (geometry === null || geometry.kind !== "seen") return;
+    // The C-arm turns about the volume's middle, and its scale counts there.
+    const mmPerPx = distance(geometry.camera.position, middleOf(info)) / geometry.focalPx;
+    const scaleNow = shown.now().mm_per_px ?? (mmPerPx * header.width) / wantedPixels.width;
+    change({ ...shown.now(), mm_per_px: clampScale(scaleNow * Math.exp(deltaPx * ZOOM_PER_PX)) });
+  };
+  return {
+    pointer: {
+      // The detector moves against the hand, so that the patient turns with it.
+      drag: (_at, moved, button) => {
+        if (button === "main") turn(-moved.dx * ORBIT_DEG_PER_PX, moved.dy * ORBIT_DEG_PER_PX);
+      },
+      wheel: (delta) => zoom(delta),
+    },
+    key: (name, shift) => {
+      if (name === "+" || name === "=") zoom(-ZOOM_KEY_PX);
+      else if (name === "-") zoom(ZOOM_KEY_PX);
+      else if (name === "Home") change({ ...FRONTAL, tone: shown.now().tone });
+      else if (shift && name === "ArrowLeft") turn(ORBIT_KEY_DEG, 0);
+      else if (shift && name === "ArrowRight") turn(-ORBIT_KEY_DEG, 0);
+      else if (shift && name === "ArrowUp") turn(0, -ORBIT_KEY_DEG);
+      else if (shift && name === "ArrowDown") turn(0, ORBIT_KEY_DEG);
+      else return false;
+      return true;
+    },
+  };
+}

@@ -1,0 +1,63 @@
+import { describe, expect, it } from "vitest";
+import type { PictureLines } from "../wire/messages";
+import { axesAt, linesOf, lpsAt, nearestPixel, pathMmAt, pixelOfPath } from "./lines";
+
+/** 100 px wide, 0.5 mm per px: down 20 mm, then 20 mm to the patient's left, 5 mm of straight room at both ends. */
+const LINES: PictureLines = {
+  row: [0.5, 10.5, 50.5, 90.5, 100.5],
+  start_lps: [
+    [-25, 0, 5],
+    [-25, 0, 0],
+    [-25, 0, -20],
+    [-5, 0, -20],
+    [0, 0, -20],
+  ],
+  step_lps: Array.from({ length: 5 }, () => [0.5, 0, 0] as const),
+  path_mm: [0, 0, 20, 40, 40],
+  path_column: [50, 50, 50, 50, 50],
+  mm_per_px: 0.5,
+};
+
+describe("pictures along a route", () => {
+  const geometry = linesOf(LINES);
+  if (geometry === null) throw new Error("no geometry");
+
+  it("know the point of a pixel", () => {
+    expect(lpsAt(geometry, { column: 0, row: 30.5 })).toEqual([-25, 0, -10]);
+    expect(lpsAt(geometry, { column: 100, row: 30.5 })).toEqual([25, 0, -10]);
+    expect(lpsAt(geometry, { column: 50, row: 70.5 })).toEqual([10, 0, -20]);
+    // Rows beyond the picture are its edge.
+    expect(lpsAt(geometry, { column: 50, row: -40 })).toEqual([0, 0, 5]);
+  });
+
+  it("know the place of a row and the row of a place", () => {
+    expect(pathMmAt(geometry, 30.5)).toBe(10);
+    expect(pathMmAt(geometry, 3)).toBe(0);
+    expect(pathMmAt(geometry, 99)).toBe(40);
+    expect(pixelOfPath(geometry, 10)).toEqual({ column: 50, row: 30.5 });
+    expect(pixelOfPath(geometry, 0)).toEqual({ column: 50, row: 10.5 });
+    expect(pixelOfPath(geometry, 40)).toEqual({ column: 50, row: 90.5 });
+    expect(pixelOfPath(geometry, 41)).toBeNull();
+    expect(pixelOfPath(geometry, -1)).toBeNull();
+  });
+
+  it("find the pixel of a point", () => {
+    const found = nearestPixel(geometry, [6, 3, -10]);
+    expect(found.column).toBeCloseTo(62, 6);
+    expect(found.row).toBeCloseTo(30.5, 6);
+    expect(found.awayMm).toBeCloseTo(3, 6);
+  });
+
+  it("name their directions", () => {
+    const { right, up, down } = axesAt(geometry);
+    expect(right[0]).toBeGreaterThan(0);
+    // It begins towards the feet and ends towards the patient's left.
+    expect(up).toEqual([0, 0, 6]);
+    expect(down).toEqual([6, 0, 0]);
+  });
+
+  it("are none where the header names none", () => {
+    expect(linesOf(null)).toBeNull();
+    expect(linesOf({ ...LINES, row: [0.5] })).toBeNull();
+  });
+});
