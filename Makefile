@@ -48,11 +48,18 @@ test-python: $(STAMP)
 	$(PY) -m pytest -m "" -ra
 
 # Not part of `make test`: wgpu is a large build, and most machines that test have no adapter. Here a missing one is a
-# failure, and the software one of Mesa (lavapipe) is enough.
-test-gpu: $(STAMP) ## the GPU caster, on a software adapter where there is no other
+# failure, and the software one of Mesa (lavapipe) is enough. The Python tests take the wheel, as people get it.
+test-gpu: $(STAMP) ## the GPU caster and the wheel, on a software adapter where there is no other
 	$(PY) tools/find_adapter.py --install
 	cargo clippy --release -p carina-gpu --features wgpu --all-targets -- -D warnings
+	cargo clippy --release -p carina-bindings --features gpu -- -D warnings
 	CARINA_GPU_REQUIRED=1 cargo test --release -p carina-gpu --features wgpu -- --nocapture
+	rm -rf target/gpu-wheel
+	$(UV) build -q --wheel -o target/gpu-wheel
+	test -x .venv-gpu/bin/python || $(UV) venv -q .venv-gpu
+	$(UV) pip sync -q --python .venv-gpu/bin/python --require-hashes requirements.lock
+	$(UV) pip install -q --python .venv-gpu/bin/python --no-deps target/gpu-wheel/*.whl
+	CARINA_GPU_REQUIRED=1 .venv-gpu/bin/python -m pytest -m gpu -ra tests
 
 check: $(STAMP) web/node_modules/.package-lock.json ## formatting, lints, types, layers, lock file, spelling
 	cargo fmt --all --check
@@ -87,9 +94,9 @@ bench: bench-setup ## figures beside VTK, numba and scipy; pictures and JSON in 
 lock: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## export requirements.lock from pyproject.toml
 	$(if $(wildcard $(PY)),$(PY),python3) tools/lock.py --uv $(UV)
 
-wheel: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## a wheel with the web UI inside, in dist/
+wheel: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## a wheel with the web UI and GPU support inside, in dist/
 	$(UV) build --wheel -o dist
 
 clean: ## remove what was built (not the caches of cases)
-	rm -rf .venv target dist web/node_modules python/carina/_web
+	rm -rf .venv .venv-gpu target dist web/node_modules python/carina/_web
 	find python -name '*.so' -delete

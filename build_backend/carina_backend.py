@@ -18,6 +18,9 @@ from maturin import *  # noqa: F403  (PEP 517 hooks are passed on as they are)
 ROOT = Path(__file__).resolve().parent.parent
 WEB = ROOT / "web"
 BUILT = ROOT / "python" / "carina" / "_web" / "index.html"
+# A wheel has GPU support inside; an editable build (`make run`, `make test`, CI) has not, since wgpu is large. What is
+# given here replaces the features of pyproject.toml.
+WHEEL_ARGUMENTS = ("--features", "extension-module,gpu")
 
 
 def _newest_source() -> float:
@@ -43,9 +46,10 @@ def build_web() -> None:
 
 
 def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):  # noqa: ANN001, ANN201
-    """Build a wheel with the web UI inside."""
+    """Build a wheel with the web UI and GPU support inside."""
     build_web()
-    return maturin.build_wheel(wheel_directory, config_settings, metadata_directory)
+    settings = {"build-args": list(WHEEL_ARGUMENTS), **(config_settings or {})}
+    return maturin.build_wheel(wheel_directory, settings, metadata_directory)
 
 
 def build_editable(wheel_directory, config_settings=None, metadata_directory=None):  # noqa: ANN001, ANN201

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 def build_info() -> dict[str, Any]:
-    """version, profile, simd, threads, target."""
+    """version, profile, simd, threads, target, gpu."""
 
 # ---- scope ----
 
@@ -137,6 +137,28 @@ def defocus(
 ) -> NDArray[np.uint8]:
     """A whole picture (h, w, 3) blurred by its depth (h, w), then darkened by its lens."""
 
+# ---- gpu ----
+
+def gpu_adapters() -> list[tuple[str, str, str, str]] | None:
+    """Name, interface, driver and kind, the likely fastest first; None in a build without GPU support."""
+
+@final
+class Gpu:
+    """An opened graphics device."""
+
+    def __new__(cls, adapter: int) -> Gpu: ...
+    def upload(self, hu_zyx: NDArray[np.int16], radius_zyx: NDArray[np.uint8] | None = None) -> GpuScene:
+        """Copy a volume to the device, and its radius map."""
+    def lose(self) -> None:
+        """Give the device up, for tests."""
+
+@final
+class GpuScene:
+    """A volume on a graphics device, with a radius map or without."""
+
+    def with_map(self, radius_zyx: NDArray[np.uint8] | None = None) -> GpuScene:
+        """The same volume with another map, or without one."""
+
 # ---- raycast ----
 
 @final
@@ -186,6 +208,7 @@ def cast(
     stop: CancelToken | None = None,
     lens: LensRays | None = None,
     darken: bool = True,
+    gpu: GpuScene | None = None,
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int, int, int]]:
     """(rows, width, 3) colours; rays, samples, look-ups, leaps, skipped samples, shaded samples, reads.
 

@@ -15,10 +15,11 @@ import platformdirs
 
 from carina.errors import UsageError
 
-__all__ = ["LOG_LEVELS", "Settings", "load_settings"]
+__all__ = ["BACKENDS", "LOG_LEVELS", "Settings", "load_settings"]
 
 logging.addLevelName(5, "TRACE")  # below DEBUG: once per frame
 LOG_LEVELS = ("TRACE", "DEBUG", "INFO", "WARNING", "ERROR")
+BACKENDS = ("cpu", "gpu", "auto")
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,9 @@ class Settings:
     """One of :data:`LOG_LEVELS`; ``CARINA_LOG_LEVEL``, else WARNING."""
     data_dir: Path | None
     """Folder of real cases for tests and benchmarks; ``CARINA_DATA_DIR``, else None."""
+    backend: str
+    """Who renders airway views, one of :data:`BACKENDS`; ``CARINA_BACKEND``, else auto: a graphics device where one was
+    measured to be faster than the CPU."""
     config_dir: Path
     """What a person decided (the safety notice, recent cases)."""
     state_dir: Path
@@ -48,18 +52,23 @@ def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
     Raises
     ------
     UsageError
-        If ``CARINA_LOG_LEVEL`` is no level.
+        If ``CARINA_LOG_LEVEL`` is no level, or ``CARINA_BACKEND`` no backend.
     """
     values = os.environ if environ is None else environ
     level = values.get("CARINA_LOG_LEVEL", "").strip().upper() or "WARNING"
     if level not in LOG_LEVELS:
         msg = f"CARINA_LOG_LEVEL must be one of {', '.join(LOG_LEVELS)}; found {level!r}"
         raise UsageError(msg, code="usage.log-level")
+    backend = values.get("CARINA_BACKEND", "").strip().lower() or "auto"
+    if backend not in BACKENDS:
+        msg = f"CARINA_BACKEND must be one of {', '.join(BACKENDS)}; found {backend!r}"
+        raise UsageError(msg, code="usage.backend")
     data_dir = values.get("CARINA_DATA_DIR", "").strip()
     dirs = platformdirs.PlatformDirs("carina", appauthor=False)
     return Settings(
         log_level=level,
         data_dir=Path(data_dir).expanduser() if data_dir else None,
+        backend=backend,
         config_dir=dirs.user_config_path,
         state_dir=dirs.user_state_path,
         cache_dir=dirs.user_cache_path,

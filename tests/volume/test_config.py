@@ -14,15 +14,22 @@ def test_settings_have_defaults():
     settings = load_settings({})
     assert settings.log_level == "WARNING"
     assert settings.data_dir is None
+    assert settings.backend == "auto"
     assert "carina" in settings.cache_dir.name.lower()
 
 
 def test_settings_follow_the_environment():
-    settings = load_settings({"CARINA_LOG_LEVEL": " debug ", "CARINA_DATA_DIR": "some/folder"})
+    settings = load_settings({"CARINA_LOG_LEVEL": " debug ", "CARINA_DATA_DIR": "some/folder", "CARINA_BACKEND": "CPU"})
     assert settings.log_level == "DEBUG"
     assert settings.data_dir == Path("some/folder")
+    assert settings.backend == "cpu"
 
 
 def test_an_unknown_log_level_is_refused():
     with pytest.raises(UsageError, match="LOUD"):
         load_settings({"CARINA_LOG_LEVEL": "loud"})
+
+
+def test_an_unknown_backend_is_refused():
+    with pytest.raises(UsageError, match="abacus"):
+        load_settings({"CARINA_BACKEND": "abacus"})

@@ -7,6 +7,8 @@ use pyo3::prelude::*;
 mod airpath;
 mod arrays;
 mod errors;
+#[cfg_attr(not(feature = "gpu"), path = "gpu_absent.rs")]
+mod gpu;
 mod isoregion;
 mod optics;
 mod phantom;
@@ -15,7 +17,7 @@ mod scope;
 mod views;
 mod watch;
 
-/// What was built and what it uses: `profile`, `simd`, `threads`, `version`.
+/// What was built and what it uses: `profile`, `simd`, `threads`, `target`, `gpu`, `version`.
 #[pyfunction]
 fn build_info(py: Python<'_>) -> PyResult<Bound<'_, pyo3::types::PyDict>> {
     let info = pyo3::types::PyDict::new(py);
@@ -31,6 +33,7 @@ fn build_info(py: Python<'_>) -> PyResult<Bound<'_, pyo3::types::PyDict>> {
     info.set_item("simd", raycast::best_instruction_set()?)?;
     info.set_item("threads", rayon::current_num_threads())?;
     info.set_item("target", std::env::consts::ARCH)?;
+    info.set_item("gpu", cfg!(feature = "gpu"))?;
     Ok(info)
 }
 
@@ -40,6 +43,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     isoregion::register(module)?;
     optics::register(module)?;
     raycast::register(module)?;
+    gpu::register(module)?;
     airpath::register(module)?;
     phantom::register(module)?;
     scope::register(module)?;

@@ -25,6 +25,7 @@ use pyo3::prelude::*;
 use crate::{
     arrays::{affine, grid, values},
     errors::{IntoPy, carina_error},
+    gpu::GpuScene,
     isoregion::volume_array,
     optics::{LensRays, camera},
 };
@@ -176,7 +177,7 @@ const fn interpolation(nearest: bool) -> Interpolation {
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
-    background=[0.0; 3], leap=None, simd=None, stop=None, lens=None, darken=true
+    background=[0.0; 3], leap=None, simd=None, stop=None, lens=None, darken=true, gpu=None
 ))]
 fn cast<'py>(
     py: Python<'py>,
@@ -196,6 +197,7 @@ fn cast<'py>(
     stop: Option<Bound<'py, CancelToken>>,
     lens: Option<Bound<'py, LensRays>>,
     darken: bool,
+    gpu: Option<Bound<'py, GpuScene>>,
 ) -> PyResult<(Bound<'py, PyArray3<u8>>, PyStats)> {
     let grid = grid(&hu_zyx, &lps_from_ijk)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
@@ -239,22 +241,23 @@ fn cast<'py>(
         }
     };
     let stop = stop.as_ref().map(|token| &token.get().set);
-    let done = py
-        .detach(|| {
-            let done = match stop {
-                None => cast_rows(&frame, method, start..end, simd).map(Some),
-                Some(stop) => cast_rows_until(&frame, method, start..end, simd, stop),
-            };
-            done.map(|done| {
-                done.map(|(mut rgb, stats)| {
-                    if let Some(rays) = frame.camera().lens_rays().filter(|_| darken) {
-                        rays.shade_rows(start, &mut rgb);
-                    }
-                    (rgb, stats)
-                })
-            })
-        })
-        .map_err(IntoPy::into_py)?;
+    let done = match (&gpu, stop) {
+        // A picture on the device takes milliseconds and is not given up half-way.
+        (Some(_), Some(stop)) if stop.load(Ordering::Relaxed) => None,
+        (Some(scene), _) => Some(scene.get().cast(py, &frame, &hu_zyx, start..end)?),
+        (None, None) => py
+            .detach(|| cast_rows(&frame, method, start..end, simd).map(Some))
+            .map_err(IntoPy::into_py)?,
+        (None, Some(stop)) => py
+            .detach(|| cast_rows_until(&frame, method, start..end, simd, stop))
+            .map_err(IntoPy::into_py)?,
+    };
+    let done = done.map(|(mut rgb, stats)| {
+        if let Some(rays) = frame.camera().lens_rays().filter(|_| darken) {
+            py.detach(|| rays.shade_rows(start, &mut rgb));
+        }
+        (rgb, stats)
+    });
     let Some((rgb, s)) = done else {
         return Err(carina_error(
             "CancelledError",

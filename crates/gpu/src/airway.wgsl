@@ -10,8 +10,12 @@ override WALLS: bool = false;
 
 // Rays stop when less than this shines through: no channel can change by more than half a grey level any more.
 const STOP_TRANSPARENCY: f32 = 1.0 / 512.0;
-// Samples taken after a look-up that found no region: at half a voxel a step two samples share a voxel.
-const WAIT_SAMPLES: u32 = 2u;
+// When a ray asks the map: leap.rs says why. Samples after the first look-up that found nothing, and at most; samples before
+// the first look-up of rays that start in no region; the shortest leap that sets the patience back.
+const LEAST_PATIENCE: u32 = 2u;
+const MOST_PATIENCE: u32 = 128u;
+const BLIND_SAMPLES: u32 = 8u;
+override PAYING_LEAP: u32 = 1u;
 // Steps per voxel along an axis on which a ray stands still, and the most steps that a leap can have.
 const FAR: f32 = 1e30;
 const MAX_STEPS: f32 = 1e9;
@@ -56,13 +60,14 @@ struct Frame {
 @group(0) @binding(4) var<storage, read> directions: array<f32>;
 // One word per pixel: RGBA, alpha 255. With WALLS five: the bits of colour, transparency and first wall in steps.
 @group(0) @binding(5) var<storage, read_write> out: array<u32>;
-// Samples, look-ups, leaps, skipped samples of each workgroup.
-@group(0) @binding(6) var<storage, read_write> counts: array<vec4<u32>>;
+// Samples, look-ups, leaps, skipped samples and shaded samples of each workgroup.
+@group(0) @binding(6) var<storage, read_write> counts: array<u32>;
 
 var<workgroup> num_samples: atomic<u32>;
 var<workgroup> num_lookups: atomic<u32>;
 var<workgroup> num_leaps: atomic<u32>;
 var<workgroup> num_skipped: atomic<u32>;
+var<workgroup> num_lit: atomic<u32>;
 
 struct Ray {
     // Voxels per step.
@@ -262,6 +267,12 @@ fn steps_within(ray: Ray, p: vec3<f32>, v: vec3<f32>, reach: f32) -> u32 {
     return u32(max(steps, 0.0));
 }
 
+// True where the camera stands in a region of the map; the same for all rays.
+fn starts_in_region() -> bool {
+    let inside = all(frame.between_faces.xyz == vec3<u32>(1u));
+    return inside && textureLoad(radius, nearest(frame.origin.xyz), 0).x > 0u;
+}
+
 @compute @workgroup_size(8, 8)
 fn cast_airway(
     @builtin(global_invocation_id) at: vec3<u32>,
@@ -275,14 +286,20 @@ fn cast_airway(
     if on_picture {
         let ray = ray_of(pixel);
         var k = ray.first;
-        var wait = 0u;
         var lookups = 0u;
         var leaps = 0u;
         var skipped = 0u;
+        var lit = 0u;
+        var ask_at = ray.first;
+        var patience = LEAST_PATIENCE;
+        if LEAP && !starts_in_region() {
+            ask_at += BLIND_SAMPLES;
+            patience = 2u * BLIND_SAMPLES;
+        }
         while k < ray.end {
             let p = place(ray, k);
             if LEAP {
-                if wait == 0u {
+                if k >= ask_at {
                     let v = nearest(p);
                     lookups += 1u;
                     let r = textureLoad(radius, v, 0).x;
@@ -292,26 +309,30 @@ fn cast_airway(
                         let passed = min(n + 1u, ray.end - k);
                         leaps += 1u;
                         skipped += passed;
+                        if passed >= PAYING_LEAP {
+                            patience = LEAST_PATIENCE;
+                        }
                         k += passed;
                         continue;
                     }
-                    wait = WAIT_SAMPLES;
+                    ask_at = k + patience;
+                    patience = min(2u * patience, MOST_PATIENCE);
                 }
             }
             k += 1u;
             if add_sample(ray, k - 1u, p, &gathered) {
-                wait = 1u;
+                lit += 1u;
+                ask_at = max(ask_at, k + 1u);
                 if gathered.transparency < STOP_TRANSPARENCY {
                     break;
                 }
-            } else if LEAP {
-                wait -= 1u;
             }
         }
         atomicAdd(&num_samples, k - ray.first - skipped);
         atomicAdd(&num_lookups, lookups);
         atomicAdd(&num_leaps, leaps);
         atomicAdd(&num_skipped, skipped);
+        atomicAdd(&num_lit, lit);
         if WALLS {
             let words = bitcast<vec4<u32>>(vec4<f32>(gathered.rgb, gathered.transparency));
             for (var c = 0u; c < 4u; c++) {
@@ -327,11 +348,11 @@ fn cast_airway(
     }
     workgroupBarrier();
     if lane == 0u {
-        counts[group.y * num_groups.x + group.x] = vec4<u32>(
-            atomicLoad(&num_samples),
-            atomicLoad(&num_lookups),
-            atomicLoad(&num_leaps),
-            atomicLoad(&num_skipped),
-        );
+        let slot = 5u * (group.y * num_groups.x + group.x);
+        counts[slot] = atomicLoad(&num_samples);
+        counts[slot + 1u] = atomicLoad(&num_lookups);
+        counts[slot + 2u] = atomicLoad(&num_leaps);
+        counts[slot + 3u] = atomicLoad(&num_skipped);
+        counts[slot + 4u] = atomicLoad(&num_lit);
     }
 }

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use carina_raycast::{CastStats, Frame, FrameNumbers, Interpolation, RaycastError};
+use carina_raycast::{CastStats, Frame, FrameNumbers, Interpolation, Method, RaycastError};
 
 use crate::{
     Gpu, GpuError, GpuMap, GpuVolume,
@@ -32,6 +32,8 @@ const BAND_SAMPLES: f64 = 5e8;
 /// f32 counts steps exactly to 2^24, and a ray's ends are found in f32 here.
 const MOST_STEPS: f64 = 4_194_304.0;
 const WORDS_OF_A_WALL: usize = 5;
+/// Numbers that a workgroup counts.
+const COUNTS: usize = 5;
 
 /// What is cast: a frame, and where its voxels are on the device.
 #[derive(Clone, Copy)]
@@ -138,7 +140,8 @@ impl Gpu {
                 });
             }
         }
-        Ok(stats)
+        // Of a map of transparent classes no label is read, so the reads are those of brute force and the look-ups.
+        Ok(stats.with_loads(frame, Method::Brute))
     }
 
     fn band(
@@ -156,7 +159,7 @@ impl Gpu {
         };
         let groups = [width.div_ceil(GROUP), rows.len().div_ceil(GROUP)];
         let out_bytes = 4 * (rows.len() * width * words) as u64;
-        let count_bytes = 16 * (groups[0] * groups[1]) as u64;
+        let count_bytes = 4 * (groups[0] * groups[1] * COUNTS) as u64;
         let slot = self.slot(out_bytes, count_bytes);
         let uniforms = Uniforms::new(job.numbers, rows.len());
         self.queue
@@ -196,7 +199,7 @@ impl Gpu {
             let bytes = slot.staging.get_mapped_range(0..end);
             let bytes = bytes.map_err(|e| lost(e.to_string()))?;
             let (out, counts) = bytes.split_at(out_bytes as usize);
-            add_counts(stats, counts);
+            add_counts(stats, counts, job.variant.shaded);
             take(out)
         };
         slot.staging.unmap();
@@ -227,14 +230,15 @@ impl Gpu {
 }
 
 /// Adds what each workgroup counted.
-fn add_counts(stats: &mut CastStats, counts: &[u8]) {
-    for group in counts.as_chunks::<16>().0 {
-        let [samples, lookups, leaps, skipped] =
-            bytemuck::pod_read_unaligned::<[u32; 4]>(group).map(u64::from);
+fn add_counts(stats: &mut CastStats, counts: &[u8], shaded: bool) {
+    for group in counts.as_chunks::<{ 4 * COUNTS }>().0 {
+        let [samples, lookups, leaps, skipped, lit] =
+            bytemuck::pod_read_unaligned::<[u32; COUNTS]>(group).map(u64::from);
         stats.num_samples += samples;
         stats.num_lookups += lookups;
         stats.num_leaps += leaps;
         stats.num_skipped += skipped;
+        stats.num_shaded += if shaded { lit } else { 0 };
     }
 }
 

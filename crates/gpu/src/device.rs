@@ -191,13 +191,16 @@ impl Gpu {
     /// The kernel of a variant, compiled on first use.
     pub(crate) fn pipeline(&self, variant: Variant) -> wgpu::ComputePipeline {
         let mut pipelines = lock(&self.pipelines);
-        let constants = [
+        let switches = [
             ("SHADED", variant.shaded),
             ("NEAREST", variant.nearest),
             ("LEAP", variant.leap),
             ("WALLS", variant.walls),
         ]
         .map(|(name, on)| (name, f64::from(u8::from(on))));
+        let paying_leap = carina_raycast::paying_leap(variant.nearest);
+        let mut constants = switches.to_vec();
+        constants.push(("PAYING_LEAP", f64::from(paying_leap)));
         let make = || {
             self.device
                 .create_compute_pipeline(&wgpu::ComputePipelineDescriptor {

@@ -47,11 +47,13 @@ pub enum GpuError {
 }
 
 impl GpuError {
-    /// Stable code, shared with Python.
+    /// Stable code, shared with Python. `render.gpu-limit` is about this volume or view; after `render.gpu` the device is
+    /// not to be used again.
     #[must_use]
     pub const fn code(&self) -> &'static str {
         match self {
             Self::Raycast(e) => e.code(),
+            Self::DoesNotFit { .. } | Self::Unsupported { .. } => "render.gpu-limit",
             _ => "render.gpu",
         }
     }

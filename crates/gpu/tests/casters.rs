@@ -8,7 +8,7 @@ mod scene;
 use std::sync::{Arc, OnceLock};
 
 use carina_gpu::{Gpu, GpuError, adapters};
-use carina_grid::{Camera, FieldShape, ImageField, Lens, LensRays, VolumeView};
+use carina_grid::{Camera, FieldShape, ImageField, Lens, LensRays, Optics, VolumeView};
 use carina_isoregion::{class_labels, radius_map};
 use carina_raycast::{CastStats, Frame, InstructionSet, Method, cast_rows, cast_surface};
 use proptest::{
@@ -124,6 +124,8 @@ fn pictures_of_random_scenes_are_the_cpus_within_a_grey_level() {
                 ),
                 (cpu.num_lookups, gpu.num_lookups),
                 (cpu.num_leaps, gpu.num_leaps),
+                (cpu.num_shaded, gpu.num_shaded),
+                (cpu.num_loads, gpu.num_loads),
             ] {
                 assert!(a.abs_diff(b) <= 10 + a / 100, "scene {n}: {cpu:?} {gpu:?}");
             }
@@ -170,7 +172,8 @@ fn a_lens_with_a_round_image_gives_the_cpus_picture() {
                 shape: FieldShape::Round,
                 ..ImageField::FULL
             };
-            let lens = LensRays::build(&Lens::Equidistant, Some(fov_rad), 64, 48, &field).unwrap();
+            let optics = Optics::new(&Lens::Equidistant, Some(fov_rad), 64, 48).unwrap();
+            let lens = LensRays::build(optics, &field).unwrap();
             let pose = *scene.camera.lps_from_camera();
             scene.camera = Camera::with_lens(pose, Arc::new(lens)).unwrap();
             let pair = cast(gpu, &scene, true, false, true);
@@ -269,7 +272,7 @@ fn what_does_not_fit_or_does_not_belong_together_is_refused() {
         let long = vec![0i16; 70_000];
         let refused = gpu.upload_volume(&long, [1, 1, 70_000]).unwrap_err();
         assert!(matches!(refused, GpuError::DoesNotFit { .. }), "{refused}");
-        assert_eq!(refused.code(), "render.gpu");
+        assert_eq!(refused.code(), "render.gpu-limit");
         let other = gpu.upload_volume(&scene.hu[1..2], [1, 1, 1]).unwrap();
         let map = gpu.upload_map(&[0], [1, 1, 1]).unwrap();
         frame_of(&scene, |frame| {

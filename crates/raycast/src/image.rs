@@ -58,7 +58,8 @@ impl CastStats {
     /// Counts the reads, which follow from the other counts: of samples and their gradients, one radius for each look-up,
     /// and one label for each leap over a class. Reads of the transfer and step tables are left out: they are small and
     /// stay in the nearest cache, and a leap saves them as well.
-    pub(crate) fn with_loads(self, frame: &Frame<'_>, method: Method<'_>) -> Self {
+    #[must_use]
+    pub fn with_loads(self, frame: &Frame<'_>, method: Method<'_>) -> Self {
         let nearest = frame.options.interpolation == Interpolation::Nearest;
         let labels = match method {
             Method::LeapClasses(_) => self.num_leaps,

@@ -54,7 +54,7 @@ pub use leap::ClassMap;
 pub use light::Light;
 pub use lines::{PixelLine, Slab, SlabKind, sample_lines};
 pub use mask::smoothed_mask;
-pub use numbers::FrameNumbers;
+pub use numbers::{FrameNumbers, paying_leap};
 pub use plane::{PlaneImage, Window, sample_plane};
 pub use projection::{Projections, maximum_projections};
 pub use sampling::Field;

@@ -2,7 +2,13 @@
 
 use carina_grid::Affine;
 
-use crate::{Frame, FrameOptions};
+use crate::{CastStats, Frame, FrameOptions, leap::Price};
+
+/// The shortest leap over a transparent class that sets a ray's patience back.
+#[must_use]
+pub const fn paying_leap(nearest: bool) -> u32 {
+    Price::of(CastStats::sample_loads(nearest), 1).pays
+}
 
 /// The numbers behind a [`Frame`], as the casters of this crate use them.
 #[derive(Debug, Clone, PartialEq)]

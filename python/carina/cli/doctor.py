@@ -12,6 +12,7 @@ from typing import Any
 
 import carina
 from carina.cli.console import print_json
+from carina.cli.doctor_gpu import gpu_facts, gpu_lines
 from carina.config import load_settings
 from carina.render import build_info
 
@@ -38,13 +39,15 @@ def report(*, as_json: bool) -> int:
     web_ui = resources.files("carina").joinpath("_web/index.html").is_file()
     settings = load_settings()
     browser = next((name for name in ("chromium", "google-chrome", "firefox") if shutil.which(name)), None)
+    gpu = gpu_facts(settings)
     facts: dict[str, Any] = {
         "carina": carina.__version__,
         "core": core,
         "python": platform.python_version(),
         "platform": platform.platform(),
         "cores": os.cpu_count(),
-        "renderer": "cpu",
+        "renderer": "gpu" if any(adapter["chosen"] for adapter in gpu["adapters"]) else "cpu",
+        "gpu": gpu,
         "web_ui": web_ui,
         "browser": browser,
         "packages": {name: _version(name) for name in NEEDED},
@@ -63,6 +66,8 @@ def report(*, as_json: bool) -> int:
         return 1 if problems else 0
     print(f"Carina {facts['carina']} on Python {facts['python']}, {facts['platform']}")
     print(f"  renderer: CPU, {core['threads']} threads, {core['simd']} kernels, {core['profile']} build")
+    for line in gpu_lines(gpu):
+        print(f"  {line}")
     print(f"  web UI: {'built' if web_ui else 'missing'}; browser found: {browser or 'none on the PATH'}")
     for name, version in facts["packages"].items():
         print(f"  {name} {version or 'MISSING'}")

@@ -14,8 +14,10 @@ from carina.cli.along import check_destination, way_to
 from carina.cli.arguments import check_output_file, parse_point
 from carina.cli.console import interruptible, print_json, progress_printer, say
 from carina.cli.optics import SeenThrough
+from carina.config import load_settings
 from carina.errors import CarinaError, UsageError, VolumeImportError
 from carina.render import (
+    Backend,
     PathSpan,
     Picture,
     Slab,
@@ -182,7 +184,10 @@ def report(
         at = airways.root_lps
     pose = Pose.looking(volume.center_lps if at is None else at, direction, up)
     lumen_zyx = None if airways is None else airways.lumen_zyx
-    picture = interruptible(lambda: render_view(volume, pose=pose, transfer=chosen, lumen_zyx=lumen_zyx, **options))
+    backend = Backend(load_settings().backend)
+    picture = interruptible(
+        lambda: render_view(volume, pose=pose, transfer=chosen, lumen_zyx=lumen_zyx, backend=backend, **options)
+    )
     if view in MARKED_VIEWS and at is not None:
         picture = mark_tip(picture, pose.position_lps)
     if way is not None:

@@ -4,6 +4,7 @@ from typing import Any
 
 from carina import _core
 from carina._core import CancelToken
+from carina.render.backend import Adapter, Backend, Verdict, find_adapters
 from carina.render.lettering import PathSpan, letter_edges, mark_path
 from carina.render.pictures import VIEW_NAMES, mark_tip, render_surface, render_view, view_spec
 from carina.render.renderer import Renderer
@@ -29,7 +30,9 @@ from carina.render.views import (
 __all__ = [
     "PRESETS",
     "VIEW_NAMES",
+    "Adapter",
     "AirwayView",
+    "Backend",
     "CancelToken",
     "CutPlaneView",
     "DrrView",
@@ -47,10 +50,12 @@ __all__ = [
     "TransferFunction",
     "TreeView",
     "TriPlaneView",
+    "Verdict",
     "View",
     "XrayView",
     "build_info",
     "build_isoregion_map",
+    "find_adapters",
     "letter_edges",
     "mark_path",
     "mark_tip",

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.errors import RenderError
+from carina.render.backend import Backend
+from carina.render.device import DeviceCaster
 from carina.render.scene import Scene
 from carina.render.surface import Hit, Surface
 from carina.render.transfer import TransferFunction
@@ -26,9 +28,12 @@ TABLES_IN_MEMORY = 8
 class AirwayCaster:
     """Casts the airway view of one volume, in any thread."""
 
-    def __init__(self, volume: Volume, *, simd: str | None = None) -> None:
+    def __init__(self, volume: Volume, *, simd: str | None = None, backend: Backend | None = None) -> None:
         self._volume = volume
         self._simd = simd
+        self._device = DeviceCaster(
+            Backend() if backend is None else backend, lambda scene, view, gpu: self._cast(scene, view, gpu=gpu)
+        )
         self._swap = threading.Lock()
         self._tables: dict[tuple[int, int, float], tuple[TransferFunction, _core.TransferTable]] = {}
 
@@ -41,9 +46,33 @@ class AirwayCaster:
         stop: _core.CancelToken | None = None,
     ) -> Picture:
         """The picture, or the rows ``rows[0]`` to ``rows[1]`` of it."""
+
+        def cast(scene: Scene, view: AirwayView, gpu: _core.GpuScene | None) -> Picture:
+            return self._cast(scene, view, rows=rows, stop=stop, gpu=gpu)
+
+        method, _ = _choose_method(scene, view, _shades(scene, view))
+        # Leaps over all classes are the CPU's alone.
+        picture = None
+        if method != "leap-all":
+            picture = self._device.try_cast(scene, view, leaps=method == "leap", cast=cast)
+        if picture is None:
+            picture = cast(scene, view, None)
+            if rows is None and method != "leap-all":
+                self._device.seen(scene, view)
+        return picture
+
+    def _cast(
+        self,
+        scene: Scene,
+        view: AirwayView,
+        *,
+        rows: tuple[int, int] | None = None,
+        stop: _core.CancelToken | None = None,
+        gpu: _core.GpuScene | None = None,
+    ) -> Picture:
         nearest = scene.transfer.sampling == "nearest"
         step_vox = 1.0 if nearest else view.step_vox
-        shading = view.shading and not nearest
+        shading = _shades(scene, view)
         method, leap = _choose_method(scene, view, shading)
         lens = _rays(view)
         if rows is not None and view.depth_of_field is not None:
@@ -64,7 +93,9 @@ class AirwayCaster:
             stop=stop,
             lens=lens,
             darken=view.depth_of_field is None,
+            gpu=gpu,
         )
+        method = method if gpu is None else f"gpu-{method}"
         if view.depth_of_field is not None:
             near_mm, far_mm = view.depth_of_field.near_mm, view.depth_of_field.far_mm
             depth_mm, _, _ = self._first_walls(scene, view)
@@ -146,6 +177,10 @@ def _rays(view: AirwayView) -> _core.LensRays | None:
     if view.lens == PINHOLE and view.field.mask == "none" and view.field.vignette == 0.0:
         return None
     return view.optics.rays(view.field)
+
+
+def _shades(scene: Scene, view: AirwayView) -> bool:
+    return view.shading and scene.transfer.sampling != "nearest"
 
 
 def _choose_method(

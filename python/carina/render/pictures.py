@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import UsageError
+from carina.render.backend import Backend
 from carina.render.renderer import Renderer
 from carina.render.surface import Surface
 from carina.render.transfer import TransferFunction
@@ -77,6 +78,7 @@ def render_view(
     vignette: float | None = None,
     depth_of_field: DepthOfField | None = None,
     lumen_zyx: NDArray[np.uint8] | None = None,
+    backend: Backend | None = None,
 ) -> Picture:
     """Render one picture of a volume.
 
@@ -111,6 +113,8 @@ def render_view(
         Shows planes and paths as a thick slice.
     lumen_zyx
         The airway lumen, needed for ``tree``, and for the closed wall of the endoscopic airway view.
+    backend
+        Whether an airway view may come from a graphics device; from the CPU unless told.
 
     Returns
     -------
@@ -148,7 +152,7 @@ def render_view(
         vignette=vignette,
         depth_of_field=depth_of_field,
     )
-    renderer = Renderer(volume, transfer=transfer)
+    renderer = Renderer(volume, transfer=transfer, backend=backend)
     if lumen_zyx is not None and view in {"airway", "tree"}:
         renderer.set_lumen(lumen_zyx)
     if view == "airway" and method == "leap":

@@ -324,9 +324,10 @@ class RenderStats:
     """What a picture took.
 
     ``method`` is the caster that ran: ``leap``, ``leap-all``, ``brute``, ``plane``, ``projection``, ``radiograph`` or
-    ``lines``. ``num_loads`` counts the reads of volume and maps: four rows of two voxels for each sample (one voxel
-    where sampling is ``nearest``), eight more for the gradient of each shaded one, one radius for each look-up, one
-    label for each leap over all classes; 0 for planes.
+    ``lines``; ``gpu-leap`` and ``gpu-brute`` where a graphics device made the picture. ``num_loads`` counts the reads
+    of volume and maps: four rows of two voxels for each sample (one voxel where sampling is ``nearest``), eight more
+    for the gradient of each shaded one, one radius for each look-up, one label for each leap over all classes; 0 for
+    planes.
     """
 
     method: str

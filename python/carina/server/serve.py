@@ -220,10 +220,12 @@ def _refuse_early(path: str) -> None:
 def _renderer_factory() -> Any:
     from carina import render
 
-    cache = load_settings().cache_dir / "maps"
+    settings = load_settings()
+    cache = settings.cache_dir / "maps"
+    backend = render.Backend(settings.backend, record=settings.cache_dir / render.backend.RECORD_NAME)
 
     def make(volume: Any, transfer: Any) -> Any:
-        return render.Renderer(volume, transfer=transfer, cache_dir=cache)
+        return render.Renderer(volume, transfer=transfer, cache_dir=cache, backend=backend)
 
     return make
 

@@ -1,0 +1,218 @@
+"""Which processor casts the airway view: asked for, or measured; never on trust (docs/decisions/0011)."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import os
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina import _core
+from carina.config import BACKENDS
+from carina.errors import RenderError
+
+__all__ = ["RECORD_NAME", "Adapter", "Backend", "Verdict", "find_adapters"]
+
+log = logging.getLogger(__name__)
+
+# The record's file in the folder of caches.
+RECORD_NAME = "backend.json"
+FORMAT = "carina-backend"
+VERSION = 1
+# Pixels that may differ by more than one grey level from the CPU's picture: the contract of the GPU caster.
+MAX_PART_OFF = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Adapter:
+    """A graphics adapter of this machine."""
+
+    index: int
+    name: str
+    api: str
+    """``vulkan``, ``metal`` or ``dx12``."""
+    driver: str
+    kind: str
+    """``discrete``, ``integrated``, ``virtual``, ``software`` or ``unknown``."""
+
+    @property
+    def is_software(self) -> bool:
+        """True for a program that plays a graphics card on the same cores (lavapipe, WARP)."""
+        return self.kind == "software"
+
+
+def find_adapters() -> tuple[Adapter, ...] | None:
+    """The adapters of this machine, the likely fastest first; None in a build without GPU support.
+
+    Loads the graphics drivers on the first call.
+    """
+    found = _core.gpu_adapters()
+    return None if found is None else tuple(Adapter(n, *facts) for n, facts in enumerate(found))
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What came of measuring an adapter beside the CPU, on one size of volume."""
+
+    adapter: str
+    driver: str
+    shape_zyx: tuple[int, int, int]
+    chosen: bool
+    why: str
+    """In words, for a person."""
+    cpu_ms: float | None = None
+    gpu_ms: float | None = None
+    """Time of a picture, the way to the device and back included."""
+
+
+def part_off(expected: NDArray[np.uint8], found: NDArray[np.uint8]) -> float:
+    """Part of the pixels (h, w, 3) that differ by more than one grey level in a channel."""
+    if expected.shape != found.shape:
+        return 1.0
+    return float((np.abs(expected.astype(np.int16) - found).max(axis=2) > 1).mean())
+
+
+class Backend:
+    """The choice between CPU and GPU, for all volumes of a process.
+
+    Parameters
+    ----------
+    mode
+        ``cpu``; ``gpu`` for the first adapter that opens, whatever it is; ``auto`` for an adapter that was measured to
+        be faster than the CPU and to give its pictures, never one in software.
+    record
+        File of what was measured, for ``auto`` and ``carina doctor``; None keeps it in memory.
+    find, open_device
+        Of this machine unless told; for tests.
+
+    Raises
+    ------
+    RenderError
+        If there is no such mode.
+    """
+
+    def __init__(
+        self,
+        mode: str = "cpu",
+        *,
+        record: Path | None = None,
+        find: Callable[[], Sequence[Adapter] | None] = find_adapters,
+        open_device: Callable[[int], _core.Gpu] = _core.Gpu,
+    ) -> None:
+        if mode not in BACKENDS:
+            msg = f"the backend is one of {', '.join(BACKENDS)}; found {mode!r}"
+            raise RenderError(msg, code="render.setting")
+        self.mode = mode
+        self._record = record
+        self._find = find
+        self._open = open_device
+        self._lock = threading.Lock()
+        self._opened: dict[int, _core.Gpu] = {}
+        self._unusable: dict[int, str] = {}
+        self._verdicts: dict[tuple[str, str, tuple[int, int, int]], Verdict] = {}
+        self._said = False
+        if record is not None:
+            self._verdicts = {_key(v): v for v in _read(record)}
+
+    def adapters(self) -> tuple[Adapter, ...]:
+        """Those that may be tried in this mode, in order."""
+        if self.mode == "cpu":
+            return ()
+        found = tuple(self._find() or ())
+        usable = tuple(a for a in found if a.index not in self._unusable)
+        return usable if self.mode == "gpu" else tuple(a for a in usable if not a.is_software)
+
+    def open(self, adapter: Adapter) -> _core.Gpu:
+        """The adapter's device; opened once per process."""
+        with self._lock:
+            device = self._opened.get(adapter.index)
+            if device is None:
+                device = self._opened[adapter.index] = self._open(adapter.index)
+            return device
+
+    def give_up(self, adapter: Adapter | None, reason: str) -> None:
+        """Use an adapter no more in this process, and say so once."""
+        with self._lock:
+            if adapter is not None:
+                self._unusable[adapter.index] = reason
+                self._opened.pop(adapter.index, None)
+            said, self._said = self._said, True
+        if not said:
+            log.warning("pictures come from the CPU from now on: %s", reason)
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """What was measured, here or earlier on this machine."""
+        return tuple(self._verdicts.values())
+
+    def verdict(self, adapter: Adapter, shape_zyx: tuple[int, int, int]) -> Verdict | None:
+        """What was measured of an adapter with this driver, on volumes of this size."""
+        return self._verdicts.get((adapter.name, adapter.driver, shape_zyx))
+
+    def remember(self, verdict: Verdict) -> None:
+        """Keep what was measured."""
+        with self._lock:
+            self._verdicts[_key(verdict)] = verdict
+            verdicts = list(self._verdicts.values())
+        if self._record is not None:
+            _write(self._record, verdicts)
+
+
+def _key(verdict: Verdict) -> tuple[str, str, tuple[int, int, int]]:
+    return verdict.adapter, verdict.driver, verdict.shape_zyx
+
+
+def _carina() -> str:
+    return str(_core.build_info()["version"])
+
+
+def _read(path: Path) -> list[Verdict]:
+    """The record, or nothing where it is missing or not ours: it can be measured again."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        # Another Carina has other casters on either side.
+        if (data["format"], data["version"], data["carina"]) != (FORMAT, VERSION, _carina()):
+            return []
+        return [_verdict(item) for item in data["measured"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+
+
+def _verdict(item: dict[str, Any]) -> Verdict:
+    nz, ny, nx = (int(n) for n in item["shape_zyx"])
+    cpu_ms, gpu_ms = (None if item[name] is None else float(item[name]) for name in ("cpu_ms", "gpu_ms"))
+    return Verdict(
+        adapter=str(item["adapter"]),
+        driver=str(item["driver"]),
+        shape_zyx=(nz, ny, nx),
+        chosen=bool(item["chosen"]),
+        why=str(item["why"]),
+        cpu_ms=cpu_ms,
+        gpu_ms=gpu_ms,
+    )
+
+
+def _write(path: Path, verdicts: list[Verdict]) -> None:
+    """Replace the record whole; without a place to write to it is only not remembered."""
+    measured = [dataclasses.asdict(v) for v in verdicts]
+    data = {"format": FORMAT, "version": VERSION, "carina": _carina(), "measured": measured}
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor, draft = tempfile.mkstemp(dir=path.parent, suffix=".json")
+        try:
+            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+                json.dump(data, file, indent=1)
+            Path(draft).replace(path)
+        finally:
+            Path(draft).unlink(missing_ok=True)
+    except OSError as error:
+        log.debug("the record of measured adapters could not be written: %s", error.strerror)

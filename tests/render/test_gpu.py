@@ -1,0 +1,201 @@
+"""Airway views from a graphics device beside the CPU's. `make test-gpu` runs these on the wheel."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from carina import _core
+from carina.errors import RenderError
+from carina.render import AirwayView, Backend, Renderer, find_adapters, transfer_preset
+from carina.render.backend import MAX_PART_OFF, part_off
+from carina.scopes import ImageField, Lens, Pose, scope_preset
+from carina.volume import Volume
+
+pytestmark = pytest.mark.gpu
+SIZE = {"width": 96, "height": 72}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def adapters():
+    """The adapters of this machine, or a skip that says why there are none."""
+    found = find_adapters()
+    if not found:
+        why = "GPU support is not in this build" if found is None else "there is no graphics adapter"
+        assert "CARINA_GPU_REQUIRED" not in os.environ, why
+        pytest.skip(f"{why}; `make test-gpu` has both")
+    return found
+
+
+def both(volume, lumen_zyx=None, transfer=None):
+    renderers = [Renderer(volume, transfer=transfer, backend=Backend(mode)) for mode in ("cpu", "gpu")]
+    for renderer in renderers:
+        if lumen_zyx is not None:
+            renderer.set_lumen(lumen_zyx)
+        renderer.prepare()
+    return renderers
+
+
+def assert_same(cpu, gpu, view, *, method=None):
+    expected, found = cpu.render(view), gpu.render(view)
+    assert found.stats.method == (f"gpu-{expected.stats.method}" if method is None else method)
+    assert part_off(expected.rgb, found.rgb) <= MAX_PART_OFF
+    # A pixel that is far off shows another thing: a wall moved by one sample keeps its colour.
+    assert np.abs(expected.rgb.astype(int) - found.rgb).max() <= 40
+    assert found.stats.num_rays == expected.stats.num_rays
+    for count in ("num_samples", "num_skipped", "num_shaded", "num_loads"):
+        assert getattr(found.stats, count) == pytest.approx(getattr(expected.stats, count), rel=0.01, abs=50)
+    return found
+
+
+@pytest.mark.parametrize("preset", ["endoscopic", "ct-grey", "see-through"])
+def test_pictures_are_the_cpus_for_every_preset_field_of_view_and_method(airway, preset):
+    cpu, gpu = both(airway.volume, airway.lumen_zyx, transfer_preset(preset))
+    brightest = 0
+    for fov_deg in (60.0, 110.0, 170.0):
+        for method in ("leap", "brute"):
+            for shading in (True, False):
+                view = AirwayView(airway.pose, fov_deg=fov_deg, shading=shading, method=method, **SIZE)
+                brightest = max(brightest, assert_same(cpu, gpu, view).rgb.max())
+    assert brightest > 60, "black pictures would agree with anything"
+
+
+@pytest.mark.parametrize("lens", [scope_preset("generic").lens, Lens.equidistant()], ids=["generic", "equidistant"])
+def test_a_scopes_lens_outline_and_vignette_give_the_cpus_picture(airway, lens):
+    cpu, gpu = both(airway.volume, airway.lumen_zyx)
+    field = ImageField("octagon", vignette=0.7)
+    for fov_deg in (90.0, 120.0):
+        view = AirwayView(airway.pose, fov_deg=fov_deg, lens=lens, field=field, **SIZE)
+        picture = assert_same(cpu, gpu, view)
+        assert picture.rgb[0, 0].max() == 0, "outside the outline"
+        assert picture.rgb.max() > 60
+
+
+def test_cameras_outside_on_a_voxel_and_along_an_axis_see_the_same(airway):
+    cpu, gpu = both(airway.volume)
+    center = airway.volume.center_lps
+    corner = airway.volume.lps_from_ijk[:3, 3]
+    axis = airway.volume.lps_from_ijk[:3, 0] / np.linalg.norm(airway.volume.lps_from_ijk[:3, 0])
+    for position, direction in (
+        (center + np.array([0.0, -200.0, 0.0]), (0, 1, 0)),
+        (center + np.array([0.0, -200.0, 0.0]), (0, -1, 0)),
+        (corner, tuple(center - corner)),
+        (corner - 20 * axis, tuple(axis)),
+    ):
+        for step_vox in (0.5, 1.0):
+            assert_same(cpu, gpu, AirwayView(Pose.looking(position, direction), step_vox=step_vox, **SIZE))
+
+
+def test_nearest_voxels_come_from_the_device_and_leaps_over_all_classes_from_the_cpu(airway):
+    cpu, gpu = both(airway.volume, transfer=transfer_preset("paper"))
+    view = AirwayView(airway.pose, **SIZE)
+    assert gpu.render(view).stats.method == "leap-all"
+    assert_same(cpu, gpu, AirwayView(airway.pose, method="brute", **SIZE), method="gpu-brute")
+
+
+def test_strips_put_together_are_the_whole_picture(airway):
+    _, gpu = both(airway.volume)
+    view = AirwayView(airway.pose, **SIZE)
+    strips = [gpu.render(view, rows=rows).rgb for rows in ((0, 7), (7, 8), (8, 72))]
+    np.testing.assert_array_equal(np.vstack(strips), gpu.render(view).rgb)
+
+
+def test_a_new_wall_or_transfer_function_shows_in_the_next_picture(airway):
+    cpu, gpu = both(airway.volume)
+    view = AirwayView(airway.pose, **SIZE)
+    before = assert_same(cpu, gpu, view).rgb
+    for renderer in (cpu, gpu):
+        renderer.set_lumen(airway.lumen_zyx)
+    walled = assert_same(cpu, gpu, view, method="gpu-brute").rgb
+    assert (before != walled).any()
+    for renderer in (cpu, gpu):
+        renderer.set_transfer(transfer_preset("ct-grey"))
+        renderer.prepare()
+    assert (assert_same(cpu, gpu, view).rgb != walled).any()
+
+
+def test_several_threads_get_their_own_pictures(airway):
+    _, gpu = both(airway.volume)
+    views = [AirwayView(airway.pose, fov_deg=fov, **SIZE) for fov in (60.0, 90.0, 120.0, 150.0)]
+    expected = [gpu.render(view).rgb for view in views]
+    wrong = []
+
+    def fly(view, picture):
+        wrong.extend(view for _ in range(5) if (gpu.render(view).rgb != picture).any())
+
+    threads = [threading.Thread(target=fly, args=pair) for pair in zip(views, expected, strict=True)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def test_a_lost_device_leaves_the_cpu_and_one_message(airway, caplog):
+    devices = []
+
+    def open_device(index):
+        devices.append(_core.Gpu(index))
+        return devices[-1]
+
+    backend = Backend("gpu", open_device=open_device)
+    renderer = Renderer(airway.volume, backend=backend)
+    view = AirwayView(airway.pose, **SIZE)
+    assert renderer.render(view).stats.method == "gpu-brute"
+    expected = Renderer(airway.volume).render(view).rgb
+    while backend.adapters():
+        devices[-1].lose()
+        picture = renderer.render(view)
+        if backend.adapters():
+            # Another adapter of this machine takes over at the next picture.
+            renderer.render(view)
+    np.testing.assert_array_equal(picture.rgb, expected)
+    assert renderer.render(view).stats.method == "brute"
+    assert len([record for record in caplog.records if record.levelno >= 30]) == 1
+
+
+def test_a_scene_of_another_array_is_refused(airway):
+    gpu = _core.Gpu(0)
+    scene = gpu.upload(airway.volume.hu_zyx)
+    other = Renderer(Volume(airway.volume.hu_zyx.copy(), airway.volume.lps_from_ijk))
+    with pytest.raises(ValueError, match="another volume"):
+        other._airway._cast(other._scenes.scene, AirwayView(airway.pose, **SIZE), gpu=scene)
+    with pytest.raises(RenderError) as caught:
+        gpu.upload(np.zeros((1, 1, 70_000), dtype=np.int16))
+    assert caught.value.code == "render.gpu-limit"
+    with pytest.raises(RenderError, match="9999"):
+        _core.Gpu(9999)
+
+
+def run_carina(*arguments, **environment):
+    done = subprocess.run(
+        [sys.executable, "-m", "carina.cli", *arguments],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_doctor_lists_adapters_and_never_takes_one_in_software_unasked(adapters, tmp_path):
+    cache = {"XDG_CACHE_HOME": str(tmp_path)}
+    facts = json.loads(run_carina("doctor", "--json", CARINA_BACKEND="auto", **cache))["gpu"]
+    assert facts["in_build"]
+    assert [a["name"] for a in facts["adapters"]] == [a.name for a in adapters]
+    for adapter in facts["adapters"]:
+        if adapter["kind"] == "software":
+            assert not adapter["chosen"]
+            assert "never faster" in adapter["why"]
+    asked = json.loads(run_carina("doctor", "--json", CARINA_BACKEND="gpu", **cache))
+    assert asked["renderer"] == "gpu"
+    assert adapters[0].name in run_carina("doctor", CARINA_BACKEND="gpu", **cache)
+    assert json.loads(run_carina("doctor", "--json", CARINA_BACKEND="cpu", **cache))["renderer"] == "cpu"
