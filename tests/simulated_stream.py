@@ -32,6 +32,8 @@ class Machine:
     slices_s: float = 0.002
     """A slice at full size."""
     slowed: Callable[[float], float] = lambda _now_s: 1.0
+    waits_s: Callable[[], float] = lambda: 0.0
+    """For a core that another program has, before each picture."""
 
     def seconds(self, order: RenderOrder, now_s: float) -> float:
         pixels = order.width * order.height
@@ -40,7 +42,7 @@ class Machine:
             work_s = per_ray * pixels * (1.0 - self.samples + self.samples * 0.5 / order.step_vox)
         else:
             work_s = self.slices_s * pixels / (300 * 250)
-        return (self.each_s + work_s) * self.slowed(now_s)
+        return (self.each_s + work_s) * self.slowed(now_s) + self.waits_s()
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import pytest
@@ -40,4 +41,29 @@ def test_a_flight_to_a_segmental_bronchus_in_each_lung(server, workstation):
         position = workstation.state("pose.lps_from_camera")[3::4][:3]
         assert sign * position[0] > 15.0
         assert workstation.brightness("airway") > 20, "the lens is in a lit lumen, not in the dark"
+    assert workstation.faults == []
+
+
+def test_a_flight_through_the_patient_follows_the_hand_and_says_how_well(server, workstation, record_property):
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.choose_branch(workstation.deepest_tip(-1.0)["id"])
+    workstation.go_to(5.0)
+    workstation.wait_still()
+    workstation.watch_pose_ids("airway")
+    workstation.page.keyboard.down("w")
+    workstation.page.wait_for_timeout(4000)
+    workstation.picture("patient-flying")
+    status, frame = workstation.page.locator(".status-bar").inner_text(), workstation.state("frames.airway")
+    workstation.page.keyboard.up("w")
+    shown = workstation.watched_pose_ids()
+    assert shown == sorted(shown)
+    rate, age_ms = (int(re.search(words, status)[1]) for words in (r"frame (\d+)/s", r"age (\d+) ms"))
+    record_property("frames_per_s", len(shown) / 4.0)
+    record_property("width_px", frame["width"])
+    # What the status says is what was seen; the rest of the machine's load may change within the four seconds.
+    assert 0.4 < rate / (len(shown) / 4.0) < 2.5
+    assert age_ms < 1000
+    assert rate >= 5, "below it the view finder would stand in"
+    workstation.wait_still()
     assert workstation.faults == []

@@ -133,6 +133,22 @@ def test_a_slow_down_is_answered_within_a_few_pictures_and_taken_back_after_it()
     assert recovered[-1][1].level <= before + 1
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_waiting_for_a_core_does_not_cost_sharpness_that_would_not_shorten_it(seed):
+    rng = random.Random(seed)
+    quiet = Simulation(Machine(0.1))
+    quiet.fly(3.0)
+    # Every other picture waits for its cores, for 6 ms on average, whatever its size.
+    waits = Machine(0.1, waits_s=lambda: rng.expovariate(1 / 0.006) if rng.random() < 0.5 else 0.0)
+    simulation = Simulation(waits)
+    simulation.fly(2.0)
+    sent = simulation.fly(10.0)
+    assert rate_hz(sent) == pytest.approx(60.0, rel=0.1)
+    levels = sorted(order.level for _, order in airway(sent))
+    assert levels[len(levels) // 2] <= quiet.sent[-1][1].level + 3
+    assert levels[-1] < len(AIRWAY_LEVELS) - 1, "never as coarse as can be"
+
+
 def test_a_level_between_two_does_not_make_the_picture_swing():
     for cost in range(20):
         simulation = Simulation(Machine(0.02 * 1.12**cost))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
 
@@ -43,16 +44,21 @@ FINER_FITS = 0.85
 """... and for a finer one only where that is predicted to take at most this part. In between nothing changes."""
 DWELL_S = 0.4
 """Time between a change and the next step to a finer level; doubled each time that such a step had to be taken back."""
-MAX_DWELL_S = 4.0
+MAX_DWELL_S = 2.0
 REVOKED_WITHIN_S = 1.5
 """A finer level that is left again within this time was a mistake."""
 SMOOTH_FASTER = 0.35
 """Weight of a picture that was faster than expected; slower ones count at once."""
+QUIET_AMONG = 16
+"""Of so many last pictures a quarter was quicker than what counts as the time of the rays alone. The rest is
+waiting for a core that another program has."""
+RAYS_MATTER = 0.4
+"""No level is left for a coarser one where its rays alone take less than this part of the budget."""
 EACH_S = 0.0005
 """What every picture takes besides its rays: encoding, header, hand-over."""
-SURPRISE = 0.4
+SURPRISE = 0.25
 """Part of the surprise at a change of level that is put down to the level; the rest is the content's."""
-MAX_SHAPE = math.log(2.0)
+MAX_SHAPE = math.log(1.3)
 """The expected costs of levels are not further off than this; the rest is content, whatever it looks like."""
 FORGET = 0.998
 """What was learned about levels fades with every picture: one bad moment must not keep a level out for good."""
@@ -93,7 +99,8 @@ class FrameBudget:
         """Present level while moving; at first the coarsest resolution, since the first picture may take long."""
         self._may_find = finder
         self._speed: float | None = None
-        self._recent: deque[float] = deque(maxlen=3)
+        self._recent: deque[float] = deque(maxlen=QUIET_AMONG)
+        self._quiet = 0.0
         self._shape = [0.0] * (len(levels) + 1)
         self._learned: int | None = None
         """Level of the last picture; ``len(levels)`` is a probe."""
@@ -116,8 +123,15 @@ class FrameBudget:
 
     def finest_within(self, seconds: float, pixels: int) -> int:
         """The finest level that is predicted to take at most this long; the coarsest where none does."""
+        return self._first(lambda n: self.predicted_s(n, pixels) <= seconds)
+
+    def _first(self, fits: Callable[[int], bool]) -> int:
         levels = range(len(self.levels))
-        return next((n for n in levels if self.predicted_s(n, pixels) <= seconds), len(self.levels) - 1)
+        return next((n for n in levels if fits(n)), len(self.levels) - 1)
+
+    def _rays_s(self, level: int, pixels: int) -> float:
+        """What the rays of a level take while nothing else wants a core."""
+        return math.exp(self._quiet + self._shape[level]) * self.levels[level].work * pixels
 
     def learn(self, level: int, pixels: int, seconds: float) -> None:
         """A picture of a level took so long."""
@@ -134,7 +148,8 @@ class FrameBudget:
             found -= SURPRISE * (found - self._speed)
         self._learned = index
         self._recent.append(found)
-        now = median(self._recent)
+        self._quiet = sorted(self._recent)[len(self._recent) // 4]
+        now = median(list(self._recent)[-3:])
         if self._speed is None or now > self._speed:
             self._speed = now
         else:
@@ -144,14 +159,20 @@ class FrameBudget:
         """The level of the next moving picture; ``begins`` is the first one of a movement, which need not wait."""
         if self._speed is None:
             return self.level
-        if self.predicted_s(self.level, pixels) > OVER * budget_s:
-            coarser = max(self.level, self.finest_within(COARSER_FITS * budget_s, pixels))
+        now_takes_s = self.predicted_s(self.level, pixels)
+        if now_takes_s > OVER * budget_s:
+            coarser = self.finest_within(COARSER_FITS * budget_s, pixels)
+            # Where the rays are no longer what takes the time, fewer of them would only cost sharpness.
+            enough = self._first(lambda n: self._rays_s(n, pixels) <= RAYS_MATTER * budget_s)
+            coarser = max(self.level, min(coarser, enough))
             if coarser != self.level:
                 if now_s - self._refined_s < REVOKED_WITHIN_S:
                     self._dwell_s = min(2.0 * self._dwell_s, MAX_DWELL_S)
                 self.level, self._changed_s = coarser, now_s
         else:
-            finer = self.finest_within(FINER_FITS * budget_s, pixels)
+            # The wait for a core stays what it is; only the rays become more.
+            rest_s = now_takes_s - self._rays_s(self.level, pixels)
+            finer = self._first(lambda n: rest_s + self._rays_s(n, pixels) <= FINER_FITS * budget_s)
             if finer < self.level and (begins or now_s - self._changed_s >= self._dwell_s):
                 if now_s - self._refined_s >= REVOKED_WITHIN_S and now_s - self._changed_s >= 2.0 * self._dwell_s:
                     self._dwell_s = DWELL_S
