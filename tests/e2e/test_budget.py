@@ -44,7 +44,7 @@ def test_while_flying_the_status_says_how_fast_and_how_fine_and_at_rest_the_pict
     workstation.page.keyboard.up("w")
     rate = int(re.search(r"frame (\d+)/s", while_flying)[1])
     # A hand's input comes 60 times a second; how near the pictures come to it is the machine's and its load's affair.
-    assert 3 <= rate <= 70
+    assert 1 <= rate <= 70
     assert re.search(r"age \d+ ms", while_flying)
     assert not frame["full"]
     words = "coarse: " if frame["width"] < workstation.wanted_width() else "full resolution"

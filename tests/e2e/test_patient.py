@@ -44,7 +44,7 @@ def test_a_flight_to_a_segmental_bronchus_in_each_lung(server, workstation):
     assert workstation.faults == []
 
 
-def test_a_flight_through_the_patient_follows_the_hand_and_says_how_well(server, workstation, record_property):
+def test_a_flight_through_the_patient_follows_the_hand_and_says_how_well(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.choose_branch(workstation.deepest_tip(-1.0)["id"])
@@ -58,12 +58,13 @@ def test_a_flight_through_the_patient_follows_the_hand_and_says_how_well(server,
     workstation.page.keyboard.up("w")
     shown = workstation.watched_pose_ids()
     assert shown == sorted(shown)
-    rate, age_ms = (int(re.search(words, status)[1]) for words in (r"frame (\d+)/s", r"age (\d+) ms"))
-    record_property("frames_per_s", len(shown) / 4.0)
-    record_property("width_px", frame["width"])
-    # What the status says is what was seen; the rest of the machine's load may change within the four seconds.
-    assert 0.4 < rate / (len(shown) / 4.0) < 2.5
-    assert age_ms < 1000
-    assert rate >= 5, "below it the view finder would stand in"
+    print(f"{len(shown) / 4.0:.1f} pictures a second, {frame['width']} pixels wide; status: {status!r}")
+    if frame["stands_for"] is None:
+        rate, age_ms = (int(re.search(words, status)[1]) for words in (r"frame (\d+)/s", r"age (\d+) ms"))
+        # What the status says is what was seen; it looks back a second, and the machine's load may change meanwhile.
+        assert 0.3 < rate / (len(shown) / 4.0) < 3.0
+        assert age_ms < 2000
+    else:
+        assert "view finder" in status, "a machine under such a load says so"
     workstation.wait_still()
     assert workstation.faults == []

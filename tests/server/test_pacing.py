@@ -316,6 +316,60 @@ def test_pictures_in_flight_are_limited_and_an_ack_makes_room():
     assert player.scheduler.num_in_flight("airway") == 3
 
 
+class Slow:
+    """A client that decodes one picture at a time and drops what is overtaken (``web/src/net/pictures.ts``).
+
+    What was dropped is acknowledged with the picture that was being decoded, so that the server hears how slow it is.
+    """
+
+    def __init__(self, decode_s: float, travel_s: float = 0.0) -> None:
+        self.decode_s, self.travel_s = decode_s, travel_s
+        self.scheduler = FrameScheduler()
+        self.scheduler.set_layout(AIRWAY)
+
+    def fly(self, seconds: float) -> tuple[int, int, float]:
+        """Pictures rendered, pictures shown, and how old a pose was on the average when it was shown."""
+        now_s, end_s, frame = 10.0, 10.0 + seconds, 0
+        decoding, waiting, overtaken, acks, ages_s, made_s = None, None, [], [], [], {}
+        while now_s < end_s:
+            now_s += 0.001
+            for due_s, done in [a for a in acks if a[0] <= now_s]:
+                acks.remove((due_s, done))
+                self.scheduler.acknowledge(done)
+            if decoding is not None and now_s >= decoding[0]:
+                acks += [(now_s + self.travel_s, done) for done in (*overtaken, decoding[1])]
+                overtaken = []
+                ages_s.append(now_s - made_s[decoding[1]])
+                decoding = None
+            if decoding is None and waiting is not None:
+                decoding, waiting = (now_s + self.decode_s, waiting), None
+            self.scheduler.observe({"airway": int(now_s * 60)}, now_s)
+            order = self.scheduler.next_order(now_s)
+            if order is not None:
+                frame += 1
+                made_s[frame] = now_s
+                now_s += 0.010
+                self.scheduler.rendered(order, frame, 0.010, now_s)
+                if waiting is not None:
+                    overtaken.append(waiting)
+                waiting = frame
+        return frame, len(ages_s), sum(ages_s) / len(ages_s)
+
+
+def test_a_client_that_is_behind_is_not_sent_what_it_would_drop():
+    rendered, shown, age_s = Slow(decode_s=0.150).fly(20.0)
+    assert shown >= 0.8 * 20.0 / 0.160, "the client always has something to decode"
+    # One is decoded and one waits; at 60 a second it would be nine times as many, on cores that the client lacks.
+    assert rendered < 2.1 * shown
+    assert age_s < 2.2 * 0.150
+
+
+def test_a_client_that_is_far_away_gets_its_pictures_in_flight():
+    # A round trip of 45 ms, and nothing is ever dropped: three under way, 60 a second.
+    _, shown, _ = Slow(decode_s=0.004, travel_s=0.041).fly(10.0)
+    assert shown > 0.85 * 10.0 * 50
+
+
 def test_a_client_that_lost_its_pictures_is_not_left_without_any():
     player = Player({"airway": (64, 64)}, acknowledges=False)
     for pose in range(5):

@@ -1,7 +1,7 @@
 /**
  * Puts pictures on the screen in order. For each view the newest pose wins: a picture is never followed by one of an
- * older pose, however the decodes finish. Every picture received is acknowledged once it was drawn or dropped, since the
- * server paces itself by the acknowledgements.
+ * older pose, however the decodes finish. Every picture received is acknowledged once it was drawn or dropped (then with
+ * the decode under way), since the server paces itself by the acknowledgements.
  */
 
 import type { PictureHeader, ViewName } from "../wire/messages";
@@ -24,6 +24,8 @@ interface ViewQueue {
   shown: PictureHeader | null;
   waiting: WirePicture | null;
   decoding: boolean;
+  /** Dropped during the decode under way, and acknowledged with it: a client that is behind is not sent still more. */
+  overtaken: number[];
 }
 
 /** The place on the screen that a picture is for: its own view, or the one that it stands in for. */
@@ -49,16 +51,21 @@ export class PictureBoard<T extends Decoded> {
 
   receive(picture: WirePicture): void {
     const view = placeOf(picture.header);
-    const queue = this.#views.get(view) ?? { shown: null, waiting: null, decoding: false };
+    const queue = this.#views.get(view) ?? { shown: null, waiting: null, decoding: false, overtaken: [] };
     this.#views.set(view, queue);
     const rival = queue.waiting?.header ?? queue.shown;
     if (rival !== null && isOlder(picture.header, rival)) {
-      this.#sink.acknowledge(picture.header.frame_id);
+      this.#drop(queue, picture.header.frame_id);
       return;
     }
-    if (queue.waiting !== null) this.#sink.acknowledge(queue.waiting.header.frame_id);
+    if (queue.waiting !== null) this.#drop(queue, queue.waiting.header.frame_id);
     queue.waiting = picture;
     if (!queue.decoding) void this.#work(view, queue);
+  }
+
+  #drop(queue: ViewQueue, frameId: number): void {
+    if (queue.decoding) queue.overtaken.push(frameId);
+    else this.#sink.acknowledge(frameId);
   }
 
   async #work(view: ViewName, queue: ViewQueue): Promise<void> {
@@ -85,6 +92,7 @@ export class PictureBoard<T extends Decoded> {
       this.#sink.failed(header);
     } finally {
       this.#sink.acknowledge(header.frame_id);
+      for (const frameId of queue.overtaken.splice(0)) this.#sink.acknowledge(frameId);
     }
   }
 }
