@@ -6,7 +6,7 @@
 //!
 //! Kernels use IEEE f32 add, multiply, divide, square root and explicit fused multiply-add in a fixed order, so the
 //! picture depends neither on threads nor on strips nor on the instruction set. The module `packet` casts
-//! 8 or 16 rays at once, with the same bits; the scalar casters define truth.
+//! 8 to 32 rays at once, with the same bits; the scalar casters define truth.
 
 #![allow(
     clippy::inline_always,

@@ -53,7 +53,7 @@ impl Scene<'_> {
         pace: &Pace<L>,
         asked: L::M,
     ) -> L::M {
-        let p = packet.at(l, self.frame.origin3());
+        let p = packet.at(l, packet.k, self.frame.origin3());
         let (index, v) = self.voxels.nearest(l, p);
         // SAFETY: the map has the volume's voxels, and `nearest` clamps to them in all lanes. Benchmark:
         // docs/decisions/0005-loads.md.
@@ -97,7 +97,7 @@ impl Scene<'_> {
         pace: &Pace<L>,
         asked: L::M,
     ) -> (L::M, L::M) {
-        let p = packet.at(l, self.frame.origin3());
+        let p = packet.at(l, packet.k, self.frame.origin3());
         let (index, v) = self.voxels.nearest(l, p);
         // SAFETY: both maps have the volume's voxels, and `nearest` clamps to them in all lanes. Benchmark:
         // docs/decisions/0005-loads.md.

@@ -7,7 +7,7 @@
 use std::arch::x86_64::*;
 
 use super::{
-    lanes::{Array, Lanes},
+    lanes::{Array, Lanes, MAX_LANES},
     loads::{eight_voxels, four_bytes, four_pairs, four_quads, lane_pointers},
 };
 
@@ -107,36 +107,16 @@ impl Lanes for Avx2 {
         fn splat(v: f32) -> __m256 { _mm256_set1_ps(v) }
         fn splat_i(v: i32) -> __m256i { _mm256_set1_epi32(v) }
         fn store(v: __m256) -> Array<f32> {{
-            let mut out = [0.0; 16];
+            let mut out = [0.0; MAX_LANES];
             _mm256_storeu_ps(out.as_mut_ptr(), v);
             out
         }}
         fn store_i(v: __m256i) -> Array<i32> {{
-            let mut out = [0; 16];
+            let mut out = [0; MAX_LANES];
             _mm256_storeu_si256(out.as_mut_ptr().cast(), v);
             out
         }}
         fn load_i(values: &Array<i32>) -> __m256i { _mm256_loadu_si256(values.as_ptr().cast()) }
-        fn fill(old: __m256, mask: u32, values: &Array<f32>) -> __m256 {{
-            let values = _mm256_castps_si256(_mm256_loadu_ps(values.as_ptr()));
-            let turn = _mm256_loadu_si256(TURN[(mask & 255) as usize].as_ptr().cast());
-            let new = _mm256_castsi256_ps(_mm256_permutevar8x32_epi32(values, turn));
-            _mm256_blendv_ps(old, new, _mm256_castsi256_ps(lanes_of(mask)))
-        }}
-        fn fill_i(old: __m256i, mask: u32, values: &Array<i32>) -> __m256i {{
-            let values = _mm256_loadu_si256(values.as_ptr().cast());
-            let turn = _mm256_loadu_si256(TURN[(mask & 255) as usize].as_ptr().cast());
-            _mm256_blendv_epi8(old, _mm256_permutevar8x32_epi32(values, turn), lanes_of(mask))
-        }}
-        fn pack(v: __m256, mask: u32) -> __m256 {{
-            let lane = _mm256_loadu_si256(PLACE[(mask & 255) as usize].as_ptr().cast());
-            _mm256_castsi256_ps(_mm256_permutevar8x32_epi32(_mm256_castps_si256(v), lane))
-        }}
-        fn pack_i(v: __m256i, mask: u32) -> __m256i {{
-            let lane = _mm256_loadu_si256(PLACE[(mask & 255) as usize].as_ptr().cast());
-            _mm256_permutevar8x32_epi32(v, lane)
-        }}
-
         fn add(a: __m256, b: __m256) -> __m256 { _mm256_add_ps(a, b) }
         fn sub(a: __m256, b: __m256) -> __m256 { _mm256_sub_ps(a, b) }
         fn mul(a: __m256, b: __m256) -> __m256 { _mm256_mul_ps(a, b) }
@@ -175,6 +155,48 @@ impl Lanes for Avx2 {
         fn first(pair: __m256i) -> __m256i { _mm256_madd_epi16(pair, _mm256_set1_epi32(1)) }
         fn second(pair: __m256i) -> __m256i { _mm256_srai_epi32::<16>(pair) }
         fn rise(pair: __m256i) -> __m256i { _mm256_madd_epi16(pair, _mm256_set1_epi32(0x0001_ffff)) }
+    }
+
+    #[inline(always)]
+    fn fill(self, old: __m256, mask: u32, values: &[f32]) -> __m256 {
+        let values = &values[..Self::N];
+        // SAFETY: as for the operations above.
+        unsafe {
+            let values = _mm256_loadu_ps(values.as_ptr());
+            let turn = _mm256_loadu_si256(TURN[(mask & 255) as usize].as_ptr().cast());
+            let new = _mm256_permutevar8x32_ps(values, turn);
+            _mm256_blendv_ps(old, new, _mm256_castsi256_ps(lanes_of(mask)))
+        }
+    }
+    #[inline(always)]
+    fn fill_i(self, old: __m256i, mask: u32, values: &[i32]) -> __m256i {
+        let values = &values[..Self::N];
+        // SAFETY: as for the operations above.
+        unsafe {
+            let values = _mm256_loadu_si256(values.as_ptr().cast());
+            let turn = _mm256_loadu_si256(TURN[(mask & 255) as usize].as_ptr().cast());
+            let new = _mm256_permutevar8x32_epi32(values, turn);
+            _mm256_blendv_epi8(old, new, lanes_of(mask))
+        }
+    }
+    #[inline(always)]
+    fn put(self, v: __m256, mask: u32, out: &mut [f32]) {
+        let out = &mut out[..Self::N];
+        // SAFETY: as for the operations above.
+        unsafe {
+            let lane = _mm256_loadu_si256(PLACE[(mask & 255) as usize].as_ptr().cast());
+            _mm256_storeu_ps(out.as_mut_ptr(), _mm256_permutevar8x32_ps(v, lane));
+        }
+    }
+    #[inline(always)]
+    fn put_i(self, v: __m256i, mask: u32, out: &mut [i32]) {
+        let out = &mut out[..Self::N];
+        // SAFETY: as for the operations above.
+        unsafe {
+            let lane = _mm256_loadu_si256(PLACE[(mask & 255) as usize].as_ptr().cast());
+            let packed = _mm256_permutevar8x32_epi32(v, lane);
+            _mm256_storeu_si256(out.as_mut_ptr().cast(), packed);
+        }
     }
 
     #[inline(always)]

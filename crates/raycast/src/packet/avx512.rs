@@ -7,7 +7,7 @@
 use std::arch::x86_64::*;
 
 use super::{
-    lanes::{Array, Lanes},
+    lanes::{Array, Lanes, MAX_LANES},
     loads::{eight_voxels, four_bytes, four_pairs, four_quads, lane_pointers},
 };
 
@@ -62,25 +62,16 @@ impl Lanes for Avx512 {
         fn splat(v: f32) -> __m512 { _mm512_set1_ps(v) }
         fn splat_i(v: i32) -> __m512i { _mm512_set1_epi32(v) }
         fn store(v: __m512) -> Array<f32> {{
-            let mut out = [0.0; 16];
+            let mut out = [0.0; MAX_LANES];
             _mm512_storeu_ps(out.as_mut_ptr(), v);
             out
         }}
         fn store_i(v: __m512i) -> Array<i32> {{
-            let mut out = [0; 16];
+            let mut out = [0; MAX_LANES];
             _mm512_storeu_si512(out.as_mut_ptr().cast(), v);
             out
         }}
         fn load_i(values: &Array<i32>) -> __m512i { _mm512_loadu_si512(values.as_ptr().cast()) }
-        fn fill(old: __m512, mask: u32, values: &Array<f32>) -> __m512 {
-            _mm512_mask_expand_ps(old, mask as u16, _mm512_loadu_ps(values.as_ptr()))
-        }
-        fn fill_i(old: __m512i, mask: u32, values: &Array<i32>) -> __m512i {
-            _mm512_mask_expand_epi32(old, mask as u16, _mm512_loadu_si512(values.as_ptr().cast()))
-        }
-        fn pack(v: __m512, mask: u32) -> __m512 { _mm512_maskz_compress_ps(mask as u16, v) }
-        fn pack_i(v: __m512i, mask: u32) -> __m512i { _mm512_maskz_compress_epi32(mask as u16, v) }
-
         fn add(a: __m512, b: __m512) -> __m512 { _mm512_add_ps(a, b) }
         fn sub(a: __m512, b: __m512) -> __m512 { _mm512_sub_ps(a, b) }
         fn mul(a: __m512, b: __m512) -> __m512 { _mm512_mul_ps(a, b) }
@@ -111,6 +102,39 @@ impl Lanes for Avx512 {
         fn first(pair: __m512i) -> __m512i { _mm512_madd_epi16(pair, _mm512_set1_epi32(1)) }
         fn second(pair: __m512i) -> __m512i { _mm512_srai_epi32::<16>(pair) }
         fn rise(pair: __m512i) -> __m512i { _mm512_madd_epi16(pair, _mm512_set1_epi32(0x0001_ffff)) }
+    }
+
+    #[inline(always)]
+    fn fill(self, old: __m512, mask: u32, values: &[f32]) -> __m512 {
+        let values = &values[..Self::N];
+        // SAFETY: as for the operations above.
+        unsafe { _mm512_mask_expand_ps(old, mask as u16, _mm512_loadu_ps(values.as_ptr())) }
+    }
+    #[inline(always)]
+    fn fill_i(self, old: __m512i, mask: u32, values: &[i32]) -> __m512i {
+        let values = &values[..Self::N];
+        // SAFETY: as for the operations above.
+        unsafe {
+            let values = _mm512_loadu_si512(values.as_ptr().cast());
+            _mm512_mask_expand_epi32(old, mask as u16, values)
+        }
+    }
+    #[inline(always)]
+    fn put(self, v: __m512, mask: u32, out: &mut [f32]) {
+        let out = &mut out[..Self::N];
+        // SAFETY: as for the operations above.
+        unsafe {
+            _mm512_storeu_ps(out.as_mut_ptr(), _mm512_maskz_compress_ps(mask as u16, v));
+        }
+    }
+    #[inline(always)]
+    fn put_i(self, v: __m512i, mask: u32, out: &mut [i32]) {
+        let out = &mut out[..Self::N];
+        // SAFETY: as for the operations above.
+        unsafe {
+            let packed = _mm512_maskz_compress_epi32(mask as u16, v);
+            _mm512_storeu_si512(out.as_mut_ptr().cast(), packed);
+        }
     }
 
     #[inline(always)]

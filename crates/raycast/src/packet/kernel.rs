@@ -25,7 +25,7 @@ pub(super) const TRANSPARENT: u8 = 1;
 pub(super) const CLASSES: u8 = 2;
 
 /// Rays that wait for shading before it starts: a change of stage saves and loads all lanes.
-const SHADE_FROM: usize = 48;
+const SHADE_FROM: usize = 96;
 
 /// What all packets of a picture share.
 #[derive(Clone, Copy)]
@@ -182,8 +182,14 @@ impl Scene<'_> {
                 active &= l.bits(l.less_i(packet.k, packet.end)) & !visible;
             } else {
                 band.stats.num_samples += u64::from(walk.count_ones());
-                let (lit, goes_on) =
-                    self.take_samples::<L, O, false, NEAREST>(l, &mut packet, walks, &mut band.out);
+                let at = packet.k;
+                let (lit, goes_on) = self.take_samples::<L, O, false, NEAREST>(
+                    l,
+                    &mut packet,
+                    at,
+                    walks,
+                    &mut band.out,
+                );
                 if LEAP == TRANSPARENT {
                     // Not directly after a sample that added something.
                     let next = l.add_i(packet.k, l.splat_i(1));
@@ -202,6 +208,8 @@ impl Scene<'_> {
     fn shade<L: Lanes, O: Out>(&self, l: L, band: &mut Band<L, O>) {
         let mut packet = band.shade;
         let mut active = packet.occupied;
+        // The next sample of the lanes at work. It goes on in the others, too.
+        let mut k = packet.k;
         // Lanes whose last sample was clear.
         let mut clear = 0;
         loop {
@@ -215,6 +223,7 @@ impl Scene<'_> {
                     band.finish(l, &mut packet, ended);
                 }
                 band.shading.give_to(l, &mut packet);
+                k = packet.k;
                 active = packet.occupied;
                 let least = if band.may_search() { L::N * 3 / 4 } else { 1 };
                 if (active.count_ones() as usize) < least {
@@ -224,7 +233,8 @@ impl Scene<'_> {
             band.stats.num_samples += u64::from(active.count_ones());
             let take = l.mask(active);
             let (lit, goes_on) =
-                self.take_samples::<L, O, true, false>(l, &mut packet, take, &mut band.out);
+                self.take_samples::<L, O, true, false>(l, &mut packet, k, take, &mut band.out);
+            k = l.add_i(k, l.splat_i(1));
             let (lit, goes_on) = (l.bits(lit), l.bits(goes_on));
             band.stats.num_shaded += u64::from(lit.count_ones());
             clear |= active & goes_on & !lit;

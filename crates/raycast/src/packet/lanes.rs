@@ -1,7 +1,7 @@
 //! What a packet kernel needs of an instruction set: numbers, masks and gathers for as many rays as fit a register.
 
 /// The most lanes of any instruction set.
-pub(super) const MAX_LANES: usize = 16;
+pub(super) const MAX_LANES: usize = 32;
 
 /// One value for each lane, in memory.
 pub(super) type Array<T> = [T; MAX_LANES];
@@ -25,15 +25,16 @@ pub(super) trait Lanes: Copy {
     fn store(self, v: Self::F) -> Array<f32>;
     fn store_i(self, v: Self::I) -> Array<i32>;
     fn load_i(self, values: &Array<i32>) -> Self::I;
-    /// Lanes of the mask take the values in turn, the others stay.
-    fn fill(self, old: Self::F, mask: u32, values: &Array<f32>) -> Self::F;
+    /// Lanes of the mask take the values in turn, the others stay. There must be at least as many values as lanes.
+    fn fill(self, old: Self::F, mask: u32, values: &[f32]) -> Self::F;
     /// The same for integers.
-    fn fill_i(self, old: Self::I, mask: u32, values: &Array<i32>) -> Self::I;
+    fn fill_i(self, old: Self::I, mask: u32, values: &[i32]) -> Self::I;
 
-    /// The lanes of the mask moved to the front; the others hold anything.
-    fn pack(self, v: Self::F, mask: u32) -> Self::F;
+    /// Writes the lanes of the mask one after the other; what follows them, up to the number of lanes, may become
+    /// anything.
+    fn put(self, v: Self::F, mask: u32, out: &mut [f32]);
     /// The same for integers.
-    fn pack_i(self, v: Self::I, mask: u32) -> Self::I;
+    fn put_i(self, v: Self::I, mask: u32, out: &mut [i32]);
 
     fn add(self, a: Self::F, b: Self::F) -> Self::F;
     fn sub(self, a: Self::F, b: Self::F) -> Self::F;

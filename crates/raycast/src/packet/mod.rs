@@ -13,6 +13,7 @@ mod lanes;
 #[cfg(target_arch = "x86_64")]
 mod loads;
 mod out;
+mod pair;
 mod pool;
 mod portable;
 mod sample;
@@ -29,6 +30,7 @@ use crate::{
 use kernel::{BRUTE, CLASSES, Scene, TRANSPARENT};
 use lanes::Lanes;
 use out::{Out, Rgb8, Walls};
+use pair::Pair;
 use pool::Source;
 use voxels::Voxels;
 
@@ -142,14 +144,14 @@ impl<'a> Packets<'a> {
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn cast_avx512<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only where the machine has the instructions.
-        self.cast(unsafe { avx512::Avx512::new() }, source, out)
+        self.cast(Pair(unsafe { avx512::Avx512::new() }), source, out)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn cast_avx2<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only where the machine has the instructions.
-        self.cast(unsafe { avx2::Avx2::new() }, source, out)
+        self.cast(Pair(unsafe { avx2::Avx2::new() }), source, out)
     }
 
     #[inline(always)]

@@ -9,9 +9,9 @@ use crate::{Frame, leap::Start};
 
 /// Rays set up at a time.
 const BATCH: usize = 64;
-/// Rays that a pool holds at most. A batch is set up when none waits to search; then fewer than 48 + 16 wait for shading
-/// and 32 are in lanes, so there are never more than 160. Sixteen more are for writing whole registers.
-const CAPACITY: usize = 256;
+/// Rays that a pool holds at most. A batch is set up when none waits to search; then fewer than 96 + 32 wait for shading
+/// and 64 are in lanes, so there are never more than 256. Thirty-two more are for writing whole registers.
+const CAPACITY: usize = 384;
 
 /// The rays in the lanes of an instruction set.
 #[derive(Clone, Copy)]
@@ -50,13 +50,13 @@ impl<L: Lanes> Packet<L> {
 
     #[inline(always)]
     pub(super) fn free(&self) -> u32 {
-        !self.occupied & ((1 << L::N) - 1)
+        !self.occupied & (u32::MAX >> (32 - L::N))
     }
 
-    /// Positions of the samples `k`.
+    /// Positions of samples.
     #[inline(always)]
-    pub(super) fn at(&self, l: L, origin: [f32; 3]) -> [L::F; 3] {
-        let t = l.add(l.to_f(self.k), l.splat(0.5));
+    pub(super) fn at(&self, l: L, k: L::I, origin: [f32; 3]) -> [L::F; 3] {
+        let t = l.add(l.to_f(k), l.splat(0.5));
         let mut p = self.delta;
         for a in 0..3 {
             p[a] = l.fma(t, self.delta[a], l.splat(origin[a]));
@@ -86,13 +86,6 @@ pub(super) struct Pool {
     pixel: [i32; CAPACITY],
     ask_at: [i32; CAPACITY],
     patience: [i32; CAPACITY],
-}
-
-#[inline(always)]
-fn window<T>(values: &[T; CAPACITY], at: usize) -> &Array<T> {
-    values[at..at + MAX_LANES]
-        .try_into()
-        .expect("a slice of this length")
 }
 
 #[inline(always)]
@@ -130,35 +123,15 @@ impl Pool {
     pub(super) fn take_from<L: Lanes>(&mut self, l: L, packet: &mut Packet<L>, lanes: u32) {
         let at = self.len;
         for a in 0..3 {
-            write(
-                &mut self.delta[a],
-                at,
-                l.store(l.pack(packet.delta[a], lanes)),
-            );
-            write(&mut self.rgb[a], at, l.store(l.pack(packet.rgb[a], lanes)));
+            l.put(packet.delta[a], lanes, &mut self.delta[a][at..]);
+            l.put(packet.rgb[a], lanes, &mut self.rgb[a][at..]);
         }
-        write(
-            &mut self.transparency,
-            at,
-            l.store(l.pack(packet.transparency, lanes)),
-        );
-        write(&mut self.k, at, l.store_i(l.pack_i(packet.k, lanes)));
-        write(&mut self.end, at, l.store_i(l.pack_i(packet.end, lanes)));
-        write(
-            &mut self.pixel,
-            at,
-            l.store_i(l.pack_i(packet.pixel, lanes)),
-        );
-        write(
-            &mut self.ask_at,
-            at,
-            l.store_i(l.pack_i(packet.ask_at, lanes)),
-        );
-        write(
-            &mut self.patience,
-            at,
-            l.store_i(l.pack_i(packet.patience, lanes)),
-        );
+        l.put(packet.transparency, lanes, &mut self.transparency[at..]);
+        l.put_i(packet.k, lanes, &mut self.k[at..]);
+        l.put_i(packet.end, lanes, &mut self.end[at..]);
+        l.put_i(packet.pixel, lanes, &mut self.pixel[at..]);
+        l.put_i(packet.ask_at, lanes, &mut self.ask_at[at..]);
+        l.put_i(packet.patience, lanes, &mut self.patience[at..]);
         self.len += lanes.count_ones() as usize;
         packet.occupied &= !lanes;
     }
@@ -174,15 +147,15 @@ impl Pool {
         self.len -= lanes.count_ones() as usize;
         let at = self.len;
         for a in 0..3 {
-            packet.delta[a] = l.fill(packet.delta[a], lanes, window(&self.delta[a], at));
-            packet.rgb[a] = l.fill(packet.rgb[a], lanes, window(&self.rgb[a], at));
+            packet.delta[a] = l.fill(packet.delta[a], lanes, &self.delta[a][at..]);
+            packet.rgb[a] = l.fill(packet.rgb[a], lanes, &self.rgb[a][at..]);
         }
-        packet.transparency = l.fill(packet.transparency, lanes, window(&self.transparency, at));
-        packet.k = l.fill_i(packet.k, lanes, window(&self.k, at));
-        packet.end = l.fill_i(packet.end, lanes, window(&self.end, at));
-        packet.pixel = l.fill_i(packet.pixel, lanes, window(&self.pixel, at));
-        packet.ask_at = l.fill_i(packet.ask_at, lanes, window(&self.ask_at, at));
-        packet.patience = l.fill_i(packet.patience, lanes, window(&self.patience, at));
+        packet.transparency = l.fill(packet.transparency, lanes, &self.transparency[at..]);
+        packet.k = l.fill_i(packet.k, lanes, &self.k[at..]);
+        packet.end = l.fill_i(packet.end, lanes, &self.end[at..]);
+        packet.pixel = l.fill_i(packet.pixel, lanes, &self.pixel[at..]);
+        packet.ask_at = l.fill_i(packet.ask_at, lanes, &self.ask_at[at..]);
+        packet.patience = l.fill_i(packet.patience, lanes, &self.patience[at..]);
         packet.occupied |= lanes;
     }
 }

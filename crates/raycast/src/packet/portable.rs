@@ -35,7 +35,8 @@ fn store<T: Copy + Default>(v: [T; N]) -> Array<T> {
 }
 
 #[inline(always)]
-fn fill<T: Copy>(mut lanes: [T; N], mask: u32, values: &Array<T>) -> [T; N] {
+fn fill<T: Copy>(mut lanes: [T; N], mask: u32, values: &[T]) -> [T; N] {
+    let values = &values[..N];
     let mut turn = 0;
     for n in 0..N {
         let taken = mask >> n & 1 == 1;
@@ -46,16 +47,14 @@ fn fill<T: Copy>(mut lanes: [T; N], mask: u32, values: &Array<T>) -> [T; N] {
 }
 
 #[inline(always)]
-fn pack<T: Copy>(v: [T; N], mask: u32) -> [T; N] {
-    let mut out = v;
+fn put<T: Copy>(v: [T; N], mask: u32, out: &mut [T]) {
+    let out = &mut out[..N];
     let mut turn = 0;
     for n in 0..N {
-        out[turn] = v[n];
+        // A full register has moved all of its lanes by then.
+        out[turn % N] = v[n];
         turn += (mask >> n & 1) as usize;
-        // A full register has moved all of its lanes by now.
-        turn = if turn < N { turn } else { N - 1 };
     }
-    out
 }
 
 /// The lower or the upper half of a pair of int16.
@@ -92,20 +91,20 @@ impl Lanes for Portable {
         from_fn(|n| values[n])
     }
     #[inline(always)]
-    fn fill(self, old: [f32; N], mask: u32, values: &Array<f32>) -> [f32; N] {
+    fn fill(self, old: [f32; N], mask: u32, values: &[f32]) -> [f32; N] {
         fill(old, mask, values)
     }
     #[inline(always)]
-    fn fill_i(self, old: [i32; N], mask: u32, values: &Array<i32>) -> [i32; N] {
+    fn fill_i(self, old: [i32; N], mask: u32, values: &[i32]) -> [i32; N] {
         fill(old, mask, values)
     }
     #[inline(always)]
-    fn pack(self, v: [f32; N], mask: u32) -> [f32; N] {
-        pack(v, mask)
+    fn put(self, v: [f32; N], mask: u32, out: &mut [f32]) {
+        put(v, mask, out);
     }
     #[inline(always)]
-    fn pack_i(self, v: [i32; N], mask: u32) -> [i32; N] {
-        pack(v, mask)
+    fn put_i(self, v: [i32; N], mask: u32, out: &mut [i32]) {
+        put(v, mask, out);
     }
 
     lane_by_lane! {

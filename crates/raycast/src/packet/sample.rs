@@ -4,18 +4,22 @@ use super::{kernel::Scene, lanes::Lanes, out::Out, pool::Packet};
 use crate::frame::STOP_TRANSPARENCY;
 
 impl Scene<'_> {
-    /// Takes samples and goes on to the next ones. Gives the lanes where a sample added something and those whose ray has
-    /// not ended.
+    /// Takes samples `k` and goes on to the next ones. Gives the lanes where a sample added something and those whose ray
+    /// has not ended.
+    ///
+    /// In the lanes `take`, `k` is the packet's. Elsewhere it may be anything: where it does not depend on what the last
+    /// samples decided, the next ones are read while these are still being lit.
     #[inline(always)]
     pub(super) fn take_samples<L: Lanes, O: Out, const SHADED: bool, const NEAREST: bool>(
         &self,
         l: L,
         packet: &mut Packet<L>,
+        k: L::I,
         take: L::M,
         out: &mut O,
     ) -> (L::M, L::M) {
-        let lit = self.add_samples::<L, O, SHADED, NEAREST>(l, packet, take, out);
-        packet.k = l.select_i(take, l.add_i(packet.k, l.splat_i(1)), packet.k);
+        let lit = self.add_samples::<L, O, SHADED, NEAREST>(l, packet, k, take, out);
+        packet.k = l.select_i(take, l.add_i(k, l.splat_i(1)), packet.k);
         let faint = l.less(packet.transparency, l.splat(STOP_TRANSPARENCY));
         let opaque = l.and(lit, faint);
         (lit, l.without(l.less_i(packet.k, packet.end), opaque))
@@ -24,7 +28,9 @@ impl Scene<'_> {
     /// Reads the samples `k` and tells where they are surely clear.
     #[inline(always)]
     pub(super) fn clear_samples<L: Lanes>(&self, l: L, packet: &Packet<L>) -> L::M {
-        let cells = self.voxels.cells(l, packet.at(l, self.frame.origin3()));
+        let cells = self
+            .voxels
+            .cells(l, packet.at(l, packet.k, self.frame.origin3()));
         let n = self.entry_of(l, self.voxels.value(l, &cells));
         // All entries before the first visible one have no opacity.
         l.less_i(n, l.splat_i(self.frame.table.first_visible))
@@ -50,10 +56,11 @@ impl Scene<'_> {
         &self,
         l: L,
         packet: &mut Packet<L>,
+        k: L::I,
         take: L::M,
         out: &mut O,
     ) -> L::M {
-        let p = packet.at(l, self.frame.origin3());
+        let p = packet.at(l, k, self.frame.origin3());
         let mut gradient = packet.delta;
         let n = if NEAREST {
             let voxel = self.voxels.nearest(l, p).0;
@@ -85,7 +92,7 @@ impl Scene<'_> {
             for _ in 0..light.shininess_log2 {
                 highlight = l.mul(highlight, highlight);
             }
-            let t = l.add(l.to_f(packet.k), l.splat(0.5));
+            let t = l.add(l.to_f(k), l.splat(0.5));
             let distance = l.mul(t, l.splat(self.frame.step_mm));
             let part = l.div(distance, l.splat(light.reach_mm));
             let left = l.div(l.splat(1.0), l.fma(part, part, l.splat(1.0)));
@@ -108,7 +115,7 @@ impl Scene<'_> {
             let crossed = l.without(l.and(lit, l.less(through, half)), l.less(before, half));
             if l.bits(crossed) != 0 {
                 let part = l.div(l.sub(before, half), l.sub(before, through));
-                let hit = l.add(l.to_f(packet.k), part);
+                let hit = l.add(l.to_f(k), part);
                 out.note_hits(l, packet, l.bits(crossed), hit);
             }
         }

@@ -154,7 +154,8 @@ impl<'a> Voxels<'a> {
         cells: &Cells<L>,
         wanted: L::M,
     ) -> (L::F, [L::F; 3]) {
-        let mut inside = wanted;
+        // From the position alone: the reads need not wait for what the last sample decided.
+        let mut inside = l.less_i(l.splat_i(0), cells.ijk[0]);
         for a in 0..3 {
             inside = l.and(inside, l.less_i(l.splat_i(0), cells.ijk[a]));
             inside = l.and(inside, l.less_i(cells.ijk[a], l.splat_i(self.last_cell[a])));
