@@ -164,12 +164,12 @@ function paintRoute(
   }
 }
 
-/** Letters at the four edges; `sidesAtTop` where an axis and names stand at the sides. */
+/** Letters at the four edges; with `sides` in the upper corners between them, since an axis and names stand there. */
 export function paintLetters(
   ink: Ink,
   viewport: Viewport,
   { right, down, up }: ReturnType<typeof axesOf> & { up?: Vec3 },
-  sidesAtTop = false,
+  sides: { left: number; right: number } | null = null,
 ): void {
   const letters = { ...edgeLetters(right, down), ...(up === undefined ? {} : { top: lettersOf(up) }) };
   const { width, height } = viewport.size;
@@ -178,9 +178,9 @@ export function paintLetters(
   const style = { size, bold: true } as const;
   label(ink, letters.top, { x: width / 2, y: inset }, style);
   label(ink, letters.bottom, { x: width / 2, y: height - inset }, style);
-  const sideY = sidesAtTop ? inset : height / 2;
-  label(ink, letters.left, { x: 6, y: sideY }, { ...style, align: "left" });
-  label(ink, letters.right, { x: width - 6, y: sideY }, { ...style, align: "right" });
+  const sideY = sides === null ? height / 2 : inset;
+  label(ink, letters.left, { x: sides?.left ?? 6, y: sideY }, { ...style, align: "left" });
+  label(ink, letters.right, { x: sides?.right ?? width - 6, y: sideY }, { ...style, align: "right" });
 }
 
 const SLAB_WORDS = { min: "min", max: "max", mean: "mean" } as const;

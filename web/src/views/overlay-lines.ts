@@ -13,7 +13,12 @@ import type { Viewport } from "./viewport";
 const IN_SURFACE_MM = 2.5;
 /** Farther than this from the surface a target is not drawn at all. */
 const NEAR_SURFACE_MM = 15;
-const AXIS_X = 7;
+/** Half the width of a straightened airway's strip, as the server draws it. */
+const STRIP_MM = 40;
+const AXIS_PX = 7;
+/** Room beside a strip for distances and names, CSS px. */
+const AXIS_ROOM_PX = 66;
+const NAMES_ROOM_PX = 110;
 const TICK_PX = 4;
 const TICKS_APART_PX = 30;
 const NAMES_APART_PX = 15;
@@ -23,11 +28,12 @@ export function paintLines(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { header } = viewport;
   const geometry = header === null ? null : linesOf(header.lines);
   if (header === null || geometry === null) return;
+  const sides = sidesOf(viewport, geometry, header.view === "straightened");
   const names = new NamePlaces();
   if (scene.route !== null) {
     if (header.view === "straightened") paintLumen(ink, viewport, geometry, scene.route);
     else if (scene.routeLineVisible) paintPath(ink, viewport, geometry);
-    paintAxis(ink, viewport, geometry, scene.route);
+    paintAxis(ink, viewport, geometry, scene.route, sides);
   }
   for (const target of scene.targets) {
     const seen = nearestPixel(geometry, target.lps);
@@ -44,20 +50,45 @@ export function paintLines(ink: Ink, viewport: Viewport, scene: Scene): void {
     const visible = seen.row >= 0 && seen.row <= header.height;
     if (visible) tipMark(ink, viewport.screenAt(seen), null, seen.awayMm <= IN_SURFACE_MM);
   }
-  paintLetters(ink, viewport, axesAt(geometry), true);
+  paintLetters(ink, viewport, axesAt(geometry), sides);
   paintScale(ink, viewport, geometry.mmPerPx);
   paintSlab(ink, viewport, scene);
+}
+
+/** Where the axis and the names stand: at the picture's sides, or beside the strip where that leaves room. */
+function sidesOf(viewport: Viewport, geometry: LinesGeometry, isStrip: boolean): { left: number; right: number } {
+  const { width } = viewport.size;
+  if (!isStrip) return { left: AXIS_PX, right: width - 8 };
+  const middle = viewport.screenAt({ column: geometry.pathColumn[0] ?? 0, row: 0 }).x;
+  const half = (STRIP_MM / geometry.mmPerPx) * viewport.magnification;
+  return {
+    left: Math.max(middle - half - AXIS_ROOM_PX, AXIS_PX),
+    right: Math.min(middle + half + NAMES_ROOM_PX, width - 8),
+  };
+}
+
+/** Rows of the picture that lie on the route, its ends included. */
+function rowsOnPath(geometry: LinesGeometry): number[] {
+  const first = pixelOfPath(geometry, geometry.pathMm[0] ?? 0)?.row ?? 0;
+  const last = pixelOfPath(geometry, geometry.pathMm.at(-1) ?? 0)?.row ?? 0;
+  return geometry.rows
+    .map((_, index) => index)
+    .filter((index) => {
+      const row = geometry.rows[index] ?? 0;
+      return row >= first && row <= last;
+    });
 }
 
 /** The lumen's width as measured, beside what the picture shows of it. */
 function paintLumen(ink: Ink, viewport: Viewport, geometry: LinesGeometry, route: RouteInfo): void {
   for (const side of [-1, 1]) {
     const points: ScreenPoint[] = [];
-    geometry.rows.forEach((row, index) => {
+    for (const index of rowsOnPath(geometry)) {
+      const row = geometry.rows[index] ?? 0;
       const column = geometry.pathColumn[index] ?? 0;
       const radiusPx = radiusAt(route, geometry.pathMm[index] ?? 0) / geometry.mmPerPx;
       points.push(viewport.screenAt({ column: column + side * radiusPx, row }));
-    });
+    }
     ink.save();
     ink.setLineDash([2, 3]);
     line(ink, points, INK.accent, 1, 0.7);
@@ -66,11 +97,19 @@ function paintLumen(ink: Ink, viewport: Viewport, geometry: LinesGeometry, route
 }
 
 function paintPath(ink: Ink, viewport: Viewport, geometry: LinesGeometry): void {
-  const points = geometry.rows.map((row, index) => viewport.screenAt({ column: geometry.pathColumn[index] ?? 0, row }));
+  const points = rowsOnPath(geometry).map((index) =>
+    viewport.screenAt({ column: geometry.pathColumn[index] ?? 0, row: geometry.rows[index] ?? 0 }),
+  );
   line(ink, points, INK.accent, 1.5, 0.6);
 }
 
-function paintAxis(ink: Ink, viewport: Viewport, geometry: LinesGeometry, route: RouteInfo): void {
+function paintAxis(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: LinesGeometry,
+  route: RouteInfo,
+  sides: { left: number; right: number },
+): void {
   const first = geometry.pathMm[0] ?? 0;
   const last = geometry.pathMm.at(-1) ?? 0;
   const yOf = (mm: number): number | null => {
@@ -82,8 +121,8 @@ function paintAxis(ink: Ink, viewport: Viewport, geometry: LinesGeometry, route:
   line(
     ink,
     [
-      { x: AXIS_X, y: top },
-      { x: AXIS_X, y: bottom },
+      { x: sides.left, y: top },
+      { x: sides.left, y: bottom },
     ],
     INK.accent,
     1.5,
@@ -91,20 +130,20 @@ function paintAxis(ink: Ink, viewport: Viewport, geometry: LinesGeometry, route:
   );
   const pxPerMm = (bottom - top) / Math.max(last - first, 1e-6);
   const stepMm = TICKS_MM.find((mm) => mm * pxPerMm >= TICKS_APART_PX) ?? 500;
-  const { width, height } = viewport.size;
+  const { height } = viewport.size;
   for (let mm = Math.ceil(first / stepMm - 1e-6) * stepMm; mm <= last + 1e-6; mm += stepMm) {
     const y = yOf(mm);
-    if (y === null || y < 8 || y > height - 26) continue;
+    if (y === null || y < 8 || y > height - 34) continue;
     line(
       ink,
       [
-        { x: AXIS_X, y },
-        { x: AXIS_X + TICK_PX, y },
+        { x: sides.left, y },
+        { x: sides.left + TICK_PX, y },
       ],
       INK.accent,
       1.5,
     );
-    label(ink, `${fixed(mm)} mm`, { x: AXIS_X + TICK_PX + 4, y }, { size: 10, align: "left" });
+    label(ink, `${fixed(mm)} mm`, { x: sides.left + TICK_PX + 4, y }, { size: 10, align: "left" });
   }
   let taken = Number.NEGATIVE_INFINITY;
   for (const span of route.spans) {
@@ -117,8 +156,8 @@ function paintAxis(ink: Ink, viewport: Viewport, geometry: LinesGeometry, route:
       line(
         ink,
         [
-          { x: width - 6 - TICK_PX, y: a },
-          { x: width - 6, y: a },
+          { x: sides.right - TICK_PX, y: a },
+          { x: sides.right, y: a },
         ],
         INK.quiet,
         1.5,
@@ -126,7 +165,12 @@ function paintAxis(ink: Ink, viewport: Viewport, geometry: LinesGeometry, route:
     }
     const y = (Math.max(a, 0) + Math.min(b, height)) / 2;
     if (y - taken < NAMES_APART_PX || y < 26 || y > height - 26) continue;
-    label(ink, span.name ?? `gen. ${span.generation}`, { x: width - 8, y }, { size: 11, align: "right" });
+    label(
+      ink,
+      span.name ?? `gen. ${span.generation}`,
+      { x: sides.right - TICK_PX - 4, y },
+      { size: 11, align: "right" },
+    );
     taken = y;
   }
 }
