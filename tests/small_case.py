@@ -164,6 +164,7 @@ class SmallRenderer:
             lines=None,
             lps_from_camera=None if planar else view.pose.lps_from_camera,
             fov_deg=None if planar else 90.0,
+            optics=None,
             stats=SimpleNamespace(method="brute"),
         )
 

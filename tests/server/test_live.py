@@ -463,8 +463,8 @@ def test_without_acks_no_more_than_three_airway_pictures_come(live):
             window.send(wire.Steer(0.5, 0.0, 0.0, 0.0))
             window.until(lambda m: isinstance(m, wire.Pose), acknowledge=False)
         # An answer that comes after everything before it was handled.
-        window.send(wire.SetFov(120.0))
-        window.until(lambda m: isinstance(m, wire.State) and m.fov_deg == 120.0, acknowledge=False)
+        window.send(wire.SetFov(115.0))
+        window.until(lambda m: isinstance(m, wire.State) and m.fov_deg == 115.0, acknowledge=False)
         while len(window.pictures) < 3:
             window.next()
         window.send(wire.SetFov(110.0))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from carina.errors import NoResultError, UsageError
+from carina.scopes import PINHOLE, scope_preset
 from carina.session import Changed, JobEnded, JobProgress, LocalStore, Orbit, Said, Trouble
 from carina.session.routes import RouteSpan, lookouts_mm
 from small_case import BRANCHES_IJK, small_airways, small_bench, small_volume
@@ -360,6 +361,51 @@ def test_every_movement_has_a_new_pose_number():
     assert numbers == sorted(set(numbers))
 
 
+def test_a_scope_brings_its_field_of_view_and_outline_and_can_be_taken_back():
+    bench = small_bench()
+    bench.open()
+
+    def seen():
+        document = bench.session.snapshot().document
+        return document.scope, document.fov_deg, document.mask
+
+    assert seen() == ("generic", 120.0, "round")
+    bench.session.set_scope("single-use-slim")
+    assert seen() == ("single-use-slim", 85.0, "octagon")
+    bench.session.set_fov(100.0)
+    assert seen() == ("single-use-slim", 100.0, "octagon")
+    bench.session.set_mask("none")
+    bench.session.set_scope("ebus")
+    # A full frame was chosen by a person, and stays.
+    assert seen() == ("ebus", 80.0, "none")
+    bench.session.set_scope(None)
+    assert seen() == (None, 90.0, "none")
+    assert bench.session.snapshot().undo_label == "no scope"
+    for _ in range(5):
+        bench.session.undo()
+    assert seen() == ("generic", 120.0, "round")
+    with pytest.raises(UsageError, match=r"expected a scope among"):
+        bench.session.set_scope("BF-1000")
+    with pytest.raises(UsageError, match="round"):
+        bench.session.set_mask("square")
+
+
+def test_the_airway_picture_is_what_the_scope_shows():
+    bench = small_bench()
+    bench.open()
+    view = bench.session.scene().spec("airway", 64, 48, 0.5)
+    generic = scope_preset("generic")
+    assert (view.lens, view.field, view.fov_deg) == (generic.lens, generic.field, 120.0)
+    assert view.depth_of_field is None
+    bench.session.set_scope("ebus")
+    oblique = bench.session.scene().spec("airway", 64, 48, 0.5)
+    assert float(oblique.pose.forward_lps @ view.pose.forward_lps) == pytest.approx(0.8192, abs=1e-4)
+    bench.session.set_scope(None)
+    bench.session.set_mask("none")
+    plain = bench.session.scene().spec("airway", 64, 48, 0.5)
+    assert (plain.lens, plain.field.mask, plain.field.vignette, plain.fov_deg) == (PINHOLE, "none", 0.0, 90.0)
+
+
 def test_views_depend_on_what_they_show_and_on_nothing_else():
     bench = small_bench()
     bench.open()
@@ -378,7 +424,9 @@ def test_views_depend_on_what_they_show_and_on_nothing_else():
     assert changed(lambda: bench.session.set_crosshair(LEFT_TIP)) == {"axial", "tri-plane"}
     assert changed(lambda: bench.session.steer(3.0, 0, 0, 0)) == {"airway", "cut-plane"}
     assert changed(lambda: bench.session.set_orbit("tree", Orbit(10.0, 5.0))) == {"tree"}
-    assert changed(lambda: bench.session.set_fov(120.0)) == {"airway"}
+    assert changed(lambda: bench.session.set_fov(110.0)) == {"airway"}
+    assert changed(lambda: bench.session.set_scope("ultrathin")) == {"airway"}
+    assert changed(lambda: bench.session.set_mask("octagon")) == {"airway"}
     assert changed(lambda: bench.session.set_zoom("cut-plane", extent_mm=30.0)) == {"cut-plane"}
     window = changed(lambda: bench.session.set_window(400.0, 40.0))
     assert window == {"axial", "tri-plane", "cut-plane"}

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import functools
 import math
+import threading
+from collections import OrderedDict
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +25,8 @@ Mask = Literal["none", "round", "octagon"]
 Model = Literal["pinhole", "equidistant", "brown", "fisheye"]
 MASKS: tuple[Mask, ...] = ("none", "round", "octagon")
 DEFAULT_FOV_DEG = 90.0
-# A picture of 1024 x 1024 has rays of 14 MB; a flight needs its moving and its still size.
-RAYS_IN_MEMORY = 4
+# Rays kept, in pixels of 14 bytes: a flight needs those of its still size and of several smaller ones.
+RAYS_IN_MEMORY_PX = 4_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,10 +168,11 @@ class DepthOfField:
 class Optics:
     """A lens in front of a picture of a size: where directions fall, and what lies behind pixels. See `Lens.optics`."""
 
-    __slots__ = ("_core", "fov_deg", "lens")
+    __slots__ = ("_core", "fov_deg", "lens", "size_px")
 
-    def __init__(self, lens: Lens, fov_deg: float | None, core: _core.Optics) -> None:
+    def __init__(self, lens: Lens, size_px: tuple[int, int], fov_deg: float | None, core: _core.Optics) -> None:
         self.lens = lens
+        self.size_px = size_px
         self.fov_deg = math.degrees(core.fov_rad) if fov_deg is None else fov_deg
         """Full angle across the shorter side: as asked for, or a calibration's."""
         self._core = core
@@ -178,6 +181,16 @@ class Optics:
     def limit_deg(self) -> float:
         """Directions farther from the axis have no place in the picture."""
         return math.degrees(self._core.limit_rad)
+
+    @property
+    def limit_rad(self) -> float:
+        """The same in radians."""
+        return self._core.limit_rad
+
+    @property
+    def formula(self) -> tuple[Literal["brown", "fisheye"], tuple[float, ...]]:
+        """The lens as one of OpenCV's two models: its name and 8 or 4 coefficients."""
+        return _formula(self.lens)
 
     @property
     def focal_px(self) -> tuple[float, float]:
@@ -198,20 +211,25 @@ class Optics:
         return self._core.pixels(np.ascontiguousarray(directions, dtype=np.float64))
 
     def rays(self, field: ImageField) -> _core.LensRays:
-        """The rays of all pixels, for the casters; the last few are kept."""
-        return _rays(self, field)
+        """The rays of all pixels, for the casters; the last used are kept."""
+        return _RAYS.of(self, field)
+
+    def _build_rays(self, field: ImageField) -> _core.LensRays:
+        return self._core.rays(shape=field.mask, edge_px=field.edge_px, vignette=field.vignette)
 
     def __repr__(self) -> str:
         return f"Optics({self.lens.model}, fov_deg={self.fov_deg:.1f})"
 
 
+def _formula(lens: Lens) -> tuple[Literal["brown", "fisheye"], tuple[float, ...]]:
+    if lens.model in {"pinhole", "brown"}:
+        return "brown", lens.coefficients or (0.0,) * 8
+    return "fisheye", lens.coefficients or (0.0,) * 4
+
+
 @functools.lru_cache(maxsize=64)
 def _optics(lens: Lens, width: int, height: int, fov_deg: float | None) -> Optics:
-    model, coefficients = lens.model, lens.coefficients
-    if model == "pinhole":
-        model, coefficients = "brown", (0.0,) * 8
-    elif model == "equidistant":
-        model, coefficients = "fisheye", (0.0,) * 4
+    model, coefficients = _formula(lens)
     known = lens.calibration
     if known is None and fov_deg is None:
         fov_deg = DEFAULT_FOV_DEG
@@ -225,9 +243,28 @@ def _optics(lens: Lens, width: int, height: int, fov_deg: float | None) -> Optic
         center_px=None if known is None else known.center_px,
         calibrated_size_px=None if known is None else known.size_px,
     )
-    return Optics(lens, fov_deg, core)
+    return Optics(lens, (width, height), fov_deg, core)
 
 
-@functools.lru_cache(maxsize=RAYS_IN_MEMORY)
-def _rays(optics: Optics, field: ImageField) -> _core.LensRays:
-    return optics._core.rays(shape=field.mask, edge_px=field.edge_px, vignette=field.vignette)
+class _RaysInMemory:
+    """The rays of the pictures rendered last, for any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[tuple[Any, ...], _core.LensRays] = OrderedDict()
+
+    def of(self, optics: Optics, field: ImageField) -> _core.LensRays:
+        key = (optics.lens, *optics.size_px, optics.fov_deg, field)
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        rays = optics._build_rays(field)
+        with self._lock:
+            self._kept[key] = rays
+            while len(self._kept) > 1 and sum(k[1] * k[2] for k in self._kept) > RAYS_IN_MEMORY_PX:
+                self._kept.popitem(last=False)
+        return rays
+
+
+_RAYS = _RaysInMemory()

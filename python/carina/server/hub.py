@@ -376,6 +376,10 @@ class Hub:
                 session.set_window(message.width_hu, message.level_hu)
             case wire.SetFov():
                 session.set_fov(message.fov_deg)
+            case wire.SetScope():
+                session.set_scope(message.scope)
+            case wire.SetMask():
+                session.set_mask(message.mask)
             case wire.SetTransfer():
                 session.set_transfer(preset=message.preset, document=message.document)
             case wire.SetShading():

@@ -11,6 +11,7 @@ from carina.server.wire_fields import (
     Count,
     DemoName,
     Key,
+    Mask,
     Method,
     Mode,
     Operator,
@@ -51,12 +52,14 @@ __all__ = [
     "SetFov",
     "SetFrameRate",
     "SetLumenThreshold",
+    "SetMask",
     "SetMethod",
     "SetMode",
     "SetOperator",
     "SetOrbit",
     "SetReformation",
     "SetRoot",
+    "SetScope",
     "SetShading",
     "SetSlab",
     "SetTransfer",
@@ -313,6 +316,22 @@ class SetFov:
 
     wire_type: ClassVar[str] = "set_fov"
     fov_deg: Annotated[float, Range(60.0, 170.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class SetScope:
+    """Look through an instrument of the library, with its field of view and outline; null is a pinhole."""
+
+    wire_type: ClassVar[str] = "set_scope"
+    scope: Key | None
+
+
+@dataclass(frozen=True, slots=True)
+class SetMask:
+    """Outline of the airway picture."""
+
+    wire_type: ClassVar[str] = "set_mask"
+    mask: Mask
 
 
 @dataclass(frozen=True, slots=True)

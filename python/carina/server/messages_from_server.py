@@ -10,6 +10,7 @@ from carina.server.wire_fields import (
     Count,
     DemoName,
     Key,
+    Mask,
     Matrix4,
     Method,
     Mode,
@@ -37,6 +38,7 @@ __all__ = [
     "OtherSeries",
     "Picked",
     "PictureHeader",
+    "PictureLens",
     "PictureLines",
     "Pose",
     "Progress",
@@ -45,6 +47,7 @@ __all__ = [
     "Route",
     "RouteInfo",
     "RouteSpan",
+    "Scope",
     "ServerHello",
     "Slab",
     "Start",
@@ -89,13 +92,28 @@ class Demo:
 
 
 @dataclass(frozen=True, slots=True)
+class Scope:
+    """An instrument of the library; null where nothing is known."""
+
+    name: Key
+    title: Words
+    tip_mm: float
+    """Outer diameter, as stated."""
+    channel_mm: float | None
+    fov_deg: float | None
+    view_up_deg: float
+    """How far it looks up from its shaft."""
+
+
+@dataclass(frozen=True, slots=True)
 class Start:
-    """What the start page shows."""
+    """What the start page shows, and what there is to choose from."""
 
     wire_type: ClassVar[str] = "start"
     notice_accepted: bool
     recent: tuple[RecentCase, ...]
     demos: tuple[Demo, ...]
+    scopes: tuple[Scope, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,6 +233,10 @@ class State:
     """Why there are none and what to do, or what was noted about them."""
     mode: Mode
     operator: Operator
+    scope: Key | None
+    """The instrument that the airway view is seen through; null for a pinhole."""
+    mask: Mask
+    """Outline of the airway picture."""
     fov_deg: float
     transfer: Words
     """Name of the transfer function."""
@@ -436,6 +458,22 @@ class PictureLines:
 
 
 @dataclass(frozen=True, slots=True)
+class PictureLens:
+    """A lens in front of this picture. A direction (x, y, z) in camera space falls on center + focal * (x', y').
+
+    ``brown``, with k1 k2 p1 p2 k3 k4 k5 k6, distorts (x/z, y/z); ``fisheye``, with k1 to k4, puts the angle a from the
+    axis at a distance of a + k1 a^3 + k2 a^5 + k3 a^7 + k4 a^9.
+    """
+
+    model: Literal["brown", "fisheye"]
+    coefficients: Annotated[tuple[float, ...], Length(4, 8)]
+    focal_px: Annotated[tuple[float, ...], Length(2, 2)]
+    center_px: Annotated[tuple[float, ...], Length(2, 2)]
+    limit_rad: Annotated[float, Range(0.0, 3.1416)]
+    """Directions farther from the axis have no place in the picture."""
+
+
+@dataclass(frozen=True, slots=True)
 class PictureHeader:
     """Header of a binary message; the payload follows."""
 
@@ -448,6 +486,8 @@ class PictureHeader:
     lps_from_camera: Matrix4 | None
     """Camera of a perspective view."""
     fov_deg: float | None
+    lens: PictureLens | None
+    """Where the lens is no pinhole of this field of view."""
     lps_from_pixel: Matrix4 | None
     """Planar view: (column, row, 0, 1) in corner coordinates of *this* picture (centre = +0.5) to LPS."""
     lines: PictureLines | None

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from carina.render import PictureLines
+from carina.scopes import DEFAULT_SCOPE, scope_presets
 from carina.server import messages as wire
 from carina.server.wire_codec import decode_fields
 from carina.session import ChosenRoute, PoseInfo, RecentCase, Snapshot, WallPoint
-from carina.session.document import Document
+from carina.session.document import DEFAULT_FOV_DEG, Document
 
 __all__ = [
     "demos",
@@ -35,7 +36,10 @@ def demos(patient_citation: str | None) -> tuple[wire.Demo, ...]:
 def start_message(*, notice_accepted: bool, recent: tuple[RecentCase, ...], patient_citation: str | None) -> wire.Start:
     """What the start page shows; paths stay on the server's side."""
     cases = tuple(wire.RecentCase(c.recent_id, c.date, c.title) for c in recent)
-    return wire.Start(notice_accepted, cases, demos(patient_citation))
+    scopes = tuple(
+        wire.Scope(s.name, s.title, s.tip_mm, s.channel_mm, s.fov_deg, s.view_up_deg) for s in scope_presets()
+    )
+    return wire.Start(notice_accepted, cases, demos(patient_citation), scopes)
 
 
 # Rows of a curved picture that its header names: this far apart, linear between.
@@ -100,7 +104,9 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
         airways_words=snapshot.airways_words,
         mode=snapshot.mode,
         operator="head" if document is None else document.operator,
-        fov_deg=90.0 if document is None else document.fov_deg,
+        scope=DEFAULT_SCOPE if document is None else document.scope,
+        mask="round" if document is None else document.mask,
+        fov_deg=DEFAULT_FOV_DEG if document is None else document.fov_deg,
         transfer="" if document is None else document.transfer.name,
         transfer_document=None if document is None else document.transfer.to_json(),
         transfer_presets=snapshot.transfer_presets,

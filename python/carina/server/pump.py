@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from carina.errors import CancelledError, CarinaError, UsageError
 from carina.render import CancelToken
+from carina.scopes import Optics
 from carina.server.budget import FULL_STEP_VOX
-from carina.server.messages import PictureHeader, Status
+from carina.server.messages import PictureHeader, PictureLens, Status
 from carina.server.pacing import DEFAULT_RATE_HZ, MOVING, FrameScheduler, RenderOrder
 from carina.server.presenter import picture_lines
 from carina.server.wire_codec import encode_picture
@@ -239,6 +240,7 @@ class FramePump:
                 pose_id=scene.pose_id,
                 lps_from_camera=_matrix(picture.lps_from_camera),
                 fov_deg=None if picture.fov_deg is None else float(picture.fov_deg),
+                lens=_lens(picture.optics),
                 lps_from_pixel=_matrix(picture.lps_from_pixel),
                 lines=picture_lines(picture.lines),
                 width=int(picture.rgb.shape[1]),
@@ -315,6 +317,13 @@ class FramePump:
 
 def _keys(scene: Scene, scheduler: FrameScheduler) -> dict[str, Hashable]:
     return {view: scene.key(view) for view in scheduler.visible}
+
+
+def _lens(optics: Optics | None) -> PictureLens | None:
+    if optics is None:
+        return None
+    model, coefficients = optics.formula
+    return PictureLens(cast(Any, model), coefficients, optics.focal_px, optics.center_px, optics.limit_rad)
 
 
 def _matrix(matrix: NDArray[np.float64] | None) -> tuple[float, ...] | None:

@@ -12,6 +12,7 @@ __all__ = [
     "Count",
     "DemoName",
     "Key",
+    "Mask",
     "Matrix4",
     "Method",
     "Mode",
@@ -57,6 +58,7 @@ ViewName = Literal[
 ]
 Tone = Literal["radiograph", "fluoroscopy"]
 SlabKind = Literal["max", "min", "mean"]
+Mask = Literal["none", "round", "octagon"]
 OrbitView = Literal["tree", "tri-plane"]
 Mode = Literal["free", "path"]
 Operator = Literal["head", "facing"]

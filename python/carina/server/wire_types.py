@@ -100,6 +100,7 @@ def typescript() -> str:
         "/** 4x4, row-major. */",
         "export type Matrix4 = readonly number[];",
         f"export type ViewName = {_ts_type(messages.ViewName)};",
+        f"export type Mask = {_ts_type(messages.Mask)};",
         "",
     ]
     for cls in _all_classes():

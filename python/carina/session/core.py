@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 from carina.errors import CancelledError, UsageError
+from carina.scopes import scope_preset
 from carina.session.case import OpenCase, pose_info
 from carina.session.document import Document
 from carina.session.history import History
@@ -272,6 +273,8 @@ class SessionCore:
                 pose=case.navigator.pose,
                 pose_id=self._pose_id,
                 pose_s=self._pose_s,
+                scope=None if document.scope is None else scope_preset(document.scope),
+                mask=document.mask,
                 fov_deg=document.fov_deg,
                 shading=document.shading,
                 method=document.method,

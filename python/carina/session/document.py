@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from carina.scopes import DEFAULT_SCOPE, Mask, scope_preset
+
 if TYPE_CHECKING:
     from carina.render import TransferFunction
     from carina.session.routes import ChosenRoute
@@ -15,6 +17,7 @@ __all__ = ["Document", "Target"]
 Method = Literal["leap", "brute"]
 Operator = Literal["head", "facing"]
 Point = tuple[float, float, float]
+DEFAULT_FOV_DEG = scope_preset(DEFAULT_SCOPE).usual_fov_deg
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +43,11 @@ class Document:
     transfer: TransferFunction
     window_width_hu: float = 1500.0
     window_level_hu: float = -600.0
-    fov_deg: float = 90.0
+    scope: str | None = DEFAULT_SCOPE
+    """The instrument that the airway view is seen through, by name; None for a pinhole."""
+    mask: Mask = "round"
+    fov_deg: float = DEFAULT_FOV_DEG
+    """The scope's, unless a person chose another."""
     shading: bool = True
     method: Method = "leap"
     operator: Operator = "head"

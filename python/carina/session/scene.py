@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, cast
 import numpy as np
 
 from carina import render
-from carina.scopes import PathFrames, Pose
+from carina.scopes import ImageField, Mask, PathFrames, Pose, ScopePreset
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -126,6 +126,8 @@ class Scene:
     pose_id: int
     pose_s: float
     """When this pose came to be, on the session's clock."""
+    scope: ScopePreset | None
+    mask: Mask
     fov_deg: float
     shading: bool
     method: str
@@ -156,7 +158,8 @@ class Scene:
         """What this view's picture depends on; equal keys mean equal pictures. None where there is nothing to show."""
         case = (self.case_number, view)
         if view == "airway":
-            return (*case, self.content_number, self.pose_id, self.fov_deg, self.shading, self.method)
+            seen = (None if self.scope is None else self.scope.name, self.mask, self.fov_deg)
+            return (*case, self.content_number, self.pose_id, *seen, self.shading, self.method)
         if view == "cut-plane":
             return (*case, self.pose_id, self.window_hu, self.zoom.cut_plane_extent_mm)
         if view == "tri-plane":
@@ -184,14 +187,18 @@ class Scene:
         """The view as the renderer takes it. ``full_width`` keeps a zoomed slice's extent in a smaller picture."""
         window_hu = self.window_hu
         if view == "airway":
-            return render.AirwayView(
-                self.pose,
-                fov_deg=self.fov_deg,
-                width=width,
-                height=height,
-                step_vox=step_vox,
-                shading=self.shading,
-                method="brute" if self.method == "brute" else "leap",
+            settings: dict[str, Any] = {
+                "fov_deg": self.fov_deg,
+                "width": width,
+                "height": height,
+                "step_vox": step_vox,
+                "shading": self.shading,
+                "method": "brute" if self.method == "brute" else "leap",
+            }
+            if self.scope is None:
+                return render.AirwayView(self.pose, field=ImageField(self.mask), **settings)
+            return render.AirwayView.of_scope(
+                self.scope, self.pose, field=replace(self.scope.field, mask=self.mask), **settings
             )
         if view == "cut-plane":
             extent_mm = self.zoom.cut_plane_extent_mm or 60.0

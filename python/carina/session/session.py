@@ -16,7 +16,7 @@ import numpy as np
 from carina.errors import CarinaError, NoResultError, TrackingError, UsageError
 from carina.navigate import Navigator
 from carina.render import Slab
-from carina.scopes import Pose
+from carina.scopes import MASKS, Mask, Pose, scope_preset
 from carina.session.case import HISTOGRAM_PRESET, OpenCase, as_point, new_case
 from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.document import Document, Method, Operator, Point, Target
@@ -29,6 +29,7 @@ from carina.volume import Volume
 
 __all__ = ["Session"]
 
+PINHOLE_FOV_DEG = 90.0
 SNAP_MM = 5.0
 """A target outside the lumen is moved to it within this distance, and said."""
 MAX_AIRWAYS_KEPT = 4
@@ -318,6 +319,25 @@ class Session(SessionCore):
         if not 60.0 <= fov_deg <= 170.0:
             raise UsageError(f"the field of view must lie between 60 and 170 degrees; found {fov_deg:g}")
         self._edit("field of view", "fov", fov_deg=fov_deg)
+
+    def set_scope(self, name: str | None) -> None:
+        """Look through an instrument of the library, with its field of view and outline, or None for a pinhole.
+
+        A full frame stays full, since a person chose it. Undoable.
+        """
+        mask = self._needed_case().document.mask
+        if name is None:
+            self._edit("no scope", None, scope=None, fov_deg=PINHOLE_FOV_DEG)
+            return
+        scope = scope_preset(name)
+        changed: dict[str, Any] = {"fov_deg": scope.usual_fov_deg, "mask": "none" if mask == "none" else scope.mask}
+        self._edit(f"scope: {scope.title}", None, scope=name, **changed)
+
+    def set_mask(self, mask: Mask) -> None:
+        """Outline of the airway picture: round, octagonal or the full frame; undoable."""
+        if mask not in MASKS:
+            raise UsageError(f"a mask is {', '.join(MASKS)}; found {mask!r}")
+        self._edit("outline of the picture", None, mask=mask)
 
     def set_shading(self, on: bool) -> None:
         """Light at the tip on or off; undoable."""

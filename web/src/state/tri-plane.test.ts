@@ -42,6 +42,7 @@ function camera(): SeenGeometry {
     lps_from_pixel: null,
     lps_from_camera: [...rows, 0, 0, 0, 1],
     fov_deg: 25,
+    lens: null,
   });
   if (geometry === null || geometry.kind !== "seen") throw new Error("no camera");
   return geometry;
@@ -110,6 +111,7 @@ describe("the planes of the tri-plane view", () => {
       lps_from_pixel: null,
       lps_from_camera: [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 400, 0, 0, 0, 1],
       fov_deg: 25,
+      lens: null,
     });
     if (above === null || above.kind !== "seen") throw new Error("no camera");
     const grabbed = { plane: "axial", axis: 2, lps: [3, 4, 6] } as const;

@@ -14,6 +14,7 @@ export const CLOSE_CODES = {
 /** 4x4, row-major. */
 export type Matrix4 = readonly number[];
 export type ViewName = "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "drr" | "axial" | "coronal" | "sagittal" | "straightened" | "curved" | "tree";
+export type Mask = "none" | "round" | "octagon";
 
 /** First message of a client. */
 export interface ClientHelloMessage {
@@ -177,6 +178,18 @@ export interface SetFovMessage {
   readonly fov_deg: number;
 }
 
+/** Look through an instrument of the library, with its field of view and outline; null is a pinhole. */
+export interface SetScopeMessage {
+  readonly type: "set_scope";
+  readonly scope: string | null;
+}
+
+/** Outline of the airway picture. */
+export interface SetMaskMessage {
+  readonly type: "set_mask";
+  readonly mask: "none" | "round" | "octagon";
+}
+
 /** A preset by name, or a `carina-transfer` document; exactly one. */
 export interface SetTransferMessage {
   readonly type: "set_transfer";
@@ -301,12 +314,23 @@ export interface Demo {
   readonly citation: string | null;
 }
 
-/** What the start page shows. */
+/** An instrument of the library; null where nothing is known. */
+export interface Scope {
+  readonly name: string;
+  readonly title: string;
+  readonly tip_mm: number;
+  readonly channel_mm: number | null;
+  readonly fov_deg: number | null;
+  readonly view_up_deg: number;
+}
+
+/** What the start page shows, and what there is to choose from. */
 export interface StartMessage {
   readonly type: "start";
   readonly notice_accepted: boolean;
   readonly recent: readonly RecentCase[];
   readonly demos: readonly Demo[];
+  readonly scopes: readonly Scope[];
 }
 
 /** Another series of the folder. */
@@ -402,6 +426,8 @@ export interface StateMessage {
   readonly airways_words: string | null;
   readonly mode: "free" | "path";
   readonly operator: "head" | "facing";
+  readonly scope: string | null;
+  readonly mask: "none" | "round" | "octagon";
   readonly fov_deg: number;
   readonly transfer: string;
   readonly transfer_document: Record<string, unknown> | null;
@@ -561,6 +587,18 @@ export interface StatusMessage {
   readonly simd: string;
 }
 
+/** A lens in front of this picture. A direction (x, y, z) in camera space falls on center + focal * (x', y').
+
+    `brown`, with k1 k2 p1 p2 k3 k4 k5 k6, distorts (x/z, y/z); `fisheye`, with k1 to k4, puts the angle a from the
+    axis at a distance of a + k1 a^3 + k2 a^5 + k3 a^7 + k4 a^9. */
+export interface PictureLens {
+  readonly model: "brown" | "fisheye";
+  readonly coefficients: readonly number[];
+  readonly focal_px: readonly [number, number];
+  readonly center_px: readonly [number, number];
+  readonly limit_rad: number;
+}
+
 /** Where the rows of a picture lie whose surface is curved: parallel lists over some of its rows, linear between.
 
     Pixel (column, row) is at `start_lps + column * step_lps`, in corner coordinates of *this* picture. */
@@ -581,6 +619,7 @@ export interface PictureHeader {
   readonly pose_id: number;
   readonly lps_from_camera: readonly number[] | null;
   readonly fov_deg: number | null;
+  readonly lens: PictureLens | null;
   readonly lps_from_pixel: readonly number[] | null;
   readonly lines: PictureLines | null;
   readonly width: number;
@@ -620,6 +659,8 @@ export type ClientMessage =
   | SetCrosshairMessage
   | SetWindowMessage
   | SetFovMessage
+  | SetScopeMessage
+  | SetMaskMessage
   | SetTransferMessage
   | SetShadingMessage
   | SetMethodMessage
