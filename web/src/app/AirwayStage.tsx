@@ -14,29 +14,31 @@ import {
   SliderTrack,
 } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import { pathMm } from "../state/app-state";
+import { maskOf, pathMm, scopeOf } from "../state/app-state";
 import { forkAhead } from "../state/fork";
 import { fixed, mm } from "../state/format";
 import { nextStopMm } from "../state/route";
-import { cameraFromMatrix } from "../state/vec";
+import { cameraFromMatrix, lookingUp } from "../state/vec";
 import { wallPointLines } from "../state/wall-point";
+import { shapeOf } from "../views/outline";
 import type { StateMessage } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, Choice, SwitchKey, Tip } from "./controls";
 import { Icon } from "./icons";
 import { PictureView } from "./PictureView";
+import { ScopeSelect } from "./ScopeSelect";
 
 export function AirwayStage() {
-  const shape = useApp((state) => state.ui.airwayShape);
+  const mask = useApp(maskOf);
   const shown = useApp((state) => state.frames.airway !== undefined);
   const station = useStation();
   return (
     <section className="airway-stage" aria-label="Airway view">
       <AirwayTools />
-      <div className="airway-picture" data-shape={shape}>
+      <div className="airway-picture" data-mask={mask}>
         <PictureView
           view="airway"
-          shape={shape === "round" ? "round" : "fill"}
+          shape={shapeOf(mask)}
           name="Airway view, seen from the tip"
           onDoubleClick={() => station.ui({ full: station.state.ui.full === "airway" ? null : "airway" })}
         />
@@ -91,7 +93,7 @@ function AirwayTools() {
       />
       <Act
         icon="operator"
-        label={facing ? "Facing" : "Head end"}
+        label={<span className="wide-only">{facing ? "Facing" : "Head end"}</span>}
         words={
           facing
             ? "The operator faces the patient; turn to the head end"
@@ -115,6 +117,7 @@ function AirwayTools() {
         onPress={() => station.act("reset_look")}
       />
       <span className="space" />
+      <ScopeSelect />
       <TransferSelect />
       <Fov />
       <SwitchKey
@@ -132,9 +135,11 @@ function AirwayTools() {
       />
       <SwitchKey
         icon="round"
-        words="Round picture, as in a bronchoscope"
+        words={
+          session.mask === "octagon" ? "Octagonal picture, as in this scope" : "Round picture, as in a bronchoscope"
+        }
         keys={keyOf("toggle_shape")}
-        on={ui.airwayShape === "round"}
+        on={session.mask !== "none"}
         onChange={() => station.act("toggle_shape")}
       />
     </div>
@@ -242,11 +247,12 @@ function Readings() {
   const at = useApp(pathMm);
   const station = useStation();
   const advancing = useApp((state) => state.ui.advancing);
+  const viewUpDeg = useApp((state) => scopeOf(state)?.view_up_deg ?? 0);
   if (pose === null) return null;
   const fork =
     tree === null || route === null || at === null || pose.mode !== "path"
       ? null
-      : forkAhead(tree, route, at, cameraFromMatrix(pose.lps_from_camera));
+      : forkAhead(tree, route, at, lookingUp(cameraFromMatrix(pose.lps_from_camera), viewUpDeg));
   const toFork = route !== null && at !== null && nextStopMm(route, at) < route.length_mm;
   const atEnd = route !== null && at !== null && pose.mode === "path" && at > route.length_mm - AT_END_MM;
   const node = pose.branch_id === null ? undefined : tree?.byId.get(pose.branch_id);

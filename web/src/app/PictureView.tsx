@@ -1,7 +1,8 @@
 /** A place for one picture. Everything inside is framework-free; this only mounts it and tells it its size. */
 
 import { useEffect, useRef } from "react";
-import { type Shape, Viewport } from "../views/viewport";
+import type { Shape } from "../views/outline";
+import { Viewport } from "../views/viewport";
 import type { ViewName } from "../wire/messages";
 import { useStation } from "./context";
 import { gesturesOf } from "./gestures";

@@ -6,6 +6,7 @@ import { type AppState, crosshairLps } from "../state/app-state";
 import { type FlatGeometry, geometryOf, lpsFromPixel, mmPerPixel, normalOf } from "../state/projection";
 import { add, asVec3, cameraFromMatrix, distance, dot, scale, sub, unit, type Vec3 } from "../state/vec";
 import { clampToVolume, middleOf } from "../state/volume";
+import { isInside } from "../views/outline";
 import type { Viewport } from "../views/viewport";
 import type { ViewName } from "../wire/messages";
 import { dragWindow, type Gestures, ORBIT_DEG_PER_PX, ORBIT_KEY_DEG, ZOOM_KEY_PX, ZOOM_PER_PX } from "./gesture-parts";
@@ -106,8 +107,7 @@ function airwayGestures(station: Workstation, viewport: Viewport): Gestures {
           station.pick(lpsFromPixel(geometry, pixel));
           return;
         }
-        const fromMiddle = Math.hypot(at.x - frame.x - frame.width / 2, at.y - frame.y - frame.height / 2);
-        if (viewport.shape === "round" && fromMiddle > frame.width / 2) return;
+        if (!isInside(viewport.shape, frame, at)) return;
         station.pickWall(header, pixel);
       },
       drag: (_at, moved, button) => {

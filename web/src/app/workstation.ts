@@ -7,7 +7,7 @@ import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
 import { mainLeaf, neighbourWay } from "../state/airways";
-import { type AppState, type Connection, crosshairLps, pathMm, tipLps, type Ui } from "../state/app-state";
+import { type AppState, type Connection, crosshairLps, maskOf, pathMm, tipLps, type Ui } from "../state/app-state";
 import { forkAhead } from "../state/fork";
 import { PaceMeter } from "../state/pace";
 import type { PixelPoint } from "../state/projection";
@@ -17,7 +17,7 @@ import { asVec3, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { WallPoint } from "../state/wall-point";
 import { sceneOf } from "../views/scene";
 import { Wall } from "../views/wall";
-import type { ClientMessage, Demo, PickedMessage, PictureHeader, StateMessage } from "../wire/messages";
+import type { ClientMessage, Demo, Mask, PickedMessage, PictureHeader, StateMessage } from "../wire/messages";
 
 const XRAYS = ["xray-coronal", "xray-sagittal", "xray-axial", "drr"] as const;
 const CUTS = ["cut-plane", "straightened", "curved"] as const;
@@ -43,6 +43,7 @@ export class Workstation {
   #uploadStop: AbortController | null = null;
   #autoWanted = false;
   #pickId = 0;
+  #outline: Mask = "round";
   #pickForgotten = 0;
   readonly #pace = new PaceMeter();
 
@@ -250,6 +251,13 @@ export class Workstation {
     this.pickWall(header, { column: header.width / 2, row: header.height / 2 });
   }
 
+  /** The full frame, or the outline that the scope's picture was last seen in. */
+  #toggleMask(): void {
+    const mask = maskOf(this.state);
+    if (mask !== "none") this.#outline = mask;
+    this.send({ type: "set_mask", mask: mask === "none" ? this.#outline : "none" });
+  }
+
   readonly #actions: Readonly<Record<Action, () => void>> = {
     auto_advance: () => this.#autoAdvance(),
     previous_fork: () => this.toFork("previous"),
@@ -281,7 +289,7 @@ export class Workstation {
       );
       this.sendSoon({ type: "set_slab", ...(SLABS[(at + 1) % SLABS.length] ?? SLABS[0]) });
     },
-    toggle_shape: () => this.ui({ airwayShape: this.state.ui.airwayShape === "round" ? "full" : "round" }),
+    toggle_shape: () => this.#toggleMask(),
     toggle_route_line: () => this.ui({ routeLineVisible: !this.state.ui.routeLineVisible }),
     arm_target: () => this.ui({ armed: this.state.ui.armed === "target" ? null : "target", step: "target" }),
     arm_root: () => this.ui({ armed: this.state.ui.armed === "root" ? null : "root", step: "airways" }),

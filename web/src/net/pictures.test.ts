@@ -26,6 +26,7 @@ function picture(
       pose_id: poseId,
       lps_from_camera: null,
       fov_deg: null,
+      lens: null,
       lps_from_pixel: null,
       lines: null,
       width: 16,

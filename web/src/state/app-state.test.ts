@@ -11,7 +11,9 @@ const EMPTY: StateMessage = {
   airways_words: null,
   mode: "free",
   operator: "head",
-  fov_deg: 90,
+  scope: "generic",
+  mask: "round",
+  fov_deg: 120,
   transfer: "endoscopic",
   transfer_document: null,
   transfer_presets: [],
@@ -193,7 +195,7 @@ describe("cases and jobs", () => {
   });
 
   it("takes the safety sentence away as soon as it was read", () => {
-    const start = from({ type: "start", notice_accepted: false, recent: [], demos: [] });
+    const start = from({ type: "start", notice_accepted: false, recent: [], demos: [], scopes: [] });
     const read: AppEvent = { kind: "sent", message: { type: "accept_notice" }, nowMs: 0 };
     expect(following(INITIAL_STATE, start, read).start?.notice_accepted).toBe(true);
   });

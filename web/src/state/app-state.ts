@@ -2,11 +2,13 @@
 
 import type {
   ClientMessage,
+  Mask,
   PickedMessage,
   PictureHeader,
   PoseMessage,
   ProgressMessage,
   RouteInfo,
+  Scope,
   ServerMessage,
   StartMessage,
   StateMessage,
@@ -61,7 +63,6 @@ export interface Ui {
   readonly overPlane: PlaneName | null;
   readonly armed: Armed | null;
   readonly keyCardOpen: boolean;
-  readonly airwayShape: "round" | "full";
   readonly routeLineVisible: boolean;
   readonly advancing: boolean;
   readonly cursorLps: Vec3 | null;
@@ -121,7 +122,6 @@ export const INITIAL_STATE: AppState = {
     overPlane: null,
     armed: null,
     keyCardOpen: false,
-    airwayShape: "round",
     routeLineVisible: true,
     advancing: false,
     cursorLps: null,
@@ -324,6 +324,16 @@ export function tipLps(state: AppState): Vec3 | null {
 /** The point that the slices meet at, moved at once while a person drags it; null follows the tip. */
 export function crosshairLps(state: AppState): Vec3 | null {
   return state.local.crosshair === null ? asPoint(state.session?.crosshair_lps ?? null) : state.local.crosshair.value;
+}
+
+/** The outline of the airway picture. */
+export function maskOf(state: AppState): Mask {
+  return state.session?.mask ?? "round";
+}
+
+/** The instrument that the airway view is seen through, or null. */
+export function scopeOf(state: AppState): Scope | null {
+  return state.start?.scopes.find((scope) => scope.name === state.session?.scope) ?? null;
 }
 
 export function greyWindow(state: AppState): { width_hu: number; level_hu: number } {

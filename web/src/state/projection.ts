@@ -1,5 +1,6 @@
 /** From pixels to the patient and back, for flat pictures (slices, cut-plane, X-ray) and seen ones (airway, tree). */
 
+import type { PictureLens } from "../wire/messages";
 import { add, type Camera, cameraFromMatrix, column, cross, dot, scale, sub, unit, type Vec3 } from "./vec";
 
 /** Picture coordinates: pixel (0, 0) is the corner of the top-left pixel; its centre is (0.5, 0.5). */
@@ -25,6 +26,8 @@ export interface SeenGeometry {
   kind: "seen";
   camera: Camera;
   focalPx: number;
+  /** The lens of a picture that is no pinhole's. */
+  lens: PictureLens | null;
   width: number;
   height: number;
 }
@@ -38,6 +41,7 @@ export interface Placed {
   lps_from_pixel: readonly number[] | null;
   lps_from_camera: readonly number[] | null;
   fov_deg: number | null;
+  lens: PictureLens | null;
 }
 
 /** The geometry of a picture, or null where its header gives none. Flat wins: a cut-plane also carries a camera. */
@@ -57,6 +61,7 @@ export function geometryOf(picture: Placed): Geometry | null {
       kind: "seen",
       camera: cameraFromMatrix(picture.lps_from_camera),
       focalPx,
+      lens: picture.lens,
       width: picture.width,
       height: picture.height,
     };
@@ -97,6 +102,15 @@ export function pixelFromLps(geometry: Geometry, lps: Vec3): SeenPoint | null {
   }
   const offset = sub(lps, geometry.camera.position);
   const depthMm = dot(offset, geometry.camera.forward);
+  if (geometry.lens !== null) {
+    const pixel = throughLens(
+      geometry.lens,
+      dot(offset, geometry.camera.right),
+      dot(offset, geometry.camera.down),
+      depthMm,
+    );
+    return pixel === null ? null : { ...pixel, depthMm };
+  }
   if (depthMm < NEAR_MM) return null;
   return {
     column: geometry.width / 2 + (geometry.focalPx * dot(offset, geometry.camera.right)) / depthMm,
@@ -104,6 +118,34 @@ export function pixelFromLps(geometry: Geometry, lps: Vec3): SeenPoint | null {
     depthMm,
   };
 }
+
+/** Where a point in camera space (mm) falls; null where the lens has no place for it. Formulas: wire PictureLens. */
+function throughLens(lens: PictureLens, x: number, y: number, z: number): PixelPoint | null {
+  const across = Math.hypot(x, y);
+  const angle = Math.atan2(across, z);
+  if (Math.hypot(across, z) < NEAR_MM || angle > Math.min(lens.limit_rad, WIDEST_LINE_RAD)) return null;
+  const [k1 = 0, k2 = 0, k3 = 0, k4 = 0, k5 = 0, k6 = 0, k7 = 0, k8 = 0] = lens.coefficients;
+  let at: [number, number];
+  if (lens.model === "fisheye") {
+    const s = angle * angle;
+    const radius = angle * (1 + s * (k1 + s * (k2 + s * (k3 + s * k4))));
+    at = across === 0 ? [0, 0] : [(x / across) * radius, (y / across) * radius];
+  } else {
+    if (z <= 0) return null;
+    // OpenCV's order: k1 k2 p1 p2 k3, then the denominator's k4 k5 k6.
+    const [p1, p2] = [k3, k4];
+    const [u, v] = [x / z, y / z];
+    const s = u * u + v * v;
+    const radial = (1 + s * (k1 + s * (k2 + s * k5))) / (1 + s * (k6 + s * (k7 + s * k8)));
+    at = [u * radial + 2 * p1 * u * v + p2 * (s + 2 * u * u), v * radial + p1 * (s + 2 * v * v) + 2 * p2 * u * v];
+  }
+  const [fx = 0, fy = 0] = lens.focal_px;
+  const [cx = 0, cy = 0] = lens.center_px;
+  return { column: cx + fx * at[0], row: cy + fy * at[1] };
+}
+
+/** A line that passes behind a fisheye would be drawn across its picture; 120 degrees is beyond any corner. */
+const WIDEST_LINE_RAD = (120 * Math.PI) / 180;
 
 /** Nearer than this to a camera a line has no useful place in the picture. */
 export const NEAR_MM = 0.5;

@@ -46,6 +46,17 @@ export interface Camera {
   position: Vec3;
 }
 
+/** A camera turned upwards about its right: forward-oblique scopes look up from their shaft. */
+export function lookingUp(camera: Camera, deg: number): Camera {
+  const c = Math.cos((deg * Math.PI) / 180);
+  const s = Math.sin((deg * Math.PI) / 180);
+  return {
+    ...camera,
+    forward: add(scale(camera.forward, c), scale(camera.down, -s)),
+    down: add(scale(camera.down, c), scale(camera.forward, s)),
+  };
+}
+
 export function cameraFromMatrix(lpsFromCamera: readonly number[]): Camera {
   return {
     right: column(lpsFromCamera, 0),

@@ -4,6 +4,7 @@ import { angleBetween, type RingMark, ringMarks } from "../state/letters";
 import { geometryOf, projectLine } from "../state/projection";
 import { pointsBetween } from "../state/route";
 import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
+import { traceOutline } from "./outline";
 import type { Scene } from "./scene";
 import { RING_PX, type Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
@@ -18,7 +19,7 @@ const LETTER_PX = 16;
 export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { header, frame } = viewport;
   const centre = { x: frame.x + frame.width / 2, y: frame.y + frame.height / 2 };
-  const round = scene.airwayShape === "round";
+  const round = scene.airwayShape !== "fill";
   const radius = Math.min(frame.width, frame.height) / 2 + (round ? RING_PX / 2 : -RING_PX / 2);
   if (radius < 20) return;
   const geometry = header === null ? null : geometryOf(header);
@@ -28,9 +29,7 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
   }
 
   ink.save();
-  ink.beginPath();
-  if (round) ink.arc(centre.x, centre.y, frame.width / 2, 0, 2 * Math.PI);
-  else ink.rect(frame.x, frame.y, frame.width, frame.height);
+  traceOutline(ink, scene.airwayShape, frame);
   ink.clip();
   if (scene.routeLineVisible && scene.route !== null && scene.pathMm !== null) {
     const ahead = pointsBetween(scene.route, scene.pathMm + LINE_FROM_MM, scene.pathMm + LINE_TO_MM);

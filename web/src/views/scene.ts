@@ -1,10 +1,11 @@
 /** What is drawn over the pictures, taken from the state once per repaint. */
 
-import { type AppState, crosshairLps, pathMm } from "../state/app-state";
+import { type AppState, crosshairLps, maskOf, pathMm } from "../state/app-state";
 import type { PlaneName } from "../state/tri-plane";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
 import type { RouteInfo, StateMessage } from "../wire/messages";
+import { type Shape, shapeOf } from "./outline";
 
 export interface SceneTarget {
   lps: Vec3;
@@ -25,7 +26,7 @@ export interface Scene {
   pathMm: number | null;
   targets: readonly SceneTarget[];
   root: Vec3 | null;
-  airwayShape: "round" | "full";
+  airwayShape: Shape;
   /** The volume's box. */
   grid: Grid | null;
   carm: StateMessage["carm"] | null;
@@ -62,7 +63,7 @@ export function sceneOf(state: AppState): Scene {
         chosen: target.target_id === state.route?.target_id,
       })) ?? [],
     root: state.session?.root_lps == null ? null : asVec3(state.session.root_lps),
-    airwayShape: state.ui.airwayShape,
+    airwayShape: shapeOf(maskOf(state)),
     grid: state.session?.case ?? null,
     carm: state.session?.carm ?? null,
     slab: state.session?.slab ?? null,

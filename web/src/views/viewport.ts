@@ -3,6 +3,7 @@
 import type { PixelPoint } from "../state/projection";
 import type { PictureHeader, ViewName } from "../wire/messages";
 import type { Ink, ScreenPoint } from "./ink";
+import { clipPathOf, type Shape } from "./outline";
 
 export interface Rect {
   x: number;
@@ -10,8 +11,6 @@ export interface Rect {
   width: number;
   height: number;
 }
-
-export type Shape = "fill" | "round";
 
 /** Beyond this a picture costs more to render than the eye gains. */
 const MAX_PIXELS: Readonly<Record<string, number>> = { airway: 1024 };
@@ -162,7 +161,7 @@ export class Viewport {
     style.top = `${frame.y}px`;
     style.width = `${frame.width}px`;
     style.height = `${frame.height}px`;
-    style.borderRadius = this.#shape === "round" ? "50%" : "0";
+    style.clipPath = clipPathOf(this.#shape);
     const width = Math.max(Math.round(frame.width * this.#ratio), 1);
     const height = Math.max(Math.round(frame.height * this.#ratio), 1);
     if (this.picture.width === width && this.picture.height === height) return;

@@ -1,12 +1,13 @@
 /** All pictures on the screen: hands each its frames, repaints what is drawn over them, tells the server what is visible. */
 
 import type { PictureHeader, ViewName, ViewSize } from "../wire/messages";
+import type { Shape } from "./outline";
 import { paintAirway } from "./overlay-airway";
 import { paintFlat } from "./overlay-flat";
 import { paintLines } from "./overlay-lines";
 import { paintSeen } from "./overlay-seen";
 import type { Scene } from "./scene";
-import type { Shape, Viewport } from "./viewport";
+import type { Viewport } from "./viewport";
 
 export interface WallHooks {
   scene(): Scene;

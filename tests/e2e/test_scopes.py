@@ -1,0 +1,119 @@
+"""Looking through other instruments, in a real browser."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import pytest
+from server_process import Server, start_server, stop_server
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory) -> Iterator[Server]:
+    """``carina demo phantom``, as a person starts it."""
+    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
+    yield running
+    assert stop_server(running) in {0, 130}
+    assert running.errors() == []
+
+
+def after(workstation, act) -> None:
+    """Do something that changes the airway picture, and wait for the full picture after it."""
+    workstation.wait_still()
+    before = workstation.frame("airway")["frame_id"]
+    act()
+    workstation.page.wait_for_function(
+        """(before) => {
+            const c = document.querySelector('canvas[data-view=airway]');
+            return c.dataset.full === 'true' && Number(c.dataset.frameId) > before;
+        }""",
+        arg=before,
+        timeout=20_000,
+    )
+
+
+def choose_scope(workstation, title: str) -> None:
+    def act() -> None:
+        workstation.page.get_by_test_id("scope").click()
+        workstation.page.get_by_role("option").filter(has_text=title).click()
+
+    after(workstation, act)
+
+
+def press(workstation, key: str) -> None:
+    after(workstation, lambda: workstation.page.keyboard.press(key))
+
+
+def test_a_scope_is_chosen_seen_through_and_taken_back(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.wait_still()
+    workstation.picture("scope-generic")
+    assert (workstation.state("scope"), workstation.state("mask"), workstation.state("fov_deg")) == (
+        "generic",
+        "round",
+        120,
+    )
+    before = workstation.pixels("airway")
+
+    workstation.page.get_by_test_id("scope").click()
+    workstation.page.get_by_role("option").first.wait_for()
+    workstation.picture("scope-menu")
+    workstation.page.keyboard.press("Escape")
+
+    choose_scope(workstation, "Single-use, slim")
+    assert workstation.state("scope") == "single-use-slim"
+    workstation.picture("scope-single-use")
+    assert (workstation.state("mask"), workstation.state("fov_deg")) == ("octagon", 85)
+    assert workstation.pixels("airway") != before
+
+    choose_scope(workstation, "EBUS")
+    assert workstation.state("scope") == "ebus"
+    workstation.picture("scope-ebus")
+    pose = workstation.state("pose.lps_from_camera")
+    shown = workstation.state("frames.airway.lps_from_camera")
+    # The picture's camera looks 35 degrees up from the tip.
+    cosine = sum(pose[4 * row + 2] * shown[4 * row + 2] for row in range(3))
+    assert math.degrees(math.acos(cosine)) == pytest.approx(35.0, abs=0.01)
+
+    press(workstation, "o")
+    assert workstation.state("mask") == "none"
+    workstation.picture("scope-full-frame")
+    press(workstation, "o")
+    assert workstation.state("mask") == "round"
+
+    for _ in range(4):
+        press(workstation, "Control+z")
+    assert [workstation.state(name) for name in ("scope", "mask", "fov_deg")] == ["generic", "round", 120]
+    off = [abs(a - b) for a, b in zip(workstation.pixels("airway"), before, strict=True)]
+    # JPEGs of the same picture, the last perhaps of the size before the canvas changed.
+    assert sum(off) / len(off) < 1.0
+    assert workstation.faults == []
+
+
+def test_a_click_through_a_wide_lens_marks_the_wall_where_it_was_clicked(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.wait_still()
+    # Far from the middle, where a pinhole's formula would be off by a quarter of the picture.
+    workstation.click_airway(0.8, 0.5)
+    workstation.page.wait_for_function("() => window.__carina.state.picks.length > 0")
+    lps = workstation.state("picks.at(-1).lps")
+    header = workstation.state("frames.airway")
+    workstation.picture("scope-wall-point")
+    m = header["lps_from_camera"]
+    offset = [lps[a] - m[4 * a + 3] for a in range(3)]
+    x, y, z = (sum(m[4 * a + c] * offset[a] for a in range(3)) for c in range(3))
+    angle = math.atan2(math.hypot(x, y), z)
+    assert header["lens"]["model"] == "fisheye"
+    k1 = header["lens"]["coefficients"][0]
+    radius = header["lens"]["focal_px"][0] * (angle + k1 * angle**3)
+    column = header["width"] / 2 + radius * x / math.hypot(x, y)
+    row = header["height"] / 2 + radius * y / math.hypot(x, y)
+    # Of the picture's width: the click is on a whole pixel of the screen.
+    assert column / header["width"] == pytest.approx(0.8, abs=0.01)
+    assert row / header["height"] == pytest.approx(0.5, abs=0.01)
+    assert workstation.faults == []

@@ -1,0 +1,65 @@
+/** Which instrument the airway view is seen through. */
+
+import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue, Text } from "react-aria-components";
+import { fixed } from "../state/format";
+import type { Scope } from "../wire/messages";
+import { useApp, useStation } from "./context";
+import { Tip } from "./controls";
+import { Icon } from "./icons";
+
+const NO_SCOPE = "no scope";
+
+/** What sets instruments apart at a glance. */
+function sizeWords(scope: Scope): string {
+  const fov = scope.fov_deg === null ? "" : `, ${fixed(scope.fov_deg)}\u00b0`;
+  return `\u2300 ${fixed(scope.tip_mm, 1)} mm${fov}`;
+}
+
+/** The toolbar has room for the kind of instrument: the list and the tooltip say which. */
+const shortTitle = (title: string): string => title.split(/[ ,(]/)[0] ?? title;
+
+export function ScopeSelect() {
+  const station = useStation();
+  const scopes = useApp((state) => state.start?.scopes ?? null);
+  const name = useApp((state) => state.session?.scope ?? null);
+  if (scopes === null) return null;
+  const chosen = scopes.find((scope) => scope.name === name);
+  const words =
+    chosen === undefined
+      ? "Seen without a scope: a pinhole camera"
+      : `Seen through: ${chosen.title}, ${sizeWords(chosen)}`;
+  return (
+    <Select
+      aria-label="Scope"
+      className="select scope"
+      selectedKey={name ?? NO_SCOPE}
+      onSelectionChange={(key) => {
+        const scope = key === NO_SCOPE ? null : String(key);
+        if (key !== null && scope !== name) station.send({ type: "set_scope", scope });
+      }}
+    >
+      <Tip words={words}>
+        <Button className="button" data-testid="scope">
+          <SelectValue>{() => (chosen === undefined ? "No scope" : shortTitle(chosen.title))}</SelectValue>
+          <Icon name="down" />
+        </Button>
+      </Tip>
+      <Popover className="popover" offset={4}>
+        <ListBox className="listbox scopes">
+          {scopes.map((scope) => (
+            <ListBoxItem key={scope.name} id={scope.name} textValue={scope.title} className="listbox-item">
+              <Text slot="label">{scope.title}</Text>
+              <Text slot="description" className="numbers">
+                {sizeWords(scope)}
+              </Text>
+            </ListBoxItem>
+          ))}
+          <ListBoxItem id={NO_SCOPE} textValue="No scope" className="listbox-item">
+            <Text slot="label">No scope</Text>
+            <Text slot="description">pinhole</Text>
+          </ListBoxItem>
+        </ListBox>
+      </Popover>
+    </Select>
+  );
+}

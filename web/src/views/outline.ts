@@ -1,0 +1,58 @@
+/** The outline of a picture on the screen: the whole frame, or what a bronchoscope's monitor shows. */
+
+import type { Mask } from "../wire/messages";
+import type { Ink, ScreenPoint } from "./ink";
+import type { Rect } from "./viewport";
+
+export type Shape = "fill" | "round" | "octagon";
+
+/** Half an octagon's side, in half widths: its cut corners are as far from the middle as its sides. */
+const HALF_SIDE = Math.tan(Math.PI / 8);
+
+export function shapeOf(mask: Mask): Shape {
+  return mask === "none" ? "fill" : mask;
+}
+
+/** The corners of an octagon in half widths from its middle, clockwise. */
+const CORNERS: readonly (readonly [number, number])[] = [
+  [HALF_SIDE, -1],
+  [1, -HALF_SIDE],
+  [1, HALF_SIDE],
+  [HALF_SIDE, 1],
+  [-HALF_SIDE, 1],
+  [-1, HALF_SIDE],
+  [-1, -HALF_SIDE],
+  [-HALF_SIDE, -1],
+];
+
+/** Begins a path round a frame. */
+export function traceOutline(ink: Ink, shape: Shape, frame: Rect): void {
+  const half = frame.width / 2;
+  const [x, y] = [frame.x + half, frame.y + frame.height / 2];
+  ink.beginPath();
+  if (shape === "fill") ink.rect(frame.x, frame.y, frame.width, frame.height);
+  else if (shape === "round") ink.arc(x, y, half, 0, 2 * Math.PI);
+  else for (const [dx, dy] of CORNERS) ink.lineTo(x + dx * half, y + dy * half);
+  ink.closePath();
+}
+
+export function isInside(shape: Shape, frame: Rect, at: ScreenPoint): boolean {
+  const half = frame.width / 2;
+  const dx = Math.abs(at.x - frame.x - half);
+  const dy = Math.abs(at.y - frame.y - frame.height / 2);
+  switch (shape) {
+    case "fill":
+      return dx <= half && dy <= frame.height / 2;
+    case "round":
+      return Math.hypot(dx, dy) <= half;
+    case "octagon":
+      return Math.max(dx, dy, (dx + dy) * Math.SQRT1_2) <= half;
+  }
+}
+
+/** As a CSS clip path of the picture's element. */
+export function clipPathOf(shape: Shape): string {
+  if (shape === "fill") return "none";
+  if (shape === "round") return "circle(50%)";
+  return `polygon(${CORNERS.map(([x, y]) => `${50 * (1 + x)}% ${50 * (1 + y)}%`).join(", ")})`;
+}
