@@ -9,6 +9,7 @@
 mod affine;
 mod camera;
 mod clip;
+mod distortion;
 mod error;
 mod lens;
 mod rays;
@@ -18,8 +19,9 @@ mod volume;
 pub use affine::Affine;
 pub use camera::{Camera, MAX_FOV_RAD, MIN_FOV_RAD, PixelRay};
 pub use clip::clip_line_to_box;
+pub use distortion::Distortion;
 pub use error::GridError;
-pub use lens::{Calibration, Distortion, Lens, Optics};
+pub use lens::{Calibration, Lens, Optics};
 pub use rays::{FULL_GAIN, FieldShape, ImageField, LensRays};
 pub use simd::InstructionSet;
 pub use volume::{Grid, Ijk, Lps, VolumeView, ijk_from_zyx, zyx_from_ijk};
