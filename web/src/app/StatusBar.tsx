@@ -3,14 +3,13 @@
 import { useEffect, useState } from "react";
 import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue } from "react-aria-components";
 import { greyWindow } from "../state/app-state";
-import { coordinates, finenessWords, fixed, plural, windowWords } from "../state/format";
+import { coordinates, finenessWords, fixed, methodWords, plural, windowWords } from "../state/format";
 import { asVec3 } from "../state/vec";
 import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
 
 export function StatusBar() {
   const station = useStation();
-  const status = useApp((state) => state.status);
   const mode = useApp((state) => state.session?.mode ?? "free");
   const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
   const width = useApp((state) => greyWindow(state).width_hu);
@@ -22,11 +21,7 @@ export function StatusBar() {
       <ConnectionWords />
       <PaceWords />
       <FineWords />
-      <span className="wide">
-        <MethodWords />
-        {status === null ? "" : `, ${plural(status.threads, "core")}`}
-        <span className="spare">{status === null ? "" : `, ${simdWords(status.simd)}`}</span>
-      </span>
+      <MethodWords />
       <span>mode: {mode} [M]</span>
       <span className="wide spare">
         {windowWords(width, level)}
@@ -116,10 +111,15 @@ function AskedRate() {
 function MethodWords() {
   const asked = useApp((state) => state.session?.method ?? "leap");
   const made = useApp((state) => state.frames.airway?.method ?? null);
-  if (made === "plane") return "cut-plane";
-  if (made === null) return asked === "leap" ? "leaping" : "brute force";
-  if (made.startsWith("leap")) return "leaping";
-  return asked === "leap" ? "brute force until leaping is ready" : "brute force";
+  const status = useApp((state) => state.status);
+  const byCard = made?.startsWith("gpu-") === true;
+  return (
+    <span className="wide">
+      {methodWords(made, asked)}
+      {byCard ? ", graphics card" : status === null ? "" : `, ${plural(status.threads, "core")}`}
+      <span className="spare">{byCard || status === null ? "" : `, ${simdWords(status.simd)}`}</span>
+    </span>
+  );
 }
 
 /** How fine the airway picture on the screen is. */

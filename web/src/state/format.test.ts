@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { carmWords, finenessWords } from "./format";
+import { carmWords, finenessWords, methodWords } from "./format";
 
 describe("how fine a picture is", () => {
   it("is said with its part of the resolution, and its step where that is longer", () => {
@@ -18,5 +18,17 @@ describe("the angles of a C-arm", () => {
     expect(carmWords({ primary_deg: 0, secondary_deg: 0 })).toEqual(["AP 0\u00b0"]);
     expect(carmWords({ primary_deg: 30.4, secondary_deg: -15 })).toEqual(["LAO 30\u00b0", "CAUD 15\u00b0"]);
     expect(carmWords({ primary_deg: -90, secondary_deg: 8 })).toEqual(["RAO 90\u00b0", "CRAN 8\u00b0"]);
+  });
+});
+
+describe("how a picture was made", () => {
+  it("is said of the picture on the screen, and not of what was asked for", () => {
+    expect(methodWords("leap", "leap")).toBe("leaping");
+    expect(methodWords("leap-all", "leap")).toBe("leaping");
+    expect(methodWords("gpu-leap", "leap")).toBe("leaping");
+    expect(methodWords("gpu-brute", "brute")).toBe("brute force");
+    expect(methodWords("brute", "leap")).toBe("brute force until leaping is ready");
+    expect(methodWords("plane", "leap")).toBe("cut-plane");
+    expect(methodWords(null, "leap")).toBe("leaping");
   });
 });

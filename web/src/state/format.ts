@@ -63,3 +63,11 @@ export function finenessWords(picture: { width: number; step_vox: number | null 
   const stepWords = step > FINE_STEP_VOX ? `, step ${fixed(step, 1)} voxel` : "";
   return `coarse: ${percent} %${stepWords}`;
 }
+
+/** How a picture was made (`null`: there is none yet), where a method was asked for. */
+export function methodWords(made: string | null, asked: "leap" | "brute"): string {
+  const method = (made ?? asked).replace(/^gpu-/, "");
+  if (method.startsWith("leap")) return "leaping";
+  if (method !== "brute") return "cut-plane";
+  return asked === "leap" ? "brute force until leaping is ready" : "brute force";
+}
