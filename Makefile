@@ -10,7 +10,7 @@ RUST_SOURCES := $(shell find crates build_backend -name '*.rs' -o -name 'Cargo.t
 WEB_SOURCES := $(shell find web -path web/node_modules -prune -o -type f -print 2>/dev/null)
 CASE ?= phantom
 
-.PHONY: help run setup test test-rust test-web test-python test-gpu check fmt bench bench-setup golden lock wheel clean
+.PHONY: help run setup test test-rust test-web test-python test-gpu soak check fmt bench bench-setup golden lock wheel clean
 
 help: ## print this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -60,6 +60,9 @@ test-gpu: $(STAMP) ## the GPU caster and the wheel, on a software adapter where 
 	$(UV) pip sync -q --python .venv-gpu/bin/python --require-hashes requirements.lock
 	$(UV) pip install -q --python .venv-gpu/bin/python --no-deps target/gpu-wheel/*.whl
 	CARINA_GPU_REQUIRED=1 .venv-gpu/bin/python -m pytest -m gpu -ra tests
+
+soak: ## what runs for minutes: 20,000 poses against the f64 ray caster
+	cargo test --release --workspace --exclude carina-bindings -- --ignored
 
 check: $(STAMP) web/node_modules/.package-lock.json ## formatting, lints, types, layers, lock file, spelling
 	cargo fmt --all --check
