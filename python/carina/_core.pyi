@@ -209,6 +209,7 @@ def cast(
     lens: LensRays | None = None,
     darken: bool = True,
     gpu: GpuScene | None = None,
+    stop_transparency: float | None = None,
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int, int, int]]:
     """(rows, width, 3) colours; rays, samples, look-ups, leaps, skipped samples, shaded samples, reads.
 

@@ -114,6 +114,13 @@ def test_a_ray_step_out_of_range_is_refused_with_what_was_found(step_vox):
     assert str(step_vox) in words
 
 
+@pytest.mark.parametrize("transparency", [0.0, -1.0, 0.5, NAN])
+def test_a_stop_limit_out_of_range_is_refused_with_what_was_found(transparency):
+    words = refusal(lambda: AirwayView(pose(), stop_transparency=transparency), RenderError)
+    assert "1/65536 to 1/4" in words
+    assert str(transparency) in words
+
+
 @pytest.mark.parametrize(
     ("points", "words"),
     [
@@ -165,3 +172,13 @@ def test_a_camera_on_the_volumes_face_sees_what_one_a_hair_inside_sees(ball):
     assert pictures[0].any()
     # 1e-7 of the way is 1e-6 voxels: at most a rounding.
     assert np.abs(pictures[0] - pictures[1]).max() <= 1
+
+
+def test_rays_that_stop_earlier_take_fewer_samples_and_show_nearly_the_same(ball):
+    renderer = Renderer(ball)
+    renderer.prepare()
+    at = Pose.looking(ball.center_lps, (0.3, 0.2, -1.0))
+    far, near = (renderer.render(AirwayView(at, width=40, height=30, stop_transparency=t)) for t in (1 / 512, 1 / 64))
+    assert near.stats.num_samples < far.stats.num_samples
+    # What lies behind the stop limit: 255/64 levels.
+    assert np.abs(near.rgb.astype(int) - far.rgb.astype(int)).max() <= 4

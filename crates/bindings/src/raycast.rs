@@ -177,7 +177,8 @@ const fn interpolation(nearest: bool) -> Interpolation {
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
-    background=[0.0; 3], leap=None, simd=None, stop=None, lens=None, darken=true, gpu=None
+    background=[0.0; 3], leap=None, simd=None, stop=None, lens=None, darken=true, gpu=None,
+    stop_transparency=None
 ))]
 fn cast<'py>(
     py: Python<'py>,
@@ -198,6 +199,7 @@ fn cast<'py>(
     lens: Option<Bound<'py, LensRays>>,
     darken: bool,
     gpu: Option<Bound<'py, GpuScene>>,
+    stop_transparency: Option<f32>,
 ) -> PyResult<(Bound<'py, PyArray3<u8>>, PyStats)> {
     let grid = grid(&hu_zyx, &lps_from_ijk)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
@@ -217,7 +219,10 @@ fn cast<'py>(
         ),
         background,
     };
-    let frame = Frame::new(volume, table, camera, options).map_err(IntoPy::into_py)?;
+    let mut frame = Frame::new(volume, table, camera, options).map_err(IntoPy::into_py)?;
+    if let Some(transparency) = stop_transparency {
+        frame = frame.stopping_at(transparency).map_err(IntoPy::into_py)?;
+    }
     let simd = instruction_set(simd)?;
     let (start, end) = rows.unwrap_or((0, height));
     let segments;

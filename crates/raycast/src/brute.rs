@@ -2,7 +2,7 @@
 
 use crate::{
     composite::Gathered,
-    frame::{Frame, Ray, STOP_TRANSPARENCY},
+    frame::{Frame, Ray},
     image::CastStats,
 };
 
@@ -20,7 +20,7 @@ pub(crate) fn cast<const SHADED: bool, const NEAREST: bool, const HITS: bool>(
         let lit = frame.add_sample::<SHADED, NEAREST, HITS>(ray, k, ray.at(k), &mut gathered);
         num_lit += u32::from(lit);
         k += 1;
-        if gathered.transparency < STOP_TRANSPARENCY {
+        if gathered.transparency < frame.stop {
             break;
         }
     }

@@ -43,6 +43,8 @@ pub struct Frame<'a> {
     pub(crate) metric: [f32; 6],
     /// Guard of a leap against f32 rounding of positions, voxels.
     pub(crate) guard_vox: f32,
+    /// Rays stop when less than this shines through.
+    pub(crate) stop: f32,
 }
 
 /// One ray: samples `first..end` at `origin + (k + 1/2) delta`.
@@ -113,7 +115,22 @@ impl<'a> Frame<'a> {
             .map(|v| v as f32),
             // Coordinates up to 4096 are good to 2.5e-4 in f32; longer axes get a guard in proportion.
             guard_vox: (1e-3 * (longest / 4096.0).max(1.0)) as f32,
+            stop: STOP_TRANSPARENCY,
         })
+    }
+
+    /// The same with another stop limit than [`STOP_TRANSPARENCY`]: to compare with renderers that have another.
+    pub fn stopping_at(mut self, transparency: f32) -> Result<Self, RaycastError> {
+        // Above 1/2 the first wall would be lost; below, a ray through fog has no end.
+        if !(1.0 / 65_536.0..=0.25).contains(&transparency) {
+            return Err(RaycastError::Setting {
+                what: "transparency at which rays stop",
+                expected: "1/65536 to 1/4".to_owned(),
+                found: transparency.to_string(),
+            });
+        }
+        self.stop = transparency;
+        Ok(self)
     }
 
     /// The camera.

@@ -16,7 +16,7 @@ use carina_isoregion::{MAX_SEGMENT_SAMPLES, SegmentTable};
 
 use crate::{
     composite::Gathered,
-    frame::{Frame, Ray, STOP_TRANSPARENCY},
+    frame::{Frame, Ray},
     image::{CastStats, Method},
     sampling::Lanes,
 };
@@ -220,7 +220,7 @@ pub(crate) fn cast_transparent<const SHADED: bool, const NEAREST: bool, const HI
         if frame.add_sample::<SHADED, NEAREST, HITS>(ray, k, p, &mut gathered) {
             counts[3] += 1;
             asking.lit(k);
-            if gathered.transparency < STOP_TRANSPARENCY {
+            if gathered.transparency < frame.stop {
                 k += 1;
                 break;
             }
@@ -270,7 +270,7 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
                     label,
                     n as usize,
                     gathered.transparency,
-                    STOP_TRANSPARENCY,
+                    frame.stop,
                 );
                 if HITS {
                     cross_segment(&mut gathered, map.segments, label, k, n);
@@ -280,7 +280,7 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
                 stats.num_skipped += n as u64;
                 asking.leaped(k, n as u32, price);
                 k += n as u32;
-                if gathered.transparency < STOP_TRANSPARENCY {
+                if gathered.transparency < frame.stop {
                     break;
                 }
                 continue;
@@ -290,7 +290,7 @@ pub(crate) fn cast_classes<const NEAREST: bool, const HITS: bool>(
         frame.add_sample::<false, NEAREST, HITS>(ray, k, p, &mut gathered);
         stats.num_samples += 1;
         k += 1;
-        if gathered.transparency < STOP_TRANSPARENCY {
+        if gathered.transparency < frame.stop {
             break;
         }
     }

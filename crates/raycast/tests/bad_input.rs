@@ -154,6 +154,20 @@ fn lights_out_of_range_are_refused_with_the_value_and_the_range() {
             "{words}"
         );
     }
+    let camera = Camera::new(Affine::IDENTITY, 1.0, 8, 8).unwrap();
+    let options = FrameOptions {
+        interpolation: Interpolation::Trilinear,
+        light: None,
+        background: [0.0; 3],
+    };
+    for transparency in [0.0, -1.0, 0.5, f32::NAN] {
+        let frame = Frame::new(volume, &table, camera.clone(), options).unwrap();
+        let words = frame.stopping_at(transparency).unwrap_err().to_string();
+        assert!(
+            words.contains("1/4") && words.contains(&transparency.to_string()),
+            "{words}"
+        );
+    }
     assert_eq!(
         refused(good, Interpolation::Nearest).code(),
         "render.setting"

@@ -110,8 +110,8 @@ fn every_caster_agrees(frame: &Frame<'_>, radius: &[u8], height: usize) -> Vec<u
     pictures.swap_remove(0)
 }
 
-/// `num_poses` pictures of `width` x `height`, ten poses in each chest.
-fn against_f64(num_poses: u64, seed: u64, width: usize, height: usize) -> Tally {
+/// `num_poses` pictures, ten poses in each chest, by rays that stop when less than `stop` shines through.
+fn against_f64(num_poses: u64, seed: u64, (width, height): (usize, usize), stop: f64) -> Tally {
     (0..num_poses.div_ceil(10))
         .into_par_iter()
         .map(|n| {
@@ -137,6 +137,7 @@ fn against_f64(num_poses: u64, seed: u64, width: usize, height: usize) -> Tally 
                     background: [0.0; 3],
                 };
                 let frame = Frame::new(volume, &table, camera_of(&view), options).unwrap();
+                let frame = frame.stopping_at(stop as f32).unwrap();
                 let found = every_caster_agrees(&frame, &radius, height);
                 let world = World {
                     shape: chest.shape,
@@ -145,6 +146,7 @@ fn against_f64(num_poses: u64, seed: u64, width: usize, height: usize) -> Tally 
                     points,
                     light: shaded.then_some(*shares),
                     step_mm,
+                    stop,
                 };
                 tally += compare(&found, &to_8_bit(&world.picture(&view)));
             }
@@ -175,13 +177,18 @@ fn check(tally: Tally) {
 
 #[test]
 fn a_thousand_poses_show_what_a_ray_caster_in_f64_shows() {
-    check(against_f64(1000, 1, 40, 30));
+    check(against_f64(1000, 1, (32, 24), 1.0 / 512.0));
+}
+
+#[test]
+fn another_stop_limit_is_kept_by_every_caster() {
+    check(against_f64(100, 9_000, (32, 24), 1.0 / 64.0));
 }
 
 #[test]
 #[ignore = "a soak: minutes"]
 fn twenty_thousand_poses_show_what_a_ray_caster_in_f64_shows() {
-    check(against_f64(20_000, 1_000_000, 48, 40));
+    check(against_f64(20_000, 1_000_000, (48, 40), 1.0 / 512.0));
 }
 
 /// Transfer functions with stretches of one colour, whose classes can be leaped also where they are opaque.
@@ -393,6 +400,7 @@ fn cameras_on_voxel_faces_and_along_axes_show_what_a_ray_caster_in_f64_shows() {
                             points,
                             light: shaded.then_some(*shares),
                             step_mm,
+                            stop: 1.0 / 512.0,
                         };
                         let expected = to_8_bit(&world.picture(&view));
                         let one = compare(&found, &expected);

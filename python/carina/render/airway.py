@@ -15,7 +15,7 @@ from carina.render.device import DeviceCaster
 from carina.render.scene import Scene
 from carina.render.surface import Hit, Surface
 from carina.render.transfer import TransferFunction
-from carina.render.views import AirwayView, Picture, RenderStats
+from carina.render.views import STOP_TRANSPARENCY, AirwayView, Picture, RenderStats
 from carina.scopes import PINHOLE
 from carina.volume import Volume
 
@@ -73,6 +73,9 @@ class AirwayCaster:
         nearest = scene.transfer.sampling == "nearest"
         step_vox = 1.0 if nearest else view.step_vox
         shading = _shades(scene, view)
+        if view.stop_transparency != STOP_TRANSPARENCY:
+            # The shaders have the usual limit built in.
+            gpu = None
         method, leap = _choose_method(scene, view, shading)
         lens = _rays(view)
         if rows is not None and view.depth_of_field is not None:
@@ -94,6 +97,7 @@ class AirwayCaster:
             lens=lens,
             darken=view.depth_of_field is None,
             gpu=gpu,
+            stop_transparency=view.stop_transparency,
         )
         method = method if gpu is None else f"gpu-{method}"
         if view.depth_of_field is not None:

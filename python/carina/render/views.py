@@ -33,6 +33,7 @@ __all__ = [
 ]
 
 WINDOW_HU = (1500.0, -600.0)
+STOP_TRANSPARENCY = 1 / 512
 Plane = Literal["axial", "coronal", "sagittal"]
 PLANES = ("axial", "coronal", "sagittal")
 
@@ -87,7 +88,8 @@ class AirwayView:
     ``field`` is the outline of the picture and its vignette. With ``depth_of_field`` what is nearer or farther is
     blurred; that needs the whole picture and about twice the time. ``step_vox`` is the ray step in units of the
     smallest spacing. ``leap`` and ``brute`` give the same picture. With a transfer function of sampling ``nearest``
-    (paper) shading is off and the step is one voxel.
+    (paper) shading is off and the step is one voxel. Rays stop when less than ``stop_transparency`` shines through;
+    another than the usual one serves comparisons with renderers that stop elsewhere.
     """
 
     pose: Pose
@@ -100,6 +102,7 @@ class AirwayView:
     lens: Lens = PINHOLE
     field: ImageField = FULL_FRAME
     depth_of_field: DepthOfField | None = None
+    stop_transparency: float = STOP_TRANSPARENCY
 
     def __post_init__(self) -> None:
         _check(self.width, self.height, fov_deg=self.fov_deg)
@@ -109,6 +112,9 @@ class AirwayView:
             raise RenderError(f"the ray step is 0.01 to 100 voxels; found {self.step_vox}", code="render.setting")
         if self.method not in {"leap", "brute"}:
             raise RenderError(f"expected the method leap or brute; found {self.method!r}", code="render.setting")
+        if not 1 / 65536 <= self.stop_transparency <= 0.25:
+            msg = f"rays stop at a transparency of 1/65536 to 1/4; found {self.stop_transparency}"
+            raise RenderError(msg, code="render.setting")
 
     @property
     def optics(self) -> Optics:

@@ -3,10 +3,7 @@
 use carina_isoregion::MAX_SEGMENT_SAMPLES;
 
 use super::{kernel::Scene, lanes::Lanes, out::each_lane, pool::Packet};
-use crate::{
-    frame::STOP_TRANSPARENCY,
-    leap::{FAR, LEAST_PATIENCE, MAX_STEPS, MOST_PATIENCE, Price},
-};
+use crate::leap::{FAR, LEAST_PATIENCE, MAX_STEPS, MOST_PATIENCE, Price};
 
 /// Steps per voxel on each axis, with the sign of the direction and without it; as in `leap::Pace`.
 #[derive(Clone, Copy)]
@@ -126,7 +123,7 @@ impl Scene<'_> {
             // SAFETY: held within the table, which has entries, in all lanes. Benchmark: docs/decisions/0005-loads.md.
             unsafe { l.entries(segments.as_ptr(), at) }
         };
-        let limit = l.splat(STOP_TRANSPARENCY);
+        let limit = l.splat(self.frame.stop);
         let mut segment = read(n);
         let faint = l.less(l.mul(packet.transparency, segment[3]), limit);
         let crossing = l.bits(l.and(leaps, faint));
@@ -139,7 +136,7 @@ impl Scene<'_> {
                     labels[lane] as u8,
                     cut[lane] as usize,
                     transparency[lane],
-                    STOP_TRANSPARENCY,
+                    self.frame.stop,
                 ) as i32;
             });
             n = l.load_i(&cut);

@@ -1,7 +1,6 @@
 //! Samples of a packet: read, classified, lit and added; the operations of `Frame::add_sample`, lane by lane.
 
 use super::{kernel::Scene, lanes::Lanes, out::Out, pool::Packet};
-use crate::frame::STOP_TRANSPARENCY;
 
 impl Scene<'_> {
     /// Takes samples `k` and goes on to the next ones. Gives the lanes where a sample added something and those whose ray
@@ -20,7 +19,7 @@ impl Scene<'_> {
     ) -> (L::M, L::M) {
         let lit = self.add_samples::<L, O, SHADED, NEAREST>(l, packet, k, take, out);
         packet.k = l.select_i(take, l.add_i(k, l.splat_i(1)), packet.k);
-        let faint = l.less(packet.transparency, l.splat(STOP_TRANSPARENCY));
+        let faint = l.less(packet.transparency, l.splat(self.frame.stop));
         let opaque = l.and(lit, faint);
         (lit, l.without(l.less_i(packet.k, packet.end), opaque))
     }

@@ -18,6 +18,8 @@ pub(crate) struct World<'a> {
     pub(crate) points: &'a [[f64; 5]],
     pub(crate) light: Option<Shares>,
     pub(crate) step_mm: f64,
+    /// Rays stop when less than this shines through.
+    pub(crate) stop: f64,
 }
 
 /// From where.
@@ -146,7 +148,7 @@ impl World<'_> {
         }
         let (mut rgb, mut through) = ([0.0; 3], 1.0);
         let mut k = (from - 2.0).max(0.0).floor();
-        while k <= to + 2.0 && through >= 1.0 / 512.0 {
+        while k <= to + 2.0 && through >= self.stop {
             let t = k + 0.5;
             k += 1.0;
             let point: [f64; 3] = std::array::from_fn(|a| origin[a] + t * step[a]);

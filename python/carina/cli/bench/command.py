@@ -14,7 +14,7 @@ from carina.cli.bench import words
 from carina.cli.bench.gates import Gate
 from carina.cli.bench.machine import load_average, machine_facts, require_peers
 from carina.cli.bench.paper import FILES, FOLDER
-from carina.cli.bench.scene import FOV_DEG, STEP_VOX, STOP_TRANSPARENCY, TRANSFER
+from carina.cli.bench.scene import FOV_DEG, STEP_VOX, STOP_TRANSPARENCY, TRANSFER, VTK_STOP_TRANSPARENCY
 from carina.cli.bench.worker import run_section
 from carina.cli.console import print_json, say
 from carina.config import load_settings
@@ -197,7 +197,7 @@ def report(
             "fov_deg": FOV_DEG,
             "step_vox": STEP_VOX,
             "stop_transparency": STOP_TRANSPARENCY,
-            "vtk_stop_transparency": 255 / 32767,
+            "stop_transparency_beside_vtk": VTK_STOP_TRANSPARENCY,
             "transfer": TRANSFER.to_json(),
         },
         "folder": str(folder),

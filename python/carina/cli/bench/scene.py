@@ -7,12 +7,14 @@ from numpy.typing import NDArray
 
 from carina.render import Light, TransferFunction
 
-__all__ = ["FOV_DEG", "STEP_VOX", "STOP_TRANSPARENCY", "TRANSFER", "opacity_table"]
+__all__ = ["FOV_DEG", "STEP_VOX", "STOP_TRANSPARENCY", "TRANSFER", "VTK_STOP_TRANSPARENCY", "opacity_table"]
 
 FOV_DEG = 90.0
 STEP_VOX = 0.5
 STOP_TRANSPARENCY = 1 / 512
-"""Carina's, and the baseline's. VTK's mapper stops at 255/32767 (1/128), which cannot be set: it may do less."""
+"""Where Carina's rays stop, and the baseline's."""
+VTK_STOP_TRANSPARENCY = 255 / 32767
+"""Where the rays of VTK's mapper stop, which cannot be set. Beside VTK Carina stops there too."""
 
 # Clear air, a ramp of 350 HU round the half-maximum, opaque tissue of two colours: what the peers' figures in the
 # literature and in our own notes were taken with. No preset, so that figures of two versions can be compared.
