@@ -225,7 +225,12 @@ fn leaps_over_opaque_classes(num_poses: u64, seed: u64, nearest: bool) -> (Tally
         .into_par_iter()
         .map(|n| {
             let mut dice = Dice::new(seed + n);
-            let chest = Chest::random(&mut dice);
+            // Equal values side by side, as the paper's data have them; a noisy CT has none.
+            let chest = if nearest {
+                Chest::with_noise(&mut dice, 0.5)
+            } else {
+                Chest::random(&mut dice)
+            };
             let grid = grid_of(chest.shape, chest.lps_from_ijk);
             let volume = VolumeView::new(&chest.hu, &grid).unwrap();
             let finest = chest.spacing.into_iter().fold(f64::INFINITY, f64::min);

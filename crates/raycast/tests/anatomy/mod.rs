@@ -78,6 +78,12 @@ fn distance_to_segment(p: [f64; 3], (a, b): ([f64; 3], [f64; 3])) -> f64 {
 
 impl Chest {
     pub(crate) fn random(dice: &mut Dice) -> Self {
+        let noise = dice.between(5.0, 30.0);
+        Self::with_noise(dice, noise)
+    }
+
+    /// With noise of a given height, HU: near 0, neighbours share their value or nearly.
+    pub(crate) fn with_noise(dice: &mut Dice, noise: f64) -> Self {
         let mut shape: [usize; 3] = std::array::from_fn(|_| dice.between(24.0, 60.0) as usize);
         if dice.roll() < 0.2 {
             // A long axis: rounding grows with the coordinate.
@@ -139,7 +145,6 @@ impl Chest {
                 }
             }
         }
-        let noise = dice.between(5.0, 30.0);
         // Noise as correlated along a row as a scan's: the mean of three.
         let rolls: Vec<f64> = (0..hu.len() + 2).map(|_| dice.between(-1.0, 1.0)).collect();
         let hu = (0..hu.len())
