@@ -216,7 +216,7 @@ fn content_digest(py: Python<'_>, voxels: Voxels<'_>) -> PyResult<String> {
     };
     Ok(py.detach(|| {
         let pieces: Vec<&[u8]> = bytes.chunks(PIECE_BYTES).collect();
-        let num_threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+        let num_threads = rayon::current_num_threads();
         let part = pieces.len().div_ceil(num_threads).max(1);
         let digests = std::thread::scope(|scope| {
             let hash = |pieces: &[&[u8]]| -> Vec<blake3::Hash> {

@@ -13,8 +13,8 @@ use carina_grid::{Camera, VolumeView};
 use carina_isoregion::SegmentTable;
 use carina_raycast::{
     ClassMap, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method, RaycastError,
-    Transfer, TriPlane, Window, cast_rows, cast_rows_until, cast_tri_plane, maximum_projections,
-    pick, sample_plane, smoothed_mask,
+    Transfer, TriPlane, WallHeights, Window, cast_rows, cast_rows_until, cast_tri_plane,
+    maximum_projections_by, pick, sample_plane_by, smoothed_mask,
 };
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
@@ -371,8 +371,9 @@ fn cut_plane<'py>(
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
     let place = affine("lps_from_pixel", &lps_from_pixel)?;
     let window = Window::new(window_hu.0, window_hu.1).map_err(IntoPy::into_py)?;
+    let simd = instruction_set(None)?;
     let image = py
-        .detach(|| sample_plane(volume, &place, width, height, window))
+        .detach(|| sample_plane_by(volume, &place, width, height, window, simd))
         .map_err(IntoPy::into_py)?;
     let array = |data: Vec<u8>| PyArray1::from_vec(py, data).reshape([height, width]);
     Ok((array(image.grey)?, array(image.inside)?))
@@ -430,13 +431,40 @@ fn project_maximum<'py>(
     let grid = carina_grid::Grid::new([nk, nj, ni], carina_grid::Affine::IDENTITY)
         .map_err(IntoPy::into_py)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
-    let out = py.detach(|| maximum_projections(volume));
+    let simd = instruction_set(None)?;
+    let out = py.detach(|| maximum_projections_by(volume, simd));
     let array = |data: Vec<i16>, shape: [usize; 2]| PyArray1::from_vec(py, data).reshape(shape);
     Ok((
         array(out.along_i, [nk, nj])?,
         array(out.along_j, [nk, ni])?,
         array(out.along_k, [nj, ni])?,
     ))
+}
+
+/// Raises the values of a copy of a volume round a lumen, in place.
+#[pyfunction]
+fn raise_wall(
+    py: Python<'_>,
+    mut values_zyx: numpy::PyReadwriteArray3<'_, i16>,
+    lumen_zyx: PyReadonlyArray3<'_, u8>,
+    part_zyx: [(usize, usize); 3],
+    open_below: i16,
+    heights: [Vec<i16>; 3],
+) -> PyResult<()> {
+    let shape = [
+        lumen_zyx.shape()[0],
+        lumen_zyx.shape()[1],
+        lumen_zyx.shape()[2],
+    ];
+    let lumen = values("lumen_zyx", &lumen_zyx)?;
+    let values = values_zyx.as_slice_mut()?;
+    let heights = WallHeights {
+        lumen: &heights[0],
+        shell: &heights[1],
+        backing: &heights[2],
+    };
+    py.detach(|| carina_raycast::raise_wall(values, lumen, shape, part_zyx, open_below, heights))
+        .map_err(IntoPy::into_py)
 }
 
 /// A smooth field 0..1024 from a mask.
@@ -469,6 +497,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(cut_plane, module)?)?;
     module.add_function(wrap_pyfunction!(tri_plane, module)?)?;
     module.add_function(wrap_pyfunction!(project_maximum, module)?)?;
+    module.add_function(wrap_pyfunction!(raise_wall, module)?)?;
     module.add_function(wrap_pyfunction!(smooth_mask, module)?)?;
     module.add_function(wrap_pyfunction!(best_instruction_set, module)?)?;
     Ok(())

@@ -1,7 +1,5 @@
 //! The fast construction of the radius map.
 
-use std::num::NonZero;
-
 use carina_grid::InstructionSet;
 
 use crate::{
@@ -40,9 +38,9 @@ impl Default for MapBuilder<'_> {
     }
 }
 
-/// Threads that a map is built in unless told.
+/// Threads that a map is built in unless told: as many as the pool has, but not its own (see `join`).
 pub(crate) fn num_threads() -> usize {
-    std::thread::available_parallelism().map_or(1, NonZero::get)
+    rayon::current_num_threads()
 }
 
 /// Radius of every voxel: the same map as [`crate::paper_radius_map`], built as [`MapBuilder`] does unless told.

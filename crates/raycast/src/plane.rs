@@ -3,7 +3,7 @@
 use carina_grid::{Affine, VolumeView};
 use rayon::prelude::*;
 
-use crate::{Field, RaycastError};
+use crate::{Field, InstructionSet, RaycastError, packet::PlaneRows};
 
 /// Window and level: which values become black and white.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -35,6 +35,11 @@ impl Window {
         // The cast saturates below 0 and above 255.
         (value - self.lo).mul_add(self.scale, 0.5) as u8
     }
+
+    /// The value that is black, and grey levels per value above it.
+    pub(crate) const fn ramp(self) -> (f32, f32) {
+        (self.lo, self.scale)
+    }
 }
 
 /// Grey levels of a plane, `[row, column]`; 0 outside the volume.
@@ -54,33 +59,73 @@ pub fn sample_plane(
     height: usize,
     window: Window,
 ) -> Result<PlaneImage, RaycastError> {
+    let simd = InstructionSet::best();
+    sample_plane_by(volume, lps_from_pixel, width, height, window, simd)
+}
+
+/// The same with one instruction set. The bits are the same.
+pub fn sample_plane_by(
+    volume: VolumeView<'_, i16>,
+    lps_from_pixel: &Affine,
+    width: usize,
+    height: usize,
+    window: Window,
+    simd: InstructionSet,
+) -> Result<PlaneImage, RaycastError> {
     check_size(width, height)?;
     let ijk_from_pixel = volume.grid().ijk_from_lps().after(lps_from_pixel);
     let field = Field::new(volume);
     let along_row = ijk_from_pixel.column(0).map(|v| v as f32);
+    let packets = PlaneRows::of(&field, along_row, window, simd);
     let mut image = PlaneImage {
         grey: vec![0; width * height],
         inside: vec![0; width * height],
     };
-    image
-        .grey
-        .par_chunks_mut(width)
-        .zip(image.inside.par_chunks_mut(width))
-        .enumerate()
-        .for_each(|(row, (grey, inside))| {
-            let start = ijk_from_pixel
-                .point([0.0, row as f64 + 0.5, 0.0])
-                .map(|v| v as f32);
-            for column in 0..width {
-                let t = column as f32 + 0.5;
-                let p = std::array::from_fn(|a| t.mul_add(along_row[a], start[a]));
-                if field.contains(p) {
-                    grey[column] = window.grey(field.value(p));
-                    inside[column] = 1;
-                }
+    // A row takes half a microsecond: a small picture is done before another thread has woken up.
+    let band_rows = (BAND_PIXELS / width).max(1);
+    let sample_band = |(band, (grey, inside)): (usize, (&mut [u8], &mut [u8]))| {
+        let rows = grey.chunks_mut(width).zip(inside.chunks_mut(width));
+        for (n, (grey, inside)) in rows.enumerate() {
+            let row = (band * band_rows + n) as f64 + 0.5;
+            let start = ijk_from_pixel.point([0.0, row, 0.0]).map(|v| v as f32);
+            match &packets {
+                Some(packets) => packets.sample(start, grey, inside),
+                None => sample_row(&field, start, along_row, window, grey, inside),
             }
-        });
+        }
+    };
+    if height <= band_rows {
+        sample_band((0, (&mut image.grey, &mut image.inside)));
+    } else {
+        image
+            .grey
+            .par_chunks_mut(width * band_rows)
+            .zip(image.inside.par_chunks_mut(width * band_rows))
+            .enumerate()
+            .for_each(sample_band);
+    }
     Ok(image)
+}
+
+const BAND_PIXELS: usize = 1 << 16;
+
+/// Pixel by pixel: what rows of packets must equal.
+fn sample_row(
+    field: &Field<'_>,
+    start: [f32; 3],
+    along_row: [f32; 3],
+    window: Window,
+    grey: &mut [u8],
+    inside: &mut [u8],
+) {
+    for column in 0..grey.len() {
+        let t = column as f32 + 0.5;
+        let p = std::array::from_fn(|a| t.mul_add(along_row[a], start[a]));
+        if field.contains(p) {
+            grey[column] = window.grey(field.value(p));
+            inside[column] = 1;
+        }
+    }
 }
 
 pub(crate) fn check_size(width: usize, height: usize) -> Result<(), RaycastError> {
@@ -108,6 +153,86 @@ mod tests {
         assert_eq!(w.grey(3000.0), 255);
         assert_eq!(w.grey(-600.0), 128);
         assert!(Window::new(0.0, 0.0).is_err());
+    }
+
+    #[test]
+    fn every_instruction_set_gives_the_pixels_that_are_taken_one_by_one() {
+        let mut state = 5u64;
+        let mut random = |most: f64| {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 11) as f64 / (1u64 << 53) as f64 * most
+        };
+        let mut num_seen = 0;
+        for shape in [
+            [9, 11, 13],
+            [1, 7, 5],
+            [6, 1, 2],
+            [5, 4, 1],
+            [1, 1, 1],
+            [30, 40, 50],
+        ] {
+            let place = Affine::from_columns(
+                [0.1, 0.5, 0.0],
+                [0.0, 0.2, -2.0],
+                [-3.0, 0.0, 0.3],
+                [7.0, 8.0, 9.0],
+            );
+            let grid = Grid::new(shape, place).unwrap();
+            let data: Vec<i16> = (0..grid.num_voxels())
+                .map(|_| (random(4000.0) - 1000.0) as i16)
+                .collect();
+            let volume = VolumeView::new(&data, &grid).unwrap();
+            let field = Field::new(volume);
+            let window = Window::new(1500.0, 300.0).unwrap();
+            for (width, height) in [(1, 1), (7, 5), (37, 21), (64, 64), (129, 3)] {
+                for turn in 0..6 {
+                    // Through the middle, at any angle; the last ones along an axis, with pixels on the box's very faces.
+                    let step = if turn < 4 { random(0.4) } else { 0.5 };
+                    let mut axis = || {
+                        if turn < 4 {
+                            random(2.0) - 1.0
+                        } else {
+                            f64::from(turn - 4)
+                        }
+                    };
+                    let across = [axis() * step, axis() * step, step];
+                    let down = [step, axis() * step, axis() * step];
+                    let middle = [shape[2], shape[1], shape[0]].map(|n| (n as f64 - 1.0) / 2.0);
+                    let first = std::array::from_fn(|a| {
+                        middle[a] - across[a] * width as f64 / 2.0 - down[a] * height as f64 / 2.0
+                    });
+                    let ijk_from_pixel =
+                        Affine::from_columns(across, down, [0.3, -0.7, 0.2], first);
+                    let matrix = place.after(&ijk_from_pixel);
+                    let mut expected = PlaneImage {
+                        grey: vec![0; width * height],
+                        inside: vec![0; width * height],
+                    };
+                    let exact = grid.ijk_from_lps().after(&matrix);
+                    for row in 0..height {
+                        let start = exact.point([0.0, row as f64 + 0.5, 0.0]).map(|v| v as f32);
+                        let part = row * width..(row + 1) * width;
+                        sample_row(
+                            &field,
+                            start,
+                            exact.column(0).map(|v| v as f32),
+                            window,
+                            &mut expected.grey[part.clone()],
+                            &mut expected.inside[part],
+                        );
+                    }
+                    num_seen += expected.grey.iter().filter(|&&g| g > 0 && g < 255).count();
+                    for simd in InstructionSet::available() {
+                        let found =
+                            sample_plane_by(volume, &matrix, width, height, window, simd).unwrap();
+                        assert!(found == expected, "{simd:?} {shape:?} {width} x {height}");
+                    }
+                }
+            }
+        }
+        assert!(num_seen > 10_000, "the planes meet the volumes");
     }
 
     #[test]

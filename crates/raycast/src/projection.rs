@@ -3,6 +3,8 @@
 use carina_grid::VolumeView;
 use rayon::prelude::*;
 
+use crate::InstructionSet;
+
 /// Largest value along each grid axis.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Projections {
@@ -17,36 +19,272 @@ pub struct Projections {
 /// All three projections; each voxel is read once.
 #[must_use]
 pub fn maximum_projections(volume: VolumeView<'_, i16>) -> Projections {
+    maximum_projections_by(volume, InstructionSet::best())
+}
+
+/// The same with one instruction set. The values are the same.
+#[must_use]
+pub fn maximum_projections_by(volume: VolumeView<'_, i16>, simd: InstructionSet) -> Projections {
     let [ni, nj, nk] = volume.grid().shape_ijk();
     let mut along_i = vec![i16::MIN; nk * nj];
     let mut along_j = vec![i16::MIN; nk * ni];
+    // A slab for each thread, not more: each has an image of its own along k.
+    let slices = nk.div_ceil(rayon::current_num_threads());
     let along_k = volume
         .data()
-        .par_chunks(nj * ni)
-        .zip(along_i.par_chunks_mut(nj))
-        .zip(along_j.par_chunks_mut(ni))
-        .fold(
-            || vec![i16::MIN; nj * ni],
-            |mut flat, ((slice, of_row), of_column)| {
-                for ((row, flat), most) in slice.chunks(ni).zip(flat.chunks_mut(ni)).zip(of_row) {
-                    *most = row.iter().copied().fold(i16::MIN, i16::max);
-                    raise(flat, row);
-                    raise(of_column, row);
-                }
-                flat
-            },
-        )
-        .reduce(
-            || vec![i16::MIN; nj * ni],
-            |mut a, b| {
-                raise(&mut a, &b);
-                a
-            },
-        );
+        .par_chunks(nj * ni * slices)
+        .zip(along_i.par_chunks_mut(nj * slices))
+        .zip(along_j.par_chunks_mut(ni * slices))
+        .map(|((data, along_i), along_j)| {
+            let mut along_k = vec![i16::MIN; nj * ni];
+            let slab = Slab {
+                data,
+                shape_ji: [nj, ni],
+                along_i,
+                along_j,
+                along_k: &mut along_k,
+            };
+            slab.project(simd);
+            along_k
+        })
+        .reduce_with(|mut a, b| {
+            raise(&mut a, &b);
+            a
+        });
     Projections {
         along_i,
         along_j,
-        along_k,
+        along_k: along_k.unwrap_or_default(),
+    }
+}
+
+/// Slices and their part of the three images.
+struct Slab<'a> {
+    data: &'a [i16],
+    shape_ji: [usize; 2],
+    along_i: &'a mut [i16],
+    along_j: &'a mut [i16],
+    along_k: &'a mut [i16],
+}
+
+/// Registers of int16 values. A value of the type is the proof that the machine has them.
+trait Values: Copy {
+    /// Values in a register.
+    const N: usize;
+    type V: Copy;
+    fn least(self) -> Self::V;
+    fn max(self, a: Self::V, b: Self::V) -> Self::V;
+    /// # Safety
+    /// `N` values from `at` must be readable.
+    unsafe fn load(self, at: *const i16) -> Self::V;
+    /// # Safety
+    /// `N` values from `at` must be writable.
+    unsafe fn store(self, at: *mut i16, v: Self::V);
+}
+
+/// One value, for machines without any of the registers below.
+#[derive(Clone, Copy)]
+#[cfg_attr(
+    target_arch = "x86_64",
+    allow(dead_code, reason = "every x86_64 has SSE2")
+)]
+struct One;
+
+impl Values for One {
+    const N: usize = 1;
+    type V = i16;
+    #[inline(always)]
+    fn least(self) -> i16 {
+        i16::MIN
+    }
+    #[inline(always)]
+    fn max(self, a: i16, b: i16) -> i16 {
+        a.max(b)
+    }
+    #[inline(always)]
+    unsafe fn load(self, at: *const i16) -> i16 {
+        // SAFETY: as promised by the caller. Benchmark: `carina bench isoregion`.
+        unsafe { *at }
+    }
+    #[inline(always)]
+    unsafe fn store(self, at: *mut i16, v: i16) {
+        // SAFETY: as promised by the caller.
+        unsafe { *at = v }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+macro_rules! registers {
+    ($name:ident, $what:literal, $v:ident, $n:literal, $set1:ident, $max:ident, $load:ident, $store:ident) => {
+        #[doc = $what]
+        #[derive(Clone, Copy)]
+        struct $name(());
+
+        impl Values for $name {
+            const N: usize = $n;
+            type V = std::arch::x86_64::$v;
+            #[inline(always)]
+            fn least(self) -> Self::V {
+                // SAFETY: `self` exists only where the machine has the instructions. Benchmark: `carina bench
+                // isoregion`, the projections.
+                unsafe { std::arch::x86_64::$set1(i16::MIN) }
+            }
+            #[inline(always)]
+            fn max(self, a: Self::V, b: Self::V) -> Self::V {
+                // SAFETY: as above.
+                unsafe { std::arch::x86_64::$max(a, b) }
+            }
+            #[inline(always)]
+            unsafe fn load(self, at: *const i16) -> Self::V {
+                // SAFETY: as promised by the caller.
+                unsafe { std::arch::x86_64::$load(at.cast()) }
+            }
+            #[inline(always)]
+            unsafe fn store(self, at: *mut i16, v: Self::V) {
+                // SAFETY: as promised by the caller.
+                unsafe { std::arch::x86_64::$store(at.cast(), v) }
+            }
+        }
+    };
+}
+#[cfg(target_arch = "x86_64")]
+registers!(
+    Sse2,
+    "SSE2, which every `x86_64` has.",
+    __m128i,
+    8,
+    _mm_set1_epi16,
+    _mm_max_epi16,
+    _mm_loadu_si128,
+    _mm_storeu_si128
+);
+#[cfg(target_arch = "x86_64")]
+registers!(
+    Avx2,
+    "The machine has AVX2.",
+    __m256i,
+    16,
+    _mm256_set1_epi16,
+    _mm256_max_epi16,
+    _mm256_loadu_si256,
+    _mm256_storeu_si256
+);
+#[cfg(target_arch = "x86_64")]
+registers!(
+    Avx512,
+    "The machine has AVX-512 F and BW.",
+    __m512i,
+    32,
+    _mm512_set1_epi16,
+    _mm512_max_epi16,
+    _mm512_loadu_si512,
+    _mm512_storeu_si512
+);
+
+impl Slab<'_> {
+    fn project(self, simd: InstructionSet) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx512f,avx512bw,avx2")]
+            fn avx512(slab: Slab<'_>) {
+                slab.run(Avx512(()));
+            }
+            #[target_feature(enable = "avx2")]
+            fn avx2(slab: Slab<'_>) {
+                slab.run(Avx2(()));
+            }
+            match simd {
+                // SAFETY: the set is only handed out where the machine has it. Benchmark: `carina bench isoregion`.
+                InstructionSet::Avx512 => unsafe { avx512(self) },
+                // SAFETY: as above.
+                InstructionSet::Avx2 => unsafe { avx2(self) },
+                _ => self.run(Sse2(())),
+            }
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        {
+            let _ = simd;
+            self.run(One);
+        }
+    }
+
+    /// Four slices at a time: the image along k lies in a slower cache than the rows, and is read once for all four.
+    #[inline(always)]
+    fn run<V: Values>(self, v: V) {
+        const AT_ONCE: usize = 4;
+        let [nj, ni] = self.shape_ji;
+        let num_slices = self.along_i.len() / nj;
+        let mut k = 0;
+        while k < num_slices {
+            let count = AT_ONCE.min(num_slices - k);
+            let data = &self.data[k * nj * ni..][..count * nj * ni];
+            let along_i = &mut self.along_i[k * nj..][..count * nj];
+            let along_j = &mut self.along_j[k * ni..][..count * ni];
+            if count == AT_ONCE {
+                project_slices::<V, AT_ONCE>(v, data, [nj, ni], along_i, along_j, self.along_k);
+            } else {
+                for n in 0..count {
+                    project_slices::<V, 1>(
+                        v,
+                        &data[n * nj * ni..][..nj * ni],
+                        [nj, ni],
+                        &mut along_i[n * nj..][..nj],
+                        &mut along_j[n * ni..][..ni],
+                        self.along_k,
+                    );
+                }
+            }
+            k += count;
+        }
+    }
+}
+
+/// `S` slices into their rows of the images along i and j, and into the image along k.
+#[inline(always)]
+fn project_slices<V: Values, const S: usize>(
+    v: V,
+    data: &[i16],
+    [nj, ni]: [usize; 2],
+    along_i: &mut [i16],
+    along_j: &mut [i16],
+    along_k: &mut [i16],
+) {
+    assert!(data.len() >= S * nj * ni && along_j.len() >= S * ni && along_k.len() >= nj * ni);
+    for j in 0..nj {
+        let mut most = [v.least(); S];
+        let mut i = 0;
+        // SAFETY: i + N <= ni, and the rows lie within the lengths asserted. Benchmark: `carina bench isoregion`.
+        unsafe {
+            while i + V::N <= ni {
+                let across = along_k.as_mut_ptr().add(j * ni + i);
+                let mut all = v.load(across);
+                for s in 0..S {
+                    let values = v.load(data.as_ptr().add((s * nj + j) * ni + i));
+                    most[s] = v.max(most[s], values);
+                    all = v.max(all, values);
+                    let down = along_j.as_mut_ptr().add(s * ni + i);
+                    v.store(down, v.max(v.load(down), values));
+                }
+                v.store(across, all);
+                i += V::N;
+            }
+        }
+        for s in 0..S {
+            let mut lanes = [i16::MIN; 32];
+            // SAFETY: no register holds more than 32 values.
+            unsafe { v.store(lanes.as_mut_ptr(), most[s]) };
+            let row = &data[(s * nj + j) * ni..][..ni];
+            let mut value = i16::MIN;
+            for lane in lanes {
+                value = value.max(lane);
+            }
+            for n in i..ni {
+                value = value.max(row[n]);
+                along_k[j * ni + n] = along_k[j * ni + n].max(row[n]);
+                along_j[s * ni + n] = along_j[s * ni + n].max(row[n]);
+            }
+            along_i[s * nj + j] = value;
+        }
     }
 }
 
@@ -63,24 +301,32 @@ mod tests {
 
     #[test]
     fn each_projection_is_the_largest_value_along_its_axis() {
-        let grid = Grid::new([3, 4, 5], Affine::IDENTITY).unwrap();
-        let data: Vec<i16> = (0..60).map(|n| (n * 37 % 61 - 30) as i16).collect();
-        let volume = VolumeView::new(&data, &grid).unwrap();
-        let found = maximum_projections(volume);
-        let most = |f: &dyn Fn(usize) -> [usize; 3], n: usize| {
-            (0..n).map(|m| volume.at(f(m))).max().unwrap()
-        };
-        for k in 0..3 {
-            for j in 0..4 {
-                assert_eq!(found.along_i[k * 4 + j], most(&|i| [i, j, k], 5));
-            }
-            for i in 0..5 {
-                assert_eq!(found.along_j[k * 5 + i], most(&|j| [i, j, k], 4));
-            }
-        }
-        for j in 0..4 {
-            for i in 0..5 {
-                assert_eq!(found.along_k[j * 5 + i], most(&|k| [i, j, k], 3));
+        // Rows shorter than a run, of several, and with a rest; slices in fours, and with a rest.
+        for shape in [[3, 4, 5], [4, 2, 32], [9, 3, 71], [1, 1, 1], [6, 5, 64]] {
+            let grid = Grid::new(shape, Affine::IDENTITY).unwrap();
+            let [nk, nj, ni] = shape;
+            let data: Vec<i16> = (0..nk * nj * ni)
+                .map(|n| (n.wrapping_mul(2_654_435_761) >> 7) as i16)
+                .collect();
+            let volume = VolumeView::new(&data, &grid).unwrap();
+            let most = |f: &dyn Fn(usize) -> [usize; 3], n: usize| {
+                (0..n).map(|m| volume.at(f(m))).max().unwrap()
+            };
+            for simd in InstructionSet::available() {
+                let found = maximum_projections_by(volume, simd);
+                for k in 0..nk {
+                    for j in 0..nj {
+                        assert_eq!(found.along_i[k * nj + j], most(&|i| [i, j, k], ni));
+                    }
+                    for i in 0..ni {
+                        assert_eq!(found.along_j[k * ni + i], most(&|j| [i, j, k], nj));
+                    }
+                }
+                for j in 0..nj {
+                    for i in 0..ni {
+                        assert_eq!(found.along_k[j * ni + i], most(&|k| [i, j, k], nk));
+                    }
+                }
             }
         }
     }

@@ -14,6 +14,7 @@ mod lanes;
 mod loads;
 mod out;
 mod pair;
+mod plane;
 mod pool;
 mod portable;
 mod sample;
@@ -31,6 +32,7 @@ use kernel::{BRUTE, CLASSES, Scene, TRANSPARENT};
 use lanes::Lanes;
 use out::{Out, Rgb8, Walls};
 use pair::Pair;
+pub(crate) use plane::PlaneRows;
 use pool::Source;
 use voxels::Voxels;
 
