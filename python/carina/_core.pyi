@@ -292,6 +292,15 @@ def project_maximum(
 ) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.int16]]:
     """Maximum intensity projections along i [k, j], j [k, i] and k [j, i]."""
 
+def raise_wall(
+    values_zyx: NDArray[np.int16],
+    lumen_zyx: NDArray[np.uint8],
+    part_zyx: Sequence[tuple[int, int]],
+    open_below: int,
+    heights: Sequence[Sequence[int]],
+) -> None:
+    """Raises the values of a copy of a volume round a lumen, in place; heights of lumen, shell, backing."""
+
 def smooth_mask(mask_zyx: NDArray[np.uint8]) -> NDArray[np.int16]:
     """A smooth field 0..1024 from a mask."""
 

@@ -50,22 +50,20 @@ def test_maps_are_found_on_disk_again_and_built_again_when_damaged(airway, tmp_p
 
     expected = picture()
     assert expected.max() > 60
-    paths = sorted(folder.iterdir())
-    assert len(paths) == (2 if preset == "paper" else 1)
-    assert all(path.name.split(".")[0].isalnum() for path in paths), "a name from the content"
+    (path,) = folder.iterdir()
+    assert path.name.split(".")[0].isalnum(), "a name from the content"
 
     with monkeypatch.context() as patched:
         for builder in ("build_run_map", "build_radius_map", "label_values"):
             patched.setattr(_core, builder, None)
         np.testing.assert_array_equal(picture(), expected)
 
-    for path in paths:
-        good = path.read_bytes()
-        flipped = [good[:at] + bytes([good[at] ^ 1]) + good[at + 1 :] for at in (0, 9, 13, 40, len(good) - 1)]
-        for damaged in (*flipped, good[:-9], good[:30], b"", b"x" * len(good), good + b"x"):
-            path.write_bytes(damaged)
-            np.testing.assert_array_equal(picture(), expected)
-            assert path.read_bytes() == good
+    good = path.read_bytes()
+    flipped = [good[:at] + bytes([good[at] ^ 1]) + good[at + 1 :] for at in (0, 9, 13, 40, len(good) - 1)]
+    for damaged in (*flipped, good[:-9], good[:30], b"", b"x" * len(good), good + b"x"):
+        path.write_bytes(damaged)
+        np.testing.assert_array_equal(picture(), expected)
+        assert path.read_bytes() == good
 
 
 @pytest.mark.usefixtures("slow")

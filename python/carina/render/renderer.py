@@ -88,7 +88,8 @@ class Renderer:
     @property
     def prepared(self) -> bool:
         """True if ``leap`` leaps; else it renders the same picture by brute force."""
-        return self._scenes.scene.maps is not None
+        scene = self._scenes.scene
+        return scene.maps is not None or scene.class_maps is not None
 
     def set_transfer(self, transfer: TransferFunction) -> None:
         """Show the volume with another transfer function; call ``prepare`` again, unless its map is still in memory."""

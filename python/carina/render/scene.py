@@ -24,9 +24,6 @@ __all__ = ["Cancel", "ClassMaps", "Maps", "Progress", "Scene", "SceneKeeper"]
 Progress = Callable[[str, float | None], None]
 Cancel = Callable[[], bool]
 
-# Radius maps kept in memory: going back and forth between two transfer functions costs nothing.
-MAPS_IN_MEMORY = 2
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Maps:
@@ -74,7 +71,6 @@ class SceneKeeper:
         self._scene = Scene(transfer, None, volume.hu_zyx, self._range, None, None, None)
         self._swap = threading.Lock()
         self._change = threading.Lock()
-        self._kept: list[Maps] = []
 
     @property
     def scene(self) -> Scene:
@@ -110,12 +106,10 @@ class SceneKeeper:
             assert lumen is not None
             values = with_wall(self._volume.hu_zyx, lumen, levels)
             value_range = (self._range[0], max(self._range[1], _core.value_range(values)[1]))
-        maps = self._find_kept(values, _runs(transfer))
+        # Another map is not kept: it is built in less time than it takes to miss it, and is half a volume.
+        kept = old.maps is not None and old.maps.values is values and old.maps.runs == _runs(transfer)
         with self._swap:
-            self._scene = Scene(transfer, lumen, values, value_range, tree, maps, None)
-
-    def _find_kept(self, values: NDArray[np.int16], runs: tuple[tuple[int, int], ...]) -> Maps | None:
-        return next((m for m in self._kept if m.values is values and m.runs == runs), None)
+            self._scene = Scene(transfer, lumen, values, value_range, tree, old.maps if kept else None, None)
 
     def prepare(
         self, progress: Progress | None = None, cancel: Cancel | None = None, *, all_classes: bool | None = None
@@ -131,9 +125,13 @@ class SceneKeeper:
         what = "preparing fast pictures"
         while True:
             scene = self._scene
-            wants_classes = scene.transfer.sampling == "nearest" if all_classes is None else all_classes
+            # The paper's transfer functions are never shaded, and then all classes are leaped.
+            by_paper = scene.transfer.sampling == "nearest"
+            wants_classes = by_paper if all_classes is None else all_classes
             step(what, 0.0)
-            maps = scene.maps or self._build_maps(scene, cancel)
+            maps = scene.maps
+            if maps is None and not (by_paper and wants_classes):
+                maps = self._build_maps(scene, cancel)
             step(what, 0.3 if wants_classes else 1.0)
             class_maps = scene.class_maps
             if wants_classes and class_maps is None:
@@ -143,7 +141,6 @@ class SceneKeeper:
                 # The transfer function or the lumen may have changed meanwhile: then these maps are of the past.
                 if self._scene is scene:
                     self._scene = dataclasses.replace(scene, maps=maps, class_maps=class_maps)
-                    self._kept = [maps, *(m for m in self._kept if m is not maps)][:MAPS_IN_MEMORY]
                     return
 
     def _get_or_build(self, name: MapName, build: Callable[[], CachedMap]) -> CachedMap:

@@ -36,7 +36,7 @@ class TreeField:
 
 def build_tree_field(lumen_zyx: NDArray[np.uint8], lps_from_ijk: NDArray[np.float64]) -> TreeField | None:
     """The field of a mask; None where the mask is empty."""
-    box = bounding_box(lumen_zyx != 0, 0)
+    box = bounding_box(lumen_zyx, 0)
     if box is None:
         return None
     # Two empty voxels all round, also beyond the volume's edge: a trachea that is cut off by the scan gets a closed

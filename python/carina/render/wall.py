@@ -32,7 +32,7 @@ def grow_one_voxel(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return grown
 
 
-def bounding_box(mask: NDArray[np.bool_], margin: int) -> tuple[slice, slice, slice] | None:
+def bounding_box(mask: NDArray[np.bool_] | NDArray[np.uint8], margin: int) -> tuple[slice, slice, slice] | None:
     """The box of the true voxels and ``margin`` more on each side, or None for an empty mask."""
     slices = []
     for axis in range(3):
@@ -70,25 +70,22 @@ def with_wall(hu_zyx: NDArray[np.int16], lumen_zyx: NDArray[np.uint8], levels: t
         opaque.
     """
     out = hu_zyx.copy()
-    box = bounding_box(lumen_zyx != 0, 4)
+    box = bounding_box(lumen_zyx, 4)
     if box is None:
         return out
     clear, opaque = levels
     ramp = opaque - clear
-    part = out[box]
+    # The cap by the smoothed lumen, 0 to 1024. The lumen itself stays clear, however narrow: a branch of one voxel is
+    # no plug. A second voxel behind the shell: one alone would let a third of the light through where voxels are small.
+    cap = np.interp(np.arange(1025) / 1024, CAP_LUMEN, [clear + h * ramp for h in CAP_HEIGHT])
+    caps = (
+        np.minimum(cap, clear),
+        np.maximum(cap, clear + LOWEST_SHELL * ramp),
+        np.full(1025, opaque + 0.5 * ramp),
+    )
+    heights = [np.clip(np.rint(c), -32768, 32767).astype(np.int16).tolist() for c in caps]
     # A lumen that was found by a low threshold ends inside the blurred edge. Its wall starts where that edge is half
     # way up, or the steps of the mask would show in place of the smooth edge.
-    lumen = lumen_zyx[box] != 0
-    lumen |= grow_one_voxel(lumen) & (part < clear + ramp // 2)
-    shell = grow_one_voxel(lumen) & ~lumen
-    backing = grow_one_voxel(shell | lumen) & ~shell & ~lumen
-    smooth = _core.smooth_mask(np.ascontiguousarray(lumen, dtype=np.uint8)) / np.float32(1024)
-    cap = np.interp(smooth, CAP_LUMEN, [clear + h * ramp for h in CAP_HEIGHT])
-    cap[shell] = np.maximum(cap[shell], clear + LOWEST_SHELL * ramp)
-    # The lumen itself stays clear, however narrow: a branch of one voxel is no plug.
-    cap[lumen] = np.minimum(cap[lumen], clear)
-    # A second voxel behind the shell: one alone would let a third of the light through where the voxels are small.
-    cap[backing] = opaque + 0.5 * ramp
-    near = lumen | shell | backing
-    part[near] = np.maximum(part[near], np.clip(np.rint(cap[near]), -32768, 32767).astype(np.int16))
+    part = [(s.start, min(s.stop, n)) for s, n in zip(box, out.shape, strict=True)]
+    _core.raise_wall(out, lumen_zyx, part, clear + ramp // 2, heights)
     return out
