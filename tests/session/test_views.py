@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 from carina import _core
 from carina.render import Renderer, Slab, XrayView
+from carina.server.presenter import picture_lines
+from carina.server.wire_codec import MAX_HEADER_BYTES, to_jsonable
 from carina.session import Carm, Reformation
 from small_case import small_bench, small_volume
 
@@ -117,8 +121,6 @@ def test_slabs_change_slices_and_views_along_the_route_and_nothing_else():
 
 
 def test_a_curved_picture_names_the_lines_of_its_rows():
-    from carina.server.presenter import picture_lines
-
     session = opened()
     view = session.scene().spec("curved", 70, 100, 0.5)
     lines = Renderer(small_volume()).render(view).lines
@@ -135,3 +137,6 @@ def test_a_curved_picture_names_the_lines_of_its_rows():
             # A tenth of a pixel: between two rows that are named the path bends a little.
             np.testing.assert_allclose(start + column * step, lines.lps_of(column, row), atol=0.1 * lines.mm_per_px)
     assert picture_lines(None) is None
+    # The tallest picture that a client may ask for still fits a header.
+    tall = Renderer(small_volume()).render(session.scene().spec("straightened", 16, 4096, 0.5))
+    assert len(json.dumps(to_jsonable(picture_lines(tall.lines)))) < MAX_HEADER_BYTES / 2

@@ -36,12 +36,14 @@ pub struct Slab {
     pub kind: SlabKind,
 }
 
-/// A slab thicker than this is a projection of the whole chest.
-const MAX_SLAB_MM: f64 = 500.0;
+/// A thicker slab is a projection, and would take seconds.
+const MAX_SLAB_MM: f64 = 100.0;
+/// The most places a slab is read at, however fine the voxels are.
+const MAX_SLAB_SAMPLES: f64 = 256.0;
 
 /// Samples a picture line by line; 0 outside the volume.
 ///
-/// A slab is read at distances of at most the smallest voxel spacing; what of it lies outside the volume does not count.
+/// A slab is read at distances of at most the smallest voxel spacing, but at 256 places at most; what of it lies outside the volume does not count.
 pub fn sample_lines(
     volume: VolumeView<'_, i16>,
     lines: &[PixelLine],
@@ -110,7 +112,9 @@ fn offsets_of(slab: Option<Slab>, spacing_mm: f64) -> Result<Vec<f32>, RaycastEr
             found: format!("{thickness_mm} mm"),
         });
     }
-    let num = (thickness_mm / spacing_mm).ceil().max(1.0) as usize;
+    let num = (thickness_mm / spacing_mm)
+        .ceil()
+        .clamp(1.0, MAX_SLAB_SAMPLES) as usize;
     Ok((0..num)
         .map(|n| (((n as f64 + 0.5) / num as f64 - 0.5) * thickness_mm) as f32)
         .collect())
@@ -192,7 +196,7 @@ mod tests {
         let (grid, data) = (grid(), data());
         let volume = VolumeView::new(&data, &grid).unwrap();
         let window = Window::new(255.0, 127.5).unwrap();
-        for thickness_mm in [-1.0, 501.0, f64::NAN] {
+        for thickness_mm in [-1.0, 101.0, f64::NAN] {
             let slab = Some(Slab {
                 thickness_mm,
                 kind: SlabKind::Mean,

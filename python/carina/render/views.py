@@ -68,14 +68,14 @@ def _check_plane(name: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Slab:
-    """A thick slice: the largest, smallest or mean value over ``thickness_mm`` (0 to 500); ``min`` shows airways."""
+    """A thick slice: the largest, smallest or mean value over ``thickness_mm`` (0 to 100); ``min`` shows airways."""
 
     thickness_mm: float
     kind: Literal["max", "min", "mean"]
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.thickness_mm <= 500.0:
-            raise RenderError(f"a slab is 0 to 500 mm thick; found {self.thickness_mm}", code="render.setting")
+        if not 0.0 <= self.thickness_mm <= 100.0:
+            raise RenderError(f"a slab is 0 to 100 mm thick; found {self.thickness_mm}", code="render.setting")
         if self.kind not in {"max", "min", "mean"}:
             raise RenderError(f"a slab shows max, min or mean; found {self.kind!r}", code="render.setting")
 

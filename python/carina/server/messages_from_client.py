@@ -415,7 +415,7 @@ class SetSlab:
     """Thickness of slices and views along the route, and what they show of it; 0 mm are thin slices."""
 
     wire_type: ClassVar[str] = "set_slab"
-    thickness_mm: Annotated[float, Range(0.0, 500.0)]
+    thickness_mm: Annotated[float, Range(0.0, 100.0)]
     kind: SlabKind
 
 

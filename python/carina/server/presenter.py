@@ -42,8 +42,10 @@ def start_message(*, notice_accepted: bool, recent: tuple[RecentCase, ...], pati
     return wire.Start(notice_accepted, cases, demos(patient_citation), scopes)
 
 
-# Rows of a curved picture that its header names: this far apart, linear between.
+# Rows of a curved picture that its header names, linear between: this far apart, but not more than these many, since a
+# header has its limit.
 ROWS_APART = 6
+MAX_ROWS_NAMED = 130
 
 
 def picture_lines(lines: PictureLines | None) -> wire.PictureLines | None:
@@ -53,7 +55,9 @@ def picture_lines(lines: PictureLines | None) -> wire.PictureLines | None:
     height = len(lines.path_mm)
     known = np.flatnonzero(np.isfinite(lines.path_mm))
     ends = known[[0, -1]] if known.size else np.empty(0, dtype=np.int64)
-    rows = np.unique(np.concatenate([np.arange(0, height, ROWS_APART), ends, [height - 1]]))
+    rows = np.unique(
+        np.concatenate([np.arange(0, height, max(ROWS_APART, -(-height // MAX_ROWS_NAMED))), ends, [height - 1]])
+    )
     places = np.interp(rows, known, lines.path_mm[known]) if known.size else np.zeros(rows.size)
     return wire.PictureLines(
         row=_floats(rows + 0.5),
