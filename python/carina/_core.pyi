@@ -6,6 +6,8 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.render.appearance import Appearance
+
 def build_info() -> dict[str, Any]:
     """version, profile, simd, threads, target, gpu."""
 
@@ -210,6 +212,7 @@ def cast(
     darken: bool = True,
     gpu: GpuScene | None = None,
     stop_transparency: float | None = None,
+    appearance: Appearance | None = None,
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int, int, int]]:
     """(rows, width, 3) colours; rays, samples, look-ups, leaps, skipped samples, shaded samples, reads.
 

@@ -102,6 +102,7 @@ def store(path, values, spacing=(1.0, 1.0, 1.0)):
         ["render", "CT", "-o", "x.png", "--view", "axial", "--slab", "5,median"],
         ["render", "CT", "-o", "x.png", "--method", "guess"],
         ["render", "CT", "-o", "x.png", "--shading", "maybe"],
+        ["render", "CT", "-o", "x.png", "--texture", "maybe"],
         ["render", "CT", "-o", "x.png", "--surface", "x.exr"],
         ["render", "CT", "-o", "x.png", "--surface", "no-such-folder/x.npz"],
         ["render", "CT", "-o", "x.png", "--surface", "x.npz", "--view", "axial"],

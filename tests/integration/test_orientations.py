@@ -169,8 +169,10 @@ def differs(picture, same):
 def test_the_same_pose_shows_the_same_picture(found, reference):
     how, seen_here = found
     # Turned and resampled, edges blur by a voxel (2 mm here, the trachea is 18 mm wide); else only rounding is left.
-    tolerance = 12.0 if how == "oblique" else 0.5
     for view in ("airway", "axial", "coronal", "sagittal"):
+        # The airway view is nearly as bright on the left as on the right.
+        blur = 8.0 if view == "airway" else 12.0
+        tolerance = blur if how == "oblique" else 0.5
         picture = seen_here[view]
         assert differs(picture, reference[view]) < tolerance, view
         # A mirrored picture would be nowhere near: else the tolerance above could not fail.

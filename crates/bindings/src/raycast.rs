@@ -12,9 +12,9 @@ use std::sync::{
 use carina_grid::{Camera, VolumeView};
 use carina_isoregion::SegmentTable;
 use carina_raycast::{
-    ClassMap, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method, RaycastError,
-    Transfer, TriPlane, WallHeights, Window, cast_rows, cast_rows_until, cast_tri_plane,
-    maximum_projections_by, pick, sample_plane_by, smoothed_mask,
+    Appearance, ClassMap, Frame, FrameOptions, InstructionSet, Interpolation, Light, Method,
+    RaycastError, Transfer, TriPlane, WallHeights, Window, cast_rows, cast_rows_until,
+    cast_tri_plane, maximum_projections_by, pick, sample_plane_by, smoothed_mask,
 };
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
@@ -165,6 +165,37 @@ enum LeapMap<'py> {
     Transparent(PyReadonlyArray3<'py, u8>),
 }
 
+/// Light, gloss and texture as Python holds them: an object with these attributes.
+#[derive(FromPyObject)]
+struct PyAppearance {
+    guides_mm: Vec<[f32; 3]>,
+    exposure: Option<f32>,
+    ambient: f32,
+    wrap: f32,
+    gloss: f32,
+    shininess_log2: u32,
+    paleness: f32,
+    pale_hu: [f32; 2],
+    texture: f32,
+}
+
+impl PyAppearance {
+    fn into_core(self) -> Appearance {
+        let first = self.guides_mm.first().copied().unwrap_or_default();
+        Appearance {
+            guides_mm: [first, self.guides_mm.get(1).copied().unwrap_or(first)],
+            exposure: self.exposure,
+            ambient: self.ambient,
+            wrap: self.wrap,
+            gloss: self.gloss,
+            shininess_log2: self.shininess_log2,
+            paleness: self.paleness,
+            pale_hu: self.pale_hu,
+            texture: self.texture,
+        }
+    }
+}
+
 const fn interpolation(nearest: bool) -> Interpolation {
     if nearest {
         Interpolation::Nearest
@@ -178,7 +209,7 @@ const fn interpolation(nearest: bool) -> Interpolation {
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
     background=[0.0; 3], leap=None, simd=None, stop=None, lens=None, darken=true, gpu=None,
-    stop_transparency=None
+    stop_transparency=None, appearance=None
 ))]
 fn cast<'py>(
     py: Python<'py>,
@@ -200,6 +231,7 @@ fn cast<'py>(
     darken: bool,
     gpu: Option<Bound<'py, GpuScene>>,
     stop_transparency: Option<f32>,
+    appearance: Option<PyAppearance>,
 ) -> PyResult<(Bound<'py, PyArray3<u8>>, PyStats)> {
     let grid = grid(&hu_zyx, &lps_from_ijk)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
@@ -217,6 +249,7 @@ fn cast<'py>(
                 reach_mm,
             },
         ),
+        appearance: appearance.map(PyAppearance::into_core),
         background,
     };
     let mut frame = Frame::new(volume, table, camera, options).map_err(IntoPy::into_py)?;
@@ -318,6 +351,7 @@ fn cast_surface<'py>(
     let options = FrameOptions {
         interpolation: interpolation(nearest),
         light: None,
+        appearance: None,
         background: [0.0; 3],
     };
     let table = &table.get().inner;

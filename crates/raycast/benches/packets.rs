@@ -217,6 +217,7 @@ fn bench(case: &Case, choice: &Choice) {
             let options = FrameOptions {
                 interpolation: Interpolation::Trilinear,
                 light: shaded.then_some(case.light),
+                appearance: None,
                 background: [0.0; 3],
             };
             let camera = Camera::new(*pose, std::f64::consts::FRAC_PI_2, choice.size, choice.size)

@@ -2,7 +2,9 @@
 
 use carina_grid::{Affine, Camera, Grid, VolumeView, clip_line_to_box, dot, length};
 
-use crate::{Field, Light, RaycastError, TransferTable, composite::Gathered, sampling::Lanes};
+use crate::{
+    Appearance, Field, Light, RaycastError, TransferTable, composite::Gathered, sampling::Lanes,
+};
 
 /// Rays stop when less than this shines through: no channel can change by more than half a grey level any more.
 pub const STOP_TRANSPARENCY: f32 = 1.0 / 512.0;
@@ -23,6 +25,8 @@ pub struct FrameOptions {
     pub interpolation: Interpolation,
     /// The light at the tip, or `None` for the transfer function's colours as they are.
     pub light: Option<Light>,
+    /// Light, gloss and texture laid on the first wall after casting, in place of `light`.
+    pub appearance: Option<Appearance>,
     /// Colour behind everything, 0..1.
     pub background: [f32; 3],
 }
@@ -85,6 +89,16 @@ impl<'a> Frame<'a> {
                     what: "shading",
                     expected: "off with nearest-voxel sampling, which has no gradient".to_owned(),
                     found: "on".to_owned(),
+                });
+            }
+        }
+        if let Some(appearance) = &options.appearance {
+            appearance.check()?;
+            if options.light.is_some() || options.interpolation == Interpolation::Nearest {
+                return Err(RaycastError::Setting {
+                    what: "appearance",
+                    expected: "sampling between voxels and no light at every sample".to_owned(),
+                    found: format!("{:?}, light {:?}", options.interpolation, options.light),
                 });
             }
         }

@@ -8,11 +8,14 @@ use std::{
 use rayon::prelude::*;
 
 use crate::{
-    ClassMap, Frame, InstructionSet, Interpolation, RaycastError, brute,
+    ClassMap, Frame, InstructionSet, Interpolation, RaycastError,
+    appearance::Lighting,
+    brute,
     composite::Gathered,
     frame::Ray,
     leap::{self, Start},
-    packet::{BAND_ROWS, Packets},
+    packet::{BAND_ROWS, Packets, light_rows},
+    surface::cast_walls_row,
 };
 
 /// Which caster.
@@ -54,6 +57,9 @@ impl CastStats {
     /// Further reads of a lit sample: its gradient takes the eight rows beside its cell. (The cell's own are then read two
     /// voxels longer.)
     const GRADIENT_LOADS: u64 = 8;
+
+    /// Reads of a lit first wall: fourteen samples for its normal and one beneath it.
+    const LIGHTING_LOADS: u64 = 15 * 4;
 
     /// Counts the reads, which follow from the other counts: of samples and their gradients, one radius for each look-up,
     /// and one label for each leap over a class. Reads of the transfer and step tables are left out: they are small and
@@ -121,6 +127,12 @@ fn cast(
 ) -> Result<(Vec<u8>, CastStats), RaycastError> {
     check(frame, method, rows, simd)?;
     let bytes = (0u8, 3 * frame.camera().width());
+    if let Some(light) = Lighting::exposed(frame, method) {
+        let packets = Packets::of(frame, method, simd);
+        return Ok(share(rows, bytes, BAND_ROWS, stop, |first, out| {
+            cast_lit(frame, method, &light, (packets.as_ref(), simd), first, out)
+        }));
+    }
     if let Some(packets) = Packets::of(frame, method, simd) {
         return Ok(share(rows, bytes, BAND_ROWS, stop, |first, out| {
             packets.cast_band(first, out).with_loads(frame, method)
@@ -141,10 +153,45 @@ pub fn cast_rows_scalar(
 ) -> Result<(Vec<u8>, CastStats), RaycastError> {
     check(frame, method, &rows, simd)?;
     let bytes = (0u8, 3 * frame.camera().width());
+    if let Some(light) = Lighting::exposed(frame, method) {
+        return Ok(share(&rows, bytes, BAND_ROWS, None, |first, out| {
+            let scalar = (None, InstructionSet::Portable);
+            cast_lit(frame, method, &light, scalar, first, out)
+        }));
+    }
     let start = Start::of(frame, method);
     Ok(share(&rows, bytes, 1, None, |row, out| {
         cast_row(frame, method, start, row, out, simd).with_loads(frame, method)
     }))
+}
+
+/// Casts a band of rows and then lights its first walls.
+fn cast_lit(
+    frame: &Frame<'_>,
+    method: Method<'_>,
+    light: &Lighting,
+    (packets, simd): (Option<&Packets<'_>>, InstructionSet),
+    first_row: usize,
+    out: &mut [u8],
+) -> CastStats {
+    let width = frame.camera().width();
+    let mut walls = vec![Gathered::NOTHING; out.len() / 3];
+    let stats = match packets {
+        Some(packets) => packets.cast_walls(first_row, &mut walls),
+        None => walls
+            .chunks_mut(width)
+            .enumerate()
+            .map(|(n, walls)| cast_walls_row(frame, method, first_row + n, walls))
+            .fold(CastStats::default(), CastStats::plus),
+    };
+    light_rows(frame, light, simd, first_row, &walls, out);
+    let num_lit = walls.iter().filter(|wall| wall.hit >= 0.0).count() as u64;
+    let stats = stats.with_loads(frame, method);
+    CastStats {
+        num_shaded: num_lit,
+        num_loads: stats.num_loads + CastStats::LIGHTING_LOADS * num_lit,
+        ..stats
+    }
 }
 
 /// Shares rows of `blank` items, `per_row` in each, among the threads, `num_rows` at a time; once `stop` is set, what is

@@ -24,6 +24,7 @@
     )
 )]
 
+mod appearance;
 mod brute;
 mod composite;
 mod defocus;
@@ -45,6 +46,7 @@ mod transfer;
 mod triplane;
 mod wall;
 
+pub use appearance::Appearance;
 pub use carina_grid::InstructionSet;
 pub use defocus::{Focus, defocus};
 pub use drr::{Attenuation, Projector, cast_radiograph};

@@ -74,11 +74,25 @@ pub fn pick(
         }
     }
     check(frame, method, &(row..row + 1), InstructionSet::Portable)?;
-    let ray = frame.ray(column, row);
-    let start = Start::of(frame, method);
-    let wall = cast_wall(frame, method, start, &ray, &mut CastStats::default());
+    let wall = wall_at(frame, method, column, row);
     let found = wall.hit >= 0.0;
     Ok(found.then(|| hit_of(frame, &Normals::of(frame), column, row, wall.hit)))
+}
+
+/// What the ray of one pixel gathers.
+pub(crate) fn wall_at(
+    frame: &Frame<'_>,
+    method: Method<'_>,
+    column: usize,
+    row: usize,
+) -> Gathered {
+    cast_wall(
+        frame,
+        method,
+        Start::of(frame, method),
+        &frame.ray(column, row),
+        &mut CastStats::default(),
+    )
 }
 
 /// What the rays of `rows` gather without the light at the tip, first walls included.
@@ -177,8 +191,8 @@ const HALF_CONTRAST_HU: f32 = 500.0;
 pub(crate) struct Normals {
     /// Voxels.
     pub reach: [f32; 3],
-    /// Values are held within this of the wall's.
-    pub window: f32,
+    /// Values are held between these.
+    pub held: [f32; 2],
     /// `inward = rows . rise`, in LPS: the transposed inverse of the voxel axes, divided by the reach.
     pub rows: [[f32; 3]; 3],
 }
@@ -194,7 +208,7 @@ impl Normals {
         let rows = ijk_from_lps.rows();
         Self {
             reach: reach.map(|v| v as f32),
-            window: window_of(frame.table),
+            held: held_between(frame.table),
             rows: std::array::from_fn(|x| std::array::from_fn(|a| (rows[a][x] / reach[a]) as f32)),
         }
     }
@@ -202,9 +216,8 @@ impl Normals {
     /// The unit normal at a hit, on the camera's side.
     pub(crate) fn at(&self, frame: &Frame<'_>, ray: &Ray, hit: f32) -> [f32; 3] {
         let p: Lanes = std::array::from_fn(|a| hit.mul_add(ray.delta[a], ray.origin[a]));
+        let [low, high] = self.held;
         let value = |p: Lanes| frame.field.value_in(&frame.field.cell(p));
-        let middle = value(p);
-        let (low, high) = (middle - self.window, middle + self.window);
         let held = |p: Lanes| value(p).max(low).min(high);
         let mut rise = [0.0f32; 3];
         for a in 0..3 {
@@ -242,18 +255,20 @@ impl Normals {
     }
 }
 
-fn dot(u: [f32; 3], v: [f32; 3]) -> f32 {
+pub(crate) fn dot(u: [f32; 3], v: [f32; 3]) -> f32 {
     u[2].mul_add(v[2], u[1].mul_add(v[1], u[0] * v[0]))
 }
 
-/// Half the width of the window that values are held in: the transfer function's ramp and half the contrast of an airway,
-/// as far as the volume has so much.
-fn window_of(table: &TransferTable) -> f32 {
+/// Values that tell how a wall is inclined: the transfer function's ramp and about half the contrast of an airway to each
+/// side of its middle, as far as the volume has so much.
+fn held_between(table: &TransferTable) -> [f32; 2] {
     let most = table.entries.iter().map(|e| e[3]).fold(0.0, f32::max);
     let opaque = table.entries.iter().position(|e| e[3] >= 0.9 * most);
-    let ramp = (opaque.unwrap_or(0) as i32 - table.first_visible) as f32;
-    (1.6 * ramp)
+    let (clear, opaque) = (table.first_visible, opaque.unwrap_or(0) as i32);
+    let middle = table.lo_hu as f32 + 0.5 * (clear + opaque) as f32;
+    let window = (0.8 * (opaque - clear) as f32)
         .max(HALF_CONTRAST_HU)
         .min(table.last as f32 / 2.0)
-        .max(1.0)
+        .max(1.0);
+    [middle - window, middle + window]
 }

@@ -106,6 +106,7 @@ fn lights_out_of_range_are_refused_with_the_value_and_the_range() {
         let options = FrameOptions {
             interpolation,
             light: Some(light),
+            appearance: None,
             background: [0.0; 3],
         };
         let camera = Camera::new(Affine::IDENTITY, 1.0, 8, 8).unwrap();
@@ -156,6 +157,7 @@ fn lights_out_of_range_are_refused_with_the_value_and_the_range() {
     }
     let camera = Camera::new(Affine::IDENTITY, 1.0, 8, 8).unwrap();
     let options = FrameOptions {
+        appearance: None,
         interpolation: Interpolation::Trilinear,
         light: None,
         background: [0.0; 3],

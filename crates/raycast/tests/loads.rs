@@ -177,6 +177,7 @@ fn stats(view: &View, reading: Reading, classes: bool) -> (CastStats, CastStats)
             shininess_log2: 4,
             reach_mm: 30.0,
         }),
+        appearance: None,
         background: [0.0; 3],
     };
     let frame = Frame::new(volume, &table, camera(view.at), options).unwrap();

@@ -134,6 +134,7 @@ fn against_f64(num_poses: u64, seed: u64, (width, height): (usize, usize), stop:
                 let options = FrameOptions {
                     interpolation: Interpolation::Trilinear,
                     light: shaded.then(|| light_of(*shares)),
+                    appearance: None,
                     background: [0.0; 3],
                 };
                 let frame = Frame::new(volume, &table, camera_of(&view), options).unwrap();
@@ -268,6 +269,7 @@ fn leaps_over_opaque_classes(num_poses: u64, seed: u64, nearest: bool) -> (Tally
                         Interpolation::Trilinear
                     },
                     light: None,
+                    appearance: None,
                     background: [0.0; 3],
                 };
                 let frame = Frame::new(volume, &table, camera_of(&view), options).unwrap();
@@ -394,6 +396,7 @@ fn cameras_on_voxel_faces_and_along_axes_show_what_a_ray_caster_in_f64_shows() {
                         let options = FrameOptions {
                             interpolation: Interpolation::Trilinear,
                             light: shaded.then(|| light_of(*shares)),
+                            appearance: None,
                             background: [0.0; 3],
                         };
                         let frame = Frame::new(volume, &table, camera_of(&view), options).unwrap();

@@ -193,6 +193,7 @@ def render(
         str | None, typer.Option(help="Preset (endoscopic, paper, ct-grey, see-through) or a JSON file.")
     ] = None,
     shading: Annotated[str, typer.Option(help="on or off")] = "on",
+    texture: Annotated[str, typer.Option(help="on or off: vessels and micro relief, which are decoration")] = "on",
     orbit: Annotated[
         str | None, typer.Option(help="azimuth,elevation,distance of the tri-plane and tree views (degrees, mm).")
     ] = None,
@@ -232,8 +233,9 @@ def render(
         from carina.cli.optics import SeenThrough
         from carina.cli.render import report
 
-        if shading not in {"on", "off"}:
-            raise UsageError(f"--shading: expected on or off; found {shading!r}")
+        for what, switch in (("--shading", shading), ("--texture", texture)):
+            if switch not in {"on", "off"}:
+                raise UsageError(f"{what}: expected on or off; found {switch!r}")
         raise SystemExit(
             report(
                 path,
@@ -249,6 +251,7 @@ def render(
                 step_vox=step_vox,
                 transfer=transfer,
                 shading=shading == "on",
+                texture=texture == "on",
                 orbit=orbit,
                 window=window,
                 surface=surface,

@@ -4,6 +4,7 @@ from typing import Any
 
 from carina import _core
 from carina._core import CancelToken
+from carina.render.appearance import Appearance
 from carina.render.backend import Adapter, Backend, Verdict, find_adapters
 from carina.render.lettering import PathSpan, letter_edges, mark_path
 from carina.render.pictures import VIEW_NAMES, mark_tip, render_surface, render_view, view_spec
@@ -32,6 +33,7 @@ __all__ = [
     "VIEW_NAMES",
     "Adapter",
     "AirwayView",
+    "Appearance",
     "Backend",
     "CancelToken",
     "CutPlaneView",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import threading
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.errors import RenderError
+from carina.render.appearance import Appearance
 from carina.render.backend import Backend
 from carina.render.device import DeviceCaster
 from carina.render.scene import Scene
@@ -51,13 +53,15 @@ class AirwayCaster:
             return self._cast(scene, view, rows=rows, stop=stop, gpu=gpu)
 
         method, _ = _choose_method(scene, view, _shades(scene, view))
-        # Leaps over all classes are the CPU's alone.
+        # Leaps over all classes and light laid on walls are the CPU's alone.
+        lit = _shades(scene, view) and scene.transfer.appearance is not None
+        on_device = method != "leap-all" and not lit
         picture = None
-        if method != "leap-all":
+        if on_device:
             picture = self._device.try_cast(scene, view, leaps=method == "leap", cast=cast)
         if picture is None:
             picture = cast(scene, view, None)
-            if rows is None and method != "leap-all":
+            if rows is None and on_device:
                 self._device.seen(scene, view)
         return picture
 
@@ -76,6 +80,7 @@ class AirwayCaster:
         if view.stop_transparency != STOP_TRANSPARENCY:
             # The shaders have the usual limit built in.
             gpu = None
+        appearance = _appearance(scene, view) if shading else None
         method, leap = _choose_method(scene, view, shading)
         lens = _rays(view)
         if rows is not None and view.depth_of_field is not None:
@@ -89,7 +94,8 @@ class AirwayCaster:
             width=view.width,
             height=view.height,
             rows=rows,
-            light=scene.transfer.light.as_core() if shading else None,
+            light=scene.transfer.light.as_core() if shading and appearance is None else None,
+            appearance=appearance,
             nearest=nearest,
             leap=leap,
             simd=self._simd,
@@ -185,6 +191,14 @@ def _rays(view: AirwayView) -> _core.LensRays | None:
 
 def _shades(scene: Scene, view: AirwayView) -> bool:
     return view.shading and scene.transfer.sampling != "nearest"
+
+
+def _appearance(scene: Scene, view: AirwayView) -> Appearance | None:
+    appearance = scene.transfer.appearance
+    if appearance is None:
+        return None
+    guides = appearance.guides_mm if view.guides_mm is None else view.guides_mm
+    return dataclasses.replace(appearance, guides_mm=guides, texture=appearance.texture if view.texture else 0.0)
 
 
 def _choose_method(

@@ -63,6 +63,7 @@ def render_view(
     step_vox: float = 0.5,
     transfer: TransferFunction | None = None,
     shading: bool = True,
+    texture: bool = True,
     orbit: tuple[float, ...] | None = None,
     window_hu: tuple[float, float] | None = None,
     extent_mm: float = 60.0,
@@ -97,6 +98,8 @@ def render_view(
     scope
         Look through this instrument (see :func:`carina.scopes.scope_presets`): its lens, field of view, mask and
         direction of view; ``pose`` is then the end of its shaft.
+    shading, texture
+        Of the airway view: light and gloss; vessels and micro relief, which are decoration and not the patient's.
     lens, mask, vignette, depth_of_field
         Of the airway view, in place of the scope's; a pinhole over the full frame without any, and never blurred unless
         told.
@@ -137,6 +140,7 @@ def render_view(
         method=method,
         step_vox=step_vox,
         shading=shading,
+        texture=texture,
         orbit=orbit,
         window_hu=window_hu,
         extent_mm=extent_mm,
@@ -236,6 +240,7 @@ def view_spec(
     method: Literal["leap", "brute"] | str = "leap",
     step_vox: float = 0.5,
     shading: bool = True,
+    texture: bool = True,
     orbit: tuple[float, ...] | None = None,
     window_hu: tuple[float, float] | None = None,
     extent_mm: float = 60.0,
@@ -262,7 +267,8 @@ def view_spec(
         case "airway":
             chosen = cast(Literal["leap", "brute"], method)
             seen = _seen_through(scope, lens, mask, vignette)
-            more = {"step_vox": step_vox, "shading": shading, "method": chosen, "depth_of_field": depth_of_field}
+            more: dict[str, Any] = {"step_vox": step_vox, "shading": shading, "texture": texture, "method": chosen}
+            more["depth_of_field"] = depth_of_field
             return _airway_view(pose, scope, fov_deg=fov_deg, **seen, **more, **size)
         case "cut-plane":
             return CutPlaneView(pose, extent_mm=extent_mm, window_hu=grey, slab=slab, width=width, height=height)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import RenderError, UsageError
+from carina.render.appearance import Appearance
 from carina.volume import Volume
 
 __all__ = ["PRESETS", "Light", "TransferFunction", "transfer_from_histogram", "transfer_preset"]
@@ -66,7 +67,9 @@ class TransferFunction:
     wall
         True if the airway view closes the lumen's wall (docs/decisions/0002-wall-in-the-volume.md).
     light
-        The light of the shaded airway view.
+        The light of the shaded airway view, laid on every sample.
+    appearance
+        How the wall looks through a scope, laid on the first wall of each pixel in place of ``light``; None for none.
 
     Raises
     ------
@@ -81,6 +84,7 @@ class TransferFunction:
     sampling: Literal["trilinear", "nearest"] = "trilinear"
     wall: bool = False
     light: Light = field(default_factory=Light)
+    appearance: Appearance | None = None
 
     def __post_init__(self) -> None:
         points = np.array(self.points, dtype=np.float64)
@@ -108,6 +112,8 @@ class TransferFunction:
             raise RenderError(msg, code="render.transfer")
         if not (np.isfinite(self.reference_mm) and self.reference_mm > 0):
             raise RenderError("a transfer function's reference length is above 0 mm", code="render.transfer")
+        if self.appearance is not None and self.sampling == "nearest":
+            raise RenderError("sampling nearest has no gradient, so no appearance", code="render.transfer")
         if self.unit not in {"HU", "raw"} or self.sampling not in {"trilinear", "nearest"}:
             msg = f"expected unit HU or raw and sampling trilinear or nearest; found {self.unit!r}, {self.sampling!r}"
             raise RenderError(msg, code="render.transfer")
@@ -132,6 +138,7 @@ class TransferFunction:
             "sampling": self.sampling,
             "wall": self.wall,
             "light": light,
+            "appearance": None if self.appearance is None else self.appearance.to_json(),
         }
 
     @classmethod
@@ -151,6 +158,7 @@ class TransferFunction:
             raise RenderError(msg, code="render.transfer")
         try:
             light_document = dict(document.get("light") or {})
+            appearance = document.get("appearance")
             known = ("ambient", "diffuse", "specular", "shininess_log2", "reach_mm")
             return cls(
                 points=np.array(document["points"], dtype=np.float64),
@@ -160,6 +168,7 @@ class TransferFunction:
                 sampling=document.get("sampling", "trilinear"),
                 wall=bool(document.get("wall", False)),
                 light=Light(**{k: light_document[k] for k in known if k in light_document}),
+                appearance=None if appearance is None else Appearance.from_json(appearance),
             )
         except (KeyError, TypeError, ValueError) as error:
             if isinstance(error, RenderError):
@@ -184,15 +193,16 @@ class TransferFunction:
 ENDOSCOPIC = TransferFunction(
     points=np.array(
         [
-            [-700.0, 0.88, 0.42, 0.38, 0.0],
-            [-400.0, 0.95, 0.58, 0.52, 0.97],
-            [-100.0, 0.97, 0.68, 0.61, 0.99],
-            [200.0, 1.0, 0.80, 0.73, 0.995],
+            [-700.0, 0.88, 0.46, 0.41, 0.0],
+            [-400.0, 0.93, 0.56, 0.50, 0.97],
+            [-100.0, 0.95, 0.62, 0.56, 0.99],
+            [200.0, 0.98, 0.76, 0.70, 0.995],
         ]
     ),
     name="endoscopic",
     wall=True,
     light=Light(ambient=0.26, diffuse=0.98, specular=0.35, shininess_log2=5, reach_mm=26.0),
+    appearance=Appearance(),
 )
 
 CT_GREY = TransferFunction(

@@ -14,6 +14,7 @@ import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from carina.errors import RenderError
+from carina.render.appearance import check_guides
 from carina.scopes import FULL_FRAME, PINHOLE, DepthOfField, ImageField, Lens, Optics, PathFrames, Pose, ScopePreset
 
 __all__ = [
@@ -87,9 +88,11 @@ class AirwayView:
     ``pose`` is the camera's. ``fov_deg`` is the full angle across the shorter side; None is 90, or a calibration's own.
     ``field`` is the outline of the picture and its vignette. With ``depth_of_field`` what is nearer or farther is
     blurred; that needs the whole picture and about twice the time. ``step_vox`` is the ray step in units of the
-    smallest spacing. ``leap`` and ``brute`` give the same picture. With a transfer function of sampling ``nearest``
-    (paper) shading is off and the step is one voxel. Rays stop when less than ``stop_transparency`` shines through;
-    another than the usual one serves comparisons with renderers that stop elsewhere.
+    smallest spacing. ``leap`` and ``brute`` give the same picture. ``guides_mm`` are the ends of the scope's light
+    guides in place of those of the transfer function's appearance; ``texture`` off leaves out vessels and micro relief,
+    which are not the patient's. With a transfer function of sampling ``nearest`` (paper) shading is off and the step is
+    one voxel. Rays stop when less than ``stop_transparency`` shines through; another than the usual one serves
+    comparisons with renderers that stop elsewhere.
     """
 
     pose: Pose
@@ -103,6 +106,8 @@ class AirwayView:
     field: ImageField = FULL_FRAME
     depth_of_field: DepthOfField | None = None
     stop_transparency: float = STOP_TRANSPARENCY
+    guides_mm: tuple[tuple[float, float, float], ...] | None = None
+    texture: bool = True
 
     def __post_init__(self) -> None:
         _check(self.width, self.height, fov_deg=self.fov_deg)
@@ -115,6 +120,8 @@ class AirwayView:
         if not 1 / 65536 <= self.stop_transparency <= 0.25:
             msg = f"rays stop at a transparency of 1/65536 to 1/4; found {self.stop_transparency}"
             raise RenderError(msg, code="render.setting")
+        if self.guides_mm is not None:
+            check_guides(self.guides_mm)
 
     @property
     def optics(self) -> Optics:
@@ -127,7 +134,7 @@ class AirwayView:
 
         Any of them can be overridden, and all other settings given, by name. Depth of field stays off unless told.
         """
-        seen = {"lens": scope.lens, "field": scope.field, **settings}
+        seen = {"lens": scope.lens, "field": scope.field, "guides_mm": scope.guides_mm, **settings}
         if fov_deg is None and seen["lens"].calibration is None:
             fov_deg = scope.usual_fov_deg
         return cls(scope.camera_pose(tip), fov_deg=fov_deg, **seen)

@@ -10,6 +10,7 @@ mod avx2;
 mod avx512;
 mod kernel;
 mod lanes;
+mod lighting;
 #[cfg(target_arch = "x86_64")]
 mod loads;
 mod out;
@@ -35,6 +36,8 @@ use pair::Pair;
 pub(crate) use plane::PlaneRows;
 use pool::Source;
 use voxels::Voxels;
+
+pub(crate) use lighting::{brightness, light_rows};
 
 /// Rows of a picture that are cast together: packets cover squares of pixels.
 pub(crate) const BAND_ROWS: usize = 4;

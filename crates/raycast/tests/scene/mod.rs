@@ -64,6 +64,7 @@ pub(crate) fn options(shaded: bool, nearest: bool) -> FrameOptions {
             shininess_log2: 4,
             reach_mm: 25.0,
         }),
+        appearance: None,
         background: [0.0; 3],
     }
 }

@@ -1,0 +1,81 @@
+"""How the wall of an airway looks through a scope: light guides, exposure, gloss, texture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from carina.errors import RenderError
+
+__all__ = ["Appearance", "check_guides"]
+
+# Beside the lens of a common video bronchoscope, a little above its middle.
+TWO_GUIDES_MM = ((-1.9, -0.5, 0.0), (1.9, -0.5, 0.0))
+
+
+def check_guides(guides_mm: tuple[tuple[float, float, float], ...]) -> None:
+    """Refuse what cannot be the ends of one or two light guides."""
+    guides = np.array(guides_mm, dtype=np.float64)
+    if guides.ndim != 2 or guides.shape[1:] != (3,) or len(guides) not in {1, 2} or not np.isfinite(guides).all():
+        raise RenderError(f"a scope has one or two light guides [x, y, z] in mm; found {guides_mm}")
+    if np.abs(guides).max() > 100:
+        raise RenderError(f"light guides lie within 100 mm of the lens; found {guides_mm}")
+
+
+@dataclass(frozen=True, slots=True)
+class Appearance:
+    """Light, gloss and texture that are laid on the first wall of each pixel after casting.
+
+    The model and where it comes from: docs/decisions/0008-appearance.md.
+    """
+
+    guides_mm: tuple[tuple[float, float, float], ...] = TWO_GUIDES_MM
+    """Ends of the light guides in camera space, one or two; they share the light."""
+    exposure: float | None = None
+    """Light of the guides; None for automatic exposure."""
+    ambient: float = 0.22
+    """Light from the walls round about, as part of what the guides give head on."""
+    wrap: float = 0.25
+    """How far light creeps beneath the surface, 0..1."""
+    gloss: float = 0.7
+    """Highlights of the film of mucus."""
+    shininess_log2: int = 7
+    """The highlight's exponent is ``2 ** shininess_log2``."""
+    paleness: float = 0.5
+    """How far the mucosa pales over dense tissue, 0..1."""
+    pale_hu: tuple[float, float] = (0.0, 300.0)
+    """Values beneath the surface at which it begins to pale and at which it is palest."""
+    texture: float = 1.0
+    """Mottling, vessels and micro relief; 0 for none."""
+
+    def __post_init__(self) -> None:
+        check_guides(self.guides_mm)
+        if self.exposure is not None and not 0 <= self.exposure <= 1e6:
+            raise RenderError(f"an exposure is 0 to 1000000; found {self.exposure}")
+        for what, most in (("ambient", 10), ("wrap", 1), ("gloss", 100), ("paleness", 1), ("texture", 4)):
+            if not 0 <= getattr(self, what) <= most:
+                raise RenderError(f"an appearance's {what} is 0 to {most}; found {getattr(self, what)}")
+        if not isinstance(self.shininess_log2, int) or not 0 <= self.shininess_log2 <= 10:
+            raise RenderError(f"shininess (log2) is a whole number, 0 to 10; found {self.shininess_log2}")
+        low, high = self.pale_hu
+        if not (np.isfinite(self.pale_hu).all() and low < high):
+            raise RenderError(f"the values of pale tissue are two, the lower first; found {self.pale_hu}")
+
+    def to_json(self) -> dict[str, Any]:
+        """As a JSON object."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {**values, "guides_mm": [list(guide) for guide in self.guides_mm], "pale_hu": list(self.pale_hu)}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Appearance:
+        """From a JSON object; unknown keys are left alone, missing ones take their defaults."""
+        known = {f.name: document[f.name] for f in fields(cls) if f.name in document}
+        if "guides_mm" in known:
+            known["guides_mm"] = tuple(tuple(float(v) for v in guide) for guide in known["guides_mm"])
+        if "pale_hu" in known:
+            low, high = known["pale_hu"]
+            known["pale_hu"] = (float(low), float(high))
+        return cls(**known)

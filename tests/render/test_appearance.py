@@ -1,0 +1,157 @@
+"""How walls look through a scope: exposure, fall-off of light, pale cartilage, gloss; and the file that carries it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from carina.errors import RenderError
+from carina.render import AirwayView, Appearance, Renderer, TransferFunction, transfer_preset
+from carina.scopes import Pose
+from carina.volume import Volume
+
+ENDOSCOPIC = transfer_preset("endoscopic")
+SIZE = {"width": 90, "height": 90}
+
+
+def tube(radius_mm: float, wall_hu: float = 40.0, ring_hu: float = 40.0) -> Volume:
+    """An airway along z, with rings of 4 mm in its wall every 8 mm."""
+    spacing = 0.8
+    z, y, x = np.indices((110, 44, 44)) * spacing
+    off = np.hypot(y - 17.2, x - 17.2)
+    wall = np.where(z % 8 < 4, ring_hu, wall_hu)
+    tissue = np.clip((off - radius_mm) / 1.2 + 0.5, 0, 1)
+    return Volume(np.rint(-1000 + (wall + 1000) * tissue).astype(np.int16), np.diag([spacing] * 3 + [1.0]))
+
+
+def look(volume: Volume, *, off_mm: float = 0.0, direction=(0.0, 0.0, 1.0), **changes) -> np.ndarray:
+    """A picture from within the tube, as numbers 0..1."""
+    appearance = dataclasses.replace(Appearance(), **changes)
+    renderer = Renderer(volume, transfer=dataclasses.replace(ENDOSCOPIC, appearance=appearance))
+    pose = Pose.looking((17.2 + off_mm, 17.2, 12.0), direction)
+    return renderer.render(AirwayView(pose, fov_deg=100.0, **SIZE)).rgb / 255.0
+
+
+@pytest.mark.parametrize("radius_mm", [1.6, 4.0, 9.0])
+def test_walls_are_bright_and_the_lumen_ahead_is_dark_however_wide_the_airway(radius_mm):
+    picture = look(tube(radius_mm))
+    bright = picture.max(axis=2)
+    edge = np.concatenate([bright[:8].ravel(), bright[-8:].ravel()])
+    assert 0.35 < np.median(edge) < 0.97
+    assert (picture.min(axis=2) > 0.98).mean() < 0.02, "the near wall burns out"
+    assert bright[44:46, 44:46].max() < 0.2
+    # Mucosa is red before it is green, and green before it is blue.
+    lit = picture[bright > 0.4]
+    assert (lit[:, 0] >= lit[:, 1]).all()
+    assert np.mean(lit[:, 1] - lit[:, 2]) > 0
+
+
+def test_a_wall_close_by_lowers_the_exposure_of_the_rest():
+    volume = tube(6.0)
+    far, near = look(volume), look(volume, off_mm=4.6)
+    assert np.percentile(near, 99) < 1.0
+    # The left half of the picture, on the side away from the wall that is close by.
+    assert near[:, :30].mean() < 0.9 * far[:, :30].mean()
+    fixed = look(volume, exposure=20.0), look(volume, exposure=40.0)
+    assert fixed[1].mean() > fixed[0].mean()
+
+
+def test_light_comes_from_the_guides_and_falls_off():
+    volume = tube(6.0)
+    side = {"texture": 0.0, "gloss": 0.0, "exposure": 10.0, "ambient": 0.0}
+    right = look(volume, guides_mm=((3.0, 0.0, 0.0),), **side)
+    assert right[40:50, -8:].mean() > 1.25 * right[40:50, :8].mean()
+    middle = look(volume, guides_mm=((0.0, 0.0, 0.0),), **side)
+    row = middle[45, 45:, 0]
+    # From the dark end to the edge of the picture it gets lighter all the way; 0.02 for steps of the CT.
+    assert (np.diff(row) > -0.02).all()
+
+
+def test_the_mucosa_is_paler_over_cartilage_and_only_there():
+    rings = look(tube(6.0, ring_hu=250.0), texture=0.0, gloss=0.0)
+    plain = look(tube(6.0), texture=0.0, gloss=0.0)
+    bare = look(tube(6.0, ring_hu=250.0), texture=0.0, gloss=0.0, paleness=0.0)
+
+    def redness(picture):
+        return picture[45, 60:, 0] / picture[45, 60:, 1]
+
+    for other in (redness(plain), redness(bare)):
+        paler = other - redness(rings)
+        assert paler.max() > 0.15, "over a ring"
+        assert np.abs(paler).min() < 0.03, "between two"
+
+
+def test_gloss_makes_few_and_small_highlights_that_the_relief_breaks_up():
+    volume = tube(6.0)
+    direction = (1.0, 0.0, 0.6)
+    dull = look(volume, direction=direction, gloss=0.0, texture=0.0, exposure=60.0)
+    glossy = look(volume, direction=direction, texture=0.0, exposure=60.0)
+    broken = look(volume, direction=direction, exposure=60.0)
+    highlight = (glossy - dull).max(axis=2) > 0.1
+    assert 0.002 < highlight.mean() < 0.25
+    assert (glossy >= dull - 1 / 255).all(), "gloss adds light and takes none"
+
+    def edges(mask):
+        return np.abs(np.diff(mask.astype(int), axis=1)).sum()
+
+    matt = look(volume, direction=direction, gloss=0.0, exposure=60.0)
+    assert edges((broken - matt).max(axis=2) > 0.1) > 1.5 * edges(highlight)
+
+
+def test_without_shading_the_colours_are_those_of_the_transfer_function(airway):
+    view = AirwayView(airway.pose, shading=False, **SIZE)
+    flat = Renderer(airway.volume).render(view).rgb
+    plain = Renderer(airway.volume, transfer=dataclasses.replace(ENDOSCOPIC, appearance=None)).render(view).rgb
+    np.testing.assert_array_equal(flat, plain)
+
+
+def test_where_there_is_nothing_to_see_it_is_dark():
+    volume = Volume(np.full((12, 12, 12), -1000, dtype=np.int16), np.eye(4))
+    picture = Renderer(volume).render(AirwayView(Pose.looking((6, 6, 6), (0, 0, 1)), **SIZE)).rgb
+    assert picture.max() == 0
+    solid = Volume(np.full((12, 12, 12), 40, dtype=np.int16), np.eye(4))
+    # In the middle of tissue, which has no direction to be lit from.
+    picture = Renderer(solid).render(AirwayView(Pose.looking((6, 6, 6), (0, 0, 1)), **SIZE)).rgb
+    assert 40 < picture[:, :, 0].mean() < 250
+
+
+def test_an_appearance_goes_through_a_file_and_a_file_without_one_has_none():
+    changed = Appearance(guides_mm=((0.0, 1.5, 0.2),), exposure=3.0, texture=0.5, pale_hu=(-20.0, 180.0))
+    transfer = dataclasses.replace(ENDOSCOPIC, appearance=changed)
+    document = transfer.to_json()
+    assert TransferFunction.from_json(document).appearance == changed
+    assert TransferFunction.from_json({**document, "appearance": None}).appearance is None
+    del document["appearance"]
+    assert TransferFunction.from_json(document).appearance is None
+    document["appearance"] = {"texture": 0.0, "some day": 1}
+    assert TransferFunction.from_json(document).appearance == Appearance(texture=0.0)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"guides_mm": []},
+        {"guides_mm": [[0, 0]]},
+        {"guides_mm": [[0, 0, 0]] * 3},
+        {"guides_mm": [[0, 0, 1e9]]},
+        {"guides_mm": "left"},
+        {"exposure": -1},
+        {"exposure": "bright"},
+        {"texture": float("nan")},
+        {"gloss": -0.1},
+        {"wrap": 1.5},
+        {"shininess_log2": 3.5},
+        {"shininess_log2": 11},
+        {"pale_hu": [100, 100]},
+        {"pale_hu": [1]},
+        {"ambient": None},
+    ],
+    ids=str,
+)
+def test_a_broken_appearance_is_refused_in_words(broken):
+    document = {**ENDOSCOPIC.to_json(), "appearance": {**Appearance().to_json(), **broken}}
+    with pytest.raises(RenderError) as refused:
+        TransferFunction.from_json(document)
+    assert refused.value.code.startswith("render")
