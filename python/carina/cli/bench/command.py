@@ -100,6 +100,7 @@ def _paper_gates(rows: list[dict[str, Any]]) -> list[Gate]:
             Gate(f"paper mode, grey levels off brute force, {where}", row["leap_minus_brute"]["max"], 0, "lower")
         )
         speed_up = row["speed_up_time"]
+        gates.append(Gate(f"paper mode, time of leaping over brute force, {where}", 1 / speed_up, 1.10, "lower"))
         gates.append(Gate(f"paper mode, speed-up (the paper: 1.7 to 3.0), {where}", speed_up, 1.7, aim=True))
     return gates
 
