@@ -2,7 +2,9 @@
 
 use std::ops::Range;
 
-use carina_raycast::{CastStats, Frame, FrameNumbers, Interpolation, Method, RaycastError};
+use carina_raycast::{
+    CastStats, Frame, FrameNumbers, Gathered, Interpolation, Method, RaycastError,
+};
 
 use crate::{
     Gpu, GpuError, GpuMap, GpuVolume,
@@ -10,17 +12,6 @@ use crate::{
     slot::Slot,
     uniforms::Uniforms,
 };
-
-/// What a ray gathered, before any light: of a frame with a light at the tip, too.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct GpuWall {
-    /// Premultiplied colour.
-    pub rgb: [f32; 3],
-    /// What still shines through.
-    pub transparency: f32,
-    /// Where that falls below one half, in steps from the camera; -1 where it does not.
-    pub hit: f32,
-}
 
 /// Pixels on a side of a workgroup.
 const GROUP: usize = 8;
@@ -74,14 +65,14 @@ impl Gpu {
         volume: &GpuVolume,
         map: Option<&GpuMap>,
         rows: Range<usize>,
-    ) -> Result<(Vec<GpuWall>, CastStats), GpuError> {
+    ) -> Result<(Vec<Gathered>, CastStats), GpuError> {
         let mut walls = Vec::with_capacity(rows.len() * frame.camera().width());
         let stats = self.bands(frame, volume, map, rows, true, |words| {
             let before = walls.len();
             let pixels = words.as_chunks::<{ 4 * WORDS_OF_A_WALL }>().0;
             walls.extend(pixels.iter().map(|pixel| {
                 let [r, g, b, transparency, hit] = bytemuck::pod_read_unaligned::<[f32; 5]>(pixel);
-                GpuWall {
+                Gathered {
                     rgb: [r, g, b],
                     transparency,
                     hit,

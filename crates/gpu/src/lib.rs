@@ -18,7 +18,6 @@ mod uniforms;
 mod volume;
 
 pub use adapter::{AdapterFacts, AdapterKind, adapters};
-pub use cast::GpuWall;
 pub use device::Gpu;
 pub use error::GpuError;
 pub use volume::{GpuMap, GpuVolume};

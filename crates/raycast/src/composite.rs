@@ -5,7 +5,7 @@ pub(crate) const NO_HIT: f32 = -1.0;
 
 /// What a ray has gathered.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Gathered {
+pub struct Gathered {
     /// Premultiplied colour.
     pub rgb: [f32; 3],
     /// What still shines through.

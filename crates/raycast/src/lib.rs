@@ -48,6 +48,7 @@ mod wall;
 
 pub use appearance::Appearance;
 pub use carina_grid::InstructionSet;
+pub use composite::Gathered;
 pub use defocus::{Focus, defocus};
 pub use drr::{Attenuation, Projector, cast_radiograph};
 pub use error::RaycastError;
