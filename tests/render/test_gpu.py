@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -20,6 +21,8 @@ from carina.volume import Volume
 
 pytestmark = pytest.mark.gpu
 SIZE = {"width": 96, "height": 72}
+# The endoscopic preset with the light at the tip: what is lit after casting comes from the CPU.
+TIP_LIT = dataclasses.replace(transfer_preset("endoscopic"), appearance=None)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -33,7 +36,7 @@ def adapters():
     return found
 
 
-def both(volume, lumen_zyx=None, transfer=None):
+def both(volume, lumen_zyx=None, transfer=TIP_LIT):
     renderers = [Renderer(volume, transfer=transfer, backend=Backend(mode)) for mode in ("cpu", "gpu")]
     for renderer in renderers:
         if lumen_zyx is not None:
@@ -56,7 +59,8 @@ def assert_same(cpu, gpu, view, *, method=None):
 
 @pytest.mark.parametrize("preset", ["endoscopic", "ct-grey", "see-through"])
 def test_pictures_are_the_cpus_for_every_preset_field_of_view_and_method(airway, preset):
-    cpu, gpu = both(airway.volume, airway.lumen_zyx, transfer_preset(preset))
+    plain = dataclasses.replace(transfer_preset(preset), appearance=None)
+    cpu, gpu = both(airway.volume, airway.lumen_zyx, plain)
     brightest = 0
     for fov_deg in (60.0, 110.0, 170.0):
         for method in ("leap", "brute"):
@@ -115,9 +119,15 @@ def test_a_new_wall_or_transfer_function_shows_in_the_next_picture(airway):
     walled = assert_same(cpu, gpu, view, method="gpu-brute").rgb
     assert (before != walled).any()
     for renderer in (cpu, gpu):
-        renderer.set_transfer(transfer_preset("ct-grey"))
+        renderer.set_transfer(dataclasses.replace(transfer_preset("ct-grey"), appearance=None))
         renderer.prepare()
     assert (assert_same(cpu, gpu, view).rgb != walled).any()
+
+
+def test_walls_lit_after_casting_come_from_the_cpu(airway):
+    _, gpu = both(airway.volume, airway.lumen_zyx, transfer_preset("endoscopic"))
+    assert gpu.render(AirwayView(airway.pose, **SIZE)).stats.method == "leap"
+    assert gpu.render(AirwayView(airway.pose, shading=False, **SIZE)).stats.method == "gpu-leap"
 
 
 def test_several_threads_get_their_own_pictures(airway):
@@ -145,10 +155,10 @@ def test_a_lost_device_leaves_the_cpu_and_one_message(airway, caplog):
         return devices[-1]
 
     backend = Backend("gpu", open_device=open_device)
-    renderer = Renderer(airway.volume, backend=backend)
+    renderer = Renderer(airway.volume, transfer=TIP_LIT, backend=backend)
     view = AirwayView(airway.pose, **SIZE)
     assert renderer.render(view).stats.method == "gpu-brute"
-    expected = Renderer(airway.volume).render(view).rgb
+    expected = Renderer(airway.volume, transfer=TIP_LIT).render(view).rgb
     while backend.adapters():
         devices[-1].lose()
         picture = renderer.render(view)
@@ -163,7 +173,8 @@ def test_a_lost_device_leaves_the_cpu_and_one_message(airway, caplog):
 def test_a_scene_of_another_array_is_refused(airway):
     gpu = _core.Gpu(0)
     scene = gpu.upload(airway.volume.hu_zyx)
-    other = Renderer(Volume(airway.volume.hu_zyx.copy(), airway.volume.lps_from_ijk))
+    copied = Volume(airway.volume.hu_zyx.copy(), airway.volume.lps_from_ijk)
+    other = Renderer(copied, transfer=TIP_LIT)
     with pytest.raises(ValueError, match="another volume"):
         other._airway._cast(other._scenes.scene, AirwayView(airway.pose, **SIZE), gpu=scene)
     with pytest.raises(RenderError) as caught:

@@ -8,8 +8,6 @@ override LEAP: bool = true;
 // Instead of a picture, what each ray gathered: for what is lit afterwards, and for depths.
 override WALLS: bool = false;
 
-// Rays stop when less than this shines through: no channel can change by more than half a grey level any more.
-const STOP_TRANSPARENCY: f32 = 1.0 / 512.0;
 // When a ray asks the map: leap.rs says why. Samples after the first look-up that found nothing, and at most; samples before
 // the first look-up of rays that start in no region; the shortest leap that sets the patience back.
 const LEAST_PATIENCE: u32 = 2u;
@@ -48,7 +46,8 @@ struct Frame {
     table_low_hu: i32,
     step_mm: f32,
     guard_vox: f32,
-    unused: f32,
+    // Rays stop when less than this shines through.
+    stop: f32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;
@@ -323,7 +322,7 @@ fn cast_airway(
             if add_sample(ray, k - 1u, p, &gathered) {
                 lit += 1u;
                 ask_at = max(ask_at, k + 1u);
-                if gathered.transparency < STOP_TRANSPARENCY {
+                if gathered.transparency < frame.stop {
                     break;
                 }
             }

@@ -8,7 +8,7 @@ use carina_raycast::{
 
 use crate::{
     Gpu, GpuError, GpuMap, GpuVolume,
-    device::{Variant, lock},
+    device::{PATIENCE, Variant, lock},
     slot::Slot,
     uniforms::Uniforms,
 };
@@ -183,7 +183,8 @@ impl Gpu {
             name: self.facts.name.clone(),
             reason,
         };
-        told.try_recv()
+        // The thread that hears of the end first calls back, and that may be another picture's.
+        told.recv_timeout(PATIENCE)
             .map_err(|_| lost("the picture did not come back".to_owned()))?
             .map_err(|e| lost(e.to_string()))?;
         let num_missing = {
@@ -266,6 +267,11 @@ fn check(
                 format!("{} x {} x {}", shape[2], shape[1], shape[0]),
             );
         }
+    }
+    if numbers.options.appearance.is_some() {
+        return Err(GpuError::Unsupported {
+            reason: "light is laid on walls after casting, by the CPU".to_owned(),
+        });
     }
     if numbers.most_steps > MOST_STEPS {
         return Err(GpuError::Unsupported {

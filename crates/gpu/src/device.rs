@@ -17,7 +17,7 @@ use crate::{
 };
 
 /// Longer than any picture takes on a device that is worth using; then the device counts as lost.
-const PATIENCE: Duration = Duration::from_secs(20);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
 static NEXT: AtomicU64 = AtomicU64::new(1);
 

@@ -26,7 +26,7 @@ pub(crate) struct Uniforms {
     table_low_hu: i32,
     step_mm: f32,
     guard_vox: f32,
-    unused: f32,
+    stop: f32,
 }
 
 impl Uniforms {
@@ -74,7 +74,7 @@ impl Uniforms {
             table_low_hu: numbers.low_hu,
             step_mm: numbers.step_mm as f32,
             guard_vox: numbers.guard_vox,
-            unused: 0.0,
+            stop: numbers.stop,
         }
     }
 }

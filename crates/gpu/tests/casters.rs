@@ -227,6 +227,26 @@ fn first_walls_are_the_cpus() {
 }
 
 #[test]
+fn rays_stop_at_the_frames_limit() {
+    for gpu in gpus() {
+        let scene = inside();
+        frame_of(&scene, |frame| {
+            let volume = gpu
+                .upload_volume(&scene.hu, scene.grid.shape_zyx())
+                .unwrap();
+            let rows = 0..scene.camera.height();
+            let early = frame.clone().stopping_at(0.25).unwrap();
+            let [all, some] = [frame, &early]
+                .map(|frame| gpu.cast(frame, &volume, None, rows.clone()).unwrap().1);
+            assert!(some.num_samples < all.num_samples);
+            let simd = InstructionSet::best();
+            let (_, expected) = cast_rows(&early, Method::Brute, rows.clone(), simd).unwrap();
+            assert!(some.num_samples.abs_diff(expected.num_samples) <= 10);
+        });
+    }
+}
+
+#[test]
 fn a_picture_of_several_bands_is_the_cpus() {
     for gpu in gpus() {
         let mut scene = inside();

@@ -27,6 +27,8 @@ pub struct FrameNumbers<'a> {
     pub guard_vox: f32,
     /// No ray has more steps.
     pub most_steps: f64,
+    /// Rays stop when less than this shines through.
+    pub stop: f32,
     /// HU of the transfer table's first entry.
     pub low_hu: i32,
     /// Premultiplied colour and opacity of one ray step, by integer HU; values beyond clamp.
@@ -51,6 +53,7 @@ impl Frame<'_> {
             metric: self.metric,
             guard_vox: self.guard_vox,
             most_steps: self.most_steps(),
+            stop: self.stop,
             low_hu: self.table.lo_hu,
             entries: &self.table.entries,
             options: self.options,
