@@ -100,6 +100,20 @@ def test_gloss_makes_few_and_small_highlights_that_the_relief_breaks_up():
     assert edges((broken - matt).max(axis=2) > 0.1) > 1.5 * edges(highlight)
 
 
+def test_no_vessels_are_drawn_unless_asked_for_and_texture_off_leaves_them_out():
+    assert ENDOSCOPIC.appearance.vessels == 0.0
+    assert Appearance.from_json({"texture": 1.0}).vessels == 0.0, "a file from before they were a strength of their own"
+    volume = tube(6.0)
+    # Green without highlights: blood takes it away.
+    plain, red = (look(volume, gloss=0.0, texture=0.0, vessels=v, exposure=30.0) for v in (0.0, 1.0))
+    assert (red <= plain).all()
+    darker = (plain - red)[..., 1] > 0.02
+    assert 0.005 < darker.mean() < 0.25, "few thin lines"
+    renderer = Renderer(volume, transfer=dataclasses.replace(ENDOSCOPIC, appearance=Appearance(vessels=1.0)))
+    view = AirwayView(Pose.looking((17.2, 17.2, 12.0), (0.0, 0.0, 1.0)), fov_deg=100.0, texture=False, **SIZE)
+    np.testing.assert_array_equal(renderer.render(view).rgb / 255.0, look(volume, texture=0.0))
+
+
 def test_without_shading_the_colours_are_those_of_the_transfer_function(airway):
     view = AirwayView(airway.pose, shading=False, **SIZE)
     flat = Renderer(airway.volume).render(view).rgb
@@ -118,7 +132,7 @@ def test_where_there_is_nothing_to_see_it_is_dark():
 
 
 def test_an_appearance_goes_through_a_file_and_a_file_without_one_has_none():
-    changed = Appearance(guides_mm=((0.0, 1.5, 0.2),), exposure=3.0, texture=0.5, pale_hu=(-20.0, 180.0))
+    changed = Appearance(guides_mm=((0.0, 1.5, 0.2),), exposure=3.0, texture=0.5, vessels=0.25, pale_hu=(-20.0, 180.0))
     transfer = dataclasses.replace(ENDOSCOPIC, appearance=changed)
     document = transfer.to_json()
     assert TransferFunction.from_json(document).appearance == changed
@@ -140,6 +154,7 @@ def test_an_appearance_goes_through_a_file_and_a_file_without_one_has_none():
         {"exposure": -1},
         {"exposure": "bright"},
         {"texture": float("nan")},
+        {"vessels": -1},
         {"gloss": -0.1},
         {"wrap": 1.5},
         {"shininess_log2": 3.5},

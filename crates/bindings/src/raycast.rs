@@ -177,6 +177,7 @@ struct PyAppearance {
     paleness: f32,
     pale_hu: [f32; 2],
     texture: f32,
+    vessels: f32,
 }
 
 impl PyAppearance {
@@ -192,6 +193,7 @@ impl PyAppearance {
             paleness: self.paleness,
             pale_hu: self.pale_hu,
             texture: self.texture,
+            vessels: self.vessels,
         }
     }
 }

@@ -29,8 +29,10 @@ pub struct Appearance {
     pub paleness: f32,
     /// Values beneath the surface at which it begins to pale and at which it is palest, HU.
     pub pale_hu: [f32; 2],
-    /// Fine texture: mottling, vessels, and the micro relief that breaks highlights up, 0 for none.
+    /// Fine texture: mottling, and the micro relief that breaks highlights up, 0 for none.
     pub texture: f32,
+    /// Vessels in the mucosa, 0 for none. No CT shows them, and many of them are a sign of disease.
+    pub vessels: f32,
 }
 
 impl Appearance {
@@ -59,6 +61,7 @@ impl Appearance {
             ("gloss", self.gloss, 100.0),
             ("paleness", self.paleness, 1.0),
             ("texture", self.texture, 4.0),
+            ("vessels", self.vessels, 4.0),
         ] {
             if !(0.0..=most).contains(&v) {
                 return refuse(what, &format!("0 to {most}"), v);

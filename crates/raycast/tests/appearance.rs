@@ -22,6 +22,7 @@ const LOOK: Appearance = Appearance {
     paleness: 0.5,
     pale_hu: [0.0, 300.0],
     texture: 1.0,
+    vessels: 0.0,
 };
 
 fn lit(look: Appearance) -> FrameOptions {
@@ -36,12 +37,13 @@ proptest! {
 
     #[test]
     fn lit_pictures_are_the_same_bits_from_every_caster_and_in_strips(
-        mut scene in any_scene(), size in (1usize..36, 1usize..20), cut in 0.0f64..1.0, texture in 0.0f32..2.0,
+        mut scene in any_scene(), size in (1usize..36, 1usize..20), cut in 0.0f64..1.0,
+        texture in 0.0f32..2.0, vessels in prop_oneof![Just(0.0f32), 0.0f32..2.0],
     ) {
         scene.resize(size.0, size.1);
         let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
         let table = scene.table(false);
-        let frame = Frame::new(volume, &table, scene.camera.clone(), lit(Appearance { texture, ..LOOK })).unwrap();
+        let frame = Frame::new(volume, &table, scene.camera.clone(), lit(Appearance { texture, vessels, ..LOOK })).unwrap();
         let entries = scene.transfer(false).range(-1100, 3100);
         let labels = class_labels(&scene.hu, -1100, &entries, true).unwrap().labels;
         let radius = radius_map(&labels, scene.grid.shape_zyx()).unwrap();
@@ -129,7 +131,7 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
     ];
     let transfer = Transfer::new(points, 1.0, 1).unwrap();
     let table = TransferTable::new(&transfer, 0.3, -1024, 100).unwrap();
-    // What the texture changes, level by level, without highlights and under a light that hardly depends on the pose.
+    // What the texture or the vessels change, level by level, without highlights and under a light that hardly depends on the pose.
     let look = Appearance {
         exposure: Some(12.0),
         gloss: 0.0,
@@ -137,11 +139,15 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
         guides_mm: [[0.0; 3]; 2],
         ..LOOK
     };
-    let change = |camera: &Camera| {
-        let picture = |texture| {
+    let change = |camera: &Camera, [texture, vessels]: [f32; 2]| {
+        let picture = |texture, vessels| {
             let options = FrameOptions {
                 interpolation: Interpolation::Trilinear,
-                ..lit(Appearance { texture, ..look })
+                ..lit(Appearance {
+                    texture,
+                    vessels,
+                    ..look
+                })
             };
             let frame = Frame::new(volume, &table, camera.clone(), options).unwrap();
             let hits = cast_surface(&frame, Method::Brute, 0..160, InstructionSet::best())
@@ -154,7 +160,7 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
                 hits,
             )
         };
-        let ((with, hits), (without, _)) = (picture(1.0), picture(0.0));
+        let ((with, hits), (without, _)) = (picture(texture, vessels), picture(0.0, 0.0));
         let change: Vec<f64> = with
             .iter()
             .zip(&without)
@@ -164,8 +170,9 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
     };
     let here = camera([0.0, 1.0, 3.0], [0.1, 0.0, 1.0], [0.0, 1.0, 0.0]);
     let there = camera([-1.5, 0.5, 4.0], [0.0, 0.1, 1.0], [0.6, 1.0, 0.0]);
-    let ((first, hits), (second, _)) = (change(&here), change(&there));
-    let correlation = |moved: [f64; 3]| {
+    let correlation = |strengths: [f32; 2], moved: [f64; 3]| {
+        let (first, hits) = change(&here, strengths);
+        let (second, _) = change(&there, strengths);
         let inverse = there.lps_from_camera().inverse().unwrap();
         let (mut n, mut sums) = (0.0f64, [0.0f64; 5]);
         for (pixel, hit) in hits.iter().enumerate() {
@@ -192,14 +199,16 @@ fn the_texture_of_a_wall_stays_on_it_when_the_scope_moves_and_turns() {
         let [a, b, aa, bb, ab] = sums;
         (ab - a * b / n) / ((aa - a * a / n) * (bb - b * b / n)).sqrt()
     };
-    // Half a pixel of misplacement, and finer detail from nearer, leave this much.
-    assert!(correlation([0.0; 3]) > 0.8, "{}", correlation([0.0; 3]));
-    // Not so if it were 3 mm beside itself.
-    assert!(
-        correlation([3.0, 0.0, 0.0]).abs() < 0.4,
-        "{}",
-        correlation([3.0, 0.0, 0.0])
-    );
+    for strengths in [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]] {
+        let (there, beside) = (
+            correlation(strengths, [0.0; 3]),
+            correlation(strengths, [3.0, 0.0, 0.0]),
+        );
+        // Half a pixel of misplacement, and finer detail from nearer, leave this much.
+        assert!(there > 0.7, "{strengths:?}: {there}");
+        // Not so if it were 3 mm beside itself.
+        assert!(beside.abs() < 0.4, "{strengths:?}: {beside}");
+    }
 }
 
 #[test]
@@ -236,6 +245,10 @@ fn values_out_of_range_are_refused() {
         },
         Appearance {
             texture: f32::NAN,
+            ..LOOK
+        },
+        Appearance {
+            vessels: -0.1,
             ..LOOK
         },
     ];

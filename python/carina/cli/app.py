@@ -193,7 +193,7 @@ def render(
         str | None, typer.Option(help="Preset (endoscopic, paper, ct-grey, see-through) or a JSON file.")
     ] = None,
     shading: Annotated[str, typer.Option(help="on or off")] = "on",
-    texture: Annotated[str, typer.Option(help="on or off: vessels and micro relief, which are decoration")] = "on",
+    texture: Annotated[str, typer.Option(help="on or off: mottling and micro relief, which are decoration")] = "on",
     orbit: Annotated[
         str | None, typer.Option(help="azimuth,elevation,distance of the tri-plane and tree views (degrees, mm).")
     ] = None,

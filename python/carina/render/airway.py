@@ -198,7 +198,8 @@ def _appearance(scene: Scene, view: AirwayView) -> Appearance | None:
     if appearance is None:
         return None
     guides = appearance.guides_mm if view.guides_mm is None else view.guides_mm
-    return dataclasses.replace(appearance, guides_mm=guides, texture=appearance.texture if view.texture else 0.0)
+    appearance = dataclasses.replace(appearance, guides_mm=guides)
+    return appearance if view.texture else dataclasses.replace(appearance, texture=0.0, vessels=0.0)
 
 
 def _choose_method(

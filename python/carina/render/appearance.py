@@ -49,13 +49,22 @@ class Appearance:
     pale_hu: tuple[float, float] = (0.0, 300.0)
     """Values beneath the surface at which it begins to pale and at which it is palest."""
     texture: float = 1.0
-    """Mottling, vessels and micro relief; 0 for none."""
+    """Mottling and micro relief; 0 for none."""
+    vessels: float = 0.0
+    """Invented vessels in the mucosa; 0 for none. No CT shows them, and many of them would be a sign of disease."""
 
     def __post_init__(self) -> None:
         check_guides(self.guides_mm)
         if self.exposure is not None and not 0 <= self.exposure <= 1e6:
             raise RenderError(f"an exposure is 0 to 1000000; found {self.exposure}")
-        for what, most in (("ambient", 10), ("wrap", 1), ("gloss", 100), ("paleness", 1), ("texture", 4)):
+        for what, most in (
+            ("ambient", 10),
+            ("wrap", 1),
+            ("gloss", 100),
+            ("paleness", 1),
+            ("texture", 4),
+            ("vessels", 4),
+        ):
             if not 0 <= getattr(self, what) <= most:
                 raise RenderError(f"an appearance's {what} is 0 to {most}; found {getattr(self, what)}")
         if not isinstance(self.shininess_log2, int) or not 0 <= self.shininess_log2 <= 10:

@@ -99,7 +99,7 @@ def render_view(
         Look through this instrument (see :func:`carina.scopes.scope_presets`): its lens, field of view, mask and
         direction of view; ``pose`` is then the end of its shaft.
     shading, texture
-        Of the airway view: light and gloss; vessels and micro relief, which are decoration and not the patient's.
+        Of the airway view: light and gloss; mottling and micro relief, which are decoration and not the patient's.
     lens, mask, vignette, depth_of_field
         Of the airway view, in place of the scope's; a pinhole over the full frame without any, and never blurred unless
         told.

@@ -89,10 +89,10 @@ class AirwayView:
     ``field`` is the outline of the picture and its vignette. With ``depth_of_field`` what is nearer or farther is
     blurred; that needs the whole picture and about twice the time. ``step_vox`` is the ray step in units of the
     smallest spacing. ``leap`` and ``brute`` give the same picture. ``guides_mm`` are the ends of the scope's light
-    guides in place of those of the transfer function's appearance; ``texture`` off leaves out vessels and micro relief,
-    which are not the patient's. With a transfer function of sampling ``nearest`` (paper) shading is off and the step is
-    one voxel. Rays stop when less than ``stop_transparency`` shines through; another than the usual one serves
-    comparisons with renderers that stop elsewhere.
+    guides in place of those of the transfer function's appearance; ``texture`` off leaves out its mottling, micro
+    relief and vessels, which are not the patient's. With a transfer function of sampling ``nearest`` (paper) shading
+    is off and the step is one voxel. Rays stop when less than ``stop_transparency`` shines through; another than the
+    usual one serves comparisons with renderers that stop elsewhere.
     """
 
     pose: Pose

@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     Field, Frame, InstructionSet,
-    appearance::Lighting,
+    appearance::{Appearance, Lighting},
     composite::Gathered,
     surface::{AXIS_AT, AXIS_WEIGHT, CORNER_AT, CORNER_WEIGHT},
 };
@@ -269,19 +269,10 @@ fn sharp<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
     smooth(l, l.fma(cells, l.splat(-2.0), l.splat(2.0)))
 }
 
-/// Reads the texture at patient points `lps` (mm). It depends on the point alone, so it stays on the tissue when the scope
-/// moves; detail finer than `footprint_mm`, the width of a pixel there, fades out.
+/// How much of a vessel, 0..1, is at points `q` of the lattice (mm), whose mottling there has the slope `bend`.
 #[inline(always)]
-pub(super) fn texture<L: Lanes>(
-    l: L,
-    strength: f32,
-    lps: [L::F; 3],
-    footprint_mm: L::F,
-) -> Texture<L> {
+fn vessel<L: Lanes>(l: L, q: [L::F; 3], bend: [L::F; 3], footprint_mm: L::F) -> L::F {
     let s = |v: f32| l.splat(v);
-    let q = turn(l, &ASKEW, lps);
-    let (mottle, bend) = noise(l, scaled(l, s(MOTTLE_PER_MM), q), 11);
-    let mottle = l.mul(mottle, s(strength));
     // Vessels follow the zero lines of noise whose lattice the mottling bends.
     let mut bent = scaled(l, s(VESSELS_PER_MM), q);
     for a in 0..3 {
@@ -296,20 +287,36 @@ pub(super) fn texture<L: Lanes>(
     let vessel = l.mul(vessel, smooth(l, l.fma(steep, s(1.5), s(-0.6))));
     // Thin vessels seen from afar are paler, not wider; and they come and go.
     let vessel = l.mul(vessel, l.div(s(VESSEL_MM), width));
-    let vessel = l.mul(vessel, smooth(l, l.fma(bend[0], s(0.7), s(0.35))));
-    let vessel = l.mul(vessel, s(strength));
+    l.mul(vessel, smooth(l, l.fma(bend[0], s(0.7), s(0.35))))
+}
+
+/// Reads the texture at patient points `lps` (mm). It depends on the point alone, so it stays on the tissue when the scope
+/// moves; detail finer than `footprint_mm`, the width of a pixel there, fades out.
+#[inline(always)]
+pub(super) fn texture<L: Lanes>(
+    l: L,
+    look: &Appearance,
+    lps: [L::F; 3],
+    footprint_mm: L::F,
+) -> Texture<L> {
+    let s = |v: f32| l.splat(v);
+    let q = turn(l, &ASKEW, lps);
+    let (mottle, bend) = noise(l, scaled(l, s(MOTTLE_PER_MM), q), 11);
+    let mottle = l.mul(mottle, s(look.texture));
+    let mut vessels = s(0.0);
+    if look.vessels > 0.0 {
+        vessels = l.mul(vessel(l, q, bend, footprint_mm), s(look.vessels));
+    }
     let tint = [
-        l.fma(mottle, s(0.03), l.fma(vessel, s(-0.08), s(1.0))),
-        l.fma(mottle, s(-0.11), l.fma(vessel, s(-0.40), s(1.0))),
-        l.fma(mottle, s(-0.09), l.fma(vessel, s(-0.30), s(1.0))),
+        l.fma(mottle, s(0.03), l.fma(vessels, s(-0.08), s(1.0))),
+        l.fma(mottle, s(-0.11), l.fma(vessels, s(-0.40), s(1.0))),
+        l.fma(mottle, s(-0.09), l.fma(vessels, s(-0.30), s(1.0))),
     ];
     let (grain, slope) = noise(l, scaled(l, s(RELIEF_PER_MM), q), 37);
     let (_, coarse) = noise(l, scaled(l, s(0.45 * RELIEF_PER_MM), q), 41);
-    let fine = l.mul(sharp(l, footprint_mm, RELIEF_PER_MM), s(RELIEF * strength));
-    let wide = l.mul(
-        sharp(l, footprint_mm, 0.45 * RELIEF_PER_MM),
-        s(RELIEF * strength),
-    );
+    let slope_of = s(RELIEF * look.texture);
+    let fine = l.mul(sharp(l, footprint_mm, RELIEF_PER_MM), slope_of);
+    let wide = l.mul(sharp(l, footprint_mm, 0.45 * RELIEF_PER_MM), slope_of);
     let mut relief = slope;
     for a in 0..3 {
         relief[a] = l.fma(slope[a], fine, l.mul(coarse[a], wide));
@@ -359,10 +366,10 @@ fn lit<L: Lanes>(l: L, light: &Lighting, values: impl Values<L>, walls: &Walls<L
     let mut n_film = n;
     let mut film = s(0.75);
     let mut tint = [s(1.0); 3];
-    if look.texture > 0.0 {
+    if look.texture > 0.0 || look.vessels > 0.0 {
         let lps = along(l, splat(l, light.camera_lps), s(1.0), offset);
         let footprint = l.mul(depth, s(light.pixel_mm));
-        let skin = texture(l, look.texture, lps, footprint);
+        let skin = texture(l, look, lps, footprint);
         (film, tint) = (skin.film, skin.tint);
         n_film = unit(l, along(l, n, s(-1.0), skin.relief)).0;
     }
@@ -565,8 +572,8 @@ fn gather<L: Lanes>(l: L, delta: &[Array<f32>; 3], pixels: &[Gathered]) -> Walls
     }
 }
 
-/// Light that comes back from pixels (column, row, what was gathered) at an exposure of 1 and without texture, for the
-/// automatic exposure.
+/// Light that comes back from pixels (column, row, what was gathered) at an exposure of 1 and without texture and
+/// vessels, for the automatic exposure.
 pub(crate) fn brightness(
     frame: &Frame<'_>,
     light: &Lighting,
@@ -574,7 +581,8 @@ pub(crate) fn brightness(
 ) -> Vec<f32> {
     let l = Portable;
     let mut plain = *light;
-    (plain.look.texture, plain.look.gloss, plain.exposure) = (0.0, 0.0, 1.0);
+    (plain.look.texture, plain.look.vessels) = (0.0, 0.0);
+    (plain.look.gloss, plain.exposure) = (0.0, 1.0);
     let mut out = Vec::with_capacity(pixels.len());
     for pixels in pixels.chunks(Portable::N) {
         let place = |n: usize| pixels[n.min(pixels.len() - 1)];
