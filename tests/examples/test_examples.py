@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
+import os
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import SimpleITK as sitk
 
+import carina
+from carina.render import AirwayView, Renderer
+
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+IN_DOCS = EXAMPLES.parent / "docs" / "pictures" / "gallery"
+JPEG_QUALITY = 88
 
 
 def load(path: Path):
@@ -36,10 +44,16 @@ def test_first_airway_saves_a_lit_lumen_in_the_trachea_and_in_a_bronchus(tmp_pat
         assert np.ptp(red) > 100, "a bright near wall and a dark lumen ahead"
 
 
+@pytest.fixture(scope="module")
+def gallery(tmp_path_factory):
+    """The pictures of the gallery, by name."""
+    saved = load(EXAMPLES / "02_gallery" / "gallery.py").main(None, tmp_path_factory.mktemp("gallery"))
+    return {path.stem: sitk.GetArrayFromImage(sitk.ReadImage(str(path))) for path in saved}
+
+
 @pytest.mark.slow
-def test_the_gallery_shows_every_place_and_preset(tmp_path):
-    saved = load(EXAMPLES / "02_gallery" / "gallery.py").main(None, tmp_path)
-    seen = {path.stem: sitk.GetArrayFromImage(sitk.ReadImage(str(path))).astype(float) for path in saved}
+def test_the_gallery_shows_every_place_and_preset(gallery):
+    seen = {name: rgb.astype(float) for name, rgb in gallery.items()}
     for name in ("trachea", "carina", "main-bronchus", "lobar-fork", "segmental-fork", "small-airway"):
         rgb = seen[name]
         assert rgb[..., 0].mean() > rgb[..., 2].mean() + 15, f"{name}: mucosa is warm"
@@ -51,5 +65,65 @@ def test_the_gallery_shows_every_place_and_preset(tmp_path):
     assert np.abs(seen["carina"] - seen["carina-no-texture"]).mean() > 0.5
     assert np.abs(seen["carina-see-through"] - seen["carina"]).mean() > 10
     assert np.abs(seen["carina-paper"] - seen["carina"]).mean() > 10
-    in_docs = {path.stem for path in (EXAMPLES.parent / "docs" / "pictures" / "gallery").glob("*.jpg")}
-    assert in_docs == set(seen), "docs/gallery.md shows all of them"
+    radiograph = seen["radiograph"].mean(axis=2)
+    assert radiograph[100:220, 140:180].mean() > radiograph[100:220, 70:110].mean() + 50, "spine white, lung dark"
+    assert seen["straightened"][60:420, 155:165].mean() < 110, "the lumen runs straight down the middle"
+
+
+def write_jpeg(rgb: np.ndarray, path: Path) -> None:
+    writer = sitk.ImageFileWriter()
+    writer.SetFileName(str(path))
+    writer.UseCompressionOn()
+    writer.SetCompressionLevel(JPEG_QUALITY)
+    writer.Execute(sitk.GetImageFromArray(rgb, isVector=True))
+
+
+def same(expected: np.ndarray, found: np.ndarray) -> bool:
+    """Whether two decoded JPEGs show one picture: encoders may round otherwise, but not draw otherwise."""
+    if expected.shape != found.shape:
+        return False
+    off = np.abs(expected.astype(int) - found).max(axis=2)
+    return off.mean() <= 0.2 and (off <= 12).mean() >= 0.998
+
+
+@pytest.mark.slow
+def test_golden_gallery_pictures_are_what_the_docs_show(gallery, tmp_path):
+    rewrite = os.environ.get("CARINA_GOLDEN") == "rewrite"
+    for name, rgb in gallery.items():
+        # Both have gone through the encoder, so that its losses, up to 2 grey levels in the mean, hide nothing.
+        write_jpeg(rgb, tmp_path / f"{name}.jpg")
+        if rewrite:
+            shutil.copy(tmp_path / f"{name}.jpg", IN_DOCS / f"{name}.jpg")
+    assert {path.stem for path in IN_DOCS.glob("*.jpg")} == set(gallery), "docs/gallery.md shows all of them"
+    page = (IN_DOCS.parents[1] / "gallery.md").read_text(encoding="utf-8")
+    assert all(f"(pictures/gallery/{name}.jpg)" in page for name in gallery)
+    shown, found = (
+        {name: sitk.GetArrayFromImage(sitk.ReadImage(str(folder / f"{name}.jpg"))) for name in gallery}
+        for folder in (IN_DOCS, tmp_path)
+    )
+    for name in gallery:
+        # Each is like its own picture and no other: not like the same place with another preset, or without texture.
+        alike = [other for other in gallery if same(shown[name], found[other])]
+        assert alike == [name], f"docs/pictures/gallery/{name}.jpg is not what is rendered; `make golden` writes it"
+
+
+@pytest.mark.slow
+def test_a_gallery_picture_with_a_changed_look_is_not_taken_for_the_one_of_the_docs(tmp_path):
+    gallery = load(EXAMPLES / "02_gallery" / "gallery.py")
+    volume = carina.demo_patient()
+    airways = carina.find_airways(volume)
+    pose = gallery.places(*gallery.way(airways.tree))["carina"]
+    endoscopic = carina.transfer_preset("endoscopic")
+    shown = sitk.GetArrayFromImage(sitk.ReadImage(str(IN_DOCS / "carina.jpg")))
+
+    def seen(**changes: float) -> np.ndarray:
+        look = dataclasses.replace(endoscopic.appearance, **changes)
+        renderer = Renderer(volume, transfer=dataclasses.replace(endoscopic, appearance=look))
+        renderer.set_lumen(airways.lumen_zyx)
+        picture = renderer.render(AirwayView(pose, fov_deg=100.0, **gallery.SIZE))
+        write_jpeg(picture.rgb, tmp_path / "seen.jpg")
+        return sitk.GetArrayFromImage(sitk.ReadImage(str(tmp_path / "seen.jpg")))
+
+    assert same(shown, seen())
+    for changes in ({"vessels": 1.0}, {"texture": 0.5}, {"paleness": 0.0}, {"wrap": 0.5}, {"shininess_log2": 5}):
+        assert not same(shown, seen(**changes)), changes
