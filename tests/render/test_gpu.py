@@ -16,13 +16,15 @@ from carina import _core
 from carina.errors import RenderError
 from carina.render import AirwayView, Backend, Renderer, find_adapters, transfer_preset
 from carina.render.backend import MAX_PART_OFF, part_off
+from carina.render.device import PICTURES_FIRST
 from carina.scopes import ImageField, Lens, Pose, scope_preset
 from carina.volume import Volume
 
 pytestmark = pytest.mark.gpu
 SIZE = {"width": 96, "height": 72}
-# The endoscopic preset with the light at the tip: what is lit after casting comes from the CPU.
-TIP_LIT = dataclasses.replace(transfer_preset("endoscopic"), appearance=None)
+ENDOSCOPIC = transfer_preset("endoscopic")
+# With the light at the tip on every sample, in place of walls lit after casting.
+TIP_LIT = dataclasses.replace(ENDOSCOPIC, appearance=None)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -36,7 +38,7 @@ def adapters():
     return found
 
 
-def both(volume, lumen_zyx=None, transfer=TIP_LIT):
+def both(volume, lumen_zyx=None, transfer=ENDOSCOPIC):
     renderers = [Renderer(volume, transfer=transfer, backend=Backend(mode)) for mode in ("cpu", "gpu")]
     for renderer in renderers:
         if lumen_zyx is not None:
@@ -57,10 +59,13 @@ def assert_same(cpu, gpu, view, *, method=None):
     return found
 
 
-@pytest.mark.parametrize("preset", ["endoscopic", "ct-grey", "see-through"])
-def test_pictures_are_the_cpus_for_every_preset_field_of_view_and_method(airway, preset):
-    plain = dataclasses.replace(transfer_preset(preset), appearance=None)
-    cpu, gpu = both(airway.volume, airway.lumen_zyx, plain)
+@pytest.mark.parametrize(
+    "transfer",
+    [ENDOSCOPIC, TIP_LIT, transfer_preset("ct-grey"), transfer_preset("see-through")],
+    ids=["endoscopic", "tip-lit", "ct-grey", "see-through"],
+)
+def test_pictures_are_the_cpus_for_every_preset_field_of_view_and_method(airway, transfer):
+    cpu, gpu = both(airway.volume, airway.lumen_zyx, transfer)
     brightest = 0
     for fov_deg in (60.0, 110.0, 170.0):
         for method in ("leap", "brute"):
@@ -124,10 +129,44 @@ def test_a_new_wall_or_transfer_function_shows_in_the_next_picture(airway):
     assert (assert_same(cpu, gpu, view).rgb != walled).any()
 
 
-def test_walls_lit_after_casting_come_from_the_cpu(airway):
-    _, gpu = both(airway.volume, airway.lumen_zyx, transfer_preset("endoscopic"))
-    assert gpu.render(AirwayView(airway.pose, **SIZE)).stats.method == "leap"
-    assert gpu.render(AirwayView(airway.pose, shading=False, **SIZE)).stats.method == "gpu-leap"
+def test_walls_cast_on_the_device_are_lit_as_the_cpus(airway):
+    cpu, gpu = both(airway.volume, airway.lumen_zyx)
+    view = AirwayView(airway.pose, **SIZE)
+    lit = assert_same(cpu, gpu, view, method="gpu-leap")
+    for other in (
+        AirwayView(airway.pose, texture=False, **SIZE),
+        AirwayView(airway.pose, guides_mm=((0.0, 3.0, 0.0),), **SIZE),
+        AirwayView(airway.pose, shading=False, **SIZE),
+    ):
+        assert (assert_same(cpu, gpu, other, method="gpu-leap").rgb != lit.rgb).any()
+    strips = [gpu.render(view, rows=rows).rgb for rows in ((0, 7), (7, 8), (8, 72))]
+    np.testing.assert_array_equal(np.vstack(strips), lit.rgb)
+
+
+def test_auto_compares_pictures_of_the_cases_own_transfer_function(airway, adapters):
+    # The software adapter passes for a card here.
+    card = dataclasses.replace(adapters[0], kind="discrete")
+    renderer = Renderer(airway.volume, backend=Backend("auto", find=lambda: [card]))
+    renderer.set_lumen(airway.lumen_zyx)
+    renderer.set_transfer(ENDOSCOPIC)
+    renderer.prepare()
+    device = renderer._airway._device
+    plain, compared = device._cast, []
+
+    def cast(scene, view, gpu):
+        picture = plain(scene, view, gpu)
+        compared.append((scene.transfer, picture))
+        return picture
+
+    device._cast, device._start = cast, lambda work: work()
+    view = AirwayView(airway.pose, width=120, height=90)
+    expected = [renderer.render(view) for _ in range(PICTURES_FIRST)][-1]
+    (verdict,) = renderer._airway._device._backend.verdicts
+    assert "measured" in verdict.why, "their pictures agree"
+    assert {picture.stats.method for _, picture in compared} == {"leap", "gpu-leap"}
+    for transfer, picture in compared:
+        assert transfer is ENDOSCOPIC
+        assert part_off(picture.rgb, expected.rgb) <= MAX_PART_OFF
 
 
 def test_several_threads_get_their_own_pictures(airway):

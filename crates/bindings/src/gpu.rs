@@ -12,7 +12,7 @@ use std::{
 };
 
 use carina_gpu::{GpuError, GpuMap, GpuVolume};
-use carina_raycast::{CastStats, Frame};
+use carina_raycast::{CastStats, Frame, InstructionSet, Method, light_gathered};
 use numpy::{PyArray3, PyArrayMethods, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
@@ -158,22 +158,31 @@ impl GpuScene {
 }
 
 impl GpuScene {
-    /// Casts rows of a picture of `hu_zyx`, which must be the very array that was copied to the device.
+    /// Casts rows of a picture of `hu_zyx`, which must be the very array that was copied to the device. What is lit after
+    /// casting is lit on the CPU; `method` and `simd` are for that.
     pub(crate) fn cast(
         &self,
         py: Python<'_>,
         frame: &Frame<'_>,
         hu_zyx: &PyReadonlyArray3<'_, i16>,
         rows: Range<usize>,
+        method: Method<'_>,
+        simd: InstructionSet,
     ) -> PyResult<(Vec<u8>, CastStats)> {
         if self.values.bind(py).data() != hu_zyx.data() {
             return Err(pyo3::exceptions::PyValueError::new_err(
                 "the graphics device holds another volume than hu_zyx",
             ));
         }
+        let map = self.map.as_deref();
         let cast = || {
-            self.gpu
-                .cast(frame, &self.volume, self.map.as_deref(), rows)
+            if frame.numbers().options.appearance.is_none() {
+                return self.gpu.cast(frame, &self.volume, map, rows);
+            }
+            let (walls, stats) = self
+                .gpu
+                .cast_walls(frame, &self.volume, map, rows.clone())?;
+            Ok(light_gathered(frame, method, rows, simd, &walls, stats)?)
         };
         py.detach(|| guarded(cast)).map_err(IntoPy::into_py)
     }

@@ -8,7 +8,7 @@
 
 use std::{convert::Infallible, ops::Range};
 
-use carina_raycast::{CastStats, Frame};
+use carina_raycast::{CastStats, Frame, InstructionSet, Method};
 use numpy::PyReadonlyArray3;
 use pyo3::prelude::*;
 
@@ -73,6 +73,8 @@ impl GpuScene {
         _frame: &Frame<'_>,
         _hu_zyx: &PyReadonlyArray3<'_, i16>,
         _rows: Range<usize>,
+        _method: Method<'_>,
+        _simd: InstructionSet,
     ) -> PyResult<(Vec<u8>, CastStats)> {
         match self.never {}
     }

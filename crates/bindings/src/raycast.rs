@@ -284,7 +284,10 @@ fn cast<'py>(
     let done = match (&gpu, stop) {
         // A picture on the device takes milliseconds and is not given up half-way.
         (Some(_), Some(stop)) if stop.load(Ordering::Relaxed) => None,
-        (Some(scene), _) => Some(scene.get().cast(py, &frame, &hu_zyx, start..end)?),
+        (Some(scene), _) => {
+            let scene = scene.get();
+            Some(scene.cast(py, &frame, &hu_zyx, start..end, method, simd)?)
+        }
         (None, None) => py
             .detach(|| cast_rows(&frame, method, start..end, simd).map(Some))
             .map_err(IntoPy::into_py)?,

@@ -58,7 +58,8 @@ impl Gpu {
         Ok((rgb, stats))
     }
 
-    /// What the rays of `rows` gather without the light at the tip, first walls included, `[row, column]`.
+    /// What the rays of `rows` gather without any light, first walls included, `[row, column]`;
+    /// [`carina_raycast::light_gathered`] makes a picture of it where the frame has an appearance.
     pub fn cast_walls(
         &self,
         frame: &Frame<'_>,
@@ -99,7 +100,7 @@ impl Gpu {
     ) -> Result<CastStats, GpuError> {
         self.check_alive()?;
         let numbers = &frame.numbers();
-        check(self, numbers, volume, map, &rows)?;
+        check(self, numbers, volume, map, &rows, walls)?;
         let variant = Variant {
             shaded: numbers.options.light.is_some() && !walls,
             nearest: numbers.options.interpolation == Interpolation::Nearest,
@@ -240,6 +241,7 @@ fn check(
     volume: &GpuVolume,
     map: Option<&GpuMap>,
     rows: &Range<usize>,
+    walls: bool,
 ) -> Result<(), GpuError> {
     let refuse = |what: &'static str, expected: String, found: String| {
         let setting = RaycastError::Setting {
@@ -268,9 +270,10 @@ fn check(
             );
         }
     }
-    if numbers.options.appearance.is_some() {
+    if numbers.options.appearance.is_some() && !walls {
         return Err(GpuError::Unsupported {
-            reason: "light is laid on walls after casting, by the CPU".to_owned(),
+            reason: "light is laid on walls after casting: cast_walls, then light_gathered"
+                .to_owned(),
         });
     }
     if numbers.most_steps > MOST_STEPS {

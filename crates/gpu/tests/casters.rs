@@ -5,17 +5,36 @@
 #[path = "../../raycast/tests/scene/mod.rs"]
 mod scene;
 
-use std::sync::{Arc, OnceLock};
+use std::{
+    ops::Range,
+    sync::{Arc, OnceLock},
+};
 
 use carina_gpu::{Gpu, GpuError, adapters};
 use carina_grid::{Camera, FieldShape, ImageField, Lens, LensRays, Optics, VolumeView};
 use carina_isoregion::{class_labels, radius_map};
-use carina_raycast::{CastStats, Frame, InstructionSet, Method, cast_rows, cast_surface};
+use carina_raycast::{
+    Appearance, CastStats, Frame, FrameOptions, InstructionSet, Method, cast_rows, cast_surface,
+    light_gathered,
+};
 use proptest::{
     strategy::{Strategy, ValueTree},
     test_runner::TestRunner,
 };
 use scene::{Scene, any_scene, options};
+
+const LOOK: Appearance = Appearance {
+    guides_mm: [[-1.9, -0.5, 0.0], [1.9, -0.5, 0.3]],
+    exposure: None,
+    ambient: 0.2,
+    wrap: 0.25,
+    gloss: 0.5,
+    shininess_log2: 6,
+    paleness: 0.5,
+    pale_hu: [0.0, 300.0],
+    texture: 1.0,
+    vessels: 0.5,
+};
 
 /// Every adapter of this machine. `make test-gpu` sets `CARINA_GPU_REQUIRED`, so that no adapter is a failure there.
 fn gpus() -> &'static [Gpu] {
@@ -242,6 +261,118 @@ fn rays_stop_at_the_frames_limit() {
             let simd = InstructionSet::best();
             let (_, expected) = cast_rows(&early, Method::Brute, rows.clone(), simd).unwrap();
             assert!(some.num_samples.abs_diff(expected.num_samples) <= 10);
+        });
+    }
+}
+
+/// A scene whose walls are lit after casting.
+fn lit_frame_of<T>(scene: &Scene, look: impl FnOnce(&Frame<'_>) -> T) -> T {
+    let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();
+    let table = scene.table(false);
+    let lit = FrameOptions {
+        appearance: Some(LOOK),
+        ..options(false, false)
+    };
+    look(&Frame::new(volume, &table, scene.camera.clone(), lit).unwrap())
+}
+
+#[test]
+fn walls_lit_after_casting_are_the_cpus() {
+    let simd = InstructionSet::best();
+    for gpu in gpus() {
+        let mut runner = TestRunner::deterministic();
+        let (mut num_off, mut num_pixels, mut num_lit) = (0, 0, 0);
+        for n in 0..120 {
+            let scene = any_scene().new_tree(&mut runner).unwrap().current();
+            let shape = scene.grid.shape_zyx();
+            let radius = radius(&scene, false);
+            let volume = gpu.upload_volume(&scene.hu, shape).unwrap();
+            let (method, map) = if n % 2 == 0 {
+                let map = gpu.upload_map(&radius, shape).unwrap();
+                (Method::LeapTransparent(&radius), Some(map))
+            } else {
+                (Method::Brute, None)
+            };
+            let pair = lit_frame_of(&scene, |frame| {
+                let rows = 0..scene.camera.height();
+                let (walls, stats) = gpu
+                    .cast_walls(frame, &volume, map.as_ref(), rows.clone())
+                    .unwrap();
+                Pair {
+                    cpu: cast_rows(frame, method, rows.clone(), simd).unwrap(),
+                    gpu: light_gathered(frame, method, rows, simd, &walls, stats).unwrap(),
+                }
+            });
+            let (cpu, gpu) = (pair.cpu.1, pair.gpu.1);
+            assert_eq!(cpu.num_rays, gpu.num_rays);
+            for (a, b) in [
+                (cpu.num_samples, gpu.num_samples),
+                (cpu.num_skipped, gpu.num_skipped),
+                (cpu.num_shaded, gpu.num_shaded),
+                (cpu.num_loads, gpu.num_loads),
+            ] {
+                assert!(a.abs_diff(b) <= 60 + a / 100, "scene {n}: {cpu:?} {gpu:?}");
+            }
+            let differences = differences(&pair);
+            num_off += differences.iter().filter(|&&d| d > 1).count();
+            num_pixels += differences.len();
+            num_lit += pair.gpu.0.chunks(3).filter(|p| p[0] > 40).count();
+        }
+        println!("{num_off} of {num_pixels} pixels of lit walls off by more than a level");
+        assert!(
+            num_lit * 20 > num_pixels,
+            "dark pictures would agree with anything"
+        );
+        assert!(num_off * 1000 <= num_pixels);
+    }
+}
+
+#[test]
+fn strips_of_lit_walls_have_one_exposure() {
+    for gpu in gpus() {
+        let mut scene = inside();
+        scene.resize(61, 47);
+        let volume = gpu
+            .upload_volume(&scene.hu, scene.grid.shape_zyx())
+            .unwrap();
+        lit_frame_of(&scene, |frame| {
+            let part = |rows: Range<usize>| {
+                let (walls, stats) = gpu.cast_walls(frame, &volume, None, rows.clone()).unwrap();
+                let simd = InstructionSet::best();
+                light_gathered(frame, Method::Brute, rows, simd, &walls, stats).unwrap()
+            };
+            let (whole, stats) = part(0..47);
+            assert!(whole.iter().any(|&v| v > 100));
+            let strips = [part(0..5), part(5..6), part(6..47)];
+            assert!(whole == strips.each_ref().map(|(rgb, _)| rgb.clone()).concat());
+            let num_loads: u64 = strips.iter().map(|(_, stats)| stats.num_loads).sum();
+            assert_eq!(num_loads, stats.num_loads);
+            assert!(part(9..9).0.is_empty());
+        });
+    }
+}
+
+#[test]
+fn a_picture_that_would_lack_its_light_is_refused() {
+    let simd = InstructionSet::best();
+    for gpu in gpus() {
+        let scene = inside();
+        let volume = gpu
+            .upload_volume(&scene.hu, scene.grid.shape_zyx())
+            .unwrap();
+        let (walls, stats) = lit_frame_of(&scene, |frame| {
+            let refused = gpu.cast(frame, &volume, None, 0..2).unwrap_err();
+            assert!(matches!(refused, GpuError::Unsupported { .. }), "{refused}");
+            let (walls, stats) = gpu.cast_walls(frame, &volume, None, 0..2).unwrap();
+            for rows in [0..1, 0..3, 0..9999] {
+                assert!(light_gathered(frame, Method::Brute, rows, simd, &walls, stats).is_err());
+            }
+            assert!(light_gathered(frame, Method::Brute, 0..2, simd, &walls, stats).is_ok());
+            (walls, stats)
+        });
+        frame_of(&scene, |frame| {
+            let refused = light_gathered(frame, Method::Brute, 0..2, simd, &walls, stats);
+            assert!(refused.unwrap_err().to_string().contains("appearance"));
         });
     }
 }

@@ -79,6 +79,16 @@ impl CastStats {
         }
     }
 
+    /// Counts the lighting of first walls.
+    pub(crate) fn lit(self, walls: &[Gathered]) -> Self {
+        let num_lit = walls.iter().filter(|wall| wall.hit >= 0.0).count() as u64;
+        Self {
+            num_shaded: num_lit,
+            num_loads: self.num_loads + Self::LIGHTING_LOADS * num_lit,
+            ..self
+        }
+    }
+
     fn plus(self, other: Self) -> Self {
         Self {
             num_rays: self.num_rays + other.num_rays,
@@ -185,13 +195,7 @@ fn cast_lit(
             .fold(CastStats::default(), CastStats::plus),
     };
     light_rows(frame, light, simd, first_row, &walls, out);
-    let num_lit = walls.iter().filter(|wall| wall.hit >= 0.0).count() as u64;
-    let stats = stats.with_loads(frame, method);
-    CastStats {
-        num_shaded: num_lit,
-        num_loads: stats.num_loads + CastStats::LIGHTING_LOADS * num_lit,
-        ..stats
-    }
+    stats.with_loads(frame, method).lit(&walls)
 }
 
 /// Shares rows of `blank` items, `per_row` in each, among the threads, `num_rows` at a time; once `stop` is set, what is

@@ -53,9 +53,8 @@ class AirwayCaster:
             return self._cast(scene, view, rows=rows, stop=stop, gpu=gpu)
 
         method, _ = _choose_method(scene, view, _shades(scene, view))
-        # Leaps over all classes and light laid on walls are the CPU's alone.
-        lit = _shades(scene, view) and scene.transfer.appearance is not None
-        on_device = method != "leap-all" and not lit
+        # Leaps over all classes are the CPU's alone.
+        on_device = method != "leap-all"
         picture = None
         if on_device:
             picture = self._device.try_cast(scene, view, leaps=method == "leap", cast=cast)
