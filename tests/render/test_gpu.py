@@ -137,6 +137,7 @@ def test_walls_cast_on_the_device_are_lit_as_the_cpus(airway):
         AirwayView(airway.pose, texture=False, **SIZE),
         AirwayView(airway.pose, guides_mm=((0.0, 3.0, 0.0),), **SIZE),
         AirwayView(airway.pose, shading=False, **SIZE),
+        AirwayView(airway.pose, stop_transparency=0.2, **SIZE),
     ):
         assert (assert_same(cpu, gpu, other, method="gpu-leap").rgb != lit.rgb).any()
     strips = [gpu.render(view, rows=rows).rgb for rows in ((0, 7), (7, 8), (8, 72))]

@@ -17,7 +17,7 @@ from carina.render.device import DeviceCaster
 from carina.render.scene import Scene
 from carina.render.surface import Hit, Surface
 from carina.render.transfer import TransferFunction
-from carina.render.views import STOP_TRANSPARENCY, AirwayView, Picture, RenderStats
+from carina.render.views import AirwayView, Picture, RenderStats
 from carina.scopes import PINHOLE
 from carina.volume import Volume
 
@@ -76,9 +76,6 @@ class AirwayCaster:
         nearest = scene.transfer.sampling == "nearest"
         step_vox = 1.0 if nearest else view.step_vox
         shading = _shades(scene, view)
-        if view.stop_transparency != STOP_TRANSPARENCY:
-            # The shaders have the usual limit built in.
-            gpu = None
         appearance = _appearance(scene, view) if shading else None
         method, leap = _choose_method(scene, view, shading)
         lens = _rays(view)
