@@ -43,6 +43,11 @@ def choose_scope(workstation, title: str) -> None:
     after(workstation, act)
 
 
+def middle(locator) -> tuple[float, float]:
+    box = locator.bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
 def press(workstation, key: str) -> None:
     after(workstation, lambda: workstation.page.keyboard.press(key))
 
@@ -57,12 +62,14 @@ def test_a_scope_is_chosen_seen_through_and_taken_back(server, workstation):
         "round",
         120,
     )
-    before = workstation.pixels("airway")
 
     workstation.page.get_by_test_id("scope").click()
     workstation.page.get_by_role("option").first.wait_for()
     workstation.picture("scope-menu")
     workstation.page.keyboard.press("Escape")
+    # Late, when the canvas has its size.
+    workstation.wait_still()
+    before = workstation.pixels("airway")
 
     choose_scope(workstation, "Single-use, slim")
     assert workstation.state("scope") == "single-use-slim"
@@ -117,3 +124,47 @@ def test_a_click_through_a_wide_lens_marks_the_wall_where_it_was_clicked(server,
     assert column / header["width"] == pytest.approx(0.8, abs=0.01)
     assert row / header["height"] == pytest.approx(0.5, abs=0.01)
     assert workstation.faults == []
+
+
+def test_the_fine_texture_is_switched_off_and_on_where_the_look_has_one(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    switch = workstation.page.get_by_test_id("texture")
+    after(workstation, switch.click)
+    workstation.page.wait_for_function("() => window.__carina.state.texture === false")
+    without = workstation.pixels("airway")
+    # A press closes the words until the mouse comes back.
+    workstation.page.mouse.move(400, 500)
+    switch.hover()
+    workstation.page.mouse.move(*(v + 1 for v in middle(switch)))
+    workstation.page.get_by_role("tooltip").wait_for(timeout=5_000)
+    assert "decoration" in workstation.page.get_by_role("tooltip").inner_text()
+    workstation.picture("texture-off")
+
+    press(workstation, "Control+z")
+    workstation.page.wait_for_function("() => window.__carina.state.texture === true")
+    off = [abs(a - b) for a, b in zip(workstation.pixels("airway"), without, strict=True)]
+    assert sum(off) / len(off) > 0.6, "the texture is seen again"
+
+    def grey() -> None:
+        workstation.page.get_by_role("button").filter(has_text="Endoscopic").click()
+        workstation.page.get_by_role("option").filter(has_text="CT grey").click()
+
+    after(workstation, grey)
+    # Grey walls have no texture that could be switched.
+    switch.wait_for(state="detached")
+    press(workstation, "Control+z")
+    switch.wait_for()
+    assert workstation.faults == []
+
+
+@pytest.mark.parametrize("width", [1920, 1536, 1440, 1280])
+def test_no_tool_of_the_airway_view_is_cut_off(server, workstation, width):
+    workstation.page.set_viewport_size({"width": width, "height": 900})
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.page.get_by_test_id("texture").wait_for()
+    tools = workstation.page.get_by_role("toolbar", name="Airway view")
+    shown_px, needed_px = tools.evaluate("(bar) => [bar.clientWidth, bar.scrollWidth]")
+    workstation.picture(f"tools-{width}")
+    assert needed_px <= shown_px

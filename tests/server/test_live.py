@@ -416,6 +416,15 @@ def test_a_transfer_function_that_is_none_is_refused_in_words_and_the_old_one_st
         assert window.until_state(lambda s: s.shading is not before.shading).transfer == before.transfer
 
 
+def test_the_fine_texture_is_switched_off_and_undone_over_the_wire(live):
+    with live.window() as window:
+        assert open_case(window).texture
+        window.send(wire.SetTexture(on=False))
+        assert window.until_state(lambda s: not s.texture).can_undo == "fine texture"
+        window.send(wire.Undo())
+        window.until_state(lambda s: s.texture)
+
+
 def test_opening_a_case_brings_state_tree_route_pose_and_pictures_of_all_views(live):
     with live.window() as window:
         window.send(SHOWN)

@@ -406,6 +406,24 @@ def test_the_airway_picture_is_what_the_scope_shows():
     assert (plain.lens, plain.field.mask, plain.field.vignette, plain.fov_deg) == (PINHOLE, "none", 0.0, 90.0)
 
 
+def test_the_fine_texture_is_a_switch_that_can_be_taken_back():
+    bench = small_bench()
+    bench.open()
+
+    def texture():
+        return bench.session.scene().spec("airway", 64, 48, 0.5).texture
+
+    assert texture()
+    bench.session.set_texture(False)
+    assert not texture()
+    assert bench.session.snapshot().undo_label == "fine texture"
+    bench.session.set_scope(None)
+    assert not texture(), "without a scope too"
+    bench.session.undo()
+    bench.session.undo()
+    assert texture()
+
+
 def test_views_depend_on_what_they_show_and_on_nothing_else():
     bench = small_bench()
     bench.open()
@@ -427,6 +445,7 @@ def test_views_depend_on_what_they_show_and_on_nothing_else():
     assert changed(lambda: bench.session.set_fov(110.0)) == {"airway"}
     assert changed(lambda: bench.session.set_scope("ultrathin")) == {"airway"}
     assert changed(lambda: bench.session.set_mask("octagon")) == {"airway"}
+    assert changed(lambda: bench.session.set_texture(False)) == {"airway"}
     assert changed(lambda: bench.session.set_zoom("cut-plane", extent_mm=30.0)) == {"cut-plane"}
     window = changed(lambda: bench.session.set_window(400.0, 40.0))
     assert window == {"axial", "tri-plane", "cut-plane"}

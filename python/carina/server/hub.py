@@ -384,6 +384,8 @@ class Hub:
                 session.set_transfer(preset=message.preset, document=message.document)
             case wire.SetShading():
                 session.set_shading(message.on)
+            case wire.SetTexture():
+                session.set_texture(message.on)
             case wire.SetFrameRate():
                 self.pump.set_rate(message.rate_hz)
                 if self._outbox is not None:

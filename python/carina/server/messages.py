@@ -51,6 +51,7 @@ from carina.server.messages_from_client import (
     SetScope,
     SetShading,
     SetSlab,
+    SetTexture,
     SetTransfer,
     SetWindow,
     SetZoom,
@@ -163,6 +164,7 @@ __all__ = [
     "SetScope",
     "SetShading",
     "SetSlab",
+    "SetTexture",
     "SetTransfer",
     "SetWindow",
     "SetZoom",
@@ -207,7 +209,7 @@ def _by_type(*classes: type[Any]) -> dict[str, type[Any]]:
 CLIENT_MESSAGES = _by_type(
     ClientHello, OpenPath, OpenDemo, OpenUpload, OpenRecent, CloseCase, Cancel, Layout, Ack, Steer, SetMode, ToggleMode,
     GoTo, NextFork, PreviousFork, Place, LevelHorizon, ResetLook, SetOperator, SetRoot, AddTarget, RemoveTarget,
-    ChooseRoute, SetCrosshair, SetWindow, SetFov, SetScope, SetMask, SetTransfer, SetShading, SetMethod,
+    ChooseRoute, SetCrosshair, SetWindow, SetFov, SetScope, SetMask, SetTransfer, SetShading, SetTexture, SetMethod,
     SetLumenThreshold, SetOrbit, SetZoom, SetCarm, SetReformation, SetSlab, SetFrameRate, Probe, Pick, Undo, Redo,
     AcceptNotice,
 )  # fmt: skip

@@ -62,6 +62,7 @@ __all__ = [
     "SetScope",
     "SetShading",
     "SetSlab",
+    "SetTexture",
     "SetTransfer",
     "SetWindow",
     "SetZoom",
@@ -348,6 +349,14 @@ class SetShading:
     """Light at the tip on or off."""
 
     wire_type: ClassVar[str] = "set_shading"
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SetTexture:
+    """Fine texture of the mucosa, which is decoration and not the patient's, on or off."""
+
+    wire_type: ClassVar[str] = "set_texture"
     on: bool
 
 

@@ -243,6 +243,7 @@ class State:
     transfer_document: dict[str, Any] | None
     transfer_presets: tuple[Words, ...]
     shading: bool
+    texture: bool
     method: Method
     window: GreyWindow
     crosshair_lps: PointLps | None

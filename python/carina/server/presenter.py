@@ -115,6 +115,7 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
         transfer_document=None if document is None else document.transfer.to_json(),
         transfer_presets=snapshot.transfer_presets,
         shading=True if document is None else document.shading,
+        texture=True if document is None else document.texture,
         method="leap" if document is None else document.method,
         window=_window(document),
         crosshair_lps=snapshot.crosshair_lps,

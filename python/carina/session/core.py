@@ -277,6 +277,7 @@ class SessionCore:
                 mask=document.mask,
                 fov_deg=document.fov_deg,
                 shading=document.shading,
+                texture=document.texture,
                 method=document.method,
                 window_hu=(document.window_width_hu, document.window_level_hu),
                 crosshair_lps=case.crosshair_lps,

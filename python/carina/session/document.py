@@ -49,6 +49,8 @@ class Document:
     fov_deg: float = DEFAULT_FOV_DEG
     """The scope's, unless a person chose another."""
     shading: bool = True
+    texture: bool = True
+    """Mottling and micro relief laid on the mucosa, which are not the patient's."""
     method: Method = "leap"
     operator: Operator = "head"
     airways: Airways | None = None

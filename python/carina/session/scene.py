@@ -130,6 +130,7 @@ class Scene:
     mask: Mask
     fov_deg: float
     shading: bool
+    texture: bool
     method: str
     window_hu: tuple[float, float]
     crosshair_lps: tuple[float, float, float] | None
@@ -159,7 +160,7 @@ class Scene:
         case = (self.case_number, view)
         if view == "airway":
             seen = (None if self.scope is None else self.scope.name, self.mask, self.fov_deg)
-            return (*case, self.content_number, self.pose_id, *seen, self.shading, self.method)
+            return (*case, self.content_number, self.pose_id, *seen, self.shading, self.texture, self.method)
         if view == "cut-plane":
             return (*case, self.pose_id, self.window_hu, self.zoom.cut_plane_extent_mm)
         if view == "tri-plane":
@@ -193,6 +194,7 @@ class Scene:
                 "height": height,
                 "step_vox": step_vox,
                 "shading": self.shading,
+                "texture": self.texture,
                 "method": "brute" if self.method == "brute" else "leap",
             }
             if self.scope is None:

@@ -343,6 +343,10 @@ class Session(SessionCore):
         """Light at the tip on or off; undoable."""
         self._edit("shading", None, shading=on)
 
+    def set_texture(self, on: bool) -> None:
+        """Fine texture of the mucosa, which is decoration, on or off; undoable."""
+        self._edit("fine texture", None, texture=on)
+
     def set_method(self, method: Method) -> None:
         """Leaping, or the brute-force reference; undoable."""
         self._edit("ray casting method", None, method=method)

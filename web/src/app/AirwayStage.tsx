@@ -126,6 +126,19 @@ function AirwayTools() {
         on={session.shading}
         onChange={() => station.send({ type: "set_shading", on: !session.shading })}
       />
+      {session.transfer_document?.appearance != null && (
+        <SwitchKey
+          icon="texture"
+          words={
+            session.texture
+              ? "Fine texture (decoration): mottling and relief that the CT does not show"
+              : "Fine texture (decoration) is off: no mottling and relief beyond the CT"
+          }
+          on={session.texture}
+          testId="texture"
+          onChange={() => station.send({ type: "set_texture", on: !session.texture })}
+        />
+      )}
       <SwitchKey
         icon="routeLine"
         words="Line of the route"

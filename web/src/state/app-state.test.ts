@@ -18,6 +18,7 @@ const EMPTY: StateMessage = {
   transfer_document: null,
   transfer_presets: [],
   shading: true,
+  texture: true,
   method: "leap",
   window: { width_hu: 1500, level_hu: -600 },
   crosshair_lps: null,

@@ -203,6 +203,12 @@ export interface SetShadingMessage {
   readonly on: boolean;
 }
 
+/** Fine texture of the mucosa, which is decoration and not the patient's, on or off. */
+export interface SetTextureMessage {
+  readonly type: "set_texture";
+  readonly on: boolean;
+}
+
 /** Leaping, or the brute-force reference; the picture is the same. */
 export interface SetMethodMessage {
   readonly type: "set_method";
@@ -433,6 +439,7 @@ export interface StateMessage {
   readonly transfer_document: Record<string, unknown> | null;
   readonly transfer_presets: readonly string[];
   readonly shading: boolean;
+  readonly texture: boolean;
   readonly method: "leap" | "brute";
   readonly window: GreyWindow;
   readonly crosshair_lps: readonly [number, number, number] | null;
@@ -663,6 +670,7 @@ export type ClientMessage =
   | SetMaskMessage
   | SetTransferMessage
   | SetShadingMessage
+  | SetTextureMessage
   | SetMethodMessage
   | SetLumenThresholdMessage
   | SetOrbitMessage
