@@ -5,7 +5,7 @@
 )]
 
 use std::sync::{
-    OnceLock,
+    Arc, Mutex, OnceLock, PoisonError,
     atomic::{AtomicBool, Ordering},
 };
 
@@ -66,6 +66,28 @@ pub(crate) fn transfer(
 #[pyclass(frozen, module = "carina._core")]
 struct TransferTable {
     inner: carina_raycast::TransferTable,
+    /// The step table for the classes last asked for: to make it takes as long as a small picture.
+    segments: Mutex<Option<(Vec<i32>, Arc<SegmentTable>)>>,
+}
+
+impl TransferTable {
+    /// The step table of classes given by one value of each.
+    fn segments(&self, class_values: &[i32]) -> Arc<SegmentTable> {
+        let mut kept = self.segments.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((values, table)) = kept.as_ref()
+            && values == class_values
+        {
+            return Arc::clone(table);
+        }
+        let mut entries: Vec<[f32; 4]> =
+            class_values.iter().map(|&v| self.inner.entry(v)).collect();
+        // Every label has a class, so no label can lead astray: to look for the highest would take longer than the
+        // picture.
+        entries.resize(usize::from(u8::MAX), [0.0; 4]);
+        let table = Arc::new(SegmentTable::new(&entries));
+        *kept = Some((class_values.to_vec(), Arc::clone(&table)));
+        table
+    }
 }
 
 #[pymethods]
@@ -83,7 +105,10 @@ impl TransferTable {
         let transfer = transfer(&points, reference_mm, bin_hu)?;
         let inner = carina_raycast::TransferTable::new(&transfer, step_mm, lo, hi)
             .map_err(IntoPy::into_py)?;
-        Ok(Self { inner })
+        Ok(Self {
+            inner,
+            segments: Mutex::new(None),
+        })
     }
 
     /// Premultiplied colour and opacity of one step at a value.
@@ -211,7 +236,7 @@ const fn interpolation(nearest: bool) -> Interpolation {
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, table, lps_from_camera, *, fov_rad, width, height, rows=None, light=None, nearest=false,
     background=[0.0; 3], leap=None, simd=None, stop=None, lens=None, darken=true, gpu=None,
-    stop_transparency=None, appearance=None
+    stop_transparency=None, appearance=None, always_leap=false
 ))]
 fn cast<'py>(
     py: Python<'py>,
@@ -234,12 +259,14 @@ fn cast<'py>(
     gpu: Option<Bound<'py, GpuScene>>,
     stop_transparency: Option<f32>,
     appearance: Option<PyAppearance>,
+    always_leap: bool,
 ) -> PyResult<(Bound<'py, PyArray3<u8>>, PyStats)> {
     let grid = grid(&hu_zyx, &lps_from_ijk)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
     let pose = affine("lps_from_camera", &lps_from_camera)?;
     let camera = camera(pose, fov_rad, width, height, lens.as_ref())?;
-    let table = &table.get().inner;
+    let tables = table.get();
+    let table = &tables.inner;
     let options = FrameOptions {
         interpolation: interpolation(nearest),
         light: light.map(
@@ -258,6 +285,9 @@ fn cast<'py>(
     if let Some(transparency) = stop_transparency {
         frame = frame.stopping_at(transparency).map_err(IntoPy::into_py)?;
     }
+    if always_leap {
+        frame = frame.leaping_always();
+    }
     let simd = instruction_set(simd)?;
     let (start, end) = rows.unwrap_or((0, height));
     let segments;
@@ -268,11 +298,7 @@ fn cast<'py>(
         }
         Some(LeapMap::Classes(labels, radius, class_values)) => {
             let labels = values("labels_zyx", labels)?;
-            let mut entries: Vec<[f32; 4]> = class_values.iter().map(|&v| table.entry(v)).collect();
-            // Every label has a class, so no label can lead astray: to look for the highest would take longer than the
-            // picture.
-            entries.resize(usize::from(u8::MAX), [0.0; 4]);
-            segments = SegmentTable::new(&entries);
+            segments = tables.segments(class_values);
             Method::LeapClasses(ClassMap {
                 labels,
                 radius: values("radius_zyx", radius)?,

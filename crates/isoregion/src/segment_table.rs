@@ -1,7 +1,7 @@
 //! The paper's `IsoRegion` step table: colour and transparency of a segment of equal samples (4.3).
 
-/// Segments longer than this are taken in several leaps.
-pub const MAX_SEGMENT_SAMPLES: usize = 256;
+/// Segments longer than this are taken in several leaps. The table of 255 classes then fits the second cache.
+pub const MAX_SEGMENT_SAMPLES: usize = 64;
 
 /// `(C (1 - beta^n), beta^n)` by class and number of samples.
 ///
@@ -110,7 +110,7 @@ mod tests {
     fn a_segment_is_cut_where_the_ray_becomes_opaque() {
         let table = SegmentTable::new(&[[0.0, 0.0, 0.0, 0.5]]);
         // 0.5^9 = 1/512 is not below the limit; the tenth sample is.
-        assert_eq!(table.samples_until(1, 100, 1.0, 1.0 / 512.0), 10);
+        assert_eq!(table.samples_until(1, 60, 1.0, 1.0 / 512.0), 10);
         assert_eq!(table.samples_until(1, 4, 1.0, 1.0 / 512.0), 4);
     }
 }
