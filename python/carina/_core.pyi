@@ -213,6 +213,7 @@ def cast(
     gpu: GpuScene | None = None,
     stop_transparency: float | None = None,
     appearance: Appearance | None = None,
+    always_leap: bool = False,
 ) -> tuple[NDArray[np.uint8], tuple[int, int, int, int, int, int, int]]:
     """(rows, width, 3) colours; rays, samples, look-ups, leaps, skipped samples, shaded samples, reads.
 

@@ -49,6 +49,8 @@ pub struct Frame<'a> {
     pub(crate) guard_vox: f32,
     /// Rays stop when less than this shines through.
     pub(crate) stop: f32,
+    /// Leaps also where brute force is quicker.
+    pub(crate) always_leap: bool,
 }
 
 /// One ray: samples `first..end` at `origin + (k + 1/2) delta`.
@@ -130,6 +132,7 @@ impl<'a> Frame<'a> {
             // Coordinates up to 4096 are good to 2.5e-4 in f32; longer axes get a guard in proportion.
             guard_vox: (1e-3 * (longest / 4096.0).max(1.0)) as f32,
             stop: STOP_TRANSPARENCY,
+            always_leap: false,
         })
     }
 
@@ -145,6 +148,13 @@ impl<'a> Frame<'a> {
         }
         self.stop = transparency;
         Ok(self)
+    }
+
+    /// The same with leaps also where a trial says that brute force is quicker: to measure what they do there.
+    #[must_use]
+    pub const fn leaping_always(mut self) -> Self {
+        self.always_leap = true;
+        self
     }
 
     /// The camera.

@@ -16,6 +16,7 @@ use crate::{
     leap::{self, Start},
     packet::{BAND_ROWS, Packets, light_rows},
     surface::cast_walls_row,
+    worth::if_it_pays,
 };
 
 /// Which caster.
@@ -136,6 +137,7 @@ fn cast(
     stop: Option<&AtomicBool>,
 ) -> Result<(Vec<u8>, CastStats), RaycastError> {
     check(frame, method, rows, simd)?;
+    let method = if_it_pays(frame, method, simd);
     let bytes = (0u8, 3 * frame.camera().width());
     if let Some(light) = Lighting::exposed(frame, method) {
         let packets = Packets::of(frame, method, simd);
@@ -162,6 +164,7 @@ pub fn cast_rows_scalar(
     simd: InstructionSet,
 ) -> Result<(Vec<u8>, CastStats), RaycastError> {
     check(frame, method, &rows, simd)?;
+    let method = if_it_pays(frame, method, simd);
     let bytes = (0u8, 3 * frame.camera().width());
     if let Some(light) = Lighting::exposed(frame, method) {
         return Ok(share(&rows, bytes, BAND_ROWS, None, |first, out| {

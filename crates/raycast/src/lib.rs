@@ -46,6 +46,7 @@ mod surface;
 mod transfer;
 mod triplane;
 mod wall;
+mod worth;
 
 pub use appearance::Appearance;
 pub use carina_grid::InstructionSet;

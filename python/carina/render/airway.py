@@ -100,6 +100,7 @@ class AirwayCaster:
             darken=view.depth_of_field is None,
             gpu=gpu,
             stop_transparency=view.stop_transparency,
+            always_leap=view.method == "leap-always",
         )
         method = method if gpu is None else f"gpu-{method}"
         if view.depth_of_field is not None:

@@ -88,7 +88,8 @@ class AirwayView:
     ``pose`` is the camera's. ``fov_deg`` is the full angle across the shorter side; None is 90, or a calibration's own.
     ``field`` is the outline of the picture and its vignette. With ``depth_of_field`` what is nearer or farther is
     blurred; that needs the whole picture and about twice the time. ``step_vox`` is the ray step in units of the
-    smallest spacing. ``leap`` and ``brute`` give the same picture. ``guides_mm`` are the ends of the scope's light
+    smallest spacing. ``leap`` and ``brute`` give the same picture; ``leap`` leaps where a few rays show that it pays,
+    ``leap-always`` also elsewhere, for measurements. ``guides_mm`` are the ends of the scope's light
     guides in place of those of the transfer function's appearance; ``texture`` off leaves out its mottling, micro
     relief and vessels, which are not the patient's. With a transfer function of sampling ``nearest`` (paper) shading
     is off and the step is one voxel. Rays stop when less than ``stop_transparency`` shines through; another than the
@@ -101,7 +102,7 @@ class AirwayView:
     height: int = 512
     step_vox: float = 0.5
     shading: bool = True
-    method: Literal["leap", "brute"] = "leap"
+    method: Literal["leap", "brute", "leap-always"] = "leap"
     lens: Lens = PINHOLE
     field: ImageField = FULL_FRAME
     depth_of_field: DepthOfField | None = None
@@ -115,8 +116,9 @@ class AirwayView:
         _ = self.optics
         if not 0.01 <= self.step_vox <= 100:
             raise RenderError(f"the ray step is 0.01 to 100 voxels; found {self.step_vox}", code="render.setting")
-        if self.method not in {"leap", "brute"}:
-            raise RenderError(f"expected the method leap or brute; found {self.method!r}", code="render.setting")
+        if self.method not in {"leap", "brute", "leap-always"}:
+            msg = f"expected the method leap, brute or leap-always; found {self.method!r}"
+            raise RenderError(msg, code="render.setting")
         if not 1 / 65536 <= self.stop_transparency <= 0.25:
             msg = f"rays stop at a transparency of 1/65536 to 1/4; found {self.stop_transparency}"
             raise RenderError(msg, code="render.setting")

@@ -87,9 +87,16 @@ def paper_mode(request: Request) -> list[dict[str, Any]]:
                 fov_deg = 90.0 if where.startswith("inside") else 45.0
                 leaping = AirwayView(pose, fov_deg=fov_deg, width=SIZE, height=SIZE, shading=False)
                 brute = replace(leaping, method="brute")
-                turns = {"brute": partial(renderer.render, brute), "leap": partial(renderer.render, leaping)}
+                always = replace(leaping, method="leap-always")
+                turns = {
+                    "brute": partial(renderer.render, brute),
+                    "leap": partial(renderer.render, leaping),
+                    "always": partial(renderer.render, always),
+                }
                 times = take_turns(turns, request["repeats"])
-                a, b = renderer.render(brute), renderer.render(leaping)
+                # Steps and pictures of leaps in earnest; the time also of what a person gets, who is spared them where
+                # they do not pay.
+                a, b = renderer.render(brute), renderer.render(always)
                 steps_leap = b.stats.num_leaps + b.stats.num_samples
                 rows.append(
                     {
@@ -99,6 +106,7 @@ def paper_mode(request: Request) -> list[dict[str, Any]]:
                         "view": where,
                         "method": b.stats.method,
                         "speed_up_time": round(median_ratio(times["brute"], times["leap"]), 3),
+                        "speed_up_time_always": round(median_ratio(times["brute"], times["always"]), 3),
                         "speed_up_steps": round(a.stats.num_samples / max(steps_leap, 1), 3),
                         "steps_per_ray": {
                             "brute": round(a.stats.num_samples / a.stats.num_rays, 2),

@@ -1,0 +1,91 @@
+//! Whether leaping pays in a picture: in dense or noisy tissue it saves too few samples to pay for its look-ups.
+//!
+//! A few rays spread over the whole picture are cast first and counted. The rule looks at counts alone, so it says the
+//! same for every strip, instruction set and number of threads; and as both casters give the same picture, it changes the
+//! time only. The counts of a picture do not hold these rays.
+
+use crate::{
+    CastStats, Frame, InstructionSet, Interpolation, Method, brute,
+    leap::{self, Start},
+};
+
+/// Rays on each side of the picture that decide.
+const TRIED: usize = 8;
+/// Pictures of fewer pixels are not worth a trial.
+const LEAST_PIXELS: usize = 64 * TRIED * TRIED;
+
+/// `method`, or brute force where leaps would take longer.
+pub(crate) fn if_it_pays<'a>(
+    frame: &Frame<'_>,
+    method: Method<'a>,
+    simd: InstructionSet,
+) -> Method<'a> {
+    let camera = frame.camera();
+    let small = camera.width() * camera.height() < LEAST_PIXELS;
+    if small || frame.always_leap || matches!(method, Method::Brute) {
+        return method;
+    }
+    let stats = match simd {
+        InstructionSet::Portable | InstructionSet::Neon => tried(frame, method),
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: these sets are only handed out where the machine has AVX2, FMA, BMI1, BMI2, LZCNT and POPCNT.
+        // Benchmark: without them every fused multiply-add is a call, and the trial takes a tenth of a small picture.
+        InstructionSet::Avx2 | InstructionSet::Avx512 => unsafe { tried_avx2(frame, method) },
+        #[cfg(not(target_arch = "x86_64"))]
+        InstructionSet::Avx2 | InstructionSet::Avx512 => tried(frame, method),
+    };
+    // A ray that starts costs a little more, too: what it needs for leaps is set up.
+    let num_rays = (TRIED * TRIED) as u64;
+    if stats.num_skipped > lookup_price(frame, method) * stats.num_lookups + 3 * num_rays {
+        method
+    } else {
+        Method::Brute
+    }
+}
+
+/// How many samples of brute force a look-up costs as much time as; measured, docs/decisions/0005.
+fn lookup_price(frame: &Frame<'_>, method: Method<'_>) -> u64 {
+    match (method, frame.options.interpolation) {
+        (Method::LeapClasses(_), Interpolation::Nearest) => 24,
+        (Method::LeapClasses(_), Interpolation::Trilinear) => 12,
+        _ => 2,
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+fn tried_avx2(frame: &Frame<'_>, method: Method<'_>) -> CastStats {
+    tried(frame, method)
+}
+
+#[inline(always)]
+fn tried(frame: &Frame<'_>, method: Method<'_>) -> CastStats {
+    let camera = frame.camera();
+    let start = Start::of(frame, method);
+    let nearest = frame.options.interpolation == Interpolation::Nearest;
+    let place = |n: usize, size: usize| (2 * n + 1) * size / (2 * TRIED);
+    let mut stats = CastStats::default();
+    for row in 0..TRIED {
+        for column in 0..TRIED {
+            let ray = &frame.ray(place(column, camera.width()), place(row, camera.height()));
+            let stats = &mut stats;
+            // Light changes neither where a ray samples nor where it stops.
+            match (method, nearest) {
+                (Method::Brute, _) => brute::cast::<false, false, false>(frame, ray, stats),
+                (Method::LeapTransparent(radius), false) => {
+                    leap::cast_transparent::<false, false, false>(frame, radius, start, ray, stats)
+                }
+                (Method::LeapTransparent(radius), true) => {
+                    leap::cast_transparent::<false, true, false>(frame, radius, start, ray, stats)
+                }
+                (Method::LeapClasses(map), false) => {
+                    leap::cast_classes::<false, false>(frame, map, start, ray, stats)
+                }
+                (Method::LeapClasses(map), true) => {
+                    leap::cast_classes::<true, false>(frame, map, start, ray, stats)
+                }
+            };
+        }
+    }
+    stats
+}
