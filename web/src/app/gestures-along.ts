@@ -2,16 +2,15 @@
 
 import type { PointerPlace } from "../input/pointer";
 import { linesOf, lpsAt, pathMmAt } from "../state/lines";
+import { ownWord } from "../state/own-word";
 import { geometryOf } from "../state/projection";
 import { distance, type Vec3 } from "../state/vec";
 import { middleOf } from "../state/volume";
 import type { Viewport } from "../views/viewport";
 import type { StateMessage } from "../wire/messages";
 import { dragWindow, type Gestures, ORBIT_DEG_PER_PX, ORBIT_KEY_DEG, ZOOM_KEY_PX, ZOOM_PER_PX } from "./gesture-parts";
-import type { Workstation } from "./workstation";
+import { FRONTAL, type Workstation } from "./workstation";
 
-/** What was sent holds against the server's word for this long, so that a drag does not stumble over older news. */
-const OWN_WORD_MS = 600;
 const DOUBLE_CLICK_MS = 700;
 const STEP_MM = 2;
 const MM_PER_PX = { least: 0.02, most: 10 } as const;
@@ -19,22 +18,10 @@ const MM_PER_PX = { least: 0.02, most: 10 } as const;
 type Carm = StateMessage["carm"];
 type Reformation = StateMessage["reformation"];
 
-/** The newest of what was sent and what the server says. */
-function ownWord<T>(server: () => T): { now(): T; set(value: T): void } {
-  let own: { value: T; untilMs: number } | null = null;
-  return {
-    now: () => (own !== null && performance.now() < own.untilMs ? own.value : server()),
-    set: (value) => {
-      own = { value, untilMs: performance.now() + OWN_WORD_MS };
-    },
-  };
-}
-
 const clampScale = (mmPerPx: number): number => Math.min(Math.max(mmPerPx, MM_PER_PX.least), MM_PER_PX.most);
 const halfTurn = (deg: number): number => ((((deg + 180) % 360) + 360) % 360) - 180;
 
 const STRAIGHT: Reformation = { turn_deg: 0, mm_per_px: null };
-const FRONTAL: Carm = { primary_deg: 0, secondary_deg: 0, mm_per_px: null, tone: "radiograph" };
 
 export function pathGestures(station: Workstation, viewport: Viewport): Gestures {
   const shown = ownWord<Reformation>(() => station.state.session?.reformation ?? STRAIGHT);
@@ -107,7 +94,7 @@ export function pathGestures(station: Workstation, viewport: Viewport): Gestures
 }
 
 export function carmGestures(station: Workstation, viewport: Viewport): Gestures {
-  const shown = ownWord<Carm>(() => station.state.session?.carm ?? FRONTAL);
+  const shown = station.carm;
   const change = (next: Carm) => {
     shown.set(next);
     station.sendSoon({ type: "set_carm", ...next });

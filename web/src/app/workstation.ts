@@ -9,6 +9,7 @@ import { sendUpload, UploadError, type UploadFile } from "../net/upload";
 import { mainLeaf, neighbourWay } from "../state/airways";
 import { type AppState, type Connection, crosshairLps, maskOf, pathMm, tipLps, type Ui } from "../state/app-state";
 import { forkAhead } from "../state/fork";
+import { ownWord } from "../state/own-word";
 import { PaceMeter } from "../state/pace";
 import type { PixelPoint } from "../state/projection";
 import { clampToRoute } from "../state/route";
@@ -28,6 +29,8 @@ const SLABS = [
   { thickness_mm: 10, kind: "max" },
   { thickness_mm: 5, kind: "mean" },
 ] as const;
+type Carm = StateMessage["carm"];
+export const FRONTAL: Carm = { primary_deg: 0, secondary_deg: 0, mm_per_px: null, tone: "radiograph" };
 /** One press of the path bar's arrows. */
 const STEP_MM = 2;
 const PACE_MS = 500;
@@ -40,6 +43,8 @@ export class Workstation {
   readonly #board: PictureBoard<ImageBitmap>;
   /** Newest wish of a kind that only its newest value matters for, sent at the next refresh. */
   readonly #soon = new Map<string, ClientMessage>();
+  readonly carm = ownWord<Carm>(() => this.state.session?.carm ?? FRONTAL);
+  readonly slab = ownWord<StateMessage["slab"]>(() => this.state.session?.slab ?? SLABS[0]);
   #uploadStop: AbortController | null = null;
   #autoWanted = false;
   #pickId = 0;
@@ -276,18 +281,20 @@ export class Workstation {
     next_xray: () => this.ui({ xray: XRAYS[(XRAYS.indexOf(this.state.ui.xray) + 1) % XRAYS.length] ?? "xray-coronal" }),
     next_cut: () => this.ui({ cut: CUTS[(CUTS.indexOf(this.state.ui.cut) + 1) % CUTS.length] ?? "cut-plane" }),
     toggle_tone: () => {
-      const carm = this.state.session?.carm;
-      if (carm === undefined) return;
+      if (this.state.session === null) return;
+      const carm = this.carm.now();
       this.ui({ xray: "drr" });
-      this.sendSoon({ type: "set_carm", ...carm, tone: carm.tone === "radiograph" ? "fluoroscopy" : "radiograph" });
+      this.carm.set({ ...carm, tone: carm.tone === "radiograph" ? "fluoroscopy" : "radiograph" });
+      this.sendSoon({ type: "set_carm", ...this.carm.now() });
     },
     next_slab: () => {
-      const slab = this.state.session?.slab;
+      const slab = this.slab.now();
       const at = SLABS.findIndex(
         (choice) =>
-          choice.thickness_mm === slab?.thickness_mm && (choice.thickness_mm === 0 || choice.kind === slab.kind),
+          choice.thickness_mm === slab.thickness_mm && (choice.thickness_mm === 0 || choice.kind === slab.kind),
       );
-      this.sendSoon({ type: "set_slab", ...(SLABS[(at + 1) % SLABS.length] ?? SLABS[0]) });
+      this.slab.set(SLABS[(at + 1) % SLABS.length] ?? SLABS[0]);
+      this.sendSoon({ type: "set_slab", ...this.slab.now() });
     },
     toggle_shape: () => this.#toggleMask(),
     toggle_route_line: () => this.ui({ routeLineVisible: !this.state.ui.routeLineVisible }),
