@@ -547,4 +547,7 @@ def _named(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:
     if not sides[right.id] < -10.0 < 10.0 < sides[left.id] or min(len(right.children), len(left.children)) < 2:
         return branches
     names = {trunk.id: "Trachea", right.id: "RMB", left.id: "LMB"}
-    return tuple(dataclasses.replace(branch, name=names.get(branch.id)) for branch in branches)
+    return tuple(
+        dataclasses.replace(branch, name=names[branch.id], name_from="anatomy") if branch.id in names else branch
+        for branch in branches
+    )

@@ -17,6 +17,7 @@ __all__ = ["AirwayTree", "Branch", "Route"]
 FORMAT = "carina-tree"
 VERSION = 1
 KINDS = ("tracked", "bridge", "manual")
+NAME_SOURCES = ("anatomy", "person")
 
 Points = NDArray[np.float64]
 
@@ -42,7 +43,13 @@ class Branch:
     cost: float | None = None
     """Path cost of this piece (weight times mm), None where it was not tracked."""
     confidence: float | None = None
-    """0 to 1, None where it was not judged."""
+    """How sure it is that this is airway, 0 to 1; None where it was not judged."""
+    name_confidence: float | None = None
+    """How sure the name is, 0 to 1; None without a name, and for a name that a person gave."""
+    name_from: str | None = None
+    """``anatomy`` or ``person``; None without a name. A person's name is never replaced."""
+    variant: str | None = None
+    """What is uncommon about the anatomy here, in words, e.g. "RB1 and RB2 share a stem"."""
 
     @property
     def length_mm(self) -> float:
@@ -192,6 +199,9 @@ class AirwayTree:
                     "radius": branch.radius.tolist(),
                     "cost": branch.cost,
                     "confidence": branch.confidence,
+                    "name_confidence": branch.name_confidence,
+                    "name_from": branch.name_from,
+                    "variant": branch.variant,
                 }
                 for branch in self.branches
             ],
@@ -285,6 +295,12 @@ def _read_branch(row: object, number: int) -> Branch:
             raise _refused(f"{where}: {key} must be a whole number, found {value!r}")
         return value
 
+    def text_or_none(key: str) -> str | None:
+        value = row.get(key)
+        if value is not None and not isinstance(value, str):
+            raise _refused(f"{where}: {key} must be a text or null, found {value!r}")
+        return value
+
     def number_or_none(key: str) -> float | None:
         value = row.get(key)
         if value is None:
@@ -296,11 +312,11 @@ def _read_branch(row: object, number: int) -> Branch:
     branch_id = whole("id", row.get("id"))
     where = f"branch {branch_id}"
     parent = row.get("parent")
-    name = row.get("name")
+    name, name_from = text_or_none("name"), text_or_none("name_from")
     kind = row.get("kind")
     children = row.get("children")
-    if name is not None and not isinstance(name, str):
-        raise _refused(f"{where}: name must be a text or null, found {name!r}")
+    if name_from is not None and name_from not in NAME_SOURCES:
+        raise _refused(f"{where}: name_from must be one of {', '.join(NAME_SOURCES)} or null, found {name_from!r}")
     if not isinstance(kind, str) or kind not in KINDS:
         raise _refused(f"{where}: kind must be one of {', '.join(KINDS)}, found {kind!r}")
     if not isinstance(children, Sequence) or isinstance(children, str):
@@ -321,6 +337,9 @@ def _read_branch(row: object, number: int) -> Branch:
         radius=radius,
         cost=number_or_none("cost"),
         confidence=number_or_none("confidence"),
+        name_confidence=number_or_none("name_confidence"),
+        name_from=name_from,
+        variant=text_or_none("variant"),
     )
 
 
@@ -338,6 +357,8 @@ def _check(branches: tuple[Branch, ...]) -> None:
             raise _refused(f"{where}: radius must hold one number of at least 0 for each of its {len(points)} points")
         if branch.confidence is not None and not 0.0 <= branch.confidence <= 1.0:
             raise _refused(f"{where}: confidence must lie in 0..1, found {branch.confidence}")
+        if branch.name_confidence is not None and not 0.0 <= branch.name_confidence <= 1.0:
+            raise _refused(f"{where}: name_confidence must lie in 0..1, found {branch.name_confidence}")
         if (branch.parent is None) != (number == 0):
             raise _refused(f"{where}: exactly the root has no parent")
         if branch.parent is not None:
