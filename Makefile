@@ -88,11 +88,12 @@ golden: $(STAMP) ## rewrite the golden images (look at them before you commit)
 	CARINA_GOLDEN=rewrite $(PY) -m pytest -m "" -q tests -k golden
 
 bench-setup: $(STAMP)
-	$(UV) pip install -q --python $(PY) "vtk>=9.4" "numba>=0.61" "scipy>=1.14"
+	$(UV) pip install -q --python $(PY) "vtk>=9.4" "numba>=0.61" "scipy>=1.14" "dijkstra3d>=1.15" "scikit-image>=0.24"
 
-bench: bench-setup ## figures beside VTK, numba and scipy; pictures and JSON in benchmarks/results (BENCH=--quick: minutes)
+bench: bench-setup ## figures beside VTK, numba, scipy and dijkstra3d; pictures and JSON in benchmarks/results (BENCH=--quick: minutes)
 	.venv/bin/carina bench render $(BENCH) -o benchmarks/results
 	.venv/bin/carina bench isoregion $(BENCH) -o benchmarks/results
+	.venv/bin/carina bench track $(BENCH) -o benchmarks/results
 
 lock: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## export requirements.lock from pyproject.toml
 	$(if $(wildcard $(PY)),$(PY),python3) tools/lock.py --uv $(UV)

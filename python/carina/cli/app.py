@@ -320,7 +320,7 @@ def doctor(as_json: JsonOption = False) -> None:
 
 
 bench = typer.Typer(
-    help="Figures beside the installed peers (VTK, numba, scipy), in the same run. Needs the extra `bench`.",
+    help="Figures beside installed peers (VTK, numba, scipy, dijkstra3d), in the same run. Needs the extra `bench`.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -390,6 +390,27 @@ def bench_isoregion(
     Example: carina bench isoregion --only map --json
     """
     _bench("isoregion", output, case, only, quick, repeats, as_json)
+
+
+@bench.command("track")
+def bench_track(
+    output: BenchFolder = Path("carina-bench"),
+    only: BenchOnly = None,
+    quick: BenchQuick = False,
+    as_json: JsonOption = False,
+) -> None:
+    """The path tracker beside its peers, and the airway tree beside the truth.
+
+    Parts: speed, paper, quality, names, measures. A part that this version does not have, or whose peers or data are
+    missing, is named and left out. A missed limit is a result and no failure: the exit code is 0.
+
+    Example: carina bench track --only speed --quick
+    """
+    with exit_codes(as_json):
+        from carina.cli.bench.track import report
+
+        check_output_folder(output)
+        raise SystemExit(report(folder=output, only=only or [], quick=quick, as_json=as_json))
 
 
 USAGE_ERROR: Any = typer.BadParameter.__base__

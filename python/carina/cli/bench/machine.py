@@ -15,7 +15,7 @@ from carina.render import build_info
 
 __all__ = ["load_average", "machine_facts", "require_peers"]
 
-PEERS = ("vtk", "numba", "scipy", "numpy")
+PEERS = ("vtk", "numba", "scipy", "numpy", "dijkstra3d", "scikit-image")
 
 
 def require_peers(*names: str) -> None:

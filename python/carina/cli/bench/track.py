@@ -1,0 +1,205 @@
+"""``carina bench track``: the path tracker and the airway tree, part by part.
+
+A part is a module ``track_<part>.py`` beside this one with ``run(quick, say) -> list of rows``. A row is a dict of JSON
+values; those with a ``limit`` are judged:
+
+``what``
+    The figure in words.
+``case``
+    Where it was taken; may be missing.
+``figure``
+    The number, or None where it could not be taken (``note`` says why; it counts as missed).
+``unit``
+    Of the figure and the limit; may be missing.
+``limit``
+    What it must reach, or None: a figure without a limit is a statement.
+``better``
+    ``higher`` (unless told) or ``lower``.
+``aim``
+    True for a limit that is reported beside the others and not counted.
+``note``
+    More for people.
+
+Further keys (``median``, ``min``, ``max``, times of each peer) go into the report as they are.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from carina.cli.bench.gates import Gate
+from carina.cli.bench.machine import load_average, machine_facts, require_peers
+from carina.cli.bench.worker import run_section
+from carina.cli.console import print_json, say
+from carina.errors import CancelledError, CarinaError, UsageError
+
+__all__ = ["PARTS", "built_parts", "gate_of", "line_of", "part", "report"]
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What a part measures, and with how many threads."""
+
+    about: str
+    threads: int | None = None
+
+
+PARTS: dict[str, Part] = {
+    "speed": Part(
+        "the fast tracker beside dijkstra3d, root solve, paths in the settled tree, the live path", threads=1
+    ),
+    "paper": Part("the paper's cost, and the IsoRegion graph beside the full one"),
+    "quality": Part("branches and length detected, precision, leakage, centreline distance"),
+    "names": Part("names of segmental bronchi and lobes"),
+    "measures": Part("diameters, areas and lengths against truth"),
+}
+
+
+def built_parts() -> list[str]:
+    """Parts whose module is there."""
+    return [name for name in PARTS if find_spec(_module(name)) is not None]
+
+
+def _module(name: str) -> str:
+    return f"carina.cli.bench.track_{name}"
+
+
+def part(request: dict[str, Any]) -> list[Row]:
+    """Run one part, in the process that this is called in."""
+    rows: list[Row] = import_module(_module(request["part"])).run(request["quick"], say)
+    return rows
+
+
+def gate_of(row: Row) -> Gate | None:
+    """The row's figure beside its limit; None for a row without a limit."""
+    if row.get("limit") is None:
+        return None
+    figure = row.get("figure")
+    name = row["what"] + (f", {row['case']}" if row.get("case") else "")
+    return Gate(
+        name,
+        float("nan") if figure is None else float(figure),
+        float(row["limit"]),
+        row.get("better", "higher"),
+        aim=bool(row.get("aim", False)),
+        note=row.get("note"),
+    )
+
+
+def line_of(row: Row) -> str:
+    """A row for people."""
+    figure, unit = row.get("figure"), row.get("unit")
+    text = "not measured" if figure is None else f"{figure:.4g}" if isinstance(figure, int | float) else str(figure)
+    line = f"  {row['what']}"
+    line += f", {row['case']}" if row.get("case") else ""
+    line += f": {text}" + (f" {unit}" if unit and figure is not None else "")
+    spread = [f"{key} {row[key]:.4g}" for key in ("median", "min", "max") if isinstance(row.get(key), int | float)]
+    line += f" ({', '.join(spread)})" if spread else ""
+    gate = gate_of(row)
+    if gate is not None:
+        sign = ">=" if gate.better == "higher" else "<="
+        line += f"  {'aim' if gate.aim else 'limit'} {sign} {gate.limit:g}: {'met' if gate.passed else 'MISSED'}"
+    return line + (f"  [{row['note']}]" if row.get("note") else "")
+
+
+def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> int:
+    """Measure, print, and write ``track.json``; always 0 when it could be measured: a missed limit is a result.
+
+    A part that is named and cannot run (a peer or the data missing) ends the command with its error; one that was not
+    named is left out, and the report says why.
+
+    Raises
+    ------
+    UsageError
+        If a part is unknown or not built.
+    CarinaError
+        If a part that was asked for by name cannot run; or a debug build.
+    """
+    unknown = [name for name in only if name not in PARTS]
+    if unknown:
+        raise UsageError(f"--only: expected some of {', '.join(PARTS)}; found {', '.join(unknown)}")
+    built = built_parts()
+    missing = [name for name in only if name not in built]
+    if missing:
+        there = ", ".join(built) or "none"
+        raise UsageError(f"--only: {', '.join(missing)} cannot be measured by this version; its parts are: {there}")
+    require_peers()
+    folder.mkdir(parents=True, exist_ok=True)
+    started = time.monotonic()
+    facts = machine_facts()
+    say(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")
+    parts: dict[str, Any] = {}
+    gates: list[Gate] = []
+    texts: list[str] = []
+    for name, about in PARTS.items():
+        if only and name not in only:
+            continue
+        if name not in built:
+            parts[name] = {"about": about.about, "rows": [], "left_out": "not in this version"}
+        else:
+            say(f"-- {name}")
+            parts[name] = _run(name, quick=quick, named=name in only)
+        rows = parts[name]["rows"]
+        found = [gate for row in rows if (gate := gate_of(row)) is not None]
+        gates += found
+        texts += [f"\n{name}: {about.about}", *(line_of(row) for row in rows)]
+        if "left_out" in parts[name]:
+            texts.append(f"  left out: {parts[name]['left_out']}")
+    must = [gate for gate in gates if not gate.aim]
+    passed = sum(gate.passed for gate in must)
+    document = {
+        "benchmark": "track",
+        "version": 1,
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "quick": quick,
+        "machine": {**facts, "load_average_after": load_average()},
+        "folder": str(folder),
+        "parts": parts,
+        "gates_passed": passed,
+        "gates_missed": len(must) - passed,
+        "seconds": round(time.monotonic() - started, 1),
+    }
+    text = json.dumps(document, allow_nan=False, ensure_ascii=False, indent=1)
+    (folder / "track.json").write_text(text + "\n", encoding="utf-8")
+    if as_json:
+        print_json(document)
+        return 0
+    print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']} to {load_average()}")
+    print("\n".join(texts))
+    print(f"\n{passed} limits met, {len(must) - passed} missed; track.json in {folder}")
+    return 0
+
+
+def _run(name: str, *, quick: bool, named: bool) -> dict[str, Any]:
+    """One part in a process of its own."""
+    started = time.monotonic()
+    before = os.times()
+    result: dict[str, Any] = {"about": PARTS[name].about, "rows": []}
+    try:
+        result["rows"] = run_section("track:part", {"part": name, "quick": quick}, threads=PARTS[name].threads)
+    except CancelledError:
+        raise
+    except CarinaError as error:
+        if named:
+            raise
+        result["left_out"] = str(error)
+    for row in result["rows"]:
+        gate = gate_of(row)
+        row["met"] = None if gate is None else gate.passed
+    after = os.times()
+    result["seconds"] = round(time.monotonic() - started, 1)
+    result["cpu_s"] = round(
+        after.children_user + after.children_system - before.children_user - before.children_system, 1
+    )
+    return result

@@ -1,0 +1,65 @@
+"""The frame of ``carina bench track``: parts that are there, parts that are not, limits, the report."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from carina.cli.bench import track
+from carina.errors import CarinaError
+
+ROW = {"what": "paths", "case": "phantom", "figure": 9.0, "limit": 8.0, "unit": "x", "median": 9.0, "min": 8.5}
+
+
+def test_a_row_is_judged_by_its_limit_and_told():
+    assert track.gate_of(ROW).passed
+    assert not track.gate_of({**ROW, "better": "lower"}).passed
+    assert track.gate_of({"what": "memory", "figure": 5.0}) is None
+    line = track.line_of(ROW)
+    assert "paths, phantom: 9 x" in line and "min 8.5" in line and "limit >= 8: met" in line
+
+
+def test_a_figure_that_was_not_taken_is_missed_and_says_so():
+    row = {**ROW, "figure": None, "note": "no data"}
+    assert not track.gate_of(row).passed
+    assert "not measured" in track.line_of(row) and "MISSED" in track.line_of(row) and "no data" in track.line_of(row)
+
+
+def test_an_unknown_part_exits_2_and_names_the_known_ones(carina, tmp_path):
+    ended = carina("bench", "track", "--only", "everything", "--json", "-o", tmp_path / "out")
+    assert ended.code == 2
+    assert "speed" in ended.json()["error"]["message"]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_part_that_is_not_built_is_left_out_and_said(carina, monkeypatch, tmp_path):
+    monkeypatch.setattr(track, "built_parts", lambda: ["speed"])
+    monkeypatch.setattr(track, "run_section", lambda _function, request, threads: [{**ROW, "what": request["part"]}])
+    ended = carina("bench", "track", "--json", "-o", tmp_path / "out")
+    assert ended.code == 0
+    document = ended.json()
+    assert document["parts"]["speed"]["rows"][0]["met"] is True
+    assert document["parts"]["names"]["left_out"] == "not in this version"
+    assert (document["gates_passed"], document["gates_missed"]) == (1, 0)
+    assert json.loads((tmp_path / "out" / "track.json").read_text())["parts"] == document["parts"]
+    refused = carina("bench", "track", "--only", "names", "--json", "-o", tmp_path / "other")
+    assert refused.code == 2
+    assert "names" in refused.json()["error"]["message"]
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_a_part_without_its_peer_is_left_out_unless_it_was_asked_for(carina, monkeypatch, tmp_path, named):
+    def refuse(*_arguments, **_options):
+        error = CarinaError("dijkstra3d is not installed", code="machine.extra")
+        raise error
+
+    monkeypatch.setattr(track, "built_parts", lambda: ["speed"])
+    monkeypatch.setattr(track, "run_section", refuse)
+    ended = carina("bench", "track", *(["--only", "speed"] if named else []), "--json", "-o", tmp_path / "out")
+    if named:
+        assert ended.code == 1
+        assert ended.json()["error"]["code"] == "machine.extra"
+    else:
+        assert ended.code == 0
+        assert "dijkstra3d" in ended.json()["parts"]["speed"]["left_out"]
