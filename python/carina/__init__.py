@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from carina.phantom import generate_phantom, write_phantom
     from carina.render import Renderer, TransferFunction, render_surface, render_view, transfer_preset
     from carina.scopes import Pose
-    from carina.track import Airways, AirwayTree, find_airways, track_paths
+    from carina.track import Airways, AirwayTree, edit_airways, find_airways, track_paths
     from carina.volume import Volume, demo_patient, inspect_path, open_volume
 
 _HOME = {
@@ -40,6 +40,7 @@ _HOME = {
     "Volume": "volume",
     "VolumeImportError": "errors",
     "demo_patient": "volume",
+    "edit_airways": "track",
     "find_airways": "track",
     "generate_phantom": "phantom",
     "inspect_path": "volume",
@@ -68,6 +69,7 @@ __all__ = [
     "VolumeImportError",
     "__version__",
     "demo_patient",
+    "edit_airways",
     "find_airways",
     "generate_phantom",
     "inspect_path",

@@ -20,6 +20,12 @@ Progress = Callable[[str, float | None], None]
 Cancel = Callable[[], bool]
 
 
+def _edit_airways(*arguments: Any, **options: Any) -> Airways:
+    from carina import track
+
+    return track.edit_airways(*arguments, **options)
+
+
 class RendererFactory(Protocol):
     """Makes a renderer of a volume: one machine's, or a cluster's."""
 
@@ -40,6 +46,8 @@ class Parts:
     transfer_from_json: Callable[[dict[str, Any]], TransferFunction]
     transfer_from_histogram: Callable[[Volume], tuple[TransferFunction, float]]
     presets: tuple[str, ...] = ("endoscopic", "ct-grey", "see-through", "paper")
+    edit_airways: Callable[..., Airways] = _edit_airways
+    """``edit_airways(volume, airways, edit, progress=, cancel=)``."""
 
 
 def default_parts() -> Parts:

@@ -18,26 +18,24 @@ from carina.navigate import Navigator
 from carina.render import Slab
 from carina.scopes import MASKS, Mask, Pose, scope_preset
 from carina.session.case import HISTOGRAM_PRESET, OpenCase, as_point, new_case
-from carina.session.core import ALL_TOPICS, SessionCore
+from carina.session.core import ALL_TOPICS
 from carina.session.document import Document, Method, Operator, Point, Target
+from carina.session.editing import MAX_AIRWAYS_KEPT, TreeEditing, airway_words
 from carina.session.jobs import Job
-from carina.session.routes import ChosenRoute, default_branch_id, route_to_branch, route_to_target
+from carina.session.routes import ChosenRoute, default_branch_id, route_to_branch
 from carina.session.scene import Carm, Orbit, Reformation
 from carina.session.snapshot import Said, WallPoint
 from carina.session.start_pose import pose_at_root
+from carina.session.targets import tracked_target
 from carina.volume import Volume
 
 __all__ = ["Session"]
 
 PINHOLE_FOV_DEG = 90.0
-SNAP_MM = 5.0
-"""A target outside the lumen is moved to it within this distance, and said."""
-MAX_AIRWAYS_KEPT = 4
-"""Airways that undo can go back to: a lumen and its tracker take some hundred megabytes."""
 SET_THE_ROOT = "Click in the trachea on a slice and choose it as the root."
 
 
-class Session(SessionCore):
+class Session(TreeEditing):
     """State, commands and jobs of one workstation.
 
     Parameters
@@ -182,7 +180,7 @@ class Session(SessionCore):
             if any(other.kind == "airways" and other is not job for other in self._jobs.running):
                 return  # A newer search runs in its place.
             if case.document.airways is not None:
-                case.airways_status, case.airways_words = "found", _notes(case.document.airways)
+                case.airways_status, case.airways_words = "found", airway_words(case.document.airways)
             else:
                 words = str(trouble) if isinstance(trouble, CarinaError) else "finding the airways failed"
                 case.airways_status, case.airways_words = "failed", f"{words}. {SET_THE_ROOT}"
@@ -204,7 +202,7 @@ class Session(SessionCore):
                     return
                 asked = case.document.targets
             # Not under the lock: a path may take a while, and meanwhile a person may add or remove targets.
-            targets = tuple(self._tracked(airways, target) for target in asked)
+            targets = tuple(tracked_target(airways, target) for target in asked)
 
     def _put_airways(
         self, case: OpenCase, found: Document, default_route: ChosenRoute | None, label: str | None
@@ -222,7 +220,7 @@ class Session(SessionCore):
             case.history.change(label, found, now_s=self._clock())
             case.history.keep_distinct(lambda d: d.airways, MAX_AIRWAYS_KEPT)
         case.airways_status = "found"
-        case.airways_words = _notes(airways)
+        case.airways_words = airway_words(airways)
         self._follow_document(case)
         if not case.person_moved:
             if route is not None:
@@ -263,7 +261,7 @@ class Session(SessionCore):
                             self._emit(Said(words))
                         return
                     tracked_in = document.airways
-                tracked = self._tracked(tracked_in, target)
+                tracked = tracked_target(tracked_in, target)
 
         return self._jobs.start(f"target {number}", f"finding the path to {target.name}", work)
 
@@ -296,17 +294,6 @@ class Session(SessionCore):
                 route = route_to_branch(document.airways.tree, branch_id)
             label = "take away the route" if route is None else f"route to {route.title}"
             self._change(case, label, replace(document, route=route))
-
-    def _tracked(self, airways: Any, target: Target) -> Target:
-        bare = Target(target_id=target.target_id, name=target.name, lps=target.lps)
-        try:
-            path = airways.tracker.path_to(target.lps, snap_mm=SNAP_MM)
-            route = route_to_target(airways.tree, path, target.target_id, target.name)
-        except TrackingError as trouble:
-            return replace(bare, problem=str(trouble))
-        # Not moved: the point itself was asked for and is used. Moved: the lumen voxel that the path ends in.
-        used = target.lps if path.snapped_mm == 0.0 else as_point(path.points_lps[-1])
-        return replace(bare, used_lps=used, snapped_mm=path.snapped_mm, length_mm=path.length_mm, route=route)
 
     # ------------------------------------------------------------ how it is shown
 
@@ -502,10 +489,6 @@ class Session(SessionCore):
                 self._changed("state", "pose", "views")
             else:
                 self._changed("pose", "views")
-
-
-def _notes(airways: Any) -> str | None:
-    return "; ".join(str(note) for note in airways.report) or None
 
 
 def _needed_target(document: Document, target_id: str) -> Target:

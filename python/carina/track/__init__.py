@@ -1,20 +1,50 @@
 """Airway lumen, least-cost paths and the airway tree (paper 6)."""
 
 from carina.track.airways import Airways, TargetResult, TrackResult, find_airways, track_paths
+from carina.track.edits import (
+    AddBranch,
+    Bridge,
+    CutBranch,
+    MoveFork,
+    MoveRoot,
+    PaintLumen,
+    RenameBranch,
+    SmoothBranch,
+    TreeEdit,
+    edit_airways,
+    edit_words,
+    edits_from_json,
+    edits_to_json,
+    rebuild_airways,
+)
 from carina.track.levels import lumen_threshold_from_histogram
 from carina.track.paths import PathTracker, TrackedPath
 from carina.track.tree import AirwayTree, Branch, Route
 
 __all__ = [
+    "AddBranch",
     "AirwayTree",
     "Airways",
     "Branch",
+    "Bridge",
+    "CutBranch",
+    "MoveFork",
+    "MoveRoot",
+    "PaintLumen",
     "PathTracker",
+    "RenameBranch",
     "Route",
+    "SmoothBranch",
     "TargetResult",
     "TrackResult",
     "TrackedPath",
+    "TreeEdit",
+    "edit_airways",
+    "edit_words",
+    "edits_from_json",
+    "edits_to_json",
     "find_airways",
     "lumen_threshold_from_histogram",
+    "rebuild_airways",
     "track_paths",
 ]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from carina._core import LumenTracker, find_trachea_voxels, flood_lumen
 from carina.errors import CancelledError, GeometryError, NoResultError, UsageError
+from carina.track.edit_kinds import TreeEdit
 from carina.track.levels import AirScale, air_scale
 from carina.track.paths import SNAP_MM, Cancel, PathTracker, Point, TrackedPath, as_point, branches_from_rows, words
 from carina.track.tree import AirwayTree, Branch
@@ -73,6 +74,8 @@ class Airways:
     """Value at which the lumen ends (HU where the volume is in HU)."""
     notes: tuple[str, ...] = ()
     """What was limited or moved, in words."""
+    edits: tuple[TreeEdit, ...] = ()
+    """What a person changed since they were found, in order."""
 
     @property
     def report(self) -> tuple[str, ...]:

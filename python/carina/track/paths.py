@@ -193,28 +193,32 @@ class PathTracker:
         """
         if not self._branches:
             return np.zeros(len(nodes), dtype=np.int32), np.zeros(len(nodes), dtype=np.int32)
+        parents = self._parents()
         lineage = [max(int(self._branch_of_node[nodes[-1]]), 0)]
-        while (parent := self._branches[lineage[-1]].parent) is not None:
+        while (parent := parents[lineage[-1]]) is not None:
             lineage.append(parent)
         lineage.reverse()
         place_of = np.full(len(self._branches), -1, dtype=np.int32)
-        for branch in self._branches:
+        for number, parent in enumerate(parents):
             # Parents come first, so a branch off the way has its nearest ancestor's place.
-            place_of[branch.id] = 0 if branch.parent is None else place_of[branch.parent]
-            if branch.id in lineage:
-                place_of[branch.id] = lineage.index(branch.id)
+            place_of[number] = 0 if parent is None else place_of[parent]
+            if number in lineage:
+                place_of[number] = lineage.index(number)
         places = np.maximum.accumulate(place_of[np.maximum(self._branch_of_node[nodes], 0)])
-        ids = np.array(lineage, dtype=np.int32)[places]
-        return ids, np.array([branch.generation for branch in self._branches], dtype=np.int32)[ids]
+        numbers = np.array(lineage, dtype=np.int32)[places]
+        ids = np.array([branch.id for branch in self._branches], dtype=np.int32)[numbers]
+        return ids, np.array([branch.generation for branch in self._branches], dtype=np.int32)[numbers]
 
     def set_branches(self, branches: Sequence[Branch], nodes: Sequence[NDArray[np.uint32]]) -> None:
-        """Tell which voxels are the middle of which branch, so that paths know their generation; ids are places."""
+        """Tell which voxels are the middle of which branch, so that paths know their branches; parents come first."""
         self._branches = tuple(branches)
         self._branch_nodes = list(nodes)
         self._branch_of_node = self._core.branch_of_nodes(self._branch_nodes, self._parents())
 
     def _parents(self) -> list[int | None]:
-        return [branch.parent for branch in self._branches]
+        """Place of each branch's parent in the list; ids are not places once a tree was edited."""
+        place_of_id = {branch.id: number for number, branch in enumerate(self._branches)}
+        return [None if branch.parent is None else place_of_id[branch.parent] for branch in self._branches]
 
     def tree_to(self, paths: Sequence[TrackedPath]) -> AirwayTree:
         """The part of the airway tree that leads to the given paths' targets; names and generations are kept."""

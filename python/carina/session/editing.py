@@ -1,0 +1,137 @@
+"""Mending the airway tree in a session: each edit is a job, one step of undo, and takes targets and route with it."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from carina.errors import NoResultError
+from carina.session.case import OpenCase
+from carina.session.core import SessionCore
+from carina.session.document import Document, Target
+from carina.session.jobs import Job
+from carina.session.snapshot import Said
+from carina.session.targets import followed_route, tracked_target
+from carina.track import edit_words
+
+if TYPE_CHECKING:
+    from carina.track import TreeEdit
+
+__all__ = ["TreeEditing", "airway_words"]
+
+MAX_AIRWAYS_KEPT = 4
+"""Airways that undo can go back to: a lumen and its tracker take some hundred megabytes."""
+LOOK_S = 0.05
+"""How often an edit that waits for the one before it looks whether it was stopped."""
+
+
+class TreeEditing(SessionCore):
+    """The commands that change the airway tree."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._edit_numbers = itertools.count(1)
+        self._one_edit = threading.Lock()
+
+    def edit_tree(self, edit: TreeEdit) -> str:
+        """Make one edit to the airway tree, as a job; undoable with a label in words (``cut RB3``).
+
+        Targets are tracked again, and a route to what the edit took away goes with it, which is said. Edits that are
+        asked for while another one is made follow it.
+
+        Returns
+        -------
+        str
+            The job's id. The job fails in words where the edit cannot be made; nothing is changed then.
+
+        Raises
+        ------
+        NoResultError
+            If the case has no airways yet.
+        UsageError
+            If no case is open, a point lies outside the scan, or the branch is not in the tree.
+        """
+        case = self._needed_case()
+        for point in _points_of(edit):
+            case.check_inside(point)
+        words = self._words(case, edit)
+        number = next(self._edit_numbers)
+
+        def work(job: Job) -> None:
+            while not self._one_edit.acquire(timeout=LOOK_S):
+                job.check()
+            try:
+                self._edit_now(case, edit, job)
+            finally:
+                self._one_edit.release()
+
+        return self._jobs.start(f"edit {number}", words, work)
+
+    def _words(self, case: OpenCase, edit: TreeEdit) -> str:
+        with self._lock:
+            return edit_words(edit, _needed_airways(case.document))
+
+    def _edit_now(self, case: OpenCase, edit: TreeEdit, job: Job) -> None:
+        while True:
+            with self._lock:
+                job.check()
+                before = case.document
+            airways = _needed_airways(before)
+            label = edit_words(edit, airways)
+            edited = self._parts.edit_airways(case.info.volume, airways, edit, progress=job.progress, cancel=job.cancel)
+            targets = tuple(tracked_target(edited, target) for target in before.targets)
+            route = followed_route(edited, before.route, targets)
+            with self._lock:
+                job.check()
+                # Undo, a new target or another route may have come meanwhile: the edit is made to what is there now.
+                now = case.document
+                if now.airways is airways and now.targets == before.targets and now.route is before.route:
+                    self._put_edit(case, label, replace(now, airways=edited, targets=targets, route=route))
+                    return
+
+    def _put_edit(self, case: OpenCase, label: str, document: Document) -> None:
+        before = case.document
+        case.airways_words = airway_words(document.airways)
+        self._change(case, label, document)
+        case.history.keep_distinct(lambda d: d.airways, MAX_AIRWAYS_KEPT)
+        for line in _lost(before, document):
+            self._emit(Said(line))
+
+
+def airway_words(airways: Any) -> str | None:
+    """The notes on airways as one line."""
+    return "; ".join(str(note) for note in airways.report) or None
+
+
+def _lost(before: Document, after: Document) -> list[str]:
+    """What an edit took away with it, in words."""
+    lines = [
+        f"there is no path to {new.name} any more: {new.problem}"
+        for old, new in zip(before.targets, after.targets, strict=True)
+        if _had_path(old) and not _had_path(new)
+    ]
+    if before.route is not None and after.route is None:
+        lines.append(f"the route to {before.route.title} went away with the edit; choose another one, or undo")
+    return lines
+
+
+def _had_path(target: Target) -> bool:
+    return target.route is not None
+
+
+def _needed_airways(document: Document) -> Any:
+    if document.airways is None:
+        raise NoResultError(
+            "there is no airway tree to edit yet: wait until the airways are found, or click in the trachea and choose "
+            "it as the root",
+            code="track.no-airways",
+        )
+    return document.airways
+
+
+def _points_of(edit: TreeEdit) -> tuple[tuple[float, float, float], ...]:
+    """The points of an edit that must lie in the scan; a stroke may run over its edge."""
+    point = getattr(edit, "lps", None)
+    return () if point is None else (point,)

@@ -1,0 +1,49 @@
+"""Targets and routes in new airways: the same places, tracked again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from carina.errors import TrackingError
+from carina.session.case import as_point
+from carina.session.document import Target
+from carina.session.routes import ChosenRoute, route_to_branch, route_to_target
+
+__all__ = ["SNAP_MM", "followed_route", "tracked_target"]
+
+SNAP_MM = 5.0
+"""A target outside the lumen is moved to it within this distance, and said."""
+
+
+def tracked_target(airways: Any, target: Target) -> Target:
+    """The target with its path through ``airways``, or with the reason why there is none."""
+    bare = Target(target_id=target.target_id, name=target.name, lps=target.lps)
+    try:
+        path = airways.tracker.path_to(target.lps, snap_mm=SNAP_MM)
+        route = route_to_target(airways.tree, path, target.target_id, target.name)
+    except TrackingError as trouble:
+        return replace(bare, problem=str(trouble))
+    # Not moved: the point itself was asked for and is used. Moved: the lumen voxel that the path ends in.
+    used = target.lps if path.snapped_mm == 0.0 else as_point(path.points_lps[-1])
+    return replace(bare, used_lps=used, snapped_mm=path.snapped_mm, length_mm=path.length_mm, route=route)
+
+
+def followed_route(airways: Any, chosen: ChosenRoute | None, targets: tuple[Target, ...]) -> ChosenRoute | None:
+    """The route that was chosen, in changed airways; None where what it led to is gone.
+
+    A route that runs as before keeps its path, so that the flight along it goes on.
+    """
+    if chosen is None:
+        return None
+    if chosen.target_id is not None:
+        found = next((t.route for t in targets if t.target_id == chosen.target_id), None)
+    elif chosen.branch_id is not None and any(b.id == chosen.branch_id for b in airways.tree.branches):
+        found = route_to_branch(airways.tree, chosen.branch_id)
+    else:
+        found = None
+    if found is not None and np.array_equal(found.points_lps, chosen.points_lps):
+        return replace(found, path=chosen.path, frames=chosen.frames)
+    return found
