@@ -118,6 +118,34 @@ class SmallTracker:
             snapped_mm=0.0 if distance < 1e-9 else distance,
         )
 
+    def inside(self, points_lps: Any) -> Any:
+        return np.array([self.tree.nearest_branch(point)[2] <= 3.0 for point in points_lps])
+
+    def live_path(self, point_lps: Any) -> Any:
+        branch, _, distance = self.tree.nearest_branch(point_lps)
+        if distance > 5.0:
+            return SimpleNamespace(
+                points_lps=np.empty((0, 3)),
+                length_mm=0.0,
+                min_radius_mm=None,
+                confidence=None,
+                snapped_mm=None,
+                new_mm=None,
+                joins_branch_id=None,
+                problem=f"the nearest airway is {distance:.1f} mm away",
+            )
+        route = self.tree.route_to(branch.id)
+        return SimpleNamespace(
+            points_lps=route.points_lps,
+            length_mm=route.length_mm,
+            min_radius_mm=float(route.radius_mm.min()),
+            confidence=0.75,
+            snapped_mm=distance,
+            new_mm=0.0,
+            joins_branch_id=branch.id,
+            problem=None,
+        )
+
 
 def small_airways(volume: Volume, *, root_lps: Any = None, note: str = "three branches") -> Any:
     """Airways of :func:`small_volume`."""

@@ -13,6 +13,7 @@ from typing import Any, assert_never
 from carina.errors import CarinaError, UsageError
 from carina.render import Slab
 from carina.server import messages as wire
+from carina.server.pointing import Pointing, edit_from_wire
 from carina.server.presenter import (
     picked_message,
     pose_message,
@@ -71,11 +72,11 @@ class Outbox:
         self._filled.set()
 
     def push(self, message: Any) -> None:
-        """A message that must arrive as it is, in order; of progress and values only the newest."""
+        """A message that must arrive as it is, in order; of progress and answers to a cursor only the newest."""
         if isinstance(message, wire.Progress):
             self._newest[f"job {message.job_id}"] = wire.encode_message(message)
-        elif isinstance(message, wire.Value):
-            self._newest["value"] = wire.encode_message(message)
+        elif isinstance(message, wire.Value | wire.LivePath | wire.BranchDetail):
+            self._newest[message.wire_type] = wire.encode_message(message)
         else:
             if isinstance(message, wire.Done):
                 self._newest.pop(f"job {message.job_id}", None)
@@ -137,8 +138,9 @@ class Hub:
             session.scene, self._deliver, self._tell_from_pump, clock=clock, threads=threads, simd=simd
         )
         self._thread = threading.Thread(target=self.pump.run, name="carina-frames", daemon=True)
+        self._pointing = Pointing(session, self.pump.shown, lambda answer: self._in_loop(self._push, answer))
         self._unsubscribe: Callable[[], None] = lambda: None
-        self._cache: dict[str, tuple[object, str]] = {}
+        self._cache: dict[str, tuple[tuple[object, ...], str]] = {}
 
     # ------------------------------------------------------------ life
 
@@ -147,10 +149,12 @@ class Hub:
         self._loop = asyncio.get_running_loop()
         self._unsubscribe = self.session.subscribe(self._on_event)
         self._thread.start()
+        self._pointing.start()
 
     def stop(self) -> None:
         """End the pump's thread and the session's jobs."""
         self._unsubscribe()
+        self._pointing.stop()
         self.pump.stop()
         if self._thread.is_alive():
             self._thread.join()
@@ -202,18 +206,19 @@ class Hub:
             return wire.encode_message(state_message(snapshot, frame_rate_hz=self.pump.rate_hz))
         if topic == "tree":
             airways = None if document is None else document.airways
-            return self._cached("tree", airways, lambda: tree_message(airways))
+            measures = getattr(snapshot, "measures", None)
+            return self._cached("tree", lambda: tree_message(airways, measures), airways, measures)
         if topic == "route":
             route = None if document is None else document.route
-            return self._cached("route", route, lambda: route_message(route))
+            return self._cached("route", lambda: route_message(route), route)
         info = self.session.pose_info()
         return None if info is None else wire.encode_message(pose_message(info))
 
-    def _cached(self, topic: str, value: object, message: Callable[[], Any]) -> str:
+    def _cached(self, topic: str, message: Callable[[], Any], *values: object) -> str:
         """A tree is some hundred kilobytes and changes rarely; every change and every reload asks for it."""
         known = self._cache.get(topic)
-        if known is None or known[0] is not value:
-            known = self._cache[topic] = (value, wire.encode_message(message()))
+        if known is None or any(a is not b for a, b in zip(known[0], values, strict=True)):
+            known = self._cache[topic] = (values, wire.encode_message(message()))
         return known[1]
 
     def _on_event(self, event: Event) -> None:
@@ -316,6 +321,10 @@ class Hub:
                 self._push(wire.Value(message.lps, session.value_at(_three(message.lps))))
             case wire.Pick():
                 self._pick(message)
+            case wire.AskLivePath():
+                self._pointing.ask_live_path(message)
+            case wire.AskBranchDetail():
+                self._pointing.ask_branch_detail(message)
             case wire.SetOrbit():
                 orbit = Orbit(message.azimuth_deg, message.elevation_deg, message.distance_mm)
                 session.set_orbit(message.view, orbit)
@@ -370,6 +379,8 @@ class Hub:
                 session.add_target(_three(message.lps))
             case wire.RemoveTarget():
                 session.remove_target(message.target_id)
+            case wire.EditTree():
+                session.edit_tree(edit_from_wire(message.edit))
             case wire.ChooseRoute():
                 session.choose_route(target_id=message.target_id, branch_id=message.branch_id)
             case wire.SetWindow():

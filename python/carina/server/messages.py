@@ -17,10 +17,21 @@ from carina.server.messages_from_client import (
     AcceptNotice,
     Ack,
     AddTarget,
+    AskBranchDetail,
+    AskLivePath,
     Cancel,
     ChooseRoute,
     ClientHello,
     CloseCase,
+    EditAddBranch,
+    EditBridge,
+    EditCutBranch,
+    EditMoveFork,
+    EditMoveRoot,
+    EditPaintLumen,
+    EditRenameBranch,
+    EditSmoothBranch,
+    EditTree,
     GoTo,
     Layout,
     LevelHorizon,
@@ -61,6 +72,9 @@ from carina.server.messages_from_client import (
     ViewSize,
 )
 from carina.server.messages_from_server import (
+    BranchDetail,
+    BranchMeasures,
+    BranchProfile,
     Carm,
     CaseInfo,
     Demo,
@@ -68,6 +82,7 @@ from carina.server.messages_from_server import (
     Error,
     FeatureOff,
     GreyWindow,
+    LivePath,
     Notice,
     Orbit,
     OtherSeries,
@@ -92,6 +107,7 @@ from carina.server.messages_from_server import (
     Tree,
     TreeBranch,
     TreeDocument,
+    UncertainPlace,
     Value,
     Zoom,
 )
@@ -106,6 +122,11 @@ __all__ = [
     "AcceptNotice",
     "Ack",
     "AddTarget",
+    "AskBranchDetail",
+    "AskLivePath",
+    "BranchDetail",
+    "BranchMeasures",
+    "BranchProfile",
     "Cancel",
     "Carm",
     "CaseInfo",
@@ -114,12 +135,22 @@ __all__ = [
     "CloseCase",
     "Demo",
     "Done",
+    "EditAddBranch",
+    "EditBridge",
+    "EditCutBranch",
+    "EditMoveFork",
+    "EditMoveRoot",
+    "EditPaintLumen",
+    "EditRenameBranch",
+    "EditSmoothBranch",
+    "EditTree",
     "Error",
     "FeatureOff",
     "GoTo",
     "GreyWindow",
     "Layout",
     "LevelHorizon",
+    "LivePath",
     "Mask",
     "NextFork",
     "Notice",
@@ -178,6 +209,7 @@ __all__ = [
     "Tree",
     "TreeBranch",
     "TreeDocument",
+    "UncertainPlace",
     "Undo",
     "Value",
     "ViewName",
@@ -210,11 +242,12 @@ CLIENT_MESSAGES = _by_type(
     ClientHello, OpenPath, OpenDemo, OpenUpload, OpenRecent, CloseCase, Cancel, Layout, Ack, Steer, SetMode, ToggleMode,
     GoTo, NextFork, PreviousFork, Place, LevelHorizon, ResetLook, SetOperator, SetRoot, AddTarget, RemoveTarget,
     ChooseRoute, SetCrosshair, SetWindow, SetFov, SetScope, SetMask, SetTransfer, SetShading, SetTexture, SetMethod,
-    SetLumenThreshold, SetOrbit, SetZoom, SetCarm, SetReformation, SetSlab, SetFrameRate, Probe, Pick, Undo, Redo,
-    AcceptNotice,
+    SetLumenThreshold, SetOrbit, SetZoom, SetCarm, SetReformation, SetSlab, SetFrameRate, Probe, Pick, AskLivePath,
+    AskBranchDetail, EditTree, Undo, Redo, AcceptNotice,
 )  # fmt: skip
 SERVER_MESSAGES = _by_type(
-    ServerHello, Start, State, Tree, Route, Pose, Value, Picked, Progress, Done, Error, Notice, Status,
+    ServerHello, Start, State, Tree, Route, Pose, Value, Picked, LivePath, BranchDetail, Progress, Done, Error, Notice,
+    Status,
 )  # fmt: skip
 
 
@@ -241,6 +274,10 @@ def parse_client_message(text: str | bytes, *, max_bytes: int = 262_144) -> Any:
         raise ProtocolError("choose_route names a target and a branch; it may name one", code="protocol.choice")
     if isinstance(message, SetTransfer) and (message.preset is None) == (message.document is None):
         raise ProtocolError("set_transfer needs either a preset or a document", code="protocol.choice")
+    if isinstance(message, AskLivePath):
+        in_picture = [part is not None for part in (message.frame_id, message.column, message.row)]
+        if any(in_picture) != all(in_picture) or (message.lps is None) != all(in_picture):
+            raise ProtocolError("live_path needs either a point or a place in a picture", code="protocol.choice")
     if isinstance(message, Layout) and len({v.view for v in message.views}) != len(message.views):
         raise ProtocolError("layout names a view twice", code="protocol.choice")
     return message

@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from carina.server.wire_codec import Length, Range
 from carina.server.wire_fields import (
     Angle,
+    BranchId,
     Count,
     DemoName,
     Key,
@@ -28,10 +29,21 @@ __all__ = [
     "AcceptNotice",
     "Ack",
     "AddTarget",
+    "AskBranchDetail",
+    "AskLivePath",
     "Cancel",
     "ChooseRoute",
     "ClientHello",
     "CloseCase",
+    "EditAddBranch",
+    "EditBridge",
+    "EditCutBranch",
+    "EditMoveFork",
+    "EditMoveRoot",
+    "EditPaintLumen",
+    "EditRenameBranch",
+    "EditSmoothBranch",
+    "EditTree",
     "GoTo",
     "Layout",
     "LevelHorizon",
@@ -261,7 +273,7 @@ class ChooseRoute:
 
     wire_type: ClassVar[str] = "choose_route"
     target_id: Key | None
-    branch_id: Annotated[int, Range(0, 2**31)] | None
+    branch_id: BranchId | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,6 +304,118 @@ class Pick:
     column: Annotated[float, Range(0.0, 4096.0)]
     """Corner coordinates of that picture's own pixels (centre of the first = 0.5)."""
     row: Annotated[float, Range(0.0, 4096.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class AskLivePath:
+    """Ask for the path from the root to a place under the cursor; only the newest is answered, by ``live_path``.
+
+    Either a point, or a place in an airway picture, as in ``pick``: then the lumen in front of the wall there is meant.
+    """
+
+    wire_type: ClassVar[str] = "live_path"
+    request_id: Count
+    """Named by the answer."""
+    lps: PointLps | None
+    frame_id: Count | None
+    column: Annotated[float, Range(0.0, 4096.0)] | None
+    row: Annotated[float, Range(0.0, 4096.0)] | None
+
+
+@dataclass(frozen=True, slots=True)
+class AskBranchDetail:
+    """Ask for what was measured along a branch; only the newest is answered, by ``branch_detail``."""
+
+    wire_type: ClassVar[str] = "branch_detail"
+    request_id: Count
+    branch_id: BranchId
+
+
+@dataclass(frozen=True, slots=True)
+class EditAddBranch:
+    """A branch to a point."""
+
+    kind: Literal["add-branch"]
+    lps: PointLps
+
+
+@dataclass(frozen=True, slots=True)
+class EditCutBranch:
+    """Take a branch away from a place along it, with all that hangs on it; 0 takes the whole branch."""
+
+    kind: Literal["cut-branch"]
+    branch_id: BranchId
+    at_mm: Annotated[float, Range(0.0, 1e5)]
+
+
+@dataclass(frozen=True, slots=True)
+class EditBridge:
+    """Over a blockage to a point in an airway beyond."""
+
+    kind: Literal["bridge"]
+    lps: PointLps
+
+
+@dataclass(frozen=True, slots=True)
+class EditMoveRoot:
+    """Begin all paths elsewhere."""
+
+    kind: Literal["move-root"]
+    lps: PointLps
+
+
+@dataclass(frozen=True, slots=True)
+class EditMoveFork:
+    """Move the point where a branch ends and its children begin."""
+
+    kind: Literal["move-fork"]
+    branch_id: BranchId
+    lps: PointLps
+
+
+@dataclass(frozen=True, slots=True)
+class EditPaintLumen:
+    """A stroke of a brush that makes voxels lumen, or takes lumen away; ``ball`` paints in all directions."""
+
+    kind: Literal["paint-lumen"]
+    points_lps: Annotated[tuple[PointLps, ...], Length(1, 2000)]
+    radius_mm: Annotated[float, Range(0.1, 30.0)]
+    plane: Literal["axial", "coronal", "sagittal", "ball"]
+    erase: bool
+
+
+@dataclass(frozen=True, slots=True)
+class EditSmoothBranch:
+    """Make a centreline smoother."""
+
+    kind: Literal["smooth-branch"]
+    branch_id: BranchId
+
+
+@dataclass(frozen=True, slots=True)
+class EditRenameBranch:
+    """A name of one's own; null gives the automatic one back."""
+
+    kind: Literal["rename-branch"]
+    branch_id: BranchId
+    name: Annotated[str, Length(1, 80)] | None
+
+
+@dataclass(frozen=True, slots=True)
+class EditTree:
+    """One edit of the airway tree: a job, and one step of undo."""
+
+    wire_type: ClassVar[str] = "edit_tree"
+    edit: (
+        EditAddBranch
+        | EditCutBranch
+        | EditBridge
+        | EditMoveRoot
+        | EditMoveFork
+        | EditPaintLumen
+        | EditSmoothBranch
+        | EditRenameBranch
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,15 +7,18 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from carina.server.wire_codec import Length, Range
 from carina.server.wire_fields import (
+    BranchId,
     Count,
     DemoName,
     Key,
     Mask,
     Matrix4,
+    MaybeNumbers,
     Method,
     Mode,
     Numbers,
     Operator,
+    Part,
     Pixels,
     PointLps,
     PointsLps,
@@ -26,6 +29,9 @@ from carina.server.wire_fields import (
 )
 
 __all__ = [
+    "BranchDetail",
+    "BranchMeasures",
+    "BranchProfile",
     "Carm",
     "CaseInfo",
     "Demo",
@@ -33,6 +39,7 @@ __all__ = [
     "Error",
     "FeatureOff",
     "GreyWindow",
+    "LivePath",
     "Notice",
     "Orbit",
     "OtherSeries",
@@ -57,6 +64,7 @@ __all__ = [
     "Tree",
     "TreeBranch",
     "TreeDocument",
+    "UncertainPlace",
     "Value",
     "Zoom",
 ]
@@ -269,16 +277,22 @@ class TreeBranch:
     """A branch of a ``carina-tree`` document."""
 
     extra_keys_allowed: ClassVar[bool] = True
-    id: Annotated[int, Range(0, 2**31)]
-    parent: Annotated[int, Range(0, 2**31)] | None
-    children: tuple[Annotated[int, Range(0, 2**31)], ...]
+    id: BranchId
+    parent: BranchId | None
+    children: tuple[BranchId, ...]
     generation: Annotated[int, Range(0, 1000)]
     name: Words | None
     kind: Literal["tracked", "bridge", "manual"]
     points: PointsLps
     radius: Numbers
     cost: float | None
-    confidence: Annotated[float, Range(0.0, 1.0)] | None
+    confidence: Part | None
+    """How sure it is that this is airway."""
+    name_confidence: Part | None
+    """How sure the name is; null without one, and for a person's."""
+    name_from: Literal["anatomy", "person"] | None
+    variant: Words | None
+    """What is uncommon about the anatomy here."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,23 +304,62 @@ class TreeDocument:
     version: Literal[1]
     space: Literal["LPS"]
     unit: Literal["mm"]
-    root: Annotated[int, Range(0, 2**31)]
+    root: BranchId
     branches: tuple[TreeBranch, ...]
 
 
 @dataclass(frozen=True, slots=True)
+class BranchMeasures:
+    """What was measured on a branch, without its junctions. Lumens are diameters; errors are of the voxel size."""
+
+    branch_id: BranchId
+    length_mm: float
+    lumen_mm: float | None
+    """Mean."""
+    lumen_error_mm: float | None
+    min_lumen_mm: float | None
+    """At its narrowest place."""
+    min_lumen_error_mm: float | None
+    min_at_mm: float | None
+    """Along the branch."""
+    max_lumen_mm: float | None
+    max_lumen_error_mm: float | None
+    wall_mm: float | None
+    wall_error_mm: float | None
+    taper: float | None
+    """Lumen lost per mm of length."""
+    angle_deg: float | None
+    """To the parent's direction."""
+    stenosis_percent: float | None
+    """Narrowest lumen against the reference."""
+    stenosis_at_mm: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class UncertainPlace:
+    """What could not be followed."""
+
+    lps: PointLps
+    words: Words
+    branch_id: BranchId | None
+
+
+@dataclass(frozen=True, slots=True)
 class Tree:
-    """The airway tree, when it changed."""
+    """The airway tree, when it or its measures changed."""
 
     wire_type: ClassVar[str] = "tree"
     tree: TreeDocument | None
+    measures: tuple[BranchMeasures, ...] | None
+    """Null until they are ready."""
+    uncertain: tuple[UncertainPlace, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class RouteSpan:
     """A branch along the route."""
 
-    branch_id: Annotated[int, Range(0, 2**31)]
+    branch_id: BranchId
     name: Words | None
     generation: Annotated[int, Range(0, 1000)]
     from_mm: float
@@ -320,7 +373,7 @@ class RouteInfo:
     route_id: Key
     title: Words
     target_id: Key | None
-    branch_id: Annotated[int, Range(0, 2**31)] | None
+    branch_id: BranchId | None
     points_lps: PointsLps
     cumulative_mm: Numbers
     generation: Annotated[tuple[Annotated[int, Range(0, 1000)], ...], Length(0, 1_000_000)]
@@ -349,7 +402,7 @@ class Pose:
     lps_from_camera: Matrix4
     mode: Mode
     path_mm: float | None
-    branch_id: Annotated[int, Range(0, 2**31)] | None
+    branch_id: BranchId | None
     branch_name: Words | None
     generation: Annotated[int, Range(0, 1000)] | None
     lumen_mm: float | None
@@ -366,7 +419,7 @@ class Progress:
     job_id: Key
     title: Words
     what: Words
-    fraction: Annotated[float, Range(0.0, 1.0)] | None
+    fraction: Part | None
     seconds_left: float | None
 
 
@@ -419,10 +472,59 @@ class Picked:
     depth_mm: float | None
     """From the lens, along the ray."""
     voxel_value: Annotated[int, Range(-32_768, 32_767)] | None
-    branch_id: Annotated[int, Range(0, 2**31)] | None
+    branch_id: BranchId | None
     """The branch whose centreline is nearest; null without a tree."""
     branch_name: Words | None
     generation: Annotated[int, Range(0, 1000)] | None
+
+
+@dataclass(frozen=True, slots=True)
+class LivePath:
+    """Answer to ``live_path``: the way from the root to the place under the cursor, or why there is none."""
+
+    wire_type: ClassVar[str] = "live_path"
+    request_id: Count
+    lps: PointLps | None
+    """Where it ends: the point that was asked for, or the lumen in front of the wall; null where there is nothing."""
+    points_lps: PointsLps
+    """Root to end; empty where there is no path."""
+    length_mm: float | None
+    min_diameter_mm: float | None
+    """Of the lumen along it."""
+    confidence: Part | None
+    snapped_mm: float | None
+    """How far the point was from the lumen."""
+    new_mm: float | None
+    """Its length outside the present tree."""
+    joins_branch_id: BranchId | None
+    problem: Words | None
+
+
+@dataclass(frozen=True, slots=True)
+class BranchProfile:
+    """Sections across a branch, from its beginning to its end: parallel lists; null where nothing could be measured."""
+
+    at_mm: Numbers
+    lumen_mm: MaybeNumbers
+    """Diameter of the circle of the same area."""
+    lumen_error_mm: MaybeNumbers
+    min_mm: MaybeNumbers
+    """Smallest diameter."""
+    max_mm: MaybeNumbers
+    wall_mm: MaybeNumbers
+    at_junction: tuple[bool, ...]
+    """The section cuts a fork: its lumen is no airway's width."""
+
+
+@dataclass(frozen=True, slots=True)
+class BranchDetail:
+    """Answer to ``branch_detail``; profile and measures are null until they are ready."""
+
+    wire_type: ClassVar[str] = "branch_detail"
+    request_id: Count
+    branch_id: BranchId
+    measures: BranchMeasures | None
+    profile: BranchProfile | None
 
 
 @dataclass(frozen=True, slots=True)

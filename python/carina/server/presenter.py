@@ -162,9 +162,15 @@ def _threshold(document: Document | None) -> float | None:
     return float(document.airways.threshold)
 
 
-def tree_message(airways: Any) -> wire.Tree:
-    """The airway tree, from the document format that files have too."""
-    return wire.Tree(None if airways is None else decode_fields(wire.TreeDocument, airways.tree.to_json(), "tree"))
+def tree_message(airways: Any, measures: Any = None) -> wire.Tree:
+    """The airway tree in the format of its files, with what was measured and what could not be followed."""
+    if airways is None:
+        return wire.Tree(None, None, ())
+    uncertain = tuple(
+        wire.UncertainPlace(_floats(place.lps), place.words, place.branch_id)
+        for place in getattr(airways, "uncertain", ())
+    )
+    return wire.Tree(decode_fields(wire.TreeDocument, airways.tree.to_json(), "tree"), None, uncertain)
 
 
 def route_message(route: ChosenRoute | None) -> wire.Route:

@@ -173,6 +173,8 @@ def _decode(hint: Any, value: Any, where: str) -> Any:
 def _decode_one_of(choices: list[Any], value: Any, where: str) -> Any:
     if len(choices) == 1:
         return _decode(choices[0], value, where)
+    if all(map(dataclasses.is_dataclass, choices)):
+        return decode_fields(_of_kind(choices, value, where), value, where)
     last: ProtocolError | None = None
     for choice in choices:
         try:
@@ -181,6 +183,15 @@ def _decode_one_of(choices: list[Any], value: Any, where: str) -> Any:
             last = error
     assert last is not None
     raise last
+
+
+def _of_kind(choices: list[Any], value: Any, where: str) -> type[Any]:
+    """Of dataclasses that each have a literal ``kind``, the one that an object names."""
+    kinds = {get_args(field_types(choice)["kind"])[0]: choice for choice in choices}
+    kind = value.get("kind") if isinstance(value, dict) else None
+    if not isinstance(kind, str) or kind not in kinds:
+        _refuse("field", f"{where}.kind must be one of {', '.join(kinds)}")
+    return typing.cast(type[Any], kinds[kind])
 
 
 def _decode_number(kind: Any, value: Any, where: str, bounds: tuple[Any, ...]) -> int | float:

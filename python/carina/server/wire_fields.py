@@ -8,17 +8,20 @@ from carina.server.wire_codec import Length, Range
 
 __all__ = [
     "Angle",
+    "BranchId",
     "Coordinate",
     "Count",
     "DemoName",
     "Key",
     "Mask",
     "Matrix4",
+    "MaybeNumbers",
     "Method",
     "Mode",
     "Numbers",
     "Operator",
     "OrbitView",
+    "Part",
     "PathText",
     "Pixels",
     "PointLps",
@@ -32,6 +35,7 @@ __all__ = [
 Coordinate = Annotated[float, Range(-1e5, 1e5)]
 PointLps = Annotated[tuple[Coordinate, ...], Length(3, 3)]
 Numbers = Annotated[tuple[float, ...], Length(0, 2_000_000)]
+MaybeNumbers = Annotated[tuple[float | None, ...], Length(0, 2_000_000)]
 PointsLps = Annotated[tuple[PointLps, ...], Length(0, 1_000_000)]
 Matrix4 = Annotated[tuple[float, ...], Length(16, 16)]
 """4x4, row-major."""
@@ -39,6 +43,8 @@ Key = Annotated[str, Length(1, 64)]
 Words = Annotated[str, Length(0, 4000)]
 PathText = Annotated[str, Length(1, 4096)]
 Count = Annotated[int, Range(0, 2**53 - 1)]
+Part = Annotated[float, Range(0.0, 1.0)]
+BranchId = Annotated[int, Range(0, 2**31)]
 Pixels = Annotated[int, Range(16, 4096)]
 Angle = Annotated[float, Range(-3600.0, 3600.0)]
 ViewName = Literal[

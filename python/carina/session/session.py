@@ -22,6 +22,7 @@ from carina.session.core import ALL_TOPICS
 from carina.session.document import Document, Method, Operator, Point, Target
 from carina.session.editing import MAX_AIRWAYS_KEPT, TreeEditing, airway_words
 from carina.session.jobs import Job
+from carina.session.questions import AirwayQuestions
 from carina.session.routes import ChosenRoute, default_branch_id, route_to_branch
 from carina.session.scene import Carm, Orbit, Reformation
 from carina.session.snapshot import Said, WallPoint
@@ -35,7 +36,7 @@ PINHOLE_FOV_DEG = 90.0
 SET_THE_ROOT = "Click in the trachea on a slice and choose it as the root."
 
 
-class Session(TreeEditing):
+class Session(AirwayQuestions, TreeEditing):
     """State, commands and jobs of one workstation.
 
     Parameters

@@ -37,7 +37,7 @@ export function NoticeDialog() {
   );
 }
 
-const GROUPS: readonly KeyGroup[] = ["Fly", "Look", "Plan", "Pictures", "Help"];
+const GROUPS: readonly KeyGroup[] = ["Fly", "Look", "Plan", "Airways", "Pictures", "Help"];
 
 const MOUSE: readonly { where: string; what: readonly [string, string][] }[] = [
   {
@@ -45,6 +45,7 @@ const MOUSE: readonly { where: string; what: readonly [string, string][] }[] = [
     what: [
       ["Drag", "look around"],
       ["Wheel", "advance and withdraw"],
+      ["Click", "wall point; with a tool: the lumen there"],
     ],
   },
   {
@@ -61,6 +62,7 @@ const MOUSE: readonly { where: string; what: readonly [string, string][] }[] = [
     what: [
       ["Drag", "turn"],
       ["Wheel", "nearer, farther"],
+      ["Click a branch", "make it the route"],
     ],
   },
   {

@@ -6,6 +6,7 @@ import type { CellName, XrayView } from "../state/app-state";
 import { fixed } from "../state/format";
 import { lettersOf } from "../state/letters";
 import { geometryOf, lpsFromPixel, normalOf } from "../state/projection";
+import { isBrush } from "../state/tools";
 import type { PictureHeader, ViewName } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, Choice } from "./controls";
@@ -124,8 +125,8 @@ function Cell({ cell, view, title, reading, tools, empty }: CellProps) {
   const isFull = useApp((state) => state.ui.full === cell);
   const shown = useApp((state) => state.frames[view] !== undefined);
   const armed = useApp((state) => state.ui.armed);
-  const markable =
-    armed !== null && !view.startsWith("xray") && view !== "drr" && view !== "tree" && view !== "tri-plane";
+  const outside = view === "tree" || view === "tri-plane";
+  const markable = armed !== null && !view.startsWith("xray") && view !== "drr" && !(outside && isBrush(armed));
   const toggleFull = () => station.ui({ full: station.state.ui.full === cell ? null : cell });
   return (
     <section className="cell" data-cell={cell} data-armed={markable || undefined} aria-label={title}>

@@ -54,12 +54,7 @@ export function pathGestures(station: Workstation, viewport: Viewport): Gestures
       click: (at) => {
         const geometry = lines();
         const pixel = viewport.pixelAt(at);
-        const lps = pointAt(at);
-        if (geometry === null || pixel === null || lps === null) return;
-        if (station.state.ui.armed !== null) {
-          station.pick(lps);
-          return;
-        }
+        if (geometry === null || pixel === null) return;
         const here = station.pathMm();
         const nowMs = performance.now();
         if (here !== null && (before === null || nowMs - before.atMs > DOUBLE_CLICK_MS)) {

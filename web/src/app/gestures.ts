@@ -60,16 +60,26 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
   };
   const key = (event: KeyboardEvent) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target !== viewport.host) return;
-    if (event.key === "Enter") doubleClick();
+    if (event.key === "Enter" && station.state.ui.armed !== null) {
+      // The crosshair, or the middle of the airway picture, stands for the cursor.
+      const centre = station.centre();
+      if (viewport.view === "airway") station.act("wall_point");
+      else if (centre !== null) station.pointing.commit(centre);
+    } else if (event.key === "Enter") doubleClick();
     else if (now().key?.(event.key, event.shiftKey) !== true) return;
     event.preventDefault();
   };
   viewport.host.addEventListener("keydown", key);
   const stopPointer = listenToPointer(viewport.host, {
-    click: (at) => now().pointer.click?.(at),
+    click: (at) => {
+      if (!station.pointing.click(viewport, at)) now().pointer.click?.(at);
+    },
     drag: (at, moved, button) => now().pointer.drag?.(at, moved, button),
     release: () => now().pointer.release?.(),
-    hover: (at, shift) => now().pointer.hover?.(at, shift),
+    hover: (at, shift) => {
+      now().pointer.hover?.(at, shift);
+      station.pointing.hover(viewport, at);
+    },
     wheel: (delta, zoom, at) => now().pointer.wheel?.(delta, zoom, at),
     doubleClick: () => {
       now().unclick?.();
@@ -97,8 +107,7 @@ function airwayGestures(station: Workstation, viewport: Viewport): Gestures {
         const pixel = viewport.pixelAt(at);
         if (header === null || pixel === null) return;
         const nowMs = performance.now();
-        if (station.state.ui.armed !== null) before = null;
-        else if (before === null || nowMs - before.atMs > DOUBLE_CLICK_MS) {
+        if (before === null || nowMs - before.atMs > DOUBLE_CLICK_MS) {
           before = { crosshair: crosshairLps(station.state), picks: station.state.picks, atMs: nowMs };
         }
         const geometry = geometryOf(header);
@@ -210,8 +219,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
         const lps = pointAt(at);
         if (lps === null) return;
         const nowMs = performance.now();
-        if (station.state.ui.armed !== null) before = null;
-        else if (before === null || nowMs - before.atMs > DOUBLE_CLICK_MS) {
+        if (before === null || nowMs - before.atMs > DOUBLE_CLICK_MS) {
           before = { crosshair: crosshairLps(station.state), atMs: nowMs };
         }
         station.pick(lps);
@@ -221,6 +229,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
           dragWindow(station, moved);
           return;
         }
+        if (station.pointing.stroke(viewport, at)) return;
         const geometry = flat();
         if (held === null && geometry !== null) held = { geometry, viewport: viewport.header };
         const lps = pointAt(at);
@@ -228,6 +237,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
       },
       release: () => {
         held = null;
+        station.pointing.endStroke();
       },
       hover: (at, shift) => {
         const lps = at === null ? null : pointAt(at);

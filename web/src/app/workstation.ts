@@ -7,18 +7,29 @@ import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
 import { mainLeaf, neighbourWay } from "../state/airways";
-import { type AppState, type Connection, crosshairLps, maskOf, pathMm, tipLps, type Ui } from "../state/app-state";
+import {
+  type AppState,
+  type Connection,
+  crosshairLps,
+  maskOf,
+  pathMm,
+  shownBranch,
+  tipLps,
+  type Ui,
+} from "../state/app-state";
 import { forkAhead } from "../state/fork";
 import { ownWord } from "../state/own-word";
 import { PaceMeter } from "../state/pace";
 import type { PixelPoint } from "../state/projection";
 import { clampToRoute } from "../state/route";
 import { Store } from "../state/store";
+import { type Armed, isBrush, nextBrush } from "../state/tools";
 import { asVec3, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { WallPoint } from "../state/wall-point";
 import { sceneOf } from "../views/scene";
 import { Wall } from "../views/wall";
 import type { ClientMessage, Demo, Mask, PickedMessage, PictureHeader, StateMessage } from "../wire/messages";
+import { Pointing } from "./pointing";
 
 const XRAYS = ["xray-coronal", "xray-sagittal", "xray-axial", "drr"] as const;
 const CUTS = ["cut-plane", "straightened", "curved"] as const;
@@ -39,6 +50,7 @@ export class Workstation {
   readonly store = new Store();
   readonly wall: Wall;
   readonly flight: Flight;
+  readonly pointing: Pointing;
   readonly #stream: Stream;
   readonly #board: PictureBoard<ImageBitmap>;
   /** Newest wish of a kind that only its newest value matters for, sent at the next refresh. */
@@ -78,6 +90,7 @@ export class Workstation {
       send: (message) => void this.send(message),
       advancing: (on) => this.ui({ advancing: on }),
     });
+    this.pointing = new Pointing(this);
     this.#stream = new Stream(
       connect,
       {
@@ -87,6 +100,7 @@ export class Workstation {
           if (message.type === "pose") this.#pace.poseArrived(message.pose_id, performance.now());
           this.store.dispatch({ kind: "server", message, nowMs: performance.now() });
           if (message.type === "picked") this.#picked(message);
+          if (message.type === "live_path") this.pointing.receive(message);
           // Another case: its first picture may have an older number than the last one of the case before.
           if (message.type === "state" && caseKey(before.session) !== caseKey(message)) {
             this.#board.reset();
@@ -118,6 +132,7 @@ export class Workstation {
       press: (action) => this.act(action),
       hold: (axis, sign, down) => this.flight.hold(axis, sign, down),
       slow: (on) => this.flight.slow(on),
+      wants: (action) => this.#wants(action),
       arrowsLook: () => this.state.session?.mode !== "path",
       enabled: () => this.state.session?.case != null && this.state.start?.notice_accepted !== false,
     });
@@ -209,8 +224,10 @@ export class Workstation {
     this.send({ type: which === "next" ? "next_fork" : "previous_fork" });
   };
 
-  chooseBranch = (branchId: number): void =>
-    void this.send({ type: "choose_route", target_id: null, branch_id: branchId });
+  chooseBranch = (branchId: number): void => {
+    this.ui({ selected: branchId });
+    this.send({ type: "choose_route", target_id: null, branch_id: branchId });
+  };
   chooseTarget = (targetId: string): void =>
     void this.send({ type: "choose_route", target_id: targetId, branch_id: null });
 
@@ -239,13 +256,33 @@ export class Workstation {
     this.pick(lps);
   }
 
-  /** A click in a slice: marks what is being marked, else moves the crosshair. */
+  /** A click at a point: uses what is in the hand, else moves the crosshair. */
   pick(lps: Vec3): void {
+    if (this.state.ui.armed === null) this.sendSoon({ type: "set_crosshair", lps });
+    else this.pointing.commit(lps);
+  }
+
+  /** Takes a tool in the hand; the same again puts it down. */
+  arm(tool: Armed): void {
     const { armed } = this.state.ui;
-    if (armed === "target") this.send({ type: "add_target", lps });
-    else if (armed === "root") this.send({ type: "set_root", lps });
-    else this.sendSoon({ type: "set_crosshair", lps });
-    if (armed !== null) this.ui({ armed: null });
+    this.pointing.forget();
+    this.ui({ armed: armed === tool ? null : tool, forkHeld: null, step: tool === "target" ? "target" : "airways" });
+  }
+
+  disarm(): void {
+    this.pointing.forget();
+    this.ui({ armed: null, forkHeld: null });
+  }
+
+  /** Begins to type another name for the branch that is shown. */
+  rename(branchId: number | null): void {
+    if (branchId === null) this.notice("Choose a branch first: in the list, or by a click on it.");
+    else this.ui({ renaming: branchId });
+  }
+
+  /** Keys that mean something only with a brush in the hand. */
+  #wants(action: Action): boolean {
+    return action !== "brush_smaller" && action !== "brush_larger" ? true : isBrush(this.state.ui.armed);
   }
 
   act = (action: Action): void => this.#actions[action]();
@@ -253,7 +290,9 @@ export class Workstation {
   #wallPointAhead(): void {
     const header = this.wall.find("airway")?.header ?? null;
     if (header === null || header.view !== "airway") return;
-    this.pickWall(header, { column: header.width / 2, row: header.height / 2 });
+    const middle = { column: header.width / 2, row: header.height / 2 };
+    if (this.state.ui.armed === null) this.pickWall(header, middle);
+    else this.pointing.commitInPicture(header, middle);
   }
 
   /** The full frame, or the outline that the scope's picture was last seen in. */
@@ -298,8 +337,20 @@ export class Workstation {
     },
     toggle_shape: () => this.#toggleMask(),
     toggle_route_line: () => this.ui({ routeLineVisible: !this.state.ui.routeLineVisible }),
-    arm_target: () => this.ui({ armed: this.state.ui.armed === "target" ? null : "target", step: "target" }),
-    arm_root: () => this.ui({ armed: this.state.ui.armed === "root" ? null : "root", step: "airways" }),
+    arm_target: () => this.arm("target"),
+    arm_root: () => this.arm("root"),
+    tool_add: () => this.arm("add"),
+    tool_bridge: () => this.arm("bridge"),
+    tool_cut: () => this.arm("cut"),
+    tool_fork: () => this.arm("fork"),
+    tool_smooth: () => this.arm("smooth"),
+    tool_paint: () => this.arm("paint"),
+    tool_erase: () => this.arm("erase"),
+    tool_reroot: () => this.arm("reroot"),
+    rename: () => this.rename(shownBranch(this.state)),
+    brush_smaller: () => this.ui({ brushMm: nextBrush(this.state.ui.brushMm, -1) }),
+    brush_larger: () => this.ui({ brushMm: nextBrush(this.state.ui.brushMm, 1) }),
+    find_branch: () => document.querySelector<HTMLInputElement>(".branch-filter input")?.focus(),
     window_airway: () => this.#setWindow("window_airway"),
     window_lung: () => this.#setWindow("window_lung"),
     window_mediastinum: () => this.#setWindow("window_mediastinum"),
@@ -310,9 +361,13 @@ export class Workstation {
     wall_point: () => this.#wallPointAhead(),
     leave: () => {
       this.flight.stopAuto();
-      const { armed, full } = this.state.ui;
-      if (armed === null && full === null) this.store.dispatch({ kind: "picks", picks: [] });
-      else this.ui(armed === null ? { full: null } : { armed: null });
+      const { armed, forkHeld, full } = this.state.ui;
+      if (forkHeld !== null) {
+        this.pointing.forget();
+        this.ui({ forkHeld: null });
+      } else if (armed !== null) this.disarm();
+      else if (full !== null) this.ui({ full: null });
+      else this.store.dispatch({ kind: "picks", picks: [] });
     },
   };
 
@@ -387,6 +442,7 @@ export class Workstation {
     }
     this.#board.reset();
     this.#pace.reset();
+    this.pointing.reset();
     this.wall.tellLayout(true);
   }
 

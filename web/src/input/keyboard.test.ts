@@ -2,12 +2,13 @@
 import { afterEach, describe, expect, it } from "vitest";
 import { focusKind, listenToKeys } from "./keyboard";
 
-function listening(options: { path?: boolean; enabled?: boolean } = {}) {
+function listening(options: { path?: boolean; enabled?: boolean; brush?: boolean } = {}) {
   const heard: string[] = [];
   const stop = listenToKeys(window, {
     press: (action) => heard.push(action),
     hold: (axis, sign, down) => heard.push(`${axis} ${sign} ${down ? "down" : "up"}`),
     slow: () => undefined,
+    wants: (action) => options.brush ?? !action.startsWith("brush_"),
     arrowsLook: () => !(options.path ?? true),
     enabled: () => options.enabled ?? true,
   });
@@ -85,6 +86,16 @@ describe("the keyboard", () => {
     stop = keys.stop;
     expect(type("w").defaultPrevented).toBe(false);
     expect(keys.heard).toEqual([]);
+  });
+
+  it("takes the brush's keys only while there is a brush in the hand", () => {
+    const without = listening();
+    expect(type("]").defaultPrevented).toBe(false);
+    without.stop();
+    const keys = listening({ brush: true });
+    stop = keys.stop;
+    expect(type("]").defaultPrevented).toBe(true);
+    expect([without.heard, keys.heard]).toEqual([[], ["brush_larger"]]);
   });
 
   it("knows what has the focus", () => {

@@ -6,6 +6,8 @@ export interface KeyboardHandlers {
   press(action: Action): void;
   hold(axis: HoldAxis, sign: 1 | -1, down: boolean): void;
   slow(on: boolean): void;
+  /** Whether an action means something now; else its key belongs to whoever else wants it. */
+  wants(action: Action): boolean;
   /** Left and right look while there is no path to choose ways on. */
   arrowsLook(): boolean;
   enabled(): boolean;
@@ -49,6 +51,7 @@ export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => vo
     if (binding === null || !takesKey(focusKind(event.target), event.key)) return;
     // A focused picture moves its own crosshair or camera with Shift and the arrows.
     if (event.shiftKey && event.key.startsWith("Arrow")) return;
+    if (binding.command.kind === "press" && !handlers.wants(binding.command.action)) return;
     event.preventDefault();
     event.stopPropagation();
     const { command } = binding;

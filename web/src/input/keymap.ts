@@ -22,6 +22,18 @@ export type Action =
   | "toggle_route_line"
   | "arm_target"
   | "arm_root"
+  | "tool_add"
+  | "tool_bridge"
+  | "tool_cut"
+  | "tool_fork"
+  | "tool_smooth"
+  | "tool_paint"
+  | "tool_erase"
+  | "tool_reroot"
+  | "rename"
+  | "brush_smaller"
+  | "brush_larger"
+  | "find_branch"
   | "window_airway"
   | "window_lung"
   | "window_mediastinum"
@@ -33,7 +45,7 @@ export type Action =
 
 export type Command = { kind: "hold"; axis: HoldAxis; sign: 1 | -1 } | { kind: "press"; action: Action };
 
-export type KeyGroup = "Fly" | "Look" | "Plan" | "Pictures" | "Help";
+export type KeyGroup = "Fly" | "Look" | "Plan" | "Airways" | "Pictures" | "Help";
 
 export interface Binding {
   /** `KeyboardEvent.key`, letters in lower case: the letter that is printed on the key, on any layout. */
@@ -98,17 +110,57 @@ export const KEYMAP: readonly Binding[] = [
   {
     key: "n",
     label: "N",
-    words: "New target: the next click in a slice marks it",
+    words: "New target: the next click in a picture marks it",
     group: "Plan",
     command: press("arm_target"),
   },
   {
     key: "b",
+    shift: false,
     label: "B",
-    words: "New root: the next click in a slice begins the airways there",
-    group: "Plan",
+    words: "Find the airways again from the next click",
+    group: "Airways",
     command: press("arm_root"),
   },
+  {
+    key: "j",
+    label: "J",
+    words: "Add a branch: the next clicks are ends of airways",
+    group: "Airways",
+    command: press("tool_add"),
+  },
+  { key: "l", label: "L", words: "Bridge a blockage", group: "Airways", command: press("tool_bridge") },
+  { key: "k", label: "K", words: "Cut a branch", group: "Airways", command: press("tool_cut") },
+  { key: "y", label: "Y", words: "Move a fork", group: "Airways", command: press("tool_fork") },
+  { key: "u", label: "U", words: "Smooth a branch", group: "Airways", command: press("tool_smooth") },
+  {
+    key: "q",
+    shift: false,
+    label: "Q",
+    words: "Paint lumen in a slice",
+    group: "Airways",
+    command: press("tool_paint"),
+  },
+  {
+    key: "q",
+    shift: true,
+    label: "Shift+Q",
+    words: "Erase lumen in a slice",
+    group: "Airways",
+    command: press("tool_erase"),
+  },
+  { key: "[", label: "[", words: "Smaller brush", group: "Airways", command: press("brush_smaller") },
+  { key: "]", label: "]", words: "Larger brush", group: "Airways", command: press("brush_larger") },
+  {
+    key: "b",
+    shift: true,
+    label: "Shift+B",
+    words: "Move the root, keep the tree",
+    group: "Airways",
+    command: press("tool_reroot"),
+  },
+  { key: "F2", label: "F2", words: "Rename the chosen branch", group: "Airways", command: press("rename") },
+  { key: "/", label: "/", words: "Search the list of branches", group: "Airways", command: press("find_branch") },
   { key: "z", ctrl: true, shift: false, label: "Ctrl+Z", words: "Undo", group: "Plan", command: press("undo") },
   { key: "z", ctrl: true, shift: true, label: "Ctrl+Shift+Z", words: "Redo", group: "Plan", command: press("redo") },
   { key: "c", label: "C", words: "Crosshair back to the tip", group: "Pictures", command: press("crosshair_to_tip") },

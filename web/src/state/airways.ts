@@ -1,7 +1,8 @@
 /** The airway tree as a person reads it: rows of a list, sides, and the ways on at a fork. */
 
-import type { RouteInfo, TreeBranch, TreeDocument } from "../wire/messages";
+import type { BranchMeasures, RouteInfo, TreeBranch, TreeDocument, UncertainPlace } from "../wire/messages";
 import { clockHour } from "./letters";
+import { indexOf, type TreeIndex } from "./tree-index";
 import { asVec3, type Camera, distance, dot, sub, type Vec3 } from "./vec";
 
 export type Side = "right" | "left" | "middle";
@@ -14,11 +15,16 @@ export interface BranchNode {
   /** Median diameter, mm. */
   diameterMm: number;
   children: BranchNode[];
+  /** Null until it was measured. */
+  measures: BranchMeasures | null;
 }
 
 export interface BranchTree {
   root: BranchNode;
   byId: ReadonlyMap<number, BranchNode>;
+  index: TreeIndex;
+  /** What could not be followed. */
+  uncertain: readonly UncertainPlace[];
 }
 
 function lengthOf(branch: TreeBranch): number {
@@ -48,7 +54,12 @@ function tip(branch: TreeBranch): Vec3 | null {
  * one parts up from down. The carina is the fork that parts most tips to the right from most tips to the left (LPS: the
  * patient's left is +x); what does not lie below it is in the middle.
  */
-export function buildTree(given: TreeDocument): BranchTree | null {
+export function buildTree(
+  given: TreeDocument,
+  measures: readonly BranchMeasures[] | null = null,
+  uncertain: readonly UncertainPlace[] = [],
+): BranchTree | null {
+  const measured = new Map(measures?.map((entry) => [entry.branch_id, entry]) ?? []);
   const branches = new Map(given.branches.map((branch) => [branch.id, branch]));
   const rootBranch = branches.get(given.root);
   if (rootBranch === undefined) return null;
@@ -61,6 +72,7 @@ export function buildTree(given: TreeDocument): BranchTree | null {
       lengthMm: lengthOf(branch),
       diameterMm: medianDiameter(branch),
       children: [],
+      measures: measured.get(branch.id) ?? null,
     };
     // Set before the children are visited: a tree with a loop ends here instead of never.
     byId.set(branch.id, node);
@@ -83,7 +95,7 @@ export function buildTree(given: TreeDocument): BranchTree | null {
     }
   }
   for (const [child, side] of best.sides) giveSide(child, side);
-  return { root, byId };
+  return { root, byId, index: indexOf(byId.values()), uncertain };
 }
 
 /** How many tips lie below a child, and how far to the patient's left of the fork (mean, mm). */

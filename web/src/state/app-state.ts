@@ -1,6 +1,7 @@
 /** All that the screen shows, and the one function that changes it. */
 
 import type {
+  BranchDetailMessage,
   ClientMessage,
   Mask,
   PickedMessage,
@@ -17,9 +18,12 @@ import type {
   ViewName,
 } from "../wire/messages";
 import { type BranchTree, buildTree } from "./airways";
+import type { LiveAnswer } from "./live-path";
 import { type Optimistic, shown } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
 import type { Step } from "./steps";
+import { type Armed, FIRST_BRUSH_MM } from "./tools";
+import type { TreePlace } from "./tree-index";
 import type { PlaneName } from "./tri-plane";
 import { asVec3, distance, type Vec3 } from "./vec";
 import { addPick, type WallPoint } from "./wall-point";
@@ -29,7 +33,18 @@ export type XrayView = "xray-coronal" | "xray-sagittal" | "xray-axial" | "drr";
 /** What the cell of the cut-plane shows: the plane across the tip, or the whole route. */
 export type CutView = "cut-plane" | "straightened" | "curved";
 export type OutsideView = "tree" | "tri-plane";
-export type Armed = "target" | "root";
+/** A branch that the cursor is over, in whatever picture or list; the place on it where that is known. */
+export interface Hovered {
+  readonly branchId: number;
+  readonly place: TreePlace | null;
+}
+
+/** Where the cursor is on the screen: in which view, and in CSS px of it. */
+export interface Cursor {
+  readonly view: ViewName;
+  readonly x: number;
+  readonly y: number;
+}
 
 export interface Connection {
   readonly status: "connecting" | "open" | "lost" | "refused";
@@ -62,6 +77,18 @@ export interface Ui {
   /** The plane of the tri-plane view that a drag would move. */
   readonly overPlane: PlaneName | null;
   readonly armed: Armed | null;
+  /** The branch whose end is being moved. */
+  readonly forkHeld: number | null;
+  readonly brushMm: number;
+  readonly brushIsBall: boolean;
+  /** What the brush has drawn since it was put down. */
+  readonly stroke: readonly Vec3[];
+  readonly hovered: Hovered | null;
+  /** The branch whose measurements are shown; null follows the route. */
+  readonly selected: number | null;
+  /** The branch whose name is being typed. */
+  readonly renaming: number | null;
+  readonly cursor: Cursor | null;
   readonly keyCardOpen: boolean;
   readonly routeLineVisible: boolean;
   readonly advancing: boolean;
@@ -87,6 +114,10 @@ export interface AppState {
   readonly pace: Pace;
   /** The voxel under the cursor, as last answered; null while the cursor is over no slice. */
   readonly probed: ValueMessage | null;
+  /** The way to the cursor. */
+  readonly livePath: LiveAnswer | null;
+  /** What was measured along a branch, as last answered. */
+  readonly detail: BranchDetailMessage | null;
   readonly upload: Upload | null;
   readonly ui: Ui;
   readonly local: {
@@ -112,6 +143,8 @@ export const INITIAL_STATE: AppState = {
   frames: {},
   pace: NO_PACE,
   probed: null,
+  livePath: null,
+  detail: null,
   upload: null,
   ui: {
     step: "open",
@@ -121,6 +154,14 @@ export const INITIAL_STATE: AppState = {
     cut: "cut-plane",
     overPlane: null,
     armed: null,
+    forkHeld: null,
+    brushMm: FIRST_BRUSH_MM,
+    brushIsBall: false,
+    stroke: [],
+    hovered: null,
+    selected: null,
+    renaming: null,
+    cursor: null,
     keyCardOpen: false,
     routeLineVisible: true,
     advancing: false,
@@ -136,6 +177,7 @@ export type AppEvent =
   | { kind: "picture"; header: PictureHeader }
   | { kind: "picked"; message: PickedMessage }
   | { kind: "picks"; picks: readonly WallPoint[] }
+  | { kind: "live_path"; livePath: LiveAnswer | null }
   | { kind: "pace"; pace: Pace }
   | { kind: "upload"; upload: Upload | null }
   | { kind: "say"; message: Omit<Message, "id"> }
@@ -143,6 +185,18 @@ export type AppEvent =
   | { kind: "ui"; change: Partial<Ui> };
 
 const NOTHING_LOCAL: AppState["local"] = { crosshair: null, window: null, pathMm: null };
+
+/** Nothing in the hand, nothing under the cursor. */
+const NOTHING_HELD = {
+  armed: null,
+  forkHeld: null,
+  stroke: [],
+  hovered: null,
+  selected: null,
+  renaming: null,
+  cursor: null,
+  cursorLps: null,
+} as const;
 
 export function reduce(state: AppState, event: AppEvent): AppState {
   switch (event.kind) {
@@ -158,6 +212,8 @@ export function reduce(state: AppState, event: AppEvent): AppState {
       return { ...state, picks: addPick(state.picks, event.message) };
     case "picks":
       return { ...state, picks: event.picks };
+    case "live_path":
+      return state.livePath === event.livePath ? state : { ...state, livePath: event.livePath };
     case "pace":
       return samePace(event.pace, state.pace) ? state : { ...state, pace: event.pace };
     case "upload":
@@ -184,7 +240,10 @@ function receive(state: AppState, message: ServerMessage, nowMs: number): AppSta
     case "state":
       return sessionChanged(state, message, nowMs);
     case "tree":
-      return { ...state, tree: message.tree === null ? null : buildTree(message.tree) };
+      return treeChanged(
+        state,
+        message.tree === null ? null : buildTree(message.tree, message.measures, message.uncertain),
+      );
     case "route":
       return { ...state, route: message.route, local: { ...state.local, pathMm: null } };
     case "pose":
@@ -193,8 +252,11 @@ function receive(state: AppState, message: ServerMessage, nowMs: number): AppSta
       // An answer that comes after the cursor has left says nothing any more.
       return state.ui.cursorLps === null ? state : { ...state, probed: message };
     case "picked":
+    case "live_path":
       // The workstation judges first whether the answer is still wanted.
       return state;
+    case "branch_detail":
+      return { ...state, detail: message };
     case "progress":
       return {
         ...state,
@@ -218,11 +280,13 @@ function sessionChanged(state: AppState, session: StateMessage, nowMs: number): 
   const now = session.case;
   let next: AppState = { ...state, session };
   if (now === null && before !== null) {
+    next = { ...next, livePath: null, detail: null };
     next = { ...next, frames: {}, picks: [], pose: null, route: null, tree: null, status: null, local: NOTHING_LOCAL };
-    next = { ...next, ui: { ...next.ui, full: null, armed: null, advancing: false, cursorLps: null, step: "open" } };
+    next = { ...next, ui: { ...next.ui, ...NOTHING_HELD, full: null, advancing: false, step: "open" } };
   } else if (now !== null && (before === null || before.title !== now.title)) {
     const hasFindings = now.quality.length + now.warnings.length > 0 || !now.is_hu;
-    next = { ...next, picks: [], local: NOTHING_LOCAL, ui: { ...next.ui, step: hasFindings ? "check" : "airways" } };
+    const ui: Ui = { ...next.ui, ...NOTHING_HELD, step: hasFindings ? "check" : "airways" };
+    next = { ...next, picks: [], livePath: null, detail: null, local: NOTHING_LOCAL, ui };
   }
   return {
     ...next,
@@ -232,6 +296,29 @@ function sessionChanged(state: AppState, session: StateMessage, nowMs: number): 
       window: shown(next.local.window, session.window, sameWindow, nowMs).local,
     },
   };
+}
+
+/** Branches that are gone are not pointed at any more. */
+function treeChanged(state: AppState, tree: BranchTree | null): AppState {
+  const kept = (id: number | null): number | null => (id !== null && tree?.byId.has(id) === true ? id : null);
+  const { ui } = state;
+  return {
+    ...state,
+    tree,
+    detail: null,
+    ui: {
+      ...ui,
+      hovered: null,
+      selected: kept(ui.selected),
+      forkHeld: kept(ui.forkHeld),
+      renaming: kept(ui.renaming),
+    },
+  };
+}
+
+/** The branch whose measurements are shown. */
+export function shownBranch(state: AppState): number | null {
+  return state.ui.selected ?? state.route?.spans.at(-1)?.branch_id ?? null;
 }
 
 function poseChanged(state: AppState, pose: PoseMessage, nowMs: number): AppState {

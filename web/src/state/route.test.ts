@@ -41,6 +41,9 @@ function branch(id: number, parent: number | null, children: number[], points: [
     radius: points.map(() => r),
     cost: null,
     confidence: null,
+    name_confidence: null,
+    name_from: null,
+    variant: null,
   };
   return made;
 }

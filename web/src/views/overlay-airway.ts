@@ -1,10 +1,13 @@
 /** Round the airway picture: the orientation ring, the way on, and a thin line of the route. All from the shown frame. */
 
 import { angleBetween, type RingMark, ringMarks } from "../state/letters";
-import { geometryOf, projectLine } from "../state/projection";
+import { geometryOf, projectLine, type SeenGeometry } from "../state/projection";
 import { pointsBetween } from "../state/route";
+import { distance } from "../state/vec";
 import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
 import { traceOutline } from "./outline";
+import { paintCursorNote, paintLivePath } from "./overlay-cursor";
+import { paintTreeAhead } from "./overlay-tree";
 import type { Scene } from "./scene";
 import { RING_PX, type Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
@@ -42,6 +45,8 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
     }
     ink.restore();
   }
+  paintTreeAhead(ink, viewport, geometry, scene);
+  paintLivePath(ink, viewport, geometry, withinReach(geometry, scene), () => true);
   paintWallMarks(ink, viewport, geometry, scene);
   ink.restore();
   const marks = ringMarks(geometry.camera);
@@ -50,6 +55,16 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
     const at = { x: centre.x + radius * Math.sin(mark.angleRad), y: centre.y - radius * Math.cos(mark.angleRad) };
     label(ink, mark.text, at, { size: mark.strength > 0.8 ? 15 : 12, bold: true });
   }
+  paintCursorNote(ink, viewport, scene);
+}
+
+/** The way to the cursor from where it comes nearest to the lens: what lies before that is behind, or behind walls. */
+function withinReach(geometry: SeenGeometry, scene: Scene): Scene {
+  const { live } = scene;
+  if (live === null) return scene;
+  const away = live.points.map((point) => distance(point, geometry.camera.position));
+  const first = away.indexOf(Math.min(...away));
+  return { ...scene, live: { points: live.points.slice(first), leavesAt: Math.max(live.leavesAt - first, 0) } };
 }
 
 /** The clock round the picture; an hour's tick gives way to a letter that stands there. */

@@ -13,6 +13,8 @@ import {
 import { add, scale, type Vec3 } from "../state/vec";
 import type { ViewName } from "../wire/messages";
 import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
+import { paintBrush, paintCursorNote, paintLivePath } from "./overlay-cursor";
+import { paintTree } from "./overlay-tree";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
@@ -44,7 +46,9 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (standsIn) clipToPicture(ink, viewport);
   const inPlane = (depthMm: number) => seesThrough || Math.abs(depthMm) <= IN_PLANE_MM;
   if (isSlice(header.view)) paintCrosshair(ink, viewport, geometry, scene, header.view);
+  paintTree(ink, viewport, geometry, scene, inPlane);
   paintRoute(ink, viewport, geometry, scene, inPlane);
+  paintLivePath(ink, viewport, geometry, scene, inPlane);
   const names = new NamePlaces();
   for (const target of scene.targets) {
     const seen = pixelFromLps(geometry, target.lps);
@@ -70,6 +74,13 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   paintLetters(ink, viewport, axesOf(geometry));
   if (!standsIn) paintScale(ink, viewport, mmPerPixel(geometry));
   if (isSlice(header.view)) paintSlab(ink, viewport, scene);
+  if (!seesThrough) {
+    paintBrush(ink, viewport, scene, mmPerPixel(geometry) / viewport.magnification, (lps) => {
+      const seen = pixelFromLps(geometry, lps);
+      return seen === null ? null : viewport.screenAt(seen);
+    });
+  }
+  paintCursorNote(ink, viewport, scene);
 }
 
 function clipToPicture(ink: Ink, viewport: Viewport): void {

@@ -5,6 +5,7 @@ import { axesAt, type LinesGeometry, linesOf, nearestPixel, pixelOfPath } from "
 import { radiusAt } from "../state/route";
 import type { RouteInfo } from "../wire/messages";
 import { INK, type Ink, label, line, NamePlaces, type ScreenPoint, targetMark, tipMark } from "./ink";
+import { paintCursorNote } from "./overlay-cursor";
 import { paintLetters, paintScale, paintSlab } from "./overlay-flat";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
@@ -53,6 +54,7 @@ export function paintLines(ink: Ink, viewport: Viewport, scene: Scene): void {
   paintLetters(ink, viewport, axesAt(geometry), sides);
   paintScale(ink, viewport, geometry.mmPerPx);
   paintSlab(ink, viewport, scene);
+  paintCursorNote(ink, viewport, scene);
 }
 
 /** Where the axis and the names stand: at the picture's sides, or beside the strip where that leaves room. */

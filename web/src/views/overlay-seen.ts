@@ -5,7 +5,9 @@ import { axesOf, geometryOf, pixelFromLps, projectLine, type SeenGeometry } from
 import { outlineOf, PLANE_NAMES } from "../state/tri-plane";
 import { add, scale } from "../state/vec";
 import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
+import { paintCursorNote, paintLivePath } from "./overlay-cursor";
 import { paintLetters } from "./overlay-flat";
+import { paintTree } from "./overlay-tree";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
@@ -20,6 +22,7 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (geometry === null) return;
   if (header.view === "tri-plane" && geometry.kind === "seen") paintPlanes(ink, viewport, geometry, scene);
   if (header.view === "drr") paintAngles(ink, scene);
+  paintTree(ink, viewport, geometry, scene, () => true);
   if (scene.routeLineVisible) {
     for (const run of projectLine(geometry, scene.routePoints)) {
       const points = run.map((point) => viewport.screenAt(point));
@@ -27,6 +30,7 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
       line(ink, points, INK.accent, 2);
     }
   }
+  paintLivePath(ink, viewport, geometry, scene, () => true);
   const names = new NamePlaces();
   for (const target of scene.targets) {
     const seen = pixelFromLps(geometry, target.lps);
@@ -47,6 +51,7 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
     }
   }
   paintLetters(ink, viewport, axesOf(geometry));
+  paintCursorNote(ink, viewport, scene);
 }
 
 /** The planes' edges in their colours, with their names; the one that a drag would move is drawn stronger. */

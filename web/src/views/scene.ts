@@ -1,10 +1,15 @@
 /** What is drawn over the pictures, taken from the state once per repaint. */
 
-import { type AppState, crosshairLps, maskOf, pathMm } from "../state/app-state";
+import type { BranchNode, BranchTree } from "../state/airways";
+import { type AppState, type Cursor, crosshairLps, maskOf, pathMm } from "../state/app-state";
+import { mm, plural } from "../state/format";
+import { type LiveAnswer, leavesTreeAt, livePathLines } from "../state/live-path";
+import { isBrush, wantsPath } from "../state/tools";
+import { below, pointsFrom, type TreePlace } from "../state/tree-index";
 import type { PlaneName } from "../state/tri-plane";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
-import type { RouteInfo, StateMessage } from "../wire/messages";
+import type { RouteInfo, StateMessage, UncertainPlace } from "../wire/messages";
 import { type Shape, shapeOf } from "./outline";
 
 export interface SceneTarget {
@@ -35,7 +40,89 @@ export interface Scene {
   overPlane: PlaneName | null;
   /** Clicked points of the wall, newest last. */
   wallPoints: readonly Vec3[];
+  bridges: readonly BranchNode[];
+  uncertain: readonly UncertainPlace[];
+  /** The branch that is pointed at. */
+  hovered: { node: BranchNode; place: TreePlace | null } | null;
+  selected: BranchNode | null;
+  /** The branch that the tip is in. */
+  hereId: number | null;
+  /** What a cut under the cursor would take away. */
+  doomed: readonly (readonly Vec3[])[];
+  /** The fork that is being moved. */
+  heldFork: Vec3 | null;
+  /** The way to the cursor; leaves the tree at a point of its own. */
+  live: { points: readonly Vec3[]; leavesAt: number } | null;
+  cursor: Cursor | null;
+  /** What is said at the cursor. */
+  note: { lines: readonly string[]; warns: boolean } | null;
+  brush: { radiusMm: number; erase: boolean } | null;
+  stroke: readonly Vec3[];
 }
+
+let bridgesOf: BranchTree | null = null;
+let bridges: readonly BranchNode[] = [];
+let liveOf: LiveAnswer | null = null;
+let live: Scene["live"] = null;
+
+/** What is pointed at, and what is in the hand. */
+function pointedAt(
+  state: AppState,
+): Pick<
+  Scene,
+  "bridges" | "uncertain" | "hovered" | "selected" | "doomed" | "heldFork" | "live" | "note" | "brush" | "stroke"
+> {
+  const { tree, ui, livePath } = state;
+  if (tree !== bridgesOf) {
+    bridgesOf = tree;
+    bridges = tree === null ? [] : [...tree.byId.values()].filter((node) => node.branch.kind === "bridge");
+  }
+  if (livePath !== liveOf) {
+    liveOf = livePath;
+    const points = livePath?.answer.points_lps.map((point) => asVec3(point)) ?? [];
+    const leavesAt = livePath === null ? 0 : leavesTreeAt(livePath.answer.points_lps, livePath.answer.new_mm);
+    live = points.length > 1 ? { points, leavesAt } : null;
+  }
+  const node = ui.hovered === null ? undefined : tree?.byId.get(ui.hovered.branchId);
+  const hovered = node === undefined || ui.hovered === null ? null : { node, place: ui.hovered.place };
+  // The route's end is no choice of its own: its line is drawn already.
+  const selected = ui.selected === null ? null : (tree?.byId.get(ui.selected) ?? null);
+  const held = ui.forkHeld === null ? undefined : tree?.byId.get(ui.forkHeld)?.branch.points.at(-1);
+  return {
+    bridges,
+    uncertain: tree?.uncertain ?? [],
+    hovered,
+    selected,
+    doomed: ui.armed === "cut" && hovered !== null ? doomedBy(hovered.node, hovered.place?.alongMm ?? 0) : [],
+    heldFork: held === undefined ? null : asVec3(held),
+    live,
+    note: noteOf(state, hovered?.node ?? null),
+    brush: isBrush(ui.armed) ? { radiusMm: ui.brushMm, erase: ui.armed === "erase" } : null,
+    stroke: ui.stroke,
+  };
+}
+
+function doomedBy(node: BranchNode, alongMm: number): Vec3[][] {
+  return below(node).map((member) => pointsFrom(member, member === node ? alongMm : 0));
+}
+
+function noteOf(state: AppState, hovered: BranchNode | null): Scene["note"] {
+  const { ui, livePath } = state;
+  if (wantsPath(ui.armed, ui.forkHeld !== null)) return livePath === null ? null : livePathLines(livePath.answer);
+  if (hovered === null) return null;
+  const name = branchLine(hovered);
+  if (ui.armed === "cut") {
+    const more = below(hovered).length - 1;
+    return {
+      lines: [`cut ${name}`, ...(more > 0 ? [`and ${plural(more, "branch", "branches")} beyond`] : [])],
+      warns: true,
+    };
+  }
+  return isBrush(ui.armed) ? null : { lines: [name], warns: hovered.branch.kind === "bridge" };
+}
+
+const branchLine = (node: BranchNode): string =>
+  node.branch.kind === "bridge" ? `${node.label} (bridge)` : `${node.label}, ${mm(node.diameterMm)}`;
 
 let cachedFor: RouteInfo | null = null;
 let cachedPoints: readonly Vec3[] = [];
@@ -69,5 +156,8 @@ export function sceneOf(state: AppState): Scene {
     slab: state.session?.slab ?? null,
     overPlane: state.ui.overPlane,
     wallPoints: state.picks.map((point) => point.lps),
+    hereId: state.pose?.branch_id ?? null,
+    cursor: state.ui.cursor,
+    ...pointedAt(state),
   };
 }

@@ -283,6 +283,85 @@ export interface PickMessage {
   readonly row: number;
 }
 
+/** Ask for the path from the root to a place under the cursor; only the newest is answered, by `live_path`.
+
+    Either a point, or a place in an airway picture, as in `pick`: then the lumen in front of the wall there is meant. */
+export interface AskLivePathMessage {
+  readonly type: "live_path";
+  readonly request_id: number;
+  readonly lps: readonly [number, number, number] | null;
+  readonly frame_id: number | null;
+  readonly column: number | null;
+  readonly row: number | null;
+}
+
+/** Ask for what was measured along a branch; only the newest is answered, by `branch_detail`. */
+export interface AskBranchDetailMessage {
+  readonly type: "branch_detail";
+  readonly request_id: number;
+  readonly branch_id: number;
+}
+
+/** A branch to a point. */
+export interface EditAddBranch {
+  readonly kind: "add-branch";
+  readonly lps: readonly [number, number, number];
+}
+
+/** Take a branch away from a place along it, with all that hangs on it; 0 takes the whole branch. */
+export interface EditCutBranch {
+  readonly kind: "cut-branch";
+  readonly branch_id: number;
+  readonly at_mm: number;
+}
+
+/** Over a blockage to a point in an airway beyond. */
+export interface EditBridge {
+  readonly kind: "bridge";
+  readonly lps: readonly [number, number, number];
+}
+
+/** Begin all paths elsewhere. */
+export interface EditMoveRoot {
+  readonly kind: "move-root";
+  readonly lps: readonly [number, number, number];
+}
+
+/** Move the point where a branch ends and its children begin. */
+export interface EditMoveFork {
+  readonly kind: "move-fork";
+  readonly branch_id: number;
+  readonly lps: readonly [number, number, number];
+}
+
+/** A stroke of a brush that makes voxels lumen, or takes lumen away; `ball` paints in all directions. */
+export interface EditPaintLumen {
+  readonly kind: "paint-lumen";
+  readonly points_lps: readonly (readonly [number, number, number])[];
+  readonly radius_mm: number;
+  readonly plane: "axial" | "coronal" | "sagittal" | "ball";
+  readonly erase: boolean;
+}
+
+/** Make a centreline smoother. */
+export interface EditSmoothBranch {
+  readonly kind: "smooth-branch";
+  readonly branch_id: number;
+}
+
+/** A name of one's own; null gives the automatic one back. */
+export interface EditRenameBranch {
+  readonly kind: "rename-branch";
+  readonly branch_id: number;
+  readonly name: string | null;
+}
+
+/** One edit of the airway tree: a job, and one step of undo. */
+export interface EditTreeMessage {
+  readonly type: "edit_tree";
+  readonly edit: EditAddBranch | EditCutBranch | EditBridge | EditMoveRoot | EditMoveFork | EditPaintLumen | EditSmoothBranch | EditRenameBranch;
+}
+
 /** Take back the last change. */
 export interface UndoMessage {
   readonly type: "undo";
@@ -470,6 +549,9 @@ export interface TreeBranch {
   readonly radius: readonly number[];
   readonly cost: number | null;
   readonly confidence: number | null;
+  readonly name_confidence: number | null;
+  readonly name_from: "anatomy" | "person" | null;
+  readonly variant: string | null;
 }
 
 /** A `carina-tree` document, version 1. */
@@ -482,10 +564,38 @@ export interface TreeDocument {
   readonly branches: readonly TreeBranch[];
 }
 
-/** The airway tree, when it changed. */
+/** What was measured on a branch, without its junctions. Lumens are diameters; errors are of the voxel size. */
+export interface BranchMeasures {
+  readonly branch_id: number;
+  readonly length_mm: number;
+  readonly lumen_mm: number | null;
+  readonly lumen_error_mm: number | null;
+  readonly min_lumen_mm: number | null;
+  readonly min_lumen_error_mm: number | null;
+  readonly min_at_mm: number | null;
+  readonly max_lumen_mm: number | null;
+  readonly max_lumen_error_mm: number | null;
+  readonly wall_mm: number | null;
+  readonly wall_error_mm: number | null;
+  readonly taper: number | null;
+  readonly angle_deg: number | null;
+  readonly stenosis_percent: number | null;
+  readonly stenosis_at_mm: number | null;
+}
+
+/** What could not be followed. */
+export interface UncertainPlace {
+  readonly lps: readonly [number, number, number];
+  readonly words: string;
+  readonly branch_id: number | null;
+}
+
+/** The airway tree, when it or its measures changed. */
 export interface TreeMessage {
   readonly type: "tree";
   readonly tree: TreeDocument | null;
+  readonly measures: readonly BranchMeasures[] | null;
+  readonly uncertain: readonly UncertainPlace[];
 }
 
 /** A branch along the route. */
@@ -550,6 +660,41 @@ export interface PickedMessage {
   readonly branch_id: number | null;
   readonly branch_name: string | null;
   readonly generation: number | null;
+}
+
+/** Answer to `live_path`: the way from the root to the place under the cursor, or why there is none. */
+export interface LivePathMessage {
+  readonly type: "live_path";
+  readonly request_id: number;
+  readonly lps: readonly [number, number, number] | null;
+  readonly points_lps: readonly (readonly [number, number, number])[];
+  readonly length_mm: number | null;
+  readonly min_diameter_mm: number | null;
+  readonly confidence: number | null;
+  readonly snapped_mm: number | null;
+  readonly new_mm: number | null;
+  readonly joins_branch_id: number | null;
+  readonly problem: string | null;
+}
+
+/** Sections across a branch, from its beginning to its end: parallel lists; null where nothing could be measured. */
+export interface BranchProfile {
+  readonly at_mm: readonly number[];
+  readonly lumen_mm: readonly (number | null)[];
+  readonly lumen_error_mm: readonly (number | null)[];
+  readonly min_mm: readonly (number | null)[];
+  readonly max_mm: readonly (number | null)[];
+  readonly wall_mm: readonly (number | null)[];
+  readonly at_junction: readonly boolean[];
+}
+
+/** Answer to `branch_detail`; profile and measures are null until they are ready. */
+export interface BranchDetailMessage {
+  readonly type: "branch_detail";
+  readonly request_id: number;
+  readonly branch_id: number;
+  readonly measures: BranchMeasures | null;
+  readonly profile: BranchProfile | null;
 }
 
 /** A job's progress; fraction and time left are null where they cannot be known. */
@@ -681,6 +826,9 @@ export type ClientMessage =
   | SetFrameRateMessage
   | ProbeMessage
   | PickMessage
+  | AskLivePathMessage
+  | AskBranchDetailMessage
+  | EditTreeMessage
   | UndoMessage
   | RedoMessage
   | AcceptNoticeMessage;
@@ -694,6 +842,8 @@ export type ServerMessage =
   | PoseMessage
   | ValueMessage
   | PickedMessage
+  | LivePathMessage
+  | BranchDetailMessage
   | ProgressMessage
   | DoneMessage
   | ErrorMessage

@@ -58,6 +58,10 @@ export function clientProblem(message: ClientMessage): string | null {
       return (message.preset === null) === (message.document === null)
         ? "set_transfer needs a preset or a document"
         : null;
+    case "live_path": {
+      const inPicture = [message.frame_id, message.column, message.row].filter((part) => part !== null).length;
+      return inPicture === (message.lps === null ? 3 : 0) ? null : "live_path needs a point or a place in a picture";
+    }
     default:
       return null;
   }

@@ -1,0 +1,161 @@
+"""Answers to what a person points at: the live path, what was measured along a branch; and edits as they come in."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from carina.errors import CarinaError, UsageError
+from carina.server import messages as wire
+from carina.server.newest import NewestOnly
+from carina.session import Session, log_fault
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carina.server.pump import ShownPicture
+
+__all__ = ["Pointing", "edit_from_wire", "live_path_message"]
+
+logger = logging.getLogger(__name__)
+
+POINT_EVERY_MM = 0.8
+"""Points of a live path are sent so far apart: finer than a pixel of any view of the whole way."""
+
+
+class Pointing:
+    """Answers questions in a thread of its own; only the newest of each kind.
+
+    Parameters
+    ----------
+    session
+        Who knows.
+    shown
+        The airway picture of a frame id, or None once it left the screen long ago.
+    push
+        Takes the answer, from the thread.
+    """
+
+    def __init__(
+        self, session: Session, shown: Callable[[int], ShownPicture | None], push: Callable[[Any], None]
+    ) -> None:
+        self._session = session
+        self._shown = shown
+        self._push = push
+        self._newest = NewestOnly("carina-pointing")
+
+    def start(self) -> None:
+        """Begin."""
+        self._newest.start()
+
+    def stop(self) -> None:
+        """End."""
+        self._newest.stop()
+
+    def ask_live_path(self, message: wire.AskLivePath) -> None:
+        """The way to a place; trouble is said in the answer, since a cursor would raise it again and again."""
+        self._newest.ask("live_path", lambda: self._answer_live_path(message))
+
+    def ask_branch_detail(self, message: wire.AskBranchDetail) -> None:
+        """What was measured along a branch."""
+        self._newest.ask("branch_detail", lambda: self._answer_branch_detail(message))
+
+    def _answer_live_path(self, message: wire.AskLivePath) -> None:
+        try:
+            lps = self._place(message)
+            path = self._session.live_path(lps)
+            answer = live_path_message(message.request_id, lps, path)
+        except CarinaError as trouble:
+            answer = _no_path(message.request_id, str(trouble))
+        except Exception as trouble:
+            log_fault(logger, "a live path failed", trouble)
+            answer = _no_path(message.request_id, f"no path, by a fault of Carina ({type(trouble).__name__})")
+        self._push(answer)
+
+    def _place(self, message: wire.AskLivePath) -> tuple[float, float, float]:
+        if message.lps is not None:
+            x, y, z = message.lps
+            return x, y, z
+        assert message.frame_id is not None
+        assert message.column is not None
+        assert message.row is not None
+        shown = self._shown(message.frame_id)
+        if shown is None:
+            raise UsageError("this picture is gone; move the cursor again", code="session.pick")
+        hit = shown.wall_at(message.column, message.row)
+        if hit is None:
+            raise UsageError("there is no wall under this place", code="session.pick")
+        x, y, z = (float(v) for v in hit.position_lps)
+        lens = shown.view.pose.position_lps
+        return self._session.lumen_before_wall((x, y, z), (float(lens[0]), float(lens[1]), float(lens[2])))
+
+    def _answer_branch_detail(self, message: wire.AskBranchDetail) -> None:
+        measures = None
+        try:
+            measures = self._session.branch_measures(message.branch_id)
+        except CarinaError as trouble:
+            # The tree has changed since: a newer one is on its way, and asks again.
+            logger.debug("no measures: %s", trouble)
+        except Exception as trouble:
+            log_fault(logger, "measures of a branch failed", trouble)
+        self._push(branch_detail_message(message, measures))
+
+
+def live_path_message(request_id: int, lps: tuple[float, float, float], path: Any) -> wire.LivePath:
+    """A :class:`carina.track.LivePath` for the screen: its points thinned out."""
+    points = np.asarray(path.points_lps, dtype=np.float64).reshape(-1, 3)
+    return wire.LivePath(
+        request_id=request_id,
+        lps=lps,
+        points_lps=tuple(tuple(float(v) for v in p) for p in np.round(_thinned(points), 2)),
+        length_mm=_rounded(path.length_mm),
+        min_diameter_mm=None if path.min_radius_mm is None else _rounded(2.0 * path.min_radius_mm),
+        confidence=None if path.confidence is None else round(min(1.0, max(0.0, float(path.confidence))), 3),
+        snapped_mm=_rounded(path.snapped_mm),
+        new_mm=_rounded(path.new_mm),
+        joins_branch_id=path.joins_branch_id,
+        problem=path.problem,
+    )
+
+
+def _no_path(request_id: int, problem: str) -> wire.LivePath:
+    return wire.LivePath(request_id, None, (), None, None, None, None, None, None, problem)
+
+
+def _thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points at least :data:`POINT_EVERY_MM` apart along the way, with both ends."""
+    if len(points) < 3:
+        return points
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    steps = np.floor(along / POINT_EVERY_MM)
+    kept = np.flatnonzero(np.diff(steps, prepend=-1.0) > 0)
+    thinned: NDArray[np.float64] = points[np.unique(np.append(kept, len(points) - 1))]
+    return thinned
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(float(value), 2)
+
+
+def branch_detail_message(message: wire.AskBranchDetail, measures: Any) -> wire.BranchDetail:
+    """What was measured along a branch, for the panel's chart."""
+    return wire.BranchDetail(message.request_id, message.branch_id, None, None)
+
+
+def edit_from_wire(edit: Any) -> Any:
+    """The edit of :mod:`carina.track.edits` that a message asks for.
+
+    Raises
+    ------
+    UsageError
+        If its numbers make no edit.
+    """
+    from carina.track import edits
+
+    kind = getattr(edits, type(edit).__name__.removeprefix("Edit"))
+    values = {field.name: getattr(edit, field.name) for field in dataclasses.fields(edit) if field.name != "kind"}
+    return kind(**values)

@@ -1,0 +1,117 @@
+"""Pointing at the airway tree and mending it: the way to the cursor, branches linked in all views, edits and undo."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from server_process import Server, start_server, stop_server
+
+pytestmark = pytest.mark.browser
+
+WAIT_MS = 20_000
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory) -> Iterator[Server]:
+    """``carina demo phantom``."""
+    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
+    yield running
+    assert stop_server(running) == 0
+    assert running.errors() == []
+
+
+def wait_for(workstation, condition, arg=None):
+    workstation.page.wait_for_function(condition, arg=arg, timeout=WAIT_MS)
+
+
+def place_on_tree(workstation, branch_id, part=0.5):
+    """Where a place of a branch shows in the picture of the tree from outside, in page coordinates."""
+    return workstation.page.evaluate(
+        """([id, part]) => {
+            const state = window.__carina.state;
+            const { points } = state.tree.byId.get(id).branch;
+            const p = points[Math.round(part * (points.length - 1))];
+            const { lps_from_camera: m, fov_deg, width, height } = state.frames.tree;
+            const d = [p[0] - m[3], p[1] - m[7], p[2] - m[11]];
+            const along = (c) => d[0] * m[c] + d[1] * m[4 + c] + d[2] * m[8 + c];
+            const focal = (0.5 * Math.min(width, height)) / Math.tan((fov_deg * Math.PI) / 360);
+            const column = width / 2 + (focal * along(0)) / along(2);
+            const row = height / 2 + (focal * along(1)) / along(2);
+            const box = document.querySelector('canvas[data-view=tree]').getBoundingClientRect();
+            return [box.x + (column / width) * box.width, box.y + (row / height) * box.height];
+        }""",
+        [branch_id, part],
+    )
+
+
+def named(workstation, name):
+    """The id of a branch of that name."""
+    return workstation.page.evaluate(
+        "(name) => [...window.__carina.state.tree.byId.values()].find((n) => n.branch.name === name).branch.id", name
+    )
+
+
+def tree_is_shown(workstation):
+    wait_for(workstation, "() => document.querySelector('canvas[data-view=tree]')?.dataset.full === 'true'")
+
+
+def test_the_way_to_the_cursor_is_drawn_with_its_length_and_a_click_makes_it_a_target(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    tree_is_shown(workstation)
+    before = workstation.overlay("coronal")
+    workstation.page.keyboard.press("n")
+    x, y = place_on_tree(workstation, named(workstation, "LMB"))
+    workstation.page.mouse.move(x, y)
+    wait_for(workstation, "() => window.__carina.state.livePath?.answer.length_mm > 100")
+    answer = workstation.state("livePath.answer")
+    lmb = workstation.page.evaluate(
+        "(id) => window.__carina.state.tree.byId.get(id).branch.points.at(-1)", named(workstation, "LMB")
+    )
+    assert answer["problem"] is None
+    assert answer["min_diameter_mm"] > 5.0
+    # It ends in the left main bronchus, on the way to its end.
+    assert max(abs(a - b) for a, b in zip(answer["points_lps"][-1], lmb, strict=True)) < 40.0
+    workstation.picture("live-path")
+    assert workstation.overlay("coronal") != before, "the way is drawn in the slices, too"
+
+    workstation.page.mouse.click(x, y)
+    wait_for(workstation, "() => window.__carina.state.targets.length === 1")
+    assert workstation.state("ui.armed") is None
+    assert workstation.state("livePath") is None
+    assert workstation.state("targets[0].problem") is None
+    assert abs(workstation.state("targets[0].length_mm") - answer["length_mm"]) < 10.0
+    workstation.page.keyboard.press("Control+z")
+    wait_for(workstation, "() => window.__carina.state.targets.length === 0")
+    assert workstation.faults == []
+
+
+def test_in_the_airway_view_the_way_leads_to_the_lumen_in_front_of_the_wall(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.go_to(20.0)
+    workstation.wait_still()
+    workstation.page.keyboard.press("n")
+    box = workstation.page.locator("canvas[data-view=airway]").bounding_box()
+    workstation.page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 0.5 * box["height"])
+    wait_for(workstation, "() => (window.__carina.state.livePath?.answer.length_mm ?? 0) > 20")
+    assert workstation.state("livePath.answer.snapped_mm") < 1.0, "it is in the lumen, not in the wall"
+    workstation.picture("live-path-in-the-airway-view")
+    workstation.page.keyboard.press("Escape")
+    wait_for(workstation, "() => window.__carina.state.livePath === null")
+    assert workstation.state("ui.armed") is None
+    assert workstation.faults == []
+
+
+def test_where_there_is_no_way_the_reason_stands_at_the_cursor(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.page.keyboard.press("n")
+    box = workstation.page.locator("canvas[data-view=axial]").bounding_box()
+    workstation.page.mouse.move(box["x"] + 0.2 * box["width"], box["y"] + 0.55 * box["height"])
+    wait_for(workstation, "() => window.__carina.state.livePath !== null")
+    assert workstation.state("livePath.answer.problem") is not None
+    assert workstation.state("livePath.answer.points_lps") == []
+    workstation.page.keyboard.press("Escape")
+    assert workstation.faults == []

@@ -1,0 +1,202 @@
+"""What is answered to a cursor: the live path, what was measured along a branch; and how edits come in."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from types import SimpleNamespace
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from carina.server import messages as wire
+from carina.server.newest import NewestOnly
+from carina.server.pointing import Pointing, edit_from_wire, live_path_message
+from carina.server.wire_codec import field_types
+from carina.session.questions import lumen_before_wall
+from carina.track import AddBranch, CutBranch, MoveFork, PaintLumen, RenameBranch, TreeEdit
+from small_case import small_bench, small_volume
+
+WAIT_S = 10.0
+
+
+def lps(ijk):
+    return tuple(float(v) for v in small_volume().to_lps(ijk))
+
+
+@pytest.fixture
+def pointing():
+    """A session with airways, a picture of number 5, and the answers that came."""
+    bench = small_bench()
+    bench.open()
+    picture = SimpleNamespace(hit=None, asked=[])
+
+    def wall_at(column, row):
+        picture.asked.append((column, row))
+        return picture.hit
+
+    shown = SimpleNamespace(
+        wall_at=wall_at, view=SimpleNamespace(pose=SimpleNamespace(position_lps=np.array(lps((16.0, 14.0, 34.0)))))
+    )
+    answers = queue.Queue()
+    made = Pointing(bench.session, {5: shown}.get, answers.put)
+    made.start()
+    yield SimpleNamespace(pointing=made, session=bench.session, picture=picture, answers=answers, bench=bench)
+    made.stop()
+
+
+def ask(pointing, request_id, **place):
+    fields = {"lps": None, "frame_id": None, "column": None, "row": None} | place
+    pointing.pointing.ask_live_path(wire.AskLivePath(request_id, **fields))
+    return pointing.answers.get(timeout=WAIT_S)
+
+
+def test_a_point_is_answered_with_the_way_to_it(pointing):
+    point = lps((8.5, 13.0, 14.5))
+    answer = ask(pointing, 3, lps=point)
+    assert (answer.request_id, answer.lps, answer.problem) == (3, point, None)
+    assert answer.joins_branch_id == 1
+    assert answer.confidence == 0.75
+    assert answer.points_lps[0] == pytest.approx(lps((16.0, 14.0, 37.0)), abs=0.01)
+    assert answer.points_lps[-1] == pytest.approx(lps((8.0, 13.0, 14.0)), abs=0.01)
+    wire.parse_server_message(wire.encode_message(answer))
+
+
+def test_a_point_without_a_way_is_answered_in_words_and_no_error_is_raised(pointing):
+    answer = ask(pointing, 4, lps=lps((2.0, 2.0, 30.0)))
+    assert answer.points_lps == ()
+    assert "mm away" in answer.problem
+    wire.parse_server_message(wire.encode_message(answer))
+
+
+def test_a_place_in_the_airway_picture_means_the_lumen_in_front_of_the_wall(pointing):
+    wall = np.array(lps((18.6, 14.0, 30.0)))
+    pointing.picture.hit = SimpleNamespace(position_lps=wall)
+    answer = ask(pointing, 5, frame_id=5, column=12.0, row=7.5)
+    assert pointing.picture.asked == [(12.0, 7.5)]
+    lens = np.array(lps((16.0, 14.0, 34.0)))
+    back = np.linalg.norm(np.array(answer.lps) - wall)
+    assert 0.5 < back < np.linalg.norm(lens - wall)
+    # On the ray, and inside the lumen (3 mm round the centreline in this case).
+    assert np.cross(np.array(answer.lps) - wall, lens - wall) == pytest.approx(np.zeros(3), abs=1e-9)
+    assert pointing.session.snapshot().document.airways.tree.nearest_branch(answer.lps)[2] <= 3.0
+    assert answer.problem is None
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ({"frame_id": 99, "column": 1.0, "row": 1.0}, "picture is gone"),
+        ({"frame_id": 5, "column": 1.0, "row": 1.0}, "no wall"),
+    ],
+)
+def test_a_place_that_shows_nothing_says_so(pointing, place, words):
+    answer = ask(pointing, 6, **place)
+    assert answer.lps is None
+    assert words in answer.problem
+
+
+def test_without_airways_the_answer_says_what_to_wait_for():
+    bench = small_bench()
+    answers = queue.Queue()
+    made = Pointing(bench.session, lambda _frame: None, answers.put)
+    made.start()
+    made.ask_live_path(wire.AskLivePath(1, (0.0, 0.0, 0.0), None, None, None))
+    assert answers.get(timeout=WAIT_S).problem == "no case is open"
+    bench.session.open_path("case")
+    bench.background.run_next()
+    made.ask_live_path(wire.AskLivePath(2, (0.0, 0.0, 0.0), None, None, None))
+    assert "not found yet" in answers.get(timeout=WAIT_S).problem
+    made.stop()
+
+
+def test_a_fault_is_answered_and_the_next_question_too(pointing, monkeypatch):
+    monkeypatch.setattr(pointing.session, "live_path", lambda _lps: 1 / 0)
+    assert "fault of Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
+    monkeypatch.undo()
+    assert ask(pointing, 2, lps=lps((16.0, 14.0, 30.0))).problem is None
+
+
+def test_a_branch_that_was_not_measured_or_is_gone_has_no_measures(pointing):
+    for branch_id in (1, 77):
+        pointing.pointing.ask_branch_detail(wire.AskBranchDetail(9, branch_id))
+        answer = pointing.answers.get(timeout=WAIT_S)
+        assert (answer.request_id, answer.branch_id) == (9, branch_id)
+        assert (answer.measures, answer.profile) == (None, None)
+
+
+def test_only_the_newest_task_of_a_kind_is_done_and_kinds_take_turns():
+    newest = NewestOnly("test")
+    done, gate, last = [], threading.Event(), threading.Event()
+    newest.start()
+    newest.ask("a", lambda: gate.wait(WAIT_S))
+    for n in range(5):
+        newest.ask("a", lambda n=n: done.append(("a", n)))
+        newest.ask("b", lambda n=n: (done.append(("b", n)), last.set()))
+    gate.set()
+    assert last.wait(WAIT_S)
+    newest.stop()
+    # The first task may not have begun when the second came: then it was dropped, too.
+    assert done == [("a", 4), ("b", 4)]
+
+
+def test_long_paths_are_thinned_out_and_keep_both_ends():
+    along = np.arange(0.0, 300.0, 0.1)
+    points = np.column_stack([np.sin(along / 30) * 10, along, -along])
+    path = SimpleNamespace(
+        points_lps=points,
+        length_mm=424.0,
+        min_radius_mm=1.25,
+        confidence=1.0000001,
+        snapped_mm=float("nan"),
+        new_mm=None,
+        joins_branch_id=None,
+        problem=None,
+    )
+    message = live_path_message(1, (0.0, 0.0, 0.0), path)
+    sent = np.array(message.points_lps)
+    assert 300 < len(sent) < 600
+    np.testing.assert_allclose(sent[[0, -1]], points[[0, -1]], atol=0.01)
+    assert np.linalg.norm(np.diff(sent, axis=0), axis=1).max() < 1.0
+    assert (message.min_diameter_mm, message.confidence, message.snapped_mm) == (2.5, 1.0, None)
+
+
+@pytest.mark.parametrize("end", ["lens in the wall", "all outside"])
+def test_the_lumen_before_a_wall_is_a_point_of_the_ray_also_at_its_ends(end):
+    wall, lens = np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 13.0])
+    if end == "all outside":
+        tracker = SimpleNamespace(inside=lambda points: np.zeros(len(points), dtype=bool))
+        np.testing.assert_array_equal(lumen_before_wall(tracker, wall, lens, 0.5), wall)
+    else:
+        np.testing.assert_array_equal(lumen_before_wall(None, wall, wall + 0.1, 0.5), wall + 0.1)
+
+
+def test_the_lumen_before_a_wall_is_two_steps_in_where_it_is_wide_enough():
+    wall, lens = np.zeros(3), np.array([0.0, 0.0, 10.0])
+    wide = SimpleNamespace(inside=lambda points: np.asarray(points)[:, 2] > 0.9)
+    assert lumen_before_wall(wide, wall, lens, 0.5)[2] == 2.0
+    narrow = SimpleNamespace(inside=lambda points: np.abs(np.asarray(points)[:, 2] - 3.0) < 0.4)
+    assert lumen_before_wall(narrow, wall, lens, 0.5)[2] == 3.0
+
+
+@pytest.mark.parametrize(
+    ("sent", "edit"),
+    [
+        (wire.EditAddBranch("add-branch", (1.0, 2.0, 3.0)), AddBranch((1.0, 2.0, 3.0))),
+        (wire.EditCutBranch("cut-branch", 4, 2.5), CutBranch(4, 2.5)),
+        (wire.EditMoveFork("move-fork", 4, (1.0, 2.0, 3.0)), MoveFork(4, (1.0, 2.0, 3.0))),
+        (wire.EditRenameBranch("rename-branch", 4, None), RenameBranch(4, None)),
+        (
+            wire.EditPaintLumen("paint-lumen", ((1.0, 2.0, 3.0),), 1.5, "axial", erase=True),
+            PaintLumen(((1.0, 2.0, 3.0),), 1.5, "axial", erase=True),
+        ),
+    ],
+)
+def test_an_edit_of_the_wire_is_the_edit_of_the_tree(sent, edit):
+    assert edit_from_wire(sent) == edit
+
+
+def test_every_edit_of_the_tree_can_be_sent():
+    sendable = {kind.__name__.removeprefix("Edit") for kind in get_args(field_types(wire.EditTree)["edit"])}
+    assert sendable == {kind.__name__ for kind in get_args(TreeEdit)}

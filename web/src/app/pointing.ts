@@ -1,0 +1,273 @@
+/** What a cursor or a click on a picture means: a branch, a point in the lumen, a stroke; with a tool in the hand or without. */
+
+import type { PointerPlace } from "../input/pointer";
+import { forkOf } from "../state/fork-choice";
+import { linesOf, lpsAt } from "../state/lines";
+import { LiveAsker, type LiveQuestion } from "../state/live-path";
+import { geometryOf, lpsFromPixel, type PixelPoint } from "../state/projection";
+import { isBrush, strokePoints, wantsBranch, wantsPath } from "../state/tools";
+import { branchAhead, placeFromOutside, placeInLumen, type TreePlace } from "../state/tree-index";
+import { planeUnder } from "../state/tri-plane";
+import { asVec3, type Vec3 } from "../state/vec";
+import { isInside } from "../views/outline";
+import type { Viewport } from "../views/viewport";
+import type { EditTreeMessage, LivePathMessage, PictureHeader } from "../wire/messages";
+import type { Workstation } from "./workstation";
+
+/** What lies under a place of a picture. */
+interface Pointed {
+  /** Null in the airway view: only the server knows the wall there. */
+  readonly lps: Vec3 | null;
+  readonly branchId: number | null;
+  readonly place: TreePlace | null;
+  /** In the airway view. */
+  readonly pixel: PixelPoint | null;
+}
+
+const PLANES = ["axial", "coronal", "sagittal"] as const;
+
+export class Pointing {
+  readonly #station: Workstation;
+  readonly #live: LiveAsker;
+  /** A click in the airway view whose point the server is asked for. */
+  #commitOn: number | null = null;
+  #lastAsked = 0;
+
+  constructor(station: Workstation) {
+    this.#station = station;
+    this.#live = new LiveAsker(
+      (message) => {
+        this.#lastAsked = message.request_id;
+        return station.send(message);
+      },
+      () => performance.now(),
+    );
+  }
+
+  /** The cursor moves over a picture, or leaves it. */
+  hover(viewport: Viewport, at: PointerPlace | null): void {
+    const station = this.#station;
+    const { ui } = station.state;
+    const pointed = at === null ? null : this.#under(viewport, at);
+    const cursor = at === null ? null : { view: viewport.view, x: at.x, y: at.y };
+    const hovered = pointed?.branchId == null ? null : { branchId: pointed.branchId, place: pointed.place };
+    if (cursor !== null || ui.cursor?.view === viewport.view || ui.cursor === null) station.ui({ cursor, hovered });
+    if (!wantsPath(ui.armed, ui.forkHeld !== null)) return;
+    const question = pointed === null ? null : questionOf(viewport.header, pointed);
+    if (question === null) this.#forget();
+    else this.#live.ask(question);
+  }
+
+  /** Nothing is pointed at any more, or another tool is in the hand. */
+  forget(): void {
+    this.#forget();
+    this.#commitOn = null;
+    this.#station.ui({ stroke: [] });
+  }
+
+  #forget(): void {
+    this.#live.forget();
+    this.#station.store.dispatch({ kind: "live_path", livePath: null });
+  }
+
+  reset(): void {
+    this.#live.reset();
+    this.#commitOn = null;
+  }
+
+  receive(answer: LivePathMessage): void {
+    const fresh = this.#live.receive(answer);
+    if (this.#commitOn === answer.request_id) {
+      this.#commitOn = null;
+      if (answer.lps === null) this.#station.notice(answer.problem ?? "There is no airway under this place.");
+      else this.commit(asVec3(answer.lps));
+      return;
+    }
+    if (fresh !== null) this.#station.store.dispatch({ kind: "live_path", livePath: fresh });
+  }
+
+  /** True where the click was for a tool, or chose a branch from outside. */
+  click(viewport: Viewport, at: PointerPlace): boolean {
+    const station = this.#station;
+    const { armed, forkHeld } = station.state.ui;
+    const pointed = this.#under(viewport, at);
+    if (armed === null) {
+      if (pointed?.branchId == null) return false;
+      station.ui({ selected: pointed.branchId });
+      if (viewport.view !== "tree") return false;
+      station.chooseBranch(pointed.branchId);
+      return true;
+    }
+    if (pointed === null) return viewport.view === "tree" || viewport.view === "tri-plane";
+    if (isBrush(armed)) {
+      this.stroke(viewport, at);
+      this.endStroke();
+    } else if (wantsBranch(armed, forkHeld !== null)) this.#onBranch(pointed);
+    else if (pointed.lps !== null) this.commit(pointed.lps);
+    else if (pointed.pixel !== null && viewport.header !== null) this.commitInPicture(viewport.header, pointed.pixel);
+    return true;
+  }
+
+  /** In the airway view: the lumen in front of the wall there, once the server has said where that is. */
+  commitInPicture(header: PictureHeader, pixel: PixelPoint): void {
+    this.#live.reset();
+    this.#live.ask({ lps: null, frame_id: header.frame_id, column: pixel.column, row: pixel.row });
+    this.#commitOn = this.#lastAsked;
+  }
+
+  /** What is in the hand is used at a point. */
+  commit(lps: Vec3): void {
+    const station = this.#station;
+    const { armed, forkHeld } = station.state.ui;
+    switch (armed) {
+      case "target":
+        station.send({ type: "add_target", lps });
+        station.disarm();
+        break;
+      case "root":
+        station.send({ type: "set_root", lps });
+        station.disarm();
+        break;
+      case "add":
+        this.#edit({ kind: "add-branch", lps });
+        this.#forget();
+        break;
+      case "bridge":
+        this.#edit({ kind: "bridge", lps });
+        station.disarm();
+        break;
+      case "reroot":
+        this.#edit({ kind: "move-root", lps });
+        station.disarm();
+        break;
+      case "fork":
+        if (forkHeld !== null) {
+          this.#edit({ kind: "move-fork", branch_id: forkHeld, lps });
+          station.disarm();
+        }
+        break;
+      case "cut":
+      case "smooth":
+      case "paint":
+      case "erase":
+      case null:
+        break;
+    }
+  }
+
+  /** The brush is drawn over a slice; true where there is one in the hand. */
+  stroke(viewport: Viewport, at: PointerPlace): boolean {
+    const station = this.#station;
+    const { armed, stroke } = station.state.ui;
+    if (!isBrush(armed)) return false;
+    const lps = flatPoint(viewport, at);
+    const cursor = { view: viewport.view, x: at.x, y: at.y };
+    station.ui(lps === null ? { cursor } : { cursor, cursorLps: lps, stroke: [...stroke, lps] });
+    this.#strokeView = viewport.header?.view ?? viewport.view;
+    return true;
+  }
+
+  #strokeView = "";
+
+  endStroke(): void {
+    const station = this.#station;
+    const { armed, stroke, brushMm, brushIsBall } = station.state.ui;
+    if (!isBrush(armed) || stroke.length === 0) return;
+    const plane = brushIsBall ? "ball" : (PLANES.find((name) => name === this.#strokeView) ?? "ball");
+    this.#edit({
+      kind: "paint-lumen",
+      points_lps: strokePoints(stroke, brushMm),
+      radius_mm: brushMm,
+      plane,
+      erase: armed === "erase",
+    });
+    station.ui({ stroke: [] });
+  }
+
+  #onBranch(pointed: Pointed): void {
+    const station = this.#station;
+    const { tree, ui } = station.state;
+    if (tree === null || pointed.branchId === null) {
+      station.notice("There is no branch under this place. Click on an airway of the tree.");
+      return;
+    }
+    const alongMm = pointed.place?.alongMm ?? 0;
+    if (ui.armed === "cut") {
+      this.#edit({ kind: "cut-branch", branch_id: pointed.branchId, at_mm: cutMm(alongMm) });
+    } else if (ui.armed === "smooth") {
+      this.#edit({ kind: "smooth-branch", branch_id: pointed.branchId });
+    } else {
+      const held = forkOf(tree, pointed.branchId, alongMm);
+      if (held === null) station.notice("This branch has no fork that could be moved.");
+      else station.ui({ forkHeld: held });
+    }
+  }
+
+  #edit(edit: EditTreeMessage["edit"]): void {
+    this.#station.send({ type: "edit_tree", edit });
+  }
+
+  #under(viewport: Viewport, at: PointerPlace): Pointed | null {
+    const { header } = viewport;
+    const pixel = viewport.pixelAt(at);
+    if (header === null || pixel === null) return null;
+    const { tree, pose, session } = this.#station.state;
+    const ofTree = (place: TreePlace | null, lps: Vec3): Pointed => ({
+      lps,
+      branchId: place?.branchId ?? null,
+      place,
+      pixel: null,
+    });
+    const inLumen = (lps: Vec3): Pointed => ofTree(tree === null ? null : placeInLumen(tree.index, lps), lps);
+    const flat = flatPoint(viewport, at);
+    if (flat !== null) return inLumen(flat);
+    const geometry = geometryOf(header);
+    if (geometry === null || geometry.kind !== "seen") return null;
+    switch (header.view) {
+      case "tri-plane": {
+        const centre = this.#station.centre();
+        const grid = session?.case;
+        const hit = grid == null || centre === null ? null : planeUnder(geometry, grid, centre, pixel);
+        return hit === null ? null : inLumen(hit.lps);
+      }
+      case "tree": {
+        const place =
+          tree === null
+            ? null
+            : placeFromOutside(tree.index, geometry, pixel, 1 / Math.max(viewport.magnification, 1e-6));
+        return place === null ? null : ofTree(place, place.lps);
+      }
+      case "airway": {
+        if (!isInside(viewport.shape, viewport.frame, at)) return null;
+        const here = pose?.branch_id ?? null;
+        const branchId = tree === null || here === null ? null : branchAhead(tree, here, geometry, pixel);
+        return { lps: null, branchId, place: null, pixel };
+      }
+      default:
+        return null;
+    }
+  }
+}
+
+/** So near to its beginning a branch is meant whole. */
+const WHOLE_MM = 2;
+const cutMm = (alongMm: number): number => (alongMm < WHOLE_MM ? 0 : alongMm);
+
+function questionOf(header: PictureHeader | null, pointed: Pointed): LiveQuestion | null {
+  if (pointed.lps !== null) return { lps: pointed.lps, frame_id: null, column: null, row: null };
+  if (pointed.pixel === null || header === null) return null;
+  const { column, row } = pointed.pixel;
+  if (column < 0 || row < 0 || column > header.width || row > header.height) return null;
+  return { lps: null, frame_id: header.frame_id, column, row };
+}
+
+/** The point of a slice, of the cut-plane or of a view along the route; null in pictures that are seen through. */
+function flatPoint(viewport: Viewport, at: PointerPlace): Vec3 | null {
+  const { header } = viewport;
+  const pixel = viewport.pixelAt(at);
+  if (header === null || pixel === null || header.view.startsWith("xray") || header.view === "drr") return null;
+  const lines = linesOf(header.lines);
+  if (lines !== null) return lpsAt(lines, pixel);
+  const geometry = geometryOf(header);
+  return geometry?.kind === "flat" ? lpsFromPixel(geometry, pixel) : null;
+}

@@ -1,0 +1,108 @@
+import { describe, expect, it } from "vitest";
+import type { AskLivePathMessage, LivePathMessage } from "../wire/messages";
+import { LiveAsker, type LiveQuestion, leavesTreeAt, livePathLines } from "./live-path";
+
+const at = (x: number): LiveQuestion => ({ lps: [x, 0, 0], frame_id: null, column: null, row: null });
+
+function answer(requestId: number, change: Partial<LivePathMessage> = {}): LivePathMessage {
+  return {
+    type: "live_path",
+    request_id: requestId,
+    lps: [0, 0, 0],
+    points_lps: [
+      [0, 0, 0],
+      [0, 0, -10],
+    ],
+    length_mm: 10,
+    min_diameter_mm: 4.2,
+    confidence: 0.86,
+    snapped_mm: 0,
+    new_mm: 0,
+    joins_branch_id: 1,
+    problem: null,
+    ...change,
+  };
+}
+
+function asking() {
+  const sent: AskLivePathMessage[] = [];
+  const clock = { ms: 0 };
+  const line = { open: true };
+  const asker = new LiveAsker(
+    (message) => {
+      if (line.open) sent.push(message);
+      return line.open;
+    },
+    () => clock.ms,
+  );
+  return { sent, clock, line, asker, places: () => sent.map((message) => message.lps?.[0]) };
+}
+
+describe("the live path", () => {
+  it("asks at once, and while an answer is due keeps only the newest question", () => {
+    const { asker, places } = asking();
+    for (const x of [1, 2, 3, 4]) asker.ask(at(x));
+    expect(places()).toEqual([1]);
+    expect(asker.receive(answer(1))?.answer.request_id).toBe(1);
+    expect(places()).toEqual([1, 4]);
+    asker.receive(answer(2));
+    expect(places()).toEqual([1, 4]);
+  });
+
+  it("says how long an answer took", () => {
+    const { asker, clock } = asking();
+    asker.ask(at(1));
+    clock.ms = 17;
+    expect(asker.receive(answer(1))?.tookMs).toBe(17);
+  });
+
+  it("drops an answer for a cursor that has left, and one that a newer answer has overtaken", () => {
+    const { asker, clock } = asking();
+    asker.ask(at(1));
+    asker.forget();
+    expect(asker.receive(answer(1))).toBeNull();
+    asker.ask(at(2));
+    clock.ms = 5000;
+    asker.ask(at(3));
+    expect(asker.receive(answer(3))).not.toBeNull();
+    expect(asker.receive(answer(2))).toBeNull();
+  });
+
+  it("asks again where an answer never came, and after a new connection", () => {
+    const { asker, clock, places, line } = asking();
+    asker.ask(at(1));
+    clock.ms = 10_000;
+    asker.ask(at(2));
+    expect(places()).toEqual([1, 2]);
+    asker.reset();
+    line.open = false;
+    asker.ask(at(3));
+    line.open = true;
+    asker.ask(at(4));
+    expect(places()).toEqual([1, 2, 4]);
+  });
+});
+
+describe("what is said beside the cursor", () => {
+  it("is length, narrowest place and certainty, and what is new or moved", () => {
+    expect(livePathLines(answer(1)).lines).toEqual(["10\u202fmm from the root", "narrowest 4.2\u202fmm", "86 % sure"]);
+    const more = livePathLines(answer(1, { new_mm: 12.5, snapped_mm: 1.25, confidence: null })).lines;
+    expect(more.slice(2)).toEqual(["12.5\u202fmm beyond the tree", "moved 1.3\u202fmm into the lumen"]);
+  });
+
+  it("is the reason, as a sentence, where there is no way", () => {
+    const none = livePathLines(answer(1, { length_mm: null, problem: "the lumen ends 8 mm from here" }));
+    expect(none).toEqual({ lines: ["The lumen ends 8 mm from here"], warns: true });
+  });
+});
+
+describe("where a way leaves the tree", () => {
+  const points = [0, 10, 20, 30].map((z) => [0, 0, z] as const);
+  it("is counted from its end", () => {
+    expect(leavesTreeAt(points, 0)).toBe(3);
+    expect(leavesTreeAt(points, null)).toBe(3);
+    expect(leavesTreeAt(points, 10)).toBe(2);
+    expect(leavesTreeAt(points, 12)).toBe(1);
+    expect(leavesTreeAt(points, 500)).toBe(0);
+  });
+});

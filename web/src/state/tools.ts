@@ -1,0 +1,101 @@
+/** What the next click does: marks a target or a root, or mends the airway tree. */
+
+export const TREE_TOOLS = ["add", "bridge", "cut", "fork", "smooth", "paint", "erase", "reroot"] as const;
+export type TreeTool = (typeof TREE_TOOLS)[number];
+export type Armed = "target" | "root" | TreeTool;
+
+export interface ToolWords {
+  /** On its button. */
+  readonly label: string;
+  /** In its tooltip. */
+  readonly words: string;
+  /** What to do now that it is in the hand. */
+  readonly hint: string;
+}
+
+export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
+  add: {
+    label: "Add branch",
+    words: "Click the end of an airway that is missing: the way to it becomes a branch",
+    hint: "Click the far end of the missing airway, in any picture. The line shows the way that it will take.",
+  },
+  bridge: {
+    label: "Bridge",
+    words: "Click in the airway beyond a blockage: the gap is bridged, and stays marked as a bridge",
+    hint: "Click in the airway beyond the blockage. The bridge is no airway that the CT shows: it stays amber and is called a bridge.",
+  },
+  cut: {
+    label: "Cut",
+    words: "Click on a branch: it is taken away from there, with all that hangs on it",
+    hint: "Click on a branch. What is amber goes.",
+  },
+  fork: {
+    label: "Move fork",
+    words: "Click near a fork, then where it should be",
+    hint: "Click near the fork that is to move.",
+  },
+  smooth: {
+    label: "Smooth",
+    words: "Click on a branch: its centreline becomes smoother",
+    hint: "Click on the branch whose centreline is to be smoother.",
+  },
+  paint: {
+    label: "Paint",
+    words: "Draw lumen in a slice",
+    hint: "Draw in a slice where air is missing.",
+  },
+  erase: {
+    label: "Erase",
+    words: "Take lumen away in a slice",
+    hint: "Draw in a slice where lumen is wrong.",
+  },
+  reroot: {
+    label: "Re-root",
+    words: "Click where all ways should begin; the tree and what was mended stay",
+    hint: "Click in the airway where all ways should begin.",
+  },
+};
+
+export const isTreeTool = (armed: Armed | null): armed is TreeTool =>
+  armed !== null && (TREE_TOOLS as readonly string[]).includes(armed);
+
+/** Whether the way to the cursor is shown while this is in the hand. */
+export function wantsPath(armed: Armed | null, forkHeld: boolean): boolean {
+  return armed === "target" || armed === "add" || (armed === "fork" && forkHeld);
+}
+
+/** Whether the click is meant for a branch, not for a point. */
+export function wantsBranch(armed: Armed | null, forkHeld: boolean): boolean {
+  return armed === "cut" || armed === "smooth" || (armed === "fork" && !forkHeld);
+}
+
+export const isBrush = (armed: Armed | null): armed is "paint" | "erase" => armed === "paint" || armed === "erase";
+
+/** Radii that the keys go through, mm. */
+const BRUSHES_MM = [0.5, 0.75, 1, 1.5, 2, 3, 4, 6, 8, 12] as const;
+export const FIRST_BRUSH_MM = 1.5;
+
+/** The next larger (+1) or smaller (-1) brush. */
+export function nextBrush(radiusMm: number, step: -1 | 1): number {
+  if (step > 0) return BRUSHES_MM.find((mm) => mm > radiusMm + 1e-6) ?? radiusMm;
+  return BRUSHES_MM.findLast((mm) => mm < radiusMm - 1e-6) ?? radiusMm;
+}
+
+/** A stroke, sent as few points: straight between them, never farther from what the hand drew than a quarter radius. */
+export function strokePoints<P extends readonly [number, number, number]>(drawn: readonly P[], radiusMm: number): P[] {
+  const limit = radiusMm / 4;
+  const kept: P[] = [];
+  for (const point of drawn) {
+    const last = kept.at(-1);
+    const far =
+      last === undefined ||
+      Math.hypot(point[0] - last[0], point[1] - last[1], point[2] - last[2]) >= Math.max(limit, 0.1);
+    if (far) kept.push(point);
+  }
+  const end = drawn.at(-1);
+  if (end !== undefined && kept.at(-1) !== end && kept.length > 0) kept.push(end);
+  return kept.slice(0, MAX_STROKE);
+}
+
+/** The wire takes no longer stroke. */
+const MAX_STROKE = 2000;

@@ -1,0 +1,113 @@
+/** At the cursor: the way to it with what is known about it, the brush, and the name of the branch under it. */
+
+import { type Geometry, projectLine } from "../state/projection";
+import { FONT, INK, type Ink, line, type ScreenPoint } from "./ink";
+import type { Scene } from "./scene";
+import type { Viewport } from "./viewport";
+
+/** The way to the cursor: white where the tree has it already, the accent where it is new, faint off a slice. */
+export function paintLivePath(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  scene: Scene,
+  inPlane: (depthMm: number) => boolean,
+): void {
+  const { live } = scene;
+  if (live === null || live.points.length < 2) return;
+  const parts = [
+    { points: live.points.slice(0, live.leavesAt + 1), colour: INK.text },
+    { points: live.points.slice(live.leavesAt), colour: INK.accent },
+  ];
+  for (const { points, colour } of parts) {
+    for (const run of projectLine(geometry, points)) {
+      const all = run.map((point) => viewport.screenAt(point));
+      if (geometry.kind === "seen") {
+        line(ink, all, INK.halo, 5, 0.7);
+        line(ink, all, colour, 2.5);
+        continue;
+      }
+      line(ink, all, INK.halo, 3, 0.4);
+      line(ink, all, colour, 1.25, 0.55);
+      let near: ScreenPoint[] = [];
+      for (const [n, point] of run.entries()) {
+        const at = all[n];
+        if (at !== undefined && inPlane(point.depthMm)) near.push(at);
+        else {
+          line(ink, near, colour, 2.5);
+          near = [];
+        }
+      }
+      line(ink, near, colour, 2.5);
+    }
+  }
+}
+
+/** The brush as large as it is, and what it has drawn since it was put down. `mmPerPx` is of the screen. */
+export function paintBrush(
+  ink: Ink,
+  viewport: Viewport,
+  scene: Scene,
+  mmPerPx: number,
+  toScreen: (lps: Scene["stroke"][number]) => ScreenPoint | null,
+): void {
+  const { brush, cursor } = scene;
+  if (brush === null || !(mmPerPx > 0)) return;
+  const colour = brush.erase ? INK.warning : INK.accent;
+  const radius = brush.radiusMm / mmPerPx;
+  if (cursor?.view === viewport.view) {
+    const drawn = scene.stroke.flatMap((lps) => toScreen(lps) ?? []);
+    line(ink, drawn, colour, 2 * radius, 0.35);
+    ink.save();
+    for (const [width, stroke] of [
+      [3, INK.halo],
+      [1.5, colour],
+    ] as const) {
+      ink.lineWidth = width;
+      ink.strokeStyle = stroke;
+      ink.beginPath();
+      ink.arc(cursor.x, cursor.y, Math.max(radius, 1.5), 0, 2 * Math.PI);
+      ink.stroke();
+    }
+    ink.restore();
+  }
+}
+
+const LINE_PX = 15;
+const MAX_CHARS = 36;
+
+/** What is said at the cursor, in the picture that it is over. */
+export function paintCursorNote(ink: Ink, viewport: Viewport, scene: Scene): void {
+  const { cursor, note } = scene;
+  if (cursor === null || note === null || cursor.view !== viewport.view) return;
+  const lines = note.lines.flatMap((words) => wrapped(words, MAX_CHARS));
+  if (lines.length === 0) return;
+  ink.save();
+  ink.font = `12px ${FONT}`;
+  const width = Math.max(...lines.map((words) => ink.measureText(words).width)) + 12;
+  const height = lines.length * LINE_PX + 7;
+  const { width: right, height: bottom } = viewport.size;
+  // Beside the cursor, on the side where there is room; never under it.
+  const x = cursor.x + 16 + width <= right ? cursor.x + 16 : Math.max(cursor.x - 16 - width, 2);
+  const y = Math.min(Math.max(cursor.y + 12 + height <= bottom ? cursor.y + 12 : cursor.y - 12 - height, 2), bottom);
+  ink.fillStyle = "rgba(8, 10, 12, 0.82)";
+  ink.beginPath();
+  ink.roundRect(x, y, width, height, 4);
+  ink.fill();
+  ink.fillStyle = note.warns ? INK.warning : INK.text;
+  ink.textAlign = "left";
+  ink.textBaseline = "middle";
+  for (const [n, words] of lines.entries()) ink.fillText(words, x + 6, y + 4 + LINE_PX * (n + 0.5));
+  ink.restore();
+}
+
+/** Broken between words. */
+export function wrapped(words: string, maxChars: number): string[] {
+  const lines: string[] = [];
+  for (const word of words.split(" ")) {
+    const last = lines.at(-1);
+    if (last !== undefined && last.length + 1 + word.length <= maxChars) lines[lines.length - 1] = `${last} ${word}`;
+    else lines.push(word);
+  }
+  return lines;
+}

@@ -1,0 +1,234 @@
+/** The airway tree over the pictures: bridges, what could not be followed, and the branch that is pointed at or chosen. */
+
+import type { BranchNode } from "../state/airways";
+import { type Geometry, pixelFromLps, projectLine, type SeenPoint } from "../state/projection";
+import { openingOf } from "../state/tree-index";
+import { asVec3, type Vec3 } from "../state/vec";
+import { INK, type Ink, label, line, NamePlaces, type ScreenPoint } from "./ink";
+import type { Scene } from "./scene";
+import type { Viewport } from "./viewport";
+
+const DASH: readonly number[] = [5, 4];
+const FAINT = 0.3;
+
+/** Over slices and X-rays, and over what is seen from outside. `inPlane` tells from the depth what belongs to a slice. */
+export function paintTree(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  scene: Scene,
+  inPlane: (depthMm: number) => boolean,
+): void {
+  const names = new NamePlaces();
+  for (const node of scene.bridges) paintBridge(ink, viewport, geometry, node, inPlane, names);
+  for (const place of scene.uncertain) paintUncertain(ink, viewport, geometry, asVec3(place.lps), inPlane);
+  if (scene.selected !== null && scene.selected !== scene.hovered?.node) {
+    paintCentreline(ink, viewport, geometry, pointsOf(scene.selected), INK.text, inPlane);
+  }
+  if (scene.hovered !== null) {
+    const { node } = scene.hovered;
+    paintLumen(ink, viewport, geometry, node, inPlane);
+    paintCentreline(ink, viewport, geometry, pointsOf(node), INK.text, inPlane);
+    const middle = node.branch.points[node.branch.points.length >> 1];
+    const seen = middle === undefined ? null : pixelFromLps(geometry, asVec3(middle));
+    // In the picture under the cursor the name stands at the cursor.
+    if (seen !== null && scene.cursor?.view !== viewport.view && (geometry.kind === "seen" || inPlane(seen.depthMm))) {
+      names.name(ink, node.label, viewport.screenAt(seen), INK.text, viewport.size);
+    }
+  }
+  for (const points of scene.doomed) {
+    for (const run of runsOf(viewport, geometry, points, inPlane)) {
+      line(ink, run, INK.halo, 5, 0.6);
+      line(ink, run, INK.warning, 3);
+    }
+  }
+  if (scene.heldFork !== null) paintFork(ink, viewport, geometry, scene.heldFork, inPlane);
+}
+
+/** In the airway view: the opening of the branch that is pointed at, and bridges ahead. */
+export function paintTreeAhead(ink: Ink, viewport: Viewport, geometry: Geometry, scene: Scene): void {
+  if (geometry.kind !== "seen") return;
+  const near = (depthMm: number) => depthMm > 0 && depthMm < 60;
+  const names = new NamePlaces();
+  for (const node of scene.bridges) paintBridge(ink, viewport, geometry, node, near, names);
+  const node = scene.hovered?.node ?? null;
+  if (node === null || node.branch.id === scene.hereId) return;
+  const opening = openingOf(node, geometry);
+  if (opening === null) return;
+  const at = viewport.screenAt(opening);
+  const radius = Math.max(opening.radiusPx * viewport.magnification, 6);
+  for (const [width, colour] of [
+    [4, INK.halo],
+    [1.75, INK.text],
+  ] as const) {
+    ink.save();
+    ink.lineWidth = width;
+    ink.strokeStyle = colour;
+    ink.beginPath();
+    ink.arc(at.x, at.y, radius, 0, 2 * Math.PI);
+    ink.stroke();
+    ink.restore();
+  }
+  if (scene.cursor?.view !== "airway") label(ink, node.label, { x: at.x, y: at.y - radius - 9 }, { size: 12 });
+}
+
+export const pointsOf = (node: BranchNode): Vec3[] => node.branch.points.map((point) => asVec3(point));
+
+/** Parts of a line that belong to the picture, in screen coordinates. */
+function runsOf(
+  viewport: Viewport,
+  geometry: Geometry,
+  points: readonly Vec3[],
+  inPlane: (depthMm: number) => boolean,
+): ScreenPoint[][] {
+  const runs: ScreenPoint[][] = [];
+  for (const run of projectLine(geometry, points)) {
+    let part: ScreenPoint[] = [];
+    for (const point of run) {
+      if (geometry.kind === "seen" || inPlane(point.depthMm)) part.push(viewport.screenAt(point));
+      else {
+        if (part.length > 1) runs.push(part);
+        part = [];
+      }
+    }
+    if (part.length > 1) runs.push(part);
+  }
+  return runs;
+}
+
+function paintCentreline(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  points: readonly Vec3[],
+  colour: string,
+  inPlane: (depthMm: number) => boolean,
+): void {
+  if (geometry.kind === "flat") {
+    // What lies off the slice is there, but faint.
+    for (const run of projectLine(geometry, points)) {
+      line(
+        ink,
+        run.map((point) => viewport.screenAt(point)),
+        colour,
+        1,
+        FAINT,
+      );
+    }
+  }
+  for (const run of runsOf(viewport, geometry, points, inPlane)) {
+    line(ink, run, INK.halo, 4, 0.6);
+    line(ink, run, colour, 2);
+  }
+}
+
+/** The lumen of a branch: a band as wide as it from outside, its cuts in a slice. */
+function paintLumen(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  node: BranchNode,
+  inPlane: (depthMm: number) => boolean,
+): void {
+  const { points, radius } = node.branch;
+  ink.save();
+  ink.fillStyle = INK.accent;
+  ink.strokeStyle = INK.accent;
+  ink.globalAlpha = 0.38;
+  ink.beginPath();
+  points.forEach((point, n) => {
+    const seen = pixelFromLps(geometry, asVec3(point));
+    if (seen === null) return;
+    const reach = chordPx(viewport, geometry, seen, radius[n] ?? 0, inPlane);
+    if (reach <= 0.5) return;
+    const at = viewport.screenAt(seen);
+    ink.moveTo(at.x + reach, at.y);
+    ink.arc(at.x, at.y, reach, 0, 2 * Math.PI);
+  });
+  ink.fill("nonzero");
+  ink.restore();
+}
+
+/** Half the width of a lumen in the picture, CSS px; 0 where a slice does not cut it. */
+function chordPx(
+  viewport: Viewport,
+  geometry: Geometry,
+  seen: SeenPoint,
+  radiusMm: number,
+  inPlane: (depthMm: number) => boolean,
+): number {
+  if (geometry.kind === "seen") return ((radiusMm * geometry.focalPx) / seen.depthMm) * viewport.magnification;
+  const perMm = viewport.magnification / Math.hypot(...geometry.perColumn);
+  if (Math.abs(seen.depthMm) < radiusMm) return Math.sqrt(radiusMm ** 2 - seen.depthMm ** 2) * perMm;
+  // Seen through, as in an X-ray: whole.
+  return inPlane(Number.MAX_VALUE) ? radiusMm * perMm : 0;
+}
+
+function paintBridge(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  node: BranchNode,
+  inPlane: (depthMm: number) => boolean,
+  names: NamePlaces,
+): void {
+  const runs = runsOf(viewport, geometry, pointsOf(node), inPlane);
+  ink.save();
+  ink.setLineDash([...DASH]);
+  for (const run of runs) {
+    line(ink, run, INK.halo, 5, 0.6);
+    line(ink, run, INK.warning, 2.5);
+  }
+  ink.restore();
+  const longest = runs.reduce<ScreenPoint[]>((best, run) => (run.length > best.length ? run : best), []);
+  const middle = longest[longest.length >> 1];
+  if (middle !== undefined) names.name(ink, "bridge", middle, INK.warning, viewport.size);
+}
+
+/** A small amber ring with a gap: the airway goes on, but nobody knows where. */
+function paintUncertain(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  lps: Vec3,
+  inPlane: (depthMm: number) => boolean,
+): void {
+  const seen = pixelFromLps(geometry, lps);
+  if (seen === null || (geometry.kind === "flat" && !inPlane(seen.depthMm))) return;
+  const at = viewport.screenAt(seen);
+  ink.save();
+  for (const [width, colour] of [
+    [3, INK.halo],
+    [1.5, INK.warning],
+  ] as const) {
+    ink.lineWidth = width;
+    ink.strokeStyle = colour;
+    ink.setLineDash([3, 2]);
+    ink.beginPath();
+    ink.arc(at.x, at.y, 3.5, 0, 2 * Math.PI);
+    ink.stroke();
+  }
+  ink.restore();
+}
+
+function paintFork(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  lps: Vec3,
+  inPlane: (depthMm: number) => boolean,
+): void {
+  const seen = pixelFromLps(geometry, lps);
+  if (seen === null) return;
+  const at = viewport.screenAt(seen);
+  ink.save();
+  ink.globalAlpha = geometry.kind === "seen" || inPlane(seen.depthMm) ? 1 : FAINT;
+  ink.fillStyle = INK.warning;
+  ink.strokeStyle = INK.halo;
+  ink.lineWidth = 3;
+  ink.beginPath();
+  ink.arc(at.x, at.y, 5, 0, 2 * Math.PI);
+  ink.stroke();
+  ink.fill();
+  ink.restore();
+}
