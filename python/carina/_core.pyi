@@ -311,6 +311,36 @@ def smooth_mask(mask_zyx: NDArray[np.uint8]) -> NDArray[np.int16]:
 def best_instruction_set() -> str:
     """Name of the instruction set that casters use unless told."""
 
+# ---- cross-sections ----
+
+@final
+class SectionCasts:
+    """Rays of many planes and the edges they met."""
+
+    def __len__(self) -> int: ...
+    def blur(self) -> tuple[float, float] | None:
+        """The scan's blur within and across slices, mm; None where too few rays met thick tissue."""
+    def measure(self, blur: tuple[float, float] | None) -> dict[str, Any]:
+        """center_lps (n, 3); area, diameters, wall, shift, their errors and shares (n,); edge_mm, outer_mm (n, 64)."""
+
+def cast_sections(
+    values_zyx: NDArray[np.int16],
+    lps_from_ijk: NDArray[np.float64],
+    centers_lps: Sequence[Sequence[float]] | NDArray[np.float64],
+    normals_lps: Sequence[Sequence[float]] | NDArray[np.float64],
+    radius_mm: Sequence[float] | NDArray[np.float64],
+    *,
+    min_contrast: float,
+    brightest_wall: float,
+    noise: float,
+    cancel: Callable[[], bool] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> SectionCasts:
+    """Cast the rays of planes across airways."""
+
+def section_axes(normal_lps: Sequence[float] | NDArray[np.float64]) -> tuple[list[float], list[float]]:
+    """The two unit vectors that span the plane across a direction."""
+
 # ---- airpath ----
 
 def find_trachea_voxels(

@@ -4,6 +4,8 @@
 //! that keeps to the middle, `tracker` grows the tree of least-cost paths from one root and resumes it for every new
 //! target, `tree` reads branches off it.
 
+pub mod cross_section;
+pub mod deblur;
 pub mod dijkstra;
 pub mod distance;
 mod error;
@@ -11,6 +13,7 @@ pub mod flood;
 pub mod graph;
 pub mod lumen;
 mod lungs;
+pub mod profile;
 pub mod smooth;
 mod spots;
 pub mod trachea;
@@ -21,5 +24,7 @@ pub use error::{TrackError, Unwatched, Watch};
 
 #[cfg(test)]
 mod lumen_tests;
+#[cfg(test)]
+mod section_tests;
 #[cfg(test)]
 mod tracker_tests;

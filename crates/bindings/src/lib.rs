@@ -6,6 +6,7 @@ use pyo3::prelude::*;
 
 mod airpath;
 mod arrays;
+mod cross_section;
 mod errors;
 #[cfg_attr(not(feature = "gpu"), path = "gpu_absent.rs")]
 mod gpu;
@@ -45,6 +46,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     raycast::register(module)?;
     gpu::register(module)?;
     airpath::register(module)?;
+    cross_section::register(module)?;
     phantom::register(module)?;
     scope::register(module)?;
     views::register(module)?;

@@ -18,6 +18,7 @@ from carina.track.edits import (
     rebuild_airways,
 )
 from carina.track.levels import lumen_threshold_from_histogram
+from carina.track.measures import BranchMeasures, BranchSummary, ForkMeasures, Stenosis, TreeMeasures, measure_tree
 from carina.track.paths import PathTracker, TrackedPath
 from carina.track.tree import AirwayTree, Branch, Route
 
@@ -26,8 +27,11 @@ __all__ = [
     "AirwayTree",
     "Airways",
     "Branch",
+    "BranchMeasures",
+    "BranchSummary",
     "Bridge",
     "CutBranch",
+    "ForkMeasures",
     "MoveFork",
     "MoveRoot",
     "PaintLumen",
@@ -35,16 +39,19 @@ __all__ = [
     "RenameBranch",
     "Route",
     "SmoothBranch",
+    "Stenosis",
     "TargetResult",
     "TrackResult",
     "TrackedPath",
     "TreeEdit",
+    "TreeMeasures",
     "edit_airways",
     "edit_words",
     "edits_from_json",
     "edits_to_json",
     "find_airways",
     "lumen_threshold_from_histogram",
+    "measure_tree",
     "rebuild_airways",
     "track_paths",
 ]

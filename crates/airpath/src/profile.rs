@@ -1,0 +1,226 @@
+//! Values along a ray, and the edges of lumen and wall in them.
+
+use carina_grid::VolumeView;
+
+use crate::cross_section::{SectionLevels, WALL_REACH_MM};
+
+/// A wall's far side is there when the values fall again by this share of their rise.
+const FALL: f32 = 0.3;
+
+/// Values at even steps along a ray.
+#[derive(Debug, Clone, Default)]
+pub struct Profile {
+    /// Distance of neighbours, mm.
+    pub step_mm: f64,
+    /// The first lies at the ray's origin.
+    pub values: Vec<f32>,
+    /// The ray left the volume before its full length.
+    pub left_volume: bool,
+}
+
+impl Profile {
+    /// Reads the values along a ray of at most `length_mm`; `dir_ijk` is the step of 1 mm in voxels.
+    pub fn read(
+        &mut self,
+        values: VolumeView<'_, i16>,
+        from_ijk: [f64; 3],
+        dir_ijk: [f64; 3],
+        step_mm: f64,
+        length_mm: f64,
+    ) {
+        self.step_mm = step_mm;
+        self.values.clear();
+        self.left_volume = false;
+        let shape = values.grid().shape_ijk();
+        let num_steps = (length_mm / step_mm).ceil() as usize;
+        for n in 0..=num_steps {
+            let s = n as f64 * step_mm;
+            let ijk: [f64; 3] = std::array::from_fn(|a| from_ijk[a] + s * dir_ijk[a]);
+            // A voxel reaches half a step to both sides of its centre.
+            if (0..3).any(|a| !(-0.5..shape[a] as f64 - 0.5).contains(&ijk[a])) {
+                self.left_volume = true;
+                return;
+            }
+            self.values.push(value_at(values, ijk));
+        }
+    }
+
+    /// Where the line between two neighbouring values passes a level, mm.
+    fn crossing_mm(&self, before: usize, level: f32) -> f64 {
+        let (low, high) = (self.values[before], self.values[before + 1]);
+        let share = if low == high {
+            0.5
+        } else {
+            f64::from((level - low) / (high - low))
+        };
+        (before as f64 + share) * self.step_mm
+    }
+}
+
+/// Lumen and wall along one ray.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Edges {
+    /// Edge of the lumen, mm from the origin.
+    pub inner_mm: Option<f64>,
+    /// Far side of the wall.
+    pub outer_mm: Option<f64>,
+    /// How long the lumen's edge takes from a quarter to three quarters of its rise; NaN where it does not show.
+    pub flank_mm: f64,
+    /// Rise from the lumen's lowest value to the wall's peak.
+    pub rise: f64,
+    /// No wall was met because the ray left the volume.
+    pub left_volume: bool,
+}
+
+impl Edges {
+    /// Mean slope of the middle half of the lumen's edge, per mm.
+    #[must_use]
+    pub fn slope_per_mm(&self) -> f64 {
+        0.5 * self.rise / self.flank_mm.max(1e-3)
+    }
+
+    /// Standard deviation of the blur, mm, from an edge against thick tissue; `None` at any other.
+    #[must_use]
+    pub fn sigma_mm(&self) -> Option<f64> {
+        // A Gaussian's integral takes 1.349 standard deviations from a quarter to three quarters.
+        (self.inner_mm.is_some() && self.outer_mm.is_none() && self.flank_mm > 0.0)
+            .then(|| self.flank_mm / 1.349)
+    }
+}
+
+/// Looks for the half-maximum edges; the lumen's edge at most `reach_mm` from the origin.
+#[must_use]
+pub fn edges_of(profile: &Profile, reach_mm: f64, levels: SectionLevels) -> Edges {
+    let values = &profile.values;
+    let none = Edges {
+        left_volume: profile.left_volume,
+        ..Edges::default()
+    };
+    let least_rise = levels.min_contrast.max(4.0 * levels.noise);
+    // The wall begins where the values have risen enough above the lowest so far.
+    let mut low = f32::INFINITY;
+    let mut rise_at = None;
+    for (n, &value) in values.iter().enumerate() {
+        low = low.min(value);
+        if value - low >= least_rise {
+            rise_at = Some(n);
+            break;
+        }
+        if n as f64 * profile.step_mm > reach_mm {
+            return Edges {
+                left_volume: false,
+                ..none
+            };
+        }
+    }
+    let Some(rise_at) = rise_at else { return none };
+
+    // Its peak: the highest value before the values fall again, or within the reach of a wall.
+    let wall_steps = (WALL_REACH_MM / profile.step_mm).ceil() as usize;
+    let (mut peak, mut peak_at) = (f32::NEG_INFINITY, rise_at);
+    for (n, &value) in values.iter().enumerate().skip(rise_at).take(wall_steps) {
+        let value = value.min(levels.brightest_wall);
+        if value > peak {
+            (peak, peak_at) = (value, n);
+        } else if peak - value >= FALL * (peak - low) {
+            break;
+        }
+    }
+    let half = 0.5 * (low + peak);
+    let Some(before) = (0..peak_at).rev().find(|&n| values[n] < half) else {
+        return none;
+    };
+    let inner_mm = profile.crossing_mm(before, half);
+    if inner_mm > reach_mm {
+        return Edges {
+            left_volume: false,
+            ..none
+        };
+    }
+    // From a quarter to three quarters of the rise, along the flank that holds the edge.
+    let level = |share: f32| low + share * (peak - low);
+    let quarter = (0..=before).rev().find(|&n| values[n] < level(0.25));
+    let three = (before..peak_at).find(|&n| values[n + 1] >= level(0.75));
+    let flank_mm = match (quarter, three) {
+        (Some(q), Some(t)) => {
+            profile.crossing_mm(t, level(0.75)) - profile.crossing_mm(q, level(0.25))
+        }
+        _ => f64::NAN,
+    };
+    Edges {
+        inner_mm: Some(inner_mm),
+        outer_mm: outer_mm(profile, peak_at, peak, low, wall_steps),
+        flank_mm,
+        rise: f64::from(peak - low),
+        left_volume: false,
+    }
+}
+
+/// The wall's far side: half-way between its peak and the lowest value behind it, if it falls at all.
+fn outer_mm(
+    profile: &Profile,
+    peak_at: usize,
+    peak: f32,
+    low: f32,
+    wall_steps: usize,
+) -> Option<f64> {
+    let (mut behind, fall) = (f32::INFINITY, FALL * (peak - low));
+    let window = profile.values.iter().skip(peak_at).take(wall_steps);
+    for &value in window.clone() {
+        behind = behind.min(value);
+        // The next structure begins.
+        if peak - behind >= fall && value - behind >= fall {
+            break;
+        }
+    }
+    if peak - behind < fall {
+        return None;
+    }
+    let half = 0.5 * (peak + behind);
+    let after = window.clone().position(|&value| value < half)?;
+    (after > 0).then(|| profile.crossing_mm(peak_at + after - 1, half))
+}
+
+/// The value at a point between voxels: Catmull-Rom along each axis, beyond the last voxel as at it.
+///
+/// Unlike linear interpolation it hardly blurs: a lumen of three voxels keeps its width.
+#[must_use]
+pub fn value_at(values: VolumeView<'_, i16>, ijk: [f64; 3]) -> f32 {
+    let base = ijk.map(|v| v.floor() as isize);
+    let weights: [[f32; 4]; 3] =
+        std::array::from_fn(|a| catmull_rom((ijk[a] - base[a] as f64) as f32));
+    let shape = values.grid().shape_ijk();
+    let is_inner = (0..3).all(|a| base[a] >= 1 && base[a] + 2 < shape[a] as isize);
+    let mut sum = 0.0;
+    for (dk, wk) in weights[2].iter().enumerate() {
+        let mut plane = 0.0;
+        for (dj, wj) in weights[1].iter().enumerate() {
+            let (j, k) = (base[1] + dj as isize - 1, base[2] + dk as isize - 1);
+            let mut row = 0.0;
+            if is_inner {
+                let at = (k as usize * shape[1] + j as usize) * shape[0] + base[0] as usize - 1;
+                for (value, wi) in values.data()[at..at + 4].iter().zip(&weights[0]) {
+                    row += wi * f32::from(*value);
+                }
+            } else {
+                for (di, wi) in weights[0].iter().enumerate() {
+                    row += wi * f32::from(values.at_clamped([base[0] + di as isize - 1, j, k]));
+                }
+            }
+            plane += wj * row;
+        }
+        sum += wk * plane;
+    }
+    sum
+}
+
+/// Weights of the neighbours at -1, 0, 1 and 2 for a point at `t` between 0 and 1.
+fn catmull_rom(t: f32) -> [f32; 4] {
+    let (t2, t3) = (t * t, t * t * t);
+    [
+        0.5 * (2.0 * t2 - t - t3),
+        0.5 * (3.0 * t3 - 5.0 * t2 + 2.0),
+        0.5 * (4.0 * t2 - 3.0 * t3 + t),
+        0.5 * (t3 - t2),
+    ]
+}

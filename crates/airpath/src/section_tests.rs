@@ -1,0 +1,344 @@
+//! Cross-sections of drawn tubes: round and elliptical, any direction, anisotropic voxels, walls thinner than the blur.
+
+use carina_grid::{Affine, Grid, Ijk, VolumeView, cross, dot, unit};
+use proptest::prelude::*;
+
+use crate::Unwatched;
+use crate::cross_section::{
+    Cast, NUM_RAYS, Plane, Section, SectionLevels, cast_plane, cast_planes, plane_axes,
+    voxel_in_plane_mm,
+};
+use crate::deblur::{Blur, half_maximum_mm, true_thickness_mm};
+use crate::profile::value_at;
+use crate::smooth::Point;
+
+const LEVELS: SectionLevels = SectionLevels {
+    min_contrast: 100.0,
+    brightest_wall: 100.0,
+    noise: 5.0,
+};
+const SIGMA_MM: f64 = 0.5;
+
+/// A straight tube with an elliptical lumen and a wall, blurred by a Gaussian.
+struct Tube {
+    center: Point,
+    axis: Point,
+    /// Half of the lumen's width along the two axes of the plane.
+    half_mm: [f64; 2],
+    wall_mm: f64,
+    /// Value beyond the wall.
+    outside: f64,
+    /// Beyond this distance from the axis along the first axis there is tissue again (a vessel); infinite for none.
+    vessel_mm: f64,
+}
+
+/// Pixels of a drawn section, mm.
+const PIXEL_MM: f64 = 0.1;
+/// Half of its width.
+const PICTURE_MM: f64 = 14.0;
+
+impl Tube {
+    fn new(axis: Point, half_mm: [f64; 2], wall_mm: f64) -> Self {
+        Self {
+            center: [0.3, -0.2, 0.4],
+            axis: unit(axis).unwrap(),
+            half_mm,
+            wall_mm,
+            outside: -870.0,
+            vessel_mm: f64::INFINITY,
+        }
+    }
+
+    fn sharp(&self, u: f64, v: f64) -> f64 {
+        let [a, b] = self.half_mm;
+        // Distance to an ellipse, first order at its edge: exact for a circle.
+        let k0 = (u / a).hypot(v / b);
+        let k1 = (u / (a * a)).hypot(v / (b * b));
+        let depth = if k1 < 1e-9 {
+            -1.0
+        } else {
+            k0 * (k0 - 1.0) / k1
+        };
+        if depth < 0.0 {
+            -1000.0
+        } else if depth < self.wall_mm || u > self.vessel_mm {
+            40.0
+        } else {
+            self.outside
+        }
+    }
+
+    /// The section, blurred along both axes; a straight tube is the same all along.
+    fn picture(&self) -> Vec<f64> {
+        let n = (2.0 * PICTURE_MM / PIXEL_MM) as usize;
+        let at = |i: usize| (i as f64 + 0.5) * PIXEL_MM - PICTURE_MM;
+        let reach = (4.0 * SIGMA_MM / PIXEL_MM) as isize;
+        let kernel: Vec<f64> = (-reach..=reach)
+            .map(|d| (-0.5 * (d as f64 * PIXEL_MM / SIGMA_MM).powi(2)).exp())
+            .collect();
+        let sum: f64 = kernel.iter().sum();
+        let blurred = |picture: &[f64], step: (usize, usize)| -> Vec<f64> {
+            (0..n * n)
+                .map(|p| {
+                    let [i, j] = [p % n, p / n];
+                    let weighted = kernel.iter().enumerate().map(|(k, w)| {
+                        let d = k as isize - reach;
+                        let to = |x: usize, s: usize| {
+                            (x as isize + d * s as isize).clamp(0, n as isize - 1) as usize
+                        };
+                        w * picture[to(j, step.1) * n + to(i, step.0)]
+                    });
+                    weighted.sum::<f64>() / sum
+                })
+                .collect()
+        };
+        let sharp: Vec<f64> = (0..n * n)
+            .map(|p| self.sharp(at(p % n), at(p / n)))
+            .collect();
+        blurred(&blurred(&sharp, (1, 0)), (0, 1))
+    }
+}
+
+fn grid(spacing: [f64; 3], half_mm: f64) -> Grid {
+    let num = spacing.map(|s| (2.0 * half_mm / s) as usize + 1);
+    let (s, c) = 0.3f64.sin_cos();
+    let x = [c * spacing[0], s * spacing[0], 0.0];
+    let y = [-s * spacing[1], c * spacing[1], 0.0];
+    let z = [0.0, 0.0, spacing[2]];
+    let middle: Point = std::array::from_fn(|a| {
+        -0.5 * (x[a] * (num[0] - 1) as f64
+            + y[a] * (num[1] - 1) as f64
+            + z[a] * (num[2] - 1) as f64)
+    });
+    Grid::new(
+        [num[2], num[1], num[0]],
+        Affine::from_columns(x, y, z, middle),
+    )
+    .unwrap()
+}
+
+fn draw(grid: &Grid, tube: &Tube) -> Vec<i16> {
+    let picture = tube.picture();
+    let n = (2.0 * PICTURE_MM / PIXEL_MM) as usize;
+    let (across, up) = plane_axes(tube.axis);
+    (0..grid.num_voxels())
+        .map(|at| {
+            let p = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0;
+            let off: Point = std::array::from_fn(|a| p[a] - tube.center[a]);
+            // Linear between pixels, which are far smaller than the blur; the picture's border beyond it.
+            let place = |mm: f64| ((mm + PICTURE_MM) / PIXEL_MM - 0.5).clamp(0.0, n as f64 - 1.001);
+            let (u, v) = (place(dot(off, across)), place(dot(off, up)));
+            let (i, j) = (u as usize, v as usize);
+            let (s, t) = (u - i as f64, v - j as f64);
+            let row = |j: usize| (1.0 - s) * picture[j * n + i] + s * picture[j * n + i + 1];
+            ((1.0 - t) * row(j) + t * row(j + 1)).round() as i16
+        })
+        .collect()
+}
+
+/// Cut off the middle by a third of the lumen, so that the centre must be found.
+fn cut(grid: &Grid, values: &[i16], tube: &Tube) -> Cast {
+    let (across, _) = plane_axes(tube.axis);
+    let least = tube.half_mm[0].min(tube.half_mm[1]);
+    let center = std::array::from_fn(|a| tube.center[a] + 0.3 * least * across[a]);
+    let view = VolumeView::new(values, grid).unwrap();
+    let plane = Plane {
+        center,
+        normal: tube.axis,
+        radius_mm: least,
+    };
+    cast_plane(view, plane, LEVELS)
+}
+
+fn measure(grid: &Grid, tube: &Tube) -> Section {
+    let values = draw(grid, tube);
+    let cast = cut(grid, &values, tube);
+    // The values are blurred alike in all directions.
+    let blur = Blur::new(grid, SIGMA_MM, SIGMA_MM);
+    let voxel_mm = voxel_in_plane_mm(grid, plane_axes(tube.axis));
+    Section::of(&cast, Some(&blur), voxel_mm, 5.0)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn a_tube_is_measured_within_its_error_whatever_its_direction(
+        axis in prop::array::uniform3(-1.0f64..1.0).prop_filter("long", |a| unit(*a).is_some() && dot(*a, *a) > 0.1),
+        radius in 2.0f64..5.0,
+        flat in 0.7f64..1.0,
+        wall in 0.7f64..2.5,
+        slice in 0.5f64..0.9,
+    ) {
+        let tube = Tube::new(axis, [radius, flat * radius], wall);
+        let section = measure(&grid([0.6, 0.65, slice], radius + 8.0), &tube);
+        let truth = 2.0 * radius * flat.sqrt();
+        let off = (section.equivalent_mm - truth).abs();
+        prop_assert!(off <= section.equivalent_error_mm, "{off} of {}", section.equivalent_error_mm);
+        // A quarter of a voxel on each side.
+        prop_assert!(section.equivalent_error_mm < 0.5);
+        let off = (section.min_mm - 2.0 * flat * radius).abs().max((section.max_mm - 2.0 * radius).abs());
+        prop_assert!(off <= section.width_error_mm + 0.1, "{off} of {}", section.width_error_mm);
+        let off = (section.wall_mm - wall).abs();
+        prop_assert!(off <= section.wall_error_mm + 0.1, "{off} of {}", section.wall_error_mm);
+        let away: Point = std::array::from_fn(|a| section.center[a] - tube.center[a]);
+        let along = dot(away, tube.axis);
+        let aside = (dot(away, away) - along * along).sqrt();
+        prop_assert!(aside < 0.1, "{aside}");
+    }
+
+    #[test]
+    fn the_value_between_voxels_is_exact_on_voxels_and_for_slopes(
+        at in prop::array::uniform3(1.0f64..6.0),
+        slope in prop::array::uniform3(-50.0f64..50.0),
+    ) {
+        let grid = grid([1.0, 1.2, 0.9], 5.0);
+        let values: Vec<i16> = (0..grid.num_voxels())
+            .map(|n| {
+                let v = grid.voxel(n);
+                (0..3).map(|a| slope[a].round() * v[a] as f64).sum::<f64>() as i16
+            })
+            .collect();
+        let view = VolumeView::new(&values, &grid).unwrap();
+        let expected: f64 = (0..3).map(|a| slope[a].round() * at[a]).sum();
+        prop_assert!((f64::from(value_at(view, at)) - expected).abs() < 0.05);
+        let voxel = at.map(f64::round);
+        let index = voxel.map(|v| v as usize);
+        prop_assert!((value_at(view, voxel) - f32::from(view.at(index))).abs() < 1e-2);
+    }
+}
+
+#[test]
+fn without_the_correction_a_thin_wall_looks_thick_and_its_lumen_narrow() {
+    let tube = Tube::new([0.2, 0.3, 1.0], [3.0, 3.0], 0.8);
+    let grid = grid([0.6; 3], 10.0);
+    let values = draw(&grid, &tube);
+    let cast = cut(&grid, &values, &tube);
+    let raw = Section::of(&cast, None, 0.6, 5.0);
+    assert!(raw.equivalent_mm < 5.8, "{}", raw.equivalent_mm);
+    assert!(raw.wall_mm > 1.1, "{} {:?}", raw.wall_mm, &cast.rays[..4]);
+    let section = measure(&grid, &tube);
+    let off = (section.wall_mm - 0.8).abs();
+    assert!(off < section.wall_error_mm && off < 0.25, "{off}");
+    assert!(
+        (section.equivalent_mm - 6.0).abs() < 0.1,
+        "{}",
+        section.equivalent_mm
+    );
+    assert!(section.shift_mm > 0.1);
+}
+
+#[test]
+fn the_blur_is_found_on_edges_against_thick_tissue() {
+    let mut tube = Tube::new([0.1, 0.2, 1.0], [6.0, 6.0], 1.5);
+    tube.outside = 40.0;
+    let grid = grid([0.6; 3], 14.0);
+    let values = draw(&grid, &tube);
+    let view = VolumeView::new(&values, &grid).unwrap();
+    let planes: Vec<Plane> = (0..8)
+        .map(|n| Plane {
+            center: std::array::from_fn(|a| tube.center[a] + 0.7 * f64::from(n) * tube.axis[a]),
+            normal: tube.axis,
+            radius_mm: 6.0,
+        })
+        .collect();
+    let casts = cast_planes(view, &planes, LEVELS, &Unwatched).unwrap();
+    let blur = Blur::of_casts(&grid, &casts).unwrap();
+    // 0.03: the interpolation's own blur.
+    assert!((blur.in_plane_mm - SIGMA_MM).abs() < 0.04, "{blur:?}");
+    let section = Section::of(&casts[0], Some(&blur), 0.6, 5.0);
+    assert!(section.wall_mm.is_nan(), "no far side");
+    assert!(
+        (section.equivalent_mm - 12.0).abs() < 0.15,
+        "{}",
+        section.equivalent_mm
+    );
+}
+
+#[test]
+fn where_a_vessel_lies_against_the_wall_its_rays_have_no_say() {
+    let mut tube = Tube::new([0.0, 0.1, 1.0], [3.0, 3.0], 1.2);
+    tube.vessel_mm = 4.2;
+    let section = measure(&grid([0.6; 3], 11.0), &tube);
+    assert!(section.wall_share < 0.95, "{}", section.wall_share);
+    assert!((section.wall_mm - 1.2).abs() < 0.15, "{}", section.wall_mm);
+    assert!((section.equivalent_mm - 6.0).abs() < section.equivalent_error_mm);
+}
+
+#[test]
+fn rays_that_leave_the_volume_are_said_and_nothing_is_invented() {
+    let tube = Tube::new([0.0, 0.0, 1.0], [4.0, 4.0], 1.2);
+    // The volume ends 1 mm beside the axis.
+    let whole = grid([0.6; 3], 4.0);
+    let first: Point = std::array::from_fn(|a| whole.lps_from_ijk().rows()[a][3]);
+    let [x, y, z] = [0, 1, 2].map(|a| whole.lps_from_ijk().column(a));
+    let shifted: Point = std::array::from_fn(|a| first[a] - 3.0 * unit(x).unwrap()[a]);
+    let [n, m, k] = whole.shape_zyx();
+    let grid = Grid::new([n, m, k], Affine::from_columns(x, y, z, shifted)).unwrap();
+    let section = measure(&grid, &tube);
+    assert!(section.left_share > 0.3, "{}", section.left_share);
+    assert!(!section.is_measured());
+    assert!(section.wall_mm.is_nan());
+}
+
+#[test]
+fn a_plane_in_solid_tissue_or_in_open_air_has_no_section() {
+    let grid = grid([1.0; 3], 8.0);
+    for fill in [40i16, -1000] {
+        let values = vec![fill; grid.num_voxels()];
+        let view = VolumeView::new(&values, &grid).unwrap();
+        let plane = Plane {
+            center: [0.0; 3],
+            normal: [0.0, 0.0, 1.0],
+            radius_mm: 2.0,
+        };
+        let section = Section::of(&cast_plane(view, plane, LEVELS), None, 1.0, 5.0);
+        assert!(!section.is_measured());
+    }
+}
+
+#[test]
+fn one_thread_and_three_find_the_same() {
+    let tube = Tube::new([0.4, 0.3, 1.0], [3.0, 2.5], 1.0);
+    let grid = grid([0.7, 0.7, 1.0], 10.0);
+    let values = draw(&grid, &tube);
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| {
+            let view = VolumeView::new(&values, &grid).unwrap();
+            let plane = |n: usize| Plane {
+                center: std::array::from_fn(|a| tube.center[a] + 0.01 * n as f64 * tube.axis[a]),
+                normal: tube.axis,
+                radius_mm: 2.5,
+            };
+            let planes: Vec<Plane> = (0..100).map(plane).collect();
+            let casts = cast_planes(view, &planes, LEVELS, &Unwatched).unwrap();
+            format!(
+                "{:?}",
+                casts
+                    .iter()
+                    .map(|c| c.rays.map(|r| r.inner_mm))
+                    .collect::<Vec<_>>()
+            )
+        })
+    };
+    assert_eq!(on(1), on(3));
+}
+
+#[test]
+fn thickness_and_half_maximum_undo_each_other_and_the_frame_is_right_handed() {
+    for wall in [0.5, 0.8, 1.3, 2.0, 4.0] {
+        let found = true_thickness_mm(half_maximum_mm(wall, 0.6), 0.6);
+        assert!((found - wall).abs() < 5e-3, "{wall} {found}");
+    }
+    // The half-maximum thickness of a thin wall is the blur's own, 2.355 sigma.
+    assert!((half_maximum_mm(1e-3, 1.0) - 2.3548).abs() < 2e-3);
+    for normal in [[0.0, 0.0, 1.0], [0.6, -0.8, 0.0], [-0.48, 0.6, -0.64]] {
+        let (across, up) = plane_axes(normal);
+        let back = cross(across, up);
+        assert!((0..3).all(|a| (back[a] - normal[a]).abs() < 1e-12));
+    }
+    assert_eq!(NUM_RAYS % 2, 0, "widths add opposite rays");
+}

@@ -1,0 +1,197 @@
+"""Sections across the drawn chest's airways, forks, summaries, and what an edit measures again."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from carina._core import cast_sections, section_axes
+from carina.errors import CancelledError, UsageError
+from carina.track import AirwayTree, Branch, find_airways, measure_tree
+from carina.track.measures_forks import angle_deg, directions
+from carina.track.measures_summary import healthy_neighbours_mm, stenosis_of
+from carina.volume.model import Volume
+
+
+@pytest.fixture(scope="module")
+def measured(chest):
+    airways = find_airways(chest.volume)
+    return airways, measure_tree(chest.volume, airways)
+
+
+def test_the_drawn_diameters_are_found_within_their_errors(chest, measured):
+    airways, measures = measured
+    truth = {"Trachea": 13.0, "RMB": 10.0, "LMB": 9.2}
+    for name, diameter in truth.items():
+        summary = measures.of(airways.tree.named(name).id).summary
+        # 0.5 mm: the drawn edge is a straight ramp, no Gaussian blur.
+        assert abs(summary.mean_mm - diameter) < max(summary.mean_error_mm, 0.5)
+    for branch in airways.tree.branches:
+        own = measures.of(branch.id)
+        assert own.at_mm.shape == own.area_mm2.shape == own.at_junction.shape == (len(branch.points),)
+        assert own.edge_mm.shape == own.outer_mm.shape == (len(branch.points), 64)
+        usable = own.is_usable
+        assert usable.any()
+        assert np.allclose(own.area_mm2[usable], np.pi / 4 * own.equivalent_mm[usable] ** 2)
+        assert (own.min_mm[usable] <= own.max_mm[usable]).all()
+
+
+def test_sections_at_forks_are_flagged_and_left_out(chest, measured):
+    airways, measures = measured
+    tree = airways.tree
+    for branch in tree.branches:
+        own = measures.of(branch.id)
+        assert own.at_junction[-1] == bool(branch.children)
+        assert own.at_junction[0] == (branch.parent is not None)
+        assert own.summary.num_sections == own.is_usable.sum()
+    # A section through a main carina is far wider than the trachea.
+    trachea = measures.of(tree.root.id)
+    assert trachea.summary.mean_mm < 14.0
+
+
+def test_the_carina_lies_in_the_wall_between_the_main_bronchi_below_the_fork(chest, measured):
+    airways, measures = measured
+    fork = measures.fork_of(airways.tree.root.id)
+    assert set(fork.children) == set(airways.tree.root.children)
+    assert fork.carina_lps is not None
+    assert fork.carina_lps[2] < fork.fork_lps[2]
+    # In the lumen's surface: within a voxel of the drawn one.
+    assert abs(chest.depth_mm(np.array(fork.carina_lps))) < 1.6
+    # Between the drawn axes.
+    one, other = (end - start for start, end, _ in chest.tubes[1:3])
+    drawn = np.degrees(np.arccos(one @ other / np.linalg.norm(one) / np.linalg.norm(other)))
+    assert abs(fork.angle_between_deg - drawn) < 12.0
+    assert all(measures.fork_of(tip.id) is None for tip in airways.tree.tips())
+
+
+def test_only_what_changed_is_measured_again(chest, measured, monkeypatch):
+    airways, measures = measured
+    counts = []
+
+    def counted(hu, matrix, centers, *rest, **options):
+        counts.append(len(centers))
+        return cast_sections(hu, matrix, centers, *rest, **options)
+
+    monkeypatch.setattr("carina.track.measures.cast_sections", counted)
+    again = measure_tree(chest.volume, airways, previous=measures)
+    assert counts == [0]
+    assert again.to_json() == measures.to_json()
+    tip = airways.tree.tips()[0]
+    shorter = dataclasses.replace(tip, points=tip.points[:-3], radius=tip.radius[:-3])
+    tree = AirwayTree(tuple(shorter if branch is tip else branch for branch in airways.tree.branches))
+    edited = SimpleNamespace(tree=tree, lumen_zyx=airways.lumen_zyx)
+    fresh = measure_tree(chest.volume, edited, previous=measures)
+    assert counts[1:] == [len(shorter.points)]
+    whole = measure_tree(chest.volume, edited)
+    # The blur of the whole scan is kept; that of the shorter tree differs by a thousandth.
+    np.testing.assert_allclose(fresh.of(tip.id).edge_mm, whole.of(tip.id).edge_mm, atol=2e-3)
+
+
+def test_the_document_is_plain_json_and_a_missing_branch_is_refused(measured):
+    airways, measures = measured
+    document = json.loads(json.dumps(measures.to_json(), allow_nan=False))
+    assert document["format"] == "carina-measures"
+    assert len(document["branches"]) == len(airways.tree)
+    assert len(document["forks"]) == 3
+    with pytest.raises(UsageError, match="no branch has the id 99"):
+        measures.of(99)
+
+
+def test_measuring_stops_when_asked_and_says_how_far_it_is(chest, measured):
+    airways, _ = measured
+    told = []
+    measure_tree(chest.volume, airways, progress=lambda what, fraction: told.append((what, fraction)))
+    assert told[0] == ("measuring the airways", 0.0)
+    assert told[-1] == ("airways measured", 1.0)
+    calls = itertools.count()
+    with pytest.raises(CancelledError):
+        measure_tree(chest.volume, airways, cancel=lambda: next(calls) >= 1)
+
+
+def test_a_branch_of_one_voxel_and_one_at_the_volumes_edge_are_measured_as_far_as_they_show(chest, measured):
+    airways, _ = measured
+    root = airways.tree.root
+    # The point in the top slice, and a twig of a single point at the end of the trachea.
+    trunk = dataclasses.replace(root, children=(1,), points=root.points, radius=root.radius)
+    twig = Branch(1, 0, (), 1, None, "tracked", root.points[-1:], root.radius[-1:])
+    tree = AirwayTree((trunk, twig))
+    measures = measure_tree(chest.volume, SimpleNamespace(tree=tree, lumen_zyx=airways.lumen_zyx))
+    single = measures.of(1)
+    assert single.at_mm.tolist() == [0.0]
+    assert single.summary.length_mm == 0.0
+    assert single.summary.angle_deg is None
+    # A volume that is cut through the trachea's middle: its sections are partial, and said to be.
+    i = int(chest.volume.to_ijk(root.points[len(root.points) // 2])[0] + 0.5)
+    half = Volume(np.ascontiguousarray(chest.volume.hu_zyx[:, :, :i]), chest.volume.lps_from_ijk)
+    cut = measure_tree(
+        half,
+        SimpleNamespace(
+            tree=AirwayTree((dataclasses.replace(root, children=()),)), lumen_zyx=airways.lumen_zyx[:, :, :i]
+        ),
+    )
+    own = cut.of(0)
+    assert own.at_edge.mean() > 0.5
+    assert not (own.at_edge & own.is_usable).any()
+
+
+@given(st.floats(0.3, 0.9), st.floats(4.0, 14.0), st.floats(-0.08, 0.02))
+@settings(max_examples=40, deadline=None)
+def test_a_stenosis_is_measured_against_the_line_through_what_is_healthy(left, diameter, taper):
+    at = np.arange(0.0, 40.0)
+    healthy = diameter + taper * at * diameter / 20.0
+    narrowing = 1.0 - (1.0 - left) * np.clip(1.0 - np.abs(at - 22.0) / 6.0, 0.0, 1.0)
+    found = stenosis_of(at, healthy * narrowing, np.full(40, 0.1), np.ones(40, bool), neighbours_mm=None)
+    assert found.reference_from == "branch"
+    if left < 0.8:
+        assert found.at_mm == 22.0
+        assert abs(found.percent - 100.0 * (1.0 - left)) < 4.0
+        assert abs(found.area_percent - 100.0 * (1.0 - left**2)) < 6.0
+
+
+def test_a_branch_that_is_narrow_all_along_is_held_against_its_neighbours():
+    at = np.arange(0.0, 8.0)
+    narrow = np.full(8, 4.0) + 0.8 * np.abs(at - 4.0)
+    expected = healthy_neighbours_mm(12.0, [8.0], [7.0, 7.5])
+    # Murray: 12^3 - 8^3 from above, 7^3 + 7.5^3 from below.
+    assert expected == pytest.approx(np.sqrt((12.0**3 - 8.0**3) ** (1 / 3) * (7.0**3 + 7.5**3) ** (1 / 3)))
+    found = stenosis_of(at, narrow, np.full(8, 0.1), np.ones(8, bool), neighbours_mm=expected)
+    assert found.reference_from == "neighbours"
+    assert found.percent == pytest.approx(100.0 * (1.0 - 4.0 / expected))
+    assert found.percent_error > 10.0
+    assert healthy_neighbours_mm(None, [], []) is None
+    assert healthy_neighbours_mm(5.0, [6.0], []) is None
+    assert stenosis_of(at, narrow, narrow, np.zeros(8, bool), neighbours_mm=9.0) is None
+
+
+def test_angles_and_directions_are_those_of_the_lines():
+    trunk = Branch(
+        0, None, (1,), 0, None, "tracked", np.array([[0.0, 0, z] for z in range(40, -1, -1)]), np.full(41, 5.0)
+    )
+    tilt = np.radians(35.0)
+    line = np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
+    child = Branch(1, 0, (), 1, None, "tracked", np.arange(0.0, 30.0)[:, None] * line, np.full(30, 3.0))
+    assert angle_deg(trunk, child) == pytest.approx(35.0)
+    point = dataclasses.replace(child, points=child.points[:1], radius=child.radius[:1])
+    assert angle_deg(trunk, point) is None
+    np.testing.assert_allclose(directions(child.points, child.radius), np.tile(line, (30, 1)), atol=1e-12)
+    np.testing.assert_allclose(directions(point.points, point.radius, trunk.points[-2]), [[0.0, 0.0, -1.0]])
+
+
+def test_planes_that_are_none_are_refused(chest):
+    arguments = (chest.volume.hu_zyx, chest.volume.lps_from_ijk)
+    levels = {"min_contrast": 100.0, "brightest_wall": 100.0, "noise": 10.0}
+    with pytest.raises(UsageError, match="normal with length"):
+        cast_sections(*arguments, [[0.0, 0, 0]], [[0.0, 0, 0]], [3.0], **levels)
+    with pytest.raises(UsageError, match="radius"):
+        cast_sections(*arguments, [[0.0, 0, 0]], [[0.0, 0, 1]], [np.nan], **levels)
+    with pytest.raises(UsageError, match="as many"):
+        cast_sections(*arguments, [[0.0, 0, 0]], [], [3.0], **levels)
+    across, up = section_axes([0.0, 0.6, 0.8])
+    np.testing.assert_allclose(np.cross(across, up), [0.0, 0.6, 0.8], atol=1e-12)
