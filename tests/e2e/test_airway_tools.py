@@ -115,3 +115,84 @@ def test_where_there_is_no_way_the_reason_stands_at_the_cursor(server, workstati
     assert workstation.state("livePath.answer.points_lps") == []
     workstation.page.keyboard.press("Escape")
     assert workstation.faults == []
+
+
+def test_a_branch_that_is_pointed_at_shows_in_the_list_and_in_all_pictures(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    tree_is_shown(workstation)
+    lmb = named(workstation, "LMB")
+    plain = {view: workstation.overlay(view) for view in ("tree", "coronal", "xray-coronal")}
+    workstation.page.locator(f"[data-branch='{lmb}']").hover()
+    wait_for(workstation, "(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
+    for view, before in plain.items():
+        wait_for(
+            workstation,
+            "([view, before]) => document.querySelector(`[data-overlay=${view}]`).toDataURL() !== before",
+            [view, before],
+        )
+    workstation.picture("hovered-in-the-list")
+
+    # The other way round: from the tree's picture to the list.
+    rmb = named(workstation, "RMB")
+    x, y = place_on_tree(workstation, rmb)
+    workstation.page.mouse.move(x, y)
+    wait_for(workstation, "(id) => window.__carina.state.ui.hovered?.branchId === id", rmb)
+    row = workstation.page.get_by_role("row").filter(has=workstation.page.locator(f"[data-branch='{rmb}']")).last
+    other = workstation.page.get_by_role("row").filter(has=workstation.page.locator(f"[data-branch='{lmb}']")).last
+
+    def background(of):
+        return of.evaluate("(row) => getComputedStyle(row).backgroundColor")
+
+    assert background(row) != background(other)
+    # A click there flies to it, as a click in the list does.
+    workstation.page.mouse.click(x, y)
+    wait_for(workstation, "(id) => window.__carina.state.route?.spans.at(-1).branch_id === id", rmb)
+    assert workstation.faults == []
+
+
+def test_a_branch_is_renamed_in_place_and_the_name_is_undone(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    tip = workstation.deepest_tip(1.0)
+    workstation.choose_branch(tip["id"])
+    title = workstation.page.locator("[data-testid=branch-title]")
+    workstation.page.keyboard.press("F2")
+    field = workstation.page.locator("[data-testid=branch-name]")
+    field.fill("Upper left, odd one")
+    workstation.picture("renaming")
+    field.press("Enter")
+    wait_for(
+        workstation, "(id) => window.__carina.state.tree.byId.get(id)?.branch.name === 'Upper left, odd one'", tip["id"]
+    )
+    assert title.inner_text() == "Upper left, odd one"
+    assert workstation.state("can_undo").startswith("call ")
+    assert workstation.page.locator("[data-testid=branch-panel]").get_by_text("named by a person").count() == 1
+    workstation.page.keyboard.press("Control+z")
+    wait_for(
+        workstation, "(id) => window.__carina.state.tree.byId.get(id)?.branch.name !== 'Upper left, odd one'", tip["id"]
+    )
+    assert title.inner_text() != "Upper left, odd one"
+
+    # Esc leaves the name as it was; the keys fly again afterwards.
+    workstation.page.keyboard.press("F2")
+    field.press("Escape")
+    assert field.count() == 0
+    workstation.page.keyboard.press("m")
+    wait_for(workstation, "() => window.__carina.state.pose.mode === 'free'")
+    workstation.page.keyboard.press("m")
+    assert workstation.faults == []
+
+
+def test_the_list_is_searched(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.page.keyboard.press("/")
+    workstation.page.keyboard.type("lmb")
+    rows = workstation.page.locator(".branch-tree [data-branch]")
+    wait_for(workstation, "() => document.querySelectorAll('.branch-tree [data-branch]').length < 6")
+    assert [row.split()[0] for row in rows.all_inner_texts()] == ["Trachea", "LMB"]
+    workstation.page.keyboard.press("Escape")
+    wait_for(workstation, "() => document.querySelectorAll('.branch-tree [data-branch]').length > 2")
+    workstation.page.keyboard.press("Escape")
+    assert workstation.faults == []

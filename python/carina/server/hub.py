@@ -20,9 +20,9 @@ from carina.server.presenter import (
     route_message,
     start_message,
     state_message,
-    tree_message,
 )
 from carina.server.pump import FramePump
+from carina.server.tree_words import tree_message
 from carina.server.uploads import Uploads
 from carina.session import (
     Carm,

@@ -1,6 +1,6 @@
 """The messages between server and client, gathered, and how they are read and written (prose: ``protocol/README.md``).
 
-They are frozen dataclasses in ``messages_from_client.py`` and ``messages_from_server.py``.
+They are frozen dataclasses in ``messages_from_client.py``, ``messages_from_server.py`` and ``messages_of_tree.py``.
 
 ``web/src/wire/messages.ts`` and ``protocol/schema.json`` are generated from them by
 ``python -m carina.server.wire_types``; a test fails when they drift apart. World is LPS mm, matrices are 4x4 row-major,
@@ -72,9 +72,6 @@ from carina.server.messages_from_client import (
     ViewSize,
 )
 from carina.server.messages_from_server import (
-    BranchDetail,
-    BranchMeasures,
-    BranchProfile,
     Carm,
     CaseInfo,
     Demo,
@@ -82,7 +79,6 @@ from carina.server.messages_from_server import (
     Error,
     FeatureOff,
     GreyWindow,
-    LivePath,
     Notice,
     Orbit,
     OtherSeries,
@@ -104,12 +100,19 @@ from carina.server.messages_from_server import (
     State,
     Status,
     Target,
+    Value,
+    Zoom,
+)
+from carina.server.messages_of_tree import (
+    BranchDetail,
+    BranchMeasures,
+    BranchProfile,
+    BranchTitle,
+    LivePath,
     Tree,
     TreeBranch,
     TreeDocument,
     UncertainPlace,
-    Value,
-    Zoom,
 )
 from carina.server.wire_codec import decode_fields, load_json_object, split_picture, to_jsonable
 from carina.server.wire_fields import Mask, ViewName
@@ -127,6 +130,7 @@ __all__ = [
     "BranchDetail",
     "BranchMeasures",
     "BranchProfile",
+    "BranchTitle",
     "Cancel",
     "Carm",
     "CaseInfo",

@@ -13,7 +13,6 @@ from carina.server.wire_fields import (
     Key,
     Mask,
     Matrix4,
-    MaybeNumbers,
     Method,
     Mode,
     Numbers,
@@ -29,9 +28,6 @@ from carina.server.wire_fields import (
 )
 
 __all__ = [
-    "BranchDetail",
-    "BranchMeasures",
-    "BranchProfile",
     "Carm",
     "CaseInfo",
     "Demo",
@@ -39,7 +35,6 @@ __all__ = [
     "Error",
     "FeatureOff",
     "GreyWindow",
-    "LivePath",
     "Notice",
     "Orbit",
     "OtherSeries",
@@ -61,10 +56,6 @@ __all__ = [
     "State",
     "Status",
     "Target",
-    "Tree",
-    "TreeBranch",
-    "TreeDocument",
-    "UncertainPlace",
     "Value",
     "Zoom",
 ]
@@ -273,89 +264,6 @@ class State:
 
 
 @dataclass(frozen=True, slots=True)
-class TreeBranch:
-    """A branch of a ``carina-tree`` document."""
-
-    extra_keys_allowed: ClassVar[bool] = True
-    id: BranchId
-    parent: BranchId | None
-    children: tuple[BranchId, ...]
-    generation: Annotated[int, Range(0, 1000)]
-    name: Words | None
-    kind: Literal["tracked", "bridge", "manual"]
-    points: PointsLps
-    radius: Numbers
-    cost: float | None
-    confidence: Part | None
-    """How sure it is that this is airway."""
-    name_confidence: Part | None
-    """How sure the name is; null without one, and for a person's."""
-    name_from: Literal["anatomy", "person"] | None
-    variant: Words | None
-    """What is uncommon about the anatomy here."""
-
-
-@dataclass(frozen=True, slots=True)
-class TreeDocument:
-    """A ``carina-tree`` document, version 1."""
-
-    extra_keys_allowed: ClassVar[bool] = True
-    format: Literal["carina-tree"]
-    version: Literal[1]
-    space: Literal["LPS"]
-    unit: Literal["mm"]
-    root: BranchId
-    branches: tuple[TreeBranch, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class BranchMeasures:
-    """What was measured on a branch, without its junctions. Lumens are diameters; errors are of the voxel size."""
-
-    branch_id: BranchId
-    length_mm: float
-    lumen_mm: float | None
-    """Mean."""
-    lumen_error_mm: float | None
-    min_lumen_mm: float | None
-    """At its narrowest place."""
-    min_lumen_error_mm: float | None
-    min_at_mm: float | None
-    """Along the branch."""
-    max_lumen_mm: float | None
-    max_lumen_error_mm: float | None
-    wall_mm: float | None
-    wall_error_mm: float | None
-    taper: float | None
-    """Lumen lost per mm of length."""
-    angle_deg: float | None
-    """To the parent's direction."""
-    stenosis_percent: float | None
-    """Narrowest lumen against the reference."""
-    stenosis_at_mm: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class UncertainPlace:
-    """What could not be followed."""
-
-    lps: PointLps
-    words: Words
-    branch_id: BranchId | None
-
-
-@dataclass(frozen=True, slots=True)
-class Tree:
-    """The airway tree, when it or its measures changed."""
-
-    wire_type: ClassVar[str] = "tree"
-    tree: TreeDocument | None
-    measures: tuple[BranchMeasures, ...] | None
-    """Null until they are ready."""
-    uncertain: tuple[UncertainPlace, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class RouteSpan:
     """A branch along the route."""
 
@@ -476,55 +384,6 @@ class Picked:
     """The branch whose centreline is nearest; null without a tree."""
     branch_name: Words | None
     generation: Annotated[int, Range(0, 1000)] | None
-
-
-@dataclass(frozen=True, slots=True)
-class LivePath:
-    """Answer to ``live_path``: the way from the root to the place under the cursor, or why there is none."""
-
-    wire_type: ClassVar[str] = "live_path"
-    request_id: Count
-    lps: PointLps | None
-    """Where it ends: the point that was asked for, or the lumen in front of the wall; null where there is nothing."""
-    points_lps: PointsLps
-    """Root to end; empty where there is no path."""
-    length_mm: float | None
-    min_diameter_mm: float | None
-    """Of the lumen along it."""
-    confidence: Part | None
-    snapped_mm: float | None
-    """How far the point was from the lumen."""
-    new_mm: float | None
-    """Its length outside the present tree."""
-    joins_branch_id: BranchId | None
-    problem: Words | None
-
-
-@dataclass(frozen=True, slots=True)
-class BranchProfile:
-    """Sections across a branch, from its beginning to its end: parallel lists; null where nothing could be measured."""
-
-    at_mm: Numbers
-    lumen_mm: MaybeNumbers
-    """Diameter of the circle of the same area."""
-    lumen_error_mm: MaybeNumbers
-    min_mm: MaybeNumbers
-    """Smallest diameter."""
-    max_mm: MaybeNumbers
-    wall_mm: MaybeNumbers
-    at_junction: tuple[bool, ...]
-    """The section cuts a fork: its lumen is no airway's width."""
-
-
-@dataclass(frozen=True, slots=True)
-class BranchDetail:
-    """Answer to ``branch_detail``; profile and measures are null until they are ready."""
-
-    wire_type: ClassVar[str] = "branch_detail"
-    request_id: Count
-    branch_id: BranchId
-    measures: BranchMeasures | None
-    profile: BranchProfile | None
 
 
 @dataclass(frozen=True, slots=True)

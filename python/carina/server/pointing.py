@@ -12,6 +12,7 @@ import numpy as np
 from carina.errors import CarinaError, UsageError
 from carina.server import messages as wire
 from carina.server.newest import NewestOnly
+from carina.server.tree_words import branch_detail_message
 from carina.session import Session, log_fault
 
 if TYPE_CHECKING:
@@ -139,11 +140,6 @@ def _thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _rounded(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else round(float(value), 2)
-
-
-def branch_detail_message(message: wire.AskBranchDetail, measures: Any) -> wire.BranchDetail:
-    """What was measured along a branch, for the panel's chart."""
-    return wire.BranchDetail(message.request_id, message.branch_id, None, None)
 
 
 def edit_from_wire(edit: Any) -> Any:

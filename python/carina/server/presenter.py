@@ -9,7 +9,6 @@ import numpy as np
 from carina.render import PictureLines
 from carina.scopes import DEFAULT_SCOPE, scope_presets
 from carina.server import messages as wire
-from carina.server.wire_codec import decode_fields
 from carina.session import ChosenRoute, PoseInfo, RecentCase, Snapshot, WallPoint
 from carina.session.document import DEFAULT_FOV_DEG, Document
 
@@ -21,7 +20,6 @@ __all__ = [
     "route_message",
     "start_message",
     "state_message",
-    "tree_message",
 ]
 
 
@@ -160,17 +158,6 @@ def _threshold(document: Document | None) -> float | None:
     if document.airways is None:
         return document.lumen_threshold
     return float(document.airways.threshold)
-
-
-def tree_message(airways: Any, measures: Any = None) -> wire.Tree:
-    """The airway tree in the format of its files, with what was measured and what could not be followed."""
-    if airways is None:
-        return wire.Tree(None, None, ())
-    uncertain = tuple(
-        wire.UncertainPlace(_floats(place.lps), place.words, place.branch_id)
-        for place in getattr(airways, "uncertain", ())
-    )
-    return wire.Tree(decode_fields(wire.TreeDocument, airways.tree.to_json(), "tree"), None, uncertain)
 
 
 def route_message(route: ChosenRoute | None) -> wire.Route:

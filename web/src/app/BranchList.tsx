@@ -1,13 +1,17 @@
-/** The airway tree as a list. A branch that is chosen becomes the route. */
+/** The airway tree as a list. A branch that is chosen becomes the route; hovering shows it in all pictures. */
 
-import { useEffect, useMemo, useState } from "react";
-import { Button, type Key, Tree, TreeItem, TreeItemContent } from "react-aria-components";
+import { useEffect, useMemo, useRef, useState } from "react";
+import { Button, Input, type Key, SearchField, Tree, TreeItem, TreeItemContent } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import { type BranchNode, type BranchTree, lineage } from "../state/airways";
-import { fixed, sentence } from "../state/format";
+import type { BranchNode, BranchTree } from "../state/airways";
+import { lineage } from "../state/airways";
+import { shownBranch } from "../state/app-state";
+import { filterTree, kindWords, marksOf, tooltipOf } from "../state/branch-words";
+import { fixed, plural, sentence } from "../state/format";
 import { useApp, useStation } from "./context";
-import { Act } from "./controls";
+import { Act, Tip } from "./controls";
 import { Icon } from "./icons";
+import { UncertainPlaces } from "./UncertainPlaces";
 
 /** Open at first: as far as every bronchoscopist knows the names by heart. */
 const OPEN_GENERATIONS = 2;
@@ -18,25 +22,39 @@ export function BranchList() {
   const words = useApp((state) => emptyWords(state.session?.airways, state.session?.airways_words ?? null));
   const failed = useApp((state) => state.session?.airways === "failed");
   const arming = useApp((state) => state.ui.armed === "root");
-  const chosen = useApp((state) => routeEnd(state.route?.spans ?? null));
-  const here = useApp((state) => state.pose?.branch_id ?? null);
+  const chosen = useApp((state) => state.route?.spans.at(-1)?.branch_id ?? null);
+  const shown = useApp(shownBranch);
   const [expanded, setExpanded] = useState<Set<Key>>(new Set());
+  const [search, setSearch] = useState("");
+  const list = useRef<HTMLDivElement>(null);
+  /** After an edit the list stays as it was opened; another case begins anew. */
+  const known = useRef<BranchTree | null>(null);
 
   useEffect(() => {
-    if (tree === null) return;
+    const before = known.current;
+    known.current = tree;
+    if (tree === null || before?.root.branch.id === tree.root.branch.id) return;
     const open = [...tree.byId.values()].filter((node) => node.branch.generation < OPEN_GENERATIONS);
     setExpanded(new Set(open.map((node) => String(node.branch.id))));
   }, [tree]);
 
   useEffect(() => {
-    if (tree === null || chosen === null) return;
-    const open = lineage(tree, chosen)
+    if (tree === null || shown === null) return;
+    const open = lineage(tree, shown)
       .slice(0, -1)
       .map((node) => String(node.branch.id));
     setExpanded((old) => (open.every((id) => old.has(id)) ? old : new Set([...old, ...open])));
-  }, [tree, chosen]);
+    // After the rows above it are there.
+    requestAnimationFrame(() =>
+      list.current?.querySelector(`[data-branch="${shown}"]`)?.scrollIntoView({ block: "nearest" }),
+    );
+  }, [tree, shown]);
 
-  const rows = useMemo(() => (tree === null ? null : <Row node={tree.root} />), [tree]);
+  const filtered = useMemo(() => (tree === null ? null : filterTree(tree, search)), [tree, search]);
+  const rows = useMemo(
+    () => (tree === null ? null : <Row node={tree.root} only={filtered?.shown ?? null} />),
+    [tree, filtered],
+  );
   if (tree === null) {
     return (
       <section className="branches" aria-label="Airways">
@@ -46,8 +64,8 @@ export function BranchList() {
           <div className="mend">
             <Act
               icon="target"
-              label={arming ? "Click in a slice\u2026" : "Set the root"}
-              words="The next click in a slice begins the airways there"
+              label={arming ? "Click in a picture\u2026" : "Set the root"}
+              words="The next click in a picture begins the airways there"
               keys={keyOf("arm_root")}
               onPress={() => station.act("arm_root")}
             />
@@ -56,36 +74,104 @@ export function BranchList() {
       </section>
     );
   }
+  const count = filtered === null ? tree.byId.size : filtered.hits.length;
   return (
     <section className="branches" aria-label="Airways">
       <h2>
-        Airways <span className="quiet numbers">{tree.byId.size} branches</span>
+        Airways <span className="quiet numbers">{plural(count, "branch", "branches")}</span>
       </h2>
-      <HereStyle tree={tree} here={here} />
-      <Tree
-        aria-label="Airway branches; choosing one makes it the route"
-        className="branch-tree"
-        selectionMode="single"
-        selectionBehavior="replace"
-        selectedKeys={chosen === null ? [] : [String(chosen)]}
-        onSelectionChange={(keys) => {
-          const [key] = [...keys];
-          if (key !== undefined && Number(key) !== chosen) station.chooseBranch(Number(key));
-          giveKeysBackAfterClick();
-        }}
-        expandedKeys={expanded}
-        onExpandedChange={setExpanded}
-      >
-        {rows}
-      </Tree>
+      <BranchSearch value={search} onChange={setSearch} />
+      <RowStyles tree={tree} />
+      {filtered !== null && filtered.hits.length === 0 ? (
+        <p className="empty">
+          No branch is called so. Try a name, a lobe, {"\u201cg3\u201d"} or {"\u201c?\u201d"}.
+        </p>
+      ) : (
+        // biome-ignore lint/a11y/noStaticElementInteractions: hovering and focusing rows shows their branch, the tree inside is interactive
+        <div
+          ref={list}
+          className="branch-rows"
+          onPointerMove={(event) => station.pointing.hoverBranch(branchOf(event.target))}
+          onPointerLeave={() => station.pointing.hoverBranch(null)}
+          onFocus={(event) => station.pointing.hoverBranch(branchOf(event.target))}
+          onBlur={() => station.pointing.hoverBranch(null)}
+        >
+          <Tree
+            aria-label="Airway branches; choosing one makes it the route"
+            className="branch-tree"
+            selectionMode="single"
+            selectionBehavior="replace"
+            selectedKeys={chosen === null ? [] : [String(chosen)]}
+            onSelectionChange={(keys) => {
+              const [key] = [...keys];
+              if (key !== undefined && Number(key) !== chosen) station.chooseBranch(Number(key));
+              else if (key !== undefined) station.ui({ selected: Number(key) });
+              giveKeysBackAfterClick();
+            }}
+            expandedKeys={filtered === null ? expanded : new Set([...filtered.shown].map(String))}
+            onExpandedChange={setExpanded}
+          >
+            {rows}
+          </Tree>
+        </div>
+      )}
+      <UncertainPlaces />
     </section>
   );
 }
 
-/** Marks the branch that the tip is in without rendering hundreds of rows again for each step of the flight. */
-function HereStyle({ tree, here }: { tree: BranchTree; here: number | null }) {
-  if (here === null || !tree.byId.has(here)) return null;
-  return <style>{`.branch-tree [data-branch="${here}"] .here { visibility: visible; }`}</style>;
+function BranchSearch({ value, onChange }: { value: string; onChange: (text: string) => void }) {
+  return (
+    <SearchField
+      className="branch-filter"
+      aria-label="Search branches"
+      value={value}
+      onChange={onChange}
+      onKeyDown={(event) => {
+        // Esc in an empty field gives the keys back to the flight.
+        if (event.key === "Escape" && value === "" && document.activeElement instanceof HTMLElement) {
+          document.activeElement.blur();
+        } else event.continuePropagation();
+      }}
+    >
+      <Icon name="search" />
+      <Tip words="A name, a lobe, g3 for a generation, ? for all that is doubtful" keys={keyOf("find_branch")}>
+        <Input placeholder="Search: RB1, g3, ?" spellCheck="false" autoComplete="off" />
+      </Tip>
+      {value === "" ? null : (
+        <Button className="clear" aria-label="Clear the search">
+          <Icon name="close" />
+        </Button>
+      )}
+    </SearchField>
+  );
+}
+
+/** Marks the branches of the tip, of the cursor and of the panel without rendering hundreds of rows again. */
+function RowStyles({ tree }: { tree: BranchTree }) {
+  const here = useApp((state) => state.pose?.branch_id ?? null);
+  const hovered = useApp((state) => state.ui.hovered?.branchId ?? null);
+  const selected = useApp((state) => state.ui.selected);
+  const rules: string[] = [];
+  if (here !== null && tree.byId.has(here)) {
+    rules.push(`.branch-tree [data-branch="${here}"] .here { visibility: visible; }`);
+  }
+  if (hovered !== null) {
+    rules.push(`.branch-tree .react-aria-TreeItem:has([data-branch="${hovered}"]) { background: var(--hover); }`);
+  }
+  if (selected !== null) {
+    rules.push(
+      `.branch-tree .react-aria-TreeItem:has([data-branch="${selected}"]) { box-shadow: inset 2px 0 var(--accent); }`,
+    );
+  }
+  return rules.length === 0 ? null : <style>{rules.join("\n")}</style>;
+}
+
+function branchOf(target: EventTarget): number | null {
+  if (!(target instanceof HTMLElement)) return null;
+  const row = target.closest('[role="row"]')?.querySelector("[data-branch]") ?? target.closest("[data-branch]");
+  const id = row instanceof HTMLElement ? row.dataset.branch : undefined;
+  return id === undefined ? null : Number(id);
 }
 
 let lastInput: "pointer" | "key" = "pointer";
@@ -102,18 +188,15 @@ function giveKeysBackAfterClick(): void {
   });
 }
 
-function Row({ node }: { node: BranchNode }) {
+function Row({ node, only }: { node: BranchNode; only: ReadonlySet<number> | null }) {
   const { branch } = node;
-  const about = [
-    `generation ${branch.generation}`,
-    `${fixed(node.lengthMm)} mm long`,
-    `${fixed(node.diameterMm, 1)} mm wide`,
-  ].join(", ");
+  const kind = kindWords(branch.kind);
+  const children = only === null ? node.children : node.children.filter((child) => only.has(child.branch.id));
   return (
     <TreeItem id={String(branch.id)} textValue={node.label}>
       <TreeItemContent>
         {({ hasChildItems }) => (
-          <div className="branch" data-branch={branch.id} title={`${node.label}: ${about}`}>
+          <div className="branch" data-branch={branch.id} title={tooltipOf(node)}>
             {hasChildItems ? (
               <Button slot="chevron" className="chevron" aria-label={`Branches of ${node.label}`}>
                 <Icon name="chevron" />
@@ -121,27 +204,33 @@ function Row({ node }: { node: BranchNode }) {
             ) : (
               <span className="chevron" />
             )}
-            <span className={`side ${node.side}`} />
+            <span className={`side ${node.side}`} data-lobe={node.lobe ?? undefined} />
             <span className="name">
               {node.label}
-              {branch.kind === "tracked" ? null : <em className="kind"> {branch.kind}</em>}
+              {kind === null ? null : <em className={`kind ${branch.kind}`}> {kind}</em>}
+              {marksOf(node).map((mark) => (
+                <abbr key={mark.sign} className="mark" title={mark.words}>
+                  {mark.sign}
+                </abbr>
+              ))}
             </span>
             <span className="here" aria-hidden="true">
               {"\u25c0"}
             </span>
-            <span className="numbers quiet">{fixed(node.diameterMm, 1)}</span>
+            <span className="numbers generation" title="generation">
+              g{branch.generation}
+            </span>
+            <span className="numbers quiet lumen" title="lumen, mm">
+              {fixed(node.measures?.lumen_mm ?? node.diameterMm, 1)}
+            </span>
           </div>
         )}
       </TreeItemContent>
-      {node.children.map((child) => (
-        <Row key={child.branch.id} node={child} />
+      {children.map((child) => (
+        <Row key={child.branch.id} node={child} only={only} />
       ))}
     </TreeItem>
   );
-}
-
-function routeEnd(spans: readonly { branch_id: number }[] | null): number | null {
-  return spans?.at(-1)?.branch_id ?? null;
 }
 
 function emptyWords(airways: string | undefined, words: string | null): string {

@@ -58,6 +58,13 @@ export class Pointing {
     else this.#live.ask(question);
   }
 
+  /** A row of a list is pointed at. */
+  hoverBranch(branchId: number | null): void {
+    const { hovered } = this.#station.state.ui;
+    if (hovered?.branchId === branchId || (hovered === null && branchId === null)) return;
+    this.#station.ui({ cursor: null, hovered: branchId === null ? null : { branchId, place: null } });
+  }
+
   /** Nothing is pointed at any more, or another tool is in the hand. */
   forget(): void {
     this.#forget();

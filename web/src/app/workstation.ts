@@ -17,6 +17,7 @@ import {
   tipLps,
   type Ui,
 } from "../state/app-state";
+import { bridgeWords } from "../state/branch-words";
 import { forkAhead } from "../state/fork";
 import { ownWord } from "../state/own-word";
 import { PaceMeter } from "../state/pace";
@@ -277,7 +278,7 @@ export class Workstation {
   /** Begins to type another name for the branch that is shown. */
   rename(branchId: number | null): void {
     if (branchId === null) this.notice("Choose a branch first: in the list, or by a click on it.");
-    else this.ui({ renaming: branchId });
+    else this.ui({ renaming: branchId, step: "airways" });
   }
 
   /** Keys that mean something only with a brush in the hand. */
@@ -395,8 +396,19 @@ export class Workstation {
       this.#autoWanted = this.send({ type: "set_mode", mode: "path" });
     } else if (!this.flight.startAuto()) {
       this.notice("This is the end of the route.");
-    }
+    } else this.#warnOfBridges();
   }
+
+  /** Said before flying, once for each route. */
+  #warnOfBridges(): void {
+    const { route, tree } = this.state;
+    if (route === null || route.route_id === this.#warnedOf) return;
+    this.#warnedOf = route.route_id;
+    const words = bridgeWords(tree, route.spans);
+    if (words !== null) this.notice(`${words}.`);
+  }
+
+  #warnedOf = "";
 
   #chooseWay(step: -1 | 1): void {
     const { tree, route, pose } = this.state;

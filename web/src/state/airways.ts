@@ -1,6 +1,13 @@
 /** The airway tree as a person reads it: rows of a list, sides, and the ways on at a fork. */
 
-import type { BranchMeasures, RouteInfo, TreeBranch, TreeDocument, UncertainPlace } from "../wire/messages";
+import type {
+  BranchMeasures,
+  BranchTitle,
+  RouteInfo,
+  TreeBranch,
+  TreeDocument,
+  UncertainPlace,
+} from "../wire/messages";
 import { clockHour } from "./letters";
 import { indexOf, type TreeIndex } from "./tree-index";
 import { asVec3, type Camera, distance, dot, sub, type Vec3 } from "./vec";
@@ -17,6 +24,16 @@ export interface BranchNode {
   children: BranchNode[];
   /** Null until it was measured. */
   measures: BranchMeasures | null;
+  /** The name in full, such as "apical segment, RUL". */
+  longName: string | null;
+  lobe: BranchTitle["lobe"];
+}
+
+/** What comes with a tree. */
+export interface TreeExtras {
+  readonly titles?: readonly BranchTitle[];
+  readonly measures?: readonly BranchMeasures[] | null;
+  readonly uncertain?: readonly UncertainPlace[];
 }
 
 export interface BranchTree {
@@ -54,12 +71,9 @@ function tip(branch: TreeBranch): Vec3 | null {
  * one parts up from down. The carina is the fork that parts most tips to the right from most tips to the left (LPS: the
  * patient's left is +x); what does not lie below it is in the middle.
  */
-export function buildTree(
-  given: TreeDocument,
-  measures: readonly BranchMeasures[] | null = null,
-  uncertain: readonly UncertainPlace[] = [],
-): BranchTree | null {
-  const measured = new Map(measures?.map((entry) => [entry.branch_id, entry]) ?? []);
+export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchTree | null {
+  const measured = new Map(extras.measures?.map((entry) => [entry.branch_id, entry]) ?? []);
+  const titles = new Map(extras.titles?.map((entry) => [entry.branch_id, entry]) ?? []);
   const branches = new Map(given.branches.map((branch) => [branch.id, branch]));
   const rootBranch = branches.get(given.root);
   if (rootBranch === undefined) return null;
@@ -73,6 +87,8 @@ export function buildTree(
       diameterMm: medianDiameter(branch),
       children: [],
       measures: measured.get(branch.id) ?? null,
+      longName: titles.get(branch.id)?.long ?? null,
+      lobe: titles.get(branch.id)?.lobe ?? null,
     };
     // Set before the children are visited: a tree with a loop ends here instead of never.
     byId.set(branch.id, node);
@@ -95,7 +111,7 @@ export function buildTree(
     }
   }
   for (const [child, side] of best.sides) giveSide(child, side);
-  return { root, byId, index: indexOf(byId.values()), uncertain };
+  return { root, byId, index: indexOf(byId.values()), uncertain: extras.uncertain ?? [] };
 }
 
 /** How many tips lie below a child, and how far to the patient's left of the fork (mean, mm). */

@@ -240,10 +240,7 @@ function receive(state: AppState, message: ServerMessage, nowMs: number): AppSta
     case "state":
       return sessionChanged(state, message, nowMs);
     case "tree":
-      return treeChanged(
-        state,
-        message.tree === null ? null : buildTree(message.tree, message.measures, message.uncertain),
-      );
+      return treeChanged(state, message.tree === null ? null : buildTree(message.tree, message));
     case "route":
       return { ...state, route: message.route, local: { ...state.local, pathMm: null } };
     case "pose":

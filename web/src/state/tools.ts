@@ -5,8 +5,9 @@ export type TreeTool = (typeof TREE_TOOLS)[number];
 export type Armed = "target" | "root" | TreeTool;
 
 export interface ToolWords {
-  /** On its button. */
   readonly label: string;
+  /** Under its figure. */
+  readonly short: string;
   /** In its tooltip. */
   readonly words: string;
   /** What to do now that it is in the hand. */
@@ -16,41 +17,49 @@ export interface ToolWords {
 export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
   add: {
     label: "Add branch",
+    short: "Add",
     words: "Click the end of an airway that is missing: the way to it becomes a branch",
     hint: "Click the far end of the missing airway, in any picture. The line shows the way that it will take.",
   },
   bridge: {
     label: "Bridge",
+    short: "Bridge",
     words: "Click in the airway beyond a blockage: the gap is bridged, and stays marked as a bridge",
     hint: "Click in the airway beyond the blockage. The bridge is no airway that the CT shows: it stays amber and is called a bridge.",
   },
   cut: {
     label: "Cut",
+    short: "Cut",
     words: "Click on a branch: it is taken away from there, with all that hangs on it",
     hint: "Click on a branch. What is amber goes.",
   },
   fork: {
     label: "Move fork",
+    short: "Fork",
     words: "Click near a fork, then where it should be",
     hint: "Click near the fork that is to move.",
   },
   smooth: {
     label: "Smooth",
+    short: "Smooth",
     words: "Click on a branch: its centreline becomes smoother",
     hint: "Click on the branch whose centreline is to be smoother.",
   },
   paint: {
     label: "Paint",
+    short: "Paint",
     words: "Draw lumen in a slice",
     hint: "Draw in a slice where air is missing.",
   },
   erase: {
     label: "Erase",
+    short: "Erase",
     words: "Take lumen away in a slice",
     hint: "Draw in a slice where lumen is wrong.",
   },
   reroot: {
     label: "Re-root",
+    short: "Root",
     words: "Click where all ways should begin; the tree and what was mended stay",
     hint: "Click in the airway where all ways should begin.",
   },

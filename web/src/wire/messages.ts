@@ -564,7 +564,14 @@ export interface TreeDocument {
   readonly branches: readonly TreeBranch[];
 }
 
-/** What was measured on a branch, without its junctions. Lumens are diameters; errors are of the voxel size. */
+/** What a branch is called in full, and the lobe that it leads to. */
+export interface BranchTitle {
+  readonly branch_id: number;
+  readonly long: string | null;
+  readonly lobe: "RUL" | "RML" | "RLL" | "LUL" | "LML" | "LLL" | null;
+}
+
+/** What was measured on a branch, without its junctions. Lumens are diameters; errors hold in 95 of 100 cases. */
 export interface BranchMeasures {
   readonly branch_id: number;
   readonly length_mm: number;
@@ -580,6 +587,7 @@ export interface BranchMeasures {
   readonly taper: number | null;
   readonly angle_deg: number | null;
   readonly stenosis_percent: number | null;
+  readonly stenosis_error_percent: number | null;
   readonly stenosis_at_mm: number | null;
 }
 
@@ -594,6 +602,7 @@ export interface UncertainPlace {
 export interface TreeMessage {
   readonly type: "tree";
   readonly tree: TreeDocument | null;
+  readonly titles: readonly BranchTitle[];
   readonly measures: readonly BranchMeasures[] | null;
   readonly uncertain: readonly UncertainPlace[];
 }

@@ -1,42 +1,51 @@
 import { keyOf } from "../../input/keymap";
 import { coordinates, plural, sentence } from "../../state/format";
 import { asVec3 } from "../../state/vec";
+import { BranchPanel } from "../BranchPanel";
 import { useApp, useStation } from "../context";
 import { Act, SwitchKey } from "../controls";
+import { EditTools, ToolInHand } from "../EditTools";
 import { Threshold } from "./Threshold";
 
 export function AirwaysStep() {
   const station = useStation();
   const session = useApp((state) => state.session);
   const count = useApp((state) => state.tree?.byId.size ?? 0);
-  const armed = useApp((state) => state.ui.armed === "root");
   if (session === null) return null;
   const found = session.airways === "found";
   return (
     <>
-      <p>
-        {session.airways === "found"
-          ? `${plural(count, "branch", "branches")} found automatically. Compare them with the slices before you rely on them.`
-          : session.airways === "finding"
-            ? "The airways are being found. You can fly freely meanwhile."
-            : session.airways === "failed"
-              ? "No airways were found."
-              : "The airways will be found as soon as the CT is ready."}
-      </p>
-      {session.airways_words === null ? null : <p className="quiet">{sentence(session.airways_words)}</p>}
-      <h3>Root</h3>
-      <p className="quiet numbers">
-        {session.root_lps === null ? "Found by itself in the trachea." : coordinates(asVec3(session.root_lps))}
-      </p>
-      <SwitchKey
-        icon="target"
-        label={armed ? "Click in a slice\u2026" : "Set the root"}
-        words="The next click in a slice begins the airways there"
-        keys={keyOf("arm_root")}
-        on={armed}
-        onChange={() => station.act("arm_root")}
-      />
-      <Threshold />
+      <ToolInHand />
+      {found ? (
+        <details className="part">
+          <summary>{plural(count, "branch", "branches")} found; compare with the slices</summary>
+          {session.airways_words === null ? null : <p className="quiet">{sentence(session.airways_words)}</p>}
+        </details>
+      ) : (
+        <>
+          <p>
+            {session.airways === "finding"
+              ? "The airways are being found. You can fly freely meanwhile."
+              : session.airways === "failed"
+                ? "No airways were found."
+                : "The airways will be found as soon as the CT is ready."}
+          </p>
+          {session.airways_words === null ? null : <p className="quiet">{sentence(session.airways_words)}</p>}
+        </>
+      )}
+      {found ? (
+        <>
+          <BranchPanel />
+          <h3>Mend the tree</h3>
+          <EditTools />
+          <details className="part">
+            <summary>Find the airways again</summary>
+            <Root />
+          </details>
+        </>
+      ) : (
+        <Root />
+      )}
       <Act
         kind="primary"
         label="Go on to the target"
@@ -45,5 +54,28 @@ export function AirwaysStep() {
         onPress={() => station.ui({ step: "target" })}
       />
     </>
+  );
+}
+
+/** Where the search begins, and what it takes for air. */
+function Root() {
+  const station = useStation();
+  const rootLps = useApp((state) => state.session?.root_lps ?? null);
+  const armed = useApp((state) => state.ui.armed === "root");
+  return (
+    <div className="root-part">
+      <p className="quiet numbers">
+        Root: {rootLps === null ? "found by itself in the trachea" : coordinates(asVec3(rootLps))}
+      </p>
+      <SwitchKey
+        icon="target"
+        label={armed ? "Click in a picture\u2026" : "Set the root"}
+        words="The next click begins the airways there; what was mended is lost (undo brings it back)"
+        keys={keyOf("arm_root")}
+        on={armed}
+        onChange={() => station.act("arm_root")}
+      />
+      <Threshold />
+    </div>
   );
 }

@@ -1,13 +1,17 @@
+import { bridgeWords } from "../../state/branch-words";
 import { mm } from "../../state/format";
 import { narrowest } from "../../state/route";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
+import { Icon } from "../icons";
 import { TargetRow } from "./TargetStep";
 
 export function RouteStep() {
   const station = useStation();
   const route = useApp((state) => state.route);
   const targets = useApp((state) => state.session?.targets ?? null);
+  const tree = useApp((state) => state.tree);
+  const bridge = route === null ? null : bridgeWords(tree, route.spans);
   const narrow = route === null ? null : narrowest(route);
   const generation = route?.spans.at(-1)?.generation ?? null;
   return (
@@ -19,6 +23,11 @@ export function RouteStep() {
           <p>
             To <strong>{route.title}</strong>
           </p>
+          {bridge === null ? null : (
+            <p className="warning-text" data-testid="route-bridge">
+              <Icon name="warning" /> {bridge}.
+            </p>
+          )}
           <dl className="facts">
             <div>
               <dt>Length</dt>

@@ -17,8 +17,8 @@ export function TargetStep() {
       <Act
         kind="primary"
         icon="target"
-        label={armed ? "Click in a slice\u2026" : "Mark a target"}
-        words={armed ? "Stop marking" : "The next click in a slice marks a target"}
+        label={armed ? "Click in a picture\u2026" : "Mark a target"}
+        words={armed ? "Stop marking" : "The next click in any picture marks a target; the line shows the way to it"}
         keys={keyOf("arm_target")}
         testId="arm-target"
         onPress={() => station.act("arm_target")}

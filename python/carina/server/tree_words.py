@@ -1,0 +1,106 @@
+"""The airway tree as messages: branches, names in full, what was measured, what could not be followed."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from typing import Any
+
+import numpy as np
+
+from carina.server import messages as wire
+from carina.server.wire_codec import decode_fields
+
+__all__ = ["branch_detail_message", "branch_measures", "tree_message"]
+
+
+def tree_message(airways: Any, measures: Any = None) -> wire.Tree:
+    """The airway tree in the format of its files, with its titles, its measures once they are ready, and its open ends.
+
+    Parameters
+    ----------
+    airways
+        :class:`carina.track.Airways`, or None.
+    measures
+        :class:`carina.track.TreeMeasures` of just these airways, or None.
+    """
+    if airways is None:
+        return wire.Tree(None, (), None, ())
+    tree = airways.tree
+    measured = None if measures is None else tuple(branch_measures(measures.of(b.id)) for b in tree.branches)
+    uncertain = tuple(
+        wire.UncertainPlace(_point(place.lps), str(place.reason), place.branch_id)
+        for place in getattr(airways, "uncertain", ())
+    )
+    return wire.Tree(decode_fields(wire.TreeDocument, tree.to_json(), "tree"), _titles(tree), measured, uncertain)
+
+
+def _titles(tree: Any) -> tuple[wire.BranchTitle, ...]:
+    try:
+        names: Any = importlib.import_module("carina.track.names")
+    except ImportError:
+        return ()
+    lobes = names.branch_side_and_lobe(tree)
+    found = []
+    for branch in tree.branches:
+        words = None if branch.name is None else names.name_words(branch.name)
+        lobe = lobes.get(branch.id)
+        if words is not None or lobe is not None:
+            found.append(wire.BranchTitle(branch.id, None if words is None else words.long, lobe))
+    return tuple(found)
+
+
+def branch_measures(measures: Any) -> wire.BranchMeasures:
+    """The summary of :class:`carina.track.BranchMeasures`."""
+    summary = measures.summary
+    widths = np.where(measures.is_usable, measures.equivalent_mm, np.nan)
+    least, most = (None, None) if np.isnan(widths).all() else (int(np.nanargmin(widths)), int(np.nanargmax(widths)))
+    errors = measures.equivalent_error_mm
+    stenosis = summary.stenosis
+    return wire.BranchMeasures(
+        branch_id=measures.branch_id,
+        length_mm=round(summary.length_mm, 2),
+        lumen_mm=_number(summary.mean_mm),
+        lumen_error_mm=_number(summary.mean_error_mm),
+        min_lumen_mm=_number(summary.min_mm),
+        min_lumen_error_mm=None if least is None else _number(errors[least]),
+        min_at_mm=_number(summary.min_at_mm),
+        max_lumen_mm=None if most is None else _number(widths[most]),
+        max_lumen_error_mm=None if most is None else _number(errors[most]),
+        wall_mm=_number(summary.wall_mm),
+        wall_error_mm=_number(summary.wall_error_mm),
+        taper=_number(summary.taper, 4),
+        angle_deg=_number(summary.angle_deg, 1),
+        stenosis_percent=None if stenosis is None else _number(stenosis.percent, 1),
+        stenosis_error_percent=None if stenosis is None else _number(stenosis.percent_error, 1),
+        stenosis_at_mm=None if stenosis is None else _number(stenosis.at_mm),
+    )
+
+
+def branch_detail_message(message: wire.AskBranchDetail, measures: Any) -> wire.BranchDetail:
+    """What was measured along a branch, for the panel's chart; nulls where it is not ready."""
+    if measures is None:
+        return wire.BranchDetail(message.request_id, message.branch_id, None, None)
+    profile = wire.BranchProfile(
+        at_mm=tuple(round(float(v), 3) for v in measures.at_mm),
+        lumen_mm=_numbers(measures.equivalent_mm),
+        lumen_error_mm=_numbers(measures.equivalent_error_mm),
+        min_mm=_numbers(measures.min_mm),
+        max_mm=_numbers(measures.max_mm),
+        wall_mm=_numbers(measures.wall_mm),
+        at_junction=tuple(bool(v) for v in np.asarray(measures.at_junction) | np.asarray(measures.at_edge)),
+    )
+    return wire.BranchDetail(message.request_id, message.branch_id, branch_measures(measures), profile)
+
+
+def _number(value: Any, digits: int = 3) -> float | None:
+    return None if value is None or not math.isfinite(value) else round(float(value), digits)
+
+
+def _numbers(values: Any) -> tuple[float | None, ...]:
+    return tuple(_number(v) for v in values)
+
+
+def _point(values: Any) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z

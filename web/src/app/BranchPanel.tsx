@@ -1,0 +1,140 @@
+/** One branch: what it is called and how sure that is, its figures with their errors, its lumen along the way. */
+
+import { useEffect, useId, useState } from "react";
+import { Input, TextField } from "react-aria-components";
+import { keyOf } from "../input/keymap";
+import type { BranchNode } from "../state/airways";
+import { shownBranch } from "../state/app-state";
+import { factsOf, nameWords } from "../state/branch-words";
+import { sentence } from "../state/format";
+import { centrelinePoints, measuredPoints } from "../state/profile";
+import { useApp, useStation } from "./context";
+import { Act } from "./controls";
+import { Icon } from "./icons";
+import { ProfileChart } from "./ProfileChart";
+
+let requests = 0;
+
+export function BranchPanel() {
+  const station = useStation();
+  const id = useApp(shownBranch);
+  const tree = useApp((state) => state.tree);
+  const node = id === null ? undefined : tree?.byId.get(id);
+  const measured = node?.measures ?? null;
+  // biome-ignore lint/correctness/useExhaustiveDependencies: measures that have just come bring a profile with them
+  useEffect(() => {
+    if (id === null) return;
+    requests += 1;
+    station.send({ type: "branch_detail", request_id: requests, branch_id: id });
+  }, [station, id, measured]);
+  if (tree === null) return null;
+  if (node === undefined) {
+    return <p className="empty">Choose a branch in the list or in a picture: its measurements appear here.</p>;
+  }
+  return (
+    <section className="branch-panel" aria-label={`Branch ${node.label}`} data-testid="branch-panel">
+      <BranchName node={node} />
+      {node.branch.kind === "bridge" ? (
+        <p className="warning-text">
+          <Icon name="warning" /> A bridge over a blockage: no airway that the CT shows.
+        </p>
+      ) : null}
+      {node.branch.variant === null ? null : (
+        <p className="variant">
+          <Icon name="info" /> {sentence(node.branch.variant)}
+        </p>
+      )}
+      <dl className="facts">
+        {factsOf(node).map((fact) => (
+          <div key={fact.term}>
+            <dt>{fact.term}</dt>
+            <dd className={fact.warns === true ? "numbers warning-text" : "numbers"}>{fact.value}</dd>
+          </div>
+        ))}
+      </dl>
+      <Chart node={node} />
+    </section>
+  );
+}
+
+function Chart({ node }: { node: BranchNode }) {
+  const profile = useApp((state) => (state.detail?.branch_id === node.branch.id ? state.detail.profile : null));
+  const points = profile === null ? centrelinePoints(node) : measuredPoints(profile);
+  const words = profile === null ? "Lumen (mm), not measured yet" : "Lumen (mm) along the branch";
+  return <ProfileChart points={points} title={`Lumen along ${node.label}`} words={words} />;
+}
+
+function BranchName({ node }: { node: BranchNode }) {
+  const station = useStation();
+  const renaming = useApp((state) => state.ui.renaming === node.branch.id);
+  const words = nameWords(node);
+  if (renaming) return <NameField key={node.branch.id} node={node} />;
+  return (
+    <header className="branch-name">
+      <h3 data-testid="branch-title">{node.label}</h3>
+      <Act
+        kind="icon"
+        icon="pencil"
+        words={`Rename ${node.label}`}
+        keys={keyOf("rename")}
+        onPress={() => station.act("rename")}
+      />
+      <Act
+        kind="icon"
+        icon="play"
+        words={`Fly to the end of ${node.label}`}
+        onPress={() => station.chooseBranch(node.branch.id)}
+      />
+      {node.longName === null && words === null ? null : (
+        <p className="quiet">
+          {node.longName === null ? "" : sentence(node.longName)}
+          {words === null ? "" : `${node.longName === null ? "" : " \u00b7 "}${words}`}
+        </p>
+      )}
+    </header>
+  );
+}
+
+/** Typed in place: Enter keeps it, Esc leaves it as it was. */
+function NameField({ node }: { node: BranchNode }) {
+  const station = useStation();
+  const [text, setText] = useState(node.branch.name ?? "");
+  const hint = useId();
+  const done = (name: string | null | undefined) => {
+    if (name !== undefined && name !== node.branch.name) {
+      station.send({ type: "edit_tree", edit: { kind: "rename-branch", branch_id: node.branch.id, name } });
+    }
+    station.ui({ renaming: null });
+    if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
+  };
+  return (
+    <div className="branch-name">
+      <TextField
+        className="name-field"
+        aria-label={`Name of ${node.label}`}
+        value={text}
+        onChange={setText}
+        maxLength={80}
+        autoFocus
+        onKeyDown={(event) => {
+          if (event.key === "Enter" && text.trim() !== "") done(text.trim());
+          else if (event.key === "Escape") done(undefined);
+          else event.continuePropagation();
+        }}
+      >
+        <Input aria-describedby={hint} spellCheck="false" autoComplete="off" data-testid="branch-name" />
+      </TextField>
+      <p id={hint} className="quiet small">
+        Enter keeps the name, Esc does not.
+      </p>
+      {node.branch.name_from === "person" ? (
+        <Act
+          kind="quiet"
+          label="Automatic name"
+          words="Give the name from the anatomy back"
+          onPress={() => done(null)}
+        />
+      ) : null}
+    </div>
+  );
+}

@@ -1,0 +1,110 @@
+/** Mending the tree: one tool in the hand at a time, with what to do and how to put it down. */
+
+import { type Action, keyOf } from "../input/keymap";
+import { shownBranch } from "../state/app-state";
+import { mm } from "../state/format";
+import { isBrush, isTreeTool, nextBrush, TOOL_WORDS, TREE_TOOLS, type TreeTool } from "../state/tools";
+import { useApp, useStation } from "./context";
+import { Act, SwitchKey } from "./controls";
+import type { IconName } from "./icons";
+
+const ICONS: Readonly<Record<TreeTool, IconName>> = {
+  add: "addBranch",
+  bridge: "bridge",
+  cut: "cut",
+  fork: "fork",
+  smooth: "smooth",
+  paint: "paint",
+  erase: "erase",
+  reroot: "root",
+};
+
+const ACTIONS: Readonly<Record<TreeTool, Action>> = {
+  add: "tool_add",
+  bridge: "tool_bridge",
+  cut: "tool_cut",
+  fork: "tool_fork",
+  smooth: "tool_smooth",
+  paint: "tool_paint",
+  erase: "tool_erase",
+  reroot: "tool_reroot",
+};
+
+export function EditTools() {
+  const station = useStation();
+  const armed = useApp((state) => state.ui.armed);
+  const shown = useApp(shownBranch);
+  return (
+    <div className="edit-tools" role="toolbar" aria-label="Mend the tree">
+      {TREE_TOOLS.map((tool) => (
+        <SwitchKey
+          key={tool}
+          icon={ICONS[tool]}
+          label={TOOL_WORDS[tool].short}
+          words={TOOL_WORDS[tool].words}
+          keys={keyOf(ACTIONS[tool])}
+          on={armed === tool}
+          testId={`tool-${tool}`}
+          onChange={() => station.act(ACTIONS[tool])}
+        />
+      ))}
+      <Act
+        icon="pencil"
+        label="Rename"
+        words="Another name for the branch that is chosen"
+        keys={keyOf("rename")}
+        disabled={shown === null}
+        onPress={() => station.act("rename")}
+      />
+    </div>
+  );
+}
+
+/** What is in the hand: what to do with it, and its settings. */
+export function ToolInHand() {
+  const station = useStation();
+  const armed = useApp((state) => state.ui.armed);
+  const forkHeld = useApp((state) => state.ui.forkHeld);
+  const brushMm = useApp((state) => state.ui.brushMm);
+  const ball = useApp((state) => state.ui.brushIsBall);
+  if (!isTreeTool(armed)) return null;
+  const { label, hint } = TOOL_WORDS[armed];
+  return (
+    <div className="in-hand" role="status" data-testid="in-hand">
+      <header>
+        <strong>{label}</strong>
+        <Act kind="quiet" label="Done" words="Put the tool down" keys="Esc" onPress={() => station.disarm()} />
+      </header>
+      <p>{forkHeld === null ? hint : "Now click where the fork should be. The line shows the way there."}</p>
+      {isBrush(armed) ? (
+        <div className="row brush">
+          <Act
+            kind="icon"
+            icon="back"
+            words="Smaller brush"
+            keys={keyOf("brush_smaller")}
+            onPress={() => station.ui({ brushMm: nextBrush(brushMm, -1) })}
+          />
+          <span className="numbers">{mm(2 * brushMm)} wide</span>
+          <Act
+            kind="icon"
+            icon="forward"
+            words="Larger brush"
+            keys={keyOf("brush_larger")}
+            onPress={() => station.ui({ brushMm: nextBrush(brushMm, 1) })}
+          />
+          <SwitchKey
+            label="Ball"
+            words={
+              ball
+                ? "Paints in all directions; turn to this slice only"
+                : "Paint in all directions, not in this slice only"
+            }
+            on={ball}
+            onChange={() => station.ui({ brushIsBall: !ball })}
+          />
+        </div>
+      ) : null}
+    </div>
+  );
+}

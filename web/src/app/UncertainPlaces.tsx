@@ -1,0 +1,40 @@
+/** Where airways go on that could not be followed: each with its reason, and a way to look. */
+
+import { Button } from "react-aria-components";
+import { plural, sentence } from "../state/format";
+import { asVec3 } from "../state/vec";
+import type { UncertainPlace } from "../wire/messages";
+import { useApp, useStation } from "./context";
+
+const NONE: readonly UncertainPlace[] = [];
+
+export function UncertainPlaces() {
+  const station = useStation();
+  const places = useApp((state) => state.tree?.uncertain ?? NONE);
+  const tree = useApp((state) => state.tree);
+  if (places.length === 0) return null;
+  return (
+    <details className="uncertain" data-testid="uncertain">
+      <summary>{plural(places.length, "place")} could not be followed</summary>
+      <ul>
+        {places.map((place) => (
+          <li key={place.lps.join(" ")}>
+            <Button
+              className="plain-text"
+              onPress={() => {
+                station.send({ type: "set_crosshair", lps: asVec3(place.lps) });
+                if (place.branch_id !== null) station.ui({ selected: place.branch_id });
+              }}
+              onHoverChange={(on) => station.pointing.hoverBranch(on ? place.branch_id : null)}
+            >
+              <span className="quiet">
+                {place.branch_id === null ? "" : `${tree?.byId.get(place.branch_id)?.label ?? ""}: `}
+              </span>
+              {sentence(place.words)}
+            </Button>
+          </li>
+        ))}
+      </ul>
+    </details>
+  );
+}

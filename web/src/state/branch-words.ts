@@ -1,0 +1,151 @@
+/** What the list and the panel say about a branch: its title, how sure it is, its figures with their errors. */
+
+import type { BranchMeasures } from "../wire/messages";
+import type { BranchNode, BranchTree } from "./airways";
+import { fixed, mm, plural } from "./format";
+
+/** Below these the list marks a name, or a branch, as doubtful. */
+const DOUBTFUL = { name: 0.6, airway: 0.5 } as const;
+
+export interface Mark {
+  readonly sign: string;
+  readonly words: string;
+}
+
+const percent = (part: number): string => `${fixed(100 * part)} %`;
+
+/** Small signs behind a name in the list, each with its words. */
+export function marksOf(node: BranchNode): readonly Mark[] {
+  const { branch } = node;
+  const marks: Mark[] = [];
+  if (branch.name_confidence !== null && branch.name_confidence < DOUBTFUL.name) {
+    marks.push({ sign: "?", words: `the name is only ${percent(branch.name_confidence)} sure` });
+  }
+  if (branch.confidence !== null && branch.confidence < DOUBTFUL.airway) {
+    marks.push({ sign: "~", words: `only ${percent(branch.confidence)} sure that this is airway` });
+  }
+  if (branch.variant !== null) marks.push({ sign: "v", words: `uncommon anatomy: ${branch.variant}` });
+  return marks;
+}
+
+/** Where a branch comes from, where it was not found by itself. */
+export const kindWords = (kind: BranchNode["branch"]["kind"]): string | null =>
+  kind === "tracked" ? null : kind === "bridge" ? "bridge" : "by hand";
+
+/** The whole of it, for a tooltip. */
+export function tooltipOf(node: BranchNode): string {
+  const { branch, measures } = node;
+  const facts = [
+    node.longName === null ? node.label : `${node.label}, ${node.longName}`,
+    `generation ${branch.generation}, ${mm(node.lengthMm, 0)} long, lumen ${mm(measures?.lumen_mm ?? node.diameterMm)}`,
+  ];
+  const kind = kindWords(branch.kind);
+  if (kind !== null) facts.push(kind === "bridge" ? "a bridge: no airway that the CT shows" : "drawn by hand");
+  return [...facts, ...marksOf(node).map((mark) => mark.words)].join("\n");
+}
+
+/** How the name came about. */
+export function nameWords(node: BranchNode): string | null {
+  const { name_from: from, name_confidence: sure } = node.branch;
+  if (from === "person") return "named by a person";
+  if (from === null) return null;
+  return sure === null ? "named by its anatomy" : `named by its anatomy, ${percent(sure)} sure`;
+}
+
+const withError = (value: number | null, error: number | null, digits = 1): string | null =>
+  value === null ? null : error === null ? mm(value, digits) : `${fixed(value, digits)} \u00b1 ${mm(error, digits)}`;
+
+/** A narrowing smaller than this is within what healthy airways do. */
+const STENOSIS_PERCENT = 20;
+
+export interface Fact {
+  readonly term: string;
+  readonly value: string;
+  readonly warns?: boolean;
+}
+
+/** The figures of a branch, measured where they are, else from its centreline. */
+export function factsOf(node: BranchNode): readonly Fact[] {
+  const { measures } = node;
+  const facts: (Fact | null)[] = [
+    { term: "Generation", value: `${node.branch.generation} (trachea is 0)` },
+    { term: "Length", value: mm(measures?.length_mm ?? node.lengthMm) },
+  ];
+  if (measures === null) facts.push({ term: "Lumen", value: `about ${mm(node.diameterMm)}` });
+  else facts.push(...measuredFacts(measures));
+  return facts.filter((fact) => fact !== null);
+}
+
+function measuredFacts(measures: BranchMeasures): (Fact | null)[] {
+  const fact = (term: string, value: string | null): Fact | null => (value === null ? null : { term, value });
+  const narrowest = withError(measures.min_lumen_mm, measures.min_lumen_error_mm);
+  const stenosis = measures.stenosis_percent;
+  return [
+    fact("Lumen", withError(measures.lumen_mm, measures.lumen_error_mm)),
+    fact(
+      "Narrowest",
+      narrowest === null || measures.min_at_mm === null ? narrowest : `${narrowest} at ${mm(measures.min_at_mm, 0)}`,
+    ),
+    fact("Widest", withError(measures.max_lumen_mm, measures.max_lumen_error_mm)),
+    fact("Wall", withError(measures.wall_mm, measures.wall_error_mm)),
+    fact("Taper", measures.taper === null ? null : `${fixed(100 * measures.taper, 1)} mm per 100 mm`),
+    stenosis === null || stenosis < 1
+      ? null
+      : {
+          term: "Narrowing",
+          value: `${fixed(stenosis)} %${
+            measures.stenosis_error_percent === null ? "" : ` \u00b1 ${fixed(measures.stenosis_error_percent)}`
+          }${measures.stenosis_at_mm === null ? "" : ` at ${mm(measures.stenosis_at_mm, 0)}`}`,
+          warns: stenosis >= STENOSIS_PERCENT,
+        },
+    fact("Angle", measures.angle_deg === null ? null : `${fixed(measures.angle_deg)}\u00b0 to its parent`),
+  ];
+}
+
+export interface Filtered {
+  /** What matches, and what leads there. */
+  readonly shown: ReadonlySet<number>;
+  readonly hits: readonly number[];
+}
+
+/**
+ * The branches that a text means; null for no text. Words are looked for in names, long names and lobes; `g3` is a
+ * generation, `?` all that is doubtful, `bridge` and `by hand` what was mended.
+ */
+export function filterTree(tree: BranchTree, text: string): Filtered | null {
+  const wanted = text.trim().toLowerCase();
+  if (wanted === "") return null;
+  const generation = /^g(\d+)$/.exec(wanted);
+  const matches = (node: BranchNode): boolean => {
+    if (generation !== null) return node.branch.generation === Number(generation[1]);
+    if (wanted === "?") return marksOf(node).length > 0;
+    const words = [node.label, node.longName ?? "", node.lobe ?? "", kindWords(node.branch.kind) ?? ""];
+    return words.some((part) => part.toLowerCase().includes(wanted));
+  };
+  const shown = new Set<number>();
+  const hits: number[] = [];
+  const visit = (node: BranchNode): boolean => {
+    const own = matches(node);
+    if (own) hits.push(node.branch.id);
+    let any = own;
+    for (const child of node.children) any = visit(child) || any;
+    if (any) shown.add(node.branch.id);
+    return any;
+  };
+  visit(tree.root);
+  return { shown, hits };
+}
+
+/** What a route crosses that is no airway of the CT, in words to be said before flying; null where there is none. */
+export function bridgeWords(
+  tree: BranchTree | null,
+  spans: readonly { branch_id: number; from_mm: number; to_mm: number }[],
+): string | null {
+  const bridges = spans.filter((span) => tree?.byId.get(span.branch_id)?.branch.kind === "bridge");
+  if (bridges.length === 0) return null;
+  const total = bridges.reduce((sum, span) => sum + span.to_mm - span.from_mm, 0);
+  const first = bridges[0];
+  return `${mm(total)} of this route ${bridges.length === 1 ? "is a bridge" : `are ${plural(bridges.length, "bridge")}`} over a blockage${
+    first === undefined ? "" : `, from ${mm(first.from_mm, 0)}`
+  }: no airway that the CT shows`;
+}
