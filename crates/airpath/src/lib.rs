@@ -2,8 +2,10 @@
 //!
 //! `trachea` finds where to begin, `flood` grows the lumen with a leak guard, `lumen` turns it into a graph with the cost
 //! that keeps to the middle, `tracker` grows the tree of least-cost paths from one root and resumes it for every new
-//! target, `tree` reads branches off it.
+//! target, `tree` reads branches off it. `box_graph`, `paper_cost` and `isoregion_graph` are the graph and the cost as the
+//! paper prints them, for the same tracker; `graph_tracker` joins every cost with every graph.
 
+pub mod box_graph;
 pub mod cross_section;
 pub mod deblur;
 pub mod dijkstra;
@@ -11,8 +13,11 @@ pub mod distance;
 mod error;
 pub mod flood;
 pub mod graph;
+pub mod graph_tracker;
+pub mod isoregion_graph;
 pub mod lumen;
 mod lungs;
+pub mod paper_cost;
 pub mod profile;
 pub mod smooth;
 mod spots;
@@ -23,7 +28,11 @@ pub mod tree;
 pub use error::{TrackError, Unwatched, Watch};
 
 #[cfg(test)]
+mod isoregion_graph_tests;
+#[cfg(test)]
 mod lumen_tests;
+#[cfg(test)]
+mod paper_cost_tests;
 #[cfg(test)]
 mod section_tests;
 #[cfg(test)]

@@ -5,7 +5,7 @@
 //! lumen voxels can touch at a corner across a wall. The weight per mm falls with the cube of the distance to the
 //! wall, so a path keeps to the middle of the tube it is in, whatever the tube's width.
 
-use carina_grid::{Grid, VolumeView, length};
+use carina_grid::{Affine, Grid, VolumeView, length};
 use rayon::prelude::*;
 
 use crate::TrackError;
@@ -52,6 +52,7 @@ pub struct LumenGraph {
     edges: Vec<u32>,
     wall_mm: Vec<f32>,
     steps: [Step; 26],
+    lps_from_ijk: Affine,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -121,6 +122,7 @@ impl LumenGraph {
             edges: Vec::new(),
             wall_mm: Vec::new(),
             steps,
+            lps_from_ijk: *grid.lps_from_ijk(),
         };
         graph.edges = graph.link(values, levels);
         graph.wall_mm = graph.wall_distances(values, levels);
@@ -220,6 +222,18 @@ impl LumenGraph {
         length(std::array::from_fn(|a| {
             (wall[a] - from[a]) as f64 * spacing[a]
         }))
+    }
+
+    /// Length of an offset between voxels, mm.
+    #[must_use]
+    pub fn step_mm(&self, offset_ijk: [isize; 3]) -> f64 {
+        length(self.lps_from_ijk.vector(offset_ijk.map(|v| v as f64)))
+    }
+
+    /// The box that holds the lumen.
+    #[must_use]
+    pub const fn voxel_box(&self) -> VoxelBox {
+        self.voxel_box
     }
 
     /// The node of a voxel of the volume.

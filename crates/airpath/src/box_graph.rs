@@ -1,0 +1,116 @@
+//! The graph of paper 6: every voxel of a box is a node, linked to its 26 neighbours. Nothing is stored for it.
+
+use carina_grid::{Grid, length};
+
+use crate::TrackError;
+use crate::distance::VoxelBox;
+use crate::graph::{Graph, NO_NODE};
+
+/// A graph whose nodes are voxels of a box.
+pub trait VoxelGraph: Graph {
+    /// The box that holds all nodes.
+    fn voxel_box(&self) -> VoxelBox;
+
+    /// The node of a voxel of the volume.
+    fn node_of_voxel(&self, ijk: [isize; 3]) -> Option<u32>;
+
+    /// The voxel of a node.
+    fn voxel_of_node(&self, node: u32) -> [usize; 3];
+}
+
+/// A node's 26 neighbours in array order, as offsets: number `25 - s` is the opposite of number `s`.
+pub(crate) fn neighbour_offsets() -> [[isize; 3]; 26] {
+    std::array::from_fn(|s| {
+        let cell = if s < 13 { s } else { s + 1 } as isize;
+        [cell % 3 - 1, cell / 3 % 3 - 1, cell / 9 - 1]
+    })
+}
+
+/// All voxels of a box of the volume; node numbers are places in the box.
+#[derive(Debug, Clone)]
+pub struct BoxGraph {
+    voxel_box: VoxelBox,
+    offsets: [[isize; 3]; 26],
+    lengths_mm: [f64; 26],
+    /// Place of a neighbour in the box relative to the node's.
+    strides: [isize; 26],
+}
+
+impl BoxGraph {
+    /// The graph of a box, which must lie in the grid.
+    pub fn new(grid: &Grid, voxel_box: VoxelBox) -> Result<Self, TrackError> {
+        let shape = grid.shape_ijk();
+        let [nx, ny, _] = voxel_box.shape_ijk;
+        let fits = (0..3).all(|a| {
+            voxel_box.shape_ijk[a] > 0
+                && voxel_box.first_ijk[a] < shape[a]
+                && voxel_box.shape_ijk[a] <= shape[a] - voxel_box.first_ijk[a]
+        });
+        if !fits || voxel_box.num_voxels() >= NO_NODE as usize {
+            return Err(TrackError::Argument {
+                what: "box",
+                expected: format!("a box of voxels inside {shape:?}"),
+                found: format!(
+                    "{:?} voxels from {:?}",
+                    voxel_box.shape_ijk, voxel_box.first_ijk
+                ),
+            });
+        }
+        let offsets = neighbour_offsets();
+        Ok(Self {
+            voxel_box,
+            offsets,
+            lengths_mm: offsets
+                .map(|offset| length(grid.lps_from_ijk().vector(offset.map(|v| v as f64)))),
+            strides: offsets.map(|[i, j, k]| (k * ny as isize + j) * nx as isize + i),
+        })
+    }
+}
+
+impl VoxelGraph for BoxGraph {
+    fn voxel_box(&self) -> VoxelBox {
+        self.voxel_box
+    }
+
+    fn node_of_voxel(&self, ijk: [isize; 3]) -> Option<u32> {
+        self.voxel_box.index_of(ijk).map(|at| at as u32)
+    }
+
+    fn voxel_of_node(&self, node: u32) -> [usize; 3] {
+        self.voxel_box.voxel(node as usize)
+    }
+}
+
+impl Graph for BoxGraph {
+    fn num_nodes(&self) -> usize {
+        self.voxel_box.num_voxels()
+    }
+
+    fn for_each_edge(&self, node: u32, mut visit: impl FnMut(u32, f64)) {
+        let [nx, ny, nz] = self.voxel_box.shape_ijk;
+        let at = node as usize;
+        let local = [at % nx, at / nx % ny, at / nx / ny];
+        let inner = local[0] > 0
+            && local[1] > 0
+            && local[2] > 0
+            && local[0] + 1 < nx
+            && local[1] + 1 < ny
+            && local[2] + 1 < nz;
+        for s in 0..26 {
+            let exists = inner
+                || (0..3).all(|a| {
+                    let to = local[a] as isize + self.offsets[s][a];
+                    (0..self.voxel_box.shape_ijk[a] as isize).contains(&to)
+                });
+            if exists {
+                visit((at as isize + self.strides[s]) as u32, self.lengths_mm[s]);
+            }
+        }
+    }
+
+    fn edge_length_range_mm(&self) -> (f64, f64) {
+        let fold =
+            |start, pick: fn(f64, f64) -> f64| self.lengths_mm.iter().copied().fold(start, pick);
+        (fold(f64::INFINITY, f64::min), fold(0.0, f64::max))
+    }
+}

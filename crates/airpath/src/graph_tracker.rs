@@ -1,0 +1,378 @@
+//! One tracker over the four pairs of a cost (`lumen`, `paper`) and a graph (`voxel`, `isoregion`).
+
+use carina_grid::{Grid, Ijk, VolumeView, length};
+use carina_isoregion::value_labels;
+
+use crate::box_graph::{BoxGraph, VoxelGraph};
+use crate::distance::VoxelBox;
+use crate::graph::Graph;
+use crate::isoregion_graph::{IsoRegionGraph, PrunedCost, count_edges, radii};
+use crate::lumen::{LumenCost, LumenGraph, WallLevels};
+use crate::paper_cost::{PaperCost, greatest_gradient};
+use crate::tracker::Tracker;
+use crate::{TrackError, Watch};
+
+/// What the voxels of an `IsoRegion` have in common.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Labels {
+    /// Equal bins of 16 values (the paper's equal values).
+    Bins,
+    /// The whole lumen is one class; voxels outside it have no label and none of them is cut away.
+    Lumen,
+}
+
+/// Where paths are searched, and at what cost.
+#[derive(Debug, Clone, Copy)]
+pub enum Terrain {
+    /// Cost `paper` on all voxels of a box.
+    Paper(VoxelBox),
+    /// Cost `lumen` on the lumen's voxels.
+    Lumen(Option<WallLevels>),
+}
+
+/// A place that was asked for, in the graph.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// The node that stands for it.
+    pub node: u32,
+    /// The voxel of the whole graph that holds it, or the lumen voxel nearest to it.
+    pub voxel: [usize; 3],
+    /// From that voxel to the node's, mm: above 0 where the voxel was cut away.
+    pub to_node_mm: f64,
+}
+
+#[derive(Debug)]
+enum Walk {
+    Paper(BoxGraph, PaperCost),
+    PaperPruned(IsoRegionGraph<BoxGraph>, PaperCost),
+    Lumen(LumenGraph),
+    LumenPruned(IsoRegionGraph<LumenGraph>, (f64, f64)),
+}
+
+/// The same for every walk: its graph, and its cost by reference.
+macro_rules! with_walk {
+    ($walk:expr, |$graph:ident, $cost:ident| $body:expr) => {
+        match $walk {
+            Walk::Paper($graph, $cost) => $body,
+            Walk::PaperPruned($graph, table) => {
+                let $cost = &PrunedCost::new($graph, table);
+                $body
+            }
+            Walk::Lumen($graph) => {
+                let $cost = &LumenCost($graph);
+                $body
+            }
+            Walk::LumenPruned($graph, range) => {
+                let $cost = &PrunedCost::with_range($graph, LumenCost($graph.base()), *range);
+                $body
+            }
+        }
+    };
+}
+
+/// The least-cost tree from one root in one of the four terrains; it stops at a target and goes on for the next.
+#[derive(Debug)]
+pub struct GraphTracker {
+    grid: Grid,
+    walk: Walk,
+    tracker: Tracker,
+}
+
+impl GraphTracker {
+    /// Builds graph and cost, with nothing settled.
+    ///
+    /// `pruned` asks for the `IsoRegion` graph (paper 6.1). `lumen`, on the volume's grid, is needed for the cost `lumen` and
+    /// for labels of it. The root is the voxel nearest to `root_ijk`, in the lumen within `reach_mm`.
+    pub fn build(
+        values: VolumeView<'_, i16>,
+        terrain: Terrain,
+        pruned: Option<Labels>,
+        lumen: Option<&[u8]>,
+        root_ijk: [f64; 3],
+        reach_mm: f64,
+        watch: &impl Watch,
+    ) -> Result<Self, TrackError> {
+        let grid = values.grid().clone();
+        let needs_lumen = matches!(terrain, Terrain::Lumen(_)) || pruned == Some(Labels::Lumen);
+        let lumen = lumen.unwrap_or_default();
+        if needs_lumen && lumen.len() != grid.num_voxels() {
+            return Err(TrackError::Argument {
+                what: "lumen",
+                expected: format!("one value for each of {} voxels", grid.num_voxels()),
+                found: lumen.len().to_string(),
+            });
+        }
+        let walk = match terrain {
+            Terrain::Paper(voxel_box) => {
+                let graph = BoxGraph::new(&grid, voxel_box)?;
+                let greatest = greatest_gradient(values, watch)?;
+                let cost = PaperCost::build(values, &graph, greatest, watch)?;
+                match pruned {
+                    None => Walk::Paper(graph, cost),
+                    Some(labels) => {
+                        let radius = box_radii(values, lumen, labels, voxel_box, false, watch)?;
+                        let graph = IsoRegionGraph::build(graph, &grid, &radius, watch)?;
+                        Walk::PaperPruned(graph, cost)
+                    }
+                }
+            }
+            Terrain::Lumen(levels) => {
+                let graph = LumenGraph::build(values, lumen, levels)?;
+                match pruned {
+                    None => Walk::Lumen(graph),
+                    Some(labels) => {
+                        let voxel_box = graph.voxel_box();
+                        let radius = box_radii(values, lumen, labels, voxel_box, true, watch)?;
+                        let graph = IsoRegionGraph::build(graph, &grid, &radius, watch)?;
+                        let range = PrunedCost::new(&graph, LumenCost(graph.base())).range();
+                        Walk::LumenPruned(graph, range)
+                    }
+                }
+            }
+        };
+        let root = place(&walk, &grid, root_ijk, reach_mm).ok_or_else(|| match terrain {
+            Terrain::Paper(voxel_box) => TrackError::Argument {
+                what: "root",
+                expected: format!(
+                    "a voxel of the box of {:?} voxels from {:?}",
+                    voxel_box.shape_ijk, voxel_box.first_ijk
+                ),
+                found: format!("{root_ijk:?}"),
+            },
+            Terrain::Lumen(_) => TrackError::NoResult(format!(
+                "the root is not within {reach_mm} mm of the airway lumen"
+            )),
+        })?;
+        let tracker = with_walk!(&walk, |graph, cost| Tracker::new(graph, cost, root.node))?;
+        Ok(Self {
+            grid,
+            walk,
+            tracker,
+        })
+    }
+
+    /// The node for a point (voxel coordinates); `None` outside the box, or farther than `reach_mm` from the lumen.
+    #[must_use]
+    pub fn place(&self, ijk: [f64; 3], reach_mm: f64) -> Option<Place> {
+        place(&self.walk, &self.grid, ijk, reach_mm)
+    }
+
+    /// Settles what is needed to know the least cost of a node; true if a path exists.
+    pub fn solve_to(&mut self, target: u32, watch: &impl Watch) -> Result<bool, TrackError> {
+        let Self { walk, tracker, .. } = self;
+        with_walk!(&*walk, |graph, cost| tracker
+            .solve_to(graph, cost, target, watch))
+    }
+
+    /// The tree so far.
+    #[must_use]
+    pub const fn tracker(&self) -> &Tracker {
+        &self.tracker
+    }
+
+    /// The voxel of a node.
+    #[must_use]
+    pub fn voxel(&self, node: u32) -> [usize; 3] {
+        match &self.walk {
+            Walk::Paper(graph, _) => graph.voxel_of_node(node),
+            Walk::PaperPruned(graph, _) => graph.voxel(node),
+            Walk::Lumen(graph) => graph.voxel(node),
+            Walk::LumenPruned(graph, _) => graph.voxel(node),
+        }
+    }
+
+    /// Nodes of the graph.
+    #[must_use]
+    pub fn num_nodes(&self) -> usize {
+        with_walk!(&self.walk, |graph, _cost| graph.num_nodes())
+    }
+
+    /// Undirected edges of the graph, links included: counted one by one.
+    #[must_use]
+    pub fn num_edges(&self) -> u64 {
+        with_walk!(&self.walk, |graph, _cost| count_edges(graph))
+    }
+
+    /// Centres of `IsoRegion`s; 0 on a voxel graph.
+    #[must_use]
+    pub const fn num_centers(&self) -> usize {
+        match &self.walk {
+            Walk::PaperPruned(graph, _) => graph.num_centers(),
+            Walk::LumenPruned(graph, _) => graph.num_centers(),
+            Walk::Paper(..) | Walk::Lumen(_) => 0,
+        }
+    }
+}
+
+/// Radii of the box's voxels under the labels; with `lumen_only` voxels outside the lumen have none.
+fn box_radii(
+    values: VolumeView<'_, i16>,
+    lumen: &[u8],
+    labels: Labels,
+    voxel_box: VoxelBox,
+    lumen_only: bool,
+    watch: &impl Watch,
+) -> Result<Vec<u8>, TrackError> {
+    let [nx, ny, nz] = voxel_box.shape_ijk;
+    let rows = (0..ny * nz).map(|row| {
+        let [i, j, k] = voxel_box.first_ijk;
+        let first = values.grid().index([i, j + row % ny, k + row / ny]);
+        first..first + nx
+    });
+    let labels = match labels {
+        Labels::Bins => {
+            let boxed: Vec<i16> = rows
+                .clone()
+                .flat_map(|row| values.data()[row].iter().copied())
+                .collect();
+            let mut labels = value_labels(&boxed, |_, _| false).labels;
+            if lumen_only {
+                let inside = rows.flat_map(|row| &lumen[row]);
+                for (label, inside) in labels.iter_mut().zip(inside) {
+                    *label *= u8::from(*inside != 0);
+                }
+            }
+            labels
+        }
+        Labels::Lumen => rows
+            .flat_map(|row| lumen[row].iter().map(|v| u8::from(*v != 0)))
+            .collect(),
+    };
+    radii(&labels, voxel_box, watch)
+}
+
+fn place(walk: &Walk, grid: &Grid, ijk: [f64; 3], reach_mm: f64) -> Option<Place> {
+    let nearest = |graph: &LumenGraph| {
+        let (node, _) = graph.nearest_node(grid, ijk, reach_mm)?;
+        Some(graph.voxel(node))
+    };
+    let voxel = match walk {
+        Walk::Paper(..) | Walk::PaperPruned(..) => grid.voxel_at(Ijk(ijk))?,
+        Walk::Lumen(graph) => nearest(graph)?,
+        Walk::LumenPruned(graph, _) => nearest(graph.base())?,
+    };
+    let at = voxel.map(|v| v as isize);
+    let (node, stands_at) = match walk {
+        Walk::Paper(graph, _) => (graph.node_of_voxel(at)?, voxel),
+        Walk::Lumen(graph) => (graph.node_of_voxel(at)?, voxel),
+        Walk::PaperPruned(graph, _) => {
+            let node = graph.node_for_voxel(at)?;
+            (node, graph.voxel(node))
+        }
+        Walk::LumenPruned(graph, _) => {
+            let node = graph.node_for_voxel(at)?;
+            (node, graph.voxel(node))
+        }
+    };
+    let offset = std::array::from_fn(|a| stands_at[a] as f64 - voxel[a] as f64);
+    Some(Place {
+        node,
+        voxel,
+        to_node_mm: length(grid.lps_from_ijk().vector(offset)),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use carina_grid::Affine;
+
+    use super::*;
+    use crate::Unwatched;
+
+    /// A tube of air along k, three voxels to each side wide, in tissue; every third slice one grey value brighter.
+    fn tube() -> (Grid, Vec<i16>, Vec<u8>) {
+        let axes =
+            Affine::from_columns([0.8, 0.0, 0.0], [0.0, 0.9, 0.0], [0.0, 0.0, 1.5], [0.0; 3]);
+        let grid = Grid::new([24, 15, 17], axes).unwrap();
+        let lumen: Vec<u8> = (0..grid.num_voxels())
+            .map(|n| {
+                let [i, j, _] = grid.voxel(n);
+                u8::from(i.abs_diff(8) <= 3 && j.abs_diff(7) <= 3)
+            })
+            .collect();
+        let values = lumen
+            .iter()
+            .enumerate()
+            .map(|(n, l)| {
+                if *l == 1 {
+                    -1000 + i16::from(grid.voxel(n)[2].is_multiple_of(3))
+                } else {
+                    40
+                }
+            })
+            .collect();
+        (grid, values, lumen)
+    }
+
+    #[test]
+    fn all_four_pairs_find_the_way_through_a_tube() {
+        let (grid, values, lumen) = tube();
+        let view = VolumeView::new(&values, &grid).unwrap();
+        let whole = VoxelBox {
+            first_ijk: [0; 3],
+            shape_ijk: grid.shape_ijk(),
+        };
+        for terrain in [Terrain::Paper(whole), Terrain::Lumen(None)] {
+            let build = |pruned| {
+                let root = [8.2, 7.0, 1.0];
+                GraphTracker::build(view, terrain, pruned, Some(&lumen), root, 3.0, &Unwatched)
+                    .unwrap()
+            };
+            let mut full = build(None);
+            for labels in [None, Some(Labels::Bins), Some(Labels::Lumen)] {
+                let mut tracker = build(labels);
+                let target = tracker.place([8.0, 7.0, 22.0], 3.0).unwrap();
+                assert_eq!(target.voxel, [8, 7, 22]);
+                assert!(tracker.solve_to(target.node, &Unwatched).unwrap());
+                let path = tracker.tracker().path_to(target.node).unwrap();
+                assert_eq!(path[path.len() - 1], target.node);
+                if labels.is_none() {
+                    assert_eq!(tracker.num_centers(), 0);
+                    assert_eq!(target.to_node_mm, 0.0);
+                } else {
+                    assert!(tracker.num_centers() > 0);
+                    assert!(tracker.num_nodes() < full.num_nodes());
+                    // 16-HU bins and the class of the lumen see one region here.
+                    assert!(tracker.num_edges() < full.num_edges());
+                }
+                if matches!(terrain, Terrain::Lumen(_)) {
+                    let last = full.place([8.0, 7.0, 22.0], 3.0).unwrap().node;
+                    assert!(full.solve_to(last, &Unwatched).unwrap());
+                    for node in path {
+                        let at = tracker.voxel(node);
+                        assert_eq!(lumen[grid.index(at)], 1);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_root_outside_and_a_missing_lumen_are_refused() {
+        let (grid, values, lumen) = tube();
+        let view = VolumeView::new(&values, &grid).unwrap();
+        let half = VoxelBox {
+            first_ijk: [0; 3],
+            shape_ijk: [17, 15, 12],
+        };
+        let build = |terrain, lumen, root| {
+            GraphTracker::build(
+                view,
+                terrain,
+                Some(Labels::Lumen),
+                lumen,
+                root,
+                2.0,
+                &Unwatched,
+            )
+            .map(|_| ())
+        };
+        let outside = [8.0, 7.0, 20.0];
+        let refused = build(Terrain::Paper(half), Some(&lumen[..]), outside).unwrap_err();
+        assert_eq!(refused.code(), "usage.track");
+        let refused = build(Terrain::Paper(half), None, [8.0, 7.0, 2.0]).unwrap_err();
+        assert_eq!(refused.code(), "usage.track");
+        let refused = build(Terrain::Lumen(None), Some(&lumen[..]), [0.0; 3]).unwrap_err();
+        assert_eq!(refused.code(), "track.no-result");
+    }
+}

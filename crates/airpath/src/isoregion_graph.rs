@@ -1,0 +1,460 @@
+//! The graph pruned by `IsoRegions` (paper 6.1, Figure 12).
+//!
+//! A voxel with an `IsoRegion` (radius of 1 or more) is cut away if a neighbour's region is larger: what is left of a region
+//! is its centre, or several where they are equal, and its voxels at the border to other labels (radius 0). This rule
+//! gives the printed Figure 12(b) exactly; taking the largest region first and cutting what it holds does not. Each centre
+//! is linked to every kept voxel on the boundary of its cube; kept voxels that are neighbours keep their edge.
+//!
+//! The rule keeps things connected. Radii are chessboard distances to the nearest voxel of radius 0, so they differ by
+//! at most 1 between neighbours, and from a voxel that is cut away one climbs, by 1 a step, to a centre. Whatever voxel h
+//! of radius 0 is nearest to it then lies on the boundary of that centre's cube, so it is linked to it. So a voxel's
+//! centres and nearest h hang together, as do those of two neighbours whose radii differ. For neighbours of equal
+//! radius that share neither centre nor h there is no such proof; random volumes are tested instead.
+
+use carina_grid::{Grid, length};
+use carina_isoregion::MapBuilder;
+use rayon::prelude::*;
+
+use crate::box_graph::{BoxGraph, VoxelGraph};
+use crate::distance::VoxelBox;
+use crate::graph::{Cost, Graph, NO_NODE};
+use crate::lumen::{LumenCost, LumenGraph};
+use crate::paper_cost::PaperCost;
+use crate::{TrackError, Watch};
+
+/// Links at most: 4 bytes each. More come from regions whose centres are a whole slab of equal radius.
+pub const MAX_LINKS: u64 = 1 << 26;
+
+/// `IsoRegion` radii of the voxels of a box; beyond the box there is nothing.
+pub fn radii(
+    labels: &[u8],
+    voxel_box: VoxelBox,
+    watch: &impl Watch,
+) -> Result<Vec<u8>, TrackError> {
+    let [nx, ny, nz] = voxel_box.shape_ijk;
+    let mut radius = vec![0; labels.len()];
+    let builder = MapBuilder {
+        cancelled: Some(&|| watch.go_on(0.0).is_err()),
+        ..MapBuilder::default()
+    };
+    builder
+        .radius_map(labels, [nz, ny, nx], &mut radius)
+        .map_err(|error| match error {
+            carina_isoregion::IsoRegionError::Cancelled => TrackError::Cancelled,
+            other => TrackError::Argument {
+                what: "labels",
+                expected: format!("one for each of {} voxels", voxel_box.num_voxels()),
+                found: other.to_string(),
+            },
+        })?;
+    Ok(radius)
+}
+
+/// True if a voxel is cut away: it has a region and a neighbour has a larger one (paper 6.1).
+#[must_use]
+pub fn is_cut_away(radius: &[u8], shape_ijk: [usize; 3], ijk: [usize; 3]) -> bool {
+    let [nx, ny, _] = shape_ijk;
+    let own = radius[(ijk[2] * ny + ijk[1]) * nx + ijk[0]];
+    let range = |a: usize| ijk[a].saturating_sub(1)..=(ijk[a] + 1).min(shape_ijk[a] - 1);
+    own > 0
+        && range(2).any(|k| {
+            range(1).any(|j| {
+                let row = (k * ny + j) * nx;
+                radius[row + range(0).start()..=row + range(0).end()]
+                    .iter()
+                    .any(|&other| other > own)
+            })
+        })
+}
+
+/// A graph without the voxels inside `IsoRegions`.
+#[derive(Debug)]
+pub struct IsoRegionGraph<B> {
+    base: B,
+    grid: Grid,
+    /// Node of the whole graph, for each node.
+    kept: Vec<u32>,
+    /// Node, for each node of the whole graph; [`NO_NODE`] where it was cut away.
+    node_of: Vec<u32>,
+    radius: Vec<u8>,
+    /// The centres whose cube has a node on its boundary: `centers[first_center[n]..first_center[n + 1]]`.
+    first_center: Vec<u32>,
+    centers: Vec<u32>,
+    num_centers: usize,
+    longest_mm: f64,
+}
+
+impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
+    /// Prunes `base` by the radii of its box's voxels ([`radii`]).
+    ///
+    /// Every label must mean one thing all over: a straight line between two voxels of one cube is taken as an edge.
+    pub fn build(
+        base: B,
+        grid: &Grid,
+        radius: &[u8],
+        watch: &impl Watch,
+    ) -> Result<Self, TrackError> {
+        let voxel_box = base.voxel_box();
+        if radius.len() != voxel_box.num_voxels() {
+            return Err(TrackError::Argument {
+                what: "radius map",
+                expected: format!("{} voxels", voxel_box.num_voxels()),
+                found: radius.len().to_string(),
+            });
+        }
+        let local = |node: u32| {
+            let voxel = base.voxel_of_node(node);
+            std::array::from_fn(|a| voxel[a] - voxel_box.first_ijk[a])
+        };
+        let kept: Vec<u32> = (0..base.num_nodes() as u32)
+            .into_par_iter()
+            .filter(|&node| !is_cut_away(radius, voxel_box.shape_ijk, local(node)))
+            .collect();
+        watch.go_on(0.3)?;
+        let mut node_of = vec![NO_NODE; base.num_nodes()];
+        for (node, &whole) in kept.iter().enumerate() {
+            node_of[whole as usize] = node as u32;
+        }
+        let [nx, ny, _] = voxel_box.shape_ijk;
+        let radius: Vec<u8> = kept
+            .par_iter()
+            .map(|&whole| {
+                let [i, j, k]: [usize; 3] = local(whole);
+                radius[(k * ny + j) * nx + i]
+            })
+            .collect();
+        let mut graph = Self {
+            base,
+            grid: grid.clone(),
+            num_centers: radius.iter().filter(|r| **r > 0).count(),
+            kept,
+            node_of,
+            radius,
+            first_center: Vec::new(),
+            centers: Vec::new(),
+            longest_mm: 0.0,
+        };
+        graph.link(watch)?;
+        Ok(graph)
+    }
+
+    /// Notes at each kept boundary voxel which centres it belongs to. The way back needs no table: it is the cube.
+    fn link(&mut self, watch: &impl Watch) -> Result<(), TrackError> {
+        let num_nodes = self.kept.len();
+        let mut first = vec![0u32; num_nodes + 1];
+        let (mut num_links, mut longest_mm) = (0u64, 0.0f64);
+        let centers: Vec<u32> = (0..num_nodes as u32)
+            .filter(|n| self.radius[*n as usize] > 1)
+            .collect();
+        for (number, &center) in centers.iter().enumerate() {
+            self.for_each_boundary_node(center, |node, length_mm| {
+                longest_mm = longest_mm.max(length_mm);
+                if !self.finds(node, center) {
+                    first[node as usize + 1] += 1;
+                    num_links += 1;
+                }
+            });
+            if num_links > MAX_LINKS {
+                return Err(TrackError::Argument {
+                    what: "IsoRegion graph",
+                    expected: format!("at most {MAX_LINKS} links between centres and boundaries"),
+                    found: format!(
+                        "more, after {number} of {} centres; large uniform regions have too many centres: track in a \
+                         smaller region, or on the voxel graph",
+                        centers.len()
+                    ),
+                });
+            }
+            if number % 256 == 0 {
+                watch.go_on(0.3 + 0.4 * number as f64 / centers.len() as f64)?;
+            }
+        }
+        for n in 0..num_nodes {
+            first[n + 1] += first[n];
+        }
+        let mut next = first.clone();
+        let mut list = vec![0u32; num_links as usize];
+        for (number, &center) in centers.iter().enumerate() {
+            self.for_each_boundary_node(center, |node, _| {
+                if !self.finds(node, center) {
+                    let at = &mut next[node as usize];
+                    list[*at as usize] = center;
+                    *at += 1;
+                }
+            });
+            if number % 256 == 0 {
+                watch.go_on(0.7 + 0.3 * number as f64 / centers.len() as f64)?;
+            }
+        }
+        self.first_center = first;
+        self.centers = list;
+        self.longest_mm = self.base.edge_length_range_mm().1.max(longest_mm);
+        Ok(())
+    }
+
+    /// True if `node` is a centre that has `other` on its own cube's boundary: the link is then found from there.
+    fn finds(&self, node: u32, other: u32) -> bool {
+        let radius = isize::from(self.radius[node as usize]);
+        radius > 1 && chessboard(self.voxel(node), self.voxel(other)) == radius
+    }
+
+    /// The kept voxels on the boundary of a centre's cube, for cubes beyond the 26 neighbours.
+    fn for_each_boundary_node(&self, center: u32, mut visit: impl FnMut(u32, f64)) {
+        let r = isize::from(self.radius[center as usize]);
+        let at = self.voxel(center).map(|v| v as isize);
+        let look = |offset: [isize; 3]| {
+            let to = std::array::from_fn(|a| at[a] + offset[a]);
+            if let Some(whole) = self.base.node_of_voxel(to) {
+                let node = self.node_of[whole as usize];
+                if node != NO_NODE {
+                    visit(node, self.length_mm(offset));
+                }
+            }
+        };
+        for_each_on_cube(r, look);
+    }
+
+    fn length_mm(&self, offset: [isize; 3]) -> f64 {
+        length(self.grid.lps_from_ijk().vector(offset.map(|v| v as f64)))
+    }
+
+    /// The graph that was pruned.
+    pub const fn base(&self) -> &B {
+        &self.base
+    }
+
+    /// The node of the whole graph.
+    #[must_use]
+    pub fn whole(&self, node: u32) -> u32 {
+        self.kept[node as usize]
+    }
+
+    /// The voxel of a node.
+    #[must_use]
+    pub fn voxel(&self, node: u32) -> [usize; 3] {
+        self.base.voxel_of_node(self.whole(node))
+    }
+
+    /// The radius of a node's region: 0 at borders.
+    #[must_use]
+    pub fn radius(&self, node: u32) -> u8 {
+        self.radius[node as usize]
+    }
+
+    /// Nodes that are the middle of a region.
+    #[must_use]
+    pub const fn num_centers(&self) -> usize {
+        self.num_centers
+    }
+
+    /// The node of a voxel, or of the centre that it is nearest to by climbing the radii; `None` outside the graph.
+    ///
+    /// A voxel that was cut away lies inside the cube of the centre that stands for it.
+    #[must_use]
+    pub fn node_for_voxel(&self, ijk: [isize; 3]) -> Option<u32> {
+        let whole = self.base.node_of_voxel(ijk)?;
+        let node = self.node_of[whole as usize];
+        if node != NO_NODE {
+            return Some(node);
+        }
+        // The nearest centre whose cube holds the voxel; ties go to the first in array order.
+        let mut best: Option<(f64, u32)> = None;
+        for r in 1..=255isize {
+            if best.is_some_and(|(mm, _)| mm <= r as f64 * self.grid.min_spacing_mm()) {
+                break;
+            }
+            for_each_on_cube(r, |offset| {
+                let to = std::array::from_fn(|a| ijk[a] + offset[a]);
+                let Some(whole) = self.base.node_of_voxel(to) else {
+                    return;
+                };
+                let node = self.node_of[whole as usize];
+                if node != NO_NODE && isize::from(self.radius[node as usize]) >= r {
+                    let mm = self.length_mm(offset);
+                    if best.is_none_or(|(least, _)| mm < least) {
+                        best = Some((mm, node));
+                    }
+                }
+            });
+        }
+        best.map(|(_, node)| node)
+    }
+}
+
+/// Chessboard distance of two voxels.
+fn chessboard(a: [usize; 3], b: [usize; 3]) -> isize {
+    (0..3).map(|n| a[n].abs_diff(b[n])).max().unwrap_or(0) as isize
+}
+
+/// Offsets at chessboard distance `r`, in array order.
+fn for_each_on_cube(r: isize, mut visit: impl FnMut([isize; 3])) {
+    for dk in -r..=r {
+        for dj in -r..=r {
+            if dk.abs() == r || dj.abs() == r {
+                for di in -r..=r {
+                    visit([di, dj, dk]);
+                }
+            } else {
+                visit([-r, dj, dk]);
+                visit([r, dj, dk]);
+            }
+        }
+    }
+}
+
+impl<B: VoxelGraph + Sync> Graph for IsoRegionGraph<B> {
+    fn num_nodes(&self) -> usize {
+        self.kept.len()
+    }
+
+    fn for_each_edge(&self, node: u32, mut visit: impl FnMut(u32, f64)) {
+        self.base.for_each_edge(self.whole(node), |whole, mm| {
+            let other = self.node_of[whole as usize];
+            if other != NO_NODE {
+                visit(other, mm);
+            }
+        });
+        if self.radius(node) > 1 {
+            self.for_each_boundary_node(node, &mut visit);
+        }
+        let range = self.first_center[node as usize]..self.first_center[node as usize + 1];
+        for &center in &self.centers[range.start as usize..range.end as usize] {
+            let (from, to) = (self.voxel(node), self.voxel(center));
+            visit(
+                center,
+                self.length_mm(std::array::from_fn(|a| to[a] as isize - from[a] as isize)),
+            );
+        }
+    }
+
+    fn edge_length_range_mm(&self) -> (f64, f64) {
+        (self.base.edge_length_range_mm().0, self.longest_mm)
+    }
+}
+
+/// A cost of the whole graph that also weighs the links of the pruned one.
+pub trait LinkCost<B>: Cost {
+    /// Weight per mm of a link, between nodes of the whole graph.
+    fn link_weight(&self, base: &B, u: u32, v: u32) -> f64;
+
+    /// Weights such that, times the graph's shortest and longest edge, they bound the cost of every edge and link.
+    fn link_weight_range(&self, graph: &IsoRegionGraph<B>) -> (f64, f64);
+}
+
+/// The printed formula knows two ends and a distance: it holds for a link as for an edge.
+impl LinkCost<BoxGraph> for &PaperCost {
+    fn link_weight(&self, _base: &BoxGraph, u: u32, v: u32) -> f64 {
+        self.weight(u, v)
+    }
+
+    fn link_weight_range(&self, _graph: &IsoRegionGraph<BoxGraph>) -> (f64, f64) {
+        self.weight_range()
+    }
+}
+
+/// A link costs what the straight way of voxels costs that it stands for: its two ends, the middle and the wall, say
+/// little about what lies between.
+impl LinkCost<LumenGraph> for LumenCost<'_> {
+    fn link_weight(&self, base: &LumenGraph, u: u32, v: u32) -> f64 {
+        // From the first of the two, so that both directions round alike.
+        let [from, to] = [u.min(v), u.max(v)].map(|n| base.voxel(n).map(|x| x as isize));
+        let steps = (0..3).map(|a| (to[a] - from[a]).abs()).max().unwrap_or(0);
+        let mut before = u.min(v);
+        let (mut cost, mut at) = (0.0, from);
+        for step in 1..=steps {
+            let share = step as f64 / steps as f64;
+            let next: [isize; 3] = std::array::from_fn(|a| {
+                from[a] + (share * (to[a] - from[a]) as f64).round() as isize
+            });
+            let Some(node) = base.node_at_voxel(next) else {
+                // Cubes of one label hold nothing but lumen.
+                return f64::INFINITY;
+            };
+            let offset = std::array::from_fn(|a| next[a] - at[a]);
+            cost += base.step_mm(offset) * self.weight(before, node);
+            (before, at) = (node, next);
+        }
+        cost / base.step_mm(std::array::from_fn(|a| to[a] - from[a]))
+    }
+
+    fn link_weight_range(&self, graph: &IsoRegionGraph<LumenGraph>) -> (f64, f64) {
+        let (least, greatest) = self.weight_range();
+        let mut dearest = graph.base.edge_length_range_mm().1 * greatest;
+        for center in (0..graph.kept.len() as u32).filter(|n| graph.radius(*n) > 1) {
+            graph.for_each_boundary_node(center, |node, mm| {
+                let weight = self.link_weight(&graph.base, graph.whole(center), graph.whole(node));
+                dearest = dearest.max(mm * weight);
+            });
+        }
+        (least, dearest / graph.longest_mm)
+    }
+}
+
+/// A cost of the whole graph on the pruned one.
+#[derive(Debug)]
+pub struct PrunedCost<'a, B, C> {
+    graph: &'a IsoRegionGraph<B>,
+    cost: C,
+    range: (f64, f64),
+}
+
+impl<'a, B: VoxelGraph + Sync, C: LinkCost<B>> PrunedCost<'a, B, C> {
+    /// The cost on the nodes that were kept.
+    pub fn new(graph: &'a IsoRegionGraph<B>, cost: C) -> Self {
+        let range = cost.link_weight_range(graph);
+        Self::with_range(graph, cost, range)
+    }
+
+    /// The same with a range that is known already: finding it may take a look at every link.
+    pub const fn with_range(graph: &'a IsoRegionGraph<B>, cost: C, range: (f64, f64)) -> Self {
+        Self { graph, cost, range }
+    }
+
+    /// Its weight range.
+    pub const fn range(&self) -> (f64, f64) {
+        self.range
+    }
+}
+
+impl<B: VoxelGraph + Sync, C: LinkCost<B>> Cost for PrunedCost<'_, B, C> {
+    fn weight(&self, u: u32, v: u32) -> f64 {
+        let [from, to] = [u, v].map(|n| self.graph.voxel(n));
+        let [u, v] = [u, v].map(|n| self.graph.whole(n));
+        if chessboard(from, to) > 1 {
+            self.cost.link_weight(&self.graph.base, u, v)
+        } else {
+            self.cost.weight(u, v)
+        }
+    }
+
+    fn weight_range(&self) -> (f64, f64) {
+        self.range
+    }
+}
+
+impl VoxelGraph for LumenGraph {
+    fn voxel_box(&self) -> VoxelBox {
+        Self::voxel_box(self)
+    }
+
+    fn node_of_voxel(&self, ijk: [isize; 3]) -> Option<u32> {
+        self.node_at_voxel(ijk)
+    }
+
+    fn voxel_of_node(&self, node: u32) -> [usize; 3] {
+        self.voxel(node)
+    }
+}
+
+/// Undirected edges of a graph.
+pub fn count_edges(graph: &(impl Graph + Sync)) -> u64 {
+    let ends: u64 = (0..graph.num_nodes() as u32)
+        .into_par_iter()
+        .map(|node| {
+            let mut degree = 0u64;
+            graph.for_each_edge(node, |_, _| degree += 1);
+            degree
+        })
+        .sum();
+    ends / 2
+}

@@ -1,0 +1,313 @@
+//! The pruned graph: the numbers of Figure 12, connectivity, costs.
+
+use carina_grid::{Affine, Grid, VolumeView};
+use carina_isoregion::value_labels;
+use proptest::prelude::*;
+
+use crate::Unwatched;
+use crate::box_graph::{BoxGraph, VoxelGraph};
+use crate::dijkstra::least_costs;
+use crate::distance::VoxelBox;
+use crate::graph::{Cost, Graph};
+use crate::isoregion_graph::{IsoRegionGraph, PrunedCost, count_edges, is_cut_away, radii};
+use crate::lumen::{LumenCost, LumenGraph};
+use crate::paper_cost::{PaperCost, greatest_gradient};
+use crate::tracker::Tracker;
+
+/// Paper, Figure 12(a): the `IsoRegion` map.
+const FIGURE_12A: [&str; 7] = [
+    "0000000000",
+    "0111110000",
+    "0122211000",
+    "0111121110",
+    "0000112210",
+    "0000011110",
+    "0000000000",
+];
+/// Paper, Figure 12(b): what is left after pruning.
+const FIGURE_12B: [&str; 7] = [
+    "0000000000",
+    "0     0000",
+    "0 222  000",
+    "0    2   0",
+    "0000  22 0",
+    "00000    0",
+    "0000000000",
+];
+
+fn grid(shape_zyx: [usize; 3]) -> Grid {
+    let (s, c) = 0.3f64.sin_cos();
+    let axes = [
+        [0.7 * c, 0.7 * s, 0.0],
+        [-0.9 * s, 0.9 * c, 0.0],
+        [0.0, 0.0, 1.5],
+    ];
+    Grid::new(
+        shape_zyx,
+        Affine::from_columns(axes[0], axes[1], axes[2], [3.0, -5.0, 8.0]),
+    )
+    .unwrap()
+}
+
+fn whole(grid: &Grid) -> BoxGraph {
+    let voxel_box = VoxelBox {
+        first_ijk: [0; 3],
+        shape_ijk: grid.shape_ijk(),
+    };
+    BoxGraph::new(grid, voxel_box).unwrap()
+}
+
+fn figure_12() -> IsoRegionGraph<BoxGraph> {
+    let radius: Vec<u8> = FIGURE_12A
+        .iter()
+        .flat_map(|row| row.bytes().map(|b| b - b'0'))
+        .collect();
+    let grid = grid([1, 7, 10]);
+    IsoRegionGraph::build(whole(&grid), &grid, &radius, &Unwatched).unwrap()
+}
+
+#[test]
+fn pruning_gives_figure_12b() {
+    let radius: Vec<u8> = FIGURE_12A
+        .iter()
+        .flat_map(|row| row.bytes().map(|b| b - b'0'))
+        .collect();
+    for (j, row) in FIGURE_12B.iter().enumerate() {
+        for (i, printed) in row.bytes().enumerate() {
+            let cut = is_cut_away(&radius, [10, 7, 1], [i, j, 0]);
+            assert_eq!(cut, printed == b' ', "row {j}, column {i}");
+        }
+    }
+}
+
+#[test]
+fn linking_figure_12_connects_it() {
+    let graph = figure_12();
+    assert_eq!(graph.num_centers(), 6);
+    assert_eq!(components(&graph, 0..graph.num_nodes() as u32), 1);
+    for node in 0..graph.num_nodes() as u32 {
+        let mut links = Vec::new();
+        graph.for_each_edge(node, |other, _| {
+            let (a, b) = (graph.voxel(node), graph.voxel(other));
+            let distance = (0..3).map(|n| a[n].abs_diff(b[n])).max().unwrap();
+            if distance > 1 {
+                links.push((other, distance));
+            }
+        });
+        // Links go from centres to boundaries of cubes of radius 2, and every centre has one that leads to a border.
+        assert!(links.iter().all(|(_, distance)| *distance == 2));
+        if graph.radius(node) > 0 {
+            assert!(links.iter().any(|(other, _)| graph.radius(*other) == 0));
+        }
+    }
+    // The voxel that was cut away at row 1, column 1 stands under the centre at row 2, column 2.
+    let stands_for = graph.node_for_voxel([1, 1, 0]).unwrap();
+    assert_eq!(graph.voxel(stands_for), [2, 2, 0]);
+}
+
+/// Components that the given nodes fall into.
+fn components(graph: &impl Graph, nodes: impl Iterator<Item = u32>) -> usize {
+    let label = component_of(graph);
+    let mut found: Vec<u32> = nodes.map(|n| label[n as usize]).collect();
+    found.sort_unstable();
+    found.dedup();
+    found.len()
+}
+
+/// The first node of each node's component.
+fn component_of(graph: &impl Graph) -> Vec<u32> {
+    let mut label = vec![u32::MAX; graph.num_nodes()];
+    for start in 0..graph.num_nodes() as u32 {
+        let mut open = vec![start];
+        while let Some(node) = open.pop() {
+            if label[node as usize] == u32::MAX {
+                label[node as usize] = start;
+                graph.for_each_edge(node, |v, _| open.push(v));
+            }
+        }
+    }
+    label
+}
+
+/// Labels of large regions with islands strewn in.
+fn labels() -> impl Strategy<Value = ([usize; 3], Vec<u8>)> {
+    let island = (any::<[u8; 3]>(), 1usize..5, 0u8..4);
+    (
+        (1usize..14, 3usize..18, 3usize..18),
+        prop::collection::vec(island, 0..12),
+    )
+        .prop_map(|((nz, ny, nx), islands)| {
+            let mut labels = vec![1u8; nz * ny * nx];
+            for (at, side, label) in islands {
+                let first = [nx, ny, nz].map(|n| n - 1);
+                let first: [usize; 3] =
+                    std::array::from_fn(|a| usize::from(at[a]) % (first[a] + 1));
+                for k in first[2]..(first[2] + side).min(nz) {
+                    for j in first[1]..(first[1] + side).min(ny) {
+                        for i in first[0]..(first[0] + side).min(nx) {
+                            labels[(k * ny + j) * nx + i] = label;
+                        }
+                    }
+                }
+            }
+            ([nz, ny, nx], labels)
+        })
+}
+
+fn pruned(grid: &Grid, labels: &[u8]) -> IsoRegionGraph<BoxGraph> {
+    let base = whole(grid);
+    let radius = radii(labels, base.voxel_box(), &Unwatched).unwrap();
+    IsoRegionGraph::build(base, grid, &radius, &Unwatched).unwrap()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(100))]
+
+    #[test]
+    fn the_pruned_graph_is_connected_where_the_whole_one_is((shape, labels) in labels()) {
+        let grid = grid(shape);
+        let graph = pruned(&grid, &labels);
+        prop_assert_eq!(components(&graph, 0..graph.num_nodes() as u32), 1);
+        // Every voxel has a node that stands for it.
+        for n in 0..grid.num_voxels() {
+            let voxel = grid.voxel(n).map(|v| v as isize);
+            let node = graph.node_for_voxel(voxel).unwrap();
+            let center = graph.voxel(node).map(|v| v as isize);
+            let distance = (0..3).map(|a| (voxel[a] - center[a]).abs()).max().unwrap();
+            prop_assert!(distance <= isize::from(graph.radius(node)));
+        }
+    }
+
+    #[test]
+    fn edges_go_both_ways_once_and_links_stay_in_one_label((shape, labels) in labels()) {
+        let grid = grid(shape);
+        let graph = pruned(&grid, &labels);
+        let mut edges = Vec::new();
+        for node in 0..graph.num_nodes() as u32 {
+            graph.for_each_edge(node, |other, mm| edges.push((node, other, mm.to_bits())));
+        }
+        edges.sort_unstable();
+        let before = edges.len();
+        edges.dedup();
+        prop_assert_eq!(edges.len(), before);
+        prop_assert_eq!(count_edges(&graph), before as u64 / 2);
+        let (shortest, longest) = graph.edge_length_range_mm();
+        for &(u, v, mm) in &edges {
+            prop_assert!(edges.binary_search(&(v, u, mm)).is_ok());
+            let mm = f64::from_bits(mm);
+            prop_assert!(shortest - 1e-9 <= mm && mm <= longest + 1e-9);
+            let (a, b) = (graph.voxel(u), graph.voxel(v));
+            let distance = (0..3).map(|n| a[n].abs_diff(b[n])).max().unwrap();
+            let radius = [u, v].map(|n| usize::from(graph.radius(n)));
+            prop_assert!(distance == 1 || radius.contains(&distance));
+            prop_assert!(distance == 1 || labels[grid.index(a)] == labels[grid.index(b)]);
+        }
+    }
+
+    #[test]
+    fn the_lumen_pruned_hangs_together_as_the_lumen_does((shape, labels) in labels()) {
+        let grid = grid(shape);
+        let lumen: Vec<u8> = labels.iter().map(|l| u8::from(*l == 1)).collect();
+        prop_assume!(lumen.contains(&1));
+        let values: Vec<i16> = lumen.iter().map(|l| if *l == 1 { -1000 } else { 0 }).collect();
+        let view = VolumeView::new(&values, &grid).unwrap();
+        let whole = LumenGraph::build(view, &lumen, None).unwrap();
+        let graph = pruned_lumen(&grid, &lumen, view);
+        let (whole_labels, pruned_labels) = (component_of(&whole), component_of(&graph));
+        let mut pairs: Vec<(u32, u32)> = (0..graph.num_nodes() as u32)
+            .map(|n| (whole_labels[graph.whole(n) as usize], pruned_labels[n as usize]))
+            .collect();
+        pairs.sort_unstable();
+        pairs.dedup();
+        // One component of the pruned graph for each of the whole one.
+        let mut whole_labels = whole_labels;
+        whole_labels.sort_unstable();
+        whole_labels.dedup();
+        prop_assert_eq!(pairs.len(), whole_labels.len());
+
+        // No way over links is cheaper than the way of voxels that it stands for.
+        let cost = PrunedCost::new(&graph, LumenCost(graph.base()));
+        let mut pruned_tracker = Tracker::new(&graph, &cost, 0).unwrap();
+        pruned_tracker.solve_all(&graph, &cost, &Unwatched).unwrap();
+        let whole_cost = LumenCost(&whole);
+        let mut tracker = Tracker::new(&whole, &whole_cost, graph.whole(0)).unwrap();
+        tracker.solve_all(&whole, &whole_cost, &Unwatched).unwrap();
+        for node in 0..graph.num_nodes() as u32 {
+            if let Some(found) = pruned_tracker.cost(node) {
+                let least = tracker.cost(graph.whole(node)).unwrap();
+                // 0.5 % for either's quantum.
+                prop_assert!(found >= 0.99 * least, "{found} {least}");
+            }
+        }
+        let (cheapest, dearest) = edge_costs(&graph, &cost);
+        let (lengths, weights) = (graph.edge_length_range_mm(), cost.weight_range());
+        prop_assert!(cheapest >= lengths.0 * weights.0 * 0.999);
+        prop_assert!(dearest <= lengths.1 * weights.1 * 1.001);
+    }
+
+    #[test]
+    fn resumed_targets_on_the_pruned_graph_cost_what_a_plain_search_finds(
+        (shape, labels) in labels(),
+        noise in any::<u64>(),
+        targets in prop::collection::vec(any::<u32>(), 1..6),
+    ) {
+        let grid = grid(shape);
+        let values: Vec<i16> = labels
+            .iter()
+            .enumerate()
+            .map(|(n, l)| i16::from(*l) * 300 - 1000 + (noise.rotate_left(n as u32) % 5) as i16)
+            .collect();
+        let view = VolumeView::new(&values, &grid).unwrap();
+        let binned = value_labels(&values, |_, _| false).labels;
+        let graph = pruned(&grid, &binned);
+        let greatest = greatest_gradient(view, &Unwatched).unwrap();
+        let table = PaperCost::build(view, graph.base(), greatest, &Unwatched).unwrap();
+        let cost = PrunedCost::new(&graph, &table);
+        let root = targets[0] % graph.num_nodes() as u32;
+        let mut tracker = Tracker::new(&graph, &cost, root).unwrap();
+        let truth = least_costs(&graph, &cost, tracker.quantum(), root);
+        for target in targets {
+            let target = target % graph.num_nodes() as u32;
+            prop_assert!(tracker.solve_to(&graph, &cost, target, &Unwatched).unwrap());
+            prop_assert_eq!(tracker.cost_quanta(target), truth[target as usize]);
+        }
+    }
+}
+
+fn pruned_lumen(
+    grid: &Grid,
+    lumen: &[u8],
+    view: VolumeView<'_, i16>,
+) -> IsoRegionGraph<LumenGraph> {
+    let base = LumenGraph::build(view, lumen, None).unwrap();
+    let voxel_box = base.voxel_box();
+    let labels: Vec<u8> = (0..voxel_box.num_voxels())
+        .map(|at| lumen[grid.index(voxel_box.voxel(at))])
+        .collect();
+    let radius = radii(&labels, voxel_box, &Unwatched).unwrap();
+    IsoRegionGraph::build(base, grid, &radius, &Unwatched).unwrap()
+}
+
+fn edge_costs(graph: &impl Graph, cost: &impl Cost) -> (f64, f64) {
+    let mut range = (f64::INFINITY, 0.0f64);
+    for node in 0..graph.num_nodes() as u32 {
+        graph.for_each_edge(node, |other, mm| {
+            let edge = mm * cost.weight(node, other);
+            range = (range.0.min(edge), range.1.max(edge));
+        });
+    }
+    range
+}
+
+#[test]
+fn a_large_room_keeps_its_walls_and_its_middle() {
+    let grid = grid([21, 21, 21]);
+    let graph = pruned(&grid, &vec![1u8; grid.num_voxels()]);
+    // The faces, and the one voxel in the middle that is farthest from all of them.
+    assert_eq!(graph.num_centers(), 1);
+    assert_eq!(graph.num_nodes(), 21usize.pow(3) - 19usize.pow(3) + 1);
+    let middle = graph.node_for_voxel([10, 10, 10]).unwrap();
+    let mut num_links = 0;
+    graph.for_each_edge(middle, |_, _| num_links += 1);
+    assert_eq!(num_links, 21usize.pow(3) - 19usize.pow(3));
+}
