@@ -372,6 +372,56 @@ def flood_lumen(
     """The lumen (1 or 0), and num_voxels, num_without_wall, leaks [(point_lps, level)]."""
 
 @final
+class GraphTracker:
+    """A graph with a cost, and the least-cost tree from one root."""
+
+    def __new__(
+        cls,
+        values_zyx: NDArray[np.int16],
+        lps_from_ijk: NDArray[np.float64],
+        *,
+        cost: str,
+        labels: str | None,
+        box_ijk: tuple[tuple[int, int, int], tuple[int, int, int]],
+        lumen_zyx: NDArray[np.uint8] | None,
+        levels: tuple[float, float, float] | None,
+        root_lps: tuple[float, float, float],
+        reach_mm: float,
+        cancel: Callable[[], bool] | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> GraphTracker: ...
+    @property
+    def build_s(self) -> float: ...
+    @property
+    def num_nodes(self) -> int: ...
+    @property
+    def num_centers(self) -> int: ...
+    @property
+    def num_settled(self) -> int: ...
+    @property
+    def quantum(self) -> float: ...
+    @property
+    def root(self) -> int: ...
+    def num_edges(self) -> int:
+        """Undirected edges, counted one by one."""
+    def place(
+        self, point_lps: tuple[float, float, float], reach_mm: float
+    ) -> tuple[int, tuple[float, float, float], float] | None:
+        """Node, centre of the voxel taken for the point, mm from there to the node."""
+    def solve_to(
+        self,
+        node: int,
+        *,
+        cancel: Callable[[], bool] | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> bool:
+        """True if a path exists."""
+    def cost(self, node: int) -> float | None:
+        """Least cost of a settled node."""
+    def path(self, node: int) -> tuple[NDArray[np.float64], NDArray[np.uint32]] | None:
+        """Voxel centres (n, 3) LPS from the root, and their nodes."""
+
+@final
 class LumenTracker:
     """Lumen graph and least-cost tree from one root."""
 

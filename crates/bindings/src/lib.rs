@@ -12,6 +12,7 @@ mod errors;
 mod gpu;
 mod isoregion;
 mod optics;
+mod paper_tracker;
 mod phantom;
 mod raycast;
 mod scope;
@@ -47,6 +48,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     gpu::register(module)?;
     airpath::register(module)?;
     cross_section::register(module)?;
+    paper_tracker::register(module)?;
     phantom::register(module)?;
     scope::register(module)?;
     views::register(module)?;

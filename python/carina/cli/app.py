@@ -131,8 +131,8 @@ def track(
     path: PathArgument,
     target: Annotated[list[str], typer.Option("--target", help="x,y,z in mm (LPS); may be given several times.")],
     root_: Annotated[str, typer.Option("--root", help="auto, or x,y,z in mm (LPS).")] = "auto",
-    cost: Annotated[str, typer.Option(help="Edge cost: lumen.")] = "lumen",
-    graph: Annotated[str, typer.Option(help="Graph: voxel.")] = "voxel",
+    cost: Annotated[str, typer.Option(help="Edge cost: lumen, or paper (6.2).")] = "lumen",
+    graph: Annotated[str, typer.Option(help="Graph: voxel, or isoregion (6.1).")] = "voxel",
     series: SeriesOption = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Tree file to write.")] = None,
     as_json: JsonOption = False,
@@ -140,19 +140,28 @@ def track(
     """Least-cost airway paths from the root to each target (the Intelligent Path Tracker, paper 6).
 
     A target outside the lumen is snapped to it when within 5 mm; a target without a path is exit code 4, and the other
-    targets are still written.
+    targets are still written. With --cost paper every voxel can be walked on: what of a path lies outside the lumen is
+    reported.
 
     Example: carina track scan.nii.gz --root auto --target -41,12,-180 --target 38,20,-176 -o tree.json
     """
     with exit_codes(as_json):
         from carina.cli.track import report
 
-        for what, value, allowed in (("--cost", cost, "lumen"), ("--graph", graph, "voxel")):
-            if value != allowed:
-                raise UsageError(f"{what}: expected {allowed} (others are not built yet); found {value!r}")
         start = None if root_ == "auto" else parse_point(root_, "--root")
         targets = [parse_point(text, "--target") for text in target]
-        raise SystemExit(report(path, root=start, targets=targets, series=series, output=output, as_json=as_json))
+        raise SystemExit(
+            report(
+                path,
+                root=start,
+                targets=targets,
+                cost=cost,
+                graph=graph,
+                series=series,
+                output=output,
+                as_json=as_json,
+            )
+        )
 
 
 @app.command()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from carina.cli.arguments import check_output_file
 from carina.cli.console import print_json, progress_printer, say
 from carina.errors import NoResultError
 from carina.export import write_tree
+from carina.track.paper import GraphSearch, check_choice, track_on_graph
 
 __all__ = ["report"]
 
@@ -22,6 +24,8 @@ def report(
     *,
     root: NDArray[np.float64] | None,
     targets: list[NDArray[np.float64]],
+    cost: str,
+    graph: str,
     series: str | None,
     output: Path | None,
     as_json: bool,
@@ -29,11 +33,18 @@ def report(
     """Track all targets and write the tree; 4 if one of them has no path (the others are written)."""
     if output is not None:
         check_output_file(output)
+    check_choice(cost, graph)
     progress = progress_printer()
     volume = carina.open_volume(path, series=series, progress=progress)
     for warning in volume.source.warnings:
         say(f"note: {warning}")
-    result = carina.track_paths(volume, root="auto" if root is None else root, targets=targets, progress=progress)
+    result = carina.track_paths(
+        volume, root="auto" if root is None else root, targets=targets, cost=cost, graph=graph, progress=progress
+    )
+    search = result.search
+    if search is None and as_json:
+        # Figures of the graph that paths are read from: built and searched once more, to the targets only.
+        search = track_on_graph(volume, result.airways, targets, cost=cost, graph=graph, progress=progress).search
     rows: list[dict[str, Any]] = []
     for number, target in enumerate(result.targets, 1):
         row: dict[str, Any] = {
@@ -49,19 +60,53 @@ def report(
                 "min_radius_mm": float(np.min(target.path.radius_mm)),
                 "generation": int(target.path.generation[-1]),
             }
+            outside = None if search is None else search.targets[number - 1]
+            if outside is not None:
+                row["search"] = dataclasses.asdict(outside)
+                if outside.num_outside:
+                    say(
+                        f"target {number}: {outside.num_outside} points of the path, {outside.outside_mm:.1f} mm, lie "
+                        "outside the airway lumen"
+                    )
             snapped = f", snapped {target.snapped_mm:.1f} mm to the lumen" if target.snapped_mm else ""
             say(f"target {number}: {target.path.length_mm:.1f} mm, generation {row['generation']}{snapped}")
         else:
             say(f"target {number}: {target.problem}")
         rows.append(row)
+    for note in () if result.search is None else result.search.notes:
+        say(f"note: {note}")
     found = [target for target in result.targets if target.path is not None]
     if output is not None and found:
         write_tree(output, result.tree)
         say(f"wrote {output}")
     if as_json:
-        print_json({"targets": rows, "tree": result.tree.to_json() if found else None})
+        print_json(
+            {
+                "cost": cost,
+                "graph": graph,
+                "search": None if search is None else _search_row(search),
+                "targets": rows,
+                "tree": result.tree.to_json() if found else None,
+            }
+        )
     if len(found) == len(result.targets):
         return 0
     if not found:
         say("carina: no path to any target; nothing was written")
     return NoResultError.exit_code
+
+
+def _search_row(search: GraphSearch) -> dict[str, Any]:
+    """The graph, for people who compare; what each target took is in its row."""
+    return {
+        "labels": search.labels,
+        "num_nodes": search.num_nodes,
+        "num_edges": search.num_edges,
+        "num_centers": search.num_centers,
+        "build_s": search.build_s,
+        "search_s": sum(target.search_s for target in search.targets if target is not None),
+        "quantum": search.quantum,
+        "box": {"first_ijk": list(search.first_ijk), "shape_ijk": list(search.shape_ijk), "whole": search.is_whole},
+        "branch_nodes_lps": search.branch_nodes_lps.tolist(),
+        "notes": list(search.notes),
+    }

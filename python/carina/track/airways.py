@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from carina.track.levels import AirScale, air_scale
 from carina.track.paths import SNAP_MM, Cancel, PathTracker, Point, TrackedPath, as_point, branches_from_rows, words
 from carina.track.tree import AirwayTree, Branch
 from carina.volume.model import Volume
+
+if TYPE_CHECKING:
+    from carina.track.paper import GraphSearch
 
 __all__ = ["Airways", "TargetResult", "TrackResult", "find_airways", "track_paths"]
 
@@ -74,6 +77,8 @@ class Airways:
     """Value at which the lumen ends (HU where the volume is in HU)."""
     notes: tuple[str, ...] = ()
     """What was limited or moved, in words."""
+    wall_levels: tuple[float, float, float] | None = None
+    """Values that tell lumen from wall on diagonal steps (certain air, half-way, rise); None for a given lumen."""
     edits: tuple[TreeEdit, ...] = ()
     """What a person changed since they were found, in order."""
 
@@ -103,6 +108,8 @@ class TrackResult:
     tree: AirwayTree
     targets: tuple[TargetResult, ...]
     airways: Airways
+    search: GraphSearch | None = None
+    """The graph that was searched and what that took; None for the cost ``lumen`` on the voxel graph."""
 
 
 def find_airways(
@@ -191,6 +198,7 @@ def find_airways(
         tracker=tracker,
         threshold=end,
         notes=tuple(notes),
+        wall_levels=levels,
     )
 
 
@@ -200,6 +208,7 @@ def track_paths(
     root: Literal["auto"] | Sequence[float] | NDArray[np.float64] = "auto",
     targets: Sequence[Sequence[float] | NDArray[np.float64]],
     cost: str = "lumen",
+    graph: str = "voxel",
     airways: Airways | None = None,
     lumen_threshold: float | None = None,
     snap_mm: float = SNAP_MM,
@@ -216,7 +225,10 @@ def track_paths(
         Points, LPS mm. One outside the lumen is moved to the nearest lumen voxel within ``snap_mm``, and the result
         says so.
     cost
-        ``lumen``: keep to the middle of the airway.
+        ``lumen``: keep to the middle of the airway. ``paper``: the paper's formula (6.2) on all voxels; it follows
+        edges and may leave the lumen, ``search`` says where. Its targets are not moved.
+    graph
+        ``voxel``, or ``isoregion``: pruned as in paper 6.1.
     airways
         Airways found before; they keep their root unless ``root`` is given.
 
@@ -229,13 +241,13 @@ def track_paths(
     Raises
     ------
     UsageError
-        If a target is not a point in the volume, there is none, or the cost is unknown.
+        If a target is not a point in the volume, there is none, or cost or graph is unknown.
     NoResultError
         If the airways cannot be found at all.
     """
-    if cost != "lumen":
-        msg = f"cost: expected 'lumen', found {cost!r}"
-        raise UsageError(msg)
+    from carina.track.paper import check_choice, track_on_graph
+
+    check_choice(cost, graph)
     points = [as_point(target) for target in targets]
     if not points:
         raise UsageError("give at least one target")
@@ -250,6 +262,10 @@ def track_paths(
     if airways is None or (start is not None and not np.array_equal(as_point(start), airways.root_lps)):
         airways = find_airways(
             volume, root_lps=start, lumen_threshold=lumen_threshold, progress=progress, cancel=cancel
+        )
+    if (cost, graph) != ("lumen", "voxel"):
+        return track_on_graph(
+            volume, airways, points, cost=cost, graph=graph, snap_mm=snap_mm, progress=progress, cancel=cancel
         )
     results: list[TargetResult] = []
     for point in points:

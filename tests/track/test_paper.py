@@ -1,0 +1,202 @@
+"""The paper's cost and graph through their Python face: four pairs, one contract."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import carina
+from carina._core import GraphTracker
+from carina.errors import CancelledError, UsageError
+from carina.track.paper import BYTES_PER_VOXEL, COSTS, GRAPHS, search_box, track_on_graph
+from carina.volume.model import Volume
+
+PAIRS = list(itertools.product(COSTS, GRAPHS))
+
+
+@pytest.fixture(scope="module")
+def found(chest):
+    return carina.find_airways(chest.volume)
+
+
+@pytest.fixture(scope="module")
+def ends(chest):
+    """Points in the middle of the four lobar bronchi, 4 mm before their ends."""
+    return [b + 4.0 * (a - b) / np.linalg.norm(b - a) for a, b, _ in chest.tubes[3:]]
+
+
+@pytest.mark.parametrize(("cost", "graph"), PAIRS)
+def test_every_pair_finds_all_targets_and_a_tree_of_back_pointers(chest, found, ends, cost, graph):
+    result = track_on_graph(chest.volume, found, ends, cost=cost, graph=graph)
+    search = result.search
+    assert search is not None
+    assert [t.problem for t in result.targets] == [None] * 4
+    tips = {branch.id for branch in result.tree.tips()}
+    # Targets in different lobes: four tips, and a branch node for every parting.
+    assert len(tips) == 4
+    parted = [branch for branch in result.tree.branches if len(branch.children) > 1]
+    assert len(search.branch_nodes_lps) == len(parted)
+    for branch in parted:
+        assert (np.linalg.norm(search.branch_nodes_lps - branch.points[-1], axis=1) == 0.0).any()
+    for target, row in zip(result.targets, search.targets, strict=True):
+        path = target.path
+        assert path is not None
+        assert row is not None
+        # A voxel's half diagonal: the path ends in the voxel that holds the target.
+        assert np.linalg.norm(path.points_lps[-1] - target.used_lps) <= 0.5 * np.linalg.norm(chest.volume.spacing_mm)
+        assert np.linalg.norm(path.points_lps[0] - found.root_lps) <= 1.0 + np.linalg.norm(chest.volume.spacing_mm)
+        assert path.cost == row.cost > 0.0
+        inside = found.tracker.inside(path.voxel_path_lps)
+        assert row.num_outside == int((~inside).sum())
+        if cost == "lumen":
+            assert row.num_outside == 0
+            assert row.outside_mm == 0.0
+            assert found.tracker.inside(path.points_lps).all()
+    assert search.num_nodes > 0
+    assert search.num_edges > search.num_nodes
+    # With 12 HU of noise no cube of 27 voxels lies in one bin of 16 HU: the bins of the cost paper prune nothing.
+    assert (search.num_centers > 0) == (graph == "isoregion" and search.labels == "lumen")
+
+
+def test_the_voxel_graph_of_the_lumen_has_the_costs_of_the_tracker_that_the_tree_came_from(chest, found, ends):
+    result = track_on_graph(chest.volume, found, ends, cost="lumen", graph="voxel")
+    for target, end in zip(result.targets, ends, strict=True):
+        assert target.path is not None
+        # Equal edges; the two may round to another quantum.
+        assert target.path.cost == pytest.approx(found.tracker.path_to(end).cost, rel=0.01)
+
+
+def test_the_pruned_lumen_has_fewer_nodes_and_never_a_cheaper_path(chest, found, ends):
+    whole = track_on_graph(chest.volume, found, ends, cost="lumen", graph="voxel").search
+    for labels in ("lumen", "bins"):
+        pruned = track_on_graph(chest.volume, found, ends, cost="lumen", graph="isoregion", labels=labels).search
+        assert pruned.labels == labels
+        assert pruned.num_nodes <= whole.num_nodes
+        for less, full in zip(pruned.targets, whole.targets, strict=True):
+            assert less.cost >= 0.99 * full.cost
+    assert track_on_graph(chest.volume, found, ends, cost="lumen", graph="isoregion").search.num_nodes < whole.num_nodes
+
+
+def test_without_noise_bins_prune_tissue_and_lumen_and_targets_have_a_node_that_stands_for_them(chest, found, ends):
+    values = np.where(found.lumen_zyx != 0, -1000, np.where(chest.volume.hu_zyx > -400, 30, -880)).astype(np.int16)
+    volume = Volume(values, chest.volume.lps_from_ijk)
+    whole = track_on_graph(volume, found, ends, cost="paper", graph="voxel").search
+    bins = track_on_graph(volume, found, ends, cost="paper", graph="isoregion").search
+    lumen = track_on_graph(volume, found, ends, cost="paper", graph="isoregion", labels="lumen").search
+    assert bins.num_nodes < 0.6 * whole.num_nodes
+    # Labels of the lumen cut away nothing outside it.
+    assert bins.num_nodes < lumen.num_nodes < whole.num_nodes
+    for target in bins.targets:
+        assert target is not None
+        assert target.to_node_mm < 20.0
+    assert None not in lumen.targets
+
+
+def test_track_paths_takes_cost_and_graph(chest, found, ends):
+    result = carina.track_paths(chest.volume, targets=ends[:1], cost="paper", graph="isoregion", airways=found)
+    assert result.search is not None
+    assert (result.search.cost, result.search.graph, result.search.labels) == ("paper", "isoregion", "bins")
+    assert result.search.is_whole
+    plain = carina.track_paths(chest.volume, targets=ends[:1], airways=found)
+    assert plain.search is None
+
+
+@pytest.mark.parametrize(("cost", "graph"), [("dijkstra", "voxel"), ("paper", "octree"), ("", "voxel")])
+def test_what_does_not_exist_is_refused(chest, found, ends, cost, graph):
+    with pytest.raises(UsageError, match=r"expected .* or .*, found"):
+        carina.track_paths(chest.volume, targets=ends[:1], cost=cost, graph=graph, airways=found)
+
+
+def test_a_target_far_from_the_lumen_has_a_path_by_the_papers_cost_only(chest, found):
+    tissue = chest.tubes[0][0] + np.array([20.0, 10.0, -10.0])
+    by_lumen = track_on_graph(chest.volume, found, [tissue], cost="lumen", graph="isoregion")
+    assert by_lumen.targets[0].path is None
+    assert "from the airway lumen" in str(by_lumen.targets[0].problem)
+    assert by_lumen.search.targets == (None,)
+    by_paper = track_on_graph(chest.volume, found, [tissue], cost="paper", graph="voxel")
+    row = by_paper.search.targets[0]
+    assert row.num_outside > 0
+    # It lies 15 mm outside the trachea, so at least that much of the way does.
+    assert row.outside_mm > 12.0
+    assert by_paper.targets[0].path.radius_mm[-1] == 0.0
+
+
+def test_a_second_target_on_the_way_costs_no_search(chest, found, ends):
+    root, first = found.root_lps, ends[0]
+    path = track_on_graph(chest.volume, found, [first], cost="paper", graph="voxel").targets[0].path
+    middle = path.voxel_path_lps[len(path.voxel_path_lps) // 2]
+    again = track_on_graph(chest.volume, found, [first, middle, root], cost="paper", graph="voxel")
+    assert [row.num_settled for row in again.search.targets][1:] == [0, 0]
+    # A target that is the root itself has a path of one node and no cost.
+    assert again.search.targets[2].cost == 0.0
+    # Both lie on the way to the first, so the tree is one branch.
+    assert len(again.tree.branches) == 1
+
+
+def test_a_stop_is_answered(chest, found, ends):
+    with pytest.raises(CancelledError):
+        track_on_graph(chest.volume, found, ends, cost="paper", graph="isoregion", cancel=lambda: True)
+
+
+def test_the_box_is_the_volume_where_it_fits_and_else_round_the_targets(chest):
+    volume = chest.volume
+    points = [chest.tubes[0][0], chest.tubes[1][1]]
+    shape = volume.shape_zyx[::-1]
+    assert search_box(volume, points) == ((0, 0, 0), shape)
+    small = BYTES_PER_VOXEL["voxel"] * (int(np.prod(shape)) - 1)
+    first, box = search_box(volume, points, max_bytes=small)
+    ijk = volume.to_ijk(np.array(points))
+    assert all(box[a] < shape[a] for a in range(2))
+    for axis in range(3):
+        assert first[axis] <= ijk[:, axis].min()
+        assert ijk[:, axis].max() <= first[axis] + box[axis] - 1
+        assert first[axis] + box[axis] <= shape[axis]
+    with pytest.raises(UsageError, match="MiB"):
+        search_box(volume, points, max_bytes=1 << 12)
+
+
+@settings(max_examples=20, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    step=st.sampled_from([1, 40, 400]),
+    order=st.permutations(range(6)),
+    labels=st.sampled_from([None, "bins"]),
+)
+def test_targets_in_any_order_cost_what_a_search_from_scratch_finds(seed, step, order, labels):
+    rng = np.random.default_rng(seed)
+    values = (rng.integers(0, 3, (6, 7, 8)) * step - 1000).astype(np.int16)
+    values[1:5, 1:6, 1:7] = -1000
+    matrix = np.diag([0.7, 0.9, 2.0, 1.0])
+    volume = Volume(values, matrix)
+    targets = [tuple(float(v) for v in p) for p in rng.uniform(0, 1, (6, 3)) * [4.9, 5.4, 10.0]]
+
+    def tracker() -> GraphTracker:
+        return GraphTracker(
+            volume.hu_zyx,
+            volume.lps_from_ijk,
+            cost="paper",
+            labels=labels,
+            box_ijk=((0, 0, 0), (8, 7, 6)),
+            lumen_zyx=None,
+            levels=None,
+            root_lps=(0.0, 0.0, 0.0),
+            reach_mm=1.0,
+        )
+
+    resumed = tracker()
+    for n in order:
+        node, _, _ = resumed.place(targets[n], 1.0)
+        assert resumed.solve_to(node)
+        scratch = tracker()
+        assert scratch.solve_to(node)
+        assert resumed.cost(node) == scratch.cost(node)
+        points, nodes = resumed.path(node)
+        assert nodes[0] == resumed.root
+        assert nodes[-1] == node
+        # The weights lie between 1/256 and 1, so the cost does between that share of the length and all of it.
+        length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        assert length / 256 * 0.99 <= resumed.cost(node) <= length * 1.005 + 1e-9
