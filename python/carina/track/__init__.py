@@ -19,6 +19,7 @@ from carina.track.edits import (
 )
 from carina.track.levels import lumen_threshold_from_histogram
 from carina.track.measures import BranchMeasures, BranchSummary, ForkMeasures, Stenosis, TreeMeasures, measure_tree
+from carina.track.names import LetterRule, NameWords, branch_side_and_lobe, name_tree, name_words
 from carina.track.paths import PathTracker, TrackedPath
 from carina.track.tree import AirwayTree, Branch, Route
 
@@ -32,8 +33,10 @@ __all__ = [
     "Bridge",
     "CutBranch",
     "ForkMeasures",
+    "LetterRule",
     "MoveFork",
     "MoveRoot",
+    "NameWords",
     "PaintLumen",
     "PathTracker",
     "RenameBranch",
@@ -45,6 +48,7 @@ __all__ = [
     "TrackedPath",
     "TreeEdit",
     "TreeMeasures",
+    "branch_side_and_lobe",
     "edit_airways",
     "edit_words",
     "edits_from_json",
@@ -52,6 +56,8 @@ __all__ = [
     "find_airways",
     "lumen_threshold_from_histogram",
     "measure_tree",
+    "name_tree",
+    "name_words",
     "rebuild_airways",
     "track_paths",
 ]

@@ -1,0 +1,391 @@
+"""What anatomy expects of a bronchial tree: segments, where they lie, how they group on stems, and how often.
+
+Directions and places are those of anatomy atlases in words ("posterior and slightly up", "lowest, towards the back"),
+put into numbers by hand with wide tolerances; they are not fitted to any scan. Shares of variants are those of the
+studies named beside them. Everything is written for a body frame: x away from the midline (lateral), y
+posterior, z superior.
+
+The model is a grammar. A branch *carries* a set of segments; a fork divides the set between its two sides; a set of one
+segment is that segment's bronchus. States of the grammar:
+
+- an exact set of segments of one lobe ("RB9 and RB10, and these are all that is seen");
+- a lobe: any set of its segments, with the odds of one being absent or not found;
+- trunks of several lobes: trachea, main bronchi, bronchus intermedius, and their uncommon forms.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["LOBES", "Division", "Grammar", "Segment", "grammar"]
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """One segment of the model."""
+
+    key: str
+    """Its name: RB1 ... LB10; LB1 and LB2 are the two halves of LB1+2; RB*, LB* the subsuperior segment."""
+    lobe: str
+    direction: Vector
+    """Where its bronchus goes."""
+    place: Vector
+    """Where its territory lies in its lung, from the lung's middle, in about half lung heights."""
+    absent: float
+    """Odds that it is not on a good CT's tree: truly absent, or not found."""
+    bulk: float = 1.0
+    """Its share of tree, beside other segments'."""
+
+
+# Absent: RB7 6.1 %, B* present in 16 % (MESA, n = 3,169); no B9 in 18 % of 238 (Huang 2019); the rest: not found.
+_RIGHT = (
+    Segment("RB1", "RUL", (0.35, 0.05, 0.93), (0.10, 0.05, 1.00), 0.04),
+    Segment("RB2", "RUL", (0.55, 0.75, 0.35), (0.30, 0.55, 0.65), 0.04),
+    Segment("RB3", "RUL", (0.50, -0.85, 0.10), (0.15, -0.70, 0.50), 0.04),
+    Segment("RB4", "RML", (0.80, -0.50, -0.35), (0.40, -0.55, -0.25), 0.04),
+    Segment("RB5", "RML", (0.35, -0.80, -0.45), (-0.10, -0.80, -0.40), 0.04),
+    Segment("RB6", "RLL", (0.35, 0.92, 0.10), (0.15, 0.75, 0.15), 0.04),
+    Segment("RB*", "RLL", (0.35, 0.85, -0.35), (0.15, 0.70, -0.30), 0.94, 0.4),
+    Segment("RB7", "RLL", (-0.15, -0.20, -0.97), (-0.30, -0.05, -0.75), 0.10, 0.6),
+    Segment("RB8", "RLL", (0.50, -0.45, -0.75), (0.30, -0.25, -0.75), 0.05),
+    Segment("RB9", "RLL", (0.75, 0.20, -0.65), (0.40, 0.20, -0.75), 0.15),
+    Segment("RB10", "RLL", (0.20, 0.55, -0.80), (0.00, 0.55, -0.75), 0.04),
+)
+_LEFT = (
+    Segment("LB1", "LUL", (0.30, 0.10, 0.95), (0.05, 0.10, 1.00), 0.04, 0.6),
+    Segment("LB2", "LUL", (0.45, 0.65, 0.55), (0.25, 0.50, 0.70), 0.04, 0.6),
+    Segment("LB3", "LUL", (0.50, -0.80, 0.30), (0.10, -0.70, 0.45), 0.04),
+    Segment("LB4", "LUL", (0.80, -0.55, -0.10), (0.30, -0.65, -0.05), 0.05, 0.7),
+    Segment("LB5", "LUL", (0.50, -0.70, -0.50), (0.05, -0.80, -0.35), 0.05, 0.7),
+    Segment("LB6", "LLL", (0.35, 0.92, 0.10), (0.15, 0.75, 0.15), 0.04),
+    Segment("LB*", "LLL", (0.35, 0.85, -0.35), (0.15, 0.70, -0.30), 0.94, 0.4),
+    Segment("LB8", "LLL", (0.45, -0.45, -0.78), (0.20, -0.25, -0.75), 0.05),
+    Segment("LB9", "LLL", (0.75, 0.20, -0.65), (0.40, 0.20, -0.75), 0.12),
+    Segment("LB10", "LLL", (0.20, 0.55, -0.80), (0.00, 0.55, -0.75), 0.04),
+)
+
+LOBES: dict[str, tuple[str, ...]] = {
+    lobe: tuple(s.key for s in (*_RIGHT, *_LEFT) if s.lobe == lobe) for lobe in ("RUL", "RML", "RLL", "LUL", "LLL")
+}
+
+# How apt a group of segments is to share a stem; the others get the lobe's last figure. RUL: B1-B2-B3 together 59 %,
+# B1+2 18 %, two stems of another kind 12 %, B2+3 9 % (Huang 2019); a short common piece of three goes to any pair.
+# LUL: LB1+2 and LB3 76.1 %, three together 17.3 %, LB1+3 5.7 % (n = 10,000). RLL: common B8-B9-B10 9 %, B8+9 11 %
+# (Huang 2019), B9+10 the usual rest.
+_STEMS: dict[str, tuple[dict[frozenset[str], float], float]] = {
+    "RUL": ({frozenset({"1", "2"}): 0.40, frozenset({"2", "3"}): 0.28, frozenset({"1", "3"}): 0.26}, 0.1),
+    "RML": ({}, 0.1),
+    "RLL": (
+        {
+            frozenset({"7", "8", "9", "10"}): 1.0,
+            frozenset({"8", "9", "10"}): 0.9,
+            frozenset({"9", "10"}): 0.8,
+            frozenset({"8", "9"}): 0.45,
+            frozenset({"7", "8"}): 0.35,
+            frozenset({"7", "9", "10"}): 0.15,
+            frozenset({"7", "8", "9"}): 0.12,
+            frozenset({"7", "10"}): 0.12,
+            frozenset({"7", "8", "10"}): 0.05,
+            frozenset({"*", "7", "8", "9", "10"}): 1.0,
+            frozenset({"*", "8", "9", "10"}): 0.5,
+        },
+        0.02,
+    ),
+    "LUL": (
+        {
+            frozenset({"1", "2"}): 1.0,
+            frozenset({"1", "2", "3"}): 1.0,
+            frozenset({"4", "5"}): 1.0,
+            frozenset({"1", "3"}): 0.01,
+            frozenset({"3", "4", "5"}): 0.06,
+        },
+        0.005,
+    ),
+    "LLL": (
+        {
+            frozenset({"8", "9", "10"}): 1.0,
+            frozenset({"9", "10"}): 0.8,
+            frozenset({"8", "9"}): 0.45,
+            frozenset({"*", "8", "9", "10"}): 1.0,
+            frozenset({"8", "10"}): 0.05,
+        },
+        0.02,
+    ),
+}
+
+# Directions of trunks, x lateral (trachea and carina: x left).
+_TRUNKS: dict[str, Vector] = {
+    "RMB": (0.50, 0.10, -0.85),
+    "BI": (0.25, 0.20, -0.95),
+    "RUL": (0.90, 0.00, 0.25),
+    "RML": (0.45, -0.75, -0.45),
+    "RLL": (0.25, 0.30, -0.92),
+    "LMB": (0.75, 0.15, -0.62),
+    "LUL": (0.80, -0.40, 0.20),
+    "LLL": (0.30, 0.40, -0.87),
+}
+
+TRUNCATED = math.log(0.25)
+"""A stem whose branch ends before it divides."""
+DOUBLE = math.log(0.1)
+"""Two bronchi of one segment that leave the same fork side by side."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Division:
+    """All ways in which a state divides in two, both orders, as arrays sorted by the dividing state."""
+
+    state: NDArray[np.intp]
+    one: NDArray[np.intp]
+    two: NDArray[np.intp]
+    log_prior: NDArray[np.float64]
+    place: NDArray[np.float64]
+    """(n, 3) unit vector from the middle of ``two`` to that of ``one``."""
+    direction: NDArray[np.float64]
+    """(n, 3) likewise of the bronchi's directions."""
+    log_bulk: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grammar:
+    """The states and their rules, as arrays."""
+
+    names: list[str]
+    """What a state is called."""
+    segments: list[frozenset[str]]
+    """Keys of the segments that a state carries (nominally)."""
+    lobe: list[str | None]
+    kind: list[str]
+    """``segment``, ``set``, ``lobe`` or ``trunk``."""
+    direction: NDArray[np.float64]
+    place: NDArray[np.float64]
+    log_calibre: NDArray[np.float64]
+    """Log of its radius in radii of a bronchus of one segment: flow goes with the cube."""
+    side: NDArray[np.float64]
+    """-1 right, +1 left, 0 both."""
+    terminal: NDArray[np.bool_]
+    division: Division
+    shrink: list[tuple[int, NDArray[np.intp], NDArray[np.float64]]]
+    """For each state that may stand for others: itself, those, log odds; in an order in which they can be summed up."""
+    root_log_prior: NDArray[np.float64]
+    index: dict[str, int] = field(repr=False, default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def _stem_aptness(lobe: str, part: frozenset[str], seen: frozenset[str]) -> float:
+    """Of a stem that carries ``part`` of what is ``seen``: unseen segments may have been on it too."""
+    if len(part) == 1:
+        return 1.0
+    if "*" in part and ("8" in seen - part or len(part - {"6"}) < 3):
+        # B* leaves the whole basal trunk; a bronchus to its region from further down is a branch of RB9 or RB10.
+        return 0.0
+    table, other = _STEMS[lobe]
+    best = other
+    for group, aptness in table.items():
+        if group & seen == part:
+            best = max(best, aptness)
+    return best
+
+
+def _short(key: str) -> str:
+    return key[2:]
+
+
+def _set_name(lobe: str, keys: frozenset[str]) -> str:
+    order = [key for key in LOBES[lobe] if key in keys and (len(keys) == 1 or not key.endswith("*"))]
+    if lobe == "LUL" and {"LB1", "LB2"} <= keys:
+        if keys == {"LB1", "LB2", "LB3"}:
+            return "Upper division"
+        if len(keys) == 5:
+            return "LUL"
+    if keys == frozenset(LOBES[lobe]) or keys == {key for key in LOBES[lobe] if not key.endswith("*")}:
+        return lobe
+    if keys == {"LB4", "LB5"}:
+        return "Lingula"
+    return order[0][:2] + "+".join(_short(key) for key in order)
+
+
+class _Builder:
+    def __init__(self) -> None:
+        self.names: list[str] = []
+        self.kind: list[str] = []
+        self.keys: list[frozenset[str]] = []
+        self.lobe: list[str | None] = []
+        self.trunk: list[Vector | None] = []
+        self.index: dict[str, int] = {}
+        self.rows: list[tuple[int, int, int, float]] = []
+        self.shrink: list[tuple[int, NDArray[np.intp], NDArray[np.float64]]] = []
+
+    def add(
+        self, label: str, *, name: str, kind: str, keys: frozenset[str], lobe: str | None, trunk: Vector | None = None
+    ) -> int:
+        self.index[label] = len(self.names)
+        self.names.append(name)
+        self.kind.append(kind)
+        self.keys.append(keys)
+        self.lobe.append(lobe)
+        self.trunk.append(trunk)
+        return self.index[label]
+
+    def divide(self, state: str, one: str, two: str, share: float) -> None:
+        at = self.index
+        self.rows.append((at[state], at[one], at[two], math.log(share)))
+        self.rows.append((at[state], at[two], at[one], math.log(share)))
+
+    def stands_for(self, state: str, others: list[tuple[str, float]]) -> None:
+        which = np.array([self.index[other] for other, _ in others], dtype=np.intp)
+        odds = np.log(np.array([share for _, share in others]))
+        self.shrink.append((self.index[state], which, odds))
+
+
+def _exact(keys: frozenset[str]) -> str:
+    return "=" + ",".join(sorted(keys))
+
+
+def _add_lobe(build: _Builder, lobe: str, segments: dict[str, Segment]) -> None:
+    """Exact sets of a lobe's segments, how they divide, and the lobe itself."""
+    keys = LOBES[lobe]
+    sets = [frozenset(c) for size in range(1, len(keys) + 1) for c in itertools.combinations(keys, size)]
+    for keys_of in sets:
+        single = len(keys_of) == 1 or keys_of == {"LB1", "LB2"}
+        name = _set_name(lobe, keys_of)
+        trunk = _TRUNKS[lobe] if name == lobe else None
+        build.add(_exact(keys_of), name=name, kind="segment" if single else "set", keys=keys_of, lobe=lobe, trunk=trunk)
+    for whole in sets:
+        if len(whole) == 1 or whole == {"LB1", "LB2"}:
+            continue
+        seen = frozenset(_short(key) for key in whole)
+        # Each unordered pair once: the part with the first key.
+        first = min(whole, key=keys.index)
+        parts = [part for part in sets if part < whole and first in part]
+        apt = [
+            _stem_aptness(lobe, frozenset(map(_short, part)), seen)
+            * _stem_aptness(lobe, frozenset(map(_short, whole - part)), seen)
+            for part in parts
+        ]
+        total = sum(apt)
+        for part, weight in zip(parts, apt, strict=True):
+            if weight > 0.0:
+                build.divide(_exact(whole), _exact(part), _exact(whole - part), weight / total)
+
+    def odds(part: frozenset[str], of: tuple[str, ...]) -> float:
+        # LB1 without LB2 is a part of LB1+2 that was named on its own: hardly ever.
+        halves = len(part & {"LB1", "LB2"}) == 1
+        share = math.prod(1.0 - segments[k].absent if k in part else segments[k].absent for k in of)
+        return share * (0.05 if halves else 1.0)
+
+    build.add(lobe, name=lobe, kind="lobe", keys=frozenset(keys), lobe=lobe, trunk=_TRUNKS[lobe])
+    build.stands_for(lobe, [(_exact(part), odds(part, keys)) for part in sets])
+    if lobe in {"RLL", "RUL"}:
+        # Without RB6, which left before; without RB1, which comes from the trachea or the main bronchus.
+        gone = "RB6" if lobe == "RLL" else "RB1"
+        rest = tuple(key for key in keys if key != gone)
+        name = "Right basal trunk" if lobe == "RLL" else "RUL"
+        build.add(f"{lobe}-{gone}", name=name, kind="lobe", keys=frozenset(rest), lobe=lobe, trunk=_TRUNKS[lobe])
+        build.stands_for(f"{lobe}-{gone}", [(_exact(p), odds(p, rest)) for p in sets if gone not in p])
+
+
+@functools.cache
+def grammar() -> Grammar:
+    """The grammar of both lungs, usual and uncommon."""
+    segments = {s.key: s for s in (*_RIGHT, *_LEFT)}
+    build = _Builder()
+    for lobe in LOBES:
+        _add_lobe(build, lobe, segments)
+    right, left = frozenset(s.key for s in _RIGHT), frozenset(s.key for s in _LEFT)
+    lower = frozenset(LOBES["RML"] + LOBES["RLL"])
+    build.add("BI-RB6", name="BI", kind="trunk", keys=lower - {"RB6"}, lobe=None, trunk=_TRUNKS["BI"])
+    build.add("BI", name="BI", kind="trunk", keys=lower, lobe=None, trunk=_TRUNKS["BI"])
+    build.add("RMB-RB1", name="RMB", kind="trunk", keys=right - {"RB1"}, lobe=None, trunk=_TRUNKS["RMB"])
+    build.add("RMB", name="RMB", kind="trunk", keys=right, lobe=None, trunk=_TRUNKS["RMB"])
+    build.add("LMB", name="LMB", kind="trunk", keys=left, lobe=None, trunk=_TRUNKS["LMB"])
+    trachea = (0.0, 0.22, -0.97)
+    build.add("Trachea-RUL", name="Trachea", kind="trunk", keys=left | lower, lobe=None, trunk=trachea)
+    build.add("Trachea-RB1", name="Trachea", kind="trunk", keys=left | (right - {"RB1"}), lobe=None, trunk=trachea)
+    build.add("Trachea", name="Trachea", kind="trunk", keys=left | right, lobe=None, trunk=trachea)
+
+    build.divide("BI-RB6", "RML", "RLL-RB6", 1.0)
+    build.divide("BI", "RML", "RLL", 0.94)
+    build.divide("BI", _exact(frozenset({"RB6"})), "BI-RB6", 0.03)
+    build.divide("RMB-RB1", "RUL-RB1", "BI", 1.0)
+    build.divide("RMB", "RUL", "BI", 0.96)
+    build.divide("RMB", _exact(frozenset({"RB1"})), "RMB-RB1", 0.005)
+    build.divide("LMB", "LUL", "LLL", 0.97)
+    build.divide("Trachea", "RMB", "LMB", 0.97)
+    # A tracheal bronchus: RB1 alone, or the whole upper lobe (0.1 to 2 %).
+    build.divide("Trachea", _exact(frozenset({"RB1"})), "Trachea-RB1", 0.006)
+    build.divide("Trachea", "RUL", "Trachea-RUL", 0.004)
+    build.divide("Trachea-RB1", "RMB-RB1", "LMB", 1.0)
+    build.divide("Trachea-RUL", "BI", "LMB", 1.0)
+    # A lobe or a lung that was removed, collapsed or cut off.
+    build.stands_for("BI", [("RLL", 0.02), ("RML", 0.004)])
+    build.stands_for("RMB", [("BI", 0.01), ("RUL", 0.004)])
+    build.stands_for("LMB", [("LLL", 0.01), ("LUL", 0.01)])
+    build.stands_for("Trachea", [("RMB", 0.006), ("LMB", 0.006)])
+
+    count = len(build.names)
+    direction, place, side, bulk = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count), np.zeros(count)
+    for number, keys in enumerate(build.keys):
+        parts = [segments[key] for key in sorted(keys)]
+        bulk[number] = sum(p.bulk for p in parts)
+        sides = {-1.0 if p.key.startswith("R") else 1.0 for p in parts}
+        # x of the model is lateral: turn it to the patient's left.
+        mirror = [np.array([-1.0 if p.key.startswith("R") else 1.0, 1.0, 1.0]) for p in parts]
+        weights = np.array([p.bulk for p in parts])
+        off_middle = [np.array([0.75, 0.0, 0.0]) + p.place for p in parts]
+        place[number] = np.average([o * m for o, m in zip(off_middle, mirror, strict=True)], axis=0, weights=weights)
+        mean = np.average(
+            [np.array(p.direction) * m for p, m in zip(parts, mirror, strict=True)], axis=0, weights=weights
+        )
+        trunk = build.trunk[number]
+        if trunk is not None:
+            mean = np.array(trunk) * (mirror[0] if len(sides) == 1 else 1.0)
+        direction[number] = mean / np.linalg.norm(mean)
+        side[number] = next(iter(sides)) if len(sides) == 1 else 0.0
+    rows = sorted(build.rows, key=lambda row: row[0])
+    state, one, two = (np.array([row[k] for row in rows], dtype=np.intp) for k in range(3))
+    toward = place[one] - place[two]
+    turn = direction[one] - direction[two]
+    root = np.full(count, -np.inf)
+    # A tree that does not begin in the trachea was given its root by a person, or the volume is cropped.
+    for label, share in (
+        ("Trachea", 0.93),
+        ("RMB", 0.02),
+        ("LMB", 0.02),
+        ("BI", 0.005),
+        *((lobe, 0.005) for lobe in LOBES),
+    ):
+        root[build.index[label]] = math.log(share)
+    return Grammar(
+        names=build.names,
+        segments=build.keys,
+        lobe=build.lobe,
+        kind=build.kind,
+        direction=direction,
+        place=place,
+        log_calibre=np.log(bulk) / 3.0,
+        side=side,
+        terminal=np.array([kind == "segment" for kind in build.kind]),
+        division=Division(
+            state=state,
+            one=one,
+            two=two,
+            log_prior=np.array([row[3] for row in rows]),
+            place=toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-9),
+            direction=turn / np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1e-9),
+            log_bulk=np.log(bulk[one] / bulk[two]),
+        ),
+        shrink=build.shrink,
+        root_log_prior=root,
+        index=build.index,
+    )

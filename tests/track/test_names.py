@@ -1,0 +1,374 @@
+"""Names of bronchi: true trees of phantoms, turned, mirrored, pruned, cut, grown over with twigs."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+import pytest
+
+from carina.phantom import generate_phantom
+from carina.track import AirwayTree, Branch, LetterRule, branch_side_and_lobe, name_tree, name_words
+from carina.track.names_letters import letter_order
+from carina.track.names_model import LOBES, grammar
+
+SEEDS = range(1, 7)
+LOBE_OF = {
+    **dict.fromkeys(("RUL", "RB1", "RB2", "RB3", "RB1+2", "RB2+3"), "RUL"),
+    **dict.fromkeys(("RML", "RB4", "RB5"), "RML"),
+    **dict.fromkeys(("RLL", "RB6", "RB7", "RB8", "RB9", "RB10", "RB9+10", "Right basal trunk"), "RLL"),
+    **dict.fromkeys(("LUL", "LB1+2", "LB3", "LB4", "LB5", "Lingula", "Upper division"), "LUL"),
+    **dict.fromkeys(("LLL", "LB6", "LB8", "LB9", "LB10", "LB9+10", "Left basal trunk"), "LLL"),
+}
+
+
+@functools.cache
+def true_tree(seed: int) -> AirwayTree:
+    """The exact tree; hardly any voxels are made."""
+    box = ((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0))
+    return AirwayTree.from_json(generate_phantom(seed=seed, spacing_mm=5.0, box_lps=box).truth)
+
+
+def is_segment(name: str | None) -> bool:
+    return name is not None and name[1:2] == "B" and (name == "LB1+2" or "+" not in name)
+
+
+def moved(tree: AirwayTree, matrix: np.ndarray, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> AirwayTree:
+    """Every point x becomes ``matrix`` x + ``offset``; radii grow with the matrix."""
+    scale = abs(float(np.linalg.det(matrix))) ** (1 / 3)
+    return AirwayTree(
+        tuple(
+            dataclasses.replace(b, points=b.points @ matrix.T + np.array(offset), radius=b.radius * scale)
+            for b in tree.branches
+        )
+    )
+
+
+def turned(axis: tuple[float, float, float], deg: float) -> np.ndarray:
+    k = np.array(axis) / np.linalg.norm(axis)
+    cross = np.array([[0, -k[2], k[1]], [k[2], 0, -k[0]], [-k[1], k[0], 0]])
+    a = math.radians(deg)
+    return np.eye(3) + math.sin(a) * cross + (1 - math.cos(a)) * cross @ cross
+
+
+def rooted_at(tree: AirwayTree, name: str) -> AirwayTree:
+    """What hangs on one branch, as a tree of its own."""
+    root = tree.named(name)
+    assert root is not None
+    kept = {root.id}
+    for b in tree.branches:
+        if b.parent in kept:
+            kept.add(b.id)
+    return AirwayTree(
+        tuple(
+            dataclasses.replace(b, parent=None if b is root else b.parent, generation=b.generation - root.generation)
+            for b in sorted((b for b in tree.branches if b.id in kept), key=lambda b: (b is not root, b.id))
+        )
+    )
+
+
+def without(tree: AirwayTree, cut: set[int]) -> AirwayTree:
+    """The tree without some branches and all that hangs on them; ids stay."""
+    gone: set[int] = set()
+    for b in tree.branches:
+        if b.id in cut or b.parent in gone:
+            gone.add(b.id)
+    return AirwayTree(
+        tuple(
+            dataclasses.replace(b, children=tuple(c for c in b.children if c not in gone))
+            for b in tree.branches
+            if b.id not in gone
+        )
+    )
+
+
+def with_twigs(tree: AirwayTree, rng: np.random.Generator, num: int) -> AirwayTree:
+    """Short blind tubes on the side of branches, each of which splits its branch in two."""
+    branches = {b.id: b for b in tree.branches}
+    order = [b.id for b in tree.branches]
+    chosen = [b.id for b in tree.branches if len(b.points) > 8 and b.parent is not None]
+    for b in (branches[k] for k in chosen[:: max(len(chosen) // num, 1)]):
+        mid = len(b.points) // 2
+        new, twig = len(branches), len(branches) + 1
+        side = rng.normal(size=3)
+        side *= (1.5 * b.radius[mid] + 1.0) / np.linalg.norm(side)
+        lower = dataclasses.replace(
+            b, id=new, parent=b.id, points=b.points[mid:], radius=b.radius[mid:], generation=b.generation + 1
+        )
+        branches[b.id] = dataclasses.replace(
+            b, points=b.points[: mid + 1], radius=b.radius[: mid + 1], children=(new, twig)
+        )
+        branches[new] = lower
+        for child in lower.children:
+            branches[child] = dataclasses.replace(branches[child], parent=new)
+        branches[twig] = Branch(
+            twig, b.id, (), b.generation + 1, None, "tracked",
+            np.stack([b.points[mid], b.points[mid] + 0.5 * side, b.points[mid] + side]), np.array([1.0, 0.9, 0.8]),
+        )  # fmt: skip
+        order.extend([new, twig])
+    made: list[Branch] = []
+    waiting = [order[0]]
+    while waiting:
+        made.append(branches[waiting.pop(0)])
+        waiting.extend(made[-1].children)
+    return AirwayTree(tuple(made))
+
+
+def score(truth: AirwayTree, named: AirwayTree) -> tuple[int, int, int]:
+    """Segments: right, wrong, all. Without a name is neither right nor wrong."""
+    right = wrong = total = 0
+    for b in named.branches:
+        true = next((t for t in truth.branches if t.id == b.id), None)
+        if true is None or not is_segment(true.name):
+            continue
+        # Where all its siblings were cut away it is the end of its stem, and has the stem's name.
+        if b.parent is not None and len(named.branch(b.parent).children) == 1:
+            continue
+        total += 1
+        right += b.name == true.name
+        wrong += b.name not in {true.name, None}
+    return right, wrong, total
+
+
+def scores(change, *, seeds=SEEDS) -> tuple[float, float]:
+    rows = []
+    for seed in seeds:
+        tree = true_tree(seed)
+        rows.append(score(tree, name_tree(change(tree, np.random.default_rng(seed)))))
+    right, wrong, total = np.sum(rows, axis=0)
+    return right / total, wrong / total
+
+
+def test_nine_of_ten_segments_of_true_trees_are_named_rightly():
+    right, wrong = scores(lambda tree, _rng: tree)
+    assert right >= 0.93
+    assert wrong <= 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, -1)])
+@pytest.mark.parametrize("deg", [-25.0, 25.0])
+def test_a_turned_or_tilted_patient_is_named_as_well(axis, deg):
+    right, wrong = scores(lambda tree, _rng: moved(tree, turned(axis, deg), (40.0, -200.0, 900.0)), seeds=range(1, 4))
+    assert right >= 0.90
+    assert wrong <= 0.07
+
+
+def test_a_child_is_named_as_an_adult_is():
+    for seed in (1, 2, 3):
+        tree = true_tree(seed)
+        adult, child = name_tree(tree), name_tree(moved(tree, 0.6 * np.eye(3)))
+        assert [b.name for b in adult.branches] == [b.name for b in child.branches]
+
+
+@pytest.mark.slow
+def test_a_pruned_tree_has_few_wrong_names():
+    def prune(tree: AirwayTree, rng: np.random.Generator) -> AirwayTree:
+        deep = [b.id for b in tree.branches if b.generation >= 5 and rng.random() < 0.25]
+        segments = [b.id for b in tree.branches if is_segment(b.name)]
+        return without(tree, {*deep, *(int(k) for k in rng.choice(segments, 2, replace=False))})
+
+    right, wrong = scores(prune)
+    assert right >= 0.80
+    assert wrong <= 0.17
+
+
+@pytest.mark.slow
+def test_a_tree_that_ends_at_the_segments_is_named():
+    right, wrong = scores(
+        lambda tree, _rng: without(tree, {c for b in tree.branches if is_segment(b.name) for c in b.children})
+    )
+    assert right >= 0.90
+    assert wrong <= 0.06
+
+
+@pytest.mark.slow
+def test_twigs_do_not_change_the_names():
+    right, wrong = scores(lambda tree, rng: with_twigs(tree, rng, 15))
+    assert right >= 0.88
+    assert wrong <= 0.08
+
+
+def test_a_mirrored_chest_is_said_to_be_one_and_keeps_its_sides():
+    for seed in (1, 2, 3):
+        tree = true_tree(seed)
+        named = name_tree(moved(tree, np.diag([-1.0, 1.0, 1.0])))
+        assert "mirrored" in (named.root.variant or "")
+        lobes = branch_side_and_lobe(moved(tree, np.diag([-1.0, 1.0, 1.0])))
+        for b in named.branches:
+            middle = b.points[len(b.points) // 2]
+            if b.name and b.name[0] in "RL" and b.name[1] == "B":
+                assert (b.name[0] == "R") == (middle[0] < 0.0)
+            lobe = lobes[b.id]
+            if lobe is not None and abs(middle[0]) > 20.0:
+                assert (lobe[0] == "R") == (middle[0] < 0.0)
+        assert {"LML", "LB1", "LB7", "RB1+2"} & {b.name for b in named.branches} >= {"LML", "LB1"}
+
+
+def test_an_ordinary_chest_is_not_said_to_be_mirrored():
+    for seed in SEEDS:
+        assert "mirrored" not in (name_tree(true_tree(seed)).root.variant or "")
+
+
+@pytest.mark.slow
+def test_a_tree_that_begins_in_the_right_main_bronchus_is_named():
+    rows = [score(true_tree(seed), name_tree(rooted_at(true_tree(seed), "RMB"))) for seed in SEEDS]
+    right, wrong, total = np.sum(rows, axis=0)
+    assert right >= 0.85 * total
+    assert wrong <= 0.10 * total
+
+
+@pytest.mark.slow
+def test_one_lung_alone_is_named():
+    for lost, kept in (("LMB", "R"), ("RMB", "L")):
+        rows = []
+        for seed in SEEDS:
+            tree = true_tree(seed)
+            branch = tree.named(lost)
+            assert branch is not None
+            named = name_tree(without(tree, {branch.id}))
+            rows.append(score(tree, named))
+            assert not any(b.name and b.name[1:2] == "B" and b.name[0] != kept for b in named.branches)
+        right, wrong, total = np.sum(rows, axis=0)
+        assert right >= 0.80 * total, lost
+        assert wrong <= 0.12 * total, lost
+
+
+@pytest.mark.slow
+def test_a_trachea_cut_off_just_above_the_carina_is_still_named():
+    def cut(tree: AirwayTree, _rng: np.random.Generator) -> AirwayTree:
+        root = dataclasses.replace(tree.root, points=tree.root.points[-6:], radius=tree.root.radius[-6:])
+        return AirwayTree((root, *tree.branches[1:]))
+
+    right, wrong = scores(cut)
+    assert right >= 0.92
+    assert wrong <= 0.06
+
+
+def test_lobes_are_right_for_nearly_all_length():
+    good = length = 0.0
+    for seed in SEEDS:
+        tree = true_tree(seed)
+        found = branch_side_and_lobe(tree)
+        true: dict[int, str | None] = {}
+        for b in tree.branches:
+            true[b.id] = LOBE_OF.get(b.name or "", None if b.name else true.get(b.parent or 0))
+            good += b.length_mm * (found[b.id] == true[b.id])
+            length += b.length_mm
+    assert good >= 0.98 * length
+
+
+def test_a_persons_name_is_kept_and_holds_for_the_rest():
+    tree = true_tree(3)
+    segment = tree.named("RB3")
+    assert segment is not None
+
+    def give(name: str) -> AirwayTree:
+        return name_tree(
+            AirwayTree(
+                tuple(
+                    dataclasses.replace(
+                        b, name=name if b is segment else None, name_from="person" if b is segment else None
+                    )
+                    for b in tree.branches
+                )
+            )
+        )
+
+    ours = give("RB2")
+    kept = ours.branch(segment.id)
+    assert (kept.name, kept.name_from, kept.name_confidence) == ("RB2", "person", None)
+    # The person's RB2 is not given a second time.
+    assert [b.id for b in ours.branches if b.name == "RB2"] == [segment.id]
+    free = give("the one with the stent")
+    assert free.branch(segment.id).name == "the one with the stent"
+    assert free.named("RB2") is not None
+
+
+def test_a_persons_name_below_the_segment_tells_the_segment():
+    tree = true_tree(1)
+    segment = tree.named("RB10")
+    assert segment is not None
+    child = segment.children[0]
+    named = name_tree(
+        AirwayTree(
+            tuple(
+                dataclasses.replace(
+                    b, name="RB10c" if b.id == child else None, name_from="person" if b.id == child else None
+                )
+                for b in tree.branches
+            )
+        )
+    )
+    assert named.branch(segment.id).name == "RB10"
+    assert named.branch(child).name == "RB10c"
+
+
+def test_naming_twice_gives_the_same():
+    tree = true_tree(5)
+    once, twice = name_tree(tree), name_tree(name_tree(tree))
+    assert [(b.name, b.name_confidence, b.variant) for b in once.branches] == [
+        (b.name, b.name_confidence, b.variant) for b in twice.branches
+    ]
+    for before, after in zip(tree.branches, once.branches, strict=True):
+        assert before.id == after.id
+        assert before.points is after.points
+
+
+def test_letters_follow_the_rule():
+    back, front = np.array([0.0, 10.0, 0.0]), np.array([0.0, -10.0, 3.0])
+    assert letter_order([front, back], LetterRule.BACK_FIRST)[0] == [1, 0]
+    assert letter_order([front, back], LetterRule.TOP_LATERAL_BACK)[0] == [1, 0]
+    low, high = np.array([0.0, 1.0, -9.0]), np.array([0.0, 0.0, 9.0])
+    order, sure = letter_order([low, high], LetterRule.TOP_LATERAL_BACK)
+    assert order == [1, 0]
+    assert sure > 0.95
+    tree = true_tree(2)
+    named = name_tree(tree)
+    a, b = named.named("RB6a"), named.named("RB6b")
+    assert a is not None
+    assert b is not None
+    assert a.parent == b.parent == named.named("RB6").id  # type: ignore[union-attr]
+    other = name_tree(tree, letter_rule=LetterRule.BACK_FIRST)
+    for segment in ("RB1", "RB6", "LB3"):
+        pair = other.named(f"{segment}a"), other.named(f"{segment}b")
+        if None not in pair:
+            assert pair[0].points[-1][1] > pair[1].points[-1][1] - 5.0  # type: ignore[union-attr]
+
+
+def test_nothing_is_named_in_a_tube_without_forks():
+    tube = Branch(0, None, (), 0, None, "tracked", np.array([[0.0, 0, 0], [0, 1, -40]]), np.array([8.0, 8.0]))
+    assert name_tree(AirwayTree((tube,))).root.name is None
+
+
+def test_variants_of_phantoms_are_called_so():
+    for seed in SEEDS:
+        tree, named = true_tree(seed), name_tree(true_tree(seed))
+        said = " ".join(b.variant or "" for b in named.branches)
+        for stem, words in (("RB1+2", "RB1 and RB2 share a stem"), ("RB2+3", "RB2 and RB3 share a stem")):
+            assert (tree.named(stem) is not None) == (words in said), seed
+
+
+def test_words_of_names():
+    for keys in LOBES.values():
+        for key in keys:
+            words = name_words(key)
+            assert words is not None
+            assert words.side == ("right" if key.startswith("R") else "left")
+    for name in grammar().names:
+        assert name_words(name) is not None, name
+    assert name_words("RB6").full == "RB6 (superior segment, RLL)"  # type: ignore[union-attr]
+    assert name_words("lb7+8").short == "LB8"  # type: ignore[union-attr]
+    assert name_words("RB10ai").boyden == "B10ai"  # type: ignore[union-attr]
+    assert name_words("RB11") is None
+    assert name_words("") is None
+
+
+def test_the_odds_of_all_divisions_sum_to_one():
+    rules = grammar()
+    division = rules.division
+    for state in np.unique(division.state):
+        total = np.exp(division.log_prior[division.state == state]).sum() / 2.0
+        assert total == pytest.approx(1.0, abs=0.061)
