@@ -18,13 +18,13 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from carina.errors import CarinaError, NoResultError, UsageError, VolumeImportError
-    from carina.export import read_tree, write_tree
+    from carina.export import export_airways, read_tree, write_tree
     from carina.navigate import FlightPath, Navigator
     from carina.phantom import generate_phantom, write_phantom
     from carina.render import Renderer, TransferFunction, render_surface, render_view, transfer_preset
     from carina.scopes import Pose
     from carina.track import Airways, AirwayTree, edit_airways, find_airways, track_paths
-    from carina.volume import Volume, demo_patient, inspect_path, open_volume
+    from carina.volume import Volume, demo_patient, inspect_path, open_mask, open_volume
 
 _HOME = {
     "AirwayTree": "track",
@@ -41,9 +41,11 @@ _HOME = {
     "VolumeImportError": "errors",
     "demo_patient": "volume",
     "edit_airways": "track",
+    "export_airways": "export",
     "find_airways": "track",
     "generate_phantom": "phantom",
     "inspect_path": "volume",
+    "open_mask": "volume",
     "open_volume": "volume",
     "read_tree": "export",
     "render_surface": "render",
@@ -70,9 +72,11 @@ __all__ = [
     "__version__",
     "demo_patient",
     "edit_airways",
+    "export_airways",
     "find_airways",
     "generate_phantom",
     "inspect_path",
+    "open_mask",
     "open_volume",
     "read_tree",
     "render_surface",

@@ -371,6 +371,17 @@ def flood_lumen(
 ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
     """The lumen (1 or 0), and num_voxels, num_without_wall, leaks [(point_lps, level)]."""
 
+def lumen_mesh(
+    values_zyx: NDArray[np.int16],
+    lps_from_ijk: NDArray[np.float64],
+    lumen_zyx: NDArray[np.uint8],
+    *,
+    levels: tuple[float, float, float] | None,
+    cancel: Callable[[], bool] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
+    """Closed mesh: vertices (n, 3) LPS mm, triangles (m, 3), counterclockwise from outside."""
+
 @final
 class GraphTracker:
     """A graph with a cost, and the least-cost tree from one root."""

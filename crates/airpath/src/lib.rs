@@ -17,6 +17,7 @@ pub mod graph_tracker;
 pub mod isoregion_graph;
 pub mod lumen;
 mod lungs;
+pub mod mesh;
 pub mod paper_cost;
 pub mod profile;
 pub mod smooth;

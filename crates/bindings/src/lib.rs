@@ -11,6 +11,7 @@ mod errors;
 #[cfg_attr(not(feature = "gpu"), path = "gpu_absent.rs")]
 mod gpu;
 mod isoregion;
+mod mesh;
 mod optics;
 mod paper_tracker;
 mod phantom;
@@ -49,6 +50,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     airpath::register(module)?;
     cross_section::register(module)?;
     paper_tracker::register(module)?;
+    mesh::register(module)?;
     phantom::register(module)?;
     scope::register(module)?;
     views::register(module)?;

@@ -126,6 +126,98 @@ def info(
         raise SystemExit(report(path, strict=strict, series=series, as_json=as_json))
 
 
+FromMaskOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--from-mask",
+        help="Lumen from another tool: NIfTI, NRRD, MetaImage or DICOM SEG, instead of the automatic one.",
+    ),
+]
+LabelOption = Annotated[int | None, typer.Option("--label", help="Which number in that mask is the airway.")]
+ResampleOption = Annotated[
+    bool, typer.Option("--resample", help="Take that mask although it is on another grid than the scan.")
+]
+
+
+@app.command()
+def airways(
+    path: PathArgument,
+    seed: Annotated[
+        str | None, typer.Option("--seed", help="A point in the trachea, x,y,z in mm (LPS), where it is not found.")
+    ] = None,
+    from_mask: FromMaskOption = None,
+    label: LabelOption = None,
+    resample: ResampleOption = False,
+    mask: Annotated[
+        Path | None, typer.Option("--mask", help="Write the lumen: .nii.gz, .nii, .nrrd or .mha, on the scan's grid.")
+    ] = None,
+    series: SeriesOption = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the tree: .json.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Airway lumen and tree, with names, generations and lengths.
+
+    Example: carina airways ~/scans/thorax --mask lumen.nii.gz -o tree.json
+    """
+    with exit_codes(as_json):
+        from carina.cli.airways import find
+
+        raise SystemExit(
+            find(
+                path,
+                seed=None if seed is None else parse_point(seed, "--seed"),
+                from_mask=from_mask,
+                label=label,
+                resample=resample,
+                series=series,
+                mask=mask,
+                output=output,
+                as_json=as_json,
+            )
+        )
+
+
+@app.command()
+def export(
+    path: PathArgument,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Tree: .json .vtp .swc .mrk.json; lumen: .nii.gz .nii .nrrd .mha; its surface: .stl .ply .obj .glb",
+        ),
+    ],
+    tree: Annotated[
+        Path | None, typer.Option("--tree", help="A tree that carina wrote; found in the scan unless given.")
+    ] = None,
+    from_mask: FromMaskOption = None,
+    label: LabelOption = None,
+    resample: ResampleOption = False,
+    series: SeriesOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """The airways as a file for another program, in LPS millimetres.
+
+    Example: carina export ~/scans/thorax -o airways.stl
+    """
+    with exit_codes(as_json):
+        from carina.cli.airways import write
+
+        raise SystemExit(
+            write(
+                path,
+                output=output,
+                tree=tree,
+                from_mask=from_mask,
+                label=label,
+                resample=resample,
+                series=series,
+                as_json=as_json,
+            )
+        )
+
+
 @app.command()
 def track(
     path: PathArgument,

@@ -1,5 +1,21 @@
 """File formats."""
 
+from carina.export.any_file import EXPORT_SUFFIXES, export_airways, export_tree, is_tree_file
+from carina.export.mask_file import write_mask
+from carina.export.mesh_file import write_mesh
 from carina.export.tree_file import read_tree, write_tree
+from carina.export.tree_formats import write_markups, write_swc, write_vtp
 
-__all__ = ["read_tree", "write_tree"]
+__all__ = [
+    "EXPORT_SUFFIXES",
+    "export_airways",
+    "export_tree",
+    "is_tree_file",
+    "read_tree",
+    "write_markups",
+    "write_mask",
+    "write_mesh",
+    "write_swc",
+    "write_tree",
+    "write_vtp",
+]

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
-import tempfile
 from pathlib import Path
 
-from carina.errors import CarinaError, TrackingError, VolumeImportError
+from carina.errors import TrackingError, VolumeImportError
+from carina.export.files import write_whole
 from carina.track.tree import AirwayTree
 
 __all__ = ["read_tree", "write_tree"]
@@ -25,28 +23,8 @@ def write_tree(path: Path | str, tree: AirwayTree) -> Path:
     CarinaError
         If the folder is missing or not writable, or the disk is full; what was there before stays.
     """
-    target = Path(path)
     text = json.dumps(tree.to_json(), allow_nan=False) + "\n"
-    try:
-        descriptor, draft = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
-        try:
-            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            # mkstemp makes a file that only its owner reads; a result has the permissions of any new file.
-            mask = os.umask(0)
-            os.umask(mask)
-            Path(draft).chmod(0o666 & ~mask)
-            Path(draft).replace(target)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                Path(draft).unlink()
-            raise
-    except OSError as error:
-        msg = f"cannot write the tree to {target}: {error.strerror or error}"
-        raise CarinaError(msg, code="export.write") from error
-    return target
+    return write_whole(path, text.encode(), what="the tree")
 
 
 def read_tree(path: Path | str) -> AirwayTree:

@@ -2,6 +2,7 @@
 
 from carina.volume.demo import demo_patient
 from carina.volume.inspection import Inspection, inspect_path
+from carina.volume.mask_files import Mask, open_mask
 from carina.volume.model import SeriesInfo, Volume, VolumeSource
 from carina.volume.opening import open_volume
 from carina.volume.quality import Finding, Quality, quality_gate
@@ -9,12 +10,14 @@ from carina.volume.quality import Finding, Quality, quality_gate
 __all__ = [
     "Finding",
     "Inspection",
+    "Mask",
     "Quality",
     "SeriesInfo",
     "Volume",
     "VolumeSource",
     "demo_patient",
     "inspect_path",
+    "open_mask",
     "open_volume",
     "quality_gate",
 ]

@@ -21,7 +21,7 @@ from carina.volume.hu import judge_values, to_int16
 from carina.volume.model import Volume, VolumeSource
 from carina.volume.watch import Watch
 
-__all__ = ["open_grid_file"]
+__all__ = ["open_grid_file", "read_grid_array"]
 
 _CHUNK_BYTES = 1 << 20
 _MAX_RATIO = 1100  # deflate packs at most 1032 to 1
@@ -161,8 +161,13 @@ def _check_agreement(path: Path, header: GridHeader, theirs: NDArray[np.float64]
         raise VolumeImportError(msg, code="import.geometry.disagree")
 
 
-def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa: A002 - the word of the field
-    """Open one NIfTI, NRRD or MetaImage file.
+def read_grid_array(
+    path: Path,
+    format: str,  # noqa: A002 - the word of the field
+    *,
+    watch: Watch,
+) -> tuple[NDArray[np.generic], GridHeader]:
+    """The numbers of one NIfTI, NRRD or MetaImage file as they are, ``(nz, ny, nx)``, and its checked header.
 
     Raises
     ------
@@ -177,6 +182,20 @@ def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa:
     watch.step("Reading the voxels", None)
     values, theirs = _read(path, header)
     _check_agreement(path, header, theirs)
+    return values, header
+
+
+def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa: A002 - the word of the field
+    """Open one NIfTI, NRRD or MetaImage file.
+
+    Raises
+    ------
+    VolumeImportError
+        If the header, the data or the geometry cannot be trusted; the message names the file.
+    CancelledError
+        If the person cancels.
+    """
+    values, header = read_grid_array(path, format, watch=watch)
     watch.step("Converting the values", None)
     try:
         converted = to_int16(values)

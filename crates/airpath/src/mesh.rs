@@ -1,0 +1,458 @@
+//! The lumen's surface as a closed mesh, its vertices on the sub-voxel wall.
+//!
+//! Marching cubes (Lorensen and Cline 1987) over the lumen voxels, with two differences. The cases are not a printed
+//! table: each face of a cube joins the crossings of its edges by one rule that looks at that face only, so that both
+//! cubes of a face agree and the mesh has no holes; and a vertex lies where the wall's half-maximum lies between the
+//! two voxels of its grid edge, as the radii of the tree have it.
+
+use std::collections::HashMap;
+
+use carina_grid::{Ijk, VolumeView};
+
+use crate::lumen::WallLevels;
+use crate::smooth::Point;
+use crate::{TrackError, Watch};
+
+/// A closed mesh of triangles, seen counterclockwise from outside the lumen.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Mesh {
+    /// Places, LPS mm.
+    pub vertices: Vec<Point>,
+    /// Three vertices each.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// Vertices keep this far from the voxels of their edge (in edges): no triangle has an area of 0.
+const MARGIN: f64 = 0.02;
+
+/// Grid edges of a cube: lower corner and axis. Corner c is at (c & 1, c >> 1 & 1, c >> 2).
+const EDGES: [(usize, usize); 12] = [
+    (0, 0),
+    (2, 0),
+    (4, 0),
+    (6, 0),
+    (0, 1),
+    (1, 1),
+    (4, 1),
+    (5, 1),
+    (0, 2),
+    (1, 2),
+    (2, 2),
+    (3, 2),
+];
+
+/// The faces' corners in order, counterclockwise from outside.
+const FACES: [[usize; 4]; 6] = [
+    [0, 4, 6, 2],
+    [1, 3, 7, 5],
+    [0, 1, 5, 4],
+    [2, 6, 7, 3],
+    [0, 2, 3, 1],
+    [4, 5, 7, 6],
+];
+
+/// Closed rings of edges that a cube's surface crosses, for one set of inside corners.
+type Rings = Vec<Vec<usize>>;
+
+fn edge_between(a: usize, b: usize) -> usize {
+    let (low, axis) = (a.min(b), (a ^ b).trailing_zeros() as usize);
+    EDGES
+        .iter()
+        .position(|edge| *edge == (low, axis))
+        .unwrap_or_else(|| unreachable!("corners {a} and {b} share an edge"))
+}
+
+fn rings_of(inside: u8) -> Rings {
+    let holds = |corner: usize| inside >> corner & 1 == 1;
+    // Each crossed edge leaves a run of inside corners on one of its two faces and enters one on the other.
+    let mut after = [usize::MAX; 12];
+    for face in FACES {
+        for n in 0..4 {
+            if holds(face[n]) || !holds(face[(n + 1) % 4]) {
+                continue;
+            }
+            // Where a face has two single inside corners they are kept apart: a rule of the face alone.
+            let mut last = (n + 1) % 4;
+            while holds(face[(last + 1) % 4]) {
+                last = (last + 1) % 4;
+            }
+            let enters = edge_between(face[n], face[(n + 1) % 4]);
+            let leaves = edge_between(face[last], face[(last + 1) % 4]);
+            after[enters] = leaves;
+        }
+    }
+    let mut rings = Vec::new();
+    let mut seen = [false; 12];
+    for first in 0..12 {
+        if after[first] == usize::MAX || seen[first] {
+            continue;
+        }
+        let mut ring = Vec::new();
+        let mut edge = first;
+        while !seen[edge] {
+            seen[edge] = true;
+            ring.push(edge);
+            edge = after[edge];
+        }
+        rings.push(ring);
+    }
+    rings
+}
+
+/// True if two crossings lie on one face: a chord between them might also be drawn by the cube beyond.
+fn share_face(a: usize, b: usize) -> bool {
+    let on = |edge: usize, face: &[usize; 4]| {
+        let (corner, axis) = EDGES[edge];
+        face.contains(&corner) && face.contains(&(corner | 1 << axis))
+    };
+    FACES.iter().any(|face| on(a, face) && on(b, face))
+}
+
+/// The ring turned so that a fan from its first edge draws no chord in a face, if it can be.
+fn fan(ring: &[usize]) -> Option<Vec<usize>> {
+    let n = ring.len();
+    (0..n)
+        .map(|start| (0..n).map(|m| ring[(start + m) % n]).collect::<Vec<_>>())
+        .find(|turned| (2..n - 1).all(|m| !share_face(turned[0], turned[m])))
+}
+
+/// The surface of the voxels where `lumen` is not 0.
+///
+/// `levels` is `None` for a lumen that did not come from these values (an imported mask): the surface then lies half-way
+/// between voxels. At the volume's faces, where nothing is known of what lies beyond, the mesh is closed half a voxel out.
+pub fn lumen_mesh(
+    values: VolumeView<'_, i16>,
+    lumen: &[u8],
+    levels: Option<WallLevels>,
+    watch: &impl Watch,
+) -> Result<Mesh, TrackError> {
+    let shape = values.grid().shape_ijk();
+    let reach = Reach::new(values, lumen, levels);
+    let Some((low, high)) = reach.extent() else {
+        return Err(TrackError::NoResult("the airway lumen is empty".to_owned()));
+    };
+    let cases: Vec<Rings> = (0..=255u8).map(rings_of).collect();
+    // A grid whose axes form a left-handed frame turns every triangle inside out.
+    let mirrored = values.grid().lps_from_ijk().determinant() < 0.0;
+    let mut mesh = Mesh::default();
+    let mut vertex_at: HashMap<(u64, u8), u32> = HashMap::new();
+    let num_layers = (high[2] - low[2] + 2) as f64;
+    for k in low[2] - 1..=high[2] {
+        watch.go_on((k - low[2] + 1) as f64 / num_layers)?;
+        for j in low[1] - 1..=high[1] {
+            for i in low[0] - 1..=high[0] {
+                let at = |corner: usize| {
+                    [
+                        i + (corner & 1) as isize,
+                        j + (corner >> 1 & 1) as isize,
+                        k + (corner >> 2) as isize,
+                    ]
+                };
+                let inside = (0..8).fold(0u8, |bits, c| bits | u8::from(reach.holds(at(c))) << c);
+                for ring in &cases[usize::from(inside)] {
+                    let mut vertex = |edge: usize| {
+                        let (corner, axis) = EDGES[edge];
+                        let lower = at(corner);
+                        // One beyond the volume on each side, so the key is never negative.
+                        let key = (0..3).rev().fold(0u64, |key, a| {
+                            key * (shape[a] as u64 + 2) + (lower[a] + 1) as u64
+                        });
+                        *vertex_at.entry((key, axis as u8)).or_insert_with(|| {
+                            mesh.vertices.push(reach.crossing_lps(lower, axis));
+                            mesh.vertices.len() as u32 - 1
+                        })
+                    };
+                    let (apex, rim) = if let Some(turned) = fan(ring) {
+                        let rim: Vec<u32> = turned[1..].iter().map(|e| vertex(*e)).collect();
+                        (vertex(turned[0]), rim)
+                    } else {
+                        let mut rim: Vec<u32> = ring.iter().map(|e| vertex(*e)).collect();
+                        let middle = mean(rim.iter().map(|v| mesh.vertices[*v as usize]));
+                        mesh.vertices.push(middle);
+                        rim.push(rim[0]);
+                        (mesh.vertices.len() as u32 - 1, rim)
+                    };
+                    for pair in rim.windows(2) {
+                        let [b, c] = if mirrored {
+                            [pair[1], pair[0]]
+                        } else {
+                            [pair[0], pair[1]]
+                        };
+                        mesh.triangles.push([apex, b, c]);
+                    }
+                }
+            }
+        }
+    }
+    Ok(mesh)
+}
+
+fn mean(points: impl ExactSizeIterator<Item = Point>) -> Point {
+    let count = points.len() as f64;
+    let sum = points.fold([0.0; 3], |sum: Point, p| {
+        std::array::from_fn(|a| sum[a] + p[a])
+    });
+    sum.map(|v| v / count)
+}
+
+/// The lumen, with the voxels beyond its last ones whose centre lies in front of the half-maximum: the flood stops lower.
+struct Reach<'a> {
+    values: VolumeView<'a, i16>,
+    lumen: &'a [u8],
+    levels: Option<WallLevels>,
+    shape: [isize; 3],
+}
+
+impl<'a> Reach<'a> {
+    fn new(values: VolumeView<'a, i16>, lumen: &'a [u8], levels: Option<WallLevels>) -> Self {
+        Self {
+            values,
+            lumen,
+            levels,
+            shape: values.grid().shape_ijk().map(|n| n as isize),
+        }
+    }
+
+    fn in_volume(&self, at: [isize; 3]) -> bool {
+        (0..3).all(|a| (0..self.shape[a]).contains(&at[a]))
+    }
+
+    fn in_lumen(&self, at: [isize; 3]) -> bool {
+        self.in_volume(at)
+            && self.lumen[((at[2] * self.shape[1] + at[1]) * self.shape[0] + at[0]) as usize] != 0
+    }
+
+    /// From a lumen voxel one step out: where the wall begins, in steps (0 to 2).
+    fn crossing(&self, from: [isize; 3], step: [isize; 3]) -> f64 {
+        let Some(levels) = self.levels else {
+            return 0.5;
+        };
+        let place = |n: isize| std::array::from_fn(|a| from[a] + n * step[a]);
+        let [here, next, beyond] = [0, 1, 2].map(|n| f64::from(self.values.at_clamped(place(n))));
+        // Of the air and the wall all round: along a line that grazes the wall three voxels do not reach its top.
+        let (air, _) = self.range_round(from);
+        let (_, wall) = self.range_round(place(1));
+        let level = f64::from(levels.wall).min(0.5 * (air + wall));
+        if here >= level {
+            0.0
+        } else if level <= next {
+            (level - here) / (next - here)
+        } else if level <= beyond {
+            1.0 + (level - next) / (beyond - next)
+        } else {
+            // No wall to be seen: the lumen was ended here for another reason (a closed breach).
+            0.5
+        }
+    }
+
+    /// Least and greatest value within one voxel.
+    fn range_round(&self, at: [isize; 3]) -> (f64, f64) {
+        let (mut low, mut high) = (i16::MAX, i16::MIN);
+        for cell in 0..27isize {
+            let offset = [cell % 3 - 1, cell / 3 % 3 - 1, cell / 9 - 1];
+            let value = self
+                .values
+                .at_clamped(std::array::from_fn(|a| at[a] + offset[a]));
+            (low, high) = (low.min(value), high.max(value));
+        }
+        (f64::from(low), f64::from(high))
+    }
+
+    fn holds(&self, at: [isize; 3]) -> bool {
+        if self.in_lumen(at) {
+            return true;
+        }
+        self.in_volume(at)
+            && self.levels.is_some()
+            && steps().any(|step| {
+                let from = std::array::from_fn(|a| at[a] - step[a]);
+                self.in_lumen(from) && self.crossing(from, step) > 1.0
+            })
+    }
+
+    /// First and last voxel that may be inside, on each axis.
+    fn extent(&self) -> Option<([isize; 3], [isize; 3])> {
+        let (mut low, mut high) = (self.shape, [-1isize; 3]);
+        for (row, cells) in self.lumen.chunks(self.shape[0] as usize).enumerate() {
+            let Some(first) = cells.iter().position(|v| *v != 0) else {
+                continue;
+            };
+            let last = cells.iter().rposition(|v| *v != 0).unwrap_or(first);
+            let (j, k) = (row as isize % self.shape[1], row as isize / self.shape[1]);
+            low = [low[0].min(first as isize), low[1].min(j), low[2].min(k)];
+            high = [high[0].max(last as isize), high[1].max(j), high[2].max(k)];
+        }
+        (high[0] >= 0).then(|| {
+            (
+                low.map(|v| (v - 1).max(0)),
+                std::array::from_fn(|a| (high[a] + 1).min(self.shape[a] - 1)),
+            )
+        })
+    }
+
+    /// Where the surface crosses the grid edge from a voxel along an axis; exactly one of its ends is inside.
+    fn crossing_lps(&self, lower: [isize; 3], axis: usize) -> Point {
+        let mut upper = lower;
+        upper[axis] += 1;
+        let outwards = self.holds(lower);
+        let (from, to) = if outwards {
+            (lower, upper)
+        } else {
+            (upper, lower)
+        };
+        let step: [isize; 3] = std::array::from_fn(|a| to[a] - from[a]);
+        let share = if !self.in_volume(to) {
+            0.5
+        } else if self.in_lumen(from) {
+            self.crossing(from, step)
+        } else {
+            // Inside only by reach: seen from the lumen voxel behind it, if that is on this line.
+            let behind = std::array::from_fn(|a| from[a] - step[a]);
+            if self.in_lumen(behind) {
+                self.crossing(behind, step) - 1.0
+            } else {
+                self.crossing(from, step)
+            }
+        }
+        .clamp(MARGIN, 1.0 - MARGIN);
+        let ijk = std::array::from_fn(|a| from[a] as f64 + share * step[a] as f64);
+        self.values.grid().to_lps(Ijk(ijk)).0
+    }
+}
+
+fn steps() -> impl Iterator<Item = [isize; 3]> {
+    (0..6).map(|n| {
+        std::array::from_fn(|a| {
+            if a == n / 2 {
+                1 - 2 * (n as isize % 2)
+            } else {
+                0
+            }
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashMap;
+    use std::f64::consts::PI;
+
+    use carina_grid::{Affine, Grid, VolumeView};
+    use proptest::prelude::*;
+
+    use super::{Mesh, lumen_mesh};
+    use crate::Unwatched;
+    use crate::lumen::WallLevels;
+
+    const LEVELS: WallLevels = WallLevels {
+        core: -900.0,
+        wall: -500.0,
+        rise: 25.0,
+    };
+
+    fn grid(shape_zyx: [usize; 3], spacing: [f64; 3], mirrored: bool) -> Grid {
+        let x = if mirrored { -spacing[0] } else { spacing[0] };
+        let rows = [
+            [x, 0.0, 0.0, 5.0],
+            [0.0, spacing[1], 0.0, -7.0],
+            [0.0, 0.0, spacing[2], 11.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ];
+        Grid::new(shape_zyx, Affine::from_matrix("test", &rows).unwrap()).unwrap()
+    }
+
+    /// Every edge once in each direction.
+    fn is_closed(mesh: &Mesh) -> bool {
+        let mut edges: HashMap<(u32, u32), usize> = HashMap::new();
+        for t in &mesh.triangles {
+            for n in 0..3 {
+                *edges.entry((t[n], t[(n + 1) % 3])).or_default() += 1;
+            }
+        }
+        edges
+            .iter()
+            .all(|((a, b), count)| *count == 1 && edges.get(&(*b, *a)) == Some(&1))
+    }
+
+    fn volume_mm3(mesh: &Mesh) -> f64 {
+        mesh.triangles
+            .iter()
+            .map(|t| {
+                let [a, b, c] = t.map(|v| mesh.vertices[v as usize]);
+                (a[0] * (b[1] * c[2] - b[2] * c[1])
+                    + a[1] * (b[2] * c[0] - b[0] * c[2])
+                    + a[2] * (b[0] * c[1] - b[1] * c[0]))
+                    / 6.0
+            })
+            .sum()
+    }
+
+    #[test]
+    fn a_ball_is_closed_and_has_its_volume_on_either_hand() {
+        let (radius, spacing) = (6.0, [0.7, 0.8, 1.1]);
+        for mirrored in [false, true] {
+            let grid = grid([24, 28, 30], spacing, mirrored);
+            let mut values = vec![0i16; 24 * 28 * 30];
+            for (n, value) in values.iter_mut().enumerate() {
+                let at = [n % 30, n / 30 % 28, n / 840];
+                let from_middle = (0..3)
+                    .map(|a| ((at[a] as f64 - [14.6, 13.7, 11.4][a]) * spacing[a]).powi(2))
+                    .sum::<f64>()
+                    .sqrt();
+                // A wall as a scanner blurs it: half-way up at the radius.
+                let up = ((from_middle - radius) / 1.6 + 0.5).clamp(0.0, 1.0);
+                *value = (-1000.0 + 1040.0 * up) as i16;
+            }
+            let lumen: Vec<u8> = values.iter().map(|v| u8::from(*v <= -800)).collect();
+            let view = VolumeView::new(&values, &grid).unwrap();
+            let mesh = lumen_mesh(view, &lumen, Some(LEVELS), &Unwatched).unwrap();
+            assert!(is_closed(&mesh));
+            // The wall level of -500 HU lies a little inside of half-way; chords of a ball are a little shorter still.
+            let truth = 4.0 / 3.0 * PI * f64::powi(radius - 1.6 * (0.5 - 500.0 / 1040.0), 3);
+            let share = volume_mm3(&mesh) / truth;
+            assert!((share - 1.0).abs() < 0.02, "volume is {share} of the truth");
+            let num_edges = mesh.triangles.len() * 3 / 2;
+            assert_eq!(mesh.vertices.len() + mesh.triangles.len(), num_edges + 2);
+        }
+    }
+
+    #[test]
+    fn a_lumen_that_touches_the_volumes_faces_is_closed_half_a_voxel_out() {
+        let grid = grid([3, 3, 3], [1.0; 3], false);
+        let values = vec![-1000i16; 27];
+        let view = VolumeView::new(&values, &grid).unwrap();
+        let mesh = lumen_mesh(view, &[1; 27], Some(LEVELS), &Unwatched).unwrap();
+        assert!(is_closed(&mesh));
+        let lows = (0..3).map(|a| {
+            mesh.vertices
+                .iter()
+                .map(|v| v[a])
+                .fold(f64::INFINITY, f64::min)
+        });
+        assert_eq!(lows.collect::<Vec<_>>(), [4.5, -7.5, 10.5]);
+    }
+
+    #[test]
+    fn an_empty_lumen_is_refused() {
+        let grid = grid([2, 2, 2], [1.0; 3], false);
+        let values = vec![0i16; 8];
+        let view = VolumeView::new(&values, &grid).unwrap();
+        assert!(lumen_mesh(view, &[0; 8], None, &Unwatched).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn any_set_of_voxels_has_a_closed_surface(
+            lumen in prop::collection::vec(0u8..2, 4 * 4 * 4),
+            values in prop::collection::vec(-1000i16..200, 4 * 4 * 4),
+            with_levels: bool,
+        ) {
+            prop_assume!(lumen.contains(&1));
+            let grid = grid([4, 4, 4], [1.0, 1.0, 2.0], false);
+            let view = VolumeView::new(&values, &grid).unwrap();
+            let mesh = lumen_mesh(view, &lumen, with_levels.then_some(LEVELS), &Unwatched).unwrap();
+            prop_assert!(is_closed(&mesh));
+            prop_assert!(volume_mm3(&mesh) > 0.0);
+        }
+    }
+}

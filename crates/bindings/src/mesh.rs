@@ -1,0 +1,57 @@
+//! Binding of the mesh of the lumen.
+#![allow(
+    clippy::needless_pass_by_value,
+    reason = "pyo3 hands arguments over by value"
+)]
+
+use carina_airpath::lumen::WallLevels;
+use carina_airpath::mesh;
+use carina_grid::VolumeView;
+use numpy::ndarray::Array2;
+use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+
+use crate::arrays;
+use crate::errors::IntoPy;
+use crate::watch::PyWatch;
+
+type VerticesAndTriangles<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u32>>);
+
+/// Closed mesh of the lumen: vertices (n, 3) LPS mm, triangles (m, 3), counterclockwise from outside.
+#[pyfunction]
+#[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, levels, cancel=None, progress=None))]
+fn lumen_mesh<'py>(
+    py: Python<'py>,
+    values_zyx: PyReadonlyArray3<'py, i16>,
+    lps_from_ijk: PyReadonlyArray2<'py, f64>,
+    lumen_zyx: PyReadonlyArray3<'py, u8>,
+    levels: Option<(f32, f32, f32)>,
+    cancel: Option<Py<PyAny>>,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<VerticesAndTriangles<'py>> {
+    let grid = arrays::grid(&values_zyx, &lps_from_ijk)?;
+    let view = VolumeView::new(arrays::values("values_zyx", &values_zyx)?, &grid)
+        .map_err(IntoPy::into_py)?;
+    let lumen = arrays::values("lumen_zyx", &lumen_zyx)?;
+    if lumen_zyx.shape() != values_zyx.shape() {
+        return Err(pyo3::exceptions::PyValueError::new_err(format!(
+            "lumen_zyx: expected the volume's shape {:?}, found {:?}",
+            values_zyx.shape(),
+            lumen_zyx.shape()
+        )));
+    }
+    let levels = levels.map(|(core, wall, rise)| WallLevels { core, wall, rise });
+    let watch = PyWatch::new(cancel, progress);
+    let found = py
+        .detach(|| mesh::lumen_mesh(view, lumen, levels, &watch))
+        .map_err(|e| watch.error(e))?;
+    let vertices = Array2::from_shape_fn((found.vertices.len(), 3), |(n, a)| found.vertices[n][a]);
+    let triangles =
+        Array2::from_shape_fn((found.triangles.len(), 3), |(n, a)| found.triangles[n][a]);
+    Ok((vertices.into_pyarray(py), triangles.into_pyarray(py)))
+}
+
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(lumen_mesh, module)?)?;
+    Ok(())
+}

@@ -1,0 +1,143 @@
+"""The lumen's surface for printing and for other viewers: STL, PLY, OBJ, GLB. Vertices stay in LPS, mm.
+
+References
+----------
+STL (binary, 3D Systems 1988); PLY (Turk 1994); Wavefront OBJ; glTF 2.0, section 4 (GLB).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from carina.errors import UsageError
+from carina.export.files import write_whole
+from carina.track.mesh import Mesh
+
+__all__ = ["MESH_SUFFIXES", "write_mesh"]
+
+_WORDS = "Carina airway lumen, space LPS, unit mm"
+
+
+def write_mesh(path: Path | str, mesh: Mesh) -> Path:
+    """Write a surface; the suffix says how: ``.stl``, ``.ply``, ``.obj`` or ``.glb``.
+
+    STL, PLY and OBJ hold LPS millimetres and say so in their header. GLB demands metres with +y up: its vertices are
+    LPS millimetres, too, and its one node turns and scales them (patient's head up, front towards the viewer).
+
+    Raises
+    ------
+    UsageError
+        If the suffix is another.
+    CarinaError
+        If it cannot be written; what was there before stays.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in _WRITERS:
+        msg = f"a surface is written as {', '.join(MESH_SUFFIXES)}; found {Path(path).name!r}"
+        raise UsageError(msg)
+    return write_whole(path, _WRITERS[suffix](mesh), what="the surface")
+
+
+def _stl(mesh: Mesh) -> bytes:
+    corners = mesh.vertices_lps[mesh.triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(across, axis=1, keepdims=True)
+    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
+    rows = np.zeros(len(corners), dtype=record)
+    rows["normal"] = np.divide(across, lengths, out=np.zeros_like(across), where=lengths > 0.0)
+    rows["corners"] = corners
+    # A header that begins with "solid" would be taken for the text kind.
+    return f"{_WORDS}; SPACE=LPS".encode().ljust(80) + struct.pack("<I", len(rows)) + rows.tobytes()
+
+
+def _ply(mesh: Mesh) -> bytes:
+    header = "\n".join(
+        [
+            "ply",
+            "format binary_little_endian 1.0",
+            f"comment {_WORDS}",
+            f"element vertex {len(mesh.vertices_lps)}",
+            "property float x",
+            "property float y",
+            "property float z",
+            f"element face {len(mesh.triangles)}",
+            "property list uchar uint vertex_indices",
+            "end_header",
+            "",
+        ]
+    )
+    faces = np.zeros(len(mesh.triangles), dtype=np.dtype([("count", "u1"), ("corners", "<u4", 3)]))
+    faces["count"], faces["corners"] = 3, mesh.triangles
+    return header.encode() + mesh.vertices_lps.astype("<f4").tobytes() + faces.tobytes()
+
+
+def _obj(mesh: Mesh) -> bytes:
+    text = io.StringIO()
+    text.write(f"# {_WORDS}\no airways\n")
+    np.savetxt(text, mesh.vertices_lps, fmt="v %.5f %.5f %.5f")
+    np.savetxt(text, mesh.triangles.astype(np.int64) + 1, fmt="f %d %d %d")
+    return text.getvalue().encode()
+
+
+def _glb(mesh: Mesh) -> bytes:
+    points = mesh.vertices_lps.astype("<f4")
+    corners = mesh.triangles.astype("<u4")
+    payload = points.tobytes() + corners.tobytes()
+    scale = 0.001
+    document = {
+        "asset": {"version": "2.0", "generator": "Carina"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        # Columns: where patient left, posterior and superior go. +x is left, +y is up, the front looks along +z.
+        "nodes": [
+            {
+                "name": "airways",
+                "mesh": 0,
+                "matrix": [scale, 0, 0, 0, 0, 0, -scale, 0, 0, scale, 0, 0, 0, 0, 0, 1],
+                "extras": {"space": "LPS", "unit": "mm"},
+            }
+        ],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0}]}],
+        "materials": [
+            {
+                "name": "mucosa",
+                "doubleSided": True,
+                "pbrMetallicRoughness": {
+                    "baseColorFactor": [0.86, 0.55, 0.5, 1.0],
+                    "metallicFactor": 0.0,
+                    "roughnessFactor": 0.6,
+                },
+            }
+        ],
+        "buffers": [{"byteLength": len(payload)}],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": 0, "byteLength": points.nbytes, "target": 34962},
+            {"buffer": 0, "byteOffset": points.nbytes, "byteLength": corners.nbytes, "target": 34963},
+        ],
+        "accessors": [
+            {
+                "bufferView": 0,
+                "componentType": 5126,
+                "count": len(points),
+                "type": "VEC3",
+                "min": [float(v) for v in points.min(axis=0)],
+                "max": [float(v) for v in points.max(axis=0)],
+            },
+            {"bufferView": 1, "componentType": 5125, "count": corners.size, "type": "SCALAR"},
+        ],
+    }
+    words = json.dumps(document, allow_nan=False).encode()
+    words += b" " * (-len(words) % 4)
+    chunks = struct.pack("<II", len(words), 0x4E4F534A) + words + struct.pack("<II", len(payload), 0x004E4942) + payload
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+
+
+_WRITERS: dict[str, Callable[[Mesh], bytes]] = {".stl": _stl, ".ply": _ply, ".obj": _obj, ".glb": _glb}
+MESH_SUFFIXES = tuple(_WRITERS)
+"""Suffixes that :func:`write_mesh` knows."""

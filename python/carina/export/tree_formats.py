@@ -1,0 +1,199 @@
+"""The airway tree in the formats of other tools: VTP (VTK), SWC (neuron tracers), Slicer markups.
+
+All are in LPS, mm, and say so where the format has a place for it.
+
+References
+----------
+VTK XML PolyData (VTK file formats); SWC (Cannon et al. 1998); 3D Slicer markups schema 1.0.3.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.export.files import write_whole
+from carina.track.tree import AirwayTree, Branch
+
+__all__ = ["write_markups", "write_swc", "write_vtp"]
+
+_MARKUPS_SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
+    "markups-schema-v1.0.3.json#"
+)
+# Told apart by readers with any colour vision; a branch takes the colour of its generation.
+_GENERATION_RGB = (
+    (0.34, 0.71, 0.91),
+    (0.90, 0.62, 0.0),
+    (0.0, 0.62, 0.45),
+    (0.94, 0.89, 0.26),
+    (0.0, 0.45, 0.70),
+    (0.84, 0.37, 0.0),
+    (0.80, 0.47, 0.65),
+)
+
+
+def _label(branch: Branch) -> str:
+    name = branch.name or f"branch {branch.id}"
+    return f"{name} (bridge)" if branch.kind == "bridge" else name
+
+
+def write_vtp(path: Path | str, tree: AirwayTree) -> Path:
+    """Write the centrelines as VTK PolyData: a line per branch.
+
+    Point data: ``Radius`` (mm). Cell data: ``BranchId``, ``ParentId`` (-1 at the root), ``Generation``, ``Bridge`` (1
+    over a blockage), ``NameConfidence`` (-1 where unknown) and ``Name`` (text). Field data: ``Space`` LPS, ``Unit`` mm.
+
+    Raises
+    ------
+    CarinaError
+        If it cannot be written; what was there before stays.
+    """
+    branches = tree.branches
+    points = np.concatenate([branch.points for branch in branches])
+    counts = np.array([len(branch.points) for branch in branches])
+    number = len(points)
+
+    def data(name: str, values: NDArray[Any], components: int = 1) -> str:
+        kinds = {"f8": "Float64", "i8": "Int64", "i4": "Int32"}
+        raw = np.ascontiguousarray(values).tobytes()
+        # Inline binary: the number of bytes, then the bytes, in base64 as one text.
+        text = base64.b64encode(np.uint64(len(raw)).tobytes() + raw).decode()
+        kind = kinds[values.dtype.str[1:]]
+        return (
+            f'<DataArray type="{kind}" Name={quoteattr(name)} NumberOfComponents="{components}" format="binary">'
+            f"{text}</DataArray>"
+        )
+
+    def texts(name: str, values: list[str]) -> str:
+        # VTK writes texts as the numbers of their bytes, each ended by a 0.
+        codes = " ".join(str(byte) for value in values for byte in [*value.encode(), 0])
+        return (
+            f'<Array type="String" Name={quoteattr(name)} NumberOfTuples="{len(values)}" format="ascii">{codes}</Array>'
+        )
+
+    def cells(values: list[float], dtype: str) -> NDArray[Any]:
+        return np.array(values, dtype=dtype)
+
+    document = "\n".join(
+        [
+            '<?xml version="1.0"?>',
+            '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">',
+            "<PolyData>",
+            "<FieldData>",
+            texts("Space", ["LPS"]),
+            texts("Unit", ["mm"]),
+            "</FieldData>",
+            f'<Piece NumberOfPoints="{number}" NumberOfVerts="0" NumberOfLines="{len(branches)}" NumberOfStrips="0" '
+            'NumberOfPolys="0">',
+            '<PointData Scalars="Radius">',
+            data("Radius", np.concatenate([branch.radius for branch in branches]).astype("<f8")),
+            "</PointData>",
+            '<CellData Scalars="Generation">',
+            data("BranchId", cells([b.id for b in branches], "<i4")),
+            data("ParentId", cells([-1 if b.parent is None else b.parent for b in branches], "<i4")),
+            data("Generation", cells([b.generation for b in branches], "<i4")),
+            data("Bridge", cells([int(b.kind == "bridge") for b in branches], "<i4")),
+            data(
+                "NameConfidence",
+                cells([-1.0 if b.name_confidence is None else b.name_confidence for b in branches], "<f8"),
+            ),
+            texts("Name", [branch.name or "" for branch in branches]),
+            "</CellData>",
+            "<Points>",
+            data("Points", points.astype("<f8"), 3),
+            "</Points>",
+            "<Lines>",
+            data("connectivity", np.arange(number, dtype="<i8")),
+            data("offsets", np.cumsum(counts).astype("<i8")),
+            "</Lines>",
+            "</Piece>",
+            "</PolyData>",
+            "</VTKFile>",
+            "",
+        ]
+    )
+    return write_whole(path, document.encode(), what="the tree")
+
+
+def write_swc(path: Path | str, tree: AirwayTree) -> Path:
+    """Write the centrelines as SWC: ``number type x y z radius parent`` a line, LPS mm, type 0 (undefined).
+
+    A fork is one node, so a child begins with the point after its parent's last.
+
+    Raises
+    ------
+    CarinaError
+        If it cannot be written; what was there before stays.
+    """
+    lines = ["# Carina airway tree", "# space LPS, unit mm, radius to the wall", "# number type x y z radius parent"]
+    last_node: dict[int, int] = {}
+    node = 0
+    for branch in tree.branches:
+        before = -1 if branch.parent is None else last_node[branch.parent]
+        lines.append(f"# branch {branch.id}: {_label(branch)}, generation {branch.generation}, {branch.kind}")
+        first = 0 if branch.parent is None else 1
+        for point, radius in zip(branch.points[first:], branch.radius[first:], strict=True):
+            node += 1
+            x, y, z = (repr(float(v)) for v in point)
+            lines.append(f"{node} 0 {x} {y} {z} {float(radius)!r} {before}")
+            before = node
+        last_node[branch.id] = before
+    return write_whole(path, ("\n".join(lines) + "\n").encode(), what="the tree")
+
+
+def write_markups(path: Path | str, tree: AirwayTree) -> Path:
+    """Write the centrelines as 3D Slicer markups (``.mrk.json``): a curve per branch, in LPS, named as in the tree.
+
+    Raises
+    ------
+    CarinaError
+        If it cannot be written; what was there before stays.
+    """
+    document = {"@schema": _MARKUPS_SCHEMA, "markups": [_curve(branch) for branch in tree.branches]}
+    return write_whole(path, (json.dumps(document, allow_nan=False) + "\n").encode(), what="the tree")
+
+
+def _curve(branch: Branch) -> dict[str, Any]:
+    colour = list(_GENERATION_RGB[branch.generation % len(_GENERATION_RGB)])
+    return {
+        "type": "Curve",
+        "name": _label(branch),
+        "coordinateSystem": "LPS",
+        "coordinateUnits": "mm",
+        "locked": True,
+        "fixedNumberOfControlPoints": False,
+        "labelFormat": "%N-%d",
+        "lastUsedControlPointNumber": len(branch.points),
+        "controlPoints": [
+            {
+                "id": str(number),
+                "label": "",
+                "description": f"radius {radius:.2f} mm",
+                "associatedNodeID": "",
+                "position": [float(v) for v in point],
+                "orientation": [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0],
+                "selected": True,
+                "locked": False,
+                "visibility": True,
+                "positionStatus": "defined",
+            }
+            for number, (point, radius) in enumerate(zip(branch.points, branch.radius, strict=True), 1)
+        ],
+        "measurements": [],
+        "display": {
+            "visibility": True,
+            "color": colour,
+            "selectedColor": colour,
+            "propertiesLabelVisibility": True,
+            "pointLabelsVisibility": False,
+            "glyphScale": 0.5,
+            "lineThickness": 0.4,
+        },
+    }

@@ -1,0 +1,219 @@
+"""``open_mask``: a segmentation of any tool, placed on a CT's grid by its geometry and never by its array alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import VolumeImportError
+from carina.volume.dicom_headers import looks_like_dicom
+from carina.volume.dicom_segmentation import read_segmentation
+from carina.volume.grid_files import read_grid_array
+from carina.volume.grid_headers import sniff_format
+from carina.volume.model import Volume
+from carina.volume.opening import guarded
+from carina.volume.watch import Watch
+
+__all__ = ["Mask", "open_mask"]
+
+# Of a voxel: headers in float32 are right to about 1e-4 mm, another grid is off by a good part of a voxel.
+_SAME_VOXEL = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mask:
+    """A structure on the grid of a CT."""
+
+    inside_zyx: NDArray[np.uint8]
+    """(nz, ny, nx) of the CT, 1 inside, read-only."""
+    notes: tuple[str, ...] = ()
+    """What was done to bring it there, in words."""
+
+
+def open_mask(
+    path: str | Path,
+    volume: Volume,
+    *,
+    label: int | None = None,
+    resample: bool = False,
+    progress: Callable[[str, float | None], None] | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Mask:
+    """Open a mask (NIfTI, NRRD, MetaImage or DICOM SEG) and place it on a volume's grid.
+
+    The axes may be flipped or exchanged and the mask may cover a part of the scan, as long as its voxels are the scan's
+    voxels: that is exact and is done without asking. Anything else is another grid.
+
+    Parameters
+    ----------
+    path
+        The mask's file.
+    volume
+        The CT that it belongs to.
+    label
+        The number (or DICOM segment) of the structure. Needed only where the mask holds several.
+    resample
+        Take a mask on another grid all the same: each voxel of the CT takes the mask's nearest one.
+
+    Returns
+    -------
+    Mask
+        1 inside, 0 outside.
+
+    Raises
+    ------
+    VolumeImportError
+        If the mask is on another grid (``import.mask-grid``; says how the two differ), if the file is no mask or is
+        empty, or if it holds several structures and ``label`` names none of them (``import.mask-label``).
+    CancelledError
+        If ``cancel()`` returned true.
+    """
+    watch = Watch(progress, cancel)
+
+    def read(where: Path) -> Mask:
+        labels, lps_from_mask, names = _labels(where, watch)
+        chosen = _chosen(where, labels, names, label)
+        return _placed(where, labels == chosen, lps_from_mask, volume, resample=resample, watch=watch)
+
+    return guarded(Path(path).expanduser(), read)
+
+
+def _labels(path: Path, watch: Watch) -> tuple[NDArray[np.generic], NDArray[np.float64], dict[int, str]]:
+    """Whole numbers ``[z, y, x]``, their place, and the names of the labels where the file has them."""
+    if not path.exists():
+        msg = f"reading the mask {path.name}: there is no such file; check the path {path}"
+        raise VolumeImportError(msg, code="import.not-found")
+    if path.is_file() and looks_like_dicom(path):
+        return read_segmentation(path, watch)
+    kind = sniff_format(path) if path.is_file() else None
+    if kind not in ("nifti", "nrrd", "metaimage"):
+        msg = (
+            f"reading the mask {path.name}: expected one file, NIfTI (.nii, .nii.gz), NRRD, MetaImage or DICOM SEG; "
+            "export the segmentation as one of these"
+        )
+        raise VolumeImportError(msg, code="import.not-an-image")
+    values, header = read_grid_array(path, kind, watch=watch)
+    if values.dtype.kind == "f":
+        if not np.isfinite(values).all() or (values != np.rint(values)).any():
+            msg = (
+                f"reading the mask {path.name}: expected whole numbers (0 outside), found fractions; it may be a map "
+                "of probabilities: export the mask itself"
+            )
+            raise VolumeImportError(msg, code="import.mask")
+        values = values.astype(np.int32)
+    return values, header.lps_from_ijk, {}
+
+
+def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], label: int | None) -> int:
+    present = [int(v) for v in np.unique(labels) if v != 0]
+    if not present:
+        msg = f"reading the mask {path.name}: it is empty (all voxels are 0); export the segmentation again"
+        raise VolumeImportError(msg, code="import.mask")
+    if len(present) > 1000:
+        msg = (
+            f"reading the mask {path.name}: it holds {len(present)} different numbers, so it is an image and no "
+            "mask; choose the file of the segmentation"
+        )
+        raise VolumeImportError(msg, code="import.mask")
+    if label is None and len(present) == 1:
+        return present[0]
+    if label in present:
+        assert label is not None
+        return label
+    listed = ", ".join(f"{n} ({names[n]})" if n in names else str(n) for n in present[:12])
+    more = f" and {len(present) - 12} more" if len(present) > 12 else ""
+    asked = "say which is the airway" if label is None else f"there is no {label} among them; say which is the airway"
+    msg = f"reading the mask {path.name}: it holds the labels {listed}{more}; {asked} (label, --label)"
+    raise VolumeImportError(msg, code="import.mask-label")
+
+
+def _placed(
+    path: Path,
+    inside: NDArray[np.bool_],
+    lps_from_mask: NDArray[np.float64],
+    volume: Volume,
+    *,
+    resample: bool,
+    watch: Watch,
+) -> Mask:
+    watch.step("Placing the mask", None)
+    nz, ny, nx = inside.shape
+    volume_from_mask = np.linalg.inv(volume.lps_from_ijk) @ lps_from_mask
+    turn = np.rint(volume_from_mask[:3, :3])
+    shift = np.rint(volume_from_mask[:3, 3])
+    exact = np.eye(4)
+    exact[:3, :3], exact[:3, 3] = turn, shift
+    corners = np.array([[i, j, k, 1.0] for i in (0, nx - 1) for j in (0, ny - 1) for k in (0, nz - 1)])
+    apart = float(np.abs(corners @ (volume_from_mask - exact).T).max())
+    is_turn = bool((np.abs(turn).sum(axis=0) == 1).all() and (np.abs(turn).sum(axis=1) == 1).all())
+    if not is_turn or apart > _SAME_VOXEL:
+        if not resample:
+            raise _other_grid(path, inside.shape, lps_from_mask, volume)
+        mask_from_volume = np.asarray(np.linalg.inv(volume_from_mask), dtype=np.float64)
+        return _resampled(path, inside, mask_from_volume, volume, watch)
+    # Array axes are z, y, x: axis 2 - a of the array is voxel axis a.
+    axes = [2 - int(np.argmax(np.abs(turn[2 - row]))) for row in range(3)]
+    turned = inside.transpose(axes)
+    for row in range(3):
+        if turn[2 - row].sum() < 0:
+            turned = np.flip(turned, row)
+    first = (corners[:, :3] @ turn.T + shift).min(axis=0).astype(int)[::-1]
+    out = np.zeros(volume.shape_zyx, dtype=np.uint8)
+    low = np.maximum(first, 0)
+    high = np.minimum(first + turned.shape, out.shape)
+    notes = []
+    taken = turned[tuple(slice(max(lo - f, 0), max(hi - f, 0)) for lo, hi, f in zip(low, high, first, strict=True))]
+    lost = int(np.count_nonzero(turned)) - int(np.count_nonzero(taken))
+    if lost:
+        msg = (
+            f"reading the mask {path.name}: {lost} of its voxels lie outside the scan; it was drawn on another or a "
+            "larger scan; open the scan it belongs to"
+        )
+        raise VolumeImportError(msg, code="import.mask-grid")
+    out[tuple(slice(lo, hi) for lo, hi in zip(low, high, strict=True))] = taken
+    if tuple(turned.shape) != volume.shape_zyx:
+        notes.append(f"the mask covers a part of the scan ({' x '.join(str(n) for n in turned.shape[::-1])} voxels)")
+    out.flags.writeable = False
+    return Mask(out, tuple(notes))
+
+
+def _resampled(
+    path: Path, inside: NDArray[np.bool_], mask_from_volume: NDArray[np.float64], volume: Volume, watch: Watch
+) -> Mask:
+    nz, ny, nx = volume.shape_zyx
+    out = np.zeros((nz, ny, nx), dtype=np.uint8)
+    limits = np.array(inside.shape[::-1])
+    i, j = np.meshgrid(np.arange(nx), np.arange(ny), indexing="xy")
+    for k in range(nz):
+        watch.step("Resampling the mask", k / nz)
+        plane = np.stack([i, j, np.full_like(i, k)], axis=-1)
+        at = np.floor(plane @ mask_from_volume[:3, :3].T + mask_from_volume[:3, 3] + 0.5).astype(np.int64)
+        within = ((at >= 0) & (at < limits)).all(axis=-1)
+        x, y, z = at[within].T
+        out[k][within] = inside[z, y, x]
+    if not out.any():
+        msg = f"reading the mask {path.name}: none of it lies in the scan; open the scan it belongs to"
+        raise VolumeImportError(msg, code="import.mask-grid")
+    out.flags.writeable = False
+    return Mask(out, ("the mask was on another grid; each voxel took the mask's nearest one",))
+
+
+def _other_grid(
+    path: Path, shape: tuple[int, ...], lps_from_mask: NDArray[np.float64], volume: Volume
+) -> VolumeImportError:
+    def grid_words(shape_zyx: tuple[int, ...], lps_from_ijk: NDArray[np.float64]) -> str:
+        sizes = " x ".join(str(n) for n in shape_zyx[::-1])
+        spacing = " x ".join(f"{v:.4g}" for v in np.linalg.norm(lps_from_ijk[:3, :3], axis=0))
+        middle = lps_from_ijk[:3, :3] @ ((np.array(shape_zyx[::-1]) - 1) / 2) + lps_from_ijk[:3, 3]
+        return f"{sizes} voxels of {spacing} mm round ({', '.join(f'{v:.1f}' for v in middle)})"
+
+    msg = (
+        f"reading the mask {path.name}: it is on another grid than the scan; expected "
+        f"{grid_words(volume.shape_zyx, volume.lps_from_ijk)}, found {grid_words(shape, lps_from_mask)}; export it on "
+        "the scan's grid, or let it be resampled (resample, --resample)"
+    )
+    return VolumeImportError(msg, code="import.mask-grid")

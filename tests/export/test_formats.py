@@ -1,0 +1,204 @@
+"""The tree, the lumen and its surface in the formats of other tools, read back by readers of their own."""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+
+import carina
+from carina.errors import GeometryError, UsageError
+from carina.export import export_airways, export_tree, write_mask, write_mesh
+from carina.track import AirwayTree, Branch, Mesh, lumen_mesh
+from carina.volume import Volume, open_mask
+
+
+@pytest.fixture(scope="module")
+def case():
+    phantom = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=4)
+    return phantom.volume, carina.find_airways(phantom.volume)
+
+
+@pytest.fixture
+def tree() -> AirwayTree:
+    fork = np.array([1.0 / 3.0, 0.0, -9.0])
+    trunk = np.array([[0.1, 0.2, 0.3], fork])
+    right = np.array([fork, [-4.0, 0.0, -15.0], [-9.0, 1.0, -20.0]])
+    return AirwayTree(
+        (
+            Branch(3, None, (7, 5), 0, "Trachea", "tracked", trunk, np.array([8.0, 7.5])),
+            Branch(7, 3, (), 1, "RMB", "bridge", right, np.array([7.5, 5.0, 4.5])),
+            Branch(5, 3, (), 1, None, "tracked", np.array([fork, [8.0, 0.0, -16.0]]), np.array([7.5, 5.5])),
+        )
+    )
+
+
+def vtp_array(root, path):
+    element = root.find(path)
+    assert element is not None
+    raw = base64.b64decode(element.text)
+    size = int.from_bytes(raw[:8], "little")
+    assert len(raw) == 8 + size
+    return np.frombuffer(raw[8:], {"Float64": "<f8", "Int64": "<i8", "Int32": "<i4"}[element.get("type")])
+
+
+def test_vtp_holds_every_branch_as_a_line(tree, tmp_path):
+    root = ET.parse(export_tree(tmp_path / "t.vtp", tree)).getroot()
+    points = vtp_array(root, ".//Points/DataArray").reshape(-1, 3)
+    ends = vtp_array(root, ".//Lines/DataArray[@Name='offsets']")
+    order = vtp_array(root, ".//Lines/DataArray[@Name='connectivity']")
+    assert order.tolist() == list(range(len(points)))
+    for branch, piece in zip(tree.branches, np.split(points, ends[:-1]), strict=True):
+        assert piece.tobytes() == branch.points.tobytes()
+    assert vtp_array(root, ".//CellData/DataArray[@Name='BranchId']").tolist() == [3, 7, 5]
+    assert vtp_array(root, ".//CellData/DataArray[@Name='ParentId']").tolist() == [-1, 3, 3]
+    assert vtp_array(root, ".//CellData/DataArray[@Name='Bridge']").tolist() == [0, 1, 0]
+    codes = root.find(".//CellData/Array[@Name='Name']").text.split()
+    assert bytes(int(code) for code in codes) == b"Trachea\0RMB\0\0"
+    assert bytes(int(code) for code in root.find(".//FieldData/Array[@Name='Space']").text.split()) == b"LPS\0"
+
+
+def test_swc_is_one_tree_whose_forks_are_single_nodes(tree, tmp_path):
+    lines = export_tree(tmp_path / "t.swc", tree).read_text().splitlines()
+    assert any("LPS" in line for line in lines if line.startswith("#"))
+    nodes = [line.split() for line in lines if not line.startswith("#")]
+    assert [int(node[0]) for node in nodes] == [1, 2, 3, 4, 5]
+    assert [int(node[6]) for node in nodes] == [-1, 1, 2, 3, 2]
+    places = np.array([[float(v) for v in node[2:5]] for node in nodes])
+    expected = np.concatenate([tree.branches[0].points, tree.branches[1].points[1:], tree.branches[2].points[1:]])
+    assert places.tobytes() == expected.tobytes()
+
+
+def test_markups_are_a_curve_per_branch_in_lps(tree, tmp_path):
+    document = json.loads(export_tree(tmp_path / "t.mrk.json", tree).read_text())
+    curves = document["markups"]
+    assert [curve["name"] for curve in curves] == ["Trachea", "RMB (bridge)", "branch 5"]
+    assert {curve["coordinateSystem"] for curve in curves} == {"LPS"}
+    assert {curve["coordinateUnits"] for curve in curves} == {"mm"}
+    for branch, curve in zip(tree.branches, curves, strict=True):
+        assert [p["position"] for p in curve["controlPoints"]] == branch.points.tolist()
+
+
+def test_the_surface_is_closed_and_as_large_as_the_lumen(case):
+    volume, airways = case
+    mesh = lumen_mesh(volume, airways)
+    edges = np.concatenate([mesh.triangles[:, [a, (a + 1) % 3]] for a in range(3)]).astype(np.int64)
+    forward = edges[:, 0] * len(mesh.vertices_lps) + edges[:, 1]
+    back = edges[:, 1] * len(mesh.vertices_lps) + edges[:, 0]
+    assert len(np.unique(forward)) == len(forward)
+    assert np.array_equal(np.sort(forward), np.sort(back))
+    lumen_mm3 = np.count_nonzero(airways.lumen_zyx) * np.prod(volume.spacing_mm)
+    # The surface lies on the half-maximum, the lumen's voxels end a little inside of it.
+    assert 0.95 * lumen_mm3 < mesh.volume_mm3 < 1.6 * lumen_mm3
+
+
+def test_the_surface_of_a_known_tube_has_its_volume():
+    phantom = carina.generate_phantom(seed=2, spacing_mm=0.8, generations=3)
+    airways = carina.find_airways(phantom.volume)
+    truth_mm3 = np.count_nonzero(phantom.lumen_zyx) * np.prod(phantom.volume.spacing_mm)
+    assert lumen_mesh(phantom.volume, airways).volume_mm3 == pytest.approx(truth_mm3, rel=0.06)
+
+
+def read_stl(raw):
+    count = struct.unpack("<I", raw[80:84])[0]
+    rows = np.frombuffer(raw[84:], np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")]))
+    assert len(rows) == count
+    return rows["corners"], rows["normal"]
+
+
+def read_ply(raw):
+    head, _, body = raw.partition(b"end_header\n")
+    words = head.decode().split()
+    num_points, num_faces = int(words[words.index("vertex") + 1]), int(words[words.index("face") + 1])
+    points = np.frombuffer(body, "<f4", 3 * num_points).reshape(-1, 3)
+    faces = np.frombuffer(body[12 * num_points :], np.dtype([("count", "u1"), ("corners", "<u4", 3)]))
+    assert len(faces) == num_faces
+    assert (faces["count"] == 3).all()
+    return points[faces["corners"]]
+
+
+def read_obj(raw):
+    rows = [line.split() for line in raw.decode().splitlines()]
+    points = np.array([[float(v) for v in row[1:]] for row in rows if row[0] == "v"])
+    return points[np.array([[int(v) for v in row[1:]] for row in rows if row[0] == "f"]) - 1]
+
+
+def read_glb(raw):
+    magic, version, total = struct.unpack("<4sII", raw[:12])
+    assert (magic, version, total) == (b"glTF", 2, len(raw))
+    size, kind = struct.unpack("<I4s", raw[12:20])
+    assert kind == b"JSON"
+    document = json.loads(raw[20 : 20 + size])
+    payload_size, kind = struct.unpack("<I4s", raw[20 + size : 28 + size])
+    payload = raw[28 + size :]
+    assert kind == b"BIN\0"
+    assert len(payload) == payload_size == document["buffers"][0]["byteLength"]
+    matrix = np.array(document["nodes"][0]["matrix"]).reshape(4, 4).T
+    num_points = document["accessors"][0]["count"]
+    points = np.frombuffer(payload, "<f4", 3 * num_points).reshape(-1, 3)
+    assert document["accessors"][0]["min"] == points.min(axis=0).tolist()
+    corners = np.frombuffer(payload[12 * num_points :], "<u4").reshape(-1, 3)
+    return points[corners], matrix
+
+
+def test_surfaces_come_back_from_every_format(case, tmp_path):
+    mesh = lumen_mesh(*case)
+    expected = mesh.vertices_lps[mesh.triangles]
+    raw = {suffix: write_mesh(tmp_path / f"s{suffix}", mesh).read_bytes() for suffix in (".stl", ".ply", ".obj")}
+    corners, normals = read_stl(raw[".stl"])
+    assert not raw[".stl"].startswith(b"solid")
+    assert b"LPS" in raw[".stl"][:80]
+    for found in (corners, read_ply(raw[".ply"]), read_obj(raw[".obj"])):
+        assert np.abs(found - expected).max() < 1e-3
+    # Normals point out of the lumen: away from the middle of a convex piece, and as the corners turn.
+    across = np.cross(expected[:, 1] - expected[:, 0], expected[:, 2] - expected[:, 0])
+    assert (np.einsum("na,na->n", across, normals) > 0.0).mean() > 0.999
+    triangles, matrix = read_glb(write_mesh(tmp_path / "s.glb", mesh).read_bytes())
+    assert np.abs(triangles - expected).max() < 1e-3
+    # Patient's left, posterior and superior in glTF's frame (+y up, front along +z), in metres.
+    assert matrix[:3, :3] @ (1.0, 0.0, 0.0) == pytest.approx([0.001, 0.0, 0.0])
+    assert matrix[:3, :3] @ (0.0, 1.0, 0.0) == pytest.approx([0.0, 0.0, -0.001])
+    assert matrix[:3, :3] @ (0.0, 0.0, 1.0) == pytest.approx([0.0, 0.001, 0.0])
+
+
+@pytest.mark.parametrize("name", ["m.nii.gz", "m.nii", "m.nrrd", "m.mha"])
+def test_a_mask_comes_back_on_the_same_grid(case, tmp_path, name):
+    volume, airways = case
+    path = write_mask(tmp_path / name, airways.lumen_zyx, volume)
+    assert np.array_equal(open_mask(path, volume).inside_zyx, airways.lumen_zyx)
+    image = sitk.ReadImage(str(path))
+    assert image.TransformIndexToPhysicalPoint((1, 2, 3)) == pytest.approx(
+        volume.to_lps(np.array([1.0, 2.0, 3.0])).tolist(), abs=1e-3
+    )
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+def test_airways_from_the_written_mask_are_the_same_places(case, tmp_path):
+    volume, airways = case
+    path = export_airways(tmp_path / "lumen.nrrd", volume, airways)
+    again = carina.find_airways(volume, lumen_zyx=open_mask(path, volume).inside_zyx)
+    assert again.tree.root.name == "Trachea"
+    assert len(again.tree) > 3
+
+
+def test_a_sheared_grid_cannot_be_a_mask_file(tmp_path):
+    matrix = np.eye(4)
+    matrix[1, 2] = 0.3
+    volume = Volume(np.zeros((3, 3, 3), np.int16), matrix)
+    with pytest.raises(GeometryError, match="right angles"):
+        write_mask(tmp_path / "m.nrrd", np.ones((3, 3, 3), np.uint8), volume)
+
+
+def test_unknown_suffixes_are_refused(tree, case, tmp_path):
+    with pytest.raises(UsageError, match=r"\.vtp"):
+        export_tree(tmp_path / "t.txt", tree)
+    with pytest.raises(UsageError, match=r"\.glb"):
+        write_mesh(tmp_path / "t.fbx", Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.uint32)))
+    with pytest.raises(UsageError, match=r"\.nrrd"):
+        export_airways(tmp_path / "t.dcm", *case)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,257 @@
+"""Masks of other tools, placed by their geometry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pydicom
+import pytest
+import SimpleITK as sitk
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.sequence import Sequence
+from pydicom.uid import ExplicitVRLittleEndian, generate_uid
+
+from carina.errors import VolumeImportError
+from carina.volume import Volume, open_mask
+
+SHAPE = (6, 8, 10)
+
+
+def oblique() -> np.ndarray:
+    matrix = np.eye(4)
+    c, s = np.cos(0.3), np.sin(0.3)
+    matrix[:3, :3] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) * (0.7, 0.8, 1.5)
+    matrix[:3, 3] = (-30.0, 12.0, 44.0)
+    return matrix
+
+
+@pytest.fixture
+def volume() -> Volume:
+    return Volume(np.zeros(SHAPE, dtype=np.int16), oblique())
+
+
+@pytest.fixture
+def inside() -> np.ndarray:
+    mask = np.zeros(SHAPE, dtype=np.uint8)
+    mask[1:4, 2:7, 3:5] = 1
+    mask[4, 6, 8] = 1
+    return mask
+
+
+def write(path, array_zyx, lps_from_ijk):
+    image = sitk.GetImageFromArray(array_zyx)
+    spacing = np.linalg.norm(lps_from_ijk[:3, :3], axis=0)
+    image.SetSpacing(spacing.tolist())
+    image.SetDirection((lps_from_ijk[:3, :3] / spacing).ravel().tolist())
+    image.SetOrigin(lps_from_ijk[:3, 3].tolist())
+    sitk.WriteImage(image, str(path))
+    return path
+
+
+@pytest.mark.parametrize("name", ["m.nii.gz", "m.nrrd", "m.mha"])
+def test_a_mask_on_the_scans_grid_is_taken_as_it_is(volume, inside, tmp_path, name):
+    mask = open_mask(write(tmp_path / name, inside, oblique()), volume)
+    assert np.array_equal(mask.inside_zyx, inside)
+    assert mask.notes == ()
+
+
+def test_flipped_and_exchanged_axes_are_placed_by_geometry(volume, inside, tmp_path):
+    matrix = oblique()
+    # The array [x, z, y] with y running backwards, and the transform that says so.
+    turned = np.ascontiguousarray(inside.transpose(2, 0, 1)[:, :, ::-1])
+    other = np.eye(4)
+    other[:3, 0], other[:3, 1], other[:3, 2] = -matrix[:3, 1], matrix[:3, 2], matrix[:3, 0]
+    other[:3, 3] = matrix[:3, 3] + matrix[:3, 1] * (SHAPE[1] - 1)
+    mask = open_mask(write(tmp_path / "m.nrrd", turned, other), volume)
+    assert np.array_equal(mask.inside_zyx, inside)
+
+
+def test_a_mask_of_a_part_of_the_scan_is_placed_in_it(volume, inside, tmp_path):
+    part = oblique()
+    part[:3, 3] = volume.to_lps(np.array([2.0, 1.0, 1.0]))
+    mask = open_mask(write(tmp_path / "m.mha", inside[1:5, 1:8, 2:9], part), volume)
+    assert np.array_equal(mask.inside_zyx, inside)
+    assert "a part of the scan" in mask.notes[0]
+
+
+def test_a_mask_that_reaches_out_of_the_scan_is_refused(volume, tmp_path):
+    shifted = oblique()
+    shifted[:3, 3] = volume.to_lps(np.array([3.0, 0.0, 0.0]))
+    path = write(tmp_path / "m.mha", np.ones(SHAPE, np.uint8), shifted)
+    with pytest.raises(VolumeImportError, match="outside the scan") as caught:
+        open_mask(path, volume)
+    assert caught.value.exit_code == 3
+
+
+@pytest.mark.parametrize("change", ["spacing", "origin", "turn"])
+def test_another_grid_is_refused_with_both_grids_and_taken_when_asked(volume, inside, tmp_path, change):
+    other = oblique()
+    if change == "spacing":
+        other[:3, 0] *= 1.5
+    elif change == "origin":
+        other[:3, 3] += other[:3, 0] * 0.4
+    else:
+        other[:3, :3] = oblique()[:3, :3] @ np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+        other[:3, 0] *= 1.02
+    path = write(tmp_path / "m.nii.gz", inside, other)
+    with pytest.raises(
+        VolumeImportError, match=r"another grid.*expected 10 x 8 x 6 voxels of 0\.7 x 0\.8 x 1\.5 mm"
+    ) as caught:
+        open_mask(path, volume)
+    assert caught.value.code == "import.mask-grid"
+    if change == "turn":
+        with pytest.raises(VolumeImportError, match="none of it"):
+            open_mask(path, volume, resample=True)
+        return
+    mask = open_mask(path, volume, resample=True)
+    # Each voxel of the scan has the value of the mask's nearest voxel.
+    from_volume = np.linalg.inv(other) @ oblique()
+    for k, j, i in np.ndindex(SHAPE):
+        x, y, z = np.floor((from_volume @ (i, j, k, 1.0))[:3] + 0.5).astype(int)
+        there = 0 <= x < SHAPE[2] and 0 <= y < SHAPE[1] and 0 <= z < SHAPE[0]
+        assert mask.inside_zyx[k, j, i] == (inside[z, y, x] if there else 0)
+    assert "nearest" in mask.notes[0]
+
+
+def test_of_several_labels_one_must_be_chosen(volume, inside, tmp_path):
+    labels = inside.copy()
+    labels[4, 6, 8] = 7
+    path = write(tmp_path / "m.nrrd", labels, oblique())
+    with pytest.raises(VolumeImportError, match="labels 1, 7; say which"):
+        open_mask(path, volume)
+    with pytest.raises(VolumeImportError, match="there is no 3 among them"):
+        open_mask(path, volume, label=3)
+    assert int(open_mask(path, volume, label=7).inside_zyx.sum()) == 1
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (np.zeros(SHAPE, np.uint8), "it is empty"),
+        (np.linspace(0.0, 1.0, 480, dtype=np.float32).reshape(SHAPE), "probabilities"),
+        (np.arange(480 * 4, dtype=np.int16).reshape(24, 8, 10), "different numbers"),
+    ],
+)
+def test_what_is_no_mask_is_refused(tmp_path, values, words):
+    volume = Volume(np.zeros(values.shape, dtype=np.int16), oblique())
+    with pytest.raises(VolumeImportError, match=words):
+        open_mask(write(tmp_path / "m.nrrd", values, oblique()), volume)
+
+
+def test_a_missing_file_and_a_folder_are_refused(volume, tmp_path):
+    with pytest.raises(VolumeImportError, match="no such file"):
+        open_mask(tmp_path / "nothing.nrrd", volume)
+    with pytest.raises(VolumeImportError, match="expected one file"):
+        open_mask(tmp_path, volume)
+
+
+# ------------------------------------------------------------ DICOM SEG
+
+
+def segmentation(path, labels_zyx, lps_from_ijk, *, shuffled=True, change=None):
+    """A SEG as other tools write it: one frame per segment and plane that is not empty, in any order."""
+    spacing = np.linalg.norm(lps_from_ijk[:3, :3], axis=0)
+    direction = lps_from_ijk[:3, :3] / spacing
+    frames, groups = [], Sequence()
+    numbers = [int(v) for v in np.unique(labels_zyx) if v]
+    for number in numbers:
+        for k, plane in enumerate(labels_zyx):
+            if not (plane == number).any():
+                continue
+            frames.append(plane == number)
+            group, position, segment = Dataset(), Dataset(), Dataset()
+            position.ImagePositionPatient = [f"{v:.6f}" for v in lps_from_ijk[:3, 3] + k * lps_from_ijk[:3, 2]]
+            segment.ReferencedSegmentNumber = number
+            group.PlanePositionSequence = Sequence([position])
+            group.SegmentIdentificationSequence = Sequence([segment])
+            groups.append(group)
+    if shuffled:
+        order = np.random.default_rng(1).permutation(len(frames))
+        frames, groups = [frames[n] for n in order], Sequence([groups[n] for n in order])
+    measures, orientation, shared = Dataset(), Dataset(), Dataset()
+    measures.PixelSpacing = [spacing[1], spacing[0]]
+    measures.SpacingBetweenSlices = spacing[2]
+    measures.SliceThickness = 2.0 * spacing[2]
+    orientation.ImageOrientationPatient = [f"{v:.8f}" for v in [*direction[:, 0], *direction[:, 1]]]
+    shared.PixelMeasuresSequence = Sequence([measures])
+    shared.PlaneOrientationSequence = Sequence([orientation])
+    data = Dataset()
+    data.file_meta = FileMetaDataset()
+    data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    data.file_meta.MediaStorageSOPClassUID = data.SOPClassUID = "1.2.840.10008.5.1.4.1.1.66.4"
+    data.file_meta.MediaStorageSOPInstanceUID = data.SOPInstanceUID = generate_uid()
+    data.Modality = "SEG"
+    data.SegmentationType = "BINARY"
+    data.Rows, data.Columns, data.NumberOfFrames = labels_zyx.shape[1], labels_zyx.shape[2], len(frames)
+    data.BitsAllocated = data.BitsStored = data.SamplesPerPixel = 1
+    data.HighBit = data.PixelRepresentation = 0
+    data.PhotometricInterpretation = "MONOCHROME2"
+    data.SegmentSequence = Sequence()
+    for number in numbers:
+        item = Dataset()
+        item.SegmentNumber, item.SegmentLabel = number, f"structure {number}"
+        data.SegmentSequence.append(item)
+    data.SharedFunctionalGroupsSequence = Sequence([shared])
+    data.PerFrameFunctionalGroupsSequence = groups
+    data.PixelData = np.packbits(np.stack(frames).ravel(), bitorder="little").tobytes()
+    if len(data.PixelData) % 2:
+        data.PixelData += b"\0"
+    if change is not None:
+        change(data)
+    pydicom.dcmwrite(path, data, enforce_file_format=True)
+    return path
+
+
+def test_a_dicom_segmentation_is_placed_frame_by_frame(volume, inside, tmp_path):
+    path = segmentation(tmp_path / "seg.dcm", inside, oblique())
+    assert np.array_equal(open_mask(path, volume).inside_zyx, inside)
+
+
+def test_segments_have_names(volume, inside, tmp_path):
+    labels = inside.copy()
+    labels[4, 6, 8] = 2
+    path = segmentation(tmp_path / "seg.dcm", labels, oblique())
+    with pytest.raises(VolumeImportError, match=r"labels 1 \(structure 1\), 2 \(structure 2\)"):
+        open_mask(path, volume)
+    assert np.array_equal(open_mask(path, volume, label=1).inside_zyx, labels == 1)
+
+
+def _tilt(data):
+    position = data.PerFrameFunctionalGroupsSequence[1].PlanePositionSequence[0]
+    position.ImagePositionPatient = [v + 0.6 for v in position.ImagePositionPatient]
+
+
+def _unplaced(data):
+    del data.PerFrameFunctionalGroupsSequence[0].PlanePositionSequence
+
+
+def _fractional(data):
+    data.SegmentationType = "FRACTIONAL"
+
+
+def _an_image(data):
+    data.SOPClassUID = data.file_meta.MediaStorageSOPClassUID = "1.2.840.10008.5.1.4.1.1.2"
+
+
+def _short(data):
+    data.PixelData = data.PixelData[:4]
+
+
+def _many(data):
+    data.NumberOfFrames = 2**31 - 1
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (_tilt, "one regular grid"),
+        (_unplaced, "do not say where"),
+        (_fractional, "fractional"),
+        (_an_image, "not a segmentation"),
+        (_short, "pixels cannot be read"),
+        (_many, "it claims"),
+    ],
+)
+def test_a_broken_segmentation_is_refused(volume, inside, tmp_path, change, words):
+    path = segmentation(tmp_path / "seg.dcm", inside, oblique(), shuffled=False, change=change)
+    with pytest.raises(VolumeImportError, match=words):
+        open_mask(path, volume)
