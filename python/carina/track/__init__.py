@@ -18,12 +18,9 @@ from carina.track.edits import (
     rebuild_airways,
 )
 from carina.track.levels import lumen_threshold_from_histogram
-<<<<<<< HEAD
 from carina.track.measures import BranchMeasures, BranchSummary, ForkMeasures, Stenosis, TreeMeasures, measure_tree
 from carina.track.names import LetterRule, NameWords, branch_side_and_lobe, name_tree, name_words
-=======
 from carina.track.mesh import Mesh, lumen_mesh
->>>>>>> 1b4d7c9 (track, export, cli: carina airways and carina export, masks of other tools)
 from carina.track.paths import PathTracker, TrackedPath
 from carina.track.tree import AirwayTree, Branch, Route
 
@@ -36,12 +33,9 @@ __all__ = [
     "BranchSummary",
     "Bridge",
     "CutBranch",
-<<<<<<< HEAD
     "ForkMeasures",
     "LetterRule",
-=======
     "Mesh",
->>>>>>> 1b4d7c9 (track, export, cli: carina airways and carina export, masks of other tools)
     "MoveFork",
     "MoveRoot",
     "NameWords",
