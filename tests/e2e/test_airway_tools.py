@@ -148,6 +148,17 @@ def test_a_branch_that_is_pointed_at_shows_in_the_list_and_in_all_pictures(serve
     # A click there flies to it, as a click in the list does.
     workstation.page.mouse.click(x, y)
     wait_for(workstation, "(id) => window.__carina.state.route?.spans.at(-1).branch_id === id", rmb)
+
+    # A double click makes the picture large, and chooses nothing.
+    undo = workstation.state("can_undo")
+    workstation.page.mouse.dblclick(*place_on_tree(workstation, lmb))
+    wait_for(workstation, "() => window.__carina.state.ui.full === 'outside'")
+    workstation.page.wait_for_timeout(500)
+    assert workstation.state("route.spans.at(-1).branch_id") == rmb
+    assert workstation.state("can_undo") == undo
+    assert workstation.state("ui.selected") == rmb
+    workstation.picture("tree-large")
+    workstation.page.keyboard.press("Escape")
     assert workstation.faults == []
 
 

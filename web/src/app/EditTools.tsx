@@ -50,7 +50,7 @@ export function EditTools() {
       ))}
       <Act
         icon="pencil"
-        label="Rename"
+        label="Name"
         words="Another name for the branch that is chosen"
         keys={keyOf("rename")}
         disabled={shown === null}

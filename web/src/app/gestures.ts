@@ -82,6 +82,7 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
     },
     wheel: (delta, zoom, at) => now().pointer.wheel?.(delta, zoom, at),
     doubleClick: () => {
+      station.pointing.unclick();
       now().unclick?.();
       doubleClick();
     },

@@ -24,6 +24,8 @@ interface Pointed {
   readonly pixel: PixelPoint | null;
 }
 
+/** As long as most systems wait for a second click, at least nearly. */
+const DOUBLE_CLICK_MS = 300;
 const PLANES = ["axial", "coronal", "sagittal"] as const;
 
 export class Pointing {
@@ -32,6 +34,8 @@ export class Pointing {
   /** A click in the airway view whose point the server is asked for. */
   #commitOn: number | null = null;
   #lastAsked = 0;
+  /** A branch clicked from outside, that becomes the route unless a second click follows. */
+  #chosen: { timer: ReturnType<typeof setTimeout>; before: number | null } | null = null;
 
   constructor(station: Workstation) {
     this.#station = station;
@@ -100,9 +104,19 @@ export class Pointing {
     const pointed = this.#under(viewport, at);
     if (armed === null) {
       if (pointed?.branchId == null) return false;
-      station.ui({ selected: pointed.branchId });
-      if (viewport.view !== "tree") return false;
-      station.chooseBranch(pointed.branchId);
+      const { branchId } = pointed;
+      if (viewport.view !== "tree") {
+        station.ui({ selected: branchId });
+        return false;
+      }
+      this.unclick();
+      const before = station.state.ui.selected;
+      station.ui({ selected: branchId });
+      const timer = setTimeout(() => {
+        this.#chosen = null;
+        station.chooseBranch(branchId);
+      }, DOUBLE_CLICK_MS);
+      this.#chosen = { timer, before };
       return true;
     }
     if (pointed === null) return viewport.view === "tree" || viewport.view === "tri-plane";
@@ -113,6 +127,14 @@ export class Pointing {
     else if (pointed.lps !== null) this.commit(pointed.lps);
     else if (pointed.pixel !== null && viewport.header !== null) this.commitInPicture(viewport.header, pointed.pixel);
     return true;
+  }
+
+  /** The clicks were a double click, which makes a picture large and chooses no route. */
+  unclick(): void {
+    if (this.#chosen === null) return;
+    clearTimeout(this.#chosen.timer);
+    this.#station.ui({ selected: this.#chosen.before });
+    this.#chosen = null;
   }
 
   /** In the airway view: the lumen in front of the wall there, once the server has said where that is. */

@@ -55,7 +55,7 @@ export function nameWords(node: BranchNode): string | null {
 const withError = (value: number | null, error: number | null, digits = 1): string | null =>
   value === null ? null : error === null ? mm(value, digits) : `${fixed(value, digits)} \u00b1 ${mm(error, digits)}`;
 
-/** A narrowing smaller than this is within what healthy airways do. */
+/** A narrowing that is not surely larger than this is within what healthy airways do. */
 const STENOSIS_PERCENT = 20;
 
 export interface Fact {
@@ -96,7 +96,7 @@ function measuredFacts(measures: BranchMeasures): (Fact | null)[] {
           value: `${fixed(stenosis)} %${
             measures.stenosis_error_percent === null ? "" : ` \u00b1 ${fixed(measures.stenosis_error_percent)}`
           }${measures.stenosis_at_mm === null ? "" : ` at ${mm(measures.stenosis_at_mm, 0)}`}`,
-          warns: stenosis >= STENOSIS_PERCENT,
+          warns: stenosis - (measures.stenosis_error_percent ?? 0) >= STENOSIS_PERCENT,
         },
     fact("Angle", measures.angle_deg === null ? null : `${fixed(measures.angle_deg)}\u00b0 to its parent`),
   ];

@@ -118,7 +118,8 @@ export function targetMark(ink: Ink, at: ScreenPoint, colour: string, alpha: num
 export class NamePlaces {
   readonly #taken: { left: number; right: number; top: number; bottom: number }[] = [];
 
-  name(ink: Ink, text: string, at: ScreenPoint, colour: string, within: { width: number; height: number }): void {
+  /** False where it was left out. */
+  name(ink: Ink, text: string, at: ScreenPoint, colour: string, within: { width: number; height: number }): boolean {
     ink.font = `11px ${FONT}`;
     const width = ink.measureText(text).width;
     for (const [side, lift] of [
@@ -136,7 +137,8 @@ export class NamePlaces {
       if (!inside || !free) continue;
       this.#taken.push(box);
       label(ink, text, { x: left, y: at.y + lift }, { size: 11, colour, align: "left" });
-      return;
+      return true;
     }
+    return false;
   }
 }

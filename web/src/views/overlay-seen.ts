@@ -7,6 +7,7 @@ import { add, scale } from "../state/vec";
 import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
 import { paintCursorNote, paintLivePath } from "./overlay-cursor";
 import { paintLetters } from "./overlay-flat";
+import { paintLobes, paintNames } from "./overlay-names";
 import { paintTree } from "./overlay-tree";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
@@ -22,6 +23,8 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (geometry === null) return;
   if (header.view === "tri-plane" && geometry.kind === "seen") paintPlanes(ink, viewport, geometry, scene);
   if (header.view === "drr") paintAngles(ink, scene);
+  const isTree = header.view === "tree" && geometry.kind === "seen";
+  if (isTree) paintLobes(ink, viewport, geometry, scene);
   paintTree(ink, viewport, geometry, scene, () => true);
   if (scene.routeLineVisible) {
     for (const run of projectLine(geometry, scene.routePoints)) {
@@ -50,6 +53,7 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
       tipMark(ink, at, to === null ? null : { x: to.x - at.x, y: to.y - at.y }, true);
     }
   }
+  if (isTree) paintNames(ink, viewport, geometry, scene);
   paintLetters(ink, viewport, axesOf(geometry));
   paintCursorNote(ink, viewport, scene);
 }

@@ -41,6 +41,10 @@ export interface Scene {
   /** Clicked points of the wall, newest last. */
   wallPoints: readonly Vec3[];
   bridges: readonly BranchNode[];
+  /** Branches of a known lobe. */
+  named: readonly BranchNode[];
+  /** Branches with an anatomical name or a person's, large ones first. */
+  titled: readonly BranchNode[];
   uncertain: readonly UncertainPlace[];
   /** The branch that is pointed at. */
   hovered: { node: BranchNode; place: TreePlace | null } | null;
@@ -60,8 +64,8 @@ export interface Scene {
   stroke: readonly Vec3[];
 }
 
-let bridgesOf: BranchTree | null = null;
-let bridges: readonly BranchNode[] = [];
+let partsOf: BranchTree | null = null;
+let parts: Pick<Scene, "bridges" | "named" | "titled"> = { bridges: [], named: [], titled: [] };
 let liveOf: LiveAnswer | null = null;
 let live: Scene["live"] = null;
 
@@ -70,12 +74,28 @@ function pointedAt(
   state: AppState,
 ): Pick<
   Scene,
-  "bridges" | "uncertain" | "hovered" | "selected" | "doomed" | "heldFork" | "live" | "note" | "brush" | "stroke"
+  | "bridges"
+  | "named"
+  | "titled"
+  | "uncertain"
+  | "hovered"
+  | "selected"
+  | "doomed"
+  | "heldFork"
+  | "live"
+  | "note"
+  | "brush"
+  | "stroke"
 > {
   const { tree, ui, livePath } = state;
-  if (tree !== bridgesOf) {
-    bridgesOf = tree;
-    bridges = tree === null ? [] : [...tree.byId.values()].filter((node) => node.branch.kind === "bridge");
+  if (tree !== partsOf) {
+    partsOf = tree;
+    const nodes = tree === null ? [] : [...tree.byId.values()];
+    parts = {
+      bridges: nodes.filter((node) => node.branch.kind === "bridge"),
+      named: nodes.filter((node) => node.lobe !== null),
+      titled: nodes.filter((node) => node.branch.name !== null).sort((a, b) => b.diameterMm - a.diameterMm),
+    };
   }
   if (livePath !== liveOf) {
     liveOf = livePath;
@@ -89,7 +109,7 @@ function pointedAt(
   const selected = ui.selected === null ? null : (tree?.byId.get(ui.selected) ?? null);
   const held = ui.forkHeld === null ? undefined : tree?.byId.get(ui.forkHeld)?.branch.points.at(-1);
   return {
-    bridges,
+    ...parts,
     uncertain: tree?.uncertain ?? [],
     hovered,
     selected,

@@ -18,7 +18,8 @@ export function AirwaysStep() {
       <ToolInHand />
       {found ? (
         <details className="part">
-          <summary>{plural(count, "branch", "branches")} found; compare with the slices</summary>
+          <summary>{plural(count, "branch", "branches")} found</summary>
+          <p>Found by itself: compare it with the slices before you rely on it.</p>
           {session.airways_words === null ? null : <p className="quiet">{sentence(session.airways_words)}</p>}
         </details>
       ) : (
@@ -35,9 +36,9 @@ export function AirwaysStep() {
       )}
       {found ? (
         <>
-          <BranchPanel />
           <h3>Mend the tree</h3>
           <EditTools />
+          <BranchPanel />
           <details className="part">
             <summary>Find the airways again</summary>
             <Root />
