@@ -19,8 +19,8 @@ from carina.track.edits import (
 )
 from carina.track.levels import lumen_threshold_from_histogram
 from carina.track.measures import BranchMeasures, BranchSummary, ForkMeasures, Stenosis, TreeMeasures, measure_tree
-from carina.track.names import LetterRule, NameWords, branch_side_and_lobe, name_tree, name_words
 from carina.track.mesh import Mesh, lumen_mesh
+from carina.track.names import LetterRule, NameWords, branch_side_and_lobe, name_tree, name_words
 from carina.track.paths import PathTracker, TrackedPath
 from carina.track.tree import AirwayTree, Branch, Route
 
