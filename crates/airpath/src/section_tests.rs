@@ -219,11 +219,9 @@ fn without_the_correction_a_thin_wall_looks_thick_and_its_lumen_narrow() {
     let section = measure(&grid, &tube);
     let off = (section.wall_mm - 0.8).abs();
     assert!(off < section.wall_error_mm && off < 0.25, "{off}");
-    assert!(
-        (section.equivalent_mm - 6.0).abs() < 0.1,
-        "{}",
-        section.equivalent_mm
-    );
+    // Better than half of the raw error; the interpolation's own blur is not in the sigma given.
+    let off = (section.equivalent_mm - 6.0).abs();
+    assert!(off < section.equivalent_error_mm && off < 0.15, "{off}");
     assert!(section.shift_mm > 0.1);
 }
 
