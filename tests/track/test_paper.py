@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import carina
 from carina._core import GraphTracker
+from carina.cli.bench.track_paper import deviation_mm
 from carina.errors import CancelledError, UsageError
 from carina.track.paper import BYTES_PER_VOXEL, COSTS, GRAPHS, search_box, track_on_graph
 from carina.volume.model import Volume
@@ -157,6 +158,30 @@ def test_the_box_is_the_volume_where_it_fits_and_else_round_the_targets(chest):
         assert first[axis] + box[axis] <= shape[axis]
     with pytest.raises(UsageError, match="MiB"):
         search_box(volume, points, max_bytes=1 << 12)
+
+
+def test_a_target_outside_a_given_box_has_no_path_and_the_others_do(chest, found, ends):
+    box = search_box(chest.volume, [found.root_lps, ends[0]], max_bytes=BYTES_PER_VOXEL["voxel"] * 400_000)
+    assert box[1] != chest.volume.shape_zyx[::-1]
+    last = chest.volume.to_ijk(np.array(ends)) - np.array(box[0])
+    outside = [bool((ijk > np.array(box[1]) - 0.5).any() or (ijk < -0.5).any()) for ijk in last]
+    assert not outside[0]
+    assert any(outside)
+    result = track_on_graph(chest.volume, found, ends, cost="paper", graph="voxel", box_ijk=box)
+    assert [target.path is None for target in result.targets] == outside
+    assert all("outside the box" in str(t.problem) for t in result.targets if t.path is None)
+    assert not result.search.is_whole
+    assert "box" in result.search.notes[0]
+
+
+def test_the_deviation_of_two_paths_is_their_distance_both_ways():
+    line = np.array([[0.0, 0.0, 0.0], [30.0, 0.0, 0.0]])
+    assert deviation_mm(line, line[::-1]) == (0.0, 0.0)
+    beside = line + np.array([0.0, 3.0, 4.0])
+    assert deviation_mm(line, beside) == pytest.approx((5.0, 5.0))
+    # Half as long: one way 0, the other 0 to 15 mm.
+    half = line * 0.5
+    assert deviation_mm(line, half) == pytest.approx((15.0 / 8.0, 15.0), abs=0.05)
 
 
 @settings(max_examples=20, suppress_health_check=[HealthCheck.too_slow], deadline=None)

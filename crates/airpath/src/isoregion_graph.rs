@@ -418,9 +418,11 @@ impl<'a, B: VoxelGraph + Sync, C: LinkCost<B>> PrunedCost<'a, B, C> {
 
 impl<B: VoxelGraph + Sync, C: LinkCost<B>> Cost for PrunedCost<'_, B, C> {
     fn weight(&self, u: u32, v: u32) -> f64 {
-        let [from, to] = [u, v].map(|n| self.graph.voxel(n));
+        // Links end at a centre of radius 2 or more; most edges do not.
+        let may_be_link = self.graph.radius(u).max(self.graph.radius(v)) > 1;
+        let is_link = may_be_link && chessboard(self.graph.voxel(u), self.graph.voxel(v)) > 1;
         let [u, v] = [u, v].map(|n| self.graph.whole(n));
-        if chessboard(from, to) > 1 {
+        if is_link {
             self.cost.link_weight(&self.graph.base, u, v)
         } else {
             self.cost.weight(u, v)

@@ -30,6 +30,7 @@ Cancel = Callable[[], bool]
 Progress = Callable[[str, float | None], None]
 Points = NDArray[np.float64]
 Labels = Literal["bins", "lumen"]
+Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 
 MAX_BYTES = 1 << 30
 """Memory that a search with the cost ``paper`` may take, its queue aside."""
@@ -102,7 +103,7 @@ def check_choice(cost: str, graph: str) -> None:
 
 def search_box(
     volume: Volume, points_lps: Sequence[Sequence[float] | Points], *, graph: str = "voxel", max_bytes: int = MAX_BYTES
-) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+) -> Box:
     """The box of voxels in which the cost ``paper`` is searched: the whole volume where it fits in the memory.
 
     Else the box round root and targets with a margin of 20 mm, or the largest of 10, 5 and 2 mm that fits.
@@ -149,6 +150,7 @@ def track_on_graph(
     cost: str,
     graph: str,
     labels: Labels | None = None,
+    box_ijk: Box | None = None,
     snap_mm: float = SNAP_MM,
     progress: Progress | None = None,
     cancel: Cancel | None = None,
@@ -168,6 +170,9 @@ def track_on_graph(
     labels
         What an IsoRegion's voxels have in common: ``bins`` of 16 HU (unless told, for the cost ``paper``) or the class
         of the ``lumen`` (for the cost ``lumen``).
+    box_ijk
+        First voxel and shape of the box in which the cost ``paper`` is searched; :func:`search_box` unless told. It
+        must hold the root; a target outside it has no path.
 
     Returns
     -------
@@ -197,13 +202,12 @@ def track_on_graph(
     points = [as_point(target) for target in targets]
     notes: list[str] = []
     shape = volume.shape_zyx[::-1]
-    box: tuple[tuple[int, int, int], tuple[int, int, int]] = ((0, 0, 0), (shape[0], shape[1], shape[2]))
+    box: Box = ((0, 0, 0), (shape[0], shape[1], shape[2]))
     if cost == "paper":
-        box = search_box(volume, [root, *points], graph=graph)
+        box = box_ijk or search_box(volume, [root, *points], graph=graph)
         if box[1] != shape:
             notes.append(
-                "the search was kept to a box round root and targets, so that it fits in memory; a cheaper way "
-                "outside the box would not be found"
+                "the search was kept to a box round root and targets; a cheaper way outside the box would not be found"
             )
 
     def stage(what: str) -> Callable[[float], None]:
@@ -237,7 +241,10 @@ def track_on_graph(
                 airways.tracker.snap(point, snap_mm=snap_mm)
             place = core.place(point, snap_mm)
             settled, started = core.num_settled, time.perf_counter()
-            if place is None or not core.solve_to(place[0], cancel=cancel, progress=share):
+            if place is None:
+                msg = f"no path: {words(point)} lies outside the box that is searched"
+                raise NoResultError(msg, code="track.no-path")
+            if not core.solve_to(place[0], cancel=cancel, progress=share):
                 msg = f"no path: {words(point)} is not connected to the root in this graph"
                 raise NoResultError(msg, code="track.no-path")
         except NoResultError as error:
