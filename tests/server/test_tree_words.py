@@ -79,7 +79,7 @@ def test_the_tree_comes_without_measures_first_and_with_them_when_they_are_ready
 def test_places_that_could_not_be_followed_are_sent(branch_id):
     airways = small_airways(small_volume())
     airways.uncertain = (
-        SimpleNamespace(lps=np.array([1.0, 2.0, 3.0]), reason="lumen ends at 1.8 mm", branch_id=branch_id),
+        SimpleNamespace(place_lps=(1.0, 2.0, 3.0), reason="lumen ends at 1.8 mm", branch_id=branch_id),
     )
     (place,) = tree_message(airways).uncertain
     assert place == wire.UncertainPlace((1.0, 2.0, 3.0), "lumen ends at 1.8 mm", branch_id)
