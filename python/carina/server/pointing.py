@@ -108,6 +108,8 @@ class Pointing:
 
 def live_path_message(request_id: int, lps: tuple[float, float, float], path: Any) -> wire.LivePath:
     """A :class:`carina.track.LivePath` for the screen: its points thinned out."""
+    if path.problem is not None:
+        return _no_path(request_id, path.problem, lps)
     points = np.asarray(path.points_lps, dtype=np.float64).reshape(-1, 3)
     return wire.LivePath(
         request_id=request_id,
@@ -119,12 +121,12 @@ def live_path_message(request_id: int, lps: tuple[float, float, float], path: An
         snapped_mm=_rounded(path.snapped_mm),
         new_mm=_rounded(path.new_mm),
         joins_branch_id=path.joins_branch_id,
-        problem=path.problem,
+        problem=None,
     )
 
 
-def _no_path(request_id: int, problem: str) -> wire.LivePath:
-    return wire.LivePath(request_id, None, (), None, None, None, None, None, None, problem)
+def _no_path(request_id: int, problem: str, lps: tuple[float, float, float] | None = None) -> wire.LivePath:
+    return wire.LivePath(request_id, lps, (), None, None, None, None, None, None, problem)
 
 
 def _thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:

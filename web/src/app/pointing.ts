@@ -55,7 +55,9 @@ export class Pointing {
     const pointed = at === null ? null : this.#under(viewport, at);
     const cursor = at === null ? null : { view: viewport.view, x: at.x, y: at.y };
     const hovered = pointed?.branchId == null ? null : { branchId: pointed.branchId, place: pointed.place };
-    if (cursor !== null || ui.cursor?.view === viewport.view || ui.cursor === null) station.ui({ cursor, hovered });
+    if (cursor !== null || ui.cursor?.view === viewport.view || ui.cursor === null) {
+      station.ui({ cursor, hovered, pointedLps: pointed?.lps ?? null });
+    }
     if (!wantsPath(ui.armed, ui.forkHeld !== null)) return;
     const question = pointed === null ? null : questionOf(viewport.header, pointed);
     if (question === null) this.#forget();

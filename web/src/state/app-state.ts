@@ -89,6 +89,8 @@ export interface Ui {
   /** The branch whose name is being typed. */
   readonly renaming: number | null;
   readonly cursor: Cursor | null;
+  /** The point of the patient under it, where the picture tells. */
+  readonly pointedLps: Vec3 | null;
   readonly keyCardOpen: boolean;
   readonly routeLineVisible: boolean;
   readonly advancing: boolean;
@@ -162,6 +164,7 @@ export const INITIAL_STATE: AppState = {
     selected: null,
     renaming: null,
     cursor: null,
+    pointedLps: null,
     keyCardOpen: false,
     routeLineVisible: true,
     advancing: false,
@@ -195,6 +198,7 @@ const NOTHING_HELD = {
   selected: null,
   renaming: null,
   cursor: null,
+  pointedLps: null,
   cursorLps: null,
 } as const;
 

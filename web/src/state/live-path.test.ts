@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { AskLivePathMessage, LivePathMessage } from "../wire/messages";
-import { LiveAsker, type LiveQuestion, leavesTreeAt, livePathLines } from "./live-path";
+import { firstSentences, LiveAsker, type LiveQuestion, leavesTreeAt, livePathLines } from "./live-path";
 
 const at = (x: number): LiveQuestion => ({ lps: [x, 0, 0], frame_id: null, column: null, row: null });
 
@@ -93,6 +93,17 @@ describe("what is said beside the cursor", () => {
   it("is the reason, as a sentence, where there is no way", () => {
     const none = livePathLines(answer(1, { length_mm: null, problem: "the lumen ends 8 mm from here" }));
     expect(none).toEqual({ lines: ["The lumen ends 8 mm from here"], warns: true });
+  });
+});
+
+describe("a long reason", () => {
+  it("is cut after a sentence, never within one or within a number", () => {
+    const long = "This is soft tissue, not an airway. The nearest airway that was found is 12.5 mm away (up to 5 mm).";
+    expect(firstSentences(`${long} Point at an airway; if one is missing here, paint its lumen.`)).toBe(
+      "This is soft tissue, not an airway.",
+    );
+    expect(firstSentences("It is 12.5 mm away. Go on.")).toBe("It is 12.5 mm away. Go on.");
+    expect(firstSentences("no full stop")).toBe("no full stop");
   });
 });
 

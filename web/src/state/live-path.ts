@@ -87,7 +87,7 @@ const SMALL_MM = 0.3;
 /** Lines beside the cursor; `warns` where there is no way. */
 export function livePathLines(answer: LivePathMessage): { lines: readonly string[]; warns: boolean } {
   if (answer.problem !== null || answer.length_mm === null) {
-    return { lines: [sentence(answer.problem ?? "no way through here")], warns: true };
+    return { lines: [firstSentences(sentence(answer.problem ?? "no way through here"))], warns: true };
   }
   const lines = [`${mm(answer.length_mm, 0)} from the root`];
   if (answer.min_diameter_mm !== null) lines.push(`narrowest ${mm(answer.min_diameter_mm)}`);
@@ -97,6 +97,20 @@ export function livePathLines(answer: LivePathMessage): { lines: readonly string
     lines.push(`moved ${mm(answer.snapped_mm)} into the lumen`);
   }
   return { lines, warns: false };
+}
+
+/** At the cursor there is room for so much, in letters. */
+const ROOM = 90;
+
+/** As many whole sentences as there is room for, at least one. */
+export function firstSentences(text: string): string {
+  const [first = "", ...more] = text.match(/[^.]+(?:\.\d+[^.]*)*\.?\s*/g) ?? [text];
+  let kept = first;
+  for (const next of more) {
+    if (kept.length + next.trimEnd().length > ROOM) break;
+    kept += next;
+  }
+  return kept.trimEnd();
 }
 
 /** Index of the point where the way leaves the tree: what comes after is its last `newMm`. */

@@ -13,7 +13,17 @@ export function paintLivePath(
   scene: Scene,
   inPlane: (depthMm: number) => boolean,
 ): void {
-  const { live } = scene;
+  const { live, reach } = scene;
+  if (reach !== null) {
+    ink.save();
+    ink.setLineDash([4, 4]);
+    for (const run of projectLine(geometry, [reach.from, reach.to])) {
+      const points = run.map((point) => viewport.screenAt(point));
+      line(ink, points, INK.halo, 4, 0.6);
+      line(ink, points, reach.bridges ? INK.warning : INK.accent, 2);
+    }
+    ink.restore();
+  }
   if (live === null || live.points.length < 2) return;
   const parts = [
     { points: live.points.slice(0, live.leavesAt + 1), colour: INK.text },

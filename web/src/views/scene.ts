@@ -5,9 +5,9 @@ import { type AppState, type Cursor, crosshairLps, maskOf, pathMm } from "../sta
 import { mm, plural } from "../state/format";
 import { type LiveAnswer, leavesTreeAt, livePathLines } from "../state/live-path";
 import { isBrush, wantsPath } from "../state/tools";
-import { below, pointsFrom, type TreePlace } from "../state/tree-index";
+import { below, nearestPlace, pointsFrom, type TreePlace } from "../state/tree-index";
 import type { PlaneName } from "../state/tri-plane";
-import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
+import { asVec3, type Camera, cameraFromMatrix, distance, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
 import type { RouteInfo, StateMessage, UncertainPlace } from "../wire/messages";
 import { type Shape, shapeOf } from "./outline";
@@ -55,6 +55,8 @@ export interface Scene {
   doomed: readonly (readonly Vec3[])[];
   /** The fork that is being moved. */
   heldFork: Vec3 | null;
+  /** From the tree straight to the cursor, where there is no way yet: what a click would look for, or bridge. */
+  reach: { from: Vec3; to: Vec3; bridges: boolean } | null;
   /** The way to the cursor; leaves the tree at a point of its own. */
   live: { points: readonly Vec3[]; leavesAt: number } | null;
   cursor: Cursor | null;
@@ -82,6 +84,7 @@ function pointedAt(
   | "selected"
   | "doomed"
   | "heldFork"
+  | "reach"
   | "live"
   | "note"
   | "brush"
@@ -107,6 +110,7 @@ function pointedAt(
   const hovered = node === undefined || ui.hovered === null ? null : { node, place: ui.hovered.place };
   // The route's end is no choice of its own: its line is drawn already.
   const selected = ui.selected === null ? null : (tree?.byId.get(ui.selected) ?? null);
+  const reach = reachOf(state);
   const held = ui.forkHeld === null ? undefined : tree?.byId.get(ui.forkHeld)?.branch.points.at(-1);
   return {
     ...parts,
@@ -115,8 +119,9 @@ function pointedAt(
     selected,
     doomed: ui.armed === "cut" && hovered !== null ? doomedBy(hovered.node, hovered.place?.alongMm ?? 0) : [],
     heldFork: held === undefined ? null : asVec3(held),
+    reach,
     live,
-    note: noteOf(state, hovered?.node ?? null),
+    note: noteOf(state, hovered?.node ?? null, reach),
     brush: isBrush(ui.armed) ? { radiusMm: ui.brushMm, erase: ui.armed === "erase" } : null,
     stroke: ui.stroke,
   };
@@ -126,8 +131,27 @@ function doomedBy(node: BranchNode, alongMm: number): Vec3[][] {
   return below(node).map((member) => pointsFrom(member, member === node ? alongMm : 0));
 }
 
-function noteOf(state: AppState, hovered: BranchNode | null): Scene["note"] {
+/** Nearer than this the cursor is on the tree. */
+const ON_TREE_MM = 0.5;
+
+function reachOf(state: AppState): Scene["reach"] {
+  const { ui, tree, livePath } = state;
+  const bridges = ui.armed === "bridge";
+  const searches = ui.armed === "add" && livePath !== null && livePath.answer.problem !== null;
+  if (tree === null || ui.pointedLps === null || !(bridges || searches)) return null;
+  const nearest = nearestPlace(tree.index, ui.pointedLps);
+  if (nearest === null || nearest.distanceMm < ON_TREE_MM) return null;
+  return { from: nearest.lps, to: ui.pointedLps, bridges };
+}
+
+function noteOf(state: AppState, hovered: BranchNode | null, reach: Scene["reach"]): Scene["note"] {
   const { ui, livePath } = state;
+  if (reach !== null) {
+    const far = `${mm(distance(reach.from, reach.to))} from the tree`;
+    return reach.bridges
+      ? { lines: ["bridge to here", far], warns: true }
+      : { lines: [far, "a click looks for an airway up to here"], warns: false };
+  }
   if (wantsPath(ui.armed, ui.forkHeld !== null)) return livePath === null ? null : livePathLines(livePath.answer);
   if (hovered === null) return null;
   const name = branchLine(hovered);
