@@ -434,7 +434,9 @@ def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], 
         if bronchus.length_mm < 2.0 * bronchi[bronchus.parent].radius_mm and not bronchus.children:
             continue
         down = read.frame @ bronchus.direction
-        if above in {"BI", "RMB"} and down[2] < -0.2 and down[0] * (-1.0 if read.mirrored else 1.0) > -0.1:
+        if above == "Trachea" and bronchus.children:
+            note(number, "a bronchus that leaves the trachea: perhaps a tracheal bronchus")
+        elif above in {"BI", "RMB"} and down[2] < -0.2 and down[0] * (-1.0 if read.mirrored else 1.0) > -0.1:
             note(number, "perhaps an accessory cardiac bronchus")
         elif above in {*LOBES, "Lingula", "Upper division", "Right basal trunk", "Left basal trunk"}:
             note(number, f"an accessory bronchus of {above}")

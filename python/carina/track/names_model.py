@@ -134,7 +134,16 @@ _TRUNKS: dict[str, Vector] = {
 }
 
 TRUNCATED = math.log(0.25)
-"""A stem whose branch ends before it divides."""
+"""A stem of two whose branch ends before it divides."""
+TRUNCATED_MORE = -0.5
+"""For each further segment on it."""
+GROUP_LOST = 0.02
+GROUPS_LOST = (
+    frozenset({"LB1", "LB2", "LB3"}),
+    frozenset({"LB4", "LB5"}),
+    frozenset({"RB7", "RB8", "RB9", "RB10"}),
+    frozenset({"LB8", "LB9", "LB10"}),
+)
 DOUBLE = math.log(0.1)
 """Two bronchi of one segment that leave the same fork side by side."""
 
@@ -282,6 +291,13 @@ def _add_lobe(build: _Builder, lobe: str, segments: dict[str, Segment]) -> None:
         # LB1 without LB2 is a part of LB1+2 that was named on its own: hardly ever.
         halves = len(part & {"LB1", "LB2"}) == 1
         share = math.prod(1.0 - segments[k].absent if k in part else segments[k].absent for k in of)
+        for group in GROUPS_LOST:
+            if group <= set(of) and not group & part:
+                # All of one stem is lost at once where the search stopped on it.
+                rest = (k for k in of if k not in group)
+                share += GROUP_LOST * math.prod(
+                    1.0 - segments[k].absent if k in part else segments[k].absent for k in rest
+                )
         return share * (0.05 if halves else 1.0)
 
     build.add(lobe, name=lobe, kind="lobe", keys=frozenset(keys), lobe=lobe, trunk=_TRUNKS[lobe])

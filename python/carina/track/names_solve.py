@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.track.names_model import DOUBLE, TRUNCATED, Grammar
+from carina.track.names_model import DOUBLE, TRUNCATED, TRUNCATED_MORE, Grammar
 from carina.track.names_shape import Bronchus, Lung
 
 __all__ = ["Reading", "Solution", "Solver"]
@@ -178,6 +178,9 @@ class _Model:
         self.directions = np.array([b.direction for b in bronchi]) @ turn.T
         self.middles = np.array([b.middle for b in bronchi]) @ turn.T
         self.turn = turn
+        sizes = [len(keys) if kind == "set" else 2 for keys, kind in zip(grammar.segments, grammar.kind, strict=True)]
+        more = np.maximum(np.array(sizes) - 2, 0)
+        self.truncated = np.where([kind == "lobe" for kind in grammar.kind], -np.inf, TRUNCATED + TRUNCATED_MORE * more)
         division = grammar.division
         bounds = np.flatnonzero(np.diff(division.state, prepend=-1))
         self._bounds, self._states = bounds, division.state[bounds]
@@ -238,7 +241,7 @@ class _Model:
                 + 0.5 * ((radius - CALIBRE_INSIDE) / CALIBRE_ANY) ** 2
                 + math.log(CALIBRE_ANY / CALIBRE_SPREAD)
             )
-            total += np.clip(calibre, -4.0, 1.0)
+            total += np.clip(calibre, -8.0, 1.0)
             for which, (middle, size) in self._lung_place.items():
                 mine = grammar.side == which
                 off = (grammar.place[mine] - middle) / size - at
@@ -259,7 +262,7 @@ def _spur(bronchi: list[Bronchus], number: int) -> float:
     parent = bronchi[bronchus.parent]
     share = bronchus.bulk_mm / max(sum(bronchi[c].bulk_mm for c in parent.children), 1e-9)
     twig = not bronchus.children and bronchus.length_mm < 2.5 * parent.radius_mm
-    return -(1.0 if twig else 2.2) - 8.0 * share
+    return -(1.0 if twig else 3.5 if bronchus.children else 2.2) - 8.0 * share
 
 
 class Solver:
@@ -311,12 +314,12 @@ class Solver:
                 local = local + model.wishes[number]
             interior = model.held[number][0] if number in model.held else np.zeros(len(grammar))
             if bronchus.children:
-                parts = [self._part(child) for child in bronchus.children]
+                parts = [self.part_of(child) for child in bronchus.children]
                 table = _Tables(parts, [self.sums[child] for child in bronchus.children], model)
                 structure = table.sums[table.full].copy()
                 self.tables[number] = table
             else:
-                structure = np.where([kind == "lobe" for kind in grammar.kind], -np.inf, TRUNCATED)
+                structure = model.truncated.copy()
             structure[terminal] = interior[terminal]
             self.own[number] = structure + local
             self.sums[number] = model.shrunk(self.own[number])
@@ -331,7 +334,8 @@ class Solver:
         self._read(0, int(np.argmax(self.posts[0])))
         return Solution(self.readings)
 
-    def _part(self, number: int) -> _Part:
+    def part_of(self, number: int) -> _Part:
+        """A bronchus as one side of a fork."""
         model = self.model
         inner, spur = model.held.get(number, (None, 0.0))
         bronchus = self.bronchi[number]
