@@ -495,3 +495,76 @@ class LumenTracker:
         self, branch_nodes: Sequence[NDArray[np.uint32]], parents: Sequence[int | None]
     ) -> NDArray[np.int32]:
         """(num_nodes,) branch in whose tube each node lies, -1 where none is connected to it."""
+
+def edit_lumen(
+    tracker: LumenTracker,
+    values_zyx: NDArray[np.int16],
+    added_ijk: NDArray[np.uint16],
+    removed_ijk: NDArray[np.uint16],
+    *,
+    cancel: Callable[[], bool] | None = None,
+) -> tuple[LumenTracker, tuple[tuple[int, int, int], tuple[int, int, int]] | None]:
+    """The tracker of a lumen with voxels added and taken away, and the box (first, shape) of what changed in it."""
+
+def fresh_lumen(
+    tracker: LumenTracker,
+    values_zyx: NDArray[np.int16],
+    lumen_zyx: NDArray[np.uint8],
+    root_ijk: tuple[int, int, int],
+    *,
+    cancel: Callable[[], bool] | None = None,
+) -> LumenTracker:
+    """The tracker of a whole lumen from scratch, with the wall levels of another one."""
+
+def reroot_lumen(
+    tracker: LumenTracker, root_ijk: tuple[int, int, int], *, cancel: Callable[[], bool] | None = None
+) -> LumenTracker:
+    """The tracker of the same lumen with another root."""
+
+def lumen_array(tracker: LumenTracker) -> NDArray[np.uint8]:
+    """(nz, ny, nx) 1 inside the lumen."""
+
+def lumen_states(
+    tracker: LumenTracker, first_ijk: tuple[int, int, int], shape_ijk: tuple[int, int, int]
+) -> NDArray[np.uint8]:
+    """(nz, ny, nx) of a box: 0 no lumen, 1 lumen that no path reaches, 2 lumen."""
+
+def nodes_at(tracker: LumenTracker, points_lps: NDArray[np.float64]) -> NDArray[np.int64]:
+    """(n,) the node whose voxel holds each point, -1 outside the lumen."""
+
+def voxels_of(tracker: LumenTracker, nodes_of: NDArray[np.uint32]) -> NDArray[np.uint16]:
+    """(n, 3) voxels of nodes."""
+
+def reached(tracker: LumenTracker, nodes_of: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """(n,) whether a path reaches each node."""
+
+def sees(tracker: LumenTracker, from_lps: NDArray[np.float64], to_lps: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n,) whether the straight line between two points stays in lumen voxels."""
+
+def pulled_inside(tracker: LumenTracker, points_lps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3) points, each moved to the nearest place inside the lumen where it lies outside."""
+
+def newly_reached(tracker: LumenTracker, other: LumenTracker) -> NDArray[np.uint16]:
+    """(n, 3) voxels that a path reaches in one tracker and not in another."""
+
+def cut_voxels(tracker: LumenTracker, cut: NDArray[np.uint32], kept: NDArray[np.uint32]) -> NDArray[np.uint16]:
+    """(n, 3) voxels in the tubes of a cut piece rather than of what is kept: nodes on centrelines."""
+
+def more_tips(
+    tracker: LumenTracker,
+    tree_nodes: NDArray[np.uint32],
+    candidates_ijk: NDArray[np.uint16],
+    *,
+    cancel: Callable[[], bool] | None = None,
+) -> NDArray[np.uint32]:
+    """(n,) nodes: tips of branches among candidate voxels that a tree does not hold yet, longest path first."""
+
+def cheapest_way(
+    weights_zyx: NDArray[np.float32],
+    goals_zyx: NDArray[np.uint8],
+    spacing_mm: tuple[float, float, float],
+    start_ijk: tuple[int, int, int],
+    *,
+    cancel: Callable[[], bool] | None = None,
+) -> NDArray[np.uint16] | None:
+    """(n, 3) voxels of a box on the cheapest way from the nearest goal to a start; weights are per mm, 0 is closed."""

@@ -16,6 +16,7 @@ pub mod graph;
 pub mod graph_tracker;
 pub mod isoregion_graph;
 pub mod lumen;
+pub mod lumen_edit;
 mod lungs;
 pub mod mesh;
 pub mod paper_cost;
@@ -25,11 +26,16 @@ mod spots;
 pub mod trachea;
 pub mod tracker;
 pub mod tree;
+pub mod tree_edit;
+mod voxel_set;
+mod wall_sites;
 
 pub use error::{TrackError, Unwatched, Watch};
 
 #[cfg(test)]
 mod isoregion_graph_tests;
+#[cfg(test)]
+mod lumen_edit_tests;
 #[cfg(test)]
 mod lumen_tests;
 #[cfg(test)]

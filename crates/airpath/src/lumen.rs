@@ -9,8 +9,10 @@ use carina_grid::{Affine, Grid, VolumeView, length};
 use rayon::prelude::*;
 
 use crate::TrackError;
-use crate::distance::{NOWHERE, VoxelBox, nearest_outside};
-use crate::graph::{Cost, Graph, NO_NODE};
+use crate::distance::VoxelBox;
+use crate::graph::{Cost, Graph};
+use crate::voxel_set::VoxelSet;
+use crate::wall_sites::{NO_SITE, nearest_outside_lumen};
 
 /// Where the wall begins, in the volume's own numbers (HU on a calibrated CT).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,11 +48,13 @@ impl WallLevels {
 /// Lumen voxels, which of their 26 neighbours they are linked to, and how far the wall is.
 #[derive(Debug)]
 pub struct LumenGraph {
-    voxel_box: VoxelBox,
-    node_at: Vec<u32>,
-    voxels: Vec<[u16; 3]>,
-    edges: Vec<u32>,
-    wall_mm: Vec<f32>,
+    pub(crate) lumen: VoxelSet,
+    /// In array order.
+    pub(crate) voxels: Vec<[u16; 3]>,
+    pub(crate) edges: Vec<u32>,
+    pub(crate) wall_mm: Vec<f32>,
+    /// The nearest voxel outside, from which the wall was looked up.
+    pub(crate) sites: Vec<[u16; 3]>,
     steps: [Step; 26],
     lps_from_ijk: Affine,
 }
@@ -107,73 +111,73 @@ impl LumenGraph {
         if voxels.is_empty() {
             return Err(TrackError::NoResult("the airway lumen is empty".to_owned()));
         }
-        let voxel_box = box_around(&voxels, shape);
-        let mut node_at = vec![NO_NODE; voxel_box.num_voxels()];
-        for (node, voxel) in voxels.iter().enumerate() {
-            if let Some(at) = voxel_box.index_of(voxel.map(|v| v as isize)) {
-                node_at[at] = node as u32;
-            }
-        }
-        let steps = steps(grid);
-        let mut graph = Self {
-            voxel_box,
-            node_at,
-            voxels,
-            edges: Vec::new(),
-            wall_mm: Vec::new(),
-            steps,
-            lps_from_ijk: *grid.lps_from_ijk(),
-        };
-        graph.edges = graph.link(values, levels);
-        graph.wall_mm = graph.wall_distances(values, levels);
+        let mut graph = Self::unlinked(grid, voxels);
+        graph.edges = (0..graph.voxels.len() as u32)
+            .into_par_iter()
+            .map(|node| graph.links(values, levels, node))
+            .collect();
+        graph.wall_mm = (0..graph.voxels.len() as u32)
+            .into_par_iter()
+            .map(|node| graph.wall_from_site(values, levels, node))
+            .collect();
         Ok(graph)
     }
 
-    /// Edge masks: bit s for step s.
-    fn link(&self, values: VolumeView<'_, i16>, levels: Option<WallLevels>) -> Vec<u32> {
-        // Both ends of an edge compute the same test: the samples at 1/4, 1/2, 3/4 are the same three points.
-        (0..self.voxels.len())
-            .into_par_iter()
-            .map(|node| {
-                let from = self.voxels[node].map(|v| v as isize);
-                let mut mask = 0u32;
-                for (s, step) in self.steps.iter().enumerate() {
-                    let to: [isize; 3] = std::array::from_fn(|a| from[a] + step.offset_ijk[a]);
-                    let linked = self.node_at_voxel(to).is_some()
-                        && (step.offset_ijk.iter().filter(|v| **v != 0).count() == 1
-                            || levels.is_none_or(|l| line_is_inside(values, from, to, l)));
-                    mask |= u32::from(linked) << s;
-                }
-                mask
-            })
-            .collect()
+    /// The graph of voxels in array order, before edges and distances to the wall are known.
+    pub(crate) fn unlinked(grid: &Grid, voxels: Vec<[u16; 3]>) -> Self {
+        let shape = grid.shape_ijk();
+        let lumen = VoxelSet::new(
+            box_around(&voxels, shape),
+            voxels.iter().map(|v| v.map(|x| x as isize)),
+        );
+        let sites = nearest_outside_lumen(&lumen, &voxels, shape, grid.spacing_mm());
+        Self {
+            lumen,
+            voxels,
+            edges: Vec::new(),
+            wall_mm: Vec::new(),
+            sites,
+            steps: steps(grid),
+            lps_from_ijk: *grid.lps_from_ijk(),
+        }
     }
 
-    fn wall_distances(&self, values: VolumeView<'_, i16>, levels: Option<WallLevels>) -> Vec<f32> {
+    /// Edge mask of a node: bit s for step s.
+    pub(crate) fn links(
+        &self,
+        values: VolumeView<'_, i16>,
+        levels: Option<WallLevels>,
+        node: u32,
+    ) -> u32 {
+        // Both ends of an edge compute the same test: the samples at 1/4, 1/2, 3/4 are the same three points.
+        let from = self.voxels[node as usize].map(|v| v as isize);
+        let mut mask = 0u32;
+        for (s, step) in self.steps.iter().enumerate() {
+            let to: [isize; 3] = std::array::from_fn(|a| from[a] + step.offset_ijk[a]);
+            let linked = self.lumen.holds(to)
+                && (step.offset_ijk.iter().filter(|v| **v != 0).count() == 1
+                    || levels.is_none_or(|l| line_is_inside(values, from, to, l)));
+            mask |= u32::from(linked) << s;
+        }
+        mask
+    }
+
+    /// Distance of a node to the wall near its nearest voxel outside, mm.
+    pub(crate) fn wall_from_site(
+        &self,
+        values: VolumeView<'_, i16>,
+        levels: Option<WallLevels>,
+        node: u32,
+    ) -> f32 {
         let spacing = values.grid().spacing_mm();
-        // Beyond the volume nothing is known: the box is clipped to it, so its faces are no wall.
-        let nearest = nearest_outside(self.voxel_box.shape_ijk, spacing, |at| {
-            self.node_at[at] == NO_NODE
-        });
-        let ceiling = 0.5
-            * length(std::array::from_fn(|a| {
-                self.voxel_box.shape_ijk[a] as f64 * spacing[a]
-            }));
-        self.voxels
-            .par_iter()
-            .map(|voxel| {
-                let from = voxel.map(|v| v as isize);
-                let nearest = self
-                    .voxel_box
-                    .index_of(from)
-                    .map_or(NOWHERE, |at| nearest[at]);
-                if nearest == NOWHERE {
-                    return ceiling as f32;
-                }
-                let wall = self.voxel_box.voxel(nearest as usize).map(|v| v as isize);
-                self.nearest_crossing_mm(values, levels, spacing, from, wall) as f32
-            })
-            .collect()
+        let (voxel, site) = (self.voxels[node as usize], self.sites[node as usize]);
+        if site == NO_SITE {
+            // The lumen fills the volume, beyond which nothing is known.
+            let shape = values.grid().shape_ijk();
+            return (0.5 * length(std::array::from_fn(|a| shape[a] as f64 * spacing[a]))) as f32;
+        }
+        let (from, wall) = (voxel.map(|v| v as isize), site.map(|v| v as isize));
+        self.nearest_crossing_mm(values, levels, spacing, from, wall) as f32
     }
 
     /// Least distance from a lumen voxel to a threshold crossing on a grid edge near the outside voxel `wall`.
@@ -189,14 +193,14 @@ impl LumenGraph {
         for cell in 0..27isize {
             let offset = [cell % 3 - 1, cell / 3 % 3 - 1, cell / 9 - 1];
             let outside: [isize; 3] = std::array::from_fn(|a| wall[a] + offset[a]);
-            if self.voxel_box.index_of(outside).is_none() || self.node_at_voxel(outside).is_some() {
+            if self.lumen.voxel_box().index_of(outside).is_none() || self.lumen.holds(outside) {
                 continue;
             }
             for axis in 0..3 {
                 for side in [-1isize, 1] {
                     let mut inside = outside;
                     inside[axis] += side;
-                    if self.node_at_voxel(inside).is_none() {
+                    if !self.lumen.holds(inside) {
                         continue;
                     }
                     let mut beyond = outside;
@@ -233,14 +237,13 @@ impl LumenGraph {
     /// The box that holds the lumen.
     #[must_use]
     pub const fn voxel_box(&self) -> VoxelBox {
-        self.voxel_box
+        self.lumen.voxel_box()
     }
 
     /// The node of a voxel of the volume.
     #[must_use]
     pub fn node_at_voxel(&self, ijk: [isize; 3]) -> Option<u32> {
-        let node = self.node_at[self.voxel_box.index_of(ijk)?];
-        (node != NO_NODE).then_some(node)
+        self.lumen.place(ijk)
     }
 
     /// The voxel of a node.
@@ -273,8 +276,7 @@ impl LumenGraph {
     /// True if the voxel that holds this point (voxel coordinates) is lumen.
     #[must_use]
     pub fn holds(&self, ijk: [f64; 3]) -> bool {
-        self.node_at_voxel(ijk.map(|v| (v + 0.5).floor() as isize))
-            .is_some()
+        self.lumen.holds(ijk.map(|v| (v + 0.5).floor() as isize))
     }
 
     /// The point itself inside the lumen; else the nearest place on the way to the centre of the nearest lumen voxel.
@@ -306,8 +308,8 @@ impl LumenGraph {
         let (mut low, mut high) = ([0isize; 3], [0isize; 3]);
         for axis in 0..3 {
             let reach = reach_mm / spacing[axis] + 1.0;
-            let first = self.voxel_box.first_ijk[axis] as f64;
-            let last = first + self.voxel_box.shape_ijk[axis] as f64 - 1.0;
+            let first = self.lumen.voxel_box().first_ijk[axis] as f64;
+            let last = first + self.lumen.voxel_box().shape_ijk[axis] as f64 - 1.0;
             low[axis] = (ijk[axis] - reach).floor().max(first) as isize;
             high[axis] = (ijk[axis] + reach).ceil().min(last) as isize;
         }

@@ -28,6 +28,7 @@ pub struct Tracker {
     settled: Vec<bool>,
     order: Vec<u32>,
     queue: BucketQueue,
+    first_of_equals: bool,
 }
 
 impl Tracker {
@@ -50,10 +51,51 @@ impl Tracker {
             settled: vec![false; num_nodes],
             order: Vec::new(),
             queue: BucketQueue::new(quantum.dearest_edge),
+            first_of_equals: false,
         };
         tracker.cost[root as usize] = 0;
         tracker.queue.push(0, root);
         Ok(tracker)
+    }
+
+    /// A tracker that has settled all that has a cost, in the order of cost and then of nodes; `predecessor` is `NO_NODE` at
+    /// the root and where nothing is settled.
+    pub(crate) fn from_costs(
+        root: u32,
+        quantum: Quantum,
+        cost: Vec<u64>,
+        predecessor: Vec<u32>,
+        order: Vec<u32>,
+        first_of_equals: bool,
+    ) -> Self {
+        let settled = cost.iter().map(|c| *c != UNREACHED).collect();
+        Self {
+            root,
+            quantum,
+            cost,
+            predecessor,
+            settled,
+            order,
+            queue: BucketQueue::new(0),
+            first_of_equals,
+        }
+    }
+
+    /// True if the first of equally cheap paths was taken everywhere, so that the tree depends on the graph alone.
+    pub(crate) const fn first_of_equals(&self) -> bool {
+        self.first_of_equals
+    }
+
+    /// True if nothing is left to be settled.
+    pub(crate) const fn is_done(&self) -> bool {
+        self.queue.num_open == 0
+    }
+
+    /// Least cost of every node in quanta; [`UNREACHED`] where none is known.
+    pub(crate) fn costs(&self) -> Vec<u64> {
+        (0..self.cost.len() as u32)
+            .map(|node| self.cost_quanta(node).unwrap_or(UNREACHED))
+            .collect()
     }
 
     /// Settles what is needed to know the least cost of `target`; true if a path exists.

@@ -181,10 +181,10 @@ pub fn branch_of_nodes(graph: &LumenGraph, branches: &[Branch]) -> Vec<u32> {
 }
 
 /// Wider than the radius of any airway, mm.
-const WIDEST_TUBE_MM: f64 = 20.0;
+pub(crate) const WIDEST_TUBE_MM: f64 = 20.0;
 
 /// What is near a path of the tree, measured inside the lumen.
-struct Cover<'a> {
+pub(crate) struct Cover<'a> {
     graph: &'a LumenGraph,
     limits: &'a BranchLimits,
     /// How much farther the cover reaches from each node, mm; 0 where it does not reach it.
@@ -193,14 +193,14 @@ struct Cover<'a> {
 }
 
 /// Finite lengths in order. As integers (micrometres), so that they have one.
-type OrderedMm = u32;
+pub(crate) type OrderedMm = u32;
 
-fn ordered(mm: f64) -> OrderedMm {
+pub(crate) fn ordered(mm: f64) -> OrderedMm {
     (mm * 1000.0) as u32
 }
 
 impl<'a> Cover<'a> {
-    fn new(graph: &'a LumenGraph, limits: &'a BranchLimits) -> Self {
+    pub(crate) fn new(graph: &'a LumenGraph, limits: &'a BranchLimits) -> Self {
         Self {
             graph,
             limits,
@@ -209,12 +209,12 @@ impl<'a> Cover<'a> {
         }
     }
 
-    fn holds(&self, node: u32) -> bool {
+    pub(crate) fn holds(&self, node: u32) -> bool {
         self.left_mm[node as usize] > 0.0
     }
 
     /// Spreads from every node of a chain at once, farthest reach first, so each node is passed about once.
-    fn add(&mut self, chain: &[u32]) {
+    pub(crate) fn add(&mut self, chain: &[u32]) {
         for &node in chain {
             let reach = self.limits.cover_radii * self.graph.wall_mm(node) + self.limits.cover_mm;
             if reach > f64::from(self.left_mm[node as usize]) {

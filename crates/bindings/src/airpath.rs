@@ -4,7 +4,7 @@
     reason = "pyo3 hands arguments over by value"
 )]
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use carina_airpath::flood::{FloodLimits, flood};
 use carina_airpath::graph::{Graph, NO_NODE};
@@ -152,10 +152,11 @@ type PointsAndNodes<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<u32>>
 
 /// The lumen's graph and the least-cost tree that grows from one root.
 #[pyclass(frozen, module = "carina._core")]
-struct LumenTracker {
-    grid: Grid,
-    graph: LumenGraph,
-    tracker: Mutex<Tracker>,
+pub(crate) struct LumenTracker {
+    pub(crate) grid: Grid,
+    pub(crate) graph: Arc<LumenGraph>,
+    pub(crate) tracker: Mutex<Tracker>,
+    pub(crate) levels: Option<WallLevels>,
 }
 
 #[pymethods]
@@ -205,8 +206,9 @@ impl LumenTracker {
             .map_err(TrackError::into_py)?;
         Ok(Self {
             grid,
-            graph,
+            graph: Arc::new(graph),
             tracker: Mutex::new(tracker),
+            levels,
         })
     }
 
@@ -250,7 +252,7 @@ impl LumenTracker {
         let watch = PyWatch::new(cancel, progress);
         py.detach(|| {
             self.lock()
-                .solve_to(&self.graph, &LumenCost(&self.graph), node, &watch)
+                .solve_to(&*self.graph, &LumenCost(&self.graph), node, &watch)
         })
         .map_err(|e| watch.error(e))
     }
@@ -266,7 +268,7 @@ impl LumenTracker {
         let watch = PyWatch::new(cancel, progress);
         py.detach(|| {
             self.lock()
-                .solve_all(&self.graph, &LumenCost(&self.graph), &watch)
+                .solve_all(&*self.graph, &LumenCost(&self.graph), &watch)
         })
         .map_err(|e| watch.error(e))
     }
@@ -389,7 +391,7 @@ impl LumenTracker {
 }
 
 impl LumenTracker {
-    fn lock(&self) -> std::sync::MutexGuard<'_, Tracker> {
+    pub(crate) fn lock(&self) -> std::sync::MutexGuard<'_, Tracker> {
         // A stop leaves the tracker whole (it stops between nodes); a panic inside is a bug reported elsewhere.
         self.tracker.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -400,7 +402,7 @@ impl LumenTracker {
         py.detach(|| read(&self.lock()))
     }
 
-    fn check(&self, node: u32) -> PyResult<()> {
+    pub(crate) fn check(&self, node: u32) -> PyResult<()> {
         if (node as usize) < self.graph.num_nodes() {
             return Ok(());
         }
@@ -486,7 +488,7 @@ impl LumenTracker {
     }
 }
 
-fn points_array<'py>(py: Python<'py>, points: &[Point]) -> Bound<'py, PyArray2<f64>> {
+pub(crate) fn points_array<'py>(py: Python<'py>, points: &[Point]) -> Bound<'py, PyArray2<f64>> {
     Array2::from_shape_fn((points.len(), 3), |(n, a)| points[n][a]).into_pyarray(py)
 }
 

@@ -1,0 +1,235 @@
+//! What edits ask of the lumen's graph: which voxels a cut takes, which tips a new piece of lumen has, and the cheapest way
+//! through voxels that are no lumen.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use carina_grid::{Grid, length};
+
+use crate::graph::{Graph, NO_NODE};
+use crate::lumen::LumenGraph;
+use crate::tracker::Tracker;
+use crate::tree::{BranchLimits, Cover, WIDEST_TUBE_MM, ordered};
+use crate::{TrackError, Watch};
+
+/// How far from a cut piece's centreline its own lumen can reach, mm.
+const CUT_REACH_MM: f64 = 25.0;
+
+/// The nodes that lie in the tubes of `cut` rather than of `kept`: both are nodes on centrelines.
+///
+/// Near is measured inside the lumen from the tubes' surfaces, as in [`crate::tree::branch_of_nodes`]; a node that is as near to
+/// both stays. Looks in the box round `cut` alone.
+#[must_use]
+pub fn cut_nodes(graph: &LumenGraph, grid: &Grid, cut: &[u32], kept: &[u32]) -> Vec<u32> {
+    let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+    for node in cut {
+        let voxel = graph.voxel(*node);
+        for axis in 0..3 {
+            let reach = CUT_REACH_MM / grid.spacing_mm()[axis];
+            low[axis] = low[axis].min(voxel[axis] as f64 - reach);
+            high[axis] = high[axis].max(voxel[axis] as f64 + reach);
+        }
+    }
+    let is_near = |node: u32| {
+        let voxel = graph.voxel(node);
+        (0..3).all(|a| (low[a]..=high[a]).contains(&(voxel[a] as f64)))
+    };
+    let mut off = vec![u32::MAX; graph.num_nodes()];
+    let mut is_cut = vec![false; graph.num_nodes()];
+    let mut is_middle = vec![false; graph.num_nodes()];
+    let mut open = BinaryHeap::new();
+    // The kept first: a node that both centrelines share stays, and so does what is as near to both.
+    for (nodes, of_cut) in [(kept, false), (cut, true)] {
+        for &node in nodes {
+            if off[node as usize] == u32::MAX && is_near(node) {
+                off[node as usize] = ordered((WIDEST_TUBE_MM - graph.wall_mm(node)).max(0.0));
+                is_cut[node as usize] = of_cut;
+                is_middle[node as usize] = true;
+                open.push(Reverse((off[node as usize], of_cut, node)));
+            }
+        }
+    }
+    while let Some(Reverse((here, of_cut, node))) = open.pop() {
+        if here != off[node as usize] || of_cut != is_cut[node as usize] {
+            continue;
+        }
+        graph.for_each_edge(node, |next, length_mm| {
+            let there = here + ordered(length_mm);
+            let n = next as usize;
+            let is_nearer = there < off[n] || (there == off[n] && is_cut[n] && !of_cut);
+            if is_nearer && !is_middle[n] && is_near(next) {
+                off[n] = there;
+                is_cut[n] = of_cut;
+                open.push(Reverse((there, of_cut, next)));
+            }
+        });
+    }
+    (0..graph.num_nodes() as u32)
+        .filter(|n| is_cut[*n as usize])
+        .collect()
+}
+
+/// Tips of branches that `candidates` hold and a tree with `tree_nodes` on its centrelines does not, longest path first.
+///
+/// As the automatic tree is found (see [`crate::tree::find_branches`]), with the tree that is there already covering what is
+/// near it.
+pub fn more_tips(
+    graph: &LumenGraph,
+    tracker: &Tracker,
+    grid: &Grid,
+    tree_nodes: &[u32],
+    candidates: &[u32],
+    watch: &impl Watch,
+) -> Result<Vec<u32>, TrackError> {
+    let limits = BranchLimits::for_grid(grid);
+    let step_mm = |a: u32, b: u32| {
+        let (p, q) = (graph.voxel(a), graph.voxel(b));
+        length(
+            grid.lps_from_ijk()
+                .vector(std::array::from_fn(|n| p[n] as f64 - q[n] as f64)),
+        )
+    };
+    let mut along_mm = vec![0.0; graph.num_nodes()];
+    for &node in tracker.settled() {
+        if let Some(before) = tracker.predecessor(node) {
+            along_mm[node as usize] = along_mm[before as usize] + step_mm(node, before);
+        }
+    }
+    let mut open: Vec<u32> = candidates
+        .iter()
+        .copied()
+        .filter(|n| tracker.cost_quanta(*n).is_some())
+        .collect();
+    open.sort_unstable_by(|a, b| {
+        along_mm[*b as usize]
+            .total_cmp(&along_mm[*a as usize])
+            .then(a.cmp(b))
+    });
+    let mut cover = Cover::new(graph, &limits);
+    cover.add(tree_nodes);
+    let mut tips = Vec::new();
+    for (n, &tip) in open.iter().enumerate() {
+        if n.is_multiple_of(1 << 12) {
+            watch.go_on(n as f64 / open.len() as f64)?;
+        }
+        if cover.holds(tip) {
+            continue;
+        }
+        let mut chain = vec![tip];
+        let mut node = tip;
+        while !cover.holds(node)
+            && let Some(before) = tracker.predecessor(node)
+        {
+            chain.push(before);
+            node = before;
+        }
+        // Measured from the surface of the tube that the piece leaves; its cover reaches farther.
+        let covered_mm = (limits.cover_radii - 1.0) * graph.wall_mm(node) + limits.cover_mm;
+        let beyond_mm = along_mm[tip as usize] - along_mm[node as usize] + covered_mm;
+        if beyond_mm >= limits.min_length_mm {
+            tips.push(tip);
+        }
+        cover.add(&chain);
+    }
+    Ok(tips)
+}
+
+/// A way through a box of voxels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Way {
+    /// Voxels of the box, from a goal to the start; neighbours share a face, an edge or a corner.
+    pub voxels: Vec<[usize; 3]>,
+    /// Sum of length in mm times weight over its steps.
+    pub cost: f64,
+}
+
+/// The cheapest way from `start` to the nearest voxel where `is_goal` holds; `None` if there is none.
+///
+/// A step costs its length in mm times the mean weight of its two voxels; a voxel of weight 0 is closed. All arrays run x fastest. Of
+/// equally cheap ways the one that comes first in array order is taken.
+pub fn cheapest_way(
+    shape_ijk: [usize; 3],
+    spacing_mm: [f64; 3],
+    weights: &[f32],
+    is_goal: &[u8],
+    start: [usize; 3],
+    watch: &impl Watch,
+) -> Result<Option<Way>, TrackError> {
+    let [nx, ny, nz] = shape_ijk;
+    let index = |v: [usize; 3]| (v[2] * ny + v[1]) * nx + v[0];
+    let voxel = |at: usize| [at % nx, at / nx % ny, at / nx / ny];
+    let steps: Vec<([isize; 3], f64)> = (0..27isize)
+        .filter(|n| *n != 13)
+        .map(|n| {
+            let offset = [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1];
+            let mm = std::array::from_fn(|a| offset[a] as f64 * spacing_mm[a]);
+            (offset, length(mm))
+        })
+        .collect();
+    let mut least = vec![f64::INFINITY; nx * ny * nz];
+    let mut before = vec![NO_NODE; nx * ny * nz];
+    let mut open = BinaryHeap::new();
+    least[index(start)] = 0.0;
+    open.push(Reverse((Ordered(0.0), index(start) as u32)));
+    let mut num_popped = 0usize;
+    while let Some(Reverse((Ordered(here), at))) = open.pop() {
+        let at = at as usize;
+        if here > least[at] {
+            continue;
+        }
+        num_popped += 1;
+        if num_popped.is_multiple_of(1 << 14) {
+            watch.go_on(0.5)?;
+        }
+        if is_goal[at] != 0 {
+            let mut voxels = vec![voxel(at)];
+            let mut next = before[at];
+            while next != NO_NODE {
+                voxels.push(voxel(next as usize));
+                next = before[next as usize];
+            }
+            return Ok(Some(Way { voxels, cost: here }));
+        }
+        let from = voxel(at).map(|v| v as isize);
+        for (offset, step_mm) in &steps {
+            let to: [isize; 3] = std::array::from_fn(|a| from[a] + offset[a]);
+            if to[0] < 0 || to[1] < 0 || to[2] < 0 {
+                continue;
+            }
+            let to = to.map(|v| v as usize);
+            if to[0] >= nx || to[1] >= ny || to[2] >= nz {
+                continue;
+            }
+            let next = index(to);
+            if weights[next] <= 0.0 {
+                continue;
+            }
+            let weight = 0.5 * (f64::from(weights[at]) + f64::from(weights[next]));
+            let through = here + step_mm * weight;
+            if through < least[next] {
+                least[next] = through;
+                before[next] = at as u32;
+                open.push(Reverse((Ordered(through), next as u32)));
+            }
+        }
+    }
+    Ok(None)
+}
+
+/// Finite costs in order.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Ordered(f64);
+
+impl Eq for Ordered {}
+
+impl PartialOrd for Ordered {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Ordered {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.0.total_cmp(&other.0)
+    }
+}

@@ -1,0 +1,461 @@
+//! Bindings for the edits of an airway tree: a lumen's graph that follows an edit, and what the edits ask of it.
+#![allow(
+    clippy::needless_pass_by_value,
+    reason = "pyo3 hands arguments over by value"
+)]
+
+use std::sync::{Arc, Mutex};
+
+use carina_airpath::graph::Graph;
+use carina_airpath::lumen::LumenGraph;
+use carina_airpath::{TrackError, lumen_edit, tree_edit};
+use carina_grid::{Ijk, Lps, VolumeView};
+use numpy::ndarray::Array2;
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
+    PyReadonlyArray3, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+
+use crate::airpath::{LumenTracker, points_array};
+use crate::arrays;
+use crate::errors::IntoPy;
+use crate::watch::PyWatch;
+
+type Voxels<'py> = Bound<'py, PyArray2<u16>>;
+/// First voxel and shape, i, j, k.
+type Corners = ([usize; 3], [usize; 3]);
+
+fn refused(what: &'static str, expected: &str, found: String) -> PyErr {
+    TrackError::Argument {
+        what,
+        expected: expected.to_owned(),
+        found,
+    }
+    .into_py()
+}
+
+fn voxels(
+    what: &'static str,
+    array: &PyReadonlyArray2<'_, u16>,
+    shape_ijk: [usize; 3],
+) -> PyResult<Vec<[u16; 3]>> {
+    let view = array.as_array();
+    if view.ncols() != 3 {
+        return Err(refused(
+            what,
+            "(n, 3) voxels",
+            format!("{:?}", view.shape()),
+        ));
+    }
+    let found: Vec<[u16; 3]> = view
+        .rows()
+        .into_iter()
+        .map(|r| [r[0], r[1], r[2]])
+        .collect();
+    match found
+        .iter()
+        .find(|v| (0..3).any(|a| usize::from(v[a]) >= shape_ijk[a]))
+    {
+        None => Ok(found),
+        Some(voxel) => Err(refused(
+            what,
+            &format!("below {shape_ijk:?}"),
+            format!("{voxel:?}"),
+        )),
+    }
+}
+
+fn nodes(tracker: &LumenTracker, array: &PyReadonlyArray1<'_, u32>) -> PyResult<Vec<u32>> {
+    let found: Vec<u32> = array.as_array().to_vec();
+    for node in &found {
+        tracker.check(*node)?;
+    }
+    Ok(found)
+}
+
+fn points(what: &'static str, array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 3]>> {
+    let view = array.as_array();
+    if view.ncols() != 3 {
+        return Err(refused(
+            what,
+            "(n, 3) points",
+            format!("{:?}", view.shape()),
+        ));
+    }
+    Ok(view
+        .rows()
+        .into_iter()
+        .map(|r| [r[0], r[1], r[2]])
+        .collect())
+}
+
+fn voxel_array<'py>(py: Python<'py>, voxels: &[[u16; 3]]) -> Voxels<'py> {
+    Array2::from_shape_fn((voxels.len(), 3), |(n, a)| voxels[n][a]).into_pyarray(py)
+}
+
+fn small(graph: &LumenGraph, node: u32) -> [u16; 3] {
+    graph.voxel(node).map(|v| v as u16)
+}
+
+/// The tracker of a lumen with voxels added and taken away, and the box (first, shape) of what changed in it.
+#[pyfunction]
+#[pyo3(signature = (tracker, values_zyx, added_ijk, removed_ijk, *, cancel=None))]
+fn edit_lumen(
+    py: Python<'_>,
+    tracker: &LumenTracker,
+    values_zyx: PyReadonlyArray3<'_, i16>,
+    added_ijk: PyReadonlyArray2<'_, u16>,
+    removed_ijk: PyReadonlyArray2<'_, u16>,
+    cancel: Option<Py<PyAny>>,
+) -> PyResult<(LumenTracker, Option<Corners>)> {
+    let shape = tracker.grid.shape_ijk();
+    let data = arrays::values("values_zyx", &values_zyx)?;
+    let view = VolumeView::new(data, &tracker.grid).map_err(IntoPy::into_py)?;
+    let added = voxels("added_ijk", &added_ijk, shape)?;
+    let removed = voxels("removed_ijk", &removed_ijk, shape)?;
+    let watch = PyWatch::new(cancel, None);
+    let (edited, solved) = py
+        .detach(|| -> Result<_, TrackError> {
+            let edited =
+                lumen_edit::edited(&tracker.graph, view, tracker.levels, &added, &removed)?;
+            let old = tracker.lock();
+            let solved = lumen_edit::followed(&tracker.graph, &old, &edited, &watch)?;
+            drop(old);
+            Ok((edited, solved))
+        })
+        .map_err(|e| watch.error(e))?;
+    let corners = edited.changed_box.map(|b| (b.first_ijk, b.shape_ijk));
+    let new = LumenTracker {
+        grid: tracker.grid.clone(),
+        graph: Arc::new(edited.graph),
+        tracker: Mutex::new(solved),
+        levels: tracker.levels,
+    };
+    Ok((new, corners))
+}
+
+/// The tracker of a whole lumen from scratch, with the wall levels of another tracker and the root in a voxel.
+#[pyfunction]
+#[pyo3(signature = (tracker, values_zyx, lumen_zyx, root_ijk, *, cancel=None))]
+fn fresh_lumen(
+    py: Python<'_>,
+    tracker: &LumenTracker,
+    values_zyx: PyReadonlyArray3<'_, i16>,
+    lumen_zyx: PyReadonlyArray3<'_, u8>,
+    root_ijk: [isize; 3],
+    cancel: Option<Py<PyAny>>,
+) -> PyResult<LumenTracker> {
+    let data = arrays::values("values_zyx", &values_zyx)?;
+    let lumen = arrays::values("lumen_zyx", &lumen_zyx)?;
+    let view = VolumeView::new(data, &tracker.grid).map_err(IntoPy::into_py)?;
+    if lumen.len() != data.len() {
+        let expected = format!("{:?}", values_zyx.shape());
+        return Err(refused(
+            "lumen_zyx",
+            &expected,
+            format!("{:?}", lumen_zyx.shape()),
+        ));
+    }
+    let watch = PyWatch::new(cancel, None);
+    let (graph, solved) = py
+        .detach(|| -> Result<_, TrackError> {
+            let graph = LumenGraph::build(view, lumen, tracker.levels)?;
+            let root = root_node(&graph, root_ijk)?;
+            let solved = lumen_edit::solved(&graph, root, &watch)?;
+            Ok((graph, solved))
+        })
+        .map_err(|e| watch.error(e))?;
+    Ok(LumenTracker {
+        grid: tracker.grid.clone(),
+        graph: Arc::new(graph),
+        tracker: Mutex::new(solved),
+        levels: tracker.levels,
+    })
+}
+
+fn root_node(graph: &LumenGraph, root_ijk: [isize; 3]) -> Result<u32, TrackError> {
+    graph
+        .node_at_voxel(root_ijk)
+        .ok_or_else(|| TrackError::NoResult("the root is not in the airway lumen".to_owned()))
+}
+
+/// The tracker of the same lumen with another root.
+#[pyfunction]
+#[pyo3(signature = (tracker, root_ijk, *, cancel=None))]
+fn reroot_lumen(
+    py: Python<'_>,
+    tracker: &LumenTracker,
+    root_ijk: [isize; 3],
+    cancel: Option<Py<PyAny>>,
+) -> PyResult<LumenTracker> {
+    let watch = PyWatch::new(cancel, None);
+    let solved = py
+        .detach(|| {
+            let root = root_node(&tracker.graph, root_ijk)?;
+            lumen_edit::solved(&tracker.graph, root, &watch)
+        })
+        .map_err(|e| watch.error(e))?;
+    Ok(LumenTracker {
+        grid: tracker.grid.clone(),
+        graph: Arc::clone(&tracker.graph),
+        tracker: Mutex::new(solved),
+        levels: tracker.levels,
+    })
+}
+
+/// (nz, ny, nx) 1 inside the lumen.
+#[pyfunction]
+fn lumen_array<'py>(py: Python<'py>, tracker: &LumenTracker) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    let bytes = py.detach(|| lumen_edit::as_bytes(&tracker.graph, &tracker.grid));
+    bytes.into_pyarray(py).reshape(tracker.grid.shape_zyx())
+}
+
+/// (nz, ny, nx) of a box: 0 no lumen, 1 lumen that no path reaches, 2 lumen.
+#[pyfunction]
+fn lumen_states<'py>(
+    py: Python<'py>,
+    tracker: &LumenTracker,
+    first_ijk: [usize; 3],
+    shape_ijk: [usize; 3],
+) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    let [nx, ny, nz] = shape_ijk;
+    let states: Vec<u8> = py.detach(|| {
+        let solved = tracker.lock();
+        (0..nx * ny * nz)
+            .map(|at| {
+                let local = [at % nx, at / nx % ny, at / nx / ny];
+                let voxel = std::array::from_fn(|a| (first_ijk[a] + local[a]) as isize);
+                tracker
+                    .graph
+                    .node_at_voxel(voxel)
+                    .map_or(0, |node| 1 + u8::from(solved.cost_quanta(node).is_some()))
+            })
+            .collect()
+    });
+    states.into_pyarray(py).reshape([nz, ny, nx])
+}
+
+/// (n,) the node whose voxel holds each point (n, 3) LPS; -1 outside the lumen.
+#[pyfunction]
+fn nodes_at<'py>(
+    py: Python<'py>,
+    tracker: &LumenTracker,
+    points_lps: PyReadonlyArray2<'py, f64>,
+) -> PyResult<Bound<'py, PyArray1<i64>>> {
+    let found: Vec<i64> = points("points_lps", &points_lps)?
+        .into_iter()
+        .map(|p| {
+            let voxel = tracker
+                .grid
+                .to_ijk(Lps(p))
+                .0
+                .map(|v| (v + 0.5).floor() as isize);
+            tracker.graph.node_at_voxel(voxel).map_or(-1, i64::from)
+        })
+        .collect();
+    Ok(found.into_pyarray(py))
+}
+
+/// (n, 3) voxels of nodes.
+#[pyfunction]
+fn voxels_of<'py>(
+    py: Python<'py>,
+    tracker: &LumenTracker,
+    nodes_of: PyReadonlyArray1<'py, u32>,
+) -> PyResult<Voxels<'py>> {
+    let found: Vec<[u16; 3]> = nodes(tracker, &nodes_of)?
+        .into_iter()
+        .map(|n| small(&tracker.graph, n))
+        .collect();
+    Ok(voxel_array(py, &found))
+}
+
+/// (n,) whether a path reaches each node.
+#[pyfunction]
+fn reached<'py>(
+    py: Python<'py>,
+    tracker: &LumenTracker,
+    nodes_of: PyReadonlyArray1<'py, u32>,
+) -> PyResult<Bound<'py, PyArray1<bool>>> {
+    let asked = nodes(tracker, &nodes_of)?;
+    let found: Vec<bool> = py.detach(|| {
+        let solved = tracker.lock();
+        asked
+            .iter()
+            .map(|n| solved.cost_quanta(*n).is_some())
+            .collect()
+    });
+    Ok(found.into_pyarray(py))
+}
+
+/// (n,) whether the straight line between two (n, 3) LPS points stays in lumen voxels.
+#[pyfunction]
+fn sees<'py>(
+    py: Python<'py>,
+    tracker: &LumenTracker,
+    from_lps: PyReadonlyArray2<'py, f64>,
+    to_lps: PyReadonlyArray2<'py, f64>,
+) -> PyResult<Bound<'py, PyArray1<bool>>> {
+    let (from, to) = (points("from_lps", &from_lps)?, points("to_lps", &to_lps)?);
+    if from.len() != to.len() {
+        let expected = format!("{} points", from.len());
+        return Err(refused("to_lps", &expected, to.len().to_string()));
+    }
+    let ijk = |p: [f64; 3]| tracker.grid.to_ijk(Lps(p)).0;
+    let found: Vec<bool> = from
+        .iter()
+        .zip(&to)
+        .map(|(p, q)| tracker.graph.sees(ijk(*p), ijk(*q)))
+        .collect();
+    Ok(found.into_pyarray(py))
+}
+
+/// (n, 3) points, each moved to the nearest place inside the lumen where it lies outside.
+#[pyfunction]
+fn pulled_inside<'py>(
+    py: Python<'py>,
+    tracker: &LumenTracker,
+    points_lps: PyReadonlyArray2<'py, f64>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let found: Vec<[f64; 3]> = points("points_lps", &points_lps)?
+        .into_iter()
+        .map(|p| {
+            let ijk = tracker.grid.to_ijk(Lps(p)).0;
+            if tracker.graph.holds(ijk) {
+                return p;
+            }
+            let inside = tracker.graph.pulled_inside(&tracker.grid, ijk);
+            tracker.grid.to_lps(Ijk(inside)).0
+        })
+        .collect();
+    Ok(points_array(py, &found))
+}
+
+/// (n, 3) voxels that a path reaches in one tracker and not in another.
+#[pyfunction]
+fn newly_reached<'py>(
+    py: Python<'py>,
+    tracker: &LumenTracker,
+    other: &LumenTracker,
+) -> Voxels<'py> {
+    let found = py.detach(|| {
+        // Copied out one after the other: two locks held at once could wait for each other.
+        let is_reached = |t: &LumenTracker| -> Vec<bool> {
+            let solved = t.lock();
+            (0..t.graph.num_nodes() as u32)
+                .map(|n| solved.cost_quanta(n).is_some())
+                .collect()
+        };
+        let (new, old) = (is_reached(tracker), is_reached(other));
+        lumen_edit::newly_reached((&tracker.graph, &new), (&other.graph, &old))
+    });
+    voxel_array(py, &found)
+}
+
+/// (n, 3) voxels in the tubes of a cut piece rather than of what is kept: nodes on centrelines.
+#[pyfunction]
+fn cut_voxels<'py>(
+    py: Python<'py>,
+    tracker: &LumenTracker,
+    cut: PyReadonlyArray1<'py, u32>,
+    kept: PyReadonlyArray1<'py, u32>,
+) -> PyResult<Voxels<'py>> {
+    let (cut, kept) = (nodes(tracker, &cut)?, nodes(tracker, &kept)?);
+    let found: Vec<[u16; 3]> = py.detach(|| {
+        tree_edit::cut_nodes(&tracker.graph, &tracker.grid, &cut, &kept)
+            .into_iter()
+            .map(|n| small(&tracker.graph, n))
+            .collect()
+    });
+    Ok(voxel_array(py, &found))
+}
+
+/// (n,) nodes: tips of branches among candidate voxels that a tree does not hold yet, longest path first.
+#[pyfunction]
+#[pyo3(signature = (tracker, tree_nodes, candidates_ijk, *, cancel=None))]
+fn more_tips<'py>(
+    py: Python<'py>,
+    tracker: &LumenTracker,
+    tree_nodes: PyReadonlyArray1<'py, u32>,
+    candidates_ijk: PyReadonlyArray2<'py, u16>,
+    cancel: Option<Py<PyAny>>,
+) -> PyResult<Bound<'py, PyArray1<u32>>> {
+    let tree_nodes = nodes(tracker, &tree_nodes)?;
+    let candidates: Vec<u32> = voxels("candidates_ijk", &candidates_ijk, tracker.grid.shape_ijk())?
+        .into_iter()
+        .filter_map(|v| tracker.graph.node_at_voxel(v.map(|x| x as isize)))
+        .collect();
+    let watch = PyWatch::new(cancel, None);
+    let tips = py
+        .detach(|| {
+            let solved = tracker.lock();
+            tree_edit::more_tips(
+                &tracker.graph,
+                &solved,
+                &tracker.grid,
+                &tree_nodes,
+                &candidates,
+                &watch,
+            )
+        })
+        .map_err(|e| watch.error(e))?;
+    Ok(tips.into_pyarray(py))
+}
+
+/// (n, 3) voxels of a box on the cheapest way from the nearest goal to a start; None if there is none.
+#[pyfunction]
+#[pyo3(signature = (weights_zyx, goals_zyx, spacing_mm, start_ijk, *, cancel=None))]
+fn cheapest_way<'py>(
+    py: Python<'py>,
+    weights_zyx: PyReadonlyArray3<'py, f32>,
+    goals_zyx: PyReadonlyArray3<'py, u8>,
+    spacing_mm: [f64; 3],
+    start_ijk: [usize; 3],
+    cancel: Option<Py<PyAny>>,
+) -> PyResult<Option<Voxels<'py>>> {
+    let weights = arrays::values("weights_zyx", &weights_zyx)?;
+    let goals = arrays::values("goals_zyx", &goals_zyx)?;
+    let shape = weights_zyx.shape();
+    let shape_ijk = [shape[2], shape[1], shape[0]];
+    if goals_zyx.shape() != shape || (0..3).any(|a| start_ijk[a] >= shape_ijk[a]) {
+        let found = format!("goals {:?}, start {start_ijk:?}", goals_zyx.shape());
+        return Err(refused(
+            "goals_zyx, start_ijk",
+            &format!("inside {shape:?}"),
+            found,
+        ));
+    }
+    let watch = PyWatch::new(cancel, None);
+    let way = py
+        .detach(|| {
+            tree_edit::cheapest_way(shape_ijk, spacing_mm, weights, goals, start_ijk, &watch)
+        })
+        .map_err(|e| watch.error(e))?;
+    Ok(way.map(|way| {
+        let found: Vec<[u16; 3]> = way.voxels.iter().map(|v| v.map(|x| x as u16)).collect();
+        voxel_array(py, &found)
+    }))
+}
+
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    for function in [
+        wrap_pyfunction!(edit_lumen, module)?,
+        wrap_pyfunction!(fresh_lumen, module)?,
+        wrap_pyfunction!(reroot_lumen, module)?,
+        wrap_pyfunction!(lumen_array, module)?,
+        wrap_pyfunction!(lumen_states, module)?,
+        wrap_pyfunction!(nodes_at, module)?,
+        wrap_pyfunction!(voxels_of, module)?,
+        wrap_pyfunction!(reached, module)?,
+        wrap_pyfunction!(sees, module)?,
+        wrap_pyfunction!(pulled_inside, module)?,
+        wrap_pyfunction!(newly_reached, module)?,
+        wrap_pyfunction!(cut_voxels, module)?,
+        wrap_pyfunction!(more_tips, module)?,
+        wrap_pyfunction!(cheapest_way, module)?,
+    ] {
+        module.add_function(function)?;
+    }
+    Ok(())
+}
