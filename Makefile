@@ -45,7 +45,7 @@ test-web: web/node_modules/.package-lock.json
 
 test-python: $(STAMP)
 	$(PY) tools/find_browser.py --install
-	$(PY) -m pytest -m "" -ra
+	$(PY) -m pytest -m "not soak" -ra
 
 # Not part of `make test`: wgpu is a large build, and most machines that test have no adapter. Here a missing one is a
 # failure, and the software one of Mesa (lavapipe) is enough. The Python tests take the wheel, as people get it.
@@ -61,8 +61,9 @@ test-gpu: $(STAMP) ## the GPU caster and the wheel, on a software adapter where 
 	$(UV) pip install -q --python .venv-gpu/bin/python --no-deps target/gpu-wheel/*.whl
 	CARINA_GPU_REQUIRED=1 .venv-gpu/bin/python -m pytest -m gpu -ra tests
 
-soak: ## what runs for minutes: 20,000 poses against the f64 ray caster
+soak: $(STAMP) ## what runs for minutes: 20,000 poses against the f64 ray caster, 10,000 sequences of edits
 	cargo test --release --workspace --exclude carina-bindings -- --ignored
+	$(PY) -m pytest -m soak -ra
 
 check: $(STAMP) web/node_modules/.package-lock.json ## formatting, lints, types, layers, lock file, spelling
 	cargo fmt --all --check

@@ -1,6 +1,7 @@
 """Airway lumen, least-cost paths and the airway tree (paper 6)."""
 
 from carina.track.airways import Airways, TargetResult, TrackResult, find_airways, track_paths
+from carina.track.edit_folded import FoldedAirways, fold_airways
 from carina.track.edits import (
     AddBranch,
     Bridge,
@@ -33,6 +34,7 @@ __all__ = [
     "BranchSummary",
     "Bridge",
     "CutBranch",
+    "FoldedAirways",
     "ForkMeasures",
     "LetterRule",
     "Mesh",
@@ -56,6 +58,7 @@ __all__ = [
     "edits_from_json",
     "edits_to_json",
     "find_airways",
+    "fold_airways",
     "lumen_mesh",
     "lumen_threshold_from_histogram",
     "measure_tree",

@@ -81,6 +81,10 @@ class Airways:
     """Values that tell lumen from wall on diagonal steps (certain air, half-way, rise); None for a given lumen."""
     edits: tuple[TreeEdit, ...] = ()
     """What a person changed since they were found, in order."""
+    base: Airways | None = None
+    """What was found, before the edits; None where there are none."""
+    next_id: int | None = None
+    """The first id that no branch ever had; None before the first edit."""
 
     @property
     def report(self) -> tuple[str, ...]:

@@ -1,15 +1,17 @@
 """Mending the airway tree by hand: each edit gives new airways, and the old ones stay as they are.
 
 The edits themselves are values (:mod:`carina.track.edit_kinds`). Applying them one after the other to the airways that
-were found gives the same tree as :func:`rebuild_airways` does with everything computed again.
+were found gives, bit for bit, the tree that :func:`rebuild_airways` finds with the lumen's graph, distances and least
+costs computed from scratch after each of them.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import importlib
+from collections.abc import Sequence
 
-from carina.errors import CancelledError, NoResultError, UsageError
+from carina.errors import CancelledError
 from carina.track.airways import Airways, Progress
 from carina.track.edit_kinds import (
     AddBranch,
@@ -25,7 +27,10 @@ from carina.track.edit_kinds import (
     edits_from_json,
     edits_to_json,
 )
-from carina.track.paths import Cancel
+from carina.track.edit_lumen import EditedLumen, lumen_voxels
+from carina.track.edit_steps import EditSteps
+from carina.track.edit_tree import needed_branch
+from carina.track.paths import Cancel, PathTracker
 from carina.track.tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
@@ -87,18 +92,7 @@ def edit_airways(
     ----------
     Paper 6.3 (targets and root set by hand, Figure 14); docs/decisions/0018.
     """
-    if cancel is not None and cancel():
-        raise CancelledError("editing the airways was stopped")
-    if progress is not None:
-        progress("editing the airways", None)
-    match edit:
-        case RenameBranch(branch_id, name):
-            tree = _replaced(airways.tree, branch_id, lambda branch: _named_by_person(branch, name))
-        case SmoothBranch(branch_id):
-            tree = _replaced(airways.tree, branch_id, lambda branch: _smoothed(airways, branch))
-        case _:
-            raise NoResultError("this edit is not available yet", code="track.edit")
-    return dataclasses.replace(airways, tree=tree, edits=(*airways.edits, edit))
+    return _edited(volume, airways, edit, progress, cancel, is_fresh=False)
 
 
 def rebuild_airways(
@@ -111,6 +105,11 @@ def rebuild_airways(
 ) -> Airways:
     """The airways after all edits, with everything computed from scratch: the truth for :func:`edit_airways`.
 
+    Parameters
+    ----------
+    base
+        What the first edit was made to: airways without edits, or with those before.
+
     Raises
     ------
     TrackingError
@@ -118,39 +117,65 @@ def rebuild_airways(
     """
     airways = base
     for edit in edits:
-        airways = edit_airways(volume, airways, edit, progress=progress, cancel=cancel)
+        airways = _edited(volume, airways, edit, progress, cancel, is_fresh=True)
     return airways
 
 
-def _replaced(tree: AirwayTree, branch_id: int, change: Callable[[Branch], Branch]) -> AirwayTree:
-    needed_branch(tree, branch_id)
+def _edited(
+    volume: Volume,
+    airways: Airways,
+    edit: TreeEdit,
+    progress: Progress | None,
+    cancel: Cancel | None,
+    *,
+    is_fresh: bool,
+) -> Airways:
+    if cancel is not None and cancel():
+        raise CancelledError("editing the airways was stopped")
+    if progress is not None:
+        progress("editing the airways", None)
+    tree, edits = airways.tree, (*airways.edits, edit)
+    next_id = airways.next_id or 1 + max(branch.id for branch in tree.branches)
+    if isinstance(edit, RenameBranch):
+        # Paths know branches by their ids: nothing else changes.
+        branches = tuple(_named_by_person(b, edit.name) if b.id == edit.branch_id else b for b in tree.branches)
+        needed_branch(tree, edit.branch_id)
+        renamed = named_anew(dataclasses.replace(tree, branches=branches))
+        return dataclasses.replace(airways, tree=renamed, edits=edits, base=airways.base or airways, next_id=next_id)
+    before = EditedLumen(volume, airways.tracker.core, is_fresh, cancel)
+    steps = EditSteps(before, tree, next_id)
+    steps.make(edit)
+    branches = steps.draft.finished()
+    new_tree = AirwayTree(branches)
+    if [(b.id, b.parent) for b in branches] != [(b.id, b.parent) for b in tree.branches]:
+        # A branch that is drawn otherwise is still the same bronchus.
+        new_tree = named_anew(new_tree)
+    core = steps.lumen.core
+    tracker = PathTracker(volume, core)
+    tracker.follow_branches(branches)
     return dataclasses.replace(
-        tree, branches=tuple(change(branch) if branch.id == branch_id else branch for branch in tree.branches)
+        airways,
+        lumen_zyx=airways.lumen_zyx if not steps.lumen_changed else lumen_voxels(core),
+        root_lps=branches[0].points[0].copy(),
+        tree=dataclasses.replace(new_tree, _smooth=tracker.smooth),
+        tracker=tracker,
+        edits=edits,
+        base=airways.base or airways,
+        next_id=steps.draft.next_id,
     )
 
 
-def needed_branch(tree: AirwayTree, branch_id: int) -> Branch:
-    """The branch of that id.
-
-    Raises
-    ------
-    UsageError
-        If the tree has none, in a doctor's words.
-    """
-    for branch in tree.branches:
-        if branch.id == branch_id:
-            return branch
-    msg = f"branch {branch_id} is not in the tree (it may have been cut); choose a branch of the list"
-    raise UsageError(msg, code="track.edit-branch")
+def named_anew(tree: AirwayTree) -> AirwayTree:
+    """The tree with the names that anatomy gives it now; a person's names stay."""
+    try:
+        names = importlib.import_module("carina.track.names")
+    except ImportError:
+        return tree
+    named: AirwayTree = names.name_tree(tree)
+    return named
 
 
 def _named_by_person(branch: Branch, name: str | None) -> Branch:
     if name is None:
         return dataclasses.replace(branch, name=None, name_confidence=None, name_from=None, variant=None)
     return dataclasses.replace(branch, name=name, name_confidence=None, name_from="person")
-
-
-def _smoothed(airways: Airways, branch: Branch) -> Branch:
-    core = airways.tracker.core
-    points = core.smooth(branch.points, step_mm=1.0, keep_end=True)
-    return dataclasses.replace(branch, points=points, radius=core.radius_mm(points))

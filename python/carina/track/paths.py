@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carina._core import LumenTracker
+from carina._core import LumenTracker, nodes_at
 from carina.errors import NoResultError, UsageError
 from carina.track.tree import AirwayTree, Branch
 from carina.volume.model import Volume
@@ -52,14 +52,14 @@ class PathTracker:
     Made by :func:`carina.track.find_airways`. May be used from several threads.
     """
 
-    __slots__ = ("_branch_nodes", "_branch_of_node", "_branches", "_core", "_volume")
+    __slots__ = ("_branch_nodes", "_branches", "_core", "_labels", "_volume")
 
     def __init__(self, volume: Volume, core: LumenTracker) -> None:
         self._volume = volume
         self._core = core
         self._branches: tuple[Branch, ...] = ()
         self._branch_nodes: list[NDArray[np.uint32]] = []
-        self._branch_of_node: NDArray[np.int32] = np.zeros(core.num_nodes, dtype=np.int32)
+        self._labels: NDArray[np.int32] | None = None
 
     def __repr__(self) -> str:
         return f"PathTracker(num_nodes={self._core.num_nodes}, num_settled={self._core.num_settled})"
@@ -213,7 +213,30 @@ class PathTracker:
         """Tell which voxels are the middle of which branch, so that paths know their branches; parents come first."""
         self._branches = tuple(branches)
         self._branch_nodes = list(nodes)
-        self._branch_of_node = self._core.branch_of_nodes(self._branch_nodes, self._parents())
+        self._labels = None
+
+    def follow_branches(self, branches: Sequence[Branch]) -> None:
+        """As :meth:`set_branches`, with the voxels that the centrelines run through."""
+        nodes = nodes_at(self._core, np.concatenate([branch.points for branch in branches]))
+        ends = np.cumsum([len(branch.points) for branch in branches])
+        of_branches = []
+        for branch, found in zip(branches, np.split(nodes, ends[:-1]), strict=True):
+            inside = found[found >= 0]
+            if not len(inside):
+                inside = np.array([self._nearest(as_point(branch.points[0]), 60.0)[0]])
+            of_branches.append(inside[np.diff(inside, prepend=-1) != 0].astype(np.uint32))
+        self.set_branches(branches, of_branches)
+
+    @property
+    def _branch_of_node(self) -> NDArray[np.int32]:
+        """Place in the list of the branch in whose tube each node lies; found when first asked for."""
+        labels = self._labels
+        if labels is None:
+            if not self._branches:
+                return np.zeros(self._core.num_nodes, dtype=np.int32)
+            # Two threads may both find it: they find the same.
+            labels = self._labels = self._core.branch_of_nodes(self._branch_nodes, self._parents())
+        return labels
 
     def _parents(self) -> list[int | None]:
         """Place of each branch's parent in the list; ids are not places once a tree was edited."""

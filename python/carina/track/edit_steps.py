@@ -1,0 +1,517 @@
+"""The steps of each edit: which voxels become lumen or cease to be, and what that does to the tree."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import cut_voxels, more_tips, newly_reached, nodes_at, pulled_inside, reached, sees, voxels_of
+from carina.errors import NoResultError, UsageError
+from carina.track.edit_kinds import (
+    AddBranch,
+    Bridge,
+    CutBranch,
+    MoveFork,
+    MoveRoot,
+    PaintLumen,
+    Point,
+    SmoothBranch,
+    TreeEdit,
+    branch_title,
+)
+from carina.track.edit_lumen import (
+    BRIDGE_RADIUS_MM,
+    EditedLumen,
+    Voxels,
+    air_voxel,
+    bridge_way,
+    grown_beyond,
+    missed_radii,
+    missed_way,
+    painted_voxels,
+    tube_round,
+    voxel_of,
+)
+from carina.track.edit_tree import Place, Points, TreeDraft, along_mm, needed_branch
+from carina.track.paths import SNAP_MM, STEP_MM
+from carina.track.tree import AirwayTree, Branch
+
+__all__ = ["EditSteps"]
+
+NO_VOXELS = np.zeros((0, 3), dtype=np.uint16)
+SMOOTHING_ROUNDS = 3
+MIN_ADDED_MM = 1.0
+"""A branch that ends nearer than this to where it leaves the tree is there already."""
+FORK_RADII = 1.0
+"""A path has left a tube when it is farther from its middle than this multiple of its radius (as when found)."""
+RECENTER_VOXELS = 0.5
+"""A centreline is drawn again where the distance to the wall changed by more than this share of a voxel."""
+
+
+class EditSteps:
+    """One edit being made: the lumen before and after it, and the tree as a draft.
+
+    Parameters
+    ----------
+    lumen
+        Before the edit.
+    tree, next_id
+        The tree before the edit, and the first branch id that was never used.
+    """
+
+    def __init__(self, lumen: EditedLumen, tree: AirwayTree, next_id: int) -> None:
+        self.lumen = lumen
+        self.lumen_changed = False
+        self._old_radius: dict[int, NDArray[np.float64]] = {}
+        self.draft = TreeDraft(tree, next_id)
+        self._tree = tree
+        self._volume = lumen.volume
+
+    def make(self, edit: TreeEdit) -> None:
+        """Make the edit.
+
+        Raises
+        ------
+        UsageError, NoResultError, CancelledError
+            See :func:`carina.track.edit_airways`.
+        """
+        match edit:
+            case AddBranch(lps):
+                self._add(lps)
+            case CutBranch(branch_id, at_mm):
+                self._cut(needed_branch(self._tree, branch_id), at_mm)
+            case Bridge(lps):
+                self._bridge(lps)
+            case MoveRoot(lps):
+                self._move_root(lps)
+            case MoveFork(branch_id, lps):
+                self._move_fork(needed_branch(self._tree, branch_id), lps)
+            case PaintLumen():
+                self._paint(edit)
+            case SmoothBranch(branch_id):
+                self._smooth(needed_branch(self._tree, branch_id))
+            case _:
+                raise UsageError(f"this is no edit of a tree: {edit!r}")
+
+    # ------------------------------------------------------------ the edits
+
+    def _add(self, lps: Point) -> None:
+        voxel = voxel_of(self._volume, lps)
+        kind = "tracked"
+        if self.lumen.state_at(voxel) != 2:
+            way = missed_way(self.lumen, voxel)
+            self._change_lumen(tube_round(self._volume, way, missed_radii(self._volume, way)), NO_VOXELS)
+            kind = "manual"
+        node = self._node(voxel)
+        if self._attach(self._path(node), kind, MIN_ADDED_MM) is None:
+            branch, _, away_mm = self._tree.nearest_branch(lps)
+            title = branch_title(branch.name, branch.id)
+            msg = (
+                f"the tree is there already: the point lies in {title}, {away_mm:.1f} mm from its middle. Click where "
+                "the missing branch ends"
+            )
+            raise NoResultError(msg, code="track.edit-nothing")
+
+    def _cut(self, branch: Branch, at_mm: float) -> None:
+        along = along_mm(branch.points)
+        title = branch_title(branch.name, branch.id)
+        if at_mm >= along[-1] and at_mm > 0.0:
+            msg = f"{title} is only {along[-1]:.1f} mm long: choose a place before its end, not at {at_mm:.1f} mm"
+            raise UsageError(msg, code="track.edit-place")
+        last = int(np.searchsorted(along, at_mm, side="right")) - 1 if at_mm > 0.0 else 0
+        if branch.parent is None and last < 1:
+            msg = f"{title} holds the root, without it there is no tree: cut it farther down, or move the root first"
+            raise UsageError(msg, code="track.edit-root")
+        below = [member.points for member in self.draft.below(branch.id)]
+        below[0] = below[0][last + 1 :]
+        gone = {member.id for member in self.draft.below(branch.id)}
+        kept = [b.points for b in self._tree.branches if b.id not in gone] + [branch.points[: last + 1]]
+        voxels = cut_voxels(self.lumen.core, self._nodes_of(below), self._nodes_of(kept))
+        if last < 1:
+            self.draft.remove(branch.id)
+        else:
+            self.draft.shorten(branch.id, last)
+        before = self.lumen.core
+        self._change_lumen(NO_VOXELS, voxels)
+        # What hung on the cut piece alone: lumen without a branch of its own, a leak.
+        loose = newly_reached(before, self.lumen.core)
+        loose = loose[nodes_at(self.lumen.core, self._volume.to_lps(loose.astype(np.float64))) >= 0]
+        if len(loose):
+            self._change_lumen(NO_VOXELS, loose)
+        self._mend(NO_VOXELS)
+
+    def _bridge(self, lps: Point) -> None:
+        voxel = air_voxel(self.lumen, voxel_of(self._volume, lps))
+        if self.lumen.state_at(voxel) == 2:
+            branch, _, _ = self._tree.nearest_branch(lps)
+            title = branch_title(branch.name, branch.id)
+            msg = f"there is nothing to bridge: a path leads to the point through {title}. Add a branch to it"
+            raise NoResultError(msg, code="track.edit-nothing")
+        way = bridge_way(self.lumen, voxel)
+        beyond = grown_beyond(self.lumen, voxel)
+        added = np.unique(np.concatenate([beyond, tube_round(self._volume, way, BRIDGE_RADIUS_MM)]), axis=0)
+        first_beyond = _first_in(way, beyond)
+        before = self.lumen.core
+        self._change_lumen(added, NO_VOXELS)
+        self._attach(self._path(self._node(first_beyond)), "bridge", 0.0)
+        self._find_more(np.concatenate([added, newly_reached(self.lumen.core, before)]), "tracked")
+
+    def _move_root(self, lps: Point) -> None:
+        path = self._path(self._node(voxel_of(self._volume, lps), SNAP_MM))
+        place, left = self._join(path)
+        draft, trunk = self.draft, self.draft[self.draft.root_id]
+        away_mm = along_mm(path[left - 1 :])[-1]
+        if place.branch_id == trunk.id and place.index == 0:
+            if np.linalg.norm(path[-1] - trunk.points[0]) < MIN_ADDED_MM:
+                raise NoResultError("the root is there already; nothing was changed", code="track.edit-nothing")
+            # Beyond the trunk's beginning: it grows up to there.
+            above = self._drawn(trunk.points[0], path[1:])[::-1]
+            points = np.concatenate([above, trunk.points[1:]])
+            draft.change(trunk.id, points=points, radius=self._radius(points), cost=None)
+        elif away_mm > FORK_RADII * draft[place.branch_id].radius[place.index]:
+            tip = self._attach(path, "tracked", 0.0)
+            assert tip is not None
+            draft.turn_round(tip)
+        elif place.branch_id == trunk.id:
+            # What lies above the new root goes; its lumen stays.
+            at = min(place.index, max(len(trunk.points) - 2, 0))
+            draft.change(trunk.id, points=trunk.points[at:], radius=trunk.radius[at:], cost=None)
+        else:
+            self._begin_inside(place)
+        root_voxel = voxel_of(self._volume, _point(self.draft[self.draft.root_id].points[0]))
+        i, j, k = (int(v) for v in root_voxel)
+        self.lumen = self.lumen.rerooted((i, j, k))
+
+    def _begin_inside(self, place: Place) -> None:
+        """Make a place inside a branch the root: a trunk of one point, where both ways begin, unless it is a tip."""
+        branch = self.draft[place.branch_id]
+        last = len(branch.points) - 1
+        if not branch.children and place.index >= last - 1:
+            self.draft.turn_round(branch.id)
+            return
+        if last < 2:
+            msg = "the branch there is too short to begin in it: choose a point in the next one"
+            raise NoResultError(msg, code="track.edit-place")
+        self.draft.split(Place(branch.id, min(max(place.index, 1), last - 1)))
+        upper = self.draft[branch.id]
+        trunk = self.draft.add_child(upper.id, upper.points[-1:].copy(), upper.radius[-1:].copy(), upper.kind)
+        self.draft.turn_round(trunk)
+
+    def _move_fork(self, branch: Branch, lps: Point) -> None:
+        title = branch_title(branch.name, branch.id)
+        if not branch.children:
+            msg = f"{title} ends without a fork: there is nothing to move. To make it longer, add a branch beyond it"
+            raise UsageError(msg, code="track.edit-place")
+        voxel = voxel_of(self._volume, lps)
+        new = np.array(lps)
+        if self.lumen.state_at(voxel) != 2:
+            node = self._node(voxel, SNAP_MM)
+            new = self._volume.to_lps(voxels_of(self.lumen.core, np.array([node], np.uint32))[0].astype(np.float64))
+        shift = new - branch.points[-1]
+        shift_mm = float(np.linalg.norm(shift))
+        adjoining = [branch, *(self.draft[child] for child in branch.children)]
+        shortest = min(adjoining, key=lambda b: b.length_mm)
+        if shift_mm >= 0.9 * shortest.length_mm:
+            msg = (
+                f"the fork would move {shift_mm:.1f} mm, and {branch_title(shortest.name, shortest.id)} beside it is "
+                f"only {shortest.length_mm:.1f} mm long: move it less, or cut the branch and add it again"
+            )
+            raise UsageError(msg, code="track.edit-place")
+        for member in adjoining:
+            is_end = member.id == branch.id
+            along = along_mm(member.points)
+            off = along[-1] - along if is_end else along
+            glide_mm = min(max(3.0 * shift_mm, 2.0 * float(member.radius[-1 if is_end else 0])), along[-1])
+            x = np.clip(off / glide_mm, 0.0, 1.0)
+            share = (1.0 - x) ** 2 * (1.0 + 2.0 * x)
+            points = pulled_inside(self.lumen.core, member.points + share[:, None] * shift)
+            points[-1 if is_end else 0] = new
+            points[0 if is_end else -1] = member.points[0 if is_end else -1]
+            moved = np.flatnonzero(share > 0.0)
+            if not self._all_inside(points[moved]):
+                raise NoResultError(
+                    "the fork cannot be moved there: the centrelines beside it would leave the airway. Move it less",
+                    code="track.outside-lumen",
+                )
+            radius = member.radius.copy()
+            radius[moved] = self._radius(points[moved])
+            self.draft.change(member.id, points=points, radius=radius)
+
+    def _paint(self, edit: PaintLumen) -> None:
+        voxels = painted_voxels(self._volume, edit)
+        is_lumen = nodes_at(self.lumen.core, self._volume.to_lps(voxels.astype(np.float64))) >= 0
+        voxels = voxels[is_lumen == edit.erase]
+        if not len(voxels):
+            what = "no lumen under the brush to erase" if edit.erase else "nothing to paint: all of it is lumen already"
+            raise NoResultError(f"there is {what}; nothing was changed", code="track.edit-nothing")
+        before = self.lumen.core
+        if edit.erase:
+            if (voxels == np.array(self.lumen.root_ijk)).all(axis=1).any():
+                msg = "the root lies under the brush: the lumen round it must stay. Move the root first"
+                raise UsageError(msg, code="track.edit-root")
+            self._change_lumen(NO_VOXELS, voxels)
+        else:
+            self._change_lumen(voxels, NO_VOXELS)
+        lost = self._mend(voxels)
+        candidates = np.concatenate([newly_reached(self.lumen.core, before), lost])
+        self._find_more(candidates, "tracked" if edit.erase else "manual")
+
+    def _smooth(self, branch: Branch) -> None:
+        points = branch.points
+        for _ in range(SMOOTHING_ROUNDS):
+            points = self._ended(self.lumen.core.smooth(points, step_mm=STEP_MM, keep_end=True), points)
+        self.draft.change(branch.id, points=points, radius=self._radius(points))
+
+    # ------------------------------------------------------------ the lumen
+
+    def _change_lumen(self, added: Voxels, removed: Voxels) -> None:
+        """Change the lumen, and the radii of the centrelines near by."""
+        before = self.lumen
+        self.lumen = before.changed(added, removed)
+        self.lumen_changed = True
+        self._old_radius = {}
+        branches = self.draft.ordered()
+        points, starts = _together(branches)
+        near = np.arange(len(points))
+        if (box := self.lumen.changed_box) is not None:
+            ijk = self._volume.to_ijk(points)
+            # A radius is interpolated between the voxels round a point.
+            near = np.flatnonzero(((ijk > box[0] - 1.5) & (ijk < box[1] + 1.5)).all(axis=1))
+        old, new = (lumen.core.radius_mm(points[near]) for lumen in (before, self.lumen))
+        near, new = near[old != new], new[old != new]
+        owners = np.searchsorted(starts, near, side="right") - 1
+        for number in np.unique(owners):
+            branch, mine = branches[number], owners == number
+            self._old_radius[branch.id] = branch.radius
+            radius = branch.radius.copy()
+            radius[near[mine] - starts[number]] = new[mine]
+            self.draft.change(branch.id, radius=radius)
+
+    def _mend(self, voxels: Voxels) -> Voxels:
+        """Bring the centrelines back into a lumen that changed; what no path reaches any more goes.
+
+        ``voxels`` were painted or erased: centrelines beside which the wall moved are drawn again. Returns the lumen
+        voxels of the branches that went.
+        """
+        lost: list[Points] = []
+        self._keep_forks()
+        # Again where branches became one: what the other one brought may lie outside.
+        for _ in range(1 + len(self._tree)):
+            if not self._mend_once(voxels, lost):
+                break
+            voxels = NO_VOXELS
+        if not lost:
+            return NO_VOXELS
+        nodes = nodes_at(self.lumen.core, np.concatenate(lost))
+        return voxels_of(self.lumen.core, np.unique(nodes[nodes >= 0]).astype(np.uint32))
+
+    def _mend_once(self, voxels: Voxels, lost: list[Points]) -> bool:
+        """Look at every branch; true if a branch went, so that two others may have become one."""
+        branches = self.draft.ordered()
+        points, starts = _together(branches)
+        all_fit = self._fits(points)
+        num_lost = len(lost)
+        for was, first in zip(branches, starts, strict=True):
+            fits = all_fit[first : first + len(was.points)]
+            if fits.all() and not (len(voxels) and self._wall_moved(was)):
+                continue
+            branch_id = was.id
+            # Gone with its parent, or one with it.
+            if branch_id not in self.draft:
+                continue
+            branch = self.draft[branch_id]
+            if len(branch.points) != len(was.points):
+                continue
+            if fits[0] and fits[-1]:
+                drawn = self._tracked_again(branch)
+                if drawn is not None:
+                    self.draft.change(branch_id, points=drawn, radius=self._radius(drawn))
+                    continue
+                if fits.all():
+                    continue
+            last = int(np.argmin(fits)) - 1 if not fits.all() else len(fits) - 1
+            for member in self.draft.below(branch_id):
+                lost.append(member.points)
+            if last >= 1 and along_mm(branch.points[: last + 1])[-1] >= MIN_ADDED_MM:
+                self.draft.shorten(branch_id, last)
+            elif branch.parent is None:
+                self.draft.shorten(branch_id, max(last, 0))
+            else:
+                self.draft.remove(branch_id)
+        return len(lost) > num_lost
+
+    def _keep_forks(self) -> None:
+        """Move forks that lie outside now to the nearest lumen within their tube, so that what is beyond stays."""
+        forks = [branch for branch in self.draft.ordered() if branch.children]
+        if not forks:
+            return
+        ends = np.stack([branch.points[-1] for branch in forks])
+        for number in np.flatnonzero(~self._fits(ends)):
+            branch = forks[number]
+            reach_mm = max(float(branch.radius[-1]), 2.0 * max(self._volume.spacing_mm))
+            found = self.lumen.core.nearest(_point(ends[number]), reach_mm)
+            if found is None or not reached(self.lumen.core, np.array([found[0]], np.uint32))[0]:
+                continue
+            voxel = voxels_of(self.lumen.core, np.array([found[0]], np.uint32))[0]
+            fork = self._volume.to_lps(voxel.astype(np.float64))
+            for member_id, at in ((branch.id, -1), *((child, 0) for child in branch.children)):
+                points, radius = self.draft[member_id].points.copy(), self.draft[member_id].radius.copy()
+                points[at] = fork
+                radius[at] = self._radius(fork[None])[0]
+                self.draft.change(member_id, points=points, radius=radius)
+
+    def _wall_moved(self, branch: Branch) -> bool:
+        old = self._old_radius.get(branch.id)
+        if old is None or len(old) != len(branch.radius):
+            return False
+        moved_mm = np.abs(old - branch.radius).max()
+        return bool(moved_mm > RECENTER_VOXELS * min(self._volume.spacing_mm))
+
+    def _tracked_again(self, branch: Branch) -> Points | None:
+        """The branch between its ends along the least-cost path; None where that path does not pass its beginning."""
+        node = int(nodes_at(self.lumen.core, branch.points[-1:])[0])
+        path = self._path(node)
+        off = np.linalg.norm(path - branch.points[0], axis=1)
+        nearest = int(np.argmin(off))
+        if off[nearest] > max(float(branch.radius[0]), 2.0 * max(self._volume.spacing_mm)):
+            return None
+        chain = np.concatenate([branch.points[:1], path[nearest + 1 : -1], branch.points[-1:]])
+        if branch.parent is None:
+            chain = np.concatenate([path[:-1], branch.points[-1:]])
+        points = self._ended(self.lumen.core.smooth(chain, step_mm=STEP_MM, keep_end=True), chain)
+        return points if self._all_inside(points) else None
+
+    # ------------------------------------------------------------ paths and the tree
+
+    def _node(self, voxel: NDArray[np.int64], reach_mm: float = 0.0) -> int:
+        """The node of a voxel, or the nearest one within ``reach_mm``, that a path leads to."""
+        center = _point(self._volume.to_lps(voxel.astype(np.float64)))
+        found = self.lumen.core.nearest(center, max(reach_mm, 0.1 * min(self._volume.spacing_mm)))
+        if found is None or not reached(self.lumen.core, np.array([found[0]], np.uint32))[0]:
+            msg = (
+                f"no airway of the tree is within {reach_mm:g} mm of the point: click inside an airway"
+                if found is None
+                else "the lumen at the point is not connected to the tree: bridge to it, or add a branch to it first"
+            )
+            raise NoResultError(msg, code="track.outside-lumen")
+        return found[0]
+
+    def _path(self, node: int) -> Points:
+        """Voxel centres from the root to a node."""
+        found = self.lumen.core.path(node)
+        assert found is not None
+        return found[0]
+
+    def _nodes_of(self, lines: list[Points]) -> NDArray[np.uint32]:
+        points = np.concatenate([line for line in lines if len(line)] or [np.zeros((0, 3))])
+        nodes = nodes_at(self.lumen.core, points)
+        return np.unique(nodes[nodes >= 0]).astype(np.uint32)
+
+    def _fits(self, points: Points) -> NDArray[np.bool_]:
+        """Whether each point lies in lumen that a path reaches."""
+        nodes = nodes_at(self.lumen.core, points)
+        fits = np.array(nodes >= 0, dtype=bool)
+        fits[fits] = reached(self.lumen.core, nodes[fits].astype(np.uint32))
+        return fits
+
+    def _all_inside(self, points: Points) -> bool:
+        return bool((nodes_at(self.lumen.core, points) >= 0).all())
+
+    def _radius(self, points: Points) -> NDArray[np.float64]:
+        return self.lumen.core.radius_mm(points)
+
+    @staticmethod
+    def _ended(points: Points, ends: Points) -> Points:
+        """Exactly with the ends asked for: others begin there."""
+        points[0], points[-1] = ends[0], ends[-1]
+        return points
+
+    def _join(self, path: Points) -> tuple[Place, int]:
+        """Where a path leaves the tree, and the first of its points that lies beyond.
+
+        A point of the path still belongs to a tube while some point of its centreline is within its radius and in
+        sight.
+        """
+        branches = self.draft.ordered()
+        tree_points, starts = _together(branches)
+        radius = np.concatenate([branch.radius for branch in branches])
+        # Half a voxel more: the middle of a tube of one voxel is that voxel.
+        reach = FORK_RADII * radius + 0.5 * min(self._volume.spacing_mm)
+        low, high = path.min(axis=0) - reach.max(), path.max(axis=0) + reach.max()
+        near = np.flatnonzero(((tree_points >= low) & (tree_points <= high)).all(axis=1))
+        owner = np.searchsorted(starts, near, side="right") - 1
+        index = near - starts[owner]
+        owner = np.array([branch.id for branch in branches])[owner]
+        tree_points, reach = tree_points[near], reach[near]
+        leaves, place = 0, 0
+        for first in range(0, len(path), 64):
+            part = path[first : first + 64]
+            off = np.sqrt(sum(np.square(part[:, None, a] - tree_points[None, :, a]) for a in range(3)))
+            over = np.where(off <= reach[None], off, np.inf)
+            for n in range(len(part)):
+                order = np.flatnonzero(np.isfinite(over[n]))
+                order = order[np.argsort(over[n][order], kind="stable")[:4]]
+                if len(order):
+                    same = np.repeat(part[n : n + 1], len(order), axis=0)
+                    order = order[sees(self.lumen.core, same, tree_points[order])]
+                if not len(order):
+                    if first + n == 0:
+                        # The root itself: the trunk begins there.
+                        continue
+                    return Place(int(owner[place]), int(index[place])), leaves + 1
+                leaves, place = first + n, int(order[0])
+        return Place(int(owner[place]), int(index[place])), leaves + 1
+
+    def _drawn(self, start: Points, beyond: Points) -> Points:
+        chain = np.concatenate([start[None], beyond])
+        return self._ended(self.lumen.core.smooth(chain, step_mm=STEP_MM, keep_end=True), chain)
+
+    def _attach(self, path: Points, kind: str, least_mm: float) -> int | None:
+        """Hang the end of a path on the tree where it leaves it; None if less than ``least_mm`` is beyond."""
+        place, left = self._join(path)
+        beyond = path[left:]
+        if not len(beyond) or along_mm(path[left - 1 :])[-1] < least_mm:
+            return None
+        parent_id = self.draft.parent_at(place, max(3.0, 1.5 * max(self._volume.spacing_mm)))
+        parent = self.draft[parent_id]
+        points = self._drawn(parent.points[-1], beyond)
+        radius = self._radius(points)
+        if not parent.children and parent.kind == kind == "tracked":
+            self.draft.change(
+                parent_id,
+                points=np.concatenate([parent.points, points[1:]]),
+                radius=np.concatenate([parent.radius, radius[1:]]),
+                cost=None,
+            )
+            return parent_id
+        return self.draft.add_child(parent_id, points, radius, kind)
+
+    def _find_more(self, candidates: Voxels, kind: str) -> None:
+        """Branches that new lumen has and the tree has not."""
+        if not len(candidates):
+            return
+        core = self.lumen.core
+        nodes = self._nodes_of([branch.points for branch in self.draft.ordered()])
+        for tip in more_tips(core, nodes, candidates, cancel=self.lumen.cancel):
+            self._attach(self._path(int(tip)), kind, MIN_ADDED_MM)
+
+
+def _point(values: NDArray[np.float64]) -> Point:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def _together(branches: list[Branch]) -> tuple[Points, NDArray[np.int64]]:
+    """The points of all branches in one array, and where each branch begins in it."""
+    points = np.concatenate([branch.points for branch in branches])
+    starts = np.cumsum([0, *(len(branch.points) for branch in branches[:-1])])
+    return points, starts
+
+
+def _first_in(way: Voxels, voxels: Voxels) -> NDArray[np.int64]:
+    """The first voxel of a way that is among others; the last of the way if none is."""
+    known = {(int(i), int(j), int(k)) for i, j, k in voxels}
+    for voxel in way:
+        if (int(voxel[0]), int(voxel[1]), int(voxel[2])) in known:
+            return np.asarray(voxel, dtype=np.int64)
+    return np.asarray(way[-1], dtype=np.int64)
