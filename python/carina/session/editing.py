@@ -14,15 +14,17 @@ from carina.session.document import Document, Target
 from carina.session.jobs import Job
 from carina.session.snapshot import Said
 from carina.session.targets import followed_route, tracked_target
-from carina.track import edit_words
+from carina.track import FoldedAirways, edit_words, fold_airways
 
 if TYPE_CHECKING:
     from carina.track import TreeEdit
 
-__all__ = ["TreeEditing", "airway_words"]
+__all__ = ["MAX_AIRWAYS_KEPT", "TreeEditing", "airway_words", "found_airways"]
 
 MAX_AIRWAYS_KEPT = 4
-"""Airways that undo can go back to: a lumen and its tracker take some hundred megabytes."""
+"""Airways of searches that undo can go back to: a lumen and its tracker take some hundred megabytes."""
+NUM_EDITS_WHOLE = 6
+"""Edited airways round the present ones that are kept whole; those farther back are folded, and built again by undo."""
 LOOK_S = 0.05
 """How often an edit that waits for the one before it looks whether it was stopped."""
 
@@ -69,6 +71,25 @@ class TreeEditing(SessionCore):
 
         return self._jobs.start(f"edit {number}", words, work)
 
+    def _follow_document(self, case: OpenCase) -> None:
+        airways: Any = case.document.airways
+        if isinstance(airways, FoldedAirways):
+            whole = airways.unfold(case.info.volume)
+            case.history.amend(lambda d: replace(d, airways=whole) if d.airways is airways else d)
+        super()._follow_document(case)
+        volume = case.info.volume
+        folded: dict[int, Any] = {}
+
+        def fold(document: Document) -> Document:
+            edited: Any = document.airways
+            if edited is None or isinstance(edited, FoldedAirways) or found_airways(document) is edited:
+                return document
+            if id(edited) not in folded:
+                folded[id(edited)] = fold_airways(volume, edited)
+            return replace(document, airways=folded[id(edited)])
+
+        case.history.fold_far(lambda d: d.airways, NUM_EDITS_WHOLE, fold)
+
     def _words(self, case: OpenCase, edit: TreeEdit) -> str:
         with self._lock:
             return edit_words(edit, _needed_airways(case.document))
@@ -95,9 +116,14 @@ class TreeEditing(SessionCore):
         before = case.document
         case.airways_words = airway_words(document.airways)
         self._change(case, label, document)
-        case.history.keep_distinct(lambda d: d.airways, MAX_AIRWAYS_KEPT)
+        case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
         for line in _lost(before, document):
             self._emit(Said(line))
+
+
+def found_airways(document: Document) -> Any:
+    """The airways of a document as they were found, before any edit."""
+    return getattr(document.airways, "base", None) or document.airways
 
 
 def airway_words(airways: Any) -> str | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -74,6 +75,23 @@ class History(Generic[D]):
         """Forget the oldest steps until the documents hold at most this many different values of something large."""
         while self._undo and len({id(what(d)) for d in self._documents()}) > num_kept:
             del self._undo[0]
+
+    def fold_far(self, what: Callable[[D], object], num_near: int, fold: Callable[[D], D]) -> None:
+        """Fold documents that hold something large and lie far from the current one.
+
+        The nearest ``num_near`` different values of what is large stay as they are, forwards and backwards alike.
+        """
+        near = {id(what(self._current))}
+        ways = itertools.zip_longest(reversed(self._undo), reversed(self._redo))
+        for step in itertools.chain.from_iterable(ways):
+            if step is not None and len(near) < num_near:
+                near.add(id(what(step.document)))
+
+        def folded(step: _Step[D]) -> _Step[D]:
+            return step if id(what(step.document)) in near else _Step(step.label, fold(step.document))
+
+        self._undo = [folded(step) for step in self._undo]
+        self._redo = [folded(step) for step in self._redo]
 
     def _documents(self) -> list[D]:
         return [self._current, *(step.document for step in self._undo), *(step.document for step in self._redo)]

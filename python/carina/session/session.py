@@ -20,7 +20,7 @@ from carina.scopes import MASKS, Mask, Pose, scope_preset
 from carina.session.case import HISTOGRAM_PRESET, OpenCase, as_point, new_case
 from carina.session.core import ALL_TOPICS
 from carina.session.document import Document, Method, Operator, Point, Target
-from carina.session.editing import MAX_AIRWAYS_KEPT, TreeEditing, airway_words
+from carina.session.editing import MAX_AIRWAYS_KEPT, TreeEditing, airway_words, found_airways
 from carina.session.jobs import Job
 from carina.session.questions import AirwayQuestions
 from carina.session.routes import ChosenRoute, default_branch_id, route_to_branch
@@ -219,7 +219,7 @@ class Session(AirwayQuestions, TreeEditing):
             case.history.amend_current(lambda _: found)
         else:
             case.history.change(label, found, now_s=self._clock())
-            case.history.keep_distinct(lambda d: d.airways, MAX_AIRWAYS_KEPT)
+            case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
         case.airways_status = "found"
         case.airways_words = airway_words(airways)
         self._follow_document(case)

@@ -1,0 +1,184 @@
+"""Edits of the airway tree in a session: undone step by step, with targets, route and words that follow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from edit_case import assert_same, edit_case
+
+from carina.errors import NoResultError, UsageError
+from carina.session import JobEnded, Said, Trouble
+from carina.session.editing import NUM_EDITS_WHOLE
+from carina.session.history import History
+from carina.track import (
+    AddBranch,
+    Airways,
+    Bridge,
+    CutBranch,
+    FoldedAirways,
+    PaintLumen,
+    RenameBranch,
+    SmoothBranch,
+    edit_airways,
+    rebuild_airways,
+)
+from small_case import small_bench
+
+
+def point(values):
+    return tuple(float(v) for v in values)
+
+
+@pytest.fixture
+def case():
+    return edit_case()
+
+
+@pytest.fixture
+def bench(case):
+    """A session over the small drawn tree: real airways, real edits."""
+    made = small_bench(
+        open_volume=lambda _path, _progress, _cancel: case.volume,
+        find_airways=lambda _volume, **_options: case.airways,
+        edit_airways=edit_airways,
+    )
+    made.open()
+    made.events.clear()
+    return made
+
+
+def edit(bench, *edits):
+    for one in edits:
+        bench.session.edit_tree(one)
+        bench.background.run_all()
+
+
+def document(bench):
+    return bench.session.snapshot().document
+
+
+def test_an_edit_is_one_step_with_a_label_in_words_that_undo_and_redo_move(bench, case):
+    edit(bench, CutBranch(2))
+    assert 2 not in {b.id for b in document(bench).airways.tree.branches}
+    assert bench.session.snapshot().undo_label == "cut branch 2"
+    assert next(e.outcome for e in bench.of_type(JobEnded)) == "done"
+    bench.session.undo()
+    assert document(bench).airways is case.airways
+    assert bench.session.snapshot().redo_label == "cut branch 2"
+    bench.session.redo()
+    assert 2 not in {b.id for b in document(bench).airways.tree.branches}
+    bench.background.run_all()
+    np.testing.assert_array_equal(bench.renderers[-1].lumen, document(bench).airways.lumen_zyx)
+
+
+def test_a_route_to_a_branch_that_is_cut_goes_away_with_words_and_comes_back_with_undo(bench, case):
+    gone = case.airways.tree.branch(2)
+    bench.session.choose_route(branch_id=2)
+    edit(bench, CutBranch(2))
+    assert document(bench).route is None
+    words = [e.message for e in bench.of_type(Said)]
+    assert words == ["the route to branch 2, generation 2 went away with the edit; choose another one, or undo"]
+    bench.session.undo()
+    assert document(bench).route.branch_id == gone.id
+
+
+def test_targets_are_tracked_again_in_the_edited_tree(bench, case):
+    bench.session.add_target(point(case.airways.tree.branch(2).points[-2]))
+    bench.session.add_target(point(case.airways.tree.branch(5).points[-2]))
+    bench.background.run_all()
+    assert all(target.route is not None for target in document(bench).targets)
+    edit(bench, CutBranch(2))
+    lost, kept = document(bench).targets
+    assert lost.route is None
+    assert "mm from the airway lumen" in lost.problem
+    assert kept.route is not None
+    assert any(e.message.startswith("there is no path to Target 1 any more") for e in bench.of_type(Said))
+    edit(bench, AddBranch(point(case.tips[0])))
+    assert all(target.route is not None for target in document(bench).targets)
+
+
+def test_a_route_that_an_edit_does_not_touch_is_flown_on(bench):
+    bench.session.choose_route(branch_id=5)
+    bench.session.go_to(9.0)
+    before = document(bench).route
+    edit(bench, RenameBranch(5, "LB6"))
+    after = document(bench).route
+    assert after.path is before.path
+    assert [s.name for s in after.spans][-1] == "LB6"
+    pose = bench.session.pose_info()
+    assert pose.path_mm == pytest.approx(9.0)
+    assert pose.pose is not None
+
+
+def test_edits_that_cannot_be_made_change_nothing_and_say_why(bench, case):
+    before = document(bench)
+    with pytest.raises(UsageError, match="lies outside the scan"):
+        bench.session.edit_tree(AddBranch((900.0, 0.0, 0.0)))
+    edit(bench, CutBranch(0), CutBranch(77), Bridge(point(case.plug)))
+    assert document(bench) is before
+    assert [e.outcome for e in bench.of_type(JobEnded)] == ["failed"] * 3
+    words = [e.message for e in bench.of_type(Trouble)]
+    assert "holds the root" in words[0]
+    assert "branch 77 is not in the tree" in words[1]
+    assert "there is no air at the point" in words[2]
+    assert bench.session.snapshot().undo_label is None
+
+
+def test_without_airways_there_is_nothing_to_edit():
+    bench = small_bench()
+    with pytest.raises(UsageError, match="no case is open"):
+        bench.session.edit_tree(CutBranch(1))
+    bench.session.open_path("case")
+    bench.background.run_next()
+    with pytest.raises(NoResultError, match="no airway tree to edit yet"):
+        bench.session.edit_tree(CutBranch(1))
+
+
+def test_a_stopped_edit_changes_nothing(bench):
+    before = document(bench)
+    job_id = bench.session.edit_tree(CutBranch(2))
+    bench.session.cancel(job_id)
+    bench.background.run_all()
+    assert document(bench) is before
+    assert [e.outcome for e in bench.of_type(JobEnded)] == ["cancelled"]
+
+
+def test_an_edit_asked_for_before_an_undo_is_made_to_what_is_there_then(bench):
+    edit(bench, CutBranch(2))
+    bench.session.edit_tree(SmoothBranch(5))
+    bench.session.undo()
+    bench.background.run_all()
+    assert [type(e) for e in document(bench).airways.edits] == [SmoothBranch]
+
+
+def test_a_long_row_of_edits_can_be_undone_to_the_beginning_and_done_again_bit_for_bit(bench, case):
+    trunk = case.airways.tree.root.points
+    edits = [PaintLumen((point(trunk[3 + n // 2]),), 3.6 + 0.2 * n, "ball") for n in range(NUM_EDITS_WHOLE + 4)]
+    edit(bench, *edits)
+    history: History = bench.session._case.history
+    kept = [d.airways for d in history._documents()]
+    assert sum(isinstance(a, FoldedAirways) for a in kept) > 0
+    assert len({id(a) for a in kept if isinstance(a, Airways) and a.edits}) <= NUM_EDITS_WHOLE
+    last = document(bench).airways
+    assert last.edits == tuple(edits)
+    for num_left in range(len(edits) - 1, -1, -1):
+        bench.session.undo()
+        airways = document(bench).airways
+        assert isinstance(airways, Airways)
+        assert airways.edits == tuple(edits[:num_left])
+        if num_left in {1, 4}:
+            assert_same(airways, rebuild_airways(case.volume, case.airways, edits[:num_left]))
+    assert document(bench).airways is case.airways
+    for _ in edits:
+        bench.session.redo()
+    assert_same(document(bench).airways, last)
+
+
+def test_what_is_far_from_the_present_is_folded_and_what_is_near_is_not():
+    history = History(0)
+    for n in range(1, 9):
+        history.change(f"to {n}", n, now_s=float(n))
+    for _ in range(4):
+        history.undo()
+    history.fold_far(lambda d: d, 3, lambda d: -d)
+    assert sorted(history._documents()) == [-8, -7, -6, -2, -1, 0, 3, 4, 5]
