@@ -30,6 +30,8 @@ MIRRORED = math.log(1e-3)
 """Log odds of a mirrored chest: situs inversus is one in 10,000, files with left and right exchanged are more."""
 TURN_SPREAD_RAD = math.radians(15.0)
 """How far patients lie turned and tilted on the table."""
+COARSE_FORKS = 5
+"""Frame and side are chosen on the central airways."""
 LETTERS, ROMAN = "abcdefgh", ("i", "ii", "iii", "iv", "v", "vi", "vii", "viii")
 
 _VARIANT_STEMS = {
@@ -152,7 +154,9 @@ def _read(tree: AirwayTree) -> _Named:
     wishes, held = _constraints(rules, bronchi, given)
 
     def attempt(frame: NDArray[np.float64], *, mirrored: bool = False) -> tuple[float, Solver]:
-        solver = Solver(rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held)
+        solver = Solver(
+            rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held, max_forks=COARSE_FORKS
+        )
         turn = math.acos(max(-1.0, min(1.0, (float(np.trace(frame)) - 1.0) / 2.0)))
         return solver.log_evidence - 0.5 * (turn / TURN_SPREAD_RAD) ** 2 + (MIRRORED if mirrored else 0.0), solver
 
@@ -177,6 +181,7 @@ def _read(tree: AirwayTree) -> _Named:
         if other <= score + 0.5:
             break
         score, solution, frame = other, solver.solution(), closer
+    solution = Solver(rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held).solution()
     return _Named(bronchi, solution, rules, frame, mirrored)
 
 

@@ -35,6 +35,8 @@ CALIBRE_SPREAD = 0.3
 CALIBRE_ANY = 0.5
 CALIBRE_INSIDE = math.log(0.7)
 """Airways inside a segment are thinner than its bronchus."""
+MAX_FORKS = 11
+"""RB10 may be the eighth bronchus from the trachea; side branches on the way may make it a few more."""
 TEMPER = 0.6
 DIVISION = -0.8
 """Forks inside a segment spread as its neighbours do: a fork that looks like a division of segments proves less than
@@ -279,6 +281,8 @@ class Solver:
     held
         For bronchi with such names beyond them: (log odds per segment that they lie in it, log odds that they carry
         no segment).
+    max_forks
+        Forks further than this from the root are not read: what leaves there lies inside a segment.
     """
 
     log_evidence: float
@@ -294,6 +298,7 @@ class Solver:
         mirrored: bool = False,
         wishes: dict[int, Array] | None = None,
         held: dict[int, tuple[Array, float]] | None = None,
+        max_forks: int = MAX_FORKS,
     ) -> None:
         self.model = model = _Model(
             grammar, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes or {}, held=held or {}
@@ -307,13 +312,19 @@ class Solver:
         self.posts: list[Array] = [np.empty(0)] * count
         self.readings: list[Reading] = [Reading(None, 0.0)] * count
         terminal = grammar.terminal
+        forks = [0] * count
+        for number, bronchus in enumerate(bronchi):
+            forks[number] = 0 if bronchus.parent is None else forks[bronchus.parent] + 1
+        nothing = np.zeros(len(grammar))
         for number in range(count - 1, -1, -1):
             bronchus = bronchi[number]
+            if forks[number] > max_forks:
+                continue
             local = model.evidence(number)
             if number in model.wishes:
                 local = local + model.wishes[number]
-            interior = model.held[number][0] if number in model.held else np.zeros(len(grammar))
-            if bronchus.children:
+            interior = model.held[number][0] if number in model.held else nothing
+            if bronchus.children and forks[number] < max_forks:
                 parts = [self.part_of(child) for child in bronchus.children]
                 table = _Tables(parts, [self.sums[child] for child in bronchus.children], model)
                 structure = table.sums[table.full].copy()
@@ -365,7 +376,7 @@ class Solver:
         if not len(post):
             post = self.posts[number] = np.zeros(len(self.grammar))
         table = self.tables[number]
-        if table is None:
+        if table is None or post.sum() < 1e-9:
             return
         spread = self._spread_shrink(post, self.sums[number], self.own[number])
         # Segments end the grammar: what is beyond lies inside them.
