@@ -52,6 +52,42 @@ def named(workstation, name):
     )
 
 
+def show_slices_at(workstation, lps):
+    """Crosshair to a point that is typed, until the coronal slice shows it."""
+    workstation.page.keyboard.press("n")
+    workstation.page.keyboard.press("Escape")
+    field = workstation.page.locator("[data-testid=coordinates] input")
+    field.fill(", ".join(f"{v:.3f}" for v in lps))
+    workstation.page.locator(".coordinates").get_by_role("button", name="Show").click()
+    wait_for(
+        workstation,
+        """(y) => {
+            const { lps_from_pixel: m } = window.__carina.state.frames.coronal;
+            return Math.abs(m[7] - y) < 0.1;
+        }""",
+        lps[1],
+    )
+    field.fill("")
+    workstation.page.evaluate("() => document.activeElement.blur()")
+
+
+def place_in_slice(workstation, view, lps):
+    """Where a point shows in a slice, in page coordinates."""
+    return workstation.page.evaluate(
+        """([view, lps]) => {
+            const { lps_from_pixel: m, width, height } = window.__carina.state.frames[view];
+            const d = lps.map((v, i) => v - m[4 * i + 3]);
+            const along = (c) => {
+                const axis = [m[c], m[4 + c], m[8 + c]];
+                return axis.reduce((sum, v, i) => sum + v * d[i], 0) / axis.reduce((sum, v) => sum + v * v, 0);
+            };
+            const box = document.querySelector(`canvas[data-view=${view}]`).getBoundingClientRect();
+            return [box.x + (along(0) / width) * box.width, box.y + (along(1) / height) * box.height];
+        }""",
+        [view, lps],
+    )
+
+
 def tree_is_shown(workstation):
     wait_for(workstation, "() => document.querySelector('canvas[data-view=tree]')?.dataset.full === 'true'")
 
@@ -101,6 +137,52 @@ def test_in_the_airway_view_the_way_leads_to_the_lumen_in_front_of_the_wall(serv
     workstation.page.keyboard.press("Escape")
     wait_for(workstation, "() => window.__carina.state.livePath === null")
     assert workstation.state("ui.armed") is None
+    assert workstation.faults == []
+
+
+def test_a_branch_is_cut_undone_cut_again_and_added_by_a_click(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    tree_is_shown(workstation)
+    whole = workstation.state("tree.byId.size")
+    lmb = named(workstation, "LMB")
+    end = workstation.page.evaluate("(id) => window.__carina.state.tree.byId.get(id).branch.points.at(-1)", lmb)
+    # The left lung, from the middle of its main bronchus on: amber before the click.
+    workstation.page.keyboard.press("k")
+    x, y = place_on_tree(workstation, lmb)
+    workstation.page.mouse.move(x, y)
+    wait_for(workstation, "(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
+    workstation.picture("before-the-cut")
+    workstation.page.mouse.click(x, y)
+    wait_for(workstation, "(n) => window.__carina.state.tree.byId.size < 0.8 * n", whole)
+    cut = workstation.state("tree.byId.size")
+    assert workstation.state("can_undo") == "shorten LMB"
+    workstation.picture("after-the-cut")
+    workstation.page.keyboard.press("Escape")
+    workstation.page.keyboard.press("Control+z")
+    wait_for(workstation, "(n) => window.__carina.state.tree.byId.size === n", whole)
+    workstation.page.keyboard.press("Control+Shift+z")
+    wait_for(workstation, "(n) => window.__carina.state.tree.byId.size === n", cut)
+
+    show_slices_at(workstation, end)
+    workstation.page.keyboard.press("j")
+    x, y = place_in_slice(workstation, "coronal", end)
+    workstation.page.mouse.move(x, y)
+    wait_for(workstation, "() => window.__carina.state.livePath !== null")
+    workstation.picture("before-the-addition")
+    workstation.page.mouse.click(x, y)
+    wait_for(workstation, "(n) => window.__carina.state.tree.byId.size > n", cut)
+    assert workstation.state("can_undo").startswith("add a branch")
+    reaches = workstation.page.evaluate(
+        """(end) => Math.min(...[...window.__carina.state.tree.byId.values()].map((node) =>
+            Math.hypot(...node.branch.points.at(-1).map((v, i) => v - end[i]))))""",
+        end,
+    )
+    assert reaches < 3.0, "the new branch ends where it was clicked"
+    workstation.page.keyboard.press("Escape")
+    for _ in range(2):
+        workstation.page.keyboard.press("Control+z")
+    wait_for(workstation, "(n) => window.__carina.state.tree.byId.size === n", whole)
     assert workstation.faults == []
 
 
