@@ -278,6 +278,7 @@ function Readings() {
           <strong className="warning-text">Outside the airway</strong>
         )}
         {pose.generation === null ? null : <span>generation {pose.generation}</span>}
+        {node?.branch.kind === "bridge" ? <span className="warning-text">bridge: no airway on the CT</span> : null}
       </div>
       <div className="reading top-right numbers">
         {at === null ? null : (

@@ -85,7 +85,9 @@ export function ToolInHand() {
             keys={keyOf("brush_smaller")}
             onPress={() => station.ui({ brushMm: nextBrush(brushMm, -1) })}
           />
-          <span className="numbers">{mm(2 * brushMm)} wide</span>
+          <span className="numbers" title="Width of the brush">
+            {mm(2 * brushMm)}
+          </span>
           <Act
             kind="icon"
             icon="forward"

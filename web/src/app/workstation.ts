@@ -101,6 +101,7 @@ export class Workstation {
           if (message.type === "pose") this.#pace.poseArrived(message.pose_id, performance.now());
           this.store.dispatch({ kind: "server", message, nowMs: performance.now() });
           if (message.type === "picked") this.#picked(message);
+          if (message.type === "route") this.#warnOfBridges();
           if (message.type === "live_path") this.pointing.receive(message);
           // Another case: its first picture may have an older number than the last one of the case before.
           if (message.type === "state" && caseKey(before.session) !== caseKey(message)) {
@@ -396,19 +397,18 @@ export class Workstation {
       this.#autoWanted = this.send({ type: "set_mode", mode: "path" });
     } else if (!this.flight.startAuto()) {
       this.notice("This is the end of the route.");
-    } else this.#warnOfBridges();
+    }
   }
 
-  /** Said before flying, once for each route. */
+  /** Said when a route is chosen, before it is flown, once for each. */
   #warnOfBridges(): void {
     const { route, tree } = this.state;
-    if (route === null || route.route_id === this.#warnedOf) return;
-    this.#warnedOf = route.route_id;
-    const words = bridgeWords(tree, route.spans);
-    if (words !== null) this.notice(`${words}.`);
+    const words = route === null ? null : bridgeWords(tree, route.spans);
+    if (words !== null && words !== this.#warnedOf) this.notice(`${words}.`);
+    this.#warnedOf = words;
   }
 
-  #warnedOf = "";
+  #warnedOf: string | null = null;
 
   #chooseWay(step: -1 | 1): void {
     const { tree, route, pose } = this.state;

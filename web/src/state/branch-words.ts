@@ -136,12 +136,15 @@ export function filterTree(tree: BranchTree, text: string): Filtered | null {
   return { shown, hits };
 }
 
+export const isBridge = (tree: BranchTree | null, branchId: number | null): boolean =>
+  branchId !== null && tree?.byId.get(branchId)?.branch.kind === "bridge";
+
 /** What a route crosses that is no airway of the CT, in words to be said before flying; null where there is none. */
 export function bridgeWords(
   tree: BranchTree | null,
   spans: readonly { branch_id: number; from_mm: number; to_mm: number }[],
 ): string | null {
-  const bridges = spans.filter((span) => tree?.byId.get(span.branch_id)?.branch.kind === "bridge");
+  const bridges = spans.filter((span) => isBridge(tree, span.branch_id));
   if (bridges.length === 0) return null;
   const total = bridges.reduce((sum, span) => sum + span.to_mm - span.from_mm, 0);
   const first = bridges[0];

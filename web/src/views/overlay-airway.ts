@@ -3,11 +3,11 @@
 import { angleBetween, type RingMark, ringMarks } from "../state/letters";
 import { geometryOf, projectLine, type SeenGeometry } from "../state/projection";
 import { pointsBetween } from "../state/route";
-import { distance } from "../state/vec";
+import { asVec3, distance } from "../state/vec";
 import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
 import { traceOutline } from "./outline";
 import { paintCursorNote, paintLivePath } from "./overlay-cursor";
-import { paintTreeAhead } from "./overlay-tree";
+import { paintBridges, paintTreeAhead } from "./overlay-tree";
 import type { Scene } from "./scene";
 import { RING_PX, type Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
@@ -45,6 +45,7 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
     }
     ink.restore();
   }
+  paintBridges(ink, viewport, geometry, aheadOf(geometry, scene), () => true);
   paintTreeAhead(ink, viewport, geometry, scene);
   paintLivePath(ink, viewport, geometry, withinReach(geometry, scene), () => true);
   paintWallMarks(ink, viewport, geometry, scene);
@@ -56,6 +57,15 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
     label(ink, mark.text, at, { size: mark.strength > 0.8 ? 15 : 12, bold: true });
   }
   paintCursorNote(ink, viewport, scene);
+}
+
+/** Bridges that begin near enough to be looked into: the others lie behind walls. */
+function aheadOf(geometry: SeenGeometry, scene: Scene): Scene {
+  if (scene.bridges.length === 0) return scene;
+  const near = scene.bridges.filter(({ branch }) =>
+    branch.points.some((point) => distance(asVec3(point), geometry.camera.position) < LINE_TO_MM),
+  );
+  return { ...scene, bridges: near };
 }
 
 /** The way to the cursor from where it comes nearest to the lens: what lies before that is behind, or behind walls. */

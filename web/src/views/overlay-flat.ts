@@ -14,7 +14,7 @@ import { add, scale, type Vec3 } from "../state/vec";
 import type { ViewName } from "../wire/messages";
 import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
 import { paintBrush, paintCursorNote, paintLivePath } from "./overlay-cursor";
-import { paintTree } from "./overlay-tree";
+import { paintBridges, paintTree } from "./overlay-tree";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
@@ -48,6 +48,7 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (isSlice(header.view)) paintCrosshair(ink, viewport, geometry, scene, header.view);
   paintTree(ink, viewport, geometry, scene, inPlane);
   paintRoute(ink, viewport, geometry, scene, inPlane);
+  paintBridges(ink, viewport, geometry, scene, inPlane);
   paintLivePath(ink, viewport, geometry, scene, inPlane);
   const names = new NamePlaces();
   for (const target of scene.targets) {

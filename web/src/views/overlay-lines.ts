@@ -34,7 +34,7 @@ export function paintLines(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (scene.route !== null) {
     if (header.view === "straightened") paintLumen(ink, viewport, geometry, scene.route);
     else if (scene.routeLineVisible) paintPath(ink, viewport, geometry);
-    paintAxis(ink, viewport, geometry, scene.route, sides);
+    paintAxis(ink, viewport, geometry, scene, scene.route, sides);
   }
   for (const target of scene.targets) {
     const seen = nearestPixel(geometry, target.lps);
@@ -109,9 +109,11 @@ function paintAxis(
   ink: Ink,
   viewport: Viewport,
   geometry: LinesGeometry,
+  scene: Scene,
   route: RouteInfo,
   sides: { left: number; right: number },
 ): void {
+  const bridges = new Set(scene.bridges.map((node) => node.branch.id));
   const first = geometry.pathMm[0] ?? 0;
   const last = geometry.pathMm.at(-1) ?? 0;
   const yOf = (mm: number): number | null => {
@@ -167,11 +169,12 @@ function paintAxis(
     }
     const y = (Math.max(a, 0) + Math.min(b, height)) / 2;
     if (y - taken < NAMES_APART_PX || y < 26 || y > height - 26) continue;
+    const isBridge = bridges.has(span.branch_id);
     label(
       ink,
-      span.name ?? `gen. ${span.generation}`,
+      isBridge ? "bridge" : (span.name ?? `gen. ${span.generation}`),
       { x: sides.right - TICK_PX - 4, y },
-      { size: 11, align: "right" },
+      { size: 11, align: "right", colour: isBridge ? INK.warning : INK.text },
     );
     taken = y;
   }

@@ -8,7 +8,7 @@ import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint
 import { paintCursorNote, paintLivePath } from "./overlay-cursor";
 import { paintLetters } from "./overlay-flat";
 import { paintLobes, paintNames } from "./overlay-names";
-import { paintTree } from "./overlay-tree";
+import { paintBridges, paintTree } from "./overlay-tree";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
@@ -33,6 +33,7 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
       line(ink, points, INK.accent, 2);
     }
   }
+  paintBridges(ink, viewport, geometry, scene, () => true);
   paintLivePath(ink, viewport, geometry, scene, () => true);
   const names = new NamePlaces();
   for (const target of scene.targets) {

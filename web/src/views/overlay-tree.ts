@@ -20,7 +20,6 @@ export function paintTree(
   inPlane: (depthMm: number) => boolean,
 ): void {
   const names = new NamePlaces();
-  for (const node of scene.bridges) paintBridge(ink, viewport, geometry, node, inPlane, names);
   for (const place of scene.uncertain) paintUncertain(ink, viewport, geometry, asVec3(place.lps), inPlane);
   if (scene.selected !== null && scene.selected !== scene.hovered?.node) {
     paintCentreline(ink, viewport, geometry, pointsOf(scene.selected), INK.text, inPlane);
@@ -45,12 +44,21 @@ export function paintTree(
   if (scene.heldFork !== null) paintFork(ink, viewport, geometry, scene.heldFork, inPlane);
 }
 
-/** In the airway view: the opening of the branch that is pointed at, and bridges ahead. */
+/** Bridges over blockages, over whatever else is drawn: amber, dashed, and called so. */
+export function paintBridges(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  scene: Scene,
+  inPlane: (depthMm: number) => boolean,
+): void {
+  const names = new NamePlaces();
+  for (const node of scene.bridges) paintBridge(ink, viewport, geometry, node, inPlane, names);
+}
+
+/** In the airway view: the opening of the branch that is pointed at. */
 export function paintTreeAhead(ink: Ink, viewport: Viewport, geometry: Geometry, scene: Scene): void {
   if (geometry.kind !== "seen") return;
-  const near = (depthMm: number) => depthMm > 0 && depthMm < 60;
-  const names = new NamePlaces();
-  for (const node of scene.bridges) paintBridge(ink, viewport, geometry, node, near, names);
   const node = scene.hovered?.node ?? null;
   if (node === null || node.branch.id === scene.hereId) return;
   const opening = openingOf(node, geometry);
@@ -173,6 +181,7 @@ function paintBridge(
   names: NamePlaces,
 ): void {
   const runs = runsOf(viewport, geometry, pointsOf(node), inPlane);
+  if (runs.length === 0) return;
   ink.save();
   ink.setLineDash([...DASH]);
   for (const run of runs) {
