@@ -14,6 +14,7 @@ from carina._core import LumenTracker, find_trachea_voxels, flood_lumen
 from carina.errors import CancelledError, GeometryError, NoResultError, UsageError
 from carina.track.edit_kinds import TreeEdit
 from carina.track.levels import AirScale, air_scale
+from carina.track.names import name_tree
 from carina.track.paths import SNAP_MM, Cancel, PathTracker, Point, TrackedPath, as_point, branches_from_rows, words
 from carina.track.tree import AirwayTree, Branch
 from carina.volume.model import Volume
@@ -59,6 +60,8 @@ LEAK_MM3 = 60_000.0
 SMALL_LEAK_MM3 = 3_000.0
 CLOSED_RADIUS_MM = 10.0
 MIN_LUMEN_MM3 = 300.0
+# Trachea, two main, five lobar and some segmental bronchi: with fewer there is too little to tell lobes apart.
+MIN_GRAMMAR_BRANCHES = 12
 # A trachea is 100 to 140 mm long; higher up it is larynx and throat.
 MAX_TRACHEA_MM = 150.0
 
@@ -186,7 +189,8 @@ def find_airways(
     core.solve_all(cancel=cancel, progress=stage.share)
     stage.begin("finding the branches")
     rows = core.branches(cancel=cancel, progress=stage.share)
-    branches = _named(branches_from_rows(rows))
+    branches = branches_from_rows(rows)
+    branches = name_tree(AirwayTree(branches)).branches if len(branches) >= MIN_GRAMMAR_BRANCHES else _named(branches)
     if root_lps is None:
         refuse_a_root_below_the_carina(volume, branches)
     tracker.set_branches(branches, [row["nodes"] for row in rows])

@@ -30,6 +30,8 @@ MIRRORED = math.log(1e-3)
 """Log odds of a mirrored chest: situs inversus is one in 10,000, files with left and right exchanged are more."""
 TURN_SPREAD_RAD = math.radians(15.0)
 """How far patients lie turned and tilted on the table."""
+MIN_BRANCHES = 12
+"""Trachea, two main, five lobar and some segmental bronchi: with fewer there is too little to tell lobes apart."""
 COARSE_FORKS = 5
 """Frame and side are chosen on the central airways."""
 LETTERS, ROMAN = "abcdefgh", ("i", "ii", "iii", "iv", "v", "vi", "vii", "viii")
@@ -286,8 +288,9 @@ def _names_of(read: _Named, rule: LetterRule) -> tuple[dict[int, tuple[str | Non
             # A lobe of which one segment is left, with a twig on its way: beyond the twig it is the segment.
             last = _told(_word(rules, settled, seen), mirrored=read.mirrored)
             names[bronchus.pieces[-1]] = (last, float(sure[number]))
-    if len(bronchi) == 1:
-        names = {}
+    if len(bronchi[0].pieces) + len(bronchi[0].below) < MIN_BRANCHES:
+        certain = {"Trachea", "RMB", "LMB"} if len(bronchi) > 1 else set()
+        names = {number: (name, share) for number, (name, share) in names.items() if name in certain}
     _name_stubs(read, words, sure, names)
     notes = _variants(read, words, sure, carried)
     if read.mirrored:
