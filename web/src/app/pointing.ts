@@ -242,7 +242,7 @@ export class Pointing {
     const { header } = viewport;
     const pixel = viewport.pixelAt(at);
     if (header === null || pixel === null) return null;
-    const { tree, pose, session } = this.#station.state;
+    const { tree, pose, session, ui } = this.#station.state;
     const ofTree = (place: TreePlace | null, lps: Vec3): Pointed => ({
       lps,
       branchId: place?.branchId ?? null,
@@ -271,8 +271,10 @@ export class Pointing {
       case "airway": {
         if (!isInside(viewport.shape, viewport.frame, at)) return null;
         const here = pose?.branch_id ?? null;
-        const branchId = tree === null || here === null ? null : branchAhead(tree, here, geometry, pixel);
-        return { lps: null, branchId, place: null, pixel };
+        const ahead = tree === null || here === null ? null : branchAhead(tree, here, geometry, pixel);
+        // The branch that the tip is in lies all around: only a tool may mean it.
+        const means = ahead !== here || wantsBranch(ui.armed, ui.forkHeld !== null);
+        return { lps: null, branchId: means ? ahead : null, place: null, pixel };
       }
       default:
         return null;

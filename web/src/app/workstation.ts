@@ -254,7 +254,10 @@ export class Workstation {
       return;
     }
     const lps = asVec3(message.lps);
-    if (this.state.ui.armed === null) this.store.dispatch({ kind: "picked", message });
+    if (this.state.ui.armed === null) {
+      this.store.dispatch({ kind: "picked", message });
+      if (message.branch_id !== null) this.ui({ selected: message.branch_id });
+    }
     this.pick(lps);
   }
 
