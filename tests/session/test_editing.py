@@ -110,6 +110,15 @@ def test_a_route_that_an_edit_does_not_touch_is_flown_on(bench):
     assert pose.pose is not None
 
 
+def test_an_edit_that_leaves_the_lumen_alone_does_not_prepare_the_pictures_again(bench):
+    prepared = bench.renderers[-1].prepared
+    edit(bench, RenameBranch(5, "LB6"), SmoothBranch(5))
+    assert bench.renderers[-1].prepared == prepared
+    assert bench.session.pose_info() is not None
+    edit(bench, CutBranch(5))
+    assert bench.renderers[-1].prepared > prepared
+
+
 def test_edits_that_cannot_be_made_change_nothing_and_say_why(bench, case):
     before = document(bench)
     with pytest.raises(UsageError, match="lies outside the scan"):

@@ -160,6 +160,9 @@ class SessionCore:
         new_airways = airways is not case.shown_airways
         if new_airways:
             case.index = None if airways is None else AirwayIndex(airways.tree)
+            if _lumen(airways) is _lumen(case.shown_airways):
+                # Another tree or other names in the same lumen: the renderer shows it already.
+                case.shown_airways, new_airways = airways, False
         if new_airways or document.transfer is not case.shown_transfer:
             self._sync_display(case)
 
@@ -291,3 +294,7 @@ class SessionCore:
                 frames=None if document.route is None else document.route.frames,
                 path_mm=case.navigator.path_mm,
             )
+
+
+def _lumen(airways: Any) -> Any:
+    return None if airways is None else airways.lumen_zyx

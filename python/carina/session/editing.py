@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from carina.errors import NoResultError
 from carina.session.case import OpenCase
-from carina.session.core import SessionCore
+from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.document import Document, Target
 from carina.session.jobs import Job
 from carina.session.snapshot import Said
-from carina.session.targets import followed_route, tracked_target
-from carina.track import FoldedAirways, edit_words, fold_airways
+from carina.session.targets import followed_route, renamed_route, tracked_target
+from carina.track import FoldedAirways, edit_words, fold_airways, name_edited
 
 if TYPE_CHECKING:
     from carina.track import TreeEdit
@@ -101,7 +101,9 @@ class TreeEditing(SessionCore):
                 before = case.document
             airways = _needed_airways(before)
             label = edit_words(edit, airways)
-            edited = self._parts.edit_airways(case.info.volume, airways, edit, progress=job.progress, cancel=job.cancel)
+            edited = self._parts.edit_airways(
+                case.info.volume, airways, edit, name_branches=False, progress=job.progress, cancel=job.cancel
+            )
             targets = tuple(tracked_target(edited, target) for target in before.targets)
             route = followed_route(edited, before.route, targets)
             with self._lock:
@@ -110,7 +112,18 @@ class TreeEditing(SessionCore):
                 now = case.document
                 if now.airways is airways and now.targets == before.targets and now.route is before.route:
                     self._put_edit(case, label, replace(now, airways=edited, targets=targets, route=route))
-                    return
+                    break
+        named = name_edited(_needed_airways(before), edited)
+        if named is not edited:
+            with self._lock:
+                self._put_names(case, edited, named)
+
+    def _put_names(self, case: OpenCase, edited: Any, named: Any) -> None:
+        """Names follow the edit: part of its step, wherever undo has taken the document meanwhile."""
+        case.history.amend(lambda document: _with_names(document, edited, named))
+        if self._case is case:
+            self._follow_document(case)
+            self._changed(*ALL_TOPICS)
 
     def _put_edit(self, case: OpenCase, label: str, document: Document) -> None:
         before = case.document
@@ -119,6 +132,18 @@ class TreeEditing(SessionCore):
         case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
         for line in _lost(before, document):
             self._emit(Said(line))
+
+
+def _with_names(document: Document, edited: Any, named: Any) -> Document:
+    """The document with the names in place, if it holds these edited airways."""
+    if document.airways is not edited:
+        return document
+    return replace(
+        document,
+        airways=named,
+        targets=tuple(replace(target, route=renamed_route(target.route, named.tree)) for target in document.targets),
+        route=renamed_route(document.route, named.tree),
+    )
 
 
 def found_airways(document: Document) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,7 +12,10 @@ from carina.session.case import as_point
 from carina.session.document import Target
 from carina.session.routes import ChosenRoute, route_to_branch, route_to_target
 
-__all__ = ["SNAP_MM", "followed_route", "tracked_target"]
+if TYPE_CHECKING:
+    from carina.track import AirwayTree
+
+__all__ = ["SNAP_MM", "followed_route", "renamed_route", "tracked_target"]
 
 SNAP_MM = 5.0
 """A target outside the lumen is moved to it within this distance, and said."""
@@ -29,6 +32,18 @@ def tracked_target(airways: Any, target: Target) -> Target:
     # Not moved: the point itself was asked for and is used. Moved: the lumen voxel that the path ends in.
     used = target.lps if path.snapped_mm == 0.0 else as_point(path.points_lps[-1])
     return replace(bare, used_lps=used, snapped_mm=path.snapped_mm, length_mm=path.length_mm, route=route)
+
+
+def renamed_route(route: ChosenRoute | None, tree: AirwayTree) -> ChosenRoute | None:
+    """A route with the names that its branches have now; nothing else about it changes."""
+    if route is None:
+        return None
+    names = {branch.id: branch.name for branch in tree.branches}
+    spans = tuple(replace(span, name=names.get(span.branch_id)) for span in route.spans)
+    title = route.title
+    if route.branch_id is not None and (branch := next((b for b in tree.branches if b.id == route.branch_id), None)):
+        title = branch.name or f"branch {branch.id}, generation {branch.generation}"
+    return replace(route, spans=spans, title=title)
 
 
 def followed_route(airways: Any, chosen: ChosenRoute | None, targets: tuple[Target, ...]) -> ChosenRoute | None:

@@ -16,6 +16,7 @@ from carina.track.edits import (
     edit_words,
     edits_from_json,
     edits_to_json,
+    name_edited,
     rebuild_airways,
 )
 from carina.track.levels import lumen_threshold_from_histogram
@@ -62,6 +63,7 @@ __all__ = [
     "lumen_mesh",
     "lumen_threshold_from_histogram",
     "measure_tree",
+    "name_edited",
     "name_tree",
     "name_words",
     "rebuild_airways",

@@ -48,6 +48,7 @@ __all__ = [
     "edit_words",
     "edits_from_json",
     "edits_to_json",
+    "name_edited",
     "rebuild_airways",
 ]
 
@@ -57,6 +58,7 @@ def edit_airways(
     airways: Airways,
     edit: TreeEdit,
     *,
+    name_branches: bool = True,
     progress: Progress | None = None,
     cancel: Cancel | None = None,
 ) -> Airways:
@@ -70,6 +72,9 @@ def edit_airways(
         Not changed: undo is going back to them.
     edit
         What to do.
+    name_branches
+        False leaves the names from anatomy as they were, for :func:`name_edited` to find them again: in a tree of some
+        hundred branches that takes longer than the edit.
     progress, cancel
         Told what is going on; asked whether to stop.
 
@@ -92,7 +97,8 @@ def edit_airways(
     ----------
     Paper 6.3 (targets and root set by hand, Figure 14); docs/decisions/0018.
     """
-    return _edited(volume, airways, edit, progress, cancel, is_fresh=False)
+    edited = _edited(volume, airways, edit, progress, cancel, is_fresh=False)
+    return name_edited(airways, edited) if name_branches else edited
 
 
 def rebuild_airways(
@@ -117,8 +123,20 @@ def rebuild_airways(
     """
     airways = base
     for edit in edits:
-        airways = _edited(volume, airways, edit, progress, cancel, is_fresh=True)
+        airways = name_edited(airways, _edited(volume, airways, edit, progress, cancel, is_fresh=True))
     return airways
+
+
+def name_edited(before: Airways, edited: Airways) -> Airways:
+    """Edited airways with the names that anatomy gives their branches now; ``edited`` itself where they stay.
+
+    A branch that is drawn otherwise is still the same bronchus: names change where branches come, go or hang elsewhere,
+    and where a person gives a name or takes it back.
+    """
+    ways = [[(b.id, b.parent, b.name_from == "person", b.name) for b in a.tree.branches] for a in (before, edited)]
+    if ways[0] == ways[1]:
+        return edited
+    return dataclasses.replace(edited, tree=named_anew(edited.tree))
 
 
 def _edited(
@@ -140,16 +158,12 @@ def _edited(
         # Paths know branches by their ids: nothing else changes.
         branches = tuple(_named_by_person(b, edit.name) if b.id == edit.branch_id else b for b in tree.branches)
         needed_branch(tree, edit.branch_id)
-        renamed = named_anew(dataclasses.replace(tree, branches=branches))
+        renamed = dataclasses.replace(tree, branches=branches)
         return dataclasses.replace(airways, tree=renamed, edits=edits, base=airways.base or airways, next_id=next_id)
     before = EditedLumen(volume, airways.tracker.core, is_fresh, cancel)
     steps = EditSteps(before, tree, next_id)
     steps.make(edit)
     branches = steps.draft.finished()
-    new_tree = AirwayTree(branches)
-    if [(b.id, b.parent) for b in branches] != [(b.id, b.parent) for b in tree.branches]:
-        # A branch that is drawn otherwise is still the same bronchus.
-        new_tree = named_anew(new_tree)
     core = steps.lumen.core
     tracker = PathTracker(volume, core)
     tracker.follow_branches(branches)
@@ -157,7 +171,7 @@ def _edited(
         airways,
         lumen_zyx=airways.lumen_zyx if not steps.lumen_changed else lumen_voxels(core),
         root_lps=branches[0].points[0].copy(),
-        tree=dataclasses.replace(new_tree, _smooth=tracker.smooth),
+        tree=AirwayTree(branches, _smooth=tracker.smooth),
         tracker=tracker,
         edits=edits,
         base=airways.base or airways,
