@@ -45,9 +45,7 @@ export function BranchList() {
       .map((node) => String(node.branch.id));
     setExpanded((old) => (open.every((id) => old.has(id)) ? old : new Set([...old, ...open])));
     // After the rows above it are there.
-    requestAnimationFrame(() =>
-      list.current?.querySelector(`[data-branch="${shown}"]`)?.scrollIntoView({ block: "nearest" }),
-    );
+    requestAnimationFrame(() => list.current !== null && bringIntoList(list.current, shown));
   }, [tree, shown]);
 
   const filtered = useMemo(() => (tree === null ? null : filterTree(tree, search)), [tree, search]);
@@ -165,6 +163,16 @@ function RowStyles({ tree }: { tree: BranchTree }) {
     );
   }
   return rules.length === 0 ? null : <style>{rules.join("\n")}</style>;
+}
+
+/** Scrolls the list alone: on a tablet the page must stay where the person is. */
+function bringIntoList(list: HTMLElement, branchId: number): void {
+  const row = list.querySelector(`[data-branch="${branchId}"]`)?.getBoundingClientRect();
+  const box = list.querySelector(".branch-tree");
+  if (row === undefined || box === null) return;
+  const { top, bottom } = box.getBoundingClientRect();
+  if (row.top < top) box.scrollTop -= top - row.top;
+  else if (row.bottom > bottom) box.scrollTop += row.bottom - bottom;
 }
 
 function branchOf(target: EventTarget): number | null {
