@@ -44,6 +44,7 @@ export function BranchPanel() {
           <Icon name="info" /> {sentence(node.branch.variant)}
         </p>
       )}
+      <Chart node={node} />
       <dl className="facts">
         {factsOf(node).map((fact) => (
           <div key={fact.term}>
@@ -52,7 +53,6 @@ export function BranchPanel() {
           </div>
         ))}
       </dl>
-      <Chart node={node} />
     </section>
   );
 }
