@@ -568,3 +568,51 @@ def cheapest_way(
     cancel: Callable[[], bool] | None = None,
 ) -> NDArray[np.uint16] | None:
     """(n, 3) voxels of a box on the cheapest way from the nearest goal to a start; weights are per mm, 0 is closed."""
+
+# ---- tracker over a volume of weights ----
+
+@final
+class FieldTracker:
+    """Least-cost tree in a volume of weights."""
+
+    def __new__(
+        cls,
+        field_zyx: NDArray[np.float32],
+        lps_from_ijk: NDArray[np.float64],
+        root_ijk: tuple[int, int, int],
+        *,
+        cost: str,
+        region_ijk: tuple[tuple[int, int], tuple[int, int], tuple[int, int]] | None = None,
+        mask_zyx: NDArray[np.uint8] | None = None,
+    ) -> FieldTracker: ...
+    @property
+    def num_settled(self) -> int: ...
+    @property
+    def num_open(self) -> int: ...
+    @property
+    def quantum(self) -> float: ...
+    @property
+    def num_bytes(self) -> tuple[int, int]: ...
+    def solve_to(
+        self,
+        target_ijk: tuple[int, int, int],
+        *,
+        cancel: Callable[[], bool] | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> bool:
+        """True if a path exists."""
+    def solve_all(
+        self, *, cancel: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None
+    ) -> None:
+        """Settle everything reachable."""
+    def cost(self, target_ijk: tuple[int, int, int]) -> float | None:
+        """Least cost of a settled voxel."""
+    def path(self, target_ijk: tuple[int, int, int]) -> NDArray[np.int64] | None:
+        """Voxels (n, 3) i, j, k from the root."""
+    def time_paths(self, targets_ijk: Sequence[tuple[int, int, int]]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Nanoseconds and voxels of each path."""
+
+def time_lumen_paths(
+    tracker: LumenTracker, nodes: Sequence[int] | NDArray[np.uint32]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Nanoseconds and voxels of each path."""

@@ -13,16 +13,29 @@ pub fn least_costs(
     quantum: Quantum,
     root: u32,
 ) -> Vec<Option<u64>> {
-    let mut least = vec![None; graph.num_nodes()];
+    least_costs_by(graph.num_nodes(), root, |node, visit| {
+        graph.for_each_edge(node, |v, length_mm| {
+            visit(v, u64::from(quantum.edge(cost, node, v, length_mm)));
+        });
+    })
+}
+
+/// The same with the edges of a node in quanta: `for_each_edge(node, visit)` calls `visit(neighbour, quanta)`.
+#[must_use]
+pub fn least_costs_by(
+    num_nodes: usize,
+    root: u32,
+    for_each_edge: impl Fn(u32, &mut dyn FnMut(u32, u64)),
+) -> Vec<Option<u64>> {
+    let mut least = vec![None; num_nodes];
     let mut open = BinaryHeap::from([Reverse((0u64, root))]);
     while let Some(Reverse((node_cost, node))) = open.pop() {
         if least[node as usize].is_some() {
             continue;
         }
         least[node as usize] = Some(node_cost);
-        graph.for_each_edge(node, |v, length_mm| {
+        for_each_edge(node, &mut |v, edge| {
             if least[v as usize].is_none() {
-                let edge = u64::from(quantum.edge(cost, node, v, length_mm));
                 open.push(Reverse((node_cost + edge, v)));
             }
         });

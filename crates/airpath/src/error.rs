@@ -25,6 +25,15 @@ pub enum TrackError {
         /// Dearest over cheapest edge.
         ratio: f64,
     },
+    /// A path costs more than the tracker can count.
+    #[error(
+        "a path costs more than {most:.3e}, the most that the tracker can count at a precision of 0.5 %; search a smaller \
+         region, or narrow the weights' range"
+    )]
+    CostOverflow {
+        /// Greatest cost that can be counted.
+        most: f64,
+    },
 }
 
 impl TrackError {
@@ -36,6 +45,7 @@ impl TrackError {
             Self::NoResult(_) => "track.no-result",
             Self::Argument { .. } => "usage.track",
             Self::CostRange { .. } => "track.cost-range",
+            Self::CostOverflow { .. } => "track.cost-overflow",
         }
     }
 }

@@ -3,14 +3,18 @@
 //! `trachea` finds where to begin, `flood` grows the lumen with a leak guard, `lumen` turns it into a graph with the cost
 //! that keeps to the middle, `tracker` grows the tree of least-cost paths from one root and resumes it for every new
 //! target, `tree` reads branches off it. `box_graph`, `paper_cost` and `isoregion_graph` are the graph and the cost as the
-//! paper prints them, for the same tracker; `graph_tracker` joins every cost with every graph.
+//! paper prints them, for the same tracker; `graph_tracker` joins every cost with every graph. `field_tracker` does the
+//! same as `tracker` in a whole volume of weights, without a graph in memory.
 
 pub mod box_graph;
+mod buckets;
 pub mod cross_section;
 pub mod deblur;
 pub mod dijkstra;
 pub mod distance;
 mod error;
+pub mod field;
+pub mod field_tracker;
 pub mod flood;
 pub mod graph;
 pub mod graph_tracker;
@@ -32,6 +36,8 @@ mod wall_sites;
 
 pub use error::{TrackError, Unwatched, Watch};
 
+#[cfg(test)]
+mod field_tests;
 #[cfg(test)]
 mod isoregion_graph_tests;
 #[cfg(test)]

@@ -33,7 +33,7 @@ impl IntoPy for TrackError {
             Self::Cancelled => "CancelledError",
             Self::NoResult(_) => "NoResultError",
             Self::Argument { .. } => "UsageError",
-            Self::CostRange { .. } => "TrackingError",
+            Self::CostRange { .. } | Self::CostOverflow { .. } => "TrackingError",
         };
         carina_error(class, self.code(), &self.to_string())
     }
@@ -398,7 +398,11 @@ impl LumenTracker {
 
     /// Reads the tracker. The interpreter is left before waiting for the lock: whoever holds the lock may wait for the
     /// interpreter, to ask `cancel()`.
-    fn read<T: Send>(&self, py: Python<'_>, read: impl FnOnce(&Tracker) -> T + Send) -> T {
+    pub(crate) fn read<T: Send>(
+        &self,
+        py: Python<'_>,
+        read: impl FnOnce(&Tracker) -> T + Send,
+    ) -> T {
         py.detach(|| read(&self.lock()))
     }
 

@@ -17,6 +17,7 @@ mod paper_tracker;
 mod phantom;
 mod raycast;
 mod scope;
+mod tracker;
 mod tree_edits;
 mod views;
 mod watch;
@@ -52,6 +53,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     cross_section::register(module)?;
     paper_tracker::register(module)?;
     mesh::register(module)?;
+    tracker::register(module)?;
     tree_edits::register(module)?;
     phantom::register(module)?;
     scope::register(module)?;

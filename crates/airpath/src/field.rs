@@ -1,0 +1,462 @@
+//! A volume of weights as a graph that is nowhere stored: 26 neighbours, edges as the step cost has them.
+//!
+//! [`crate::field_tracker`] finds least-cost trees in it; [`least_costs`] is the readable reference.
+#![allow(
+    clippy::inline_always,
+    reason = "small functions of the inner loop: called for each of 26 neighbours of each voxel"
+)]
+
+use std::ops::Range;
+
+use carina_grid::{Grid, length};
+
+use crate::TrackError;
+use crate::dijkstra::least_costs_by;
+
+/// The cell of no step: 13 of the 27.
+pub(crate) const HERE: usize = 13;
+
+/// Quanta of the cheapest step that is not free: half a quantum of rounding is 0.4 % of it, and a sum of such steps is
+/// right within 0.4 % as well. The rest up to 0.5 % is far more than the rounding of f32 needs.
+const CHEAPEST_STEP_QUANTA: f32 = 128.0;
+/// Quanta of the dearest step at most: what an f32 counts exactly, with a bit to spare.
+pub(crate) const MAX_STEP_QUANTA: f32 = 4_194_304.0;
+
+/// The offset (di, dj, dk) of a cell, 0..27 in array order.
+pub(crate) const fn offset(cell: usize) -> [isize; 3] {
+    let c = cell as isize;
+    [c % 3 - 1, c / 3 % 3 - 1, c / 9 - 1]
+}
+
+/// A weight for each voxel of a grid, and which voxels may be walked on.
+///
+/// A voxel is open if it is in the region and its weight is finite; the others are walls.
+#[derive(Debug, Clone)]
+pub struct VoxelField<'a> {
+    values: &'a [f32],
+    mask: Option<&'a [u8]>,
+    /// Of the whole volume.
+    volume_ijk: [usize; 3],
+    first_ijk: [usize; 3],
+    /// Of the box that is walked in.
+    shape_ijk: [usize; 3],
+    lengths_mm: [f32; 27],
+}
+
+/// Least and greatest weight above 0 in a field, and what else its steps depend on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Weights {
+    least: f32,
+    greatest: f32,
+    any_zero: bool,
+    whole: bool,
+    num_open: usize,
+}
+
+/// What a row of weights holds.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Row {
+    least: f32,
+    greatest: f32,
+    negative: bool,
+    any_zero: bool,
+    whole: bool,
+    pub(crate) num_open: usize,
+}
+
+impl Row {
+    /// Sixteen at a time in lanes of plain comparisons, so that a volume is looked at as fast as it is read.
+    pub(crate) fn of(weights: &[f32]) -> Self {
+        const LANES: usize = 16;
+        let (mut low, mut high) = ([f32::INFINITY; LANES], [0.0f32; LANES]);
+        let (mut below, mut zero) = ([0u32; LANES], [0u32; LANES]);
+        let (mut broken, mut open) = ([0u32; LANES], [0u32; LANES]);
+        let mut see = |chunk: &[f32; LANES]| {
+            for lane in 0..LANES {
+                let weight = chunk[lane];
+                let finite = weight < f32::INFINITY;
+                let least = if weight > 0.0 { weight } else { f32::INFINITY };
+                low[lane] = if least < low[lane] { least } else { low[lane] };
+                let most = if finite { weight } else { 0.0 };
+                high[lane] = if most > high[lane] { most } else { high[lane] };
+                below[lane] |= u32::from(weight < 0.0);
+                zero[lane] |= u32::from(weight == 0.0);
+                // Above 2^23 every f32 is whole; there the sum rounds, but the range refuses it before it matters.
+                let remainder = (most + ROUNDING) - ROUNDING - most;
+                broken[lane] |= u32::from(remainder != 0.0);
+                open[lane] += u32::from(finite);
+            }
+        };
+        let (chunks, rest) = weights.as_chunks::<LANES>();
+        chunks.iter().for_each(&mut see);
+        if !rest.is_empty() {
+            // Walls tell nothing.
+            let mut last = [f32::INFINITY; LANES];
+            last[..rest.len()].copy_from_slice(rest);
+            see(&last);
+        }
+        Self {
+            least: low.into_iter().fold(f32::INFINITY, f32::min),
+            greatest: high.into_iter().fold(0.0, f32::max),
+            negative: below.iter().any(|lane| *lane != 0),
+            any_zero: zero.iter().any(|lane| *lane != 0),
+            whole: broken.iter().all(|lane| *lane == 0),
+            num_open: open.iter().map(|lane| *lane as usize).sum(),
+        }
+    }
+}
+
+impl<'a> VoxelField<'a> {
+    /// The field of `values` (x fastest) on a grid.
+    ///
+    /// `region` is a box of voxels (i, j, k), the whole volume unless told; `mask` is on the whole volume and not 0
+    /// where the region is open.
+    pub fn new(
+        grid: &Grid,
+        values: &'a [f32],
+        region: Option<[Range<usize>; 3]>,
+        mask: Option<&'a [u8]>,
+    ) -> Result<Self, TrackError> {
+        let volume_ijk = grid.shape_ijk();
+        let num_voxels: usize = volume_ijk.iter().product();
+        for (what, len) in [
+            ("field", Some(values.len())),
+            ("mask", mask.map(<[u8]>::len)),
+        ] {
+            if let Some(len) = len.filter(|len| *len != num_voxels) {
+                return Err(TrackError::Argument {
+                    what,
+                    expected: format!("{num_voxels} voxels"),
+                    found: len.to_string(),
+                });
+            }
+        }
+        let region = region.unwrap_or_else(|| volume_ijk.map(|n| 0..n));
+        for axis in 0..3 {
+            let range = &region[axis];
+            if range.start >= range.end || range.end > volume_ijk[axis] {
+                return Err(TrackError::Argument {
+                    what: "region",
+                    expected: format!(
+                        "a box with voxels, inside 0..{} on axis {axis}",
+                        volume_ijk[axis]
+                    ),
+                    found: format!("{range:?}"),
+                });
+            }
+        }
+        let lengths_mm = std::array::from_fn(|cell| {
+            length(
+                grid.lps_from_ijk()
+                    .vector(offset(cell).map(|step| step as f64)),
+            ) as f32
+        });
+        Ok(Self {
+            values,
+            mask,
+            volume_ijk,
+            first_ijk: std::array::from_fn(|a| region[a].start),
+            shape_ijk: std::array::from_fn(|a| region[a].len()),
+            lengths_mm,
+        })
+    }
+
+    /// Voxels of the box on each axis.
+    #[must_use]
+    pub const fn shape_ijk(&self) -> [usize; 3] {
+        self.shape_ijk
+    }
+
+    /// Voxels of the box; nodes are `0..num_nodes`, x fastest.
+    #[must_use]
+    pub fn num_nodes(&self) -> usize {
+        self.shape_ijk.iter().product()
+    }
+
+    /// The node of a voxel of the volume; `None` outside the box.
+    #[must_use]
+    pub fn node_at_voxel(&self, ijk: [usize; 3]) -> Option<u32> {
+        let at: [usize; 3] = std::array::from_fn(|a| ijk[a].wrapping_sub(self.first_ijk[a]));
+        (0..3)
+            .all(|a| at[a] < self.shape_ijk[a])
+            .then(|| ((at[2] * self.shape_ijk[1] + at[1]) * self.shape_ijk[0] + at[0]) as u32)
+    }
+
+    /// The voxel of a node.
+    #[must_use]
+    pub fn voxel(&self, node: u32) -> [usize; 3] {
+        let n = node as usize;
+        let [nx, ny, _] = self.shape_ijk;
+        let at = [n % nx, n / nx % ny, n / (nx * ny)];
+        std::array::from_fn(|a| at[a] + self.first_ijk[a])
+    }
+
+    /// True where a path may go.
+    #[must_use]
+    pub fn is_open(&self, node: u32) -> bool {
+        let at = self.place(node);
+        self.values[at].is_finite() && self.mask.is_none_or(|mask| mask[at] != 0)
+    }
+
+    /// Weight of a node.
+    #[must_use]
+    pub fn value(&self, node: u32) -> f32 {
+        self.values[self.place(node)]
+    }
+
+    /// Where a node's voxel is in the volume's arrays.
+    fn place(&self, node: u32) -> usize {
+        let [i, j, k] = self.voxel(node);
+        self.row(j, k) + i
+    }
+
+    fn row(&self, j: usize, k: usize) -> usize {
+        (k * self.volume_ijk[1] + j) * self.volume_ijk[0]
+    }
+
+    /// The volume's weights.
+    pub(crate) const fn values(&self) -> &[f32] {
+        self.values
+    }
+
+    /// Place in the volume's arrays of the box's first voxel, and their rows and slices.
+    pub(crate) fn layout(&self) -> (usize, usize, usize) {
+        let [i, j, k] = self.first_ijk;
+        (
+            self.row(j, k) + i,
+            self.volume_ijk[0],
+            self.volume_ijk[0] * self.volume_ijk[1],
+        )
+    }
+
+    /// Rows of the box in the order of their nodes: weights, and the mask where there is one.
+    pub(crate) fn rows(&self) -> impl Iterator<Item = (&'a [f32], Option<&'a [u8]>)> + '_ {
+        let [i, first_j, first_k] = self.first_ijk;
+        let [nx, ny, nz] = self.shape_ijk;
+        (0..nz).flat_map(move |k| {
+            (0..ny).map(move |j| {
+                let at = self.row(first_j + j, first_k + k) + i;
+                (
+                    &self.values[at..at + nx],
+                    self.mask.map(|mask| &mask[at..at + nx]),
+                )
+            })
+        })
+    }
+
+    fn weights(&self) -> Result<Weights, TrackError> {
+        let mut all = Weights {
+            least: f32::INFINITY,
+            greatest: 0.0,
+            any_zero: false,
+            whole: true,
+            num_open: 0,
+        };
+        let mut negative = false;
+        for (row, mask) in self.rows() {
+            let seen = match mask {
+                None => Row::of(row),
+                Some(mask) => {
+                    let inside = row.iter().zip(mask).filter(|(_, inside)| **inside != 0);
+                    Row::of(&inside.map(|(weight, _)| *weight).collect::<Vec<f32>>())
+                }
+            };
+            all.least = all.least.min(seen.least);
+            all.greatest = all.greatest.max(seen.greatest);
+            negative |= seen.negative;
+            all.any_zero |= seen.any_zero;
+            all.whole &= seen.whole;
+            all.num_open += seen.num_open;
+        }
+        if negative {
+            return Err(TrackError::Argument {
+                what: "field",
+                expected: "weights of at least 0".to_owned(),
+                found: "a negative one; shift the weights".to_owned(),
+            });
+        }
+        Ok(all)
+    }
+
+    /// Calls `visit(neighbour, quanta)` for every edge out of a node.
+    pub fn for_each_step<C: StepCost>(
+        &self,
+        quanta: &Quanta<C>,
+        node: u32,
+        mut visit: impl FnMut(u32, u64),
+    ) {
+        let from = self.voxel(node);
+        for cell in (0..27).filter(|cell| *cell != HERE) {
+            let step = offset(cell);
+            let to = std::array::from_fn(|a| from[a].wrapping_add_signed(step[a]));
+            if let Some(neighbour) = self.node_at_voxel(to).filter(|v| self.is_open(*v)) {
+                let cost = quanta.of_step(self.value(node), self.value(neighbour), cell);
+                visit(neighbour, u64::from(cost));
+            }
+        }
+    }
+}
+
+/// What a step costs, from the weights of its two ends.
+pub trait StepCost: Copy + Sync + Send + 'static {
+    /// True if a step costs what the voxel costs that it leads into: then the first path to touch a voxel is the least.
+    const BY_VOXEL: bool;
+
+    /// The weight that is multiplied with [`StepCost::factor`].
+    fn weight(from: f32, into: f32) -> f32;
+
+    /// Factor of a step of so many mm.
+    fn factor(length_mm: f32) -> f64;
+}
+
+/// A step costs the weight of the voxel that it leads into, whatever its length: the problem of `dijkstra3d`.
+///
+/// The root itself costs nothing. Weights are 0 or more.
+#[derive(Debug, Clone, Copy)]
+pub struct EnterCost;
+
+/// A step costs its length in mm times the mean of the weights at its two ends.
+///
+/// Weights are above 0.
+#[derive(Debug, Clone, Copy)]
+pub struct MeanCost;
+
+impl StepCost for EnterCost {
+    const BY_VOXEL: bool = true;
+
+    #[inline(always)]
+    fn weight(_from: f32, into: f32) -> f32 {
+        into
+    }
+
+    fn factor(_length_mm: f32) -> f64 {
+        1.0
+    }
+}
+
+impl StepCost for MeanCost {
+    const BY_VOXEL: bool = false;
+
+    #[inline(always)]
+    fn weight(from: f32, into: f32) -> f32 {
+        from + into
+    }
+
+    fn factor(length_mm: f32) -> f64 {
+        0.5 * f64::from(length_mm)
+    }
+}
+
+/// The integer unit of one run, and every step in it.
+#[derive(Debug, Clone, Copy)]
+pub struct Quanta<C> {
+    /// Cost of one quantum.
+    pub unit: f64,
+    /// Quanta per weight for each of the 27 cells; lanes 3 of a row of 4 stay unused.
+    pub(crate) scale: [[f32; 4]; 9],
+    pub(crate) cheapest: f32,
+    pub(crate) dearest: f32,
+    /// Voxels that may be walked on.
+    pub num_open: usize,
+    cost: std::marker::PhantomData<C>,
+}
+
+/// Adding it rounds an f32 below 2^22 to a whole number, ties to even, and leaves that number in the low bits.
+const ROUNDING: f32 = 8_388_608.0;
+
+/// The nearest whole number of an f32 from 0 to 2^22.
+#[inline(always)]
+pub(crate) fn rounded(x: f32) -> i32 {
+    (x + ROUNDING).to_bits() as i32 - ROUNDING.to_bits() as i32
+}
+
+impl<C: StepCost> Quanta<C> {
+    /// The unit for a field: 1 where the costs are whole numbers already, else such that the cheapest step is 128.
+    pub fn choose(field: &VoxelField<'_>) -> Result<Self, TrackError> {
+        let weights = field.weights()?;
+        if weights.num_open == 0 {
+            return Err(TrackError::NoResult(
+                "no voxel of the region is open".to_owned(),
+            ));
+        }
+        if weights.any_zero && !C::BY_VOXEL {
+            return Err(TrackError::Argument {
+                what: "field",
+                expected: "weights above 0".to_owned(),
+                found: "a weight of 0; add a small number to the weights".to_owned(),
+            });
+        }
+        let steps = (0..27).filter(|cell| *cell != HERE);
+        let factors = steps.map(|cell| C::factor(field.lengths_mm[cell]));
+        let (shortest, longest) = factors.fold((f64::INFINITY, 0.0f64), |(low, high), f| {
+            (low.min(f), high.max(f))
+        });
+        // All weights 0: any unit will do.
+        let least = if weights.least.is_finite() {
+            weights.least
+        } else {
+            1.0
+        };
+        let cheapest = f64::from(C::weight(least, least)) * shortest;
+        let dearest = f64::from(C::weight(weights.greatest, weights.greatest)) * longest;
+        let whole = C::BY_VOXEL && weights.whole && dearest < f64::from(MAX_STEP_QUANTA);
+        let unit = if whole {
+            1.0
+        } else {
+            cheapest / f64::from(CHEAPEST_STEP_QUANTA)
+        };
+        let most = (dearest / unit).ceil();
+        if !(unit > 0.0 && most < f64::from(MAX_STEP_QUANTA)) {
+            return Err(TrackError::CostRange {
+                ratio: dearest / cheapest,
+            });
+        }
+        Ok(Self {
+            unit,
+            scale: std::array::from_fn(|row| {
+                std::array::from_fn(|lane| {
+                    let cell = 3 * row + lane;
+                    if lane == 3 || cell == HERE {
+                        return 0.0;
+                    }
+                    (C::factor(field.lengths_mm[cell]) / unit) as f32
+                })
+            }),
+            cheapest: if weights.any_zero {
+                0.0
+            } else {
+                (cheapest / unit).round() as f32
+            },
+            dearest: most.max(1.0) as f32,
+            num_open: weights.num_open,
+            cost: std::marker::PhantomData,
+        })
+    }
+
+    /// Quanta of a step between two weights; `cell` is its direction.
+    #[inline(always)]
+    #[must_use]
+    pub(crate) fn of_step(&self, from: f32, into: f32, cell: usize) -> u32 {
+        self.of_lane(from, into, self.scale[cell / 3][cell % 3]) as u32
+    }
+
+    #[inline(always)]
+    pub(crate) fn of_lane(&self, from: f32, into: f32, scale: f32) -> i32 {
+        let x = C::weight(from, into) * scale;
+        // In this order a weight that is no number becomes the dearest.
+        let x = if x < self.dearest { x } else { self.dearest };
+        rounded(if x > self.cheapest { x } else { self.cheapest })
+    }
+}
+
+/// Least cost in quanta from `root` to every node of the box, by Dijkstra's algorithm with a heap: the reference.
+#[must_use]
+pub fn least_costs<C: StepCost>(
+    field: &VoxelField<'_>,
+    quanta: &Quanta<C>,
+    root: u32,
+) -> Vec<Option<u64>> {
+    least_costs_by(field.num_nodes(), root, |node, visit| {
+        field.for_each_step(quanta, node, visit);
+    })
+}

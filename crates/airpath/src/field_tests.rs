@@ -1,0 +1,382 @@
+//! Contracts of the tracker over a volume of weights: equal to Dijkstra with a heap, resumed equals fresh, right within
+//! half a percent, walls and regions respected.
+
+use std::ops::Range;
+
+use carina_grid::{Affine, Grid};
+use proptest::prelude::*;
+
+use crate::field::{EnterCost, MeanCost, Quanta, StepCost, VoxelField, least_costs};
+use crate::field_tracker::FieldTracker;
+use crate::{TrackError, Unwatched, Watch};
+
+/// An oblique grid with another spacing on every axis.
+fn grid(shape_ijk: [usize; 3], spacing: [f64; 3]) -> Grid {
+    let (c, s) = (0.35f64.cos(), 0.35f64.sin());
+    let matrix = [
+        [c * spacing[0], -s * spacing[1], 0.0, 5.0],
+        [s * spacing[0], c * spacing[1], 0.0, -7.0],
+        [0.0, 0.0, spacing[2], 11.0],
+        [0.0, 0.0, 0.0, 1.0],
+    ];
+    let [nx, ny, nz] = shape_ijk;
+    Grid::new([nz, ny, nx], Affine::from_matrix("test", &matrix).unwrap()).unwrap()
+}
+
+#[derive(Debug, Clone)]
+struct Scene {
+    shape_ijk: [usize; 3],
+    spacing: [f64; 3],
+    values: Vec<f32>,
+    mask: Option<Vec<u8>>,
+    region: Option<[Range<usize>; 3]>,
+    root: [usize; 3],
+}
+
+impl Scene {
+    fn with<T>(&self, look: impl FnOnce(&VoxelField<'_>) -> T) -> T {
+        let grid = grid(self.shape_ijk, self.spacing);
+        let field = VoxelField::new(
+            &grid,
+            &self.values,
+            self.region.clone(),
+            self.mask.as_deref(),
+        )
+        .unwrap();
+        look(&field)
+    }
+}
+
+fn weight() -> BoxedStrategy<f32> {
+    prop_oneof![
+        6 => 0.5f32..60.0,
+        2 => (1u8..9).prop_map(f32::from),
+        1 => Just(f32::INFINITY),
+        1 => Just(f32::NAN),
+    ]
+    .boxed()
+}
+
+fn whole_weight() -> BoxedStrategy<f32> {
+    prop_oneof![
+        6 => (0u16..300).prop_map(f32::from),
+        1 => Just(f32::INFINITY),
+    ]
+    .boxed()
+}
+
+fn scene(weight: BoxedStrategy<f32>) -> impl Strategy<Value = Scene> {
+    // Long and thin ones too: every row of some has no inside.
+    (1usize..12, 1usize..9, 1usize..7).prop_flat_map(move |(nx, ny, nz)| {
+        let n = nx * ny * nz;
+        let range = |n: usize| {
+            (0..n, 0..n).prop_map(move |(a, b)| {
+                let (low, high) = (a.min(b), a.max(b));
+                low..high + 1
+            })
+        };
+        let region =
+            prop::option::of((range(nx), range(ny), range(nz)).prop_map(|(a, b, c)| [a, b, c]));
+        let mask = prop::option::of(prop::collection::vec(prop::bool::weighted(0.8), n));
+        let spacing = (0.4f64..2.0, 0.4f64..2.0, 0.4f64..3.0);
+        (
+            prop::collection::vec(weight.clone(), n),
+            mask,
+            region,
+            spacing,
+            any::<prop::sample::Index>(),
+        )
+            .prop_map(move |(mut values, mask, region, spacing, root)| {
+                let region_of_root = region.clone().unwrap_or([0..nx, 0..ny, 0..nz]);
+                let size: usize = region_of_root.iter().map(ExactSizeIterator::len).product();
+                let at = root.index(size);
+                let [a, b, _] = region_of_root.each_ref().map(ExactSizeIterator::len);
+                let offset = [at % a, at / a % b, at / (a * b)];
+                let root: [usize; 3] = std::array::from_fn(|x| region_of_root[x].start + offset[x]);
+                let place = (root[2] * ny + root[1]) * nx + root[0];
+                values[place] = 1.0;
+                let mut mask: Option<Vec<u8>> = mask.map(|m| m.into_iter().map(u8::from).collect());
+                if let Some(mask) = &mut mask {
+                    mask[place] = 7;
+                }
+                Scene {
+                    shape_ijk: [nx, ny, nz],
+                    spacing: spacing.into(),
+                    values,
+                    mask,
+                    region,
+                    root,
+                }
+            })
+    })
+}
+
+/// Every node's cost by the heap is the tracker's, and its path's.
+fn equals_the_heap<C: StepCost>(
+    field: &VoxelField<'_>,
+    root: [usize; 3],
+) -> Result<(), TestCaseError> {
+    let mut tracker = FieldTracker::<C>::new(field, root).unwrap();
+    tracker.solve_all(field, &Unwatched).unwrap();
+    let truth = least_costs(field, tracker.quanta(), tracker.root());
+    prop_assert_eq!(tracker.num_settled(), truth.iter().flatten().count());
+    for (node, cost) in truth.iter().enumerate() {
+        let node = node as u32;
+        prop_assert_eq!(tracker.cost_quanta(field, node), *cost, "node {}", node);
+        let Some(path) = tracker.path_to(node) else {
+            continue;
+        };
+        prop_assert_eq!((path[0], path[path.len() - 1]), (tracker.root(), node));
+        let mut sum = 0;
+        for step in path.windows(2) {
+            let mut edge = None;
+            field.for_each_step(tracker.quanta(), step[0], |v, quanta| {
+                if v == step[1] {
+                    edge = Some(quanta);
+                }
+            });
+            prop_assert!(edge.is_some(), "{:?} is no edge", step);
+            sum += edge.unwrap();
+        }
+        prop_assert_eq!(Some(sum), *cost);
+    }
+    Ok(())
+}
+
+fn resumes<C: StepCost>(
+    field: &VoxelField<'_>,
+    root: [usize; 3],
+    targets: &[prop::sample::Index],
+) -> Result<(), TestCaseError> {
+    let mut whole = FieldTracker::<C>::new(field, root).unwrap();
+    whole.solve_all(field, &Unwatched).unwrap();
+    let mut resumed = FieldTracker::<C>::new(field, root).unwrap();
+    for target in targets {
+        let target = target.index(field.num_nodes()) as u32;
+        let (before, known) = (resumed.num_settled(), resumed.path_to(target).is_some());
+        let reached = resumed.solve_to(field, target, &Unwatched).unwrap();
+        prop_assert!(!known || resumed.num_settled() == before);
+        prop_assert_eq!(reached, whole.path_to(target).is_some());
+        prop_assert_eq!(resumed.path_to(target), whole.path_to(target));
+    }
+    resumed.solve_all(field, &Unwatched).unwrap();
+    for node in 0..field.num_nodes() as u32 {
+        prop_assert_eq!(resumed.predecessor(node), whole.predecessor(node));
+    }
+    Ok(())
+}
+
+/// What a path would cost without rounding.
+fn exact<C: StepCost>(field: &VoxelField<'_>, spacing: [f64; 3], path: &[u32]) -> f64 {
+    path.windows(2)
+        .map(|step| {
+            let (a, b) = (field.voxel(step[0]), field.voxel(step[1]));
+            let squares = (0..3).map(|x| ((b[x] as f64 - a[x] as f64) * spacing[x]).powi(2));
+            let length = squares.sum::<f64>().sqrt();
+            f64::from(C::weight(field.value(step[0]), field.value(step[1])))
+                * C::factor(length as f32)
+        })
+        .sum()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    #[test]
+    fn a_cost_by_both_ends_is_the_heaps(scene in scene(weight())) {
+        scene.with(|field| equals_the_heap::<MeanCost>(field, scene.root))?;
+    }
+
+    #[test]
+    fn a_cost_by_the_voxel_entered_is_the_heaps(scene in scene(weight())) {
+        scene.with(|field| equals_the_heap::<EnterCost>(field, scene.root))?;
+    }
+
+    #[test]
+    fn whole_costs_with_free_voxels_are_the_heaps_and_exact(scene in scene(whole_weight())) {
+        scene.with(|field| {
+            equals_the_heap::<EnterCost>(field, scene.root)?;
+            prop_assert_eq!(Quanta::<EnterCost>::choose(field).unwrap().unit, 1.0);
+            Ok(())
+        })?;
+    }
+
+    #[test]
+    fn resumed_targets_equal_a_fresh_solve(
+        scene in scene(weight()),
+        targets in prop::collection::vec(any::<prop::sample::Index>(), 1..8),
+    ) {
+        scene.with(|field| {
+            resumes::<MeanCost>(field, scene.root, &targets)?;
+            resumes::<EnterCost>(field, scene.root, &targets)
+        })?;
+    }
+
+    #[test]
+    fn a_cost_is_right_within_half_a_percent(scene in scene(weight())) {
+        scene.with(|field| {
+            let mut mean = FieldTracker::<MeanCost>::new(field, scene.root).unwrap();
+            let mut enter = FieldTracker::<EnterCost>::new(field, scene.root).unwrap();
+            mean.solve_all(field, &Unwatched).unwrap();
+            enter.solve_all(field, &Unwatched).unwrap();
+            for node in 0..field.num_nodes() as u32 {
+                let Some(path) = mean.path_to(node) else { continue };
+                let truth = exact::<MeanCost>(field, scene.spacing, &path);
+                let found = mean.cost(field, node).unwrap();
+                prop_assert!((found - truth).abs() <= 0.005 * truth, "{} {}", found, truth);
+                let path = enter.path_to(node).unwrap();
+                let truth = exact::<EnterCost>(field, scene.spacing, &path);
+                let found = enter.cost(field, node).unwrap();
+                prop_assert!((found - truth).abs() <= 0.005 * truth, "{} {}", found, truth);
+            }
+            Ok(())
+        })?;
+    }
+}
+
+#[test]
+fn rows_that_are_all_open_are_whatever_their_length() {
+    for nx in 1..40 {
+        let values = vec![1.0f32; nx * 2];
+        let grid = grid([nx, 2, 1], [1.0; 3]);
+        let field = VoxelField::new(&grid, &values, None, None).unwrap();
+        equals_the_heap::<MeanCost>(&field, [nx / 2, 1, 0]).unwrap();
+        equals_the_heap::<EnterCost>(&field, [nx / 2, 0, 0]).unwrap();
+    }
+}
+
+fn cube(n: usize, value: f32) -> Scene {
+    Scene {
+        shape_ijk: [n; 3],
+        spacing: [1.0; 3],
+        values: vec![value; n * n * n],
+        mask: None,
+        region: None,
+        root: [0; 3],
+    }
+}
+
+/// Says stop at every look but the last few.
+struct StopTimes(std::sync::atomic::AtomicUsize);
+
+impl Watch for StopTimes {
+    fn go_on(&self, share: f64) -> Result<(), TrackError> {
+        assert!((0.0..=1.0).contains(&share));
+        let stop = |left: usize| left.checked_sub(1);
+        let order = std::sync::atomic::Ordering::Relaxed;
+        match self.0.fetch_update(order, order, stop) {
+            Ok(_) => Err(TrackError::Cancelled),
+            Err(_) => Ok(()),
+        }
+    }
+}
+
+fn goes_on_where_it_stopped<C: StepCost>() {
+    let scene = cube(64, 2.0);
+    scene.with(|field| {
+        let mut whole = FieldTracker::<C>::new(field, scene.root).unwrap();
+        whole.solve_all(field, &Unwatched).unwrap();
+        let mut stopped = FieldTracker::<C>::new(field, scene.root).unwrap();
+        let watch = StopTimes(2.into());
+        for _ in 0..2 {
+            assert_eq!(stopped.solve_all(field, &watch), Err(TrackError::Cancelled));
+            assert!(stopped.num_settled() < field.num_nodes());
+        }
+        stopped.solve_all(field, &watch).unwrap();
+        assert_eq!(stopped.num_settled(), field.num_nodes());
+        for node in 0..field.num_nodes() as u32 {
+            assert_eq!(stopped.path_to(node), whole.path_to(node));
+        }
+    });
+}
+
+#[test]
+fn a_stopped_tracker_goes_on_where_it_stopped() {
+    goes_on_where_it_stopped::<MeanCost>();
+    goes_on_where_it_stopped::<EnterCost>();
+}
+
+#[test]
+fn a_target_near_the_root_settles_little() {
+    let scene = cube(64, 1.0);
+    scene.with(|field| {
+        let near = field.node_at_voxel([3, 2, 1]).unwrap();
+        let mut tracker = FieldTracker::<MeanCost>::new(field, scene.root).unwrap();
+        assert!(tracker.solve_to(field, near, &Unwatched).unwrap());
+        assert!(tracker.num_settled() < 200, "{}", tracker.num_settled());
+    });
+}
+
+#[test]
+fn memory_is_what_the_head_of_the_file_says() {
+    let scene = cube(96, 1.5);
+    let voxels = scene.values.len() as f64;
+    scene.with(|field| {
+        let mut mean = FieldTracker::<MeanCost>::new(field, scene.root).unwrap();
+        let mut enter = FieldTracker::<EnterCost>::new(field, scene.root).unwrap();
+        mean.solve_all(field, &Unwatched).unwrap();
+        enter.solve_all(field, &Unwatched).unwrap();
+        assert!(mean.num_bytes().0 as f64 <= 5.2 * voxels);
+        // A bit, and a rim of one voxel rounded up to bytes.
+        assert!(enter.num_bytes().0 as f64 <= 1.2 * voxels);
+        assert!((mean.num_bytes().1 as f64) < voxels);
+        assert!((enter.num_bytes().1 as f64) < voxels);
+    });
+}
+
+#[test]
+fn what_cannot_be_tracked_is_refused_in_words() {
+    let code = |scene: &Scene| {
+        scene.with(|field| {
+            let error = FieldTracker::<MeanCost>::new(field, scene.root).unwrap_err();
+            assert!(error.to_string().len() > 20, "{error}");
+            error.code()
+        })
+    };
+    let mut scene = cube(4, 1.0);
+    scene.values[5] = -1.0;
+    assert_eq!(code(&scene), "usage.track");
+    scene.values[5] = 0.0;
+    assert_eq!(code(&scene), "usage.track");
+    scene.values[5] = 1e9;
+    assert_eq!(code(&scene), "track.cost-range");
+    scene.values = vec![f32::INFINITY; 64];
+    assert_eq!(code(&scene), "track.no-result");
+    scene.values = vec![1.0; 64];
+    scene.root = [4, 0, 0];
+    assert_eq!(code(&scene), "usage.track");
+    scene.root = [3, 3, 3];
+    scene.mask = Some(vec![0; 64]);
+    assert_eq!(code(&scene), "track.no-result");
+
+    let plain = grid([4, 4, 4], [1.0; 3]);
+    let values = vec![1.0; 64];
+    for region in [[0..4, 0..5, 0..4], [0..4, 2..2, 0..4]] {
+        let error = VoxelField::new(&plain, &values, Some(region), None).unwrap_err();
+        assert_eq!(error.code(), "usage.track");
+    }
+    assert!(VoxelField::new(&plain, &values[1..], None, None).is_err());
+    assert!(VoxelField::new(&plain, &values, None, Some(&[1; 63])).is_err());
+}
+
+#[test]
+fn a_path_that_costs_more_than_can_be_counted_is_refused() {
+    // A corridor of the dearest voxels, after one that makes the unit small: 128 quanta by 15,000 a voxel.
+    let n = 2_000;
+    let mut values = vec![15_000.0f32; n];
+    values[0] = 1.0;
+    let grid = grid([n, 1, 1], [1.0; 3]);
+    let field = VoxelField::new(&grid, &values, None, None).unwrap();
+    let mut tracker = FieldTracker::<MeanCost>::new(&field, [0, 0, 0]).unwrap();
+    let error = tracker.solve_all(&field, &Unwatched).unwrap_err();
+    assert_eq!(error.code(), "track.cost-overflow");
+    // What was settled before stays right.
+    assert!(tracker.cost(&field, 100).unwrap() > 1.4e6);
+    // By the voxel entered nothing is kept beside the voxels that could overflow.
+    let mut enter = FieldTracker::<EnterCost>::new(&field, [0, 0, 0]).unwrap();
+    enter.solve_all(&field, &Unwatched).unwrap();
+    assert_eq!(
+        enter.cost(&field, n as u32 - 1),
+        Some((n - 1) as f64 * 15_000.0)
+    );
+}

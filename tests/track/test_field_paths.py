@@ -1,0 +1,154 @@
+"""Least-cost paths through a volume of weights: equal to a heap, exact on whole numbers, regions, walls, errors."""
+
+from __future__ import annotations
+
+import heapq
+
+import numpy as np
+import pytest
+
+from carina.errors import CancelledError, GeometryError, NoResultError, TrackingError, UsageError
+from carina.track import FieldPaths
+from carina.volume.model import Volume
+
+OFFSETS = [(k, j, i) for k in (-1, 0, 1) for j in (-1, 0, 1) for i in (-1, 0, 1) if (k, j, i) != (0, 0, 0)]
+
+
+def volume_of(shape_zyx: tuple[int, int, int]) -> Volume:
+    matrix = np.eye(4)
+    c, s = np.cos(0.4), np.sin(0.4)
+    matrix[:3, :3] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) * [0.8, 1.1, 2.5]
+    matrix[:3, 3] = [10.0, -20.0, 5.0]
+    return Volume(np.zeros(shape_zyx, np.int16), matrix)
+
+
+def at(volume: Volume, i: int, j: int, k: int) -> np.ndarray:
+    return volume.to_lps(np.array([float(i), float(j), float(k)]))
+
+
+def heap(field: np.ndarray, root_zyx: tuple[int, int, int], spacing: tuple[float, ...] | None) -> np.ndarray:
+    """Dijkstra in floating point: by both ends in mm, or (without a spacing) by the voxel entered."""
+    cost = np.full(field.shape, np.inf)
+    cost[root_zyx] = 0.0
+    queue = [(0.0, root_zyx)]
+    while queue:
+        here, u = heapq.heappop(queue)
+        if here > cost[u]:
+            continue
+        for step in OFFSETS:
+            v = tuple(a + b for a, b in zip(u, step, strict=True))
+            if any(x < 0 or x >= n for x, n in zip(v, field.shape, strict=True)) or not np.isfinite(field[v]):
+                continue
+            edge = field[v]
+            if spacing is not None:
+                edge = 0.5 * (field[u] + field[v]) * np.linalg.norm(np.array(step)[::-1] * spacing)
+            if here + edge < cost[v]:
+                cost[v] = here + edge
+                heapq.heappush(queue, (cost[v], v))
+    return cost
+
+
+@pytest.mark.parametrize("cost", ["mean", "enter"])
+def test_costs_are_those_of_a_heap_within_half_a_percent(cost):
+    rng = np.random.default_rng(5)
+    volume = volume_of((6, 7, 8))
+    field = rng.uniform(1.0, 40.0, volume.shape_zyx).astype(np.float32)
+    field[rng.random(field.shape) < 0.15] = np.inf
+    field[0, 0, 0] = 1.0
+    truth = heap(field.astype(float), (0, 0, 0), volume.spacing_mm if cost == "mean" else None)
+    paths = FieldPaths(volume, field, at(volume, 0, 0, 0), cost=cost)
+    for k, j, i in np.ndindex(field.shape):
+        target = at(volume, i, j, k)
+        if not np.isfinite(truth[k, j, i]):
+            with pytest.raises(NoResultError, match="no path"):
+                paths.path_to(target)
+            continue
+        found = paths.path_to(target)
+        assert found.cost == pytest.approx(truth[k, j, i], rel=0.005)
+        assert tuple(found.voxels_ijk[-1]) == (i, j, k)
+        assert np.abs(np.diff(found.voxels_ijk, axis=0)).max(initial=0) <= 1
+        assert np.allclose(found.points_lps[-1], target)
+    assert paths.num_settled == np.isfinite(truth).sum()
+
+
+def test_whole_weights_are_counted_exactly():
+    rng = np.random.default_rng(6)
+    volume = volume_of((7, 8, 9))
+    field = rng.integers(0, 200, volume.shape_zyx).astype(np.float32)
+    truth = heap(field.astype(float), (3, 4, 5), None)
+    paths = FieldPaths(volume, field, at(volume, 5, 4, 3), cost="enter")
+    assert paths.quantum == 1.0
+    for k, j, i in np.ndindex(field.shape):
+        assert paths.path_to(at(volume, i, j, k)).cost == truth[k, j, i]
+
+
+def test_a_path_stays_in_its_region_and_mask():
+    volume = volume_of((5, 20, 20))
+    field = np.full(volume.shape_zyx, 10.0, np.float32)
+    # A cheap way round, outside the box.
+    field[:, 15, :] = 1.0
+    box = ((2, 18), (3, 12), (1, 4))
+    paths = FieldPaths(volume, field, at(volume, 3, 4, 2), region_ijk=box)
+    found = paths.path_to(at(volume, 17, 11, 3))
+    for axis, (low, high) in enumerate(box):
+        assert (found.voxels_ijk[:, axis] >= low).all()
+        assert (found.voxels_ijk[:, axis] < high).all()
+    assert paths.num_open == 16 * 9 * 3
+    with pytest.raises(UsageError, match="region"):
+        paths.path_to(at(volume, 19, 15, 2))
+    mask = np.zeros(volume.shape_zyx, np.uint8)
+    mask[2, 4, 3:18] = 1
+    masked = FieldPaths(volume, field, at(volume, 3, 4, 2), mask_zyx=mask)
+    assert len(masked.path_to(at(volume, 17, 4, 2)).voxels_ijk) == 15
+    with pytest.raises(NoResultError, match="wall"):
+        masked.path_to(at(volume, 17, 5, 2))
+
+
+def test_what_cannot_be_tracked_is_refused_in_words():
+    volume = volume_of((4, 5, 6))
+    ones = np.ones(volume.shape_zyx, np.float32)
+    root = at(volume, 1, 1, 1)
+    with pytest.raises(GeometryError, match="grid"):
+        FieldPaths(volume, ones[1:], root)
+    with pytest.raises(GeometryError, match="mask"):
+        FieldPaths(volume, ones, root, mask_zyx=np.ones((1, 1, 1), np.uint8))
+    with pytest.raises(UsageError, match="float32"):
+        FieldPaths(volume, ones.astype(np.float64), root)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="outside"):
+        FieldPaths(volume, ones, (900.0, 0.0, 0.0))
+    with pytest.raises(UsageError, match="mean or enter"):
+        FieldPaths(volume, ones, root, cost="length")  # type: ignore[arg-type]
+    for weight, error in ((-1.0, UsageError), (0.0, UsageError), (1e9, TrackingError)):
+        field = ones.copy()
+        field[3, 3, 3] = weight
+        with pytest.raises(error):
+            FieldPaths(volume, field, root)
+    walled = ones.copy()
+    walled[1, 1, 1] = np.nan
+    with pytest.raises(NoResultError, match="root"):
+        FieldPaths(volume, walled, root)
+
+
+def test_it_stops_on_request_and_goes_on_from_there():
+    volume = Volume(np.zeros((90, 90, 90), np.int16), np.eye(4))
+    field = np.random.default_rng(1).uniform(1.0, 3.0, volume.shape_zyx).astype(np.float32)
+    paths = FieldPaths(volume, field, (45.0, 45.0, 45.0))
+    seen: list[tuple[str, float | None]] = []
+    asked = iter([True])
+    # The clock of looks is real time: on a machine that is quick enough there may be none.
+    try:
+        paths.solve_all(cancel=lambda: next(asked, False), progress=lambda what, share: seen.append((what, share)))
+    except CancelledError:
+        assert paths.num_settled < paths.num_open
+        paths.solve_all()
+    assert paths.num_settled == paths.num_open == 90**3
+    assert sum(paths.num_bytes) <= 6 * 90**3
+
+
+def test_paths_are_timed_inside_the_compiled_module():
+    volume = volume_of((10, 10, 10))
+    paths = FieldPaths(volume, np.ones(volume.shape_zyx, np.float32), at(volume, 0, 0, 0))
+    paths.solve_all()
+    ns, voxels = paths.core.time_paths([(9, 9, 9), (0, 0, 0), (3, 0, 0)])
+    assert (ns >= 0).all()
+    assert list(voxels[1:]) == [1, 4]
