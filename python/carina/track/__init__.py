@@ -19,7 +19,9 @@ from carina.track.edits import (
     name_edited,
     rebuild_airways,
 )
+from carina.track.field import FieldPath, FieldPaths
 from carina.track.levels import lumen_threshold_from_histogram
+from carina.track.live import LivePath
 from carina.track.measures import BranchMeasures, BranchSummary, ForkMeasures, Stenosis, TreeMeasures, measure_tree
 from carina.track.mesh import Mesh, lumen_mesh
 from carina.track.names import LetterRule, NameWords, branch_side_and_lobe, name_tree, name_words
@@ -35,9 +37,12 @@ __all__ = [
     "BranchSummary",
     "Bridge",
     "CutBranch",
+    "FieldPath",
+    "FieldPaths",
     "FoldedAirways",
     "ForkMeasures",
     "LetterRule",
+    "LivePath",
     "Mesh",
     "MoveFork",
     "MoveRoot",

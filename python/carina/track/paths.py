@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from carina._core import LumenTracker, nodes_at
 from carina.errors import NoResultError, UsageError
+from carina.track.levels import AirScale, air_scale
+from carina.track.live import LivePath, find_live_path, noise_hu
 from carina.track.tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
@@ -52,7 +54,16 @@ class PathTracker:
     Made by :func:`carina.track.find_airways`. May be used from several threads.
     """
 
-    __slots__ = ("_branch_nodes", "_branches", "_core", "_labels", "_volume")
+    __slots__ = (
+        "_air_scale",
+        "_branch_nodes",
+        "_branches",
+        "_core",
+        "_labels",
+        "_noise_hu",
+        "_on_tree",
+        "_volume",
+    )
 
     def __init__(self, volume: Volume, core: LumenTracker) -> None:
         self._volume = volume
@@ -60,6 +71,9 @@ class PathTracker:
         self._branches: tuple[Branch, ...] = ()
         self._branch_nodes: list[NDArray[np.uint32]] = []
         self._labels: NDArray[np.int32] | None = None
+        self._on_tree: NDArray[np.int32] | None = None
+        self._noise_hu: float | None = None
+        self._air_scale: AirScale | None = None
 
     def __repr__(self) -> str:
         return f"PathTracker(num_nodes={self._core.num_nodes}, num_settled={self._core.num_settled})"
@@ -149,6 +163,69 @@ class PathTracker:
             raise NoResultError(msg, code="track.no-path")
         return self._path(node, snapped_mm)
 
+    def live_path(self, point_lps: Sequence[float] | NDArray[np.float64], *, reach_mm: float = SNAP_MM) -> LivePath:
+        """The path to the place under the pointer, or the words that say why there is none.
+
+        Once the root is solved (:func:`carina.track.find_airways` does it) this takes about a millisecond.
+
+        Parameters
+        ----------
+        point_lps
+            Where the pointer is, LPS mm.
+        reach_mm
+            A place outside the lumen stands for the nearest lumen voxel within this distance.
+
+        Raises
+        ------
+        UsageError
+            If the point is not in the volume. A point outside the lumen raises nothing: see ``LivePath.problem``.
+
+        References
+        ----------
+        Paper 6.3.
+        """
+        return find_live_path(self, self._volume, as_point(point_lps), reach_mm=reach_mm)
+
+    @property
+    def air_scale(self) -> AirScale:
+        """Air and soft tissue in the volume's numbers."""
+        if self._air_scale is None:
+            self._air_scale = air_scale(self._volume)
+        return self._air_scale
+
+    @property
+    def noise_hu(self) -> float:
+        """Standard deviation of the values deep inside the first airway of the tree, HU."""
+        if self._noise_hu is None:
+            trunk = self._branches[0] if self._branches else None
+            deep = np.empty((0, 3))
+            if trunk is not None:
+                # Half a radius off the middle there is no wall; sixteen places round each point.
+                turns = 2.0 * np.pi * np.arange(16) / 16
+                ring = np.stack([np.cos(turns), np.sin(turns), np.zeros(16)], axis=1)
+                reach = 0.5 * trunk.radius[:, None, None]
+                deep = (trunk.points[:, None, :] + reach * ring[None, :, :]).reshape(-1, 3)
+                deep = deep[self.inside(deep)]
+            self._noise_hu = noise_hu(self._volume, deep, self.air_scale)
+        return self._noise_hu
+
+    def new_share(self, node: int) -> tuple[float, int | None]:
+        """Share of the length of the path to a settled node that is outside the tree, and the branch that it leaves."""
+        found = self._core.path(node)
+        assert found is not None
+        points, nodes = found
+        on_tree = self._places_on_tree()
+        on = np.flatnonzero(on_tree[nodes] >= 0)
+        if not len(on):
+            return 1.0, None
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        share = 1.0 - along[on[-1]] / along[-1] if along[-1] > 0.0 else 0.0
+        return float(share), self._branches[int(on_tree[nodes[on[-1]]])].id
+
+    def path_at(self, node: int, snapped_mm: float) -> TrackedPath:
+        """The path to a settled node."""
+        return self._path(node, snapped_mm)
+
     def _path(self, node: int, snapped_mm: float) -> TrackedPath:
         found, cost = self._core.path(node), self._core.cost(node)
         assert found is not None
@@ -214,6 +291,8 @@ class PathTracker:
         self._branches = tuple(branches)
         self._branch_nodes = list(nodes)
         self._labels = None
+        self._on_tree = None
+        self._noise_hu = None
 
     def follow_branches(self, branches: Sequence[Branch]) -> None:
         """As :meth:`set_branches`, with the voxels that the centrelines run through."""
@@ -237,6 +316,24 @@ class PathTracker:
             # Two threads may both find it: they find the same.
             labels = self._labels = self._core.branch_of_nodes(self._branch_nodes, self._parents())
         return labels
+
+    def _places_on_tree(self) -> NDArray[np.int32]:
+        """For each node the place of the branch whose centreline runs through it or beside it, -1 elsewhere."""
+        on_tree = self._on_tree
+        if on_tree is None:
+            on_tree = np.full(self._core.num_nodes, -1, dtype=np.int32)
+            steps = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+            around = steps @ self._volume.lps_from_ijk[:3, :3].T
+            # A child begins with its parent's last voxel, which stays the parent's.
+            for place in reversed(range(len(self._branches))):
+                points = self._branches[place].points
+                nodes = nodes_at(self._core, (points[:, None, :] + around[None, :, :]).reshape(-1, 3))
+                on_tree[nodes[nodes >= 0]] = place
+            for place in reversed(range(len(self._branch_nodes))):
+                on_tree[self._branch_nodes[place]] = place
+            # Two threads may both find it: they find the same.
+            self._on_tree = on_tree
+        return on_tree
 
     def _parents(self) -> list[int | None]:
         """Place of each branch's parent in the list; ids are not places once a tree was edited."""

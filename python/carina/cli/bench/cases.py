@@ -21,7 +21,7 @@ from carina.phantom import GENERATOR_VERSION, generate_phantom
 from carina.scopes import Pose
 from carina.volume import Volume, VolumeSource
 
-__all__ = ["PHANTOMS", "Case", "open_case"]
+__all__ = ["PHANTOMS", "Case", "open_case", "open_phantom"]
 
 Progress = Callable[[str, float | None], None]
 
@@ -78,6 +78,17 @@ def open_case(name: str, *, poses: int, progress: Progress | None = None) -> Cas
         name = name if name == "patient" else _name_of(Path(name).resolve())
     trachea, flight = _poses(branches, poses)
     return Case(name, volume, trachea, flight, lumen)
+
+
+def open_phantom(name: str, progress: Progress | None = None) -> tuple[Volume, list[NDArray[np.float64]]]:
+    """A phantom of :data:`PHANTOMS`, the top of its trachea, and the tips of its airways inside the volume (LPS mm)."""
+    volume, branches = _phantom(name, progress)
+    parents = {branch.parent for branch in branches}
+    trunk = next(branch for branch in branches if branch.parent is None)
+    tips = [branch.points[-1] for branch in branches if branch.id not in parents]
+    # The box may cut the trachea's top: its first point inside.
+    top = next(point for point in trunk.points if volume.contains_lps(point))
+    return volume, [top, *(tip for tip in tips if volume.contains_lps(tip))]
 
 
 def _name_of(path: Path) -> str:

@@ -1,0 +1,222 @@
+"""The path to whatever the pointer is over (the paper's intelligent scissors, 6.3, in 3D)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import NoResultError
+from carina.track.levels import AirScale
+from carina.volume.model import Volume
+
+if TYPE_CHECKING:
+    from carina.track.paths import PathTracker, Point
+
+__all__ = ["LivePath", "find_live_path", "noise_hu", "wall_scores"]
+
+# Rays round a point of the path, and the samples on each.
+NUM_RAYS = 8
+MAX_POINTS = 48
+# A bronchus's wall is 0.5 to 2 mm thick; the scanner blurs it by about a voxel.
+WALL_REACH_MM = 2.0
+# The brightest of some noise samples is about 2 standard deviations up; 6 is no noise.
+NOTHING_SIGMA, CERTAIN_SIGMA = 2.0, 6.0
+LEAST_CONTRAST_HU = 60.0
+# Fewer voxels across than the first are seen by chance; from the second on the lumen is seen whole.
+FEW_VOXELS, ENOUGH_VOXELS = 0.5, 3.0
+# What a pointer is about, where nothing of the path is new.
+LAST_MM = 10.0
+# A chain is as strong as its weak parts; not the weakest sample, which noise chooses.
+WEAK_SHARE = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LivePath:
+    """The path to the place under the pointer, before it is asked for."""
+
+    points_lps: NDArray[np.float64]
+    """(n, 3) LPS mm from the root to the place, smoothed inside the lumen; (0, 3) where there is a problem."""
+    length_mm: float
+    min_radius_mm: float
+    """Smallest distance from the middle to the wall, leaving out a radius at both ends."""
+    confidence: float | None
+    """0 to 1: that what is new is an airway, from its wall and its lumen (see :func:`find_live_path`); None where there
+    is no path."""
+    snapped_mm: float
+    """How far the place was from the lumen; 0 inside it."""
+    new_mm: float
+    """Length of the path outside the present tree."""
+    joins_branch_id: int | None
+    """Branch of the present tree that the new part leaves; None without a tree."""
+    problem: str | None
+    """Why there is no path and what to do, in words."""
+
+
+def find_live_path(tracker: PathTracker, volume: Volume, point: Point, *, reach_mm: float) -> LivePath:
+    """The path to a point in the volume, or the words that say why there is none.
+
+    The confidence is the product of three shares:
+
+    - the wall: from points of the new part (of the last 10 mm where nothing is new) eight rays go out across the path.
+      A ray sees a wall if the values rise above the lumen's within 2 mm of the wall's place. A rise of 2 standard
+      deviations of the noise (measured in the widest airway), or of 60 HU, counts 0, of 6 standard deviations 1. The
+      share is that of the weakest tenth of the points: lung that leaked in has no wall, whatever its own value.
+    - the width: a lumen of 3 voxels across counts 1, one of half a voxel one half: one could not tell it from noise.
+    - the place: moved by nothing it counts 1, by ``reach_mm`` one half.
+    """
+    try:
+        node, snapped_mm = tracker.snap(point, snap_mm=reach_mm)
+    except NoResultError:
+        return _no_path(_where(tracker, volume, point, reach_mm))
+    if not tracker.core.solve_to(node):
+        return _no_path(
+            "This part of the lumen is not connected with the root: the airway is blocked or the lumen has a gap "
+            "between them. Bridge the gap, or paint the missing lumen."
+        )
+    path = tracker.path_at(node, snapped_mm)
+    new_share, joins = tracker.new_share(node)
+    new_mm = new_share * path.length_mm
+    steps = np.linalg.norm(np.diff(path.points_lps, axis=0), axis=1)
+    to_end = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
+    looked_at = to_end <= max(new_mm, LAST_MM)
+    radius = path.radius_mm
+    # From the middle of the tube to a place beside its wall, and from the closed end of a tube, the distance to the
+    # wall says nothing about the tube.
+    tube_mm = float(radius[looked_at].max(initial=0.0))
+    from_root = to_end[0] - to_end
+    middle = (to_end > tube_mm) & (from_root > float(radius[from_root <= LAST_MM].max(initial=0.0)))
+    if not middle.any():
+        middle = radius == radius.max()
+    scores = wall_scores(
+        volume,
+        path.points_lps[looked_at & middle] if (looked_at & middle).any() else path.points_lps[middle][-1:],
+        path.points_lps,
+        float(np.median(radius[looked_at])),
+        sigma_hu=tracker.noise_hu,
+        scale=tracker.air_scale,
+    )
+    wall = float(np.quantile(scores, WEAK_SHARE))
+    voxel_mm = float(np.prod(volume.spacing_mm)) ** (1 / 3)
+    narrow = float(radius[looked_at & middle].min(initial=tube_mm))
+    seen = np.clip((2.0 * narrow / voxel_mm - FEW_VOXELS) / (ENOUGH_VOXELS - FEW_VOXELS), 0.0, 1.0)
+    width = 0.5 + 0.5 * float(seen)
+    place = 1.0 - 0.5 * min(snapped_mm / reach_mm, 1.0) if reach_mm > 0.0 else 1.0
+    return LivePath(
+        points_lps=path.points_lps,
+        length_mm=path.length_mm,
+        min_radius_mm=float(radius[middle].min()),
+        confidence=round(wall * width * place, 3),
+        snapped_mm=snapped_mm,
+        new_mm=new_mm,
+        joins_branch_id=joins,
+        problem=None,
+    )
+
+
+def wall_scores(
+    volume: Volume,
+    points_lps: NDArray[np.float64],
+    path_lps: NDArray[np.float64],
+    radius_mm: float,
+    *,
+    sigma_hu: float,
+    scale: AirScale,
+) -> NDArray[np.float64]:
+    """(n,) share of the rays round each (n, 3) point that see a wall, 0..1.
+
+    Parameters
+    ----------
+    path_lps
+        (m, 3) the path that the points are on; the rays go across it.
+    radius_mm
+        Distance to the wall, about; the rays look 2 mm and a voxel farther.
+    sigma_hu
+        Standard deviation of the noise.
+    scale
+        Air and soft tissue in the volume's numbers.
+    """
+    points = points_lps[np.linspace(0, len(points_lps) - 1, min(len(points_lps), MAX_POINTS)).round().astype(int)]
+    across_u, across_v = _across(points, path_lps)
+    angles = 2.0 * np.pi * np.arange(NUM_RAYS) / NUM_RAYS
+    rays = np.cos(angles)[None, :, None] * across_u[:, None, :] + np.sin(angles)[None, :, None] * across_v[:, None, :]
+    spacing = np.array(volume.spacing_mm)
+    reach = radius_mm + WALL_REACH_MM + float(np.prod(spacing)) ** (1 / 3)
+    at_mm = np.arange(0.0, reach + 1e-9, max(0.5 * float(spacing.min()), reach / 24.0))
+    samples = points[:, None, None, :] + at_mm[None, None, :, None] * rays[:, :, None, :]
+    values = _sample(volume, samples.reshape(-1, 3)).reshape(samples.shape[:3]) / scale.span(1.0)
+    # The lumen is what the ray passes first; the wall is the brightest behind it.
+    lumen = values[:, :, at_mm <= max(0.5 * radius_mm, at_mm[1])].mean(axis=(1, 2))
+    rise = values.max(axis=2) - lumen[:, None]
+    nothing = max(NOTHING_SIGMA * sigma_hu, LEAST_CONTRAST_HU)
+    certain = max(CERTAIN_SIGMA * sigma_hu, 2.0 * LEAST_CONTRAST_HU)
+    return np.asarray(np.clip((rise - nothing) / (certain - nothing), 0.0, 1.0).mean(axis=1))
+
+
+def noise_hu(volume: Volume, points_lps: NDArray[np.float64], scale: AirScale) -> float:
+    """Standard deviation of the values at (n, 3) places deep inside the widest airway, HU; 20 where there are few."""
+    if len(points_lps) < 30:
+        return 20.0
+    values = _sample(volume, np.asarray(points_lps), nearest=True) / scale.span(1.0)
+    # From the middle half: a polyp or a tube in the airway is no noise.
+    low, high = np.quantile(values, [0.25, 0.75])
+    return float(max((high - low) / 1.349, 1.0))
+
+
+def _across(points: NDArray[np.float64], path: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Two unit vectors across the path at each of its points."""
+    place = np.argmin(np.linalg.norm(path[None, :, :] - points[:, None, :], axis=2), axis=1)
+    last = len(path) - 1
+    along = path[np.minimum(place + 2, last)] - path[np.maximum(place - 2, 0)]
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    along = np.where(length > 0.0, along / np.maximum(length, 1e-9), np.array([0.0, 0.0, 1.0]))
+    # Any direction that is not along it, turned across.
+    other = np.eye(3)[np.argmin(np.abs(along), axis=1)]
+    u = np.cross(along, other)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    return u, np.cross(along, u)
+
+
+def _sample(volume: Volume, points_lps: NDArray[np.float64], *, nearest: bool = False) -> NDArray[np.float64]:
+    """Trilinear values at (n, 3) points, edge-clamped."""
+    values = volume.hu_zyx
+    top = np.array(values.shape[::-1]) - 1
+    ijk = np.clip(volume.to_ijk(points_lps), 0.0, top)
+    if nearest:
+        i, j, k = np.rint(ijk).astype(int).T
+        exact: NDArray[np.float64] = values[k, j, i].astype(np.float64)
+        return exact
+    base = np.minimum(ijk.astype(int), np.maximum(top - 1, 0))
+    share = ijk - base
+    result = np.zeros(len(ijk))
+    for corner in range(8):
+        step = np.array([corner & 1, corner >> 1 & 1, corner >> 2])
+        weight = np.where(step == 1, share, 1.0 - share).prod(axis=1)
+        i, j, k = np.minimum(base + step, top).T
+        result += weight * values[k, j, i]
+    return result
+
+
+def _no_path(problem: str) -> LivePath:
+    return LivePath(np.empty((0, 3)), 0.0, 0.0, None, 0.0, 0.0, None, problem)
+
+
+def _where(tracker: PathTracker, volume: Volume, point: Point, reach_mm: float) -> str:
+    """What is at a point outside the lumen, and what to do."""
+    found = tracker.core.nearest(point, 60.0)
+    far = "more than 60 mm" if found is None else f"{found[1]:.0f} mm"
+    do = (
+        f"The nearest airway that was found is {far} away (up to {reach_mm:g} mm is bridged by itself). "
+        "Point at an airway; if one is missing here, paint its lumen or lower the threshold."
+    )
+    offsets = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    around = volume.to_lps(volume.to_ijk(np.array(point)) + offsets)
+    scale = tracker.air_scale
+    value = float(np.median(_sample(volume, around, nearest=True)))
+    if value > scale.level(-500.0):
+        return f"This is soft tissue, not an airway. {do}"
+    if value > scale.level(-950.0):
+        return f"This is lung outside the airways that were found. {do}"
+    return f"This is air outside the airways that were found. {do}"
