@@ -18,6 +18,7 @@ import { maskOf, pathMm, scopeOf } from "../state/app-state";
 import { forkAhead } from "../state/fork";
 import { fixed, mm } from "../state/format";
 import { nextStopMm } from "../state/route";
+import { isBrush } from "../state/tools";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
 import { wallPointLines } from "../state/wall-point";
 import { shapeOf } from "../views/outline";
@@ -31,11 +32,12 @@ import { ScopeSelect } from "./ScopeSelect";
 export function AirwayStage() {
   const mask = useApp(maskOf);
   const shown = useApp((state) => state.frames.airway !== undefined);
+  const armed = useApp((state) => state.ui.armed !== null && !isBrush(state.ui.armed));
   const station = useStation();
   return (
     <section className="airway-stage" aria-label="Airway view">
       <AirwayTools />
-      <div className="airway-picture" data-mask={mask}>
+      <div className="airway-picture" data-mask={mask} data-armed={armed || undefined}>
         <PictureView
           view="airway"
           shape={shapeOf(mask)}

@@ -135,6 +135,7 @@ export class Workstation {
       hold: (axis, sign, down) => this.flight.hold(axis, sign, down),
       slow: (on) => this.flight.slow(on),
       wants: (action) => this.#wants(action),
+      holdsTool: () => this.state.ui.armed !== null,
       arrowsLook: () => this.state.session?.mode !== "path",
       enabled: () => this.state.session?.case != null && this.state.start?.notice_accepted !== false,
     });

@@ -2,13 +2,14 @@
 import { afterEach, describe, expect, it } from "vitest";
 import { focusKind, listenToKeys } from "./keyboard";
 
-function listening(options: { path?: boolean; enabled?: boolean; brush?: boolean } = {}) {
+function listening(options: { path?: boolean; enabled?: boolean; brush?: boolean; tool?: boolean } = {}) {
   const heard: string[] = [];
   const stop = listenToKeys(window, {
     press: (action) => heard.push(action),
     hold: (axis, sign, down) => heard.push(`${axis} ${sign} ${down ? "down" : "up"}`),
     slow: () => undefined,
     wants: (action) => options.brush ?? !action.startsWith("brush_"),
+    holdsTool: () => options.tool ?? false,
     arrowsLook: () => !(options.path ?? true),
     enabled: () => options.enabled ?? true,
   });
@@ -96,6 +97,23 @@ describe("the keyboard", () => {
     stop = keys.stop;
     expect(type("]").defaultPrevented).toBe(true);
     expect([without.heard, keys.heard]).toEqual([[], ["brush_larger"]]);
+  });
+
+  it("puts a tool down by Esc also from a list, but not while somebody types", () => {
+    const list = document.createElement("div");
+    list.setAttribute("role", "treegrid");
+    const row = document.createElement("button");
+    const input = document.createElement("input");
+    list.append(row);
+    document.body.append(list, input);
+    const without = listening();
+    type("Escape", row);
+    without.stop();
+    const keys = listening({ tool: true });
+    stop = keys.stop;
+    type("Escape", input);
+    type("Escape", row);
+    expect([without.heard, keys.heard]).toEqual([[], ["leave"]]);
   });
 
   it("knows what has the focus", () => {

@@ -8,6 +8,8 @@ export interface KeyboardHandlers {
   slow(on: boolean): void;
   /** Whether an action means something now; else its key belongs to whoever else wants it. */
   wants(action: Action): boolean;
+  /** A tool is in the hand. */
+  holdsTool(): boolean;
   /** Left and right look while there is no path to choose ways on. */
   arrowsLook(): boolean;
   enabled(): boolean;
@@ -48,7 +50,11 @@ export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => vo
     handlers.slow(event.shiftKey);
     if (event.defaultPrevented || event.isComposing || !handlers.enabled()) return;
     const binding = bindingOf(event);
-    if (binding === null || !takesKey(focusKind(event.target), event.key)) return;
+    if (binding === null) return;
+    const focus = focusKind(event.target);
+    // Esc puts a tool down wherever the focus is, but for a field that is being typed in.
+    const putsDown = event.key === "Escape" && focus !== "typing" && handlers.holdsTool();
+    if (!takesKey(focus, event.key) && !putsDown) return;
     // A focused picture moves its own crosshair or camera with Shift and the arrows.
     if (event.shiftKey && event.key.startsWith("Arrow")) return;
     if (binding.command.kind === "press" && !handlers.wants(binding.command.action)) return;
