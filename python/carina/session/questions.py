@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carina.errors import NoResultError, TrackingError, UsageError
+from carina.errors import NoResultError, UsageError
 from carina.session.core import SessionCore
 from carina.session.document import Point
 
@@ -35,9 +34,7 @@ class AirwayQuestions(SessionCore):
         NoResultError
             If the case has no airways.
         """
-        tracker = self._airways().tracker
-        live = getattr(tracker, "live_path", None)
-        return _tracked(tracker, lps) if live is None else live(lps)
+        return self._airways().tracker.live_path(lps)
 
     def lumen_before_wall(self, wall_lps: Point, lens_lps: Point) -> Point:
         """The point that a click on a wall means: the lumen in front of it (paper 6.3, Figure 14).
@@ -74,33 +71,6 @@ class AirwayQuestions(SessionCore):
         if airways is None:
             raise NoResultError(NO_AIRWAYS, code="track.no-airways")
         return airways
-
-
-def _tracked(tracker: Any, lps: Point) -> Any:
-    """What a tracker without a live path can tell."""
-    try:
-        path = tracker.path_to(lps)
-    except TrackingError as trouble:
-        return SimpleNamespace(
-            points_lps=np.zeros((0, 3)),
-            length_mm=None,
-            min_radius_mm=None,
-            confidence=None,
-            snapped_mm=None,
-            new_mm=None,
-            joins_branch_id=None,
-            problem=str(trouble),
-        )
-    return SimpleNamespace(
-        points_lps=path.points_lps,
-        length_mm=path.length_mm,
-        min_radius_mm=float(np.min(path.radius_mm)),
-        confidence=None,
-        snapped_mm=path.snapped_mm,
-        new_mm=None,
-        joins_branch_id=None,
-        problem=None,
-    )
 
 
 def lumen_before_wall(
