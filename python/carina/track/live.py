@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.errors import NoResultError
 from carina.track.levels import AirScale
 from carina.volume.model import Volume
 
@@ -29,6 +28,8 @@ LEAST_CONTRAST_HU = 60.0
 FEW_VOXELS, ENOUGH_VOXELS = 0.5, 3.0
 # What a pointer is about, where nothing of the path is new.
 LAST_MM = 10.0
+# How far around a pointer outside all airways the nearest one is looked for.
+SEARCHES_MM = (10.0, 20.0, 40.0)
 # A chain is as strong as its weak parts; not the weakest sample, which noise chooses.
 WEAK_SHARE = 0.1
 
@@ -67,10 +68,11 @@ def find_live_path(tracker: PathTracker, volume: Volume, point: Point, *, reach_
     - the width: a lumen of 3 voxels across counts 1, one of half a voxel one half: one could not tell it from noise.
     - the place: moved by nothing it counts 1, by ``reach_mm`` one half.
     """
-    try:
-        node, snapped_mm = tracker.snap(point, snap_mm=reach_mm)
-    except NoResultError:
+    inside = bool(tracker.core.inside([point])[0])
+    # Asked for before the node, since a refusal looks 60 mm around for its words: too long while a pointer moves.
+    if not inside and volume.contains_lps(np.array(point)) and tracker.core.nearest(point, reach_mm) is None:
         return _no_path(_where(tracker, volume, point, reach_mm))
+    node, snapped_mm = tracker.snap(point, snap_mm=reach_mm)
     if not tracker.core.solve_to(node):
         return _no_path(
             "This part of the lumen is not connected with the root: the airway is blocked or the lumen has a gap "
@@ -205,8 +207,10 @@ def _no_path(problem: str) -> LivePath:
 
 def _where(tracker: PathTracker, volume: Volume, point: Point, reach_mm: float) -> str:
     """What is at a point outside the lumen, and what to do."""
-    found = tracker.core.nearest(point, 60.0)
-    far = "more than 60 mm" if found is None else f"{found[1]:.0f} mm"
+    # A search costs the cube of its reach, and most pointers are near an airway.
+    tried = (tracker.core.nearest(point, reach) for reach in SEARCHES_MM)
+    found = next((one for one in tried if one is not None), None)
+    far = f"more than {SEARCHES_MM[-1]:g} mm" if found is None else f"{found[1]:.0f} mm"
     do = (
         f"The nearest airway that was found is {far} away (up to {reach_mm:g} mm is bridged by itself). "
         "Point at an airway; if one is missing here, paint its lumen or lower the threshold."
