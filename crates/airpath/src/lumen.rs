@@ -398,13 +398,32 @@ impl Graph for LumenGraph {
 
     fn for_each_edge(&self, node: u32, mut visit: impl FnMut(u32, f64)) {
         let from = self.voxels[node as usize].map(|v| v as isize);
-        let mut mask = self.edges[node as usize];
-        while mask != 0 {
-            let step = self.steps[mask.trailing_zeros() as usize];
-            mask &= mask - 1;
-            let to = std::array::from_fn(|a| from[a] + step.offset_ijk[a]);
-            if let Some(neighbour) = self.node_at_voxel(to) {
-                visit(neighbour, step.length_mm);
+        let mask = self.edges[node as usize];
+        // Nine rows of three: in a row, one count of members gives the places of all.
+        for row in 0..9usize {
+            // The middle row has no middle: two steps.
+            let first_step = if row < 5 { 3 * row } else { 3 * row - 1 };
+            let is_middle = row == 4;
+            if mask >> first_step & if is_middle { 0b11 } else { 0b111 } == 0 {
+                continue;
+            }
+            let to = [
+                from[0],
+                from[1] + (row % 3) as isize - 1,
+                from[2] + (row / 3) as isize - 1,
+            ];
+            let Some((mut neighbour, are_members)) = self.lumen.three(to) else {
+                continue;
+            };
+            let mut step = first_step;
+            for (x, is_member) in are_members.into_iter().enumerate() {
+                if !(is_middle && x == 1) {
+                    if mask >> step & 1 == 1 {
+                        visit(neighbour, self.steps[step].length_mm);
+                    }
+                    step += 1;
+                }
+                neighbour += u32::from(is_member);
             }
         }
     }

@@ -52,6 +52,32 @@ impl VoxelSet {
             .then(|| self.before[at / 64] + (word & ((1 << bit) - 1)).count_ones())
     }
 
+    /// Which of three voxels in a row along i, round a voxel whose i lies in the box, are members, and the place of the first
+    /// of them; `None` outside the box.
+    pub(crate) fn three(&self, ijk: [isize; 3]) -> Option<(u32, [bool; 3])> {
+        let VoxelBox {
+            first_ijk: first,
+            shape_ijk: [nx, ny, nz],
+        } = self.voxel_box;
+        let [i, j, k]: [isize; 3] = std::array::from_fn(|a| ijk[a] - first[a] as isize);
+        if i < 0 || j < 0 || k < 0 {
+            return None;
+        }
+        let [i, j, k] = [i as usize, j as usize, k as usize];
+        if i >= nx || j >= ny || k >= nz {
+            return None;
+        }
+        let row = (k * ny + j) * nx;
+        let holds = |x: usize| self.words[(row + x) / 64] >> ((row + x) % 64) & 1 == 1;
+        let at = row + i.saturating_sub(1);
+        let (word, bit) = (self.words[at / 64], at % 64);
+        let first = self.before[at / 64] + (word & ((1 << bit) - 1)).count_ones();
+        Some((
+            first,
+            [i > 0 && holds(i - 1), holds(i), i + 1 < nx && holds(i + 1)],
+        ))
+    }
+
     /// True for a member.
     pub(crate) fn holds(&self, ijk: [isize; 3]) -> bool {
         self.voxel_box
@@ -81,6 +107,16 @@ mod tests {
                 prop_assert!(!set.holds(voxel(at)));
             }
             prop_assert_eq!(set.place([2, 1, 2]), None);
+            for at in 0..bits.len() {
+                let middle = voxel(at);
+                let beside = |x: isize| set.place([middle[0] + x, middle[1], middle[2]]);
+                let (first, are_members) = set.three(middle).unwrap();
+                prop_assert_eq!(are_members, [-1, 0, 1].map(|x| beside(x).is_some()));
+                if let Some(place) = [-1, 0, 1].into_iter().find_map(beside) {
+                    prop_assert_eq!(first, place);
+                }
+            }
+            prop_assert_eq!(set.three([3, 6, 2]), None);
         }
     }
 }
