@@ -44,6 +44,8 @@ MIN_ADDED_MM = 1.0
 """A branch that ends nearer than this to where it leaves the tree is there already."""
 FORK_RADII = 1.0
 """A path has left a tube when it is farther from its middle than this multiple of its radius (as when found)."""
+COVER_REACH_MM = 30.0
+"""Farther from its middle no tube covers anything: more than the diameter of any trachea."""
 RECENTER_VOXELS = 0.5
 """A centreline is drawn again where the distance to the wall changed by more than this share of a voxel."""
 
@@ -491,7 +493,10 @@ class EditSteps:
         if not len(candidates):
             return
         core = self.lumen.core
-        nodes = self._nodes_of([branch.points for branch in self.draft.ordered()])
+        points, _ = _together(self.draft.ordered())
+        ends = self._volume.to_lps(candidates.astype(np.float64))
+        low, high = ends.min(axis=0) - COVER_REACH_MM, ends.max(axis=0) + COVER_REACH_MM
+        nodes = self._nodes_of([points[((points >= low) & (points <= high)).all(axis=1)]])
         for tip in more_tips(core, nodes, candidates, cancel=self.lumen.cancel):
             self._attach(self._path(int(tip)), kind, MIN_ADDED_MM)
 
