@@ -78,13 +78,13 @@ def find_live_path(tracker: PathTracker, volume: Volume, point: Point, *, reach_
             "This part of the lumen is not connected with the root: the airway is blocked or the lumen has a gap "
             "between them. Bridge the gap, or paint the missing lumen."
         )
-    path = tracker.path_at(node, snapped_mm)
+    points, radius = tracker.middle_to(node)
     new_share, joins = tracker.new_share(node)
-    new_mm = new_share * path.length_mm
-    steps = np.linalg.norm(np.diff(path.points_lps, axis=0), axis=1)
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    length_mm = float(steps.sum())
+    new_mm = new_share * length_mm
     to_end = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
     looked_at = to_end <= max(new_mm, LAST_MM)
-    radius = path.radius_mm
     # From the middle of the tube to a place beside its wall, and from the closed end of a tube, the distance to the
     # wall says nothing about the tube.
     tube_mm = float(radius[looked_at].max(initial=0.0))
@@ -94,8 +94,8 @@ def find_live_path(tracker: PathTracker, volume: Volume, point: Point, *, reach_
         middle = radius == radius.max()
     scores = wall_scores(
         volume,
-        path.points_lps[looked_at & middle] if (looked_at & middle).any() else path.points_lps[middle][-1:],
-        path.points_lps,
+        points[looked_at & middle] if (looked_at & middle).any() else points[middle][-1:],
+        points,
         float(np.median(radius[looked_at])),
         sigma_hu=tracker.noise_hu,
         scale=tracker.air_scale,
@@ -107,8 +107,8 @@ def find_live_path(tracker: PathTracker, volume: Volume, point: Point, *, reach_
     width = 0.5 + 0.5 * float(seen)
     place = 1.0 - 0.5 * min(snapped_mm / reach_mm, 1.0) if reach_mm > 0.0 else 1.0
     return LivePath(
-        points_lps=path.points_lps,
-        length_mm=path.length_mm,
+        points_lps=points,
+        length_mm=length_mm,
         min_radius_mm=float(radius[middle].min()),
         confidence=round(wall * width * place, 3),
         snapped_mm=snapped_mm,

@@ -222,9 +222,15 @@ class PathTracker:
         share = 1.0 - along[on[-1]] / along[-1] if along[-1] > 0.0 else 0.0
         return float(share), self._branches[int(on_tree[nodes[on[-1]]])].id
 
-    def path_at(self, node: int, snapped_mm: float) -> TrackedPath:
-        """The path to a settled node."""
-        return self._path(node, snapped_mm)
+    def middle_to(self, node: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Smooth (n, 3) LPS points of the path to a settled node, and their (n,) distance to the wall in mm.
+
+        The points of :meth:`path_to`, without the branches, which take a while to be told apart the first time.
+        """
+        found = self._core.path(node)
+        assert found is not None
+        points = self._core.smooth(found[0], step_mm=STEP_MM, keep_end=True)
+        return points, self._core.radius_mm(points)
 
     def _path(self, node: int, snapped_mm: float) -> TrackedPath:
         found, cost = self._core.path(node), self._core.cost(node)
