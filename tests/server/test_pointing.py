@@ -118,6 +118,18 @@ def test_a_fault_is_answered_and_the_next_question_too(pointing, monkeypatch):
     assert ask(pointing, 2, lps=lps((16.0, 14.0, 30.0))).problem is None
 
 
+def test_what_the_first_question_would_wait_for_is_done_before_it_comes(pointing, monkeypatch):
+    asked = queue.Queue()
+    monkeypatch.setattr(pointing.session, "live_path", asked.put)
+    pointing.pointing.warm()
+    assert asked.get(timeout=WAIT_S) == pytest.approx(lps((16.0, 14.0, 37.0)))
+    # Once for the same airways, and without an answer.
+    pointing.pointing.warm()
+    monkeypatch.undo()
+    assert ask(pointing, 8, lps=lps((16.0, 14.0, 30.0))).request_id == 8
+    assert asked.empty()
+
+
 def test_a_branch_that_was_not_measured_or_is_gone_has_no_measures(pointing):
     for branch_id in (1, 77):
         pointing.pointing.ask_branch_detail(wire.AskBranchDetail(9, branch_id))

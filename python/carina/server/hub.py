@@ -225,6 +225,8 @@ class Hub:
         """From any thread, with the session locked: hand on and return."""
         if isinstance(event, Changed) and event.topics & {"views", "pose"}:
             self.pump.content_changed()
+        if isinstance(event, Changed) and "tree" in event.topics:
+            self._pointing.warm()
         self._in_loop(self._note, event)
 
     def _deliver(self, data: bytes) -> None:

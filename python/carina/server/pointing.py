@@ -48,6 +48,7 @@ class Pointing:
         self._shown = shown
         self._push = push
         self._newest = NewestOnly("carina-pointing")
+        self._warmed: object = None
 
     def start(self) -> None:
         """Begin."""
@@ -60,6 +61,23 @@ class Pointing:
     def ask_live_path(self, message: wire.AskLivePath) -> None:
         """The way to a place; trouble is said in the answer, since a cursor would raise it again and again."""
         self._newest.ask("live_path", lambda: self._answer_live_path(message))
+
+    def warm(self) -> None:
+        """For other airways: what the first question would wait for, such as the scan's noise, is found out now."""
+        self._newest.ask("warm", self._ask_for_the_root)
+
+    def _ask_for_the_root(self) -> None:
+        document = self._session.snapshot().document
+        if document is None or document.airways is None or document.airways is self._warmed:
+            return
+        self._warmed = document.airways
+        x, y, z = (float(v) for v in document.airways.root_lps)
+        try:
+            self._session.live_path((x, y, z))
+        except CarinaError as trouble:
+            logger.debug("no path to the root: %s", trouble)
+        except Exception as trouble:
+            log_fault(logger, "a live path failed", trouble)
 
     def ask_branch_detail(self, message: wire.AskBranchDetail) -> None:
         """What was measured along a branch."""

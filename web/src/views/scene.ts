@@ -148,9 +148,9 @@ function noteOf(state: AppState, hovered: BranchNode | null, reach: Scene["reach
   const { ui, livePath } = state;
   if (reach !== null) {
     const far = `${mm(distance(reach.from, reach.to))} from the tree`;
-    return reach.bridges
-      ? { lines: ["bridge to here", far], warns: true }
-      : { lines: [far, "a click looks for an airway up to here"], warns: false };
+    if (reach.bridges) return { lines: ["bridge to here", far], warns: true };
+    const why = livePath === null ? [] : livePathLines(livePath.answer).lines;
+    return { lines: [...why, `${far}: a click looks for an airway up to here`], warns: false };
   }
   if (wantsPath(ui.armed, ui.forkHeld !== null)) return livePath === null ? null : livePathLines(livePath.answer);
   if (hovered === null) return null;
