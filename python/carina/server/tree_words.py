@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from carina.server import messages as wire
 from carina.server.wire_codec import decode_fields
+from carina.track import branch_side_and_lobe, name_words
 
 __all__ = ["branch_detail_message", "branch_measures", "tree_message"]
 
@@ -36,17 +36,13 @@ def tree_message(airways: Any, measures: Any = None) -> wire.Tree:
 
 
 def _titles(tree: Any) -> tuple[wire.BranchTitle, ...]:
-    try:
-        names: Any = importlib.import_module("carina.track.names")
-    except ImportError:
-        return ()
-    lobes = names.branch_side_and_lobe(tree)
+    lobes = branch_side_and_lobe(tree)
     found = []
     for branch in tree.branches:
-        words = None if branch.name is None else names.name_words(branch.name)
+        words = None if branch.name is None else name_words(branch.name)
         lobe = lobes.get(branch.id)
         if words is not None or lobe is not None:
-            found.append(wire.BranchTitle(branch.id, None if words is None else words.long, lobe))
+            found.append(wire.BranchTitle(branch.id, None if words is None else words.long, cast(Any, lobe)))
     return tuple(found)
 
 
