@@ -382,6 +382,22 @@ def lumen_mesh(
 ) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
     """Closed mesh: vertices (n, 3) LPS mm, triangles (m, 3), counterclockwise from outside."""
 
+def extend_lumen(
+    values_zyx: NDArray[np.int16],
+    lps_from_ijk: NDArray[np.float64],
+    lumen_zyx: NDArray[np.uint8],
+    *,
+    air: float,
+    lung: tuple[int, int],
+    brightest: int,
+    least_rise: float,
+    gap_mm: float,
+    min_length_mm: float,
+    cancel: Callable[[], bool] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """Adds 2 to a lumen of 1 in place; num_voxels, enclosed, followed [points_lps, length_mm, contrast]."""
+
 @final
 class GraphTracker:
     """A graph with a cost, and the least-cost tree from one root."""

@@ -1,6 +1,7 @@
 //! Airway lumen, voxel graph and the resumable least-cost path tracker (paper 6; DESIGN 4 "Path tracker", "Airways").
 //!
-//! `trachea` finds where to begin, `flood` grows the lumen with a leak guard, `lumen` turns it into a graph with the cost
+//! `trachea` finds where to begin, `flood` grows the lumen with a leak guard, `extension` follows what the flood could not by
+//! its shape (`tubeness`), `lumen` turns it into a graph with the cost
 //! that keeps to the middle, `tracker` grows the tree of least-cost paths from one root and resumes it for every new
 //! target, `tree` reads branches off it. `box_graph`, `paper_cost` and `isoregion_graph` are the graph and the cost as the
 //! paper prints them, for the same tracker; `graph_tracker` joins every cost with every graph. `field_tracker` does the
@@ -13,6 +14,7 @@ pub mod deblur;
 pub mod dijkstra;
 pub mod distance;
 mod error;
+pub mod extension;
 pub mod field;
 pub mod field_tracker;
 pub mod flood;
@@ -31,11 +33,14 @@ pub mod trachea;
 pub mod tracker;
 pub mod tree;
 pub mod tree_edit;
+pub mod tubeness;
 mod voxel_set;
 mod wall_sites;
 
 pub use error::{TrackError, Unwatched, Watch};
 
+#[cfg(test)]
+mod extension_tests;
 #[cfg(test)]
 mod field_tests;
 #[cfg(test)]

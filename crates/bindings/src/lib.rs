@@ -10,6 +10,7 @@ mod cross_section;
 mod errors;
 #[cfg_attr(not(feature = "gpu"), path = "gpu_absent.rs")]
 mod gpu;
+mod growth;
 mod isoregion;
 mod mesh;
 mod optics;
@@ -55,6 +56,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     mesh::register(module)?;
     tracker::register(module)?;
     tree_edits::register(module)?;
+    growth::register(module)?;
     phantom::register(module)?;
     scope::register(module)?;
     views::register(module)?;

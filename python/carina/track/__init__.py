@@ -27,6 +27,7 @@ from carina.track.mesh import Mesh, lumen_mesh
 from carina.track.names import LetterRule, NameWords, branch_side_and_lobe, name_tree, name_words
 from carina.track.paths import PathTracker, TrackedPath
 from carina.track.tree import AirwayTree, Branch, Route
+from carina.track.uncertain import Uncertainty
 
 __all__ = [
     "AddBranch",
@@ -58,6 +59,7 @@ __all__ = [
     "TrackedPath",
     "TreeEdit",
     "TreeMeasures",
+    "Uncertainty",
     "branch_side_and_lobe",
     "edit_airways",
     "edit_words",

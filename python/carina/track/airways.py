@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from carina._core import LumenTracker, find_trachea_voxels, flood_lumen
+from carina._core import LumenTracker, extend_lumen, find_trachea_voxels, flood_lumen
 from carina.errors import CancelledError, GeometryError, NoResultError, UsageError
 from carina.track.edit_kinds import TreeEdit
 from carina.track.levels import AirScale, air_scale
 from carina.track.names import name_tree
 from carina.track.paths import SNAP_MM, Cancel, PathTracker, Point, TrackedPath, as_point, branches_from_rows, words
+from carina.track.trachea import fill_trachea
 from carina.track.tree import AirwayTree, Branch
+from carina.track.uncertain import Uncertainty, find_uncertain, with_confidence
 from carina.volume.model import Volume
 
 if TYPE_CHECKING:
@@ -42,6 +44,11 @@ LUNG_HU = (-950.0, -600.0)
 MIN_WALL_CONTRAST_HU = 60.0
 STEP_RISE_HU = 25.0
 HALF_WALL_HU = -500.0
+# Beyond the flood's end airways are followed by their shape (docs/decisions/0015). The least rise to a wall; how long a
+# drop of mucus or a beat of the heart may blot it out; how far a branch must lead to be one.
+LEAST_RISE_HU = 15.0
+GAP_MM = 2.0
+MIN_FOLLOWED_MM = 4.0
 
 # What is missing where a trachea was found all the same, in words.
 TRACHEA_DOUBTS = {
@@ -88,6 +95,8 @@ class Airways:
     """What was found, before the edits; None where there are none."""
     next_id: int | None = None
     """The first id that no branch ever had; None before the first edit."""
+    uncertain: tuple[Uncertainty, ...] = ()
+    """What could not be followed and why, the widest first; last, where the CT stops being trustworthy."""
 
     @property
     def report(self) -> tuple[str, ...]:
@@ -139,16 +148,18 @@ def find_airways(
         nearest lumen voxel within 5 mm. Needed where the trachea is not in view.
     lumen_threshold
         Value at which the lumen ends, in the volume's own numbers; -800 HU unless told, or from the histogram where the
-        volume is not in HU.
+        volume is not in HU. Where it is told, the lumen is not followed beyond it by its shape.
     lumen_zyx
         A lumen from another tool, (nz, ny, nx), not 0 inside, on the volume's grid: used instead of the automatic one.
+        Of several pieces the one with the root counts; a note says how much is not connected to it.
     progress, cancel
         Told what is going on; asked whether to stop.
 
     Returns
     -------
     Airways
-        Lumen, root, tree with generations, tracker, and notes on what was limited.
+        Lumen, root, tree with generations, names and confidence, tracker, notes on what was limited, and what could not
+        be followed.
 
     Raises
     ------
@@ -171,6 +182,9 @@ def find_airways(
         msg = f"the root {words(root)} lies outside the volume"
         raise UsageError(msg)
     notes: list[str] = []
+    # None: a lumen from another tool need not agree with what this CT shows, and is not judged by it.
+    noise: float | None = None
+    leaks = np.empty((0, 3))
     if lumen_zyx is not None:
         lumen, levels, end = _given_lumen(volume, lumen_zyx), None, float("nan")
         if root is None:
@@ -180,6 +194,7 @@ def find_airways(
     else:
         grown = _grow(volume, root, lumen_threshold, stage)
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
+        noise, leaks = grown.noise, grown.leaks_lps
         notes += grown.notes
     stage.begin("measuring the lumen")
     assert root is not None
@@ -190,10 +205,19 @@ def find_airways(
     stage.begin("finding the branches")
     rows = core.branches(cancel=cancel, progress=stage.share)
     branches = branches_from_rows(rows)
-    branches = name_tree(AirwayTree(branches)).branches if len(branches) >= MIN_GRAMMAR_BRANCHES else _named(branches)
     if root_lps is None:
         refuse_a_root_below_the_carina(volume, branches)
-    tracker.set_branches(branches, [row["nodes"] for row in rows])
+    tree = AirwayTree(branches, _smooth=tracker.smooth)
+    uncertain: tuple[Uncertainty, ...] = ()
+    if noise is not None:
+        stage.begin("judging the branches")
+        tree = with_confidence(volume, tree, noise)
+        uncertain = find_uncertain(volume, tree, leaks)
+    if len(tree) >= MIN_GRAMMAR_BRANCHES:
+        tree = name_tree(tree)
+    else:
+        tree = dataclasses.replace(tree, branches=_named(tree.branches))
+    tracker.set_branches(tree.branches, [row["nodes"] for row in rows])
     if core.num_settled < core.num_nodes:
         notes.append(f"{core.num_nodes - core.num_settled} lumen voxels are not connected to the root")
     lumen.flags.writeable = False
@@ -202,11 +226,12 @@ def find_airways(
     return Airways(
         lumen_zyx=lumen,
         root_lps=root_at,
-        tree=AirwayTree(branches, _smooth=tracker.smooth),
+        tree=tree,
         tracker=tracker,
         threshold=end,
         notes=tuple(notes),
         wall_levels=levels,
+        uncertain=uncertain,
     )
 
 
@@ -309,6 +334,8 @@ class _Grown:
     end: float
     root: Point
     notes: list[str]
+    noise: float
+    leaks_lps: NDArray[np.float64]
 
 
 class _Stages:
@@ -336,7 +363,10 @@ def _given_lumen(volume: Volume, lumen_zyx: NDArray[np.uint8]) -> NDArray[np.uin
     if given.shape != volume.shape_zyx:
         msg = f"the lumen must be on the volume's grid: expected shape {volume.shape_zyx}, found {given.shape}"
         raise GeometryError(msg, code="geometry.shape")
-    return np.ascontiguousarray(given != 0).astype(np.uint8)
+    inside = np.ascontiguousarray(given != 0).astype(np.uint8)
+    if not inside.any():
+        raise NoResultError("the given lumen is empty: no voxel of the mask is set. Choose the mask of the airways")
+    return inside
 
 
 def _trachea_in(
@@ -504,6 +534,8 @@ def _grow(volume: Volume, root: Point | None, lumen_threshold: float | None, sta
         cancel=stage.cancel,
         progress=stage.share,
     )
+    if root is None:
+        fill_trachea(volume, lumen, np.array(seeds))
     voxel_mm3 = abs(float(np.linalg.det(volume.lps_from_ijk[:3, :3])))
     if report["num_voxels"] * voxel_mm3 < MIN_LUMEN_MM3:
         msg = (
@@ -516,7 +548,30 @@ def _grow(volume: Volume, root: Point | None, lumen_threshold: float | None, sta
         places = "one place" if num == 1 else f"{num} places"
         notes.append(f"the search was stopped at {places} where it would have run out of the airway into the lung")
     levels = (float(core), float(max(scale.level(HALF_WALL_HU), end)), scale.span(STEP_RISE_HU))
-    return _Grown(lumen, levels, float(end), start, notes)
+    if lumen_threshold is None:
+        stage.begin("following the small airways")
+        followed = extend_lumen(
+            volume.hu_zyx,
+            volume.lps_from_ijk,
+            lumen,
+            air=middle,
+            lung=(scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1])),
+            brightest=scale.level(HALF_WALL_HU),
+            least_rise=scale.span(LEAST_RISE_HU),
+            gap_mm=GAP_MM,
+            min_length_mm=max(MIN_FOLLOWED_MM, 1.5 * max(volume.spacing_mm)),
+            cancel=stage.cancel,
+            progress=stage.share,
+        )
+        if followed["followed"]:
+            length_mm = sum(path["length_mm"] for path in followed["followed"])
+            notes.append(
+                f"{length_mm:.0f} mm of small airways, in {len(followed['followed'])} pieces, were followed by the "
+                "shape of their walls, beyond where these hold the air"
+            )
+        np.minimum(lumen, 1, out=lumen)
+    leaks = np.array([place for place, _ in report["leaks"]], dtype=np.float64).reshape(-1, 3)
+    return _Grown(lumen, levels, float(end), start, notes, noise, leaks)
 
 
 def _values_round(volume: Volume, seeds: Sequence[tuple[int, int, int]]) -> NDArray[np.float64]:
@@ -551,7 +606,7 @@ def _nearest_lumen(volume: Volume, lumen: NDArray[np.uint8], point: Point) -> tu
 
 
 def _named(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:
-    """Names that are beyond doubt: trachea and main bronchi.
+    """Names that are beyond doubt in a tree too small for more: trachea and main bronchi.
 
     The trunk is the trachea where it runs down for at least 20 mm and splits in two; of the two the one that leads to
     the patient's right (-x in LPS) is the right main bronchus.

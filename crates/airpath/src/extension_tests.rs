@@ -1,0 +1,185 @@
+//! The extension on drawn tubes: it follows a faint one, crosses a short gap, and leaves the lung and a groove alone.
+
+use carina_grid::{Affine, Grid, VolumeView, length};
+
+use crate::Unwatched;
+use crate::extension::{EXTENDED, Extension, ExtensionLimits, extend};
+
+const LIMITS: ExtensionLimits = ExtensionLimits {
+    air: -1000.0,
+    lung: (-950, -600),
+    brightest: -500,
+    least_rise: 20.0,
+    gap_mm: 2.0,
+    min_length_mm: 4.0,
+};
+
+struct Drawn {
+    grid: Grid,
+    values: Vec<i16>,
+    lumen: Vec<u8>,
+}
+
+/// Lung with noise, and a wide dark tube along x that is known up to `known_mm` and goes on thin and faint up to `ends_mm`.
+fn drawn(noise_hu: f64, known_mm: f64, ends_mm: f64, dimmed: impl Fn([f64; 3]) -> f64) -> Drawn {
+    let place = Affine::from_columns(
+        [0.0, 0.65, 0.0],
+        [-0.7, 0.0, 0.0],
+        [0.0, 0.0, 0.75],
+        [10.0, 20.0, -30.0],
+    );
+    let grid = Grid::new([40, 46, 100], place).unwrap();
+    let mut state = 7u64;
+    let mut unit = move || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1);
+        (state >> 33) as f64 / f64::from(1u32 << 31)
+    };
+    let spacing = grid.spacing_mm();
+    let (mut values, mut lumen) = (Vec::new(), Vec::new());
+    for at in 0..grid.num_voxels() {
+        let v = grid.voxel(at);
+        let p: [f64; 3] = std::array::from_fn(|a| v[a] as f64 * spacing[a]);
+        let off = length([0.0, p[1] - 16.0, p[2] - 15.0]);
+        let radius = if p[0] < known_mm { 2.2 } else { 0.8 };
+        let inside = |r: f64| {
+            let beyond = (p[0] - ends_mm).max(0.0);
+            1.0 / (1.0 + ((off.hypot(beyond) - r) / 0.28).exp())
+        };
+        let air = inside(radius);
+        let wall = (inside(radius + 0.6) - air) * dimmed(p);
+        // The sum of twelve even ones has a deviation of 1.
+        let noise: f64 = (0..12).map(|_| unit()).sum::<f64>() - 6.0;
+        values.push((-865.0 + 800.0 * wall - 135.0 * air + noise_hu * noise).round() as i16);
+        lumen.push(u8::from(off < 2.0 && p[0] < known_mm));
+    }
+    Drawn {
+        grid,
+        values,
+        lumen,
+    }
+}
+
+fn extended(drawn: &mut Drawn) -> Extension {
+    let view = VolumeView::new(&drawn.values, &drawn.grid).unwrap();
+    extend(view, &mut drawn.lumen, &LIMITS, &Unwatched).unwrap()
+}
+
+fn farthest_mm(drawn: &Drawn) -> f64 {
+    (0..drawn.lumen.len())
+        .filter(|at| drawn.lumen[*at] != 0)
+        .map(|at| drawn.grid.voxel(at)[0] as f64 * drawn.grid.spacing_mm()[0])
+        .fold(0.0, f64::max)
+}
+
+#[test]
+fn a_faint_tube_is_followed_to_its_end_and_no_farther() {
+    for noise in [0.0, 15.0, 30.0] {
+        let mut chest = drawn(noise, 20.0, 50.0, |_| 1.0);
+        let found = extended(&mut chest);
+        let end = farthest_mm(&chest);
+        assert!((45.0..=51.5).contains(&end), "noise {noise}: ends at {end}");
+        assert_eq!(found.followed.len(), 1, "noise {noise}");
+        // Nothing outside the tube's outer wall: 0.8 + 0.6 mm, and half a voxel.
+        for (at, _) in chest
+            .lumen
+            .iter()
+            .enumerate()
+            .filter(|(_, v)| **v == EXTENDED)
+        {
+            let v = chest.grid.voxel(at);
+            let off = length([
+                0.0,
+                v[1] as f64 * chest.grid.spacing_mm()[1] - 16.0,
+                v[2] as f64 * chest.grid.spacing_mm()[2] - 15.0,
+            ]);
+            let outer = if v[0] as f64 * chest.grid.spacing_mm()[0] < 21.0 {
+                2.8
+            } else {
+                1.4
+            };
+            assert!(off < outer + 0.4, "noise {noise}: {off} at {v:?}");
+        }
+    }
+}
+
+#[test]
+fn a_short_stretch_without_wall_is_crossed_and_a_long_one_ends_the_way() {
+    let gap = |long: f64| {
+        let mut chest = drawn(10.0, 20.0, 50.0, move |p| {
+            if (30.0..30.0 + long).contains(&p[0]) {
+                0.0
+            } else {
+                1.0
+            }
+        });
+        extended(&mut chest);
+        farthest_mm(&chest)
+    };
+    assert!(gap(1.2) > 44.0, "{}", gap(1.2));
+    let long = gap(8.0);
+    assert!((27.0..34.0).contains(&long), "{long}");
+}
+
+#[test]
+fn lung_round_a_tube_that_ends_adds_nothing() {
+    for noise in [10.0, 40.0, 60.0] {
+        let mut chest = drawn(noise, 40.0, 40.0, |_| 1.0);
+        let found = extended(&mut chest);
+        assert_eq!(found.followed, vec![], "noise {noise}");
+        assert_eq!(found.num_voxels, 0);
+        assert!(chest.lumen.iter().all(|v| *v <= 1));
+    }
+}
+
+#[test]
+fn a_groove_between_two_vessels_beside_the_airway_is_no_airway() {
+    // Two bright bars beside each other, lung between them, from the known tube's end on.
+    let mut chest = drawn(15.0, 20.0, 20.0, |_| 1.0);
+    let spacing = chest.grid.spacing_mm();
+    for at in 0..chest.values.len() {
+        let v = chest.grid.voxel(at);
+        let p: [f64; 3] = std::array::from_fn(|a| v[a] as f64 * spacing[a]);
+        for side in [-3.2, 3.2] {
+            let off = length([0.0, p[1] - 16.0 - side, p[2] - 15.0]);
+            if p[0] > 10.0 && off < 1.9 {
+                chest.values[at] = 40;
+            }
+        }
+    }
+    let found = extended(&mut chest);
+    assert_eq!(found.followed, vec![]);
+}
+
+#[test]
+fn the_result_does_not_depend_on_the_number_of_threads() {
+    let on = |threads: usize| {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap()
+            .install(|| {
+                let mut chest = drawn(20.0, 20.0, 50.0, |_| 1.0);
+                (extended(&mut chest), chest.lumen)
+            })
+    };
+    assert!(on(1) == on(3));
+}
+
+#[test]
+fn stopping_leaves_an_error_and_a_lumen_without_marks_is_asked_for() {
+    struct Never;
+    impl crate::Watch for Never {
+        fn go_on(&self, _share: f64) -> Result<(), crate::TrackError> {
+            Err(crate::TrackError::Cancelled)
+        }
+    }
+    let chest = drawn(0.0, 20.0, 30.0, |_| 1.0);
+    let view = VolumeView::new(&chest.values, &chest.grid).unwrap();
+    let mut lumen = chest.lumen.clone();
+    assert_eq!(
+        extend(view, &mut lumen, &LIMITS, &Never),
+        Err(crate::TrackError::Cancelled)
+    );
+}

@@ -1,0 +1,96 @@
+//! Bindings of the growth beyond the flood (`carina-airpath::extension`).
+#![allow(
+    clippy::needless_pass_by_value,
+    reason = "pyo3 hands arguments over by value"
+)]
+
+use carina_airpath::TrackError;
+use carina_airpath::extension::{ExtensionLimits, extend};
+use carina_grid::{Ijk, VolumeView};
+use numpy::ndarray::Array2;
+use numpy::{
+    IntoPyArray, PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+
+use crate::arrays;
+use crate::errors::IntoPy;
+use crate::watch::PyWatch;
+
+/// Follow the airways beyond the flood's end; `lumen_zyx` (1 inside) is changed in place, what is added gets 2.
+#[pyfunction]
+#[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, air, lung, brightest, least_rise, gap_mm, min_length_mm, cancel=None, progress=None))]
+fn extend_lumen<'py>(
+    py: Python<'py>,
+    values_zyx: PyReadonlyArray3<'py, i16>,
+    lps_from_ijk: PyReadonlyArray2<'py, f64>,
+    mut lumen_zyx: PyReadwriteArray3<'py, u8>,
+    air: f64,
+    lung: (i16, i16),
+    brightest: i16,
+    least_rise: f64,
+    gap_mm: f64,
+    min_length_mm: f64,
+    cancel: Option<Py<PyAny>>,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let grid = arrays::grid(&values_zyx, &lps_from_ijk)?;
+    let data = arrays::values("values_zyx", &values_zyx)?;
+    let view = VolumeView::new(data, &grid).map_err(IntoPy::into_py)?;
+    if lumen_zyx.shape() != values_zyx.shape() {
+        return Err(TrackError::Argument {
+            what: "lumen_zyx",
+            expected: format!("the volume's shape {:?}", values_zyx.shape()),
+            found: format!("{:?}", lumen_zyx.shape()),
+        }
+        .into_py());
+    }
+    let found = format!("strides {:?}", lumen_zyx.strides());
+    let lumen = lumen_zyx.as_slice_mut().map_err(|_| {
+        TrackError::Argument {
+            what: "lumen_zyx",
+            expected: "a contiguous array".to_owned(),
+            found,
+        }
+        .into_py()
+    })?;
+    let limits = ExtensionLimits {
+        air,
+        lung,
+        brightest,
+        least_rise,
+        gap_mm,
+        min_length_mm,
+    };
+    let watch = PyWatch::new(cancel, progress);
+    let extension = py
+        .detach(|| extend(view, lumen, &limits, &watch))
+        .map_err(|e| watch.error(e))?;
+    let report = PyDict::new(py);
+    report.set_item("num_voxels", extension.num_voxels)?;
+    report.set_item("enclosed", extension.enclosed)?;
+    let followed = PyList::empty(py);
+    for path in extension.followed {
+        let points: Vec<[f64; 3]> = path
+            .voxels
+            .iter()
+            .map(|v| {
+                let ijk = grid.voxel(*v as usize).map(|x| x as f64);
+                grid.to_lps(Ijk(ijk)).0
+            })
+            .collect();
+        let dict = PyDict::new(py);
+        let array = Array2::from_shape_fn((points.len(), 3), |(n, a)| points[n][a]);
+        dict.set_item("points_lps", array.into_pyarray(py))?;
+        dict.set_item("length_mm", path.length_mm)?;
+        dict.set_item("contrast", path.contrast)?;
+        followed.append(dict)?;
+    }
+    report.set_item("followed", followed)?;
+    Ok(report)
+}
+
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(extend_lumen, module)?)
+}

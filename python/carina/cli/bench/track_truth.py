@@ -1,0 +1,164 @@
+"""True airways to measure a found lumen against: a phantom's axes, or the skeleton of a mask."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.volume import Volume
+
+__all__ = ["SPUR_MM", "TrueBranch", "Truth", "truth_of_mask", "truth_of_phantom"]
+
+Points = NDArray[np.float64]
+
+SPUR_MM = 5.0
+"""A side branch of a skeleton shorter than this is a spur: a bump of the mask's surface, no airway."""
+SAMPLE_MM = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrueBranch:
+    """A piece of true centreline between two forks, or a fork and a tip."""
+
+    points: Points
+    """(n, 3) LPS mm, at most 0.25 mm apart."""
+    radius_mm: NDArray[np.float64]
+    """(n,) radius of the true lumen at each point."""
+    generation: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What the airways of a case truly are."""
+
+    lumen_zyx: NDArray[np.bool_]
+    branches: tuple[TrueBranch, ...]
+    knows_radius: bool
+    """True where the radii are exact, not read off a mask."""
+
+
+def _sampled(points: Points, radius_mm: NDArray[np.float64]) -> tuple[Points, NDArray[np.float64]]:
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = np.linspace(0.0, along[-1], max(int(np.ceil(along[-1] / SAMPLE_MM)) + 1, 2))
+    even = np.stack([np.interp(at, along, points[:, axis]) for axis in range(3)], axis=1)
+    return even, np.interp(at, along, radius_mm)
+
+
+def truth_of_phantom(truth: dict[str, Any], lumen_zyx: NDArray[np.uint8], volume: Volume) -> Truth:
+    """The axes of a generated chest, as far as they lie in the volume."""
+    branches = []
+    for row in truth["branches"]:
+        points, radius = _sampled(np.array(row["points"]), np.array(row["radius"]))
+        inside = np.array([volume.contains_lps(point) for point in points])
+        if inside.sum() >= 2:
+            branches.append(TrueBranch(points[inside], radius[inside], row["generation"]))
+    return Truth(lumen_zyx != 0, tuple(branches), knows_radius=True)
+
+
+def truth_of_mask(mask_zyx: NDArray[np.bool_], volume: Volume) -> Truth:
+    """The skeleton of the largest piece of a mask (scikit-image), as a tree from its top, without spurs.
+
+    Where the skeleton has loops (a tube with a hole in its mask) the longest way round is cut.
+    """
+    measure: Any = importlib.import_module("skimage.measure")
+    morphology: Any = importlib.import_module("skimage.morphology")
+    ndimage: Any = importlib.import_module("scipy.ndimage")
+    labels, count = measure.label(mask_zyx, connectivity=3, return_num=True)
+    if count > 1:
+        mask_zyx = labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:]))
+    del labels
+    box = ndimage.find_objects(mask_zyx.astype(np.uint8))[0]
+    part = np.pad(mask_zyx[box], 1)
+    first_ijk = np.array([axis.start - 1 for axis in box])[::-1]
+    voxels = np.argwhere(morphology.skeletonize(part))
+    sampling = np.array(volume.spacing_mm)[::-1]
+    depth = ndimage.distance_transform_edt(part, sampling=sampling)
+    # Half a voxel: the lumen ends between the last voxel inside and the first outside.
+    radius = depth[tuple(voxels.T)] - 0.5 * float(np.cbrt(np.prod(sampling)))
+    points = volume.to_lps((voxels[:, ::-1] + first_ijk).astype(np.float64))
+    parents, order = _tree(voxels, points)
+    kept = _without_spurs(parents, order, points)
+    return Truth(mask_zyx, tuple(_branches(parents, order, kept, points, radius)), knows_radius=False)
+
+
+def _tree(voxels: NDArray[np.int64], points: Points) -> tuple[NDArray[np.int64], list[int]]:
+    """For every skeleton voxel the one before it on the way from the top (-1 there), and an order, parents first."""
+    sparse: Any = importlib.import_module("scipy.sparse")
+    graphs: Any = importlib.import_module("scipy.sparse.csgraph")
+    shape = voxels.max(axis=0) + 2
+    key = np.ravel_multi_index(tuple(voxels.T), tuple(shape))
+    by_key = np.argsort(key)
+    rows, columns = [], []
+    offsets = [(dz, dy, dx) for dz in (-1, 0, 1) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dz, dy, dx) > (0, 0, 0)]
+    for offset in offsets:
+        moved = voxels + np.array(offset)
+        inside = ((moved >= 0) & (moved < shape)).all(axis=1)
+        there = np.ravel_multi_index(tuple(np.clip(moved, 0, shape - 1).T), tuple(shape))
+        at = np.clip(np.searchsorted(key, there, sorter=by_key), 0, len(key) - 1)
+        hit = inside & (key[by_key[at]] == there)
+        rows.append(np.flatnonzero(hit))
+        columns.append(by_key[at[hit]])
+    row, column = np.concatenate(rows), np.concatenate(columns)
+    length = np.linalg.norm(points[row] - points[column], axis=1)
+    graph = sparse.coo_matrix((length, (row, column)), shape=(len(voxels),) * 2).tocsr()
+    tree = graphs.minimum_spanning_tree(graph)
+    top = int(np.argmax(points[:, 2]))
+    order, parents = graphs.breadth_first_order(tree, top, directed=False)
+    parents = np.where(parents < 0, -1, parents).astype(np.int64)
+    return parents, [int(node) for node in order]
+
+
+def _without_spurs(parents: NDArray[np.int64], order: Sequence[int], points: Points) -> NDArray[np.bool_]:
+    """Which voxels stay when ends shorter than :data:`SPUR_MM` go, the shortest first."""
+    kept = np.zeros(len(parents), dtype=np.bool_)
+    kept[list(order)] = True
+    children = np.zeros(len(parents), dtype=np.int64)
+    for node in order:
+        if parents[node] >= 0:
+            children[parents[node]] += 1
+    while True:
+        shortest: tuple[float, list[int]] | None = None
+        for tip in np.flatnonzero(kept & (children == 0)):
+            end, length = [int(tip)], 0.0
+            while parents[end[-1]] >= 0 and length < SPUR_MM:
+                before = int(parents[end[-1]])
+                length += float(np.linalg.norm(points[end[-1]] - points[before]))
+                if children[before] > 1:
+                    break
+                end.append(before)
+            if parents[end[-1]] >= 0 and length < SPUR_MM and (shortest is None or length < shortest[0]):
+                shortest = (length, end)
+        if shortest is None:
+            return kept
+        kept[shortest[1]] = False
+        children[parents[shortest[1][-1]]] -= 1
+
+
+def _branches(
+    parents: NDArray[np.int64],
+    order: Sequence[int],
+    kept: NDArray[np.bool_],
+    points: Points,
+    radius: NDArray[np.float64],
+) -> list[TrueBranch]:
+    children: dict[int, list[int]] = {}
+    for node in order:
+        if kept[node] and parents[node] >= 0:
+            children.setdefault(int(parents[node]), []).append(node)
+    found = []
+    waiting = [(order[0], children.get(order[0], []), 0)]
+    while waiting:
+        start, firsts, generation = waiting.pop()
+        for first in firsts:
+            way = [start, first]
+            while len(children.get(way[-1], [])) == 1:
+                way.append(children[way[-1]][0])
+            even, radii = _sampled(points[way], radius[way])
+            found.append(TrueBranch(even, radii, generation))
+            waiting.append((way[-1], children.get(way[-1], []), generation + 1))
+    return found

@@ -1,0 +1,48 @@
+"""The trachea's lumen, slice by slice."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.volume.model import Volume
+
+__all__ = ["fill_trachea"]
+
+# Wider than any trachea.
+MAX_TRACHEA_RADIUS_MM = 18.0
+
+
+def fill_trachea(volume: Volume, lumen: NDArray[np.uint8], seeds: NDArray[np.int_]) -> None:
+    """Fill, in each slice of the trachea, what its lumen encloses: a ventilator's tube is no wall between two airways.
+
+    Parameters
+    ----------
+    lumen
+        (nz, ny, nx) uint8, 1 inside; changed in place.
+    seeds
+        (n, 3) voxels (i, j, k) of the trachea, one in each of its slices.
+    """
+    up = np.abs(volume.lps_from_ijk[2, :3]) / np.array(volume.spacing_mm)
+    axis = int(np.argmax(up))
+    across = [a for a in range(3) if a != axis]
+    # Slices of the lumen, first index along the trachea; a view, so that what is filled is filled in the lumen.
+    slices = lumen.transpose(2, 1, 0).transpose(axis, *across)
+    reach = [int(np.ceil(MAX_TRACHEA_RADIUS_MM / volume.spacing_mm[a])) for a in across]
+    for seed in seeds:
+        low = [max(int(seed[a]) - r, 0) for a, r in zip(across, reach, strict=True)]
+        part = slices[seed[axis], low[0] : seed[across[0]] + reach[0] + 1, low[1] : seed[across[1]] + reach[1] + 1]
+        outside = np.zeros(np.array(part.shape) + 2, dtype=np.bool_)
+        outside[[0, -1], :] = outside[:, [0, -1]] = True
+        free = np.pad(part == 0, 1, constant_values=True)
+        while True:
+            wider = outside.copy()
+            wider[1:] |= outside[:-1]
+            wider[:-1] |= outside[1:]
+            wider[:, 1:] |= outside[:, :-1]
+            wider[:, :-1] |= outside[:, 1:]
+            wider &= free
+            if wider.sum() == outside.sum():
+                break
+            outside = wider
+        part[~outside[1:-1, 1:-1]] = 1

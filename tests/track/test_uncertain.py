@@ -1,0 +1,100 @@
+"""Where the airways end, and why; how sure each branch is."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from carina.errors import NoResultError
+from carina.track import AirwayTree, Branch, find_airways
+from carina.track.uncertain import find_uncertain, with_confidence
+from carina.volume.model import Volume
+
+
+def tree_of(ends: list[tuple[list[float], float]]) -> AirwayTree:
+    """A trunk from (40, 40, 70) to (40, 40, 50), and a straight child to each end with its radius."""
+    children = tuple(range(1, len(ends) + 1))
+    fork = np.array([40.0, 40.0, 50.0])
+    trunk = Branch(0, None, children, 0, None, "tracked", np.linspace([40.0, 40.0, 70.0], fork, 21), np.full(21, 8.0))
+    branches = [trunk]
+    for number, (end, radius) in enumerate(ends, start=1):
+        points = np.linspace(fork, end, 25)
+        branches.append(Branch(number, 0, (), 1, None, "tracked", points, np.full(25, radius)))
+    return AirwayTree(tuple(branches))
+
+
+VOLUME = Volume(np.full((80, 80, 80), -860, np.int16), np.eye(4))
+
+
+def test_each_end_that_is_too_wide_to_be_one_has_its_reason_the_widest_first():
+    tree = tree_of(
+        [
+            ([20.0, 40.0, 30.0], 3.0),  # in the middle of nothing
+            ([60.0, 40.0, 30.0], 2.0),  # beside a leak
+            ([40.0, 40.0, 1.0], 4.0),  # at the volume's face
+            ([40.0, 60.0, 30.0], 0.9),  # thin
+        ]
+    )
+    found = find_uncertain(VOLUME, tree, np.array([[61.0, 43.0, 33.0]]))
+    assert [(entry.kind, entry.branch_id) for entry in found] == [
+        ("volume", 3),
+        ("blocked", 1),
+        ("leak", 2),
+        ("fine", None),
+    ]
+    assert found[1].lps == (20.0, 40.0, 30.0)
+    assert "6.0 mm" in found[1].reason
+    assert "1.8 mm" in found[3].reason
+    assert "1 ends" in found[3].reason
+
+
+def test_a_branch_that_hardly_stands_out_is_listed_as_faint():
+    tree = tree_of([([20.0, 40.0, 30.0], 0.9)])
+    trunk, thin = tree.branches
+    tree = AirwayTree((trunk, dataclasses.replace(thin, confidence=0.31)))
+    found = find_uncertain(VOLUME, tree, np.empty((0, 3)))
+    assert [(entry.kind, entry.branch_id) for entry in found] == [("faint", 1), ("fine", None)]
+    assert "0.31" in found[0].reason
+
+
+def test_confidence_is_high_where_a_wall_stands_out_and_low_in_plain_lung(chest, rng):
+    airways = find_airways(chest.volume)
+    sure = [branch.confidence for branch in airways.tree.branches]
+    assert min(sure) > 0.7
+    assert all(0.0 <= value <= 1.0 for value in sure)
+    lung = Volume((-860 + rng.normal(0.0, 12.0, chest.volume.shape_zyx)).astype(np.int16), chest.volume.lps_from_ijk)
+    pretended = with_confidence(lung, airways.tree, 12.0)
+    assert max(branch.confidence for branch in pretended.branches) < 0.3
+    noisier = with_confidence(chest.volume, airways.tree, 120.0)
+    assert all(a.confidence < b.confidence for a, b in zip(noisier.branches, airways.tree.branches, strict=True))
+
+
+def test_the_drawn_chests_bronchi_end_too_wide_and_are_said_to(chest):
+    airways = find_airways(chest.volume)
+    tips = {branch.id for branch in airways.tree.tips()}
+    # Drawn tubes of 6 mm end in the middle of the lung.
+    assert {entry.branch_id for entry in airways.uncertain if entry.kind == "blocked"} == tips
+
+
+def test_a_given_mask_is_not_judged_by_the_ct(chest):
+    automatic = find_airways(chest.volume)
+    given = find_airways(chest.volume, lumen_zyx=automatic.lumen_zyx)
+    assert given.uncertain == ()
+    assert all(branch.confidence is None for branch in given.tree.branches)
+
+
+def test_a_mask_in_pieces_keeps_the_one_with_the_root_and_says_so(chest):
+    lumen = np.array(find_airways(chest.volume).lumen_zyx)
+    alone = find_airways(chest.volume, lumen_zyx=lumen)
+    lumen[3:6, 3:6, 3:6] = 1
+    found = find_airways(chest.volume, lumen_zyx=lumen)
+    assert len(found.tree) == len(alone.tree)
+    assert any("27 lumen voxels are not connected" in note for note in found.notes)
+
+
+def test_an_empty_mask_is_refused_in_words(chest):
+    with pytest.raises(NoResultError, match="no voxel of the mask is set") as caught:
+        find_airways(chest.volume, lumen_zyx=np.zeros(chest.volume.shape_zyx, np.uint8))
+    assert caught.value.exit_code == 4
