@@ -28,8 +28,8 @@ pub const THICKEST_WALL_MM: f64 = 3.0;
 /// A centre that is off by less than this share of a voxel is in the middle.
 const CENTERED_VOX: f64 = 0.1;
 const MAX_CASTS: usize = 4;
-/// Planes between two looks at the watch.
-const PLANES_PER_LOOK: usize = 64;
+/// Planes between two looks at the watch; few, so that pictures that are due do not wait for more than some milliseconds.
+const PLANES_PER_LOOK: usize = 16;
 /// What interpolation and stepping leave unknown of one edge, in voxels (one standard deviation).
 const EDGE_VOX: f64 = 0.1;
 /// Half of a 95 % interval, in standard deviations.
@@ -226,17 +226,22 @@ fn share_met(rays: &[Edges; NUM_RAYS]) -> f64 {
 /// Edges of the lumen; NaN where there is none, or where it lies far from those of its neighbours and belongs to something
 /// else (the far wall of a branch that leaves here).
 pub(crate) fn without_outliers(rays: &[Edges; NUM_RAYS]) -> [f64; NUM_RAYS] {
+    without_far(&std::array::from_fn(|n| {
+        rays[n].inner_mm.unwrap_or(f64::NAN)
+    }))
+}
+
+/// Lengths along rays without those far from their neighbours'.
+pub(crate) fn without_far(lengths: &[f64; NUM_RAYS]) -> [f64; NUM_RAYS] {
     const REACH: usize = 5;
     std::array::from_fn(|n| {
-        let Some(own) = rays[n].inner_mm else {
-            return f64::NAN;
-        };
         let near = (0..=2 * REACH)
-            .filter_map(|d| rays[(n + NUM_RAYS + d - REACH) % NUM_RAYS].inner_mm)
+            .map(|d| lengths[(n + NUM_RAYS + d - REACH) % NUM_RAYS])
+            .filter(|l| l.is_finite())
             .collect();
         let middle = median(near);
-        if (own - middle).abs() <= 0.5 * middle + 0.5 {
-            own
+        if (lengths[n] - middle).abs() <= 0.5 * middle + 0.5 {
+            lengths[n]
         } else {
             f64::NAN
         }
@@ -244,7 +249,7 @@ pub(crate) fn without_outliers(rays: &[Edges; NUM_RAYS]) -> [f64; NUM_RAYS] {
 }
 
 /// A contour without gaps: they are filled from both sides. `None` with too many of them.
-fn filled(met: &[f64; NUM_RAYS]) -> Option<[f64; NUM_RAYS]> {
+pub(crate) fn filled(met: &[f64; NUM_RAYS]) -> Option<[f64; NUM_RAYS]> {
     if share_of(met) < LEAST_SHARE {
         return None;
     }
@@ -278,7 +283,7 @@ pub(crate) fn median(mut list: Vec<f64>) -> f64 {
 }
 
 /// Centre of the area inside a contour, in the plane's axes.
-fn centroid(contour: &[f64; NUM_RAYS]) -> [f64; 2] {
+pub(crate) fn centroid(contour: &[f64; NUM_RAYS]) -> [f64; 2] {
     let (mut u, mut v, mut area) = (0.0, 0.0, 0.0);
     for (n, r) in contour.iter().enumerate() {
         let (s, c) = angle(n).sin_cos();

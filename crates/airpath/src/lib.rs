@@ -9,6 +9,7 @@
 
 pub mod box_graph;
 mod buckets;
+mod centre;
 pub mod cross_section;
 pub mod deblur;
 pub mod dijkstra;
@@ -41,6 +42,8 @@ pub use error::{TrackError, Unwatched, Watch};
 
 #[cfg(test)]
 mod extension_tests;
+#[cfg(test)]
+mod centre_tests;
 #[cfg(test)]
 mod field_tests;
 #[cfg(test)]

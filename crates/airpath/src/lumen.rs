@@ -28,12 +28,14 @@ pub struct WallLevels {
 impl WallLevels {
     /// Where the lumen ends on the way out through three voxels (lumen, not lumen, the next), in voxels from the first.
     ///
-    /// That is half-way up from the lumen to the wall's brightest voxel, or at the wall level where the wall is bright. The lumen's
-    /// last voxel may lie short of it: the flood stops lower.
+    /// That is half-way up from the lumen to the wall's tissue. A wall thinner than the blur shows less than its tissue, and at
+    /// its true edge a little less than half of it; half of what it shows would lie well inside the lumen
+    /// (docs/decisions/0016-measures.md). The lumen's last voxel may lie short of it: the flood stops lower.
     fn crossing(self, [low, next, beyond]: [i16; 3]) -> f64 {
         let [low, next, beyond] = [low, next, beyond].map(f64::from);
         let peak = next.max(beyond);
-        let level = f64::from(self.wall).min(0.5 * (low + peak));
+        let tissue = 2.0 * (f64::from(self.wall) - low).max(1.0);
+        let level = low + tissue * edge_of_shown((peak - low) / tissue);
         if low < level && level <= next {
             (level - low) / (next - low)
         } else if next < level && level <= beyond {
@@ -43,6 +45,19 @@ impl WallLevels {
             0.5
         }
     }
+}
+
+/// How far up from the lumen to the wall's tissue the values are at the lumen's true edge, by how far up they come at all.
+///
+/// A flat wall of thickness w under a Gaussian blur sigma shows 2 Phi(w / 2 sigma) - 1 of its tissue, and Phi(w / sigma) - 1/2
+/// at its edge; Phi is the normal distribution. Both follow from w / sigma, hence one from the other, at tenths here.
+fn edge_of_shown(share: f64) -> f64 {
+    const EDGE: [f64; 11] = [
+        0.0, 0.0992, 0.1938, 0.2795, 0.3529, 0.4113, 0.4538, 0.4809, 0.4948, 0.4995, 0.5,
+    ];
+    let at = 10.0 * share.clamp(0.0, 1.0);
+    let before = (at as usize).min(9);
+    EDGE[before] + (at - before as f64) * (EDGE[before + 1] - EDGE[before])
 }
 
 /// Lumen voxels, which of their 26 neighbours they are linked to, and how far the wall is.

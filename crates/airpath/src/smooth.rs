@@ -14,6 +14,16 @@ const SHORTEST_BEND_MM: f64 = 18.0;
 /// Wider tubes are smoothed more: their middle is known less exactly, and the chain may wander further.
 const REFERENCE_RADIUS_MM: f64 = 2.0;
 const MAX_ROUNDS: usize = 24;
+/// The pull of a point that stays where it is.
+pub const FIXED: f64 = 1e9;
+
+/// How much a point pulls the curve towards itself, by the radius of the tube there.
+#[must_use]
+pub fn pull_of(radius_mm: f64) -> f64 {
+    (REFERENCE_RADIUS_MM / radius_mm.max(0.1))
+        .powi(2)
+        .clamp(0.05, 4.0)
+}
 
 /// Points every `step_mm` (or a little less) along a chain, both ends kept exactly; and how far along each is, mm.
 #[must_use]
@@ -75,6 +85,21 @@ pub fn smoothed(
     keep_end: bool,
     inside: impl Fn(Point) -> bool,
 ) -> Vec<Point> {
+    let mut pull: Vec<f64> = radius_mm.iter().map(|r| pull_of(*r)).collect();
+    if let Some(first) = pull.first_mut() {
+        *first = FIXED;
+    }
+    if let (true, Some(last)) = (keep_end, pull.last_mut()) {
+        *last = FIXED;
+    }
+    smoothed_by(points, &pull, inside)
+}
+
+/// Smooths evenly spaced points, each of which pulls the curve towards itself by its own weight; [`FIXED`] ones stay.
+///
+/// Otherwise as [`smoothed`].
+#[must_use]
+pub fn smoothed_by(points: &[Point], pull: &[f64], inside: impl Fn(Point) -> bool) -> Vec<Point> {
     let n = points.len();
     if n < 4 {
         return points.to_vec();
@@ -82,20 +107,13 @@ pub fn smoothed(
     let step_mm = (cumulative_mm(points)[n - 1] / (n - 1) as f64).max(1e-6);
     // The filter's gain is 1/2 where lambda (2 pi step / wavelength)^4 = 1.
     let lambda = (SHORTEST_BEND_MM / (std::f64::consts::TAU * step_mm)).powi(4);
-    let mut pull: Vec<f64> = radius_mm
-        .iter()
-        .map(|r| (REFERENCE_RADIUS_MM / r.max(0.1)).powi(2).clamp(0.05, 4.0))
-        .collect();
-    pull[0] = 1e9;
-    if keep_end {
-        pull[n - 1] = 1e9;
-    }
+    let mut pull = pull.to_vec();
+    let fixed: Vec<usize> = (0..n).filter(|&m| pull[m] >= FIXED).collect();
     let mut smooth = points.to_vec();
     for round in 0..MAX_ROUNDS {
         smooth = solve(points, &pull, lambda);
-        smooth[0] = points[0];
-        if keep_end {
-            smooth[n - 1] = points[n - 1];
+        for &m in &fixed {
+            smooth[m] = points[m];
         }
         // Half-way between neighbours should be inside as well: a flight interpolates. The given chain itself may pass a
         // voxel's corner there, so in the end only the points must be.
@@ -113,7 +131,7 @@ pub fn smoothed(
         }
         for m in bad {
             for near in &mut pull[m.saturating_sub(1)..(m + 2).min(n)] {
-                *near = (*near * 2.0).min(1e9);
+                *near = (*near * 2.0).min(FIXED);
             }
         }
     }

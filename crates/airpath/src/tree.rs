@@ -9,6 +9,7 @@ use std::collections::{BTreeMap, BinaryHeap};
 
 use carina_grid::{Grid, Ijk, length};
 
+use crate::centre;
 use crate::graph::{Graph, NO_NODE};
 use crate::lumen::LumenGraph;
 use crate::smooth::{self, Point};
@@ -51,9 +52,9 @@ pub struct Branch {
     pub generation: u32,
     /// Voxel path, root to tip; the first node is the parent's last.
     pub nodes: Vec<u32>,
-    /// Smooth centreline, LPS; the first point is the parent's last, bit for bit.
+    /// Smooth centreline in the middle of the lumen, LPS; the first point is the parent's last, bit for bit.
     pub points: Vec<Point>,
-    /// Distance to the wall at each point, mm.
+    /// Radius of the lumen at each point, mm: of the circle with the section's area; near a fork the distance to the wall.
     pub radius_mm: Vec<f64>,
 }
 
@@ -428,6 +429,7 @@ impl<'a> NodeTree<'a> {
             }
         }
         self.draw(&mut branches, limits);
+        centre::refine(self.graph, self.grid, &mut branches, limits.step_mm);
         branches
     }
 
@@ -552,7 +554,7 @@ pub fn smooth_inside(
     (smooth::smoothed(&even, &radius, keep_end, holds), at_mm)
 }
 
-fn pulled_inside(graph: &LumenGraph, grid: &Grid, lps: Point) -> Point {
+pub(crate) fn pulled_inside(graph: &LumenGraph, grid: &Grid, lps: Point) -> Point {
     let ijk = grid.to_ijk(carina_grid::Lps(lps)).0;
     if graph.holds(ijk) {
         return lps;
@@ -560,22 +562,26 @@ fn pulled_inside(graph: &LumenGraph, grid: &Grid, lps: Point) -> Point {
     grid.to_lps(Ijk(graph.pulled_inside(grid, ijk))).0
 }
 
-/// Distance to the wall at a point, mm: interpolated between the lumen voxels round it; 0 outside the lumen.
+/// Distance to the wall at a point, mm; 0 outside the lumen.
+///
+/// From a lumen voxel near the point to its wall and from the point to that voxel is never shorter than the way to the
+/// wall, and exactly as long where the voxel lies on that way: the least over the neighbours. (Interpolated between voxels
+/// the distance has no sharp ridge: in the middle of a tube it would be half a voxel short.)
 #[must_use]
 pub fn radius_mm(graph: &LumenGraph, grid: &Grid, lps: Point) -> f64 {
     let ijk = grid.to_ijk(carina_grid::Lps(lps)).0;
-    let base = ijk.map(|v| v.floor() as isize);
-    let (mut sum, mut weights) = (0.0, 0.0);
-    for corner in 0..8isize {
-        let offset = [corner & 1, corner >> 1 & 1, corner >> 2];
-        let at: [isize; 3] = std::array::from_fn(|a| base[a] + offset[a]);
+    let nearest = ijk.map(|v| (v + 0.5).floor() as isize);
+    if graph.node_at_voxel(nearest).is_none() {
+        return 0.0;
+    }
+    let mut best = f64::INFINITY;
+    for cell in 0..27isize {
+        let offset = [cell % 3 - 1, cell / 3 % 3 - 1, cell / 9 - 1];
+        let at: [isize; 3] = std::array::from_fn(|a| nearest[a] + offset[a]);
         if let Some(node) = graph.node_at_voxel(at) {
-            let weight: f64 = (0..3)
-                .map(|a| 1.0 - (ijk[a] - at[a] as f64).abs())
-                .product();
-            sum += weight * graph.wall_mm(node);
-            weights += weight;
+            let away = std::array::from_fn(|a| at[a] as f64 - ijk[a]);
+            best = best.min(graph.wall_mm(node) + length(grid.lps_from_ijk().vector(away)));
         }
     }
-    if weights > 0.0 { sum / weights } else { 0.0 }
+    best
 }
