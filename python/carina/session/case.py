@@ -52,6 +52,11 @@ class OpenCase:
     shown_transfer: Any = None
     """What the renderer was last given; the document may be ahead of it."""
     shown_airways: Any = None
+    measures: Any = None
+    """The newest :class:`carina.track.TreeMeasures`, of these airways:"""
+    measures_of: Any = None
+    wanted_measures_of: Any = None
+    """The airways that a job measures or has measured."""
     display_wanted: int = 0
     """Grows with each change that the renderer must follow."""
     display_followed: bool = False

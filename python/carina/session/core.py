@@ -255,6 +255,7 @@ class SessionCore:
                 undo_label=case.history.undo_label,
                 redo_label=case.history.redo_label,
                 transfer_presets=case.presets,
+                measures=case.measures if case.measures_of is case.document.airways else None,
             )
 
     def pose_info(self) -> PoseInfo | None:

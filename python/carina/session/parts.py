@@ -11,7 +11,7 @@ from carina.errors import UsageError
 if TYPE_CHECKING:
     from carina.render import TransferFunction
     from carina.session.scene import Renderer
-    from carina.track import Airways
+    from carina.track import Airways, TreeMeasures
     from carina.volume import Volume
 
 __all__ = ["Cancel", "Parts", "Progress", "RendererFactory", "default_parts"]
@@ -45,6 +45,8 @@ class Parts:
     transfer_preset: Callable[[str], TransferFunction]
     transfer_from_json: Callable[[dict[str, Any]], TransferFunction]
     transfer_from_histogram: Callable[[Volume], tuple[TransferFunction, float]]
+    measure_tree: Callable[..., TreeMeasures] | None = None
+    """``measure_tree(volume, airways, previous=, progress=, cancel=)``; None measures nothing."""
     presets: tuple[str, ...] = ("endoscopic", "ct-grey", "see-through", "paper")
     edit_airways: Callable[..., Airways] = _edit_airways
     """``edit_airways(volume, airways, edit, progress=, cancel=)``."""
@@ -71,6 +73,7 @@ def default_parts() -> Parts:
         open_demo=open_demo,
         quality_words=lambda v: tuple(f.words for f in volume.quality_gate(v).findings),
         find_airways=track.find_airways,
+        measure_tree=track.measure_tree,
         transfer_preset=render.transfer_preset,
         transfer_from_json=render.TransferFunction.from_json,
         transfer_from_histogram=render.transfer_from_histogram,

@@ -22,6 +22,7 @@ from carina.session.core import ALL_TOPICS
 from carina.session.document import Document, Method, Operator, Point, Target
 from carina.session.editing import MAX_AIRWAYS_KEPT, TreeEditing, airway_words, found_airways
 from carina.session.jobs import Job
+from carina.session.measuring import TreeMeasuring
 from carina.session.questions import AirwayQuestions
 from carina.session.routes import ChosenRoute, default_branch_id, route_to_branch
 from carina.session.scene import Carm, Orbit, Reformation
@@ -36,7 +37,7 @@ PINHOLE_FOV_DEG = 90.0
 SET_THE_ROOT = "Click in the trachea on a slice and choose it as the root."
 
 
-class Session(AirwayQuestions, TreeEditing):
+class Session(AirwayQuestions, TreeMeasuring, TreeEditing):
     """State, commands and jobs of one workstation.
 
     Parameters
@@ -116,7 +117,7 @@ class Session(AirwayQuestions, TreeEditing):
             with self._lock:
                 # Here, and not before: a refused or stopped opening leaves the case on screen as it was.
                 job.check()
-                self._jobs.cancel_kinds("airways", "display", "target")
+                self._jobs.cancel_kinds("airways", "display", "target", "measures")
                 self._case = case
                 self._moved()
                 self._changed(*ALL_TOPICS, "start")

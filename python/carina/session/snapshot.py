@@ -11,6 +11,7 @@ from carina.session.document import Document
 from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Carm, Orbit, Reformation, Zoom
 
 if TYPE_CHECKING:
+    from carina.track import TreeMeasures
     from carina.volume import Volume
 
 __all__ = ["AirwayStatus", "CaseSnapshot", "Changed", "PoseInfo", "Said", "Snapshot", "Stage", "Trouble", "WallPoint"]
@@ -87,6 +88,8 @@ class Snapshot:
     undo_label: str | None = None
     redo_label: str | None = None
     transfer_presets: tuple[str, ...] = ()
+    measures: TreeMeasures | None = None
+    """What the document's airways measure; None until it is known."""
 
 
 @dataclass(frozen=True, slots=True)

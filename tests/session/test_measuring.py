@@ -1,0 +1,68 @@
+"""The airways are measured in the background, for the tree that is there now, and again after an edit."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from carina.errors import CancelledError
+from carina.session import Changed
+from carina.track import CutBranch
+from small_case import small_bench
+
+
+class Measures:
+    """What a measuring was asked for."""
+
+    def __init__(self, airways, previous):
+        self.airways, self.previous = airways, previous
+
+
+def measure(volume, airways, *, previous, progress, cancel):
+    progress("measuring the airways", 0.5)
+    return Measures(airways, previous)
+
+
+def test_measures_follow_the_airways_and_are_told_as_a_change_of_the_tree():
+    bench = small_bench(measure_tree=measure)
+    bench.session.open_path("case")
+    bench.background.run_next()
+    assert bench.session.snapshot().measures is None
+    bench.background.run_all()
+    snapshot = bench.session.snapshot()
+    assert snapshot.measures.airways is snapshot.document.airways
+    assert snapshot.measures.previous is None
+    assert "tree" in bench.of_type(Changed)[-1].topics
+
+
+def test_an_edit_is_measured_from_what_was_known_and_undo_never_shows_the_wrong_tree():
+    def edit_airways(volume, airways, edit, *, progress, cancel):
+        return SimpleNamespace(**vars(airways))
+
+    bench = small_bench(measure_tree=measure, edit_airways=edit_airways)
+    bench.open()
+    first = bench.session.snapshot()
+    bench.session.edit_tree(CutBranch(first.document.airways.tree.tips()[0].id))
+    bench.background.run_next()
+    edited = bench.session.snapshot()
+    assert edited.document.airways is not first.document.airways
+    # Not those of the tree before: their branches may be gone.
+    assert edited.measures is None
+    bench.background.run_all()
+    edited = bench.session.snapshot()
+    assert edited.measures.airways is edited.document.airways
+    assert edited.measures.previous is first.measures
+    bench.session.undo()
+    assert bench.session.snapshot().measures is None
+    bench.background.run_all()
+    assert bench.session.snapshot().measures.airways is first.document.airways
+
+
+def test_a_stopped_measuring_leaves_the_case_as_it_is_and_without_the_part_nothing_is_measured():
+    def stopped(volume, airways, *, previous, progress, cancel):
+        raise CancelledError("stopped")
+
+    for part in (stopped, None):
+        bench = small_bench(measure_tree=part)
+        bench.open()
+        snapshot = bench.session.snapshot()
+        assert (snapshot.airways, snapshot.measures) == ("found", None)
