@@ -19,6 +19,8 @@ const LOOK_MM: f64 = 0.25;
 /// A branch is a tube by itself this many radii past the carina, and up to as many before its own fork as the second says.
 const PAST_CARINA_RADII: f64 = 0.3;
 const BEFORE_FORK_RADII: f64 = 1.0;
+/// The lumen closes at a tip: its last part is no tube.
+const BEFORE_TIP_RADII: f64 = 0.5;
 /// An axis is the line through so many radii of tube.
 const AXIS_RADII: f64 = 2.0;
 /// How much the fork of the least-cost paths counts against an axis: it decides only where the axes are nearly parallel.
@@ -135,7 +137,7 @@ pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], s
     }
     tubes.par_iter_mut().enumerate().for_each(|(b, tube)| {
         let before_end = if children[b].is_empty() {
-            0.5
+            BEFORE_TIP_RADII
         } else {
             BEFORE_FORK_RADII
         };
@@ -181,14 +183,12 @@ pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], s
             )
         })
         .collect();
-    let radii: Vec<Vec<f64>> = drawn
-        .par_iter()
-        .zip(&tubes)
-        .map(|(points, tube)| view.radii(points, tube))
-        .collect();
-    for ((branch, points), radii) in branches.iter_mut().zip(drawn).zip(radii) {
+    for (branch, points) in branches.iter_mut().zip(drawn) {
+        branch.radius_mm = points
+            .iter()
+            .map(|p| tree::radius_mm(graph, grid, *p))
+            .collect();
         branch.points = points;
-        branch.radius_mm = radii;
     }
 }
 
@@ -261,39 +261,6 @@ impl View<'_> {
             points = smooth::smoothed_by(&next, &pull, |p| self.holds(p));
         }
         points
-    }
-
-    /// Radius at each point: of the circle with the section's area in the branch's own part, and the distance to the wall
-    /// near its forks, where the section is not its own.
-    fn radii(&self, points: &[Point], tube: &Tube) -> Vec<f64> {
-        let along = cumulative_mm(points);
-        let place = |p: Option<&Point>, or: f64| {
-            p.map_or(or, |p| {
-                let near = |n: &usize| length(sub(points[*n], *p));
-                let nearest = (0..points.len()).min_by(|a, b| near(a).total_cmp(&near(b)));
-                nearest.map_or(or, |n| along[n])
-            })
-        };
-        let (from_mm, to_mm) = (
-            place(tube.middle.first(), 0.0),
-            place(tube.middle.last(), 0.0),
-        );
-        let last = points.len() - 1;
-        (0..points.len())
-            .map(|n| {
-                let (before, after) = (points[n.saturating_sub(1)], points[(n + 1).min(last)]);
-                let own = along[n] >= from_mm && along[n] <= to_mm && to_mm > from_mm;
-                unit(sub(after, before))
-                    .filter(|_| own)
-                    .and_then(|normal| self.contour(points[n], plane_axes(normal), tube.radius_mm))
-                    .map_or_else(
-                        || tree::radius_mm(self.graph, self.grid, points[n]),
-                        |contour| {
-                            (contour.iter().map(|r| r * r).sum::<f64>() / NUM_RAYS as f64).sqrt()
-                        },
-                    )
-            })
-            .collect()
     }
 
     /// The lumen's edge in a plane, if it is closed there.
@@ -417,7 +384,7 @@ impl View<'_> {
             .collect();
         let last = points.len() - 1;
         pull[0] = smooth::FIXED;
-        pull[last] = if forks { smooth::FIXED } else { own };
+        pull[last] = if forks { smooth::FIXED } else { 3.0 * own };
         for point in &mut points[1..last] {
             *point = tree::pulled_inside(self.graph, self.grid, *point);
         }

@@ -34,7 +34,11 @@ impl WallLevels {
     fn crossing(self, [low, next, beyond]: [i16; 3]) -> f64 {
         let [low, next, beyond] = [low, next, beyond].map(f64::from);
         let peak = next.max(beyond);
-        let tissue = 2.0 * (f64::from(self.wall) - low).max(1.0);
+        let tissue = 2.0 * (f64::from(self.wall) - low);
+        if tissue <= 0.0 {
+            // No air: lumen that a person painted.
+            return 0.5;
+        }
         let level = low + tissue * edge_of_shown((peak - low) / tissue);
         if low < level && level <= next {
             (level - low) / (next - low)

@@ -54,7 +54,7 @@ pub struct Branch {
     pub nodes: Vec<u32>,
     /// Smooth centreline in the middle of the lumen, LPS; the first point is the parent's last, bit for bit.
     pub points: Vec<Point>,
-    /// Radius of the lumen at each point, mm: of the circle with the section's area; near a fork the distance to the wall.
+    /// Distance to the wall at each point, mm.
     pub radius_mm: Vec<f64>,
 }
 

@@ -39,7 +39,7 @@ class Branch:
     points: Points
     """(n, 3) centreline, LPS mm, root to tip. The first point is the parent's last, bit for bit."""
     radius: NDArray[np.float64]
-    """(n,) radius of the lumen, mm: of the circle with the section's area; near a fork the distance to the wall."""
+    """(n,) distance to the wall, mm."""
     cost: float | None = None
     """Path cost of this piece (weight times mm), None where it was not tracked."""
     confidence: float | None = None
