@@ -127,8 +127,14 @@ fn centrelines_lie_on_the_axes_and_the_fork_where_they_meet() {
                 num += 1.0;
                 if far_from_fork(p) {
                     radius_sum += (r - tube.radius_mm).abs();
-                    // 0.3 voxel of 1.1 mm.
-                    assert!((r - tube.radius_mm).abs() < 0.33, "{r} {}", tube.radius_mm);
+                    // The wall's crossings are looked up on grid edges, 0.8 to 1.1 mm apart, and the nearest counts; a mask
+                    // has them half-way between voxels.
+                    let least = if with_levels { 0.45 } else { 0.7 };
+                    assert!(
+                        (r - tube.radius_mm).abs() < least,
+                        "{with_levels} {r} {}",
+                        tube.radius_mm
+                    );
                 }
             }
         }
