@@ -35,7 +35,7 @@ def test_measures_follow_the_airways_and_are_told_as_a_change_of_the_tree():
 
 
 def test_an_edit_is_measured_from_what_was_known_and_undo_never_shows_the_wrong_tree():
-    def edit_airways(volume, airways, edit, *, progress, cancel):
+    def edit_airways(volume, airways, edit, **options):
         return SimpleNamespace(**vars(airways))
 
     bench = small_bench(measure_tree=measure, edit_airways=edit_airways)

@@ -41,9 +41,9 @@ mod wall_sites;
 pub use error::{TrackError, Unwatched, Watch};
 
 #[cfg(test)]
-mod extension_tests;
-#[cfg(test)]
 mod centre_tests;
+#[cfg(test)]
+mod extension_tests;
 #[cfg(test)]
 mod field_tests;
 #[cfg(test)]
