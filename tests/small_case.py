@@ -156,6 +156,7 @@ def small_airways(volume: Volume, *, root_lps: Any = None, note: str = "three br
         tree=tree,
         tracker=SmallTracker(tree),
         report=[note],
+        uncertain=(),
         threshold=-800.0,
     )
 

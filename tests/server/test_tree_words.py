@@ -9,6 +9,7 @@ import pytest
 
 from carina.server import messages as wire
 from carina.server.tree_words import branch_detail_message, branch_measures, tree_message
+from carina.track import Uncertainty
 from small_case import small_airways, small_volume
 
 
@@ -79,7 +80,7 @@ def test_the_tree_comes_without_measures_first_and_with_them_when_they_are_ready
 def test_places_that_could_not_be_followed_are_sent(branch_id):
     airways = small_airways(small_volume())
     airways.uncertain = (
-        SimpleNamespace(place_lps=(1.0, 2.0, 3.0), reason="lumen ends at 1.8 mm", branch_id=branch_id),
+        Uncertainty(lps=(1.0, 2.0, 3.0), kind="blocked", reason="lumen ends at 1.8 mm", branch_id=branch_id),
     )
     (place,) = tree_message(airways).uncertain
     assert place == wire.UncertainPlace((1.0, 2.0, 3.0), "lumen ends at 1.8 mm", branch_id)

@@ -29,8 +29,7 @@ def tree_message(airways: Any, measures: Any = None) -> wire.Tree:
     tree = airways.tree
     measured = None if measures is None else tuple(branch_measures(measures.of(b.id)) for b in tree.branches)
     uncertain = tuple(
-        wire.UncertainPlace(_point(place.place_lps), str(place.reason), place.branch_id)
-        for place in getattr(airways, "uncertain", ())
+        wire.UncertainPlace(_point(place.lps), str(place.reason), place.branch_id) for place in airways.uncertain
     )
     return wire.Tree(decode_fields(wire.TreeDocument, tree.to_json(), "tree"), _titles(tree), measured, uncertain)
 
