@@ -628,6 +628,20 @@ class FieldTracker:
     def time_paths(self, targets_ijk: Sequence[tuple[int, int, int]]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Nanoseconds and voxels of each path."""
 
+def aimed_field_path(
+    field_zyx: NDArray[np.float32],
+    lps_from_ijk: NDArray[np.float64],
+    root_ijk: tuple[int, int, int],
+    target_ijk: tuple[int, int, int],
+    *,
+    cost: str,
+    region_ijk: tuple[tuple[int, int], tuple[int, int], tuple[int, int]] | None = None,
+    mask_zyx: NDArray[np.uint8] | None = None,
+    cancel: Callable[[], bool] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[NDArray[np.int64], float, int] | None:
+    """Voxels (n, 3) i, j, k from the root to one target, cost, voxels settled; None if no path leads there."""
+
 def time_lumen_paths(
     tracker: LumenTracker, nodes: Sequence[int] | NDArray[np.uint32]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

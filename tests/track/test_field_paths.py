@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from carina.errors import CancelledError, GeometryError, NoResultError, TrackingError, UsageError
-from carina.track import FieldPaths
+from carina.track import FieldPaths, aimed_path
 from carina.volume.model import Volume
 
 OFFSETS = [(k, j, i) for k in (-1, 0, 1) for j in (-1, 0, 1) for i in (-1, 0, 1) if (k, j, i) != (0, 0, 0)]
@@ -143,6 +143,52 @@ def test_it_stops_on_request_and_goes_on_from_there():
         paths.solve_all()
     assert paths.num_settled == paths.num_open == 90**3
     assert sum(paths.num_bytes) <= 6 * 90**3
+
+
+@pytest.mark.parametrize("cost", ["mean", "enter"])
+def test_an_aimed_path_costs_what_the_tree_says(cost):
+    rng = np.random.default_rng(7)
+    volume = volume_of((9, 10, 11))
+    field = rng.uniform(1.0, 6.0, volume.shape_zyx).astype(np.float32)
+    field[rng.random(field.shape) < 0.15] = np.inf
+    field[3, 4, 5] = 1.0
+    mask = (rng.random(field.shape) < 0.9).astype(np.uint8)
+    mask[3, 4, 5] = 1
+    root, box = at(volume, 5, 4, 3), ((1, 11), (0, 9), (1, 9))
+    paths = FieldPaths(volume, field, root, cost=cost, region_ijk=box, mask_zyx=mask)
+    refused = 0
+    for k, j, i in np.ndindex(field.shape):
+        target = at(volume, i, j, k)
+        try:
+            found = paths.path_to(target)
+        except (NoResultError, UsageError) as error:
+            refused += 1
+            with pytest.raises(type(error)):
+                aimed_path(volume, field, root, target, cost=cost, region_ijk=box, mask_zyx=mask)
+            continue
+        aimed = aimed_path(volume, field, root, target, cost=cost, region_ijk=box, mask_zyx=mask)
+        assert aimed.cost == found.cost
+        assert tuple(aimed.voxels_ijk[-1]) == (i, j, k)
+        assert np.allclose(aimed.points_lps[0], root)
+        assert np.abs(np.diff(aimed.voxels_ijk, axis=0)).max(initial=0) <= 1
+        assert (mask[tuple(aimed.voxels_ijk.T[::-1])] != 0).all()
+    assert 0 < refused < field.size
+
+
+def test_an_aimed_search_refuses_in_words():
+    volume = Volume(np.zeros((90, 90, 90), np.int16), np.eye(4))
+    field = np.ones(volume.shape_zyx, np.float32)
+    ends = ((1.0, 1.0, 1.0), (88.0, 88.0, 88.0))
+    assert aimed_path(volume, field, *ends, cost="enter").num_settled == 88
+    with pytest.raises(UsageError, match="float32"):
+        aimed_path(volume, field.astype(np.float64), *ends)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="outside"):
+        aimed_path(volume, field, ends[0], (900.0, 0.0, 0.0))
+    with pytest.raises(UsageError, match="mean or enter"):
+        aimed_path(volume, field, *ends, cost="length")  # type: ignore[arg-type]
+    field[80] = np.inf
+    with pytest.raises(NoResultError, match="no path"):
+        aimed_path(volume, field, *ends)
 
 
 def test_paths_are_timed_inside_the_compiled_module():

@@ -143,6 +143,24 @@ impl Buckets {
         })
     }
 
+    /// Takes the newest entry out of the front bucket.
+    #[inline]
+    pub(crate) fn pop(&mut self) -> Option<u32> {
+        let bucket = self.front as usize & (self.tails.len() - 1);
+        let (number, len) = self.tails[bucket];
+        if number == END {
+            return None;
+        }
+        let node = self.pool[((number as usize) << self.block_log2) + len as usize - 1];
+        self.tails[bucket].1 = len - 1;
+        if len == 1
+            && let Some(block) = self.take()
+        {
+            self.give_back(block);
+        }
+        Some(node)
+    }
+
     #[inline]
     pub(crate) fn entry(&self, block: Block, at: usize) -> u32 {
         self.pool[block.first + at]

@@ -41,6 +41,8 @@ pub struct VoxelField<'a> {
     /// Of the box that is walked in.
     shape_ijk: [usize; 3],
     lengths_mm: [f32; 27],
+    /// A step along i, j and k.
+    axes_mm: [[f64; 3]; 3],
 }
 
 /// Least and greatest weight above 0 in a field, and what else its steps depend on.
@@ -53,21 +55,80 @@ struct Weights {
     num_open: usize,
 }
 
+/// Weights looked at together.
+const LANES: usize = 16;
+/// Weights of a piece: it stays in the nearest cache while it is looked at again for what is rare.
+const PIECE: usize = 4096;
+
 /// What a row of weights holds.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Row {
+struct Row {
     least: f32,
     greatest: f32,
     negative: bool,
     any_zero: bool,
     whole: bool,
-    pub(crate) num_open: usize,
+    num_open: usize,
+}
+
+/// True if a finite weight is a whole number.
+#[inline(always)]
+fn is_whole(weight: f32) -> bool {
+    // Above 2^23 every f32 is whole; there the sum rounds, but the range refuses it before it matters.
+    (weight + ROUNDING) - ROUNDING - weight == 0.0
 }
 
 impl Row {
-    /// Sixteen at a time in lanes of plain comparisons, so that a volume is looked at as fast as it is read.
-    pub(crate) fn of(weights: &[f32]) -> Self {
-        const LANES: usize = 16;
+    fn of(weights: &[f32], ask_whole: bool) -> Self {
+        Self::of_positive(weights, ask_whole).unwrap_or_else(|| Self::of_any(weights))
+    }
+
+    /// A row of finite weights above 0, as nearly all are; `None` if it is another.
+    ///
+    /// Sixteen at a time with two comparisons each, so that a volume is looked at as fast as it is read. Whether the
+    /// weights are whole is told only if asked: one fraction anywhere settles it for the volume.
+    fn of_positive(weights: &[f32], ask_whole: bool) -> Option<Self> {
+        let first = *weights.first()?;
+        let (mut low, mut high, mut wall) = ([first; LANES], [first; LANES], [0u32; LANES]);
+        let (chunks, rest) = weights.as_chunks::<LANES>();
+        for chunk in chunks {
+            for lane in 0..LANES {
+                let weight = chunk[lane];
+                low[lane] = if weight < low[lane] {
+                    weight
+                } else {
+                    low[lane]
+                };
+                high[lane] = if weight > high[lane] {
+                    weight
+                } else {
+                    high[lane]
+                };
+                wall[lane] |= if weight < f32::INFINITY { 0 } else { u32::MAX };
+            }
+        }
+        for &weight in rest {
+            low[0] = low[0].min(weight);
+            high[0] = high[0].max(weight);
+            wall[0] |= if weight < f32::INFINITY { 0 } else { u32::MAX };
+        }
+        let least = low.into_iter().fold(f32::INFINITY, f32::min);
+        let greatest = high.into_iter().fold(0.0, f32::max);
+        if wall.iter().any(|lane| *lane != 0) || least <= 0.0 {
+            return None;
+        }
+        Some(Self {
+            least,
+            greatest,
+            negative: false,
+            any_zero: false,
+            whole: ask_whole && weights.iter().all(|weight| is_whole(*weight)),
+            num_open: weights.len(),
+        })
+    }
+
+    /// Any row, walls and zeros in it.
+    fn of_any(weights: &[f32]) -> Self {
         let (mut low, mut high) = ([f32::INFINITY; LANES], [0.0f32; LANES]);
         let (mut below, mut zero) = ([0u32; LANES], [0u32; LANES]);
         let (mut broken, mut open) = ([0u32; LANES], [0u32; LANES]);
@@ -81,9 +142,7 @@ impl Row {
                 high[lane] = if most > high[lane] { most } else { high[lane] };
                 below[lane] |= u32::from(weight < 0.0);
                 zero[lane] |= u32::from(weight == 0.0);
-                // Above 2^23 every f32 is whole; there the sum rounds, but the range refuses it before it matters.
-                let remainder = (most + ROUNDING) - ROUNDING - most;
-                broken[lane] |= u32::from(remainder != 0.0);
+                broken[lane] |= u32::from(!is_whole(most));
                 open[lane] += u32::from(finite);
             }
         };
@@ -158,6 +217,8 @@ impl<'a> VoxelField<'a> {
             first_ijk: std::array::from_fn(|a| region[a].start),
             shape_ijk: std::array::from_fn(|a| region[a].len()),
             lengths_mm,
+            axes_mm: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+                .map(|step| grid.lps_from_ijk().vector(step)),
         })
     }
 
@@ -214,6 +275,13 @@ impl<'a> VoxelField<'a> {
         (k * self.volume_ijk[1] + j) * self.volume_ijk[0]
     }
 
+    /// Length of a way of so many voxels on each axis, as the crow flies.
+    pub(crate) fn length_mm(&self, ijk: [f64; 3]) -> f64 {
+        length(std::array::from_fn(|x| {
+            (0..3).map(|axis| ijk[axis] * self.axes_mm[axis][x]).sum()
+        }))
+    }
+
     /// The volume's weights.
     pub(crate) const fn values(&self) -> &[f32] {
         self.values
@@ -227,6 +295,12 @@ impl<'a> VoxelField<'a> {
             self.volume_ijk[0],
             self.volume_ijk[0] * self.volume_ijk[1],
         )
+    }
+
+    /// True if the mask leaves a place in the volume's arrays in.
+    #[inline(always)]
+    pub(crate) fn is_in_mask(&self, at: usize) -> bool {
+        self.mask.is_none_or(|mask| mask[at] != 0)
     }
 
     /// Rows of the box in the order of their nodes: weights, and the mask where there is one.
@@ -253,12 +327,13 @@ impl<'a> VoxelField<'a> {
             num_open: 0,
         };
         let mut negative = false;
-        for (row, mask) in self.rows() {
+        let mut see = |weights: &[f32], mask: Option<&[u8]>| {
             let seen = match mask {
-                None => Row::of(row),
+                None => Row::of(weights, all.whole),
                 Some(mask) => {
-                    let inside = row.iter().zip(mask).filter(|(_, inside)| **inside != 0);
-                    Row::of(&inside.map(|(weight, _)| *weight).collect::<Vec<f32>>())
+                    let inside = weights.iter().zip(mask).filter(|(_, inside)| **inside != 0);
+                    let inside: Vec<f32> = inside.map(|(weight, _)| *weight).collect();
+                    Row::of(&inside, all.whole)
                 }
             };
             all.least = all.least.min(seen.least);
@@ -267,6 +342,14 @@ impl<'a> VoxelField<'a> {
             all.any_zero |= seen.any_zero;
             all.whole &= seen.whole;
             all.num_open += seen.num_open;
+        };
+        if self.mask.is_none() && self.shape_ijk[..2] == self.volume_ijk[..2] {
+            // Whole slices lie side by side: in longer pieces than rows.
+            let first = self.layout().0;
+            let weights = &self.values[first..first + self.num_nodes()];
+            weights.chunks(PIECE).for_each(|piece| see(piece, None));
+        } else {
+            self.rows().for_each(|(row, mask)| see(row, mask));
         }
         if negative {
             return Err(TrackError::Argument {
@@ -356,6 +439,8 @@ pub struct Quanta<C> {
     pub(crate) scale: [[f32; 4]; 9],
     pub(crate) cheapest: f32,
     pub(crate) dearest: f32,
+    /// The least weight above 0.
+    pub(crate) least: f32,
     /// Voxels that may be walked on.
     pub num_open: usize,
     cost: std::marker::PhantomData<C>,
@@ -428,6 +513,7 @@ impl<C: StepCost> Quanta<C> {
                 (cheapest / unit).round() as f32
             },
             dearest: most.max(1.0) as f32,
+            least,
             num_open: weights.num_open,
             cost: std::marker::PhantomData,
         })

@@ -7,6 +7,7 @@ use carina_grid::{Affine, Grid};
 use proptest::prelude::*;
 
 use crate::field::{EnterCost, MeanCost, Quanta, StepCost, VoxelField, least_costs};
+use crate::field_aim::least_path;
 use crate::field_tracker::FieldTracker;
 use crate::{TrackError, Unwatched, Watch};
 
@@ -166,6 +167,46 @@ fn resumes<C: StepCost>(
     Ok(())
 }
 
+/// An aimed path costs what the heap's does and is made of steps that cost that; none where the heap has none.
+fn aimed_equals_the_heap<C: StepCost>(
+    field: &VoxelField<'_>,
+    root: [usize; 3],
+    targets: &[prop::sample::Index],
+) -> Result<(), TestCaseError> {
+    let quanta = Quanta::<C>::choose(field).unwrap();
+    let from = field.node_at_voxel(root).unwrap();
+    let truth = least_costs(field, &quanta, from);
+    let mut nodes: Vec<u32> = targets
+        .iter()
+        .map(|target| target.index(field.num_nodes()) as u32)
+        .collect();
+    nodes.push(from);
+    for target in nodes {
+        let found = least_path::<C>(field, root, target, &Unwatched).unwrap();
+        prop_assert_eq!(
+            found.as_ref().map(|found| found.cost_quanta),
+            truth[target as usize]
+        );
+        let Some(found) = found else { continue };
+        let path = &found.nodes;
+        prop_assert_eq!((path[0], path[path.len() - 1]), (from, target));
+        prop_assert!(found.num_settled >= path.len() && found.num_settled <= quanta.num_open);
+        let mut sum = 0;
+        for step in path.windows(2) {
+            let mut edge = None;
+            field.for_each_step(&quanta, step[0], |v, cost| {
+                if v == step[1] {
+                    edge = Some(cost);
+                }
+            });
+            prop_assert!(edge.is_some(), "{:?} is no edge", step);
+            sum += edge.unwrap();
+        }
+        prop_assert_eq!(sum, found.cost_quanta);
+    }
+    Ok(())
+}
+
 /// What a path would cost without rounding.
 fn exact<C: StepCost>(field: &VoxelField<'_>, spacing: [f64; 3], path: &[u32]) -> f64 {
     path.windows(2)
@@ -210,6 +251,25 @@ proptest! {
             resumes::<MeanCost>(field, scene.root, &targets)?;
             resumes::<EnterCost>(field, scene.root, &targets)
         })?;
+    }
+
+    #[test]
+    fn an_aimed_path_costs_what_the_heaps_does(
+        scene in prop_oneof![scene(weight()), scene((1.0f32..1.3).boxed())],
+        targets in prop::collection::vec(any::<prop::sample::Index>(), 1..6),
+    ) {
+        scene.with(|field| {
+            aimed_equals_the_heap::<MeanCost>(field, scene.root, &targets)?;
+            aimed_equals_the_heap::<EnterCost>(field, scene.root, &targets)
+        })?;
+    }
+
+    #[test]
+    fn an_aimed_path_of_whole_costs_with_free_voxels_is_exact(
+        scene in prop_oneof![scene(whole_weight()), scene((1u8..4).prop_map(f32::from).boxed())],
+        targets in prop::collection::vec(any::<prop::sample::Index>(), 1..6),
+    ) {
+        scene.with(|field| aimed_equals_the_heap::<EnterCost>(field, scene.root, &targets))?;
     }
 
     #[test]
@@ -304,6 +364,40 @@ fn a_target_near_the_root_settles_little() {
         let mut tracker = FieldTracker::<MeanCost>::new(field, scene.root).unwrap();
         assert!(tracker.solve_to(field, near, &Unwatched).unwrap());
         assert!(tracker.num_settled() < 200, "{}", tracker.num_settled());
+    });
+}
+
+#[test]
+fn an_aimed_path_settles_little_but_itself() {
+    let scene = cube(64, 1.0);
+    scene.with(|field| {
+        let far = field.node_at_voxel([63, 40, 21]).unwrap();
+        let enter = least_path::<EnterCost>(field, scene.root, far, &Unwatched).unwrap();
+        assert_eq!(enter.unwrap().num_settled, 64);
+        let mean = least_path::<MeanCost>(field, scene.root, far, &Unwatched).unwrap();
+        let settled = mean.unwrap().num_settled;
+        assert!(settled < field.num_nodes() / 4, "{settled}");
+    });
+}
+
+#[test]
+fn an_aimed_search_stops_on_request_and_refuses_in_words() {
+    let mut scene = cube(64, 1.0);
+    scene.with(|field| {
+        let error = least_path::<EnterCost>(field, scene.root, u32::MAX, &Unwatched).unwrap_err();
+        assert_eq!(error.code(), "usage.track");
+        let error = least_path::<EnterCost>(field, [64, 0, 0], 0, &Unwatched).unwrap_err();
+        assert_eq!(error.code(), "usage.track");
+    });
+    // A target behind a wall: all that is before it is settled.
+    scene.values[64 * 64 * 62..64 * 64 * 63].fill(f32::INFINITY);
+    scene.with(|field| {
+        let last = field.num_nodes() as u32 - 1;
+        let watch = StopTimes(1.into());
+        let stopped = least_path::<MeanCost>(field, scene.root, last, &watch);
+        assert_eq!(stopped, Err(TrackError::Cancelled));
+        let none = least_path::<MeanCost>(field, scene.root, last, &watch);
+        assert_eq!(none, Ok(None));
     });
 }
 

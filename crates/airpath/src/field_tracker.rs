@@ -46,8 +46,8 @@ pub struct FieldTracker<C: StepCost> {
 
 /// Places of the neighbours in the arrays.
 #[derive(Debug, Clone)]
-struct Layout {
-    shape: [usize; 3],
+pub(crate) struct Layout {
+    pub(crate) shape: [usize; 3],
     by_row: Divisor,
     by_slice: Divisor,
     /// Place of the box's first voxel in the volume's arrays, their rows and slices.
@@ -56,9 +56,9 @@ struct Layout {
     volume_slice: usize,
     num_values: usize,
     /// For each cell: nodes from here.
-    node_step: [isize; 27],
+    pub(crate) node_step: [isize; 27],
     /// For each cell: values from here.
-    value_step: [isize; 27],
+    pub(crate) value_step: [isize; 27],
     /// Bits of a row of the box with its rim, and rows of a slice with its rim.
     bits_of_row: usize,
     rows_of_slice: usize,
@@ -84,7 +84,7 @@ impl Divisor {
 }
 
 impl Layout {
-    fn new(field: &VoxelField<'_>) -> Self {
+    pub(crate) fn new(field: &VoxelField<'_>) -> Self {
         let shape = field.shape_ijk();
         let (first, volume_row, volume_slice) = field.layout();
         let by_cell = |row: usize, slice: usize| {
@@ -109,7 +109,7 @@ impl Layout {
     }
 
     #[inline(always)]
-    const fn ijk(&self, node: u32) -> [usize; 3] {
+    pub(crate) const fn ijk(&self, node: u32) -> [usize; 3] {
         let k = self.by_slice.quotient(node);
         let rest = node as usize - k * self.shape[0] * self.shape[1];
         let j = self.by_row.quotient(rest as u32);
@@ -117,7 +117,7 @@ impl Layout {
     }
 
     #[inline(always)]
-    const fn value_at(&self, [i, j, k]: [usize; 3]) -> usize {
+    pub(crate) const fn value_at(&self, [i, j, k]: [usize; 3]) -> usize {
         self.first + i + j * self.volume_row + k * self.volume_slice
     }
 
@@ -138,23 +138,11 @@ impl<C: StepCost> FieldTracker<C> {
     ///
     /// `root_ijk` is a voxel of the volume.
     pub fn new(field: &VoxelField<'_>, root_ijk: [usize; 3]) -> Result<Self, TrackError> {
-        let root = field
-            .node_at_voxel(root_ijk)
-            .ok_or_else(|| TrackError::Argument {
-                what: "root",
-                expected: "a voxel of the region".to_owned(),
-                found: format!("{root_ijk:?}"),
-            })?;
-        if !field.is_open(root) {
-            return Err(TrackError::NoResult(format!(
-                "the root, voxel {root_ijk:?}, is not open: its weight is not finite or the mask leaves it out; \
-                 choose a voxel inside"
-            )));
-        }
+        let root = open_root(field, root_ijk)?;
         let quanta = Quanta::<C>::choose(field)?;
         let layout = Layout::new(field);
         let num_nodes = field.num_nodes();
-        let open = open_bits(field, &layout);
+        let open = open_bits(field, &layout, quanta.num_open == num_nodes);
         let left = if C::BY_VOXEL {
             Vec::new()
         } else {
@@ -362,15 +350,33 @@ impl<C: StepCost> FieldTracker<C> {
     }
 }
 
-/// The bit of each voxel that may be walked on.
-fn open_bits(field: &VoxelField<'_>, layout: &Layout) -> Vec<u8> {
+/// The node of a root, which must be open.
+pub(crate) fn open_root(field: &VoxelField<'_>, root_ijk: [usize; 3]) -> Result<u32, TrackError> {
+    let root = field
+        .node_at_voxel(root_ijk)
+        .ok_or_else(|| TrackError::Argument {
+            what: "root",
+            expected: "a voxel of the region".to_owned(),
+            found: format!("{root_ijk:?}"),
+        })?;
+    if !field.is_open(root) {
+        return Err(TrackError::NoResult(format!(
+            "the root, voxel {root_ijk:?}, is not open: its weight is not finite or the mask leaves it out; \
+             choose a voxel inside"
+        )));
+    }
+    Ok(root)
+}
+
+/// The bit of each voxel that may be walked on; `all` if every voxel may.
+fn open_bits(field: &VoxelField<'_>, layout: &Layout, all: bool) -> Vec<u8> {
     let mut bits = vec![0u8; layout.num_bit_bytes()];
     let [nx, ny, _] = layout.shape;
     for (number, (row, mask)) in field.rows().enumerate() {
         let first = layout.bit_left_of([0, number % ny, number / ny]) / 8;
         let bytes = &mut bits[first..first + layout.bits_of_row / 8];
         // Bit 0 is the rim; the row begins at bit 1.
-        if mask.is_none() && is_all_open(row) {
+        if all || (mask.is_none() && is_all_open(row)) {
             bytes[..=nx / 8].fill(u8::MAX);
             bytes[0] &= !1;
             // Bits 0 to nx of the row are set by now, and those behind them in the last byte.

@@ -5,7 +5,7 @@
 //! that keeps to the middle, `tracker` grows the tree of least-cost paths from one root and resumes it for every new
 //! target, `tree` reads branches off it. `box_graph`, `paper_cost` and `isoregion_graph` are the graph and the cost as the
 //! paper prints them, for the same tracker; `graph_tracker` joins every cost with every graph. `field_tracker` does the
-//! same as `tracker` in a whole volume of weights, without a graph in memory.
+//! same as `tracker` in a whole volume of weights, without a graph in memory; `field_aim` finds one path there.
 
 pub mod box_graph;
 mod buckets;
@@ -17,6 +17,7 @@ pub mod distance;
 mod error;
 pub mod extension;
 pub mod field;
+pub mod field_aim;
 pub mod field_tracker;
 pub mod flood;
 pub mod graph;

@@ -9,6 +9,7 @@ use std::time::Instant;
 
 use carina_airpath::TrackError;
 use carina_airpath::field::{EnterCost, MeanCost, VoxelField};
+use carina_airpath::field_aim::least_path;
 use carina_airpath::field_tracker::FieldTracker as Tracker;
 use carina_grid::Grid;
 use numpy::ndarray::Array2;
@@ -41,6 +42,9 @@ macro_rules! either {
 /// Nanoseconds, and voxels.
 type TimesAndLengths<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<i64>>);
 
+/// Voxels, cost, and how many voxels were settled.
+type AimedTuple<'py> = (Bound<'py, PyArray2<i64>>, f64, usize);
+
 type Region = [(usize, usize); 3];
 
 /// Least-cost tree in a volume of weights.
@@ -68,32 +72,8 @@ impl FieldTracker {
     ) -> PyResult<Self> {
         let grid = arrays::grid(&field_zyx, &lps_from_ijk)?;
         let values = arrays::values("field_zyx", &field_zyx)?;
-        if let Some(mask) = &mask_zyx
-            && mask.shape() != field_zyx.shape()
-        {
-            return Err(TrackError::Argument {
-                what: "mask_zyx",
-                expected: format!("the field's shape {:?}", field_zyx.shape()),
-                found: format!("{:?}", mask.shape()),
-            }
-            .into_py());
-        }
-        let mask = mask_zyx
-            .as_ref()
-            .map(|mask| arrays::values("mask_zyx", mask))
-            .transpose()?;
-        let by_voxel = match cost {
-            "mean" => false,
-            "enter" => true,
-            other => {
-                return Err(TrackError::Argument {
-                    what: "cost",
-                    expected: "mean or enter".to_owned(),
-                    found: other.to_owned(),
-                }
-                .into_py());
-            }
-        };
+        let mask = mask_values(mask_zyx.as_ref(), &field_zyx)?;
+        let by_voxel = is_by_voxel(cost)?;
         let tracker = py
             .detach(|| {
                 let field = voxel_field(&grid, values, region_ijk.as_ref(), mask)?;
@@ -187,13 +167,11 @@ impl FieldTracker {
         let path = self
             .with_field(py, |field| {
                 let target = node(field, target_ijk)?;
-                Ok(either!(&*self.lock(), t => t.path_to(target)).map(|nodes| {
-                    let voxels = nodes.iter().flat_map(|n| field.voxel(*n).map(|v| v as i64));
-                    Array2::from_shape_vec((nodes.len(), 3), voxels.collect())
-                }))
+                let path = either!(&*self.lock(), t => t.path_to(target));
+                Ok(path.map(|nodes| voxels_of(field, &nodes)))
             })?
             .map_err(TrackError::into_py)?;
-        Ok(path.map(|voxels| voxels.expect("3 a node").into_pyarray(py)))
+        Ok(path.map(|voxels| voxels.into_pyarray(py)))
     }
 
     /// Nanoseconds that each path took, in this module, and how many voxels it has; each is asked for once.
@@ -256,6 +234,85 @@ impl FieldTracker {
     }
 }
 
+/// The voxels of a mask that must be on the field's grid.
+fn mask_values<'a>(
+    mask_zyx: Option<&'a PyReadonlyArray3<'_, u8>>,
+    field_zyx: &PyReadonlyArray3<'_, f32>,
+) -> PyResult<Option<&'a [u8]>> {
+    let Some(mask) = mask_zyx else {
+        return Ok(None);
+    };
+    if mask.shape() != field_zyx.shape() {
+        return Err(TrackError::Argument {
+            what: "mask_zyx",
+            expected: format!("the field's shape {:?}", field_zyx.shape()),
+            found: format!("{:?}", mask.shape()),
+        }
+        .into_py());
+    }
+    arrays::values("mask_zyx", mask).map(Some)
+}
+
+/// True for the cost by the voxel entered.
+fn is_by_voxel(cost: &str) -> PyResult<bool> {
+    match cost {
+        "mean" => Ok(false),
+        "enter" => Ok(true),
+        other => Err(TrackError::Argument {
+            what: "cost",
+            expected: "mean or enter".to_owned(),
+            found: other.to_owned(),
+        }
+        .into_py()),
+    }
+}
+
+/// Voxels (n, 3) i, j, k of a path.
+fn voxels_of(field: &VoxelField<'_>, nodes: &[u32]) -> Array2<i64> {
+    let voxels = nodes.iter().flat_map(|n| field.voxel(*n).map(|v| v as i64));
+    Array2::from_shape_vec((nodes.len(), 3), voxels.collect()).expect("3 a node")
+}
+
+/// Voxels (n, 3) i, j, k of the least-cost path to one target, its cost, and how many voxels were settled; None if there
+/// is no path.
+#[pyfunction]
+#[pyo3(signature = (field_zyx, lps_from_ijk, root_ijk, target_ijk, *, cost, region_ijk=None, mask_zyx=None, cancel=None, progress=None))]
+#[allow(
+    clippy::too_many_arguments,
+    reason = "keyword arguments of a Python function"
+)]
+fn aimed_field_path<'py>(
+    py: Python<'py>,
+    field_zyx: PyReadonlyArray3<'py, f32>,
+    lps_from_ijk: PyReadonlyArray2<'py, f64>,
+    root_ijk: [usize; 3],
+    target_ijk: [usize; 3],
+    cost: &str,
+    region_ijk: Option<Region>,
+    mask_zyx: Option<PyReadonlyArray3<'py, u8>>,
+    cancel: Option<Py<PyAny>>,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Option<AimedTuple<'py>>> {
+    let grid = arrays::grid(&field_zyx, &lps_from_ijk)?;
+    let values = arrays::values("field_zyx", &field_zyx)?;
+    let mask = mask_values(mask_zyx.as_ref(), &field_zyx)?;
+    let by_voxel = is_by_voxel(cost)?;
+    let watch = PyWatch::new(cancel, progress);
+    let found = py
+        .detach(|| {
+            let field = voxel_field(&grid, values, region_ijk.as_ref(), mask)?;
+            let target = node(&field, target_ijk)?;
+            let path = if by_voxel {
+                least_path::<EnterCost>(&field, root_ijk, target, &watch)?
+            } else {
+                least_path::<MeanCost>(&field, root_ijk, target, &watch)?
+            };
+            Ok(path.map(|path| (voxels_of(&field, &path.nodes), path.cost, path.num_settled)))
+        })
+        .map_err(|e: TrackError| watch.error(e))?;
+    Ok(found.map(|(voxels, cost, settled)| (voxels.into_pyarray(py), cost, settled)))
+}
+
 fn voxel_field<'a>(
     grid: &Grid,
     values: &'a [f32],
@@ -309,6 +366,7 @@ fn time_lumen_paths(
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<FieldTracker>()?;
+    module.add_function(wrap_pyfunction!(aimed_field_path, module)?)?;
     module.add_function(wrap_pyfunction!(time_lumen_paths, module)?)?;
     Ok(())
 }

@@ -19,7 +19,7 @@ from carina.track.edits import (
     name_edited,
     rebuild_airways,
 )
-from carina.track.field import FieldPath, FieldPaths
+from carina.track.field import FieldPath, FieldPaths, aimed_path
 from carina.track.levels import lumen_threshold_from_histogram
 from carina.track.live import LivePath
 from carina.track.measures import BranchMeasures, BranchSummary, ForkMeasures, Stenosis, TreeMeasures, measure_tree
@@ -60,6 +60,7 @@ __all__ = [
     "TreeEdit",
     "TreeMeasures",
     "Uncertainty",
+    "aimed_path",
     "branch_side_and_lobe",
     "edit_airways",
     "edit_words",
