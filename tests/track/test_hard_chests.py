@@ -156,3 +156,55 @@ def test_a_part_of_the_trachea_is_enough_and_a_chest_without_airways_is_refused(
         find_airways(Volume(without, made.volume.lps_from_ijk))
     assert caught.value.exit_code == 4
     assert "root" in str(caught.value)
+
+
+@pytest.fixture(scope="module", params=[1, 2, 3])
+def any_made(request) -> Phantom:
+    return generate_phantom(seed=request.param, spacing_mm=SPACING_MM, generations=4, noise_hu=20.0)
+
+
+def cut_above(made: Phantom, height_mm: float) -> Volume:
+    """The chest below a height above the carina."""
+    carina = made.truth["branches"][0]["points"][-1]
+    matrix = made.volume.lps_from_ijk
+    heights = places(made.volume)[2][:, 0, 0]
+    assert matrix[2, 2] > 0.0
+    keep = heights < carina[2] + height_mm
+    return Volume(np.ascontiguousarray(made.volume.hu_zyx[keep]), matrix)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("below_mm", [10.0, 20.0, 35.0, 60.0])
+def test_a_chest_cropped_below_the_carina_is_refused(any_made, below_mm):
+    with pytest.raises(NoResultError, match="no trachea was found") as caught:
+        find_airways(cut_above(any_made, -below_mm))
+    assert caught.value.exit_code == 4
+    # Why, and what to do.
+    assert "bronch" in str(caught.value)
+    assert "root" in str(caught.value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("above_mm", [12.0, 30.0])
+def test_a_chest_cropped_above_the_carina_keeps_its_trachea(any_made, above_mm):
+    volume = cut_above(any_made, above_mm)
+    airways = find_airways(volume)
+    assert abs(airways.root_lps[2] - above_mm) < 8.0
+    assert abs(airways.root_lps[0]) < 10.0
+    assert airways.tree.named("RMB") is not None
+    assert airways.tree.named("LMB") is not None
+
+
+@pytest.mark.slow
+def test_a_crop_below_the_carina_is_tracked_from_a_root_that_is_given(any_made):
+    below = 35.0
+    row = next(
+        row
+        for row in any_made.truth["branches"]
+        if row["generation"] >= 1 and row["points"][0][2] > -below - 4.0 > row["points"][-1][2]
+    )
+    points = np.array(row["points"])
+    root = points[np.argmin(np.abs(points[:, 2] + below + 4.0))]
+    airways = find_airways(cut_above(any_made, -below), root_lps=root)
+    assert np.linalg.norm(airways.root_lps - root) < 10.0
+    assert len(airways.tree) >= 2

@@ -16,6 +16,12 @@ from carina.track.edit_kinds import TreeEdit
 from carina.track.levels import AirScale, air_scale
 from carina.track.names import name_tree
 from carina.track.paths import SNAP_MM, Cancel, PathTracker, Point, TrackedPath, as_point, branches_from_rows, words
+from carina.track.root_checks import (
+    LUNG_HU,
+    UP_FIRST_MM,
+    refuse_a_root_below_the_carina,
+    refuse_a_root_of_one_lung,
+)
 from carina.track.trachea import fill_trachea
 from carina.track.tree import AirwayTree, Branch
 from carina.track.uncertain import Uncertainty, find_uncertain, with_confidence
@@ -39,8 +45,6 @@ and falls above.
 # The first that shows a trachea counts: lower where its wall to the lung is thin, higher where the slices blur it.
 TRACHEA_AIR_HU = (-800.0, -900.0, -700.0)
 TISSUE_HU = -450.0
-# Inspiration to expiration, emphysema in part: there must be some of it on both sides of the trachea's split.
-LUNG_HU = (-950.0, -600.0)
 MIN_WALL_CONTRAST_HU = 60.0
 STEP_RISE_HU = 25.0
 HALF_WALL_HU = -500.0
@@ -58,9 +62,6 @@ TRACHEA_DOUBTS = {
     "off or was removed); look at it",
     "one-lung": "the trachea is less certain: there is aerated lung on one side only; look at it",
 }
-
-# A path that rises this much before it falls as much goes up first.
-UP_FIRST_MM = 10.0
 
 # A trachea holds 20-40 ml, both lungs some litres. The largest piece of tree behind one noisy voxel is below 60 ml.
 LEAK_MM3 = 60_000.0
@@ -185,6 +186,8 @@ def find_airways(
     # None: a lumen from another tool need not agree with what this CT shows, and is not judged by it.
     noise: float | None = None
     leaks = np.empty((0, 3))
+    # None: the root was not found by a split into two main bronchi.
+    trachea_mm: float | None = None
     if lumen_zyx is not None:
         lumen, levels, end = _given_lumen(volume, lumen_zyx), None, float("nan")
         if root is None:
@@ -194,7 +197,7 @@ def find_airways(
     else:
         grown = _grow(volume, root, lumen_threshold, stage)
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
-        noise, leaks = grown.noise, grown.leaks_lps
+        noise, leaks, trachea_mm = grown.noise, grown.leaks_lps, grown.trachea_mm
         notes += grown.notes
     stage.begin("measuring the lumen")
     assert root is not None
@@ -207,6 +210,8 @@ def find_airways(
     branches = branches_from_rows(rows)
     if root_lps is None:
         refuse_a_root_below_the_carina(volume, branches)
+        if trachea_mm is not None:
+            refuse_a_root_of_one_lung(volume, branches, trachea_mm)
     tree = AirwayTree(branches, _smooth=tracker.smooth)
     uncertain: tuple[Uncertainty, ...] = ()
     if noise is not None:
@@ -325,6 +330,8 @@ class _Trachea:
     """Its voxels (i, j, k), from the top down."""
     top: Point
     notes: list[str]
+    split_mm: float | None
+    """Length above its split into two main bronchi; None where one is missing, or a lung."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -336,6 +343,8 @@ class _Grown:
     notes: list[str]
     noise: float
     leaks_lps: NDArray[np.float64]
+    trachea_mm: float | None
+    """As :attr:`_Trachea.split_mm`; None where the root was given."""
 
 
 class _Stages:
@@ -408,55 +417,12 @@ def _trachea_in(
     voxels, points = voxels[near], points[near]
     seeds = [(int(i), int(j), int(k)) for i, j, k in voxels]
     notes = [TRACHEA_DOUBTS[doubt] for doubt in found["doubts"]]
-    return _Trachea(seeds, as_point(points[0]), notes)
+    is_whole = not {"one-bronchus", "one-lung"} & set(found["doubts"])
+    return _Trachea(seeds, as_point(points[0]), notes, float(found["length_mm"]) if is_whole else None)
 
 
 def _top_z(volume: Volume, found: dict[str, Any]) -> float:
     return float(volume.to_lps(found["voxels_ijk"][0])[2])
-
-
-def refuse_a_root_below_the_carina(volume: Volume, branches: tuple[Branch, ...]) -> None:
-    """Refuse a root from which branches in the lung are reached by going up first: a lower bronchus, not the trachea.
-
-    Throat, nose and oesophagus above the root end in soft tissue.
-
-    Raises
-    ------
-    NoResultError
-        If that is so.
-    """
-    root_z = float(branches[0].points[0][2])
-    upward: list[bool | None] = []
-    tips = []
-    # Parents come before their children.
-    for branch in branches:
-        first = None if branch.parent is None else upward[branch.parent]
-        if first is None:
-            rise = branch.points[:, 2] - root_z
-            off = np.flatnonzero(np.abs(rise) > UP_FIRST_MM)
-            first = bool(rise[off[0]] > 0.0) if len(off) else None
-        upward.append(first)
-        if first and not branch.children:
-            tips.append(branch.points[-1])
-    scale = air_scale(volume) if tips else None
-    num_in_lung = sum(scale is not None and _is_in_lung(volume, tip, scale) for tip in tips)
-    if num_in_lung >= 3:
-        msg = (
-            f"no trachea was found: the tube of air at {words(as_point(branches[0].points[0]))} is a lower bronchus, "
-            "the airway goes on above it; give a point in the trachea (root)"
-        )
-        raise NoResultError(msg)
-
-
-def _is_in_lung(volume: Volume, point: NDArray[np.float64], scale: AirScale) -> bool:
-    """Lung is the most common thing within 8 mm."""
-    center = volume.to_ijk(point)
-    reach = np.ceil(8.0 / np.array(volume.spacing_mm))
-    shape = np.array(volume.shape_zyx[::-1])
-    low = np.clip(np.floor(center - reach), 0, shape - 1).astype(int)
-    high = np.clip(np.ceil(center + reach), 0, shape - 1).astype(int)
-    block = volume.hu_zyx[low[2] : high[2] + 1, low[1] : high[1] + 1, low[0] : high[0] + 1]
-    return bool(((block >= scale.level(LUNG_HU[0])) & (block <= scale.level(LUNG_HU[1]))).mean() > 0.5)
 
 
 def _air_round(volume: Volume, root: Point, scale: AirScale) -> list[tuple[int, int, int]]:
@@ -488,6 +454,7 @@ def _air_round(volume: Volume, root: Point, scale: AirScale) -> list[tuple[int, 
 def _grow(volume: Volume, root: Point | None, lumen_threshold: float | None, stage: _Stages) -> _Grown:
     scale = air_scale(volume)
     notes: list[str] = []
+    trachea_mm: float | None = None
     end = scale.level(LUMEN_END_HU) if lumen_threshold is None else round(float(lumen_threshold))
     if root is not None:
         # The whole airway, if the root is in it; a point lower down would else make a part of it the trunk.
@@ -506,7 +473,7 @@ def _grow(volume: Volume, root: Point | None, lumen_threshold: float | None, sta
         start = as_point(volume.to_lps(np.array(seeds[0], dtype=np.float64)))
     else:
         trachea = _trachea_in(volume.hu_zyx, volume, scale, stage)
-        seeds, start, notes = trachea.seeds, trachea.top, trachea.notes
+        seeds, start, notes, trachea_mm = trachea.seeds, trachea.top, trachea.notes, trachea.split_mm
     stage.begin("growing the airway")
     sample = _values_round(volume, seeds)
     middle = float(np.median(sample))
@@ -571,7 +538,7 @@ def _grow(volume: Volume, root: Point | None, lumen_threshold: float | None, sta
             )
         np.minimum(lumen, 1, out=lumen)
     leaks = np.array([place for place, _ in report["leaks"]], dtype=np.float64).reshape(-1, 3)
-    return _Grown(lumen, levels, float(end), start, notes, noise, leaks)
+    return _Grown(lumen, levels, float(end), start, notes, noise, leaks, trachea_mm)
 
 
 def _values_round(volume: Volume, seeds: Sequence[tuple[int, int, int]]) -> NDArray[np.float64]:
