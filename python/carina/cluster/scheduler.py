@@ -1,0 +1,513 @@
+"""Who renders which strip, and when a strip goes to another: the paper's scheduler (5), driven by events.
+
+There is no clock, no thread and no socket in here: every event brings its time, and what has to be done about it is
+taken with :meth:`StripScheduler.take`. So the same scheduler runs a cluster, a simulation and the property tests.
+
+What it promises, whatever order events come in: each row of a complete frame was answered exactly once; a lane never
+holds more than ``in_flight`` strips; no more than ``open_frames`` frames are open; a frame that is wanted is completed,
+dropped on purpose, or waits for a lane.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from carina.cluster.settings import ClusterSettings
+from carina.cluster.shares import Shares
+from carina.cluster.strips import cut_rows
+from carina.errors import UsageError
+
+__all__ = ["Action", "FrameDone", "FrameDropped", "Issue", "LaneBack", "LaneLate", "LaneView", "StripScheduler"]
+
+Lane = Hashable
+LaneState = Literal["ready", "late", "away"]
+
+
+@dataclass(frozen=True, slots=True)
+class Issue:
+    """Send this strip to this lane."""
+
+    task_id: int
+    lane: Lane
+    frame_id: int
+    strip: int
+    first_row: int
+    end_row: int
+    again: bool
+    """Whether another lane has had it before."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameDone:
+    """All rows of a frame have been accepted."""
+
+    frame_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class FrameDropped:
+    """A frame will never be complete: nobody wants it any more."""
+
+    frame_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class LaneLate:
+    """A lane has not answered in time; its strips went to others."""
+
+    lane: Lane
+
+
+@dataclass(frozen=True, slots=True)
+class LaneBack:
+    """A late lane has answered after all."""
+
+    lane: Lane
+
+
+Action = Issue | FrameDone | FrameDropped | LaneLate | LaneBack
+
+
+@dataclass(frozen=True, slots=True)
+class LaneView:
+    """How a lane does, for people."""
+
+    lane: Lane
+    state: LaneState
+    reserve: bool
+    share: float
+    """Of the next frame, 0 to 1."""
+    num_in_flight: int
+    num_answers: int
+    num_late: int
+    row_seconds: float | None
+
+
+@dataclass(slots=True)
+class _Task:
+    task_id: int
+    frame_id: int
+    strip: int
+    num_rows: int
+    issued_s: float
+
+
+@dataclass(slots=True)
+class _Lane:
+    reserve: bool
+    content: Hashable
+    order: int
+    state: LaneState = "ready"
+    in_flight: deque[_Task] = field(default_factory=deque)
+    queue: list[tuple[int, int]] = field(default_factory=list)
+    """(frame id, strip) not yet issued, oldest frame first."""
+    answered_s: float = float("-inf")
+    pace: dict[Hashable, float] = field(default_factory=dict)
+    """Smoothed seconds per row, by what is rendered: the deadlines' estimate."""
+    measured: dict[Hashable, tuple[float, int]] = field(default_factory=dict)
+    """Seconds and rows since the last epoch."""
+    last_m: dict[Hashable, float] = field(default_factory=dict)
+    num_answers: int = 0
+    num_late: int = 0
+
+
+@dataclass(slots=True)
+class _Frame:
+    frame_id: int
+    num_rows: int
+    content: Hashable
+    cost: Hashable
+    stream: Hashable | None
+    whole: bool
+    max_rows: int | None
+    strips: list[tuple[int, int]] = field(default_factory=list)
+    missing: set[int] = field(default_factory=set)
+    holders: dict[int, set[Lane]] = field(default_factory=dict)
+    """Lanes that have a strip, issued or queued; late ones too."""
+
+
+# Weight of a new time in the deadlines' estimate: a camera that comes near a wall changes a row's cost within frames.
+PACE_WEIGHT = 0.3
+KINDS_REMEMBERED = 32
+
+
+class StripScheduler:
+    """Shares frames out among lanes.
+
+    Every method is an event; the time ``now_s`` never runs backwards. Actions are collected for :meth:`take`.
+    """
+
+    def __init__(self, settings: ClusterSettings | None = None) -> None:
+        self.settings = settings or ClusterSettings()
+        self._shares = Shares(self.settings)
+        self._lanes: dict[Lane, _Lane] = {}
+        self._frames: dict[int, _Frame] = {}
+        self._waiting: deque[_Frame] = deque()
+        self._task_ids = itertools.count(1)
+        self._orders = itertools.count()
+        self._actions: list[Action] = []
+
+    # --- what others ask -------------------------------------------------------------------------------------------
+
+    def take(self) -> list[Action]:
+        """What has to be done, in order; then forgotten."""
+        actions, self._actions = self._actions, []
+        return actions
+
+    @property
+    def deadline_s(self) -> float | None:
+        """When :meth:`tick` should be called next, if nothing else happens; None for never."""
+        due = (self._due_s(lane) for lane in self._lanes.values())
+        return min((due_s for due_s in due if due_s is not None), default=None)
+
+    @property
+    def num_open(self) -> int:
+        """Frames under way."""
+        return len(self._frames)
+
+    @property
+    def num_waiting(self) -> int:
+        """Frames that wait for a buffer."""
+        return len(self._waiting)
+
+    def rows(self, frame_id: int, strip: int) -> tuple[int, int] | None:
+        """First row and row after the last of a strip; None once its frame is done or dropped."""
+        frame = self._frames.get(frame_id)
+        return None if frame is None else frame.strips[strip]
+
+    def lanes(self) -> list[LaneView]:
+        """How all lanes do, in the order they joined."""
+        able = [name for name, lane in self._lanes.items() if lane.state == "ready" and not lane.reserve]
+        shares = self._shares.of(able)
+        if not able:
+            able = [name for name, lane in self._lanes.items() if lane.state == "ready"]
+            shares = {name: 1.0 / len(able) for name in able}
+        return [
+            LaneView(
+                lane=name,
+                state=lane.state,
+                reserve=lane.reserve,
+                share=shares.get(name, 0.0),
+                num_in_flight=len(lane.in_flight),
+                num_answers=lane.num_answers,
+                num_late=lane.num_late,
+                row_seconds=next(reversed(lane.pace.values()), None),
+            )
+            for name, lane in self._lanes.items()
+        ]
+
+    # --- membership ------------------------------------------------------------------------------------------------
+
+    def join(self, lane: Lane, now_s: float, *, content: Hashable = None, reserve: bool = False) -> None:
+        """A lane is ready to render ``content``. One that was away or late is as new.
+
+        A ``reserve`` lane renders any content, but only what no other lane can: the console itself.
+        """
+        if lane in self._lanes:
+            self.leave(lane, now_s)
+        self._lanes[lane] = _Lane(reserve=reserve, content=content, order=next(self._orders))
+        if not reserve:
+            self._shares.join(lane)
+        self._go_on(now_s)
+
+    def leave(self, lane: Lane, now_s: float) -> None:
+        """A lane is gone; what it had goes to others."""
+        state = self._lanes.pop(lane, None)
+        if state is None:
+            return
+        self._shares.leave(lane)
+        self._hand_over(lane, state, gone=True)
+        self._go_on(now_s)
+
+    def load(self, lane: Lane, content: Hashable, now_s: float) -> None:
+        """From now on a lane renders other content; what it has of the old one it still answers."""
+        state = self._lanes.get(lane)
+        if state is None or state.content == content:
+            return
+        state.content = content
+        # What was not sent yet would arrive after the new content.
+        stale = [(f, s) for f, s in state.queue if self._frames[f].content != content]
+        state.queue = [item for item in state.queue if item not in stale]
+        for frame_id, strip in stale:
+            self._release(lane, frame_id, strip)
+        self._go_on(now_s)
+
+    # --- frames ----------------------------------------------------------------------------------------------------
+
+    def want(
+        self,
+        frame_id: int,
+        num_rows: int,
+        now_s: float,
+        *,
+        content: Hashable = None,
+        cost: Hashable = None,
+        stream: Hashable | None = None,
+        whole: bool = False,
+        max_rows: int | None = None,
+    ) -> None:
+        """Render a frame as soon as there is a buffer for it.
+
+        Parameters
+        ----------
+        frame_id
+            Names the frame; never used twice.
+        num_rows
+            Its height.
+        content
+            What it shows: only lanes that have loaded this take part.
+        cost
+            Frames of one ``cost`` take about equally long per row: the same view in the same width.
+        stream
+            Of the frames of one stream that wait for a buffer only the newest is kept, and a frame that is complete
+            drops the older ones: the camera has moved on. None for frames that are all wanted.
+        whole
+            Do not cut it: each frame goes to one lane, for jobs of many pictures. Then as many frames are open as
+            lanes can hold.
+        max_rows
+            Largest height of a strip.
+        """
+        if num_rows < 1:
+            raise UsageError(f"a frame has at least one row; found {num_rows}", code="usage.cluster")
+        if frame_id in self._frames or any(frame.frame_id == frame_id for frame in self._waiting):
+            raise UsageError(f"the frame {frame_id} is already under way", code="usage.cluster")
+        if stream is not None:
+            for older in [frame for frame in self._waiting if frame.stream == stream]:
+                self._waiting.remove(older)
+                self._actions.append(FrameDropped(older.frame_id))
+        self._waiting.append(_Frame(frame_id, num_rows, content, cost, stream, whole, max_rows))
+        self._go_on(now_s)
+
+    def drop(self, frame_id: int, now_s: float) -> None:
+        """Nobody wants a frame any more. Answers that are still under way are thrown away when they come."""
+        for frame in self._waiting:
+            if frame.frame_id == frame_id:
+                self._waiting.remove(frame)
+                self._actions.append(FrameDropped(frame_id))
+                break
+        else:
+            if frame_id not in self._frames:
+                return
+            self._forget(frame_id)
+            self._actions.append(FrameDropped(frame_id))
+        self._go_on(now_s)
+
+    # --- answers ---------------------------------------------------------------------------------------------------
+
+    def answered(self, lane: Lane, task_id: int, seconds: float, now_s: float) -> bool:
+        """A lane has rendered a strip.
+
+        Parameters
+        ----------
+        lane, task_id
+            Of the :class:`Issue`.
+        seconds
+            What the renderer says it took.
+        now_s
+            When the answer was here.
+
+        Returns
+        -------
+        bool
+            Whether its rows are wanted: the first answer of each strip of an open frame. Copy them before
+            :meth:`take`, which may say that the frame is done.
+        """
+        state = self._lanes.get(lane)
+        task = None if state is None else next((t for t in state.in_flight if t.task_id == task_id), None)
+        if state is None or task is None:
+            return False
+        # Strips wait in the lane for the one before. Measured is what the console waits: the network counts, as in
+        # the paper; two answers that are seen at once must not make one of them free.
+        service_s = max(now_s - max(task.issued_s, state.answered_s), seconds, 1e-9)
+        state.in_flight.remove(task)
+        state.answered_s = now_s
+        state.num_answers += 1
+        frame = self._frames.get(task.frame_id)
+        self._measure(state, task, service_s, frame)
+        if state.state == "late":
+            state.state = "ready"
+            self._shares.settle()
+            self._actions.append(LaneBack(lane))
+        accepted = frame is not None and task.strip in frame.missing
+        if accepted:
+            assert frame is not None
+            frame.missing.discard(task.strip)
+            for holder in frame.holders.pop(task.strip, set()):
+                other = self._lanes.get(holder)
+                if other is not None and (task.frame_id, task.strip) in other.queue:
+                    other.queue.remove((task.frame_id, task.strip))
+            if not frame.missing:
+                self._finish(frame)
+        self._go_on(now_s)
+        return accepted
+
+    def failed(self, lane: Lane, task_id: int, now_s: float) -> None:
+        """A lane could not render a strip, or answered with something else: it gets nothing until it joins again."""
+        state = self._lanes.get(lane)
+        if state is None:
+            return
+        for task in [t for t in state.in_flight if t.task_id == task_id]:
+            state.in_flight.remove(task)
+            self._release(lane, task.frame_id, task.strip)
+        if state.state != "away":
+            state.state = "away"
+            self._hand_over(lane, state, gone=False)
+        self._go_on(now_s)
+
+    def tick(self, now_s: float) -> None:
+        """Time has passed: lanes whose oldest strip is overdue are late, and others get what they had."""
+        for name, state in list(self._lanes.items()):
+            due_s = self._due_s(state)
+            if due_s is not None and now_s >= due_s:
+                state.state = "late"
+                state.num_late += 1
+                self._actions.append(LaneLate(name))
+                self._hand_over(name, state, gone=False)
+        self._go_on(now_s)
+
+    # --- inside ----------------------------------------------------------------------------------------------------
+
+    def _due_s(self, lane: _Lane) -> float | None:
+        # The console's own lane is the last resort: nobody is quicker.
+        if lane.state != "ready" or lane.reserve or not lane.in_flight:
+            return None
+        task = lane.in_flight[0]
+        frame = self._frames.get(task.frame_id)
+        pace = lane.pace.get(frame.cost) if frame is not None else next(reversed(lane.pace.values()), None)
+        limit_s = (
+            self.settings.first_answer_s
+            if pace is None
+            else max(self.settings.late_factor * pace * task.num_rows, self.settings.late_floor_s)
+        )
+        return max(task.issued_s, lane.answered_s) + limit_s
+
+    def _measure(self, lane: _Lane, task: _Task, service_s: float, frame: _Frame | None) -> None:
+        if frame is None:
+            return
+        row_s = service_s / task.num_rows
+        old = lane.pace.pop(frame.cost, None)
+        # Slower is believed sooner than faster: a lane that has become slow would be late again and again.
+        weight = 1.0 if old is None else 0.7 if row_s > 2.0 * old else PACE_WEIGHT
+        lane.pace[frame.cost] = row_s if old is None else old + weight * (row_s - old)
+        seconds, rows = lane.measured.get(frame.cost, (0.0, 0))
+        lane.measured[frame.cost] = (seconds + service_s, rows + task.num_rows)
+        for kept in (lane.pace, lane.measured, lane.last_m):
+            while len(kept) > KINDS_REMEMBERED:
+                kept.pop(next(iter(kept)))
+
+    def _finish(self, frame: _Frame) -> None:
+        self._forget(frame.frame_id)
+        self._actions.append(FrameDone(frame.frame_id))
+        if frame.stream is not None:
+            for older in [f for f in self._frames.values() if f.stream == frame.stream]:
+                if older.frame_id < frame.frame_id:
+                    self._forget(older.frame_id)
+                    self._actions.append(FrameDropped(older.frame_id))
+        for lane in self._lanes.values():
+            seconds, rows = lane.measured.pop(frame.cost, (0.0, 0))
+            if rows:
+                lane.last_m[frame.cost] = seconds / rows
+        self._shares.epoch(
+            {
+                name: lane.last_m[frame.cost]
+                for name, lane in self._lanes.items()
+                if not lane.reserve and lane.state == "ready" and frame.cost in lane.last_m
+            }
+        )
+
+    def _forget(self, frame_id: int) -> None:
+        del self._frames[frame_id]
+        for lane in self._lanes.values():
+            lane.queue = [item for item in lane.queue if item[0] != frame_id]
+
+    def _release(self, lane: Lane, frame_id: int, strip: int) -> None:
+        """A lane no longer has a strip."""
+        frame = self._frames.get(frame_id)
+        if frame is not None and strip in frame.holders:
+            frame.holders[strip].discard(lane)
+
+    def _hand_over(self, name: Lane, lane: _Lane, *, gone: bool) -> None:
+        """What a lane has goes to others: what it has not got yet for good, the rest to whoever answers first."""
+        queued, lane.queue = lane.queue, []
+        for frame_id, strip in queued:
+            self._release(name, frame_id, strip)
+        if gone or lane.state == "away":
+            for task in lane.in_flight:
+                self._release(name, task.frame_id, task.strip)
+
+    def _able(self, frame: _Frame) -> list[Lane]:
+        """Lanes that can take strips of a frame now."""
+        ready = [(name, lane) for name, lane in self._lanes.items() if lane.state == "ready"]
+        able = [name for name, lane in ready if not lane.reserve and lane.content == frame.content]
+        return able or [name for name, lane in ready if lane.reserve]
+
+    def _go_on(self, now_s: float) -> None:
+        self._adopt_orphans()
+        self._open_frames()
+        self._issue(now_s)
+
+    def _adopt_orphans(self) -> None:
+        """Strips that only late lanes have, or none, go to one that is ready; whoever answers first wins."""
+        for frame in self._frames.values():
+            for strip in sorted(frame.missing):
+                if any(name in self._lanes and self._lanes[name].state == "ready" for name in frame.holders[strip]):
+                    continue
+                able = self._able(frame)
+                if not able:
+                    return
+                self._queue(self._quickest(able, frame), frame, strip)
+
+    def _quickest(self, able: list[Lane], frame: _Frame) -> Lane:
+        return min(able, key=lambda name: (self._busy_s(name, frame), self._lanes[name].order))
+
+    def _busy_s(self, name: Lane, frame: _Frame) -> float:
+        """How long a lane would take for what it has, and as much again."""
+        lane = self._lanes[name]
+        paces = [other.pace[frame.cost] for other in self._lanes.values() if frame.cost in other.pace]
+        pace = lane.pace.get(frame.cost, sum(paces) / len(paces) if paces else 1.0)
+        rows = sum(task.num_rows for task in lane.in_flight)
+        for frame_id, strip in lane.queue:
+            first, end = self._frames[frame_id].strips[strip]
+            rows += end - first
+        return pace * (rows + 1)
+
+    def _queue(self, name: Lane, frame: _Frame, strip: int) -> None:
+        lane = self._lanes[name]
+        lane.queue.append((frame.frame_id, strip))
+        lane.queue.sort()
+        frame.holders[strip].add(name)
+
+    def _open_frames(self) -> None:
+        for frame in list(self._waiting):
+            able = self._able(frame)
+            alike = sum(1 for other in self._frames.values() if other.whole == frame.whole)
+            limit = self.settings.in_flight * len(able) if frame.whole else self.settings.open_frames
+            if not able or alike >= limit:
+                # In order: a frame that cannot begin holds the later ones of its kind up.
+                if all(other.whole == frame.whole for other in self._waiting):
+                    return
+                continue
+            self._waiting.remove(frame)
+            shares = {self._quickest(able, frame): 1.0} if frame.whole else self._shares.of(able)
+            pieces = cut_rows(frame.num_rows, shares, min_rows=self.settings.min_rows, max_rows=frame.max_rows)
+            frame.strips = [(first, end) for _, first, end in pieces]
+            frame.missing = set(range(len(pieces)))
+            frame.holders = {strip: set() for strip in frame.missing}
+            self._frames[frame.frame_id] = frame
+            for strip, (name, _, _) in enumerate(pieces):
+                self._queue(name, frame, strip)
+
+    def _issue(self, now_s: float) -> None:
+        for name, lane in self._lanes.items():
+            while lane.state == "ready" and lane.queue and len(lane.in_flight) < self.settings.in_flight:
+                frame_id, strip = lane.queue.pop(0)
+                frame = self._frames[frame_id]
+                first, end = frame.strips[strip]
+                task = _Task(next(self._task_ids), frame_id, strip, end - first, now_s)
+                lane.in_flight.append(task)
+                again = len(frame.holders[strip]) > 1
+                self._actions.append(Issue(task.task_id, name, frame_id, strip, first, end, again))

@@ -1,0 +1,179 @@
+"""A cluster on a simulated clock: the same scheduler, renderers whose times are given. Exact, and quick.
+
+Serves the tests and ``carina bench cluster``, which calibrates it with measured costs of strips and calls.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import random
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from carina.cluster.scheduler import FrameDone, Issue, StripScheduler
+from carina.cluster.settings import ClusterSettings
+
+__all__ = ["Job", "SimulatedCluster", "SimulatedRenderer", "SimulationResult"]
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedRenderer:
+    """A machine: how long a row takes it, and how long a call is under way in all (there and back)."""
+
+    row_seconds: float
+    call_seconds: float = 0.001
+    call_jitter_seconds: float = 0.0005
+    strip_seconds: float = 0.0
+    """What a strip costs beyond its rows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One strip as it was rendered: who, of which frame, from when to when."""
+
+    lane: int
+    frame_id: int
+    began_s: float
+    ended_s: float
+    rows: int
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationResult:
+    """What a run gave."""
+
+    seconds: float
+    frame_s: tuple[float, ...]
+    """When each frame was complete."""
+    response_s: tuple[float, ...]
+    """From the opening of each frame until it was complete."""
+    busy: tuple[float, ...]
+    """How much of the time each renderer rendered, 0 to 1."""
+    shares: tuple[dict[int, float], ...]
+    """The shares after each frame."""
+    jobs: tuple[Job, ...] = field(repr=False, default=())
+
+    def fps(self, skip: int = 0) -> float:
+        """Frames per second, from the frame ``skip`` on."""
+        times = self.frame_s[skip:]
+        return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 0.0
+
+
+class SimulatedCluster:
+    """Renders frames on simulated machines.
+
+    Parameters
+    ----------
+    renderers
+        The machines.
+    settings
+        Of the scheduler.
+    console_seconds
+        What the console itself does for each answer; one after the other.
+    seed
+        Of the jitter.
+    """
+
+    def __init__(
+        self,
+        renderers: list[SimulatedRenderer],
+        settings: ClusterSettings | None = None,
+        *,
+        console_seconds: float = 0.0,
+        row_cost: Callable[[int], float] | None = None,
+        seed: int = 1,
+    ) -> None:
+        self._renderers = renderers
+        self._scheduler = StripScheduler(settings)
+        self._console_s = console_seconds
+        self._row_cost = row_cost
+        self._random = random.Random(seed)
+        self._events: list[tuple[float, int, Callable[[float], None]]] = []
+        self._order = itertools.count()
+
+    def run(self, num_frames: int, num_rows: int, *, period_s: float = 0.0) -> SimulationResult:
+        """Render frames: one every ``period_s``, or as fast as buffers come free."""
+        scheduler = self._scheduler
+        free_s = [0.0] * len(self._renderers)
+        busy_s = [0.0] * len(self._renderers)
+        # Answers leave a machine in the order of its strips, whatever the network does to each.
+        last_answer_s = [0.0] * len(self._renderers)
+        opened: dict[int, float] = {}
+        done: list[float] = []
+        response: list[float] = []
+        shares: list[dict[int, float]] = []
+        jobs: list[Job] = []
+        console_free_s = 0.0
+        next_frame = 0
+
+        def half_call_s(renderer: SimulatedRenderer) -> float:
+            jitter = renderer.call_jitter_seconds
+            return max(0.0, renderer.call_seconds + self._random.uniform(-jitter, jitter)) / 2
+
+        def want(now_s: float) -> None:
+            nonlocal next_frame
+            while next_frame < num_frames and scheduler.num_open + scheduler.num_waiting < (
+                scheduler.settings.open_frames
+            ):
+                if period_s and now_s < next_frame * period_s - 1e-12:
+                    return
+                opened[next_frame] = now_s
+                scheduler.want(next_frame, num_rows, now_s)
+                next_frame += 1
+                act(now_s)
+
+        def act(now_s: float) -> None:
+            for action in scheduler.take():
+                if isinstance(action, FrameDone):
+                    done.append(now_s)
+                    response.append(now_s - opened.pop(action.frame_id))
+                    shares.append({int(str(view.lane)): view.share for view in scheduler.lanes()})
+                elif isinstance(action, Issue):
+                    issue(action, now_s)
+
+        def issue(task: Issue, now_s: float) -> None:
+            lane = int(str(task.lane))
+            renderer = self._renderers[lane]
+            rows = range(task.first_row, task.end_row)
+            cost = float(len(rows)) if self._row_cost is None else sum(self._row_cost(row) for row in rows)
+            seconds = renderer.strip_seconds + renderer.row_seconds * cost
+            began_s = max(now_s + half_call_s(renderer), free_s[lane])
+            free_s[lane] = began_s + seconds
+            busy_s[lane] += seconds
+            jobs.append(Job(lane, task.frame_id, began_s, free_s[lane], len(rows)))
+            last_answer_s[lane] = max(last_answer_s[lane], free_s[lane] + half_call_s(renderer))
+            self._at(last_answer_s[lane], lambda at_s: arrive(task, seconds, at_s))
+
+        def arrive(task: Issue, seconds: float, now_s: float) -> None:
+            nonlocal console_free_s
+            console_free_s = max(console_free_s, now_s) + self._console_s
+            self._at(console_free_s, lambda at_s: answer(task, seconds, at_s))
+
+        def answer(task: Issue, seconds: float, now_s: float) -> None:
+            scheduler.answered(task.lane, task.task_id, seconds, now_s)
+
+        for lane in range(len(self._renderers)):
+            scheduler.join(lane, 0.0)
+        if period_s:
+            for n in range(num_frames):
+                self._at(n * period_s, lambda _: None)
+        now_s = 0.0
+        want(now_s)
+        while self._events:
+            due_s = scheduler.deadline_s
+            if due_s is not None and due_s < self._events[0][0]:
+                now_s = due_s
+                scheduler.tick(now_s)
+            else:
+                now_s, _, happen = heapq.heappop(self._events)
+                happen(now_s)
+            act(now_s)
+            want(now_s)
+        total = max(now_s, 1e-12)
+        return SimulationResult(
+            total, tuple(done), tuple(response), tuple(b / total for b in busy_s), tuple(shares), tuple(jobs)
+        )
+
+    def _at(self, when_s: float, happen: Callable[[float], None]) -> None:
+        heapq.heappush(self._events, (when_s, next(self._order), happen))

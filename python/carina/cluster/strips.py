@@ -1,0 +1,74 @@
+"""Cutting a picture into strips (paper 5.1, Figure 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from typing import TypeVar
+
+from carina.errors import UsageError
+
+__all__ = ["cut_rows"]
+
+Lane = TypeVar("Lane", bound=Hashable)
+
+
+def cut_rows(
+    num_rows: int, shares: Mapping[Lane, float], *, min_rows: int, max_rows: int | None = None
+) -> list[tuple[Lane, int, int]]:
+    """Rows of a picture for each lane, top to bottom in the order of ``shares``.
+
+    Parameters
+    ----------
+    num_rows
+        Height of the picture.
+    shares
+        How much each lane should get, in any unit, at least 0.
+    min_rows
+        Least height of a lane's band. Where there are too few rows for that, the slowest lanes get none.
+    max_rows
+        Bands that are higher are cut into strips of about equal height; None for no limit.
+
+    Returns
+    -------
+    list of (lane, first row, row after the last)
+        Each row exactly once. Heights are those of the shares to within a row, but for ``min_rows``.
+
+    Raises
+    ------
+    UsageError
+        If there is no lane or no row.
+    """
+    if not shares or num_rows < 1:
+        raise UsageError(f"cannot cut {num_rows} rows for {len(shares)} renderers", code="usage.cluster")
+    # The fastest first: where rows are few, the others get none. Ties keep their order.
+    room = max(1, num_rows // min_rows)
+    served = sorted(shares, key=lambda lane: -shares[lane])[:room]
+    heights = dict.fromkeys(served, min(min_rows, num_rows))
+    spare = num_rows - sum(heights.values())
+    # What a lane should have beyond its minimum; lanes whose share lies below it leave the rest to the others.
+    total = sum(shares[lane] for lane in served)
+    wanted = {
+        lane: max(0.0, (num_rows * shares[lane] / total if total > 0.0 else num_rows / len(served)) - heights[lane])
+        for lane in served
+    }
+    sum_wanted = sum(wanted.values())
+    if spare and sum_wanted > 0.0:
+        exact = {lane: spare * wanted[lane] / sum_wanted for lane in served}
+        for lane in served:
+            heights[lane] += int(exact[lane])
+        left = num_rows - sum(heights.values())
+        for lane in sorted(served, key=lambda lane: -(exact[lane] % 1.0))[:left]:
+            heights[lane] += 1
+    # Rounding can leave a row or two over where the remainders are all nothing.
+    heights[served[0]] += num_rows - sum(heights.values())
+    strips: list[tuple[Lane, int, int]] = []
+    first = 0
+    for lane in shares:
+        height = heights.get(lane, 0)
+        parts = 1 if max_rows is None else max(1, -(-height // max(1, max_rows)))
+        for n in range(parts):
+            start, end = first + height * n // parts, first + height * (n + 1) // parts
+            if end > start:
+                strips.append((lane, start, end))
+        first += height
+    return strips
