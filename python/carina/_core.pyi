@@ -246,8 +246,9 @@ def cut_plane(
     width: int,
     height: int,
     window_hu: tuple[float, float],
+    rows: tuple[int, int] | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Grey levels of a plane and where the volume is."""
+    """Grey levels of rows of a plane and where the volume is."""
 
 def tri_plane(
     hu_zyx: NDArray[np.int16],
@@ -262,8 +263,9 @@ def tri_plane(
     clear_below: float | None = None,
     background: tuple[int, int, int] = ...,
     brightness: tuple[float, float, float] = ...,
+    rows: tuple[int, int] | None = None,
 ) -> NDArray[np.uint8]:
-    """Three planes in occlusion order, (height, width, 3)."""
+    """Rows of three planes in occlusion order, (rows, width, 3)."""
 
 def radiograph(
     hu_zyx: NDArray[np.int16],
@@ -272,13 +274,14 @@ def radiograph(
     *,
     width: int,
     height: int,
+    rows: tuple[int, int] | None = None,
     source_lps: tuple[float, float, float] | None = None,
     air: float = ...,
     bone: float = 100.0,
     bone_gain: float = 1.0,
     simd: str | None = None,
 ) -> NDArray[np.float32]:
-    """Water-equivalent length of each ray, (height, width) mm."""
+    """Water-equivalent length of each ray of some rows, (rows, width) mm."""
 
 def sample_lines(
     hu_zyx: NDArray[np.int16],

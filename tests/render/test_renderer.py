@@ -10,7 +10,7 @@ import pytest
 
 from carina import _core
 from carina.errors import CancelledError, GeometryError, RenderError
-from carina.render import AirwayView, CancelToken, Light, Renderer, TransferFunction, TreeView, transfer_preset
+from carina.render import AirwayView, CancelToken, Light, Renderer, TransferFunction, transfer_preset
 from carina.render.wall import grow_one_voxel, wall_levels, with_wall
 from carina.scopes import Pose
 from carina.volume import Volume
@@ -79,8 +79,6 @@ def test_strips_put_together_are_the_whole_picture(airway):
     np.testing.assert_array_equal(np.vstack(strips), whole)
     with pytest.raises(RenderError, match="rows"):
         renderer.render(view(airway), rows=(10, 45))
-    with pytest.raises(RenderError, match="strips"):
-        renderer.render(TreeView(), rows=(0, 1))
 
 
 def test_the_instruction_set_does_not_change_the_picture(airway):

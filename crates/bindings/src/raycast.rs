@@ -420,9 +420,26 @@ fn cast_surface<'py>(
 
 type GreyAndInside<'py> = (Bound<'py, PyArray2<u8>>, Bound<'py, PyArray2<u8>>);
 
-/// Samples a plane: grey levels and where the volume is, both (height, width) uint8.
+/// Rows of a picture: the first and the one after the last, all unless told.
+pub(crate) fn rows_of(
+    rows: Option<(usize, usize)>,
+    height: usize,
+) -> PyResult<std::ops::Range<usize>> {
+    let (start, end) = rows.unwrap_or((0, height));
+    if start < end && end <= height {
+        return Ok(start..end);
+    }
+    Err(RaycastError::Setting {
+        what: "rows",
+        expected: format!("a first row and one after the last, in 0 to {height}"),
+        found: format!("{start} to {end}"),
+    }
+    .into_py())
+}
+
+/// Samples rows of a plane: grey levels and where the volume is, both (rows, width) uint8.
 #[pyfunction]
-#[pyo3(signature = (hu_zyx, lps_from_ijk, lps_from_pixel, *, width, height, window_hu))]
+#[pyo3(signature = (hu_zyx, lps_from_ijk, lps_from_pixel, *, width, height, window_hu, rows=None))]
 fn cut_plane<'py>(
     py: Python<'py>,
     hu_zyx: PyReadonlyArray3<'py, i16>,
@@ -431,24 +448,27 @@ fn cut_plane<'py>(
     width: usize,
     height: usize,
     window_hu: (f64, f64),
+    rows: Option<(usize, usize)>,
 ) -> PyResult<GreyAndInside<'py>> {
     let grid = grid(&hu_zyx, &lps_from_ijk)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
     let place = affine("lps_from_pixel", &lps_from_pixel)?;
     let window = Window::new(window_hu.0, window_hu.1).map_err(IntoPy::into_py)?;
     let simd = instruction_set(None)?;
+    let rows = rows_of(rows, height)?;
+    let num_rows = rows.len();
     let image = py
-        .detach(|| sample_plane_by(volume, &place, width, height, window, simd))
+        .detach(|| sample_plane_by(volume, &place, width, rows, window, simd))
         .map_err(IntoPy::into_py)?;
-    let array = |data: Vec<u8>| PyArray1::from_vec(py, data).reshape([height, width]);
+    let array = |data: Vec<u8>| PyArray1::from_vec(py, data).reshape([num_rows, width]);
     Ok((array(image.grey)?, array(image.inside)?))
 }
 
-/// Three planes in occlusion order: (height, width, 3) uint8.
+/// Rows of three planes in occlusion order: (rows, width, 3) uint8.
 #[pyfunction]
 #[pyo3(signature = (
     hu_zyx, lps_from_ijk, center_lps, lps_from_camera, *, fov_rad, width, height, window_hu, clear_below=None,
-    background=[0; 3], brightness=[1.0; 3]
+    background=[0; 3], brightness=[1.0; 3], rows=None
 ))]
 fn tri_plane<'py>(
     py: Python<'py>,
@@ -463,6 +483,7 @@ fn tri_plane<'py>(
     clear_below: Option<f32>,
     background: [u8; 3],
     brightness: [f32; 3],
+    rows: Option<(usize, usize)>,
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let grid = grid(&hu_zyx, &lps_from_ijk)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
@@ -475,8 +496,10 @@ fn tri_plane<'py>(
         background,
         brightness,
     };
-    let rgb = py.detach(|| cast_tri_plane(volume, &planes, &camera));
-    volume_array(py, rgb, [height, width, 3])
+    let rows = rows_of(rows, height)?;
+    let num_rows = rows.len();
+    let rgb = py.detach(|| cast_tri_plane(volume, &planes, &camera, rows));
+    volume_array(py, rgb, [num_rows, width, 3])
 }
 
 type ThreeProjections<'py> = (

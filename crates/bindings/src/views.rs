@@ -17,13 +17,13 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 use crate::{
     arrays::{affine, grid, values},
     errors::IntoPy,
-    raycast::instruction_set,
+    raycast::{instruction_set, rows_of},
 };
 
-/// Water-equivalent length in mm of each ray, (height, width) float32.
+/// Water-equivalent length in mm of each ray of some rows, (rows, width) float32.
 #[pyfunction]
 #[pyo3(signature = (
-    hu_zyx, lps_from_ijk, lps_from_pixel, *, width, height, source_lps=None, air=-1000.0, bone=100.0, bone_gain=1.0,
+    hu_zyx, lps_from_ijk, lps_from_pixel, *, width, height, rows=None, source_lps=None, air=-1000.0, bone=100.0, bone_gain=1.0,
     simd=None
 ))]
 fn radiograph<'py>(
@@ -33,6 +33,7 @@ fn radiograph<'py>(
     lps_from_pixel: PyReadonlyArray2<'py, f64>,
     width: usize,
     height: usize,
+    rows: Option<(usize, usize)>,
     source_lps: Option<[f64; 3]>,
     air: f32,
     bone: f32,
@@ -51,10 +52,12 @@ fn radiograph<'py>(
         bone_gain,
     };
     let simd = instruction_set(simd)?;
+    let rows = rows_of(rows, height)?;
+    let num_rows = rows.len();
     let lengths = py
-        .detach(|| cast_radiograph(volume, &projector, attenuation, width, height, simd))
+        .detach(|| cast_radiograph(volume, &projector, attenuation, width, rows, simd))
         .map_err(IntoPy::into_py)?;
-    PyArray1::from_vec(py, lengths).reshape([height, width])
+    PyArray1::from_vec(py, lengths).reshape([num_rows, width])
 }
 
 type GreyAndInside<'py> = (Bound<'py, PyArray2<u8>>, Bound<'py, PyArray2<u8>>);

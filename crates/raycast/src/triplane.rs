@@ -1,5 +1,7 @@
 //! Three orthogonal planes in occlusion order (paper 3.1, tri-plane view: z-sorted surface ray casting).
 
+use std::ops::Range;
+
 use carina_grid::{Camera, VolumeView};
 use rayon::prelude::*;
 
@@ -20,19 +22,25 @@ pub struct TriPlane {
     pub brightness: [f32; 3],
 }
 
-/// Casts the planes, `[row, column, channel]`: along each ray the nearest plane that is in the volume there and not
+/// Casts rows of the planes' picture, `[row, column, channel]`: along each ray the nearest plane that is in the volume there and not
 /// clear.
 #[must_use]
-pub fn cast_tri_plane(volume: VolumeView<'_, i16>, planes: &TriPlane, camera: &Camera) -> Vec<u8> {
+pub fn cast_tri_plane(
+    volume: VolumeView<'_, i16>,
+    planes: &TriPlane,
+    camera: &Camera,
+    rows: Range<usize>,
+) -> Vec<u8> {
     let grid = volume.grid();
     let field = Field::new(volume);
     let ijk_from_lps = grid.ijk_from_lps();
     let origin = camera.origin_lps();
     let width = camera.width();
-    let mut rgb = vec![0u8; width * camera.height() * 3];
+    let mut rgb = vec![0u8; width * rows.len() * 3];
     rgb.par_chunks_mut(width * 3)
         .enumerate()
-        .for_each(|(row, out)| {
+        .for_each(|(n, out)| {
+            let row = rows.start + n;
             for (column, pixel) in out.chunks_exact_mut(3).enumerate() {
                 let dir = camera.ray(column, row).dir_lps;
                 let mut hits: [(f64, usize); 3] = std::array::from_fn(|axis| {
@@ -90,12 +98,14 @@ mod tests {
             background: [9, 8, 7],
             brightness: [1.0; 3],
         };
-        let rgb = cast_tri_plane(volume, &planes, &camera);
+        let rgb = cast_tri_plane(volume, &planes, &camera, 0..65);
         let centre = (32 * 65 + 32) * 3;
         assert_eq!(&rgb[centre..centre + 3], &[20, 20, 20]);
         assert_eq!(&rgb[..3], &[9, 8, 7], "the corner misses the box");
         planes.clear_below = Some(21.0);
-        let through = cast_tri_plane(volume, &planes, &camera);
+        let through = cast_tri_plane(volume, &planes, &camera, 0..65);
+        let strip = cast_tri_plane(volume, &planes, &camera, 20..31);
+        assert_eq!(strip, through[20 * 65 * 3..31 * 65 * 3]);
         // Row 32 looks level along y = 3.3, so it meets neither of the other planes inside the box; a row further down
         // meets y = 4.
         assert_eq!(&through[centre..centre + 3], &[9, 8, 7]);

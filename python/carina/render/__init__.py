@@ -8,7 +8,7 @@ from carina.render.appearance import Appearance
 from carina.render.backend import Adapter, Backend, Verdict, find_adapters
 from carina.render.lettering import PathSpan, letter_edges, mark_path
 from carina.render.pictures import VIEW_NAMES, mark_tip, render_surface, render_view, view_spec
-from carina.render.renderer import Renderer
+from carina.render.renderer import Renderer, can_cut
 from carina.render.structures import build_isoregion_map, project_maximum, sample_plane
 from carina.render.surface import Hit, Surface
 from carina.render.transfer import PRESETS, Light, TransferFunction, transfer_from_histogram, transfer_preset
@@ -57,6 +57,7 @@ __all__ = [
     "XrayView",
     "build_info",
     "build_isoregion_map",
+    "can_cut",
     "find_adapters",
     "letter_edges",
     "mark_path",

@@ -17,6 +17,7 @@ __all__ = ["PlaneCaster"]
 # Brightness of the sagittal, coronal and axial plane of the tri-plane view, so that the eye finds their edges.
 PLANE_BRIGHTNESS = (0.8, 0.9, 1.0)
 BEHIND_PLANES = (16, 18, 21)
+Rows = tuple[int, int] | None
 
 
 class PlaneCaster:
@@ -27,7 +28,7 @@ class PlaneCaster:
         self._projecting = threading.Lock()
         self._projections: dict[str, tuple[NDArray[np.int16], NDArray[np.float64]]] | None = None
 
-    def cut_plane(self, view: CutPlaneView) -> Picture:
+    def cut_plane(self, view: CutPlaneView, *, rows: Rows = None) -> Picture:
         """The plane through the tip."""
         right, down, forward = view.pose.lps_from_camera[:3, :3].T
         matrix = geometry.plane_matrix(
@@ -37,13 +38,13 @@ class PlaneCaster:
             view.width,
             view.height,
         )
-        return self._plane("cut-plane", matrix, view)
+        return self._plane("cut-plane", matrix, view, rows)
 
-    def slice(self, view: SliceView) -> Picture:
+    def slice(self, view: SliceView, *, rows: Rows = None) -> Picture:
         """A slice along patient axes."""
-        return self._plane(view.plane, self._slice_matrix(view), view)
+        return self._plane(view.plane, self._slice_matrix(view), view, rows)
 
-    def xray(self, view: XrayView) -> Picture:
+    def xray(self, view: XrayView, *, rows: Rows = None) -> Picture:
         """A maximum intensity projection."""
         with self._projecting:
             if self._projections is None:
@@ -61,11 +62,17 @@ class PlaneCaster:
             low, high = (float(v) for v in np.percentile(values, (2.0, 98.0)))
             window_hu = (max(high - low, 1.0), (low + high) / 2)
         grey, _ = _core.cut_plane(
-            flat.hu_zyx, flat.lps_from_ijk, matrix, width=view.width, height=view.height, window_hu=window_hu
+            flat.hu_zyx,
+            flat.lps_from_ijk,
+            matrix,
+            width=view.width,
+            height=view.height,
+            window_hu=window_hu,
+            rows=rows,
         )
         return _planar_picture(f"xray-{view.axis}", "projection", grey, matrix)
 
-    def tri_plane(self, view: TriPlaneView) -> Picture:
+    def tri_plane(self, view: TriPlaneView, *, rows: Rows = None) -> Picture:
         """Three planes from an orbit camera."""
         center = np.asarray(view.center_lps, dtype=np.float64)
         distance = view.distance_mm
@@ -88,17 +95,19 @@ class PlaneCaster:
             clear_below=view.clear_below,
             background=BEHIND_PLANES,
             brightness=PLANE_BRIGHTNESS,
+            rows=rows,
         )
-        count = view.width * view.height
+        height = rgb.shape[0]
+        count = view.width * height
         return Picture(
             rgb=rgb,
             view="tri-plane",
-            stats=RenderStats("plane", view.width, view.height, count, count, 0, 0, 0, 0, 0, 0.0),
+            stats=RenderStats("plane", view.width, height, count, count, 0, 0, 0, 0, 0, 0.0),
             lps_from_camera=pose.lps_from_camera,
             fov_deg=view.fov_deg,
         )
 
-    def _plane(self, name: str, matrix: NDArray[np.float64], view: CutPlaneView | SliceView) -> Picture:
+    def _plane(self, name: str, matrix: NDArray[np.float64], view: CutPlaneView | SliceView, rows: Rows) -> Picture:
         volume = self._volume
         if view.slab is None:
             grey, _ = _core.cut_plane(
@@ -108,6 +117,7 @@ class PlaneCaster:
                 width=view.width,
                 height=view.height,
                 window_hu=view.window_hu,
+                rows=rows,
             )
         else:
             starts = matrix[:3, 3] + (np.arange(view.height) + 0.5)[:, None] * matrix[:3, 1]
@@ -115,7 +125,7 @@ class PlaneCaster:
             grey, _ = _core.sample_lines(
                 volume.hu_zyx,
                 volume.lps_from_ijk,
-                np.ascontiguousarray(lines),
+                np.ascontiguousarray(lines if rows is None else lines[slice(*rows)]),
                 width=view.width,
                 window_hu=view.window_hu,
                 slab=(view.slab.thickness_mm, view.slab.kind),

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
+from carina.errors import RenderError
 from carina.render import geometry
 from carina.render.views import DrrView, Picture, RenderStats
 from carina.volume import Volume
@@ -24,8 +25,17 @@ DARKEST, BRIGHTEST = 2.0, 99.5
 TISSUE_MM = 8.0
 
 
-def cast_drr(volume: Volume, view: DrrView, *, simd: str | None = None) -> Picture:
-    """The radiograph of a volume."""
+def cast_drr(volume: Volume, view: DrrView, *, rows: tuple[int, int] | None = None, simd: str | None = None) -> Picture:
+    """The radiograph of a volume, or rows of it.
+
+    Raises
+    ------
+    RenderError
+        If rows are asked for of a picture whose window is fitted to all of it.
+    """
+    if rows is not None and view.window_mm is None:
+        msg = "a radiograph whose window is fitted needs the whole picture, not rows of it; give window_mm"
+        raise RenderError(msg, code="render.setting")
     center = volume.center_lps
     detector = geometry.orbit_pose(center, view.primary_deg, view.secondary_deg, view.sid_mm - view.sod_mm)
     right, down, to_source = detector.lps_from_camera[:3, :3].T
@@ -40,6 +50,7 @@ def cast_drr(volume: Volume, view: DrrView, *, simd: str | None = None) -> Pictu
         matrix,
         width=view.width,
         height=view.height,
+        rows=rows,
         source_lps=None if view.parallel else (float(source[0]), float(source[1]), float(source[2])),
         # Numbers that are no HU say at least what is thin and what is dense.
         air=-1000.0 if volume.is_hu else low,
@@ -48,8 +59,8 @@ def cast_drr(volume: Volume, view: DrrView, *, simd: str | None = None) -> Pictu
         simd=simd,
     )
     rgb = np.repeat(_toned(water_mm, view)[:, :, None], 3, axis=2)
-    count = view.width * view.height
-    stats = RenderStats("radiograph", view.width, view.height, count, 0, 0, 0, 0, 0, 0, 0.0)
+    count = view.width * rgb.shape[0]
+    stats = RenderStats("radiograph", view.width, rgb.shape[0], count, 0, 0, 0, 0, 0, 0, 0.0)
     if view.parallel:
         return Picture(rgb=rgb, view="drr", stats=stats, lps_from_pixel=matrix)
     camera = np.eye(4)

@@ -19,10 +19,11 @@ HALF_WIDTH_MM = 40.0
 END_MM = 8.0
 
 
-def cast_path_view(volume: Volume, view: PathView) -> Picture:
-    """The picture of a straightened airway or of a curved reformation."""
+def cast_path_view(volume: Volume, view: PathView, *, rows: tuple[int, int] | None = None) -> Picture:
+    """The picture of a straightened airway or of a curved reformation; ``lines`` are always those of all rows."""
     lines, through = _straightened(view) if view.kind == "straightened" else _curved(view)
-    table = np.ascontiguousarray(np.hstack([lines.start_lps, lines.step_lps, through]))
+    table = np.hstack([lines.start_lps, lines.step_lps, through])
+    table = np.ascontiguousarray(table if rows is None else table[slice(*rows)])
     grey, _ = _core.sample_lines(
         volume.hu_zyx,
         volume.lps_from_ijk,
@@ -34,7 +35,7 @@ def cast_path_view(volume: Volume, view: PathView) -> Picture:
     if view.kind == "straightened":
         across_mm = np.abs(np.arange(view.width) + 0.5 - view.width / 2) * lines.mm_per_px
         grey[:, across_mm > HALF_WIDTH_MM] = 0
-    stats = RenderStats("lines", view.width, view.height, *(view.width * view.height,) * 2, 0, 0, 0, 0, 0, 0.0)
+    stats = RenderStats("lines", view.width, grey.shape[0], *(grey.size,) * 2, 0, 0, 0, 0, 0, 0.0)
     return Picture(rgb=np.repeat(grey[:, :, None], 3, axis=2), view=view.kind, stats=stats, lines=lines)
 
 

@@ -16,7 +16,7 @@ from carina.render.backend import Backend
 from carina.render.planes import PlaneCaster
 from carina.render.radiograph import cast_drr
 from carina.render.reformation import cast_path_view
-from carina.render.scene import Cancel, Progress, SceneKeeper
+from carina.render.scene import Cancel, Progress, Scene, SceneKeeper
 from carina.render.surface import Hit, Surface
 from carina.render.transfer import TransferFunction
 from carina.render.tree import cast_tree
@@ -34,7 +34,18 @@ from carina.render.views import (
 )
 from carina.volume import Volume
 
-__all__ = ["Renderer"]
+__all__ = ["Renderer", "can_cut"]
+
+
+def can_cut(view: View) -> bool:
+    """Whether rows of a view's picture can be rendered alone."""
+    match view:
+        case AirwayView():
+            return view.depth_of_field is None
+        case DrrView():
+            return view.window_mm is not None
+        case _:
+            return True
 
 
 class Renderer:
@@ -132,7 +143,29 @@ class Renderer:
         """Wait until the maps that the cache keeps are on disk; storing goes on in the background otherwise."""
         self._scenes.wait_stored()
 
-    def render(self, view: View, *, rows: tuple[int, int] | None = None, stop: CancelToken | None = None) -> Picture:
+    @property
+    def scene(self) -> Scene:
+        """What pictures are made from now; it never changes, so a picture can be made from it later or elsewhere."""
+        return self._scenes.scene
+
+    def adopt_scene(self, scene: Scene) -> None:
+        """Show a scene that another renderer of the same volume has made: its lumen, wall, transfer function and maps.
+
+        Raises
+        ------
+        GeometryError
+            If the scene belongs to a volume of another shape.
+        """
+        self._scenes.adopt(scene)
+
+    def render(
+        self,
+        view: View,
+        *,
+        rows: tuple[int, int] | None = None,
+        stop: CancelToken | None = None,
+        scene: Scene | None = None,
+    ) -> Picture:
         """Render one view.
 
         Parameters
@@ -140,11 +173,13 @@ class Renderer:
         view
             What to render.
         rows
-            Only for the airway view: first row and the row after the last. Strips put together are the whole picture,
-            bit for bit.
+            First row and the row after the last. Strips put together are the whole picture, bit for bit. Pictures with
+            depth of field, and radiographs whose window is fitted, exist only whole: see :func:`can_cut`.
         stop
             Gives the picture up when another thread cancels it. The airway and the tree view look at it every few rows;
             the others take milliseconds and do not.
+        scene
+            In place of the present scene: one that :attr:`scene` gave earlier.
 
         Raises
         ------
@@ -154,25 +189,29 @@ class Renderer:
             If ``stop`` was cancelled.
         """
         started = time.perf_counter()
-        if rows is not None and not isinstance(view, AirwayView):
-            raise RenderError("only the airway view is rendered in strips", code="render.setting")
+        scene = self._scenes.scene if scene is None else scene
+        if rows is not None and not 0 <= rows[0] < rows[1] <= view.height:
+            msg = (
+                f"rows of a picture lie in 0 to {view.height}, the first before the last; found {rows[0]} to {rows[1]}"
+            )
+            raise RenderError(msg, code="render.setting")
         match view:
             case AirwayView():
-                picture = self._airway.cast(self._scenes.scene, view, rows=rows, stop=stop)
+                picture = self._airway.cast(scene, view, rows=rows, stop=stop)
             case CutPlaneView():
-                picture = self._planes.cut_plane(view)
+                picture = self._planes.cut_plane(view, rows=rows)
             case SliceView():
-                picture = self._planes.slice(view)
+                picture = self._planes.slice(view, rows=rows)
             case XrayView():
-                picture = self._planes.xray(view)
+                picture = self._planes.xray(view, rows=rows)
             case TriPlaneView():
-                picture = self._planes.tri_plane(view)
+                picture = self._planes.tri_plane(view, rows=rows)
             case TreeView():
-                picture = self._tree(view, stop)
+                picture = self._tree(scene, view, rows, stop)
             case DrrView():
-                picture = cast_drr(self._volume, view, simd=self._simd)
+                picture = cast_drr(self._volume, view, rows=rows, simd=self._simd)
             case PathView():
-                picture = cast_path_view(self._volume, view)
+                picture = cast_path_view(self._volume, view, rows=rows)
         return dataclasses.replace(
             picture, stats=dataclasses.replace(picture.stats, seconds=time.perf_counter() - started)
         )
@@ -205,8 +244,8 @@ class Renderer:
         """
         return self._airway.pick(self._scenes.scene, view, column, row)
 
-    def _tree(self, view: TreeView, stop: CancelToken | None) -> Picture:
-        tree = self._scenes.scene.tree
+    def _tree(self, scene: Scene, view: TreeView, rows: tuple[int, int] | None, stop: CancelToken | None) -> Picture:
+        tree = scene.tree
         if tree is None:
             raise RenderError("there is no airway lumen yet, so no tree to show", code="render.no-lumen")
-        return cast_tree(tree, view, simd=self._simd, stop=stop)
+        return cast_tree(tree, view, rows=rows, simd=self._simd, stop=stop)

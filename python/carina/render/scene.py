@@ -77,6 +77,14 @@ class SceneKeeper:
         """The present scene."""
         return self._scene
 
+    def adopt(self, scene: Scene) -> None:
+        """Take a scene that another keeper of the same volume has made."""
+        if scene.values.shape != self._volume.shape_zyx:
+            msg = f"the scene has values of shape {scene.values.shape}, the volume {self._volume.shape_zyx}"
+            raise GeometryError(msg, code="geometry.shape")
+        with self._change, self._swap:
+            self._scene = scene
+
     def set_transfer(self, transfer: TransferFunction) -> None:
         """Take another transfer function, with its map where that is still in memory."""
         with self._change:

@@ -60,7 +60,12 @@ def build_tree_field(lumen_zyx: NDArray[np.uint8], lps_from_ijk: NDArray[np.floa
 
 
 def cast_tree(
-    tree: TreeField, view: TreeView, *, simd: str | None = None, stop: _core.CancelToken | None = None
+    tree: TreeField,
+    view: TreeView,
+    *,
+    rows: tuple[int, int] | None = None,
+    simd: str | None = None,
+    stop: _core.CancelToken | None = None,
 ) -> Picture:
     """The tree from outside."""
     distance = view.distance_mm
@@ -76,6 +81,7 @@ def cast_tree(
         fov_rad=float(np.deg2rad(view.fov_deg)),
         width=view.width,
         height=view.height,
+        rows=rows,
         light=LIGHT.as_core(),
         background=BACKGROUND,
         leap=tree.radius,
@@ -85,7 +91,7 @@ def cast_tree(
     return Picture(
         rgb=rgb,
         view="tree",
-        stats=RenderStats("leap", view.width, view.height, *counts, seconds=0.0),
+        stats=RenderStats("leap", view.width, rgb.shape[0], *counts, seconds=0.0),
         lps_from_camera=pose.lps_from_camera,
         fov_deg=view.fov_deg,
     )
