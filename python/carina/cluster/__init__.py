@@ -1,5 +1,21 @@
 """Many machines render one picture (paper 5): the scheduler, its lanes, and a renderer that uses them."""
 
+from carina.cluster.console import Console
+from carina.cluster.lanes import Lane, LaneFacts, LocalLane, StripAnswer, StripOrder
+from carina.cluster.renderer import ClusterRenderer, render_frames
 from carina.cluster.settings import ClusterSettings
+from carina.cluster.status import ClusterStatus, MemberStatus
 
-__all__ = ["ClusterSettings"]
+__all__ = [
+    "ClusterRenderer",
+    "ClusterSettings",
+    "ClusterStatus",
+    "Console",
+    "Lane",
+    "LaneFacts",
+    "LocalLane",
+    "MemberStatus",
+    "StripAnswer",
+    "StripOrder",
+    "render_frames",
+]

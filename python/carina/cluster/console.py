@@ -1,0 +1,546 @@
+"""The console (paper 5, Figure 7): hands strips out, watches deadlines, puts pictures together; a thread of its own."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.cluster.lanes import Lane, LocalLane, StripAnswer, StripOrder, with_pixels
+from carina.cluster.parcel import Parcel, Parcels
+from carina.cluster.scheduler import FrameDone, FrameDropped, Issue, LaneBack, LaneLate, StripScheduler
+from carina.cluster.settings import ClusterSettings
+from carina.cluster.status import ClusterStatus, MemberStatus, RateMeter
+from carina.errors import CancelledError, CarinaError, ClusterError
+from carina.render import AirwayView, CancelToken, Picture, Renderer, RenderStats, View
+from carina.render.scene import Scene
+from carina.scopes import PINHOLE
+
+__all__ = ["Console", "Content", "Job"]
+
+logger = logging.getLogger(__name__)
+
+RETRY_S = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""A renderer that cannot be loaded is asked again after these times, then always after the last."""
+MAX_FAULTS = 5
+"""Wrong answers after which a renderer is not used any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One strip as the console saw it, for timelines (paper, Figure 11)."""
+
+    lane: str
+    frame_id: int
+    rows: tuple[int, int]
+    issued_s: float
+    answered_s: float
+    seconds: float
+    """What the renderer took."""
+    accepted: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Content:
+    """What a frame shows, and who can render it here."""
+
+    number: int
+    renderer: Renderer
+    scene: Scene
+
+
+@dataclass(slots=True)
+class _Member:
+    lane: Lane
+    reserve: bool
+    loading: bool = True
+    """Asked to load, or waiting to be asked again."""
+    attempts: int = 0
+    faults: int = 0
+    loaded: int = 0
+    generation: int = 0
+    """Answers to loads of an earlier generation do not count."""
+    latency: RateMeter = field(default_factory=RateMeter)
+
+
+@dataclass(slots=True)
+class _Frame:
+    view: View
+    content: Content
+    future: Future[Picture]
+    stop: CancelToken
+    wanted_s: float
+    rgb: NDArray[np.uint8] | None = None
+    picture: Picture | None = None
+    counts: tuple[int, int, int, int, int, int, int] = (0, 0, 0, 0, 0, 0, 0)
+    method: str = ""
+
+
+class Console:
+    """Renders pictures on lanes.
+
+    Parameters
+    ----------
+    settings
+        Of the scheduler.
+    clock
+        Seconds, monotonic.
+    keep_jobs
+        Remember what was rendered where, for timelines.
+    """
+
+    def __init__(
+        self,
+        settings: ClusterSettings | None = None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        keep_jobs: bool = False,
+    ) -> None:
+        self._settings = settings or ClusterSettings()
+        self._clock = clock
+        self._scheduler = StripScheduler(self._settings)
+        self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._members: dict[str, _Member] = {}
+        self._frames: dict[int, _Frame] = {}
+        self._tasks: dict[int, tuple[StripOrder, float]] = {}
+        self._parcel: Parcel | None = None
+        self._later: list[tuple[float, Callable[[], None]]] = []
+        self._frame_ids = itertools.count(1)
+        self._notices: list[str] = []
+        self._told: set[str] = set()
+        self._meter = RateMeter()
+        self._status: ClusterStatus | None = None
+        self.jobs: list[Job] | None = [] if keep_jobs else None
+        self.parcels = Parcels()
+        """One series of content numbers, over all cases that are shown one after the other."""
+        self.address = "local"
+        self.mixed = False
+        self._closed = False
+        # The last resort, and the reason why a lost machine is no error.
+        self.add_lane(LocalLane(), reserve=True)
+        self._thread = threading.Thread(target=self._run, name="carina-console", daemon=True)
+        self._thread.start()
+
+    # --- called from anywhere --------------------------------------------------------------------------------------
+
+    def add_lane(self, lane: Lane, *, reserve: bool = False) -> None:
+        """A renderer has come; it takes part once it has loaded what is shown."""
+        self._inbox.put(lambda: self._add(lane, reserve))
+
+    def remove_lane(self, name: str) -> None:
+        """A renderer is gone for good."""
+        self._inbox.put(lambda: self._remove(name))
+
+    def notice(self, words: str) -> None:
+        """Tell the person something, once."""
+        self._inbox.put(lambda: self._tell(words))
+
+    def set_content(self, parcel: Parcel) -> None:
+        """What frames show from now on; frames before and after name theirs."""
+        self._inbox.put(lambda: self._set_content(parcel))
+
+    def render(
+        self, view: View, content: Content, *, whole: bool = False, stream: str | None = None
+    ) -> tuple[int, Future[Picture]]:
+        """Want a picture; the number is for :meth:`drop`.
+
+        The future fails with what the view itself is refused for, or with CancelledError once it was dropped.
+        """
+        future: Future[Picture] = Future()
+        frame_id = next(self._frame_ids)
+        frame = _Frame(view, content, future, CancelToken(), self._clock())
+        self._inbox.put(lambda: self._want(frame_id, frame, whole, stream))
+        return frame_id, future
+
+    def drop(self, frame_id: int) -> None:
+        """Nobody wants this picture any more."""
+        self._inbox.put(lambda: self._drop(frame_id))
+
+    def status(self) -> ClusterStatus:
+        """How the cluster does."""
+        answer: Future[ClusterStatus] = Future()
+        if self._closed:
+            raise ClusterError("the cluster is closed", code="cluster.closed")
+        self._inbox.put(lambda: answer.set_result(self._make_status()))
+        return answer.result(timeout=10.0)
+
+    @property
+    def has_renderers(self) -> bool:
+        """Whether any machine but the console's own can render now."""
+        return any(not m.reserve and not m.loading for m in list(self._members.values()))
+
+    @property
+    def num_ready(self) -> int:
+        """How many lanes can render now, the console's own only where there is no other."""
+        return max(1, sum(not m.reserve and not m.loading for m in list(self._members.values())))
+
+    def close(self) -> None:
+        """Give up what is under way and let the lanes go."""
+        if not self._closed:
+            self._closed = True
+            self._inbox.put(None)
+            self._thread.join(timeout=30.0)
+
+    # --- the console's own thread ----------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while True:
+            try:
+                happen = self._inbox.get(timeout=self._wait_s())
+            except queue.Empty:
+                happen = _nothing
+            # Everything that has come, before anyone is called late: answers may have waited for this thread.
+            while happen is not None:
+                try:
+                    happen()
+                except Exception:
+                    logger.exception("the console stumbled")
+                try:
+                    happen = self._inbox.get_nowait()
+                except queue.Empty:
+                    break
+            if happen is None:
+                break
+            now_s = self._clock()
+            due_s = self._scheduler.deadline_s
+            if due_s is not None and now_s >= due_s:
+                self._scheduler.tick(now_s)
+                self._act()
+            for item in [item for item in self._later if item[0] <= now_s]:
+                self._later.remove(item)
+                item[1]()
+        for frame in self._frames.values():
+            _fail(frame.future, CancelledError("the cluster was closed"))
+        for member in self._members.values():
+            member.lane.close()
+
+    def _wait_s(self) -> float | None:
+        due = [at_s for at_s, _ in self._later]
+        deadline_s = self._scheduler.deadline_s
+        if deadline_s is not None:
+            due.append(deadline_s)
+        # A hair more, so that rounding of the wait does not end it just before.
+        return max(0.0, min(due) - self._clock()) + 0.0002 if due else None
+
+    def _add(self, lane: Lane, reserve: bool) -> None:
+        if lane.name in self._members:
+            self._remove(lane.name)
+        self._members[lane.name] = _Member(lane, reserve)
+        self._load(lane.name)
+
+    def _remove(self, name: str) -> None:
+        member = self._members.pop(name, None)
+        if member is None:
+            return
+        self._scheduler.leave(name, self._clock())
+        self._act()
+        member.lane.close()
+        self._note_alone()
+
+    def _set_content(self, parcel: Parcel) -> None:
+        if self._parcel is not None and parcel.content <= self._parcel.content:
+            return
+        self._parcel = parcel
+        for name, member in list(self._members.items()):
+            if not member.loading or member.loaded == 0:
+                self._load(name)
+
+    def _load(self, name: str) -> None:
+        """Give a renderer what is shown now; it takes part when it has it."""
+        member = self._members.get(name)
+        if member is None:
+            return
+        parcel = self._parcel
+        if parcel is None:
+            # Nothing is shown yet.
+            if member.reserve:
+                member.loading = False
+                self._scheduler.join(name, self._clock(), reserve=True)
+            return
+        member.generation += 1
+        generation = member.generation
+        was_loading = member.loading
+
+        def done(trouble: BaseException | None) -> None:
+            self._inbox.put(lambda: self._loaded(name, generation, parcel, trouble))
+
+        light = member.lane.load(parcel, done)
+        if light and not was_loading:
+            self._scheduler.load(name, parcel.content, self._clock())
+            self._act()
+
+    def _loaded(self, name: str, generation: int, parcel: Parcel, trouble: BaseException | None) -> None:
+        member = self._members.get(name)
+        if member is None or generation != member.generation:
+            return
+        if trouble is None:
+            member.attempts = 0
+            member.loaded = parcel.content
+            now_s = self._clock()
+            if member.loading:
+                member.loading = False
+                self._scheduler.join(name, now_s, content=parcel.content, reserve=member.reserve)
+            else:
+                self._scheduler.load(name, parcel.content, now_s)
+            self._act()
+            if self._parcel is not parcel:
+                self._load(name)
+            return
+        if isinstance(trouble, ClusterError) and trouble.code in {"cluster.memory", "cluster.version"}:
+            self._tell(str(trouble))
+            self._remove(name)
+            return
+        self._retry(name, trouble)
+
+    def _retry(self, name: str, trouble: BaseException) -> None:
+        member = self._members[name]
+        if not member.loading:
+            member.loading = True
+            self._scheduler.leave(name, self._clock())
+            self._act()
+        logger.info("renderer %s: %s; it is asked again", name, type(trouble).__name__)
+        wait_s = RETRY_S[min(member.attempts, len(RETRY_S) - 1)]
+        member.attempts += 1
+        self._later.append((self._clock() + wait_s, lambda: self._load(name)))
+        self._note_alone()
+
+    def _want(self, frame_id: int, frame: _Frame, whole: bool, stream: str | None) -> None:
+        self._frames[frame_id] = frame
+        view = frame.view
+        # An answer carries three bytes a pixel.
+        max_rows = None if whole else max(1, self._settings.max_strip_bytes // (3 * view.width))
+        self._scheduler.want(
+            frame_id,
+            view.height,
+            self._clock(),
+            content=frame.content.number,
+            cost=(type(view).__name__, view.width, view.height),
+            whole=whole,
+            stream=stream,
+            max_rows=max_rows,
+        )
+        self._act()
+
+    def _drop(self, frame_id: int) -> None:
+        frame = self._frames.get(frame_id)
+        if frame is not None:
+            frame.stop.cancel()
+            self._scheduler.drop(frame_id, self._clock())
+            self._act()
+
+    def _act(self) -> None:
+        for action in self._scheduler.take():
+            match action:
+                case Issue():
+                    self._issue(action)
+                case FrameDone(frame_id):
+                    self._deliver(self._frames.pop(frame_id))
+                case FrameDropped(frame_id):
+                    # Not there: its future has been failed already, with what the view was refused for.
+                    frame = self._frames.pop(frame_id, None)
+                    if frame is not None:
+                        frame.stop.cancel()
+                        _fail(frame.future, CancelledError("the picture was given up for a newer one"))
+                case LaneLate(lane):
+                    self._tell(f"the renderer {lane} is late; others do its part until it answers")
+                case LaneBack(lane):
+                    self._told.discard(f"the renderer {lane} is late; others do its part until it answers")
+
+    def _issue(self, task: Issue) -> None:
+        frame = self._frames[task.frame_id]
+        member = self._members[str(task.lane)]
+        whole = (task.first_row, task.end_row) == (0, frame.view.height)
+        rows = None if whole else (task.first_row, task.end_row)
+        content = frame.content
+        order = StripOrder(
+            task.task_id,
+            task.frame_id,
+            content.number,
+            frame.view,
+            rows,
+            renderer=content.renderer,
+            scene=content.scene,
+            stop=frame.stop,
+        )
+        self._tasks[task.task_id] = (order, self._clock())
+        name = str(task.lane)
+
+        def done(answer: StripAnswer | BaseException) -> None:
+            at_s = self._clock()
+            self._inbox.put(lambda: self._answered(name, order, answer, at_s))
+
+        member.lane.submit(order, done)
+
+    def _answered(self, name: str, order: StripOrder, answer: StripAnswer | BaseException, at_s: float) -> None:
+        _, issued_s = self._tasks.pop(order.task_id)
+        frame = self._frames.get(order.frame_id)
+        if isinstance(answer, BaseException):
+            self._refused(name, order, frame, answer)
+            return
+        first, end = order.rows or (0, order.view.height)
+        expected = (end - first, order.view.width, 3)
+        wrong = _what_is_wrong(answer, order, expected)
+        if wrong is not None:
+            self._fault(name, order, wrong)
+            return
+        member = self._members.get(name)
+        if member is not None:
+            member.latency.note(at_s, at_s - issued_s)
+        # The scheduler's clock never runs backwards, and answers may have waited.
+        accepted = self._scheduler.answered(name, order.task_id, answer.seconds, self._clock())
+        if accepted and frame is not None:
+            if frame.rgb is None:
+                frame.rgb = np.empty((frame.view.height, frame.view.width, 3), np.uint8)
+            frame.rgb[first:end] = answer.rgb
+            frame.picture = answer.picture
+            stats = answer.picture.stats
+            frame.counts = _add_counts(frame.counts, answer.picture.stats)
+            frame.method = max(frame.method, stats.method, key=lambda m: (m.startswith("gpu"), m))
+        if self.jobs is not None:
+            self.jobs.append(Job(name, order.frame_id, (first, end), issued_s, at_s, answer.seconds, accepted))
+        self._act()
+
+    def _refused(self, name: str, order: StripOrder, frame: _Frame | None, trouble: BaseException) -> None:
+        now_s = self._clock()
+        if isinstance(trouble, CancelledError):
+            if frame is not None:
+                self._drop(order.frame_id)
+            self._scheduler.answered(name, order.task_id, 1e-9, now_s)
+            self._act()
+            return
+        if isinstance(trouble, CarinaError) and not isinstance(trouble, ClusterError):
+            # The view itself is refused; every renderer would say so.
+            self._frames.pop(order.frame_id, None)
+            if frame is not None:
+                _fail(frame.future, trouble)
+                self._scheduler.drop(order.frame_id, now_s)
+            self._scheduler.answered(name, order.task_id, 1e-9, now_s)
+            self._act()
+            return
+        member = self._members.get(name)
+        self._scheduler.failed(name, order.task_id, now_s)
+        if member is not None and member.reserve:
+            # The console itself cannot: nobody is left to ask.
+            self._scheduler.join(name, now_s, reserve=True)
+            self._frames.pop(order.frame_id, None)
+            if frame is not None:
+                _fail(frame.future, trouble)
+                self._scheduler.drop(order.frame_id, now_s)
+            self._act()
+            return
+        self._act()
+        if member is not None and not member.loading:
+            self._tell(f"the renderer {name} does not answer; others do its part until it is back")
+            self._retry(name, trouble)
+
+    def _fault(self, name: str, order: StripOrder, wrong: str) -> None:
+        self._scheduler.failed(name, order.task_id, self._clock())
+        self._act()
+        member = self._members.get(name)
+        if member is None or member.loading:
+            return
+        member.faults += 1
+        if member.faults >= MAX_FAULTS:
+            self._tell(f"the renderer {name} keeps answering wrongly ({wrong}) and is not used any more")
+            self._remove(name)
+            return
+        self._tell(f"the renderer {name} answered wrongly: {wrong}; its part was rendered by another")
+        self._retry(name, ClusterError(wrong, code="cluster.fault"))
+
+    def _deliver(self, frame: _Frame) -> None:
+        now_s = self._clock()
+        self._meter.note(now_s, now_s - frame.wanted_s)
+        assert frame.rgb is not None and frame.picture is not None
+        view = frame.view
+        optics = view.optics if isinstance(view, AirwayView) and view.lens != PINHOLE else None
+        stats = RenderStats(frame.method, view.width, view.height, *frame.counts, now_s - frame.wanted_s)
+        picture = with_pixels(frame.picture, frame.rgb, stats=stats, optics=optics)
+        if frame.future.set_running_or_notify_cancel():
+            frame.future.set_result(picture)
+
+    def _tell(self, words: str) -> None:
+        if words not in self._told:
+            self._told.add(words)
+            self._notices.append(words)
+            del self._notices[:-50]
+            logger.warning("%s", words)
+
+    def _note_alone(self) -> None:
+        if not self._closed and any(m.reserve for m in self._members.values()) and not self.has_renderers:
+            logger.info("no renderer is left: this machine renders alone")
+
+    def _make_status(self) -> ClusterStatus:
+        now_s = self._clock()
+        views = {str(view.lane): view for view in self._scheduler.lanes()}
+        members = []
+        for name, member in self._members.items():
+            view = views.get(name)
+            facts = member.lane.facts
+            latency_s = member.latency.median_s
+            members.append(
+                MemberStatus(
+                    name=name,
+                    host=facts.host,
+                    threads=facts.threads,
+                    simd=facts.simd,
+                    state="loading" if view is None else view.state,
+                    share=0.0 if view is None else view.share,
+                    latency_ms=None if latency_s is None else latency_s * 1e3,
+                    num_late=0 if view is None else view.num_late,
+                    num_strips=0 if view is None else view.num_answers,
+                )
+            )
+        frame_s = self._meter.median_s
+        return ClusterStatus(
+            address=self.address,
+            members=tuple(members),
+            alone=not self.has_renderers,
+            mixed=self.mixed,
+            fps=self._meter.rate_hz(now_s),
+            frame_ms=None if frame_s is None else frame_s * 1e3,
+            notices=tuple(self._notices),
+        )
+
+
+def _add_counts(
+    counts: tuple[int, int, int, int, int, int, int], stats: RenderStats
+) -> tuple[int, int, int, int, int, int, int]:
+    return (
+        counts[0] + stats.num_rays,
+        counts[1] + stats.num_samples,
+        counts[2] + stats.num_lookups,
+        counts[3] + stats.num_leaps,
+        counts[4] + stats.num_skipped,
+        counts[5] + stats.num_shaded,
+        counts[6] + stats.num_loads,
+    )
+
+
+def _nothing() -> None:
+    """Only the time has passed."""
+
+
+def _fail(future: Future[Picture], trouble: BaseException) -> None:
+    if not future.done() and future.set_running_or_notify_cancel():
+        future.set_exception(trouble)
+
+
+def _what_is_wrong(answer: StripAnswer, order: StripOrder, expected: tuple[int, int, int]) -> str | None:
+    """Why an answer is not what was asked for, or None."""
+    if answer.frame_id != order.frame_id:
+        return f"a strip of frame {answer.frame_id} instead of frame {order.frame_id}"
+    if answer.content != order.content:
+        return f"a strip of content {answer.content} instead of {order.content}"
+    if not isinstance(answer.rgb, np.ndarray) or answer.rgb.dtype != np.uint8:
+        return "no picture of 8 bits"
+    if answer.rgb.shape != expected:
+        return f"a strip of shape {answer.rgb.shape} instead of {expected}"
+    return None

@@ -1,0 +1,137 @@
+"""What runs on each machine of a cluster: one renderer that answers strips. Knows neither Ray nor a network."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import platform
+import socket
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import carina
+from carina.cluster.parcel import open_parcel
+from carina.errors import ClusterError
+from carina.render import Backend, Picture, Renderer, View, build_info
+
+__all__ = ["RendererHost", "available_bytes", "bare_picture"]
+
+
+def available_bytes() -> int | None:
+    """Memory that this machine can still give, also under the limit of a container; None where it does not say."""
+    found: list[int] = []
+    try:
+        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                found.append(int(line.split()[1]) * 1024)
+        limit = Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii").strip()
+        if limit != "max":
+            used = int(Path("/sys/fs/cgroup/memory.current").read_text(encoding="ascii"))
+            found.append(max(0, int(limit) - used))
+    except (OSError, ValueError):
+        pass
+    return min(found, default=None)
+
+
+def bare_picture(picture: Picture) -> Picture:
+    """A picture without its pixels and its lens, which the console knows: what travels beside a strip."""
+    return dataclasses.replace(picture, rgb=np.empty((0, 0, 3), np.uint8), optics=None)
+
+
+class RendererHost:
+    """One machine's renderer, as the console calls it. It starts empty, and again after every restart.
+
+    Parameters
+    ----------
+    mixed
+        Whether it may use a graphics device: its pictures then are the others' within one grey level only.
+    simd
+        Instruction set of the kernels, for tests.
+    """
+
+    def __init__(self, *, mixed: bool = False, simd: str | None = None) -> None:
+        self._backend = Backend("auto") if mixed else Backend("cpu")
+        self._simd = simd
+        self._content: int | None = None
+        self._arrays: dict[int, NDArray[Any]] = {}
+        self._renderer: Renderer | None = None
+        self._lock = threading.Lock()
+
+    def ping(self) -> dict[str, Any]:
+        """Who this is, and what it has."""
+        info = build_info()
+        return {
+            "version": carina.__version__,
+            "python": platform.python_version(),
+            "host": socket.gethostname(),
+            "pid": os.getpid(),
+            "threads": info["threads"],
+            "simd": self._simd or info["simd"],
+            "content": self._content,
+            "tokens": sorted(self._arrays),
+            "memory_bytes": available_bytes(),
+        }
+
+    def load(self, content: int, skeleton: bytes, kept: list[int], tokens: list[int], *arrays: NDArray[Any]) -> int:
+        """Take what pictures are made from.
+
+        Parameters
+        ----------
+        content
+            Its number, which every strip names.
+        skeleton
+            See :class:`carina.cluster.parcel.Parcel`.
+        kept
+            Tokens of arrays that this host already has.
+        tokens, arrays
+            The others.
+
+        Raises
+        ------
+        ClusterError
+            ``cluster.lost`` if one of ``kept`` is not here: it was restarted; everything has to come again.
+        """
+        with self._lock:
+            known = {**self._arrays, **dict(zip(tokens, arrays, strict=True))}
+            wanted = [*kept, *tokens]
+            if any(token not in known for token in wanted):
+                raise ClusterError("the renderer has been restarted and holds no volume", code="cluster.lost")
+            self._arrays = {token: known[token] for token in wanted}
+            volume, scene = open_parcel(skeleton, self._arrays)
+            if self._renderer is None or self._renderer.volume.hu_zyx is not volume.hu_zyx:
+                shown = self._renderer
+                # Volumes are equal where their values are one array: X-ray projections stay.
+                if shown is None or not _same(shown.volume.hu_zyx, volume.hu_zyx):
+                    self._renderer = Renderer(volume, simd=self._simd, backend=self._backend)
+            assert self._renderer is not None
+            self._renderer.adopt_scene(scene)
+            self._content = content
+            return content
+
+    def strip(
+        self, frame_id: int, content: int, view: View, rows: tuple[int, int] | None
+    ) -> tuple[int, int, float, Picture, NDArray[np.uint8]]:
+        """Render rows of a view: frame and content again, seconds, the picture without pixels, its rows (n, width, 3).
+
+        Raises
+        ------
+        ClusterError
+            ``cluster.lost`` if another content is loaded than the strip is of.
+        """
+        began_s = time.perf_counter()
+        with self._lock:
+            renderer, loaded = self._renderer, self._content
+            scene = None if renderer is None else renderer.scene
+        if renderer is None or loaded != content:
+            raise ClusterError(f"the renderer holds content {loaded}, not {content}", code="cluster.lost")
+        picture = renderer.render(view, rows=rows, scene=scene)
+        return frame_id, content, time.perf_counter() - began_s, bare_picture(picture), picture.rgb
+
+
+def _same(a: NDArray[Any], b: NDArray[Any]) -> bool:
+    return a.shape == b.shape and a.__array_interface__["data"][0] == b.__array_interface__["data"][0]

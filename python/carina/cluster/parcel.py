@@ -1,0 +1,105 @@
+"""What a renderer must hold: volume, wall, maps, transfer function; large arrays apart, so that each travels once."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import pickle
+import threading
+import weakref
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from carina.render.scene import Scene
+from carina.volume import Volume
+
+__all__ = ["Parcel", "Parcels", "open_parcel"]
+
+Array = np.ndarray[Any, Any]
+# Smaller arrays travel within the skeleton.
+LARGE_BYTES = 1 << 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parcel:
+    """A volume and a scene of it, as bytes and arrays. No name, no UID and no path of the case is in it."""
+
+    content: int
+    """Names what pictures are made from; grows."""
+    skeleton: bytes
+    arrays: Mapping[int, Array]
+    """Large arrays by token. An array keeps its token, so that it is sent to each machine once."""
+
+    @property
+    def num_bytes(self) -> int:
+        """What a renderer needs in memory."""
+        return len(self.skeleton) + sum(array.nbytes for array in self.arrays.values())
+
+
+class _Packer(pickle.Pickler):
+    def __init__(self, file: io.BytesIO, parcels: Parcels) -> None:
+        super().__init__(file, protocol=5)
+        self._parcels = parcels
+        self.arrays: dict[int, Array] = {}
+
+    def persistent_id(self, found: Any) -> int | None:
+        if not isinstance(found, np.ndarray) or found.nbytes < LARGE_BYTES:
+            return None
+        token = self._parcels.token(found)
+        self.arrays.setdefault(token, found)
+        return token
+
+
+class _Opener(pickle.Unpickler):
+    def __init__(self, file: io.BytesIO, arrays: Mapping[int, Array]) -> None:
+        super().__init__(file)
+        self._arrays = arrays
+
+    def persistent_load(self, token: Any) -> Array:
+        return self._arrays[token]
+
+
+class Parcels:
+    """Makes parcels, and remembers the tokens of arrays that still exist."""
+
+    def __init__(self) -> None:
+        self._contents = itertools.count(1)
+        self._tokens = itertools.count(1)
+        self._known: dict[tuple[int, ...], tuple[weakref.ref[Array], int]] = {}
+        self._lock = threading.Lock()
+
+    def pack(self, volume: Volume, scene: Scene) -> Parcel:
+        """A parcel with a content number of its own."""
+        bare = Volume(volume.hu_zyx, volume.lps_from_ijk, volume.is_hu, volume.not_hu_reason)
+        file = io.BytesIO()
+        packer = _Packer(file, self)
+        packer.dump((bare, scene))
+        return Parcel(next(self._contents), file.getvalue(), packer.arrays)
+
+    def token(self, array: Array) -> int:
+        """The number of an array; views of the same values have the same."""
+        # Views of the same memory are one array; the owner of the memory tells whether it still exists.
+        owner = array
+        while isinstance(owner.base, np.ndarray):
+            owner = owner.base
+        key = (array.__array_interface__["data"][0], *array.shape, array.dtype.num)
+        with self._lock:
+            kept = self._known.get(key)
+            if kept is not None and kept[0]() is owner:
+                return kept[1]
+            token = next(self._tokens)
+            self._known[key] = (weakref.ref(owner), token)
+            self._known = {k: v for k, v in self._known.items() if v[0]() is not None}
+            return token
+
+
+def open_parcel(skeleton: bytes, arrays: Mapping[int, Array]) -> tuple[Volume, Scene]:
+    """The volume and the scene of a parcel; arrays are not copied.
+
+    Only for parcels of the console that this process joined with a token: they are pickles.
+    """
+    volume, scene = _Opener(io.BytesIO(skeleton), arrays).load()
+    return volume, scene

@@ -1,0 +1,380 @@
+"""Pictures put together from strips are the single machine's, bit for bit; whatever happens to the renderers."""
+
+from __future__ import annotations
+
+import pickle
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from carina.cluster import ClusterRenderer, ClusterSettings, render_frames
+from carina.cluster.host import RendererHost
+from carina.cluster.parcel import Parcels, open_parcel
+from carina.cluster.strips import cut_rows
+from carina.errors import CancelledError, ClusterError, RenderError
+from carina.render import (
+    AirwayView,
+    CancelToken,
+    CutPlaneView,
+    DrrView,
+    PathView,
+    SliceView,
+    TreeView,
+    TriPlaneView,
+    XrayView,
+    can_cut,
+    transfer_preset,
+)
+from carina.scopes import DepthOfField, Lens, PathFrames, scope_preset
+
+SIZE = {"width": 72, "height": 61}
+SIMD = ("portable", "avx2", "avx512", "neon")
+
+
+def _views(case) -> dict:
+    center = tuple(case.volume.center_lps)
+    along = np.stack([case.volume.to_lps((17 + 3 * np.sin(k / 9), 16.0, k)) for k in np.linspace(35, 4, 24)])
+    steps = np.linalg.norm(np.diff(along, axis=0), axis=1)
+    path = _frames(along, np.concatenate([[0.0], np.cumsum(steps)]))
+    return {
+        "airway": AirwayView(case.pose, **SIZE),
+        "airway by brute force": AirwayView(case.pose, method="brute", **SIZE),
+        "airway unshaded": AirwayView(case.pose, shading=False, **SIZE),
+        "airway through a scope": AirwayView.of_scope(scope_preset("generic"), case.pose, **SIZE),
+        "airway, equidistant": AirwayView(case.pose, fov_deg=140.0, lens=Lens.equidistant(), **SIZE),
+        "cut-plane": CutPlaneView(case.pose, **SIZE),
+        "tri-plane": TriPlaneView(center, **SIZE),
+        "xray": XrayView("coronal", **SIZE),
+        "drr": DrrView(window_mm=(60.0, 40.0), **SIZE),
+        "axial": SliceView("axial", center, **SIZE),
+        "tree": TreeView(**SIZE),
+        "straightened": PathView("straightened", path, **SIZE),
+        "curved": PathView("curved", path, **SIZE),
+    }
+
+
+def _frames(points: np.ndarray, path_mm: np.ndarray) -> PathFrames:
+    forward = np.gradient(points, path_mm, axis=0)
+    forward /= np.linalg.norm(forward, axis=1)[:, None]
+    right = np.cross(np.cross(forward, [1.0, 0.0, 0.0]), forward)
+    right /= np.linalg.norm(right, axis=1)[:, None]
+    frames = np.tile(np.eye(4), (len(points), 1, 1))
+    frames[:, :3, 0], frames[:, :3, 1], frames[:, :3, 2] = right, np.cross(forward, right), forward
+    frames[:, :3, 3] = points
+    return PathFrames(path_mm, frames)
+
+
+VIEW_NAMES = (
+    "airway",
+    "airway by brute force",
+    "airway unshaded",
+    "airway through a scope",
+    "airway, equidistant",
+    "cut-plane",
+    "tri-plane",
+    "xray",
+    "drr",
+    "axial",
+    "tree",
+    "straightened",
+    "curved",
+)
+
+
+@pytest.fixture(scope="module")
+def machines(case):
+    """A renderer for each instruction set that this machine has, and one that has no maps."""
+    found = {}
+    for simd in SIMD:
+        renderer = case.renderer(simd)
+        try:
+            renderer.render(AirwayView(case.pose, width=8, height=8))
+        except RenderError:
+            continue
+        found[simd] = renderer
+    found["no maps"] = case.renderer(prepared=False)
+    return found
+
+
+@pytest.fixture(scope="module")
+def truth(case):
+    """The whole pictures."""
+    renderer = case.renderer()
+    return {name: renderer.render(view).rgb for name, view in _views(case).items()}
+
+
+@pytest.mark.parametrize("name", VIEW_NAMES)
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    shares=st.lists(st.floats(0.0, 9.0), min_size=1, max_size=9),
+    min_rows=st.integers(1, 20),
+    max_rows=st.one_of(st.none(), st.integers(1, 30)),
+    seed=st.integers(0, 99),
+)
+def test_strips_of_any_layout_and_instruction_set_are_the_whole_picture(  # noqa: PLR0917 - Hypothesis's own
+    case, machines, truth, name, shares, min_rows, max_rows, seed
+):
+    view = _views(case)[name]
+    names = list(machines)
+    strips = cut_rows(view.height, dict(enumerate(shares)), min_rows=min_rows, max_rows=max_rows)
+    parts = [
+        machines[names[(lane * 7 + first + seed) % len(names)]].render(view, rows=(first, end)).rgb
+        for lane, first, end in strips
+    ]
+    assert np.array_equal(np.concatenate(parts), truth[name])
+
+
+def test_pictures_that_need_all_their_pixels_are_not_cut(case):
+    renderer = case.renderer()
+    for view in (DrrView(**SIZE), AirwayView(case.pose, depth_of_field=DepthOfField(2.0, 20.0), **SIZE)):
+        assert not can_cut(view)
+        with pytest.raises(RenderError, match="whole picture"):
+            renderer.render(view, rows=(0, 9))
+
+
+def test_rows_outside_the_picture_are_refused(case):
+    renderer = case.renderer()
+    for rows in ((-1, 5), (5, 5), (0, 62)):
+        with pytest.raises(RenderError, match="rows"):
+            renderer.render(CutPlaneView(case.pose, **SIZE), rows=rows)
+
+
+@pytest.mark.parametrize("name", VIEW_NAMES)
+def test_a_cluster_gives_the_picture_and_what_belongs_to_it(case, cluster, name):
+    made = cluster()
+    view = _views(case)[name]
+    _wait_ready(made)
+    found, expected = made.renderer.render(view), made.truth.render(view)
+    assert np.array_equal(found.rgb, expected.rgb)
+    assert found.view == expected.view and found.fov_deg == expected.fov_deg
+    for what in ("lps_from_camera", "lps_from_pixel"):
+        a, b = getattr(found, what), getattr(expected, what)
+        assert (a is None) == (b is None) and (a is None or np.array_equal(a, b))
+    assert (found.lines is None) == (expected.lines is None)
+    assert (found.optics is None) == (expected.optics is None)
+    assert found.stats.num_rays == expected.stats.num_rays
+    assert found.stats.num_samples == expected.stats.num_samples
+    assert sum(lane.trouble.num_orders > 0 for lane in made.lanes) >= 2 or not made.renderer.spreads(view)
+
+
+def _wait_ready(made, num: int | None = None) -> None:
+    """Until the lanes have what is shown."""
+    made.renderer.prepare()
+    num = len(made.lanes) if num is None else num
+    for _ in range(2000):
+        if sum(m.state == "ready" for m in made.console.status().members) > num:
+            return
+        time.sleep(0.005)
+    raise AssertionError(made.console.status())
+
+
+def _airway(case, **changes) -> AirwayView:
+    return AirwayView(case.pose, **{**SIZE, **changes})
+
+
+FAST = ClusterSettings(late_floor_s=0.03, first_answer_s=0.5)
+
+
+def test_a_renderer_that_stops_answering_costs_a_moment_and_comes_back_by_itself(case, cluster):
+    made = cluster(settings=FAST)
+    _wait_ready(made)
+    expected = made.truth.render(_airway(case)).rgb
+    for _ in range(5):
+        made.renderer.render(_airway(case))
+    made.lanes[1].trouble.holds = True
+    for _ in range(5):
+        began_s = time.monotonic()
+        assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
+        assert time.monotonic() - began_s < 1.0
+    status = made.console.status()
+    assert [m.state for m in status.members if m.name == "lane-1"] == ["late"]
+    assert [n for n in status.notices if "lane-1 is late" in n] == [status.notices[-1]], "told once"
+    made.lanes[1].release()
+    made.renderer.render(_airway(case))
+    assert all(m.state == "ready" for m in made.console.status().members)
+
+
+@pytest.mark.parametrize("what", ["wrong_shape", "old_frame"])
+def test_wrong_answers_are_never_shown(case, cluster, what):
+    made = cluster(settings=FAST)
+    _wait_ready(made)
+    expected = made.truth.render(_airway(case)).rgb
+    setattr(made.lanes[0].trouble, what, True)
+    for _ in range(10):
+        assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
+        time.sleep(0.02)
+    notices = made.console.status().notices
+    words = {"wrong_shape": "of shape", "old_frame": "of frame"}[what]
+    assert any("lane-0 answered wrongly" in n and words in n for n in notices), notices
+
+
+def test_a_renderer_that_keeps_answering_wrongly_is_left_out(case, cluster):
+    made = cluster(simds=(None, None), settings=FAST)
+    _wait_ready(made)
+    made.lanes[0].trouble.wrong_shape = True
+    end_s = time.monotonic() + 20.0
+    while any(m.name == "lane-0" for m in made.console.status().members):
+        made.renderer.render(_airway(case))
+        assert time.monotonic() < end_s
+    assert any("not used any more" in n for n in made.console.status().notices)
+
+
+def test_a_renderer_that_dies_in_mid_frame_loses_no_picture(case, cluster):
+    made = cluster(settings=FAST)
+    _wait_ready(made)
+    expected = made.truth.render(_airway(case)).rgb
+    made.lanes[2].trouble.raises = ConnectionError("gone")
+    for _ in range(3):
+        assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
+    assert sum("lane-2 does not answer" in n for n in made.console.status().notices) == 1
+    made.lanes[2].trouble.raises = None
+    _wait_ready(made)
+
+
+def test_with_no_renderer_left_the_console_renders_alone_and_nothing_fails(case, cluster):
+    made = cluster(simds=(None,), settings=FAST)
+    _wait_ready(made)
+    expected = made.truth.render(_airway(case)).rgb
+    made.lanes[0].trouble.raises = ConnectionError("gone")
+    assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
+    assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
+    made.console.remove_lane("lane-0")
+    assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
+    assert made.console.status().alone
+
+
+def test_a_renderer_that_joins_during_a_flight_takes_its_part(case, cluster, consoles):
+    made = cluster(simds=(None,))
+    _wait_ready(made)
+    made.renderer.render(_airway(case))
+    made.lanes += cluster(simds=("portable",)).lanes
+    late = made.lanes[1]
+    late.name = "newcomer"
+    made.console.add_lane(late)
+    _wait_ready(made)
+    before = late.trouble.num_orders
+    expected = made.truth.render(_airway(case)).rgb
+    assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
+    assert late.trouble.num_orders > before
+
+
+def test_another_transfer_function_is_shown_by_all_or_none(case, cluster):
+    made = cluster(simds=("portable", None))
+    _wait_ready(made)
+    for name in ("see-through", "endoscopic", "ct-grey", "paper"):
+        made.renderer.set_transfer(transfer_preset(name))
+        expected = made.truth.render(_airway(case)).rgb
+        assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
+        made.renderer.prepare()
+        assert np.array_equal(made.renderer.render(_airway(case)).rgb, made.truth.render(_airway(case)).rgb)
+
+
+def test_many_threads_may_ask_at_once(case, cluster):
+    made = cluster(settings=ClusterSettings(open_frames=3))
+    _wait_ready(made)
+    views = [_airway(case, fov_deg=60.0 + n) for n in range(24)]
+    expected = [made.truth.render(view).rgb for view in views]
+    with ThreadPoolExecutor(6) as threads:
+        for found, picture in zip(threads.map(made.renderer.render, views), expected, strict=True):
+            assert np.array_equal(found.rgb, picture)
+
+
+def test_a_picture_can_be_given_up(case, cluster):
+    made = cluster(simds=(None,), settings=ClusterSettings(first_answer_s=60.0))
+    _wait_ready(made)
+    made.lanes[0].trouble.holds = True
+    stop = CancelToken()
+    threading.Timer(0.05, stop.cancel).start()
+    with pytest.raises(CancelledError):
+        made.renderer.render(_airway(case), stop=stop)
+    made.lanes[0].release()
+    made.renderer.render(_airway(case))
+
+
+def test_a_view_that_cannot_be_rendered_is_refused_as_on_one_machine(case, consoles):
+    from carina.cluster import LocalLane
+    from carina.render import Renderer
+
+    console = consoles()
+    console.add_lane(LocalLane(Renderer(case.volume), name="a"))
+    renderer = ClusterRenderer(Renderer(case.volume), console, spread_all=True)
+    renderer.prepare()
+    with pytest.raises(RenderError, match="no airway lumen"):
+        renderer.render(TreeView(**SIZE))
+    assert renderer.render(_airway(case)).rgb.shape == (61, 72, 3)
+
+
+def test_jobs_of_many_pictures_come_in_order_and_go_on_where_they_stopped(case, cluster):
+    made = cluster(settings=FAST)
+    _wait_ready(made)
+    views = [_airway(case, fov_deg=50.0 + n) for n in range(12)]
+    expected = [made.truth.render(view).rgb for view in views]
+    got = []
+    for number, picture in render_frames(made.renderer, views):
+        assert np.array_equal(picture.rgb, expected[number])
+        got.append(number)
+        if number == 4:
+            break
+    made.lanes[0].trouble.raises = ConnectionError("gone")
+    for number, picture in render_frames(made.renderer, iter(views), first=5):
+        assert np.array_equal(picture.rgb, expected[number])
+        got.append(number)
+    assert got == list(range(12))
+    assert [n for n, _ in render_frames(made.truth, views, first=10)] == [10, 11]
+    assert sum(lane.trouble.num_orders > 0 for lane in made.lanes) >= 2
+
+
+def test_a_parcel_holds_each_large_array_once_and_keeps_its_token(case):
+    renderer = case.renderer()
+    parcels = Parcels()
+    first = parcels.pack(renderer.volume, renderer.scene)
+    renderer.set_transfer(transfer_preset("see-through"))
+    second = parcels.pack(renderer.volume, renderer.scene)
+    assert second.content > first.content
+    assert set(second.arrays) & set(first.arrays), "the volume is not sent again"
+    volume, scene = open_parcel(first.skeleton, first.arrays)
+    assert np.shares_memory(volume.hu_zyx, renderer.volume.hu_zyx)
+    assert scene.maps is not None and scene.maps.values is scene.values
+
+
+def test_no_name_and_no_path_of_the_case_travels(case):
+    from carina.volume import Volume, VolumeSource
+
+    named = VolumeSource(format="dicom", title="SECRET^NAME", warnings=("SECRET",))
+    volume = Volume(case.volume.hu_zyx, case.volume.lps_from_ijk, source=named)
+    from carina.render import Renderer
+
+    assert b"SECRET" not in Parcels().pack(volume, Renderer(volume).scene).skeleton
+
+
+def test_a_host_renders_what_it_holds_and_nothing_else(case):
+    renderer = case.renderer()
+    parcel = Parcels().pack(renderer.volume, renderer.scene)
+    host = RendererHost(simd="portable")
+    view = pickle.loads(pickle.dumps(_airway(case)))
+    with pytest.raises(ClusterError, match="not 1"):
+        host.strip(1, 1, view, (0, 9))
+    with pytest.raises(ClusterError, match="restarted"):
+        host.load(parcel.content, parcel.skeleton, list(parcel.arrays), [])
+    arrays = list(parcel.arrays.values())
+    host.load(parcel.content, parcel.skeleton, [], list(parcel.arrays), *arrays)
+    frame_id, content, seconds, picture, rgb = host.strip(7, parcel.content, view, (5, 20))
+    assert (frame_id, content) == (7, parcel.content) and seconds > 0.0
+    assert np.array_equal(rgb, renderer.render(view).rgb[5:20])
+    pickle.dumps(picture)
+    with pytest.raises(ClusterError):
+        host.strip(8, parcel.content + 1, view, (5, 20))
+    assert host.ping()["content"] == parcel.content
+
+
+@pytest.mark.parametrize("name", VIEW_NAMES)
+def test_every_view_travels(case, name):
+    view = _views(case)[name]
+    there = pickle.loads(pickle.dumps(view, protocol=5))
+    renderer = case.renderer()
+    assert np.array_equal(renderer.render(there).rgb, renderer.render(view).rgb)
