@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from carina.navigate import FlightPath, Navigator
     from carina.phantom import generate_phantom, write_phantom
     from carina.render import Renderer, TransferFunction, render_surface, render_view, transfer_preset
-    from carina.scopes import Pose
-    from carina.track import Airways, AirwayTree, edit_airways, find_airways, track_paths
+    from carina.scopes import Pose, ScopeDrive, WallField
+    from carina.track import Airways, AirwayTree, edit_airways, find_airways, track_paths, wall_field
     from carina.volume import Volume, demo_patient, inspect_path, open_mask, open_volume
 
 _HOME = {
@@ -35,10 +35,12 @@ _HOME = {
     "NoResultError": "errors",
     "Pose": "scopes",
     "Renderer": "render",
+    "ScopeDrive": "scopes",
     "TransferFunction": "render",
     "UsageError": "errors",
     "Volume": "volume",
     "VolumeImportError": "errors",
+    "WallField": "scopes",
     "demo_patient": "volume",
     "edit_airways": "track",
     "export_airways": "export",
@@ -52,6 +54,7 @@ _HOME = {
     "render_view": "render",
     "track_paths": "track",
     "transfer_preset": "render",
+    "wall_field": "track",
     "write_phantom": "phantom",
     "write_tree": "export",
 }
@@ -65,10 +68,12 @@ __all__ = [
     "NoResultError",
     "Pose",
     "Renderer",
+    "ScopeDrive",
     "TransferFunction",
     "UsageError",
     "Volume",
     "VolumeImportError",
+    "WallField",
     "__version__",
     "demo_patient",
     "edit_airways",
@@ -83,6 +88,7 @@ __all__ = [
     "render_view",
     "track_paths",
     "transfer_preset",
+    "wall_field",
     "write_phantom",
     "write_tree",
 ]

@@ -31,7 +31,60 @@ class FlightCurve:
     def tangent_frames(self) -> NDArray[np.float64]:
         """(m, 4, 4), at the knots: +z is the curve's own direction."""
 
+# ---- scope: the wall and the drive ----
+
+@final
+class WallField:
+    """Signed distance to the lumen's wall."""
+
+    @staticmethod
+    def from_distances(distance_mm_zyx: NDArray[np.float32], lps_from_ijk: NDArray[np.float64]) -> WallField:
+        """From a grid."""
+    @staticmethod
+    def from_mesh(
+        vertices_lps: NDArray[np.float64],
+        triangles: NDArray[np.uint32],
+        spacing_mm: float,
+        *,
+        cancel: Callable[[], bool] | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> WallField:
+        """From a closed mesh."""
+    def distance_mm(self, points_lps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n,) of (n, 3)."""
+    @property
+    def num_bytes(self) -> int: ...
+
+@final
+class ScopeDrive:
+    """A scope in a lumen."""
+
+    def __new__(
+        cls,
+        field: WallField,
+        sizes: tuple[float, float, float, float, float, float, float],
+        path_lps: NDArray[np.float64],
+        up_lps: Sequence[float] | None,
+    ) -> ScopeDrive: ...
+    @property
+    def state(self) -> dict[str, Any]: ...
+    @property
+    def entry_mm(self) -> float: ...
+    def drive(self, insertion_mm: float, roll_rad: float, flexion_rad: float, dt_s: float) -> dict[str, Any]:
+        """Set the controls."""
+    def place(self, path_lps: NDArray[np.float64], insertion_mm: float) -> dict[str, Any]:
+        """Lay along a path."""
+    def shaft_lps(self) -> NDArray[np.float64]:
+        """(n, 3), a copy."""
+    def wall_depths_mm(self) -> tuple[float, float]:
+        """(tip, shaft)."""
+
 # ---- phantom ----
+
+def chest_lumen_distances(
+    seed: int, generations: int, stenosis: bool, points_lps: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(n,) signed mm, negative in the lumen."""
 
 def generate_chest(
     seed: int,

@@ -16,14 +16,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 import SimpleITK
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from carina import _core
 from carina.config import load_settings
 from carina.errors import CancelledError, UsageError
 from carina.volume import Volume, VolumeSource
 
-__all__ = ["Phantom", "demo_phantom", "generate_phantom", "write_phantom"]
+__all__ = ["Phantom", "demo_phantom", "generate_phantom", "lumen_distance_at", "write_phantom"]
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 Progress = Callable[[str, float | None], None]
@@ -170,6 +170,33 @@ def generate_phantom(
         truth=truth,
         lumen_distance_mm=_frozen(made["lumen_distance_mm"]) if with_distance else None,
     )
+
+
+def lumen_distance_at(
+    points_lps: ArrayLike, *, seed: int = 0, generations: int = 6, stenosis: bool = False
+) -> NDArray[np.float64]:
+    """The exact lumen of a phantom at any points: what its voxels are made from, without voxels.
+
+    Parameters
+    ----------
+    points_lps
+        (n, 3) LPS mm.
+    seed, generations, stenosis
+        As for :func:`generate_phantom`.
+
+    Returns
+    -------
+    numpy.ndarray
+        (n,) mm, negative in the lumen. Near the surface it is the distance to it; 5 where no airway is near.
+
+    Examples
+    --------
+    >>> made = generate_phantom(spacing_mm=4.0, generations=3)
+    >>> bool(lumen_distance_at([made.truth["branches"][0]["points"][4]], generations=3)[0] < -5.0)
+    True
+    """
+    points = np.atleast_2d(np.ascontiguousarray(points_lps, dtype=np.float64))
+    return _core.chest_lumen_distances(seed, generations, stenosis, points)
 
 
 def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[Path]:

@@ -18,6 +18,7 @@ mod paper_tracker;
 mod phantom;
 mod raycast;
 mod scope;
+mod scope_drive;
 mod tracker;
 mod tree_edits;
 mod views;
@@ -59,6 +60,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     growth::register(module)?;
     phantom::register(module)?;
     scope::register(module)?;
+    scope_drive::register(module)?;
     views::register(module)?;
     Ok(())
 }

@@ -122,6 +122,33 @@ fn generate_chest<'py>(
     Ok(out)
 }
 
+/// Signed distances to the lumen of a chest's airways at any points; see `carina.phantom`.
+#[pyfunction]
+#[allow(
+    clippy::needless_pass_by_value,
+    reason = "PyO3 hands arrays over by value"
+)]
+fn chest_lumen_distances<'py>(
+    py: Python<'py>,
+    seed: u64,
+    generations: usize,
+    stenosis: bool,
+    points_lps: numpy::PyReadonlyArray2<'py, f64>,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    let points = crate::scope_drive::points(&points_lps)?;
+    let options = ChestOptions {
+        seed,
+        generations,
+        stenosis,
+        ..ChestOptions::default()
+    };
+    let found = py
+        .detach(|| Chest::lumen_distances_at(&options, &points))
+        .map_err(IntoPy::into_py)?;
+    Ok(found.into_pyarray(py))
+}
+
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(chest_lumen_distances, module)?)?;
     module.add_function(wrap_pyfunction!(generate_chest, module)?)
 }

@@ -2,7 +2,7 @@
 
 use carina_scope::{FlightCurve, ScopeError};
 use numpy::{
-    PyArray2, PyArray3, PyReadonlyArray2, PyUntypedArrayMethods, ToPyArray,
+    PyArray2, PyArray3, PyReadonlyArray2, ToPyArray,
     ndarray::{Array2, Array3},
 };
 use pyo3::prelude::*;
@@ -11,7 +11,11 @@ use crate::errors::{IntoPy, carina_error};
 
 impl IntoPy for ScopeError {
     fn into_py(self) -> PyErr {
-        carina_error("UsageError", self.code(), &self.to_string())
+        let class = match self {
+            Self::Cancelled => "CancelledError",
+            _ => "UsageError",
+        };
+        carina_error(class, self.code(), &self.to_string())
     }
 }
 
@@ -31,19 +35,7 @@ impl PyFlightCurve {
         up_lps: Option<[f64; 3]>,
         max_deviation_mm: f64,
     ) -> PyResult<Self> {
-        let shape = points_lps.shape();
-        if shape[1] != 3 {
-            return Err(ScopeError::Path {
-                reason: format!("expected points of shape (n, 3), found {shape:?}"),
-            }
-            .into_py());
-        }
-        let points: Vec<[f64; 3]> = points_lps
-            .as_array()
-            .rows()
-            .into_iter()
-            .map(|r| [r[0], r[1], r[2]])
-            .collect();
+        let points = crate::scope_drive::points(&points_lps)?;
         FlightCurve::new(&points, up_lps, max_deviation_mm)
             .map(Self)
             .map_err(IntoPy::into_py)

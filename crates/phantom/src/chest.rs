@@ -150,6 +150,22 @@ impl Chest {
         Self::generate_on(&grid, options, proceed)
     }
 
+    /// Signed distances in mm to the lumen of the chest of these options, at any points (LPS mm): negative inside.
+    ///
+    /// Near the surface it is the distance; deep inside it is at least that far in, and 5 where no airway is near.
+    pub fn lumen_distances_at(
+        options: &ChestOptions,
+        points: &[[f64; 3]],
+    ) -> Result<Vec<f64>, PhantomError> {
+        let grid = options.grid()?;
+        let body = Body::new(options.seed);
+        let mut tree = AirwayTree::grow(options.seed, options.generations, TOP_Z);
+        if options.stenosis {
+            narrow(&mut tree, &mut Random::new(options.seed, 5));
+        }
+        Ok(Scene::new(&tree, &body, &[], None).distances_at(&grid, points))
+    }
+
     /// Makes a chest on any grid, also an oblique one.
     pub fn generate_on(
         grid: &Grid,
@@ -337,6 +353,26 @@ mod tests {
             }
         }
         assert!(compared > 1000, "{compared}");
+    }
+
+    #[test]
+    fn distances_at_points_are_those_of_the_voxels() {
+        let made = Chest::generate(&options(), &mut |_| true).unwrap();
+        let points: Vec<[f64; 3]> = (0..made.grid.num_voxels())
+            .map(|n| {
+                made.grid
+                    .lps_from_ijk()
+                    .point(made.grid.voxel(n).map(|v| v as f64))
+            })
+            .collect();
+        let found = Chest::lumen_distances_at(&options(), &points).unwrap();
+        for (a, b) in found.iter().zip(made.lumen_distance_mm.unwrap()) {
+            // Where no airway is near, one of them may still know of one.
+            assert!(
+                (*a as f32 - b).abs() < 1e-6 || (*a > 3.0 && b > 3.0),
+                "{a} {b}"
+            );
+        }
     }
 
     #[test]

@@ -303,6 +303,27 @@ impl<'a> Scene<'a> {
             .fold(f64::INFINITY, f64::min)
     }
 
+    /// Signed distances to the lumen at any points in a grid's box (negative inside; 5 where no airway is near, and
+    /// beyond the box): the function that voxels are made from, without voxels.
+    pub(crate) fn distances_at(&self, grid: &Grid, points: &[[f64; 3]]) -> Vec<f64> {
+        let bricks = Bricks::new(grid);
+        let margin = BLUR_MM + voxel_diagonal(grid);
+        let near = Lists::new(
+            &bricks,
+            self.airways
+                .iter()
+                .map(|a| a.piece.axis_bounds(margin + a.reach(2.0))),
+        );
+        points
+            .par_iter()
+            .map(|&p| {
+                grid.voxel_at(grid.to_ijk(carina_grid::Lps(p)))
+                    .and_then(|voxel| self.lumen(p, near.of(bricks.at(voxel))))
+                    .map_or(5.0, |lumen| lumen.distance)
+            })
+            .collect()
+    }
+
     /// Values of all voxels, from the top of memory to its end, `layer` slices at a time.
     pub(crate) fn voxelize(
         &self,

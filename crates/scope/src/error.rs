@@ -1,4 +1,4 @@
-/// What can be wrong with a path to fly on.
+/// What can be wrong with a path, a wall or a scope.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ScopeError {
     /// The points do not make a path.
@@ -19,6 +19,27 @@ pub enum ScopeError {
         /// The refused length.
         found_mm: f64,
     },
+    /// The wall's field cannot be made.
+    #[error("cannot take the distance to this wall: {reason}")]
+    Wall {
+        /// Why.
+        reason: String,
+    },
+    /// A scope's sizes are unusable, or it cannot be put where it was asked for.
+    #[error("cannot drive this scope: {reason}")]
+    Scope {
+        /// Why.
+        reason: String,
+    },
+    /// The force law's numbers are unusable, or the loop cannot run.
+    #[error("cannot give force: {reason}")]
+    Force {
+        /// Why.
+        reason: String,
+    },
+    /// The caller stopped the work.
+    #[error("stopped")]
+    Cancelled,
 }
 
 impl ScopeError {
@@ -29,6 +50,10 @@ impl ScopeError {
             Self::Path { .. } => "navigate.path",
             Self::Up { .. } => "navigate.up",
             Self::Deviation { .. } => "navigate.deviation",
+            Self::Wall { .. } => "scope.wall",
+            Self::Scope { .. } => "scope.drive",
+            Self::Force { .. } => "scope.force",
+            Self::Cancelled => "cancelled",
         }
     }
 }

@@ -1,13 +1,27 @@
-//! The bronchoscope: how its tip follows a path (paper 3.2, path mode).
+//! The bronchoscope: how its tip follows a path (paper 3.2, path mode), and how it bends, touches and pushes back.
 //!
 //! A tracked path is a polyline, often a staircase of voxels. [`FlightCurve`] makes of it what a camera can ride on: a curve
 //! that stays within a stated distance of the polyline, a gaze that turns slowly, and frames that do not spin about it.
+//!
+//! [`ScopeDrive`] is the instrument itself: insertion, roll and flexion move an elastic axis in a lumen, which is a
+//! [`WallField`], the signed distance to the wall.
 
+mod axis;
+mod body;
 mod curve;
+mod drive;
 mod error;
 mod frames;
 mod gaze;
+mod wall;
+mod wall_mesh;
 
+#[cfg(test)]
+mod drive_tests;
+
+pub use body::ScopeBody;
 pub use curve::{FlightCurve, Nearest};
+pub use drive::{Contact, ContactRecord, Limit, ScopeDrive, ScopeState};
 pub use error::ScopeError;
 pub use frames::rotation_minimizing_frames;
+pub use wall::WallField;

@@ -1,6 +1,8 @@
-"""The bronchoscope: where its tip is (pose), how it sees (lens), and which instruments there are (library)."""
+"""The bronchoscope: where its tip is (pose), how it sees (lens), which instruments there are
+(library), and how one moves in the airways (drive)."""
 
 from carina.scopes.calibration import lens_from_file, lens_from_text
+from carina.scopes.drive import Contact, ContactRecord, ScopeDrive, ScopeLimit, ScopeState, lever_flexion
 from carina.scopes.fit import FittedOptics, Residual, fit_generic_optics
 from carina.scopes.lens import (
     FULL_FRAME,
@@ -16,6 +18,7 @@ from carina.scopes.lens import (
 from carina.scopes.library import DEFAULT_SCOPE, FIT_MARGIN_MM, ScopePreset, scope_preset, scope_presets
 from carina.scopes.path_frames import PathFrames
 from carina.scopes.pose import Pose, upright
+from carina.scopes.wall_field import WallField
 
 __all__ = [
     "DEFAULT_SCOPE",
@@ -24,6 +27,8 @@ __all__ = [
     "MASKS",
     "PINHOLE",
     "Calibration",
+    "Contact",
+    "ContactRecord",
     "DepthOfField",
     "FittedOptics",
     "ImageField",
@@ -33,10 +38,15 @@ __all__ = [
     "PathFrames",
     "Pose",
     "Residual",
+    "ScopeDrive",
+    "ScopeLimit",
     "ScopePreset",
+    "ScopeState",
+    "WallField",
     "fit_generic_optics",
     "lens_from_file",
     "lens_from_text",
+    "lever_flexion",
     "scope_preset",
     "scope_presets",
     "upright",

@@ -28,6 +28,7 @@ from carina.track.names import LetterRule, NameWords, branch_side_and_lobe, name
 from carina.track.paths import PathTracker, TrackedPath
 from carina.track.tree import AirwayTree, Branch, Route
 from carina.track.uncertain import Uncertainty
+from carina.track.wall import wall_field
 
 __all__ = [
     "AddBranch",
@@ -76,4 +77,5 @@ __all__ = [
     "name_words",
     "rebuild_airways",
     "track_paths",
+    "wall_field",
 ]

@@ -1,0 +1,411 @@
+//! The scope's axis: nodes from the tip back to where it enters, its frames, and how it relaxes.
+//!
+//! The axis is an elastic rod of nodes [`NODE_MM`] apart (Bergou et al., "Discrete elastic rods", SIGGRAPH 2008: frames
+//! carried along without twist, bending energy from the angle at each node). It is stiff against twist and stretch, so the
+//! hand's roll arrives at the tip. Curvature that the lever asks for is the rest shape of the bending section; elsewhere
+//! the rest shape is straight. Walls hold the nodes.
+
+use carina_grid::{cross, dot, unit};
+
+use crate::body::{Entry, Feeler, NODE_MM, ScopeBody, Tip, tip_clearance};
+use crate::wall::WallField;
+
+type Point = [f64; 3];
+
+/// How far the tip and the shaft may be in the wall when a movement is accepted (the stated limits are 0.1 and 0.5).
+const TIP_TOLERANCE_MM: f64 = 0.02;
+const SHAFT_TOLERANCE_MM: f64 = 0.15;
+const LEAST_SWEEPS: usize = 3;
+const MOST_SWEEPS: usize = 36;
+/// So many sweeps must halve what is still in the wall, or there is no room.
+const PATIENCE: usize = 8;
+/// Nodes near the tip that every sweep looks at; those farther back move little, and only the first sweep does.
+const NEAR_NODES: usize = 60;
+
+/// What the hand sets.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Controls {
+    /// From the entry.
+    pub(crate) depth_mm: f64,
+    pub(crate) roll_rad: f64,
+    pub(crate) flexion_rad: f64,
+}
+
+/// Nodes of the axis, the tip's face first. The last two lie behind the entry and are led.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Axis {
+    pub(crate) nodes: Vec<Point>,
+}
+
+pub(crate) fn sub(a: Point, b: Point) -> Point {
+    std::array::from_fn(|k| a[k] - b[k])
+}
+
+pub(crate) fn along(a: Point, f: f64, b: Point) -> Point {
+    std::array::from_fn(|k| a[k] + f * b[k])
+}
+
+fn mix(a: Point, b: Point, t: f64) -> Point {
+    std::array::from_fn(|k| a[k] + t * (b[k] - a[k]))
+}
+
+/// `v`, at right angles to `from`, turned with the smallest rotation that takes `from` to `to`.
+fn carried(v: Point, from: Point, to: Point) -> Point {
+    let share = dot(to, v) / (1.0 + dot(from, to)).max(1e-6);
+    let turned: Point = std::array::from_fn(|a| v[a] - share * (from[a] + to[a]));
+    let slant = dot(turned, to);
+    unit(along(turned, -slant, to)).unwrap_or(v)
+}
+
+/// `v` turned about the unit axis.
+fn turned(v: Point, axis: Point, angle: f64) -> Point {
+    let (s, c) = (libm::sin(angle), libm::cos(angle));
+    let (across, part) = (cross(axis, v), dot(axis, v) * (1.0 - c));
+    std::array::from_fn(|a| c * v[a] + s * across[a] + part * axis[a])
+}
+
+impl Axis {
+    /// Nodes from the tip to the second one behind the entry, for a depth.
+    fn num_nodes(depth_mm: f64) -> usize {
+        (depth_mm / NODE_MM).ceil() as usize + 2
+    }
+
+    /// A straight scope that enters along the entry's direction.
+    pub(crate) fn straight(entry: &Entry, depth_mm: f64) -> Self {
+        Self {
+            nodes: (0..Self::num_nodes(depth_mm))
+                .map(|n| along(entry.at, depth_mm - n as f64 * NODE_MM, entry.into))
+                .collect(),
+        }
+    }
+
+    /// Unit vector from a node to the next one towards the tip.
+    fn forward(&self, node: usize) -> Point {
+        unit(sub(self.nodes[node - 1], self.nodes[node])).unwrap_or([0.0, 0.0, -1.0])
+    }
+
+    /// What is up on each segment, from segment (1, 0) at place 0 back to the led one.
+    pub(crate) fn ups(&self, first_up: Point, roll_rad: f64) -> Vec<Point> {
+        let last = self.nodes.len() - 1;
+        let mut ups = vec![[0.0; 3]; last];
+        let mut before = self.forward(last);
+        // Roll is clockwise as the operator sees it, about the direction of view.
+        let mut up = turned(first_up, before, roll_rad);
+        up = unit(along(up, -dot(up, before), before)).unwrap_or(up);
+        for node in (1..=last).rev() {
+            let forward = self.forward(node);
+            up = carried(up, before, forward);
+            ups[node - 1] = up;
+            before = forward;
+        }
+        ups
+    }
+
+    pub(crate) fn tip(&self, up: Point) -> Tip {
+        let forward = self.forward(1);
+        let down = unit(along(up.map(|v| -v), dot(up, forward), forward)).unwrap_or([0.0; 3]);
+        Tip {
+            at: self.nodes[0],
+            right: cross(down, forward),
+            down,
+            forward,
+        }
+    }
+
+    /// Moves the scope along itself: what is behind follows what is before.
+    pub(crate) fn shift(&mut self, entry: &Entry, depth_mm: f64, by_mm: f64) {
+        let share = (by_mm.abs() / NODE_MM).min(1.0);
+        let old = &self.nodes;
+        let tip_forward = self.forward(1);
+        let mut moved: Vec<Point> = if by_mm >= 0.0 {
+            let mut all = vec![along(old[0], by_mm, tip_forward)];
+            all.extend((1..old.len()).map(|n| mix(old[n], old[n - 1], share)));
+            all
+        } else {
+            (0..old.len() - 1)
+                .map(|n| mix(old[n], old[n + 1], share))
+                .collect()
+        };
+        let wanted = Self::num_nodes(depth_mm);
+        moved.truncate(wanted);
+        while moved.len() < wanted {
+            moved.push([0.0; 3]);
+        }
+        // The led nodes lie where the straight scope behind the entry has them.
+        for n in wanted - 2..wanted {
+            moved[n] = along(entry.at, depth_mm - n as f64 * NODE_MM, entry.into);
+        }
+        self.nodes = moved;
+    }
+
+    /// Bends the part before each node of the bending section by what the controls changed.
+    pub(crate) fn bend(
+        &mut self,
+        body: &ScopeBody,
+        first_up: Point,
+        before: Controls,
+        after: Controls,
+    ) {
+        if before.flexion_rad == after.flexion_rad && before.roll_rad == after.roll_rad {
+            return;
+        }
+        let (rigid, num) = (body.rigid_nodes(), body.bending_nodes());
+        // Nodes that are led do not bend.
+        let last = (rigid + num - 1).min(self.nodes.len().saturating_sub(3));
+        if last < rigid {
+            return;
+        }
+        let old_ups = self.ups(first_up, before.roll_rad);
+        let forwards: Vec<Point> = (1..=last + 1).map(|n| self.forward(n)).collect();
+        let (old_angle, new_angle) = (
+            before.flexion_rad / num as f64,
+            after.flexion_rad / num as f64,
+        );
+        let roll = after.roll_rad - before.roll_rad;
+        // What is before a node is turned by all nodes behind it, in their order.
+        let mut turns: Vec<(Point, f64)> = Vec::with_capacity(2 * num);
+        let turned_by = |turns: &[(Point, f64)], v: Point| {
+            turns
+                .iter()
+                .fold(v, |v, &(axis, angle)| turned(v, axis, angle))
+        };
+        for node in (1..=last).rev() {
+            if node >= rigid {
+                // The old bend is taken back and the new one put in, both about axes of the segment behind.
+                let behind = turned_by(&turns, forwards[node]);
+                let up = turned_by(&turns, old_ups[node]);
+                let new_up = turned(up, behind, roll);
+                turns.push((cross(behind, up), -old_angle));
+                turns.push((cross(behind, new_up), new_angle));
+            }
+            let forward = turned_by(&turns, forwards[node - 1]);
+            self.nodes[node - 1] = along(self.nodes[node], NODE_MM, forward);
+        }
+    }
+
+    /// The second difference of nodes that the rest shape has at each node.
+    fn rest(&self, body: &ScopeBody, ups: &[Point], flexion_rad: f64) -> Vec<Point> {
+        let (rigid, num) = (body.rigid_nodes(), body.bending_nodes());
+        let bow = 2.0 * NODE_MM * libm::sin(0.5 * flexion_rad / num as f64);
+        (0..self.nodes.len())
+            .map(|n| {
+                if n < rigid || n >= rigid + num || n + 2 >= self.nodes.len() {
+                    return [0.0; 3];
+                }
+                let up: Point = std::array::from_fn(|a| ups[n - 1][a] + ups[n][a]);
+                unit(up).map_or([0.0; 3], |up| up.map(|v| bow * v))
+            })
+            .collect()
+    }
+
+    /// One pass of the first `num` nodes, each to where the bending energy of its neighbourhood is least.
+    fn unbend(&mut self, rest: &[Point], num: usize) {
+        let x = &mut self.nodes;
+        for n in (0..num).rev() {
+            // Second differences at n - 1, n and n + 1 hold node n with factors 1, -2 and 1.
+            let mut sum: Point =
+                std::array::from_fn(|a| rest[n + 1][a] + 2.0 * x[n + 1][a] - x[n + 2][a]);
+            let mut weight = 1.0;
+            if n >= 1 {
+                let middle: Point =
+                    std::array::from_fn(|a| 0.5 * (x[n - 1][a] + x[n + 1][a] - rest[n][a]));
+                sum = along(sum, 4.0, middle);
+                weight += 4.0;
+            }
+            if n >= 2 {
+                let ahead: Point =
+                    std::array::from_fn(|a| rest[n - 1][a] - x[n - 2][a] + 2.0 * x[n - 1][a]);
+                sum = along(sum, 1.0, ahead);
+                weight += 1.0;
+            }
+            x[n] = sum.map(|v| v / weight);
+        }
+    }
+
+    /// Nodes back to their distances, from the entry to the tip, and the rigid tip straight.
+    fn stretch(&mut self, body: &ScopeBody, num: usize) {
+        let free = self.nodes.len() - 2;
+        for n in (0..num).rev() {
+            let forward = self.forward(n + 1);
+            self.nodes[n] = along(self.nodes[n + 1], NODE_MM, forward);
+        }
+        let base = body.rigid_nodes();
+        if base < free
+            && let Some(forward) = unit(sub(self.nodes[0], self.nodes[base]))
+        {
+            for n in 0..base {
+                self.nodes[n] = along(self.nodes[base], (base - n) as f64 * NODE_MM, forward);
+            }
+        }
+    }
+
+    /// Places along the shaft that are held off the wall: nodes and the middles between them, with the nodes they move.
+    fn shaft_places(body: &ScopeBody, num: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let base = body.rigid_nodes().min(num);
+        (base..num).flat_map(move |n| [(n, n), (n, n + 1)])
+    }
+
+    fn hold_off(
+        &mut self,
+        field: &WallField,
+        feelers: &[Feeler],
+        body: &ScopeBody,
+        entry: &Entry,
+        up: Point,
+        num: usize,
+    ) {
+        let free = self.nodes.len() - 2;
+        for (a, b) in Self::shaft_places(body, num) {
+            let p = mix(self.nodes[a], self.nodes[b], 0.5);
+            if entry.depth_mm(p) < 0.0 {
+                continue;
+            }
+            let radius = body.radius_mm(0.5 * (a + b) as f64 * NODE_MM);
+            let lack = radius - field.distance_mm(p);
+            if lack <= 0.0 {
+                continue;
+            }
+            let Some(away) = field.away_from_wall(p) else {
+                continue;
+            };
+            self.nodes[a] = along(self.nodes[a], lack, away);
+            if b != a && b < free {
+                self.nodes[b] = along(self.nodes[b], lack, away);
+            }
+        }
+        let base = body.rigid_nodes().min(free);
+        if base == 0 {
+            return;
+        }
+        for _ in 0..3 {
+            let tip = self.tip(up);
+            let least = tip_clearance(field, feelers, &tip, entry);
+            if least.mm >= 0.0 {
+                break;
+            }
+            let Some(away) = field.away_from_wall(least.at_lps) else {
+                break;
+            };
+            // The tip is a lever: a push at a share of its length moves both its ends.
+            let share = (-least.in_tip[2] / (base as f64 * NODE_MM)).clamp(0.0, 1.0);
+            let norm = share * share + (1.0 - share) * (1.0 - share);
+            let (front, back) = ((1.0 - share) / norm, share / norm);
+            for n in 0..=base.min(free.saturating_sub(1)) {
+                let at = n as f64 / base as f64;
+                let part = front + at * (back - front);
+                self.nodes[n] = along(self.nodes[n], -least.mm * part, away);
+            }
+        }
+    }
+
+    /// How far the tip and the shaft's first `num` nodes are in the wall (0 where they are not).
+    pub(crate) fn depths_mm(
+        &self,
+        field: &WallField,
+        feelers: &[Feeler],
+        body: &ScopeBody,
+        entry: &Entry,
+        up: Point,
+        num: usize,
+    ) -> (f64, f64) {
+        let tip = tip_clearance(field, feelers, &self.tip(up), entry);
+        let mut shaft: f64 = 0.0;
+        for (a, b) in Self::shaft_places(body, num) {
+            let p = mix(self.nodes[a], self.nodes[b], 0.5);
+            if entry.depth_mm(p) >= 0.0 {
+                let radius = body.radius_mm(0.5 * (a + b) as f64 * NODE_MM);
+                shaft = shaft.max(radius - field.distance_mm(p));
+            }
+        }
+        ((-tip.mm).max(0.0), shaft)
+    }
+
+    /// Lets the rod relax against the walls; false if it does not find room.
+    pub(crate) fn relax(
+        &mut self,
+        field: &WallField,
+        feelers: &[Feeler],
+        body: &ScopeBody,
+        entry: &Entry,
+        first_up: Point,
+        controls: Controls,
+    ) -> bool {
+        if self.nodes.len() - 2 <= body.rigid_nodes() {
+            // The rigid tip is still in the entry, and looks where that leads.
+            *self = Self::straight(entry, controls.depth_mm);
+        }
+        let free = self.nodes.len() - 2;
+        let is_free = free > body.rigid_nodes();
+        let mut last_depth = f64::INFINITY;
+        for sweep in 0..MOST_SWEEPS {
+            let num = if sweep == 0 {
+                free
+            } else {
+                free.min(NEAR_NODES)
+            };
+            let ups = self.ups(first_up, controls.roll_rad);
+            if is_free {
+                let rest = self.rest(body, &ups, controls.flexion_rad);
+                self.unbend(&rest, num);
+                self.hold_off(field, feelers, body, entry, ups[0], num);
+                self.stretch(body, num);
+            }
+            if sweep + 1 < LEAST_SWEEPS {
+                continue;
+            }
+            let (tip, shaft) = self.depths_mm(field, feelers, body, entry, ups[0], num);
+            let inside = tip <= TIP_TOLERANCE_MM && shaft <= SHAFT_TOLERANCE_MM;
+            if inside && free > num {
+                let all = self.depths_mm(field, feelers, body, entry, ups[0], free);
+                if all.1 > SHAFT_TOLERANCE_MM {
+                    // Far back the shaft is held by a place that only whole sweeps see.
+                    self.hold_off(field, feelers, body, entry, ups[0], free);
+                    self.stretch(body, free);
+                    continue;
+                }
+            }
+            if inside {
+                return self.nodes.iter().flatten().all(|v| v.is_finite());
+            }
+            if !is_free {
+                return false;
+            }
+            if sweep % PATIENCE == PATIENCE - 1 {
+                let depth = tip.max(shaft - SHAFT_TOLERANCE_MM);
+                if depth > 0.5 * last_depth {
+                    return false;
+                }
+                last_depth = depth;
+            }
+        }
+        false
+    }
+
+    /// The part before the bending section as it would lie without walls, and its face.
+    pub(crate) fn free_face(
+        &self,
+        body: &ScopeBody,
+        first_up: Point,
+        controls: Controls,
+        further_mm: f64,
+    ) -> Point {
+        let (rigid, num) = (body.rigid_nodes(), body.bending_nodes());
+        let last = (rigid + num - 1).min(self.nodes.len().saturating_sub(3));
+        if last < rigid {
+            return along(self.nodes[0], further_mm, self.forward(1));
+        }
+        let ups = self.ups(first_up, controls.roll_rad);
+        let angle = controls.flexion_rad / num as f64;
+        let (mut forward, mut up) = (self.forward(last + 1), ups[last]);
+        let mut at = self.nodes[last];
+        for node in (1..=last).rev() {
+            if node >= rigid {
+                let axis = cross(forward, up);
+                forward = turned(forward, axis, angle);
+                up = turned(up, axis, angle);
+            }
+            at = along(at, NODE_MM, forward);
+        }
+        along(at, further_mm, forward)
+    }
+}

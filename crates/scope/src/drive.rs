@@ -1,0 +1,559 @@
+//! Driving the scope: what the hand sets, in small steps, each accepted only if tip and shaft stay in the lumen.
+
+use std::sync::Arc;
+
+use carina_grid::{Affine, dot, unit};
+
+use crate::ScopeError;
+use crate::axis::{Axis, Controls, along, sub};
+use crate::body::{Entry, Feeler, ScopeBody, Tip, distance, feelers, tip_clearance};
+use crate::wall::WallField;
+
+type Point = [f64; 3];
+
+/// Largest step of the insertion, and of flexion and roll (a bent tip of 50 mm then moves by about as much).
+const STEP_MM: f64 = 0.5;
+const STEP_RAD: f64 = 0.02;
+/// The tip touches the wall when it is no farther from it than this.
+const TOUCH_MM: f64 = 0.1;
+/// Contact ends only beyond this: a tip that slides along a rough wall touches once, not hundred times.
+const RELEASE_MM: f64 = 0.3;
+/// How far ahead a scope that is held up looks for the width that it would need.
+const LOOK_AHEAD_MM: [f64; 4] = [1.0, 2.0, 3.0, 4.0];
+
+/// Why the scope did not go as far as the hand asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Limit {
+    /// It did.
+    None,
+    /// Drawn back to where it enters.
+    Entry,
+    /// The tip is pressed against a wall.
+    Wall,
+    /// The airway ahead is too narrow.
+    Narrow,
+    /// The working length ends.
+    Length,
+    /// The lever is at its stop.
+    Flexion,
+}
+
+/// Where the tip touches.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Contact {
+    /// The place of the wall, LPS mm.
+    pub point_lps: Point,
+    /// Away from the wall, unit length.
+    pub normal_lps: Point,
+    /// How much farther the tip would be in the wall if there were none.
+    pub depth_mm: f64,
+}
+
+/// All that touched since the scope was placed.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ContactRecord {
+    /// How often the tip began to touch.
+    pub count: u64,
+    /// How long it touched in all.
+    pub time_s: f64,
+    /// The deepest [`Contact::depth_mm`].
+    pub max_depth_mm: f64,
+}
+
+/// The scope after a sample.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScopeState {
+    /// The tip's face: +x right, +y down, +z forward.
+    pub lps_from_tip: Affine,
+    /// Insertion from the path's start.
+    pub insertion_mm: f64,
+    /// Roll, clockwise as the operator sees it.
+    pub roll_rad: f64,
+    /// Flexion, above 0 up.
+    pub flexion_rad: f64,
+    /// Where the tip touches, if it does.
+    pub contact: Option<Contact>,
+    /// 0 for a clear view, 1 where the lens lies on the wall.
+    pub red_out: f64,
+    /// Why the scope did not go as far as asked.
+    pub limit: Limit,
+    /// The widest tip that would pass on, where the limit is [`Limit::Narrow`].
+    pub passable_mm: Option<f64>,
+    /// What touched so far.
+    pub record: ContactRecord,
+}
+
+/// A scope in a lumen. A pure function of its samples: the same ones give the same states, bit for bit.
+#[derive(Debug, Clone)]
+pub struct ScopeDrive {
+    field: Arc<WallField>,
+    body: ScopeBody,
+    feelers: Vec<Feeler>,
+    entry: Entry,
+    entry_mm: f64,
+    first_up: Point,
+    axis: Axis,
+    controls: Controls,
+    touches: bool,
+    state: ScopeState,
+}
+
+impl ScopeDrive {
+    /// A scope that enters a lumen along a path (LPS mm; the trachea's centreline from its start).
+    ///
+    /// It enters at the first place of the path with room for it; `up` is what the unrolled picture has up.
+    pub fn new(
+        field: Arc<WallField>,
+        body: ScopeBody,
+        path: &[Point],
+        up: Option<Point>,
+    ) -> Result<Self, ScopeError> {
+        let body = body.checked()?;
+        let line = evenly(path)?;
+        let widest = body.tip_radius_mm.max(body.tube_radius_mm);
+        let Some(at) = line
+            .iter()
+            .position(|&p| field.distance_mm(p) >= widest + 0.3)
+        else {
+            let room = line
+                .iter()
+                .map(|&p| field.distance_mm(p))
+                .fold(f64::NEG_INFINITY, f64::max);
+            return Err(ScopeError::Scope {
+                reason: format!(
+                    "it is {:.1} mm wide and the start of the path has room for {:.1} mm",
+                    2.0 * widest,
+                    2.0 * (room - 0.3).max(0.0)
+                ),
+            });
+        };
+        let ahead = line[(at + 20).min(line.len() - 1)];
+        let behind = line[at.min(line.len() - 2)];
+        let Some(into) = unit(sub(ahead, behind)) else {
+            return Err(ScopeError::Scope {
+                reason: "its path does not lead anywhere".to_owned(),
+            });
+        };
+        let first_up = match up {
+            Some(up) => up,
+            // Anterior, or superior where the view is antero-posterior (head-end position).
+            None if into[1].abs() < 0.99 => [0.0, -1.0, 0.0],
+            None => [0.0, 0.0, 1.0],
+        };
+        let Some(first_up) = unit(along(first_up, -dot(first_up, into), into)) else {
+            return Err(ScopeError::Up {
+                reason: "lies along the start of the path",
+            });
+        };
+        let entry = Entry { at: line[at], into };
+        let controls = Controls {
+            depth_mm: 0.0,
+            roll_rad: 0.0,
+            flexion_rad: 0.0,
+        };
+        let axis = Axis::straight(&entry, 0.0);
+        let mut drive = Self {
+            feelers: feelers(&body),
+            state: ScopeState {
+                lps_from_tip: Affine::IDENTITY,
+                insertion_mm: 0.0,
+                roll_rad: 0.0,
+                flexion_rad: 0.0,
+                contact: None,
+                red_out: 0.0,
+                limit: Limit::None,
+                passable_mm: None,
+                record: ContactRecord::default(),
+            },
+            field,
+            body,
+            entry,
+            entry_mm: at as f64 * PATH_STEP_MM,
+            first_up,
+            axis,
+            controls,
+            touches: false,
+        };
+        drive.look(0.0, Limit::None, 0.0);
+        Ok(drive)
+    }
+
+    /// The scope now.
+    #[must_use]
+    pub const fn state(&self) -> &ScopeState {
+        &self.state
+    }
+
+    /// Its sizes.
+    #[must_use]
+    pub const fn body(&self) -> &ScopeBody {
+        &self.body
+    }
+
+    /// Where the scope enters, in mm along the path: the least insertion.
+    #[must_use]
+    pub const fn entry_mm(&self) -> f64 {
+        self.entry_mm
+    }
+
+    /// The axis of the scope from the entry to the tip's face, LPS mm.
+    #[must_use]
+    pub fn shaft_lps(&self) -> Vec<Point> {
+        let mut points: Vec<Point> = self
+            .axis
+            .nodes
+            .iter()
+            .copied()
+            .take(self.axis.nodes.len() - 2)
+            .collect();
+        points.push(self.entry.at);
+        points.reverse();
+        points
+    }
+
+    /// How far tip and shaft are in the wall by the field that they are held in (0 where they are not).
+    #[must_use]
+    pub fn wall_depths_mm(&self) -> (f64, f64) {
+        let ups = self.axis.ups(self.first_up, self.controls.roll_rad);
+        self.axis.depths_mm(
+            &self.field,
+            &self.feelers,
+            &self.body,
+            &self.entry,
+            ups[0],
+            self.axis.nodes.len() - 2,
+        )
+    }
+
+    /// Sets the three controls, `dt_s` after the sample before.
+    ///
+    /// The scope moves from where it is towards them and stops where it cannot go on; the next sample starts there.
+    /// Roll and flexion always arrive (a lever can be pressed against a wall), insertion may not.
+    pub fn drive(
+        &mut self,
+        insertion_mm: f64,
+        roll_rad: f64,
+        flexion_rad: f64,
+        dt_s: f64,
+    ) -> Result<ScopeState, ScopeError> {
+        for (what, value) in [
+            ("insertion", insertion_mm),
+            ("roll", roll_rad),
+            ("flexion", flexion_rad),
+            ("time", dt_s),
+        ] {
+            if !value.is_finite() || (what == "time" && value < 0.0) {
+                return Err(ScopeError::Scope {
+                    reason: format!("expected a {what} that is a number, found {value}"),
+                });
+            }
+        }
+        let mut limit = Limit::None;
+        let flexion = flexion_rad.clamp(-self.body.down_rad, self.body.up_rad);
+        if flexion != flexion_rad {
+            limit = Limit::Flexion;
+        }
+        let wanted_mm = insertion_mm - self.entry_mm;
+        let depth_mm = wanted_mm.clamp(0.0, self.body.length_mm);
+        if depth_mm > wanted_mm {
+            limit = Limit::Entry;
+        } else if depth_mm < wanted_mm {
+            limit = Limit::Length;
+        }
+        let start = self.controls;
+        // Whole turns change nothing: the shaft is stiff, and is not wound up.
+        let turn = {
+            let change = roll_rad - start.roll_rad;
+            change - core::f64::consts::TAU * (change / core::f64::consts::TAU).round()
+        };
+        let (advance, bend) = (depth_mm - start.depth_mm, flexion - start.flexion_rad);
+        let num = (advance.abs() / STEP_MM)
+            .max(bend.abs() / STEP_RAD)
+            .max(turn.abs() / STEP_RAD)
+            .ceil() as usize;
+        let mut blocked = false;
+        for n in 1..=num {
+            let share = n as f64 / num as f64;
+            let wanted = Controls {
+                depth_mm: if blocked {
+                    self.controls.depth_mm
+                } else {
+                    start.depth_mm + share * advance
+                },
+                roll_rad: start.roll_rad + share * turn,
+                flexion_rad: start.flexion_rad + share * bend,
+            };
+            blocked |= !self.step(wanted);
+        }
+        // The number that was asked for, whole turns and all.
+        self.controls.roll_rad = roll_rad;
+        if blocked {
+            limit = Limit::Wall;
+        }
+        let further_mm = (depth_mm - self.controls.depth_mm).max(0.0);
+        self.look(dt_s, limit, further_mm);
+        Ok(self.state)
+    }
+
+    /// One small step; false if the insertion could not be reached.
+    fn step(&mut self, wanted: Controls) -> bool {
+        let before = self.controls;
+        let advance = wanted.depth_mm - before.depth_mm;
+        // Where the whole step has no room, a part of it may have; then at least the lever moves.
+        for share in [1.0, 0.3, 0.0] {
+            if share < 1.0 && advance == 0.0 {
+                break;
+            }
+            let part = Controls {
+                depth_mm: before.depth_mm + share * advance,
+                ..wanted
+            };
+            if self.moved(part) {
+                return share == 1.0;
+            }
+        }
+        if advance < 0.0 {
+            // Drawn back without relaxing, the scope lies where it lay already.
+            let mut axis = self.axis.clone();
+            axis.shift(&self.entry, wanted.depth_mm, advance);
+            let ups = axis.ups(self.first_up, wanted.roll_rad);
+            let num = axis.nodes.len() - 2;
+            let (tip, shaft) = axis.depths_mm(
+                &self.field,
+                &self.feelers,
+                &self.body,
+                &self.entry,
+                ups[0],
+                num,
+            );
+            if tip <= 0.05 && shaft <= 0.3 {
+                self.axis = axis;
+                self.controls = wanted;
+                return true;
+            }
+        }
+        // The lever is pressed against a wall: it turns, the tip does not.
+        self.controls = Controls {
+            depth_mm: before.depth_mm,
+            ..wanted
+        };
+        advance == 0.0
+    }
+
+    /// Lays the scope along a path that starts where its own does, with the tip `insertion_mm` along it: roll and flexion 0,
+    /// a new record.
+    ///
+    /// Where the path is too narrow the tip lies before that place, and the state's limit says so.
+    pub fn place(&mut self, path: &[Point], insertion_mm: f64) -> Result<ScopeState, ScopeError> {
+        let refuse = |reason: String| Err(ScopeError::Scope { reason });
+        if !insertion_mm.is_finite() {
+            return refuse(format!(
+                "expected an insertion that is a number, found {insertion_mm}"
+            ));
+        }
+        let line = evenly(path)?;
+        let (mut first, mut off) = (0, f64::INFINITY);
+        for (n, &p) in line.iter().enumerate() {
+            let far = distance(p, self.entry.at);
+            if far < off {
+                (first, off) = (n, far);
+            }
+        }
+        if off > 10.0 {
+            return refuse(format!(
+                "the path passes {off:.0} mm from where the scope enters; it must start as the scope's own does"
+            ));
+        }
+        let room_mm = (line.len() - 1 - first) as f64 * PATH_STEP_MM;
+        let wanted_mm = (insertion_mm - self.entry_mm).clamp(0.0, self.body.length_mm.min(room_mm));
+        let at = |mm: f64| -> Point {
+            let place = first as f64 + mm.max(0.0) / PATH_STEP_MM;
+            let n = (place as usize).min(line.len() - 2);
+            along(line[n], place - n as f64, sub(line[n + 1], line[n]))
+        };
+        let mut depth_mm = wanted_mm;
+        loop {
+            let controls = Controls {
+                depth_mm,
+                roll_rad: 0.0,
+                flexion_rad: 0.0,
+            };
+            let mut axis = Axis::straight(&self.entry, depth_mm);
+            let free = axis.nodes.len() - 2;
+            for (n, node) in axis.nodes.iter_mut().take(free).enumerate() {
+                *node = at(depth_mm - n as f64 * crate::body::NODE_MM);
+            }
+            let found = axis.relax(
+                &self.field,
+                &self.feelers,
+                &self.body,
+                &self.entry,
+                self.first_up,
+                controls,
+            );
+            if found {
+                self.axis = axis;
+                self.controls = controls;
+                break;
+            }
+            if depth_mm == 0.0 {
+                return refuse("it does not fit where it enters".to_owned());
+            }
+            depth_mm = (depth_mm - 1.0).max(0.0);
+        }
+        self.touches = false;
+        self.state.record = ContactRecord::default();
+        let limit = if depth_mm < wanted_mm {
+            Limit::Wall
+        } else {
+            Limit::None
+        };
+        self.look(0.0, limit, 0.0);
+        Ok(self.state)
+    }
+
+    fn moved(&mut self, wanted: Controls) -> bool {
+        let mut axis = self.axis.clone();
+        let advance = wanted.depth_mm - self.controls.depth_mm;
+        if advance != 0.0 {
+            axis.shift(&self.entry, wanted.depth_mm, advance);
+        }
+        axis.bend(&self.body, self.first_up, self.controls, wanted);
+        let found = axis.relax(
+            &self.field,
+            &self.feelers,
+            &self.body,
+            &self.entry,
+            self.first_up,
+            wanted,
+        );
+        if found {
+            self.axis = axis;
+            self.controls = wanted;
+        }
+        found
+    }
+
+    fn tip(&self) -> Tip {
+        let ups = self.axis.ups(self.first_up, self.controls.roll_rad);
+        self.axis.tip(ups[0])
+    }
+
+    /// Writes the state from axis and controls.
+    fn look(&mut self, dt_s: f64, limit: Limit, further_mm: f64) {
+        let tip = self.tip();
+        let least = tip_clearance(&self.field, &self.feelers, &tip, &self.entry);
+        let mut record = self.state.record;
+        let was = self.touches;
+        self.touches = least.mm <= if was { RELEASE_MM } else { TOUCH_MM };
+        let mut contact = None;
+        if self.touches
+            && let Some(normal) = self.field.away_from_wall(least.at_lps)
+        {
+            let free = self
+                .axis
+                .free_face(&self.body, self.first_up, self.controls, further_mm);
+            let depth_mm = dot(sub(tip.at, free), normal).max(0.0);
+            contact = Some(Contact {
+                point_lps: along(least.at_lps, -self.field.distance_mm(least.at_lps), normal),
+                normal_lps: normal,
+                depth_mm,
+            });
+            record.count += u64::from(!was);
+            record.time_s += dt_s;
+            record.max_depth_mm = record.max_depth_mm.max(depth_mm);
+        }
+        let (limit, passable_mm) = match limit {
+            Limit::Wall => self
+                .too_narrow(&tip)
+                .map_or((Limit::Wall, None), |mm| (Limit::Narrow, Some(mm))),
+            other => (other, None),
+        };
+        self.state = ScopeState {
+            lps_from_tip: Affine::from_columns(tip.right, tip.down, tip.forward, tip.at),
+            insertion_mm: self.entry_mm + self.controls.depth_mm,
+            roll_rad: self.controls.roll_rad,
+            flexion_rad: self.controls.flexion_rad,
+            contact,
+            red_out: self.red_out(&tip),
+            limit,
+            passable_mm,
+            record,
+        };
+    }
+
+    /// A wall beside the tip is a radius away from the lens; only one before it can be nearer.
+    fn red_out(&self, tip: &Tip) -> f64 {
+        if self.entry.depth_mm(tip.at) < 0.5 {
+            return 0.0;
+        }
+        let r = self.body.tip_radius_mm;
+        ((0.6 * r - self.field.distance_mm(tip.at)) / (0.45 * r)).clamp(0.0, 1.0)
+    }
+
+    /// The width of the airway ahead, if the tip is wider.
+    fn too_narrow(&self, tip: &Tip) -> Option<f64> {
+        let mut least = f64::INFINITY;
+        let mut at = tip.at;
+        let mut forward = tip.forward;
+        let mut walked = 0.0;
+        for ahead in LOOK_AHEAD_MM {
+            let mut p = along(at, ahead - walked, forward);
+            // To the middle of the lumen across the direction of advance.
+            for _ in 0..40 {
+                let Some(away) = self.field.away_from_wall(p) else {
+                    break;
+                };
+                let across = along(away, -dot(away, forward), forward);
+                let next = along(p, 0.1, across);
+                if self.field.distance_mm(next) <= self.field.distance_mm(p) {
+                    break;
+                }
+                p = next;
+            }
+            let room = self.field.distance_mm(p);
+            if room < 0.3 {
+                // Not an airway: the wall itself.
+                break;
+            }
+            least = least.min(room);
+            forward = unit(sub(p, at)).unwrap_or(forward);
+            at = p;
+            walked = ahead;
+        }
+        (least < self.body.tip_radius_mm + 0.02).then_some(2.0 * least)
+    }
+}
+
+const PATH_STEP_MM: f64 = 0.25;
+
+/// A path as points [`PATH_STEP_MM`] apart.
+fn evenly(path: &[Point]) -> Result<Vec<Point>, ScopeError> {
+    if path.iter().flatten().any(|v| !v.is_finite()) {
+        return Err(ScopeError::Scope {
+            reason: "its path holds coordinates that are not finite".to_owned(),
+        });
+    }
+    let mut line: Vec<Point> = path.first().copied().into_iter().collect();
+    let mut left = PATH_STEP_MM;
+    for w in path.windows(2) {
+        let far = distance(w[0], w[1]);
+        if far > 1e5 {
+            return Err(ScopeError::Scope {
+                reason: "its path is longer than any airway".to_owned(),
+            });
+        }
+        let mut at = left;
+        while at <= far {
+            line.push(along(w[0], at / far, sub(w[1], w[0])));
+            at += PATH_STEP_MM;
+        }
+        left = at - far;
+    }
+    if line.len() < 2 {
+        return Err(ScopeError::Scope {
+            reason: "its path needs two different points".to_owned(),
+        });
+    }
+    Ok(line)
+}

@@ -1,0 +1,261 @@
+use std::sync::{Arc, OnceLock};
+
+use carina_grid::{Affine, dot};
+
+use crate::body::distance;
+use crate::{Limit, ScopeBody, ScopeDrive, WallField};
+
+type Point = [f64; 3];
+
+pub(crate) const BODY: ScopeBody = ScopeBody {
+    tip_radius_mm: 2.45,
+    tube_radius_mm: 2.45,
+    rigid_mm: 10.0,
+    bending_mm: 40.0,
+    up_rad: 3.1,
+    down_rad: 2.27,
+    length_mm: 600.0,
+};
+
+fn capsule(p: Point, a: Point, b: Point, radius: f64) -> f64 {
+    let ab: Point = std::array::from_fn(|k| b[k] - a[k]);
+    let ap: Point = std::array::from_fn(|k| p[k] - a[k]);
+    let t = (dot(ap, ab) / dot(ab, ab)).clamp(0.0, 1.0);
+    radius - distance(ap, ab.map(|v| t * v))
+}
+
+/// A stem of 9 mm radius down to the origin, then two arms; the right one (x below 0) narrows to a radius of 2.
+pub(crate) fn lumen(p: Point) -> f64 {
+    let right = capsule(p, [0.0, 0.0, 0.0], [-30.0, 0.0, -45.0], 6.0).max(capsule(
+        p,
+        [-30.0, 0.0, -45.0],
+        [-54.0, 0.0, -81.0],
+        2.0,
+    ));
+    let left = capsule(p, [0.0, 0.0, 0.0], [35.0, 0.0, -35.0], 5.0).max(capsule(
+        p,
+        [35.0, 0.0, -35.0],
+        [75.0, 5.0, -50.0],
+        4.0,
+    ));
+    capsule(p, [0.0, 0.0, 120.0], [0.0, 0.0, 0.0], 9.0)
+        .max(right)
+        .max(left)
+}
+
+pub(crate) fn field() -> Arc<WallField> {
+    static FIELD: OnceLock<Arc<WallField>> = OnceLock::new();
+    FIELD.get_or_init(sampled).clone()
+}
+
+fn sampled() -> Arc<WallField> {
+    let spacing = 0.5;
+    let low = [-60.0, -15.0, -90.0];
+    let shape = [290, 60, 440];
+    let lps = Affine::from_columns(
+        [spacing, 0.0, 0.0],
+        [0.0, spacing, 0.0],
+        [0.0, 0.0, spacing],
+        low,
+    );
+    let values: Vec<f32> = (0..shape.iter().product::<usize>())
+        .map(|n| {
+            let at = [n % 290, n / 290 % 60, n / 290 / 60].map(|v| v as f64);
+            lumen(lps.point(at)) as f32
+        })
+        .collect();
+    Arc::new(WallField::from_distances(&values, shape, &lps).unwrap())
+}
+
+const TRACHEA: [Point; 2] = [[0.0, 0.0, 110.0], [0.0, 0.0, 0.0]];
+
+fn scope() -> ScopeDrive {
+    ScopeDrive::new(field(), BODY, &TRACHEA, None).unwrap()
+}
+
+#[test]
+fn pushed_straight_the_tip_goes_straight_and_looks_down_with_anterior_up() {
+    let mut scope = scope();
+    let state = scope.drive(60.0, 0.0, 0.0, 0.1).unwrap();
+    let tip = state.lps_from_tip;
+    assert_eq!(state.limit, Limit::None);
+    assert!(distance(tip.column(3), [0.0, 0.0, 50.0]) < 1e-6);
+    // Head end: the patient's right (-x) on the right, anterior (-y) up.
+    assert!(distance(tip.column(0), [-1.0, 0.0, 0.0]) < 1e-6);
+    assert!(distance(tip.column(1), [0.0, 1.0, 0.0]) < 1e-6);
+    assert!(state.contact.is_none() && state.red_out == 0.0);
+}
+
+#[test]
+fn a_free_tip_bends_to_its_angle_with_the_radius_of_its_bending_section() {
+    let mut scope = ScopeDrive::new(
+        field(),
+        ScopeBody {
+            tip_radius_mm: 0.8,
+            tube_radius_mm: 0.8,
+            bending_mm: 10.0,
+            rigid_mm: 2.0,
+            ..BODY
+        },
+        &TRACHEA,
+        None,
+    )
+    .unwrap();
+    scope.drive(60.0, 0.0, 0.0, 0.1).unwrap();
+    let state = scope.drive(60.0, 0.0, 1.0, 0.1).unwrap();
+    let look = state.lps_from_tip.column(2);
+    let angle = libm::acos(-look[2]);
+    // 1e-3: what relaxing leaves.
+    assert!((angle - 1.0).abs() < 1e-3, "{angle}");
+    // Up is anterior, and the tip is carried there.
+    assert!(look[1] < 0.0 && state.lps_from_tip.column(3)[1] < -2.0);
+    // Rolled by a quarter clockwise, up is the patient's right.
+    let state = scope
+        .drive(60.0, core::f64::consts::FRAC_PI_2, 1.0, 0.1)
+        .unwrap();
+    let look = state.lps_from_tip.column(2);
+    assert!(look[0] < -0.8 && look[1].abs() < 0.01, "{look:?}");
+    // And back: the scope forgets where it was.
+    let state = scope.drive(60.0, 0.0, 0.0, 0.1).unwrap();
+    let off = distance(state.lps_from_tip.column(2), [0.0, 0.0, -1.0]);
+    assert!(off < 1e-3, "{off}");
+}
+
+#[test]
+fn the_two_flexions_have_their_own_stops() {
+    let mut scope = scope();
+    scope.drive(60.0, 0.0, 0.0, 0.1).unwrap();
+    let up = scope.drive(60.0, 0.0, 9.0, 0.1).unwrap();
+    assert_eq!((up.flexion_rad, up.limit), (3.1, Limit::Flexion));
+    let down = scope.drive(60.0, 0.0, -9.0, 0.1).unwrap();
+    assert_eq!((down.flexion_rad, down.limit), (-2.27, Limit::Flexion));
+}
+
+#[test]
+fn pushed_at_a_carina_it_stops_there_in_red_and_is_drawn_back_again() {
+    let mut scope = scope();
+    let state = scope.drive(140.0, 0.0, 0.0, 0.1).unwrap();
+    assert!(state.insertion_mm > 90.0, "{}", state.insertion_mm);
+    let (tip, shaft) = scope.wall_depths_mm();
+    assert!(tip <= 0.1 && shaft <= 0.5, "{tip} {shaft}");
+    let state = scope.drive(20.0, 0.0, 0.0, 0.1).unwrap();
+    assert_eq!(state.limit, Limit::None);
+    assert!((state.insertion_mm - 20.0).abs() < 1e-9);
+    assert!(distance(state.lps_from_tip.column(3), [0.0, 0.0, 90.0]) < 0.5);
+}
+
+/// Steers the tip towards a point as a hand would: rolls so that it lies up or down, and flexes.
+pub(crate) fn steered(scope: &mut ScopeDrive, to: Point, steps: usize) -> crate::ScopeState {
+    let mut state = *scope.state();
+    for _ in 0..steps {
+        let tip = state.lps_from_tip;
+        let away: Point = std::array::from_fn(|a| to[a] - tip.column(3)[a]);
+        let (x, y, z) = (
+            dot(away, tip.column(0)),
+            dot(away, tip.column(1)),
+            dot(away, tip.column(2)),
+        );
+        if libm::hypot(libm::hypot(x, y), z) < 3.0 || (z < 1.0 && x * x + y * y < 64.0) {
+            break;
+        }
+        let off = libm::atan2(libm::hypot(x, y), z);
+        let turn = libm::atan2(x, -y);
+        // The nearer of turning up to it, or down.
+        let (turn, bend) = if turn.abs() > core::f64::consts::FRAC_PI_2 {
+            (turn - core::f64::consts::PI.copysign(turn), -off)
+        } else {
+            (turn, off)
+        };
+        let ease = libm::sin(off).abs().max(0.1);
+        state = scope
+            .drive(
+                state.insertion_mm + if off < 0.7 { 0.7 } else { 0.1 },
+                state.roll_rad + (ease * turn).clamp(-0.06, 0.06),
+                state.flexion_rad + (0.3 * bend).clamp(-0.04, 0.04),
+                1.0 / 60.0,
+            )
+            .unwrap();
+        let (tip, shaft) = scope.wall_depths_mm();
+        assert!(tip <= 0.1 && shaft <= 0.5, "{tip} {shaft}");
+    }
+    state
+}
+
+#[test]
+fn steered_into_a_narrow_airway_it_stops_and_says_what_would_pass() {
+    let mut scope = scope();
+    steered(&mut scope, [0.0, 0.0, 12.0], 400);
+    let state = steered(&mut scope, [-28.0, 0.0, -42.0], 400);
+    assert!(
+        distance(state.lps_from_tip.column(3), [-28.0, 0.0, -42.0]) < 8.0,
+        "{state:?}"
+    );
+    let state = steered(&mut scope, [-50.0, 0.0, -75.0], 400);
+    assert_eq!(state.limit, Limit::Narrow, "{state:?}");
+    let passable = state.passable_mm.unwrap();
+    // The arm is 4 mm wide.
+    assert!((passable - 4.0).abs() < 0.5, "{passable}");
+}
+
+#[test]
+fn steered_into_the_other_arm_it_gets_to_its_end() {
+    let mut scope = scope();
+    steered(&mut scope, [0.0, 0.0, 12.0], 400);
+    steered(&mut scope, [34.0, 0.0, -34.0], 400);
+    let state = steered(&mut scope, [70.0, 4.5, -48.0], 400);
+    assert!(
+        distance(state.lps_from_tip.column(3), [70.0, 4.5, -48.0]) < 6.0,
+        "{state:?}"
+    );
+    assert!(state.record.time_s > 0.0);
+}
+
+#[test]
+fn broken_samples_are_refused_and_change_nothing() {
+    let mut scope = scope();
+    let before = scope.drive(30.0, 0.1, 0.2, 0.1).unwrap();
+    for bad in [f64::NAN, f64::INFINITY] {
+        assert!(scope.drive(bad, 0.0, 0.0, 0.1).is_err());
+        assert!(scope.drive(30.0, bad, 0.0, 0.1).is_err());
+        assert!(scope.drive(30.0, 0.0, bad, 0.1).is_err());
+        assert!(scope.drive(30.0, 0.0, 0.0, bad).is_err());
+    }
+    assert_eq!(*scope.state(), before);
+    assert!(scope.drive(1e300, 1e300, 1e300, 0.1).is_ok());
+    assert!(
+        scope
+            .state()
+            .lps_from_tip
+            .rows()
+            .iter()
+            .flatten()
+            .all(|v| v.is_finite())
+    );
+}
+
+#[test]
+fn the_same_samples_give_the_same_states_bit_for_bit() {
+    let run = || {
+        let mut scope = scope();
+        let mut random = 9u64;
+        let mut next = || {
+            random = random
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (random >> 33) as f64 / f64::from(1u32 << 31) - 0.5
+        };
+        (0..200)
+            .map(|n| {
+                scope
+                    .drive(
+                        10.0 + 0.7 * f64::from(n),
+                        3.0 * next(),
+                        2.0 * next(),
+                        1.0 / 60.0,
+                    )
+                    .unwrap()
+            })
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(run(), run());
+}

@@ -1,0 +1,88 @@
+"""The lumen's wall as a signed distance: what the scope is held in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from carina import _core
+
+__all__ = ["WallField"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WallField:
+    """Signed distance to the wall in mm, positive in the lumen; `carina.track.wall_field` makes it from airways.
+
+    Distances end at -2.5 mm outside (also where nothing is known) and at 8 mm inside.
+    """
+
+    core: _core.WallField
+
+    @classmethod
+    def from_distances(cls, distance_mm_zyx: NDArray[np.float32], lps_from_ijk: NDArray[np.float64]) -> WallField:
+        """From signed distances on a grid.
+
+        Parameters
+        ----------
+        distance_mm_zyx
+            (nz, ny, nx) mm, positive in the lumen, at voxel centres.
+        lps_from_ijk
+            (4, 4), the grid's place.
+
+        Raises
+        ------
+        UsageError
+            If a value is NaN or no wall lies in it (code ``scope.wall``).
+        """
+        values = np.ascontiguousarray(distance_mm_zyx, dtype=np.float32)
+        return cls(_core.WallField.from_distances(values, np.asarray(lps_from_ijk, dtype=np.float64)))
+
+    @classmethod
+    def from_mesh(
+        cls,
+        vertices_lps: NDArray[np.float64],
+        triangles: NDArray[np.uint32],
+        *,
+        spacing_mm: float = 0.4,
+        progress: Callable[[float], None] | None = None,
+        cancel: Callable[[], bool] | None = None,
+    ) -> WallField:
+        """From a closed mesh of the wall, exact at samples that are read trilinearly.
+
+        Parameters
+        ----------
+        vertices_lps
+            (n, 3) LPS mm.
+        triangles
+            (m, 3), counterclockwise from outside the lumen.
+        spacing_mm
+            Distance of the samples. Between them a wall with a radius of curvature r is off by up to
+            ``spacing_mm**2 / (8 r)``: 0.013 mm at 0.4 mm in an airway of 3 mm.
+        progress, cancel
+            Told the share done; asked whether to stop.
+
+        Raises
+        ------
+        UsageError
+            If the mesh is empty or broken (code ``scope.wall``).
+        CancelledError
+            If ``cancel()`` said so.
+        """
+        corners = np.ascontiguousarray(triangles, dtype=np.uint32)
+        made = _core.WallField.from_mesh(
+            np.ascontiguousarray(vertices_lps, dtype=np.float64), corners, spacing_mm, cancel=cancel, progress=progress
+        )
+        return cls(made)
+
+    @property
+    def num_bytes(self) -> int:
+        """Memory of the samples."""
+        return self.core.num_bytes
+
+    def distance_mm(self, points_lps: ArrayLike) -> NDArray[np.float64]:
+        """Distances (n,) of points (n, 3), LPS mm."""
+        return self.core.distance_mm(np.atleast_2d(np.asarray(points_lps, dtype=np.float64)))

@@ -1,0 +1,51 @@
+"""The wall of found airways as a signed distance, for the scope that moves in them."""
+
+from __future__ import annotations
+
+from carina.scopes import WallField
+from carina.track.airways import Airways, Progress
+from carina.track.mesh import lumen_mesh
+from carina.track.paths import Cancel
+from carina.volume.model import Volume
+
+__all__ = ["wall_field"]
+
+
+def wall_field(
+    volume: Volume,
+    airways: Airways,
+    *,
+    spacing_mm: float = 0.4,
+    progress: Progress | None = None,
+    cancel: Cancel | None = None,
+) -> WallField:
+    """The signed distance to the airways' sub-voxel wall: the lumen mesh's, exact at samples.
+
+    Parameters
+    ----------
+    volume, airways
+        The CT and the airways in it, as for `lumen_mesh`.
+    spacing_mm
+        Distance of the samples.
+    progress, cancel
+        Told what is going on; asked whether to stop.
+
+    Returns
+    -------
+    WallField
+        Positive in the lumen.
+
+    Raises
+    ------
+    NoResultError
+        If the lumen is empty.
+    CancelledError
+        If ``cancel()`` said so.
+    """
+    mesh = lumen_mesh(volume, airways, progress=progress, cancel=cancel)
+
+    def share(fraction: float) -> None:
+        if progress is not None:
+            progress("measuring the distance to the wall", fraction)
+
+    return WallField.from_mesh(mesh.vertices_lps, mesh.triangles, spacing_mm=spacing_mm, progress=share, cancel=cancel)

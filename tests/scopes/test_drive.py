@@ -1,0 +1,190 @@
+"""The scope in a lumen: what it does, and that it stays inside by a geometry that is not its own."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from drive_checks import shaft_balls, tip_surface_lps
+from numpy.typing import NDArray
+
+from carina.errors import CancelledError, UsageError
+from carina.phantom import Phantom, generate_phantom, lumen_distance_at
+from carina.scopes import ScopeDrive, ScopeState, WallField, lever_flexion, scope_preset
+
+SEED = 3
+SCOPES = ("standard", "ultrathin", "thin", "therapeutic", "diagnostic", "ebus", "single-use-slim")
+Point = list[float]
+
+
+@pytest.fixture(scope="module")
+def chest() -> Phantom:
+    # The truth is exact at any spacing; the voxels are not needed.
+    return generate_phantom(seed=SEED, spacing_mm=9.0, noise_hu=0.0)
+
+
+@pytest.fixture(scope="module")
+def field() -> WallField:
+    low, high, spacing = np.array([-70.0, -50.0, -90.0]), np.array([70.0, 50.0, 112.0]), np.array([0.9, 0.8, 1.0])
+    x, y, z = (np.arange(a, b, s) for a, b, s in zip(low, high, spacing, strict=True))
+    points = np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], axis=-1)
+    distance = -lumen_distance_at(points.reshape(-1, 3), seed=SEED).reshape(points.shape[:3])
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.diag(spacing)
+    matrix[:3, 3] = low
+    return WallField.from_distances(distance.astype(np.float32), matrix)
+
+
+def path_to(chest: Phantom, branch_id: int) -> NDArray[np.float64]:
+    """Root to a branch's end."""
+    branches: dict[int, dict[str, Any]] = {b["id"]: b for b in chest.truth["branches"]}
+    points: list[Point] = []
+    at: int | None = branch_id
+    while at is not None:
+        points = branches[at]["points"][: None if not points else -1] + points
+        at = branches[at]["parent"]
+    return np.array(points)
+
+
+def random_drive(
+    chest: Phantom, field: WallField, run: int, *, num_samples: int
+) -> tuple[ScopeDrive, list[ScopeState]]:
+    """A scope of the library, laid towards a random end of the tree, and a hand that wanders."""
+    rng = np.random.default_rng([SEED, run])
+    ends = [b["id"] for b in chest.truth["branches"] if not b["children"]]
+    drive = ScopeDrive(field, SCOPES[run % len(SCOPES)], path_to(chest, 0))
+    state = drive.place(path_to(chest, ends[rng.integers(len(ends))]), rng.uniform(0.0, 240.0))
+    low, high = drive.flexion_range_rad
+    # Some hands push, some draw back; some let the lever go.
+    push, sway = rng.normal(0.3, 0.6), rng.uniform(0.02, 0.2)
+    roll, flexion, states = 0.0, 0.0, []
+    for _ in range(num_samples):
+        roll += rng.normal(0.0, 0.1)
+        flexion = float(np.clip(0.98 * flexion + rng.normal(0.0, sway), low, high))
+        state = drive.drive(state.insertion_mm + push + rng.normal(0.0, 0.8), roll, flexion, 1 / 60)
+        states.append(state)
+    return drive, states
+
+
+def check_random_drives(chest: Phantom, field: WallField, runs: range) -> None:
+    worst_tip = worst_shaft = -1.0
+    # The exact lumen takes a second to set up for any number of points.
+    for some in (runs[n : n + 50] for n in range(0, len(runs), 50)):
+        tips, shafts, radii = [], [], []
+        for run in some:
+            drive, states = random_drive(chest, field, run, num_samples=40)
+            for state in states:
+                assert np.isfinite(state.pose.lps_from_camera).all()
+                assert 0.0 <= state.red_out <= 1.0
+            points, radius = shaft_balls(drive)
+            tips.append(tip_surface_lps(drive))
+            shafts.append(points)
+            radii.append(radius)
+        tip = lumen_distance_at(np.concatenate(tips), seed=SEED)
+        shaft = lumen_distance_at(np.concatenate(shafts), seed=SEED) + np.concatenate(radii)
+        worst_tip, worst_shaft = max(worst_tip, float(tip.max())), max(worst_shaft, float(shaft.max()))
+    print(f"deepest in the wall: tip {worst_tip:.3f} mm, shaft {worst_shaft:.3f} mm")
+    assert worst_tip <= 0.1
+    assert worst_shaft <= 0.5
+
+
+def test_random_drives_stay_in_the_exact_lumen(chest: Phantom, field: WallField) -> None:
+    check_random_drives(chest, field, range(30))
+
+
+@pytest.mark.soak
+def test_a_thousand_random_drives_stay_in_the_exact_lumen(chest: Phantom, field: WallField) -> None:
+    check_random_drives(chest, field, range(1000))
+
+
+def test_the_same_samples_give_the_same_poses_bit_for_bit(chest: Phantom, field: WallField) -> None:
+    def run() -> list[NDArray[np.float64]]:
+        return [s.pose.lps_from_camera for s in random_drive(chest, field, 5, num_samples=30)[1]]
+
+    assert all(np.array_equal(a, b) for a, b in zip(run(), run(), strict=True))
+
+
+def test_a_scope_that_is_too_thick_stops_and_says_what_would_pass(chest: Phantom, field: WallField) -> None:
+    by_name = {b["name"]: b for b in chest.truth["branches"]}
+    path = path_to(chest, by_name["RB10"]["id"])
+    drive = ScopeDrive(field, "therapeutic", path_to(chest, 0))
+    state = drive.place(path, 400.0)
+    assert state.limit == "narrow"
+    assert state.passable_mm is not None
+    assert 1.0 < state.passable_mm < 6.04
+    thin = ScopeDrive(field, "ultrathin", path_to(chest, 0))
+    assert thin.place(path, 400.0).insertion_mm > state.insertion_mm + 5.0
+
+
+def test_insertion_counts_from_the_start_of_the_path(chest: Phantom, field: WallField) -> None:
+    path = path_to(chest, 0)
+    drive = ScopeDrive(field, "standard", path)
+    assert drive.state.insertion_mm == drive.entry_mm < 8.0
+    state = drive.drive(50.0, 0.0, 0.0, 0.1)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    there = [np.interp(50.0, along, path[:, a]) for a in range(3)]
+    # The trachea bends; a stiff scope cuts the bend by less than its radius.
+    assert float(np.linalg.norm(state.pose.position_lps - there)) < 7.0
+    assert state.limit == "none"
+    assert drive.drive(-5.0, 0.0, 0.0, 0.1).limit == "entry"
+
+
+def test_a_tip_pressed_at_a_wall_counts_contact_and_goes_red(chest: Phantom, field: WallField) -> None:
+    drive = ScopeDrive(field, "standard", path_to(chest, 0))
+    drive.drive(60.0, 0.0, 0.0, 0.1)
+    assert drive.state.contact is None
+    for _ in range(30):
+        state = drive.drive(60.0, 0.0, math.radians(130), 0.1)
+    assert state.contact is not None
+    assert state.contact.depth_mm > 1.0
+    assert state.record.count >= 1
+    assert state.record.time_s == pytest.approx(3.0, abs=0.2)
+    touched = lumen_distance_at([state.contact.point_lps], seed=SEED)[0]
+    assert abs(touched) < 0.3
+    assert state.flexion_rad == math.radians(130)
+    # Let go, it lies on the bend of the trachea at most, and nothing presses it there.
+    released = drive.drive(60.0, 0.0, 0.0, 0.1).contact
+    assert released is None or released.depth_mm < 0.3
+
+
+def test_a_lever_moves_the_tip_as_on_a_real_scope() -> None:
+    stops = (-math.radians(130), math.radians(180))
+    assert lever_flexion(1.0, stops) == stops[1]
+    assert lever_flexion(-1.0, stops) == stops[0]
+    assert lever_flexion(1.0, stops, invert=True) == stops[0]
+    assert lever_flexion(9.0, stops) == stops[1]
+    with pytest.raises(UsageError):
+        lever_flexion(math.nan, stops)
+
+
+def test_broken_samples_paths_and_fields_are_refused(chest: Phantom, field: WallField) -> None:
+    drive = ScopeDrive(field, "standard", path_to(chest, 0))
+    before = drive.drive(30.0, 0.1, 0.2, 0.1)
+    for bad in ((math.nan, 0, 0, 0.1), (0, math.inf, 0, 0.1), (0, 0, math.nan, 0.1), (0, 0, 0, -1.0)):
+        with pytest.raises(UsageError) as refused:
+            drive.drive(*bad)
+        assert refused.value.code == "scope.drive"
+    assert drive.state is before
+    with pytest.raises(UsageError):
+        ScopeDrive(field, "standard", [[0.0, 0.0, 0.0]])
+    with pytest.raises(UsageError):
+        ScopeDrive(field, "standard", np.zeros((4, 2)))
+    thick = dataclasses.replace(scope_preset("therapeutic"), tube_mm=None)
+    thinnest = min(chest.truth["branches"], key=lambda b: float(max(b["radius"][3:])))
+    with pytest.raises(UsageError, match=r"6\.0 mm wide"):
+        ScopeDrive(field, thick, thinnest["points"][3:])
+    with pytest.raises(UsageError) as refused:
+        WallField.from_distances(np.full((4, 5, 6), np.nan, dtype=np.float32), np.eye(4))
+    assert refused.value.code == "scope.wall"
+
+
+def test_the_field_of_a_mesh_can_be_stopped() -> None:
+    corners = np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], dtype=np.float64)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.uint32)
+    made = WallField.from_mesh(corners, faces, spacing_mm=0.3)
+    assert made.distance_mm([[1.0, 2.0, 2.0], [-1.0, 2.0, 2.0]]) == pytest.approx([1.0, -1.0], abs=0.05)
+    with pytest.raises(CancelledError):
+        WallField.from_mesh(corners, faces, spacing_mm=0.05 * 3, cancel=lambda: True)
