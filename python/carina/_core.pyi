@@ -79,6 +79,41 @@ class ScopeDrive:
     def wall_depths_mm(self) -> tuple[float, float]:
         """(tip, shaft)."""
 
+@final
+class ForceLoop:
+    """The force law 1,000 times a second."""
+
+    def __new__(
+        cls,
+        field: WallField,
+        numbers: tuple[float, float, float, float, float, float, float],
+        path_lps: NDArray[np.float64],
+        *,
+        udp_port: int | None = None,
+        simulated: tuple[Sequence[float], float, float] | None = None,
+        lps_from_device: NDArray[np.float64] | None = None,
+    ) -> ForceLoop: ...
+    @property
+    def port(self) -> int | None: ...
+    def put(self, at_lps: Sequence[float], velocity_mm_s: Sequence[float], forward_lps: Sequence[float]) -> bool:
+        """A sample; False if it is refused."""
+    def felt(self) -> dict[str, Any]:
+        """The newest force."""
+    def figures(self) -> dict[str, Any]:
+        """How it keeps time."""
+    def stop(self) -> None:
+        """End the loop."""
+
+def local_contact(
+    field: WallField,
+    numbers: tuple[float, float, float, float, float, float, float],
+    at_lps: Sequence[float],
+) -> tuple[tuple[float, float, float], tuple[float, float, float], float, float, float, float] | None:
+    """(point, normal, stiffness, damping, friction, valid_mm)."""
+
+def force_limits() -> tuple[float, float, float]:
+    """N, N per ms, N per mm."""
+
 # ---- phantom ----
 
 def chest_lumen_distances(

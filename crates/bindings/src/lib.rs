@@ -8,6 +8,7 @@ mod airpath;
 mod arrays;
 mod cross_section;
 mod errors;
+mod force;
 #[cfg_attr(not(feature = "gpu"), path = "gpu_absent.rs")]
 mod gpu;
 mod growth;
@@ -61,6 +62,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     phantom::register(module)?;
     scope::register(module)?;
     scope_drive::register(module)?;
+    force::register(module)?;
     views::register(module)?;
     Ok(())
 }

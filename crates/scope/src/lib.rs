@@ -11,17 +11,33 @@ mod body;
 mod curve;
 mod drive;
 mod error;
+mod force;
+mod force_loop;
 mod frames;
 mod gaze;
+mod packet;
+mod realtime;
+mod simulated;
 mod wall;
 mod wall_mesh;
 
 #[cfg(test)]
 mod drive_tests;
+#[cfg(test)]
+mod force_loop_tests;
+#[cfg(test)]
+mod force_tests;
 
 pub use body::ScopeBody;
 pub use curve::{FlightCurve, Nearest};
 pub use drive::{Contact, ContactRecord, Limit, ScopeDrive, ScopeState};
 pub use error::ScopeError;
+pub use force::{
+    ForceLaw, ForceModel, HandForce, HandSample, LIMIT_N, LocalContact, MAX_STIFFNESS_N_PER_MM,
+    SLEW_N_PER_MS, local_contact,
+};
+pub use force_loop::{ForceLoop, LoopFigures, LoopOptions, WanderingHand};
 pub use frames::rotation_minimizing_frames;
+pub use packet::{FORCE_BYTES, ForcePacket, SAMPLE_BYTES, SamplePacket};
+pub use simulated::SimulatedHand;
 pub use wall::WallField;

@@ -4,6 +4,18 @@
 from carina.scopes.calibration import lens_from_file, lens_from_text
 from carina.scopes.drive import Contact, ContactRecord, ScopeDrive, ScopeLimit, ScopeState, lever_flexion
 from carina.scopes.fit import FittedOptics, Residual, fit_generic_optics
+from carina.scopes.haptics import (
+    FORCE_LIMIT_N,
+    FORCE_SLEW_N_PER_MS,
+    MAX_STIFFNESS_N_PER_MM,
+    ForceFigures,
+    ForceLaw,
+    ForceLoop,
+    HandForce,
+    LocalContact,
+    local_contact,
+    rumble,
+)
 from carina.scopes.lens import (
     FULL_FRAME,
     MASKS,
@@ -23,16 +35,24 @@ from carina.scopes.wall_field import WallField
 __all__ = [
     "DEFAULT_SCOPE",
     "FIT_MARGIN_MM",
+    "FORCE_LIMIT_N",
+    "FORCE_SLEW_N_PER_MS",
     "FULL_FRAME",
     "MASKS",
+    "MAX_STIFFNESS_N_PER_MM",
     "PINHOLE",
     "Calibration",
     "Contact",
     "ContactRecord",
     "DepthOfField",
     "FittedOptics",
+    "ForceFigures",
+    "ForceLaw",
+    "ForceLoop",
+    "HandForce",
     "ImageField",
     "Lens",
+    "LocalContact",
     "Mask",
     "Optics",
     "PathFrames",
@@ -47,6 +67,8 @@ __all__ = [
     "lens_from_file",
     "lens_from_text",
     "lever_flexion",
+    "local_contact",
+    "rumble",
     "scope_preset",
     "scope_presets",
     "upright",

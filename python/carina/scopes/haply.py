@@ -1,0 +1,250 @@
+"""Haply devices (Inverse3): a client of their local service, which speaks JSON over a WebSocket on this machine.
+
+The service sends the state of all devices in one message and answers each command with the next; positions are metres
+in the device's axes (x right, y away from the hand's owner, z up), forces newtons. Checked against published clients of
+service 3.1 and later and against a simulated service, not yet against a device.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import UsageError
+from carina.scopes.haptics import ForceLoop
+from carina.scopes.pose import Pose
+
+__all__ = ["HAPLY_URL", "HaplyBridge", "HaplyState", "read_haply_message"]
+
+HAPLY_URL = "ws://127.0.0.1:10001"
+"""Where the service listens."""
+Status = Literal["connecting", "no device", "running", "stopped"]
+Point = tuple[float, float, float]
+
+# Longer than a hand's step, shorter than a person's patience.
+_RETRY_S = 1.0
+_SILENCE_S = 1.0
+_MOST_BYTES = 65536
+# No hand is faster, and no device is larger.
+_MOST_M, _MOST_M_PER_S = 2.0, 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class HaplyState:
+    """One device and the grip in it, as the service tells them."""
+
+    device_id: str
+    position_m: Point
+    velocity_m_s: Point
+    orientation_wxyz: tuple[float, float, float, float] | None
+    """Of the wireless grip, unit length; None where there is none."""
+    buttons: frozenset[str]
+    """Names of those held down."""
+
+
+def read_haply_message(text: str | bytes) -> HaplyState | None:
+    """The first device of a message; None for a message without one.
+
+    Raises
+    ------
+    ValueError
+        If it is not JSON of the form that the service sends, or holds numbers that no device makes.
+    """
+    found = json.loads(text)
+    if not isinstance(found, dict):
+        raise ValueError("expected an object")
+    devices = found.get("inverse3") or []
+    if not isinstance(devices, list) or not all(isinstance(d, dict) for d in devices):
+        raise ValueError("expected a list of devices")
+    if not devices:
+        return None
+    device_id, state = devices[0].get("device_id"), devices[0].get("state")
+    if not isinstance(device_id, str) or not isinstance(state, dict):
+        raise ValueError("expected a device with an id and a state")
+    grips = found.get("wireless_verse_grip") or []
+    grip = grips[0].get("state", {}) if isinstance(grips, list) and grips and isinstance(grips[0], dict) else {}
+    turn = grip.get("orientation") if isinstance(grip, dict) else None
+    held = grip.get("buttons") if isinstance(grip, dict) else None
+    return HaplyState(
+        device_id=device_id,
+        position_m=_vector(state.get("cursor_position"), _MOST_M),
+        velocity_m_s=_vector(state.get("cursor_velocity"), _MOST_M_PER_S),
+        orientation_wxyz=None if not isinstance(turn, dict) else _quaternion(turn),
+        buttons=frozenset(name for name, down in held.items() if down is True)
+        if isinstance(held, dict)
+        else frozenset(),
+    )
+
+
+def _vector(found: object, most: float) -> Point:
+    if not isinstance(found, dict):
+        raise ValueError("expected x, y, z")
+    values = [found.get(axis) for axis in "xyz"]
+    if not all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) <= most for v in values):
+        raise ValueError(f"expected x, y, z within {most}")
+    x, y, z = (float(v) for v in values if v is not None)
+    return x, y, z
+
+
+def _quaternion(found: dict[str, Any]) -> tuple[float, float, float, float] | None:
+    values = [found.get(axis) for axis in "wxyz"]
+    if not all(isinstance(v, int | float) and math.isfinite(v) for v in values):
+        raise ValueError("expected w, x, y, z")
+    length = math.sqrt(sum(float(v) ** 2 for v in values if v is not None))
+    if length < 0.5:
+        # A grip that is not awake yet sends zeros.
+        return None
+    w, x, y, z = (float(v) / length for v in values if v is not None)
+    return w, x, y, z
+
+
+class HaplyBridge:
+    """Couples a Haply device to a force loop.
+
+    Where the hand is when the first state arrives (or when `center` is called) is where the tip is; from there the tip
+    follows the hand, scaled. The device's right, away and up are the picture's right, forward and up.
+
+    Parameters
+    ----------
+    loop
+        Gives the force. Its samples come from here: no other device should feed it.
+    pose
+        The tip when the hand is at rest.
+    scale
+        mm of the lumen per mm of the hand, 0.05 to 1.
+    url
+        The service.
+
+    Raises
+    ------
+    UsageError
+        If the scale is out of range.
+    """
+
+    def __init__(self, loop: ForceLoop, pose: Pose, *, scale: float = 0.25, url: str = HAPLY_URL) -> None:
+        if not 0.05 <= scale <= 1.0:
+            raise UsageError(f"expected a scale from 0.05 to 1; found {scale}", code="scope.force")
+        self._loop = loop
+        self._scale = scale
+        self._url = url
+        self._status: Status = "stopped"
+        self._state: HaplyState | None = None
+        self._rest_m: NDArray[np.float64] | None = None
+        self._num_refused = 0
+        self._num_samples = 0
+        self._lps_from_device = np.eye(3)
+        self._at_lps = np.zeros(3)
+        self.center(pose)
+
+    @property
+    def status(self) -> Status:
+        """``connecting``, ``no device``, ``running`` or ``stopped``."""
+        return self._status
+
+    @property
+    def state(self) -> HaplyState | None:
+        """The newest state of the device."""
+        return self._state
+
+    @property
+    def num_refused(self) -> int:
+        """Messages that were not as the service sends them."""
+        return self._num_refused
+
+    @property
+    def num_samples(self) -> int:
+        """States that were felt."""
+        return self._num_samples
+
+    def center(self, pose: Pose) -> None:
+        """From the next state on the hand's place is this pose (a clutch)."""
+        matrix = pose.lps_from_camera
+        # The device's right, away and up are the camera's +x, +z and -y.
+        self._lps_from_device = np.stack([matrix[:3, 0], matrix[:3, 2], -matrix[:3, 1]], axis=1)
+        self._at_lps = matrix[:3, 3].copy()
+        self._rest_m = None
+
+    async def run(self) -> None:
+        """Serve the device until cancelled: connect, again where the service went away, and let go at the end."""
+        from websockets.asyncio.client import connect
+        from websockets.exceptions import WebSocketException
+
+        try:
+            while True:
+                self._status = "connecting"
+                with contextlib.suppress(OSError, WebSocketException, TimeoutError):
+                    async with connect(self._url, max_size=_MOST_BYTES, compression=None, open_timeout=5) as link:
+                        await self._serve(link)
+                # The hand may be elsewhere when it comes back.
+                self._rest_m = None
+                await asyncio.sleep(_RETRY_S)
+        finally:
+            self._status = "stopped"
+
+    async def _serve(self, link: Any) -> None:
+        device_id: str | None = None
+        self._status = "no device"
+        try:
+            while True:
+                text = await asyncio.wait_for(link.recv(), _SILENCE_S)
+                try:
+                    state = read_haply_message(text)
+                except (ValueError, AttributeError, RecursionError):
+                    self._num_refused += 1
+                    state = None
+                    if device_id is None:
+                        continue
+                if state is None:
+                    # Without a device there is nothing to command; with a broken message it is let go.
+                    if device_id is None:
+                        self._status = "no device"
+                        continue
+                    await link.send(_command(device_id, (0.0, 0.0, 0.0)))
+                    continue
+                device_id, self._status, self._state = state.device_id, "running", state
+                await link.send(_command(device_id, self.feel(state)))
+        finally:
+            if device_id is not None:
+                with contextlib.suppress(Exception):
+                    await link.send(_command(device_id, (0.0, 0.0, 0.0)))
+
+    def feel(self, state: HaplyState) -> Point:
+        """The force (N, the device's axes) for a state: hands it to the loop and takes what the loop found last."""
+        position = np.array(state.position_m)
+        if self._rest_m is None:
+            self._rest_m = position
+        factor = 1000.0 * self._scale
+        at = self._at_lps + self._lps_from_device @ (factor * (position - self._rest_m))
+        velocity = self._lps_from_device @ (factor * np.array(state.velocity_m_s))
+        forward = self._lps_from_device @ _forward(state.orientation_wxyz)
+        if not self._loop.put(at.tolist(), velocity.tolist(), forward.tolist()):
+            return 0.0, 0.0, 0.0
+        self._num_samples += 1
+        felt = self._loop.felt()
+        if felt.silent:
+            return 0.0, 0.0, 0.0
+        x, y, z = self._lps_from_device.T @ np.array(felt.force_n)
+        return float(x), float(y), float(z)
+
+
+def _forward(orientation_wxyz: Sequence[float] | None) -> NDArray[np.float64]:
+    """Where the grip points in the device's axes: away from the hand's owner, turned as the grip is."""
+    if orientation_wxyz is None:
+        return np.array([0.0, 1.0, 0.0])
+    w, x, y, z = orientation_wxyz
+    # The second column of the rotation.
+    return np.array([2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)])
+
+
+def _command(device_id: str, force_n: Sequence[float]) -> str:
+    x, y, z = force_n
+    values = {"x": x, "y": y, "z": z}
+    return json.dumps({"inverse3": [{"device_id": device_id, "commands": {"set_cursor_force": {"values": values}}}]})
