@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -51,7 +52,7 @@ class FlightPath:
     [0.0, 0.0, 60.0]
     """
 
-    __slots__ = ("_curve", "_forks_mm", "_lookouts_mm")
+    __slots__ = ("_curve", "_forks_mm", "_lookouts_mm", "_max_deviation_mm", "_source_lps", "_up_lps")
 
     def __init__(
         self,
@@ -68,6 +69,9 @@ class FlightPath:
         up = None if up_lps is None else tuple(float(v) for v in up_lps)
         if up is not None and len(up) != 3:
             raise UsageError(f"the up direction needs three numbers; found {len(up)}", code="navigate.up")
+        self._source_lps = points.copy()
+        self._up_lps = up
+        self._max_deviation_mm = float(max_deviation_mm)
         self._curve = _core.FlightCurve(points, up, float(max_deviation_mm))
         self._forks_mm = self._on_path("forks", forks_mm)
         self._lookouts_mm = self._forks_mm if lookouts_mm is None else self._on_path("look-outs", lookouts_mm)
@@ -94,6 +98,16 @@ class FlightPath:
     def points_lps(self) -> NDArray[np.float64]:
         """Knots of the smooth curve, ``(m, 3)``, evenly spaced in mm of the path (a copy)."""
         return self._curve.knots_lps()
+
+    def made_from(self) -> dict[str, Any]:
+        """The arguments that make this path again, to the last bit."""
+        return {
+            "points_lps": tuple(map(tuple, self._source_lps.tolist())),
+            "up_lps": self._up_lps,
+            "forks_mm": self._forks_mm,
+            "lookouts_mm": self._lookouts_mm,
+            "max_deviation_mm": self._max_deviation_mm,
+        }
 
     def pose_at(self, path_mm: float) -> Pose:
         """The camera at a place, looking along the path ahead; clamped to the ends."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from carina.navigate.rotation import orthonormal, rotation_from_vector, vector_f
 from carina.scopes import Pose, upright
 from carina.volume import Volume
 
-__all__ = ["Limit", "Mode", "Navigator", "OperatorPosition"]
+__all__ = ["EASE_MM_PER_MM", "EASE_RAD_PER_MM", "Limit", "Mode", "Navigator", "OperatorPosition", "eased"]
 
 Mode = Literal["free", "path"]
 OperatorPosition = Literal["head", "facing"]
@@ -149,6 +149,31 @@ class Navigator:
         at = self._pose.position_lps
         self._set_free(rotation, self._held_inside(at, at + advance_mm * rotation[:, 2]))
 
+    def move_by(self, offset_mm: tuple[float, float, float], turn: NDArray[np.float64]) -> None:
+        """Move and turn at once, as a rigid hand does.
+
+        Parameters
+        ----------
+        offset_mm
+            To the right, down and forward, in the camera's axes before the turn. In mode *path* only forward counts.
+        turn
+            3x3 rotation about the camera's own axes; in mode *path* it adds to the free look.
+
+        Raises
+        ------
+        UsageError
+            If a number is not finite.
+        """
+        if not (np.isfinite(turn).all() and all(math.isfinite(v) for v in offset_mm)):
+            raise UsageError(f"a movement needs finite amounts; found {offset_mm}")
+        if self._mode == "path":
+            self._look = orthonormal(self._look @ turn)
+            self._advance_on_path(self._path_mm + offset_mm[2])
+            return
+        before = self._pose.lps_from_camera
+        wanted = before[:3, 3] + before[:3, :3] @ np.array(offset_mm)
+        self._set_free(orthonormal(before[:3, :3] @ turn), self._held_inside(before[:3, 3], wanted))
+
     def go_to(self, path_mm: float) -> None:
         """Go to a place of the path, clamped to its ends; enters mode *path*.
 
@@ -252,6 +277,49 @@ class Navigator:
             self._operator = position
             self._roll(math.pi)
 
+    # All of it, for recordings.
+
+    def state(self) -> dict[str, Any]:
+        """Everything but volume and path, as JSON values that keep every bit."""
+        return {
+            "operator": self._operator,
+            "mode": self._mode,
+            "path_mm": self._path_mm,
+            "base_roll_rad": self._base_roll_rad,
+            "entry": self._entry.tolist(),
+            "look": self._look.tolist(),
+            "shift_lps": self._shift_lps.tolist(),
+            "lps_from_camera": self._pose.lps_from_camera.tolist(),
+        }
+
+    def restore(self, state: dict[str, Any], path: FlightPath | None) -> None:
+        """Be as at :meth:`state`.
+
+        Raises
+        ------
+        UsageError
+            If it is no such state.
+        """
+        try:
+            arrays = {name: np.array(state[name], dtype=np.float64) for name in ("entry", "look", "shift_lps")}
+            numbers = (float(state["path_mm"]), float(state["base_roll_rad"]))
+            pose, operator = Pose(np.array(state["lps_from_camera"], dtype=np.float64)), state["operator"]
+            mode = state["mode"]
+        except (KeyError, TypeError, ValueError) as trouble:
+            raise UsageError(f"this is no state of a tip: {trouble}", code="navigate.recording") from trouble
+        shapes = [array.shape for array in arrays.values()]
+        finite = all(np.isfinite(array).all() for array in arrays.values()) and all(map(math.isfinite, numbers))
+        if shapes != [(3, 3), (3, 3), (3,)] or not finite or mode not in {"free", "path"}:
+            raise UsageError(f"this is no state of a tip: {mode!r}, {shapes}", code="navigate.recording")
+        if mode == "path" and path is None:
+            raise UsageError("a tip in mode path needs a path", code="navigate.recording")
+        self._operator = _checked_operator(operator)
+        self._path, self._mode = path, mode
+        self._path_mm, self._base_roll_rad = numbers
+        self._entry, self._look, self._shift_lps = arrays["entry"], arrays["look"], arrays["shift_lps"]
+        self._limit = "none"
+        self._pose = pose
+
     # Inside.
 
     def _roll(self, angle_rad: float) -> None:
@@ -305,8 +373,8 @@ class Navigator:
         self._limit = "path start" if path_mm < 0.0 else "path end" if path_mm > length_mm else "none"
         moved_mm = abs(there - self._path_mm)
         vector = vector_from_rotation(self._entry)
-        self._entry = rotation_from_vector(vector * _eased(float(np.linalg.norm(vector)), moved_mm, EASE_RAD_PER_MM))
-        self._shift_lps = self._shift_lps * _eased(float(np.linalg.norm(self._shift_lps)), moved_mm, EASE_MM_PER_MM)
+        self._entry = rotation_from_vector(vector * eased(float(np.linalg.norm(vector)), moved_mm, EASE_RAD_PER_MM))
+        self._shift_lps = self._shift_lps * eased(float(np.linalg.norm(self._shift_lps)), moved_mm, EASE_MM_PER_MM)
         self._path_mm = there
         self._follow()
 
@@ -366,7 +434,7 @@ class Navigator:
         return self._volume.to_lps(np.clip(start + share * (end - start), *box)), True
 
 
-def _eased(amount: float, moved_mm: float, rate_per_mm: float) -> float:
+def eased(amount: float, moved_mm: float, rate_per_mm: float) -> float:
     """The share of an offset that is left after an advance.
 
     It shrinks by ``rate_per_mm``, and exponentially once that is slower. A closed form, so that ten steps of 1 mm do

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["orthonormal", "rotation_from_vector", "vector_from_rotation", "yaw_pitch_roll"]
+__all__ = [
+    "orthonormal",
+    "rotation_from_vector",
+    "rotation_from_wxyz",
+    "vector_from_rotation",
+    "wxyz_from_rotation",
+    "yaw_pitch_roll",
+]
 
 
 def rotation_from_vector(vector_rad: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -72,3 +80,26 @@ def orthonormal(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _cross_matrix(v: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def rotation_from_wxyz(wxyz: Sequence[float]) -> NDArray[np.float64]:
+    """The 3x3 rotation of a quaternion of unit length."""
+    w, x, y, z = wxyz
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+def wxyz_from_rotation(rotation: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """The quaternion of a 3x3 rotation, unit length, w not negative."""
+    vector = vector_from_rotation(rotation)
+    angle = float(np.linalg.norm(vector))
+    # sin(a/2)/a = 1/2 to first order.
+    x, y, z = (float(v) for v in vector * (0.5 if angle < 1e-12 else math.sin(angle / 2.0) / angle))
+    w = math.cos(angle / 2.0)
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    return w / length, x / length, y / length, z / length

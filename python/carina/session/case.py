@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from carina.errors import UsageError
-from carina.navigate import Navigator
+from carina.navigate import Navigator, Pilot
 from carina.render import Slab
 from carina.session.document import Document, Point
 from carina.session.history import History
 from carina.session.parts import Parts, RendererFactory
-from carina.session.routes import AirwayIndex
+from carina.session.routes import AirwayIndex, ChosenRoute
 from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Carm, Orbit, Reformation, Renderer, Zoom
 from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, PoseInfo
 from carina.session.start_pose import pose_before_airways
@@ -33,7 +33,7 @@ class OpenCase:
     number: int
     info: CaseSnapshot
     renderer: Renderer
-    navigator: Navigator
+    pilot: Pilot
     history: History[Document]
     presets: tuple[str, ...]
     threshold_from_histogram: float | None
@@ -49,6 +49,8 @@ class OpenCase:
     carm: Carm = field(default_factory=Carm)
     reformation: Reformation = field(default_factory=Reformation)
     slab: Slab | None = None
+    flown_route: Any = None
+    """The route whose path the pilot was last given."""
     shown_transfer: Any = None
     """What the renderer was last given; the document may be ahead of it."""
     shown_airways: Any = None
@@ -66,9 +68,18 @@ class OpenCase:
     content_number: int = 0
 
     @property
+    def navigator(self) -> Navigator:
+        """The tip, to be read; moves go to the pilot."""
+        return self.pilot.navigator
+
+    @property
     def document(self) -> Document:
         """What the person decided so far."""
         return self.history.current
+
+    def follow_route(self, route: ChosenRoute) -> None:
+        """Another route without a step of undo: the hand that flies asked for it."""
+        self.history.amend_current(lambda document: replace(document, route=route))
 
     def check_inside(self, lps: Point) -> None:
         """Refuse a point outside the volume.
@@ -110,7 +121,7 @@ def new_case(volume: Volume, number: int, *, parts: Parts, renderer_factory: Ren
         number=number,
         info=CaseSnapshot(volume, parts.quality_words(volume), off, (low, high)),
         renderer=renderer_factory(volume, transfer),
-        navigator=Navigator(pose_before_airways(volume), volume=volume),
+        pilot=Pilot(Navigator(pose_before_airways(volume), volume=volume)),
         history=History(document),
         presets=presets,
         threshold_from_histogram=threshold,

@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 from carina.errors import CancelledError, UsageError
+from carina.navigate.moves import SetOperator
 from carina.scopes import scope_preset
 from carina.session.case import OpenCase, pose_info
 from carina.session.document import Document
@@ -19,7 +20,7 @@ from carina.session.history import History
 from carina.session.jobs import Job, JobEnded, JobProgress, JobRunner
 from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.recent import LocalStore
-from carina.session.routes import AirwayIndex
+from carina.session.routes import AirwayIndex, path_move
 from carina.session.scene import Scene
 from carina.session.snapshot import Changed, PoseInfo, Said, Snapshot, Topic, Trouble
 
@@ -53,6 +54,7 @@ class SessionCore:
         self._listeners: list[Callable[[Event], None]] = []
         self._case: OpenCase | None = None
         self._case_numbers = itertools.count(1)
+        self._device_woken = threading.Event()
         self._pose_id = 0
         self._pose_s = clock()
 
@@ -149,14 +151,14 @@ class SessionCore:
     def _follow_document(self, case: OpenCase) -> None:
         """Bring tip, index and renderer to where the document is; with the session locked."""
         document = case.document
-        path = None if document.route is None else document.route.path
-        if case.navigator.path is not path:
-            case.navigator.set_path(path)
+        airways = document.airways
+        if case.flown_route is not document.route:
+            case.flown_route = document.route
+            case.pilot.apply(path_move(None if airways is None else airways.tree, document.route))
             self._moved()
         if case.navigator.operator != document.operator:
-            case.navigator.set_operator(document.operator)
+            case.pilot.apply(SetOperator(document.operator))
             self._moved()
-        airways = document.airways
         new_airways = airways is not case.shown_airways
         if new_airways:
             case.index = None if airways is None else AirwayIndex(airways.tree)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from carina.errors import NoResultError
 from carina.navigate import FlightPath
+from carina.navigate.moves import PathFork, PathWay, SetPath
 from carina.scopes import PathFrames
 from carina.track import AirwayTree, Route, TrackedPath
 
@@ -18,7 +20,9 @@ __all__ = [
     "ChosenRoute",
     "RouteSpan",
     "default_branch_id",
+    "leaf_below",
     "lookouts_mm",
+    "path_move",
     "route_to_branch",
     "route_to_point",
     "route_to_target",
@@ -100,6 +104,52 @@ def default_branch_id(tree: AirwayTree) -> int | None:
     right = [leaf for leaf in leaves if float(leaf.tip_lps[0]) < middle_x]
     # The id last, so that equal tips are chosen the same way in every run.
     return max(right or leaves, key=lambda leaf: (leaf.generation, leaf.length_mm, -leaf.id)).id
+
+
+def leaf_below(tree: AirwayTree, branch_id: int) -> int:
+    """The deepest tip that is reached through a branch; the branch itself where it is one."""
+    children = {branch.id: branch.children for branch in tree.branches}
+    below, waiting = set(), [branch_id]
+    while waiting:
+        one = waiting.pop()
+        below.add(one)
+        waiting.extend(children[one])
+    leaves = [branch for branch in tree.branches if branch.id in below and not branch.children]
+    return max(leaves, key=lambda leaf: (leaf.generation, leaf.length_mm, -leaf.id)).id
+
+
+def path_move(tree: AirwayTree | None, route: ChosenRoute | None) -> SetPath:
+    """The route as a pilot takes it: its path, and at each fork the ways on."""
+    if route is None:
+        return SetPath(())
+    return SetPath(**route.path.made_from(), ways=() if tree is None else _path_forks(tree, route))
+
+
+# Where a way leads, by its first centimetre: the bend behind it is not in view at the fork.
+WAY_MM = 10.0
+
+
+def _path_forks(tree: AirwayTree, route: ChosenRoute) -> tuple[PathFork, ...]:
+    branches = {branch.id: branch for branch in tree.branches}
+    forks: list[PathFork] = []
+    for span, after in itertools.pairwise(route.spans):
+        here = branches.get(span.branch_id)
+        if here is None or after.branch_id not in here.children or len(here.children) < 2:
+            continue
+        ways = []
+        for child_id in here.children:
+            points = np.asarray(branches[child_id].points, dtype=np.float64)
+            away = np.linalg.norm(points - points[0], axis=1)
+            beyond = np.flatnonzero(away >= WAY_MM)
+            toward = points[beyond[0] if len(beyond) else -1] - points[0]
+            length = float(np.linalg.norm(toward))
+            if length > 0.0:
+                x, y, z = (float(v) for v in toward / length)
+                ways.append(PathWay(child_id, (x, y, z)))
+        place_mm = min(span.to_mm, route.path.length_mm)
+        if len(ways) > 1 and any(way.way_id == after.branch_id for way in ways):
+            forks.append(PathFork(place_mm, tuple(ways), after.branch_id))
+    return tuple(forks)
 
 
 def route_to_branch(tree: AirwayTree, branch_id: int) -> ChosenRoute:

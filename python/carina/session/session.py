@@ -14,13 +14,14 @@ from typing import Any, Literal
 import numpy as np
 
 from carina.errors import CarinaError, NoResultError, TrackingError, UsageError
-from carina.navigate import Navigator
+from carina.navigate import moves
 from carina.render import Slab
-from carina.scopes import MASKS, Mask, Pose, scope_preset
+from carina.scopes import MASKS, Mask, scope_preset
 from carina.session.case import HISTOGRAM_PRESET, OpenCase, as_point, new_case
 from carina.session.core import ALL_TOPICS
 from carina.session.document import Document, Method, Operator, Point, Target
 from carina.session.editing import MAX_AIRWAYS_KEPT, TreeEditing, airway_words, found_airways
+from carina.session.flying import Flying, place_move
 from carina.session.jobs import Job
 from carina.session.measuring import TreeMeasuring
 from carina.session.questions import AirwayQuestions
@@ -37,7 +38,7 @@ PINHOLE_FOV_DEG = 90.0
 SET_THE_ROOT = "Click in the trachea on a slice and choose it as the root."
 
 
-class Session(AirwayQuestions, TreeMeasuring, TreeEditing):
+class Session(Flying, AirwayQuestions, TreeMeasuring, TreeEditing):
     """State, commands and jobs of one workstation.
 
     Parameters
@@ -226,9 +227,9 @@ class Session(AirwayQuestions, TreeMeasuring, TreeEditing):
         self._follow_document(case)
         if not case.person_moved:
             if route is not None:
-                case.navigator.go_to(0.0)
+                case.pilot.apply(moves.GoTo(0.0))
             elif airways is not None:
-                case.navigator.place(pose_at_root(airways))
+                case.pilot.apply(place_move(pose_at_root(airways)))
             self._moved()
         self._changed(*ALL_TOPICS)
 
@@ -433,64 +434,6 @@ class Session(AirwayQuestions, TreeMeasuring, TreeEditing):
             return WallPoint(lps, value, None, None, None)
         branch_id, _, _ = index.nearest(np.asarray(lps, dtype=np.float64))
         return WallPoint(lps, value, branch_id, index.name(branch_id), index.generation(branch_id))
-
-    # ------------------------------------------------------------ flight
-
-    def steer(self, advance_mm: float, yaw_rad: float, pitch_rad: float, roll_rad: float) -> None:
-        """Move the tip; see :meth:`carina.navigate.Navigator.steer`."""
-        self._fly(lambda tip: tip.steer(advance_mm, yaw_rad, pitch_rad, roll_rad))
-
-    def go_to(self, path_mm: float) -> None:
-        """To a place on the path; enters path mode."""
-        self._fly(lambda tip: tip.go_to(path_mm))
-
-    def next_fork(self) -> None:
-        """To the look-out in front of the next fork along the path."""
-        self._fly(lambda tip: tip.next_fork())
-
-    def previous_fork(self) -> None:
-        """To the look-out of the fork before."""
-        self._fly(lambda tip: tip.previous_fork())
-
-    def set_mode(self, mode: Literal["free", "path"]) -> None:
-        """Free movement, or along the path."""
-        self._fly(lambda tip: tip.set_mode(mode))
-
-    def toggle_mode(self) -> None:
-        """The other mode."""
-        self._fly(lambda tip: tip.toggle_mode())
-
-    def place(self, lps: Point) -> None:
-        """Tip to a point, keeping the look; free mode afterwards."""
-        self._needed_case().check_inside(lps)
-        self._fly(lambda tip: tip.place_at(lps))
-
-    def place_pose(self, pose: Pose) -> None:
-        """Tip to a pose; free mode afterwards."""
-        self._fly(lambda tip: tip.place(pose))
-
-    def level_horizon(self) -> None:
-        """Roll until the operator's up is up."""
-        self._fly(lambda tip: tip.level_horizon())
-
-    def reset_look(self) -> None:
-        """Look along the path again."""
-        self._fly(lambda tip: tip.reset_look())
-
-    def _fly(self, move: Callable[[Navigator], object]) -> None:
-        case = self._needed_case()
-        with self._lock:
-            mode = case.navigator.mode
-            move(case.navigator)
-            case.person_moved = True
-            if case.crosshair_lps is None and case.zoom != (following := case.zoom.following):
-                # Slices follow the tip again.
-                case.zoom = following
-            self._moved()
-            if case.navigator.mode != mode:
-                self._changed("state", "pose", "views")
-            else:
-                self._changed("pose", "views")
 
 
 def _needed_target(document: Document, target_id: str) -> Target:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
+from carina.navigate import Controls, DeviceState
 from carina.render import Slab
 from carina.scopes import Pose
 from carina.session.document import Document
@@ -14,7 +15,18 @@ if TYPE_CHECKING:
     from carina.track import TreeMeasures
     from carina.volume import Volume
 
-__all__ = ["AirwayStatus", "CaseSnapshot", "Changed", "PoseInfo", "Said", "Snapshot", "Stage", "Trouble", "WallPoint"]
+__all__ = [
+    "AirwayStatus",
+    "CaseSnapshot",
+    "Changed",
+    "DevicesInfo",
+    "PoseInfo",
+    "Said",
+    "Snapshot",
+    "Stage",
+    "Trouble",
+    "WallPoint",
+]
 
 Stage = Literal["empty", "opening", "ready"]
 AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
@@ -90,6 +102,15 @@ class Snapshot:
     transfer_presets: tuple[str, ...] = ()
     measures: TreeMeasures | None = None
     """What the document's airways measure; None until it is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class DevicesInfo:
+    """Input devices, and how they move the tip."""
+
+    control: Literal["absolute", "relative", "path"]
+    controls: Controls
+    devices: tuple[DeviceState, ...]
 
 
 @dataclass(frozen=True, slots=True)

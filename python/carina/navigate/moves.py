@@ -1,0 +1,371 @@
+"""All that can move the tip, as values: what is asked for by a hand, a key, a device or a program.
+
+One kind of value for every source makes one owner of the pose possible, and recordings: a session's moves, fed to a
+:class:`carina.navigate.Pilot` again, give its poses again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from carina.errors import UsageError
+from carina.navigate.one_euro import FilterSettings
+from carina.navigate.samples import AxesSample, HandleSample, PoseSample, Sample
+
+__all__ = [
+    "MOVES",
+    "ArmPen",
+    "Calibrate",
+    "Controls",
+    "CycleControl",
+    "DeviceGone",
+    "DeviceSaid",
+    "Frame",
+    "GoTo",
+    "LevelHorizon",
+    "Move",
+    "NextFork",
+    "PathFork",
+    "PathWay",
+    "PlaceAt",
+    "PlacePose",
+    "PreviousFork",
+    "ResetLook",
+    "SetControl",
+    "SetControls",
+    "SetMode",
+    "SetOperator",
+    "SetPath",
+    "Steer",
+    "TakeDevice",
+    "ToggleMode",
+    "move_from_json",
+    "move_to_json",
+]
+
+Control = Literal["absolute", "relative", "path"]
+Vec3 = tuple[float, float, float]
+Sixteen = tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Steer:
+    """Turn, then advance; see :meth:`carina.navigate.Navigator.steer`."""
+
+    advance_mm: float
+    yaw_rad: float
+    pitch_rad: float
+    roll_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class GoTo:
+    """To a place of the path."""
+
+    path_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class NextFork:
+    """To the look-out in front of the next fork."""
+
+
+@dataclass(frozen=True, slots=True)
+class PreviousFork:
+    """Back to the last fork."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceAt:
+    """Tip to a point, keeping the look."""
+
+    lps: Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class PlacePose:
+    """Tip to a pose, 16 numbers row by row."""
+
+    lps_from_camera: Sixteen
+
+
+@dataclass(frozen=True, slots=True)
+class LevelHorizon:
+    """Roll until the operator's up is up."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResetLook:
+    """Look along the path again."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetMode:
+    """Free, or along the path."""
+
+    mode: Literal["free", "path"]
+
+
+@dataclass(frozen=True, slots=True)
+class ToggleMode:
+    """The other of free and path."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetOperator:
+    """Where the operator stands."""
+
+    position: Literal["head", "facing"]
+
+
+@dataclass(frozen=True, slots=True)
+class PathWay:
+    """A way on from a fork: an id of the giver's, and where it leads (unit vector, LPS)."""
+
+    way_id: int
+    dir_lps: Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class PathFork:
+    """A fork of the path: its place, the ways on from it, and which of them the path takes."""
+
+    path_mm: float
+    ways: tuple[PathWay, ...]
+    taken: int
+
+
+@dataclass(frozen=True, slots=True)
+class SetPath:
+    """Another path to fly on, as the arguments of :class:`carina.navigate.FlightPath`; no points mean none."""
+
+    points_lps: tuple[Vec3, ...]
+    up_lps: Vec3 | None = None
+    forks_mm: tuple[float, ...] = ()
+    lookouts_mm: tuple[float, ...] | None = None
+    max_deviation_mm: float = 0.5
+    ways: tuple[PathFork, ...] = ()
+
+
+# What devices do.
+
+
+@dataclass(frozen=True, slots=True)
+class Controls:
+    """How a device's movement becomes that of the tip.
+
+    Parameters
+    ----------
+    gain_mm, gain_turn
+        What the tip moves per movement of the hand, mm and angle; *relative* and *path* only. 0.01 to 100.
+    clutch
+        ``"always"``: the hand moves the tip, unless button 1 is held (to lift the hand back). ``"hold"``: only while
+        it is.
+    speed_mm_s, turn_rad_s
+        Of a stick pushed all the way.
+    lever_inverted
+        False follows a real lever: lever down bends the tip up.
+    lever_rad
+        What the tip looks up at with the lever all the way down, without kinematics.
+    filter
+        See :class:`FilterSettings`.
+
+    Raises
+    ------
+    UsageError
+        If a number is out of range.
+    """
+
+    gain_mm: float = 1.0
+    gain_turn: float = 1.0
+    clutch: Literal["always", "hold"] = "always"
+    speed_mm_s: float = 25.0
+    turn_rad_s: float = 1.0
+    lever_inverted: bool = False
+    lever_rad: float = math.pi / 3.0
+    filter: FilterSettings = dataclasses.field(default_factory=FilterSettings)
+
+    def __post_init__(self) -> None:
+        positive = (self.gain_mm, self.gain_turn, self.speed_mm_s, self.turn_rad_s, self.lever_rad)
+        if not all(0.01 <= v <= 1000.0 for v in positive) or self.clutch not in {"always", "hold"}:
+            raise UsageError(
+                f"gains and speeds lie between 0.01 and 1000, and the clutch is always or hold; found {positive}, "
+                f"{self.clutch!r}",
+                code="navigate.controls",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSaid:
+    """A sample of a device, and when it arrived (s, monotonic)."""
+
+    device: str
+    sample: Sample
+    now_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Time for the tip to follow the newest sample (s, monotonic)."""
+
+    now_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceGone:
+    """A device was unplugged."""
+
+    device: str
+
+
+@dataclass(frozen=True, slots=True)
+class TakeDevice:
+    """The device that moves the tip from now on, until it falls silent."""
+
+    device: str
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrate:
+    """Where a tracker's space lies in the patient, 16 numbers row by row; none forgets it."""
+
+    device: str
+    lps_from_tracker: Sixteen
+
+
+@dataclass(frozen=True, slots=True)
+class SetControl:
+    """How the device moves the tip."""
+
+    control: Control
+
+
+@dataclass(frozen=True, slots=True)
+class CycleControl:
+    """The next way to move the tip that there is."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmPen:
+    """The pen's first button marks the place of the tip instead of cycling the ways to move, or no longer."""
+
+    armed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SetControls:
+    """Gains, clutch, speeds and filter."""
+
+    controls: Controls
+
+
+Move = (
+    Steer
+    | GoTo
+    | NextFork
+    | PreviousFork
+    | PlaceAt
+    | PlacePose
+    | LevelHorizon
+    | ResetLook
+    | SetMode
+    | ToggleMode
+    | SetOperator
+    | SetPath
+    | DeviceSaid
+    | Frame
+    | DeviceGone
+    | TakeDevice
+    | Calibrate
+    | SetControl
+    | CycleControl
+    | ArmPen
+    | SetControls
+)
+MOVES: dict[str, type[Any]] = {
+    cls.__name__: cls
+    for cls in (
+        Steer,
+        GoTo,
+        NextFork,
+        PreviousFork,
+        PlaceAt,
+        PlacePose,
+        LevelHorizon,
+        ResetLook,
+        SetMode,
+        ToggleMode,
+        SetOperator,
+        SetPath,
+        DeviceSaid,
+        Frame,
+        DeviceGone,
+        TakeDevice,
+        Calibrate,
+        SetControl,
+        CycleControl,
+        ArmPen,
+        SetControls,
+    )
+}
+_SAMPLES: dict[str, type[Any]] = {"pose": PoseSample, "axes": AxesSample, "handle": HandleSample}
+
+
+def move_to_json(move: Move) -> dict[str, Any]:
+    """The move as JSON values. Floats keep every bit: JSON's shortest digits read back as the same number."""
+    fields = {f.name: _plain(getattr(move, f.name)) for f in dataclasses.fields(move)}
+    return {"move": type(move).__name__, **fields}
+
+
+def move_from_json(value: dict[str, Any]) -> Move:
+    """The move again.
+
+    Raises
+    ------
+    UsageError
+        ``navigate.recording``: if it is none.
+    """
+    fields = dict(value)
+    name = fields.pop("move", None)
+    cls = MOVES.get(name) if isinstance(name, str) else None
+    if cls is None:
+        raise UsageError(f"no move is called {name!r}", code="navigate.recording")
+    try:
+        if cls is DeviceSaid:
+            kind = dict(fields["sample"])
+            fields["sample"] = _SAMPLES[kind.pop("kind")](**{k: _tuples(v) for k, v in kind.items()})
+        elif cls is SetControls:
+            controls = dict(fields["controls"])
+            fields["controls"] = Controls(**{**controls, "filter": FilterSettings(**controls["filter"])})
+        elif cls is SetPath:
+            fields["ways"] = tuple(
+                PathFork(
+                    fork["path_mm"],
+                    tuple(PathWay(way["way_id"], _tuples(way["dir_lps"])) for way in fork["ways"]),
+                    fork["taken"],
+                )
+                for fork in fields["ways"]
+            )
+        # Names of fields are checked by the constructors; numbers by whoever applies the move.
+        move: Move = cls(**{k: _tuples(v) for k, v in fields.items()})
+    except (TypeError, KeyError, AttributeError, ValueError) as trouble:
+        raise UsageError(f"the move {name} cannot be read: {trouble}", code="navigate.recording") from trouble
+    return move
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(v) for v in value]
+    for kind, cls in _SAMPLES.items():
+        if isinstance(value, cls):
+            return {"kind": kind, **{f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}}
+    if dataclasses.is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    return value
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(v) for v in value) if isinstance(value, list) else value

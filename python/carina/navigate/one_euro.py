@@ -1,0 +1,178 @@
+"""The one-euro filter: steady while the hand rests, quick while it moves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import UsageError
+from carina.navigate.rotation import rotation_from_vector, rotation_from_wxyz, vector_from_rotation, wxyz_from_rotation
+from carina.navigate.samples import HandleSample, PoseSample, Sample
+
+__all__ = ["FilterSettings", "SampleFilter"]
+
+# A gap longer than this is a new beginning, not a movement.
+MAX_GAP_S = 0.25
+# What a radian of roll, and half the lever's way, count for beside a shaft's mm: movements of the hand of one size.
+HANDLE_MM = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class FilterSettings:
+    """How much a device's tremor is smoothed.
+
+    A low-pass of cut-off frequency fc delays slow movements by 1 / (2 pi fc): at the default 20 Hz by 8 ms at rest, and
+    by less while the hand moves, since fc grows with speed.
+
+    Parameters
+    ----------
+    min_cutoff_hz
+        fc at rest, 0.1 to 1000. Lower is steadier and later.
+    beta_per_mm, beta_per_rad
+        How fc grows with speed: Hz per mm/s, Hz per rad/s.
+    derivative_cutoff_hz
+        fc of the speed itself.
+    on
+        False hands samples on as they are.
+
+    Raises
+    ------
+    UsageError
+        If a number is out of range.
+
+    References
+    ----------
+    Casiez, Roussel, Vogel, "1 euro filter: a simple speed-based low-pass filter for noisy input", CHI 2012.
+
+    Examples
+    --------
+    >>> round(FilterSettings().latency_ms, 1)
+    8.0
+    """
+
+    min_cutoff_hz: float = 20.0
+    beta_per_mm: float = 0.1
+    beta_per_rad: float = 4.0
+    derivative_cutoff_hz: float = 10.0
+    on: bool = True
+
+    def __post_init__(self) -> None:
+        cutoffs = (self.min_cutoff_hz, self.derivative_cutoff_hz)
+        betas = (self.beta_per_mm, self.beta_per_rad)
+        if not (all(0.1 <= v <= 1000.0 for v in cutoffs) and all(0.0 <= v <= 100.0 for v in betas)):
+            raise UsageError(
+                "the filter's cut-off frequencies lie between 0.1 and 1000 Hz and its betas between 0 and 100; found "
+                f"{cutoffs} and {betas}",
+                code="navigate.filter",
+            )
+
+    @property
+    def latency_ms(self) -> float:
+        """What the filter delays at rest, the most that it ever does."""
+        return 1000.0 * _time_constant_s(self.min_cutoff_hz) if self.on else 0.0
+
+
+class SampleFilter:
+    """The filter of one device: position and orientation of a pen, the controls of a handle. Sticks pass as they are.
+
+    Parameters
+    ----------
+    settings
+        See :class:`FilterSettings`.
+    """
+
+    def __init__(self, settings: FilterSettings) -> None:
+        self._settings = settings
+        self._last: Sample | None = None
+        self._raw: NDArray[np.float64] = np.zeros(0)
+        self._raw_turn = np.eye(3)
+        self._kept: NDArray[np.float64] = np.zeros(0)
+        self._speed: NDArray[np.float64] = np.zeros(0)
+        self._turn = np.eye(3)
+        self._turning: NDArray[np.float64] = np.zeros(3)
+        self._latency_s = 0.0
+
+    @property
+    def latency_ms(self) -> float:
+        """The delay of the last sample: the longer of that of position and orientation."""
+        return 1000.0 * self._latency_s
+
+    def reset(self) -> None:
+        """Begin anew: the next sample is taken as it is."""
+        self._last = None
+
+    def apply(self, sample: Sample) -> Sample:
+        """The smoothed sample; the first one, and the first after a gap, is handed on as it is."""
+        last, self._last = self._last, sample
+        values = _values(sample)
+        if not self._settings.on or values is None:
+            self._latency_s = 0.0
+            return sample
+        turn = rotation_from_wxyz(sample.orientation_wxyz) if isinstance(sample, PoseSample) else None
+        passed_s = math.inf if last is None else sample.time_s - last.time_s
+        if not 0.0 <= passed_s <= MAX_GAP_S or len(values) != len(self._kept):
+            self._kept, self._speed, self._turning = values, np.zeros(len(values)), np.zeros(3)
+            self._turn = np.eye(3) if turn is None else turn
+            self._raw, self._raw_turn = self._kept, self._turn
+            self._latency_s = 0.0
+            return sample
+        if passed_s == 0.0:
+            return self._made(sample)
+        self._latency_s = max(self._move(values, passed_s), 0.0 if turn is None else self._rotate(turn, passed_s))
+        return self._made(sample)
+
+    def _move(self, values: NDArray[np.float64], passed_s: float) -> float:
+        if len(values) == 0:
+            return 0.0
+        s = self._settings
+        # Of the samples themselves: against what is kept, the lag would count as speed.
+        speed, self._raw = (values - self._raw) / passed_s, values
+        self._speed = self._speed + _share(s.derivative_cutoff_hz, passed_s) * (speed - self._speed)
+        cutoff_hz = s.min_cutoff_hz + s.beta_per_mm * float(np.linalg.norm(self._speed))
+        self._kept = self._kept + _share(cutoff_hz, passed_s) * (values - self._kept)
+        return _time_constant_s(cutoff_hz)
+
+    def _rotate(self, turn: NDArray[np.float64], passed_s: float) -> float:
+        s = self._settings
+        turning, self._raw_turn = vector_from_rotation(self._raw_turn.T @ turn) / passed_s, turn
+        self._turning = self._turning + _share(s.derivative_cutoff_hz, passed_s) * (turning - self._turning)
+        away = vector_from_rotation(self._turn.T @ turn)
+        cutoff_hz = s.min_cutoff_hz + s.beta_per_rad * float(np.linalg.norm(self._turning))
+        # A part of the rotation between both: the same as slerp.
+        self._turn = self._turn @ rotation_from_vector(_share(cutoff_hz, passed_s) * away)
+        return _time_constant_s(cutoff_hz)
+
+    def _made(self, sample: Sample) -> Sample:
+        kept = [float(v) for v in self._kept]
+        match sample:
+            case PoseSample():
+                self._turn = rotation_from_wxyz(wxyz_from_rotation(self._turn))
+                at = None if sample.position_mm is None else (kept[0], kept[1], kept[2])
+                return replace(sample, position_mm=at, orientation_wxyz=wxyz_from_rotation(self._turn))
+            case HandleSample():
+                return replace(sample, insertion_mm=kept[0], roll_rad=kept[1] / HANDLE_MM, lever=kept[2] / HANDLE_MM)
+            case _:
+                return sample
+
+
+def _values(sample: Sample) -> NDArray[np.float64] | None:
+    """What is smoothed as numbers, in mm; None for sticks, whose speeds are integrated and so smoothed anyway."""
+    match sample:
+        case PoseSample():
+            return np.zeros(0) if sample.position_mm is None else np.array(sample.position_mm, dtype=np.float64)
+        case HandleSample():
+            return np.array([sample.insertion_mm, HANDLE_MM * sample.roll_rad, HANDLE_MM * sample.lever])
+        case _:
+            return None
+
+
+def _time_constant_s(cutoff_hz: float) -> float:
+    return 1.0 / (2.0 * math.pi * cutoff_hz)
+
+
+def _share(cutoff_hz: float, passed_s: float) -> float:
+    """Of the way to the new value: the exponential smoother whose delay is the time constant exactly."""
+    return 1.0 / (1.0 + _time_constant_s(cutoff_hz) / passed_s)

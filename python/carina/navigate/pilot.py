@@ -1,0 +1,436 @@
+"""The one owner of the pose: every move of the tip, by hand, key, device or program, goes through here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import UsageError
+from carina.navigate import moves as m
+from carina.navigate.flight_path import FlightPath
+from carina.navigate.navigator import EASE_MM_PER_MM, EASE_RAD_PER_MM, Navigator, eased
+from carina.navigate.one_euro import SampleFilter
+from carina.navigate.registration import Registration, as_registration
+from carina.navigate.rotation import (
+    orthonormal,
+    rotation_from_vector,
+    rotation_from_wxyz,
+    vector_from_rotation,
+    yaw_pitch_roll,
+)
+from carina.navigate.samples import AxesSample, HandleSample, PoseSample, Sample, SampleGate
+from carina.scopes import Pose
+
+__all__ = ["CLUTCH_BUTTON", "CYCLE_BUTTON", "DeviceState", "Pilot"]
+
+CYCLE_BUTTON = 0
+CLUTCH_BUTTON = 1
+# A stick that said nothing for so long is not being held any more; nor is it after a pause of the program.
+STALE_S = 0.25
+MAX_FRAME_S = 0.1
+# Another way than the route's is taken only where it is meant: nearer to the direction held by this angle.
+FORK_MARGIN_RAD = math.radians(10.0)
+# A turn of the hand counts as this movement when an offset is eased away: the length of a pen.
+HAND_MM_PER_RAD = 100.0
+MM3 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceState:
+    """What is shown of a device."""
+
+    device: str
+    holds: bool
+    sample: Sample | None
+    """The newest, filtered."""
+    latency_ms: float
+    num_used: int
+    num_ignored: dict[str, int]
+    rms_mm: float | None
+    registered: bool
+
+
+@dataclass(slots=True)
+class _Device:
+    filter: SampleFilter
+    newest: Sample | None = None
+    arrived_s: float = -math.inf
+    buttons: int = 0
+    registration: Registration | None = None
+
+
+class Pilot:
+    """Applies moves to a :class:`Navigator`; devices by way of gate, filter and mapper. Pure: no clock is read.
+
+    A device's samples come as they come (:class:`moves.DeviceSaid`); the tip follows the newest one when a frame is due
+    (:class:`moves.Frame`). So a device that floods costs no pictures, and one that stalls stops none.
+
+    Three ways to move by a device (paper 3.2), cycled by button 0 or :class:`moves.CycleControl`:
+
+    *absolute*: the pen's place in the patient, by the registration of its tracker. *relative*: what the hand does, the
+    tip does, times a gain, from where it is; a clutch lets the hand go back. *path*: forward along the path, the turns
+    a free look; at a fork the way nearest to where the tip looks (a stick: is held) is asked for.
+
+    No change of them moves the picture: what the pen is off by in *absolute* eases over while the hand moves.
+
+    Parameters
+    ----------
+    navigator
+        What is moved. Nobody else should move it.
+
+    Examples
+    --------
+    >>> pilot = Pilot(Navigator(Pose.looking([0, 0, 0], [0, 0, -1])))
+    >>> pilot.apply(m.Steer(5.0, 0.0, 0.0, 0.0))
+    >>> pilot.navigator.pose.position_lps.tolist()
+    [0.0, 0.0, -5.0]
+    """
+
+    def __init__(self, navigator: Navigator) -> None:
+        self.navigator = navigator
+        self.on_move: Callable[[m.Move], None] | None = None
+        """Told of every move after it was applied, for recordings."""
+        self._gate = SampleGate()
+        self._devices: dict[str, _Device] = {}
+        self._controls = m.Controls()
+        self._free: m.Control = "relative"
+        self._forks: tuple[m.PathFork, ...] = ()
+        self._wanted_way: int | None = None
+        self._pen_armed = False
+        self._num_marks = 0
+        self._frame_s: float | None = None
+        # What the tip followed in the last frame; None begins anew, so that nothing jumps.
+        self._followed: tuple[str, Sample] | None = None
+        # In absolute: pose = registered pen * turn, shifted.
+        self._off_turn = np.eye(3)
+        self._off_lps: MM3 = np.zeros(3)
+
+    # ------------------------------------------------------------ what others read
+
+    @property
+    def control(self) -> m.Control:
+        """How a device moves the tip now."""
+        return "path" if self.navigator.mode == "path" else self._free
+
+    @property
+    def controls(self) -> m.Controls:
+        """Gains, clutch, speeds, filter."""
+        return self._controls
+
+    @property
+    def holder(self) -> str | None:
+        """The device that moves the tip."""
+        return self._gate.holder
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether frames move the tip without another sample: a stick is held."""
+        newest = self._newest()
+        return isinstance(newest, AxesSample) and any(abs(v) > 0.0 for v in newest.axes)
+
+    def devices(self) -> tuple[DeviceState, ...]:
+        """All devices that said something."""
+        return tuple(
+            DeviceState(
+                name,
+                name == self._gate.holder,
+                device.newest,
+                device.filter.latency_ms,
+                self._gate.num_used(name),
+                {str(k): v for k, v in self._gate.num_ignored(name).items()},
+                None if device.registration is None else device.registration.rms_mm,
+                device.registration is not None,
+            )
+            for name, device in sorted(self._devices.items())
+        )
+
+    def pen_pose(self, device: str) -> Pose | None:
+        """Where a registered pen is in the patient; None without registration or position."""
+        known = self._devices.get(device)
+        if known is None or known.registration is None or not isinstance(known.newest, PoseSample):
+            return None
+        return None if known.newest.position_mm is None else self._registered(known.registration, known.newest)
+
+    def take_message(self, now_s: float) -> str | None:
+        """One sentence about samples that were ignored, now and then."""
+        return self._gate.take_message(now_s)
+
+    def take_wanted_way(self) -> int | None:
+        """The way that the device asked for at a fork the tip has reached; once."""
+        wanted, self._wanted_way = self._wanted_way, None
+        return wanted
+
+    def take_marks(self) -> int:
+        """How often the armed pen's button was pressed since the last call."""
+        marks, self._num_marks = self._num_marks, 0
+        return marks
+
+    # ------------------------------------------------------------ moves
+
+    def apply(self, move: m.Move) -> None:
+        """Do it.
+
+        Raises
+        ------
+        UsageError
+            If a number is not finite, or it cannot be done (no path, no registration). Then nothing moved.
+        """
+        self._do(move)
+        if self.on_move is not None:
+            self.on_move(move)
+
+    def set_registration(self, device: str, registration: Registration) -> None:
+        """As :class:`moves.Calibrate`, keeping the residuals."""
+        numbers = tuple(float(v) for v in registration.lps_from_tracker.ravel())
+        self.apply(m.Calibrate(device, numbers))
+        self._device(device).registration = registration
+
+    def _do(self, move: m.Move) -> None:
+        tip = self.navigator
+        match move:
+            case m.Frame():
+                self._step(move.now_s)
+            case m.DeviceSaid():
+                self._hear(move.device, move.sample, move.now_s)
+            case m.Steer():
+                tip.steer(move.advance_mm, move.yaw_rad, move.pitch_rad, move.roll_rad)
+            case m.GoTo():
+                tip.go_to(move.path_mm)
+            case m.NextFork():
+                tip.next_fork()
+            case m.PreviousFork():
+                tip.previous_fork()
+            case m.PlaceAt():
+                tip.place_at(move.lps)
+            case m.PlacePose():
+                tip.place(Pose(np.asarray(move.lps_from_camera, dtype=np.float64).reshape(4, 4)))
+            case m.LevelHorizon():
+                tip.level_horizon()
+            case m.ResetLook():
+                tip.reset_look()
+            case m.SetMode():
+                tip.set_mode(move.mode)
+            case m.ToggleMode():
+                tip.toggle_mode()
+            case m.SetOperator():
+                tip.set_operator(move.position)
+            case m.SetPath():
+                self._forks = move.ways
+                tip.set_path(_flight_path(move))
+            case m.DeviceGone():
+                self._gate.gone(move.device)
+                if move.device in self._devices:
+                    kept = self._devices.pop(move.device).registration
+                    if kept is not None:
+                        # A tracker that is plugged in again stands where it stood.
+                        self._device(move.device).registration = kept
+            case m.TakeDevice():
+                self._gate.take(move.device)
+            case m.Calibrate():
+                device = self._device(move.device)
+                device.registration = as_registration(move.lps_from_tracker) if move.lps_from_tracker else None
+                if device.registration is None and self._free == "absolute":
+                    self._free = "relative"
+            case m.SetControl():
+                self._set_control(move.control)
+            case m.CycleControl():
+                self._cycle()
+            case m.ArmPen():
+                self._pen_armed = move.armed
+            case m.SetControls():
+                self._controls = move.controls
+                for device in self._devices.values():
+                    device.filter = SampleFilter(move.controls.filter)
+            case _:
+                assert_never(move)
+        if not isinstance(move, m.Frame | m.DeviceSaid | m.ArmPen):
+            # Whatever else moved the tip: the hand goes on from there.
+            self._followed = None
+
+    # ------------------------------------------------------------ devices
+
+    def _device(self, name: str) -> _Device:
+        return self._devices.setdefault(name, _Device(SampleFilter(self._controls.filter)))
+
+    def _hear(self, name: str, sample: Sample, now_s: float) -> None:
+        admitted = self._gate.admit(name, sample, now_s)
+        if admitted is None:
+            return
+        device = self._device(name)
+        device.newest, device.arrived_s = device.filter.apply(admitted), now_s
+        pressed = admitted.buttons & ~device.buttons
+        device.buttons = admitted.buttons
+        for number in range(pressed.bit_length()):
+            if pressed >> number & 1:
+                self._press(number)
+
+    def _press(self, number: int) -> None:
+        if number != CYCLE_BUTTON:
+            return
+        if self._pen_armed:
+            self._num_marks += 1
+        else:
+            self._cycle()
+            self._followed = None
+
+    def _newest(self) -> Sample | None:
+        holder = self._gate.holder
+        return self._devices[holder].newest if holder in self._devices else None
+
+    def _cycle(self) -> None:
+        order: tuple[m.Control, ...] = ("absolute", "relative", "path")
+        at = order.index(self.control)
+        for n in (1, 2):
+            wanted = order[(at + n) % 3]
+            if (
+                (wanted == "path" and self.navigator.path is not None)
+                or wanted == "relative"
+                or (wanted == "absolute" and self._can_be_absolute())
+            ):
+                self._set_control(wanted)
+                return
+
+    def _can_be_absolute(self) -> bool:
+        holder = self._gate.holder
+        return holder in self._devices and self._devices[holder].registration is not None
+
+    def _set_control(self, control: m.Control) -> None:
+        if control == "absolute" and not self._can_be_absolute():
+            raise UsageError(
+                "absolute movement needs a tracked pen that is registered to the patient: calibrate it first",
+                code="navigate.not-registered",
+            )
+        if control == "path":
+            self.navigator.set_mode("path")
+        else:
+            self._free = control
+            self.navigator.set_mode("free")
+        self._followed = None
+
+    # ------------------------------------------------------------ one frame
+
+    def _step(self, now_s: float) -> None:
+        if not math.isfinite(now_s):
+            raise UsageError(f"a frame needs a finite time; found {now_s}")
+        passed_s = 0.0 if self._frame_s is None else min(max(now_s - self._frame_s, 0.0), MAX_FRAME_S)
+        self._frame_s = now_s
+        holder = self._gate.holder
+        device = self._devices.get(holder) if holder is not None else None
+        if holder is None or device is None or device.newest is None:
+            self._followed = None
+            return
+        newest = device.newest
+        last = self._followed[1] if self._followed is not None and self._followed[0] == holder else None
+        self._followed = (holder, newest)
+        match newest:
+            case AxesSample():
+                if now_s - device.arrived_s <= STALE_S:
+                    self._push(newest, passed_s)
+            case PoseSample() if self.control == "absolute" and device.registration is not None:
+                self._follow_pen(device.registration, newest, last if isinstance(last, PoseSample) else None)
+            case PoseSample():
+                if isinstance(last, PoseSample) and self._engaged(newest.buttons):
+                    self._follow_hand(newest, last)
+            case HandleSample():
+                if isinstance(last, HandleSample) and self._engaged(newest.buttons):
+                    self._follow_handle(newest, last)
+
+    def _engaged(self, buttons: int) -> bool:
+        held = bool(buttons >> CLUTCH_BUTTON & 1)
+        return held if self._controls.clutch == "hold" else not held
+
+    def _push(self, sample: AxesSample, passed_s: float) -> None:
+        forward, right, up, yaw, pitch, roll = sample.axes
+        mm, rad = self._controls.speed_mm_s * passed_s, self._controls.turn_rad_s * passed_s
+        self._move_by(
+            np.array([right * mm, -up * mm, forward * mm]),
+            yaw_pitch_roll(yaw * rad, pitch * rad, roll * rad),
+            # A stick says the way itself: full to the side is 45 degrees from ahead.
+            np.array([yaw + right, -(pitch + up), 0.0]),
+        )
+
+    def _follow_hand(self, sample: PoseSample, last: PoseSample) -> None:
+        before, after = rotation_from_wxyz(last.orientation_wxyz), rotation_from_wxyz(sample.orientation_wxyz)
+        turn = rotation_from_vector(self._controls.gain_turn * vector_from_rotation(before.T @ after))
+        offset = np.zeros(3)
+        if sample.position_mm is not None and last.position_mm is not None:
+            offset = before.T @ (np.array(sample.position_mm) - np.array(last.position_mm)) * self._controls.gain_mm
+        self._move_by(offset, turn, np.zeros(3))
+
+    def _follow_handle(self, sample: HandleSample, last: HandleSample) -> None:
+        lever = (sample.lever - last.lever) * (-1.0 if self._controls.lever_inverted else 1.0)
+        turn = yaw_pitch_roll(0.0, lever * self._controls.lever_rad, sample.roll_rad - last.roll_rad)
+        self._move_by(np.array([0.0, 0.0, sample.insertion_mm - last.insertion_mm]), turn, np.zeros(3))
+
+    def _follow_pen(self, registration: Registration, sample: PoseSample, last: PoseSample | None) -> None:
+        if sample.position_mm is None:
+            return
+        pen = self._registered(registration, sample).lps_from_camera
+        if last is None or last.position_mm is None:
+            tip = self.navigator.pose.lps_from_camera
+            self._off_turn = orthonormal(pen[:3, :3].T @ tip[:3, :3])
+            self._off_lps = tip[:3, 3] - pen[:3, 3]
+            # The tip stays where it is, to the last bit, until the hand moves.
+            return
+        before = rotation_from_wxyz(last.orientation_wxyz)
+        turned = float(np.linalg.norm(vector_from_rotation(before.T @ rotation_from_wxyz(sample.orientation_wxyz))))
+        moved_mm = math.dist(sample.position_mm, last.position_mm) + HAND_MM_PER_RAD * turned
+        vector = vector_from_rotation(self._off_turn)
+        share = eased(float(np.linalg.norm(vector)), moved_mm, EASE_RAD_PER_MM)
+        self._off_turn = rotation_from_vector(vector * share)
+        self._off_lps = self._off_lps * eased(float(np.linalg.norm(self._off_lps)), moved_mm, EASE_MM_PER_MM)
+        matrix = np.eye(4)
+        matrix[:3, :3] = orthonormal(pen[:3, :3] @ self._off_turn)
+        matrix[:3, 3] = pen[:3, 3] + self._off_lps
+        self.navigator.place(Pose(matrix))
+
+    def _registered(self, registration: Registration, sample: PoseSample) -> Pose:
+        assert sample.position_mm is not None
+        tracker = registration.lps_from_tracker
+        matrix = np.eye(4)
+        matrix[:3, :3] = orthonormal(tracker[:3, :3] @ rotation_from_wxyz(sample.orientation_wxyz))
+        matrix[:3, 3] = tracker[:3, :3] @ np.array(sample.position_mm) + tracker[:3, 3]
+        return Pose(matrix)
+
+    def _move_by(self, offset_mm: MM3, turn: NDArray[np.float64], held: MM3) -> None:
+        """Move in the camera's axes; on the path up to a fork where another way is meant. ``held``: a stick's aim."""
+        tip = self.navigator
+        if tip.mode == "path" and offset_mm[2] > 0.0 and tip.path_mm is not None:
+            here_mm, there_mm = tip.path_mm, tip.path_mm + float(offset_mm[2])
+            for fork in self._forks:
+                if here_mm < fork.path_mm <= there_mm:
+                    way = self._meant(fork, tip.pose, held)
+                    if way != fork.taken:
+                        self._wanted_way = way
+                        offset_mm = np.array([0.0, 0.0, fork.path_mm - here_mm])
+                        break
+        tip.move_by((float(offset_mm[0]), float(offset_mm[1]), float(offset_mm[2])), turn)
+
+    @staticmethod
+    def _meant(fork: m.PathFork, pose: Pose, held: MM3) -> int:
+        aim = pose.forward_lps + pose.lps_from_camera[:3, :3] @ held
+        length = float(np.linalg.norm(aim))
+        if length < 1e-9:
+            return fork.taken
+        away = {
+            way.way_id: math.acos(max(-1.0, min(1.0, float(np.dot(aim, way.dir_lps)) / length))) for way in fork.ways
+        }
+        nearest = min(away, key=lambda way_id: (away[way_id], way_id), default=fork.taken)
+        return nearest if away.get(fork.taken, math.inf) - away.get(nearest, 0.0) > FORK_MARGIN_RAD else fork.taken
+
+
+def _flight_path(move: m.SetPath) -> FlightPath | None:
+    if not move.points_lps:
+        return None
+    return FlightPath(
+        move.points_lps,
+        up_lps=move.up_lps,
+        forks_mm=move.forks_mm,
+        lookouts_mm=move.lookouts_mm,
+        max_deviation_mm=move.max_deviation_mm,
+    )

@@ -1,0 +1,110 @@
+"""Where a tracker's space lies in the patient: from pairs of points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from carina.errors import UsageError
+
+__all__ = ["Registration", "as_registration", "fit_registration"]
+
+MIN_PAIRS = 3
+# Points on one line leave the turn about it open: the second-widest spread must be some millimetres.
+MIN_SPREAD_MM = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """A rigid map from tracker space to the patient.
+
+    Parameters
+    ----------
+    lps_from_tracker
+        (4, 4), rigid, mm.
+    residuals_mm
+        What each pair is off by; empty where the map was set without pairs.
+    """
+
+    lps_from_tracker: NDArray[np.float64]
+    residuals_mm: tuple[float, ...] = ()
+
+    @property
+    def rms_mm(self) -> float | None:
+        """Root of the mean square of the residuals: the fiducial registration error."""
+        return float(np.sqrt(np.mean(np.square(self.residuals_mm)))) if self.residuals_mm else None
+
+
+def fit_registration(tracker_mm: ArrayLike, patient_lps: ArrayLike) -> Registration:
+    """The rigid map that brings points in tracker space nearest to the same points in the patient.
+
+    Parameters
+    ----------
+    tracker_mm
+        ``(n, 3)``, n at least 3, where the pen was held.
+    patient_lps
+        ``(n, 3)``, LPS mm, what it was held at, in the same order.
+
+    Raises
+    ------
+    UsageError
+        ``navigate.registration``: fewer than three pairs, numbers that are not finite, or points on one line.
+
+    References
+    ----------
+    Arun, Huang, Blostein, "Least-squares fitting of two 3-D point sets", PAMI 9(5), 1987; reflections as Umeyama, 1991.
+
+    Examples
+    --------
+    >>> corners = [[0.0, 0, 0], [10, 0, 0], [0, 20, 0]]
+    >>> round(fit_registration(corners, [[1.0, 2, 3], [11, 2, 3], [1, 22, 3]]).rms_mm, 6)
+    0.0
+    """
+    source, target = (np.asarray(points, dtype=np.float64) for points in (tracker_mm, patient_lps))
+    if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < MIN_PAIRS:
+        raise UsageError(
+            f"a calibration needs {MIN_PAIRS} pairs of points or more, (n, 3) each; found {source.shape} and "
+            f"{target.shape}",
+            code="navigate.registration",
+        )
+    if not (np.isfinite(source).all() and np.isfinite(target).all()):
+        raise UsageError("a calibration needs finite numbers", code="navigate.registration")
+    for points, whose in ((source, "tracker"), (target, "patient")):
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
+        if spread[1] < MIN_SPREAD_MM:
+            raise UsageError(
+                f"the points in {whose} space lie on one line or together (their spread across it is "
+                f"{spread[1]:.1f} mm, at least {MIN_SPREAD_MM:g} are needed): choose points farther apart",
+                code="navigate.registration",
+            )
+    u, _, vt = np.linalg.svd((target - target.mean(axis=0)).T @ (source - source.mean(axis=0)))
+    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = target.mean(axis=0) - rotation @ source.mean(axis=0)
+    away = np.linalg.norm(source @ rotation.T + matrix[:3, 3] - target, axis=1)
+    return Registration(matrix, tuple(float(v) for v in away))
+
+
+def as_registration(matrix: Sequence[float]) -> Registration:
+    """The map of 16 numbers, row by row.
+
+    Raises
+    ------
+    UsageError
+        ``navigate.registration``: if it is not rigid.
+    """
+    m = np.asarray(matrix, dtype=np.float64)
+    if m.shape != (16,) or not np.isfinite(m).all():
+        raise UsageError("a calibration is 16 finite numbers, row by row", code="navigate.registration")
+    m = m.reshape(4, 4)
+    r = m[:3, :3]
+    rigid = np.abs(r.T @ r - np.eye(3)).max() < 1e-6 and np.linalg.det(r) > 0 and np.array_equal(m[3], [0, 0, 0, 1])
+    if not rigid:
+        raise UsageError(
+            "a calibration turns and moves, and neither stretches nor mirrors", code="navigate.registration"
+        )
+    return Registration(m)

@@ -1,0 +1,213 @@
+"""Commands that move the tip, and the devices that do."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from typing import Literal
+
+from carina.errors import CarinaError, UsageError
+from carina.navigate import Controls, DeviceState, Move, Sample, fit_registration, moves
+from carina.scopes import Pose
+from carina.session.case import OpenCase, as_point
+from carina.session.core import SessionCore
+from carina.session.document import Point
+from carina.session.routes import leaf_below, route_to_branch
+from carina.session.snapshot import DevicesInfo, Said, Trouble
+
+__all__ = ["Flying", "PenTool", "place_move"]
+
+PenTool = Literal["root", "target"]
+
+
+def place_move(pose: Pose) -> moves.PlacePose:
+    """The move to a pose."""
+    return moves.PlacePose(tuple(float(v) for v in pose.lps_from_camera.ravel()))
+
+
+class Flying(SessionCore):
+    """Moves of the tip. Every one goes through the case's :class:`carina.navigate.Pilot`."""
+
+    _pen_tool: PenTool | None = None
+
+    def steer(self, advance_mm: float, yaw_rad: float, pitch_rad: float, roll_rad: float) -> None:
+        """Move the tip; see :meth:`carina.navigate.Navigator.steer`."""
+        self._fly(moves.Steer(advance_mm, yaw_rad, pitch_rad, roll_rad))
+
+    def go_to(self, path_mm: float) -> None:
+        """To a place on the path; enters path mode."""
+        self._fly(moves.GoTo(path_mm))
+
+    def next_fork(self) -> None:
+        """To the look-out in front of the next fork along the path."""
+        self._fly(moves.NextFork())
+
+    def previous_fork(self) -> None:
+        """To the look-out of the fork before."""
+        self._fly(moves.PreviousFork())
+
+    def set_mode(self, mode: Literal["free", "path"]) -> None:
+        """Free movement, or along the path."""
+        self._fly(moves.SetMode(mode))
+
+    def toggle_mode(self) -> None:
+        """The other mode; with a device in the hand the next of absolute, relative and path."""
+        pilot = self._needed_case().pilot
+        self._fly(moves.ToggleMode() if pilot.holder is None else moves.CycleControl())
+
+    def place(self, lps: Point) -> None:
+        """Tip to a point, keeping the look; free mode afterwards."""
+        self._needed_case().check_inside(lps)
+        self._fly(moves.PlaceAt(as_point(lps)))
+
+    def place_pose(self, pose: Pose) -> None:
+        """Tip to a pose; free mode afterwards."""
+        self._fly(place_move(pose))
+
+    def level_horizon(self) -> None:
+        """Roll until the operator's up is up."""
+        self._fly(moves.LevelHorizon())
+
+    def reset_look(self) -> None:
+        """Look along the path again."""
+        self._fly(moves.ResetLook())
+
+    # ------------------------------------------------------------ devices
+
+    @property
+    def device_woken(self) -> threading.Event:
+        """Set when a device said something that the tip has not followed yet."""
+        return self._device_woken
+
+    def device_said(self, device: str, sample: Sample) -> None:
+        """A sample of a device; from any thread, as often as the device likes. Ignored while no case is open."""
+        with self._lock:
+            case = self._case
+            if case is None:
+                return
+            before = case.pilot.control
+            now_s = self._clock()
+            case.pilot.apply(moves.DeviceSaid(device, sample, now_s))
+            for _ in range(case.pilot.take_marks()):
+                self._mark(case)
+            words = case.pilot.take_message(now_s)
+            if words is not None:
+                self._emit(Said(words))
+            if case.pilot.control != before:
+                self._changed("state", "pose", "views")
+        self._device_woken.set()
+
+    def device_gone(self, device: str) -> None:
+        """A device was unplugged."""
+        with self._lock:
+            if self._case is not None:
+                self._case.pilot.apply(moves.DeviceGone(device))
+
+    def device_frame(self) -> bool:
+        """Let the tip follow the newest sample; True while it moves without another one."""
+        with self._lock:
+            self._device_woken.clear()
+            case = self._case
+            if case is None:
+                return False
+            before, mode = case.navigator.pose, case.navigator.mode
+            case.pilot.apply(moves.Frame(self._clock()))
+            if case.navigator.pose is not before:
+                self._after_move(case, mode)
+            way = case.pilot.take_wanted_way()
+            if way is not None:
+                self._take_way(case, way)
+            return case.pilot.is_moving
+
+    def take_device(self, device: str) -> None:
+        """Give the scope to a device."""
+        self._fly(moves.TakeDevice(device))
+
+    def set_control(self, control: Literal["absolute", "relative", "path"]) -> None:
+        """How a device moves the tip."""
+        self._fly(moves.SetControl(control))
+
+    def set_controls(self, controls: Controls) -> None:
+        """Gains, clutch, speeds and filter of devices."""
+        self._fly(moves.SetControls(controls))
+
+    def calibrate(self, device: str, tracker_mm: Sequence[Point], patient_lps: Sequence[Point]) -> float:
+        """Register a tracker to the patient by pairs of points; returns the residual (RMS, mm). No pairs forget it."""
+        case = self._needed_case()
+        if not tracker_mm and not patient_lps:
+            self._fly(moves.Calibrate(device, ()))
+            return 0.0
+        fit = fit_registration(tracker_mm, patient_lps)
+        with self._lock:
+            case.pilot.set_registration(device, fit)
+            self._changed("state")
+        return fit.rms_mm or 0.0
+
+    def arm_pen(self, tool: PenTool | None) -> None:
+        """What the pen's first button sets at the place of the tip; None lets it change the way to move."""
+        if tool not in {"root", "target", None}:
+            raise UsageError(f"a pen sets root or target; found {tool!r}")
+        case = self._needed_case()
+        with self._lock:
+            self._pen_tool = tool
+            case.pilot.apply(moves.ArmPen(tool is not None))
+
+    def devices_info(self) -> DevicesInfo | None:
+        """Devices that said something and how they move the tip; None without a case."""
+        with self._lock:
+            if self._case is None:
+                return None
+            pilot = self._case.pilot
+            return DevicesInfo(pilot.control, pilot.controls, pilot.devices())
+
+    def device_states(self) -> tuple[DeviceState, ...]:
+        """See :class:`carina.navigate.DeviceState`."""
+        info = self.devices_info()
+        return () if info is None else info.devices
+
+    def _mark(self, case: OpenCase) -> None:
+        """The armed pen's button, with the session locked."""
+        place = as_point(case.navigator.pose.position_lps)
+        try:
+            if self._pen_tool == "root":
+                self.set_root(place)
+            else:
+                self.add_target(place)
+        except CarinaError as trouble:
+            self._emit(Trouble(trouble.code, str(trouble)))
+
+    def set_root(self, root_lps: Point) -> str:
+        """See :class:`carina.session.Session`."""
+        raise NotImplementedError
+
+    def add_target(self, lps: Point) -> str:
+        """See :class:`carina.session.Session`."""
+        raise NotImplementedError
+
+    def _take_way(self, case: OpenCase, branch_id: int) -> None:
+        """The route goes on through another branch, as the hand on a device asked for at a fork."""
+        airways = case.document.airways
+        if airways is None or all(branch.id != branch_id for branch in airways.tree.branches):
+            return
+        route = route_to_branch(airways.tree, leaf_below(airways.tree, branch_id))
+        case.follow_route(route)
+        self._follow_document(case)
+        self._changed("route", "state", "pose", "views")
+
+    def _fly(self, move: Move) -> None:
+        case = self._needed_case()
+        with self._lock:
+            mode = case.navigator.mode
+            case.pilot.apply(move)
+            self._after_move(case, mode)
+
+    def _after_move(self, case: OpenCase, mode: str) -> None:
+        case.person_moved = True
+        if case.crosshair_lps is None and case.zoom != (following := case.zoom.following):
+            # Slices follow the tip again.
+            case.zoom = following
+        self._moved()
+        if case.navigator.mode != mode:
+            self._changed("state", "pose", "views")
+        else:
+            self._changed("pose", "views")

@@ -1,0 +1,296 @@
+"""Devices move the tip: three ways, no jump between them, and every bad hand survived."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from carina.errors import UsageError
+from carina.navigate import AxesSample, Controls, FilterSettings, HandleSample, Navigator, Pilot, PoseSample
+from carina.navigate import moves as m
+from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
+from carina.scopes import Pose
+
+PLAIN = Controls(filter=FilterSettings(on=False))
+# A trachea down 60 mm, then on to the right; the other way leads left.
+DOWN = [(0.0, 0.0, -float(z)) for z in range(61)]
+RIGHT = (-math.sin(0.7), 0.0, -math.cos(0.7))
+LEFT = (math.sin(0.7), 0.0, -math.cos(0.7))
+PATH = m.SetPath(
+    tuple(DOWN + [(RIGHT[0] * n, 0.0, -60.0 + RIGHT[2] * n) for n in range(1, 41)]),
+    forks_mm=(60.0,),
+    lookouts_mm=(50.0,),
+    ways=(m.PathFork(60.0, (m.PathWay(1, RIGHT), m.PathWay(2, LEFT)), 1),),
+)
+
+
+class Hand:
+    """A pilot, and a device that says something 100 times a second."""
+
+    def __init__(self, *, path: bool = False, controls: Controls = PLAIN) -> None:
+        self.pilot = Pilot(Navigator(Pose.looking([0.0, 0.0, -5.0], [0.0, 0.0, -1.0])))
+        self.pilot.apply(m.SetControls(controls))
+        if path:
+            self.pilot.apply(PATH)
+        self.now = 0.0
+
+    @property
+    def pose(self) -> Pose:
+        return self.pilot.navigator.pose
+
+    def say(self, sample, device: str = "pen") -> None:
+        self.now += 0.01
+        sample = type(sample)(self.now, *[getattr(sample, f) for f in list(sample.__dataclass_fields__)[1:]])
+        self.pilot.apply(m.DeviceSaid(device, sample, self.now))
+        self.pilot.apply(m.Frame(self.now))
+
+    def pen(self, at=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0), buttons: int = 0) -> None:
+        wxyz = wxyz_from_rotation(rotation_from_vector(np.array(turn, dtype=float)))
+        self.say(PoseSample(0.0, tuple(float(v) for v in at), wxyz, buttons))
+
+    def stick(self, *axes: float) -> None:
+        self.say(AxesSample(0.0, (*axes, *(0.0,) * (6 - len(axes)))), "stick")
+
+
+def moved(a: Pose, b: Pose) -> float:
+    return float(np.linalg.norm(a.position_lps - b.position_lps))
+
+
+def test_in_relative_the_tip_does_what_the_hand_does_from_where_it_is():
+    hand = Hand()
+    start = hand.pose
+    hand.pen((100.0, 50.0, 25.0), (0.3, 0.2, 0.1))
+    assert moved(hand.pose, start) == 0.0, "the first sample only says where the hand is"
+    turn = rotation_from_vector(np.array([0.3, 0.2, 0.1]))
+    forward_4mm = np.array([100.0, 50.0, 25.0]) + turn @ [0.0, 0.0, 4.0]
+    hand.pen(forward_4mm, (0.3, 0.2, 0.1))
+    np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -9.0], atol=1e-9)
+
+
+def test_gain_scales_and_the_clutch_lifts_the_hand():
+    hand = Hand(controls=Controls(gain_mm=2.0, filter=FilterSettings(on=False)))
+    hand.pen()
+    hand.pen((0.0, 0.0, 3.0))
+    np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -11.0], atol=1e-9)
+    hand.pen((0.0, 0.0, 3.0), buttons=2)
+    hand.pen((0.0, 0.0, -30.0), buttons=2)
+    hand.pen((0.0, 0.0, -30.0))
+    hand.pen((0.0, 0.0, -29.0))
+    np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -13.0], atol=1e-9)
+
+
+def test_absolute_needs_a_registration_and_does_not_jump_but_comes_to_where_the_pen_is():
+    hand = Hand()
+    hand.pen((10.0, 0.0, 0.0))
+    with pytest.raises(UsageError, match="calibrate"):
+        hand.pilot.apply(m.SetControl("absolute"))
+    hand.pilot.apply(m.Calibrate("pen", tuple(np.eye(4).ravel())))
+    before = hand.pose
+    hand.pilot.apply(m.SetControl("absolute"))
+    hand.pen((10.0, 0.0, 0.0))
+    np.testing.assert_array_equal(hand.pose.lps_from_camera, before.lps_from_camera)
+    steps = []
+    for n in range(1, 400):
+        last = hand.pose
+        hand.pen((10.0 + 0.5 * n, 0.0, 0.0))
+        steps.append(moved(hand.pose, last))
+    # Half a mm of the hand, and at most half as much again of easing.
+    assert max(steps) < 0.76
+    np.testing.assert_allclose(hand.pose.position_lps, [10.0 + 0.5 * 399, 0.0, 0.0], atol=0.1)
+    pen = hand.pilot.pen_pose("pen")
+    assert pen is not None
+    np.testing.assert_allclose(hand.pose.lps_from_camera, pen.lps_from_camera, atol=0.1)
+
+
+def test_one_button_cycles_the_three_ways_without_a_jump_in_the_picture():
+    hand = Hand(path=True)
+    hand.pilot.apply(m.Calibrate("pen", tuple(np.eye(4).ravel())))
+    hand.pen((3.0, 1.0, -4.0))
+    seen = []
+    for n in range(7):
+        before = hand.pose
+        hand.pen((3.0, 1.0, -4.0), buttons=1)
+        hand.pen((3.0, 1.0, -4.0), buttons=0)
+        seen.append(hand.pilot.control)
+        assert moved(hand.pose, before) < 1e-9, n
+        np.testing.assert_allclose(hand.pose.lps_from_camera, before.lps_from_camera, atol=1e-9)
+        # And the hand goes on smoothly after it.
+        hand.pen((3.0, 1.0, -4.0 + 0.1))
+        assert moved(hand.pose, before) < 0.3
+        hand.pen((3.0, 1.0, -4.0))
+    assert seen == ["path", "absolute", "relative", "path", "absolute", "relative", "path"]
+
+
+def test_on_the_path_only_forward_counts_and_turns_are_a_free_look():
+    hand = Hand(path=True)
+    hand.pilot.apply(m.SetControl("path"))
+    hand.pen()
+    hand.pen((5.0, -5.0, 10.0), (0.0, 0.4, 0.0))
+    assert hand.pilot.navigator.path_mm == pytest.approx(15.0)
+    assert hand.pilot.navigator.look_offset_rad[0] == pytest.approx(0.4)
+
+
+def test_at_a_fork_the_way_that_the_stick_is_held_to_is_asked_for():
+    # The camera looks down the trachea, anterior up: the patient's right is on the right of the picture.
+    for yaw, wanted in ((1.0, None), (0.0, None), (-1.0, 2)):
+        hand = Hand(path=True)
+        hand.pilot.apply(m.SetControl("path"))
+        hand.pilot.apply(m.GoTo(59.0))
+        asked = []
+        for _ in range(12):
+            hand.stick(1.0, yaw)
+            asked.append(hand.pilot.take_wanted_way())
+        assert [way for way in asked if way is not None] == ([] if wanted is None else [wanted]), yaw
+        if wanted is not None:
+            at = asked.index(wanted)
+            assert at > 0, "it is asked at the fork and not before"
+    # The tip waits at the fork for the one frame in which the route may change.
+    hand = Hand(path=True)
+    hand.pilot.apply(m.SetControl("path"))
+    hand.pilot.apply(m.GoTo(59.95))
+    hand.stick(1.0, -1.0)
+    hand.stick(1.0, -1.0)
+    assert hand.pilot.take_wanted_way() == 2
+    assert hand.pilot.navigator.path_mm == 60.0
+
+
+def test_speed_does_not_depend_on_how_often_the_device_or_the_frame_comes():
+    def far(samples_hz: int, frames_hz: int) -> float:
+        hand = Hand()
+        for n in range(samples_hz * frames_hz):  # one second in ticks that both divide
+            at = n / (samples_hz * frames_hz)
+            if n % frames_hz == 0:
+                hand.pilot.apply(m.DeviceSaid("stick", AxesSample(at, (1.0, 0, 0, 0, 0, 0)), at))
+            if n % samples_hz == 0:
+                hand.pilot.apply(m.Frame(at))
+        return float(np.linalg.norm(hand.pose.position_lps - [0, 0, -5.0]))
+
+    distances = [far(20, 30), far(250, 30), far(60, 120)]
+    # 25 mm/s over the second, less the first frame, which has nothing before it.
+    assert distances == pytest.approx([25.0] * 3, abs=1.0)
+
+
+def test_a_stick_that_stalls_stops_the_tip_and_a_pause_makes_no_leap():
+    hand = Hand()
+    hand.stick(1.0)
+    hand.stick(1.0)
+    before = hand.pose
+    hand.pilot.apply(m.Frame(hand.now + 5.0))
+    assert moved(hand.pose, before) == 0.0
+    hand.now += 60.0
+    hand.stick(1.0)
+    assert moved(hand.pose, before) <= 2.5
+
+
+def test_a_pen_unplugged_and_back_at_another_place_makes_no_jump():
+    hand = Hand()
+    hand.pen()
+    hand.pen((0.0, 0.0, 1.0))
+    before = hand.pose
+    hand.pilot.apply(m.DeviceGone("pen"))
+    hand.pen((400.0, -20.0, 7.0), (1.0, 1.0, 1.0))
+    np.testing.assert_array_equal(hand.pose.lps_from_camera, before.lps_from_camera)
+    hand.pen((400.0, -20.0, 7.5), (1.0, 1.0, 1.0))
+    assert 0.0 < moved(hand.pose, before) < 0.51
+
+
+def test_the_handle_advances_rolls_and_lever_down_lifts_the_tip():
+    hand = Hand()
+    hand.say(HandleSample(0.0, 100.0, 0.0, 0.0), "handle")
+    hand.say(HandleSample(0.0, 104.0, 0.0, 0.0), "handle")
+    np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -9.0], atol=1e-9)
+    hand.say(HandleSample(0.0, 104.0, 0.0, 0.5), "handle")
+    assert hand.pose.forward_lps[1] < -0.4, "up is anterior"
+    inverted = Hand(controls=Controls(lever_inverted=True, filter=FilterSettings(on=False)))
+    inverted.say(HandleSample(0.0, 0.0, 0.0, 0.0), "handle")
+    inverted.say(HandleSample(0.0, 0.0, 0.0, 0.5), "handle")
+    assert inverted.pose.forward_lps[1] > 0.4
+
+
+def test_an_armed_pen_marks_and_does_not_change_the_way_to_move():
+    hand = Hand(path=True)
+    hand.pilot.apply(m.ArmPen(True))
+    hand.pen(buttons=0)
+    hand.pen(buttons=1)
+    hand.pen(buttons=1)
+    hand.pen(buttons=0)
+    assert hand.pilot.control == "relative"
+    assert hand.pilot.take_marks() == 1
+    assert hand.pilot.take_marks() == 0
+
+
+def test_keys_and_a_device_move_one_tip_and_neither_makes_the_other_jump():
+    hand = Hand()
+    hand.pen((0.0, 0.0, 0.0))
+    hand.pilot.apply(m.Steer(10.0, 0.0, 0.0, 0.0))
+    before = hand.pose
+    hand.pen((0.0, 0.0, 0.2))
+    assert moved(hand.pose, before) <= 0.2
+    np.testing.assert_allclose(hand.pose.position_lps[2], -15.0, atol=0.21)
+
+
+NUMBER = st.one_of(st.floats(-1e6, 1e6), st.sampled_from([math.nan, math.inf, 0.0, 1e308, -1e-320]))
+SAMPLE = st.one_of(
+    st.builds(
+        PoseSample,
+        NUMBER,
+        st.one_of(st.none(), st.tuples(NUMBER, NUMBER, NUMBER)),
+        st.tuples(NUMBER, NUMBER, NUMBER, NUMBER),
+        st.integers(-3, 7),
+    ),
+    st.builds(AxesSample, NUMBER, st.tuples(*[st.floats(-1.5, 1.5)] * 6), st.integers(-3, 7)),
+    st.builds(HandleSample, NUMBER, NUMBER, NUMBER, st.floats(-2, 2), st.integers(-3, 7)),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.sampled_from(["a", "b"]), SAMPLE), max_size=40))
+def test_whatever_devices_say_the_pose_stays_a_pose(said):
+    hand = Hand(path=True, controls=Controls())
+    hand.pilot.apply(m.Calibrate("a", tuple(np.eye(4).ravel())))
+    for n, (device, sample) in enumerate(said):
+        hand.pilot.apply(m.DeviceSaid(device, sample, n * 0.1))
+        hand.pilot.apply(m.Frame(n * 0.1))
+    Pose(hand.pose.lps_from_camera)  # refuses what is none
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(*[st.floats(-1, 1)] * 6), min_size=1, max_size=30), st.integers(0, 2))
+def test_moves_read_back_from_json_give_the_same_poses_bit_for_bit(pushes, presses):
+    made: list[str] = []
+    first = Hand(path=True, controls=Controls())
+    state = first.pilot.navigator.state()
+    first.pilot.on_move = lambda move: made.append(json.dumps(m.move_to_json(move), allow_nan=False))
+    first.pilot.apply(m.SetControls(Controls(gain_mm=1.7)))
+    for n, push in enumerate(pushes):
+        first.pen(np.cumsum(push[:3]), push[3:], buttons=int(n < presses))
+        first.stick(*push)
+    second = Hand(path=True, controls=Controls())
+    second.pilot.navigator.restore(state, second.pilot.navigator.path)
+    for line in made:
+        second.pilot.apply(m.move_from_json(json.loads(line)))
+    np.testing.assert_array_equal(second.pose.lps_from_camera, first.pose.lps_from_camera)
+    assert second.pilot.control == first.pilot.control
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        {},
+        {"move": "Jump"},
+        {"move": "GoTo"},
+        {"move": "GoTo", "path_mm": 1, "x": 2},
+        {"move": "DeviceSaid", "sample": 3},
+        {"move": "SetControls", "controls": {"gain_mm": 1}},
+        {"move": 7},
+    ],
+)
+def test_what_is_no_move_is_refused(value):
+    with pytest.raises(UsageError) as refused:
+        m.move_from_json(value)
+    assert refused.value.code == "navigate.recording"

@@ -1,0 +1,185 @@
+"""What is let through to the tip, and how it is smoothed."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from carina.errors import UsageError
+from carina.navigate import (
+    AxesSample,
+    FilterSettings,
+    HandleSample,
+    PoseSample,
+    SampleFilter,
+    SampleGate,
+    fit_registration,
+)
+from carina.navigate.rotation import rotation_from_vector, rotation_from_wxyz, wxyz_from_rotation
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0)
+REST = (0.0,) * 6
+
+
+def pen(time_s: float, x: float = 0.0, wxyz: tuple[float, ...] = IDENTITY, buttons: int = 0) -> PoseSample:
+    return PoseSample(time_s, (x, 2.0, 3.0), wxyz, buttons)
+
+
+@pytest.mark.parametrize(
+    ("sample", "why"),
+    [
+        (pen(math.nan), "numbers that are not finite"),
+        (pen(1.0, math.inf), "numbers that are not finite"),
+        (pen(1.0, wxyz=(0.0, 0.0, 0.0, 0.0)), "an orientation of length 0"),
+        (pen(1.0, wxyz=(math.nan, 0.0, 0.0, 1.0)), "numbers that are not finite"),
+        (pen(1.0, 1e9), "numbers out of range"),
+        (pen(1.0, buttons=-1), "numbers out of range"),
+        (AxesSample(1.0, (2.0, 0.0, 0.0, 0.0, 0.0, 0.0)), "numbers out of range"),
+        (HandleSample(1.0, 0.0, 0.0, 7.0), "numbers out of range"),
+        (pen(-0.2), "a clock that ran backwards"),
+        (pen(0.0001), "more samples than can be used"),
+    ],
+)
+def test_a_bad_sample_is_ignored_and_counted(sample, why):
+    gate = SampleGate()
+    assert gate.admit("pen", pen(0.0), 0.0) is not None
+    assert gate.admit("pen", sample, 0.01) is None
+    assert gate.num_ignored("pen") == {why: 1}
+    assert gate.admit("pen", pen(1.5), 0.02) is not None
+
+
+def test_quaternions_of_any_length_become_unit_length():
+    for length in (1e-3, 1.0, 1e150):
+        admitted = SampleGate().admit("pen", pen(0.0, wxyz=(0.0, 3.0 * length, 0.0, 4.0 * length)), 0.0)
+        assert isinstance(admitted, PoseSample)
+        assert admitted.orientation_wxyz == pytest.approx((0.0, 0.6, 0.0, 0.8), abs=1e-15)
+
+
+def test_a_flood_gives_one_message_in_ten_seconds_and_no_more_samples_than_can_be_used():
+    gate, messages, used = SampleGate(), [], 0
+    for n in range(200_000):
+        at = n * 1e-4
+        used += gate.admit("pen", pen(at), at) is not None
+        message = gate.take_message(at)
+        if message is not None:
+            messages.append(message)
+    assert used <= 20.0 / 0.0005 + 1
+    assert len(messages) == 2
+    assert "more samples than can be used" in messages[1]
+
+
+def test_a_clock_that_was_set_back_is_followed_after_half_a_second():
+    gate = SampleGate()
+    gate.admit("pen", pen(100.0), 0.0)
+    taken = [gate.admit("pen", pen(n * 0.01), n * 0.01) is not None for n in range(1, 80)]
+    assert not any(taken[:49])
+    assert all(taken[52:])
+
+
+def test_two_devices_at_once_the_first_keeps_the_scope_until_it_is_silent():
+    gate = SampleGate()
+    assert gate.admit("pen", pen(0.0), 0.0) is not None
+    assert gate.admit("stick", AxesSample(0.0, (1.0, *REST[1:])), 0.1) is None
+    assert gate.num_ignored("stick") == {"another device holds the scope": 1}
+    assert gate.admit("stick", AxesSample(0.1, REST), 0.1) is not None, "a stick at rest asks for nothing"
+    assert gate.holder == "pen"
+    assert gate.admit("stick", AxesSample(0.7, (1.0, *REST[1:])), 0.7) is not None
+    assert gate.holder == "stick"
+
+
+def test_an_unplugged_device_comes_back_with_another_clock():
+    gate = SampleGate()
+    gate.admit("pen", pen(500.0), 0.0)
+    gate.gone("pen")
+    assert gate.holder is None
+    assert gate.admit("pen", pen(0.1), 0.2) is not None
+
+
+def test_the_filter_is_late_by_at_most_ten_milliseconds_as_it_says():
+    settings = FilterSettings()
+    assert settings.latency_ms <= 10.0
+    # A hand at 20 mm/s, sampled at 120 Hz: in the steady state the lag is a distance, and so a time.
+    smooth, speed, rate = SampleFilter(settings), 20.0, 120.0
+    for n in range(600):
+        out = smooth.apply(pen(n / rate, speed * n / rate))
+    assert isinstance(out, PoseSample)
+    assert out.position_mm is not None
+    lag_ms = 1000.0 * (speed * 599 / rate - out.position_mm[0]) / speed
+    assert lag_ms <= settings.latency_ms
+    # The lag of a ramp is the time constant at the speed reached; the orientation rests and is later.
+    assert lag_ms == pytest.approx(1000.0 / (2 * math.pi * (20.0 + 0.1 * speed)), rel=1e-3)
+    assert smooth.latency_ms == pytest.approx(settings.latency_ms)
+
+
+def test_the_filter_smooths_tremor_more_the_lower_its_cutoff():
+    rng = np.random.default_rng(7)
+    noise = rng.normal(0.0, 0.5, 2000)
+
+    def left(settings: FilterSettings) -> float:
+        smooth = SampleFilter(settings)
+        out = [smooth.apply(pen(n / 120.0, float(x))).position_mm[0] for n, x in enumerate(noise)]
+        return float(np.std(out[200:]))
+
+    steady = left(FilterSettings(min_cutoff_hz=1.0, beta_per_mm=0.0))
+    usual = left(FilterSettings())
+    assert steady < 0.15 < usual < 0.5
+    assert left(FilterSettings(on=False)) == float(np.std(noise[200:]))
+
+
+def test_turns_are_smoothed_on_the_shortest_way_and_stay_rotations():
+    smooth = SampleFilter(FilterSettings(min_cutoff_hz=3.0))
+    for n in range(400):
+        turn = rotation_from_vector(np.array([0.0, 0.0, 0.05 * n]))
+        wxyz = wxyz_from_rotation(turn)
+        flipped = tuple(-v for v in wxyz) if n % 2 else wxyz  # q and -q are one turn
+        out = smooth.apply(pen(n / 60.0, wxyz=flipped))
+        assert math.sqrt(sum(v * v for v in out.orientation_wxyz)) == pytest.approx(1.0, abs=1e-12)
+    lag = rotation_from_wxyz(out.orientation_wxyz).T @ turn
+    assert 0.0 < math.acos((np.trace(lag) - 1.0) / 2.0) < 0.3
+
+
+def test_after_a_gap_the_filter_begins_anew():
+    smooth = SampleFilter(FilterSettings(min_cutoff_hz=1.0, beta_per_mm=0.0))
+    smooth.apply(pen(0.0))
+    assert smooth.apply(pen(0.01, 10.0)).position_mm[0] < 5.0
+    assert smooth.apply(pen(5.0, 80.0)).position_mm[0] == 80.0
+
+
+def test_filter_settings_out_of_range_are_refused():
+    with pytest.raises(UsageError, match="cut-off"):
+        FilterSettings(min_cutoff_hz=math.nan)
+
+
+def test_registration_finds_a_turn_and_a_shift_and_says_what_is_left():
+    rng = np.random.default_rng(3)
+    turn, shift = rotation_from_vector(np.array([0.3, -2.0, 1.1])), np.array([12.0, -300.0, 45.0])
+    points = rng.uniform(-80, 80, (6, 3))
+    exact = fit_registration(points, points @ turn.T + shift)
+    np.testing.assert_allclose(exact.lps_from_tracker[:3, :3], turn, atol=1e-12)
+    np.testing.assert_allclose(exact.lps_from_tracker[:3, 3], shift, atol=1e-9)
+    assert exact.rms_mm == pytest.approx(0.0, abs=1e-9)
+    noisy = fit_registration(points, points @ turn.T + shift + rng.normal(0, 1.0, (6, 3)))
+    assert 0.3 < noisy.rms_mm < 2.0
+    assert np.linalg.det(noisy.lps_from_tracker[:3, :3]) == pytest.approx(1.0)
+
+
+def test_points_in_a_plane_are_enough_and_a_mirror_is_never_the_answer():
+    flat = np.array([[0.0, 0, 0], [50, 0, 0], [0, 30, 0], [40, 40, 0]])
+    fit = fit_registration(flat, flat * [1, -1, 1])
+    assert np.linalg.det(fit.lps_from_tracker[:3, :3]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    "points", [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [10, 0, 0], [20, 0, 0]], [[0, 0, 0], [np.nan, 0, 0], [0, 9, 0]]]
+)
+def test_too_few_points_points_on_a_line_and_no_numbers_are_refused(points):
+    with pytest.raises(UsageError) as refused:
+        fit_registration(points, points)
+    assert refused.value.code == "navigate.registration"
+
+
+def test_samples_are_values():
+    assert dataclasses.replace(pen(1.0), buttons=2) == pen(1.0, buttons=2)
