@@ -420,6 +420,29 @@ def doctor(as_json: JsonOption = False) -> None:
         raise SystemExit(report(as_json=as_json))
 
 
+@app.command()
+def devices(
+    device: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="fastrak:PORT, fastrak-binary:PORT, handle:PORT or openigtlink:HOST[:PORT]; may be repeated."
+        ),
+    ] = None,
+    seconds: Annotated[float, typer.Option(help="How long to listen.")] = 3.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Input devices that this machine finds, and what they say.
+
+    Exit code 4 if a device that was named says nothing.
+
+    Example: carina devices --device fastrak:/dev/ttyUSB0 --seconds 10
+    """
+    with exit_codes(as_json):
+        from carina.cli.devices import report
+
+        raise SystemExit(report(device or [], seconds=seconds, as_json=as_json))
+
+
 bench = typer.Typer(
     help="Figures beside installed peers (VTK, numba, scipy, dijkstra3d), in the same run. Needs the extra `bench`.",
     no_args_is_help=True,

@@ -19,6 +19,8 @@ from carina.render import build_info
 __all__ = ["report"]
 
 OPTIONAL = {
+    "pyserial": ("pens and handles at serial ports", "pip install 'carina[devices]'"),
+    "av": ("flights as video (carina fly)", "pip install 'carina[video]'"),
     "vtk": ("peer renderer for benchmarks", "pip install 'carina[bench]'"),
     "numba": ("baseline for benchmarks", "pip install 'carina[bench]'"),
     "scipy": ("peer distance transform for benchmarks", "pip install 'carina[bench]'"),

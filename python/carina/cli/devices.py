@@ -1,0 +1,115 @@
+"""``carina devices``."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+import time
+from typing import Any
+
+from carina.cli.console import print_json, say
+from carina.errors import CarinaError, UsageError
+from carina.navigate import FilterSettings, HandleSample, PoseSample, Sample, SampleFilter
+from carina.navigate.devices import Listener, SourceStatus, open_source, serial_ports
+
+__all__ = ["report"]
+
+IN_THE_WINDOW = (
+    "mouse, keyboard, gamepads, SpaceMouse, VR controllers and phones are found by the window (`carina open`, Devices)"
+)
+REFRESH_S = 0.25
+
+
+def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
+    """List what is found; with addresses, connect and show what they say. 4 if one of them says nothing."""
+    if not 0.0 < seconds <= 86_400.0:
+        raise UsageError(f"--seconds: expected more than 0 and at most 86400; found {seconds:g}")
+    ports, trouble = _ports()
+    live = _Live()
+    sources = [open_source(address, live.listener) for address in addresses]
+    statuses: list[SourceStatus] = []
+    try:
+        for source in sources:
+            source.start()
+        end_s = time.monotonic() + seconds
+        while sources and time.monotonic() < end_s:
+            threading.Event().wait(min(REFRESH_S, max(0.0, end_s - time.monotonic())))
+            if not as_json:
+                for source in sources:
+                    say(_line(source.status(), live.newest(source.address)))
+        statuses = [source.status() for source in sources]
+    finally:
+        for source in sources:
+            source.stop()
+    if as_json:
+        print_json(
+            {
+                "serial_ports": ports,
+                "serial_problem": trouble,
+                "window": IN_THE_WINDOW,
+                "filter_latency_ms": FilterSettings().latency_ms,
+                "devices": [
+                    {**dataclasses.asdict(status), "samples": live.samples(status.address)} for status in statuses
+                ],
+            }
+        )
+    elif not sources:
+        for port in ports:
+            print(f"{port['port']}  {port['title']}")
+        if trouble is not None:
+            print(trouble)
+        elif not ports:
+            print("no serial port was found")
+        print(IN_THE_WINDOW)
+        print("To see what a device says: carina devices --device fastrak:PORT (or handle:PORT, openigtlink:HOST:PORT)")
+    return 0 if all(status.num_samples > 0 for status in statuses) else 4
+
+
+def _ports() -> tuple[list[dict[str, str]], str | None]:
+    try:
+        return serial_ports(), None
+    except CarinaError as trouble:
+        return [], str(trouble)
+
+
+def _line(status: SourceStatus, newest: tuple[str, Sample] | None) -> str:
+    said = "" if newest is None else _words(newest[1])
+    bad = sum(status.num_bad.values())
+    ignored = f", {bad} bad" if bad else ""
+    return f"{status.address}: {status.state}, {status.rate_hz:.0f} Hz{ignored}  {said or status.words}"
+
+
+def _words(sample: Sample) -> str:
+    match sample:
+        case PoseSample(position_mm=at, orientation_wxyz=turn):
+            place = "no position" if at is None else " ".join(f"{v:8.1f}" for v in at) + " mm"
+            return f"{place}  wxyz {' '.join(f'{v:6.3f}' for v in turn)}  buttons {sample.buttons:b}"
+        case HandleSample():
+            return (
+                f"insertion {sample.insertion_mm:7.1f} mm  roll {sample.roll_rad:6.2f} rad  lever {sample.lever:5.2f}  "
+                f"buttons {sample.buttons:b}"
+            )
+        case _:
+            return " ".join(f"{v:5.2f}" for v in sample.axes)
+
+
+class _Live:
+    """The newest sample of each device, filtered as the tip would get it."""
+
+    def __init__(self) -> None:
+        self._filters: dict[str, SampleFilter] = {}
+        self._newest: dict[str, Sample] = {}
+        self.listener = Listener(self._said, lambda _device: None)
+
+    def _said(self, device: str, sample: Sample) -> None:
+        self._newest[device] = self._filters.setdefault(device, SampleFilter(FilterSettings())).apply(sample)
+
+    def newest(self, address: str) -> tuple[str, Sample] | None:
+        return next(((d, s) for d, s in sorted(self._newest.items()) if d.startswith(address)), None)
+
+    def samples(self, address: str) -> list[dict[str, Any]]:
+        return [
+            {"device": device, "kind": type(sample).__name__, **dataclasses.asdict(sample)}
+            for device, sample in sorted(self._newest.items())
+            if device.startswith(address)
+        ]

@@ -1,0 +1,18 @@
+"""Devices that this machine talks to itself: trackers over TCP, pens and handles at serial ports."""
+
+from carina.navigate.devices.addresses import open_source
+from carina.navigate.devices.igtl_peers import IgtlClient, IgtlServer
+from carina.navigate.devices.serial_source import FastrakSource, HandleSource, serial_ports
+from carina.navigate.devices.source import Listener, Source, SourceStatus
+
+__all__ = [
+    "FastrakSource",
+    "HandleSource",
+    "IgtlClient",
+    "IgtlServer",
+    "Listener",
+    "Source",
+    "SourceStatus",
+    "open_source",
+    "serial_ports",
+]

@@ -1,0 +1,237 @@
+"""OpenIGTLink over TCP: a client that listens to trackers, and a server that publishes the tip."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import CarinaError, ProtocolError
+from carina.navigate.devices.igtl import IgtlPose, IgtlRequest, IgtlStream, pack_image, pack_transform
+from carina.navigate.devices.source import Listener, Source
+from carina.navigate.samples import PoseSample
+
+__all__ = ["DEFAULT_PORT", "IgtlClient", "IgtlServer"]
+
+DEFAULT_PORT = 18944
+CHUNK = 1 << 16
+# RAS is what 3D Slicer expects; ours is LPS.
+RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+TIP_NAME = "CarinaTip"
+PICTURE_NAME = "CarinaView"
+MAX_PEERS = 8
+
+
+class IgtlClient(Source):
+    """Listens to a server of tracked tools (the PLUS toolkit, and what speaks like it); every tool is a device.
+
+    Parameters
+    ----------
+    host, port
+        Of the server.
+    tool
+        Only this one; None takes all.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        listener: Listener,
+        *,
+        tool: str | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(f"openigtlink:{host}:{port}", "OpenIGTLink", listener, clock=clock)
+        self._host, self._port, self._tool = host, port, tool
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._devices: set[str] = set()
+
+    def _connect_and_read(self) -> None:
+        with contextlib.suppress(asyncio.CancelledError):
+            asyncio.run(self._read())
+
+    async def _read(self) -> None:
+        self._loop, self._task = asyncio.get_running_loop(), asyncio.current_task()
+        if self._stopping.is_set():
+            return
+        async with asyncio.timeout(3.0):
+            reader, writer = await asyncio.open_connection(self._host, self._port)
+        stream = IgtlStream()
+        stream.num_bad = self.num_bad
+        self._state, self._words = "live", "connected; no tool yet"
+        try:
+            while data := await reader.read(CHUNK):
+                for message in stream.feed(data):
+                    if isinstance(message, IgtlPose) and self._tool in {None, message.name}:
+                        self._words = ""
+                        self._told(message)
+        except ProtocolError:
+            self.num_bad["headers that are none"] += 1
+            raise
+        finally:
+            writer.close()
+            for device in self._devices:
+                self._listener.gone(device)
+            self._devices.clear()
+
+    def _told(self, pose: IgtlPose) -> None:
+        device = f"{self.address}/{pose.name}"
+        self._devices.add(device)
+        at_s = pose.time_s if pose.time_s > 0.0 else self._clock()
+        self._say(device, PoseSample(at_s, pose.position_mm, pose.orientation_wxyz))
+
+    def _wake(self) -> None:
+        loop, task = self._loop, self._task
+        if loop is not None and task is not None and not loop.is_closed():
+            with contextlib.suppress(RuntimeError):
+                loop.call_soon_threadsafe(task.cancel)
+
+
+class IgtlServer:
+    """Publishes the pose of the tip as TRANSFORM, and answers ``GET_IMAGE`` with the picture.
+
+    A peer that does not read gets the newest pose when it reads again, and holds up nobody.
+
+    Parameters
+    ----------
+    pose
+        The tip now, ``lps_from_camera``; None while there is none.
+    picture
+        The airway picture ``(height, width, 3)`` uint8 now, or None; called in a thread.
+    host, port
+        To listen on; port 0 takes a free one.
+    rate_hz
+        How often the pose is sent.
+    space
+        ``"RAS"`` as 3D Slicer expects, or ``"LPS"``.
+    """
+
+    def __init__(
+        self,
+        pose: Callable[[], NDArray[np.float64] | None],
+        *,
+        picture: Callable[[], NDArray[np.uint8] | None] | None = None,
+        host: str = "127.0.0.1",
+        port: int = DEFAULT_PORT,
+        rate_hz: float = 60.0,
+        space: str = "RAS",
+        version: int = 1,
+    ) -> None:
+        self._pose, self._picture = pose, picture
+        self._rate_hz, self._version = rate_hz, version
+        self._turn = RAS_FROM_LPS if space == "RAS" else np.eye(4)
+        self._socket = _bound(host, port)
+        self.port: int = self._socket.getsockname()[1]
+        self.num_sent = 0
+        self.num_peers = 0
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="carina-openigtlink", daemon=True)
+
+    def start(self) -> None:
+        """Listen."""
+        self._thread.start()
+        self._ready.wait(5.0)
+
+    def stop(self) -> None:
+        """End, and close all connections."""
+        loop, task = self._loop, self._task
+        if loop is not None and task is not None and not loop.is_closed():
+            with contextlib.suppress(RuntimeError):
+                loop.call_soon_threadsafe(task.cancel)
+        if self._thread.is_alive():
+            self._thread.join()
+        self._socket.close()
+
+    def _run(self) -> None:
+        with contextlib.suppress(asyncio.CancelledError):
+            asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
+        self._loop, self._task = asyncio.get_running_loop(), asyncio.current_task()
+        peers: set[asyncio.Task[None]] = set()
+
+        async def met(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            task = asyncio.current_task()
+            assert task is not None
+            if len(peers) >= MAX_PEERS:
+                writer.close()
+                return
+            peers.add(task)
+            self.num_peers = len(peers)
+            try:
+                await self._talk(reader, writer)
+            except (OSError, ProtocolError, asyncio.CancelledError):
+                pass  # this peer is gone, or speaks something else
+            finally:
+                writer.close()
+                peers.discard(task)
+                self.num_peers = len(peers)
+
+        server = await asyncio.start_server(met, sock=self._socket)
+        self._ready.set()
+        try:
+            async with server:
+                await asyncio.Event().wait()
+        finally:
+            for peer in peers:
+                peer.cancel()
+            await asyncio.gather(*peers, return_exceptions=True)
+
+    async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        sending = asyncio.Lock()
+        poses = asyncio.create_task(self._send_poses(writer, sending))
+        stream = IgtlStream()
+        try:
+            while data := await reader.read(CHUNK):
+                for message in stream.feed(data):
+                    if isinstance(message, IgtlRequest) and message.what == "GET_IMAGE" and self._picture is not None:
+                        packed = await asyncio.to_thread(self._packed_picture)
+                        if packed is not None:
+                            async with sending:
+                                writer.write(packed)
+                                await writer.drain()
+        finally:
+            poses.cancel()
+            await asyncio.gather(poses, return_exceptions=True)
+
+    async def _send_poses(self, writer: asyncio.StreamWriter, sending: asyncio.Lock) -> None:
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        while True:
+            matrix = self._pose()
+            if matrix is not None:
+                async with sending:
+                    writer.write(
+                        pack_transform(TIP_NAME, self._turn @ matrix, time_s=time.time(), version=self._version)
+                    )
+                    await writer.drain()
+                self.num_sent += 1
+            # By the clock and not by sleeps, which would add up; a peer that was slow is not caught up with.
+            due = max(due + 1.0 / self._rate_hz, loop.time())
+            await asyncio.sleep(due - loop.time())
+
+    def _packed_picture(self) -> bytes | None:
+        pixels = None if self._picture is None else self._picture()
+        if pixels is None:
+            return None
+        return pack_image(PICTURE_NAME, np.ascontiguousarray(pixels), time_s=time.time(), version=self._version)
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    try:
+        return socket.create_server((host, port), backlog=8)
+    except OSError as trouble:
+        raise CarinaError(
+            f"cannot listen on {host}:{port} for OpenIGTLink: {trouble.strerror}; choose another port",
+            code="server.port",
+        ) from trouble

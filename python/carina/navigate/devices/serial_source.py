@@ -1,0 +1,160 @@
+"""Devices at a serial port, with pyserial (extra ``devices``)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from carina.errors import CarinaError
+from carina.navigate.devices.fastrak import RATE_HZ, FastrakStream, setup_commands
+from carina.navigate.devices.scope_handle import HandleStream
+from carina.navigate.devices.source import Listener, Source, StampSpreader
+from carina.navigate.samples import HandleSample, PoseSample
+
+__all__ = ["FastrakSource", "HandleSource", "serial_ports"]
+
+BAUD = 115_200
+# A read waits for so long; a port that says nothing for longer is asked again.
+READ_S = 0.05
+SILENT_S = 2.0
+
+
+def _pyserial() -> Any:
+    try:
+        import serial
+    except ImportError:
+        raise CarinaError(
+            "serial devices need pyserial: install Carina with the extra `devices` (pip install 'carina[devices]')",
+            code="devices.extra",
+        ) from None
+    return serial
+
+
+def serial_ports() -> list[dict[str, str]]:
+    """The ports of this machine, ``{"port", "title"}``.
+
+    Raises
+    ------
+    CarinaError
+        ``devices.extra`` without pyserial.
+    """
+    _pyserial()
+    from serial.tools import list_ports
+
+    return [{"port": str(port.device), "title": str(port.description or "")} for port in list_ports.comports()]
+
+
+class _SerialSource(Source):
+    """Reads a port; opens it again when it is lost."""
+
+    def __init__(
+        self,
+        address: str,
+        title: str,
+        listener: Listener,
+        *,
+        port: str,
+        baud: int = BAUD,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(address, title, listener, clock=clock)
+        self._port_name = port
+        self._baud = baud
+
+    def _connect_and_read(self) -> None:
+        serial = _pyserial()
+        with serial.Serial(self._port_name, self._baud, timeout=READ_S, write_timeout=1.0) as port:
+            port.write(self._greeting())
+            self._begin()
+            heard_s = self._clock()
+            while not self._stopping.is_set():
+                # Whatever has come, else wait for one byte: no sample waits for a full buffer.
+                data = port.read(port.in_waiting or 1)
+                if data:
+                    heard_s = self._clock()
+                    self._heard(data)
+                elif self._clock() - heard_s > SILENT_S:
+                    self._words = "the port is open, and nothing comes"
+                    port.write(self._greeting())
+                    heard_s = self._clock()
+            port.write(self._farewell())
+
+    def _greeting(self) -> bytes:
+        raise NotImplementedError
+
+    def _farewell(self) -> bytes:
+        return b""
+
+    def _begin(self) -> None:
+        raise NotImplementedError
+
+    def _heard(self, data: bytes) -> None:
+        raise NotImplementedError
+
+
+class FastrakSource(_SerialSource):
+    """A Polhemus FASTRAK; its stylus switch is button 0.
+
+    Parameters
+    ----------
+    port
+        Name of the serial port.
+    binary
+        Ask for binary records, of 34 bytes and not 62.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        listener: Listener,
+        *,
+        binary: bool = False,
+        baud: int = BAUD,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(f"fastrak:{port}", "Polhemus FASTRAK", listener, port=port, baud=baud, clock=clock)
+        self._binary = binary
+
+    def _greeting(self) -> bytes:
+        return setup_commands(binary=self._binary)
+
+    def _farewell(self) -> bytes:
+        return b"c"
+
+    def _begin(self) -> None:
+        self._stream = FastrakStream(binary=self._binary)
+        self._stream.num_bad = self.num_bad
+        self._spread = StampSpreader(1.0 / RATE_HZ)
+
+    def _heard(self, data: bytes) -> None:
+        records = [record for record in self._stream.feed(data) if record.station == 1]
+        for record, at_s in zip(records, self._spread.stamps(len(records), self._clock()), strict=True):
+            self._live()
+            sample = PoseSample(at_s, record.position_mm, record.orientation_wxyz, int(record.button))
+            self._say(self.address, sample)
+
+
+class HandleSource(_SerialSource):
+    """A scope handle (``docs/scope-handle.md``)."""
+
+    def __init__(
+        self, port: str, listener: Listener, *, baud: int = BAUD, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        super().__init__(f"handle:{port}", "Scope handle", listener, port=port, baud=baud, clock=clock)
+
+    def _greeting(self) -> bytes:
+        return b"?\nG\n"
+
+    def _farewell(self) -> bytes:
+        return b"H\n"
+
+    def _begin(self) -> None:
+        self._stream = HandleStream()
+        self._stream.num_bad = self.num_bad
+
+    def _heard(self, data: bytes) -> None:
+        for line in self._stream.feed(data):
+            self._live()
+            sample = HandleSample(line.time_s, line.insertion_mm, line.roll_rad, line.lever, line.buttons)
+            self._say(self.address, sample)

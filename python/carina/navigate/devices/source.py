@@ -1,0 +1,148 @@
+"""What every connected device is to the rest: something with a name that says samples until it is stopped."""
+
+from __future__ import annotations
+
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from carina.navigate.samples import Sample
+
+__all__ = ["Listener", "Source", "SourceStatus", "StampSpreader"]
+
+State = Literal["connecting", "live", "lost", "stopped"]
+
+
+@dataclass(frozen=True, slots=True)
+class Listener:
+    """Whom a source tells: ``said(device, sample)``, ``gone(device)``; from any thread."""
+
+    said: Callable[[str, Sample], None]
+    gone: Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class SourceStatus:
+    """What is shown of a connection."""
+
+    address: str
+    title: str
+    state: State
+    words: str
+    num_samples: int
+    num_bad: dict[str, int]
+    rate_hz: float
+
+
+class Source(ABC):
+    """A connection that runs in a thread of its own and opens itself again when it is lost.
+
+    Parameters
+    ----------
+    address
+        What names it: ``fastrak:/dev/ttyUSB0``.
+    title
+        In words.
+    listener
+        Is told.
+    clock
+        Seconds, monotonic.
+    """
+
+    RETRY_S = 1.0
+
+    def __init__(
+        self, address: str, title: str, listener: Listener, *, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.address = address
+        self.title = title
+        self._listener = listener
+        self._clock = clock
+        self._stopping = threading.Event()
+        self._state: State = "connecting"
+        self._words = ""
+        self._num_samples = 0
+        self._recent: list[float] = []
+        self.num_bad: Counter[str] = Counter()
+        self._thread = threading.Thread(target=self._run, name=f"carina-{address}", daemon=True)
+
+    def start(self) -> None:
+        """Begin to connect."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; returns when the thread has."""
+        self._stopping.set()
+        self._wake()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._state = "stopped"
+
+    def status(self) -> SourceStatus:
+        """How it is."""
+        recent = tuple(self._recent)
+        now = self._clock()
+        lively = [at for at in recent if now - at < 1.0]
+        return SourceStatus(
+            self.address,
+            self.title,
+            self._state,
+            self._words,
+            self._num_samples,
+            dict(self.num_bad),
+            float(len(lively)),
+        )
+
+    @abstractmethod
+    def _connect_and_read(self) -> None:
+        """One connection from its beginning to its loss; raises OSError (or ProtocolError) when it is lost."""
+
+    def _wake(self) -> None:  # noqa: B027 - most sources need none
+        """Make a waiting connection look at ``_stopping``."""
+
+    def _say(self, device: str, sample: Sample) -> None:
+        self._num_samples += 1
+        self._recent = [*self._recent[-255:], self._clock()]
+        self._listener.said(device, sample)
+
+    def _live(self, words: str = "") -> None:
+        self._state, self._words = "live", words
+
+    def _run(self) -> None:
+        from carina.errors import CarinaError
+
+        while not self._stopping.is_set():
+            self._state = "connecting"
+            try:
+                self._connect_and_read()
+                words = "the connection ended"
+            except (OSError, CarinaError) as trouble:
+                words = str(trouble)
+            if self._stopping.is_set():
+                break
+            self._state, self._words = "lost", words
+            self._listener.gone(self.address)
+            self._stopping.wait(self.RETRY_S)
+
+
+class StampSpreader:
+    """Times for records that carry none: those that arrive together were measured one period apart."""
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._last_s = float("-inf")
+
+    def stamps(self, number: int, now_s: float) -> list[float]:
+        """Increasing, the last one now."""
+        found = []
+        for n in range(number):
+            at = now_s - (number - 1 - n) * self._period_s
+            # Half a period at least after the last: ports hand on in bursts.
+            at = max(at, self._last_s + 0.5 * self._period_s)
+            self._last_s = at
+            found.append(at)
+        return found

@@ -1,0 +1,270 @@
+"""OpenIGTLink: our own codec beside pyigtl, which others wrote; and everything a broken peer can send."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import socket
+import struct
+import threading
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from carina.errors import ProtocolError
+from carina.navigate import PoseSample
+from carina.navigate.devices import IgtlClient, IgtlServer, Listener
+from carina.navigate.devices.crc import crc64, crc64_bitwise
+from carina.navigate.devices.igtl import (
+    HEADER,
+    IgtlPose,
+    IgtlRequest,
+    IgtlStream,
+    pack_image,
+    pack_message,
+    pack_position,
+    pack_qtdata,
+    pack_transform,
+    pose_matrix,
+)
+from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
+
+pyigtl = pytest.importorskip("pyigtl", reason="pyigtl, the independent peer, is not installed")
+
+TURN = rotation_from_vector(np.array([0.4, -1.2, 0.7]))
+POSE = IgtlPose("Pen", 12.5, (1.5, -20.25, 300.0), wxyz_from_rotation(TURN))
+
+
+def wait_for(what, seconds=8.0):
+    end = time.monotonic() + seconds
+    while not (found := what()):
+        assert time.monotonic() < end, "waited in vain"
+        threading.Event().wait(0.005)
+    return found
+
+
+def same_pose(found: IgtlPose, expected: IgtlPose) -> None:
+    assert found.name == expected.name
+    np.testing.assert_allclose(pose_matrix(found), pose_matrix(expected), atol=1e-4)  # f32 on the wire
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.binary(max_size=300))
+def test_the_checksum_by_table_equals_the_one_by_bits_and_that_of_pyigtl(data):
+    assert crc64(data) == crc64_bitwise(data) == pyigtl.messages.CRC64(data)
+
+
+def test_the_checksum_of_a_picture_in_lanes_is_the_same():
+    data = np.random.default_rng(1).integers(0, 256, 100_001, dtype=np.uint8).tobytes()
+    assert crc64(data) == pyigtl.messages.CRC64(data)
+
+
+@pytest.mark.parametrize("version", [1, 2, 3])
+def test_all_kinds_of_poses_are_read_in_all_versions_however_they_are_cut(version):
+    data = (
+        pack_transform("Pen", pose_matrix(POSE), time_s=12.5, version=version)
+        + pack_message("STATUS", "x", b"\0" * 30, version=version)
+        + pack_position("Pen", POSE, version=version)
+        + pack_qtdata("Tracker", [POSE, POSE], time_s=12.5, version=version)
+    )
+    for size in (1, 7, 58, 1000):
+        stream = IgtlStream()
+        found = [m for n in range(0, len(data), size) for m in stream.feed(data[n : n + size])]
+        assert len(found) == 4
+        for pose in found:
+            same_pose(pose, POSE)
+            assert pose.time_s == 12.5
+        assert (stream.num_skipped, stream.num_bad) == (1, {})
+
+
+def test_pyigtl_reads_ours_and_we_read_pyigtls():
+    packed = pack_transform("Pen", pose_matrix(POSE), time_s=12.5)
+    fields = pyigtl.messages.MessageBase.parse_header(packed[:58])
+    theirs = pyigtl.messages.MessageBase.create_message(fields["message_type"])
+    theirs.unpack(fields, packed[58:])
+    np.testing.assert_allclose(theirs.matrix, pose_matrix(POSE), atol=1e-4)
+    for version in (1, 2):
+        message = pyigtl.TransformMessage(pose_matrix(POSE), device_name="Pen", timestamp=12.5)
+        message.header_version, message.metadata = version, {"Status": "OK"} if version == 2 else {}
+        (ours,) = IgtlStream().feed(message.pack())
+        same_pose(ours, POSE)
+    w, x, y, z = POSE.orientation_wxyz
+    position = pyigtl.messages.PositionMessage(
+        positions=np.array([POSE.position_mm]), quaternions=np.array([[x, y, z, w]]), names=["Pen"], device_name="Pen"
+    )
+    (ours,) = IgtlStream().feed(position.pack())
+    same_pose(ours, POSE)
+
+
+def test_pyigtl_reads_our_picture():
+    pixels = np.random.default_rng(2).integers(0, 256, (30, 40, 3), dtype=np.uint8)
+    packed = pack_image("View", pixels)
+    fields = pyigtl.messages.MessageBase.parse_header(packed[:58])
+    theirs = pyigtl.messages.MessageBase.create_message("IMAGE")
+    theirs.unpack(fields, packed[58:])
+    np.testing.assert_array_equal(np.asarray(theirs.image).reshape(30, 40, 3), pixels)
+
+
+def test_a_wrong_checksum_costs_its_message_only():
+    good, broken = pack_transform("Pen", np.eye(4)), bytearray(pack_transform("Pen", np.eye(4)))
+    broken[80] ^= 1
+    stream = IgtlStream()
+    assert len(stream.feed(good + bytes(broken) + good)) == 2
+    assert stream.num_bad == {"a wrong checksum": 1}
+
+
+@pytest.mark.parametrize(
+    ("content", "kind"),
+    [
+        (b"\0" * 48, "TRANSFORM"),
+        (struct.pack(">12f", *[math.nan] * 12), "TRANSFORM"),
+        (b"\0" * 47, "TRANSFORM"),
+        (b"\0" * 13, "POSITION"),
+        (b"\0" * 51, "QTDATA"),
+    ],
+)
+def test_content_that_is_none_is_counted_and_passed_over(content, kind):
+    stream = IgtlStream()
+    found = stream.feed(pack_message(kind, "x", content) + pack_transform("Pen", np.eye(4)))
+    assert [m.name for m in found] == ["Pen"]
+    assert stream.num_bad == {"content that is none": 1}
+
+
+def test_a_length_of_four_gibibytes_takes_no_memory_and_ends_the_stream():
+    for num_bytes in (4 << 30, (1 << 64) - 1):
+        stream = IgtlStream()
+        with pytest.raises(ProtocolError, match="bytes"):
+            stream.feed(HEADER.pack(1, b"TRANSFORM", b"x", 0, num_bytes, 0))
+    stream = IgtlStream()
+    assert stream.feed(HEADER.pack(1, b"TRANSFORM", b"x", 0, 1 << 20, 0)) == []
+    assert stream.num_bad == {"a length that no pose has": 1}
+    for _ in range(16):
+        stream.feed(b"\0" * (1 << 16))
+    assert len(stream._buffer) == 0
+    assert len(stream.feed(pack_transform("Pen", np.eye(4)))) == 1
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.binary(max_size=400), st.integers(0, 2))
+def test_noise_is_refused_or_passed_over_and_never_more(data, version):
+    stream = IgtlStream()
+    with contextlib.suppress(ProtocolError):
+        stream.feed(data)
+        stream.feed(pack_message("TRANSFORM", "x", data, version=version))
+
+
+class Heard:
+    def __init__(self):
+        self.samples: list[tuple[str, PoseSample]] = []
+        self.gone: list[str] = []
+        self.listener = Listener(lambda device, sample: self.samples.append((device, sample)), self.gone.append)
+
+
+def test_nothing_is_lost_at_120_hz_and_we_come_back_after_the_peer_did():
+    heard = Heard()
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+        client = IgtlClient("127.0.0.1", port, heard.listener)
+        client.RETRY_S = 0.05
+        client.start()
+        try:
+            peer, _ = listening.accept()
+            # By the clock: sleeps add up to less than 120 Hz.
+            began = time.monotonic()
+            for n in range(240):
+                matrix = np.eye(4)
+                matrix[0, 3] = n
+                peer.sendall(pack_transform("Pen", matrix, time_s=100.0 + n / 120.0))
+                threading.Event().wait(max(0.0, began + (n + 1) / 120.0 - time.monotonic()))
+            rate_hz = 240 / (time.monotonic() - began)
+            wait_for(lambda: len(heard.samples) == 240)
+            assert rate_hz > 100.0
+            assert [s.position_mm[0] for _, s in heard.samples] == list(range(240))
+            device = f"openigtlink:127.0.0.1:{port}/Pen"
+            assert {d for d, _ in heard.samples} == {device}
+            # A header with a length of 4 GiB: this connection is given up, and opened again.
+            peer.sendall(HEADER.pack(1, b"TRANSFORM", b"x", 0, 4 << 30, 0))
+            peer.close()
+            again, _ = listening.accept()
+            assert device in heard.gone
+            assert client.status().num_bad == {"headers that are none": 1}
+            again.sendall(pack_transform("Pen", np.eye(4), time_s=1.0))
+            wait_for(lambda: len(heard.samples) == 241)
+            again.close()
+        finally:
+            client.stop()
+
+
+def test_pyigtl_as_tracker_drives_us_at_60_hz():
+    heard = Heard()
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    server = pyigtl.OpenIGTLinkServer(port=port, local_server=True)
+    client = IgtlClient("127.0.0.1", port, heard.listener)
+    client.RETRY_S = 0.05
+    client.start()
+    try:
+        wait_for(server.is_connected)
+        began = time.monotonic()
+        for n in range(120):
+            matrix = np.eye(4)
+            matrix[0, 3] = n
+            server.send_message(pyigtl.TransformMessage(matrix, device_name="Pen"), wait=True)
+            threading.Event().wait(max(0.0, began + (n + 1) / 60.0 - time.monotonic()))
+        wait_for(lambda: len(heard.samples) >= 119)
+        xs = [s.position_mm[0] for _, s in heard.samples]
+        assert all(b > a for a, b in itertools.pairwise(xs))
+    finally:
+        client.stop()
+        server.stop()
+
+
+def test_pyigtl_sees_our_tip_at_60_hz_and_gets_the_picture_when_it_asks():
+    count = itertools.count()
+    pixels = np.full((12, 16, 3), 7, dtype=np.uint8)
+
+    def tip() -> np.ndarray:
+        matrix = np.eye(4)
+        matrix[:3, 3] = (1.0, 2.0, float(next(count)))
+        return matrix
+
+    server = IgtlServer(tip, picture=lambda: pixels, port=0, rate_hz=120.0)
+    server.start()
+    seen: list[float] = []
+    client = pyigtl.OpenIGTLinkClient(host="127.0.0.1", port=server.port)
+    try:
+        first = wait_for(lambda: client.wait_for_message("CarinaTip", timeout=2))
+        # RAS: left and posterior change their signs.
+        assert (first.matrix[0, 3], first.matrix[1, 3]) == (-1.0, -2.0)
+        # A plain receiver beside it misses none.
+        with socket.create_connection(("127.0.0.1", server.port)) as plain:
+            stream, began = IgtlStream(), time.monotonic()
+            while len(seen) < 120:
+                seen += [m.position_mm[2] for m in stream.feed(plain.recv(4096)) if isinstance(m, IgtlPose)]
+            assert len(seen) / (time.monotonic() - began) > 60.0
+            plain.sendall(pack_message("GET_IMAGE", "CarinaView", b""))
+            header = b""
+            while b"IMAGE" not in header:
+                header = plain.recv(1 << 16)
+        assert all(b > a for a, b in itertools.pairwise(seen))
+        assert IgtlStream().feed(pack_message("GET_IMAGE", "v", b"")) == [IgtlRequest("GET_IMAGE", "v")]
+    finally:
+        client.stop()
+        server.stop()
+
+
+def test_a_peer_that_sends_noise_or_goes_does_not_end_the_server():
+    server = IgtlServer(lambda: np.eye(4), port=0)
+    server.start()
+    try:
+        for noise in (b"GET / HTTP/1.1\r\n\r\n" * 9, b"\0" * 200, b""):
+            with socket.create_connection(("127.0.0.1", server.port)) as peer:
+                peer.sendall(noise)
+        with socket.create_connection(("127.0.0.1", server.port)) as peer:
+            assert peer.recv(10)
+    finally:
+        server.stop()

@@ -1,0 +1,68 @@
+"""A device at the other end of a pseudo-terminal, as a serial port would have it; and what it misbehaves by."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+
+__all__ = ["PseudoPort", "wait_for"]
+
+
+class PseudoPort:
+    """Both ends of a pseudo-terminal; ``path`` is the serial port's name."""
+
+    def __init__(self) -> None:
+        self.master, self._slave = pty.openpty()
+        tty.setraw(self.master)
+        tty.setraw(self._slave)
+        self.path = os.ttyname(self._slave)
+
+    def send(self, data: bytes) -> None:
+        os.write(self.master, data)
+
+    def heard(self) -> bytes:
+        """What the host sent so far."""
+        os.set_blocking(self.master, False)
+        with contextlib.suppress(BlockingIOError, OSError):
+            return os.read(self.master, 4096)
+        return b""
+
+    def unplug(self) -> None:
+        """The port is gone: reads at the host fail."""
+        for end in (self.master, self._slave):
+            with contextlib.suppress(OSError):
+                os.close(end)
+
+
+@contextlib.contextmanager
+def sending(records: Callable[[int], bytes], port: PseudoPort, *, rate_hz: float = 120.0) -> Iterator[None]:
+    """Sends record after record until the block ends."""
+    ended = threading.Event()
+
+    def run() -> None:
+        began, n = time.monotonic(), 0
+        while not ended.wait(max(0.0, began + n / rate_hz - time.monotonic())):
+            with contextlib.suppress(OSError):
+                port.send(records(n))
+            n += 1
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def wait_for(what: Callable[[], object], seconds: float = 8.0) -> object:
+    end = time.monotonic() + seconds
+    while not (found := what()):
+        assert time.monotonic() < end, "waited in vain"
+        threading.Event().wait(0.005)
+    return found
