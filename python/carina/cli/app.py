@@ -421,6 +421,56 @@ def doctor(as_json: JsonOption = False) -> None:
 
 
 @app.command()
+def fly(
+    path: PathArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Video to write: .mp4 (H.264) or .webm (VP9).")],
+    tree: Annotated[
+        Path | None, typer.Option("--tree", help="A tree that carina wrote; found in the scan unless given.")
+    ] = None,
+    to: Annotated[
+        str | None, typer.Option(help="Where to: a branch's name or id, or a point x,y,z in mm (LPS).")
+    ] = None,
+    recording: Annotated[Path | None, typer.Option(help="Fly a recording of the workstation again.")] = None,
+    keys: Annotated[Path | None, typer.Option(help="Fly through key frames (carina-keys, JSON).")] = None,
+    size: Annotated[str, typer.Option(help="WxH in pixels.")] = "512x512",
+    rate: Annotated[float, typer.Option(help="Frames per second, 1 to 240.")] = 30.0,
+    speed: Annotated[float, typer.Option(help="mm/s along the route.")] = 20.0,
+    pause: Annotated[float, typer.Option(help="Seconds at each fork and at the end.")] = 1.0,
+    scope: Annotated[
+        str | None, typer.Option(help="Look through an instrument, or none; a recording brings its own.")
+    ] = None,
+    step_vox: Annotated[float, typer.Option(help="Ray step in units of the smallest voxel spacing.")] = 0.5,
+    series: SeriesOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """A flight as video: along the route to a branch or point, of a recording, or through key frames.
+
+    Example: carina fly scan/ --to RB9 -o flight.mp4 --speed 15
+    """
+    with exit_codes(as_json):
+        from carina.cli.fly import report
+
+        raise SystemExit(
+            report(
+                path,
+                output=output,
+                tree=tree,
+                to=to,
+                recording=recording,
+                keys=keys,
+                size=parse_size(size),
+                rate_hz=rate,
+                speed_mm_s=speed,
+                pause_s=pause,
+                scope=scope,
+                step_vox=step_vox,
+                series=series,
+                as_json=as_json,
+            )
+        )
+
+
+@app.command()
 def devices(
     device: Annotated[
         list[str] | None,

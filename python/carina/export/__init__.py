@@ -5,9 +5,12 @@ from carina.export.mask_file import write_mask
 from carina.export.mesh_file import write_mesh
 from carina.export.tree_file import read_tree, write_tree
 from carina.export.tree_formats import write_markups, write_swc, write_vtp
+from carina.export.video import VIDEO_SUFFIXES, VideoWriter
 
 __all__ = [
     "EXPORT_SUFFIXES",
+    "VIDEO_SUFFIXES",
+    "VideoWriter",
     "export_airways",
     "export_tree",
     "is_tree_file",

@@ -100,6 +100,7 @@ class Pilot:
         self._controls = m.Controls()
         self._free: m.Control = "relative"
         self._forks: tuple[m.PathFork, ...] = ()
+        self._path_move = m.SetPath(())
         self._wanted_way: int | None = None
         self._pen_armed = False
         self._num_marks = 0
@@ -170,6 +171,29 @@ class Pilot:
         marks, self._num_marks = self._num_marks, 0
         return marks
 
+    # ------------------------------------------------------------ recordings
+
+    def forget_devices(self) -> None:
+        """As if every device were plugged in anew; registrations stay, and nothing moves."""
+        self._gate = SampleGate()
+        kept = {name: device.registration for name, device in self._devices.items() if device.registration is not None}
+        self._devices = {}
+        for name, registration in kept.items():
+            self._device(name).registration = registration
+        self._followed = self._frame_s = self._wanted_way = None
+
+    def setting_up(self) -> list[m.Move]:
+        """The moves that bring a new pilot where this one is, but for the tip and what devices said."""
+        registered = [
+            m.Calibrate(name, tuple(float(v) for v in device.registration.lps_from_tracker.ravel()))
+            for name, device in self._devices.items()
+            if device.registration is not None
+        ]
+        found: list[m.Move] = [m.SetControls(self._controls), m.ArmPen(self._pen_armed), *registered, self._path_move]
+        if self._free == "absolute":
+            found.append(m.SetControl("absolute"))
+        return found
+
     # ------------------------------------------------------------ moves
 
     def apply(self, move: m.Move) -> None:
@@ -220,7 +244,7 @@ class Pilot:
             case m.SetOperator():
                 tip.set_operator(move.position)
             case m.SetPath():
-                self._forks = move.ways
+                self._forks, self._path_move = move.ways, move
                 tip.set_path(_flight_path(move))
             case m.DeviceGone():
                 self._gate.gone(move.device)
@@ -297,7 +321,8 @@ class Pilot:
 
     def _can_be_absolute(self) -> bool:
         holder = self._gate.holder
-        return holder in self._devices and self._devices[holder].registration is not None
+        asked = self._devices.values() if holder is None else [self._device(holder)]
+        return any(device.registration is not None for device in asked)
 
     def _set_control(self, control: m.Control) -> None:
         if control == "absolute" and not self._can_be_absolute():

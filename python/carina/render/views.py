@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import tempfile
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from carina.errors import RenderError
 from carina.render.appearance import check_guides
+from carina.render.png_text import KEYWORD, with_text
 from carina.scopes import FULL_FRAME, PINHOLE, DepthOfField, ImageField, Lens, Optics, PathFrames, Pose, ScopePreset
 
 __all__ = [
@@ -444,8 +446,27 @@ class Picture:
         focal_px = min(width, height) / 2 / np.tan(np.deg2rad(self.fov_deg) / 2)
         return float(width / 2 + focal_px * x / z), float(height / 2 + focal_px * y / z)
 
+    def place(self) -> dict[str, Any]:
+        """View, pose and field of view as a ``carina-pose`` document, LPS mm; None for what this view has not."""
+
+        def rows(matrix: NDArray[np.float64] | None) -> list[list[float]] | None:
+            return None if matrix is None else matrix.tolist()
+
+        return {
+            "format": "carina-pose",
+            "version": 1,
+            "space": "LPS",
+            "unit": "mm",
+            "view": self.view,
+            "lps_from_camera": rows(self.lps_from_camera),
+            "lps_from_pixel": rows(self.lps_from_pixel),
+            "fov_deg": None if self.fov_deg is None else float(self.fov_deg),
+        }
+
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the picture as PNG and return where; a picture of the same name is replaced whole or not at all.
+
+        Its text chunk ``carina-pose`` holds :meth:`place`; :func:`carina.render.read_png_pose` reads it.
 
         Raises
         ------
@@ -464,6 +485,7 @@ class Picture:
         try:
             image = sitk.GetImageFromArray(np.ascontiguousarray(self.rgb), isVector=True)
             sitk.WriteImage(image, str(draft))
+            draft.write_bytes(with_text(draft.read_bytes(), KEYWORD, json.dumps(self.place(), allow_nan=False)))
             draft.chmod(0o644)
             draft.replace(target)
         finally:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 from carina.errors import CarinaError, UsageError
-from carina.navigate import Controls, DeviceState, Move, Sample, fit_registration, moves
+from carina.navigate import Controls, DeviceState, Move, Recorder, Sample, case_key, fit_registration, moves
 from carina.scopes import Pose
 from carina.session.case import OpenCase, as_point
 from carina.session.core import SessionCore
-from carina.session.document import Point
+from carina.session.document import Document, Point
 from carina.session.routes import leaf_below, route_to_branch
 from carina.session.snapshot import DevicesInfo, Said, Trouble
 
-__all__ = ["Flying", "PenTool", "place_move"]
+__all__ = ["Flying", "PenTool", "place_move", "view_words"]
 
 PenTool = Literal["root", "target"]
 
@@ -25,10 +26,26 @@ def place_move(pose: Pose) -> moves.PlacePose:
     return moves.PlacePose(tuple(float(v) for v in pose.lps_from_camera.ravel()))
 
 
+def view_words(document: Document) -> dict[str, Any]:
+    """How the airway view is shown, as a recording keeps it."""
+    return {
+        "scope": document.scope,
+        "mask": document.mask,
+        "fov_deg": float(document.fov_deg),
+        "shading": document.shading,
+        "texture": document.texture,
+        "operator": document.operator,
+        "transfer": document.transfer.to_json(),
+    }
+
+
 class Flying(SessionCore):
     """Moves of the tip. Every one goes through the case's :class:`carina.navigate.Pilot`."""
 
     _pen_tool: PenTool | None = None
+    _recorder: Recorder | None = None
+    _recording_path: Path | None = None
+    _recorded_case: OpenCase | None = None
 
     def steer(self, advance_mm: float, yaw_rad: float, pitch_rad: float, roll_rad: float) -> None:
         """Move the tip; see :meth:`carina.navigate.Navigator.steer`."""
@@ -71,6 +88,75 @@ class Flying(SessionCore):
     def reset_look(self) -> None:
         """Look along the path again."""
         self._fly(moves.ResetLook())
+
+    # ------------------------------------------------------------ recordings
+
+    @property
+    def recording_path(self) -> Path | None:
+        """The file that is being recorded to."""
+        return self._recording_path if self._recorder is not None else None
+
+    def start_recording(self, path: Path) -> None:
+        """Record every move of the tip to a file until :meth:`stop_recording`, or until the case is closed.
+
+        Raises
+        ------
+        UsageError
+            ``session.recording``: if one is being made.
+        CarinaError
+            ``machine``: if the file cannot be written.
+        """
+        import carina
+
+        case = self._needed_case()
+        if self._recorder is not None:
+            raise UsageError("a recording is being made already; stop it first", code="session.recording")
+        key = case_key(case.info.volume)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = path.open("x", encoding="utf-8")
+        except OSError as trouble:
+            words = f"the recording cannot be written to {path}: {trouble.strerror}"
+            raise CarinaError(words, code="machine") from trouble
+        with self._lock:
+            self._recorder = Recorder(
+                case.pilot,
+                file,
+                case=key,
+                carina=carina.__version__,
+                now_s=self._clock(),
+                view=view_words(case.document),
+            )
+            self._recording_path, self._recorded_case = path, case
+            self._changed("state")
+
+    def stop_recording(self) -> Path | None:
+        """End the recording; returns where it is, None where there is none."""
+        with self._lock:
+            recorder, self._recorder = self._recorder, None
+            if recorder is None:
+                return None
+            recorder.tick(self._clock())
+            recorder.close()
+            self._emit(Said(f"{recorder.length_s:.0f} s were recorded to {self._recording_path}"))
+            self._changed("state")
+            return self._recording_path
+
+    def close(self) -> None:
+        """End a recording, and stop all jobs."""
+        self.stop_recording()
+        super().close()
+
+    def _tick_recording(self) -> None:
+        """Before a move, with the session locked: the time of what follows."""
+        if self._recorder is not None:
+            self._recorder.tick(self._clock())
+
+    def _follow_document(self, case: OpenCase) -> None:
+        self._tick_recording()
+        super()._follow_document(case)
+        if self._recorder is not None and self._recorded_case is case:
+            self._recorder.note_view(view_words(case.document), self._clock())
 
     # ------------------------------------------------------------ devices
 
@@ -198,6 +284,7 @@ class Flying(SessionCore):
         case = self._needed_case()
         with self._lock:
             mode = case.navigator.mode
+            self._tick_recording()
             case.pilot.apply(move)
             self._after_move(case, mode)
 

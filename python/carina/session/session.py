@@ -101,6 +101,7 @@ class Session(Flying, AirwayQuestions, TreeMeasuring, TreeEditing):
     def close_case(self) -> None:
         """Back to the start page."""
         with self._lock:
+            self.stop_recording()
             self._jobs.cancel_kinds()
             self._case = None
             self._changed(*ALL_TOPICS, "start")
@@ -118,6 +119,7 @@ class Session(Flying, AirwayQuestions, TreeMeasuring, TreeEditing):
             with self._lock:
                 # Here, and not before: a refused or stopped opening leaves the case on screen as it was.
                 job.check()
+                self.stop_recording()
                 self._jobs.cancel_kinds("airways", "display", "target", "measures")
                 self._case = case
                 self._moved()

@@ -1,0 +1,191 @@
+"""``carina fly``: a flight along a route, through key frames or of a recording, as video."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import carina
+from carina.cli.along import check_destination, way_to
+from carina.cli.arguments import check_output_file
+from carina.cli.console import print_json, progress_printer, say
+from carina.config import load_settings
+from carina.errors import NoResultError, UsageError, VolumeImportError
+from carina.export import VIDEO_SUFFIXES, VideoWriter
+from carina.navigate import AutoFlight, KeyFrame, KeyFrameFlight, Recording, open_recording
+from carina.navigate.auto_flight import frame_times_s
+from carina.navigate.recording import ReplayedPose, sampled
+from carina.render import AirwayView, Backend, Renderer, TransferFunction, transfer_preset
+from carina.scopes import DEFAULT_SCOPE, ImageField, Pose, scope_preset
+from carina.volume import Volume
+
+__all__ = ["report"]
+
+KEYS_FORMAT = "carina-keys"
+MAX_KEYS_BYTES = 10_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """How frames are rendered."""
+
+    size: tuple[int, int]
+    scope: str | None
+    step_vox: float
+
+
+def report(
+    path: Path,
+    *,
+    output: Path,
+    tree: Path | None,
+    to: str | None,
+    recording: Path | None,
+    keys: Path | None,
+    size: tuple[int, int],
+    rate_hz: float,
+    speed_mm_s: float,
+    pause_s: float,
+    scope: str | None,
+    step_vox: float,
+    series: str | None,
+    as_json: bool,
+) -> int:
+    """Render all frames and write them."""
+    check_output_file(output)
+    if output.suffix.lower() not in VIDEO_SUFFIXES:
+        raise UsageError(f"-o: expected a file name that ends in {' or '.join(VIDEO_SUFFIXES)}; found {output.name!r}")
+    if (to is not None) + (recording is not None) + (keys is not None) != 1:
+        raise UsageError("name one thing to fly: --to (a branch or point), --recording or --keys")
+    if tree is not None and to is None:
+        raise UsageError("--tree is for --to")
+    named = None if scope in {None, "none"} else scope_preset(str(scope)).name
+    shown = _Shown(size, (DEFAULT_SCOPE if scope is None else named), step_vox)
+    if to is not None:
+        check_destination(to, "airway")
+        AutoFlight(carina.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=speed_mm_s, pause_s=pause_s)
+    recorded = None if recording is None else open_recording(recording)
+    key_flight = None if keys is None else _read_keys(keys)
+    progress = progress_printer()
+    with VideoWriter(output, *size, rate_hz=rate_hz) as video:
+        volume = carina.open_volume(path, series=series, progress=progress)
+        facts: dict[str, Any] = {}
+        if recorded is not None:
+            recorded.check(volume, carina=carina.__version__)
+            moments, facts = _replayed(recorded, volume)
+            times = frame_times_s(recorded.length_s, rate_hz)
+            frames = sampled(moments, times)
+        else:
+            flight: AutoFlight | KeyFrameFlight
+            if key_flight is not None:
+                flight = key_flight
+            else:
+                way = way_to(volume, str(to), tree_file=tree, progress=progress)
+                flight = AutoFlight(way.path, speed_mm_s=speed_mm_s, pause_s=pause_s)
+                facts = {"to": way.title, "path_mm": way.length_mm, "stops_mm": list(way.lookouts_mm)}
+            times = frame_times_s(flight.duration_s, rate_hz)
+            frames = [ReplayedPose(float(t), flight.pose_at(float(t)), {}) for t in times]
+        began_s = time.perf_counter()
+        renderer = _renderer(volume, progress)
+        for n, rgb in enumerate(_pictures(renderer, frames, shown)):
+            video.add(rgb)
+            progress("rendering frames", (n + 1) / len(frames))
+        seconds = time.perf_counter() - began_s
+    say(f"wrote {output}: {len(frames)} frames, {len(frames) / rate_hz:.2f} s")
+    if as_json:
+        print_json(
+            {
+                "file": str(output),
+                "num_frames": len(frames),
+                "rate_hz": rate_hz,
+                "duration_s": len(frames) / rate_hz,
+                "size": list(size),
+                "render_s": seconds,
+                **facts,
+            }
+        )
+    return 0
+
+
+def _replayed(recorded: Recording, volume: Volume) -> tuple[list[ReplayedPose], dict[str, Any]]:
+    moments, different = [], 0
+    for moment, same in recorded.replay(volume):
+        moments.append(moment)
+        different += not same
+    if not moments:
+        raise NoResultError("the recording holds no pose")
+    if different:
+        say(f"note: {different} of {len(moments)} poses differ from the recorded ones; this is another build of Carina")
+    if not recorded.complete:
+        say("note: the recording was cut off; it is flown as far as it goes")
+    return moments, {"num_moments": len(moments), "num_different": different, "complete": recorded.complete}
+
+
+def _read_keys(path: Path) -> KeyFrameFlight:
+    try:
+        if path.stat().st_size > MAX_KEYS_BYTES:
+            raise VolumeImportError(f"{path}: too large for key frames", code="navigate.keys")
+        document = json.loads(path.read_text(encoding="utf-8"))
+        if document["format"] != KEYS_FORMAT or document["version"] != 1:
+            raise ValueError(f"expected {KEYS_FORMAT} 1")
+        keys = [KeyFrame(float(k["time_s"]), Pose(np.array(k["lps_from_camera"]))) for k in document["keys"]]
+        return KeyFrameFlight(keys)
+    except VolumeImportError:
+        raise
+    except OSError as trouble:
+        raise VolumeImportError(f"{path}: cannot be read: {trouble.strerror}", code="navigate.keys") from trouble
+    except (ValueError, KeyError, TypeError, UsageError) as trouble:
+        raise VolumeImportError(f"{path}: holds no key frames: {trouble}", code="navigate.keys") from trouble
+
+
+def _renderer(volume: Volume, progress: Any) -> Renderer:
+    renderer = Renderer(volume, backend=Backend(load_settings().backend))
+    if volume.is_hu:
+        try:
+            renderer.set_lumen(carina.find_airways(volume, progress=progress).lumen_zyx)
+        except NoResultError as trouble:
+            say(f"note: {trouble}; thin walls are shown as the CT has them")
+    return renderer
+
+
+def _pictures(renderer: Renderer, frames: list[ReplayedPose], shown: _Shown) -> Iterator[Any]:
+    width, height = shown.size
+    transfer: Any = None
+    prepared = False
+    last: tuple[Any, Any] | None = None
+    for frame in frames:
+        view = frame.view
+        if view.get("transfer") != transfer:
+            transfer = view.get("transfer")
+            renderer.set_transfer(
+                transfer_preset("endoscopic") if transfer is None else TransferFunction.from_json(transfer)
+            )
+            prepared, last = False, None
+        if not prepared:
+            renderer.prepare()
+            prepared = True
+        if last is not None and last[0] == (id(frame.pose), id(view)):
+            yield last[1]
+            continue
+        settings: dict[str, Any] = {"width": width, "height": height, "step_vox": shown.step_vox}
+        settings |= {name: view[name] for name in ("shading", "texture", "fov_deg") if name in view}
+        scope = view.get("scope", shown.scope)
+        mask = view.get("mask")
+        if scope is None:
+            field = ImageField() if mask is None else ImageField(mask)
+            settings.setdefault("fov_deg", 90.0)
+            made = AirwayView(frame.pose, field=field, **settings)
+        else:
+            preset = scope_preset(scope)
+            if mask is not None:
+                settings["field"] = replace(preset.field, mask=mask)
+            made = AirwayView.of_scope(preset, frame.pose, **settings)
+        picture = renderer.render(made).rgb
+        last = ((id(frame.pose), id(view)), picture)
+        yield picture

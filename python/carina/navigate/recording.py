@@ -1,0 +1,284 @@
+"""Recordings of a session's flight: every move that reached the pilot, with its time, and the pose that it gave.
+
+A file of lines (JSON): first a header, then one line for each move, pose that changed, and change of the views; last an
+end. Poses are there to compare with: a replay feeds the moves to a pilot again, through gate, filter and mapper.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import UsageError, VolumeImportError
+from carina.navigate import moves as m
+from carina.navigate.navigator import Navigator
+from carina.navigate.pilot import Pilot
+from carina.scopes import Pose
+from carina.volume import Volume
+
+__all__ = ["Recorder", "Recording", "ReplayedPose", "case_key", "open_recording", "sampled"]
+
+FORMAT, VERSION = "carina-recording", 1
+MAX_BYTES = 1 << 30
+MAX_LINE = 64 << 20
+"""Of characters: a path of a million points."""
+
+
+def case_key(volume: Volume) -> dict[str, Any]:
+    """What tells one volume from another: its grid and a digest of its numbers. Nothing about the patient."""
+    digest = hashlib.blake2b(digest_size=16)
+    digest.update(np.ascontiguousarray(volume.lps_from_ijk, dtype="<f8").tobytes())
+    for slab in volume.hu_zyx:
+        digest.update(np.ascontiguousarray(slab, dtype="<i2").tobytes())
+    return {"shape_zyx": list(volume.shape_zyx), "digest": digest.hexdigest()}
+
+
+class Recorder:
+    """Writes what a pilot does until it is closed.
+
+    Devices are forgotten when it begins (as if they were plugged in anew, without a jump), since a replay begins with
+    none.
+
+    Parameters
+    ----------
+    pilot
+        Whose moves; its ``on_move`` is taken.
+    file
+        Open for writing text; closed by :meth:`close`.
+    case
+        :func:`case_key` of the volume.
+    carina
+        The version that records.
+    now_s
+        The clock of the moves, at the beginning.
+    view
+        How the airway view is shown, as JSON values.
+    """
+
+    def __init__(
+        self, pilot: Pilot, file: TextIO, *, case: dict[str, Any], carina: str, now_s: float, view: dict[str, Any]
+    ) -> None:
+        self._pilot, self._file, self._began_s = pilot, file, now_s
+        self._pose: Pose | None = None
+        self._view: dict[str, Any] = {}
+        self._at_s = now_s
+        self.num_moves = self.num_poses = 0
+        pilot.forget_devices()
+        self._write(
+            {
+                "format": FORMAT,
+                "version": VERSION,
+                "carina": carina,
+                "case": case,
+                "tip": pilot.navigator.state(),
+                "begin": [m.move_to_json(move) for move in pilot.setting_up()],
+            }
+        )
+        self.note_view(view, now_s)
+        pilot.on_move = self._moved
+
+    @property
+    def length_s(self) -> float:
+        """Seconds recorded."""
+        return self._at_s - self._began_s
+
+    def note_view(self, view: dict[str, Any], now_s: float) -> None:
+        """The airway view is shown otherwise; nothing where it is not."""
+        if view != self._view:
+            self._view = view
+            self._write({"t": self._time(now_s), "view": view})
+
+    def tick(self, now_s: float) -> None:
+        """The present time: what follows happened then. Moves of devices bring their own."""
+        self._at_s = max(self._at_s, now_s)
+
+    def close(self) -> None:
+        """Write the end and close the file."""
+        self._pilot.on_move = None
+        end = {"end": self._time(self._at_s), "num_moves": self.num_moves, "num_poses": self.num_poses}
+        try:
+            self._write(end)
+        finally:
+            self._file.close()
+
+    def _moved(self, move: m.Move) -> None:
+        if isinstance(move, m.DeviceSaid | m.Frame):
+            self.tick(move.now_s)
+        try:
+            line: dict[str, Any] = {"t": self._time(self._at_s), "move": m.move_to_json(move)}
+            json.dumps(line, allow_nan=False)
+        except ValueError:
+            return  # a sample with NaN, which the gate refused: it moves nothing
+        pose = self._pilot.navigator.pose
+        if pose is not self._pose:
+            self._pose = pose
+            line["pose"] = [float(v) for v in pose.lps_from_camera.ravel()]
+            self.num_poses += 1
+        self.num_moves += 1
+        self._write(line)
+
+    def _time(self, now_s: float) -> float:
+        return round(max(0.0, now_s - self._began_s), 6)
+
+    def _write(self, value: dict[str, Any]) -> None:
+        self._file.write(json.dumps(value, allow_nan=False, separators=(",", ":")) + "\n")
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayedPose:
+    """A moment of a replay: seconds from the beginning, the pose, and how the view was shown."""
+
+    time_s: float
+    pose: Pose
+    view: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A recording that was read: what it was made with, and its lines.
+
+    Parameters
+    ----------
+    header
+        The first line.
+    lines
+        The others, checked to have a time.
+    complete
+        False where the end is missing: the program was stopped while it recorded.
+    """
+
+    header: dict[str, Any]
+    lines: tuple[dict[str, Any], ...]
+    complete: bool
+
+    @property
+    def length_s(self) -> float:
+        """Seconds from the first to the last moment."""
+        return max((float(line.get("t", line.get("end", 0.0))) for line in self.lines), default=0.0)
+
+    def check(self, volume: Volume, *, carina: str) -> None:
+        """Refuse another case or version.
+
+        Raises
+        ------
+        VolumeImportError
+            ``navigate.recording``.
+        """
+        made_by = self.header.get("carina")
+        if made_by != carina:
+            raise VolumeImportError(
+                f"this recording was made by Carina {made_by}; this is {carina}, whose poses may differ in the last "
+                "bits: replay it with the version that made it",
+                code="navigate.recording",
+            )
+        if self.header.get("case") != case_key(volume):
+            raise VolumeImportError(
+                "this recording was made in another case: its scan has another grid or other numbers; open the scan "
+                "that it was made in",
+                code="navigate.recording",
+            )
+
+    def replay(self, volume: Volume) -> Iterator[tuple[ReplayedPose, bool]]:
+        """Fly it again: every pose that the moves give, and whether it equals the recorded one bit for bit.
+
+        Raises
+        ------
+        VolumeImportError
+            ``navigate.recording``: if a line holds no move.
+        """
+        try:
+            pilot = Pilot(Navigator(Pose(np.asarray(self.header["tip"]["lps_from_camera"])), volume=volume))
+            for value in self.header["begin"]:
+                pilot.apply(m.move_from_json(value))
+            pilot.navigator.restore(self.header["tip"], pilot.navigator.path)
+            view: dict[str, Any] = {}
+            yield ReplayedPose(0.0, pilot.navigator.pose, view), True
+            for line in self.lines:
+                if "view" in line:
+                    view = dict(line["view"])
+                    yield ReplayedPose(float(line["t"]), pilot.navigator.pose, view), True
+                elif "move" in line:
+                    pilot.apply(m.move_from_json(line["move"]))
+                    if "pose" in line:
+                        same = pilot.navigator.pose.lps_from_camera.ravel().tolist() == line["pose"]
+                        yield ReplayedPose(float(line["t"]), pilot.navigator.pose, view), same
+        except (UsageError, KeyError, TypeError, ValueError) as trouble:
+            raise VolumeImportError(
+                f"the recording cannot be replayed: {trouble}", code="navigate.recording"
+            ) from trouble
+
+
+def open_recording(path: str | Path) -> Recording:
+    """Read a recording. One that was cut off by a crash is read as far as it goes.
+
+    Raises
+    ------
+    VolumeImportError
+        ``navigate.recording``: if it is none, of another version of the format, or too large.
+    """
+    place = Path(path)
+    try:
+        if place.stat().st_size > MAX_BYTES:
+            raise _refused(place, f"it is larger than {MAX_BYTES >> 20} MiB")
+        with place.open(encoding="utf-8") as file:
+            return _read(file, place)
+    except VolumeImportError:
+        raise  # it is an OSError as well
+    except OSError as trouble:
+        raise _refused(place, trouble.strerror or "it cannot be read") from trouble
+    except UnicodeDecodeError as trouble:
+        raise _refused(place, "it is no text") from trouble
+
+
+def _read(file: io.TextIOBase | TextIO, place: Path) -> Recording:
+    header = _object(file.readline(MAX_LINE))
+    if header is None or header.get("format") != FORMAT:
+        raise _refused(place, "it does not begin as a recording of Carina does")
+    if header.get("version") != VERSION:
+        raise _refused(place, f"it has version {header.get('version')!r}; this Carina reads {VERSION}")
+    lines: list[dict[str, Any]] = []
+    complete = False
+    last_s = 0.0
+    while text := file.readline(MAX_LINE):
+        line = _object(text)
+        if line is None:
+            if file.read(1) == "" and not text.endswith("\n"):
+                break  # the last line of a recording that was cut off
+            raise _refused(place, f"line {len(lines) + 2} is no JSON object")
+        at_s = line.get("end", line.get("t"))
+        if not isinstance(at_s, int | float) or not math.isfinite(at_s) or at_s < last_s:
+            raise _refused(place, f"line {len(lines) + 2} has no time, or an earlier one than the line before")
+        last_s = float(at_s)
+        lines.append(line)
+        if "end" in line:
+            complete = True
+            break
+    return Recording(header, tuple(lines), complete)
+
+
+def _object(text: str) -> dict[str, Any] | None:
+    try:
+        value = json.loads(text, parse_constant=lambda _: None)
+    except (ValueError, RecursionError):
+        return None
+    return value if isinstance(value, dict) else None
+
+
+def _refused(place: Path, why: str) -> VolumeImportError:
+    return VolumeImportError(f"{place}: cannot be replayed: {why}", code="navigate.recording")
+
+
+def sampled(moments: list[ReplayedPose], times_s: NDArray[np.float64]) -> list[ReplayedPose]:
+    """The moment that was shown at each time: the newest that is not later."""
+    known = np.array([moment.time_s for moment in moments])
+    places = np.maximum(np.searchsorted(known, times_s, side="right") - 1, 0)
+    return [moments[int(n)] for n in places]

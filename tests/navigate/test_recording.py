@@ -1,0 +1,251 @@
+"""Recordings are replayed through gate, filter and mapper, bit for bit; other cases and broken files are refused."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import random
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carina.errors import UsageError, VolumeImportError
+from carina.navigate import (
+    AutoFlight,
+    AxesSample,
+    Controls,
+    FilterSettings,
+    FlightPath,
+    KeyFrame,
+    KeyFrameFlight,
+    PoseSample,
+    Recorder,
+    open_recording,
+)
+from carina.navigate import moves as m
+from carina.navigate.auto_flight import frame_times_s
+from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
+from carina.scopes import Pose
+from carina.session import Session
+from small_case import Clock, small_bench, small_volume
+
+VOLUME = small_volume()
+
+
+@pytest.fixture
+def flown():
+    """A session in which the small case is open, and its clock."""
+    bench = small_bench()
+    bench.open()
+    yield bench.session, bench.clock
+    bench.session.close()
+
+
+def fly(session: Session, clock: Clock, *, seed: int = 1) -> None:
+    """A pen, a stick and keys, with two ways to move, forks, a change of the view, NaN and a device that goes."""
+    rng = random.Random(seed)
+    session.calibrate("pen", [(0, 0, 0), (50, 0, 0), (0, 50, 0)], [(1, 2, 3), (51, 2, 3), (1, 52, 3)])
+    turn = np.eye(3)
+    at = np.zeros(3)
+    for n in range(400):
+        clock.advance(rng.choice([0.0, 0.001, 0.004, 0.008, 0.03]))
+        turn = turn @ rotation_from_vector(np.array([rng.gauss(0, 0.02) for _ in range(3)]))
+        at = at + [rng.gauss(0, 0.5) for _ in range(3)]
+        session.device_said("pen", PoseSample(clock(), tuple(at.tolist()), wxyz_from_rotation(turn), int(n % 97 == 0)))
+        if n % 3:
+            session.device_frame()
+        if n == 50:
+            session.device_said("pen", PoseSample(math.nan, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
+            session.device_said("pen", PoseSample(clock() - 5.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
+        if n == 120:
+            session.set_controls(Controls(gain_mm=2.0, filter=FilterSettings(min_cutoff_hz=3.0)))
+        if n == 160:
+            session.go_to(5.0)
+        if n == 200:
+            session.set_fov(100.0)
+            session.device_gone("pen")
+        if n % 50 == 0:
+            session.steer(0.4, 0.1, -0.05, 0.02)
+    clock.advance(1.0)
+    session.set_mode("path")
+    for _ in range(300):
+        clock.advance(0.02)
+        session.device_said("stick", AxesSample(clock(), (1.0, 0.0, 0.0, rng.choice([-1.0, 1.0]), 0.0, 0.0)))
+        session.device_frame()
+    session.set_operator("facing")
+    session.level_horizon()
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_replay_gives_the_recorded_poses_bit_for_bit(flown, tmp_path, seed):
+    session, clock = flown
+    fly(session, clock, seed=seed + 10)  # what went before must not matter
+    session.start_recording(tmp_path / "a.jsonl")
+    fly(session, clock, seed=seed)
+    before = session.pose_info().pose
+    assert session.stop_recording() == tmp_path / "a.jsonl"
+    recording = open_recording(tmp_path / "a.jsonl")
+    recording.check(VOLUME, carina="0.1.0")
+    replayed = list(recording.replay(VOLUME))
+    assert recording.complete
+    assert all(same for _, same in replayed)
+    assert len([1 for line in recording.lines if "pose" in line]) > 300
+    np.testing.assert_array_equal(replayed[-1][0].pose.lps_from_camera, before.lps_from_camera)
+    assert {moment.view["fov_deg"] for moment, _ in replayed if moment.view} >= {100.0}
+    assert recording.length_s == pytest.approx(replayed[-1][0].time_s, abs=1e-3)
+
+
+def test_another_volume_or_version_is_refused(flown, tmp_path):
+    session, clock = flown
+    session.start_recording(tmp_path / "a.jsonl")
+    clock.advance(1.0)
+    session.steer(1.0, 0.0, 0.0, 0.0)
+    session.stop_recording()
+    recording = open_recording(tmp_path / "a.jsonl")
+    other = small_volume()
+    values = other.hu_zyx.copy()
+    values[0, 0, 0] += 1
+    with pytest.raises(VolumeImportError, match="another case"):
+        recording.check(replace(other, hu_zyx=values), carina="0.1.0")
+    with pytest.raises(VolumeImportError, match=r"made by Carina 0\.1\.0"):
+        recording.check(VOLUME, carina="0.2.0")
+
+
+def test_a_recording_that_was_cut_off_is_read_as_far_as_it_goes(flown, tmp_path):
+    session, clock = flown
+    session.start_recording(tmp_path / "a.jsonl")
+    for _ in range(10):
+        clock.advance(0.1)
+        session.steer(0.5, 0.0, 0.0, 0.0)
+    session.stop_recording()
+    text = (tmp_path / "a.jsonl").read_text()
+    cut = tmp_path / "cut.jsonl"
+    cut.write_text(text[: text.rindex('"move"') + 20])
+    recording = open_recording(cut)
+    assert not recording.complete
+    assert all(same for _, same in recording.replay(VOLUME))
+
+
+def bad(lines: list[str], n: int, line: str) -> str:
+    return "\n".join([*lines[:n], line, *lines[n + 1 :]]) + "\n"
+
+
+@pytest.mark.parametrize("line", ["[]", "{}", '{"t":-1}', '{"t":NaN}', "{" * 100_000, '{"t":0,"t":', "\x00"])
+def test_broken_lines_are_refused_with_their_number(flown, tmp_path, line):
+    session, clock = flown
+    session.start_recording(tmp_path / "a.jsonl")
+    for _ in range(4):
+        clock.advance(0.1)
+        session.steer(0.5, 0.0, 0.0, 0.0)
+    session.stop_recording()
+    lines = (tmp_path / "a.jsonl").read_text().splitlines()
+    (tmp_path / "b.jsonl").write_text(bad(lines, 3, line))
+    with pytest.raises(VolumeImportError, match="line 4") as refused:
+        open_recording(tmp_path / "b.jsonl")
+    assert refused.value.code == "navigate.recording"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "hello", '{"format":"carina-recording","version":2}', '{"format":"carina-tree"}', "\xff"]
+)
+def test_what_is_no_recording_is_refused(tmp_path, text):
+    place = tmp_path / "x.jsonl"
+    place.write_bytes(text.encode("latin-1"))
+    with pytest.raises(VolumeImportError):
+        open_recording(place)
+
+
+def test_a_move_that_is_none_ends_the_replay_with_words(flown, tmp_path):
+    session, _ = flown
+    session.start_recording(tmp_path / "a.jsonl")
+    session.stop_recording()
+    lines = (tmp_path / "a.jsonl").read_text().splitlines()
+    (tmp_path / "b.jsonl").write_text(bad(lines, 2, json.dumps({"t": 0.0, "move": {"move": "Jump"}})))
+    with pytest.raises(VolumeImportError, match="Jump"):
+        list(open_recording(tmp_path / "b.jsonl").replay(VOLUME))
+
+
+def test_only_one_recording_is_made_at_a_time_and_it_ends_with_the_case(flown, tmp_path):
+    session, _ = flown
+    session.start_recording(tmp_path / "a.jsonl")
+    with pytest.raises(UsageError, match="already"):
+        session.start_recording(tmp_path / "b.jsonl")
+    session.close_case()
+    assert session.recording_path is None
+    assert open_recording(tmp_path / "a.jsonl").complete
+
+
+def test_the_recorder_keeps_no_patient_data(flown, tmp_path):
+    session, _ = flown
+    session.start_recording(tmp_path / "a.jsonl")
+    session.stop_recording()
+    text = Path(tmp_path / "a.jsonl").read_text()
+    assert VOLUME.source.title not in text
+    assert isinstance(Recorder, type)
+
+
+# ------------------------------------------------------------ flights that nobody steers
+
+BENT = FlightPath(
+    [[0, 0, 0], [0, 0, -40], [20, 0, -70], [20, 10, -110]], forks_mm=[40.0, 76.0], lookouts_mm=[32.0, 70.0]
+)
+
+
+def test_a_flight_along_a_route_keeps_its_speed_and_pauses_at_each_fork():
+    flight = AutoFlight(BENT, speed_mm_s=10.0, pause_s=2.0)
+    assert flight.duration_s == pytest.approx(BENT.length_mm / 10.0 + 3 * 2.0)
+    places = [flight.path_mm(t) for t in np.arange(0.0, flight.duration_s, 0.1)]
+    steps = np.diff(places)
+    assert steps.max() == pytest.approx(1.0)
+    assert (steps >= 0).all()
+    for stop_mm in (32.0, 70.0):
+        assert sum(abs(place - stop_mm) < 1e-9 for place in places) >= 19
+
+
+@pytest.mark.parametrize("bad_value", [{"speed_mm_s": 0.0}, {"speed_mm_s": math.nan}, {"pause_s": -1.0}])
+def test_flights_without_a_speed_are_refused(bad_value):
+    with pytest.raises(UsageError):
+        AutoFlight(BENT, **bad_value)
+
+
+def test_key_frames_are_passed_through_exactly_and_without_jerks():
+    rng = np.random.default_rng(4)
+    keys = []
+    for n in range(6):
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation_from_vector(rng.normal(0, 1, 3))
+        matrix[:3, 3] = rng.normal(0, 20, 3)
+        keys.append(KeyFrame(1.0 + 1.5 * n + 0.3 * (n % 2), Pose(matrix)))
+    flight = KeyFrameFlight(keys)
+    for key in keys:
+        np.testing.assert_array_equal(flight.pose_at(key.time_s - 1.0).lps_from_camera, key.pose.lps_from_camera)
+    times = np.arange(0.0, flight.duration_s, 0.001)
+    at = np.array([flight.pose_at(t).position_lps for t in times[:2000]])
+    speeds = np.diff(at, axis=0) / 0.001
+    assert np.abs(np.diff(speeds, axis=0)).max() < 0.5, "the speed changes smoothly, also at a key frame"
+    assert flight.pose_at(-5.0) is not None
+    np.testing.assert_array_equal(flight.pose_at(1e9).lps_from_camera, keys[-1].pose.lps_from_camera)
+
+
+def test_slerp_turns_evenly_about_one_axis():
+    a, b = np.eye(4), np.eye(4)
+    b[:3, :3] = rotation_from_vector(np.array([0.0, 2.0, 0.0]))
+    flight = KeyFrameFlight([KeyFrame(0.0, Pose(a)), KeyFrame(2.0, Pose(b))])
+    half = flight.pose_at(1.0).lps_from_camera
+    np.testing.assert_allclose(half[:3, :3], rotation_from_vector(np.array([0.0, 1.0, 0.0])), atol=1e-12)
+
+
+@pytest.mark.parametrize("times", [[0.0], [0.0, 0.0], [1.0, 0.0], [0.0, math.nan]])
+def test_key_frames_at_no_times_are_refused(times):
+    with pytest.raises(UsageError):
+        KeyFrameFlight([KeyFrame(t, Pose(np.eye(4))) for t in times])
+
+
+def test_a_video_has_as_many_frames_as_its_length_needs():
+    assert len(frame_times_s(2.0, 30.0)) == 60
+    assert len(frame_times_s(0.0, 30.0)) == 1
+    assert all(b > a for a, b in itertools.pairwise(frame_times_s(1.0, 24.0)))
+    assert m.move_to_json(m.Frame(0.1)) == {"move": "Frame", "now_s": 0.1}
