@@ -8,11 +8,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any, assert_never
 
 from carina.errors import CarinaError, UsageError
 from carina.render import Slab
 from carina.server import messages as wire
+from carina.server.device_desk import DeviceDesk
 from carina.server.pointing import Pointing, edit_from_wire
 from carina.server.presenter import (
     picked_message,
@@ -75,7 +77,7 @@ class Outbox:
         """A message that must arrive as it is, in order; of progress and answers to a cursor only the newest."""
         if isinstance(message, wire.Progress):
             self._newest[f"job {message.job_id}"] = wire.encode_message(message)
-        elif isinstance(message, wire.Value | wire.LivePath | wire.BranchDetail):
+        elif isinstance(message, wire.Value | wire.LivePath | wire.BranchDetail | wire.Devices):
             self._newest[message.wire_type] = wire.encode_message(message)
         else:
             if isinstance(message, wire.Done):
@@ -127,6 +129,7 @@ class Hub:
         threads: int = 1,
         simd: str = "",
         patient_citation: str | None = None,
+        recordings: Path | None = None,
     ) -> None:
         self.session = session
         self._uploads = uploads
@@ -139,6 +142,7 @@ class Hub:
         )
         self._thread = threading.Thread(target=self.pump.run, name="carina-frames", daemon=True)
         self._pointing = Pointing(session, self.pump.shown, lambda answer: self._in_loop(self._push, answer))
+        self.devices = DeviceDesk(session, lambda message: self._in_loop(self._push, message), recordings=recordings)
         self._unsubscribe: Callable[[], None] = lambda: None
         self._cache: dict[str, tuple[tuple[object, ...], str]] = {}
 
@@ -150,11 +154,13 @@ class Hub:
         self._unsubscribe = self.session.subscribe(self._on_event)
         self._thread.start()
         self._pointing.start()
+        self.devices.start()
 
     def stop(self) -> None:
         """End the pump's thread and the session's jobs."""
         self._unsubscribe()
         self._pointing.stop()
+        self.devices.stop()
         self.pump.stop()
         if self._thread.is_alive():
             self._thread.join()
@@ -164,6 +170,7 @@ class Hub:
     def attach(self) -> Outbox:
         """A new client takes over; it gets everything."""
         self.pump.new_client()
+        self.devices.forget_client()
         outbox = Outbox()
         if self._outbox is not None:
             self._outbox.nudge()
@@ -297,6 +304,8 @@ class Hub:
         match message:
             case wire.Steer():
                 session.steer(message.advance_mm, message.yaw_rad, message.pitch_rad, message.roll_rad)
+            case wire.DeviceSample():
+                self.devices.handle(message)
             case wire.Ack():
                 self.pump.acknowledge(message.frame_id)
             case wire.Layout():
@@ -416,6 +425,8 @@ class Hub:
                     session.store.accept_notice()
                 if self._outbox is not None:
                     self._outbox.mark("start")
+            case _ if self.devices.handle(message):
+                pass
             case _:
                 raise UsageError(
                     f"{type(message).__name__} cannot be sent after the first message", code="protocol.order"

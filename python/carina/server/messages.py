@@ -103,6 +103,25 @@ from carina.server.messages_from_server import (
     Value,
     Zoom,
 )
+from carina.server.messages_of_devices import (
+    ArmPen,
+    Calibrate,
+    ConnectDevice,
+    DeviceControls,
+    DeviceGone,
+    DeviceInfo,
+    Devices,
+    DeviceSample,
+    DeviceSource,
+    DisconnectDevice,
+    PublishTip,
+    SetControl,
+    SetControls,
+    StartRecording,
+    StopRecording,
+    TakeDevice,
+    WatchDevices,
+)
 from carina.server.messages_of_tree import (
     BranchDetail,
     BranchMeasures,
@@ -125,19 +144,29 @@ __all__ = [
     "AcceptNotice",
     "Ack",
     "AddTarget",
+    "ArmPen",
     "AskBranchDetail",
     "AskLivePath",
     "BranchDetail",
     "BranchMeasures",
     "BranchProfile",
     "BranchTitle",
+    "Calibrate",
     "Cancel",
     "Carm",
     "CaseInfo",
     "ChooseRoute",
     "ClientHello",
     "CloseCase",
+    "ConnectDevice",
     "Demo",
+    "DeviceControls",
+    "DeviceGone",
+    "DeviceInfo",
+    "DeviceSample",
+    "DeviceSource",
+    "Devices",
+    "DisconnectDevice",
     "Done",
     "EditAddBranch",
     "EditBridge",
@@ -174,6 +203,7 @@ __all__ = [
     "PreviousFork",
     "Probe",
     "Progress",
+    "PublishTip",
     "RecentCase",
     "Redo",
     "Reformation",
@@ -185,6 +215,8 @@ __all__ = [
     "Scope",
     "ServerHello",
     "SetCarm",
+    "SetControl",
+    "SetControls",
     "SetCrosshair",
     "SetFov",
     "SetFrameRate",
@@ -205,9 +237,12 @@ __all__ = [
     "SetZoom",
     "Slab",
     "Start",
+    "StartRecording",
     "State",
     "Status",
     "Steer",
+    "StopRecording",
+    "TakeDevice",
     "Target",
     "ToggleMode",
     "Tree",
@@ -218,6 +253,7 @@ __all__ = [
     "Value",
     "ViewName",
     "ViewSize",
+    "WatchDevices",
     "Zoom",
     "encode_message",
     "parse_client_message",
@@ -247,11 +283,12 @@ CLIENT_MESSAGES = _by_type(
     GoTo, NextFork, PreviousFork, Place, LevelHorizon, ResetLook, SetOperator, SetRoot, AddTarget, RemoveTarget,
     ChooseRoute, SetCrosshair, SetWindow, SetFov, SetScope, SetMask, SetTransfer, SetShading, SetTexture, SetMethod,
     SetLumenThreshold, SetOrbit, SetZoom, SetCarm, SetReformation, SetSlab, SetFrameRate, Probe, Pick, AskLivePath,
-    AskBranchDetail, EditTree, Undo, Redo, AcceptNotice,
+    AskBranchDetail, EditTree, Undo, Redo, AcceptNotice, DeviceSample, DeviceGone, TakeDevice, SetControl, SetControls,
+    Calibrate, ArmPen, ConnectDevice, DisconnectDevice, PublishTip, WatchDevices, StartRecording, StopRecording,
 )  # fmt: skip
 SERVER_MESSAGES = _by_type(
     ServerHello, Start, State, Tree, Route, Pose, Value, Picked, LivePath, BranchDetail, Progress, Done, Error, Notice,
-    Status,
+    Status, Devices,
 )  # fmt: skip
 
 
@@ -282,6 +319,10 @@ def parse_client_message(text: str | bytes, *, max_bytes: int = 262_144) -> Any:
         in_picture = [part is not None for part in (message.frame_id, message.column, message.row)]
         if any(in_picture) != all(in_picture) or (message.lps is None) != all(in_picture):
             raise ProtocolError("live_path needs either a point or a place in a picture", code="protocol.choice")
+    if isinstance(message, DeviceSample) and (message.axes is None) != (message.orientation_wxyz is not None):
+        raise ProtocolError("device_sample needs either an orientation or axes", code="protocol.choice")
+    if isinstance(message, DeviceSample) and message.position_mm is not None and message.orientation_wxyz is None:
+        raise ProtocolError("device_sample has a position without an orientation", code="protocol.choice")
     if isinstance(message, Layout) and len({v.view for v in message.views}) != len(message.views):
         raise ProtocolError("layout names a view twice", code="protocol.choice")
     return message

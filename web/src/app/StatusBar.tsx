@@ -11,6 +11,12 @@ import { Act, Tip } from "./controls";
 export function StatusBar() {
   const station = useStation();
   const mode = useApp((state) => state.session?.mode ?? "free");
+  const control = useApp((state) =>
+    state.devices?.devices.some((device) => device.holds) === true && state.session?.mode === "free"
+      ? state.devices.control
+      : null,
+  );
+  const recording = useApp((state) => state.devices?.recording ?? null);
   const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
   const width = useApp((state) => greyWindow(state).width_hu);
   const level = useApp((state) => greyWindow(state).level_hu);
@@ -22,7 +28,8 @@ export function StatusBar() {
       <PaceWords />
       <FineWords />
       <MethodWords />
-      <span>mode: {mode} [M]</span>
+      <span data-testid="mode">mode: {control ?? mode} [M]</span>
+      {recording === null ? null : <span className="warning-text">recording</span>}
       <span className="wide spare">
         {windowWords(width, level)}
         {isHu ? " HU" : ""}

@@ -55,6 +55,14 @@ export function TopBar() {
           })}
         </ol>
       </nav>
+      <Act
+        kind="quiet"
+        label="Devices"
+        words="Gamepad, SpaceMouse, trackers, pens, scope handle; recording"
+        keys=";"
+        testId="open-devices"
+        onPress={() => station.act("devices")}
+      />
       <Act kind="icon" label="?" words="Keys and mouse" keys="?" onPress={() => station.ui({ keyCardOpen: true })} />
     </header>
   );

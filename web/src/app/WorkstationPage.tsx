@@ -3,6 +3,7 @@
 import { AirwayStage } from "./AirwayStage";
 import { BranchList } from "./BranchList";
 import { useApp } from "./context";
+import { DevicePanel } from "./DevicePanel";
 import { PathBar } from "./PathBar";
 import { SideViews } from "./SideViews";
 import { StatusBar } from "./StatusBar";
@@ -11,13 +12,14 @@ import { TopBar } from "./TopBar";
 
 export function WorkstationPage() {
   const full = useApp((state) => state.ui.full);
+  const devicesOpen = useApp((state) => state.ui.devicesOpen);
   const lost = useApp((state) => state.connection.status === "lost" || state.connection.status === "refused");
   return (
     <div className="workstation" data-testid="workstation" data-full={full ?? undefined} data-lost={lost || undefined}>
       <TopBar />
       <aside className="left-panel">
         <BranchList />
-        <StepPanel />
+        {devicesOpen ? <DevicePanel /> : <StepPanel />}
       </aside>
       <main className="pictures">
         <AirwayStage />

@@ -1,6 +1,7 @@
 /** What a cursor or a click on a picture means: a branch, a point in the lumen, a stroke; with a tool in the hand or without. */
 
 import type { PointerPlace } from "../input/pointer";
+import { tipLps } from "../state/app-state";
 import { forkOf } from "../state/fork-choice";
 import { linesOf, lpsAt } from "../state/lines";
 import { LiveAsker, type LiveQuestion } from "../state/live-path";
@@ -8,7 +9,7 @@ import { geometryOf, lpsFromPixel, type PixelPoint } from "../state/projection";
 import { isBrush, strokePoints, wantsBranch, wantsPath } from "../state/tools";
 import { branchAhead, placeFromOutside, placeInLumen, type TreePlace } from "../state/tree-index";
 import { planeUnder } from "../state/tri-plane";
-import { asVec3, type Vec3 } from "../state/vec";
+import { asVec3, distance, type Vec3 } from "../state/vec";
 import { isInside } from "../views/outline";
 import type { Viewport } from "../views/viewport";
 import type { EditTreeMessage, LivePathMessage, PictureHeader } from "../wire/messages";
@@ -34,6 +35,8 @@ export class Pointing {
   /** A click in the airway view whose point the server is asked for. */
   #commitOn: number | null = null;
   #lastAsked = 0;
+  /** Where the pen was when its way was last asked for. */
+  #penAsked: Vec3 | null = null;
   /** A branch clicked from outside, that becomes the route unless a second click follows. */
   #chosen: { timer: ReturnType<typeof setTimeout>; before: number | null } | null = null;
 
@@ -144,6 +147,16 @@ export class Pointing {
     this.#live.reset();
     this.#live.ask({ lps: null, frame_id: header.frame_id, column: pixel.column, row: pixel.row });
     this.#commitOn = this.#lastAsked;
+  }
+
+  /** The pen is in the hand: the way to the tip, while no cursor asks for another. */
+  penAt(): void {
+    const { ui } = this.#station.state;
+    const tip = tipLps(this.#station.state);
+    if (tip === null || ui.cursor !== null || !wantsPath(ui.armed, false)) return;
+    if (this.#penAsked !== null && distance(tip, this.#penAsked) < 0.1) return;
+    this.#penAsked = tip;
+    this.#live.ask({ lps: tip, frame_id: null, column: null, row: null });
   }
 
   /** What is in the hand is used at a point. */

@@ -30,6 +30,7 @@ import type { WallPoint } from "../state/wall-point";
 import { sceneOf } from "../views/scene";
 import { Wall } from "../views/wall";
 import type { ClientMessage, Demo, Mask, PickedMessage, PictureHeader, StateMessage } from "../wire/messages";
+import { BrowserDevices } from "./devices";
 import { Pointing } from "./pointing";
 
 const XRAYS = ["xray-coronal", "xray-sagittal", "xray-axial", "drr"] as const;
@@ -52,6 +53,7 @@ export class Workstation {
   readonly wall: Wall;
   readonly flight: Flight;
   readonly pointing: Pointing;
+  readonly devices: BrowserDevices;
   readonly #stream: Stream;
   readonly #board: PictureBoard<ImageBitmap>;
   /** Newest wish of a kind that only its newest value matters for, sent at the next refresh. */
@@ -92,6 +94,7 @@ export class Workstation {
       advancing: (on) => this.ui({ advancing: on }),
     });
     this.pointing = new Pointing(this);
+    this.devices = new BrowserDevices(this);
     this.#stream = new Stream(
       connect,
       {
@@ -155,6 +158,7 @@ export class Workstation {
     return () => {
       stopKeys();
       stopTouch();
+      this.devices.stop();
       cancelAnimationFrame(refresh);
       clearInterval(counter);
       this.#stream.close();
@@ -291,6 +295,13 @@ export class Workstation {
     return action !== "brush_smaller" && action !== "brush_larger" ? true : isBrush(this.state.ui.armed);
   }
 
+  /** Opens or closes the panel of devices; only while it is open, their values are sent. */
+  toggleDevices(): void {
+    const devicesOpen = !this.state.ui.devicesOpen;
+    this.ui({ devicesOpen });
+    this.send({ type: "watch_devices", on: devicesOpen });
+  }
+
   act = (action: Action): void => this.#actions[action]();
 
   #wallPointAhead(): void {
@@ -363,6 +374,8 @@ export class Workstation {
     window_bone: () => this.#setWindow("window_bone"),
     undo: () => this.send({ type: "undo" }),
     redo: () => this.send({ type: "redo" }),
+    lock_mouse: () => this.devices.lockMouse(),
+    devices: () => this.toggleDevices(),
     key_card: () => this.ui({ keyCardOpen: !this.state.ui.keyCardOpen }),
     wall_point: () => this.#wallPointAhead(),
     leave: () => {
@@ -431,6 +444,7 @@ export class Workstation {
       this.flight.startAuto();
     }
     this.flight.tick(elapsedS);
+    this.devices.tick();
     if (this.#soon.size === 0) return;
     const messages = [...this.#soon.values()];
     this.#soon.clear();
@@ -459,6 +473,7 @@ export class Workstation {
     this.#board.reset();
     this.#pace.reset();
     this.pointing.reset();
+    if (this.state.ui.devicesOpen) this.#stream.send({ type: "watch_devices", on: true });
     this.wall.tellLayout(true);
   }
 

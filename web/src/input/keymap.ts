@@ -40,6 +40,8 @@ export type Action =
   | "window_bone"
   | "undo"
   | "redo"
+  | "lock_mouse"
+  | "devices"
   | "key_card"
   | "leave";
 
@@ -93,7 +95,22 @@ export const KEYMAP: readonly Binding[] = [
     group: "Fly",
     command: press("way_right"),
   },
-  { key: "m", label: "M", words: "Free movement, or along the path", group: "Fly", command: press("toggle_mode") },
+  {
+    key: "m",
+    label: "M",
+    words: "Free, or along the path; with a device: absolute, relative, path",
+    group: "Fly",
+    command: press("toggle_mode"),
+  },
+  {
+    key: "Enter",
+    ctrl: true,
+    label: "Ctrl+Enter",
+    words: "Lock the mouse to the airway picture: it turns the tip (Esc frees it)",
+    group: "Fly",
+    command: press("lock_mouse"),
+  },
+  { key: ";", label: ";", words: "Input devices", group: "Fly", command: press("devices") },
   { key: "ArrowUp", label: "\u2191", words: "Tip up", group: "Look", command: hold("pitch", 1) },
   { key: "ArrowDown", label: "\u2193", words: "Tip down", group: "Look", command: hold("pitch", -1) },
   { key: "a", label: "A", words: "Roll to the left", group: "Look", command: hold("roll", -1) },

@@ -3,6 +3,7 @@
 import type {
   BranchDetailMessage,
   ClientMessage,
+  DevicesMessage,
   Mask,
   PickedMessage,
   PictureHeader,
@@ -92,6 +93,10 @@ export interface Ui {
   /** The point of the patient under it, where the picture tells. */
   readonly pointedLps: Vec3 | null;
   readonly keyCardOpen: boolean;
+  /** The panel of input devices stands in the place of the step's. */
+  readonly devicesOpen: boolean;
+  /** The mouse is locked to the airway picture. */
+  readonly mouseLocked: boolean;
   readonly routeLineVisible: boolean;
   readonly advancing: boolean;
   readonly cursorLps: Vec3 | null;
@@ -121,6 +126,8 @@ export interface AppState {
   /** What was measured along a branch, as last answered. */
   readonly detail: BranchDetailMessage | null;
   readonly upload: Upload | null;
+  /** Input devices, as last told. */
+  readonly devices: DevicesMessage | null;
   readonly ui: Ui;
   readonly local: {
     readonly crosshair: Optimistic<Vec3 | null> | null;
@@ -148,6 +155,7 @@ export const INITIAL_STATE: AppState = {
   livePath: null,
   detail: null,
   upload: null,
+  devices: null,
   ui: {
     step: "open",
     full: null,
@@ -166,6 +174,8 @@ export const INITIAL_STATE: AppState = {
     cursor: null,
     pointedLps: null,
     keyCardOpen: false,
+    devicesOpen: false,
+    mouseLocked: false,
     routeLineVisible: true,
     advancing: false,
     cursorLps: null,
@@ -273,6 +283,8 @@ function receive(state: AppState, message: ServerMessage, nowMs: number): AppSta
       return say(state, { kind: "notice", code: "notice", message: message.message, action: null });
     case "status":
       return { ...state, status: message };
+    case "devices":
+      return { ...state, devices: message };
   }
 }
 
@@ -281,7 +293,7 @@ function sessionChanged(state: AppState, session: StateMessage, nowMs: number): 
   const now = session.case;
   let next: AppState = { ...state, session };
   if (now === null && before !== null) {
-    next = { ...next, livePath: null, detail: null };
+    next = { ...next, livePath: null, detail: null, devices: null };
     next = { ...next, frames: {}, picks: [], pose: null, route: null, tree: null, status: null, local: NOTHING_LOCAL };
     next = { ...next, ui: { ...next.ui, ...NOTHING_HELD, full: null, advancing: false, step: "open" } };
   } else if (now !== null && (before === null || before.title !== now.title)) {

@@ -377,6 +377,101 @@ export interface AcceptNoticeMessage {
   readonly type: "accept_notice";
 }
 
+/** What a device of the window says; second check: either an orientation (with a position or without) or axes. */
+export interface DeviceSampleMessage {
+  readonly type: "device_sample";
+  readonly device: string;
+  readonly time_s: number;
+  readonly position_mm: readonly [number, number, number] | null;
+  readonly orientation_wxyz: readonly [number, number, number, number] | null;
+  readonly axes: readonly number[] | null;
+  readonly buttons: number;
+}
+
+/** A device of the window was unplugged. */
+export interface DeviceGoneMessage {
+  readonly type: "device_gone";
+  readonly device: string;
+}
+
+/** This device moves the tip from now on. */
+export interface TakeDeviceMessage {
+  readonly type: "take_device";
+  readonly device: string;
+}
+
+/** How a device moves the tip: its place (registered), what the hand does, or along the path. */
+export interface SetControlMessage {
+  readonly type: "set_control";
+  readonly control: "absolute" | "relative" | "path";
+}
+
+/** Gains, clutch, speeds and filter of devices. */
+export interface DeviceControls {
+  readonly gain_mm: number;
+  readonly gain_turn: number;
+  readonly clutch: "always" | "hold";
+  readonly speed_mm_s: number;
+  readonly turn_rad_s: number;
+  readonly lever_inverted: boolean;
+  readonly filter_on: boolean;
+  readonly min_cutoff_hz: number;
+}
+
+/** How a device's movement becomes that of the tip. */
+export interface SetControlsMessage {
+  readonly type: "set_controls";
+  readonly controls: DeviceControls;
+}
+
+/** Register a tracker to the patient by pairs of points (3 or more); no pairs forget it. */
+export interface CalibrateMessage {
+  readonly type: "calibrate";
+  readonly device: string;
+  readonly tracker_mm: readonly (readonly [number, number, number])[];
+  readonly patient_lps: readonly (readonly [number, number, number])[];
+}
+
+/** What the pen's first button sets at the tip; null lets it change the way to move. */
+export interface ArmPenMessage {
+  readonly type: "arm_pen";
+  readonly tool: "root" | "target" | null;
+}
+
+/** Connect to a device of this machine: fastrak:PORT, handle:PORT, openigtlink:HOST:PORT. */
+export interface ConnectDeviceMessage {
+  readonly type: "connect_device";
+  readonly address: string;
+}
+
+/** End that connection. */
+export interface DisconnectDeviceMessage {
+  readonly type: "disconnect_device";
+  readonly address: string;
+}
+
+/** Publish the tip by OpenIGTLink on this port of this machine (0: a free one); null ends it. */
+export interface PublishTipMessage {
+  readonly type: "publish_tip";
+  readonly port: number | null;
+}
+
+/** Send `devices` a few times a second, or only when something changes. */
+export interface WatchDevicesMessage {
+  readonly type: "watch_devices";
+  readonly on: boolean;
+}
+
+/** Record the flight to a file of this machine. */
+export interface StartRecordingMessage {
+  readonly type: "start_recording";
+}
+
+/** End the recording. */
+export interface StopRecordingMessage {
+  readonly type: "stop_recording";
+}
+
 /** Answer to the client's hello. */
 export interface ServerHelloMessage {
   readonly type: "hello";
@@ -748,6 +843,46 @@ export interface StatusMessage {
   readonly simd: string;
 }
 
+/** A device that said something. */
+export interface DeviceInfo {
+  readonly device: string;
+  readonly holds: boolean;
+  readonly registered: boolean;
+  readonly residual_mm: number | null;
+  readonly latency_ms: number;
+  readonly num_used: number;
+  readonly num_ignored: number;
+  readonly ignored_words: string;
+  readonly position_mm: readonly [number, number, number] | null;
+  readonly orientation_wxyz: readonly [number, number, number, number] | null;
+  readonly axes: readonly number[];
+  readonly buttons: number;
+}
+
+/** A connection of this machine to a device. */
+export interface DeviceSource {
+  readonly address: string;
+  readonly title: string;
+  readonly state: "connecting" | "live" | "lost" | "stopped";
+  readonly words: string;
+  readonly rate_hz: number;
+  readonly num_bad: number;
+}
+
+/** Input devices, how they move the tip, and what is recorded. */
+export interface DevicesMessage {
+  readonly type: "devices";
+  readonly control: "absolute" | "relative" | "path";
+  readonly filter_latency_ms: number;
+  readonly controls: DeviceControls;
+  readonly devices: readonly DeviceInfo[];
+  readonly sources: readonly DeviceSource[];
+  readonly serial_ports: readonly string[];
+  readonly serial_problem: string | null;
+  readonly published_port: number | null;
+  readonly recording: string | null;
+}
+
 /** A lens in front of this picture. A direction (x, y, z) in camera space falls on center + focal * (x', y').
 
     `brown`, with k1 k2 p1 p2 k3 k4 k5 k6, distorts (x/z, y/z); `fisheye`, with k1 to k4, puts the angle a from the
@@ -840,7 +975,20 @@ export type ClientMessage =
   | EditTreeMessage
   | UndoMessage
   | RedoMessage
-  | AcceptNoticeMessage;
+  | AcceptNoticeMessage
+  | DeviceSampleMessage
+  | DeviceGoneMessage
+  | TakeDeviceMessage
+  | SetControlMessage
+  | SetControlsMessage
+  | CalibrateMessage
+  | ArmPenMessage
+  | ConnectDeviceMessage
+  | DisconnectDeviceMessage
+  | PublishTipMessage
+  | WatchDevicesMessage
+  | StartRecordingMessage
+  | StopRecordingMessage;
 
 export type ServerMessage =
   | ServerHelloMessage
@@ -857,4 +1005,5 @@ export type ServerMessage =
   | DoneMessage
   | ErrorMessage
   | NoticeMessage
-  | StatusMessage;
+  | StatusMessage
+  | DevicesMessage;

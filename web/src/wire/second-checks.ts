@@ -52,6 +52,13 @@ export function clientProblem(message: ClientMessage): string | null {
       return new Set(message.views.map((entry) => entry.view)).size === message.views.length
         ? null
         : "layout names a view twice";
+    case "device_sample":
+      if ((message.axes === null) === (message.orientation_wxyz === null)) {
+        return "device_sample needs either an orientation or axes";
+      }
+      return message.position_mm !== null && message.orientation_wxyz === null
+        ? "device_sample has a position without an orientation"
+        : null;
     case "choose_route":
       return message.target_id !== null && message.branch_id !== null ? "choose_route has two destinations" : null;
     case "set_transfer":

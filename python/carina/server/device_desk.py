@@ -1,0 +1,271 @@
+"""Devices between client, machine and session: connections, the frames in which the tip follows them, what is shown."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from carina.config import load_settings
+from carina.errors import CarinaError, UsageError
+from carina.navigate import AxesSample, Controls, DeviceState, FilterSettings, HandleSample, PoseSample
+from carina.navigate.devices import IgtlServer, Listener, Source, open_source, serial_ports
+from carina.server import messages as wire
+from carina.session import Session
+
+__all__ = ["DeviceDesk"]
+
+# The tip follows devices so often at most: twice the rate of screens, below that of trackers.
+FRAME_S = 1.0 / 125.0
+SHOWN_EVERY_S = 0.2
+MAX_SOURCES = 16
+PICTURE_PX = 512
+
+
+class DeviceDesk:
+    """Owns the connections to devices and the thread that lets the tip follow them.
+
+    Parameters
+    ----------
+    session
+        What is driven.
+    push
+        Sends a message to the client; from any thread.
+    recordings
+        Folder of recordings.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        push: Callable[[Any], None],
+        *,
+        recordings: Path | None = None,
+    ) -> None:
+        self._session = session
+        self._push = push
+        self._recordings = recordings
+        self._sources: dict[str, Source] = {}
+        self._publisher: IgtlServer | None = None
+        self._watched = False
+        self._shown_s = 0.0
+        self._ports: tuple[tuple[str, ...], str | None] = ((), None)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="carina-devices", daemon=True)
+
+    def start(self) -> None:
+        """Begin to follow."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End all connections."""
+        self._ended.set()
+        self._session.device_woken.set()
+        for source in self._sources.values():
+            source.stop()
+        self._sources.clear()
+        if self._publisher is not None:
+            self._publisher.stop()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    # ------------------------------------------------------------ in
+
+    def handle(self, message: Any) -> bool:
+        """Do what a client asks; False if it is not about devices."""
+        session = self._session
+        match message:
+            case wire.DeviceSample():
+                session.device_said(message.device, _sample(message))
+                return True
+            case wire.DeviceGone():
+                session.device_gone(message.device)
+            case wire.TakeDevice():
+                session.take_device(message.device)
+            case wire.SetControl():
+                session.set_control(message.control)
+            case wire.SetControls():
+                session.set_controls(_controls(message.controls))
+            case wire.Calibrate():
+                rms_mm = session.calibrate(
+                    message.device,
+                    [_three(p) for p in message.tracker_mm],
+                    [_three(p) for p in message.patient_lps],
+                )
+                if message.tracker_mm:
+                    words = f"{message.device} is registered; its points are off by {rms_mm:.1f} mm (RMS)"
+                    self._push(wire.Notice(words))
+            case wire.ArmPen():
+                session.arm_pen(message.tool)
+            case wire.ConnectDevice():
+                self._connect(message.address)
+            case wire.DisconnectDevice():
+                source = self._sources.pop(message.address, None)
+                if source is not None:
+                    source.stop()
+                    session.device_gone(message.address)
+            case wire.PublishTip():
+                self._publish(message.port)
+            case wire.WatchDevices():
+                self._watched = message.on
+                if message.on:
+                    self._ports = _ports()
+                session.device_woken.set()
+            case wire.StartRecording():
+                folder = self._recordings or load_settings().state_dir / "recordings"
+                session.start_recording(folder / time.strftime("flight-%Y%m%d-%H%M%S.jsonl"))
+            case wire.StopRecording():
+                session.stop_recording()
+            case _:
+                return False
+        self._show()
+        return True
+
+    def forget_client(self) -> None:
+        """Another window took over: it says itself whether it wants to see devices."""
+        self._watched = False
+
+    def _connect(self, address: str) -> None:
+        if address in self._sources:
+            raise UsageError(f"{address} is connected already", code="devices.address")
+        if len(self._sources) >= MAX_SOURCES:
+            raise UsageError(f"at most {MAX_SOURCES} devices are connected at once", code="devices.address")
+        source = open_source(address, Listener(self._session.device_said, self._session.device_gone))
+        self._sources[address] = source
+        source.start()
+
+    def _publish(self, port: int | None) -> None:
+        if self._publisher is not None:
+            self._publisher.stop()
+            self._publisher = None
+        if port is None:
+            return
+
+        def pose() -> Any:
+            info = self._session.pose_info()
+            return None if info is None else info.pose.lps_from_camera
+
+        self._publisher = IgtlServer(pose, picture=self._picture, port=port)
+        self._publisher.start()
+
+    def _picture(self) -> Any:
+        """The airway view for an OpenIGTLink peer that asks: rendered for it, since it asks rarely."""
+        scene = self._session.scene()
+        return None if scene is None else scene.renderer.render(scene.spec("airway", PICTURE_PX, PICTURE_PX, 1.0)).rgb
+
+    # ------------------------------------------------------------ out
+
+    def message(self) -> wire.Devices | None:
+        """What is shown; None without a case."""
+        info = self._session.devices_info()
+        if info is None:
+            return None
+        controls = info.controls
+        recording = self._session.recording_path
+        return wire.Devices(
+            control=info.control,
+            filter_latency_ms=round(controls.filter.latency_ms, 2),
+            controls=wire.DeviceControls(
+                gain_mm=controls.gain_mm,
+                gain_turn=controls.gain_turn,
+                clutch=controls.clutch,
+                speed_mm_s=controls.speed_mm_s,
+                turn_rad_s=controls.turn_rad_s,
+                lever_inverted=controls.lever_inverted,
+                filter_on=controls.filter.on,
+                min_cutoff_hz=controls.filter.min_cutoff_hz,
+            ),
+            devices=tuple(_device(state) for state in info.devices)[:200],
+            sources=tuple(_source(source) for source in self._sources.copy().values()),
+            serial_ports=self._ports[0],
+            serial_problem=self._ports[1],
+            published_port=None if self._publisher is None else self._publisher.port,
+            recording=None if recording is None else str(recording),
+        )
+
+    def _show(self) -> None:
+        message = self.message()
+        if message is not None:
+            self._push(message)
+
+    def _run(self) -> None:
+        woken, moving = self._session.device_woken, False
+        while not self._ended.is_set():
+            # While nobody says anything and nobody looks, it sleeps.
+            woken.wait(1.0 / 60.0 if moving else SHOWN_EVERY_S if self._watched else None)
+            if self._ended.is_set():
+                return
+            began_s = time.monotonic()
+            moving = self._session.device_frame()
+            if self._watched and began_s - self._shown_s >= SHOWN_EVERY_S:
+                self._shown_s = began_s
+                self._show()
+            # A flood of samples makes no more frames than these.
+            self._ended.wait(max(0.0, FRAME_S - (time.monotonic() - began_s)))
+
+
+def _ports() -> tuple[tuple[str, ...], str | None]:
+    try:
+        return tuple(port["port"] for port in serial_ports())[:200], None
+    except CarinaError as trouble:
+        return (), str(trouble)
+
+
+def _sample(message: wire.DeviceSample) -> PoseSample | AxesSample:
+    if message.orientation_wxyz is not None:
+        w, x, y, z = message.orientation_wxyz
+        at = None if message.position_mm is None else _three(message.position_mm)
+        return PoseSample(message.time_s, at, (w, x, y, z), message.buttons)
+    assert message.axes is not None
+    forward, right, up, yaw, pitch, roll = message.axes
+    return AxesSample(message.time_s, (forward, right, up, yaw, pitch, roll), message.buttons)
+
+
+def _controls(message: wire.DeviceControls) -> Controls:
+    return Controls(
+        gain_mm=message.gain_mm,
+        gain_turn=message.gain_turn,
+        clutch=message.clutch,
+        speed_mm_s=message.speed_mm_s,
+        turn_rad_s=message.turn_rad_s,
+        lever_inverted=message.lever_inverted,
+        filter=FilterSettings(min_cutoff_hz=message.min_cutoff_hz, on=message.filter_on),
+    )
+
+
+def _device(state: DeviceState) -> wire.DeviceInfo:
+    sample = state.sample
+    pen = sample if isinstance(sample, PoseSample) else None
+    axes: tuple[float, ...] = ()
+    if isinstance(sample, AxesSample):
+        axes = sample.axes
+    elif isinstance(sample, HandleSample):
+        axes = (sample.insertion_mm, sample.roll_rad, sample.lever)
+    return wire.DeviceInfo(
+        device=state.device[:200],
+        holds=state.holds,
+        registered=state.registered,
+        residual_mm=None if state.rms_mm is None else round(state.rms_mm, 3),
+        latency_ms=round(state.latency_ms, 2),
+        num_used=state.num_used,
+        num_ignored=sum(state.num_ignored.values()),
+        ignored_words=", ".join(f"{num} for {why}" for why, num in state.num_ignored.items()),
+        position_mm=None if pen is None else pen.position_mm,
+        orientation_wxyz=None if pen is None else pen.orientation_wxyz,
+        axes=axes,
+        buttons=0 if sample is None else sample.buttons,
+    )
+
+
+def _source(source: Source) -> wire.DeviceSource:
+    status = source.status()
+    return wire.DeviceSource(
+        status.address, status.title, status.state, status.words[:4000], status.rate_hz, sum(status.num_bad.values())
+    )
+
+
+def _three(values: Any) -> tuple[float, float, float]:
+    x, y, z = values
+    return float(x), float(y), float(z)

@@ -1,0 +1,219 @@
+"""Messages about input devices and recordings, both ways."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+from carina.server.wire_codec import Length, Range
+from carina.server.wire_fields import Count, PointLps, Words
+
+__all__ = [
+    "ArmPen",
+    "Calibrate",
+    "ConnectDevice",
+    "DeviceControls",
+    "DeviceGone",
+    "DeviceInfo",
+    "DeviceSample",
+    "DeviceSource",
+    "Devices",
+    "DisconnectDevice",
+    "PublishTip",
+    "SetControl",
+    "SetControls",
+    "StartRecording",
+    "StopRecording",
+    "TakeDevice",
+    "WatchDevices",
+]
+
+DeviceName = Annotated[str, Length(1, 200)]
+Control = Literal["absolute", "relative", "path"]
+# Wide: what a device says too much is ignored and counted, and does not end the connection.
+Wide = Annotated[float, Range(-1e300, 1e300)]
+Three = Annotated[tuple[Wide, ...], Length(3, 3)]
+Four = Annotated[tuple[Wide, ...], Length(4, 4)]
+Six = Annotated[tuple[Wide, ...], Length(6, 6)]
+Buttons = Annotated[int, Range(0, 2**32 - 1)]
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSample:
+    """What a device of the window says; second check: either an orientation (with a position or without) or axes."""
+
+    wire_type: ClassVar[str] = "device_sample"
+    device: DeviceName
+    time_s: Wide
+    """The device's clock, or the page's."""
+    position_mm: Three | None
+    """In the device's own space; null for a device that knows only how it is turned."""
+    orientation_wxyz: Four | None
+    """``device_from_pen``; the pen's axes are right, down, forward."""
+    axes: Six | None
+    """Forward, right, up, yaw right, pitch up, roll clockwise, -1 to 1 of full speed."""
+    buttons: Buttons
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceGone:
+    """A device of the window was unplugged."""
+
+    wire_type: ClassVar[str] = "device_gone"
+    device: DeviceName
+
+
+@dataclass(frozen=True, slots=True)
+class TakeDevice:
+    """This device moves the tip from now on."""
+
+    wire_type: ClassVar[str] = "take_device"
+    device: DeviceName
+
+
+@dataclass(frozen=True, slots=True)
+class SetControl:
+    """How a device moves the tip: its place (registered), what the hand does, or along the path."""
+
+    wire_type: ClassVar[str] = "set_control"
+    control: Control
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceControls:
+    """Gains, clutch, speeds and filter of devices."""
+
+    gain_mm: Annotated[float, Range(0.01, 100.0)]
+    gain_turn: Annotated[float, Range(0.01, 100.0)]
+    clutch: Literal["always", "hold"]
+    speed_mm_s: Annotated[float, Range(0.1, 500.0)]
+    turn_rad_s: Annotated[float, Range(0.01, 10.0)]
+    lever_inverted: bool
+    filter_on: bool
+    min_cutoff_hz: Annotated[float, Range(0.1, 1000.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class SetControls:
+    """How a device's movement becomes that of the tip."""
+
+    wire_type: ClassVar[str] = "set_controls"
+    controls: DeviceControls
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrate:
+    """Register a tracker to the patient by pairs of points (3 or more); no pairs forget it."""
+
+    wire_type: ClassVar[str] = "calibrate"
+    device: DeviceName
+    tracker_mm: Annotated[tuple[Three, ...], Length(0, 100)]
+    patient_lps: Annotated[tuple[PointLps, ...], Length(0, 100)]
+
+
+@dataclass(frozen=True, slots=True)
+class ArmPen:
+    """What the pen's first button sets at the tip; null lets it change the way to move."""
+
+    wire_type: ClassVar[str] = "arm_pen"
+    tool: Literal["root", "target"] | None
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectDevice:
+    """Connect to a device of this machine: fastrak:PORT, handle:PORT, openigtlink:HOST:PORT."""
+
+    wire_type: ClassVar[str] = "connect_device"
+    address: DeviceName
+
+
+@dataclass(frozen=True, slots=True)
+class DisconnectDevice:
+    """End that connection."""
+
+    wire_type: ClassVar[str] = "disconnect_device"
+    address: DeviceName
+
+
+@dataclass(frozen=True, slots=True)
+class PublishTip:
+    """Publish the tip by OpenIGTLink on this port of this machine (0: a free one); null ends it."""
+
+    wire_type: ClassVar[str] = "publish_tip"
+    port: Annotated[int, Range(0, 65_535)] | None
+
+
+@dataclass(frozen=True, slots=True)
+class WatchDevices:
+    """Send ``devices`` a few times a second, or only when something changes."""
+
+    wire_type: ClassVar[str] = "watch_devices"
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StartRecording:
+    """Record the flight to a file of this machine."""
+
+    wire_type: ClassVar[str] = "start_recording"
+
+
+@dataclass(frozen=True, slots=True)
+class StopRecording:
+    """End the recording."""
+
+    wire_type: ClassVar[str] = "stop_recording"
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceInfo:
+    """A device that said something."""
+
+    device: DeviceName
+    holds: bool
+    """It moves the tip."""
+    registered: bool
+    residual_mm: float | None
+    """Of the registration, root mean square."""
+    latency_ms: float
+    """Of the filter, for the newest sample."""
+    num_used: Count
+    num_ignored: Count
+    ignored_words: Words
+    position_mm: Three | None
+    """Filtered, in the device's own space."""
+    orientation_wxyz: Four | None
+    axes: Annotated[tuple[Wide, ...], Length(0, 6)]
+    """Of sticks; insertion in mm, roll in rad and lever of a handle."""
+    buttons: Buttons
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSource:
+    """A connection of this machine to a device."""
+
+    address: DeviceName
+    title: Words
+    state: Literal["connecting", "live", "lost", "stopped"]
+    words: Words
+    rate_hz: float
+    num_bad: Count
+
+
+@dataclass(frozen=True, slots=True)
+class Devices:
+    """Input devices, how they move the tip, and what is recorded."""
+
+    wire_type: ClassVar[str] = "devices"
+    control: Control
+    filter_latency_ms: float
+    """At rest: the most that the filter delays."""
+    controls: DeviceControls
+    devices: Annotated[tuple[DeviceInfo, ...], Length(0, 200)]
+    sources: Annotated[tuple[DeviceSource, ...], Length(0, 50)]
+    serial_ports: Annotated[tuple[Words, ...], Length(0, 200)]
+    serial_problem: Words | None
+    """Why devices at serial ports cannot be used."""
+    published_port: Annotated[int, Range(0, 65_535)] | None
+    recording: Words | None
+    """The file that is being recorded to."""

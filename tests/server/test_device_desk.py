@@ -1,0 +1,184 @@
+"""Devices over the wire: samples move the tip at their own pace, connections live and die, and all of it is shown."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from carina.errors import UsageError
+from carina.navigate.devices.scope_handle import format_line
+from carina.server import messages as wire
+from carina.server.device_desk import DeviceDesk
+from simulated_serial import PseudoPort, sending, wait_for
+from small_case import small_bench
+
+if sys.platform == "win32":
+    pytest.skip("there are no pseudo-terminals on Windows", allow_module_level=True)
+
+CONTROLS = wire.DeviceControls(
+    gain_mm=1.0,
+    gain_turn=1.0,
+    clutch="always",
+    speed_mm_s=25.0,
+    turn_rad_s=1.0,
+    lever_inverted=False,
+    filter_on=True,
+    min_cutoff_hz=20.0,
+)
+
+
+def stick(time_s: float, *axes: float) -> wire.DeviceSample:
+    return wire.DeviceSample("stick", time_s, None, None, (*axes, *(0.0,) * (6 - len(axes))), 0)
+
+
+def pen(time_s: float, at: tuple[float, float, float], buttons: int = 0) -> wire.DeviceSample:
+    return wire.DeviceSample("pen", time_s, at, (1.0, 0.0, 0.0, 0.0), None, buttons)
+
+
+@pytest.fixture
+def desk(tmp_path):
+    """A desk over the small case, with its session and what it sent."""
+    bench = small_bench()
+    bench.session._clock = time.monotonic  # the desk's thread keeps the real time
+    bench.open()
+    sent: list[object] = []
+    made = DeviceDesk(bench.session, sent.append, recordings=tmp_path / "recordings")
+    made.start()
+    yield made, bench, sent
+    made.stop()
+    bench.session.close()
+
+
+def test_a_stick_flies_while_it_is_held_and_stops_with_it(desk):
+    made, bench, _ = desk
+    began = time.monotonic()
+    while time.monotonic() - began < 0.4:
+        made.handle(stick(time.monotonic(), 1.0))
+        time.sleep(0.016)
+    made.handle(stick(time.monotonic(), 0.0))
+    at = bench.session.pose_info().path_mm
+    assert 4.0 < at < 14.0  # 25 mm/s for 0.4 s, on a machine that may be busy
+    wait_for(lambda: not bench.session.device_woken.is_set())
+    at = bench.session.pose_info().path_mm
+    time.sleep(0.1)
+    assert bench.session.pose_info().path_mm == at
+
+
+def test_a_flood_makes_no_more_poses_than_frames(desk):
+    made, bench, _ = desk
+    first = bench.session.pose_info().pose_id
+    began, n = time.monotonic(), 0
+    while time.monotonic() - began < 0.5:
+        made.handle(stick(time.monotonic(), 1.0))
+        n += 1
+    poses = bench.session.pose_info().pose_id - first
+    assert n > 500
+    assert poses <= 0.6 * 125 + 2
+
+
+def test_what_a_device_says_wrongly_is_counted_and_said_once(desk):
+    made, bench, _ = desk
+    made.handle(pen(1.0, (0.0, 0.0, 0.0)))
+    for n in range(50):
+        made.handle(wire.DeviceSample("pen", 1.0 + n, (1e300, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), None, 0))
+    message = made.message()
+    assert message is not None
+    (device,) = message.devices
+    assert (device.num_used, device.num_ignored) == (1, 50)
+    assert "50 for" in device.ignored_words
+    assert sum("ignored" in getattr(e, "message", "") for e in bench.events) == 1
+    wire.encode_message(message)
+
+
+def test_calibration_is_answered_with_its_residual_and_bad_pairs_are_refused(desk):
+    made, bench, sent = desk
+    made.handle(pen(1.0, (0.0, 0.0, 0.0)))
+    points = ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (0.0, 50.0, 0.0))
+    made.handle(wire.Calibrate("pen", points, points))
+    assert any(isinstance(m, wire.Notice) and "0.0 mm" in m.message for m in sent)
+    made.handle(wire.SetControl("absolute"))
+    assert made.message().control == "absolute"
+    with pytest.raises(UsageError, match="line"):
+        made.handle(wire.Calibrate("pen", points[:1] * 3, points))
+    assert made.message().devices[0].registered
+    made.handle(wire.Calibrate("pen", (), ()))
+    assert made.message().control == "relative"
+    assert bench.session.pose_info() is not None
+
+
+def test_the_pens_button_sets_a_target_where_the_tip_is(desk):
+    made, bench, _ = desk
+    bench.session.go_to(20.0)
+    made.handle(wire.ArmPen("target"))
+    made.handle(pen(1.0, (0.0, 0.0, 0.0)))
+    made.handle(pen(1.1, (0.0, 0.0, 0.0), buttons=1))
+    bench.background.run_all()
+    (target,) = bench.session.snapshot().document.targets
+    np.testing.assert_allclose(target.lps, bench.session.pose_info().pose.position_lps, atol=1e-9)
+    made.handle(wire.ArmPen(None))
+
+
+def test_the_stick_chooses_the_way_at_a_fork_and_the_route_follows(desk):
+    made, bench, _ = desk
+    session = bench.session
+    (trachea, *_) = session.snapshot().document.route.spans
+    session.go_to(trachea.to_mm - 3.0)
+    assert session.snapshot().document.route.branch_id == 3
+    began = time.monotonic()
+    while session.snapshot().document.route.branch_id == 3 and time.monotonic() - began < 5.0:
+        # The patient's left is on the left of the picture (operator at the head).
+        made.handle(stick(time.monotonic(), 1.0, 0.0, 0.0, -1.0))
+        time.sleep(0.016)
+    assert session.snapshot().document.route.branch_id == 2
+    assert session.snapshot().mode == "path"
+    assert session.snapshot().undo_label is None, "a flight is no change that undo takes back"
+
+
+def test_a_handle_is_connected_shown_and_disconnected(desk):
+    made, bench, sent = desk
+    port = PseudoPort()
+    address = f"handle:{port.path}"
+    try:
+        made.handle(wire.WatchDevices(True))
+        made.handle(wire.ConnectDevice(address))
+        with pytest.raises(UsageError, match="connected already"):
+            made.handle(wire.ConnectDevice(address))
+        before = bench.session.pose_info().path_mm
+        with sending(lambda n: format_line(n, 10 * n, 0.2 * n), port, rate_hz=100.0):
+            wait_for(lambda: bench.session.pose_info().path_mm > before + 5.0)
+            wait_for(lambda: any(isinstance(m, wire.Devices) and m.sources and m.sources[0].rate_hz > 50 for m in sent))
+        made.handle(wire.DisconnectDevice(address))
+        assert made.message().sources == ()
+        made.handle(wire.WatchDevices(False))
+    finally:
+        port.unplug()
+
+
+def test_the_tip_is_published_and_recordings_are_made(desk, tmp_path):
+    made, _, _ = desk
+    made.handle(wire.PublishTip(0))
+    port = made.message().published_port
+    assert port
+    made.handle(wire.PublishTip(None))
+    assert made.message().published_port is None
+    made.handle(wire.StartRecording())
+    assert made.message().recording is not None
+    made.handle(wire.StopRecording())
+    assert made.message().recording is None
+    assert len(list((tmp_path / "recordings").glob("*.jsonl"))) == 1
+
+
+def test_controls_change_the_filters_delay_that_is_shown(desk):
+    made, _, _ = desk
+    assert made.message().filter_latency_ms <= 10.0
+    made.handle(wire.SetControls(wire.DeviceControls(**{**vars_of(CONTROLS), "min_cutoff_hz": 5.0})))
+    assert made.message().filter_latency_ms == pytest.approx(1000 / (2 * math.pi * 5.0), abs=0.01)
+    assert made.handle(wire.Undo()) is False
+
+
+def vars_of(value) -> dict:
+    return {name: getattr(value, name) for name in value.__dataclass_fields__}

@@ -1,0 +1,314 @@
+/** Input devices: what is there, what it says, how it moves the tip, and where its space lies in the patient. */
+
+import { useState } from "react";
+import {
+  Button,
+  Input,
+  Label,
+  ListBox,
+  ListBoxItem,
+  Popover,
+  Select,
+  SelectValue,
+  TextField,
+} from "react-aria-components";
+import { crosshairLps, tipLps } from "../state/app-state";
+import { coordinates, fixed, plural } from "../state/format";
+import { asVec3 } from "../state/vec";
+import type { DeviceControls, DeviceInfo, DevicesMessage } from "../wire/messages";
+import { useApp, useStation } from "./context";
+import { Act, SwitchKey } from "./controls";
+import type { CalibrationPair } from "./devices";
+
+const CONTROLS = [
+  ["absolute", "Absolute", "The pen's place in the patient; needs a calibration"],
+  ["relative", "Relative", "What the hand does, the tip does"],
+  ["path", "Path", "Forward along the path; turns are a free look"],
+] as const;
+const MIN_PAIRS = 3;
+
+export function DevicePanel() {
+  const station = useStation();
+  const told = useApp((state) => state.devices);
+  const missing = station.devices.missing();
+  return (
+    <section className="step-panel device-panel" aria-label="Devices" data-testid="device-panel">
+      <div className="panel-head">
+        <h2>Devices</h2>
+        <Act kind="quiet" label="Close" words="Back to the step" keys=";" onPress={() => station.act("devices")} />
+      </div>
+      <div className="step-body">
+        {told === null ? (
+          <p className="quiet">Open a case first: devices move the tip in it.</p>
+        ) : (
+          <>
+            <Movement told={told} />
+            {told.devices.length === 0 ? (
+              <p className="quiet">Nothing has moved yet. Push a stick, or connect a device below.</p>
+            ) : (
+              told.devices.map((device) => <Device key={device.device} device={device} />)
+            )}
+            <Connections told={told} />
+            <Recording told={told} />
+          </>
+        )}
+        <p className="quiet">
+          Gamepads are found by themselves: press one of their buttons.
+          {missing.length === 0 ? "" : ` This browser offers ${missing.join(", ")}.`}
+        </p>
+      </div>
+    </section>
+  );
+}
+
+function Movement({ told }: { told: DevicesMessage }) {
+  const station = useStation();
+  const change = (changed: Partial<DeviceControls>) =>
+    station.send({ type: "set_controls", controls: { ...told.controls, ...changed } });
+  return (
+    <div className="group">
+      <fieldset className="choices" aria-label="How a device moves the tip">
+        {CONTROLS.map(([name, title, words]) => (
+          <SwitchKey
+            key={name}
+            words={words}
+            label={title}
+            on={told.control === name}
+            testId={`control-${name}`}
+            onChange={() => station.send({ type: "set_control", control: name })}
+          />
+        ))}
+      </fieldset>
+      <p className="numbers">
+        filter {fixed(told.filter_latency_ms, 1)} ms
+        <SwitchKey
+          words="Smooth the tremor of pens; its delay stands beside it"
+          label={told.controls.filter_on ? "on" : "off"}
+          on={told.controls.filter_on}
+          onChange={() => change({ filter_on: !told.controls.filter_on })}
+        />
+      </p>
+      <Slide
+        words="Steadier"
+        unit="Hz"
+        value={told.controls.min_cutoff_hz}
+        choices={[2, 5, 10, 20, 50]}
+        onChange={(min_cutoff_hz) => change({ min_cutoff_hz })}
+      />
+      <Slide
+        words="Gain"
+        unit="x"
+        value={told.controls.gain_mm}
+        choices={[0.25, 0.5, 1, 2, 4]}
+        onChange={(gain_mm) => change({ gain_mm })}
+      />
+      <Slide
+        words="Speed"
+        unit="mm/s"
+        value={told.controls.speed_mm_s}
+        choices={[5, 10, 25, 50]}
+        onChange={(speed_mm_s) => change({ speed_mm_s })}
+      />
+      <SwitchKey
+        words="Lever down moves the tip down, unlike on a real scope"
+        label="Invert lever"
+        on={told.controls.lever_inverted}
+        onChange={() => change({ lever_inverted: !told.controls.lever_inverted })}
+      />
+      <SwitchKey
+        words="The hand moves the tip only while button 2 is held"
+        label="Clutch held"
+        on={told.controls.clutch === "hold"}
+        onChange={() => change({ clutch: told.controls.clutch === "hold" ? "always" : "hold" })}
+      />
+    </div>
+  );
+}
+
+interface SlideProps {
+  words: string;
+  unit: string;
+  value: number;
+  choices: readonly number[];
+  onChange: (value: number) => void;
+}
+
+function Slide({ words, unit, value, choices, onChange }: SlideProps) {
+  const known = choices.includes(value) ? choices : [...choices, value].sort((a, b) => a - b);
+  return (
+    <Select
+      className="select"
+      selectedKey={String(value)}
+      onSelectionChange={(key) => (key === null || Number(key) === value ? undefined : onChange(Number(key)))}
+    >
+      <Label>{words}</Label>
+      <Button className="plain-text">
+        <SelectValue>{() => `${value} ${unit}`}</SelectValue>
+      </Button>
+      <Popover className="popover" offset={4}>
+        <ListBox className="listbox">
+          {known.map((choice) => (
+            <ListBoxItem key={choice} id={String(choice)} textValue={`${choice} ${unit}`} className="listbox-item">
+              {choice} {unit}
+            </ListBoxItem>
+          ))}
+        </ListBox>
+      </Popover>
+    </Select>
+  );
+}
+
+function Device({ device }: { device: DeviceInfo }) {
+  const station = useStation();
+  return (
+    <article className="group device" data-testid="device" data-holds={device.holds || undefined}>
+      <h3>{device.device}</h3>
+      <p className="numbers">{valueWords(device)}</p>
+      <p className="quiet numbers">
+        filter {fixed(device.latency_ms, 1)} ms, {plural(device.num_used, "sample")}
+        {device.num_ignored === 0 ? "" : `, ${device.num_ignored} ignored (${device.ignored_words})`}
+      </p>
+      {device.holds ? (
+        <p>Moves the tip.</p>
+      ) : (
+        <Act
+          label="Use"
+          words="Let this device move the tip"
+          onPress={() => station.send({ type: "take_device", device: device.device })}
+        />
+      )}
+      {device.position_mm === null ? null : <Calibration device={device} />}
+    </article>
+  );
+}
+
+function valueWords(device: DeviceInfo): string {
+  const buttons = device.buttons === 0 ? "" : `, buttons ${device.buttons.toString(2)}`;
+  if (device.position_mm !== null) {
+    return `${device.position_mm.map((v) => fixed(v, 1)).join("  ")} mm${buttons}`;
+  }
+  if (device.orientation_wxyz !== null) return `turned ${device.orientation_wxyz.map((v) => fixed(v, 2)).join("  ")}`;
+  return `${device.axes.map((v) => fixed(v, 2)).join("  ")}${buttons}`;
+}
+
+/** Pairs of points: hold the pen at a place, put the crosshair there, take the pair. */
+function Calibration({ device }: { device: DeviceInfo }) {
+  const station = useStation();
+  const [pairs, setPairs] = useState<readonly CalibrationPair[]>([]);
+  const place = useApp((state) => crosshairLps(state) ?? tipLps(state));
+  const take = () => {
+    if (device.position_mm === null || place === null) return;
+    setPairs([...pairs, { tracker: asVec3(device.position_mm), patient: place }]);
+  };
+  const register = () => {
+    station.send({
+      type: "calibrate",
+      device: device.device,
+      tracker_mm: pairs.map((pair) => pair.tracker),
+      patient_lps: pairs.map((pair) => pair.patient),
+    });
+    setPairs([]);
+  };
+  return (
+    <details className="calibration">
+      <summary>
+        {device.registered
+          ? `Calibrated${device.residual_mm === null ? "" : `, ${fixed(device.residual_mm, 1)} mm off`}`
+          : "Calibrate"}
+      </summary>
+      <p className="quiet">
+        Hold the pen at a place, put the crosshair on it, take the pair. Three or more, not on one line.
+      </p>
+      {pairs.map((pair, n) => (
+        // biome-ignore lint/suspicious/noArrayIndexKey: pairs are only ever added at the end
+        <p className="numbers" key={n}>
+          {n + 1}: {pair.tracker.map((v) => fixed(v, 1)).join(" ")} {"\u2192"} {coordinates(pair.patient)}
+        </p>
+      ))}
+      <div className="row">
+        <Act label="Take pair" words="The pen is at the crosshair" testId="take-pair" onPress={take} />
+        <Act
+          label="Register"
+          words="Find the map from the tracker to the patient"
+          disabled={pairs.length < MIN_PAIRS}
+          testId="register"
+          onPress={register}
+        />
+        <Act
+          kind="quiet"
+          label="Forget"
+          words="Forget pairs and calibration"
+          onPress={() => {
+            setPairs([]);
+            station.send({ type: "calibrate", device: device.device, tracker_mm: [], patient_lps: [] });
+          }}
+        />
+      </div>
+    </details>
+  );
+}
+
+function Connections({ told }: { told: DevicesMessage }) {
+  const station = useStation();
+  const [address, setAddress] = useState("");
+  const connect = () => {
+    if (address !== "" && station.send({ type: "connect_device", address })) setAddress("");
+  };
+  return (
+    <div className="group">
+      <h3>Connections</h3>
+      {told.sources.map((source) => (
+        <p key={source.address} data-testid="source">
+          {source.title}, {source.address}: {source.state}
+          {source.state === "live" ? `, ${fixed(source.rate_hz)} Hz` : ""}
+          {source.num_bad === 0 ? "" : `, ${source.num_bad} bad`} {source.words}
+          <Act
+            kind="quiet"
+            label="Disconnect"
+            words={`End the connection to ${source.address}`}
+            onPress={() => station.send({ type: "disconnect_device", address: source.address })}
+          />
+        </p>
+      ))}
+      <TextField className="field" value={address} onChange={setAddress} aria-label="Device to connect to">
+        <Input
+          placeholder="fastrak:PORT, handle:PORT, openigtlink:HOST:18944"
+          onKeyDown={(event) => (event.key === "Enter" ? connect() : undefined)}
+        />
+      </TextField>
+      <div className="row">
+        <Act label="Connect" words="Connect to this device" disabled={address === ""} onPress={connect} />
+        <Act
+          label="SpaceMouse"
+          words="Choose a SpaceMouse; the browser asks which"
+          onPress={() => void station.devices.askSpaceMouse()}
+        />
+      </div>
+      {told.serial_problem === null ? null : <p className="quiet">{told.serial_problem}</p>}
+      {told.serial_ports.length === 0 ? null : <p className="quiet">Serial ports: {told.serial_ports.join(", ")}</p>}
+      <SwitchKey
+        words="Publish the tip to 3D Slicer by OpenIGTLink on port 18944 of this machine"
+        label={told.published_port === null ? "Publish the tip" : `Published on port ${told.published_port}`}
+        on={told.published_port !== null}
+        onChange={() => station.send({ type: "publish_tip", port: told.published_port === null ? 18944 : null })}
+      />
+    </div>
+  );
+}
+
+function Recording({ told }: { told: DevicesMessage }) {
+  const station = useStation();
+  return (
+    <div className="group">
+      <h3>Recording</h3>
+      <SwitchKey
+        words="Record the flight to a file of this machine; carina fly makes a video of it"
+        label={told.recording === null ? "Record the flight" : "Stop"}
+        on={told.recording !== null}
+        testId="record"
+        onChange={() => station.send({ type: told.recording === null ? "start_recording" : "stop_recording" })}
+      />
+      {told.recording === null ? null : <p className="quiet path">{told.recording}</p>}
+    </div>
+  );
+}

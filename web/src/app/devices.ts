@@ -1,0 +1,127 @@
+/** Devices of the browser: finds them, reads them once per refresh, and hands what they say to Carina. */
+
+import { Gamepads, type Pad } from "../input/devices/gamepad";
+import { hasPointerLock, PointerLock } from "../input/devices/pointer-lock";
+import { type Hid, SPACEMOUSE_FILTERS, SpaceMouse } from "../input/devices/spacemouse";
+import { WHEEL_MM_PER_PX } from "../input/flight";
+import type { Vec3 } from "../state/vec";
+import type { Workstation } from "./workstation";
+
+const BUMP = { strength: 0.6, ms: 120 } as const;
+
+/** A place that the pen was held at, and the place in the patient that it showed. */
+export interface CalibrationPair {
+  readonly tracker: Vec3;
+  readonly patient: Vec3;
+}
+
+export class BrowserDevices {
+  readonly #station: Workstation;
+  readonly #pads: Gamepads;
+  readonly #lock: PointerLock;
+  #mouse: SpaceMouse | null = null;
+  #wasInside = true;
+  #armed: "root" | "target" | null = null;
+
+  constructor(station: Workstation) {
+    this.#station = station;
+    const nowS = () => performance.now() / 1000;
+    this.#pads = new Gamepads({
+      pads: () => ("getGamepads" in navigator ? (navigator.getGamepads() as readonly (Pad | null)[]) : []),
+      nowS,
+      send: (message) => void station.send(message),
+      act: (action) => station.act(action),
+      enabled: () => station.state.session?.case != null && station.state.start?.notice_accepted !== false,
+    });
+    this.#lock = new PointerLock(document, {
+      look: (yaw_rad, pitch_rad) => station.flight.nudge({ yaw_rad, pitch_rad }),
+      wheel: (px) => station.flight.nudge({ advance_mm: -px * WHEEL_MM_PER_PX }),
+      changed: (mouseLocked) => station.ui({ mouseLocked }),
+      refused: (why) => station.notice(`The mouse could not be locked: ${why}.`),
+    });
+  }
+
+  /** What this browser does not offer, in words. */
+  missing(): readonly string[] {
+    const words: string[] = [];
+    if (!("getGamepads" in navigator)) words.push("no gamepads");
+    if (this.#hid() === null) words.push("no SpaceMouse (WebHID: Chrome, Edge and Chromium have it)");
+    if (!hasPointerLock(document)) words.push("no locking of the mouse");
+    if (!("vibrationActuator" in globalThis || "GamepadHapticActuator" in globalThis)) words.push("no rumble");
+    return words;
+  }
+
+  get names(): readonly string[] {
+    return [...this.#pads.names, ...(this.#mouse === null ? [] : [this.#mouse.name])];
+  }
+
+  tick(): void {
+    this.#pads.tick();
+    this.#mouse?.tick();
+    const inside = this.#station.state.pose?.inside ?? true;
+    // The tip has met the wall.
+    if (this.#wasInside && !inside) this.#pads.rumble(BUMP.strength, BUMP.ms);
+    this.#wasInside = inside;
+    this.#armPen();
+  }
+
+  lockMouse(): void {
+    const canvas = document.querySelector<HTMLElement>("canvas[data-view=airway]");
+    if (canvas !== null) void this.#lock.request(canvas);
+  }
+
+  /** The browser asks which device; needs a click. */
+  async askSpaceMouse(): Promise<void> {
+    const hid = this.#hid();
+    if (hid === null) return;
+    try {
+      const [device] = await hid.requestDevice({ filters: SPACEMOUSE_FILTERS });
+      if (device === undefined) return;
+      const station = this.#station;
+      const mouse = new SpaceMouse(
+        device,
+        (message) => void station.send(message),
+        () => performance.now() / 1000,
+      );
+      if (!mouse.hasAxes) {
+        station.notice(`${device.productName} has no axes to fly with.`);
+        return;
+      }
+      await this.#mouse?.close();
+      await mouse.open();
+      this.#mouse = mouse;
+      hid.addEventListener("disconnect", (event) => {
+        if ((event as Event & { device?: unknown }).device === device && this.#mouse === mouse) {
+          this.#mouse = null;
+          station.send({ type: "device_gone", device: mouse.name });
+        }
+      });
+    } catch (trouble) {
+      this.#station.notice(`The SpaceMouse could not be opened: ${trouble instanceof Error ? trouble.message : ""}.`);
+    }
+  }
+
+  stop(): void {
+    this.#lock.stop();
+    void this.#mouse?.close();
+    this.#mouse = null;
+  }
+
+  /** While root or target are in the hand, the pen's button sets them, and the way there is shown (paper 6.3). */
+  #armPen(): void {
+    const { armed } = this.#station.state.ui;
+    const tool = armed === "root" || armed === "target" ? armed : null;
+    const pen = this.#station.state.devices?.devices.some((device) => device.holds && device.position_mm !== null);
+    if (tool === this.#armed) {
+      if (tool !== null && pen === true) this.#station.pointing.penAt();
+      return;
+    }
+    this.#armed = tool;
+    if (this.#station.state.session?.case != null) this.#station.send({ type: "arm_pen", tool });
+  }
+
+  #hid(): Hid | null {
+    const { hid } = navigator as Navigator & { hid?: Hid };
+    return hid ?? null;
+  }
+}

@@ -1,0 +1,126 @@
+/** Gamepads: sticks and triggers fly, buttons do what keys do, and the pad shakes when the tip meets the wall. */
+
+import type { ClientMessage } from "../../wire/messages";
+import type { Action } from "../keymap";
+
+export type SixAxes = readonly [number, number, number, number, number, number];
+export const AT_REST: SixAxes = [0, 0, 0, 0, 0, 0];
+
+/** What of the browser's `Gamepad` is read. */
+export interface Pad {
+  readonly index: number;
+  readonly id: string;
+  readonly connected: boolean;
+  readonly mapping: string;
+  readonly axes: readonly number[];
+  readonly buttons: readonly { readonly pressed: boolean; readonly value: number }[];
+  readonly vibrationActuator?: { playEffect?(kind: string, effect: object): Promise<unknown> } | null;
+}
+
+export interface PadSurroundings {
+  pads(): readonly (Pad | null)[];
+  nowS(): number;
+  send(message: ClientMessage): void;
+  act(action: Action): void;
+  enabled(): boolean;
+}
+
+/** A stick's rest: worn ones stand this far off. */
+const DEAD = 0.12;
+/** Buttons of the standard mapping, by the key's action. */
+const BUTTON_ACTIONS: ReadonlyMap<number, Action> = new Map([
+  [0, "auto_advance"],
+  [1, "previous_fork"],
+  [2, "level_horizon"],
+  [3, "toggle_mode"],
+  [8, "reset_look"],
+  [14, "way_left"],
+  [15, "way_right"],
+]);
+const WITHDRAW = 6;
+const ADVANCE = 7;
+
+/** Beyond the rest from 0 again, and finer near it: half the way is a quarter of the speed. */
+export function shaped(value: number): number {
+  if (!Number.isFinite(value)) return 0;
+  const beyond = (Math.min(Math.abs(value), 1) - DEAD) / (1 - DEAD);
+  return beyond <= 0 ? 0 : Math.sign(value) * beyond * beyond;
+}
+
+/** Left stick: forward and roll. Right stick: where the tip looks. Triggers: withdraw and advance. */
+export function padAxes(pad: Pad): SixAxes {
+  const stick = (n: number) => shaped(pad.axes[n] ?? 0);
+  const trigger = (n: number) => shaped(pad.buttons[n]?.value ?? 0);
+  const forward = Math.max(-1, Math.min(1, -stick(1) + trigger(ADVANCE) - trigger(WITHDRAW)));
+  // + 0: no -0 on the wire.
+  return [forward + 0, 0, 0, stick(2) + 0, -stick(3) + 0, stick(0) + 0];
+}
+
+export class Gamepads {
+  readonly #around: PadSurroundings;
+  readonly #moving = new Set<number>();
+  readonly #pressed = new Map<number, ReadonlySet<number>>();
+  readonly #names = new Map<number, string>();
+
+  constructor(around: PadSurroundings) {
+    this.#around = around;
+  }
+
+  /** Names of the pads that are there. */
+  get names(): readonly string[] {
+    return [...this.#names.values()];
+  }
+
+  /** Once per refresh: the newest of each pad. */
+  tick(): void {
+    const pads = this.#around.pads().filter((pad): pad is Pad => pad?.connected === true);
+    for (const [index, name] of this.#names) {
+      if (pads.some((pad) => pad.index === index)) continue;
+      this.#names.delete(index);
+      this.#moving.delete(index);
+      this.#pressed.delete(index);
+      this.#around.send({ type: "device_gone", device: name });
+    }
+    for (const pad of pads) {
+      const name = `gamepad ${pad.index + 1}: ${pad.id}`.slice(0, 200);
+      this.#names.set(pad.index, name);
+      if (this.#around.enabled()) this.#read(pad, name);
+    }
+  }
+
+  /** Shakes every pad that can; nothing where the browser or the pad cannot. */
+  rumble(strength: number, ms: number): void {
+    for (const pad of this.#around.pads()) {
+      const effect = { duration: ms, strongMagnitude: strength, weakMagnitude: strength };
+      pad?.vibrationActuator?.playEffect?.("dual-rumble", effect).catch(() => undefined);
+    }
+  }
+
+  #read(pad: Pad, name: string): void {
+    const axes = padAxes(pad);
+    const rests = axes.every((value) => value === 0);
+    // At rest nothing is sent but the rest itself, once.
+    if (!rests || this.#moving.has(pad.index)) {
+      this.#around.send({
+        type: "device_sample",
+        device: name,
+        time_s: this.#around.nowS(),
+        position_mm: null,
+        orientation_wxyz: null,
+        axes,
+        buttons: 0,
+      });
+    }
+    if (rests) this.#moving.delete(pad.index);
+    else this.#moving.add(pad.index);
+    const before = this.#pressed.get(pad.index);
+    const now = new Set(pad.buttons.flatMap((button, n) => (button.pressed ? [n] : [])));
+    this.#pressed.set(pad.index, now);
+    // What was held when the pad was first seen was not pressed for us.
+    if (before === undefined || pad.mapping !== "standard") return;
+    for (const n of now) {
+      const action = BUTTON_ACTIONS.get(n);
+      if (action !== undefined && !before.has(n)) this.#around.act(action);
+    }
+  }
+}

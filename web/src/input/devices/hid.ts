@@ -1,0 +1,95 @@
+/** Where a HID device's report descriptor puts its axes and buttons, as WebHID hands it on, and reading them. */
+
+/** Usages of the Generic Desktop page (HID Usage Tables 1.4, page 0x01): X, Y, Z, Rx, Ry, Rz. */
+export const AXIS_USAGES = [0x10030, 0x10031, 0x10032, 0x10033, 0x10034, 0x10035] as const;
+const BUTTON_PAGE = 0x09;
+
+export interface HidItem {
+  readonly usages?: readonly number[];
+  readonly usageMinimum?: number;
+  readonly usageMaximum?: number;
+  readonly isRange?: boolean;
+  readonly reportSize?: number;
+  readonly reportCount?: number;
+  readonly logicalMinimum?: number;
+  readonly logicalMaximum?: number;
+  readonly isArray?: boolean;
+}
+
+export interface HidCollection {
+  readonly children?: readonly HidCollection[];
+  readonly inputReports?: readonly { readonly reportId?: number; readonly items?: readonly HidItem[] }[];
+}
+
+/** A number in a report. */
+export interface HidField {
+  readonly usage: number;
+  readonly bit: number;
+  readonly size: number;
+  readonly minimum: number;
+  readonly maximum: number;
+}
+
+/** The fields of every input report, by its id. */
+export function fieldsOf(collections: readonly HidCollection[]): ReadonlyMap<number, readonly HidField[]> {
+  const found = new Map<number, HidField[]>();
+  const visit = (collection: HidCollection) => {
+    for (const report of collection.inputReports ?? []) {
+      const id = report.reportId ?? 0;
+      let bit = 0;
+      const fields: HidField[] = [];
+      for (const item of report.items ?? []) {
+        const size = item.reportSize ?? 0;
+        const count = item.reportCount ?? 0;
+        for (let n = 0; n < count; n += 1) {
+          const usage = usageOf(item, n);
+          if (usage !== null && size > 0 && size <= 32) {
+            const minimum = item.logicalMinimum ?? 0;
+            fields.push({ usage, bit, size, minimum, maximum: item.logicalMaximum ?? 0 });
+          }
+          bit += size;
+        }
+      }
+      // The same report may be listed by a collection and by the one round it.
+      if ((found.get(id)?.length ?? 0) < fields.length) found.set(id, fields);
+    }
+    for (const child of collection.children ?? []) visit(child);
+  };
+  for (const collection of collections) visit(collection);
+  return found;
+}
+
+function usageOf(item: HidItem, n: number): number | null {
+  if (item.isArray === true) return null;
+  if (item.isRange === true || item.usageMinimum !== undefined) {
+    const usage = (item.usageMinimum ?? 0) + n;
+    return usage <= (item.usageMaximum ?? usage) ? usage : null;
+  }
+  const usages = item.usages ?? [];
+  // The last usage counts for all that follow.
+  return usages[Math.min(n, usages.length - 1)] ?? null;
+}
+
+/** A field's number, with its sign where the descriptor gives it one; null beyond the report's end. */
+export function readField(data: DataView, field: HidField): number | null {
+  let value = 0;
+  for (let n = 0; n < field.size; n += 1) {
+    const bit = field.bit + n;
+    const byte = bit >> 3;
+    if (byte >= data.byteLength) return null;
+    if ((data.getUint8(byte) >> (bit & 7)) & 1) value += 2 ** n;
+  }
+  return field.minimum < 0 && value >= 2 ** (field.size - 1) ? value - 2 ** field.size : value;
+}
+
+/** -1 to 1 of the field's own range; 0 in its middle. */
+export function scaled(value: number, field: HidField): number {
+  const middle = (field.minimum + field.maximum) / 2;
+  const half = (field.maximum - field.minimum) / 2;
+  if (!(half > 0)) return 0;
+  return Math.max(-1, Math.min(1, (value - middle) / half));
+}
+
+export function isButton(usage: number): boolean {
+  return usage >> 16 === BUTTON_PAGE;
+}

@@ -1,0 +1,116 @@
+/** A SpaceMouse by WebHID: its cap pushes and turns the tip in all six ways. */
+
+import type { ClientMessage } from "../../wire/messages";
+import { type SixAxes, shaped } from "./gamepad";
+import { AXIS_USAGES, fieldsOf, type HidCollection, type HidField, isButton, readField, scaled } from "./hid";
+
+/** 3Dconnexion, and Logitech, which made the older ones. */
+export const SPACEMOUSE_FILTERS = [{ vendorId: 0x256f }, { vendorId: 0x046d, usagePage: 0x01, usage: 0x08 }];
+
+/** What of the browser's `HIDDevice` is used. */
+export interface HidDevice extends EventTarget {
+  readonly productName: string;
+  readonly opened: boolean;
+  readonly collections: readonly HidCollection[];
+  open(): Promise<void>;
+  close(): Promise<void>;
+}
+
+export interface Hid extends EventTarget {
+  requestDevice(options: { filters: readonly object[] }): Promise<readonly HidDevice[]>;
+  getDevices(): Promise<readonly HidDevice[]>;
+}
+
+export interface InputReport extends Event {
+  readonly reportId: number;
+  readonly data: DataView;
+}
+
+/** X right, Y towards the hand, Z down; a turn about each. */
+export function capAxes(values: readonly number[]): SixAxes {
+  const at = (n: number) => shaped(values[n] ?? 0);
+  return [-at(1) + 0, at(0) + 0, -at(2) + 0, at(5) + 0, -at(3) + 0, -at(4) + 0];
+}
+
+export class SpaceMouse {
+  readonly #device: HidDevice;
+  readonly #fields: ReadonlyMap<number, readonly HidField[]>;
+  readonly #send: (message: ClientMessage) => void;
+  readonly #nowS: () => number;
+  /** The newest of each axis: translation and rotation come in reports of their own. */
+  readonly #values = [0, 0, 0, 0, 0, 0];
+  #buttons = 0;
+  #changed = false;
+  #rests = true;
+  readonly name: string;
+
+  constructor(device: HidDevice, send: (message: ClientMessage) => void, nowS: () => number) {
+    this.#device = device;
+    this.#fields = fieldsOf(device.collections);
+    this.#send = send;
+    this.#nowS = nowS;
+    this.name = `spacemouse ${device.productName}`.slice(0, 200);
+  }
+
+  /** Whether the descriptor has any axis at all. */
+  get hasAxes(): boolean {
+    return [...this.#fields.values()].flat().some((field) => axisOf(field) >= 0);
+  }
+
+  async open(): Promise<void> {
+    this.#device.addEventListener("inputreport", this.#report);
+    if (!this.#device.opened) await this.#device.open();
+  }
+
+  async close(): Promise<void> {
+    this.#device.removeEventListener("inputreport", this.#report);
+    this.#send({ type: "device_gone", device: this.name });
+    await this.#device.close();
+  }
+
+  /** Once per refresh: the newest, while the cap is off its rest. A device that floods sends no more than that. */
+  tick(): void {
+    const axes = capAxes(this.#values);
+    const rests = axes.every((value) => value === 0) && this.#buttons === 0;
+    if (rests && this.#rests && !this.#changed) return;
+    if (rests && this.#rests) {
+      this.#changed = false;
+      return;
+    }
+    this.#rests = rests;
+    this.#changed = false;
+    this.#send({
+      type: "device_sample",
+      device: this.name,
+      time_s: this.#nowS(),
+      position_mm: null,
+      orientation_wxyz: null,
+      axes,
+      buttons: this.#buttons,
+    });
+  }
+
+  readonly #report = (event: Event): void => {
+    const { reportId, data } = event as InputReport;
+    const fields = this.#fields.get(reportId);
+    if (fields === undefined) return;
+    this.#changed = true;
+    let buttons: number | null = null;
+    for (const field of fields) {
+      const value = readField(data, field);
+      if (value === null) continue;
+      const axis = axisOf(field);
+      if (axis >= 0) this.#values[axis] = scaled(value, field);
+      else if (isButton(field.usage)) {
+        const number = (field.usage & 0xffff) - 1;
+        buttons ??= 0;
+        if (value !== 0 && number >= 0 && number < 31) buttons |= 1 << number;
+      }
+    }
+    if (buttons !== null) this.#buttons = buttons;
+  };
+}
+
+function axisOf(field: HidField): number {
+  return AXIS_USAGES.indexOf(field.usage as (typeof AXIS_USAGES)[number]);
+}
