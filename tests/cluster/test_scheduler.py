@@ -116,6 +116,32 @@ def test_without_balancing_the_slow_renderer_sets_the_pace():
     assert without.fps(skip=30) < 0.6 * SimulatedCluster(renderers).run(100, 512).fps(skip=30)
 
 
+def test_a_renderer_that_becomes_ten_times_slower_loses_its_share():
+    """Its answers come when others have long completed the frame; they count all the same."""
+    rig = _flying("a", "b", "c", "d", settings=ClusterSettings(open_frames=1), warm=20)
+    now_s, due = 1.0, []
+    free_s = dict.fromkeys("abcd", 0.0)
+    for frame_id in range(40):
+        rig.scheduler.want(frame_id, 512, now_s)
+        while FrameDone(frame_id) not in rig.rest:
+            rig.take()
+            for task in [t for t in rig.issued if all(t is not known for _, known in due)]:
+                row_s = 0.0001 * (10 if task.lane == "a" else 1)
+                free_s[task.lane] = max(free_s[task.lane], now_s) + row_s * (task.end_row - task.first_row)
+                due.append((free_s[task.lane], task))
+            due.sort(key=lambda item: item[0])
+            deadline_s = rig.scheduler.deadline_s
+            if deadline_s is not None and deadline_s < due[0][0]:
+                now_s = deadline_s
+                rig.scheduler.tick(now_s)
+                rig.take()
+            else:
+                now_s, task = due.pop(0)
+                rig.answer(task, now_s)
+    [view] = [view for view in rig.scheduler.lanes() if view.lane == "a"]
+    assert view.share < 0.05  # ideal: 1 / 31
+
+
 class Rig:
     """A scheduler, and what was issued and not yet answered."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import pickle
 import platform
 import socket
 import threading
@@ -17,9 +18,14 @@ from numpy.typing import NDArray
 import carina
 from carina.cluster.parcel import open_parcel
 from carina.errors import ClusterError
-from carina.render import Backend, Picture, Renderer, View, build_info
+from carina.render import Backend, Picture, Renderer, RenderStats, build_info
 
-__all__ = ["RendererHost", "available_bytes", "bare_picture"]
+__all__ = ["Counts", "RendererHost", "Strip", "available_bytes", "bare_picture", "counts_of"]
+
+Counts = tuple[int, int, int, int, int, int, int]
+"""Rays, samples, look-ups, leaps, skipped, shaded, loads."""
+Strip = tuple[int, int, float, str, Counts, Picture | None, NDArray[np.uint8]]
+"""Frame and content again, seconds, method, counts, with the first rows the picture without pixels, and the pixels."""
 
 
 def available_bytes() -> int | None:
@@ -41,6 +47,19 @@ def available_bytes() -> int | None:
 def bare_picture(picture: Picture) -> Picture:
     """A picture without its pixels and its lens, which the console knows: what travels beside a strip."""
     return dataclasses.replace(picture, rgb=np.empty((0, 0, 3), np.uint8), optics=None)
+
+
+def counts_of(stats: RenderStats) -> Counts:
+    """What a picture took, as a tuple."""
+    return (
+        stats.num_rays,
+        stats.num_samples,
+        stats.num_lookups,
+        stats.num_leaps,
+        stats.num_skipped,
+        stats.num_shaded,
+        stats.num_loads,
+    )
 
 
 class RendererHost:
@@ -113,10 +132,8 @@ class RendererHost:
             self._content = content
             return content
 
-    def strip(
-        self, frame_id: int, content: int, view: View, rows: tuple[int, int] | None
-    ) -> tuple[int, int, float, Picture, NDArray[np.uint8]]:
-        """Render rows of a view: frame and content again, seconds, the picture without pixels, its rows (n, width, 3).
+    def strip(self, frame_id: int, content: int, view: bytes, rows: tuple[int, int] | None) -> Strip:
+        """Render rows of a view, which comes pickled: once for all strips of a frame.
 
         Raises
         ------
@@ -129,8 +146,11 @@ class RendererHost:
             scene = None if renderer is None else renderer.scene
         if renderer is None or loaded != content:
             raise ClusterError(f"the renderer holds content {loaded}, not {content}", code="cluster.lost")
-        picture = renderer.render(view, rows=rows, scene=scene)
-        return frame_id, content, time.perf_counter() - began_s, bare_picture(picture), picture.rgb
+        picture = renderer.render(pickle.loads(view), rows=rows, scene=scene)
+        first = bare_picture(picture) if rows is None or rows[0] == 0 else None
+        stats = picture.stats
+        seconds = time.perf_counter() - began_s
+        return frame_id, content, seconds, stats.method, counts_of(stats), first, picture.rgb
 
 
 def _same(a: NDArray[Any], b: NDArray[Any]) -> bool:

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.cluster.host import bare_picture
+from carina.cluster.host import Counts, bare_picture, counts_of
 from carina.cluster.parcel import Parcel
 from carina.render import CancelToken, Picture, Renderer, View
 from carina.render.scene import Scene
@@ -31,6 +31,8 @@ class StripOrder:
     view: View
     rows: tuple[int, int] | None
     """None for the whole picture."""
+    view_bytes: bytes = b""
+    """The view, pickled once for all strips of a frame."""
     renderer: Renderer | None = None
     """This and what follows are for lanes in this process: who can render it,"""
     scene: Scene | None = None
@@ -46,8 +48,10 @@ class StripAnswer:
     frame_id: int
     content: int
     seconds: float
-    picture: Picture
-    """Without pixels."""
+    method: str
+    counts: Counts
+    picture: Picture | None
+    """Without pixels; only with the first rows."""
     rgb: NDArray[np.uint8]
 
 
@@ -141,7 +145,16 @@ class LocalLane:
                 assert renderer is not None
                 picture = renderer.render(order.view, rows=order.rows, scene=order.scene, stop=order.stop)
                 seconds = time.perf_counter() - began_s
-                answer = StripAnswer(order.frame_id, order.content, seconds, bare_picture(picture), picture.rgb)
+                stats = picture.stats
+                answer = StripAnswer(
+                    order.frame_id,
+                    order.content,
+                    seconds,
+                    stats.method,
+                    counts_of(stats),
+                    bare_picture(picture),
+                    picture.rgb,
+                )
             except BaseException as trouble:  # a panic of the compiled module is no Exception
                 answer = trouble
             done(answer)

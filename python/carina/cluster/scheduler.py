@@ -93,6 +93,7 @@ class _Task:
     frame_id: int
     strip: int
     num_rows: int
+    cost: Hashable
     issued_s: float
 
 
@@ -327,7 +328,8 @@ class StripScheduler:
         state.answered_s = now_s
         state.num_answers += 1
         frame = self._frames.get(task.frame_id)
-        self._measure(state, task, service_s, frame)
+        # Also where the frame was completed by others long ago: else the slowest would never be known as slow.
+        self._measure(state, task, service_s)
         if state.state == "late":
             state.state = "ready"
             self._shares.settle()
@@ -376,8 +378,7 @@ class StripScheduler:
         if lane.state != "ready" or lane.reserve or not lane.in_flight:
             return None
         task = lane.in_flight[0]
-        frame = self._frames.get(task.frame_id)
-        pace = lane.pace.get(frame.cost) if frame is not None else next(reversed(lane.pace.values()), None)
+        pace = lane.pace.get(task.cost)
         limit_s = (
             self.settings.first_answer_s
             if pace is None
@@ -385,16 +386,14 @@ class StripScheduler:
         )
         return max(task.issued_s, lane.answered_s) + limit_s
 
-    def _measure(self, lane: _Lane, task: _Task, service_s: float, frame: _Frame | None) -> None:
-        if frame is None:
-            return
+    def _measure(self, lane: _Lane, task: _Task, service_s: float) -> None:
         row_s = service_s / task.num_rows
-        old = lane.pace.pop(frame.cost, None)
+        old = lane.pace.pop(task.cost, None)
         # Slower is believed sooner than faster: a lane that has become slow would be late again and again.
         weight = 1.0 if old is None else 0.7 if row_s > 2.0 * old else PACE_WEIGHT
-        lane.pace[frame.cost] = row_s if old is None else old + weight * (row_s - old)
-        seconds, rows = lane.measured.get(frame.cost, (0.0, 0))
-        lane.measured[frame.cost] = (seconds + service_s, rows + task.num_rows)
+        lane.pace[task.cost] = row_s if old is None else old + weight * (row_s - old)
+        seconds, rows = lane.measured.get(task.cost, (0.0, 0))
+        lane.measured[task.cost] = (seconds + service_s, rows + task.num_rows)
         for kept in (lane.pace, lane.measured, lane.last_m):
             while len(kept) > KINDS_REMEMBERED:
                 kept.pop(next(iter(kept)))
@@ -507,7 +506,7 @@ class StripScheduler:
                 frame_id, strip = lane.queue.pop(0)
                 frame = self._frames[frame_id]
                 first, end = frame.strips[strip]
-                task = _Task(next(self._task_ids), frame_id, strip, end - first, now_s)
+                task = _Task(next(self._task_ids), frame_id, strip, end - first, frame.cost, now_s)
                 lane.in_flight.append(task)
                 again = len(frame.holders[strip]) > 1
                 self._actions.append(Issue(task.task_id, name, frame_id, strip, first, end, again))
