@@ -43,7 +43,13 @@ web/node_modules/.package-lock.json: web/package-lock.json
 test-web: web/node_modules/.package-lock.json
 	cd web && npm test
 
-test-python: $(STAMP)
+# Ray is an extra of 76 MB: only who tests downloads it. Elsewhere than on Linux there is nothing in it.
+CLUSTER_STAMP := .venv/.carina-cluster
+$(CLUSTER_STAMP): requirements-cluster.lock $(STAMP)
+	$(UV) pip install -q --require-hashes -r requirements-cluster.lock
+	@touch $@
+
+test-python: $(STAMP) $(CLUSTER_STAMP)
 	$(PY) tools/find_browser.py --install
 	$(PY) -m pytest -m "not soak" -ra
 
@@ -61,7 +67,7 @@ test-gpu: $(STAMP) ## the GPU caster and the wheel, on a software adapter where 
 	$(UV) pip install -q --python .venv-gpu/bin/python --no-deps target/gpu-wheel/*.whl
 	CARINA_GPU_REQUIRED=1 .venv-gpu/bin/python -m pytest -m gpu -ra tests
 
-soak: $(STAMP) ## what runs for minutes: 20,000 poses against the f64 ray caster, 10,000 sequences of edits
+soak: $(STAMP) $(CLUSTER_STAMP) ## what runs for minutes: 20,000 poses against the f64 ray caster, 10,000 sequences of edits, a cluster that loses members
 	cargo test --release --workspace --exclude carina-bindings -- --ignored
 	$(PY) -m pytest -m soak -ra
 
@@ -96,7 +102,7 @@ bench: bench-setup ## figures beside VTK, numba, scipy and dijkstra3d; pictures 
 	.venv/bin/carina bench isoregion $(BENCH) -o benchmarks/results
 	.venv/bin/carina bench track $(BENCH) -o benchmarks/results
 
-lock: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## export requirements.lock from pyproject.toml
+lock: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## export requirements*.lock from pyproject.toml
 	$(if $(wildcard $(PY)),$(PY),python3) tools/lock.py --uv $(UV)
 
 wheel: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## a wheel with the web UI and GPU support inside, in dist/

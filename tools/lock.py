@@ -1,4 +1,7 @@
-"""Export ``requirements.lock`` (exact versions and hashes) from pyproject.toml, or check that it is not stale.
+"""Export the locks (exact versions and hashes) from pyproject.toml, or check that they are not stale.
+
+``requirements.lock`` is what everybody needs; ``requirements-cluster.lock`` holds Ray and what belongs to it as well,
+for the tests of the cluster: 76 MB that nobody should download to look at a CT.
 
 ``uv.lock`` itself is not committed: it names the registry's hosts. The export names none.
 """
@@ -13,7 +16,10 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-LOCK = ROOT / "requirements.lock"
+LOCKS: dict[str, tuple[str, ...]] = {
+    "requirements.lock": (),
+    "requirements-cluster.lock": ("--extra", "cluster"),
+}
 MARK = "# pyproject: "
 
 
@@ -23,19 +29,25 @@ def _fingerprint() -> str:
 
     data = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     project = data["project"]
-    relevant = [project["requires-python"], sorted(project["dependencies"]), sorted(data["dependency-groups"]["dev"])]
+    relevant = [
+        project["requires-python"],
+        sorted(project["dependencies"]),
+        sorted(data["dependency-groups"]["dev"]),
+        sorted(project["optional-dependencies"]["cluster"]),
+    ]
     return hashlib.sha256(repr(relevant).encode()).hexdigest()[:16]
 
 
-def export(uv: str) -> str:
-    """The lock's text."""
+def export(uv: str, name: str) -> str:
+    """A lock's text."""
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch) / "requirements.txt"
         # Every dependency, every platform; the project itself is built, not locked.
         command = [uv, "export", "-q", "--no-emit-project", "--no-header", "--no-annotate", "-o", str(out)]
+        command += LOCKS[name]
         subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
         body = out.read_text(encoding="utf-8")
-    use = "# Exported by tools/lock.py (make lock). Install with: uv pip sync --require-hashes requirements.lock"
+    use = f"# Exported by tools/lock.py (make lock). Install with: uv pip sync --require-hashes {name}"
     return f"{use}\n{MARK}{_fingerprint()}\n{body}"
 
 
@@ -46,16 +58,19 @@ def main() -> int:
     parser.add_argument("--uv", default="uv", help="the uv to use")
     arguments = parser.parse_args()
     if not arguments.check:
-        LOCK.write_text(export(arguments.uv), encoding="utf-8")
+        for name in LOCKS:
+            (ROOT / name).write_text(export(arguments.uv, name), encoding="utf-8")
         return 0
-    text = LOCK.read_text(encoding="utf-8") if LOCK.exists() else ""
-    if f"{MARK}{_fingerprint()}\n" not in text:
-        print("requirements.lock does not match the dependencies in pyproject.toml; run: make lock")
-        return 1
-    if "://" in text:
-        print("requirements.lock names a host; it must hold versions and hashes only; run: make lock")
-        return 1
-    print("lock: requirements.lock matches pyproject.toml")
+    for name in LOCKS:
+        path = ROOT / name
+        text = path.read_text(encoding="utf-8") if path.exists() else ""
+        if f"{MARK}{_fingerprint()}\n" not in text:
+            print(f"{name} does not match the dependencies in pyproject.toml; run: make lock")
+            return 1
+        if "://" in text:
+            print(f"{name} names a host; it must hold versions and hashes only; run: make lock")
+            return 1
+    print(f"lock: {', '.join(LOCKS)} match pyproject.toml")
     return 0
 
 

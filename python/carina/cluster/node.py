@@ -1,0 +1,313 @@
+"""One machine's part in a cluster: the environment of Ray, its token, and the process that keeps the machine in it.
+
+Nothing here imports Ray, and nothing ever calls ``ray stop``: that ends every Ray of the person, also other programs'.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import os
+import secrets
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+from carina.errors import ClusterError, UsageError
+
+__all__ = [
+    "DEFAULT_PORT",
+    "Node",
+    "check_available",
+    "check_token",
+    "make_token",
+    "own_address",
+    "ray_environment",
+    "token_file",
+]
+
+DEFAULT_PORT = 6379
+TOKEN_NAME = "cluster.token"
+HOW_TO_GET = "install it with: pip install 'carina[cluster]'"
+LEAST_STORE_BYTES = 80 * 1024 * 1024
+
+
+def check_available() -> None:
+    """Say what is missing, and how to get it, before anything is tried.
+
+    Raises
+    ------
+    ClusterError
+        ``cluster.missing`` without Ray; ``cluster.platform`` where Ray has no clusters.
+    """
+    if not sys.platform.startswith("linux"):
+        msg = "a cluster needs Linux: Ray joins no machines elsewhere. Carina renders on this machine alone"
+        raise ClusterError(msg, code="cluster.platform")
+    if importlib.util.find_spec("ray") is None:
+        msg = f"rendering on several machines needs Ray, which is not installed; {HOW_TO_GET}"
+        raise ClusterError(msg, code="cluster.missing")
+
+
+def token_file(config_dir: Path) -> Path:
+    """Where the token of the person's cluster lies, unless told otherwise."""
+    return config_dir / TOKEN_NAME
+
+
+def make_token(path: Path) -> Path:
+    """The token's file; made with a fresh token where there is none, readable by its owner alone."""
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "w", encoding="ascii") as file:
+            file.write(secrets.token_hex(32))
+    return check_token(path)
+
+
+def check_token(path: Path) -> Path:
+    """A token's file that can be used.
+
+    Raises
+    ------
+    ClusterError
+        ``cluster.token`` if there is none, it is empty, or others may read it.
+    """
+    if not path.is_file():
+        msg = (
+            f"there is no token at {path}: a cluster is only joined with one. `carina cluster start --head` makes it; "
+            "copy that file from the head to this machine, or name it with --token-file"
+        )
+        raise ClusterError(msg, code="cluster.token")
+    if path.stat().st_mode & 0o077:
+        msg = (
+            f"others on this machine may read the token {path}, and whoever has it can run programs here: chmod 600 it"
+        )
+        raise ClusterError(msg, code="cluster.token")
+    if len(path.read_text(encoding="ascii", errors="replace").strip()) < 16:
+        raise ClusterError(
+            f"the token {path} is too short to be one: expected 16 characters or more", code="cluster.token"
+        )
+    return path
+
+
+def ray_environment(token: Path, *, dedicated: bool = False) -> dict[str, str]:
+    """What Ray must find in the environment of the head, of every machine and of the console, before it is imported.
+
+    Parameters
+    ----------
+    token
+        The token's file. A variable would be readable in every worker's environment.
+    dedicated
+        The machine does nothing else: renderers run at full priority.
+    """
+    return {
+        "RAY_AUTH_MODE": "token",
+        "RAY_AUTH_TOKEN_PATH": str(token),
+        "RAY_USAGE_STATS_ENABLED": "0",
+        # Answers up to 1 MiB go straight back: 400 KB between machines take 1.2 instead of 9.4 ms.
+        "RAY_max_direct_call_object_size": "1048576",
+        # A dead renderer is told after 0.3 to 1 s instead of 2, a machine cut off after 6 to 8 s instead of a minute.
+        # Our own deadlines have long acted by then; shorter times here would declare busy machines dead.
+        "RAY_timeout_ms_task_wait_for_death_info": "50",
+        "RAY_grpc_client_check_connection_status_interval_milliseconds": "200",
+        "RAY_health_check_initial_delay_ms": "2000",
+        "RAY_health_check_period_ms": "1000",
+        "RAY_health_check_timeout_ms": "2000",
+        "RAY_health_check_failure_threshold": "3",
+        "RAY_task_events_report_interval_ms": "0",
+        "RAY_enable_metrics_collection": "0",
+        # On a desk the person comes first; Ray's own 15 would be too humble.
+        "RAY_worker_niceness": "0" if dedicated else "5",
+    }
+
+
+def own_address(towards: str | None = None) -> str:
+    """This machine's address on the network, as the one it would use towards another."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            # Nothing is sent: the kernel chooses the address.
+            probe.connect((towards or "192.0.2.1", 9))
+            return str(probe.getsockname()[0])
+        except OSError:
+            return "127.0.0.2"
+
+
+def split_address(address: str) -> tuple[str, int]:
+    """Host and port of ``HOST[:PORT]``."""
+    host, _, port = address.partition(":")
+    if not host or (port and not port.isdecimal()):
+        raise UsageError(f"a cluster's address is HOST or HOST:PORT, such as 10.0.0.5:6379; found {address!r}")
+    return host, int(port) if port else DEFAULT_PORT
+
+
+class Node:
+    """The process that keeps this machine in a cluster: ``ray start --block``, in a session of its own.
+
+    Parameters
+    ----------
+    token
+        The token's file.
+    head
+        Whether this is the first machine; else ``address`` names the head.
+    address
+        ``HOST:PORT`` of the head.
+    ip
+        This machine's address, as the others reach it.
+    port
+        The head's.
+    renderers
+        Renderers on this machine: one, which uses all cores. None for a console that only looks.
+    store_bytes
+        Shared memory for volumes; a tenth of the machine's memory, at least 512 MiB, unless told.
+    temp_dir, environment
+        For tests.
+    log
+        File that Ray's own words go to.
+    """
+
+    def __init__(
+        self,
+        token: Path,
+        *,
+        head: bool = False,
+        address: str | None = None,
+        ip: str | None = None,
+        port: int = DEFAULT_PORT,
+        renderers: int = 1,
+        store_bytes: int | None = None,
+        dedicated: bool = False,
+        temp_dir: Path | None = None,
+        environment: Mapping[str, str] | None = None,
+        command_prefix: tuple[str, ...] = (),
+        log: Path | None = None,
+    ) -> None:
+        check_available()
+        check_token(token)
+        if head == (address is not None):
+            raise UsageError("a machine starts a cluster or joins one")
+        arguments = ["start", "--block", "--disable-usage-stats", "--num-cpus=0"]
+        if head:
+            ip = ip or own_address()
+            self.address = f"{ip}:{port}"
+            arguments += ["--head", f"--port={port}", "--include-dashboard=false"]
+        else:
+            assert address is not None
+            host, head_port = split_address(address)
+            ip = ip or own_address(host)
+            self.address = f"{host}:{head_port}"
+            arguments += [f"--address={self.address}"]
+        self.ip = ip
+        arguments += [f"--node-ip-address={ip}", f"--object-store-memory={store_bytes or _usual_store_bytes()}"]
+        if renderers:
+            arguments += [f"--resources={json.dumps({'renderer': renderers})}"]
+        if temp_dir is not None and head:
+            arguments += [f"--temp-dir={temp_dir}"]
+        where = {**os.environ, **ray_environment(token, dedicated=dedicated), **(environment or {})}
+        self._log = None if log is None else log.open("ab")
+        self._log_path = log
+        command = [*command_prefix, sys.executable, "-m", "ray.scripts.scripts", *arguments]
+        self.process = subprocess.Popen(
+            command,
+            env=where,
+            stdin=subprocess.DEVNULL,
+            stdout=self._log or subprocess.DEVNULL,
+            stderr=subprocess.STDOUT if self._log else subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+    @property
+    def running(self) -> bool:
+        """Whether the machine is still in the cluster, as far as its own process knows."""
+        return self.process.poll() is None
+
+    def wait_ready(self, timeout_s: float = 60.0) -> None:
+        """Until the head's port answers.
+
+        Raises
+        ------
+        ClusterError
+            ``cluster.start`` if the process ended, or nothing answers in time.
+        """
+        host, port = split_address(self.address)
+        end_s = time.monotonic() + timeout_s
+        while time.monotonic() < end_s:
+            if not self.running:
+                raise ClusterError(
+                    f"joining the cluster at {self.address} failed{self._last_words()}", code="cluster.start"
+                )
+            with contextlib.suppress(OSError), socket.create_connection((host, port), timeout=1.0):
+                return
+            time.sleep(0.1)
+        raise ClusterError(f"nothing answers at {self.address} after {timeout_s:g} s", code="cluster.start")
+
+    def _last_words(self) -> str:
+        if self._log_path is None:
+            return ""
+        lines = self._log_path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return f": {lines[-1].strip()}" if lines else ""
+
+    def stop(self, grace_s: float = 10.0) -> None:
+        """Leave the cluster: end the process and what it has started, by their numbers."""
+        tree = descendants(self.process.pid)
+        if self.running:
+            self.process.send_signal(signal.SIGTERM)
+        try:
+            self.process.wait(grace_s)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        reap(tree)
+        if self._log is not None:
+            self._log.close()
+
+
+def _usual_store_bytes() -> int:
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    free = 0
+    with contextlib.suppress(OSError):
+        found = os.statvfs("/dev/shm")
+        free = found.f_frsize * found.f_bavail
+    wanted = max(512 * 1024 * 1024, min(total // 4, 8 * 1024**3))
+    # What does not fit into shared memory would go to a disk, and be slow.
+    return max(LEAST_STORE_BYTES, min(wanted, int(free * 0.9)) if free else wanted)
+
+
+def _parents() -> dict[int, tuple[int, str]]:
+    """Parent and start time of every process."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            with contextlib.suppress(OSError, IndexError, ValueError):
+                fields = (entry / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+                found[int(entry.name)] = (int(fields[1]), fields[19])
+    return found
+
+
+def descendants(pid: int) -> dict[int, str]:
+    """Processes that a process has started, and theirs, with their start times: a number may be used again."""
+    parents = _parents()
+    tree: dict[int, str] = {}
+    level = {pid}
+    while level:
+        level = {child for child, (parent, _) in parents.items() if parent in level and child not in tree}
+        tree |= {child: parents[child][1] for child in level}
+    return tree
+
+
+def reap(tree: Mapping[int, str], grace_s: float = 5.0) -> None:
+    """End what is left of a tree of processes: some of Ray's agents outlive a hard end by minutes."""
+    end_s = time.monotonic() + grace_s
+    sent = False
+    while left := {pid for pid, (_, began) in _parents().items() if tree.get(pid) == began}:
+        if time.monotonic() > end_s:
+            for pid in left:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.kill(pid, signal.SIGKILL)
+            if sent:
+                return
+            sent, end_s = True, time.monotonic() + 2.0
+        time.sleep(0.05)

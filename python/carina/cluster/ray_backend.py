@@ -1,0 +1,393 @@
+"""Renderers on other machines, by Ray: the one file that imports it.
+
+Ray brings membership, placement, restarts, the broadcast of volumes and the transport. What it does not do is react in
+the time of a picture: that is :class:`carina.cluster.scheduler.StripScheduler`.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import carina
+from carina.cluster.console import Console
+from carina.cluster.host import RendererHost
+from carina.cluster.lanes import Answered, LaneFacts, Loaded, StripAnswer, StripOrder
+from carina.cluster.node import check_available, check_token, ray_environment
+from carina.cluster.parcel import Parcel
+from carina.errors import ClusterError
+
+__all__ = ["RayCluster", "RayLane", "look"]
+
+logger = logging.getLogger(__name__)
+
+POLL_S = 1.0
+WAIT_AFTER_FAILURE_S = 5.0
+SPARE_BYTES = 256 * 1024 * 1024
+"""Memory that a machine needs beside the volume."""
+
+
+def _import_ray(token: Path) -> Any:
+    check_available()
+    os.environ.update(ray_environment(check_token(token)))
+    import ray
+
+    return ray
+
+
+def _plain(trouble: BaseException) -> BaseException:
+    """What went wrong on the other machine, without Ray's wrapping."""
+    cause = getattr(trouble, "cause", None)
+    return cause if isinstance(cause, BaseException) else trouble
+
+
+class _Store:
+    """Large arrays that every machine fetches once; kept while what is shown needs them."""
+
+    def __init__(self, ray: Any) -> None:
+        self._ray = ray
+        self._refs: dict[int, Any] = {}
+        self._lock = threading.Lock()
+
+    def refs(self, parcel: Parcel) -> dict[int, Any]:
+        """References to the arrays of a parcel."""
+        with self._lock:
+            for token in [token for token in self._refs if token not in parcel.arrays]:
+                del self._refs[token]
+            for token, array in parcel.arrays.items():
+                if token not in self._refs:
+                    self._refs[token] = self._ray.put(array)
+            return {token: self._refs[token] for token in parcel.arrays}
+
+
+class RayLane:
+    """The console's side of a renderer on another machine."""
+
+    def __init__(self, name: str, handle: Any, cluster: RayCluster, facts: dict[str, Any], store_bytes: float) -> None:
+        self.name = name
+        self._handle = handle
+        self._cluster = cluster
+        self._store_bytes = store_bytes
+        self._held: set[int] | None = None
+        """Tokens of arrays that the renderer holds; None while that is not known, as after a restart."""
+        self._facts = _facts(facts)
+
+    @property
+    def facts(self) -> LaneFacts:
+        """The machine."""
+        return self._facts
+
+    def load(self, parcel: Parcel, done: Loaded) -> bool:
+        """Send what is new to the renderer."""
+        light = self._held is not None and set(parcel.arrays) <= self._held
+        if light:
+            self._send(parcel, {}, done)
+        else:
+            # Large arrays are copied into shared memory first: not on the console's own thread.
+            self._cluster.loader.submit(self._load_large, parcel, done)
+        return light
+
+    def _load_large(self, parcel: Parcel, done: Loaded) -> None:
+        try:
+            ping = self._cluster.ray.get(self._ping(), timeout=10.0)
+            self._facts = _facts(ping)
+            there = set(ping["tokens"])
+            new = {token: array for token, array in parcel.arrays.items() if token not in there}
+            num_bytes = sum(array.nbytes for array in new.values())
+            self._check_memory(parcel, num_bytes, ping["memory_bytes"])
+            refs = self._cluster.store.refs(parcel)
+            self._send(parcel, {token: refs[token] for token in new}, done)
+        except BaseException as trouble:
+            done(_plain(trouble))
+
+    def _check_memory(self, parcel: Parcel, num_bytes: int, free_bytes: int | None) -> None:
+        words = f"the case needs {_words(parcel.num_bytes)}; close other programs there, or use a machine with more"
+        if self._store_bytes and parcel.num_bytes > self._store_bytes:
+            msg = (
+                f"the renderer {self.name} takes no part: it keeps {_words(self._store_bytes)} for volumes, and {words}"
+            )
+            raise ClusterError(msg, code="cluster.memory")
+        if free_bytes is not None and num_bytes + SPARE_BYTES > free_bytes:
+            msg = f"the renderer {self.name} takes no part: it has {_words(free_bytes)} of memory left, and {words}"
+            raise ClusterError(msg, code="cluster.memory")
+
+    def _send(self, parcel: Parcel, new: dict[int, Any], done: Loaded) -> None:
+        tokens = list(new)
+        kept = [token for token in parcel.arrays if token not in new]
+        ref = self._handle.load.remote(parcel.content, parcel.skeleton, kept, tokens, *new.values())
+
+        def loaded(future: Future[Any]) -> None:
+            trouble = future.exception()
+            if trouble is None:
+                self._held = set(parcel.arrays)
+                done(None)
+            else:
+                self._held = None
+                done(_plain(trouble))
+
+        ref.future().add_done_callback(loaded)
+
+    def submit(self, order: StripOrder, done: Answered) -> None:
+        """Render on the other machine."""
+
+        def answered(future: Future[Any]) -> None:
+            trouble = future.exception()
+            if trouble is not None:
+                self._held = None
+                done(_plain(trouble))
+                return
+            try:
+                frame_id, content, seconds, method, counts, picture, rgb = future.result()
+                done(StripAnswer(frame_id, content, float(seconds), method, counts, picture, rgb))
+            except (TypeError, ValueError) as nonsense:
+                done(ClusterError(f"an answer that is no strip: {nonsense}", code="cluster.fault"))
+
+        try:
+            ref = self._handle.strip.remote(order.frame_id, order.content, order.view_bytes, order.rows)
+            ref.future().add_done_callback(answered)
+        except Exception as trouble:
+            done(_plain(trouble))
+
+    def _ping(self) -> Any:
+        return self._handle.ping.options(concurrency_group="control").remote()
+
+    def close(self) -> None:
+        """End the renderer."""
+        self._cluster.end(self._handle)
+
+
+def _facts(ping: dict[str, Any]) -> LaneFacts:
+    return LaneFacts(str(ping["host"]), int(ping["threads"]), str(ping["simd"]), str(ping["version"]), int(ping["pid"]))
+
+
+def _words(num_bytes: float) -> str:
+    return f"{num_bytes / 2**30:.1f} GiB" if num_bytes >= 2**30 else f"{num_bytes / 2**20:.0f} MiB"
+
+
+class RayCluster:
+    """Keeps a console's lanes what the cluster's machines are: who joins renders, who leaves does not.
+
+    Parameters
+    ----------
+    console
+        Gets a lane for each renderer.
+    address
+        ``HOST:PORT`` of the head. This machine must be in the cluster (``carina cluster start`` or ``join``).
+    token
+        The token's file.
+    mixed
+        Let renderers use their graphics devices; pictures then are equal within one grey level only.
+    host_class, host_options
+        What runs on each machine, for tests and benchmarks.
+    ip
+        This machine's address in the cluster, where it has several.
+
+    Raises
+    ------
+    ClusterError
+        ``cluster.refused`` if the head does not answer or the token is wrong; ``cluster.missing`` without Ray.
+    """
+
+    def __init__(
+        self,
+        console: Console,
+        address: str,
+        token: Path,
+        *,
+        mixed: bool = False,
+        host_class: type[RendererHost] = RendererHost,
+        host_options: dict[str, Any] | None = None,
+        ip: str | None = None,
+        poll_s: float = POLL_S,
+    ) -> None:
+        self.ray = _import_ray(token)
+        self._console = console
+        self._poll_s = poll_s
+        # Tests connect once for many clusters.
+        self._connected = not self.ray.is_initialized()
+        options: dict[str, Any] = {} if ip is None else {"_node_ip_address": ip}
+        try:
+            if self._connected:
+                self.ray.init(
+                    address=address,
+                    namespace=f"carina-{os.getpid()}-{time.monotonic_ns()}",
+                    log_to_driver=False,
+                    configure_logging=False,
+                    **options,
+                )
+        except Exception as trouble:
+            raise ClusterError(_refusal(address, trouble), code="cluster.refused") from trouble
+        console.address, console.mixed = address, mixed
+        self.store = _Store(self.ray)
+        self.loader = ThreadPoolExecutor(4, thread_name_prefix="carina-load")
+        self._host_class = host_class
+        self._host_options = {"mixed": mixed, **(host_options or {})}
+        self._lanes: dict[str, str] = {}
+        """Node of each renderer that has a lane or is starting."""
+        self._not_before: dict[str, float] = {}
+        self._refused: set[str] = set()
+        self._lock = threading.Lock()
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="carina-membership", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End all renderers and leave; the cluster goes on."""
+        if self._stopping.is_set():
+            return
+        self._stopping.set()
+        self._thread.join(timeout=30.0)
+        with self._lock:
+            names = list(self._lanes)
+        for name in names:
+            self._console.remove_lane(name)
+        # The lanes' ends are the console's: it answers in order.
+        self._console.status()
+        self.loader.shutdown(wait=True, cancel_futures=True)
+        if self._connected:
+            self.ray.shutdown()
+
+    def end(self, handle: Any) -> None:
+        """End one renderer for good."""
+        try:
+            self.ray.kill(handle, no_restart=True)
+        except Exception:  # the cluster may be gone already
+            logger.debug("a renderer could not be ended", exc_info=True)
+
+    def _watch(self) -> None:
+        while True:
+            try:
+                self._look()
+            except Exception:
+                logger.warning("the cluster does not answer; this machine renders alone until it does", exc_info=True)
+            if self._stopping.wait(self._poll_s):
+                return
+
+    def _look(self) -> None:
+        places: dict[str, tuple[str, float]] = {}
+        for node in self.ray.nodes():
+            num = int(node["Resources"].get("renderer", 0)) if node["Alive"] else 0
+            for n in range(num):
+                name = node["NodeManagerAddress"] + (f" #{n + 1}" if num > 1 else "")
+                places[name] = (node["NodeID"], float(node["Resources"].get("object_store_memory", 0)))
+        with self._lock:
+            gone = [name for name, node in self._lanes.items() if places.get(name, ("", 0.0))[0] != node]
+            for name in gone:
+                del self._lanes[name]
+        for name in gone:
+            self._console.notice(f"the machine {name} has left the cluster")
+            self._console.remove_lane(name)
+        for name, (node, store_bytes) in places.items():
+            now_s = time.monotonic()
+            if name in self._lanes or node in self._refused or self._not_before.get(name, 0.0) > now_s:
+                continue
+            with self._lock:
+                self._lanes[name] = node
+            self._start(name, node, store_bytes)
+
+    def _start(self, name: str, node: str, store_bytes: float) -> None:
+        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+        remote = self.ray.remote(
+            num_cpus=0,
+            resources={"renderer": 1},
+            # The renderer comes back by itself after it died; strips are given again by us, never by Ray.
+            max_restarts=-1,
+            max_task_retries=0,
+            concurrency_groups={"control": 1},
+        )
+        place = NodeAffinitySchedulingStrategy(node, soft=False)
+        actor = remote(self._host_class).options(scheduling_strategy=place)
+        handle = actor.remote(**self._host_options)
+        ref = handle.ping.options(concurrency_group="control").remote()
+
+        def known(future: Future[Any]) -> None:
+            trouble = future.exception()
+            if trouble is None:
+                ping = future.result()
+                words = version_words(carina.__version__, str(ping["version"]), name)
+                if words is None:
+                    self._console.add_lane(RayLane(name, handle, self, ping, store_bytes))
+                    return
+                self._refused.add(node)
+            else:
+                words = f"the renderer on {name} could not be started: {_first_line(_plain(trouble))}"
+                self._not_before[name] = time.monotonic() + WAIT_AFTER_FAILURE_S
+            self._console.notice(words)
+            with self._lock:
+                if words and self._lanes.get(name) == node and node not in self._refused:
+                    del self._lanes[name]
+            self.loader.submit(self.end, handle)
+
+        ref.future().add_done_callback(known)
+
+
+def look(address: str, token: Path, *, ip: str | None = None) -> list[dict[str, Any]]:
+    """Who is in a cluster: ``ip``, ``alive``, ``renderers``, ``busy`` (a console uses it), ``store_bytes``.
+
+    Raises
+    ------
+    ClusterError
+        ``cluster.refused`` as in :class:`RayCluster`.
+    """
+    ray = _import_ray(token)
+    options: dict[str, Any] = {} if ip is None else {"_node_ip_address": ip}
+    try:
+        ray.init(address=address, log_to_driver=False, configure_logging=False, **options)
+    except Exception as trouble:
+        raise ClusterError(_refusal(address, trouble), code="cluster.refused") from trouble
+    try:
+        free = ray._private.state.available_resources_per_node()
+        return [
+            {
+                "ip": node["NodeManagerAddress"],
+                "alive": bool(node["Alive"]),
+                "renderers": int(node["Resources"].get("renderer", 0)),
+                "busy": float(free.get(node["NodeID"], {}).get("renderer", 0)) < node["Resources"].get("renderer", 0),
+                "store_bytes": int(node["Resources"].get("object_store_memory", 0)),
+            }
+            for node in ray.nodes()
+        ]
+    finally:
+        ray.shutdown()
+
+
+def version_words(console: str, renderer: str, name: str) -> str | None:
+    """Why two versions do not work together, and which side to upgrade; None where they do."""
+    if console == renderer:
+        return None
+
+    def key(version: str) -> list[tuple[int, str]]:
+        return [(int(part) if part.isdecimal() else -1, part) for part in version.replace("+", ".").split(".")]
+
+    side = f"the machine {name}" if key(renderer) < key(console) else "this console"
+    return (
+        f"the machine {name} takes no part: it runs Carina {renderer}, this console {console}, and their pictures "
+        f"could differ; upgrade {side}"
+    )
+
+
+def _first_line(trouble: BaseException) -> str:
+    lines = [line.strip() for line in str(trouble).splitlines() if line.strip()]
+    return lines[-1] if lines else type(trouble).__name__
+
+
+def _refusal(address: str, trouble: BaseException) -> str:
+    text = str(trouble)
+    if "version" in text.lower() and "mismatch" in text.lower():
+        return f"joining the cluster at {address}: Ray or Python has another version there; {_first_line(trouble)}"
+    if "authentication" in text.lower() or "token" in text.lower():
+        return (
+            f"the cluster at {address} refuses this machine's token; copy the token file of the head to this machine "
+            "(`carina cluster start --head` prints where it is)"
+        )
+    words = _first_line(trouble)
+    return (
+        f"the cluster at {address} does not answer, or refuses the token, or this machine is not in it: run `carina "
+        f"cluster start --head` or `carina cluster join {address}` here first, with the head's token ({words})"
+    )

@@ -1,0 +1,90 @@
+"""A renderer that sleeps instead of rendering, and misbehaves when told to: for tests and benchmarks of the cluster.
+
+It needs no cores, so that eight of them on two cores are eight machines to the scheduler and the transport.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.cluster.host import RendererHost, Strip, bare_picture, counts_of
+from carina.errors import ClusterError
+from carina.render import Picture, RenderStats, View
+
+__all__ = ["StandInHost", "stand_in_pixels"]
+
+
+def stand_in_pixels(view: View, rows: tuple[int, int] | None, content: int) -> NDArray[np.uint8]:
+    """What a stand-in shows: pixels that tell where they belong, (rows, width, 3)."""
+    first, end = rows or (0, view.height)
+    row = np.arange(first, end)[:, None]
+    column = np.arange(view.width)[None, :]
+    fov = int(getattr(view, "fov_deg", None) or 0)
+    channels = (row + 0 * column, column + 0 * row, row * 7 + column * 3 + fov + content)
+    return np.stack(channels, axis=2).astype(np.uint8)
+
+
+class StandInHost(RendererHost):
+    """Sleeps ``strip_seconds`` for each strip and ``row_seconds`` for each row.
+
+    Parameters
+    ----------
+    version
+        In place of Carina's own, for tests.
+    memory_bytes
+        In place of what is left.
+    """
+
+    def __init__(
+        self,
+        *,
+        mixed: bool = False,
+        strip_seconds: float = 0.0,
+        row_seconds: float = 0.0,
+        version: str | None = None,
+        memory_bytes: int | None = None,
+    ) -> None:
+        super().__init__(mixed=mixed)
+        self._strip_seconds = strip_seconds
+        self._row_seconds = row_seconds
+        self._version = version
+        self._memory_bytes = memory_bytes
+        self._factor = 1.0
+        self._trouble: str | None = None
+
+    def ping(self) -> dict[str, Any]:
+        """As the real one's, but for what it was told to say."""
+        said = super().ping()
+        if self._version is not None:
+            said["version"] = self._version
+        if self._memory_bytes is not None:
+            said["memory_bytes"] = self._memory_bytes
+        return said
+
+    def misbehave(self, trouble: str | None = None, factor: float = 1.0) -> int:
+        """Be ``factor`` times slower from now on, or get ``"size"`` or ``"frame"`` wrong; the number of the process."""
+        self._trouble, self._factor = trouble, factor
+        return os.getpid()
+
+    def strip(self, frame_id: int, content: int, view: bytes, rows: tuple[int, int] | None) -> Strip:
+        """Sleep, and answer with pixels that tell where they belong."""
+        began_s = time.perf_counter()
+        if self._content != content:
+            raise ClusterError(f"the renderer holds content {self._content}, not {content}", code="cluster.lost")
+        shown = pickle.loads(view)
+        rgb = stand_in_pixels(shown, rows, content)
+        wanted_s = (self._strip_seconds + self._row_seconds * len(rgb)) * self._factor
+        time.sleep(max(0.0, wanted_s - (time.perf_counter() - began_s)))
+        if self._trouble == "size":
+            rgb = rgb[:-1]
+        if self._trouble == "frame":
+            frame_id -= 1
+        stats = RenderStats("stand-in", shown.width, len(rgb), rgb.size // 3, 0, 0, 0, 0, 0, 0, 0.0)
+        first = bare_picture(Picture(rgb=rgb, view="airway", stats=stats)) if rows is None or rows[0] == 0 else None
+        return frame_id, content, time.perf_counter() - began_s, "stand-in", counts_of(stats), first, rgb

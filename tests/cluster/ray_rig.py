@@ -1,0 +1,145 @@
+"""A real Ray on loopback for tests: one head, stand-in renderers, nothing left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import shutil
+import socket
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carina.cluster import ClusterRenderer, ClusterSettings, Console
+from carina.cluster.node import Node, descendants, make_token, reap
+from carina.render import AirwayView, Renderer
+from carina.scopes import Pose
+from carina.volume import Volume
+
+needs_ray = pytest.mark.skipif(
+    not sys.platform.startswith("linux") or importlib.util.find_spec("ray") is None,
+    reason="needs Linux and Ray: pip install 'carina[cluster]'",
+)
+IP = "127.0.0.2"  # Ray rewrites 127.0.0.1 to the machine's address on the network
+VIEW = AirwayView(Pose.looking((8.0, 8.0, 8.0), (0.0, 0.0, -1.0)), width=512, height=512)
+
+
+def free_port() -> int:
+    """A port that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind((IP, 0))
+        return int(probe.getsockname()[1])
+
+
+@dataclass
+class Head:
+    """A running head and its token."""
+
+    node: Node
+    token: Path
+
+
+@contextlib.contextmanager
+def running_head(renderers: int) -> Iterator[Head]:
+    """A head with renderers; ended, with all it has started."""
+    # Not pytest's own folder: Ray puts sockets in it, whose paths must be short.
+    folder = Path(tempfile.mkdtemp(prefix="carina-ray-"))
+    token = make_token(folder / "token")
+    node = Node(
+        token,
+        head=True,
+        ip=IP,
+        port=free_port(),
+        renderers=renderers,
+        store_bytes=200 * 2**20,
+        dedicated=True,
+        temp_dir=folder / "ray",
+        log=folder / "log",
+    )
+    tree: dict[int, str] = {}
+    try:
+        node.wait_ready()
+        yield Head(node, token)
+        tree = descendants(node.process.pid)
+    finally:
+        node.stop()
+        reap(tree)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def small_volume(size: int = 16) -> Volume:
+    """Noise."""
+    hu = np.random.default_rng(5).integers(-1000, 200, (size, size, size)).astype(np.int16)
+    return Volume(hu, np.eye(4))
+
+
+def wait_for(what, timeout_s: float = 60.0):
+    """Until something is true; says what it was if not."""
+    end_s = time.monotonic() + timeout_s
+    while not (found := what()):
+        assert time.monotonic() < end_s, "nothing came of it"
+        time.sleep(0.02)
+    return found
+
+
+@dataclass
+class Flight:
+    """A console with renderers on a Ray, and pictures to ask it for."""
+
+    console: Console
+    renderer: ClusterRenderer
+    cluster: object
+
+    def ready(self) -> list[str]:
+        """Names of the renderers that can render now."""
+        members = self.console.status().members
+        return [m.name for m in members if m.state == "ready" and m.name != "console"]
+
+    def lane(self, name: str):
+        """One renderer's lane."""
+        return self.console._members[name].lane
+
+    @property
+    def content(self) -> int:
+        """The number of what is shown."""
+        return self.renderer._sent[1]
+
+
+@contextlib.contextmanager
+def flying(
+    head: Head,
+    host_class,
+    *,
+    num: int,
+    volume: Volume | None = None,
+    settings: ClusterSettings | None = None,
+    **options,
+) -> Iterator[Flight]:
+    """A console with ``num`` renderers ready; others leave before."""
+    from carina.cluster.ray_backend import RayCluster
+
+    console = Console(settings, keep_jobs=True)
+    cluster = RayCluster(
+        console,
+        head.node.address,
+        head.token,
+        ip=IP,
+        host_class=host_class,
+        host_options=options,
+        poll_s=0.2,
+    )
+    try:
+        renderer = ClusterRenderer(Renderer(volume or small_volume()), console, spread_all=True)
+        renderer.prepare()
+        flight = Flight(console, renderer, cluster)
+        wait_for(lambda: len(flight.ready()) >= num)
+        yield flight
+    finally:
+        cluster.close()
+        console.close()

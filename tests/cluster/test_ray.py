@@ -1,0 +1,197 @@
+"""The cluster on a real Ray, on loopback: the picture is right and comes in time whatever happens to a renderer."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from ray_rig import IP, VIEW, flying, needs_ray, running_head, small_volume, wait_for
+
+from carina.cluster import ClusterSettings
+from carina.cluster.host import RendererHost
+from carina.cluster.node import make_token
+from carina.cluster.stand_in import StandInHost, stand_in_pixels
+from carina.render import transfer_preset
+
+pytestmark = [
+    pytest.mark.ray,
+    pytest.mark.slow,
+    needs_ray,
+    # Ray's own threads and sockets warn; what they say is not ours to mend.
+    pytest.mark.filterwarnings("ignore"),
+]
+# Machines under test are busy: fewer false alarms than at a desk.
+SETTINGS = ClusterSettings(late_floor_s=0.08)
+
+
+@pytest.fixture(scope="module")
+def head():
+    """One Ray for all tests; connected once."""
+    with running_head(renderers=4) as head:
+        from carina.cluster.ray_backend import _import_ray
+
+        ray = _import_ray(head.token)
+        ray.init(address=head.node.address, _node_ip_address=IP, log_to_driver=False, configure_logging=False)
+        yield head
+        ray.shutdown()
+
+
+@pytest.fixture(scope="module")
+def flight(head):
+    """Four stand-ins, 20 ms for a quarter of a picture; one flight for all faults: renderers start slowly.
+
+    Tests that come before the ones with renderers of their own; each leaves it whole.
+    """
+    with flying(head, StandInHost, num=4, settings=SETTINGS, row_seconds=0.02 / 128) as flight:
+        _fly(flight, 1.0)
+        yield flight
+
+
+@pytest.fixture
+def whole(flight):
+    """The flight with all four renderers; whoever was hurt before has come back."""
+    wait_for(lambda: len(flight.ready()) == 4)
+    _fly(flight, 0.5)
+    return flight
+
+
+def _fly(flight, seconds: float, rate_hz: float = 25.0) -> list[float]:
+    """Ask for pictures at a rate; every one must be right. Returns when each was shown."""
+    shown = []
+    expected = stand_in_pixels(VIEW, None, flight.content)
+    began_s = time.monotonic()
+    while time.monotonic() < began_s + seconds:
+        picture = flight.renderer.render(VIEW)
+        shown.append(time.monotonic())
+        # The console itself renders truly where nobody else can; a stand-in shows where its rows belong.
+        if picture.stats.method == "stand-in":
+            assert np.array_equal(picture.rgb, expected)
+        time.sleep(max(0.0, 1.0 / rate_hz - (time.monotonic() - shown[-1])))
+    return shown
+
+
+def test_a_renderer_killed_in_mid_frame_costs_a_moment_and_comes_back_with_the_volume(whole):
+    flight = whole
+    name = flight.ready()[1]
+    pid = flight.lane(name).facts.pid
+    os.kill(pid, signal.SIGKILL)
+    shown = _fly(flight, 3.0)
+    assert max(np.diff(shown)) < 1.0
+    wait_for(lambda: name in flight.ready())
+    assert flight.lane(name).facts.pid != pid
+    before = len(flight.console.jobs)
+    _fly(flight, 0.5)
+    assert name in {job.lane for job in flight.console.jobs[before:] if job.accepted}
+    told = [n for n in flight.console.status().notices if name in n and "does not answer" in n]
+    assert len(told) <= 1
+
+
+def test_a_renderer_that_is_stopped_is_late_and_goes_on_when_it_wakes(whole):
+    flight = whole
+    name = flight.ready()[2]
+    pid = flight.lane(name).facts.pid
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        shown = _fly(flight, 1.5)
+        assert max(np.diff(shown)) < 1.0
+        assert name not in flight.ready()
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    wait_for(lambda: name in flight.ready())
+    _fly(flight, 0.3)
+
+
+def test_a_renderer_ten_times_slower_gets_a_tenth_of_a_share(whole):
+    flight = whole
+    name = flight.ready()[0]
+    flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote(factor=10.0))
+    _fly(flight, 4.0)
+    [member] = [m for m in flight.console.status().members if m.name == name]
+    # Ideal is 1 / 31; the transport's millisecond weighs more in small strips.
+    assert member.share < 0.12
+    flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote())
+
+
+@pytest.mark.parametrize("trouble", ["size", "frame"])
+def test_wrong_answers_are_told_and_never_shown(whole, trouble):
+    flight = whole
+    name = flight.ready()[0]
+    flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote(trouble))
+    try:
+        _fly(flight, 0.5)
+        assert any(f"{name} answered wrongly" in n for n in flight.console.status().notices)
+    finally:
+        flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote())
+
+
+def test_a_cluster_that_is_closed_leaves_the_machines_to_the_next(head, flight):
+    flight.cluster.close()
+    assert flight.ready() == []
+    picture = flight.renderer.render(VIEW)
+    assert picture.stats.method != "stand-in", "this machine renders alone"
+
+
+def test_real_renderers_give_the_single_machines_picture_and_follow_its_content(head, case):
+    with flying(head, RendererHost, num=3, volume=case.volume, settings=SETTINGS) as flight:
+        truth = case.renderer()
+        flight.renderer.set_lumen(case.lumen_zyx)
+        flight.renderer.prepare()
+        view = type(VIEW)(case.pose, width=160, height=150)
+        for name in ("endoscopic", "see-through", "paper"):
+            for renderer in (flight.renderer, truth):
+                renderer.set_transfer(transfer_preset(name))
+                renderer.prepare()
+            expected = truth.render(view).rgb
+            assert np.array_equal(flight.renderer.render(view).rgb, expected)
+            before = len(flight.console.jobs)
+
+            def spread(view=view, expected=expected, before=before):
+                assert np.array_equal(flight.renderer.render(view).rgb, expected)
+                lanes = {job.lane for job in flight.console.jobs[before:]}
+                return len(lanes - {"console"}) >= 3
+
+            wait_for(spread)
+
+
+def test_another_version_of_carina_is_told_which_side_to_upgrade(head):
+    with flying(head, StandInHost, num=0, version="0.0.1") as flight:
+        [notice, *_] = wait_for(lambda: flight.console.status().notices)
+        assert "runs Carina 0.0.1" in notice and "upgrade the machine" in notice
+        assert flight.ready() == []
+        assert flight.renderer.render(VIEW).rgb.shape == (512, 512, 3), "this machine renders alone"
+    with flying(head, StandInHost, num=0, version="99.0") as flight:
+        wait_for(lambda: flight.console.status().notices)
+        assert "upgrade this console" in flight.console.status().notices[0]
+
+
+def test_a_volume_larger_than_a_members_memory_is_told_and_rendered_by_others(head):
+    with flying(head, StandInHost, num=0, volume=small_volume(64), memory_bytes=1000) as flight:
+        notice = wait_for(lambda: [n for n in flight.console.status().notices if "memory left" in n])[0]
+        assert "takes no part" in notice
+        assert flight.renderer.render(VIEW).rgb.shape == (512, 512, 3)
+
+
+REFUSED = """
+import sys
+from pathlib import Path
+from carina.cluster import Console
+from carina.cluster.ray_backend import RayCluster
+from carina.errors import ClusterError
+try:
+    RayCluster(Console(), sys.argv[1], Path(sys.argv[2]), ip=sys.argv[3])
+except ClusterError as refused:
+    print("refused:", refused)
+"""
+
+
+def test_a_wrong_token_is_refused(head, tmp_path):
+    wrong = make_token(tmp_path / "token")
+    command = [sys.executable, "-W", "ignore", "-c", REFUSED, head.node.address, str(wrong), IP]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert "refused: the cluster at" in done.stdout, done.stdout + done.stderr[-2000:]
+    assert "token" in done.stdout
