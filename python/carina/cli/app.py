@@ -38,7 +38,31 @@ HostOption = Annotated[
 BrowserOption = Annotated[bool, typer.Option("--browser/--no-browser", help="Open the browser.")]
 
 
-def _workstation(*, path: Path | None, demo: str | None, host: str, port: int, browser: bool, as_json: bool) -> None:
+ClusterOption = Annotated[
+    str | None,
+    typer.Option("--cluster", help="Render on the machines of a cluster: its head's HOST:PORT, or local to try it."),
+]
+MixedOption = Annotated[
+    bool,
+    typer.Option("--mixed", help="Let them use graphics devices: pictures then are equal within one grey level only."),
+]
+TokenOption = Annotated[
+    Path | None, typer.Option("--token-file", help="The cluster's token; in Carina's folder of settings unless told.")
+]
+
+
+def _workstation(
+    *,
+    path: Path | None,
+    demo: str | None,
+    host: str,
+    port: int,
+    browser: bool,
+    as_json: bool,
+    cluster: str | None = None,
+    token: Path | None = None,
+    mixed: bool = False,
+) -> None:
     def ready(url: str, token: str) -> None:
         if as_json:
             # The link is for a browser and works once; the token is for programs and lasts as long as the server.
@@ -47,16 +71,20 @@ def _workstation(*, path: Path | None, demo: str | None, host: str, port: int, b
             print(f"Carina is open at {url}\nPress Ctrl-C to close it.", flush=True)
 
     with exit_codes(as_json):
+        from carina.cli.cluster import opened_cluster
         from carina.server import serve
 
-        code = serve(
-            str(path) if path is not None else None,
-            demo=demo,
-            host=host,
-            port=port,
-            open_browser=browser,
-            on_ready=ready,
-        )
+        with opened_cluster(cluster, token=token, mixed=mixed) as used:
+            code = serve(
+                str(path) if path is not None else None,
+                demo=demo,
+                host=host,
+                port=port,
+                open_browser=browser,
+                on_ready=ready,
+                make_renderer=None if used is None else used.make_renderer,
+                cluster_status=None if used is None else used.status,
+            )
         raise SystemExit(code)
 
 
@@ -82,13 +110,26 @@ def open_(
     port: PortOption = 0,
     host: HostOption = "127.0.0.1",
     browser: BrowserOption = True,
+    cluster_: ClusterOption = None,
+    mixed: MixedOption = False,
+    token_file: TokenOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Open the workstation on a CT.
 
     Example: carina open ~/scans/thorax
     """
-    _workstation(path=path, demo=None, host=host, port=port, browser=browser, as_json=as_json)
+    _workstation(
+        path=path,
+        demo=None,
+        host=host,
+        port=port,
+        browser=browser,
+        as_json=as_json,
+        cluster=cluster_,
+        token=token_file,
+        mixed=mixed,
+    )
 
 
 @app.command()
@@ -491,6 +532,84 @@ def devices(
         from carina.cli.devices import report
 
         raise SystemExit(report(device or [], seconds=seconds, as_json=as_json))
+
+
+cluster = typer.Typer(
+    help="Many machines render one picture (docs/cluster.md). Needs Linux and the extra `cluster`.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+app.add_typer(cluster, name="cluster")
+
+IpOption = Annotated[
+    str | None, typer.Option("--ip", help="This machine's address, where it has several: the private network's.")
+]
+DedicatedOption = Annotated[
+    bool, typer.Option("--dedicated", help="The machine does nothing else: render at full priority.")
+]
+
+
+@cluster.command("start")
+def cluster_start(
+    head: Annotated[bool, typer.Option("--head", help="Be the first machine; the console's is best.")] = False,
+    port: Annotated[int, typer.Option(help="Port of the head.", min=1024, max=65535)] = 6379,
+    ip: IpOption = None,
+    renders: Annotated[bool, typer.Option("--renders/--no-renders", help="Render on this machine too.")] = True,
+    dedicated: DedicatedOption = False,
+    token_file: TokenOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Start a cluster on this machine and stay until Ctrl-C; prints what the others need.
+
+    Example: carina cluster start --head --ip 10.0.0.5
+    """
+    with exit_codes(as_json):
+        if not head:
+            raise UsageError("a cluster starts with its head: carina cluster start --head; others join it")
+        from carina.cli.cluster import start
+
+        raise SystemExit(
+            start(ip=ip, port=port, renders=renders, dedicated=dedicated, token=token_file, as_json=as_json)
+        )
+
+
+AddressArgument = Annotated[str, typer.Argument(help="HOST or HOST:PORT of the head.", show_default=False)]
+
+
+@cluster.command("join")
+def cluster_join(
+    address: AddressArgument,
+    ip: IpOption = None,
+    dedicated: DedicatedOption = False,
+    token_file: TokenOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Render for a cluster until Ctrl-C; joins again by itself after a cut link.
+
+    Example: carina cluster join 10.0.0.5:6379 --token-file ~/cluster.token
+    """
+    with exit_codes(as_json):
+        from carina.cli.cluster import join
+
+        raise SystemExit(join(address, ip=ip, dedicated=dedicated, token=token_file, as_json=as_json))
+
+
+@cluster.command("status")
+def cluster_status(
+    address: Annotated[
+        str | None, typer.Argument(help="HOST or HOST:PORT of the head; this machine's unless told.")
+    ] = None,
+    token_file: TokenOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Who is in a cluster.
+
+    Example: carina cluster status 10.0.0.5
+    """
+    with exit_codes(as_json):
+        from carina.cli.cluster import status
+
+        raise SystemExit(status(address, token=token_file, as_json=as_json))
 
 
 bench = typer.Typer(

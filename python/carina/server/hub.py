@@ -14,6 +14,7 @@ from typing import Any, assert_never
 from carina.errors import CarinaError, UsageError
 from carina.render import Slab
 from carina.server import messages as wire
+from carina.server.cluster_watch import ClusterWatch
 from carina.server.device_desk import DeviceDesk
 from carina.server.pointing import Pointing, edit_from_wire
 from carina.server.presenter import (
@@ -77,7 +78,7 @@ class Outbox:
         """A message that must arrive as it is, in order; of progress and answers to a cursor only the newest."""
         if isinstance(message, wire.Progress):
             self._newest[f"job {message.job_id}"] = wire.encode_message(message)
-        elif isinstance(message, wire.Value | wire.LivePath | wire.BranchDetail | wire.Devices):
+        elif isinstance(message, wire.Value | wire.LivePath | wire.BranchDetail | wire.Devices | wire.Cluster):
             self._newest[message.wire_type] = wire.encode_message(message)
         else:
             if isinstance(message, wire.Done):
@@ -130,6 +131,7 @@ class Hub:
         simd: str = "",
         patient_citation: str | None = None,
         recordings: Path | None = None,
+        cluster_status: Callable[[], dict[str, Any]] | None = None,
     ) -> None:
         self.session = session
         self._uploads = uploads
@@ -143,6 +145,7 @@ class Hub:
         self._thread = threading.Thread(target=self.pump.run, name="carina-frames", daemon=True)
         self._pointing = Pointing(session, self.pump.shown, lambda answer: self._in_loop(self._push, answer))
         self.devices = DeviceDesk(session, lambda message: self._in_loop(self._push, message), recordings=recordings)
+        self._watch = None if cluster_status is None else ClusterWatch(cluster_status, self._tell_of_cluster)
         self._unsubscribe: Callable[[], None] = lambda: None
         self._cache: dict[str, tuple[tuple[object, ...], str]] = {}
 
@@ -155,12 +158,16 @@ class Hub:
         self._thread.start()
         self._pointing.start()
         self.devices.start()
+        if self._watch is not None:
+            self._watch.start()
 
     def stop(self) -> None:
         """End the pump's thread and the session's jobs."""
         self._unsubscribe()
         self._pointing.stop()
         self.devices.stop()
+        if self._watch is not None:
+            self._watch.stop()
         self.pump.stop()
         if self._thread.is_alive():
             self._thread.join()
@@ -245,6 +252,9 @@ class Hub:
         else:
             message_out = message
         self._in_loop(self._push, message_out)
+
+    def _tell_of_cluster(self, message: wire.Cluster | wire.Notice) -> None:
+        self._in_loop(self._push, message)
 
     def _in_loop(self, function: Callable[..., None], *arguments: Any) -> None:
         loop = self._loop

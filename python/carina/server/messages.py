@@ -74,6 +74,8 @@ from carina.server.messages_from_client import (
 from carina.server.messages_from_server import (
     Carm,
     CaseInfo,
+    Cluster,
+    ClusterMember,
     Demo,
     Done,
     Error,
@@ -158,6 +160,8 @@ __all__ = [
     "ChooseRoute",
     "ClientHello",
     "CloseCase",
+    "Cluster",
+    "ClusterMember",
     "ConnectDevice",
     "Demo",
     "DeviceControls",
@@ -288,7 +292,7 @@ CLIENT_MESSAGES = _by_type(
 )  # fmt: skip
 SERVER_MESSAGES = _by_type(
     ServerHello, Start, State, Tree, Route, Pose, Value, Picked, LivePath, BranchDetail, Progress, Done, Error, Notice,
-    Status, Devices,
+    Status, Devices, Cluster,
 )  # fmt: skip
 
 

@@ -30,6 +30,8 @@ from carina.server.wire_fields import (
 __all__ = [
     "Carm",
     "CaseInfo",
+    "Cluster",
+    "ClusterMember",
     "Demo",
     "Done",
     "Error",
@@ -399,6 +401,42 @@ class Status:
     method: Words
     threads: Count
     simd: Words
+
+
+@dataclass(frozen=True, slots=True)
+class ClusterMember:
+    """One machine that renders with this one."""
+
+    name: Words
+    host: Words
+    threads: Count
+    simd: Words
+    state: Literal["ready", "late", "away", "loading"]
+    """``late``: its strips went to others, until it answers. ``loading``: it is being sent the volume."""
+    share: Annotated[float, Range(0.0, 1.0)]
+    """Of a picture."""
+    latency_ms: float | None
+    """From the order of a strip to its answer, the median of the last; null before the first."""
+    num_late: Count
+    num_strips: Count
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """The machines that render, once a second; only where there is a cluster."""
+
+    wire_type: ClassVar[str] = "cluster"
+    address: Words
+    members: tuple[ClusterMember, ...]
+    """Without this machine's own renderer, which steps in where nobody else can."""
+    alone: bool
+    """No other machine can render now: this one does."""
+    mixed: bool
+    """Pictures may come from graphics devices: equal within one grey level only."""
+    fps: float
+    """Pictures put together in the last second."""
+    frame_ms: float | None
+    """From wanted to complete, the median of the last pictures; null before the first."""
 
 
 @dataclass(frozen=True, slots=True)

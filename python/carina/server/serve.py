@@ -21,7 +21,7 @@ from carina.server.hub import Hub
 from carina.server.security import Gate, is_loopback
 from carina.server.uploads import Uploads
 from carina.server.wire_codec import MAX_TEXT_BYTES
-from carina.session import LocalStore, Session
+from carina.session import LocalStore, RendererFactory, Session
 
 __all__ = ["bind", "make_server", "serve", "start_url"]
 
@@ -94,6 +94,7 @@ def make_server(
     uploads: Uploads | None = None,
     patient_citation: str | None = None,
     build_info: dict[str, Any] | None = None,
+    cluster_status: Callable[[], dict[str, Any]] | None = None,
 ) -> uvicorn.Server:
     """The server over a session; run it with ``server.run(sockets=[sock])``; ``server.should_exit = True`` ends it."""
     uploads = uploads or Uploads()
@@ -104,6 +105,7 @@ def make_server(
         threads=int(info.get("threads", 1)),
         simd=str(info.get("simd", "")),
         patient_citation=patient_citation,
+        cluster_status=cluster_status,
     )
     config = uvicorn.Config(
         create_app(hub, gate, uploads, web=web),
@@ -129,6 +131,8 @@ def serve(
     port: int = 0,
     open_browser: bool = True,
     on_ready: Callable[[str, str], None] | None = None,
+    make_renderer: RendererFactory | None = None,
+    cluster_status: Callable[[], dict[str, Any]] | None = None,
 ) -> int:
     """Start the workstation and stay until Ctrl-C.
 
@@ -147,6 +151,10 @@ def serve(
     on_ready
         Gets, once the server answers, the start URL for a browser, which works once, and the token for programs,
         which lasts as long as the server (``Authorization: Bearer TOKEN``, protocol/README.md).
+    make_renderer
+        Makes the renderer of a volume; this machine's unless told.
+    cluster_status
+        How the machines do that render with this one, shown in the window; None where there are none.
 
     Returns
     -------
@@ -172,7 +180,7 @@ def serve(
         gate = Gate(host=host, port=sock.getsockname()[1])
         if not is_loopback(host):
             print(_NETWORK_WARNING.format(host=host), file=sys.stderr, flush=True)
-        session = Session(_renderer_factory(), store=LocalStore(load_settings().config_dir))
+        session = Session(make_renderer or _renderer_factory(), store=LocalStore(load_settings().config_dir))
 
         def ready() -> None:
             if path is not None:
@@ -193,6 +201,7 @@ def serve(
             web=web_folder(),
             patient_citation=_patient_citation(),
             build_info=_build_info(),
+            cluster_status=cluster_status,
         )
         try:
             server.run(sockets=[sock])

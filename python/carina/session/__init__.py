@@ -2,7 +2,7 @@
 
 from carina.session.core import Event
 from carina.session.jobs import JobEnded, JobProgress, log_fault
-from carina.session.parts import Parts, default_parts
+from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.recent import LocalStore, RecentCase
 from carina.session.routes import ChosenRoute
 from carina.session.scene import Carm, Orbit, Reformation, Renderer, Scene, Zoom
@@ -23,6 +23,7 @@ __all__ = [
     "RecentCase",
     "Reformation",
     "Renderer",
+    "RendererFactory",
     "Said",
     "Scene",
     "Session",

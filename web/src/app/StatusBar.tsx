@@ -5,6 +5,7 @@ import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue } from "reac
 import { greyWindow } from "../state/app-state";
 import { coordinates, finenessWords, fixed, methodWords, plural, windowWords } from "../state/format";
 import { asVec3 } from "../state/vec";
+import { ClusterPanel } from "./ClusterPanel";
 import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
 
@@ -28,6 +29,7 @@ export function StatusBar() {
       <PaceWords />
       <FineWords />
       <MethodWords />
+      <ClusterPanel />
       <span data-testid="mode">mode: {control ?? mode} [M]</span>
       {recording === null ? null : <span className="warning-text">recording</span>}
       <span className="wide spare">

@@ -3,6 +3,7 @@
 import type {
   BranchDetailMessage,
   ClientMessage,
+  ClusterMessage,
   DevicesMessage,
   Mask,
   PickedMessage,
@@ -114,6 +115,8 @@ export interface AppState {
   readonly messages: readonly Message[];
   readonly nextMessageId: number;
   readonly status: StatusMessage | null;
+  /** The machines that render with this one; null where there are none. */
+  readonly cluster: ClusterMessage | null;
   /** Points of the wall that were clicked in the airway view, newest last. */
   readonly picks: readonly WallPoint[];
   /** Header of the picture that each place shows now; where another stands in for a view, that one's. */
@@ -148,6 +151,7 @@ export const INITIAL_STATE: AppState = {
   messages: [],
   nextMessageId: 1,
   status: null,
+  cluster: null,
   picks: [],
   frames: {},
   pace: NO_PACE,
@@ -285,6 +289,8 @@ function receive(state: AppState, message: ServerMessage, nowMs: number): AppSta
       return { ...state, status: message };
     case "devices":
       return { ...state, devices: message };
+    case "cluster":
+      return { ...state, cluster: message };
   }
 }
 

@@ -883,6 +883,30 @@ export interface DevicesMessage {
   readonly recording: string | null;
 }
 
+/** One machine that renders with this one. */
+export interface ClusterMember {
+  readonly name: string;
+  readonly host: string;
+  readonly threads: number;
+  readonly simd: string;
+  readonly state: "ready" | "late" | "away" | "loading";
+  readonly share: number;
+  readonly latency_ms: number | null;
+  readonly num_late: number;
+  readonly num_strips: number;
+}
+
+/** The machines that render, once a second; only where there is a cluster. */
+export interface ClusterMessage {
+  readonly type: "cluster";
+  readonly address: string;
+  readonly members: readonly ClusterMember[];
+  readonly alone: boolean;
+  readonly mixed: boolean;
+  readonly fps: number;
+  readonly frame_ms: number | null;
+}
+
 /** A lens in front of this picture. A direction (x, y, z) in camera space falls on center + focal * (x', y').
 
     `brown`, with k1 k2 p1 p2 k3 k4 k5 k6, distorts (x/z, y/z); `fisheye`, with k1 to k4, puts the angle a from the
@@ -1006,4 +1030,5 @@ export type ServerMessage =
   | ErrorMessage
   | NoticeMessage
   | StatusMessage
-  | DevicesMessage;
+  | DevicesMessage
+  | ClusterMessage;

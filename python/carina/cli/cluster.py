@@ -1,0 +1,214 @@
+"""``carina cluster``, and what ``carina open --cluster`` needs."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from carina.cli.console import print_json, say
+from carina.cluster import ClusterRenderer, Console
+from carina.cluster.node import (
+    DEFAULT_PORT,
+    Node,
+    check_available,
+    check_token,
+    make_token,
+    own_address,
+    split_address,
+    token_file,
+)
+from carina.config import load_settings
+from carina.errors import UsageError
+from carina.render import Renderer, TransferFunction
+from carina.session import RendererFactory
+from carina.volume import Volume
+
+__all__ = ["OpenCluster", "join", "opened_cluster", "start", "status"]
+
+LOCAL_IP = "127.0.0.2"
+AGAIN_S = (1.0, 2.0, 5.0, 10.0)
+
+
+def _token(path: Path | None) -> Path:
+    return token_file(load_settings().config_dir) if path is None else path
+
+
+def _log_file() -> Path:
+    folder = load_settings().state_dir
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / "cluster.log"
+
+
+@contextmanager
+def _ends_by_signal() -> Iterator[None]:
+    """SIGTERM, by which supervisors end a service, is Ctrl-C: the machine leaves the cluster in order."""
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    except KeyboardInterrupt:
+        say("left the cluster")
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def start(*, ip: str | None, port: int, renders: bool, dedicated: bool, token: Path | None, as_json: bool) -> int:
+    """Be the head until Ctrl-C."""
+    check_available()
+    with _ends_by_signal():
+        node = Node(
+            make_token(_token(token)),
+            head=True,
+            ip=ip,
+            port=port,
+            renderers=int(renders),
+            dedicated=dedicated,
+            log=_log_file(),
+        )
+        try:
+            node.wait_ready()
+            if as_json:
+                print_json({"address": node.address, "token_file": str(_token(token))})
+            else:
+                print(
+                    f"The cluster is at {node.address}. On each further machine, with a copy of the token file\n"
+                    f"{_token(token)}\n  carina cluster join {node.address}\nand here, in another window\n"
+                    f"  carina open PATH --cluster {node.address}\n"
+                    "Traffic is not encrypted: keep it on a private network (docs/cluster.md). Ctrl-C ends it.",
+                    flush=True,
+                )
+            while node.running:
+                time.sleep(0.5)
+            say(f"the head has ended by itself; its words are in {_log_file()}")
+            return 1
+        finally:
+            node.stop()
+    return 0
+
+
+def join(address: str, *, ip: str | None, dedicated: bool, token: Path | None, as_json: bool) -> int:
+    """Render for a cluster until Ctrl-C; after a cut link, join again."""
+    check_available()
+    found = check_token(_token(token))
+    attempts = 0
+    with _ends_by_signal():
+        while True:
+            node = Node(found, address=address, ip=ip, dedicated=dedicated, log=_log_file())
+            began_s = time.monotonic()
+            try:
+                node.wait_ready()
+                if attempts == 0:
+                    if as_json:
+                        print_json({"address": node.address, "ip": node.ip})
+                    else:
+                        print(
+                            f"This machine ({node.ip}) joins the cluster at {node.address}. Ctrl-C leaves it.",
+                            flush=True,
+                        )
+                while node.running:
+                    time.sleep(0.2)
+            finally:
+                node.stop()
+            # A machine that was cut off is declared dead and its process ends: it has to join anew.
+            attempts = 1 if time.monotonic() - began_s > 60.0 else attempts + 1
+            say(f"this machine has been dropped from the cluster at {address}; joining again")
+            time.sleep(AGAIN_S[min(attempts, len(AGAIN_S)) - 1])
+    return 0
+
+
+def status(address: str | None, *, token: Path | None, as_json: bool) -> int:
+    """Print who is in a cluster."""
+    from carina.cluster.ray_backend import look
+
+    check_available()
+    address = address or f"{own_address()}:{DEFAULT_PORT}"
+    host, port = split_address(address)
+    members = look(f"{host}:{port}", check_token(_token(token)), ip=_ip_towards(host))
+    if as_json:
+        print_json({"address": f"{host}:{port}", "members": members})
+        return 0
+    num = sum(m["renderers"] for m in members if m["alive"])
+    print(f"{host}:{port}: {num} renderer{'s' if num != 1 else ''}")
+    for member in members:
+        state = "busy" if member["busy"] else "free"
+        state = ("no renderer" if not member["renderers"] else state) if member["alive"] else "gone"
+        print(f"  {member['ip']:<16} {state:<12} {member['store_bytes'] / 2**30:.1f} GiB for volumes")
+    return 0
+
+
+def _ip_towards(host: str) -> str:
+    return host if host.startswith("127.") else own_address(host)
+
+
+@dataclass(frozen=True, slots=True)
+class OpenCluster:
+    """A cluster that a workstation uses."""
+
+    make_renderer: RendererFactory
+    status: Callable[[], dict[str, Any]]
+
+
+@contextmanager
+def opened_cluster(address: str | None, *, token: Path | None, mixed: bool) -> Iterator[OpenCluster | None]:
+    """The cluster of ``carina open --cluster``, until the workstation is closed; None without an address."""
+    if address is None:
+        if mixed:
+            raise UsageError("--mixed is about the machines of a cluster: give --cluster ADDRESS")
+        yield None
+        return
+    check_available()
+    from carina.cluster.ray_backend import RayCluster
+
+    node: Node | None = None
+    console: Console | None = None
+    cluster: RayCluster | None = None
+    try:
+        if address == "local":
+            found = make_token(_token(token))
+            say("starting a cluster of this machine alone")
+            node = Node(found, head=True, ip=LOCAL_IP, port=_free_port(), log=_log_file())
+            node.wait_ready()
+            where, ip = node.address, LOCAL_IP
+        else:
+            found = check_token(_token(token))
+            host, port = split_address(address)
+            where, ip = f"{host}:{port}", _ip_towards(host)
+            if host != ip:
+                # A console must be in the cluster too; this one brings no renderer.
+                node = Node(found, address=where, renderers=0, log=_log_file())
+                node.wait_ready()
+        say(f"joining the cluster at {where}")
+        console = Console()
+        cluster = RayCluster(console, where, found, mixed=mixed, ip=ip)
+        settings = load_settings()
+        shown = console
+
+        def make(volume: Volume, transfer: TransferFunction) -> ClusterRenderer:
+            renderer = Renderer(volume, transfer=transfer, cache_dir=settings.cache_dir / "maps")
+            return ClusterRenderer(renderer, shown)
+
+        yield OpenCluster(make, lambda: asdict(shown.status()))
+    finally:
+        if cluster is not None:
+            cluster.close()
+        if console is not None:
+            console.close()
+        if node is not None:
+            node.stop()
+
+
+def _free_port() -> int:
+    import socket
+
+    with socket.socket() as probe:
+        probe.bind((LOCAL_IP, 0))
+        return int(probe.getsockname()[1])

@@ -1,0 +1,52 @@
+/** The machines that render with this one: a few words, and behind them who does how much and who is late. */
+
+import { Button, Dialog, DialogTrigger, Popover } from "react-aria-components";
+import { clusterWords, memberWords, needsLook } from "../state/cluster-words";
+import { fixed } from "../state/format";
+import { useApp } from "./context";
+
+export function ClusterPanel() {
+  const cluster = useApp((state) => state.cluster);
+  if (cluster === null) return null;
+  return (
+    <DialogTrigger>
+      <Button className={`plain-text${needsLook(cluster) ? " warning-text" : ""}`} data-testid="cluster">
+        {clusterWords(cluster)}
+      </Button>
+      <Popover className="popover cluster" placement="top start" offset={6}>
+        <Dialog aria-label="The machines that render">
+          <p className="quiet">
+            {cluster.address} · {fixed(cluster.fps)} pictures/s
+            {cluster.frame_ms === null ? "" : `, ${fixed(cluster.frame_ms)} ms each`}
+            {cluster.mixed ? " · mixed: equal within one grey level" : ""}
+          </p>
+          {cluster.alone ? <p>No other machine can render now: this one does.</p> : null}
+          <table className="numbers">
+            <thead>
+              <tr>
+                <th>machine</th>
+                <th>share</th>
+                <th>answers in</th>
+                <th>late</th>
+                <th>now</th>
+              </tr>
+            </thead>
+            <tbody>
+              {cluster.members.map((member) => (
+                <tr key={member.name} className={member.state === "ready" ? undefined : "warning-text"}>
+                  <td title={`${member.threads} threads, ${member.simd}`}>
+                    {member.host === member.name ? member.name : `${member.host} (${member.name})`}
+                  </td>
+                  <td>{fixed(100 * member.share)} %</td>
+                  <td>{member.latency_ms === null ? "–" : `${fixed(member.latency_ms)} ms`}</td>
+                  <td>{member.num_late}</td>
+                  <td>{memberWords(member)}</td>
+                </tr>
+              ))}
+            </tbody>
+          </table>
+        </Dialog>
+      </Popover>
+    </DialogTrigger>
+  );
+}

@@ -1,0 +1,43 @@
+import { describe, expect, it } from "vitest";
+import type { ClusterMember, ClusterMessage } from "../wire/messages";
+import { clusterWords, memberWords, needsLook } from "./cluster-words";
+
+const member = (state: ClusterMember["state"]): ClusterMember => ({
+  name: "10.0.0.6",
+  host: "laptop",
+  threads: 4,
+  simd: "avx2",
+  state,
+  share: 0.5,
+  latency_ms: 6,
+  num_late: 0,
+  num_strips: 9,
+});
+
+const cluster = (members: ClusterMember[], changes: Partial<ClusterMessage> = {}): ClusterMessage => ({
+  type: "cluster",
+  address: "10.0.0.5:6379",
+  members,
+  alone: false,
+  mixed: false,
+  fps: 29,
+  frame_ms: 21,
+  ...changes,
+});
+
+describe("the cluster in words", () => {
+  it("counts the machines that render", () => {
+    expect(clusterWords(cluster([member("ready"), member("ready")]))).toBe("cluster: 2 machines");
+    expect(clusterWords(cluster([member("ready"), member("late")]))).toBe("cluster: 1 of 2 machines");
+    expect(clusterWords(cluster([member("ready")], { mixed: true }))).toBe("cluster: 1 machine, mixed");
+    expect(clusterWords(cluster([], { alone: true }))).toBe("cluster: this machine alone");
+  });
+
+  it("asks for a look where a machine is late or gone, and not while one is being sent the scan", () => {
+    expect(needsLook(cluster([member("ready"), member("loading")]))).toBe(false);
+    expect(needsLook(cluster([member("ready"), member("late")]))).toBe(true);
+    expect(needsLook(cluster([member("ready"), member("away")]))).toBe(true);
+    expect(needsLook(cluster([], { alone: true }))).toBe(true);
+    expect(memberWords(member("late"))).toContain("others");
+  });
+});

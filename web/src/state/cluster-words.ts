@@ -1,0 +1,32 @@
+/** How the machines do that render with this one, in words. */
+
+import type { ClusterMember, ClusterMessage } from "../wire/messages";
+import { plural } from "./format";
+
+/** The few words of the status bar. */
+export function clusterWords(cluster: ClusterMessage): string {
+  const ready = cluster.members.filter((member) => member.state === "ready").length;
+  const all = cluster.members.length;
+  const mixed = cluster.mixed ? ", mixed" : "";
+  if (cluster.alone) return `cluster: this machine alone${mixed}`;
+  return `cluster: ${ready === all ? plural(all, "machine") : `${ready} of ${plural(all, "machine")}`}${mixed}`;
+}
+
+/** What a machine does now. */
+export function memberWords(member: ClusterMember): string {
+  switch (member.state) {
+    case "ready":
+      return "renders";
+    case "late":
+      return "late: others do its part";
+    case "away":
+      return "does not answer";
+    case "loading":
+      return "is sent the scan";
+  }
+}
+
+/** Whether a person should look. */
+export function needsLook(cluster: ClusterMessage): boolean {
+  return cluster.alone || cluster.members.some((member) => member.state === "late" || member.state === "away");
+}
