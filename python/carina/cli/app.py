@@ -724,6 +724,27 @@ def bench_haptics(
         raise SystemExit(report(folder=output, quick=quick, as_json=as_json))
 
 
+@bench.command("cluster")
+def bench_cluster(
+    output: BenchFolder = Path("carina-bench"),
+    only: BenchOnly = None,
+    quick: BenchQuick = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Many machines: the paper's Tables 1 and 2 by calibrated simulation and on real processes, and what Ray costs.
+
+    Sections: simulation, real, transport, kills. All but the first need the extra `cluster`. Plots of Figures 9, 10 and
+    11 go to the folder.
+
+    Example: carina bench cluster --only simulation
+    """
+    with exit_codes(as_json):
+        from carina.cli.bench.cluster import report
+
+        check_output_folder(output)
+        raise SystemExit(report(folder=output, only=only or [], quick=quick, as_json=as_json))
+
+
 USAGE_ERROR: Any = typer.BadParameter.__base__
 """Root of what typer itself refuses: unknown options, missing arguments, values of the wrong type."""
 

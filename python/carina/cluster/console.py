@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.cluster.host import Counts
-from carina.cluster.lanes import Lane, LocalLane, StripAnswer, StripOrder, with_pixels
+from carina.cluster.lanes import Lane, LaneFacts, LocalLane, StripAnswer, StripOrder, with_pixels
 from carina.cluster.parcel import Parcel, Parcels
 from carina.cluster.scheduler import FrameDone, FrameDropped, Issue, LaneBack, LaneLate, StripScheduler
 from carina.cluster.settings import ClusterSettings
@@ -179,6 +179,10 @@ class Console:
     def has_renderers(self) -> bool:
         """Whether any machine but the console's own can render now."""
         return any(not m.reserve and not m.loading for m in list(self._members.values()))
+
+    def facts(self, name: str) -> LaneFacts:
+        """The machine behind a lane."""
+        return self._members[name].lane.facts
 
     @property
     def num_ready(self) -> int:

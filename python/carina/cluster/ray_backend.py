@@ -186,6 +186,8 @@ class RayCluster:
         What runs on each machine, for tests and benchmarks.
     ip
         This machine's address in the cluster, where it has several.
+    limit
+        Use no more renderers than these, for benchmarks.
 
     Raises
     ------
@@ -203,11 +205,13 @@ class RayCluster:
         host_class: type[RendererHost] = RendererHost,
         host_options: dict[str, Any] | None = None,
         ip: str | None = None,
+        limit: int | None = None,
         poll_s: float = POLL_S,
     ) -> None:
         self.ray = _import_ray(token)
         self._console = console
         self._poll_s = poll_s
+        self._limit = limit
         # Tests connect once for many clusters.
         self._connected = not self.ray.is_initialized()
         options: dict[str, Any] = {} if ip is None else {"_node_ip_address": ip}
@@ -282,7 +286,7 @@ class RayCluster:
         for name in gone:
             self._console.notice(f"the machine {name} has left the cluster")
             self._console.remove_lane(name)
-        for name, (node, store_bytes) in places.items():
+        for name, (node, store_bytes) in list(places.items())[: self._limit]:
             now_s = time.monotonic()
             if name in self._lanes or node in self._refused or self._not_before.get(name, 0.0) > now_s:
                 continue

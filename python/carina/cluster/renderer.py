@@ -130,7 +130,7 @@ class ClusterRenderer:
         """
         if rows is not None or scene is not None or not self.spreads(view) or not self._console.has_renderers:
             return self._renderer.render(view, rows=rows, stop=stop, scene=scene)
-        frame_id, future = self._want(view, stream=stream)
+        frame_id, future = self.want(view, stream=stream)
         while True:
             try:
                 return future.result(timeout=POLL_S if stop is not None else None)
@@ -138,6 +138,14 @@ class ClusterRenderer:
                 if stop is not None and stop.cancelled:
                     self._console.drop(frame_id)
                     raise CancelledError("the picture was given up for a newer one") from None
+
+    def want(self, view: View, *, whole: bool = False, stream: str | None = None) -> tuple[int, Future[Picture]]:
+        """Ask for a picture of what is shown now, and go on: its number, and the picture when it is there.
+
+        ``whole`` gives it to one machine uncut, for jobs of many pictures.
+        """
+        scene, content = self._send()
+        return self._console.render(view, Content(content, self._renderer, scene), whole=whole, stream=stream)
 
     def render_frames(
         self, views: Iterable[View], *, first: int = 0, ahead: int | None = None, cancel: Cancel | None = None
@@ -182,7 +190,7 @@ class ClusterRenderer:
                     if item is None:
                         exhausted = True
                     elif item[0] >= first:
-                        under_way.append((item[0], *self._want(item[1], whole=True)))
+                        under_way.append((item[0], *self.want(item[1], whole=True)))
                 if not under_way:
                     return
                 number, _, future = under_way[0]
@@ -203,10 +211,6 @@ class ClusterRenderer:
     def status(self) -> ClusterStatus:
         """How the cluster does."""
         return self._console.status()
-
-    def _want(self, view: View, *, whole: bool = False, stream: str | None = None) -> tuple[int, Future[Picture]]:
-        scene, content = self._send()
-        return self._console.render(view, Content(content, self._renderer, scene), whole=whole, stream=stream)
 
     def _send(self) -> tuple[Scene, int]:
         """The present scene and its number; told to the console where it is new."""

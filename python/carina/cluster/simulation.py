@@ -69,8 +69,10 @@ class SimulatedCluster:
         The machines.
     settings
         Of the scheduler.
-    console_seconds
-        What the console itself does for each answer; one after the other.
+    console_seconds, console_row_seconds
+        What the console itself, and its link, take for each answer and each row in it; one answer after the other.
+    row_cost
+        What a row costs, as a multiple of the mean: rows of a picture differ.
     seed
         Of the jitter.
     """
@@ -81,12 +83,14 @@ class SimulatedCluster:
         settings: ClusterSettings | None = None,
         *,
         console_seconds: float = 0.0,
+        console_row_seconds: float = 0.0,
         row_cost: Callable[[int], float] | None = None,
         seed: int = 1,
     ) -> None:
         self._renderers = renderers
         self._scheduler = StripScheduler(settings)
         self._console_s = console_seconds
+        self._console_row_s = console_row_seconds
         self._row_cost = row_cost
         self._random = random.Random(seed)
         self._events: list[tuple[float, int, Callable[[float], None]]] = []
@@ -147,7 +151,8 @@ class SimulatedCluster:
 
         def arrive(task: Issue, seconds: float, now_s: float) -> None:
             nonlocal console_free_s
-            console_free_s = max(console_free_s, now_s) + self._console_s
+            rows = task.end_row - task.first_row
+            console_free_s = max(console_free_s, now_s) + self._console_s + rows * self._console_row_s
             self._at(console_free_s, lambda at_s: answer(task, seconds, at_s))
 
         def answer(task: Issue, seconds: float, now_s: float) -> None:

@@ -1,0 +1,332 @@
+"""``carina bench cluster``: the paper's Tables 1 and 2 by simulation and on real processes; what Ray itself costs."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import statistics
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carina.cli.bench.machine import load_average, machine_facts
+from carina.cli.bench.plot_svg import line_plot, timeline
+from carina.cli.console import print_json, say
+from carina.cluster import ClusterRenderer, ClusterSettings
+from carina.cluster.host import RendererHost
+from carina.cluster.simulation import SimulatedCluster, SimulatedRenderer, SimulationResult
+from carina.errors import UsageError
+from carina.phantom import generate_phantom
+from carina.render import AirwayView, Renderer, View
+from carina.scopes import Pose
+from carina.volume import Volume
+
+__all__ = ["PAPER_TABLE_1", "PAPER_TABLE_2", "SECTIONS", "report"]
+
+SECTIONS = ("simulation", "real", "transport", "kills")
+SIDE = 512
+GRIDS = {"head, 128x128x64": (64, 128, 128), "lung, 256x256x200": (200, 256, 256)}
+CONCURRENCY = (1, 2, 4, 8)
+
+# Paper, Table 1: frames per second, speed-up, efficiency in per cent, response time in microseconds.
+PAPER_TABLE_1 = {
+    "head, 128x128x64": {1: (1.70, 1.00, 100, 855193), 2: (3.20, 1.88, 94, 452661), 4: (4.64, 2.73, 68, 407028),
+                         8: (7.68, 4.52, 56, 313438)},
+    "lung, 256x256x200": {1: (1.66, 1.00, 100, 944950), 2: (2.86, 1.72, 86, 526609), 4: (4.34, 2.61, 65, 382623),
+                          8: (7.48, 4.51, 56, 315812)},
+}  # fmt: skip
+PAPER_TABLE_2 = {"head, 128x128x64": (16.91, 9.98, 62, 396048), "lung, 256x256x200": (15.83, 9.54, 60, 338778)}
+# Paper 5.2 names 2 Suns, 2 SGIs and 12 PCs and not their speeds: assumed, relative to the fastest.
+ASSUMED_SPEEDS = (*(0.8,) * 2, *(1.0,) * 2, *(0.7,) * 12)
+# Between machines on 1 Gbit/s, measured with the same transport (docs/decisions/0026): a call there and back, and its
+# jitter; what the console does for an answer; bytes on its link.
+CALL_S, CALL_JITTER_S, CONSOLE_S, LINK_BYTES_PER_S = 0.0012, 0.0003, 0.001, 125e6
+
+
+@dataclass(frozen=True, slots=True)
+class Scheme:
+    """A way to share out work."""
+
+    name: str
+    settings: ClusterSettings
+
+
+SCHEMES = (
+    Scheme("all", ClusterSettings(in_flight=2, open_frames=3)),
+    Scheme("no pre-assignment", ClusterSettings(in_flight=1, open_frames=3)),
+    Scheme("one buffer", ClusterSettings(in_flight=2, open_frames=1)),
+    Scheme("no balancing", ClusterSettings(in_flight=2, open_frames=3, balances=False)),
+    Scheme("none of them", ClusterSettings(in_flight=1, open_frames=1, balances=False)),
+)
+
+
+def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> int:
+    """Run the sections and print what came of them; plots and ``cluster.json`` go to ``folder``."""
+    unknown = [name for name in only if name not in SECTIONS]
+    if unknown:
+        raise UsageError(f"--only: expected {', '.join(SECTIONS)}; found {', '.join(unknown)}")
+    wanted = [name for name in SECTIONS if not only or name in only]
+    can_ray = sys.platform.startswith("linux") and find_spec("ray") is not None
+    left_out = [] if can_ray else [name for name in wanted if name != "simulation"]
+    if left_out:
+        say(f"left out, since Ray is not installed (pip install 'carina[cluster]'): {', '.join(left_out)}")
+    folder.mkdir(parents=True, exist_ok=True)
+    result: dict[str, Any] = {
+        "format": "carina-bench-cluster",
+        "version": 1,
+        "date": datetime.datetime.now(tz=datetime.UTC).isoformat(timespec="seconds"),
+        "machine": machine_facts(),
+        "load_average": load_average(),
+        "quick": quick,
+        "left_out": left_out,
+    }
+    lines: list[str] = []
+    if "simulation" in wanted:
+        costs = {name: _measure(name, quick) for name in GRIDS}
+        result["simulation"] = _simulated(costs, quick, folder, lines)
+    if can_ray and "real" in wanted:
+        result["real"] = _real(quick, folder, lines)
+    if can_ray and {"transport", "kills"} & set(wanted):
+        result |= _stand_ins(wanted, quick, folder, lines)
+    (folder / "cluster.json").write_text(json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    if as_json:
+        print_json(result)
+    else:
+        print("\n".join(lines))
+    return 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Cost:
+    """What a picture costs one machine."""
+
+    frame_s: float
+    profile: np.ndarray[Any, np.dtype[np.float64]]
+    """Of each row, 1 on average."""
+
+
+def _case(name: str) -> tuple[Volume, Pose, np.ndarray[Any, np.dtype[np.uint8]]]:
+    """A phantom resampled to a grid of the paper's, and a place in its trachea."""
+    found = generate_phantom(spacing_mm=2.0)
+    shape = GRIDS[name]
+    volume = found.volume
+    old = volume.shape_zyx
+    picks = [np.minimum((np.arange(n) + 0.5) * m / n, m - 1).astype(np.intp) for n, m in zip(shape, old, strict=True)]
+    hu = np.ascontiguousarray(volume.hu_zyx[np.ix_(*picks)])
+    lumen = np.ascontiguousarray(found.lumen_zyx[np.ix_(*picks)].astype(np.uint8))
+    place = volume.lps_from_ijk.copy()
+    for axis in range(3):
+        place[:3, axis] *= old[2 - axis] / shape[2 - axis]
+    inside = np.argwhere(lumen)
+    top = inside[:, 0].max() - 4
+    at = inside[inside[:, 0] == top].mean(axis=0)[::-1]
+    lps = place[:3, :3] @ at + place[:3, 3]
+    return Volume(hu, place), Pose.looking((lps[0], lps[1], lps[2]), (0.0, 0.05, -1.0)), lumen
+
+
+def _flight_view(pose: Pose) -> Callable[[int], View]:
+    """The same place, the camera turning slowly: rows change their cost from frame to frame."""
+
+    def view(number: int) -> View:
+        turn = 0.12 * np.sin(number / 25)
+        forward = pose.lps_from_camera[:3, :3] @ np.array([np.sin(turn), 0.0, np.cos(turn)])
+        x, y, z = (float(v) for v in pose.position_lps)
+        return AirwayView(Pose.looking((x, y, z), (forward[0], forward[1], forward[2])), width=SIDE, height=SIDE)
+
+    return view
+
+
+def _renderer(name: str) -> tuple[Renderer, Callable[[int], View]]:
+    volume, pose, lumen = _case(name)
+    renderer = Renderer(volume)
+    renderer.set_lumen(lumen)
+    renderer.prepare()
+    return renderer, _flight_view(pose)
+
+
+def _measure(name: str, quick: bool) -> _Cost:
+    say(f"measuring what a picture of {name} costs")
+    renderer, view_of = _renderer(name)
+    view = view_of(0)
+    renderer.render(view)
+    times = []
+    for _ in range(3 if quick else 9):
+        began_s = time.perf_counter()
+        renderer.render(view)
+        times.append(time.perf_counter() - began_s)
+    band = 32
+    bands = []
+    for first in range(0, SIDE, band):
+        tries = []
+        for _ in range(2 if quick else 5):
+            began_s = time.perf_counter()
+            renderer.render(view, rows=(first, first + band))
+            tries.append(time.perf_counter() - began_s)
+        bands.append(min(tries))
+    profile = np.repeat(np.array(bands), band)
+    # The quickest: what else the machine does is no cost of the picture.
+    return _Cost(min(times), profile / profile.mean())
+
+
+def _simulate(cost: _Cost, speeds: Sequence[float], settings: ClusterSettings, num: int) -> SimulationResult:
+    renderers = [SimulatedRenderer(cost.frame_s / SIDE / speed, CALL_S, CALL_JITTER_S) for speed in speeds]
+    cluster = SimulatedCluster(
+        renderers,
+        settings,
+        console_seconds=CONSOLE_S,
+        console_row_seconds=3 * SIDE / LINK_BYTES_PER_S,
+        row_cost=lambda row: float(cost.profile[row]),
+    )
+    return cluster.run(num, SIDE)
+
+
+def _row(fps: float, alone_fps: float, num: int, response_s: float) -> dict[str, Any]:
+    return {
+        "renderers": num,
+        "fps": round(fps, 2),
+        "speedup": round(fps / alone_fps, 2),
+        "efficiency": round(100 * fps / alone_fps / num),
+        "response_us": round(response_s * 1e6),
+    }
+
+
+def _simulated(costs: dict[str, _Cost], quick: bool, folder: Path, lines: list[str]) -> dict[str, Any]:
+    num = 120 if quick else 400
+    skip = 40
+    # Two settings: this machine's own speed, where the network is what limits; and the paper's frame time, where the
+    # schemes can be compared with its rows.
+    found: dict[str, Any] = {"cost": {}, "table_1": [], "table_2": []}
+    fps: dict[str, list[float]] = {}
+    speed: dict[str, list[float]] = {}
+    lines.append("Simulation of this scheduler, calibrated with measured costs of rows and calls (not a measurement):")
+    for name, cost in costs.items():
+        paper = _Cost(1.0 / PAPER_TABLE_1[name][1][0], cost.profile)
+        found["cost"][name] = {
+            "frame_ms_here": round(cost.frame_s * 1e3, 2),
+            "frame_ms_paper": round(paper.frame_s * 1e3),
+        }
+        for machine, used in (("here", cost), ("paper", paper)):
+            for scheme in SCHEMES:
+                alone = 0.0
+                for n in CONCURRENCY:
+                    run = _simulate(used, (1.0,) * n, scheme.settings, num)
+                    rate = run.fps(skip)
+                    alone = alone or rate
+                    row = _row(rate, alone, n, statistics.median(run.response_s[skip:]))
+                    row |= {"grid": name, "machine": machine, "scheme": scheme.name}
+                    found["table_1"].append(row)
+                    if scheme.name in {"all", "none of them"}:
+                        label = f"{name.split(',', maxsplit=1)[0]}, {scheme.name}" if machine == "paper" else ""
+                        if label:
+                            fps.setdefault(label, []).append(rate)
+                            speed.setdefault(label, []).append(rate / alone)
+                    if scheme.name == "all":
+                        lines.append(_table_line(row, PAPER_TABLE_1[name][n] if machine == "paper" else None))
+            hetero = _simulate(used, ASSUMED_SPEEDS, SCHEMES[0].settings, num)
+            alone = _simulate(used, (1.0,), SCHEMES[0].settings, num).fps(skip)
+            row = _row(hetero.fps(skip), alone, 16, statistics.median(hetero.response_s[skip:]))
+            row |= {"grid": name, "machine": machine, "speeds": list(ASSUMED_SPEEDS)}
+            found["table_2"].append(row)
+            lines.append(_table_line(row, PAPER_TABLE_2[name] if machine == "paper" else None))
+    lines.append(f"  16 machines: assumed speeds {', '.join(f'{s:g}' for s in ASSUMED_SPEEDS)} of the fastest")
+    for key, n in (("head", "head, 128x128x64"), ("lung", "lung, 256x256x200")):
+        fps[f"{key}, paper"] = [PAPER_TABLE_1[n][c][0] for c in CONCURRENCY]
+        speed[f"{key}, paper"] = [PAPER_TABLE_1[n][c][1] for c in CONCURRENCY]
+    speed["ideal"] = [float(c) for c in CONCURRENCY]
+    plots = {
+        "frame-rate.svg": line_plot(
+            "Frame rate (paper, Figure 9), simulated", CONCURRENCY, fps, across="renderers", up="fps"
+        ),
+        "speed-up.svg": line_plot(
+            "Speed-up (paper, Figure 10), simulated", CONCURRENCY, speed, across="renderers", up=""
+        ),
+    }
+    for file, text in plots.items():
+        (folder / file).write_text(text, encoding="utf-8")
+    return found
+
+
+def _table_line(row: dict[str, Any], paper: tuple[float, float, int, int] | None) -> str:
+    def words(fps: float, speedup: float, efficiency: float, response_us: float) -> str:
+        return f"{fps:7.2f} fps  x{speedup:5.2f}  {efficiency:3.0f} %  {response_us:7.0f} us"
+
+    text = f"  {row['grid']:<18} {row['machine']:<6} {row['renderers']:>2} renderers: "
+    text += words(row["fps"], row["speedup"], row["efficiency"], row["response_us"])
+    return text if paper is None else f"{text}   paper {words(*paper)}"
+
+
+def _real(quick: bool, folder: Path, lines: list[str]) -> list[dict[str, Any]]:
+    from carina.cli.bench.cluster_real import fly, real_head, renderers_ready, wait_ready
+
+    rows = []
+    most = min(4, os.cpu_count() or 1)
+    counts = [n for n in (1, 2, 4) if n <= most]
+    schemes = SCHEMES[:1] if quick else (SCHEMES[0], SCHEMES[1], SCHEMES[4])
+    lines.append(f"Real processes on this machine, one thread each, {os.cpu_count()} cores, load {load_average()}:")
+    with real_head(most, threads=1) as head:
+        for name in GRIDS:
+            local, view_of = _renderer(name)
+            for scheme in schemes:
+                alone = 0.0
+                for n in counts:
+                    say(f"real: {name}, {scheme.name}, {n} renderers")
+                    with renderers_ready(head, n, RendererHost, scheme.settings) as (console, _):
+                        renderer = ClusterRenderer(local, console, spread_all=True)
+                        renderer.prepare()
+                        wait_ready(console, n)
+                        fly(renderer, console, view_of, seconds=1.5, rate_hz=None)
+                        flown = fly(renderer, console, view_of, seconds=3.0 if quick else 8.0, rate_hz=None)
+                    alone = alone or flown.fps
+                    row = _row(flown.fps, alone, n, flown.response_s)
+                    row |= {"grid": name, "machine": "real", "scheme": scheme.name, "load_average": load_average()}
+                    rows.append(row)
+                    lines.append(f"{_table_line(row, PAPER_TABLE_1[name][n])}   {scheme.name}")
+    return rows
+
+
+def _stand_ins(wanted: Sequence[str], quick: bool, folder: Path, lines: list[str]) -> dict[str, Any]:
+    from carina.cli.bench.cluster_real import lost_renderers, real_head, transport
+
+    found: dict[str, Any] = {}
+    with real_head(8) as head:
+        if "transport" in wanted:
+            say("transport: eight renderers that sleep 4 ms a strip, 30 pictures a second")
+            found["transport"], flown = transport(head, num=8, seconds=5.0 if quick else 20.0)
+            paced, free = found["transport"]
+            lines.append(
+                f"Eight sleeping renderers on a real Ray, paced at 30/s: {paced['fps']} fps, scheduling and transport "
+                f"{paced['overhead_ms_p50']} ms p50, {paced['overhead_ms_p95']} ms p95, console "
+                f"{paced['console_cpu_ms_per_frame']} ms CPU a frame, load {paced['load_average']}; "
+                f"unpaced {free['fps']} fps"
+            )
+            (folder / "timeline.svg").write_text(_timeline(flown), encoding="utf-8")
+        if "kills" in wanted:
+            say("kill -9 of one renderer after the other")
+            found["kills"] = lost_renderers(head, num=8, kills=3 if quick else 10)
+            lost = found["kills"]
+            lines.append(
+                f"kill -9, {lost['kills']} times: gap between shown frames {lost['gap_ms_median']} ms median, "
+                f"{lost['gap_ms_worst']} ms worst, load {lost['load_average']}"
+            )
+    return found
+
+
+def _timeline(flown: Any) -> str:
+    """Figure 11 of a real run: the last frames of a flight."""
+    frames = sorted({job.frame_id for job in flown.jobs})[-12:-6]
+    jobs: dict[str, list[tuple[float, float, int]]] = {}
+    for job in flown.jobs:
+        if job.frame_id in frames:
+            name = job.lane.rpartition(" ")[2]
+            # A renderer begins its part so long before its answer is here; transport lies before and after.
+            end_ms = job.answered_s * 1e3
+            jobs.setdefault(name, []).append((end_ms - job.seconds * 1e3, end_ms, frames.index(job.frame_id) + 1))
+    ordered = {name: jobs[name] for name in sorted(jobs)}
+    return timeline("Job assignment on a real Ray (paper, Figure 11): eight sleeping renderers", ordered)

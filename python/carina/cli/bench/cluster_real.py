@@ -1,0 +1,246 @@
+"""What a real Ray does on this machine: transport, lost renderers, and as many true renderers as there are cores."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import socket
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carina.cluster import ClusterRenderer, ClusterSettings, Console
+from carina.cluster.console import Job
+from carina.cluster.host import RendererHost
+from carina.cluster.node import Node, make_token
+from carina.cluster.ray_backend import RayCluster
+from carina.cluster.stand_in import StandInHost
+from carina.errors import ClusterError
+from carina.render import AirwayView, Picture, Renderer, View
+from carina.scopes import Pose
+from carina.volume import Volume
+
+__all__ = ["Flown", "fly", "lost_renderers", "real_head", "renderers_ready", "transport"]
+
+IP = "127.0.0.2"
+SIDE = 512
+ROW_S = 0.004 / (SIDE / 8)
+"""Eight equal strips of a picture take 4 ms each."""
+
+
+@contextlib.contextmanager
+def real_head(renderers: int, threads: int | None = None) -> Iterator[tuple[Node, Path]]:
+    """A head on loopback with so many renderers, each of so many threads."""
+    folder = Path(tempfile.mkdtemp(prefix="carina-ray-"))
+    with socket.socket() as probe:
+        probe.bind((IP, 0))
+        port = int(probe.getsockname()[1])
+    token = make_token(folder / "token")
+    node = Node(
+        token,
+        head=True,
+        ip=IP,
+        port=port,
+        renderers=renderers,
+        dedicated=True,
+        temp_dir=folder / "ray",
+        log=folder / "log",
+        environment={} if threads is None else {"RAYON_NUM_THREADS": str(threads)},
+    )
+    try:
+        node.wait_ready()
+        yield node, token
+    finally:
+        node.stop()
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def renderers_ready(
+    head: tuple[Node, Path],
+    num: int,
+    host_class: type[RendererHost],
+    settings: ClusterSettings,
+    **options: Any,
+) -> Iterator[tuple[Console, RayCluster]]:
+    """A console with so many renderers of a real cluster."""
+    console = Console(settings, keep_jobs=True)
+    cluster = RayCluster(
+        console, head[0].address, head[1], ip=IP, limit=num, host_class=host_class, host_options=options, poll_s=0.2
+    )
+    try:
+        yield console, cluster
+    finally:
+        cluster.close()
+        console.close()
+
+
+def wait_ready(console: Console, num: int, timeout_s: float = 120.0) -> None:
+    """Until so many renderers have loaded what is shown."""
+    end_s = time.monotonic() + timeout_s
+    while True:
+        ready = sum(m.state == "ready" and m.name != "console" for m in console.status().members)
+        if ready >= num:
+            return
+        if time.monotonic() > end_s:
+            raise ClusterError(
+                f"only {ready} of {num} renderers were ready after {timeout_s:g} s", code="cluster.start"
+            )
+        time.sleep(0.1)
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """Frames of a flight, in the order they were wanted."""
+
+    wanted_s: tuple[float, ...]
+    shown_s: tuple[float, ...]
+    overhead_s: tuple[float, ...]
+    """Beyond the slowest strip's own time."""
+    jobs: tuple[Job, ...]
+
+    @property
+    def response_s(self) -> float:
+        """From wanted to shown, median."""
+        return statistics.median(b - a for a, b in zip(self.wanted_s, self.shown_s, strict=True))
+
+    @property
+    def fps(self) -> float:
+        """Frames per second, from the first shown to the last."""
+        return (len(self.shown_s) - 1) / max(1e-9, max(self.shown_s) - min(self.shown_s))
+
+    @property
+    def gaps_s(self) -> list[float]:
+        """Between shown frames, in the order they were shown."""
+        return [float(gap) for gap in np.diff(np.sort(self.shown_s))]
+
+
+def fly(
+    renderer: ClusterRenderer,
+    console: Console,
+    view_of: Callable[[int], View],
+    *,
+    seconds: float,
+    rate_hz: float | None,
+    ahead: int = 3,
+    during: Callable[[float], None] | None = None,
+) -> Flown:
+    """Want frames at a rate, or as fast as buffers come free, and wait for all of them."""
+    jobs = console.jobs
+    assert jobs is not None
+    jobs.clear()
+    wanted: dict[int, float] = {}
+    shown: dict[int, float] = {}
+    under_way: list[tuple[int, Future[Picture]]] = []
+    began_s = time.monotonic()
+    number = 0
+    while time.monotonic() < began_s + seconds:
+        if during is not None:
+            during(time.monotonic() - began_s)
+        if rate_hz is not None:
+            time.sleep(max(0.0, began_s + number / rate_hz - time.monotonic()))
+        under_way = [item for item in under_way if not item[1].done()]
+        while len(under_way) >= ahead:
+            under_way[0][1].result(timeout=60.0)
+            under_way = [item for item in under_way if not item[1].done()]
+        asked_s = time.monotonic()
+        frame_id, future = renderer.want(view_of(number))
+        wanted[frame_id] = asked_s
+
+        def note(done: Future[Picture], frame_id: int = frame_id) -> None:
+            if done.exception() is None:
+                shown[frame_id] = time.monotonic()
+
+        future.add_done_callback(note)
+        under_way.append((frame_id, future))
+        number += 1
+    for _, future in under_way:
+        future.result(timeout=60.0)
+    console.status()  # it answers in order: all callbacks have been called
+    slowest: dict[int, float] = {}
+    for job in jobs:
+        if job.accepted:
+            slowest[job.frame_id] = max(slowest.get(job.frame_id, 0.0), job.seconds)
+    ids = [frame_id for frame_id in wanted if frame_id in shown]
+    return Flown(
+        tuple(wanted[n] for n in ids),
+        tuple(shown[n] for n in ids),
+        tuple(shown[n] - wanted[n] - slowest.get(n, 0.0) for n in ids),
+        tuple(jobs),
+    )
+
+
+def _stand_in_view(_number: int) -> View:
+    return AirwayView(Pose.looking((8.0, 8.0, 8.0), (0.0, 0.0, -1.0)), width=SIDE, height=SIDE)
+
+
+def _small_renderer(console: Console) -> ClusterRenderer:
+    hu = np.zeros((16, 16, 16), np.int16)
+    renderer = ClusterRenderer(Renderer(Volume(hu, np.eye(4))), console, spread_all=True)
+    renderer.prepare()
+    return renderer
+
+
+def transport(head: tuple[Node, Path], *, num: int, seconds: float) -> tuple[list[dict[str, Any]], Flown]:
+    """Renderers that sleep, paced at 30 a second and unpaced: what scheduling and transport take."""
+    rows = []
+    with renderers_ready(head, num, StandInHost, ClusterSettings(open_frames=2), row_seconds=ROW_S) as (console, _):
+        renderer = _small_renderer(console)
+        wait_ready(console, num)
+        fly(renderer, console, _stand_in_view, seconds=2.0, rate_hz=30.0)
+        cpu_s = time.process_time()
+        paced = fly(renderer, console, _stand_in_view, seconds=seconds, rate_hz=30.0)
+        cpu_s = time.process_time() - cpu_s
+        over = np.array(paced.overhead_s) * 1e3
+        rows.append(
+            {
+                "renderers": num,
+                "paced_hz": 30.0,
+                "fps": round(paced.fps, 2),
+                "overhead_ms_p50": round(float(np.median(over)), 2),
+                "overhead_ms_p95": round(float(np.percentile(over, 95)), 2),
+                "console_cpu_ms_per_frame": round(cpu_s / len(paced.shown_s) * 1e3, 2),
+                "load_average": round(os.getloadavg()[0], 1),
+            }
+        )
+        free = fly(renderer, console, _stand_in_view, seconds=seconds / 2, rate_hz=None)
+        rows.append({"renderers": num, "paced_hz": None, "fps": round(free.fps, 2)})
+    return rows, paced
+
+
+def lost_renderers(head: tuple[Node, Path], *, num: int, kills: int) -> dict[str, Any]:
+    """kill -9 of one renderer after the other in flight: gaps between shown frames round each."""
+    worst = []
+    with renderers_ready(head, num, StandInHost, ClusterSettings(), row_seconds=ROW_S) as (console, _):
+        renderer = _small_renderer(console)
+        for n in range(kills):
+            wait_ready(console, num)
+            fly(renderer, console, _stand_in_view, seconds=1.5, rate_hz=30.0)
+            victim = [m.name for m in console.status().members if m.name != "console"][n % num]
+            pid = console.facts(victim).pid
+            killed = False
+
+            def kill(at_s: float, pid: int | None = pid) -> None:
+                nonlocal killed
+                if at_s > 0.5 and not killed and pid is not None:
+                    killed = True
+                    os.kill(pid, signal.SIGKILL)
+
+            flown = fly(renderer, console, _stand_in_view, seconds=3.0, rate_hz=30.0, during=kill)
+            worst.append(max(flown.gaps_s) * 1e3)
+    return {
+        "renderers": num,
+        "kills": kills,
+        "gap_ms_median": round(statistics.median(worst), 1),
+        "gap_ms_worst": round(max(worst), 1),
+        "load_average": round(os.getloadavg()[0], 1),
+    }

@@ -1,0 +1,109 @@
+"""Small plots as SVG: lines over a few places, and who did what when. Readable on light and dark pages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from xml.sax.saxutils import escape
+
+__all__ = ["line_plot", "timeline"]
+
+COLOURS = ("#3b82c4", "#d97a2b", "#4a9b5c", "#b0509a", "#8a7a2f", "#777777")
+INK = "#777777"
+WIDTH, HEIGHT = 640, 400
+LEFT, RIGHT, TOP, BOTTOM = 64, 168, 40, 48
+
+
+def _text(x: float, y: float, words: str, *, anchor: str = "start", colour: str = INK) -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{colour}">{escape(words)}</text>'
+
+
+def _line(a: tuple[float, float], b: tuple[float, float], colour: str, width: float = 1.0) -> str:
+    return (
+        f'<line x1="{a[0]:.1f}" y1="{a[1]:.1f}" x2="{b[0]:.1f}" y2="{b[1]:.1f}" stroke="{colour}" '
+        f'stroke-width="{width:g}"/>'
+    )
+
+
+def _svg(title: str, parts: Sequence[str], width: int = WIDTH, height: int = HEIGHT) -> str:
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" '
+        f'font-size="13" role="img"><title>{escape(title)}</title>'
+    )
+    return "\n".join([head, _text(LEFT, 22, title), *parts, "</svg>", ""])
+
+
+def line_plot(
+    title: str,
+    places: Sequence[float],
+    lines: Mapping[str, Sequence[float]],
+    *,
+    across: str,
+    up: str,
+) -> str:
+    """Lines with a mark at each place; both axes start at 0.
+
+    Parameters
+    ----------
+    title
+        Above the plot.
+    places
+        Where the marks are, increasing.
+    lines
+        Values at the places, by name.
+    across, up
+        What the axes show, with units.
+    """
+    top = max(max(values) for values in lines.values()) * 1.05 or 1.0
+    step = next(s for s in (b * 10**e for e in range(-3, 7) for b in (1, 2, 5)) if top / s <= 6)
+    inner_w, inner_h = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
+
+    def at(x: float, y: float) -> tuple[float, float]:
+        return LEFT + x / places[-1] * inner_w, TOP + (1.0 - y / top) * inner_h
+
+    parts = [_line(at(0, 0), at(places[-1], 0), INK), _line(at(0, 0), at(0, top), INK)]
+    for n in range(int(top / step) + 1):
+        x, y = at(0, n * step)
+        parts += [_line((x - 4, y), (x, y), INK), _text(x - 8, y + 4, f"{n * step:g}", anchor="end")]
+    for place in places:
+        x, y = at(place, 0)
+        parts += [_line((x, y), (x, y + 4), INK), _text(x, y + 18, f"{place:g}", anchor="middle")]
+    parts += [_text(LEFT + inner_w / 2, HEIGHT - 8, across, anchor="middle"), _text(LEFT, TOP - 4, up, anchor="end")]
+    for n, (name, values) in enumerate(lines.items()):
+        colour = COLOURS[n % len(COLOURS)]
+        points = [at(x, y) for x, y in zip(places, values, strict=True)]
+        joined = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+        parts.append(f'<polyline points="{joined}" fill="none" stroke="{colour}" stroke-width="2"/>')
+        parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{colour}"/>' for x, y in points]
+        parts.append(_text(WIDTH - RIGHT + 12, TOP + 16 + 20 * n, name, colour=colour))
+    return _svg(title, parts)
+
+
+def timeline(title: str, jobs: Mapping[str, Sequence[tuple[float, float, int]]]) -> str:
+    """Who did what when: for each name a row of boxes (from, to in ms; number), coloured by number."""
+    begin = min(job[0] for row in jobs.values() for job in row)
+    end = max(job[1] for row in jobs.values() for job in row)
+    height = TOP + 30 * len(jobs) + BOTTOM
+    inner_w = WIDTH - LEFT - 24
+
+    def x_of(ms: float) -> float:
+        return LEFT + (ms - begin) / max(end - begin, 1e-9) * inner_w
+
+    parts = []
+    for n, (name, row) in enumerate(jobs.items()):
+        y = TOP + 30 * n
+        parts.append(_text(LEFT - 8, y + 17, name, anchor="end"))
+        for start, stop, number in row:
+            x, w = x_of(start), max(1.0, x_of(stop) - x_of(start) - 0.8)
+            colour = COLOURS[number % len(COLOURS)]
+            parts.append(f'<rect x="{x:.1f}" y="{y}" width="{w:.1f}" height="24" rx="2" fill="{colour}"/>')
+            if w > 18:
+                parts.append(_text(x + w / 2, y + 17, str(number), anchor="middle", colour="#ffffff"))
+    foot = TOP + 30 * len(jobs)
+    parts.append(_line((LEFT, foot), (LEFT + inner_w, foot), INK))
+    span = end - begin
+    step = next(s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 5000) if span / s <= 8)
+    for n in range(int(span / step) + 1):
+        x = x_of(begin + n * step)
+        parts += [_line((x, foot), (x, foot + 4), INK), _text(x, foot + 18, f"{n * step:g}", anchor="middle")]
+    parts.append(_text(LEFT + inner_w / 2, foot + 38, "ms; numbers and colours are frames", anchor="middle"))
+    return _svg(title, parts, height=height)
