@@ -2,6 +2,7 @@
 
 import { Button } from "react-aria-components";
 import { plural, sentence } from "../state/format";
+import { groupsOf } from "../state/uncertain";
 import { asVec3 } from "../state/vec";
 import type { UncertainPlace } from "../wire/messages";
 import { useApp, useStation } from "./context";
@@ -16,25 +17,32 @@ export function UncertainPlaces() {
   return (
     <details className="uncertain" data-testid="uncertain">
       <summary>{plural(places.length, "place")} could not be followed</summary>
-      <ul>
-        {places.map((place) => (
-          <li key={place.lps.join(" ")}>
-            <Button
-              className="plain-text"
-              onPress={() => {
-                station.send({ type: "set_crosshair", lps: asVec3(place.lps) });
-                if (place.branch_id !== null) station.ui({ selected: place.branch_id });
-              }}
-              onHoverChange={(on) => station.pointing.hoverBranch(on ? place.branch_id : null)}
-            >
-              <span className="quiet">
-                {place.branch_id === null ? "" : `${tree?.byId.get(place.branch_id)?.label ?? ""}: `}
-              </span>
-              {sentence(place.words)}
-            </Button>
-          </li>
+      <div className="places">
+        {groupsOf(places).map(({ why, places: members }) => (
+          <section key={members[0]?.place.lps.join(" ")}>
+            {why === null ? null : <p className="quiet">{sentence(why)}</p>}
+            <ul>
+              {members.map(({ place, words }) => (
+                <li key={place.lps.join(" ")}>
+                  <Button
+                    className="plain-text"
+                    onPress={() => {
+                      station.send({ type: "set_crosshair", lps: asVec3(place.lps) });
+                      if (place.branch_id !== null) station.ui({ selected: place.branch_id });
+                    }}
+                    onHoverChange={(on) => station.pointing.hoverBranch(on ? place.branch_id : null)}
+                  >
+                    <span className="quiet">
+                      {place.branch_id === null ? "" : `${tree?.byId.get(place.branch_id)?.label ?? ""}: `}
+                    </span>
+                    {why === null ? sentence(words) : words}
+                  </Button>
+                </li>
+              ))}
+            </ul>
+          </section>
         ))}
-      </ul>
+      </div>
     </details>
   );
 }

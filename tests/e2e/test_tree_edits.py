@@ -1,0 +1,191 @@
+"""Mending the tree by hand in a real browser: brush, smoothing, forks, another root, a bridge; each undone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from server_process import Server, start_server, stop_server
+from test_airway_tools import named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
+
+pytestmark = pytest.mark.browser
+
+# An edit of a main bronchus, with others busy on the machine.
+WAIT_MS = 60_000
+
+
+def wait_for(workstation, condition, arg=None):
+    workstation.page.wait_for_function(condition, arg=arg, timeout=WAIT_MS)
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory) -> Iterator[Server]:
+    """``carina demo phantom``."""
+    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
+    yield running
+    assert stop_server(running) == 0
+    assert running.errors() == []
+
+
+@pytest.fixture
+def ready(server, workstation):
+    """A page with the case open and its tree shown."""
+    workstation.open(server)
+    workstation.wait_ready()
+    tree_is_shown(workstation)
+    yield workstation
+    assert workstation.faults == []
+
+
+def tree_text(workstation):
+    """The whole tree, to tell whether it is another one."""
+    return workstation.page.evaluate(TREE_TEXT)
+
+
+TREE_TEXT = "() => JSON.stringify([...window.__carina.state.tree.byId.values()].map((node) => node.branch))"
+
+
+def wait_for_edit(workstation, words, before):
+    """Until the edit stands under Undo, is done, and the tree is another one than before."""
+    wait_for(workstation, "(words) => (window.__carina.state.can_undo ?? '').startsWith(words)", words)
+    wait_for(workstation, "() => !window.__carina.state.jobs.some((job) => job.job_id.startsWith('edit'))")
+    wait_for(workstation, f"(before) => ({TREE_TEXT})() !== before", before)
+
+
+def undo_to(workstation, before):
+    """Ctrl+Z, until the tree is the one before."""
+    workstation.page.keyboard.press("Escape")
+    workstation.page.keyboard.press("Control+z")
+    wait_for(workstation, f"(before) => ({TREE_TEXT})() === before", before)
+
+
+def points_of(workstation, branch_id):
+    return workstation.page.evaluate("(id) => window.__carina.state.tree.byId.get(id).branch.points", branch_id)
+
+
+def test_lumen_is_erased_with_the_brush_and_painted_again(ready):
+    before = tree_text(ready)
+    lmb = named(ready, "LMB")
+    points = points_of(ready, lmb)
+    middle = points[len(points) // 2]
+    show_slices_at(ready, middle)
+    ready.page.keyboard.press("Shift+Q")
+    for _ in range(8):
+        ready.page.keyboard.press("]")
+    # In all directions: in this slice alone the way would go round it.
+    ready.page.locator("[data-testid=in-hand]").get_by_text("Ball").click()
+    ready.page.evaluate("() => document.activeElement.blur()")
+    x, y = place_in_slice(ready, "coronal", middle)
+    ready.page.mouse.move(x, y)
+    ready.picture("before-erasing")
+    ready.page.mouse.down()
+    ready.page.mouse.move(x + 3, y + 3, steps=3)
+    ready.page.mouse.up()
+    wait_for_edit(ready, "erase", before)
+    erased = tree_text(ready)
+    assert len(erased) < 0.8 * len(before), "what hung on the bronchus is cut off"
+    ready.picture("after-erasing")
+
+    # Painted there again: a second edit, not an undo. What was cut off does not come back by that.
+    ready.page.keyboard.press("Escape")
+    ready.page.keyboard.press("q")
+    ready.page.mouse.move(x, y)
+    ready.page.mouse.down()
+    ready.page.mouse.move(x + 3, y + 3, steps=3)
+    ready.page.mouse.up()
+    wait_for_edit(ready, "paint", erased)
+    ready.picture("after-painting")
+    ready.page.keyboard.press("Escape")
+    ready.page.keyboard.press("Control+z")
+    wait_for(ready, "() => (window.__carina.state.can_undo ?? '').startsWith('erase')")
+    undo_to(ready, before)
+
+
+def test_a_branch_is_smoothed(ready):
+    before = tree_text(ready)
+    lmb = named(ready, "LMB")
+    was = points_of(ready, lmb)
+    ready.page.keyboard.press("u")
+    x, y = place_on_tree(ready, lmb)
+    ready.page.mouse.move(x, y)
+    wait_for(ready, "(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
+    ready.page.mouse.click(x, y)
+    wait_for_edit(ready, "smooth", before)
+    assert points_of(ready, lmb) != was
+    undo_to(ready, before)
+    assert points_of(ready, lmb) == was
+
+
+def test_a_fork_is_moved_in_two_clicks(ready):
+    before = tree_text(ready)
+    lmb = named(ready, "LMB")
+    points = points_of(ready, lmb)
+    ready.page.keyboard.press("y")
+    x, y = place_on_tree(ready, lmb, 0.95)
+    ready.page.mouse.move(x, y)
+    wait_for(ready, "(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
+    ready.page.mouse.click(x, y)
+    wait_for(ready, "() => window.__carina.state.ui.forkHeld !== null")
+    assert "Now click where the fork should be" in ready.page.locator("[data-testid=in-hand]").inner_text()
+    ready.picture("fork-in-the-hand")
+    # A few millimetres back along the bronchus.
+    x, y = place_on_tree(ready, lmb, 0.9)
+    ready.page.mouse.move(x, y)
+    wait_for(ready, "() => window.__carina.state.livePath !== null")
+    ready.page.mouse.click(x, y)
+    wait_for_edit(ready, "move the fork", before)
+    moved = points_of(ready, lmb)[-1]
+    assert sum((a - b) ** 2 for a, b in zip(moved, points[-1], strict=True)) ** 0.5 > 1.0
+    ready.picture("fork-moved")
+    undo_to(ready, before)
+
+
+def test_all_ways_begin_elsewhere_and_back(ready):
+    before = tree_text(ready)
+    trachea = named(ready, "Trachea")
+    root = points_of(ready, trachea)[0]
+    lower = points_of(ready, trachea)[len(points_of(ready, trachea)) // 3]
+    show_slices_at(ready, lower)
+    ready.page.keyboard.press("Shift+B")
+    x, y = place_in_slice(ready, "coronal", lower)
+    ready.page.mouse.move(x, y)
+    ready.page.mouse.click(x, y)
+    wait_for(
+        ready,
+        """(root) => {
+            const first = [...window.__carina.state.tree.byId.values()].find((n) => n.branch.parent === null);
+            return Math.hypot(...first.branch.points[0].map((v, i) => v - root[i])) > 5;
+        }""",
+        root,
+    )
+    ready.picture("another-root")
+    undo_to(ready, before)
+
+
+def test_in_the_tri_plane_view_the_branch_under_the_cursor_is_named_and_the_way_leads_there(ready):
+    lmb = named(ready, "LMB")
+    points = points_of(ready, lmb)
+    middle = points[len(points) // 2]
+    show_slices_at(ready, middle)
+    ready.page.keyboard.press("t")
+    wait_for(ready, "() => document.querySelector('canvas[data-view=tri-plane]')?.dataset.full === 'true'")
+    x, y = ready.page.evaluate(
+        """(p) => {
+            const { lps_from_camera: m, fov_deg, width, height } = window.__carina.state.frames['tri-plane'];
+            const d = [p[0] - m[3], p[1] - m[7], p[2] - m[11]];
+            const along = (c) => d[0] * m[c] + d[1] * m[4 + c] + d[2] * m[8 + c];
+            const focal = (0.5 * Math.min(width, height)) / Math.tan((fov_deg * Math.PI) / 360);
+            const box = document.querySelector('canvas[data-view=tri-plane]').getBoundingClientRect();
+            return [box.x + ((width / 2 + (focal * along(0)) / along(2)) / width) * box.width,
+                    box.y + ((height / 2 + (focal * along(1)) / along(2)) / height) * box.height];
+        }""",
+        middle,
+    )
+    ready.page.keyboard.press("n")
+    ready.page.mouse.move(x, y)
+    wait_for(ready, "() => (window.__carina.state.livePath?.answer.length_mm ?? 0) > 50")
+    pointed = ready.state("ui.pointedLps")
+    assert max(abs(a - b) for a, b in zip(pointed, middle, strict=True)) < 3.0
+    ready.picture("tri-plane-live-path")
+    ready.page.keyboard.press("Escape")
+    ready.page.keyboard.press("t")
