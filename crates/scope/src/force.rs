@@ -12,7 +12,7 @@ use carina_grid::{cross, dot, length, unit};
 use crate::ScopeError;
 use crate::axis::{along, sub};
 use crate::body::distance;
-use crate::wall::WallField;
+use crate::wall::{INSIDE_MM, WallField};
 
 type Point = [f64; 3];
 
@@ -148,10 +148,12 @@ pub struct LocalContact {
 /// The plane of the wall nearest to a tip at a point; `None` where no wall is near enough to matter.
 #[must_use]
 pub fn local_contact(field: &WallField, law: &ForceLaw, at_lps: Point) -> Option<LocalContact> {
-    let gap = field.distance_mm(at_lps) - law.tip_radius_mm;
-    if gap > 4.0 {
+    let distance = field.distance_mm(at_lps);
+    // Beyond what the field knows there is no gap to tell.
+    if distance > INSIDE_MM - 0.5 {
         return None;
     }
+    let gap = distance - law.tip_radius_mm;
     let normal_lps = field.away_from_wall(at_lps)?;
     Some(LocalContact {
         point_lps: along(at_lps, -gap, normal_lps),

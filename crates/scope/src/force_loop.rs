@@ -5,7 +5,7 @@
 //! deadline.
 
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -23,6 +23,8 @@ const TICK: Duration = Duration::from_millis(1);
 const LATE_BINS: usize = 5000;
 /// A bridge that floods the port does not hold up the loop.
 const MOST_PACKETS: usize = 16;
+/// Figures are told so often: their histograms take some microseconds to read.
+const TELL_TICKS: u64 = 50;
 
 /// How the loop kept time.
 #[derive(Debug, Clone, PartialEq)]
@@ -96,7 +98,6 @@ struct Inside {
     num_missed: u64,
     num_samples: u64,
     num_refused: u64,
-    cpu_s: f64,
     started: Instant,
     is_realtime: bool,
     max_force_n: f64,
@@ -108,7 +109,46 @@ struct Shared {
     /// The newest sample in process and when it came; taken by the loop.
     put: Mutex<Option<(HandSample, Instant)>>,
     felt: Mutex<(HandForce, Option<HandSample>)>,
-    inside: Mutex<Inside>,
+    /// As of at most [`TELL_TICKS`] ago.
+    figures: Mutex<LoopFigures>,
+    num_put_refused: AtomicU64,
+}
+
+impl Inside {
+    fn new(is_realtime: bool) -> Self {
+        Self {
+            late: Histogram::new(),
+            latency: Histogram::new(),
+            num_ticks: 0,
+            num_missed: 0,
+            num_samples: 0,
+            num_refused: 0,
+            started: Instant::now(),
+            is_realtime,
+            max_force_n: 0.0,
+            max_change_n: 0.0,
+        }
+    }
+
+    fn figures(&self) -> LoopFigures {
+        LoopFigures {
+            num_ticks: self.num_ticks,
+            num_missed: self.num_missed,
+            late_us: self.late.summary(),
+            latency_us: self.latency.summary(),
+            cpu_s: if self.num_ticks == 0 {
+                0.0
+            } else {
+                realtime::cpu_s_of_this_thread()
+            },
+            wall_s: self.started.elapsed().as_secs_f64(),
+            num_samples: self.num_samples,
+            num_refused: self.num_refused,
+            is_realtime: self.is_realtime,
+            max_force_n: self.max_force_n,
+            max_change_n: self.max_change_n,
+        }
+    }
 }
 
 fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -159,19 +199,8 @@ impl ForceLoop {
             stop: AtomicBool::new(false),
             put: Mutex::new(None),
             felt: Mutex::new((HandForce::default(), None)),
-            inside: Mutex::new(Inside {
-                late: Histogram::new(),
-                latency: Histogram::new(),
-                num_ticks: 0,
-                num_missed: 0,
-                num_samples: 0,
-                num_refused: 0,
-                cpu_s: 0.0,
-                started: Instant::now(),
-                is_realtime: false,
-                max_force_n: 0.0,
-                max_change_n: 0.0,
-            }),
+            figures: Mutex::new(Inside::new(false).figures()),
+            num_put_refused: AtomicU64::new(0),
         });
         let mut runner = Runner {
             shared: shared.clone(),
@@ -207,7 +236,7 @@ impl ForceLoop {
     #[must_use]
     pub fn put(&self, sample: HandSample) -> bool {
         if !sample.is_sane() {
-            held(&self.shared.inside).num_refused += 1;
+            self.shared.num_put_refused.fetch_add(1, Ordering::Relaxed);
             return false;
         }
         *held(&self.shared.put) = Some((sample, Instant::now()));
@@ -223,20 +252,9 @@ impl ForceLoop {
     /// How it keeps time.
     #[must_use]
     pub fn figures(&self) -> LoopFigures {
-        let inside = held(&self.shared.inside);
-        LoopFigures {
-            num_ticks: inside.num_ticks,
-            num_missed: inside.num_missed,
-            late_us: inside.late.summary(),
-            latency_us: inside.latency.summary(),
-            cpu_s: inside.cpu_s,
-            wall_s: inside.started.elapsed().as_secs_f64(),
-            num_samples: inside.num_samples,
-            num_refused: inside.num_refused,
-            is_realtime: inside.is_realtime,
-            max_force_n: inside.max_force_n,
-            max_change_n: inside.max_change_n,
-        }
+        let mut figures = held(&self.shared.figures).clone();
+        figures.num_refused += self.shared.num_put_refused.load(Ordering::Relaxed);
+        figures
     }
 
     /// Ends the loop and waits for it.
@@ -329,12 +347,8 @@ struct Runner {
 impl Runner {
     fn run(&mut self) {
         let is_realtime = realtime::prefer_this_thread();
-        let start = Instant::now();
-        {
-            let mut inside = held(&self.shared.inside);
-            inside.started = start;
-            inside.is_realtime = is_realtime;
-        }
+        let mut inside = Inside::new(is_realtime);
+        let start = inside.started;
         let mut due = start + TICK;
         let mut last = HandForce::default();
         while !self.shared.stop.load(Ordering::Relaxed) {
@@ -369,28 +383,29 @@ impl Runner {
             // Skipped ticks were due as well, and are missed.
             let behind = done.saturating_duration_since(due);
             let skipped = u64::try_from(behind.as_micros() / TICK.as_micros()).unwrap_or(0);
-            if let Ok(mut inside) = self.shared.inside.try_lock() {
-                inside.late.add(late.as_secs_f64() * 1e6);
-                if let Some(at) = arrived {
-                    inside.num_samples += 1;
-                    inside
-                        .latency
-                        .add(done.saturating_duration_since(at).as_secs_f64() * 1e6);
-                }
-                inside.num_ticks += 1 + skipped;
-                inside.num_missed += skipped;
-                inside.num_refused += refused;
-                let change: [f64; 3] = std::array::from_fn(|a| felt.force_n[a] - last.force_n[a]);
-                inside.max_force_n = inside.max_force_n.max(length(felt.force_n));
-                inside.max_change_n = inside.max_change_n.max(length(change));
-                if inside.num_ticks % 64 < 1 + skipped {
-                    inside.cpu_s = realtime::cpu_s_of_this_thread();
-                }
+            inside.late.add(late.as_secs_f64() * 1e6);
+            if let Some(at) = arrived {
+                inside.num_samples += 1;
+                inside
+                    .latency
+                    .add(done.saturating_duration_since(at).as_secs_f64() * 1e6);
+            }
+            let told = inside.num_ticks / TELL_TICKS;
+            inside.num_ticks += 1 + skipped;
+            inside.num_missed += skipped;
+            inside.num_refused += refused;
+            let change: [f64; 3] = std::array::from_fn(|a| felt.force_n[a] - last.force_n[a]);
+            inside.max_force_n = inside.max_force_n.max(length(felt.force_n));
+            inside.max_change_n = inside.max_change_n.max(length(change));
+            if inside.num_ticks / TELL_TICKS != told
+                && let Ok(mut figures) = self.shared.figures.try_lock()
+            {
+                *figures = inside.figures();
             }
             last = felt;
             due += TICK * (1 + skipped as u32);
         }
-        held(&self.shared.inside).cpu_s = realtime::cpu_s_of_this_thread();
+        *held(&self.shared.figures) = inside.figures();
     }
 
     /// Takes the newest sample; the bridge to answer, when a sample came, and how many packets were none.

@@ -13,8 +13,8 @@ const SIDE: usize = CELLS + 1;
 pub(crate) const SAMPLES: usize = SIDE * SIDE * SIDE;
 /// Distances are kept from this far outside the lumen ...
 pub(crate) const OUTSIDE_MM: f64 = 2.5;
-/// ... to this far inside; beyond, they say only that it is farther. No scope has a radius of half of it.
-pub(crate) const INSIDE_MM: f64 = 8.0;
+/// ... to this far inside; beyond, they say only that it is farther. No scope has such a radius.
+pub(crate) const INSIDE_MM: f64 = 4.5;
 const FAR_OUTSIDE: u32 = u32::MAX;
 const FAR_INSIDE: u32 = u32::MAX - 1;
 
@@ -143,7 +143,7 @@ impl WallField {
     }
 
     /// Distance to the wall, positive in the lumen. It ends at -2.5 mm outside (also beyond the lattice, and for a point
-    /// that is no number) and at 8 mm inside.
+    /// that is no number) and at 4.5 mm inside.
     #[must_use]
     pub fn distance_mm(&self, p_lps: [f64; 3]) -> f64 {
         let at = self.lattice_from_lps.point(p_lps);

@@ -17,7 +17,7 @@ __all__ = ["WallField"]
 class WallField:
     """Signed distance to the wall in mm, positive in the lumen; `carina.track.wall_field` makes it from airways.
 
-    Distances end at -2.5 mm outside (also where nothing is known) and at 8 mm inside.
+    Distances end at -2.5 mm outside (also where nothing is known) and at 4.5 mm inside.
     """
 
     core: _core.WallField
@@ -61,7 +61,7 @@ class WallField:
             (m, 3), counterclockwise from outside the lumen.
         spacing_mm
             Distance of the samples. Between them a wall with a radius of curvature r is off by up to
-            ``spacing_mm**2 / (8 r)``: 0.013 mm at 0.4 mm in an airway of 3 mm.
+            ``spacing_mm**2 / (8 r)``: 0.013 mm at 0.4 mm in an airway of 3 mm. 0.1 to 0.6.
         progress, cancel
             Told the share done; asked whether to stop.
 
