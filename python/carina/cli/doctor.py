@@ -23,6 +23,7 @@ OPTIONAL = {
     "av": ("flights as video (carina fly)", "pip install 'carina[video]'"),
     "vtk": ("peer renderer for benchmarks", "pip install 'carina[bench]'"),
     "numba": ("baseline for benchmarks", "pip install 'carina[bench]'"),
+    "ray": ("rendering on several machines (Linux)", "pip install 'carina[cluster]'"),
     "scipy": ("peer distance transform for benchmarks", "pip install 'carina[bench]'"),
 }
 NEEDED = ("numpy", "SimpleITK", "pydicom", "starlette", "uvicorn", "websockets", "simplejpeg")

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,8 @@ logger = logging.getLogger(__name__)
 
 RETRY_S = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """A renderer that cannot be loaded is asked again after these times, then always after the last."""
+TELL_AFTER_S = 0.5
+"""A renderer that is late for so long is told of."""
 MAX_FAULTS = 5
 """Wrong answers after which a renderer is not used any more."""
 
@@ -357,9 +360,14 @@ class Console:
                         frame.stop.cancel()
                         _fail(frame.future, CancelledError("the picture was given up for a newer one"))
                 case LaneLate(lane):
-                    self._tell(f"the renderer {lane} is late; others do its part until it answers")
-                case LaneBack(lane):
-                    self._told.discard(f"the renderer {lane} is late; others do its part until it answers")
+                    # A moment's delay is nobody's business but the panel's.
+                    self._later.append((self._clock() + TELL_AFTER_S, partial(self._tell_if_late, str(lane))))
+                case LaneBack():
+                    pass
+
+    def _tell_if_late(self, name: str) -> None:
+        if any(view.lane == name and view.state == "late" for view in self._scheduler.lanes()):
+            self._tell(f"the renderer {name} is late; others do its part until it answers")
 
     def _issue(self, task: Issue) -> None:
         frame = self._frames[task.frame_id]

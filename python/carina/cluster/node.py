@@ -34,6 +34,8 @@ __all__ = [
 DEFAULT_PORT = 6379
 TOKEN_NAME = "cluster.token"
 HOW_TO_GET = "install it with: pip install 'carina[cluster]'"
+STARTED = "Ray runtime started"
+"""What Ray says when a machine has joined."""
 LEAST_STORE_BYTES = 80 * 1024 * 1024
 
 
@@ -209,6 +211,7 @@ class Node:
         where = {**os.environ, **ray_environment(token, dedicated=dedicated), **(environment or {})}
         self._log = None if log is None else log.open("ab")
         self._log_path = log
+        self._log_from = 0 if log is None else log.stat().st_size
         command = [*command_prefix, sys.executable, "-m", "ray.scripts.scripts", *arguments]
         self.process = subprocess.Popen(
             command,
@@ -240,14 +243,20 @@ class Node:
                     f"joining the cluster at {self.address} failed{self._last_words()}", code="cluster.start"
                 )
             with contextlib.suppress(OSError), socket.create_connection((host, port), timeout=1.0):
-                return
+                # The head's port answers before the machine itself has joined.
+                if self._log_path is None or STARTED in self._words():
+                    return
             time.sleep(0.1)
         raise ClusterError(f"nothing answers at {self.address} after {timeout_s:g} s", code="cluster.start")
+
+    def _words(self) -> str:
+        assert self._log_path is not None
+        return self._log_path.read_bytes()[self._log_from :].decode("utf-8", errors="replace")
 
     def _last_words(self) -> str:
         if self._log_path is None:
             return ""
-        lines = self._log_path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        lines = self._words().strip().splitlines()
         return f": {lines[-1].strip()}" if lines else ""
 
     def stop(self, grace_s: float = 10.0) -> None:

@@ -27,6 +27,8 @@ __all__ = ["RayCluster", "RayLane", "look"]
 logger = logging.getLogger(__name__)
 
 POLL_S = 1.0
+CONNECT_S = 15.0
+"""How long a head that does not answer is asked again."""
 WAIT_AFTER_FAILURE_S = 5.0
 SPARE_BYTES = 256 * 1024 * 1024
 """Memory that a machine needs beside the volume."""
@@ -38,6 +40,27 @@ def _import_ray(token: Path) -> Any:
     import ray
 
     return ray
+
+
+def _connect(ray: Any, address: str, ip: str | None) -> None:
+    """Join a cluster as one who gives work out; asked again for a while, since a machine may just be starting."""
+    options: dict[str, Any] = {} if ip is None else {"_node_ip_address": ip}
+    end_s = time.monotonic() + CONNECT_S
+    while True:
+        try:
+            ray.init(
+                address=address,
+                namespace=f"carina-{os.getpid()}-{time.monotonic_ns()}",
+                log_to_driver=False,
+                configure_logging=False,
+                **options,
+            )
+            return
+        except Exception as trouble:
+            ray.shutdown()
+            if time.monotonic() > end_s:
+                raise ClusterError(_refusal(address, trouble), code="cluster.refused") from trouble
+        time.sleep(1.0)
 
 
 def _plain(trouble: BaseException) -> BaseException:
@@ -214,18 +237,8 @@ class RayCluster:
         self._limit = limit
         # Tests connect once for many clusters.
         self._connected = not self.ray.is_initialized()
-        options: dict[str, Any] = {} if ip is None else {"_node_ip_address": ip}
-        try:
-            if self._connected:
-                self.ray.init(
-                    address=address,
-                    namespace=f"carina-{os.getpid()}-{time.monotonic_ns()}",
-                    log_to_driver=False,
-                    configure_logging=False,
-                    **options,
-                )
-        except Exception as trouble:
-            raise ClusterError(_refusal(address, trouble), code="cluster.refused") from trouble
+        if self._connected:
+            _connect(self.ray, address, ip)
         console.address, console.mixed = address, mixed
         self.store = _Store(self.ray)
         self.loader = ThreadPoolExecutor(4, thread_name_prefix="carina-load")
@@ -340,11 +353,7 @@ def look(address: str, token: Path, *, ip: str | None = None) -> list[dict[str, 
         ``cluster.refused`` as in :class:`RayCluster`.
     """
     ray = _import_ray(token)
-    options: dict[str, Any] = {} if ip is None else {"_node_ip_address": ip}
-    try:
-        ray.init(address=address, log_to_driver=False, configure_logging=False, **options)
-    except Exception as trouble:
-        raise ClusterError(_refusal(address, trouble), code="cluster.refused") from trouble
+    _connect(ray, address, ip)
     try:
         free = ray._private.state.available_resources_per_node()
         return [

@@ -236,9 +236,9 @@ def _simulated(costs: dict[str, _Cost], quick: bool, folder: Path, lines: list[s
             found["table_2"].append(row)
             lines.append(_table_line(row, PAPER_TABLE_2[name] if machine == "paper" else None))
     lines.append(f"  16 machines: assumed speeds {', '.join(f'{s:g}' for s in ASSUMED_SPEEDS)} of the fastest")
-    for key, n in (("head", "head, 128x128x64"), ("lung", "lung, 256x256x200")):
-        fps[f"{key}, paper"] = [PAPER_TABLE_1[n][c][0] for c in CONCURRENCY]
-        speed[f"{key}, paper"] = [PAPER_TABLE_1[n][c][1] for c in CONCURRENCY]
+    for key, grid in (("head", "head, 128x128x64"), ("lung", "lung, 256x256x200")):
+        fps[f"{key}, paper"] = [PAPER_TABLE_1[grid][c][0] for c in CONCURRENCY]
+        speed[f"{key}, paper"] = [PAPER_TABLE_1[grid][c][1] for c in CONCURRENCY]
     speed["ideal"] = [float(c) for c in CONCURRENCY]
     plots = {
         "frame-rate.svg": line_plot(

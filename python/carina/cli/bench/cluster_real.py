@@ -192,7 +192,7 @@ def _small_renderer(console: Console) -> ClusterRenderer:
 
 def transport(head: tuple[Node, Path], *, num: int, seconds: float) -> tuple[list[dict[str, Any]], Flown]:
     """Renderers that sleep, paced at 30 a second and unpaced: what scheduling and transport take."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     with renderers_ready(head, num, StandInHost, ClusterSettings(open_frames=2), row_seconds=ROW_S) as (console, _):
         renderer = _small_renderer(console)
         wait_ready(console, num)

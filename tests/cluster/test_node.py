@@ -1,0 +1,77 @@
+"""Tokens, addresses, versions and what is said where something is missing; no Ray is started."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from carina.cluster import node
+from carina.cluster.ray_backend import version_words
+from carina.errors import ClusterError, UsageError
+
+
+def test_a_token_is_made_once_and_is_its_owners_alone(tmp_path):
+    made = node.make_token(tmp_path / "deep" / "token")
+    text = made.read_text()
+    assert made.stat().st_mode & 0o777 == 0o600
+    assert len(text) == 64
+    assert node.make_token(made).read_text() == text
+    assert text != node.make_token(tmp_path / "other").read_text()
+
+
+def test_a_token_that_others_may_read_is_refused(tmp_path):
+    made = node.make_token(tmp_path / "token")
+    made.chmod(0o644)
+    with pytest.raises(ClusterError, match="chmod 600"):
+        node.check_token(made)
+
+
+def test_without_a_token_the_message_says_how_to_get_it(tmp_path):
+    with pytest.raises(ClusterError, match="start --head"):
+        node.check_token(tmp_path / "none")
+    short = tmp_path / "short"
+    short.touch(mode=0o600)
+    with pytest.raises(ClusterError, match="too short"):
+        node.check_token(short)
+
+
+def test_without_the_extra_the_message_says_how_to_get_it(monkeypatch):
+    monkeypatch.setattr(node.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(sys, "platform", "linux")
+    with pytest.raises(ClusterError, match=r"pip install 'carina\[cluster\]'") as refused:
+        node.check_available()
+    assert refused.value.exit_code == 1
+
+
+def test_elsewhere_than_on_linux_the_message_says_so(monkeypatch):
+    monkeypatch.setattr(sys, "platform", "darwin")
+    with pytest.raises(ClusterError, match="needs Linux"):
+        node.check_available()
+
+
+def test_the_environment_never_holds_the_token_and_never_reports(tmp_path):
+    made = node.make_token(tmp_path / "token")
+    environment = node.ray_environment(made)
+    assert made.read_text() not in environment.values()
+    assert environment["RAY_AUTH_MODE"] == "token"
+    assert environment["RAY_USAGE_STATS_ENABLED"] == "0"
+    assert node.ray_environment(made, dedicated=True)["RAY_worker_niceness"] == "0"
+
+
+def test_addresses_have_a_port_or_get_the_usual_one():
+    assert node.split_address("10.0.0.5") == ("10.0.0.5", 6379)
+    assert node.split_address("desk:7000") == ("desk", 7000)
+    for bad in ("", ":7000", "desk:door"):
+        with pytest.raises(UsageError, match="HOST:PORT"):
+            node.split_address(bad)
+
+
+@pytest.mark.parametrize(
+    ("console", "renderer", "side"),
+    [("0.2.0", "0.1.9", "machine m"), ("0.2.0", "0.10.0", "this console"), ("1.0", "0.9.9", "machine m")],
+)
+def test_versions_that_differ_name_the_older_side(console, renderer, side):
+    words = version_words(console, renderer, "m")
+    assert words is not None and words.endswith(f"upgrade the {side}" if side != "this console" else f"upgrade {side}")
+    assert version_words("0.2.0", "0.2.0", "m") is None

@@ -1,0 +1,61 @@
+"""Ten minutes of flight with a member killed every 20 s (make soak)."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ray_rig import VIEW, flying, needs_ray, running_head, wait_for
+
+from carina.cluster import ClusterSettings
+from carina.cluster.node import descendants
+from carina.cluster.stand_in import StandInHost, stand_in_pixels
+
+SECONDS = float(os.environ.get("CARINA_SOAK_SECONDS", "600"))
+KILL_EVERY_S = 20.0
+
+
+def _resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.soak
+@pytest.mark.ray
+@needs_ray
+@pytest.mark.filterwarnings("ignore")
+def test_ten_minutes_of_flight_with_a_member_killed_every_20_seconds():
+    with running_head(renderers=4) as head:
+        with flying(head, StandInHost, num=4, settings=ClusterSettings(), row_seconds=0.004 / 128) as flight:
+            # Jobs would grow with the flight; the timeline is not wanted here.
+            flight.console.jobs = None
+            expected = stand_in_pixels(VIEW, None, flight.content)
+            began_s = time.monotonic()
+            killed, frames, resident, shown_s, gaps = 0, 0, [], time.monotonic(), []
+            while (now_s := time.monotonic() - began_s) < SECONDS:
+                if now_s > (killed + 1) * KILL_EVERY_S:
+                    names = flight.ready()
+                    if names:
+                        os.kill(flight.console.facts(names[killed % len(names)]).pid, signal.SIGKILL)
+                    killed += 1
+                    resident.append(_resident_bytes())
+                picture = flight.renderer.render(VIEW)
+                gaps.append(time.monotonic() - shown_s)
+                shown_s = time.monotonic()
+                frames += 1
+                assert picture.rgb.shape == (512, 512, 3)
+                if picture.stats.method == "stand-in":
+                    assert np.array_equal(picture.rgb, expected)
+                time.sleep(max(0.0, 1 / 30 - (time.monotonic() - began_s - now_s)))
+            wait_for(lambda: len(flight.ready()) == 4)
+            tree = descendants(head.node.process.pid)
+        # The first minutes fill caches; from then on nothing may grow.
+        settled = resident[len(resident) // 3 :]
+        print(f"{frames} frames, {killed} kills, worst gap {max(gaps):.3f} s, resident {resident[0]} to {resident[-1]}")
+        assert killed >= SECONDS // KILL_EVERY_S - 1
+        assert max(settled) - min(settled) < 50 * 2**20
+    alive = descendants(os.getpid())
+    assert not [pid for pid, began in tree.items() if alive.get(pid) == began]
