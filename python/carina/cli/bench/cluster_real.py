@@ -214,7 +214,7 @@ def transport(head: tuple[Node, Path], *, num: int, seconds: float) -> tuple[lis
         )
         free = fly(renderer, console, _stand_in_view, seconds=seconds / 2, rate_hz=None)
         rows.append({"renderers": num, "paced_hz": None, "fps": round(free.fps, 2)})
-    return rows, paced
+    return rows, free
 
 
 def lost_renderers(head: tuple[Node, Path], *, num: int, kills: int) -> dict[str, Any]:
