@@ -132,6 +132,24 @@ def test_insertion_counts_from_the_start_of_the_path(chest: Phantom, field: Wall
     assert drive.drive(-5.0, 0.0, 0.0, 0.1).limit == "entry"
 
 
+def test_depth_counts_from_the_cords_and_a_facing_operator_sees_the_picture_turned(
+    chest: Phantom, field: WallField
+) -> None:
+    path = path_to(chest, 0)
+    # The cords lie 12 mm above the scan.
+    head = ScopeDrive(field, "standard", path, cords_mm=-12.0)
+    facing = ScopeDrive(field, "standard", path, operator="facing")
+    a, b = head.drive(40.0, 0.0, 0.0, 0.1), facing.drive(40.0, 0.0, 0.0, 0.1)
+    assert head.depth_from_cords_mm == pytest.approx(52.0)
+    assert facing.depth_from_cords_mm is None
+    # Anterior is up from the head end, and down for one who faces the patient; the tip lies the same.
+    assert a.pose.lps_from_camera[1, 1] > 0.9
+    assert b.pose.lps_from_camera[1, 1] < -0.9
+    assert np.allclose(a.pose.lps_from_camera[:3, 2:], b.pose.lps_from_camera[:3, 2:], atol=1e-6)
+    with pytest.raises(UsageError):
+        ScopeDrive(field, "standard", path, cords_mm=math.nan)
+
+
 def test_a_tip_pressed_at_a_wall_counts_contact_and_goes_red(chest: Phantom, field: WallField) -> None:
     drive = ScopeDrive(field, "standard", path_to(chest, 0))
     drive.drive(60.0, 0.0, 0.0, 0.1)

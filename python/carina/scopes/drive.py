@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from carina import _core
 from carina.errors import UsageError
 from carina.scopes.library import ScopePreset, scope_preset
-from carina.scopes.pose import Pose
+from carina.scopes.pose import Pose, upright
 from carina.scopes.wall_field import WallField
 
 __all__ = ["Contact", "ContactRecord", "ScopeDrive", "ScopeLimit", "ScopeState", "lever_flexion"]
 
 ScopeLimit = Literal["none", "entry", "wall", "narrow", "length", "flexion"]
+OperatorPosition = Literal["head", "facing"]
 Point = tuple[float, float, float]
 
 # What a scope has whose maker states nothing: the generic class (library), and no lever is pulled farther.
@@ -95,7 +96,11 @@ class ScopeDrive:
         (n, 3) LPS mm, from where the scope enters: the trachea's centreline, or a route from the tree's root. It enters
         at the first place with room for it.
     up_lps
-        What the picture has up at roll 0; anterior unless told.
+        What the picture has up at roll 0; unless told anterior, or posterior for an operator who faces the patient.
+    operator
+        ``head`` (stands at the patient's head) or ``facing``. It says what roll 0 is; the scope itself lies the same.
+    cords_mm
+        Where the vocal cords are, in mm of the start path; below 0 where they lie above it. None: not known.
 
     Raises
     ------
@@ -116,8 +121,19 @@ class ScopeDrive:
     """
 
     def __init__(
-        self, field: WallField, scope: ScopePreset | str, start_path: ArrayLike, *, up_lps: ArrayLike | None = None
+        self,
+        field: WallField,
+        scope: ScopePreset | str,
+        start_path: ArrayLike,
+        *,
+        up_lps: ArrayLike | None = None,
+        operator: OperatorPosition = "head",
+        cords_mm: float | None = None,
     ) -> None:
+        if operator not in {"head", "facing"}:
+            raise UsageError(f"expected operator position 'head' or 'facing'; found {operator!r}", code="scope.drive")
+        if cords_mm is not None and not math.isfinite(cords_mm):
+            raise UsageError(f"expected a place of the vocal cords in mm; found {cords_mm}", code="scope.drive")
         preset = scope_preset(scope) if isinstance(scope, str) else scope
         up_deg, down_deg = preset.flexion_deg or _FLEXION_DEG
         sizes = (
@@ -129,8 +145,13 @@ class ScopeDrive:
             math.radians(down_deg),
             preset.length_mm or _LENGTH_MM,
         )
+        path = _points(start_path)
+        if up_lps is None and operator == "facing" and len(path) > 1:
+            along = path[-1] - path[0]
+            up_lps = -upright(along / max(float(np.linalg.norm(along)), 1e-9))
         up = None if up_lps is None else [float(v) for v in np.asarray(up_lps, dtype=np.float64)]
-        self._core = _core.ScopeDrive(field.core, sizes, _points(start_path), up)
+        self._core = _core.ScopeDrive(field.core, sizes, path, up)
+        self._cords_mm = cords_mm
         self._scope = preset
         self._field = field
         self._flexion_rad = (sizes[5], sizes[4])
@@ -158,6 +179,11 @@ class ScopeDrive:
     def entry_mm(self) -> float:
         """Where the scope enters, in mm of the start path: the least insertion."""
         return self._core.entry_mm
+
+    @property
+    def depth_from_cords_mm(self) -> float | None:
+        """Insertion from the vocal cords; None where it is not known where they are."""
+        return None if self._cords_mm is None else self._state.insertion_mm - self._cords_mm
 
     @property
     def flexion_range_rad(self) -> tuple[float, float]:
