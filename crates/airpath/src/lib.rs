@@ -1,7 +1,8 @@
 //! Airway lumen, voxel graph and the resumable least-cost path tracker (paper 6; DESIGN 4 "Path tracker", "Airways").
 //!
 //! `trachea` finds where to begin, `flood` grows the lumen with a leak guard, `extension` follows what the flood could not by
-//! its shape (`tubeness`), `lumen` turns it into a graph with the cost
+//! its shape (`tubeness`; `extension_reach` says what can be reached, `extension_ways` what is kept of it and
+//! `extension_verdict` what looks like an airway), `lumen` turns it into a graph with the cost
 //! that keeps to the middle, `tracker` grows the tree of least-cost paths from one root and resumes it for every new
 //! target, `tree` reads branches off it. `box_graph`, `paper_cost` and `isoregion_graph` are the graph and the cost as the
 //! paper prints them, for the same tracker; `graph_tracker` joins every cost with every graph. `field_tracker` does the
@@ -16,6 +17,9 @@ pub mod dijkstra;
 pub mod distance;
 mod error;
 pub mod extension;
+mod extension_reach;
+mod extension_verdict;
+mod extension_ways;
 pub mod field;
 pub mod field_aim;
 pub mod field_tracker;

@@ -1,0 +1,193 @@
+//! What can be reached from the lumen's surface through enclosed voxels, and which of it without stepping over a sill.
+
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, HashMap};
+
+use carina_grid::VolumeView;
+use rayon::prelude::*;
+
+use crate::extension::{ExtensionLimits, LUMEN, Levels, PENDING, REFUSED};
+use crate::tubeness::Enclosure;
+use crate::{TrackError, Watch};
+
+/// Along an airway the values rise, as its lumen narrows and takes on more of the blur of its wall. A way that rises and falls
+/// again by more than this, in thresholds, has stepped over a wall into the lung.
+const DROP: f64 = 8.0;
+
+/// A voxel that was reached.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Node {
+    pub(crate) voxel: u32,
+    /// To its wall: how enclosed it is.
+    pub(crate) rise: i16,
+    /// Way without a wall that leads to it, mm.
+    gap_mm: f32,
+}
+
+/// All voxels that can be followed from the lumen's surface, in the order in which they were met.
+pub(crate) fn reach(
+    values: VolumeView<'_, i16>,
+    smooth: &[i16],
+    enclosure: &Enclosure,
+    lumen: &mut [u8],
+    levels: Levels,
+    limits: &ExtensionLimits,
+    watch: &impl Watch,
+) -> Result<Vec<Node>, TrackError> {
+    let faces = Faces::new(values);
+    let mut nodes: Vec<Node> = Vec::new();
+    // (voxel, gap before it, mm of the step to it)
+    let mut wave: Vec<(u32, f32, f32)> = Vec::new();
+    for at in 0..lumen.len() {
+        if lumen[at] == LUMEN {
+            faces.each(at, |next, step_mm| {
+                if lumen[next] == 0 {
+                    lumen[next] = PENDING;
+                    wave.push((next as u32, 0.0, step_mm));
+                }
+            });
+        }
+    }
+    // Voxels that no short gap has led to yet, and how enclosed they are.
+    let mut waiting: HashMap<u32, i16> = HashMap::new();
+    while !wave.is_empty() {
+        watch.go_on(0.3)?;
+        let rises: Vec<i16> = wave
+            .par_iter()
+            .map(|(at, ..)| {
+                waiting
+                    .get(at)
+                    .copied()
+                    .unwrap_or_else(|| enclosure.at(smooth, *at as usize))
+            })
+            .collect();
+        let first = nodes.len();
+        for ((voxel, gap_mm, step_mm), rise) in wave.drain(..).zip(rises) {
+            let gap_mm = if rise >= levels.followed {
+                0.0
+            } else {
+                gap_mm + step_mm
+            };
+            if rise < levels.gap || smooth[voxel as usize] > limits.brightest {
+                lumen[voxel as usize] = REFUSED;
+            } else if f64::from(gap_mm) > limits.gap_mm {
+                // Another way may lead here by a shorter gap.
+                lumen[voxel as usize] = 0;
+                waiting.insert(voxel, rise);
+            } else {
+                lumen[voxel as usize] = PENDING;
+                nodes.push(Node {
+                    voxel,
+                    rise,
+                    gap_mm,
+                });
+            }
+        }
+        // The shortest gaps first: a voxel joins by the best of its ways.
+        let mut from: Vec<Node> = nodes[first..].to_vec();
+        from.sort_by(|a, b| a.gap_mm.total_cmp(&b.gap_mm).then(a.voxel.cmp(&b.voxel)));
+        for node in from {
+            faces.each(node.voxel as usize, |next, step_mm| {
+                if lumen[next] == 0 {
+                    lumen[next] = PENDING;
+                    wave.push((next as u32, node.gap_mm, step_mm));
+                }
+            });
+        }
+    }
+    Ok(nodes)
+}
+
+/// The neighbours by faces, and how far they are.
+pub(crate) struct Faces {
+    shape: [usize; 3],
+    step_mm: [f32; 3],
+}
+
+impl Faces {
+    pub(crate) fn new(values: VolumeView<'_, i16>) -> Self {
+        Self {
+            shape: values.grid().shape_ijk(),
+            step_mm: values.grid().spacing_mm().map(|s| s as f32),
+        }
+    }
+
+    pub(crate) fn each(&self, at: usize, mut visit: impl FnMut(usize, f32)) {
+        let [nx, ny, nz] = self.shape;
+        let (i, j, k) = (at % nx, at / nx % ny, at / nx / ny);
+        let [x, y, z] = self.step_mm;
+        if i > 0 {
+            visit(at - 1, x);
+        }
+        if i + 1 < nx {
+            visit(at + 1, x);
+        }
+        if j > 0 {
+            visit(at - nx, y);
+        }
+        if j + 1 < ny {
+            visit(at + nx, y);
+        }
+        if k > 0 {
+            visit(at - nx * ny, z);
+        }
+        if k + 1 < nz {
+            visit(at + nx * ny, z);
+        }
+    }
+}
+
+/// Which of the reached voxels can be had without stepping over a sill: see [`DROP`].
+///
+/// Voxels are met by the lowest way, as water would (a minimax path).
+pub(crate) fn open_from(
+    values: VolumeView<'_, i16>,
+    smooth: &[i16],
+    lumen: &[u8],
+    reached: &[Node],
+    levels: Levels,
+) -> Vec<bool> {
+    let faces = Faces::new(values);
+    let at: HashMap<u32, u32> = places(reached);
+    let drop = (DROP * f64::from(levels.followed)) as i32;
+    let mut open = vec![false; reached.len()];
+    let mut sill = vec![i32::MAX; reached.len()];
+    let mut queue = BinaryHeap::new();
+    let value = |n: u32| i32::from(smooth[reached[n as usize].voxel as usize]);
+    for (n, node) in reached.iter().enumerate() {
+        let mut touches = false;
+        faces.each(node.voxel as usize, |next, _| {
+            touches |= lumen[next] == LUMEN;
+        });
+        if touches {
+            sill[n] = value(n as u32);
+            queue.push(Reverse((sill[n], n as u32)));
+        }
+    }
+    while let Some(Reverse((here, n))) = queue.pop() {
+        if here != sill[n as usize] || value(n) < here - drop {
+            continue;
+        }
+        open[n as usize] = true;
+        faces.each(reached[n as usize].voxel as usize, |next, _| {
+            let Some(&m) = at.get(&(next as u32)) else {
+                return;
+            };
+            let there = here.max(value(m));
+            if there < sill[m as usize] {
+                sill[m as usize] = there;
+                queue.push(Reverse((there, m)));
+            }
+        });
+    }
+    open
+}
+
+/// Where each reached voxel stands in the list.
+pub(crate) fn places(reached: &[Node]) -> HashMap<u32, u32> {
+    reached
+        .iter()
+        .enumerate()
+        .map(|(n, node)| (node.voxel, n as u32))
+        .collect()
+}
