@@ -2,7 +2,7 @@
 //!
 //! A chain of voxel centres is a staircase. It is resampled evenly and smoothed by penalised least squares (Whittaker 1923,
 //! second differences; Eilers 2003): minimise sum w |x - y|^2 + lambda sum |x[n-1] - 2 x[n] + x[n+1]|^2. Points that would
-//! leave the lumen pull harder towards the chain, which never leaves it, until all are inside.
+//! leave the lumen are pulled back, to just inside first, then to the chain, which never leaves it, until all are inside.
 
 use carina_grid::length;
 
@@ -14,6 +14,12 @@ const SHORTEST_BEND_MM: f64 = 18.0;
 /// Wider tubes are smoothed more: their middle is known less exactly, and the chain may wander further.
 const REFERENCE_RADIUS_MM: f64 = 2.0;
 const MAX_ROUNDS: usize = 24;
+/// First a point outside is only pulled to just inside, which leaves the curve its smoothness: where the lumen is thinner than
+/// the slices the chain has corners, and a curve that is pulled onto it takes them over.
+const GENTLE_ROUNDS: usize = 16;
+/// On the way back to the chain the inside is looked for in such steps.
+const GENTLE_SHARE: f64 = 0.125;
+const GENTLE_PULL: f64 = 1.0;
 /// The pull of a point that stays where it is.
 pub const FIXED: f64 = 1e9;
 
@@ -70,6 +76,10 @@ pub fn point_at(chain: &[Point], along: &[f64], s: f64) -> Point {
     std::array::from_fn(|a| chain[after - 1][a] + share * (chain[after][a] - chain[after - 1][a]))
 }
 
+fn between(a: Point, b: Point, share: f64) -> Point {
+    std::array::from_fn(|x| a[x] + share * (b[x] - a[x]))
+}
+
 fn distance(a: Point, b: Point) -> f64 {
     length([a[0] - b[0], a[1] - b[1], a[2] - b[2]])
 }
@@ -107,31 +117,53 @@ pub fn smoothed_by(points: &[Point], pull: &[f64], inside: impl Fn(Point) -> boo
     let step_mm = (cumulative_mm(points)[n - 1] / (n - 1) as f64).max(1e-6);
     // The filter's gain is 1/2 where lambda (2 pi step / wavelength)^4 = 1.
     let lambda = (SHORTEST_BEND_MM / (std::f64::consts::TAU * step_mm)).powi(4);
+    let given = pull;
     let mut pull = pull.to_vec();
     let fixed: Vec<usize> = (0..n).filter(|&m| pull[m] >= FIXED).collect();
+    let mut towards = points.to_vec();
     let mut smooth = points.to_vec();
-    for round in 0..MAX_ROUNDS {
-        smooth = solve(points, &pull, lambda);
+    for round in 0..GENTLE_ROUNDS + MAX_ROUNDS {
+        let is_gentle = round < GENTLE_ROUNDS;
+        if round == GENTLE_ROUNDS {
+            towards.copy_from_slice(points);
+            pull.copy_from_slice(given);
+        }
+        smooth = solve(&towards, &pull, lambda);
         for &m in &fixed {
             smooth[m] = points[m];
         }
         // Half-way between neighbours should be inside as well: a flight interpolates. The given chain itself may pass a
         // voxel's corner there, so in the end only the points must be.
-        let halves = round < MAX_ROUNDS / 2;
+        let halves = round < GENTLE_ROUNDS + MAX_ROUNDS / 2;
         let bad: Vec<usize> = (0..n)
             .filter(|&m| {
                 !inside(smooth[m])
-                    || (halves
-                        && m + 1 < n
-                        && !inside([0, 1, 2].map(|a| 0.5 * (smooth[m][a] + smooth[m + 1][a]))))
+                    || (halves && m + 1 < n && !inside(between(smooth[m], smooth[m + 1], 0.5)))
             })
             .collect();
         if bad.is_empty() {
             return smooth;
         }
         for m in bad {
-            for near in &mut pull[m.saturating_sub(1)..(m + 2).min(n)] {
-                *near = (*near * 2.0).min(FIXED);
+            if !is_gentle {
+                for near in &mut pull[m.saturating_sub(1)..(m + 2).min(n)] {
+                    *near = (*near * 2.0).min(FIXED);
+                }
+                continue;
+            }
+            // One who was inside was left by the half behind it: both of its ends go back.
+            let both = if inside(smooth[m]) { m + 2 } else { m + 1 };
+            for near in m..both.min(n) {
+                if pull[near] >= FIXED {
+                    continue;
+                }
+                let mut share = GENTLE_SHARE;
+                while share < 1.0 && !inside(between(smooth[near], points[near], share)) {
+                    share += GENTLE_SHARE;
+                }
+                towards[near] =
+                    between(smooth[near], points[near], (share + GENTLE_SHARE).min(1.0));
+                pull[near] = (pull[near] * 3.0).clamp(GENTLE_PULL, 0.1 * FIXED);
             }
         }
     }
@@ -278,5 +310,36 @@ mod tests {
         assert_ne!(kept, points);
         assert_eq!(kept[0], chain[0]);
         assert_eq!(kept[kept.len() - 1], chain[chain.len() - 1]);
+    }
+
+    #[test]
+    fn steps_between_thick_slices_are_taken_without_corners() {
+        // A slanting lumen one voxel of 0.66 mm wide on slices of 3 mm: in each slice a corridor along x.
+        let starts = [0.0, 2.64, 4.62, 8.58, 10.56, 13.2, 17.16];
+        let slice = |z: f64| (z / 3.0).round().clamp(0.0, 5.0) as usize;
+        let inside = |p: Point| {
+            let k = slice(p[2]);
+            p[1].abs() <= 0.33 && p[0] >= starts[k] - 0.33 && p[0] <= starts[k + 1] + 0.33
+        };
+        let chain: Vec<Point> = (0..6)
+            .flat_map(|k| {
+                let z = 3.0 * f64::from(k as u8);
+                [[starts[k], 0.0, z], [starts[k + 1], 0.0, z]]
+            })
+            .collect();
+        let (points, _) = resampled(&chain, 1.0);
+        let smooth = smoothed(&points, &vec![1.2; points.len()], true, inside);
+        assert!(smooth.iter().all(|p| inside(*p)));
+        let turn = |p: &[Point], m: usize| {
+            let u: Point = std::array::from_fn(|a| p[m][a] - p[m - 1][a]);
+            let v: Point = std::array::from_fn(|a| p[m + 1][a] - p[m][a]);
+            (carina_grid::dot(u, v) / length(u) / length(v))
+                .clamp(-1.0, 1.0)
+                .acos()
+                .to_degrees()
+        };
+        let worst = |p: &[Point]| (1..p.len() - 1).map(|m| turn(p, m)).fold(0.0, f64::max);
+        assert!(worst(&points) > 40.0, "{}", worst(&points));
+        assert!(worst(&smooth) < 30.0, "{}", worst(&smooth));
     }
 }
