@@ -66,6 +66,11 @@ pub(crate) const REFUSED: u8 = 4;
 /// Share of the lung that is less enclosed than what is followed, and than what a path must be on average.
 const FOLLOWED_SHARE: f64 = 0.98;
 const KEPT_SHARE: f64 = 0.995;
+/// Along an airway the values rise, as its lumen narrows and takes on more of the blur of its wall. A way that rises and falls
+/// again by more than this, in thresholds, has stepped over a wall into the lung; less than this share of the way from air
+/// to half a wall is none, however little noise there is.
+const DROP: f64 = 8.0;
+const LEAST_DROP: f64 = 0.4;
 /// A gap's voxels are at least this share as enclosed.
 const GAP_SHARE: f64 = 0.3;
 /// Lung voxels looked at for the calibration, and how many it needs.
@@ -122,6 +127,8 @@ pub(crate) struct Levels {
     pub(crate) followed: i16,
     pub(crate) kept: f64,
     pub(crate) gap: i16,
+    /// A way that rises and falls again by more than this has stepped over a wall.
+    pub(crate) drop: f64,
 }
 
 impl Levels {
@@ -155,6 +162,7 @@ impl Levels {
         };
         let followed = share(FOLLOWED_SHARE).max(limits.least_rise);
         Self {
+            drop: (DROP * followed).max(LEAST_DROP * (f64::from(limits.brightest) - limits.air)),
             followed: followed.ceil() as i16,
             kept: share(KEPT_SHARE).max(1.2 * followed),
             gap: (GAP_SHARE * followed) as i16,

@@ -10,10 +10,6 @@ use crate::extension::{ExtensionLimits, LUMEN, Levels, PENDING, REFUSED};
 use crate::tubeness::Enclosure;
 use crate::{TrackError, Watch};
 
-/// Along an airway the values rise, as its lumen narrows and takes on more of the blur of its wall. A way that rises and falls
-/// again by more than this, in thresholds, has stepped over a wall into the lung.
-const DROP: f64 = 8.0;
-
 /// A voxel that was reached.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Node {
@@ -137,7 +133,7 @@ impl Faces {
     }
 }
 
-/// Which of the reached voxels can be had without stepping over a sill: see [`DROP`].
+/// Which of the reached voxels can be had without stepping over a sill: see [`Levels::drop`].
 ///
 /// Voxels are met by the lowest way, as water would (a minimax path).
 pub(crate) fn open_from(
@@ -149,7 +145,7 @@ pub(crate) fn open_from(
 ) -> Vec<bool> {
     let faces = Faces::new(values);
     let at: HashMap<u32, u32> = places(reached);
-    let drop = (DROP * f64::from(levels.followed)) as i32;
+    let drop = levels.drop as i32;
     let mut open = vec![false; reached.len()];
     let mut sill = vec![i32::MAX; reached.len()];
     let mut queue = BinaryHeap::new();

@@ -14,6 +14,10 @@ use crate::{TrackError, Watch};
 const NONE: u32 = u32::MAX;
 /// How far a tube's side lies from its middle, through enclosed voxels, mm.
 const COVER_MM: f32 = 3.0;
+/// A lumen's voxels lie within so many radii of the middle by faces, which is a way round corners.
+const FILL_RADII: f64 = 1.5;
+/// Half-way up the wall is taken over so many voxels to both sides.
+const FILL_NODES: usize = 2;
 /// The direction of a way is taken over this much of it, to both sides, mm.
 const TANGENT_MM: f64 = 2.0;
 /// What a voxel may give a path, in thresholds: one bright wall must not pay for a long way without.
@@ -23,6 +27,8 @@ const MOST_GAIN: f64 = 3.0;
 #[derive(Debug, Clone)]
 pub(crate) struct Path {
     nodes: Vec<u32>,
+    /// To the wall at each of them, mm.
+    radius_mm: Vec<f64>,
     length_mm: f64,
 }
 
@@ -182,12 +188,18 @@ impl<'a> Search<'a> {
         let (mut gain, mut best, mut last_mm) = (0.0, (0.0, 0, 0.0), start_mm);
         let (mut sum, mut sum_at_best) = (0.0, 0.0);
         let sections = self.sections(way);
+        let mut highest = f64::NEG_INFINITY;
         for (n, node) in way.iter().enumerate() {
             let along = self.along_mm[*node as usize];
             let rise = f64::from(self.reached[*node as usize].rise);
             let step = f64::from(along - last_mm);
             last_mm = along;
             let own = f64::from(self.smooth.data()[self.reached[*node as usize].voxel as usize]);
+            // Over a wall: what opens behind it is not this airway.
+            highest = highest.max(own);
+            if own < highest - self.levels.drop {
+                break;
+            }
             gain += step
                 * if looks_like_airway(&sections[n], own, limits.air, blur) {
                     (rise / threshold).min(MOST_GAIN) - 1.0
@@ -201,12 +213,33 @@ impl<'a> Search<'a> {
             }
         }
         let (_, num, length_mm) = best;
-        (length_mm >= limits.min_length_mm && sum_at_best >= self.levels.kept * length_mm).then(
+        let straight_mm = self.straight_mm(&way[..num]);
+        (straight_mm >= limits.min_length_mm && sum_at_best >= self.levels.kept * length_mm).then(
             || Path {
                 nodes: way[..num].to_vec(),
-                length_mm,
+                radius_mm: sections[..num].iter().map(|s| s.radius_mm).collect(),
+                length_mm: straight_mm,
             },
         )
+    }
+
+    /// Length of a way without its steps to and fro between voxels: from one place to the next a slice away.
+    fn straight_mm(&self, way: &[u32]) -> f64 {
+        let grid = self.smooth.grid();
+        let spacing = grid.spacing_mm();
+        let every = (spacing.into_iter().fold(TANGENT_MM, f64::max) / grid.min_spacing_mm()).ceil()
+            as usize;
+        let ijk = |n: u32| grid.voxel(self.reached[n as usize].voxel as usize);
+        let mut knots: Vec<[usize; 3]> = way.iter().step_by(every).map(|n| ijk(*n)).collect();
+        knots.extend(way.last().map(|n| ijk(*n)));
+        knots
+            .windows(2)
+            .map(|pair| {
+                carina_grid::length(std::array::from_fn(|a| {
+                    (pair[1][a] as f64 - pair[0][a] as f64) * spacing[a]
+                }))
+            })
+            .sum()
     }
 
     fn sections(&self, way: &[u32]) -> Vec<Section> {
@@ -263,21 +296,20 @@ impl<'a> Search<'a> {
         let mut best: HashMap<u32, u32> = HashMap::new();
         for path in paths {
             for (p, node) in path.nodes.iter().enumerate() {
-                let near = &path.nodes[p.saturating_sub(2)..(p + 3).min(path.nodes.len())];
-                let half: f64 = near
-                    .iter()
-                    .map(|n| {
-                        let node = self.reached[*n as usize];
-                        f64::from(smooth[node.voxel as usize]) + 0.5 * f64::from(node.rise)
-                    })
-                    .sum::<f64>()
-                    / near.len() as f64;
+                let near = p.saturating_sub(FILL_NODES)..(p + FILL_NODES + 1).min(path.nodes.len());
+                let half = median(path.nodes[near.clone()].iter().map(|n| {
+                    let node = self.reached[*n as usize];
+                    f64::from(smooth[node.voxel as usize]) + 0.5 * f64::from(node.rise)
+                }));
+                let reach_mm = FILL_RADII * median(path.radius_mm[near].iter().copied())
+                    + 0.5 * self.smooth.grid().min_spacing_mm();
+                let reach_um = (1e3 * reach_mm.min(REACH_MM)) as u32;
                 best.insert(*node, 0);
-                open.push(Reverse((0u32, *node, half as i32)));
+                open.push(Reverse((0u32, *node, half as i32, reach_um)));
             }
         }
         let mut kept: Vec<u32> = Vec::new();
-        while let Some(Reverse((off_um, n, half))) = open.pop() {
+        while let Some(Reverse((off_um, n, half, reach_um))) = open.pop() {
             if best.get(&n) != Some(&off_um) {
                 continue;
             }
@@ -289,11 +321,11 @@ impl<'a> Search<'a> {
                 };
                 let there = off_um + (1e3 * step_mm) as u32;
                 if i32::from(smooth[next]) <= half
-                    && f64::from(there) <= 1e3 * REACH_MM
+                    && there <= reach_um
                     && best.get(&m).is_none_or(|b| there < *b)
                 {
                     best.insert(m, there);
-                    open.push(Reverse((there, m, half)));
+                    open.push(Reverse((there, m, half, reach_um)));
                 }
             });
         }
@@ -301,4 +333,10 @@ impl<'a> Search<'a> {
         kept.dedup();
         kept
     }
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
 }

@@ -49,10 +49,13 @@ MIN_WALL_CONTRAST_HU = 60.0
 STEP_RISE_HU = 25.0
 HALF_WALL_HU = -500.0
 # Beyond the flood's end airways are followed by their shape (docs/decisions/0015). The least rise to a wall; how long a
-# drop of mucus or a beat of the heart may blot it out; how far a branch must lead to be one.
+# drop of mucus or a beat of the heart may blot it out; how far a branch must lead to be one. Slices thicker than the
+# smallest lumen show its wall only mixed with what lies beside it: so many more of them must agree.
 LEAST_RISE_HU = 15.0
 GAP_MM = 2.0
-MIN_FOLLOWED_MM = 4.0
+MIN_FOLLOWED_MM = 2.0
+THIN_SLICE_MM = 1.0
+THICK_SECTIONS = 5.0
 
 # What is missing where a trachea was found all the same, in words.
 TRACHEA_DOUBTS = {
@@ -526,7 +529,7 @@ def _grow(volume: Volume, root: Point | None, lumen_threshold: float | None, sta
             brightest=scale.level(HALF_WALL_HU),
             least_rise=scale.span(LEAST_RISE_HU),
             gap_mm=GAP_MM,
-            min_length_mm=max(MIN_FOLLOWED_MM, 1.5 * max(volume.spacing_mm)),
+            min_length_mm=MIN_FOLLOWED_MM + THICK_SECTIONS * max(max(volume.spacing_mm) - THIN_SLICE_MM, 0.0),
             cancel=stage.cancel,
             progress=stage.share,
         )
