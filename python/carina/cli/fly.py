@@ -23,6 +23,7 @@ from carina.navigate.auto_flight import frame_times_s
 from carina.navigate.recording import ReplayedPose, sampled
 from carina.render import AirwayView, Backend, Renderer, TransferFunction, transfer_preset
 from carina.scopes import DEFAULT_SCOPE, ImageField, Pose, scope_preset
+from carina.track import wall_field
 from carina.volume import Volume
 
 __all__ = ["report"]
@@ -78,7 +79,7 @@ def report(
         facts: dict[str, Any] = {}
         if recorded is not None:
             recorded.check(volume, carina=carina.__version__)
-            moments, facts = _replayed(recorded, volume)
+            moments, facts = _replayed(recorded, volume, progress)
             times = frame_times_s(recorded.length_s, rate_hz)
             frames = sampled(moments, times)
         else:
@@ -113,9 +114,12 @@ def report(
     return 0
 
 
-def _replayed(recorded: Recording, volume: Volume) -> tuple[list[ReplayedPose], dict[str, Any]]:
+def _replayed(recorded: Recording, volume: Volume, progress: Any) -> tuple[list[ReplayedPose], dict[str, Any]]:
+    wall = None
+    if recorded.needs_wall:
+        wall = wall_field(volume, carina.find_airways(volume, progress=progress), progress=progress)
     moments, different = [], 0
-    for moment, same in recorded.replay(volume):
+    for moment, same in recorded.replay(volume, wall=wall):
         moments.append(moment)
         different += not same
     if not moments:

@@ -39,6 +39,7 @@ __all__ = [
     "SetMode",
     "SetOperator",
     "SetPath",
+    "SetScope",
     "Steer",
     "TakeDevice",
     "ToggleMode",
@@ -59,6 +60,8 @@ class Steer:
     yaw_rad: float
     pitch_rad: float
     roll_rad: float
+    dt_s: float = 0.0
+    """Since the move before, for the time of contact in mode *scope*."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +107,9 @@ class ResetLook:
 
 @dataclass(frozen=True, slots=True)
 class SetMode:
-    """Free, or along the path."""
+    """Free, along the path, or (once laid by :class:`SetScope`) the scope."""
 
-    mode: Literal["free", "path"]
+    mode: Literal["free", "path", "scope"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,6 +252,28 @@ class CycleControl:
 
 
 @dataclass(frozen=True, slots=True)
+class SetScope:
+    """Lay a scope in the lumen along a path and hold it (mode *scope*); the pilot knows the wall.
+
+    Parameters
+    ----------
+    scope
+        Name in the library.
+    points_lps
+        From where the scope enters to beyond its tip, LPS mm.
+    insertion_mm
+        Where the tip should be, in mm of the points.
+    up_lps
+        What the picture has up at roll 0.
+    """
+
+    scope: str
+    points_lps: tuple[Vec3, ...]
+    insertion_mm: float
+    up_lps: Vec3 | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class ArmPen:
     """The pen's first button marks the place of the tip instead of cycling the ways to move, or no longer."""
 
@@ -283,6 +308,7 @@ Move = (
     | SetControl
     | CycleControl
     | ArmPen
+    | SetScope
     | SetControls
 )
 MOVES: dict[str, type[Any]] = {
@@ -308,6 +334,7 @@ MOVES: dict[str, type[Any]] = {
         SetControl,
         CycleControl,
         ArmPen,
+        SetScope,
         SetControls,
     )
 }

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from carina.errors import UsageError
 from carina.navigate.flight_path import FlightPath
 from carina.navigate.rotation import orthonormal, rotation_from_vector, vector_from_rotation, yaw_pitch_roll
-from carina.scopes import Pose, upright
+from carina.scopes import Pose, ScopeDrive, ScopeState, upright
 from carina.volume import Volume
 
 __all__ = ["EASE_MM_PER_MM", "EASE_RAD_PER_MM", "Limit", "Mode", "Navigator", "OperatorPosition", "eased"]
 
-Mode = Literal["free", "path"]
+Mode = Literal["free", "path", "scope"]
 OperatorPosition = Literal["head", "facing"]
 Limit = Literal["none", "volume", "path start", "path end"]
 
@@ -35,6 +35,9 @@ class Navigator:
 
     In mode *free* the tip advances along its viewing direction and turns about its own axes; it stays in the volume. In
     mode *path* it advances along the path; turning is a free look around that leaves the way alone.
+
+    In mode *scope* a bronchoscope is held by the lumen: advancing inserts it, pitching bends its tip, and rolling or
+    yawing rolls it, since its tip bends in one plane only (paper 7; :class:`carina.scopes.ScopeDrive`).
 
     Leaving the path keeps the pose exactly. Entering it within 10 mm keeps the pose too, and what is off the path
     (position and direction) eases over while the tip advances, so the picture never jumps. From farther off the tip
@@ -70,6 +73,7 @@ class Navigator:
         self._entry = np.eye(3)
         self._look = np.eye(3)
         self._shift_lps = np.zeros(3)
+        self._drive: ScopeDrive | None = None
         self._pose = pose
         self.place(pose)
 
@@ -87,7 +91,7 @@ class Navigator:
 
     @property
     def mode(self) -> Mode:
-        """``"free"`` or ``"path"``."""
+        """``"free"``, ``"path"`` or ``"scope"``."""
         return self._mode
 
     @property
@@ -117,10 +121,31 @@ class Navigator:
         """What held back the last movement: the volume's edge, an end of the path, or nothing."""
         return self._limit
 
+    @property
+    def scope_state(self) -> ScopeState | None:
+        """The scope in the lumen, in mode *scope*."""
+        return self._drive.state if self._mode == "scope" and self._drive is not None else None
+
+    @property
+    def scope_tip_mm(self) -> float | None:
+        """Diameter of the scope's tip, in mode *scope*."""
+        return self._drive.scope.tip_mm if self._mode == "scope" and self._drive is not None else None
+
+    @property
+    def flexion_range_rad(self) -> tuple[float, float] | None:
+        """Stops of the lever, down (below 0) and up, in mode *scope*."""
+        return self._drive.flexion_range_rad if self._mode == "scope" and self._drive is not None else None
+
     # Movement.
 
     def steer(
-        self, advance_mm: float = 0.0, yaw_rad: float = 0.0, pitch_rad: float = 0.0, roll_rad: float = 0.0
+        self,
+        advance_mm: float = 0.0,
+        yaw_rad: float = 0.0,
+        pitch_rad: float = 0.0,
+        roll_rad: float = 0.0,
+        *,
+        dt_s: float = 0.0,
     ) -> None:
         """Turn the tip, then advance it.
 
@@ -131,6 +156,8 @@ class Navigator:
         yaw_rad, pitch_rad, roll_rad
             Right, up, and clockwise as the operator sees it, about the camera's own axes. In mode *path* they add to
             the free look, which stays until :meth:`reset_look`.
+        dt_s
+            Since the move before; mode *scope* counts the time of contact with it.
 
         Raises
         ------
@@ -140,6 +167,9 @@ class Navigator:
         amounts = (advance_mm, yaw_rad, pitch_rad, roll_rad)
         if not all(math.isfinite(v) for v in amounts):
             raise UsageError(f"steering needs finite amounts; found {amounts}")
+        if self._mode == "scope":
+            self._drive_by(advance_mm, roll_rad + yaw_rad, pitch_rad, dt_s)
+            return
         turn = yaw_pitch_roll(yaw_rad, pitch_rad, roll_rad)
         if self._mode == "path":
             self._look = orthonormal(self._look @ turn)
@@ -149,7 +179,7 @@ class Navigator:
         at = self._pose.position_lps
         self._set_free(rotation, self._held_inside(at, at + advance_mm * rotation[:, 2]))
 
-    def move_by(self, offset_mm: tuple[float, float, float], turn: NDArray[np.float64]) -> None:
+    def move_by(self, offset_mm: tuple[float, float, float], turn: NDArray[np.float64], *, dt_s: float = 0.0) -> None:
         """Move and turn at once, as a rigid hand does.
 
         Parameters
@@ -158,6 +188,8 @@ class Navigator:
             To the right, down and forward, in the camera's axes before the turn. In mode *path* only forward counts.
         turn
             3x3 rotation about the camera's own axes; in mode *path* it adds to the free look.
+        dt_s
+            As in :meth:`steer`.
 
         Raises
         ------
@@ -166,6 +198,10 @@ class Navigator:
         """
         if not (np.isfinite(turn).all() and all(math.isfinite(v) for v in offset_mm)):
             raise UsageError(f"a movement needs finite amounts; found {offset_mm}")
+        if self._mode == "scope":
+            pitch, yaw, roll = (float(v) for v in vector_from_rotation(turn))
+            self._drive_by(offset_mm[2], roll + yaw, pitch, dt_s)
+            return
         if self._mode == "path":
             self._look = orthonormal(self._look @ turn)
             self._advance_on_path(self._path_mm + offset_mm[2])
@@ -174,15 +210,27 @@ class Navigator:
         wanted = before[:3, 3] + before[:3, :3] @ np.array(offset_mm)
         self._set_free(orthonormal(before[:3, :3] @ turn), self._held_inside(before[:3, 3], wanted))
 
+    def hold_scope(self, insertion_mm: float, roll_rad: float, flexion_rad: float, *, dt_s: float = 0.0) -> None:
+        """Set the scope's three controls; mode *scope* only. See :meth:`carina.scopes.ScopeDrive.drive`."""
+        drive = self._needed_drive()
+        self._pose = drive.drive(insertion_mm, roll_rad, flexion_rad, max(dt_s, 0.0)).pose
+
+    def enter_scope(self, drive: ScopeDrive) -> None:
+        """Hold a scope that lies in the lumen; the tip is where its tip is."""
+        self._drive = drive
+        self._mode, self._limit = "scope", "none"
+        self._look, self._entry = np.eye(3), np.eye(3)
+        self._pose = drive.state.pose
+
     def go_to(self, path_mm: float) -> None:
         """Go to a place of the path, clamped to its ends; enters mode *path*.
 
-        From mode *free* the tip then looks along the path; in mode *path* a free look is kept.
+        From modes *free* and *scope* the tip then looks along the path; in mode *path* a free look is kept.
         """
         if not math.isfinite(path_mm):
             raise UsageError(f"a place on the path must be finite; found {path_mm}")
         path = self._needed_path()
-        if self._mode == "free":
+        if self._mode != "path":
             self._enter_at(min(max(path_mm, 0.0), path.length_mm), keep_view=False)
         self._advance_on_path(path_mm)
 
@@ -237,10 +285,12 @@ class Navigator:
         UsageError
             If the mode is unknown, or *path* is wanted and there is no path.
         """
-        if mode not in {"free", "path"}:
-            raise UsageError(f"expected mode 'free' or 'path'; found {mode!r}")
+        if mode not in {"free", "path", "scope"}:
+            raise UsageError(f"expected mode 'free', 'path' or 'scope'; found {mode!r}")
         if mode == self._mode:
             return
+        if mode == "scope":
+            raise UsageError("a scope has to be laid in the lumen first", code="navigate.no-scope")
         if mode == "path":
             self._enter()
         else:
@@ -268,6 +318,7 @@ class Navigator:
         if self._operator == "facing":
             level = -level
         rotation = self._pose.lps_from_camera[:3, :3]
+        # In mode scope the whole instrument is rolled.
         # Level is at a right angle to the view; the camera's own up is -y.
         self._roll(math.atan2(float(level @ rotation[:, 0]), float(level @ -rotation[:, 1])))
 
@@ -280,10 +331,10 @@ class Navigator:
     # All of it, for recordings.
 
     def state(self) -> dict[str, Any]:
-        """Everything but volume and path, as JSON values that keep every bit."""
+        """Everything but volume, path and scope, as JSON values that keep every bit; a scope has to be laid again."""
         return {
             "operator": self._operator,
-            "mode": self._mode,
+            "mode": "free" if self._mode == "scope" else self._mode,
             "path_mm": self._path_mm,
             "base_roll_rad": self._base_roll_rad,
             "entry": self._entry.tolist(),
@@ -324,6 +375,9 @@ class Navigator:
 
     def _roll(self, angle_rad: float) -> None:
         """Roll the picture clockwise about its middle, in mode *path* for the whole path."""
+        if self._mode == "scope":
+            self._drive_by(0.0, angle_rad, 0.0, 0.0)
+            return
         roll = rotation_from_vector(np.array([0.0, 0.0, angle_rad]))
         if self._mode == "free":
             self._set_pose(orthonormal(self._pose.lps_from_camera[:3, :3] @ roll), self._pose.position_lps)
@@ -334,6 +388,19 @@ class Navigator:
         self._entry = roll.T @ self._entry @ roll
         self._look = roll.T @ self._look @ roll
         self._follow()
+
+    def _needed_drive(self) -> ScopeDrive:
+        if self._mode != "scope" or self._drive is None:
+            raise UsageError("no scope lies in the lumen", code="navigate.no-scope")
+        return self._drive
+
+    def _drive_by(self, advance_mm: float, roll_rad: float, flexion_rad: float, dt_s: float) -> None:
+        """From where the scope is, not from what was asked for: a hand that pushed at a wall has not to draw back."""
+        drive = self._needed_drive()
+        state = drive.state
+        down, up = drive.flexion_range_rad
+        flexion = min(max(state.flexion_rad + flexion_rad, down), up)
+        self.hold_scope(state.insertion_mm + advance_mm, state.roll_rad + roll_rad, flexion, dt_s=dt_s)
 
     def _needed_path(self) -> FlightPath:
         if self._path is None:

@@ -24,7 +24,7 @@ from carina.navigate.rotation import (
     yaw_pitch_roll,
 )
 from carina.navigate.samples import AxesSample, HandleSample, PoseSample, Sample, SampleGate
-from carina.scopes import Pose
+from carina.scopes import Pose, ScopeDrive, WallField, lever_flexion
 
 __all__ = ["CLUTCH_BUTTON", "CYCLE_BUTTON", "DeviceState", "Pilot"]
 
@@ -95,6 +95,8 @@ class Pilot:
         self.navigator = navigator
         self.on_move: Callable[[m.Move], None] | None = None
         """Told of every move after it was applied, for recordings."""
+        self.wall: WallField | None = None
+        """What holds a scope in the lumen."""
         self._gate = SampleGate()
         self._devices: dict[str, _Device] = {}
         self._controls = m.Controls()
@@ -105,6 +107,7 @@ class Pilot:
         self._pen_armed = False
         self._num_marks = 0
         self._frame_s: float | None = None
+        self._passed_s = 0.0
         # What the tip followed in the last frame; None begins anew, so that nothing jumps.
         self._followed: tuple[str, Sample] | None = None
         # In absolute: pose = registered pen * turn, shifted.
@@ -116,7 +119,9 @@ class Pilot:
     @property
     def control(self) -> m.Control:
         """How a device moves the tip now."""
-        return "path" if self.navigator.mode == "path" else self._free
+        mode = self.navigator.mode
+        # A scope goes where the wall lets it: no pen says its place.
+        return "path" if mode == "path" else "relative" if mode == "scope" else self._free
 
     @property
     def controls(self) -> m.Controls:
@@ -127,6 +132,11 @@ class Pilot:
     def holder(self) -> str | None:
         """The device that moves the tip."""
         return self._gate.holder
+
+    @property
+    def scope_flexion_range_rad(self) -> tuple[float, float] | None:
+        """The stops of the lever of the scope in the lumen."""
+        return self.navigator.flexion_range_rad
 
     @property
     def is_moving(self) -> bool:
@@ -222,7 +232,7 @@ class Pilot:
             case m.DeviceSaid():
                 self._hear(move.device, move.sample, move.now_s)
             case m.Steer():
-                tip.steer(move.advance_mm, move.yaw_rad, move.pitch_rad, move.roll_rad)
+                tip.steer(move.advance_mm, move.yaw_rad, move.pitch_rad, move.roll_rad, dt_s=move.dt_s)
             case m.GoTo():
                 tip.go_to(move.path_mm)
             case m.NextFork():
@@ -264,6 +274,8 @@ class Pilot:
                 self._set_control(move.control)
             case m.CycleControl():
                 self._cycle()
+            case m.SetScope():
+                self._lay_scope(move)
             case m.ArmPen():
                 self._pen_armed = move.armed
             case m.SetControls():
@@ -275,6 +287,13 @@ class Pilot:
         if not isinstance(move, m.Frame | m.DeviceSaid | m.ArmPen):
             # Whatever else moved the tip: the hand goes on from there.
             self._followed = None
+
+    def _lay_scope(self, move: m.SetScope) -> None:
+        if self.wall is None:
+            raise UsageError("a scope needs the airways' wall, and there is none yet", code="navigate.no-scope")
+        drive = ScopeDrive(self.wall, move.scope, move.points_lps, up_lps=move.up_lps)
+        drive.place(move.points_lps, move.insertion_mm)
+        self.navigator.enter_scope(drive)
 
     # ------------------------------------------------------------ devices
 
@@ -343,6 +362,7 @@ class Pilot:
         if not math.isfinite(now_s):
             raise UsageError(f"a frame needs a finite time; found {now_s}")
         passed_s = 0.0 if self._frame_s is None else min(max(now_s - self._frame_s, 0.0), MAX_FRAME_S)
+        self._passed_s = passed_s
         self._frame_s = now_s
         holder = self._gate.holder
         device = self._devices.get(holder) if holder is not None else None
@@ -388,6 +408,16 @@ class Pilot:
         self._move_by(offset, turn, np.zeros(3))
 
     def _follow_handle(self, sample: HandleSample, last: HandleSample) -> None:
+        state = self.navigator.scope_state
+        if state is not None and self.scope_flexion_range_rad is not None:
+            # The handle mimics the scope's: its lever says the flexion itself.
+            self.navigator.hold_scope(
+                state.insertion_mm + sample.insertion_mm - last.insertion_mm,
+                state.roll_rad + sample.roll_rad - last.roll_rad,
+                lever_flexion(sample.lever, self.scope_flexion_range_rad, invert=self._controls.lever_inverted),
+                dt_s=self._passed_s,
+            )
+            return
         lever = (sample.lever - last.lever) * (-1.0 if self._controls.lever_inverted else 1.0)
         turn = yaw_pitch_roll(0.0, lever * self._controls.lever_rad, sample.roll_rad - last.roll_rad)
         self._move_by(np.array([0.0, 0.0, sample.insertion_mm - last.insertion_mm]), turn, np.zeros(3))
@@ -434,7 +464,7 @@ class Pilot:
                         self._wanted_way = way
                         offset_mm = np.array([0.0, 0.0, fork.path_mm - here_mm])
                         break
-        tip.move_by((float(offset_mm[0]), float(offset_mm[1]), float(offset_mm[2])), turn)
+        tip.move_by((float(offset_mm[0]), float(offset_mm[1]), float(offset_mm[2])), turn, dt_s=self._passed_s)
 
     @staticmethod
     def _meant(fork: m.PathFork, pose: Pose, held: MM3) -> int:

@@ -22,7 +22,7 @@ from carina.errors import UsageError, VolumeImportError
 from carina.navigate import moves as m
 from carina.navigate.navigator import Navigator
 from carina.navigate.pilot import Pilot
-from carina.scopes import Pose
+from carina.scopes import Pose, WallField
 from carina.volume import Volume
 
 __all__ = ["Recorder", "Recording", "ReplayedPose", "case_key", "open_recording", "sampled"]
@@ -187,8 +187,20 @@ class Recording:
                 code="navigate.recording",
             )
 
-    def replay(self, volume: Volume) -> Iterator[tuple[ReplayedPose, bool]]:
+    @property
+    def needs_wall(self) -> bool:
+        """Whether a scope was held in the lumen, so that a replay needs the wall."""
+        return any(line.get("move", {}).get("move") == "SetScope" for line in self.lines)
+
+    def replay(self, volume: Volume, *, wall: WallField | None = None) -> Iterator[tuple[ReplayedPose, bool]]:
         """Fly it again: every pose that the moves give, and whether it equals the recorded one bit for bit.
+
+        Parameters
+        ----------
+        volume
+            The case's.
+        wall
+            What held the scope; where there was one (:attr:`needs_wall`).
 
         Raises
         ------
@@ -197,6 +209,7 @@ class Recording:
         """
         try:
             pilot = Pilot(Navigator(Pose(np.asarray(self.header["tip"]["lps_from_camera"])), volume=volume))
+            pilot.wall = wall
             for value in self.header["begin"]:
                 pilot.apply(m.move_from_json(value))
             pilot.navigator.restore(self.header["tip"], pilot.navigator.path)

@@ -37,6 +37,7 @@ __all__ = [
     "Error",
     "FeatureOff",
     "GreyWindow",
+    "HeldScope",
     "Notice",
     "Orbit",
     "OtherSeries",
@@ -304,6 +305,29 @@ class Route:
 
 
 @dataclass(frozen=True, slots=True)
+class HeldScope:
+    """A scope that is held by the lumen."""
+
+    insertion_mm: float
+    """From the start of the path that it was laid along."""
+    roll_rad: float
+    flexion_rad: float
+    """Above 0 up."""
+    red_out: Part
+    """0 for a clear view to 1 where the lens lies on the wall."""
+    limit: Literal["none", "entry", "wall", "narrow", "length", "flexion"]
+    """Why it did not go as far as asked."""
+    needs_mm: float | None
+    """The largest diameter that would pass, where the limit is ``narrow``."""
+    tip_mm: float | None
+    """Its own."""
+    contact_mm: float | None
+    """How much farther than the wall it is pushed; null where it does not touch."""
+    num_contacts: Count
+    contact_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Pose:
     """The newest pose; pictures name the one they answer."""
 
@@ -319,6 +343,8 @@ class Pose:
     """Diameter of the lumen here."""
     inside: bool
     """The tip is in the lumen (in the volume's box while there is no lumen)."""
+    scope: HeldScope | None
+    """In mode ``scope``."""
 
 
 @dataclass(frozen=True, slots=True)

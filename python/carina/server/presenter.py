@@ -193,6 +193,26 @@ def pose_message(info: PoseInfo) -> wire.Pose:
         generation=info.generation,
         lumen_mm=info.lumen_mm,
         inside=info.inside,
+        scope=_held(info),
+    )
+
+
+def _held(info: PoseInfo) -> wire.HeldScope | None:
+    state = info.scope
+    if state is None:
+        return None
+    contact = state.contact
+    return wire.HeldScope(
+        insertion_mm=round(state.insertion_mm, 3),
+        roll_rad=round(state.roll_rad, 6),
+        flexion_rad=round(state.flexion_rad, 6),
+        red_out=min(max(state.red_out, 0.0), 1.0),
+        limit=state.limit,
+        needs_mm=None if state.passable_mm is None else round(state.passable_mm, 2),
+        tip_mm=info.scope_tip_mm,
+        contact_mm=None if contact is None else round(contact.depth_mm, 3),
+        num_contacts=state.record.count,
+        contact_s=round(state.record.time_s, 3),
     )
 
 

@@ -49,6 +49,10 @@ class OpenCase:
     carm: Carm = field(default_factory=Carm)
     reformation: Reformation = field(default_factory=Reformation)
     slab: Slab | None = None
+    wall_of: Any = None
+    """The airways whose wall the pilot knows."""
+    laid_scope: str | None = None
+    """The scope that was last laid in the lumen."""
     flown_route: Any = None
     """The route whose path the pilot was last given."""
     shown_transfer: Any = None
@@ -155,6 +159,8 @@ def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
         generation=None if index is None or branch_id is None else index.generation(branch_id),
         lumen_mm=lumen_mm,
         inside=inside,
+        scope=tip.scope_state,
+        scope_tip_mm=tip.scope_tip_mm,
     )
 
 

@@ -7,14 +7,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from carina.errors import CarinaError, UsageError
+from carina.errors import CarinaError, NoResultError, UsageError
 from carina.navigate import Controls, DeviceState, Move, Recorder, Sample, case_key, fit_registration, moves
-from carina.scopes import Pose
+from carina.scopes import DEFAULT_SCOPE, Pose
 from carina.session.case import OpenCase, as_point
 from carina.session.core import SessionCore
 from carina.session.document import Document, Point
+from carina.session.jobs import Job
 from carina.session.routes import leaf_below, route_to_branch
 from carina.session.snapshot import DevicesInfo, Said, Trouble
+
+# A hand that rests at the wall is counted so long, until it moves again.
+MAX_CONTACT_S = 10.0
 
 __all__ = ["Flying", "PenTool", "place_move", "view_words"]
 
@@ -43,13 +47,16 @@ class Flying(SessionCore):
     """Moves of the tip. Every one goes through the case's :class:`carina.navigate.Pilot`."""
 
     _pen_tool: PenTool | None = None
+    _steered_s = 0.0
     _recorder: Recorder | None = None
     _recording_path: Path | None = None
     _recorded_case: OpenCase | None = None
 
     def steer(self, advance_mm: float, yaw_rad: float, pitch_rad: float, roll_rad: float) -> None:
         """Move the tip; see :meth:`carina.navigate.Navigator.steer`."""
-        self._fly(moves.Steer(advance_mm, yaw_rad, pitch_rad, roll_rad))
+        now_s = self._clock()
+        dt_s, self._steered_s = min(max(now_s - self._steered_s, 0.0), MAX_CONTACT_S), now_s
+        self._fly(moves.Steer(advance_mm, yaw_rad, pitch_rad, roll_rad, dt_s))
 
     def go_to(self, path_mm: float) -> None:
         """To a place on the path; enters path mode."""
@@ -63,9 +70,58 @@ class Flying(SessionCore):
         """To the look-out of the fork before."""
         self._fly(moves.PreviousFork())
 
-    def set_mode(self, mode: Literal["free", "path"]) -> None:
-        """Free movement, or along the path."""
-        self._fly(moves.SetMode(mode))
+    def set_mode(self, mode: Literal["free", "path", "scope"]) -> None:
+        """Free movement, along the path, or a scope in the lumen, whose wall is computed first (a job)."""
+        case = self._needed_case()
+        if mode != "scope":
+            self._fly(moves.SetMode(mode))
+        elif case.navigator.mode != "scope":
+            self._enter_scope(case)
+
+    def _enter_scope(self, case: OpenCase) -> None:
+        airways, route = case.document.airways, case.document.route
+        if airways is None or route is None:
+            msg = "a scope is laid along a route: wait for the airways and choose a branch or a target"
+            raise NoResultError(msg, code="navigate.no-path")
+        if case.wall_of is airways:
+            self._lay_scope(case)
+            return
+
+        def work(job: Job) -> None:
+            wall = self._parts.wall_field(case.info.volume, airways, progress=job.progress, cancel=job.cancel)
+            with self._lock:
+                job.check()
+                case.pilot.wall, case.wall_of = wall, airways
+                if self._case is case and case.document.airways is airways:
+                    self._lay_scope(case)
+
+        self._jobs.start("scope", "finding the wall that holds the scope", work)
+
+    def _lay_scope(self, case: OpenCase, insertion_mm: float | None = None) -> None:
+        """Along the route, to where the tip is, or the place of the route that is nearest to it."""
+        route = case.document.route
+        if route is None:
+            return
+        if insertion_mm is None:
+            insertion_mm = case.navigator.path_mm
+        if insertion_mm is None:
+            insertion_mm = route.path.nearest_mm(case.navigator.pose.position_lps)
+        name = case.document.scope or DEFAULT_SCOPE
+        up = (0.0, 1.0, 0.0) if case.document.operator == "facing" else None
+        points = tuple(as_point(point) for point in route.points_lps)
+        self._fly(moves.SetScope(name, points, float(insertion_mm), up))
+        case.laid_scope = name
+
+    def _follow_scope(self, case: OpenCase) -> None:
+        """After a change of the document: another scope is laid where the old one was; another lumen ends it."""
+        state = case.navigator.scope_state
+        if state is None:
+            return
+        if case.wall_of is not case.document.airways:
+            self._fly(moves.SetMode("free"))
+            self._emit(Said("the airways have changed: hold the scope again to feel the new wall"))
+        elif (case.document.scope or DEFAULT_SCOPE) != case.laid_scope:
+            self._lay_scope(case, state.insertion_mm)
 
     def toggle_mode(self) -> None:
         """The other mode; with a device in the hand the next of absolute, relative and path."""
@@ -128,6 +184,9 @@ class Flying(SessionCore):
                 view=view_words(case.document),
             )
             self._recording_path, self._recorded_case = path, case
+            if case.navigator.scope_state is not None:
+                # A replay begins with the scope laid anew, so that it can begin at all.
+                self._lay_scope(case, case.navigator.scope_state.insertion_mm)
             self._changed("state")
 
     def stop_recording(self) -> Path | None:
@@ -157,6 +216,7 @@ class Flying(SessionCore):
         super()._follow_document(case)
         if self._recorder is not None and self._recorded_case is case:
             self._recorder.note_view(view_words(case.document), self._clock())
+        self._follow_scope(case)
 
     # ------------------------------------------------------------ devices
 

@@ -26,6 +26,12 @@ def _edit_airways(*arguments: Any, **options: Any) -> Airways:
     return track.edit_airways(*arguments, **options)
 
 
+def _wall_field(*arguments: Any, **options: Any) -> Any:
+    from carina import track
+
+    return track.wall_field(*arguments, **options)
+
+
 class RendererFactory(Protocol):
     """Makes a renderer of a volume: one machine's, or a cluster's."""
 
@@ -47,6 +53,8 @@ class Parts:
     transfer_from_histogram: Callable[[Volume], tuple[TransferFunction, float]]
     measure_tree: Callable[..., TreeMeasures] | None = None
     """``measure_tree(volume, airways, previous=, progress=, cancel=)``; None measures nothing."""
+    wall_field: Callable[..., Any] = _wall_field
+    """``wall_field(volume, airways, progress=, cancel=)``."""
     presets: tuple[str, ...] = ("endoscopic", "ct-grey", "see-through", "paper")
     edit_airways: Callable[..., Airways] = _edit_airways
     """``edit_airways(volume, airways, edit, progress=, cancel=)``."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from carina.navigate import Controls, DeviceState
 from carina.render import Slab
-from carina.scopes import Pose
+from carina.scopes import Pose, ScopeState
 from carina.session.document import Document
 from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Carm, Orbit, Reformation, Zoom
 
@@ -57,7 +57,7 @@ class PoseInfo:
 
     pose_id: int
     pose: Pose
-    mode: Literal["free", "path"]
+    mode: Literal["free", "path", "scope"]
     path_mm: float | None
     branch_id: int | None
     branch_name: str | None
@@ -65,6 +65,10 @@ class PoseInfo:
     lumen_mm: float | None
     """Diameter of the lumen at the nearest centreline point."""
     inside: bool
+    scope: ScopeState | None = None
+    """The scope in the lumen, in mode *scope*."""
+    scope_tip_mm: float | None = None
+    """Diameter of its tip."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +93,7 @@ class Snapshot:
     airways: AirwayStatus = "none"
     airways_words: str | None = None
     document: Document | None = None
-    mode: Literal["free", "path"] = "free"
+    mode: Literal["free", "path", "scope"] = "free"
     crosshair_lps: tuple[float, float, float] | None = None
     orbit_tree: Orbit = DEFAULT_ORBIT_TREE
     orbit_tri_plane: Orbit = DEFAULT_ORBIT_TRI_PLANE

@@ -22,7 +22,7 @@ import { isBrush } from "../state/tools";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
 import { wallPointLines } from "../state/wall-point";
 import { shapeOf } from "../views/outline";
-import type { StateMessage } from "../wire/messages";
+import type { HeldScope, StateMessage } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, Choice, SwitchKey, Tip } from "./controls";
 import { Icon } from "./icons";
@@ -46,6 +46,7 @@ export function AirwayStage() {
         />
         {shown ? (
           <>
+            <RedOut />
             <Readings />
             <FinderLabel />
           </>
@@ -55,6 +56,55 @@ export function AirwayStage() {
       </div>
     </section>
   );
+}
+
+/** Red where the lens lies on the wall. */
+function RedOut() {
+  const red = useApp((state) => state.pose?.scope?.red_out ?? 0);
+  if (red <= 0) return null;
+  return <div className="red-out" style={{ opacity: red }} data-testid="red-out" aria-hidden="true" />;
+}
+
+/** What a held scope does, and why it does not go on. */
+function ScopeReading() {
+  const scope = useApp((state) => state.pose?.scope ?? null);
+  if (scope === null) return null;
+  const stop = scopeStop(scope);
+  return (
+    <>
+      <span data-testid="scope-reading">
+        in <strong>{mm(scope.insertion_mm, 0)}</strong>, bent <strong>{degrees(scope.flexion_rad)}</strong>, rolled{" "}
+        {degrees(scope.roll_rad)}
+      </span>
+      {stop === null ? null : <span className="warning-text">{stop}</span>}
+      {scope.num_contacts === 0 ? null : (
+        <span className="quiet">
+          touched {scope.num_contacts} times, {fixed(scope.contact_s, 1)} s
+        </span>
+      )}
+    </>
+  );
+}
+
+const degrees = (rad: number): string => `${fixed((rad * 180) / Math.PI)}\u00b0`;
+
+function scopeStop(scope: HeldScope): string | null {
+  switch (scope.limit) {
+    case "none":
+      return scope.contact_mm === null ? null : "touches the wall";
+    case "narrow":
+      return scope.needs_mm === null
+        ? "too narrow"
+        : `needs ${mm(scope.needs_mm)} or thinner${scope.tip_mm === null ? "" : `; this tip has ${mm(scope.tip_mm)}`}`;
+    case "wall":
+      return "held by the wall";
+    case "entry":
+      return "drawn back to where it enters";
+    case "length":
+      return "the scope is no longer";
+    case "flexion":
+      return "the lever's stop";
+  }
 }
 
 /** Says that the picture is not the airway view. */
@@ -90,6 +140,14 @@ function AirwayTools() {
             disabled: !hasRoute,
           },
           { value: "free", label: "Free", words: "Move anywhere", keys: keyOf("toggle_mode") },
+          {
+            value: "scope",
+            label: "Scope",
+            words: hasRoute
+              ? "A bronchoscope that bends, is held by the wall and stops where it does not fit"
+              : "Needs a route: choose a branch or mark a target",
+            disabled: !hasRoute,
+          },
         ]}
         onChange={(mode) => station.send({ type: "set_mode", mode })}
       />
@@ -288,6 +346,7 @@ function Readings() {
             depth <strong>{mm(at, 0)}</strong>
           </span>
         )}
+        <ScopeReading />
         {pose.lumen_mm === null ? null : (
           <span>
             lumen <strong>{mm(pose.lumen_mm)}</strong>

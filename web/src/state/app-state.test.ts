@@ -74,6 +74,7 @@ function pose(poseId: number, pathMillimetres: number | null = null): PoseMessag
     generation: 0,
     lumen_mm: 9,
     inside: true,
+    scope: null,
   };
 }
 

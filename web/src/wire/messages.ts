@@ -88,7 +88,7 @@ export interface SteerMessage {
 /** Free movement, or along the path. */
 export interface SetModeMessage {
   readonly type: "set_mode";
-  readonly mode: "free" | "path";
+  readonly mode: "free" | "path" | "scope";
 }
 
 /** The other mode, without a jump. */
@@ -604,7 +604,7 @@ export interface StateMessage {
   readonly stage: "empty" | "opening" | "ready";
   readonly airways: "none" | "waiting" | "finding" | "found" | "failed";
   readonly airways_words: string | null;
-  readonly mode: "free" | "path";
+  readonly mode: "free" | "path" | "scope";
   readonly operator: "head" | "facing";
   readonly scope: string | null;
   readonly mask: "none" | "round" | "octagon";
@@ -733,18 +733,33 @@ export interface RouteMessage {
   readonly route: RouteInfo | null;
 }
 
+/** A scope that is held by the lumen. */
+export interface HeldScope {
+  readonly insertion_mm: number;
+  readonly roll_rad: number;
+  readonly flexion_rad: number;
+  readonly red_out: number;
+  readonly limit: "none" | "entry" | "wall" | "narrow" | "length" | "flexion";
+  readonly needs_mm: number | null;
+  readonly tip_mm: number | null;
+  readonly contact_mm: number | null;
+  readonly num_contacts: number;
+  readonly contact_s: number;
+}
+
 /** The newest pose; pictures name the one they answer. */
 export interface PoseMessage {
   readonly type: "pose";
   readonly pose_id: number;
   readonly lps_from_camera: readonly number[];
-  readonly mode: "free" | "path";
+  readonly mode: "free" | "path" | "scope";
   readonly path_mm: number | null;
   readonly branch_id: number | null;
   readonly branch_name: string | null;
   readonly generation: number | null;
   readonly lumen_mm: number | null;
   readonly inside: boolean;
+  readonly scope: HeldScope | null;
 }
 
 /** Answer to `probe`; only the newest is sent. */

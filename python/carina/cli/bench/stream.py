@@ -1,0 +1,180 @@
+"""From a hand's movement to the changed picture, over loopback: a server of its own, and a client that measures."""
+
+from __future__ import annotations
+
+import json
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import simplejpeg
+
+from carina.cli.bench.machine import machine_facts
+from carina.cli.console import print_json, say
+from carina.errors import CarinaError
+from carina.server import messages as wire
+
+__all__ = ["report"]
+
+SIZE_PX = 512
+LIMIT_MS = 50.0
+READY_S = 300.0
+# A hand at 60 samples a second, as a gamepad or a screen gives them.
+PERIOD_S = 1.0 / 60.0
+
+
+def report(*, folder: Path, case: str, quick: bool, as_json: bool) -> int:
+    """Measure, print, and write ``stream.json``."""
+    seconds = 4.0 if quick else 20.0
+    with _server(case) as (host, token):
+        say("waiting for the airways")
+        with _client(host, token) as client:
+            client.open()
+            rows = {
+                "steer": client.measure(seconds, device=False),
+                "device": client.measure(seconds, device=True),
+            }
+    facts = {
+        "case": case,
+        "size": [SIZE_PX, SIZE_PX],
+        "limit_ms": LIMIT_MS,
+        "rows": rows,
+        "machine": machine_facts(),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "stream.json").write_text(json.dumps(facts, indent=1, allow_nan=False), encoding="utf-8")
+    if as_json:
+        print_json(facts)
+        return 0
+    for name, row in rows.items():
+        held = "held" if row["p95_ms"] <= LIMIT_MS else "missed"
+        print(
+            f"{name}: input to changed picture p50 {row['p50_ms']:.1f} ms, p95 {row['p95_ms']:.1f} ms "
+            f"(limit {LIMIT_MS:g}: {held}), {row['pictures_hz']:.0f} pictures/s, {row['num']} inputs"
+        )
+    return 0
+
+
+@contextmanager
+def _server(case: str) -> Iterator[tuple[str, str]]:
+    arguments = ["demo", case] if case in {"phantom", "patient"} else ["open", case]
+    command = [sys.executable, "-m", "carina.cli", *arguments, "--no-browser", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            text = ""
+            while not text.rstrip().endswith("}"):
+                line = process.stdout.readline()
+                if not line:
+                    raise CarinaError("the server that was to be measured did not start", code="machine")
+                text += line
+            said = json.loads(text)
+            yield str(said["url"]).split("//")[1].split("/")[0], str(said["token"])
+        finally:
+            process.terminate()
+
+
+class _Client:
+    """Talks to the server as the window does, and decodes what comes."""
+
+    def __init__(self, socket: Any) -> None:
+        self._socket = socket
+        self._pose_id = 0
+
+    def _send(self, message: Any) -> None:
+        self._socket.send(wire.encode_message(message))
+
+    def _receive(self, timeout_s: float) -> Any:
+        data = self._socket.recv(timeout=timeout_s)
+        if isinstance(data, bytes):
+            header, payload = wire.parse_picture(data)
+            if header.codec == "jpeg":
+                simplejpeg.decode_jpeg(payload, colorspace="RGB")
+            self._send(wire.Ack(header.frame_id))
+            return header
+        message = wire.parse_server_message(data)
+        if isinstance(message, wire.Pose):
+            self._pose_id = message.pose_id
+        return message
+
+    def open(self) -> None:
+        """Wait until the airways are found and maps are built, so that pictures are as fast as they get."""
+        self._send(wire.ClientHello(wire.WIRE_VERSION))
+        view = wire.ViewSize("airway", SIZE_PX, SIZE_PX)
+        self._send(wire.Layout((view,)))
+        end_s, ready, jobs = time.monotonic() + READY_S, False, set()
+        while time.monotonic() < end_s:
+            try:
+                message = self._receive(2.0)
+            except TimeoutError:
+                if ready and not jobs:
+                    return
+                continue
+            if isinstance(message, wire.State) and message.stage == "ready":
+                ready = True
+            elif isinstance(message, wire.Progress):
+                jobs.add(message.job_id)
+            elif isinstance(message, wire.Done):
+                jobs.discard(message.job_id)
+        raise CarinaError("the server was not ready in time", code="machine")
+
+    def measure(self, seconds: float, *, device: bool) -> dict[str, Any]:
+        """Fly back and forth; each input waits for the picture that shows it.
+
+        The next input goes out when its time has come and not when the last one's picture is there: a late picture is
+        waited for by several inputs, as by a hand.
+        """
+        sent: list[tuple[float, int]] = []
+        latencies_ms: list[float] = []
+        num_pictures = 0
+        began_s = now_s = time.monotonic()
+        n = 0
+        while now_s - began_s < seconds:
+            forward = 1.0 if (n // 90) % 2 == 0 else -1.0
+            if device:
+                self._send(wire.DeviceSample("bench", now_s, None, None, (forward, 0.0, 0.0, 0.0, 0.0, 0.0), 0))
+            else:
+                self._send(wire.Steer(0.4 * forward, 0.0, 0.0, 0.0))
+            sent.append((time.monotonic(), self._pose_id))
+            n += 1
+            due_s = began_s + n * PERIOD_S
+            while (left_s := due_s - time.monotonic()) > 0.0:
+                try:
+                    message = self._receive(left_s)
+                except TimeoutError:
+                    break
+                if isinstance(message, wire.PictureHeader) and message.view == "airway":
+                    num_pictures += 1
+                    arrived_s = time.monotonic()
+                    # Shown by a picture of a newer pose than the one known when it was sent.
+                    shown = [at for at, pose_id in sent if message.pose_id > pose_id]
+                    latencies_ms += [1000.0 * (arrived_s - at) for at in shown]
+                    sent = [(at, pose_id) for at, pose_id in sent if message.pose_id <= pose_id]
+            now_s = time.monotonic()
+        if device:
+            self._send(wire.DeviceSample("bench", now_s, None, None, (0.0,) * 6, 0))
+            self._send(wire.DeviceGone("bench"))
+        if len(latencies_ms) < 20:
+            raise CarinaError("too few pictures came to be measured", code="machine")
+        quantiles = statistics.quantiles(latencies_ms, n=20)
+        return {
+            "num": len(latencies_ms),
+            "p50_ms": statistics.median(latencies_ms),
+            "p95_ms": quantiles[-1],
+            "max_ms": max(latencies_ms),
+            "pictures_hz": num_pictures / seconds,
+        }
+
+
+@contextmanager
+def _client(host: str, token: str) -> Iterator[_Client]:
+    from websockets.sync.client import connect
+
+    headers = {"Authorization": f"Bearer {token}"}
+    with connect(f"ws://{host}/ws", additional_headers=headers, max_size=64 << 20, compression=None) as socket:
+        yield _Client(socket)

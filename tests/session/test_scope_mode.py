@@ -1,0 +1,152 @@
+"""A scope held in the lumen: keys and a handle drive it, contact is told, and a recording replays it bit for bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carina.errors import NoResultError
+from carina.navigate import HandleSample, open_recording
+from carina.scopes import WallField
+from small_case import SHAPE_ZYX, small_bench
+
+RADIUS_MM = 5.0
+
+
+def wall_field(volume, airways, *, progress, cancel):
+    """Round tubes about the tree's centrelines, by plain geometry."""
+    progress("measuring", 0.5)
+    nz, ny, nx = SHAPE_ZYX
+    k, j, i = np.mgrid[0:nz, 0:ny, 0:nx]
+    grid = np.stack([i, j, k], axis=-1).reshape(-1, 3) @ volume.lps_from_ijk[:3, :3].T + volume.lps_from_ijk[:3, 3]
+    away = np.full(len(grid), np.inf)
+    for branch in airways.tree.branches:
+        a, b = branch.points[0], branch.points[-1]
+        along = np.clip(((grid - a) @ (b - a)) / ((b - a) @ (b - a)), 0.0, 1.0)
+        away = np.minimum(away, np.linalg.norm(grid - a - along[:, None] * (b - a), axis=1))
+    return WallField.from_distances((RADIUS_MM - away).reshape(SHAPE_ZYX).astype(np.float32), volume.lps_from_ijk)
+
+
+@pytest.fixture
+def bench():
+    made = small_bench(wall_field=wall_field)
+    made.open()
+    made.session.set_scope("ultrathin")
+    yield made
+    made.session.close()
+
+
+def enter(bench) -> None:
+    bench.session.set_mode("scope")
+    bench.background.run_all()
+    assert bench.session.snapshot().mode == "scope"
+
+
+def test_the_scope_is_laid_where_the_tip_was_and_keys_drive_its_three_controls(bench):
+    session = bench.session
+    session.go_to(20.0)
+    before = session.pose_info().pose
+    enter(bench)
+    info = session.pose_info()
+    assert info.scope is not None
+    assert info.scope.insertion_mm == pytest.approx(20.0, abs=0.5)
+    assert np.linalg.norm(info.pose.position_lps - before.position_lps) < 2.0
+    session.steer(3.0, 0.0, 0.0, 0.0)
+    assert session.pose_info().scope.insertion_mm == pytest.approx(23.0, abs=0.5)
+    forward = session.pose_info().pose.forward_lps
+    session.steer(0.0, 0.0, 0.4, 0.0)
+    state = session.pose_info().scope
+    assert state.flexion_rad == pytest.approx(0.4)
+    assert session.pose_info().pose.forward_lps[1] < forward[1], "up is anterior"
+    session.steer(0.0, 0.0, 0.0, 0.3)
+    assert session.pose_info().scope.roll_rad == pytest.approx(state.roll_rad + 0.3)
+    session.steer(0.0, 0.2, 0.0, 0.0)
+    assert session.pose_info().scope.roll_rad == pytest.approx(state.roll_rad + 0.5), "sideways is a roll"
+
+
+def test_the_lumen_holds_the_tip_and_contact_is_counted(bench):
+    session = bench.session
+    session.go_to(15.0)
+    enter(bench)
+    session.steer(0.0, 0.0, 1.5, 0.0)
+    for _ in range(60):
+        bench.clock.advance(0.05)
+        session.steer(1.0, 0.0, 0.0, 0.0)
+    info = session.pose_info()
+    assert info.scope.record.count >= 1
+    assert info.scope.record.time_s > 0.1
+    assert info.scope.contact is not None or info.scope.limit != "none"
+    wall = bench.session._case.pilot.wall
+    # Its face may lie flat on the wall: then its middle is at the wall.
+    assert wall.distance_mm([info.pose.position_lps])[0] > -0.1
+
+
+def test_a_scope_too_thick_says_what_would_pass(bench):
+    session = bench.session
+    session.set_scope("therapeutic")
+    session.go_to(5.0)
+    enter(bench)
+    for _ in range(120):
+        session.steer(1.0, 0.0, 0.0, 0.0)
+    state = session.pose_info().scope
+    assert state.limit in {"narrow", "wall", "none", "length"}
+    if state.limit == "narrow":
+        assert state.passable_mm < session.pose_info().scope_tip_mm
+
+
+def test_a_handle_is_the_scopes_own_and_its_lever_says_the_flexion(bench):
+    session = bench.session
+    session.go_to(15.0)
+    enter(bench)
+    insertion = session.pose_info().scope.insertion_mm
+    for n in range(40):
+        bench.clock.advance(0.01)
+        session.device_said("handle", HandleSample(n * 0.01, 100.0 + 0.1 * n, 0.0, 0.25))
+        session.device_frame()
+    state = session.pose_info().scope
+    assert state.insertion_mm == pytest.approx(insertion + 3.9, abs=0.5)
+    assert state.flexion_rad > 0.5
+
+
+def test_other_scopes_lumens_and_modes_end_or_change_it(bench):
+    session = bench.session
+    session.go_to(20.0)
+    enter(bench)
+    session.set_scope("standard")
+    assert session.snapshot().mode == "scope"
+    assert session.pose_info().scope_tip_mm == pytest.approx(4.9)
+    pose = session.pose_info().pose
+    session.set_mode("free")
+    np.testing.assert_array_equal(session.pose_info().pose.lps_from_camera, pose.lps_from_camera)
+    enter(bench)
+    session.toggle_mode()
+    assert session.snapshot().mode == "path"
+
+
+def test_without_a_route_no_scope_is_laid(bench):
+    bench.session.choose_route()
+    with pytest.raises(NoResultError, match="along a route"):
+        bench.session.set_mode("scope")
+
+
+def test_a_recording_of_a_held_scope_replays_bit_for_bit(bench, tmp_path):
+    session = bench.session
+    session.go_to(12.0)
+    enter(bench)
+    session.steer(4.0, 0.0, 0.6, 0.2)
+    session.start_recording(tmp_path / "s.jsonl")
+    rng = np.random.default_rng(5)
+    for n in range(80):
+        bench.clock.advance(0.02)
+        session.steer(float(rng.uniform(-0.3, 1.0)), 0.0, float(rng.normal(0, 0.1)), float(rng.normal(0, 0.1)))
+        session.device_said("handle", HandleSample(0.02 * n, 0.05 * n, 0.01 * n, float(np.sin(n / 9.0))))
+        session.device_frame()
+    session.set_scope("single-use-slim")
+    session.steer(1.0, 0.0, 0.0, 0.0)
+    session.stop_recording()
+    recording = open_recording(tmp_path / "s.jsonl")
+    assert recording.needs_wall
+    volume = session.snapshot().case.volume
+    replayed = list(recording.replay(volume, wall=session._case.pilot.wall))
+    assert len(replayed) > 60
+    assert all(same for _, same in replayed)
