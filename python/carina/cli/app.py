@@ -706,6 +706,26 @@ def bench_track(
         raise SystemExit(report(folder=output, only=only or [], quick=quick, as_json=as_json))
 
 
+@bench.command("stream")
+def bench_stream(
+    output: BenchFolder = Path("carina-bench"),
+    case: Annotated[str, typer.Option("--case", help="phantom, patient, or a CT's path.")] = "phantom",
+    quick: BenchQuick = False,
+    as_json: JsonOption = False,
+) -> None:
+    """From a hand's movement to the changed, decoded 512x512 picture, over loopback: keys and a device.
+
+    A missed limit is a result and no failure: the exit code is 0.
+
+    Example: carina bench stream --quick
+    """
+    with exit_codes(as_json):
+        from carina.cli.bench.stream import report
+
+        check_output_folder(output)
+        raise SystemExit(report(folder=output, case=case, quick=quick, as_json=as_json))
+
+
 @bench.command("haptics")
 def bench_haptics(
     output: BenchFolder = Path("carina-bench"), quick: BenchQuick = False, as_json: JsonOption = False

@@ -107,7 +107,8 @@ class _Client:
         self._send(wire.ClientHello(wire.WIRE_VERSION))
         view = wire.ViewSize("airway", SIZE_PX, SIZE_PX)
         self._send(wire.Layout((view,)))
-        end_s, ready, jobs = time.monotonic() + READY_S, False, set()
+        end_s, ready = time.monotonic() + READY_S, False
+        jobs: set[str] = set()
         while time.monotonic() < end_s:
             try:
                 message = self._receive(2.0)
