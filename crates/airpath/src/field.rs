@@ -297,6 +297,11 @@ impl<'a> VoxelField<'a> {
         )
     }
 
+    /// The volume's mask.
+    pub(crate) const fn mask(&self) -> Option<&[u8]> {
+        self.mask
+    }
+
     /// True if the mask leaves a place in the volume's arrays in.
     #[inline(always)]
     pub(crate) fn is_in_mask(&self, at: usize) -> bool {
@@ -496,17 +501,23 @@ impl<C: StepCost> Quanta<C> {
                 ratio: dearest / cheapest,
             });
         }
+        let scale: [[f32; 4]; 9] = std::array::from_fn(|row| {
+            std::array::from_fn(|lane| {
+                let cell = 3 * row + lane;
+                if lane == 3 || cell == HERE {
+                    return 0.0;
+                }
+                (C::factor(field.lengths_mm[cell]) / unit) as f32
+            })
+        });
+        // As f32 has it, so that no step between open voxels is ever cut.
+        let longest = scale.as_flattened().iter().copied().fold(0.0, f32::max);
+        let most = most.max(f64::from(rounded(
+            C::weight(weights.greatest, weights.greatest) * longest,
+        )));
         Ok(Self {
             unit,
-            scale: std::array::from_fn(|row| {
-                std::array::from_fn(|lane| {
-                    let cell = 3 * row + lane;
-                    if lane == 3 || cell == HERE {
-                        return 0.0;
-                    }
-                    (C::factor(field.lengths_mm[cell]) / unit) as f32
-                })
-            }),
+            scale,
             cheapest: if weights.any_zero {
                 0.0
             } else {

@@ -8,7 +8,8 @@
 
 use crate::buckets::Buckets;
 use crate::field::{HERE, Quanta, StepCost, VoxelField, offset};
-use crate::field_tracker::{Layout, open_root};
+use crate::field_layout::Layout;
+use crate::field_tracker::open_root;
 use crate::{TrackError, Watch};
 
 /// Nodes settled between two looks at the watch.

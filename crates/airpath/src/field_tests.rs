@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use carina_grid::{Affine, Grid};
+use carina_grid::{Affine, Grid, InstructionSet};
 use proptest::prelude::*;
 
 use crate::field::{EnterCost, MeanCost, Quanta, StepCost, VoxelField, least_costs};
@@ -112,6 +112,60 @@ fn scene(weight: BoxedStrategy<f32>) -> impl Strategy<Value = Scene> {
     })
 }
 
+/// A scene of some tiles of the sweep on every axis: noise, or few weights (many ways cost the same), with walls or without.
+fn wide_scene() -> impl Strategy<Value = Scene> {
+    let shape = (14usize..54, 5usize..28, 3usize..26);
+    (
+        shape,
+        any::<u64>(),
+        0u8..4,
+        prop::bool::ANY,
+        any::<prop::sample::Index>(),
+    )
+        .prop_map(|((nx, ny, nz), seed, kind, masked, root)| {
+            let mut state = seed | 1;
+            let mut noise = || {
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
+                (state >> 40) as f32 / (1u64 << 24) as f32
+            };
+            let n = nx * ny * nz;
+            let mut values: Vec<f32> = (0..n)
+                .map(|_| match kind {
+                    0 => 1.0 + 40.0 * noise(),
+                    1 => 1.0 + (2.0 * noise()).floor(),
+                    // A maze: a third is wall, some of it no number.
+                    2 if noise() < 0.35 => [f32::INFINITY, f32::NAN][usize::from(noise() < 0.5)],
+                    2 => 1.0 + noise(),
+                    // Cheap threads through dear tissue.
+                    _ if noise() < 0.2 => 1.0,
+                    _ => 60.0 + noise(),
+                })
+                .collect();
+            let mut mask =
+                masked.then(|| (0..n).map(|_| u8::from(noise() < 0.9)).collect::<Vec<_>>());
+            let at = root.index(n);
+            values[at] = 1.0;
+            if let Some(mask) = &mut mask {
+                mask[at] = 1;
+            }
+            Scene {
+                shape_ijk: [nx, ny, nz],
+                spacing: [0.7, 0.9, 1.3],
+                values,
+                mask,
+                region: masked.then(|| {
+                    let shape = [nx, ny, nz];
+                    let root = [at % nx, at / nx % ny, at / (nx * ny)];
+                    // All but a voxel of each axis that the root is not in.
+                    std::array::from_fn(|a| usize::from(root[a] > 0)..shape[a])
+                }),
+                root: [at % nx, at / nx % ny, at / (nx * ny)],
+            }
+        })
+}
+
 /// Every node's cost by the heap is the tracker's, and its path's.
 fn equals_the_heap<C: StepCost>(
     field: &VoxelField<'_>,
@@ -140,6 +194,37 @@ fn equals_the_heap<C: StepCost>(
             sum += edge.unwrap();
         }
         prop_assert_eq!(Some(sum), *cost);
+    }
+    Ok(())
+}
+
+/// Costs and predecessors do not depend on the instructions.
+fn same_for_every_set<C: StepCost>(
+    field: &VoxelField<'_>,
+    root: [usize; 3],
+) -> Result<(), TestCaseError> {
+    let mut first: Option<FieldTracker<C>> = None;
+    for simd in InstructionSet::available() {
+        let mut tracker = FieldTracker::<C>::new(field, root).unwrap();
+        tracker.simd = simd;
+        tracker.solve_all(field, &Unwatched).unwrap();
+        if let Some(first) = &first {
+            for node in 0..field.num_nodes() as u32 {
+                prop_assert_eq!(
+                    tracker.predecessor(node),
+                    first.predecessor(node),
+                    "{:?}",
+                    simd
+                );
+            }
+            let last = field.num_nodes() as u32 - 1;
+            prop_assert_eq!(
+                tracker.cost_quanta(field, last),
+                first.cost_quanta(field, last)
+            );
+        } else {
+            first = Some(tracker);
+        }
     }
     Ok(())
 }
@@ -290,6 +375,29 @@ proptest! {
                 prop_assert!((found - truth).abs() <= 0.005 * truth, "{} {}", found, truth);
             }
             Ok(())
+        })?;
+    }
+}
+
+proptest! {
+    // Large scenes, each walked node by node.
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn several_tiles_give_the_costs_of_the_heap(scene in wide_scene(), first in any::<prop::sample::Index>()) {
+        scene.with(|field| {
+            equals_the_heap::<MeanCost>(field, scene.root)?;
+            equals_the_heap::<EnterCost>(field, scene.root)?;
+            resumes::<MeanCost>(field, scene.root, &[first])?;
+            resumes::<EnterCost>(field, scene.root, &[first])
+        })?;
+    }
+
+    #[test]
+    fn every_instruction_set_gives_the_same_tree(scene in wide_scene()) {
+        scene.with(|field| {
+            same_for_every_set::<MeanCost>(field, scene.root)?;
+            same_for_every_set::<EnterCost>(field, scene.root)
         })?;
     }
 }

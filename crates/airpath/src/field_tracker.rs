@@ -2,137 +2,54 @@
 //!
 //! Kept per voxel: one byte, the step that leads to it from its predecessor, and one bit, whether a path may still come to
 //! it. Where a step costs what the voxel costs that it leads into, that is all: the first touch is the least. Where it
-//! costs by both ends, the 4 bytes of the least cost so far are kept, too. The queue is [`crate::buckets`]. Nothing is written where no path has come: a target
-//! near the root costs what lies between.
-#![allow(
-    clippy::inline_always,
-    reason = "small functions of the inner loop: called for each of 26 neighbours of each voxel"
-)]
+//! costs by both ends, the 4 bytes of the least cost so far are kept, too. Targets are reached by the queue in
+//! [`crate::buckets`], a voxel at a time ([`crate::field_front`]): one near the root costs what lies between, and nothing is
+//! written where no path has come. All voxels at once are swept in tiles ([`crate::field_sweep`]), which takes 4 bytes a voxel
+//! with either cost while it lasts. Of several steps that lead to the same cost the first cell is kept, so that both ways
+//! give the same tree.
 
-use crate::buckets::{Block, Buckets};
-use crate::field::{HERE, Quanta, StepCost, VoxelField, offset};
+use carina_grid::InstructionSet;
+
+use crate::buckets::Buckets;
+use crate::field::{HERE, Quanta, StepCost, VoxelField};
+use crate::field_front::Touch;
+use crate::field_layout::{Layout, fresh, open_bits};
+use crate::field_sweep::Sweep;
+use crate::field_tile::SweepBuffer;
 use crate::{TrackError, Watch};
 
 /// Nodes settled between two looks at the watch, about.
 const NODES_PER_LOOK: usize = 1 << 16;
 
-/// Entries of the queue between asking for the memory round one and settling it.
-const AHEAD: usize = 6;
-
 /// Greatest cost in quanta that is kept beside a voxel: 31 bits.
-const MOST_QUANTA: i32 = i32::MAX;
+pub(crate) const MOST_QUANTA: i32 = i32::MAX;
 
 /// A least-cost tree in a [`VoxelField`] that grows as far as it is asked to.
 #[derive(Debug)]
 pub struct FieldTracker<C: StepCost> {
-    quanta: Quanta<C>,
-    layout: Layout,
-    root: u32,
+    pub(crate) quanta: Quanta<C>,
+    pub(crate) layout: Layout,
+    pub(crate) root: u32,
     /// Cell of the step that led here, plus 1; 0 where no path has come.
-    step_here: Vec<u8>,
+    pub(crate) step_here: Vec<u8>,
     /// One bit for each voxel and for a rim round the box, 1 where a path may still come: for the first time where the cost is
     /// by voxel, a cheaper one where it is by both ends.
-    open: Vec<u8>,
+    pub(crate) open: Vec<u8>,
     /// By both ends: what is left of `MOST_QUANTA` after the least cost so far; 0 where no path has come, so that fresh
     /// memory will do.
-    left: Vec<i32>,
-    queue: Buckets,
+    pub(crate) left: Vec<i32>,
+    pub(crate) queue: Buckets,
     /// Scratch of [`touch`].
-    touched: Vec<Touch>,
-    num_settled: usize,
+    pub(crate) touched: Vec<Touch>,
+    /// Nodes first touched from the front bucket: closed when it is done with.
+    pub(crate) closing: Vec<u32>,
+    pub(crate) num_settled: usize,
     /// Nothing is open any more.
-    done: bool,
+    pub(crate) done: bool,
+    /// Once everything was asked for: what is open is in its tiles, no longer in the queue.
+    pub(crate) sweep: Option<Sweep>,
+    pub(crate) simd: InstructionSet,
 }
-
-/// Places of the neighbours in the arrays.
-#[derive(Debug, Clone)]
-pub(crate) struct Layout {
-    pub(crate) shape: [usize; 3],
-    by_row: Divisor,
-    by_slice: Divisor,
-    /// Place of the box's first voxel in the volume's arrays, their rows and slices.
-    first: usize,
-    volume_row: usize,
-    volume_slice: usize,
-    num_values: usize,
-    /// For each cell: nodes from here.
-    pub(crate) node_step: [isize; 27],
-    /// For each cell: values from here.
-    pub(crate) value_step: [isize; 27],
-    /// Bits of a row of the box with its rim, and rows of a slice with its rim.
-    bits_of_row: usize,
-    rows_of_slice: usize,
-}
-
-/// Division of 32-bit numbers by one that is known: a multiplication (Lemire, Kaser, Kurz 2019).
-#[derive(Debug, Clone, Copy)]
-struct Divisor(u64);
-
-impl Divisor {
-    const fn new(by: usize) -> Self {
-        // For 1 the reciprocal wraps to 0, which marks it.
-        Self((u64::MAX / by as u64).wrapping_add(1))
-    }
-
-    #[inline(always)]
-    const fn quotient(self, n: u32) -> usize {
-        if self.0 == 0 {
-            return n as usize;
-        }
-        ((self.0 as u128 * n as u128) >> 64) as usize
-    }
-}
-
-impl Layout {
-    pub(crate) fn new(field: &VoxelField<'_>) -> Self {
-        let shape = field.shape_ijk();
-        let (first, volume_row, volume_slice) = field.layout();
-        let by_cell = |row: usize, slice: usize| {
-            std::array::from_fn(|cell| {
-                let [i, j, k] = offset(cell);
-                i + j * row as isize + k * slice as isize
-            })
-        };
-        Self {
-            shape,
-            by_row: Divisor::new(shape[0]),
-            by_slice: Divisor::new(shape[0] * shape[1]),
-            first,
-            volume_row,
-            volume_slice,
-            num_values: field.values().len(),
-            node_step: by_cell(shape[0], shape[0] * shape[1]),
-            value_step: by_cell(volume_row, volume_slice),
-            bits_of_row: (shape[0] + 2).next_multiple_of(8),
-            rows_of_slice: shape[1] + 2,
-        }
-    }
-
-    #[inline(always)]
-    pub(crate) const fn ijk(&self, node: u32) -> [usize; 3] {
-        let k = self.by_slice.quotient(node);
-        let rest = node as usize - k * self.shape[0] * self.shape[1];
-        let j = self.by_row.quotient(rest as u32);
-        [rest - j * self.shape[0], j, k]
-    }
-
-    #[inline(always)]
-    pub(crate) const fn value_at(&self, [i, j, k]: [usize; 3]) -> usize {
-        self.first + i + j * self.volume_row + k * self.volume_slice
-    }
-
-    /// Bit of a voxel's left neighbour.
-    #[inline(always)]
-    const fn bit_left_of(&self, [i, j, k]: [usize; 3]) -> usize {
-        ((k + 1) * self.rows_of_slice + j + 1) * self.bits_of_row + i
-    }
-
-    const fn num_bit_bytes(&self) -> usize {
-        // The last row is read 16 bits at a time.
-        self.bits_of_row / 8 * self.rows_of_slice * (self.shape[2] + 2) + 2
-    }
-}
-
 impl<C: StepCost> FieldTracker<C> {
     /// A tracker with one root and nothing settled.
     ///
@@ -163,8 +80,11 @@ impl<C: StepCost> FieldTracker<C> {
             left,
             queue: Buckets::new(quanta.dearest as u64, span_log2),
             touched: Vec::new(),
+            closing: Vec::new(),
             num_settled: 0,
             done: false,
+            sweep: None,
+            simd: InstructionSet::best(),
         };
         tracker.step_here[root as usize] = HERE as u8 + 1;
         if C::BY_VOXEL {
@@ -187,7 +107,12 @@ impl<C: StepCost> FieldTracker<C> {
         watch: &impl Watch,
     ) -> Result<bool, TrackError> {
         self.check(field, Some(target))?;
-        self.go_on(field, Some(target), watch)?;
+        // By voxel the queue is where it was, and goes on with what is known by now.
+        if self.sweep.is_some() && !C::BY_VOXEL {
+            self.sweep_on(field, Some(target), watch)?;
+        } else {
+            self.go_on(field, Some(target), watch)?;
+        }
         Ok(self.is_known(target))
     }
 
@@ -198,7 +123,130 @@ impl<C: StepCost> FieldTracker<C> {
         watch: &impl Watch,
     ) -> Result<(), TrackError> {
         self.check(field, None)?;
-        self.go_on(field, None, watch)
+        if self.sweep.is_none() && !self.done && self.may_sweep() {
+            self.begin_sweep(field);
+        }
+        if self.sweep.is_none() {
+            return self.go_on(field, None, watch);
+        }
+        match self.sweep_on(field, None, watch) {
+            // By voxel the queue has no greatest cost, and is as it was.
+            Err(TrackError::CostOverflow { .. }) if C::BY_VOXEL => {
+                self.sweep = None;
+                self.left = Vec::new();
+                self.go_on(field, None, watch)
+            }
+            outcome => outcome,
+        }
+    }
+
+    /// True if sweeping tiles gives the same tree, and sooner.
+    fn may_sweep(&self) -> bool {
+        // By voxel the sweep begins at the root again, and free steps would leave open which of two voxels led to the other.
+        !C::BY_VOXEL || (self.quanta.cheapest > 0.0 && 2 * self.num_settled < self.quanta.num_open)
+    }
+
+    /// Hands what is open over to tiles.
+    fn begin_sweep(&mut self, field: &VoxelField<'_>) {
+        let most = (MOST_QUANTA as u32).saturating_sub(2 * self.quanta.dearest as u32);
+        let mut sweep = Sweep::new(field.shape_ijk(), &self.quanta, most, self.simd);
+        if C::BY_VOXEL {
+            self.left = fresh::<i32>(field.num_nodes());
+            self.left[self.root as usize] = MOST_QUANTA;
+            sweep.tell(self.layout.ijk(self.root), 0);
+        } else {
+            while self.queue.advance() {
+                while let Some(block) = self.queue.take() {
+                    for at in 0..block.len {
+                        let node = self.queue.entry(block, at);
+                        let ijk = self.layout.ijk(node);
+                        if self.layout.is_open(&self.open, ijk) {
+                            let cost = MOST_QUANTA - self.left[node as usize];
+                            sweep.tell(ijk, cost as u32);
+                        }
+                    }
+                    self.queue.give_back(block);
+                }
+            }
+            sweep.count(&self.left, self.layout.shape);
+            self.release_queue();
+        }
+        self.sweep = Some(sweep);
+    }
+
+    fn release_queue(&mut self) {
+        self.queue = Buckets::new(1, 0);
+        self.open = Vec::new();
+        self.touched = Vec::new();
+        self.closing = Vec::new();
+    }
+
+    /// Sweeps tiles until a target, or everything, is known.
+    fn sweep_on(
+        &mut self,
+        field: &VoxelField<'_>,
+        target: Option<u32>,
+        watch: &impl Watch,
+    ) -> Result<(), TrackError> {
+        if self.done || target.is_some_and(|target| self.is_known(target)) {
+            return Ok(());
+        }
+        let Some(mut sweep) = self.sweep.take() else {
+            return Ok(());
+        };
+        let mut buffer = SweepBuffer::new();
+        let outcome = self.sweep_with(&mut sweep, &mut buffer, field, target, watch);
+        if !C::BY_VOXEL || self.done {
+            self.num_settled = sweep.num_reached;
+        }
+        if C::BY_VOXEL && matches!(outcome, Err(TrackError::CostOverflow { .. })) {
+            return outcome;
+        }
+        // However it ended, what is known has its steps.
+        sweep.write_steps::<C>(field, &mut buffer, &self.left, &mut self.step_here);
+        if C::BY_VOXEL && self.done {
+            self.left = Vec::new();
+            self.release_queue();
+        } else {
+            self.sweep = Some(sweep);
+        }
+        outcome
+    }
+
+    fn sweep_with(
+        &mut self,
+        sweep: &mut Sweep,
+        buffer: &mut SweepBuffer,
+        field: &VoxelField<'_>,
+        target: Option<u32>,
+        watch: &impl Watch,
+    ) -> Result<(), TrackError> {
+        let overflow = TrackError::CostOverflow {
+            most: MOST_QUANTA as f64 * self.quanta.unit,
+        };
+        let mut looked_at = sweep.num_reached;
+        let mut visits = 0;
+        while let Some(front) = sweep.front_cost() {
+            if front > sweep.most() {
+                return Err(overflow);
+            }
+            let known = |target: u32| self.left[target as usize] >= MOST_QUANTA - front as i32;
+            if target.is_some_and(known) {
+                return Ok(());
+            }
+            sweep.settle_next::<C>(field, buffer, &mut self.left);
+            visits += 1;
+            if sweep.num_reached >= looked_at + NODES_PER_LOOK || visits == 64 {
+                visits = 0;
+                looked_at = sweep.num_reached;
+                watch.go_on(looked_at as f64 / self.quanta.num_open as f64)?;
+            }
+        }
+        if sweep.is_beyond(&self.left) {
+            return Err(overflow);
+        }
+        self.done = true;
+        Ok(())
     }
 
     fn check(&self, field: &VoxelField<'_>, target: Option<u32>) -> Result<(), TrackError> {
@@ -227,6 +275,10 @@ impl<C: StepCost> FieldTracker<C> {
         }
         if C::BY_VOXEL || self.done {
             return true;
+        }
+        if let Some(sweep) = &self.sweep {
+            // Their least costs are the only ones, so what the tiles found cheap enough is final.
+            return self.left[node as usize] >= MOST_QUANTA - sweep.known_to() as i32;
         }
         // What is open still may become cheaper, but not below the front bucket.
         let cost = (MOST_QUANTA - self.left[node as usize]) as u64;
@@ -262,10 +314,11 @@ impl<C: StepCost> FieldTracker<C> {
                     self.relax(field.values(), block)
                 };
                 self.queue.give_back(block);
-                if self.num_settled - looked_at >= NODES_PER_LOOK {
-                    looked_at = self.num_settled;
-                    watch.go_on(looked_at as f64 / self.quanta.num_open as f64)?;
-                }
+            }
+            self.close_touched();
+            if self.num_settled - looked_at >= NODES_PER_LOOK {
+                looked_at = self.num_settled;
+                watch.go_on(looked_at as f64 / self.quanta.num_open as f64)?;
             }
         }
         Ok(())
@@ -293,14 +346,23 @@ impl<C: StepCost> FieldTracker<C> {
     #[must_use]
     pub fn num_bytes(&self) -> (usize, usize) {
         let kept = self.step_here.capacity() + self.open.capacity() + 4 * self.left.capacity();
-        let queue = self.queue.num_bytes() + size_of::<Touch>() * self.touched.capacity();
+        let tiles = self.sweep.as_ref().map_or(0, Sweep::num_bytes);
+        let queue = self.queue.num_bytes()
+            + tiles
+            + size_of::<Touch>() * self.touched.capacity()
+            + 4 * self.closing.capacity();
         (kept, queue)
+    }
+
+    /// The cell of the step that led to a node; `None` where no path has come.
+    fn cell_to(&self, node: u32) -> Option<usize> {
+        usize::from(self.step_here[node as usize]).checked_sub(1)
     }
 
     /// The node before a settled one on its path, or `None` at the root and where nothing is known.
     #[must_use]
     pub fn predecessor(&self, node: u32) -> Option<u32> {
-        let cell = usize::from(self.step_here[node as usize]).checked_sub(1)?;
+        let cell = self.cell_to(node)?;
         if cell == HERE || !self.is_known(node) {
             return None;
         }
@@ -317,7 +379,7 @@ impl<C: StepCost> FieldTracker<C> {
         let mut path = vec![target];
         let mut node = target;
         loop {
-            let cell = usize::from(self.step_here[node as usize]) - 1;
+            let cell = self.cell_to(node)?;
             if cell == HERE {
                 path.reverse();
                 return Some(path);
@@ -366,288 +428,4 @@ pub(crate) fn open_root(field: &VoxelField<'_>, root_ijk: [usize; 3]) -> Result<
         )));
     }
     Ok(root)
-}
-
-/// The bit of each voxel that may be walked on; `all` if every voxel may.
-fn open_bits(field: &VoxelField<'_>, layout: &Layout, all: bool) -> Vec<u8> {
-    let mut bits = vec![0u8; layout.num_bit_bytes()];
-    let [nx, ny, _] = layout.shape;
-    for (number, (row, mask)) in field.rows().enumerate() {
-        let first = layout.bit_left_of([0, number % ny, number / ny]) / 8;
-        let bytes = &mut bits[first..first + layout.bits_of_row / 8];
-        // Bit 0 is the rim; the row begins at bit 1.
-        if all || (mask.is_none() && is_all_open(row)) {
-            bytes[..=nx / 8].fill(u8::MAX);
-            bytes[0] &= !1;
-            // Bits 0 to nx of the row are set by now, and those behind them in the last byte.
-            bytes[nx / 8] &= ((2u16 << (nx % 8)) - 1) as u8;
-            continue;
-        }
-        for (at, byte) in bytes.iter_mut().enumerate() {
-            let low = (8 * at).max(1) - 1;
-            let high = (8 * at + 7).min(nx);
-            let mut open = 0u8;
-            for i in low..high {
-                let inside = row[i] < f32::INFINITY && mask.is_none_or(|mask| mask[i] != 0);
-                open |= u8::from(inside) << ((i + 1) % 8);
-            }
-            *byte = open;
-        }
-    }
-    bits
-}
-
-fn is_all_open(row: &[f32]) -> bool {
-    let (chunks, rest) = row.as_chunks::<16>();
-    let mut open = [u32::MAX; 16];
-    for chunk in chunks {
-        for lane in 0..16 {
-            open[lane] &= if chunk[lane] < f32::INFINITY {
-                u32::MAX
-            } else {
-                0
-            };
-        }
-    }
-    open.iter().all(|lane| *lane != 0) && rest.iter().all(|weight| *weight < f32::INFINITY)
-}
-
-/// Zeros that the system gives page by page where they are first written, in large pages where it has them.
-fn fresh<T: Copy + Default>(len: usize) -> Vec<T> {
-    let zeros = vec![T::default(); len];
-    #[cfg(target_os = "linux")]
-    if size_of_val(zeros.as_slice()) >= 1 << 22 {
-        const PAGE: usize = 1 << 12;
-        let first = zeros.as_ptr() as usize;
-        let inside = first.next_multiple_of(PAGE);
-        let len = (size_of_val(zeros.as_slice()) - (inside - first)) / PAGE * PAGE;
-        // SAFETY: whole pages inside the vector's own memory; the advice changes how they are backed, never what they hold.
-        // A system that refuses is as well off as before. (`cargo bench --bench field`: a neighbourhood lies on 9 small pages.)
-        unsafe { libc::madvise(inside as *mut libc::c_void, len, libc::MADV_HUGEPAGE) };
-    }
-    zeros
-}
-
-/// Asks for a place in memory that will be read soon: the wave front is spread over the volume, and without it most of the
-/// time goes into waiting (`cargo bench --bench field`).
-#[inline(always)]
-fn prefetch<T>(slice: &[T], at: usize) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        // SAFETY: every x86_64 has SSE, and a prefetch changes nothing and faults at no address, inside the slice or not.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(slice.as_ptr().wrapping_add(at).cast()) };
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    let _ = (slice, at);
-}
-
-/// A voxel that was touched first from its neighbour.
-#[derive(Debug, Clone, Copy)]
-struct Touch {
-    node: u32,
-    value_at: u32,
-    cell: u8,
-}
-
-impl Layout {
-    /// Which of the 27 cells round a voxel are open: bit by cell. `byte` holds the bit of the first neighbour.
-    #[inline(always)]
-    fn around(&self, open: &[u8], byte: usize, shift: usize) -> u32 {
-        let (row_bytes, slice_bytes) = self.row_and_slice_bytes();
-        let mut around = 0u32;
-        for row in 0..9 {
-            let from = byte + row / 3 * slice_bytes + row % 3 * row_bytes;
-            let pair = u16::from_le_bytes([open[from], open[from + 1]]);
-            around |= (u32::from(pair) >> shift & 7) << (3 * row);
-        }
-        around
-    }
-
-    #[inline(always)]
-    const fn row_and_slice_bytes(&self) -> (usize, usize) {
-        let row_bytes = self.bits_of_row / 8;
-        (row_bytes, row_bytes * self.rows_of_slice)
-    }
-
-    /// Byte and bit of the first of the 27 cells round a voxel.
-    #[inline(always)]
-    const fn first_bit_around(&self, ijk: [usize; 3]) -> (usize, usize) {
-        let (row_bytes, slice_bytes) = self.row_and_slice_bytes();
-        let bit = self.bit_left_of(ijk);
-        (bit / 8 - slice_bytes - row_bytes, bit % 8)
-    }
-
-    /// The voxel's own bit.
-    #[inline(always)]
-    const fn is_open(&self, open: &[u8], ijk: [usize; 3]) -> bool {
-        let bit = self.bit_left_of(ijk) + 1;
-        open[bit / 8] >> (bit % 8) & 1 != 0
-    }
-
-    /// Closes a cell, given the first bit round its centre.
-    #[inline(always)]
-    const fn close(&self, open: &mut [u8], byte: usize, shift: usize, cell: usize) {
-        let (row_bytes, slice_bytes) = self.row_and_slice_bytes();
-        let bit = shift + cell % 3;
-        open[byte + cell / 9 * slice_bytes + cell / 3 % 3 * row_bytes + bit / 8] &=
-            !(1 << (bit % 8));
-    }
-
-    /// A row of bits is short: three rows of a slice are in one or two lines of the cache.
-    #[inline(always)]
-    fn prefetch_bits(&self, open: &[u8], ijk: [usize; 3]) {
-        let (row_bytes, slice_bytes) = self.row_and_slice_bytes();
-        let byte = self.first_bit_around(ijk).0 + row_bytes;
-        for slice in 0..3 {
-            prefetch(open, byte + slice * slice_bytes);
-        }
-    }
-}
-
-impl<C: StepCost> FieldTracker<C> {
-    /// Settles a block of nodes of one cost where a step costs by voxel: whoever is touched first is touched by the least.
-    fn touch(&mut self, values: &[f32], block: Block, cost: u64) -> usize {
-        let Self {
-            quanta,
-            layout,
-            step_here,
-            open,
-            queue,
-            touched,
-            ..
-        } = self;
-        touched.clear();
-        for at in 0..block.len {
-            let ahead = queue.entry(block, (at + AHEAD).min(block.len - 1));
-            layout.prefetch_bits(open, layout.ijk(ahead));
-            let node = queue.entry(block, at);
-            let ijk = layout.ijk(node);
-            let (byte, shift) = layout.first_bit_around(ijk);
-            let mut around = layout.around(open, byte, shift);
-            let value_at = layout.value_at(ijk);
-            while around != 0 {
-                let cell = around.trailing_zeros() as usize;
-                around &= around - 1;
-                layout.close(open, byte, shift, cell);
-                let node = (node as isize + layout.node_step[cell]) as u32;
-                let value_at = (value_at as isize + layout.value_step[cell]) as u32;
-                prefetch(values, value_at as usize);
-                prefetch(step_here, node as usize);
-                touched.push(Touch {
-                    node,
-                    value_at,
-                    cell: cell as u8,
-                });
-            }
-        }
-        for touch in touched.iter() {
-            step_here[touch.node as usize] = touch.cell + 1;
-            // The factor is the same for every cell.
-            let into = values[touch.value_at as usize];
-            let step = quanta.of_lane(0.0, into, quanta.scale[0][0]);
-            queue.push(cost + step as u64, touch.node);
-        }
-        block.len
-    }
-
-    /// Settles a block of the front bucket where a step costs by both ends; the number settled.
-    fn relax(&mut self, values: &[f32], block: Block) -> usize {
-        let Self {
-            quanta,
-            layout,
-            step_here,
-            open,
-            left,
-            queue,
-            ..
-        } = self;
-        let mut num_settled = 0;
-        for at in 0..block.len {
-            // A node is queued once for each bucket that its cost sank to, five times and more where steps differ much in
-            // length: all but the first, cheapest entry are stale, and nothing but a bit is read for them.
-            let far = queue.entry(block, (at + 2 * AHEAD).min(block.len - 1));
-            prefetch(open, layout.bit_left_of(layout.ijk(far)) / 8);
-            let near = queue.entry(block, (at + AHEAD).min(block.len - 1));
-            let near_ijk = layout.ijk(near);
-            if layout.is_open(open, near_ijk) {
-                layout.prefetch_bits(open, near_ijk);
-                let value_at = layout.value_at(near_ijk);
-                for row in 0..9 {
-                    let step = layout.node_step[3 * row + 1];
-                    prefetch(left, (near as usize).wrapping_add_signed(step));
-                    let step = layout.value_step[3 * row + 1];
-                    prefetch(values, value_at.wrapping_add_signed(step));
-                }
-            }
-
-            let node = queue.entry(block, at);
-            let ijk = layout.ijk(node);
-            if !layout.is_open(open, ijk) {
-                continue;
-            }
-            let (byte, shift) = layout.first_bit_around(ijk);
-            layout.close(open, byte, shift, HERE);
-            let around = layout.around(open, byte, shift);
-            num_settled += 1;
-            let here = left[node as usize];
-            let value_at = layout.value_at(ijk);
-            let from = values[value_at];
-            for row in 0..9 {
-                let lanes = around >> (3 * row) & 7;
-                let middle = 3 * row + 1;
-                let n = (node as usize)
-                    .wrapping_add_signed(layout.node_step[middle])
-                    .wrapping_sub(1);
-                let v = value_at
-                    .wrapping_add_signed(layout.value_step[middle])
-                    .wrapping_sub(1);
-                // Three are read as four; at the very ends of the arrays one by one.
-                let old = left
-                    .get(n..n.wrapping_add(4))
-                    .and_then(|x| x.first_chunk::<4>());
-                let into = values
-                    .get(v..v.wrapping_add(4))
-                    .and_then(|x| x.first_chunk::<4>());
-                let mut candidates = [0i32; 4];
-                if let (Some(old), Some(into)) = (old, into) {
-                    let mut any = 0;
-                    for lane in 0..4 {
-                        candidates[lane] =
-                            here - quanta.of_lane(from, into[lane], quanta.scale[row][lane]);
-                    }
-                    for lane in 0..3 {
-                        // The sign: both are from 0 to 2^31 - 1.
-                        any |= old[lane] - candidates[lane];
-                    }
-                    if any >= 0 {
-                        continue;
-                    }
-                } else {
-                    for lane in (0..3).filter(|lane| lanes >> lane & 1 != 0) {
-                        let into = values[v.wrapping_add(lane)];
-                        candidates[lane] =
-                            here - quanta.of_lane(from, into, quanta.scale[row][lane]);
-                    }
-                }
-                for lane in (0..3).filter(|lane| lanes >> lane & 1 != 0) {
-                    let neighbour = n.wrapping_add(lane);
-                    let (old, candidate) = (left[neighbour], candidates[lane]);
-                    if candidate <= old {
-                        continue;
-                    }
-                    left[neighbour] = candidate;
-                    step_here[neighbour] = (3 * row + lane) as u8 + 1;
-                    let cost = (MOST_QUANTA - candidate) as u64;
-                    // Still in the bucket it is queued in already: found there.
-                    if old == 0
-                        || queue.bucket_of((MOST_QUANTA - old) as u64) != queue.bucket_of(cost)
-                    {
-                        queue.push(cost, neighbour as u32);
-                    }
-                }
-            }
-        }
-        num_settled
-    }
 }

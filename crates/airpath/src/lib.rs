@@ -6,7 +6,8 @@
 //! that keeps to the middle, `tracker` grows the tree of least-cost paths from one root and resumes it for every new
 //! target, `tree` reads branches off it. `box_graph`, `paper_cost` and `isoregion_graph` are the graph and the cost as the
 //! paper prints them, for the same tracker; `graph_tracker` joins every cost with every graph. `field_tracker` does the
-//! same as `tracker` in a whole volume of weights, without a graph in memory; `field_aim` finds one path there.
+//! same as `tracker` in a whole volume of weights, without a graph in memory; `field_aim` finds one path there,
+//! `field_sweep` every voxel's.
 
 pub mod box_graph;
 mod buckets;
@@ -22,6 +23,11 @@ mod extension_verdict;
 mod extension_ways;
 pub mod field;
 pub mod field_aim;
+mod field_front;
+mod field_lanes;
+mod field_layout;
+mod field_sweep;
+mod field_tile;
 pub mod field_tracker;
 pub mod flood;
 pub mod graph;

@@ -1,0 +1,200 @@
+//! How [`crate::field_tracker`] settles a block of its queue: the voxels round each entry.
+#![allow(
+    clippy::inline_always,
+    reason = "small functions of the inner loop: called for each of 26 neighbours of each voxel"
+)]
+
+use crate::buckets::Block;
+use crate::field::{HERE, StepCost};
+use crate::field_layout::prefetch;
+use crate::field_tracker::{FieldTracker, MOST_QUANTA};
+
+/// Entries of the queue between asking for the memory round one and settling it.
+const AHEAD: usize = 6;
+
+/// Marks the step to a node that was first touched from the front bucket.
+const TOUCHED: u8 = 1 << 7;
+
+/// A voxel that was touched first from its neighbour.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Touch {
+    node: u32,
+    value_at: u32,
+    cell: u8,
+}
+impl<C: StepCost> FieldTracker<C> {
+    /// Settles a block of nodes of one cost where a step costs by voxel: whoever is touched first is touched by the least.
+    pub(crate) fn touch(&mut self, values: &[f32], block: Block, cost: u64) -> usize {
+        let Self {
+            quanta,
+            layout,
+            step_here,
+            open,
+            queue,
+            touched,
+            closing,
+            ..
+        } = self;
+        // Where a step is free a node may be settled in the bucket that it was first touched from, and touch who touched it:
+        // it is closed at once, and keeps the first step found.
+        let free = quanta.cheapest == 0.0;
+        touched.clear();
+        for at in 0..block.len {
+            let ahead = queue.entry(block, (at + AHEAD).min(block.len - 1));
+            layout.prefetch_bits(open, layout.ijk(ahead));
+            let node = queue.entry(block, at);
+            let ijk = layout.ijk(node);
+            let (byte, shift) = layout.first_bit_around(ijk);
+            let mut around = layout.around(open, byte, shift);
+            let value_at = layout.value_at(ijk);
+            while around != 0 {
+                let cell = around.trailing_zeros() as usize;
+                around &= around - 1;
+                if free {
+                    layout.close(open, byte, shift, cell);
+                }
+                let node = (node as isize + layout.node_step[cell]) as u32;
+                let value_at = (value_at as isize + layout.value_step[cell]) as u32;
+                prefetch(values, value_at as usize);
+                prefetch(step_here, node as usize);
+                touched.push(Touch {
+                    node,
+                    value_at,
+                    cell: cell as u8,
+                });
+            }
+        }
+        for touch in touched.iter() {
+            let step = &mut step_here[touch.node as usize];
+            if free {
+                *step = touch.cell + 1;
+            } else if *step & TOUCHED != 0 {
+                // Touched from the front bucket before, at the same cost: the first cell is kept, whatever the order.
+                *step = (*step).min((touch.cell + 1) | TOUCHED);
+                continue;
+            } else {
+                *step = (touch.cell + 1) | TOUCHED;
+                closing.push(touch.node);
+            }
+            // The factor is the same for every cell.
+            let into = values[touch.value_at as usize];
+            let step = quanta.of_lane(0.0, into, quanta.scale[0][0]);
+            queue.push(cost + step as u64, touch.node);
+        }
+        block.len
+    }
+
+    /// Closes what was touched from the front bucket, which is done with.
+    pub(crate) fn close_touched(&mut self) {
+        for node in self.closing.drain(..) {
+            self.step_here[node as usize] &= !TOUCHED;
+            let bit = self.layout.bit_left_of(self.layout.ijk(node)) + 1;
+            self.open[bit / 8] &= !(1 << (bit % 8));
+        }
+    }
+
+    /// Settles a block of the front bucket where a step costs by both ends; the number settled.
+    pub(crate) fn relax(&mut self, values: &[f32], block: Block) -> usize {
+        let Self {
+            quanta,
+            layout,
+            step_here,
+            open,
+            left,
+            queue,
+            ..
+        } = self;
+        let mut num_settled = 0;
+        for at in 0..block.len {
+            // A node is queued once for each bucket that its cost sank to, five times and more where steps differ much in
+            // length: all but the first, cheapest entry are stale, and nothing but a bit is read for them.
+            let far = queue.entry(block, (at + 2 * AHEAD).min(block.len - 1));
+            prefetch(open, layout.bit_left_of(layout.ijk(far)) / 8);
+            let near = queue.entry(block, (at + AHEAD).min(block.len - 1));
+            let near_ijk = layout.ijk(near);
+            if layout.is_open(open, near_ijk) {
+                layout.prefetch_bits(open, near_ijk);
+                let value_at = layout.value_at(near_ijk);
+                for row in 0..9 {
+                    let step = layout.node_step[3 * row + 1];
+                    prefetch(left, (near as usize).wrapping_add_signed(step));
+                    let step = layout.value_step[3 * row + 1];
+                    prefetch(values, value_at.wrapping_add_signed(step));
+                }
+            }
+
+            let node = queue.entry(block, at);
+            let ijk = layout.ijk(node);
+            if !layout.is_open(open, ijk) {
+                continue;
+            }
+            let (byte, shift) = layout.first_bit_around(ijk);
+            layout.close(open, byte, shift, HERE);
+            let around = layout.around(open, byte, shift);
+            num_settled += 1;
+            let here = left[node as usize];
+            let value_at = layout.value_at(ijk);
+            let from = values[value_at];
+            for row in 0..9 {
+                let lanes = around >> (3 * row) & 7;
+                let middle = 3 * row + 1;
+                let n = (node as usize)
+                    .wrapping_add_signed(layout.node_step[middle])
+                    .wrapping_sub(1);
+                let v = value_at
+                    .wrapping_add_signed(layout.value_step[middle])
+                    .wrapping_sub(1);
+                // Three are read as four; at the very ends of the arrays one by one.
+                let old = left
+                    .get(n..n.wrapping_add(4))
+                    .and_then(|x| x.first_chunk::<4>());
+                let into = values
+                    .get(v..v.wrapping_add(4))
+                    .and_then(|x| x.first_chunk::<4>());
+                let mut candidates = [0i32; 4];
+                if let (Some(old), Some(into)) = (old, into) {
+                    let mut any = 0;
+                    for lane in 0..4 {
+                        candidates[lane] =
+                            here - quanta.of_lane(from, into[lane], quanta.scale[row][lane]);
+                    }
+                    for lane in 0..3 {
+                        // The sign: both are from 0 to 2^31 - 1. A candidate that costs the same may be the first cell.
+                        any |= !(candidates[lane] - old[lane]);
+                    }
+                    if any >= 0 {
+                        continue;
+                    }
+                } else {
+                    for lane in (0..3).filter(|lane| lanes >> lane & 1 != 0) {
+                        let into = values[v.wrapping_add(lane)];
+                        candidates[lane] =
+                            here - quanta.of_lane(from, into, quanta.scale[row][lane]);
+                    }
+                }
+                for lane in (0..3).filter(|lane| lanes >> lane & 1 != 0) {
+                    let neighbour = n.wrapping_add(lane);
+                    let (old, candidate) = (left[neighbour], candidates[lane]);
+                    let cell = (3 * row + lane) as u8 + 1;
+                    if candidate <= old {
+                        // Of steps that lead to the same cost the first cell is kept, whatever the order they are found in.
+                        if candidate == old && cell < step_here[neighbour] {
+                            step_here[neighbour] = cell;
+                        }
+                        continue;
+                    }
+                    left[neighbour] = candidate;
+                    step_here[neighbour] = cell;
+                    let cost = (MOST_QUANTA - candidate) as u64;
+                    // Still in the bucket it is queued in already: found there.
+                    if old == 0
+                        || queue.bucket_of((MOST_QUANTA - old) as u64) != queue.bucket_of(cost)
+                    {
+                        queue.push(cost, neighbour as u32);
+                    }
+                }
+            }
+        }
+        num_settled
+    }
+}
