@@ -5,7 +5,7 @@
 //! lumen voxels can touch at a corner across a wall. The weight per mm falls with the cube of the distance to the
 //! wall, so a path keeps to the middle of the tube it is in, whatever the tube's width.
 
-use carina_grid::{Affine, Grid, VolumeView, length};
+use carina_grid::{Affine, Grid, VolumeView, dot, length};
 use rayon::prelude::*;
 
 use crate::TrackError;
@@ -332,13 +332,23 @@ impl LumenGraph {
             low[axis] = (ijk[axis] - reach).floor().max(first) as isize;
             high[axis] = (ijk[axis] + reach).ceil().min(last) as isize;
         }
+        if (0..3).any(|axis| low[axis] > high[axis]) {
+            return None;
+        }
+        let along = grid.lps_from_ijk().vector([1.0, 0.0, 0.0]);
         let mut best: Option<(u32, f64)> = None;
         for k in low[2]..=high[2] {
             for j in low[1]..=high[1] {
-                for i in low[0]..=high[0] {
-                    let Some(node) = self.node_at_voxel([i, j, k]) else {
-                        continue;
-                    };
+                // From the point to the row's line: where that is farther than what is found, the row holds nothing.
+                let off = [0.0, j as f64 - ijk[1], k as f64 - ijk[2]];
+                let off = grid.lps_from_ijk().vector(off);
+                let beside = dot(off, off) - dot(off, along).powi(2) / dot(along, along);
+                let most = best.map_or(reach_mm, |(_, distance)| distance);
+                // A little more: a row at exactly that distance is looked at, whatever is lost in rounding.
+                if beside > most * most * (1.0 + 1e-9) + 1e-9 {
+                    continue;
+                }
+                for (i, node) in self.lumen.in_row(low[0]..=high[0], j, k) {
                     let at = [i as f64, j as f64, k as f64];
                     let distance = length(
                         grid.lps_from_ijk()

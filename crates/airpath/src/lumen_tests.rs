@@ -447,3 +447,41 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
     assert_eq!(generations.iter().max(), Some(&2), "{generations:?}");
     assert_eq!(part.len(), 4, "{generations:?}");
 }
+
+#[test]
+fn the_nearest_lumen_voxel_is_the_nearest_of_all() {
+    let grid = oblique([20, 24, 70]);
+    let mut state = 7u64;
+    let mut noise = || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f64 / (1u64 << 24) as f64
+    };
+    let lumen: Vec<u8> = (0..grid.num_voxels())
+        .map(|_| u8::from(noise() < 0.004))
+        .collect();
+    let values = vec![-1000i16; grid.num_voxels()];
+    let view = VolumeView::new(&values, &grid).unwrap();
+    let graph = LumenGraph::build(view, &lumen, None).unwrap();
+    let shape = grid.shape_ijk();
+    for at in 0..400 {
+        // Places inside, outside, and on the corners of voxels, where several are as near.
+        let mut ijk: [f64; 3] = std::array::from_fn(|a| (1.6 * noise() - 0.3) * shape[a] as f64);
+        if at % 2 == 0 {
+            ijk = ijk.map(|v| v.floor() + 0.5);
+        }
+        for reach_mm in [2.0, 9.0, 60.0] {
+            let mut expected: Option<(u32, f64)> = None;
+            for node in 0..graph.num_nodes() as u32 {
+                let voxel = graph.voxel(node);
+                let off = std::array::from_fn(|a| voxel[a] as f64 - ijk[a]);
+                let distance = length(grid.lps_from_ijk().vector(off));
+                if distance <= reach_mm && expected.is_none_or(|(_, least)| distance < least) {
+                    expected = Some((node, distance));
+                }
+            }
+            assert_eq!(graph.nearest_node(&grid, ijk, reach_mm), expected);
+        }
+    }
+}

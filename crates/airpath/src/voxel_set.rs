@@ -52,8 +52,37 @@ impl VoxelSet {
             .then(|| self.before[at / 64] + (word & ((1 << bit) - 1)).count_ones())
     }
 
+    /// The members in a part of a row along i that lies in the box, and their places, in order; empty stretches are passed
+    /// 64 voxels at a time.
+    pub(crate) fn in_row(
+        &self,
+        i: std::ops::RangeInclusive<isize>,
+        j: isize,
+        k: isize,
+    ) -> impl Iterator<Item = (isize, u32)> + '_ {
+        let first_i = *i.start();
+        let len = (*i.end() - first_i + 1).max(0) as usize;
+        let from = self.voxel_box.index_of([first_i, j, k]).unwrap_or(0);
+        let end = from + len;
+        (from / 64..end.div_ceil(64).max(from / 64)).flat_map(move |number| {
+            let word = self.words[number];
+            let low = from.saturating_sub(64 * number);
+            let high = (end - 64 * number).min(64);
+            let mut mine = word & (u64::MAX << low) & (u64::MAX >> (64 - high));
+            std::iter::from_fn(move || {
+                (mine != 0).then(|| {
+                    let bit = mine.trailing_zeros() as usize;
+                    mine &= mine - 1;
+                    let place = self.before[number] + (word & ((1u64 << bit) - 1)).count_ones();
+                    (first_i + (64 * number + bit - from) as isize, place)
+                })
+            })
+        })
+    }
+
     /// Which of three voxels in a row along i, round a voxel whose i lies in the box, are members, and the place of the first
     /// of them; `None` outside the box.
+    #[inline]
     pub(crate) fn three(&self, ijk: [isize; 3]) -> Option<(u32, [bool; 3])> {
         let VoxelBox {
             first_ijk: first,
@@ -117,6 +146,14 @@ mod tests {
                 }
             }
             prop_assert_eq!(set.three([3, 6, 2]), None);
+            for (low, high) in [(3, 9), (4, 7), (9, 9), (6, 5)] {
+                for (j, k) in [(1, 2), (3, 4), (5, 7)] {
+                    let found: Vec<(isize, u32)> = set.in_row(low..=high, j, k).collect();
+                    let expected: Vec<(isize, u32)> =
+                        (low..=high).filter_map(|i| Some((i, set.place([i, j, k])?))).collect();
+                    prop_assert_eq!(found, expected);
+                }
+            }
         }
     }
 }

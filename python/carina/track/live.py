@@ -29,7 +29,7 @@ FEW_VOXELS, ENOUGH_VOXELS = 0.5, 3.0
 # What a pointer is about, where nothing of the path is new.
 LAST_MM = 10.0
 # How far around a pointer outside all airways the nearest one is looked for.
-SEARCHES_MM = (10.0, 20.0, 40.0)
+SEARCH_MM = 40.0
 # A chain is as strong as its weak parts; not the weakest sample, which noise chooses.
 WEAK_SHARE = 0.1
 
@@ -207,10 +207,8 @@ def _no_path(problem: str) -> LivePath:
 
 def _where(tracker: PathTracker, volume: Volume, point: Point, reach_mm: float) -> str:
     """What is at a point outside the lumen, and what to do."""
-    # A search costs the cube of its reach, and most pointers are near an airway.
-    tried = (tracker.core.nearest(point, reach) for reach in SEARCHES_MM)
-    found = next((one for one in tried if one is not None), None)
-    far = f"more than {SEARCHES_MM[-1]:g} mm" if found is None else f"{found[1]:.0f} mm"
+    found = tracker.core.nearest(point, SEARCH_MM)
+    far = f"more than {SEARCH_MM:g} mm" if found is None else f"{found[1]:.0f} mm"
     do = (
         f"The nearest airway that was found is {far} away (up to {reach_mm:g} mm is bridged by itself). "
         "Point at an airway; if one is missing here, paint its lumen or lower the threshold."
