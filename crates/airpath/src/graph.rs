@@ -39,6 +39,8 @@ pub struct Quantum {
     pub cost: f64,
     /// Quanta of the dearest possible edge, which is the reach of the bucket queue.
     pub dearest_edge: u32,
+    /// Quanta of a cost of 1: an edge is counted by a multiplication, which takes a fraction of a division.
+    per_cost: f64,
 }
 
 /// Quanta of the cheapest edge: half a quantum of rounding is then 0.5 % of it.
@@ -61,13 +63,15 @@ impl Quantum {
         Ok(Self {
             cost: quantum,
             dearest_edge: dearest as u32,
+            per_cost: 1.0 / quantum,
         })
     }
 
     /// An edge's cost in quanta, at least 1.
     #[must_use]
     pub fn edge(&self, cost: &impl Cost, u: u32, v: u32, length_mm: f64) -> u32 {
-        let quanta = (length_mm * cost.weight(u, v) / self.cost).round();
+        // Above 0 this rounds to the nearest; `round` is a call where the target has no instruction for it.
+        let quanta = length_mm * cost.weight(u, v) * self.per_cost + 0.5;
         (quanta as u32).clamp(1, self.dearest_edge)
     }
 }

@@ -207,6 +207,7 @@ impl NodeCost {
 }
 
 impl Cost for NodeCost {
+    #[inline]
     fn weight(&self, u: u32, v: u32) -> f64 {
         0.5 * (self.0[u as usize] + self.0[v as usize])
     }
@@ -218,10 +219,7 @@ impl Cost for NodeCost {
 
 /// Least costs from a root to all nodes, with the first of equally cheap paths: the whole of it from scratch.
 pub fn solved(graph: &LumenGraph, root: u32, watch: &impl Watch) -> Result<Tracker, TrackError> {
-    let cost = NodeCost::new(graph);
-    let mut tracker = Tracker::new(graph, &cost, root)?;
-    tracker.solve_all(graph, &cost, watch)?;
-    Ok(with_first_of_equals(graph, &tracker))
+    Tracker::solved_in_order(graph, &NodeCost::new(graph), root, watch)
 }
 
 /// The same least costs, with the first of equally cheap paths.
@@ -257,6 +255,11 @@ pub fn followed(
     if !tracker.is_done() || 2 * edited.dirty.len() > num_nodes {
         return solved(graph, root, watch);
     }
+    let (lost, is_dirty_root) = lost_nodes(tracker, edited, root);
+    // Any least-cost tree tells so: before it is made the one of the first of equals.
+    if 2 * lost.iter().filter(|lost| **lost).count() > num_nodes {
+        return solved(graph, root, watch);
+    }
     let orderly;
     let tracker = if tracker.first_of_equals() {
         tracker
@@ -280,30 +283,9 @@ pub fn followed(
             before[node as usize] = edited.new_of_old[previous as usize];
         }
     }
-    // Nodes whose path touches what changed lose their cost; a node comes after its predecessor.
-    let mut lost = vec![false; num_nodes];
-    for &node in &edited.dirty {
-        lost[node as usize] = true;
-    }
-    // The root keeps its cost of nothing; what was reached from it over an edge that changed does not.
-    let is_dirty_root = lost[root as usize];
-    lost[root as usize] = false;
-    for &old in tracker.settled() {
-        let node = edited.new_of_old[old as usize];
-        if node != NO_NODE && node != root {
-            let previous = before[node as usize];
-            if previous == NO_NODE || lost[previous as usize] || (is_dirty_root && previous == root)
-            {
-                lost[node as usize] = true;
-            }
-        }
-    }
     let again: Vec<u32> = (0..num_nodes as u32)
         .filter(|n| lost[*n as usize])
         .collect();
-    if 2 * again.len() > num_nodes {
-        return solved(graph, root, watch);
-    }
     for &node in &again {
         costs[node as usize] = UNREACHED;
     }
@@ -361,6 +343,31 @@ pub fn followed(
     Ok(Tracker::from_costs(
         root, quantum, costs, before, order, true,
     ))
+}
+
+/// Nodes whose path touches what changed, which lose their cost; and whether an edge of the root changed.
+fn lost_nodes(tracker: &Tracker, edited: &Edited, root: u32) -> (Vec<bool>, bool) {
+    let mut lost = vec![false; edited.graph.num_nodes()];
+    for &node in &edited.dirty {
+        lost[node as usize] = true;
+    }
+    // The root keeps its cost of nothing; what was reached from it over an edge that changed does not.
+    let is_dirty_root = lost[root as usize];
+    lost[root as usize] = false;
+    // A node comes after its predecessor.
+    for &old in tracker.settled() {
+        let node = edited.new_of_old[old as usize];
+        if node == NO_NODE || node == root {
+            continue;
+        }
+        let previous = tracker
+            .predecessor(old)
+            .map_or(NO_NODE, |previous| edited.new_of_old[previous as usize]);
+        if previous == NO_NODE || lost[previous as usize] || (is_dirty_root && previous == root) {
+            lost[node as usize] = true;
+        }
+    }
+    (lost, is_dirty_root)
 }
 
 /// All nodes with a cost in the order of cost and then of nodes: those that kept it keep their order.

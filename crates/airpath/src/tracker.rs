@@ -81,6 +81,27 @@ impl Tracker {
         }
     }
 
+    /// Settles everything, with the first of equally cheap paths: the tree and its order depend on the graph alone.
+    pub(crate) fn solved_in_order(
+        graph: &impl Graph,
+        cost: &impl Cost,
+        root: u32,
+        watch: &impl Watch,
+    ) -> Result<Self, TrackError> {
+        let mut tracker = Self::new(graph, cost, root)?;
+        tracker.first_of_equals = true;
+        tracker.solve_all(graph, cost, watch)?;
+        // In the order of cost they are; among equals in that of nodes.
+        let costs = &tracker.cost;
+        for equals in tracker
+            .order
+            .chunk_by_mut(|a, b| costs[*a as usize] == costs[*b as usize])
+        {
+            equals.sort_unstable();
+        }
+        Ok(tracker)
+    }
+
     /// True if the first of equally cheap paths was taken everywhere, so that the tree depends on the graph alone.
     pub(crate) const fn first_of_equals(&self) -> bool {
         self.first_of_equals
@@ -143,13 +164,17 @@ impl Tracker {
             self.order.push(node);
             let (costs, predecessors, queue) =
                 (&mut self.cost, &mut self.predecessor, &mut self.queue);
-            let quantum = self.quantum;
+            let (quantum, first_of_equals) = (self.quantum, self.first_of_equals);
             graph.for_each_edge(node, |v, length_mm| {
                 let through = node_cost + u64::from(quantum.edge(cost, node, v, length_mm));
-                if through < costs[v as usize] {
+                let least = costs[v as usize];
+                if through < least {
                     costs[v as usize] = through;
                     predecessors[v as usize] = node;
                     queue.push(through, v);
+                } else if first_of_equals && through == least && node < predecessors[v as usize] {
+                    // All that lead to a node by its least cost are settled before it: each has a lesser cost.
+                    predecessors[v as usize] = node;
                 }
             });
             // After the node is done, so that a stop never loses its edges.
