@@ -91,6 +91,10 @@ def assert_same(found: Airways, expected: Airways) -> None:
     np.testing.assert_array_equal(found.root_lps, expected.root_lps)
     assert found.tracker.num_settled == expected.tracker.num_settled
     assert (found.edits, found.next_id) == (expected.edits, expected.next_id)
+    assert found.uncertain == expected.uncertain
+    assert len(found.bridges) == len(expected.bridges)
+    for way, other_way in zip(found.bridges, expected.bridges, strict=True):
+        np.testing.assert_array_equal(way, other_way)
     for branch in expected.tree.tips():
         one, other = (a.tracker.path_to(branch.points[-1]) for a in (found, expected))
         assert one.cost == other.cost

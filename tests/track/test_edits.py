@@ -28,6 +28,7 @@ from carina.track import (
     edits_to_json,
     rebuild_airways,
 )
+from carina.track.uncertain import find_uncertain
 
 
 @pytest.fixture
@@ -176,6 +177,34 @@ def test_a_bridge_that_is_cut_takes_what_hangs_on_it_and_can_be_built_again(case
     again = edited(case, Bridge(point(case.hidden)), start=cut)
     assert [b.kind for b in again.tree.branches].count("bridge") == 1
     assert next(b.id for b in again.tree.branches if b.kind == "bridge") > bridge.id
+
+
+def test_a_bridge_that_is_erased_and_painted_again_is_a_bridge_again(case):
+    airways = edited(case, Bridge(point(case.hidden)))
+    bridge = next(b for b in airways.tree.branches if b.kind == "bridge")
+    stroke = tuple(point(p) for p in bridge.points[2:-2])
+    erased = edited(case, PaintLumen(stroke, 2.5, "ball", erase=True), start=airways)
+    assert not erased.tracker.inside(case.plug[None]).any()
+    back = edited(case, PaintLumen(stroke, 1.5, "ball"), start=erased)
+    through = branch_to(back, case.plug)
+    assert through.kind == "bridge"
+    # What lies beyond is an airway as before.
+    assert branch_to(back, case.hidden).kind != "bridge"
+    assert edited(case, CutBranch(through.id), start=back).bridges == ()
+
+
+def test_what_is_uncertain_follows_an_edit(case):
+    whole = case.airways
+    judged = dataclasses.replace(whole, uncertain=find_uncertain(case.volume, whole.tree, np.zeros((0, 3))))
+    assert judged.uncertain
+    tip = next(b for b in judged.tree.tips() if b.parent is not None)
+    cut = edited(case, CutBranch(tip.id), start=judged)
+    assert all(one.branch_id is None or cut.tree.branch(one.branch_id) for one in cut.uncertain)
+    assert cut.uncertain == find_uncertain(case.volume, cut.tree, np.zeros((0, 3)))
+    rebuilt = rebuild_airways(case.volume, judged, cut.edits)
+    assert rebuilt.uncertain == cut.uncertain
+    # Of a mask from elsewhere nothing was judged, and nothing is.
+    assert edited(case, CutBranch(tip.id), start=dataclasses.replace(whole, uncertain=())).uncertain == ()
 
 
 def test_bridges_that_cannot_be_are_refused_in_words(case):

@@ -101,6 +101,8 @@ class Airways:
     """The first id that no branch ever had; None before the first edit."""
     uncertain: tuple[Uncertainty, ...] = ()
     """What could not be followed and why, the widest first; last, where the CT stops being trustworthy."""
+    bridges: tuple[NDArray[np.float64], ...] = ()
+    """(n, 3) LPS mm each: ways of the bridges that a person made and did not cut; what leads there stays a bridge."""
 
     @property
     def report(self) -> tuple[str, ...]:

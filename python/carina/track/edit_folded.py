@@ -16,6 +16,7 @@ from carina.track.edit_kinds import TreeEdit
 from carina.track.edit_lumen import EditedLumen, lumen_voxels
 from carina.track.paths import PathTracker
 from carina.track.tree import AirwayTree, Branch
+from carina.track.uncertain import Uncertainty
 from carina.volume.model import Volume
 
 __all__ = ["FoldedAirways", "fold_airways"]
@@ -34,6 +35,8 @@ class FoldedAirways:
     root_ijk: tuple[int, int, int]
     first_ijk: tuple[int, int, int]
     shape_zyx: tuple[int, int, int]
+    uncertain: tuple[Uncertainty, ...]
+    bridges: tuple[NDArray[np.float64], ...]
     packed: bytes
     """The lumen's box, one bit per voxel, deflated."""
 
@@ -58,6 +61,8 @@ class FoldedAirways:
             base=self.base,
             edits=self.edits,
             next_id=self.next_id,
+            uncertain=self.uncertain,
+            bridges=self.bridges,
         )
 
 
@@ -80,6 +85,8 @@ def fold_airways(volume: Volume, airways: Airways) -> FoldedAirways:
         edits=airways.edits,
         next_id=airways.next_id,
         notes=airways.notes,
+        uncertain=airways.uncertain,
+        bridges=airways.bridges,
         root_ijk=lumen.root_ijk,
         first_ijk=first,
         shape_zyx=(shape[2], shape[1], shape[0]),

@@ -59,10 +59,13 @@ class EditSteps:
         Before the edit.
     tree, next_id
         The tree before the edit, and the first branch id that was never used.
+    bridges
+        (n, 3) LPS mm each, ways of the bridges made so far.
     """
 
-    def __init__(self, lumen: EditedLumen, tree: AirwayTree, next_id: int) -> None:
+    def __init__(self, lumen: EditedLumen, tree: AirwayTree, next_id: int, bridges: tuple[Points, ...] = ()) -> None:
         self.lumen = lumen
+        self.bridges = bridges
         self.lumen_changed = False
         self._old_radius: dict[int, NDArray[np.float64]] = {}
         self.draft = TreeDraft(tree, next_id)
@@ -127,6 +130,7 @@ class EditSteps:
         below = [member.points for member in self.draft.below(branch.id)]
         below[0] = below[0][last + 1 :]
         gone = {member.id for member in self.draft.below(branch.id)}
+        self._forget_bridges([member for member in self.draft.below(branch.id) if member.kind == "bridge"])
         kept = [b.points for b in self._tree.branches if b.id not in gone] + [branch.points[: last + 1]]
         voxels = cut_voxels(self.lumen.core, self._nodes_of(below), self._nodes_of(kept))
         if last < 1:
@@ -155,7 +159,9 @@ class EditSteps:
         first_beyond = _first_in(way, beyond)
         before = self.lumen.core
         self._change_lumen(added, NO_VOXELS)
-        self._attach(self._path(self._node(first_beyond)), "bridge", 0.0)
+        made = self._attach(self._path(self._node(first_beyond)), "bridge", 0.0)
+        if made is not None:
+            self.bridges = (*self.bridges, self.draft[made].points)
         self._find_more(np.concatenate([added, newly_reached(self.lumen.core, before)]), "tracked")
 
     def _move_root(self, lps: Point) -> None:
@@ -477,8 +483,15 @@ class EditSteps:
         parent_id = self.draft.parent_at(place, max(3.0, 1.5 * max(self._volume.spacing_mm)))
         parent = self.draft[parent_id]
         points = self._drawn(parent.points[-1], beyond)
-        radius = self._radius(points)
-        if not parent.children and parent.kind == kind == "tracked":
+        for piece, piece_kind in self._pieces(points, kind):
+            parent_id = self._hang(parent_id, piece, piece_kind, kind)
+        return parent_id
+
+    def _hang(self, parent_id: int, points: Points, kind: str, asked_kind: str) -> int:
+        """A new branch at the end of another, or the other made longer where both are one; returns its id."""
+        parent, radius = self.draft[parent_id], self._radius(points)
+        goes_on = kind == "tracked" or (kind == "bridge" and asked_kind != "bridge")
+        if not parent.children and parent.kind == kind and goes_on:
             self.draft.change(
                 parent_id,
                 points=np.concatenate([parent.points, points[1:]]),
@@ -487,6 +500,43 @@ class EditSteps:
             )
             return parent_id
         return self.draft.add_child(parent_id, points, radius, kind)
+
+    def _pieces(self, points: Points, kind: str) -> list[tuple[Points, str]]:
+        """A new centreline in pieces of one kind: where it leads over a bridge that was made before, it is that bridge.
+
+        The bridge's lumen may have been erased and painted again, or grown again: what was never seen in the CT does
+        not become an airway by that.
+        """
+        if kind == "bridge" or not self.bridges:
+            return [(points, kind)]
+        near_mm = BRIDGE_RADIUS_MM + 0.5 * max(self._volume.spacing_mm)
+        is_on = np.zeros(len(points), dtype=bool)
+        for way in self.bridges:
+            off = np.sqrt(np.square(points[:, None] - way[None]).sum(axis=2))
+            place = off.argmin(axis=1)
+            # Not before its beginning or beyond its end, and along it, not off it to a side.
+            on_way = (off.min(axis=1) <= near_mm) & (place > 0) & (place < len(way) - 1)
+            if on_way.any() and np.ptp(along_mm(way)[place[on_way]]) >= near_mm:
+                is_on |= on_way
+        on, along = np.flatnonzero(is_on), along_mm(points)
+        if not len(on):
+            return [(points, kind)]
+        # What would be left of less than a branch belongs to the bridge.
+        first = int(on[0]) if along[on[0]] >= MIN_ADDED_MM else 0
+        last = int(on[-1]) if along[-1] - along[on[-1]] >= MIN_ADDED_MM else len(points) - 1
+        pieces = [(points[: first + 1], kind), (points[first : last + 1], "bridge"), (points[last:], kind)]
+        return [piece for piece in pieces if len(piece[0]) > 1]
+
+    def _forget_bridges(self, cut: list[Branch]) -> None:
+        """A bridge that a person cuts was none."""
+        if not cut or not self.bridges:
+            return
+        gone = np.concatenate([branch.points for branch in cut])
+        self.bridges = tuple(
+            way
+            for way in self.bridges
+            if np.sqrt(np.square(way[:, None] - gone[None]).sum(axis=2)).min() > BRIDGE_RADIUS_MM
+        )
 
     def _find_more(self, candidates: Voxels, kind: str) -> None:
         """Branches that new lumen has and the tree has not."""

@@ -11,6 +11,8 @@ import dataclasses
 import importlib
 from collections.abc import Sequence
 
+import numpy as np
+
 from carina.errors import CancelledError
 from carina.track.airways import Airways, Progress
 from carina.track.edit_kinds import (
@@ -32,6 +34,7 @@ from carina.track.edit_steps import EditSteps
 from carina.track.edit_tree import needed_branch
 from carina.track.paths import Cancel, PathTracker
 from carina.track.tree import AirwayTree, Branch
+from carina.track.uncertain import Uncertainty, find_uncertain
 from carina.volume.model import Volume
 
 __all__ = [
@@ -161,22 +164,35 @@ def _edited(
         renamed = dataclasses.replace(tree, branches=branches)
         return dataclasses.replace(airways, tree=renamed, edits=edits, base=airways.base or airways, next_id=next_id)
     before = EditedLumen(volume, airways.tracker.core, is_fresh, cancel)
-    steps = EditSteps(before, tree, next_id)
+    steps = EditSteps(before, tree, next_id, airways.bridges)
     steps.make(edit)
     branches = steps.draft.finished()
     core = steps.lumen.core
     tracker = PathTracker(volume, core)
     tracker.follow_branches(branches)
+    edited_tree = AirwayTree(branches, _smooth=tracker.smooth)
     return dataclasses.replace(
         airways,
         lumen_zyx=airways.lumen_zyx if not steps.lumen_changed else lumen_voxels(core),
         root_lps=branches[0].points[0].copy(),
-        tree=AirwayTree(branches, _smooth=tracker.smooth),
+        tree=edited_tree,
         tracker=tracker,
         edits=edits,
         base=airways.base or airways,
         next_id=steps.draft.next_id,
+        uncertain=_uncertain_after(volume, airways, edited_tree),
+        bridges=steps.bridges,
     )
+
+
+def _uncertain_after(volume: Volume, airways: Airways, tree: AirwayTree) -> tuple[Uncertainty, ...]:
+    """What is uncertain in an edited tree; nothing where nothing was judged (a mask from elsewhere)."""
+    found = (airways.base or airways).uncertain
+    if not found:
+        return ()
+    # Where the search would have run into the lung it still would.
+    leaks = np.array([one.lps for one in found if one.kind == "leak"]).reshape(-1, 3)
+    return find_uncertain(volume, tree, leaks)
 
 
 def named_anew(tree: AirwayTree) -> AirwayTree:
