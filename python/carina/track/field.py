@@ -39,7 +39,7 @@ class FieldPaths:
 
     What one target has settled is there for the next; for one target alone `aimed_path` is quicker. No graph is built:
     for each voxel 1.13 bytes are held with the cost ``enter`` and 5.13 with ``mean``, and beside them the queue, some
-    tenths of a byte.
+    tenths of a byte. `solve_all` sweeps the volume in tiles, with 5.13 bytes a voxel while it lasts.
 
     Parameters
     ----------
