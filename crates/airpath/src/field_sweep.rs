@@ -8,8 +8,8 @@
 //!
 //! In whatever order, the costs at the end are Dijkstra's: no step lowers any of them, and only the least costs are so
 //! (Bellman 1958). No step is free here, so each voxel's predecessor costs less than the voxel. Sweeps in alternating
-//! directions: Zhao, Math. Comp. 74 (2005) 603; a queue of tiles: Jeong and Whitaker, SIAM J. Sci. Comput. 30 (2008) 2512,
-//! and Chacon and Vladimirsky, SIAM J. Sci. Comput. 34 (2012) A1433.
+//! directions: Zhao, Math. Comp. 74 (2005) 603; a queue of tiles: Jeong and Whitaker, SIAM Journal on Scientific
+//! Computing 30 (2008) 2512, and Chacon and Vladimirsky, the same 34 (2012) A1433.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
