@@ -18,7 +18,8 @@ import pytest
 
 from carina.cluster import ClusterRenderer, ClusterSettings, Console
 from carina.cluster.node import Node, descendants, make_token, reap
-from carina.render import AirwayView, Renderer
+from carina.cluster.stand_in import stand_in_pixels
+from carina.render import AirwayView, Picture, Renderer
 from carina.scopes import Pose
 from carina.volume import Volume
 
@@ -95,11 +96,22 @@ class Flight:
     console: Console
     renderer: ClusterRenderer
     cluster: object
+    _truth: tuple | None = None
 
     def ready(self) -> list[str]:
         """Names of the renderers that can render now."""
         members = self.console.status().members
         return [m.name for m in members if m.state == "ready" and m.name != "console"]
+
+    def check(self, picture: Picture) -> None:
+        """Every row is what a stand-in shows for it, or, where nobody else could in time, the console's own."""
+        assert picture.rgb.shape == (VIEW.height, VIEW.width, 3)
+        if self._truth is None or self._truth[0] != self.content:
+            own = Renderer(self.renderer.volume).render(VIEW).rgb
+            self._truth = (self.content, stand_in_pixels(VIEW, None, self.content), own)
+        _, stood_in, own = self._truth
+        right = np.all(picture.rgb == stood_in, axis=(1, 2)) | np.all(picture.rgb == own, axis=(1, 2))
+        assert right.all(), f"rows {np.flatnonzero(~right)} are wrong"
 
     def lane(self, name: str):
         """One renderer's lane."""
