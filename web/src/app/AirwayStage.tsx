@@ -16,7 +16,7 @@ import {
 import { keyOf } from "../input/keymap";
 import { maskOf, pathMm, scopeOf } from "../state/app-state";
 import { forkAhead } from "../state/fork";
-import { fixed, mm } from "../state/format";
+import { fixed, mm, plural } from "../state/format";
 import { nextStopMm } from "../state/route";
 import { isBrush } from "../state/tools";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
@@ -79,7 +79,7 @@ function ScopeReading() {
       {stop === null ? null : <span className="warning-text">{stop}</span>}
       {scope.num_contacts === 0 ? null : (
         <span className="quiet">
-          touched {scope.num_contacts} times, {fixed(scope.contact_s, 1)} s
+          touched {plural(scope.num_contacts, "time")}, {fixed(scope.contact_s, 1)} s
         </span>
       )}
     </>
