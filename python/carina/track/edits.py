@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from carina.errors import CancelledError
-from carina.track.airways import Airways, Progress
+from carina.track.airways import Airways
 from carina.track.edit_kinds import (
     AddBranch,
     Bridge,
@@ -32,6 +32,7 @@ from carina.track.edit_kinds import (
 from carina.track.edit_lumen import EditedLumen, lumen_voxels
 from carina.track.edit_steps import EditSteps
 from carina.track.edit_tree import needed_branch
+from carina.track.growth import Progress
 from carina.track.paths import Cancel, PathTracker
 from carina.track.tree import AirwayTree, Branch
 from carina.track.uncertain import Uncertainty, find_uncertain

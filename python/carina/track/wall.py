@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from carina.scopes import WallField
-from carina.track.airways import Airways, Progress
+from carina.track.airways import Airways
+from carina.track.growth import Progress
 from carina.track.mesh import lumen_mesh
 from carina.track.paths import Cancel
 from carina.volume.model import Volume
