@@ -37,6 +37,9 @@ def tip_surface_lps(drive: ScopeDrive) -> NDArray[np.float64]:
 def shaft_balls(drive: ScopeDrive) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Points (n, 3) of the shaft's axis every 0.5 mm and the scope's radius there."""
     nodes = drive.shaft_lps()[::-1]
+    if len(nodes) < 2:
+        # Drawn back to the entry: nothing of it is inside.
+        return np.zeros((0, 3)), np.zeros(0)
     steps = np.linspace(0.0, 1.0, 4, endpoint=False)[:, None]
     points = np.concatenate([a + steps * (b - a) for a, b in itertools.pairwise(nodes)])
     behind = 0.5 * np.arange(len(points))
@@ -49,6 +52,7 @@ def shaft_balls(drive: ScopeDrive) -> tuple[NDArray[np.float64], NDArray[np.floa
 def _inside(drive: ScopeDrive, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Those beyond the plane through which the scope enters: behind it is the larynx, which no scan has."""
     nodes = drive.shaft_lps()
-    into = nodes[min(3, len(nodes) - 1)] - nodes[0]
-    depth = (points - nodes[0]) @ (into / max(float(np.linalg.norm(into)), 1e-9))
+    # Drawn back to the entry the scope is one point there, and straight.
+    into = nodes[min(3, len(nodes) - 1)] - nodes[0] if len(nodes) > 1 else drive.state.pose.lps_from_camera[:3, 2]
+    depth = (points - nodes[0]) @ (into / float(np.linalg.norm(into)))
     return points[depth >= 0.0]

@@ -26,16 +26,29 @@ def chest() -> Phantom:
     return generate_phantom(seed=SEED, spacing_mm=9.0, noise_hu=0.0)
 
 
+def sampled(spacing: tuple[float, float, float]) -> WallField:
+    """The exact lumen's field on a lattice (x, y, z mm), slab by slab: all its points at once are half a gigabyte."""
+    low, high = np.array([-70.0, -50.0, -90.0]), np.array([70.0, 50.0, 112.0])
+    x, y, z = (np.arange(a, b, s) for a, b, s in zip(low, high, spacing, strict=True))
+    distance = np.empty((len(z), len(y), len(x)), dtype=np.float32)
+    for first in range(0, len(z), 100):
+        slab = slice(first, first + 100)
+        points = np.stack(np.meshgrid(z[slab], y, x, indexing="ij")[::-1], axis=-1)
+        distance[slab] = -lumen_distance_at(points.reshape(-1, 3), seed=SEED).reshape(points.shape[:3])
+    matrix = np.diag([*spacing, 1.0])
+    matrix[:3, 3] = low
+    return WallField.from_distances(distance, matrix)
+
+
 @pytest.fixture(scope="module")
 def field() -> WallField:
-    low, high, spacing = np.array([-70.0, -50.0, -90.0]), np.array([70.0, 50.0, 112.0]), np.array([0.9, 0.8, 1.0])
-    x, y, z = (np.arange(a, b, s) for a, b, s in zip(low, high, spacing, strict=True))
-    points = np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], axis=-1)
-    distance = -lumen_distance_at(points.reshape(-1, 3), seed=SEED).reshape(points.shape[:3])
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.diag(spacing)
-    matrix[:3, 3] = low
-    return WallField.from_distances(distance.astype(np.float32), matrix)
+    return sampled((0.9, 0.8, 1.0))
+
+
+@pytest.fixture(scope="module")
+def fine_field() -> WallField:
+    # As fine as the field of a CT: at 1 mm the edge of an ultrathin tip came to 0.0997 mm in the wall.
+    return sampled((0.4, 0.35, 0.45))
 
 
 def path_to(chest: Phantom, branch_id: int) -> NDArray[np.float64]:
@@ -96,8 +109,8 @@ def test_random_drives_stay_in_the_exact_lumen(chest: Phantom, field: WallField)
 
 
 @pytest.mark.soak
-def test_a_thousand_random_drives_stay_in_the_exact_lumen(chest: Phantom, field: WallField) -> None:
-    check_random_drives(chest, field, range(1000))
+def test_a_thousand_random_drives_stay_in_the_exact_lumen(chest: Phantom, fine_field: WallField) -> None:
+    check_random_drives(chest, fine_field, range(1000))
 
 
 def test_the_same_samples_give_the_same_poses_bit_for_bit(chest: Phantom, field: WallField) -> None:
