@@ -218,4 +218,4 @@ def test_the_field_of_a_mesh_can_be_stopped() -> None:
     made = WallField.from_mesh(corners, faces, spacing_mm=0.3)
     assert made.distance_mm([[1.0, 2.0, 2.0], [-1.0, 2.0, 2.0]]) == pytest.approx([1.0, -1.0], abs=0.05)
     with pytest.raises(CancelledError):
-        WallField.from_mesh(corners, faces, spacing_mm=0.05, cancel=lambda: True)
+        WallField.from_mesh(4.0 * corners, faces, spacing_mm=0.15, cancel=lambda: True)

@@ -226,7 +226,8 @@ impl WallField {
         let is_outside = reached_from_outside(&is_near, num_bricks);
         let done = std::sync::atomic::AtomicUsize::new(0);
         let layer = num_bricks[0] * num_bricks[1];
-        let made: Vec<Option<Vec<Brick>>> = (0..num_bricks[2])
+        // The first layer that may not go on ends them all.
+        let made: Option<Vec<Vec<Brick>>> = (0..num_bricks[2])
             .into_par_iter()
             .map(|bz| {
                 let mut hint = 0;
@@ -252,7 +253,7 @@ impl WallField {
                 go_on(finished as f64 / num_bricks[2] as f64).then_some(bricks)
             })
             .collect();
-        let Some(made) = made.into_iter().collect::<Option<Vec<_>>>() else {
+        let Some(made) = made else {
             return Err(ScopeError::Cancelled);
         };
         let mut bricks = made.into_iter().flatten();
