@@ -1,0 +1,166 @@
+"""The verbs below ``carina bench``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from carina.cli.arguments import check_output_folder
+from carina.cli.console import exit_codes
+from carina.cli.options import JsonOption
+
+__all__ = ["bench"]
+
+bench = typer.Typer(
+    help="Figures beside installed peers (VTK, numba, scipy, dijkstra3d), in the same run; render, isoregion and "
+    "track need the extra `bench`.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+BenchFolder = Annotated[Path, typer.Option("-o", "--output", help="Folder for the pictures; made if missing.")]
+BenchCases = Annotated[
+    list[str] | None,
+    typer.Option("--case", help="phantom-256, phantom-512, patient, or a CT's path; may be given several times."),
+]
+BenchOnly = Annotated[list[str] | None, typer.Option("--only", help="Only this section; may be given several times.")]
+BenchQuick = Annotated[bool, typer.Option("--quick", help="A minute or two: small cases, fewer poses and repeats.")]
+BenchRepeats = Annotated[int | None, typer.Option("--repeats", help="Rounds; 7 unless told.", min=1, max=1000)]
+
+
+def _bench(
+    what: str,
+    output: Path,
+    case: list[str] | None,
+    only: list[str] | None,
+    quick: bool,
+    repeats: int | None,
+    as_json: bool,
+) -> None:
+    with exit_codes(as_json):
+        from carina.cli.bench.command import report
+
+        check_output_folder(output)
+        code = report(
+            what, folder=output, cases=case or [], only=only or [], quick=quick, repeats=repeats, as_json=as_json
+        )
+        raise SystemExit(code)
+
+
+@bench.command("render")
+def bench_render(
+    output: BenchFolder = Path("carina-bench"),
+    case: BenchCases = None,
+    only: BenchOnly = None,
+    quick: BenchQuick = False,
+    repeats: BenchRepeats = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Whole frames beside VTK and a numba baseline; leaping beside brute force; the first frame; the paper's setting.
+
+    Sections: frames, small, views, first-frame, paper. The last, and one real case, need CARINA_DATA_DIR. A missed
+    limit is a result and no failure: the exit code is 0.
+
+    Example: carina bench render --quick --only frames --case patient
+    """
+    _bench("render", output, case, only, quick, repeats, as_json)
+
+
+@bench.command("isoregion")
+def bench_isoregion(
+    output: BenchFolder = Path("carina-bench"),
+    case: BenchCases = None,
+    only: BenchOnly = None,
+    quick: BenchQuick = False,
+    repeats: BenchRepeats = None,
+    as_json: JsonOption = False,
+) -> None:
+    """IsoRegion map, projections and oblique slices of a large CT beside scipy, numpy and VTK; the server's memory.
+
+    Sections: map, prepare, projections, plane, memory. A missed limit is a result and no failure: the exit code is 0.
+
+    Example: carina bench isoregion --only map --json
+    """
+    _bench("isoregion", output, case, only, quick, repeats, as_json)
+
+
+@bench.command("track")
+def bench_track(
+    output: BenchFolder = Path("carina-bench"),
+    only: BenchOnly = None,
+    quick: BenchQuick = False,
+    as_json: JsonOption = False,
+) -> None:
+    """The path tracker beside its peers, and the airway tree beside the truth.
+
+    Parts: speed, paper, quality, names, measures. A part that this version does not have, or whose peers or data are
+    missing, is named and left out. A missed limit is a result and no failure: the exit code is 0.
+
+    Example: carina bench track --only speed --quick
+    """
+    with exit_codes(as_json):
+        from carina.cli.bench.track import report
+
+        check_output_folder(output)
+        raise SystemExit(report(folder=output, only=only or [], quick=quick, as_json=as_json))
+
+
+@bench.command("stream")
+def bench_stream(
+    output: BenchFolder = Path("carina-bench"),
+    case: Annotated[str, typer.Option("--case", help="phantom, patient, or a CT's path.")] = "phantom",
+    quick: BenchQuick = False,
+    as_json: JsonOption = False,
+) -> None:
+    """From a hand's movement to the changed, decoded 512x512 picture, over loopback: keys and a device.
+
+    A missed limit is a result and no failure: the exit code is 0.
+
+    Example: carina bench stream --quick
+    """
+    with exit_codes(as_json):
+        from carina.cli.bench.stream import report
+
+        check_output_folder(output)
+        raise SystemExit(report(folder=output, case=case, quick=quick, as_json=as_json))
+
+
+@bench.command("haptics")
+def bench_haptics(
+    output: BenchFolder = Path("carina-bench"), quick: BenchQuick = False, as_json: JsonOption = False
+) -> None:
+    """The force loop's latency, jitter and missed deadlines while 512x512 pictures are rendered 30 times a second.
+
+    First with a simulated hand, then with a bridge over UDP in another process. Needs no extra. A missed limit is a
+    result and no failure: the exit code is 0.
+
+    Example: carina bench haptics --quick
+    """
+    with exit_codes(as_json):
+        from carina.cli.bench.haptics import report
+
+        check_output_folder(output)
+        raise SystemExit(report(folder=output, quick=quick, as_json=as_json))
+
+
+@bench.command("cluster")
+def bench_cluster(
+    output: BenchFolder = Path("carina-bench"),
+    only: BenchOnly = None,
+    quick: BenchQuick = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Many machines: the paper's Tables 1 and 2 by calibrated simulation and on real processes, and what Ray costs.
+
+    Sections: simulation, real, transport, kills. All but the first need the extra `cluster`. Plots of Figures 9, 10 and
+    11 go to the folder.
+
+    Example: carina bench cluster --only simulation
+    """
+    with exit_codes(as_json):
+        from carina.cli.bench.cluster import report
+
+        check_output_folder(output)
+        raise SystemExit(report(folder=output, only=only or [], quick=quick, as_json=as_json))

@@ -1,0 +1,89 @@
+"""The verbs below ``carina cluster``."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from carina.cli.console import exit_codes
+from carina.cli.options import JsonOption, TokenOption
+from carina.errors import UsageError
+
+__all__ = ["cluster"]
+
+cluster = typer.Typer(
+    help="Many machines render one picture (docs/cluster.md). Needs Linux and the extra `cluster`.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+IpOption = Annotated[
+    str | None, typer.Option("--ip", help="This machine's address, where it has several: the private network's.")
+]
+DedicatedOption = Annotated[
+    bool, typer.Option("--dedicated", help="The machine does nothing else: render at full priority.")
+]
+
+
+@cluster.command("start")
+def cluster_start(
+    head: Annotated[bool, typer.Option("--head", help="Be the first machine; the console's is best.")] = False,
+    port: Annotated[int, typer.Option(help="Port of the head.", min=1024, max=65535)] = 6379,
+    ip: IpOption = None,
+    renders: Annotated[bool, typer.Option("--renders/--no-renders", help="Render on this machine too.")] = True,
+    dedicated: DedicatedOption = False,
+    token_file: TokenOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Start a cluster on this machine and stay until Ctrl-C; prints what the others need.
+
+    Example: carina cluster start --head --ip 10.0.0.5
+    """
+    with exit_codes(as_json):
+        if not head:
+            raise UsageError("a cluster starts with its head: carina cluster start --head; others join it")
+        from carina.cli.cluster import start
+
+        raise SystemExit(
+            start(ip=ip, port=port, renders=renders, dedicated=dedicated, token=token_file, as_json=as_json)
+        )
+
+
+AddressArgument = Annotated[str, typer.Argument(help="HOST or HOST:PORT of the head.", show_default=False)]
+
+
+@cluster.command("join")
+def cluster_join(
+    address: AddressArgument,
+    ip: IpOption = None,
+    dedicated: DedicatedOption = False,
+    token_file: TokenOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Render for a cluster until Ctrl-C; joins again by itself after a cut link.
+
+    Example: carina cluster join 10.0.0.5:6379 --token-file ~/cluster.token
+    """
+    with exit_codes(as_json):
+        from carina.cli.cluster import join
+
+        raise SystemExit(join(address, ip=ip, dedicated=dedicated, token=token_file, as_json=as_json))
+
+
+@cluster.command("status")
+def cluster_status(
+    address: Annotated[
+        str | None, typer.Argument(help="HOST or HOST:PORT of the head; this machine's unless told.")
+    ] = None,
+    token_file: TokenOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Who is in a cluster.
+
+    Example: carina cluster status 10.0.0.5
+    """
+    with exit_codes(as_json):
+        from carina.cli.cluster import status
+
+        raise SystemExit(status(address, token=token_file, as_json=as_json))

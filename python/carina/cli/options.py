@@ -1,0 +1,15 @@
+"""Options that several verbs share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["JsonOption", "TokenOption"]
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; words go to stderr.")]
+TokenOption = Annotated[
+    Path | None, typer.Option("--token-file", help="The cluster's token; in Carina's folder of settings unless told.")
+]
