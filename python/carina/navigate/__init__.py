@@ -2,7 +2,7 @@
 
 from carina.navigate.auto_flight import AutoFlight, KeyFrame, KeyFrameFlight
 from carina.navigate.flight_path import FlightPath
-from carina.navigate.moves import Controls, Move
+from carina.navigate.moves import CONTROL_RANGES, Controls, Move
 from carina.navigate.navigator import Navigator
 from carina.navigate.one_euro import FilterSettings, SampleFilter
 from carina.navigate.pilot import DeviceState, Pilot
@@ -11,6 +11,7 @@ from carina.navigate.registration import Registration, fit_registration
 from carina.navigate.samples import AxesSample, HandleSample, PoseSample, Sample, SampleGate
 
 __all__ = [
+    "CONTROL_RANGES",
     "AutoFlight",
     "AxesSample",
     "Controls",

@@ -9,13 +9,14 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from carina.errors import UsageError
 from carina.navigate.one_euro import FilterSettings
 from carina.navigate.samples import AxesSample, HandleSample, PoseSample, Sample
 
 __all__ = [
+    "CONTROL_RANGES",
     "MOVES",
     "ArmPen",
     "Calibrate",
@@ -155,6 +156,15 @@ class SetPath:
 
 # What devices do.
 
+CONTROL_RANGES: dict[str, tuple[float, float]] = {
+    "gain_mm": (0.01, 100.0),
+    "gain_turn": (0.01, 100.0),
+    "speed_mm_s": (0.1, 500.0),
+    "turn_rad_s": (0.01, 10.0),
+    "lever_rad": (0.01, 2.0 * math.pi),
+}
+"""Least and greatest of the numbers of :class:`Controls`; the wire takes the same."""
+
 
 @dataclass(frozen=True, slots=True)
 class Controls:
@@ -163,7 +173,7 @@ class Controls:
     Parameters
     ----------
     gain_mm, gain_turn
-        What the tip moves per movement of the hand, mm and angle; *relative* and *path* only. 0.01 to 100.
+        What the tip moves per movement of the hand, mm and angle; *relative* and *path* only.
     clutch
         ``"always"``: the hand moves the tip, unless button 1 is held (to lift the hand back). ``"hold"``: only while
         it is.
@@ -179,7 +189,7 @@ class Controls:
     Raises
     ------
     UsageError
-        If a number is out of range.
+        ``navigate.controls``: if a number is out of :data:`CONTROL_RANGES`.
     """
 
     gain_mm: float = 1.0
@@ -192,12 +202,16 @@ class Controls:
     filter: FilterSettings = dataclasses.field(default_factory=FilterSettings)
 
     def __post_init__(self) -> None:
-        positive = (self.gain_mm, self.gain_turn, self.speed_mm_s, self.turn_rad_s, self.lever_rad)
-        if not all(0.01 <= v <= 1000.0 for v in positive) or self.clutch not in {"always", "hold"}:
+        for name, (low, high) in CONTROL_RANGES.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise UsageError(
+                    f"controls: {name} is expected between {low:g} and {high:g}; found {value!r}",
+                    code="navigate.controls",
+                )
+        if self.clutch not in {"always", "hold"}:
             raise UsageError(
-                f"gains and speeds lie between 0.01 and 1000, and the clutch is always or hold; found {positive}, "
-                f"{self.clutch!r}",
-                code="navigate.controls",
+                f"controls: clutch is expected to be always or hold; found {self.clutch!r}", code="navigate.controls"
             )
 
 
@@ -311,33 +325,7 @@ Move = (
     | SetScope
     | SetControls
 )
-MOVES: dict[str, type[Any]] = {
-    cls.__name__: cls
-    for cls in (
-        Steer,
-        GoTo,
-        NextFork,
-        PreviousFork,
-        PlaceAt,
-        PlacePose,
-        LevelHorizon,
-        ResetLook,
-        SetMode,
-        ToggleMode,
-        SetOperator,
-        SetPath,
-        DeviceSaid,
-        Frame,
-        DeviceGone,
-        TakeDevice,
-        Calibrate,
-        SetControl,
-        CycleControl,
-        ArmPen,
-        SetScope,
-        SetControls,
-    )
-}
+MOVES: dict[str, type[Any]] = {cls.__name__: cls for cls in get_args(Move)}
 _SAMPLES: dict[str, type[Any]] = {"pose": PoseSample, "axes": AxesSample, "handle": HandleSample}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
+from carina.navigate import CONTROL_RANGES
 from carina.server.wire_codec import Length, Range
 from carina.server.wire_fields import Count, PointLps, Words
 
@@ -83,11 +84,11 @@ class SetControl:
 class DeviceControls:
     """Gains, clutch, speeds and filter of devices."""
 
-    gain_mm: Annotated[float, Range(0.01, 100.0)]
-    gain_turn: Annotated[float, Range(0.01, 100.0)]
+    gain_mm: Annotated[float, Range(*CONTROL_RANGES["gain_mm"])]
+    gain_turn: Annotated[float, Range(*CONTROL_RANGES["gain_turn"])]
     clutch: Literal["always", "hold"]
-    speed_mm_s: Annotated[float, Range(0.1, 500.0)]
-    turn_rad_s: Annotated[float, Range(0.01, 10.0)]
+    speed_mm_s: Annotated[float, Range(*CONTROL_RANGES["speed_mm_s"])]
+    turn_rad_s: Annotated[float, Range(*CONTROL_RANGES["turn_rad_s"])]
     lever_inverted: bool
     filter_on: bool
     min_cutoff_hz: Annotated[float, Range(0.1, 1000.0)]
