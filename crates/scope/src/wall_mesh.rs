@@ -4,6 +4,7 @@ use carina_grid::{Affine, cross, dot, length, unit};
 use rayon::prelude::*;
 
 use crate::ScopeError;
+use crate::axis::{along, sub};
 use crate::wall::{Brick, CELLS, INSIDE_MM, OUTSIDE_MM, SAMPLES, WallField, clamped};
 
 type Point = [f64; 3];
@@ -12,14 +13,6 @@ type Point = [f64; 3];
 const LEAF: usize = 4;
 /// Two triangles this near to each other are both nearest: an edge or a corner.
 const TIE_MM: f64 = 1e-9;
-
-fn sub(a: Point, b: Point) -> Point {
-    std::array::from_fn(|k| a[k] - b[k])
-}
-
-fn along(a: Point, f: f64, b: Point) -> Point {
-    std::array::from_fn(|k| a[k] + f * b[k])
-}
 
 /// Nearest point of a triangle (Ericson, "Real-Time Collision Detection", 5.1.5).
 fn nearest_on([a, b, c]: [Point; 3], p: Point) -> Point {

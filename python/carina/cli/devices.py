@@ -8,15 +8,13 @@ import time
 from typing import Any
 
 from carina.cli.console import print_json, say
-from carina.errors import CarinaError, UsageError
+from carina.errors import UsageError
 from carina.navigate import FilterSettings, HandleSample, PoseSample, Sample, SampleFilter
-from carina.navigate.devices import Listener, SourceStatus, open_source, serial_ports
+from carina.navigate.devices import Listener, SourceStatus, found_ports, open_source
 
 __all__ = ["report"]
 
-IN_THE_WINDOW = (
-    "mouse, keyboard, gamepads, SpaceMouse, VR controllers and phones are found by the window (`carina open`, Devices)"
-)
+IN_THE_WINDOW = "mouse, keyboard, gamepads and SpaceMouse are found by the window (`carina open`, Devices)"
 REFRESH_S = 0.25
 
 
@@ -24,7 +22,7 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
     """List what is found; with addresses, connect and show what they say. 4 if one of them says nothing."""
     if not 0.0 < seconds <= 86_400.0:
         raise UsageError(f"--seconds: expected more than 0 and at most 86400; found {seconds:g}")
-    ports, trouble = _ports()
+    ports, trouble = found_ports()
     live = _Live()
     sources = [open_source(address, live.listener) for address in addresses]
     statuses: list[SourceStatus] = []
@@ -63,13 +61,6 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
         print(IN_THE_WINDOW)
         print("To see what a device says: carina devices --device fastrak:PORT (or handle:PORT, openigtlink:HOST:PORT)")
     return 0 if all(status.num_samples > 0 for status in statuses) else 4
-
-
-def _ports() -> tuple[list[dict[str, str]], str | None]:
-    try:
-        return serial_ports(), None
-    except CarinaError as trouble:
-        return [], str(trouble)
 
 
 def _line(status: SourceStatus, newest: tuple[str, Sample] | None) -> str:

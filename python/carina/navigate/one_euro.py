@@ -100,10 +100,6 @@ class SampleFilter:
         """The delay of the last sample: the longer of that of position and orientation."""
         return 1000.0 * self._latency_s
 
-    def reset(self) -> None:
-        """Begin anew: the next sample is taken as it is."""
-        self._last = None
-
     def apply(self, sample: Sample) -> Sample:
         """The smoothed sample; the first one, and the first after a gap, is handed on as it is."""
         last, self._last = self._last, sample

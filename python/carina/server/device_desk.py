@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from carina.config import load_settings
-from carina.errors import CarinaError, UsageError
+from carina.errors import UsageError
 from carina.navigate import AxesSample, Controls, DeviceState, FilterSettings, HandleSample, PoseSample
-from carina.navigate.devices import IgtlServer, Listener, Source, open_source, serial_ports
+from carina.navigate.devices import IgtlServer, Listener, Source, found_ports, open_source
 from carina.server import messages as wire
 from carina.session import Session
 
@@ -207,10 +207,8 @@ class DeviceDesk:
 
 
 def _ports() -> tuple[tuple[str, ...], str | None]:
-    try:
-        return tuple(port["port"] for port in serial_ports())[:200], None
-    except CarinaError as trouble:
-        return (), str(trouble)
+    ports, trouble = found_ports()
+    return tuple(port["port"] for port in ports)[:200], trouble
 
 
 def _sample(message: wire.DeviceSample) -> PoseSample | AxesSample:

@@ -1,6 +1,7 @@
 """The messages between server and client, gathered, and how they are read and written (prose: ``protocol/README.md``).
 
-They are frozen dataclasses in ``messages_from_client.py``, ``messages_from_server.py`` and ``messages_of_tree.py``.
+They are frozen dataclasses in ``messages_from_client.py``, ``messages_from_server.py``, ``messages_of_tree.py`` and
+``messages_of_devices.py``.
 
 ``web/src/wire/messages.ts`` and ``protocol/schema.json`` are generated from them by
 ``python -m carina.server.wire_types``; a test fails when they drift apart. World is LPS mm, matrices are 4x4 row-major,

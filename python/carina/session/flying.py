@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from carina.errors import CarinaError, NoResultError, UsageError
-from carina.navigate import Controls, DeviceState, Move, Recorder, Sample, case_key, fit_registration, moves
+from carina.navigate import Controls, Move, Recorder, Sample, case_key, fit_registration, moves
 from carina.scopes import DEFAULT_SCOPE, Pose
 from carina.session.case import OpenCase, as_point
 from carina.session.core import SessionCore
@@ -305,11 +305,6 @@ class Flying(SessionCore):
                 return None
             pilot = self._case.pilot
             return DevicesInfo(pilot.control, pilot.controls, pilot.devices())
-
-    def device_states(self) -> tuple[DeviceState, ...]:
-        """See :class:`carina.navigate.DeviceState`."""
-        info = self.devices_info()
-        return () if info is None else info.devices
 
     def _mark(self, case: OpenCase) -> None:
         """The armed pen's button, with the session locked."""

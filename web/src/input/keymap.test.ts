@@ -43,7 +43,7 @@ describe("the keys", () => {
     expect(action({})).toBeNull();
   });
 
-  it("are the ones that the brief names", () => {
+  it("are the ones that people know from the README and the key card", () => {
     const label = (words: string) => KEYMAP.find((binding) => binding.words.startsWith(words))?.label;
     expect(label("Advance (hold")).toBe("W");
     expect(label("Withdraw")).toBe("S");

@@ -2,7 +2,7 @@
 
 from carina.navigate.devices.addresses import open_source
 from carina.navigate.devices.igtl_peers import IgtlClient, IgtlServer
-from carina.navigate.devices.serial_source import FastrakSource, HandleSource, serial_ports
+from carina.navigate.devices.serial_source import FastrakSource, HandleSource, found_ports, serial_ports
 from carina.navigate.devices.source import Listener, Source, SourceStatus
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "Listener",
     "Source",
     "SourceStatus",
+    "found_ports",
     "open_source",
     "serial_ports",
 ]

@@ -12,7 +12,7 @@ from carina.navigate.devices.scope_handle import HandleStream
 from carina.navigate.devices.source import Listener, Source, StampSpreader
 from carina.navigate.samples import HandleSample, PoseSample
 
-__all__ = ["FastrakSource", "HandleSource", "serial_ports"]
+__all__ = ["FastrakSource", "HandleSource", "found_ports", "serial_ports"]
 
 BAUD = 115_200
 # A read waits for so long; a port that says nothing for longer is asked again.
@@ -43,6 +43,14 @@ def serial_ports() -> list[dict[str, str]]:
     from serial.tools import list_ports
 
     return [{"port": str(port.device), "title": str(port.description or "")} for port in list_ports.comports()]
+
+
+def found_ports() -> tuple[list[dict[str, str]], str | None]:
+    """:func:`serial_ports`, and in words why there can be none."""
+    try:
+        return serial_ports(), None
+    except CarinaError as trouble:
+        return [], str(trouble)
 
 
 class _SerialSource(Source):

@@ -4,7 +4,6 @@ import type { ClientMessage } from "../../wire/messages";
 import type { Action } from "../keymap";
 
 export type SixAxes = readonly [number, number, number, number, number, number];
-export const AT_REST: SixAxes = [0, 0, 0, 0, 0, 0];
 
 /** What of the browser's `Gamepad` is read. */
 export interface Pad {
