@@ -136,7 +136,7 @@ fn friction_holds_the_tip_until_it_slides() {
     let slides = settled(&mut model, &hand([8.55, 0.0, 50.0]));
     let share = slides.force_n[2] / -slides.force_n[0];
     // 0.03: the wall is round, and the cone is laid on its tangent.
-    assert!((0.0..=0.33).contains(&share), "{share}");
+    assert!((0.27..=0.33).contains(&share), "{share}");
 }
 
 #[test]
