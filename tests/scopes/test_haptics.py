@@ -74,18 +74,22 @@ def test_a_bridge_over_udp_is_answered_by_its_number(tube: WallField) -> None:
     with ForceLoop(tube, udp_port=0) as loop, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.connect(("127.0.0.1", loop.port))
         link.settimeout(20.0)
-        force = (0.0, 0.0, 0.0)
+        force, asked = (0.0, 0.0, 0.0), time.monotonic()
         for number in range(1, 60):
             deep = 0.0 if number == 1 else REACH + 1.0
+            before, asked = asked, time.monotonic()
             link.send(encode_sample(number, 7 * number, (0.0, deep, -20.0), (0.0, 0.0, 0.0), (0.0, 0.0, -1.0)))
             reply = decode_force(link.recv(256))
             assert reply is not None
             assert (reply.number, reply.device_us) == (number, 7 * number)
             change = math.dist(reply.force_n, force)
             force = reply.force_n
-            # A few ticks may lie between two samples of a bridge that is held up.
-            assert change <= 3.0
+            # Ticks lie between the answers of a bridge that is held up: one a millisecond, and one begun at each end.
+            num_ticks = 1000.0 * (time.monotonic() - before) + 2.0
+            assert change <= FORCE_SLEW_N_PER_MS * num_ticks
         assert force[1] < -0.2
+        until(lambda: loop.figures().num_samples >= 59)
+        assert 0.0 < loop.figures().max_change_n <= FORCE_SLEW_N_PER_MS + 1e-12
         for broken in (b"", b"CARH", bytes(96), encode_sample(1, 1, (math.nan,) * 3, (0,) * 3, (0, 0, -1))):
             link.send(broken)
         until(lambda: loop.figures().num_refused == 4)
