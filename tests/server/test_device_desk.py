@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import socket
 import sys
 import time
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from carina.errors import UsageError
+from carina.navigate.devices.igtl import IgtlPose, IgtlStream, pose_matrix
 from carina.navigate.devices.scope_handle import format_line
 from carina.server import messages as wire
 from carina.server.device_desk import DeviceDesk
@@ -158,11 +160,27 @@ def test_a_handle_is_connected_shown_and_disconnected(desk):
         port.unplug()
 
 
+def published(port: int) -> IgtlPose:
+    """The first pose that a peer gets there."""
+    stream = IgtlStream()
+    with socket.create_connection(("127.0.0.1", port), timeout=10.0) as peer:
+        while True:
+            data = peer.recv(4096)
+            assert data, "the connection was closed"
+            for found in stream.feed(data):
+                assert isinstance(found, IgtlPose)
+                return found
+
+
 def test_the_tip_is_published_and_recordings_are_made(desk, tmp_path):
-    made, _, _ = desk
+    made, bench, _ = desk
+    bench.session.go_to(20.0)
     made.handle(wire.PublishTip(0))
     port = made.message().published_port
     assert port
+    tip = bench.session.pose_info().pose.lps_from_camera
+    # RAS for 3D Slicer: left and posterior change their signs. f32 on the wire.
+    np.testing.assert_allclose(pose_matrix(published(port)), np.diag([-1.0, -1.0, 1.0, 1.0]) @ tip, atol=1e-4)
     made.handle(wire.PublishTip(None))
     assert made.message().published_port is None
     made.handle(wire.StartRecording())
