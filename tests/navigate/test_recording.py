@@ -7,7 +7,6 @@ import json
 import math
 import random
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +21,6 @@ from carina.navigate import (
     KeyFrame,
     KeyFrameFlight,
     PoseSample,
-    Recorder,
     open_recording,
 )
 from carina.navigate import moves as m
@@ -126,7 +124,11 @@ def test_a_recording_that_was_cut_off_is_read_as_far_as_it_goes(flown, tmp_path)
     cut.write_text(text[: text.rindex('"move"') + 20])
     recording = open_recording(cut)
     assert not recording.complete
-    assert all(same for _, same in recording.replay(VOLUME))
+    # All lines but the first, the one that was cut and the end.
+    assert list(recording.lines) == [json.loads(line) for line in text.splitlines()[1:-2]]
+    replayed = list(recording.replay(VOLUME))
+    assert len(replayed) > 5
+    assert all(same for _, same in replayed)
 
 
 def bad(lines: list[str], n: int, line: str) -> str:
@@ -179,12 +181,14 @@ def test_only_one_recording_is_made_at_a_time_and_it_ends_with_the_case(flown, t
 
 
 def test_the_recorder_keeps_no_patient_data(flown, tmp_path):
-    session, _ = flown
+    session, clock = flown
     session.start_recording(tmp_path / "a.jsonl")
+    fly(session, clock)
     session.stop_recording()
-    text = Path(tmp_path / "a.jsonl").read_text()
+    text = (tmp_path / "a.jsonl").read_text()
+    assert len(text.splitlines()) > 500
     assert VOLUME.source.title not in text
-    assert isinstance(Recorder, type)
+    assert str(tmp_path) not in text
 
 
 # ------------------------------------------------------------ flights that nobody steers
