@@ -74,6 +74,7 @@ class Trouble:
     raises: BaseException | None = None
     wrong_shape: bool = False
     old_frame: bool = False
+    other_rows: bool = False
     garbles: bool = False
     held: list[Callable[[], None]] = field(default_factory=list)
     holds: bool = False
@@ -100,6 +101,10 @@ class FaultyLane(LocalLane):
                 done(replace(answer, rgb=answer.rgb[:-1]))
             elif trouble.old_frame:
                 done(replace(answer, frame_id=answer.frame_id - 1, rgb=answer.rgb * 0))
+            elif trouble.other_rows:
+                # The same frame and height, but the rows below or above.
+                shift = 1 if answer.first_row == 0 else -1
+                done(replace(answer, first_row=answer.first_row + shift, rgb=np.roll(answer.rgb, shift, axis=0)))
             elif trouble.holds:
                 with self._guard:
                     trouble.held.append(lambda: done(answer))

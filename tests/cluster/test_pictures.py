@@ -200,7 +200,7 @@ def test_a_renderer_that_stops_answering_costs_a_moment_and_comes_back_by_itself
     assert all(m.state == "ready" for m in made.console.status().members)
 
 
-@pytest.mark.parametrize("what", ["wrong_shape", "old_frame"])
+@pytest.mark.parametrize("what", ["wrong_shape", "old_frame", "other_rows"])
 def test_wrong_answers_are_never_shown(case, cluster, what):
     made = cluster(settings=FAST)
     _wait_ready(made)
@@ -210,7 +210,7 @@ def test_wrong_answers_are_never_shown(case, cluster, what):
         assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
         time.sleep(0.02)
     notices = made.console.status().notices
-    words = {"wrong_shape": "of shape", "old_frame": "of frame"}[what]
+    words = {"wrong_shape": "of shape", "old_frame": "of frame", "other_rows": "from row"}[what]
     assert any("lane-0 answered wrongly" in n and words in n for n in notices), notices
 
 
@@ -364,11 +364,13 @@ def test_a_host_renders_what_it_holds_and_nothing_else(case):
         host.load(parcel.content, parcel.skeleton, list(parcel.arrays), [])
     arrays = list(parcel.arrays.values())
     host.load(parcel.content, parcel.skeleton, [], list(parcel.arrays), *arrays)
-    frame_id, content, seconds, method, counts, picture, rgb = host.strip(7, parcel.content, view, (5, 20))
+    answer = host.strip(7, parcel.content, view, (5, 20))
+    frame_id, content, first_row, num_rows, seconds, method, counts, picture, rgb = answer
     assert picture is None and method == "leap" and counts[0] > 0
-    assert (frame_id, content) == (7, parcel.content) and seconds > 0.0
+    assert (frame_id, content, first_row, num_rows) == (7, parcel.content, 5, 15) and seconds > 0.0
     assert np.array_equal(rgb, renderer.render(_airway(case)).rgb[5:20])
-    assert host.strip(8, parcel.content, view, (0, 20))[5].view == "airway"
+    assert host.strip(8, parcel.content, view, (0, 20))[7].view == "airway"
+    assert host.strip(8, parcel.content, view, None)[2:4] == (0, 61)
     with pytest.raises(ClusterError):
         host.strip(8, parcel.content + 1, view, (5, 20))
     assert host.ping()["content"] == parcel.content

@@ -402,8 +402,7 @@ class Console:
             self._refused(name, order, frame, answer)
             return
         first, end = order.rows or (0, order.view.height)
-        expected = (end - first, order.view.width, 3)
-        wrong = _what_is_wrong(answer, order, expected)
+        wrong = _what_is_wrong(answer, order)
         if wrong is not None:
             self._fault(name, order, wrong)
             return
@@ -539,12 +538,18 @@ def _fail(future: Future[Picture], trouble: BaseException) -> None:
         future.set_exception(trouble)
 
 
-def _what_is_wrong(answer: StripAnswer, order: StripOrder, expected: tuple[int, int, int]) -> str | None:
+def _what_is_wrong(answer: StripAnswer, order: StripOrder) -> str | None:
     """Why an answer is not what was asked for, or None."""
+    first, end = order.rows or (0, order.view.height)
+    expected = (end - first, order.view.width, 3)
     if answer.frame_id != order.frame_id:
         return f"a strip of frame {answer.frame_id} instead of frame {order.frame_id}"
     if answer.content != order.content:
         return f"a strip of content {answer.content} instead of {order.content}"
+    if (answer.first_row, answer.num_rows) != (first, end - first):
+        # A frame is cut anew when a renderer leaves: strips of one height may lie elsewhere.
+        found = f"{answer.num_rows} rows from row {answer.first_row}"
+        return f"a strip of {found} instead of {end - first} from row {first}"
     if not isinstance(answer.rgb, np.ndarray) or answer.rgb.dtype != np.uint8:
         return "no picture of 8 bits"
     if order.rows is not None and order.rows[0] > 0 and answer.picture is None:

@@ -24,8 +24,9 @@ __all__ = ["Counts", "RendererHost", "Strip", "available_bytes", "bare_picture",
 
 Counts = tuple[int, int, int, int, int, int, int]
 """Rays, samples, look-ups, leaps, skipped, shaded, loads."""
-Strip = tuple[int, int, float, str, Counts, Picture | None, NDArray[np.uint8]]
-"""Frame and content again, seconds, method, counts, with the first rows the picture without pixels, and the pixels."""
+Strip = tuple[int, int, int, int, float, str, Counts, Picture | None, NDArray[np.uint8]]
+"""Frame, content, first row and number of rows again, seconds, method, counts; with the first rows the picture without
+pixels; and the pixels."""
 
 
 def available_bytes() -> int | None:
@@ -146,11 +147,14 @@ class RendererHost:
             scene = None if renderer is None else renderer.scene
         if renderer is None or loaded != content:
             raise ClusterError(f"the renderer holds content {loaded}, not {content}", code="cluster.lost")
-        picture = renderer.render(pickle.loads(view), rows=rows, scene=scene)
-        first = bare_picture(picture) if rows is None or rows[0] == 0 else None
+        shown = pickle.loads(view)
+        first_row, end_row = rows or (0, shown.height)
+        picture = renderer.render(shown, rows=rows, scene=scene)
+        first = bare_picture(picture) if first_row == 0 else None
         stats = picture.stats
         seconds = time.perf_counter() - began_s
-        return frame_id, content, seconds, stats.method, counts_of(stats), first, picture.rgb
+        counts = counts_of(stats)
+        return frame_id, content, first_row, end_row - first_row, seconds, stats.method, counts, first, picture.rgb
 
 
 def _same(a: NDArray[Any], b: NDArray[Any]) -> bool:

@@ -47,6 +47,8 @@ class StripAnswer:
 
     frame_id: int
     content: int
+    first_row: int
+    num_rows: int
     seconds: float
     method: str
     counts: Counts
@@ -146,9 +148,12 @@ class LocalLane:
                 picture = renderer.render(order.view, rows=order.rows, scene=order.scene, stop=order.stop)
                 seconds = time.perf_counter() - began_s
                 stats = picture.stats
+                first_row, end_row = order.rows or (0, order.view.height)
                 answer = StripAnswer(
                     order.frame_id,
                     order.content,
+                    first_row,
+                    end_row - first_row,
                     seconds,
                     stats.method,
                     counts_of(stats),

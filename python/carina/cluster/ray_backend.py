@@ -165,8 +165,8 @@ class RayLane:
                 done(_plain(trouble))
                 return
             try:
-                frame_id, content, seconds, method, counts, picture, rgb = future.result()
-                done(StripAnswer(frame_id, content, float(seconds), method, counts, picture, rgb))
+                frame_id, content, first_row, num_rows, seconds, *rest = future.result()
+                done(StripAnswer(frame_id, content, first_row, num_rows, float(seconds), *rest))
             except (TypeError, ValueError) as nonsense:
                 done(ClusterError(f"an answer that is no strip: {nonsense}", code="cluster.fault"))
 

@@ -68,7 +68,10 @@ class StandInHost(RendererHost):
         return said
 
     def misbehave(self, trouble: str | None = None, factor: float = 1.0) -> int:
-        """Be ``factor`` times slower from now on, or get ``"size"`` or ``"frame"`` wrong; the number of the process."""
+        """Be ``factor`` times slower from now on, or get ``"size"``, ``"frame"`` or ``"rows"`` wrong.
+
+        A wrong frame and wrong rows come with their own pixels. Returns the number of the process.
+        """
         self._trouble, self._factor = trouble, factor
         return os.getpid()
 
@@ -78,13 +81,18 @@ class StandInHost(RendererHost):
         if self._content != content:
             raise ClusterError(f"the renderer holds content {self._content}, not {content}", code="cluster.lost")
         shown = pickle.loads(view)
-        rgb = stand_in_pixels(shown, rows, content)
+        first_row, end_row = rows or (0, shown.height)
+        if self._trouble == "rows":
+            # Another strip of the same height, as an answer to an older cut of the frame would be.
+            first_row, end_row = first_row + 1, end_row + 1
+        rgb = stand_in_pixels(shown, (first_row, end_row), content)
         wanted_s = (self._strip_seconds + self._row_seconds * len(rgb)) * self._factor
         time.sleep(max(0.0, wanted_s - (time.perf_counter() - began_s)))
         if self._trouble == "size":
             rgb = rgb[:-1]
         if self._trouble == "frame":
-            frame_id -= 1
+            frame_id, rgb = frame_id - 1, 255 - rgb
         stats = RenderStats("stand-in", shown.width, len(rgb), rgb.size // 3, 0, 0, 0, 0, 0, 0, 0.0)
         first = bare_picture(Picture(rgb=rgb, view="airway", stats=stats)) if rows is None or rows[0] == 0 else None
-        return frame_id, content, time.perf_counter() - began_s, "stand-in", counts_of(stats), first, rgb
+        seconds, counts = time.perf_counter() - began_s, counts_of(stats)
+        return frame_id, content, first_row, end_row - first_row, seconds, "stand-in", counts, first, rgb
