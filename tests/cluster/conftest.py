@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from carina.cluster import ClusterRenderer, ClusterSettings, Console, LocalLane
-from carina.render import Renderer, transfer_preset
+from carina.render import Renderer
 from carina.scopes import Pose
 from carina.volume import Volume
 
@@ -124,7 +124,7 @@ class FaultyLane(LocalLane):
 
 @dataclass
 class Cluster:
-    """A console with faulty lanes of one case, and the truth."""
+    """A console with faulty lanes of one case, and the truth: a renderer that the cluster does not know."""
 
     console: Console
     renderer: ClusterRenderer
@@ -136,15 +136,12 @@ class Cluster:
 def cluster(case, consoles) -> Callable[..., Cluster]:
     """Makes clusters whose lanes are threads."""
 
-    def make(simds=(None, None, None), settings: ClusterSettings | None = None, paper: bool = False) -> Cluster:
+    def make(simds=(None, None, None), settings: ClusterSettings | None = None) -> Cluster:
         console = consoles(settings)
-        truth = case.renderer()
-        if paper:
-            truth.set_transfer(transfer_preset("paper"))
-            truth.prepare()
+        truth, own = case.renderer(), case.renderer()
         lanes = [FaultyLane(case.renderer(simd), name=f"lane-{n}") for n, simd in enumerate(simds)]
         for lane in lanes:
             console.add_lane(lane)
-        return Cluster(console, ClusterRenderer(truth, console, spread_all=True), lanes, truth)
+        return Cluster(console, ClusterRenderer(own, console, spread_all=True), lanes, truth)
 
     return make

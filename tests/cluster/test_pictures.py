@@ -27,6 +27,7 @@ from carina.render import (
     TreeView,
     TriPlaneView,
     XrayView,
+    build_info,
     can_cut,
     transfer_preset,
 )
@@ -97,6 +98,7 @@ def machines(case):
         except RenderError:
             continue
         found[simd] = renderer
+    assert {"portable", build_info()["simd"]} <= set(found), "an instruction set of this machine was not compared"
     found["no maps"] = case.renderer(prepared=False)
     return found
 
@@ -171,6 +173,16 @@ def _wait_ready(made, num: int | None = None) -> None:
             return
         time.sleep(0.005)
     raise AssertionError(made.console.status())
+
+
+def _wait_loaded(made) -> None:
+    """Until all lanes hold the newest content, and not only some."""
+    for _ in range(2000):
+        newest = made.renderer._sent[1]
+        if all(made.console._members[lane.name].loaded == newest for lane in made.lanes):
+            return
+        time.sleep(0.005)
+    raise AssertionError("a lane does not get the new content")
 
 
 def _airway(case, **changes) -> AirwayView:
@@ -267,12 +279,21 @@ def test_a_renderer_that_joins_during_a_flight_takes_its_part(case, cluster, con
 def test_another_transfer_function_is_shown_by_all_or_none(case, cluster):
     made = cluster(simds=("portable", None))
     _wait_ready(made)
+    shown = made.truth.render(_airway(case)).rgb
     for name in ("see-through", "endoscopic", "ct-grey", "paper"):
-        made.renderer.set_transfer(transfer_preset(name))
+        made.truth.set_transfer(transfer_preset(name))
+        made.truth.prepare()
         expected = made.truth.render(_airway(case)).rgb
+        assert not np.array_equal(expected, shown), "the change would not be seen"
+        shown = expected
+        made.renderer.set_transfer(transfer_preset(name))
         assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
-        made.renderer.prepare()
-        assert np.array_equal(made.renderer.render(_airway(case)).rgb, made.truth.render(_airway(case)).rgb)
+        _wait_ready(made)
+        _wait_loaded(made)
+        before = [lane.trouble.num_orders for lane in made.lanes]
+        assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
+        grown = [lane.trouble.num_orders > n for lane, n in zip(made.lanes, before, strict=True)]
+        assert grown == [True, True], "both lanes render what is shown now"
 
 
 def test_many_threads_may_ask_at_once(case, cluster):
