@@ -21,7 +21,7 @@ import { nextStopMm } from "../state/route";
 import { isBrush } from "../state/tools";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
 import { wallPointLines } from "../state/wall-point";
-import { shapeOf } from "../views/outline";
+import { clipPathOf, shapeOf } from "../views/outline";
 import type { HeldScope, StateMessage } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, Choice, SwitchKey, Tip } from "./controls";
@@ -58,11 +58,13 @@ export function AirwayStage() {
   );
 }
 
-/** Red where the lens lies on the wall. */
+/** Red where the lens lies on the wall: the picture alone, not its ring and letters. */
 function RedOut() {
   const red = useApp((state) => state.pose?.scope?.red_out ?? 0);
+  const shape = shapeOf(useApp(maskOf));
   if (red <= 0) return null;
-  return <div className="red-out" style={{ opacity: red }} data-testid="red-out" aria-hidden="true" />;
+  const style = { opacity: red, clipPath: clipPathOf(shape) };
+  return <div className="red-out" data-shape={shape} style={style} data-testid="red-out" aria-hidden="true" />;
 }
 
 /** What a held scope does, and why it does not go on. */
@@ -335,7 +337,8 @@ function Readings() {
         {pose.inside ? (
           <strong>{pose.branch_name ?? node?.label ?? (tree === null ? "In the volume" : "Airway")}</strong>
         ) : (
-          <strong className="warning-text">Outside the airway</strong>
+          // A held scope does not leave the lumen: its lens lies on the wall, in a voxel that is half wall.
+          <strong className="warning-text">{pose.scope === null ? "Outside the airway" : "At the wall"}</strong>
         )}
         {pose.generation === null ? null : <span>generation {pose.generation}</span>}
         {node?.branch.kind === "bridge" ? <span className="warning-text">bridge: no airway on the CT</span> : null}

@@ -19,6 +19,7 @@ import type { DeviceControls, DeviceInfo, DevicesMessage } from "../wire/message
 import { useApp, useStation } from "./context";
 import { Act, SwitchKey } from "./controls";
 import type { CalibrationPair } from "./devices";
+import { Icon } from "./icons";
 
 const CONTROLS = [
   ["absolute", "Absolute", "The pen's place in the patient; needs a calibration"],
@@ -88,21 +89,21 @@ function Movement({ told }: { told: DevicesMessage }) {
           onChange={() => change({ filter_on: !told.controls.filter_on })}
         />
       </p>
-      <Slide
+      <Figure
         words="Steadier"
         unit="Hz"
         value={told.controls.min_cutoff_hz}
         choices={[2, 5, 10, 20, 50]}
         onChange={(min_cutoff_hz) => change({ min_cutoff_hz })}
       />
-      <Slide
+      <Figure
         words="Gain"
         unit="x"
         value={told.controls.gain_mm}
         choices={[0.25, 0.5, 1, 2, 4]}
         onChange={(gain_mm) => change({ gain_mm })}
       />
-      <Slide
+      <Figure
         words="Speed"
         unit="mm/s"
         value={told.controls.speed_mm_s}
@@ -125,7 +126,7 @@ function Movement({ told }: { told: DevicesMessage }) {
   );
 }
 
-interface SlideProps {
+interface FigureProps {
   words: string;
   unit: string;
   value: number;
@@ -133,7 +134,7 @@ interface SlideProps {
   onChange: (value: number) => void;
 }
 
-function Slide({ words, unit, value, choices, onChange }: SlideProps) {
+function Figure({ words, unit, value, choices, onChange }: FigureProps) {
   const known = choices.includes(value) ? choices : [...choices, value].sort((a, b) => a - b);
   return (
     <Select
@@ -142,8 +143,9 @@ function Slide({ words, unit, value, choices, onChange }: SlideProps) {
       onSelectionChange={(key) => (key === null || Number(key) === value ? undefined : onChange(Number(key)))}
     >
       <Label>{words}</Label>
-      <Button className="plain-text">
+      <Button className="button">
         <SelectValue>{() => `${value} ${unit}`}</SelectValue>
+        <Icon name="down" />
       </Button>
       <Popover className="popover" offset={4}>
         <ListBox className="listbox">
