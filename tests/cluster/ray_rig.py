@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -44,11 +44,31 @@ class Head:
 
     node: Node
     token: Path
+    seen: dict[int, str] = field(default_factory=dict)
+    """All it has started, as far as somebody looked."""
+    left: list[str] = field(default_factory=list)
+    """What of that is alive after the head was stopped, and should not be."""
+
+    def look(self) -> None:
+        """Remember who runs now: whose parent has died is not found any more."""
+        self.seen |= descendants(self.node.process.pid)
+
+
+def alive(tree: dict[int, str]) -> list[str]:
+    """Names of those that still run; one that is only not waited for by its new parent does not."""
+    found = []
+    for pid, began in tree.items():
+        with contextlib.suppress(OSError):
+            name, _, rest = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")
+            fields = rest.split()
+            if fields[19] == began and fields[0] not in "ZX":
+                found.append(f"{name})")
+    return found
 
 
 @contextlib.contextmanager
 def running_head(renderers: int) -> Iterator[Head]:
-    """A head with renderers; ended, with all it has started."""
+    """A head with renderers; ended, with all it has started. ``left`` then says who had to be ended here."""
     # Not pytest's own folder: Ray puts sockets in it, whose paths must be short.
     folder = Path(tempfile.mkdtemp(prefix="carina-ray-"))
     token = make_token(folder / "token")
@@ -63,14 +83,16 @@ def running_head(renderers: int) -> Iterator[Head]:
         temp_dir=folder / "ray",
         log=folder / "log",
     )
-    tree: dict[int, str] = {}
+    head = Head(node, token)
     try:
         node.wait_ready()
-        yield Head(node, token)
-        tree = descendants(node.process.pid)
+        yield head
     finally:
+        head.look()
+        # Gives Ray's agents 5 s and then ends them; nobody is left to be ended by the rig.
         node.stop()
-        reap(tree)
+        head.left = alive(head.seen)
+        reap(head.seen)
         shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -103,15 +125,20 @@ class Flight:
         members = self.console.status().members
         return [m.name for m in members if m.state == "ready" and m.name != "console"]
 
-    def check(self, picture: Picture) -> None:
-        """Every row is what a stand-in shows for it, or, where nobody else could in time, the console's own."""
+    def check(self, picture: Picture) -> float:
+        """Every row is what a stand-in shows for it, or, where nobody else could in time, the console's own.
+
+        Returns how much of it is the stand-ins', 0 to 1.
+        """
         assert picture.rgb.shape == (VIEW.height, VIEW.width, 3)
         if self._truth is None or self._truth[0] != self.content:
             own = Renderer(self.renderer.volume).render(VIEW).rgb
             self._truth = (self.content, stand_in_pixels(VIEW, None, self.content), own)
         _, stood_in, own = self._truth
-        right = np.all(picture.rgb == stood_in, axis=(1, 2)) | np.all(picture.rgb == own, axis=(1, 2))
+        theirs = np.all(picture.rgb == stood_in, axis=(1, 2))
+        right = theirs | np.all(picture.rgb == own, axis=(1, 2))
         assert right.all(), f"rows {np.flatnonzero(~right)} are wrong"
+        return float(theirs.mean())
 
     def lane(self, name: str):
         """One renderer's lane."""
@@ -153,5 +180,6 @@ def flying(
         wait_for(lambda: len(flight.ready()) >= num)
         yield flight
     finally:
+        head.look()
         cluster.close()
         console.close()
