@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import carina as api
+from carina.cli.along import way_to
 from carina.navigate import AutoFlight
+from carina.navigate.recording import ReplayedPose, sampled
+from carina.navigate.rotation import rotation_from_vector
 from carina.render import read_png_pose
+from carina.scopes import DEFAULT_SCOPE
 from small_case import small_bench
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
@@ -29,6 +34,24 @@ def read_video(path):
         stream = container.streams.video[0]
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
         return frames, stream.codec_context.name, float(stream.average_rate), container.duration / 1e6
+
+
+def differs(a, b):
+    """Mean difference of two pictures, of 255."""
+    return np.abs(np.asarray(a, dtype=int) - np.asarray(b, dtype=int)).mean()
+
+
+def still(carina, ct, pose, size, output, *, scope=DEFAULT_SCOPE):
+    """The picture that ``carina render`` makes from there."""
+    look, up = pose.lps_from_camera[:3, 2], -pose.lps_from_camera[:3, 1]
+    ended = carina(
+        "render", ct, *(f"--{name}=" + ",".join(repr(float(v)) for v in value)
+                        for name, value in (("at", pose.position_lps), ("look", look), ("up", up))),
+        "--size", f"{size[0]}x{size[1]}", "--scope", scope, "--step-vox", "1", "-o", output,
+    )  # fmt: skip
+    assert ended.code == 0, ended.err
+    with av.open(str(output)) as container:
+        return next(container.decode(video=0)).to_ndarray(format="rgb24")
 
 
 VIDEOS = [("a.mp4", "h264", (96, 64)), ("odd.mp4", "h264", (81, 63)), ("a.webm", "vp9", (81, 63))]
@@ -54,19 +77,31 @@ def test_a_flight_along_a_route_has_its_length_size_and_number_of_frames(carina,
     # It is a picture of an airway, in its colours, and it changes.
     assert frames[0].std() > 10
     assert frames[0][..., 0].mean() > frames[0][..., 2].mean()
-    assert np.abs(frames[0].astype(int) - frames[len(frames) // 2]).mean() > 1
+    assert differs(frames[0], frames[len(frames) // 2]) > 1
+    first = way_to(api.open_volume(ct), "1", tree_file=tree, progress=lambda *_: None).path.pose_at(0.0)
+    # It begins where the route does: what is left is the codec's.
+    assert differs(frames[0], frames[-1]) > 8
+    assert differs(frames[0], still(carina, ct, first, size, tmp_path / "s.png")) < 4
 
 
 def test_key_frames_are_flown(carina, ct, tree, tmp_path):
     root = json.loads(tree.read_text())["branches"][0]["points"]
     flight = AutoFlight(api.FlightPath(root), speed_mm_s=50.0, pause_s=0.0)
-    keys = [{"time_s": t, "lps_from_camera": flight.pose_at(t).lps_from_camera.tolist()} for t in (0.0, 0.3, 0.5)]
+    poses = {t: flight.pose_at(t).lps_from_camera.copy() for t in (0.0, 0.3, 0.5)}
+    # In between it looks at the wall.
+    poses[0.3][:3, :3] @= rotation_from_vector(np.array([0.0, 1.2, 0.0]))
+    keys = [{"time_s": t, "lps_from_camera": matrix.tolist()} for t, matrix in poses.items()]
     document = tmp_path / "keys.json"
     document.write_text(json.dumps({"format": "carina-keys", "version": 1, "keys": keys}))
     output = tmp_path / "k.mp4"
     ended = carina("fly", ct, "--keys", document, "-o", output, "--size", "64x64", "--rate", "10", "--step-vox", "1")
     assert ended.code == 0, ended.err
-    assert len(read_video(output)[0]) == 5
+    frames, *_ = read_video(output)
+    assert len(frames) == 5
+    assert differs(frames[0], frames[3]) > 8
+    for n, time_s in ((0, 0.0), (3, 0.3)):
+        shown = still(carina, ct, api.Pose(poses[time_s]), (64, 64), tmp_path / "s.png")
+        assert differs(frames[n], shown) < 4
     document.write_text('{"format": "carina-keys", "version": 1, "keys": [{"time_s": 0}]}')
     assert carina("fly", ct, "--keys", document, "-o", output).code == 3
 
@@ -89,7 +124,8 @@ def test_a_recording_of_this_case_becomes_a_video_of_its_length(carina, ct, tmp_
     bench.session.open_volume(volume)
     bench.background.run_next()
     root = json.loads((ct.parent / "truth.json").read_text())["branches"][0]["points"]
-    bench.session.place_pose(api.Pose.looking(root[0], np.subtract(root[-1], root[0])))
+    began = api.Pose.looking(root[0], np.subtract(root[-1], root[0]))
+    bench.session.place_pose(began)
     bench.session._case.history.amend_current(lambda d: d.__class__(transfer=api.transfer_preset("endoscopic")))
     bench.session.start_recording(tmp_path / "r.jsonl")
     for _ in range(25):
@@ -108,6 +144,53 @@ def test_a_recording_of_this_case_becomes_a_video_of_its_length(carina, ct, tmp_
     frames, *_ = read_video(output)
     assert len(frames) == 20
     assert frames[0].shape == (72, 72, 3)
+    assert differs(frames[0], frames[-1]) > 8
+    assert differs(frames[0], still(carina, ct, began, (72, 72), tmp_path / "s.png")) < 4
+
+
+def test_a_frame_shows_the_newest_moment_that_is_not_later():
+    moments = [ReplayedPose(t, api.Pose(np.eye(4)), {"n": n}) for n, t in enumerate((0.0, 0.1, 0.1, 0.3, 0.5))]
+    times = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.49, 0.5, 9.0])
+    assert [moment.view["n"] for moment in sampled(moments, times)] == [0, 0, 2, 2, 3, 3, 4, 4]
+    # What begins later than the video is shown from the start.
+    assert sampled(moments[3:], np.array([0.0])) == [moments[3]]
+
+
+def test_a_recording_of_a_held_scope_is_flown_with_its_wall(carina, ct, tmp_path):
+    def find_airways(volume, *, root_lps, lumen_threshold, progress, cancel):
+        return api.find_airways(volume, root_lps=root_lps, progress=progress, cancel=cancel)
+
+    bench = small_bench(find_airways=find_airways)
+    session = bench.session
+    session.open_volume(api.open_volume(ct))
+    bench.background.run_all()
+    session._case.history.amend_current(lambda d: replace(d, transfer=api.transfer_preset("endoscopic")))
+    session.set_scope("ultrathin")
+    session.go_to(30.0)
+    session.set_mode("scope")
+    bench.background.run_all()
+    assert session.snapshot().mode == "scope"
+    began = session.pose_info().pose
+    session.start_recording(tmp_path / "r.jsonl")
+    for _ in range(10):
+        bench.clock.advance(0.1)
+        session.steer(2.0, 0.0, 0.2, 0.1)
+    assert session.pose_info().scope.contact is not None, "the wall holds it"
+    session.stop_recording()
+    session.close()
+    output = tmp_path / "r.mp4"
+    ended = carina(
+        "fly", ct, "--recording", tmp_path / "r.jsonl", "-o", output, "--size", "48x48", "--rate", "2",
+        "--step-vox", "1", "--json",
+    )  # fmt: skip
+    assert ended.code == 0, ended.err
+    said = ended.json()
+    assert said["num_moments"] > 10
+    assert said["num_different"] == 0
+    frames, *_ = read_video(output)
+    assert len(frames) == 2
+    assert differs(frames[0], frames[-1]) > 8
+    assert differs(frames[0], still(carina, ct, began, (48, 48), tmp_path / "s.png", scope="ultrathin")) < 4
 
 
 @pytest.mark.parametrize(
