@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import itertools
 import math
 import socket
 import struct
+import sys
 import threading
 import time
 
@@ -291,3 +293,35 @@ def test_a_peer_that_sends_noise_or_goes_does_not_end_the_server():
             assert received(peer)
     finally:
         server.stop()
+
+
+@pytest.mark.parametrize("reads", [True, False])
+def test_the_server_ends_while_a_peer_is_connected(reads, monkeypatch):
+    if sys.version_info < (3, 12):
+
+        async def wait_closed(self):
+            # As from Python 3.12 on: until the last connection is closed.
+            while self._active_count:
+                await asyncio.sleep(0.005)
+
+        monkeypatch.setattr(asyncio.base_events.Server, "wait_closed", wait_closed)
+    pixels = np.zeros((1500, 2000, 3), dtype=np.uint8)  # more than the sockets hold
+    server = IgtlServer(lambda: np.eye(4), picture=lambda: pixels, port=0)
+    server.start()
+    with socket.create_connection(("127.0.0.1", server.port)) as peer:
+        assert peer.recv(10)
+        if not reads:
+            for _ in range(10):
+                peer.sendall(pack_message("GET_IMAGE", "v", b""))
+
+            def held_up() -> bool:
+                # At 60 poses a second.
+                sent = server.num_sent
+                threading.Event().wait(0.2)
+                return server.num_sent == sent
+
+            wait_for(held_up)
+        ending = threading.Thread(target=server.stop, daemon=True)
+        ending.start()
+        ending.join(5.0)
+        assert not ending.is_alive()

@@ -26,6 +26,7 @@ RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 TIP_NAME = "CarinaTip"
 PICTURE_NAME = "CarinaView"
 MAX_PEERS = 8
+CLOSING_S = 1.0
 
 
 class IgtlClient(Source):
@@ -159,33 +160,42 @@ class IgtlServer:
     async def _serve(self) -> None:
         self._loop, self._task = asyncio.get_running_loop(), asyncio.current_task()
         peers: set[asyncio.Task[None]] = set()
+        ending = False
 
         async def met(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             task = asyncio.current_task()
             assert task is not None
-            if len(peers) >= MAX_PEERS:
+            if ending or len(peers) >= MAX_PEERS:
                 writer.close()
                 return
             peers.add(task)
             self.num_peers = len(peers)
             try:
                 await self._talk(reader, writer)
+                # What was packed for a peer that sends no more is still its own.
+                writer.close()
+                async with asyncio.timeout(CLOSING_S):
+                    await writer.wait_closed()
             except (OSError, ProtocolError, asyncio.CancelledError):
                 pass  # this peer is gone, or speaks something else
             finally:
-                writer.close()
+                # One that does not read would keep a connection open that waits to be flushed.
+                writer.transport.abort()
                 peers.discard(task)
                 self.num_peers = len(peers)
 
         server = await asyncio.start_server(met, sock=self._socket)
         self._ready.set()
-        try:
-            async with server:
+        async with server:
+            try:
                 await asyncio.Event().wait()
-        finally:
-            for peer in peers:
-                peer.cancel()
-            await asyncio.gather(*peers, return_exceptions=True)
+            finally:
+                # Before the server's own end, which from Python 3.12 on waits for all connections.
+                ending = True
+                server.close()
+                for peer in peers:
+                    peer.cancel()
+                await asyncio.gather(*peers, return_exceptions=True)
 
     async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         sending = asyncio.Lock()
