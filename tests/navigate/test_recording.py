@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import itertools
 import json
 import math
 import random
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from carina.errors import UsageError, VolumeImportError
+from carina.errors import CarinaError, UsageError, VolumeImportError
 from carina.navigate import (
     AutoFlight,
     AxesSample,
@@ -27,7 +30,7 @@ from carina.navigate import moves as m
 from carina.navigate.auto_flight import frame_times_s
 from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
 from carina.scopes import Pose
-from carina.session import Session
+from carina.session import Session, Trouble
 from small_case import Clock, small_bench, small_volume
 
 VOLUME = small_volume()
@@ -189,6 +192,102 @@ def test_the_recorder_keeps_no_patient_data(flown, tmp_path):
     assert len(text.splitlines()) > 500
     assert VOLUME.source.title not in text
     assert str(tmp_path) not in text
+
+
+class FullDisk(io.StringIO):
+    """A file for which there is room or none."""
+
+    full = False
+
+    def write(self, text: str) -> int:
+        if self.full:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(text)
+
+    def flush(self) -> None:
+        if self.full:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def full_disk():
+    """A file whose disk is full, of the system's where it has one."""
+    device = Path("/dev/full")
+    if device.exists():
+        return device.open("w", encoding="utf-8")
+    file = FullDisk()
+    file.full = True
+    return file
+
+
+def recorded_to(session: Session, path: Path, file) -> None:
+    session.start_recording(path)
+    session._recorder._file.close()
+    session._recorder._file = file
+
+
+def troubles(session: Session) -> list[Trouble]:
+    found: list[Trouble] = []
+    session.subscribe(lambda event: found.append(event) if isinstance(event, Trouble) else None)
+    return found
+
+
+@pytest.mark.parametrize("made", [full_disk, FullDisk])
+def test_a_full_disk_ends_the_recording_with_one_sentence_and_the_flight_goes_on(flown, tmp_path, made):
+    session, clock = flown
+    said = troubles(session)
+    file = made()
+    recorded_to(session, tmp_path / "a.jsonl", file)
+    file.full = True
+    before = session.pose_info().pose
+    fly(session, clock)
+    assert session.pose_info().pose is not before
+    (trouble,) = said
+    assert trouble.code == "machine"
+    assert "the recording ended: No space left on device" in trouble.message
+    assert session.recording_path is None
+    assert file.closed
+    # And another one can be made.
+    session.start_recording(tmp_path / "b.jsonl")
+    session.stop_recording()
+    assert open_recording(tmp_path / "b.jsonl").complete
+    assert len(said) == 1
+
+
+@pytest.mark.parametrize("end", ["stop_recording", "close_case"])
+def test_a_disk_that_is_full_at_the_end_of_a_recording_is_said_and_stops_nothing(flown, tmp_path, end):
+    session, _ = flown
+    said = troubles(session)
+    recorded_to(session, tmp_path / "a.jsonl", full_disk())
+    getattr(session, end)()
+    assert ["the recording ended" in trouble.message for trouble in said] == [True]
+    assert session.recording_path is None
+
+
+def test_a_case_is_opened_though_the_recording_of_the_last_cannot_be_ended(tmp_path):
+    bench = small_bench()
+    bench.open()
+    before = bench.session.snapshot().case
+    recorded_to(bench.session, tmp_path / "a.jsonl", full_disk())
+    bench.open()
+    assert bench.session.snapshot().case is not before
+    bench.session.close()
+
+
+def test_a_recording_that_cannot_begin_is_refused_and_leaves_no_file(flown, tmp_path, monkeypatch):
+    session, _ = flown
+    file = full_disk()
+
+    def opened(path, *args, **kwargs):
+        path.touch()
+        return file
+
+    monkeypatch.setattr(Path, "open", opened)
+    with pytest.raises(CarinaError, match="No space left"):
+        session.start_recording(tmp_path / "a.jsonl")
+    assert session.recording_path is None
+    assert file.closed
+    assert not (tmp_path / "a.jsonl").exists()
+    session.steer(1.0, 0.0, 0.0, 0.0)
 
 
 # ------------------------------------------------------------ flights that nobody steers

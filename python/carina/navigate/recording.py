@@ -6,11 +6,12 @@ end. Poses are there to compare with: a replay feeds the moves to a pilot again,
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
@@ -62,12 +63,30 @@ class Recorder:
         The clock of the moves, at the beginning.
     view
         How the airway view is shown, as JSON values.
+    on_end
+        Told once if the file cannot be written any more: the recording has ended there, and the flight goes on.
+
+    Raises
+    ------
+    OSError
+        If not even the beginning can be written; the file is closed then.
     """
 
     def __init__(
-        self, pilot: Pilot, file: TextIO, *, case: dict[str, Any], carina: str, now_s: float, view: dict[str, Any]
+        self,
+        pilot: Pilot,
+        file: TextIO,
+        *,
+        case: dict[str, Any],
+        carina: str,
+        now_s: float,
+        view: dict[str, Any],
+        on_end: Callable[[OSError], None] | None = None,
     ) -> None:
         self._pilot, self._file, self._began_s = pilot, file, now_s
+        self._on_end: Callable[[OSError], None] | None = None
+        self.trouble: OSError | None = None
+        """Why the recording ended before it was closed."""
         self._pose: Pose | None = None
         self._view: dict[str, Any] = {}
         self._at_s = now_s
@@ -84,6 +103,15 @@ class Recorder:
             }
         )
         self.note_view(view, now_s)
+        if self.trouble is None:
+            try:
+                # A full disk is said now, and not when the buffer is.
+                file.flush()
+            except OSError as trouble:
+                self._end(trouble)
+        if self.trouble is not None:
+            raise self.trouble
+        self._on_end = on_end
         pilot.on_move = self._moved
 
     @property
@@ -102,13 +130,14 @@ class Recorder:
         self._at_s = max(self._at_s, now_s)
 
     def close(self) -> None:
-        """Write the end and close the file."""
+        """Write the end and close the file; a file that cannot be written is told of, and raises nothing."""
         self._pilot.on_move = None
-        end = {"end": self._time(self._at_s), "num_moves": self.num_moves, "num_poses": self.num_poses}
-        try:
-            self._write(end)
-        finally:
-            self._file.close()
+        self._write({"end": self._time(self._at_s), "num_moves": self.num_moves, "num_poses": self.num_poses})
+        if self.trouble is None:
+            try:
+                self._file.close()
+            except OSError as trouble:
+                self._end(trouble)
 
     def _moved(self, move: m.Move) -> None:
         if isinstance(move, m.DeviceSaid | m.Frame):
@@ -130,7 +159,21 @@ class Recorder:
         return round(max(0.0, now_s - self._began_s), 6)
 
     def _write(self, value: dict[str, Any]) -> None:
-        self._file.write(json.dumps(value, allow_nan=False, separators=(",", ":")) + "\n")
+        if self.trouble is not None:
+            return
+        try:
+            self._file.write(json.dumps(value, allow_nan=False, separators=(",", ":")) + "\n")
+        except OSError as trouble:
+            self._end(trouble)
+
+    def _end(self, trouble: OSError) -> None:
+        """Whoever moves the tip must not hear of a full disk."""
+        self.trouble = trouble
+        self._pilot.on_move = None
+        with contextlib.suppress(OSError):
+            self._file.close()
+        if self._on_end is not None:
+            self._on_end(trouble)
 
 
 @dataclass(frozen=True, slots=True)

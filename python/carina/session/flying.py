@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -175,14 +176,21 @@ class Flying(SessionCore):
             words = f"the recording cannot be written to {path}: {trouble.strerror}"
             raise CarinaError(words, code="machine") from trouble
         with self._lock:
-            self._recorder = Recorder(
-                case.pilot,
-                file,
-                case=key,
-                carina=carina.__version__,
-                now_s=self._clock(),
-                view=view_words(case.document),
-            )
+            try:
+                self._recorder = Recorder(
+                    case.pilot,
+                    file,
+                    case=key,
+                    carina=carina.__version__,
+                    now_s=self._clock(),
+                    view=view_words(case.document),
+                    on_end=self._recording_ended,
+                )
+            except OSError as trouble:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+                words = f"the recording cannot be written to {path}: {trouble.strerror}"
+                raise CarinaError(words, code="machine") from trouble
             self._recording_path, self._recorded_case = path, case
             if case.navigator.scope_state is not None:
                 # A replay begins with the scope laid anew, so that it can begin at all.
@@ -197,9 +205,18 @@ class Flying(SessionCore):
                 return None
             recorder.tick(self._clock())
             recorder.close()
-            self._emit(Said(f"{recorder.length_s:.0f} s were recorded to {self._recording_path}"))
-            self._changed("state")
+            if recorder.trouble is None:
+                self._emit(Said(f"{recorder.length_s:.0f} s were recorded to {self._recording_path}"))
+                self._changed("state")
             return self._recording_path
+
+    def _recording_ended(self, trouble: OSError) -> None:
+        """The file cannot be written any more, with the session locked; the flight goes on."""
+        self._recorder = None
+        why = trouble.strerror or str(trouble)
+        words = f"the recording ended: {why}; what was recorded before is in {self._recording_path}"
+        self._emit(Trouble("machine", words))
+        self._changed("state")
 
     def close(self) -> None:
         """End a recording, and stop all jobs."""
