@@ -200,3 +200,24 @@ def test_controls_change_the_filters_delay_that_is_shown(desk):
 
 def vars_of(value) -> dict:
     return {name: getattr(value, name) for name in value.__dataclass_fields__}
+
+
+def test_a_frame_that_fails_is_logged_once_and_the_next_ones_are_flown(desk, monkeypatch, caplog):
+    made, bench, _ = desk
+    frame, num_failed = bench.session.device_frame, 0
+
+    def failing():
+        nonlocal num_failed
+        bench.session.device_woken.clear()
+        num_failed += 1
+        raise RuntimeError("a fault of ours")
+
+    monkeypatch.setattr(bench.session, "device_frame", failing)
+    for n in range(1, 4):
+        bench.session.device_woken.set()
+        wait_for(lambda n=n: num_failed >= n)
+    monkeypatch.setattr(bench.session, "device_frame", frame)
+    before = bench.session.pose_info().pose
+    made.handle(stick(time.monotonic(), 1.0))
+    wait_for(lambda: bench.session.pose_info().pose is not before)
+    assert [r.levelname for r in caplog.records if "a frame of the devices failed" in r.message] == ["ERROR"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -14,8 +15,11 @@ from carina.navigate import AxesSample, Controls, DeviceState, FilterSettings, H
 from carina.navigate.devices import IgtlServer, Listener, Source, found_ports, open_source
 from carina.server import messages as wire
 from carina.session import Session
+from carina.session.jobs import log_fault
 
 __all__ = ["DeviceDesk"]
+
+logger = logging.getLogger(__name__)
 
 # The tip follows devices so often at most: twice the rate of screens, below that of trackers.
 FRAME_S = 1.0 / 125.0
@@ -52,6 +56,7 @@ class DeviceDesk:
         self._watched = False
         self._shown_s = 0.0
         self._ports: tuple[tuple[str, ...], str | None] = ((), None)
+        self._fault_logged = False
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="carina-devices", daemon=True)
 
@@ -198,10 +203,17 @@ class DeviceDesk:
             if self._ended.is_set():
                 return
             began_s = time.monotonic()
-            moving = self._session.device_frame()
-            if self._watched and began_s - self._shown_s >= SHOWN_EVERY_S:
-                self._shown_s = began_s
-                self._show()
+            try:
+                moving = self._session.device_frame()
+                if self._watched and began_s - self._shown_s >= SHOWN_EVERY_S:
+                    self._shown_s = began_s
+                    self._show()
+            except Exception as trouble:
+                # The next frame may do; without this thread no device moves anything any more.
+                moving = False
+                if not self._fault_logged:
+                    self._fault_logged = True
+                    log_fault(logger, "a frame of the devices failed; they go on", trouble)
             # A flood of samples makes no more frames than these.
             self._ended.wait(max(0.0, FRAME_S - (time.monotonic() - began_s)))
 
