@@ -294,3 +294,53 @@ def test_what_is_no_move_is_refused(value):
     with pytest.raises(UsageError) as refused:
         m.move_from_json(value)
     assert refused.value.code == "navigate.recording"
+
+
+def step(hand: Hand, sample, now_s: float) -> None:
+    hand.pilot.apply(m.DeviceSaid("pen", sample, now_s))
+    hand.pilot.apply(m.Frame(now_s))
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda time_s, mm: HandleSample(time_s, mm, 0.0, 0.0),
+        lambda time_s, mm: PoseSample(time_s, (0.0, 0.0, mm), (1.0, 0.0, 0.0, 0.0)),
+    ],
+)
+def test_a_device_that_starts_again_elsewhere_does_not_throw_the_tip(made):
+    hand = Hand()
+    step(hand, made(100.0, 300.0), 1.0)
+    step(hand, made(100.01, 301.0), 1.01)
+    at = hand.pose
+    # Its clock and its origin begin anew; half a second later the gate believes it.
+    for n in range(60):
+        step(hand, made(0.01 * n, 0.0), 1.02 + 0.01 * n)
+    assert moved(hand.pose, at) == 0.0
+    step(hand, made(0.6, 2.0), 1.63)
+    assert moved(hand.pose, at) == pytest.approx(2.0)
+
+
+def test_a_pen_that_comes_back_after_a_gap_does_not_throw_the_tip():
+    hand = Hand()
+    for control in ("relative", "absolute"):
+        hand.pilot.apply(m.Calibrate("pen", tuple(np.eye(4).ravel())))
+        hand.pilot.apply(m.SetControl(control))
+        hand.pen()
+        hand.pen((0.0, 0.0, 1.0))
+        at = hand.pose
+        hand.now += 0.4
+        hand.pen((200.0, 0.0, 1.0))
+        assert moved(hand.pose, at) == 0.0
+        hand.pen((200.0, 0.0, 2.0))
+        assert 0.5 < moved(hand.pose, at) < 2.0
+        hand.now += 1.0
+
+
+def test_frames_that_see_a_sample_twice_or_late_follow_it_once():
+    hand = Hand()
+    for n in range(5):
+        hand.pen((0.0, 0.0, float(n)))
+        for _ in range(3):
+            hand.pilot.apply(m.Frame(hand.now))
+    np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -9.0], atol=1e-9)

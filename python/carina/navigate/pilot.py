@@ -14,7 +14,7 @@ from carina.errors import UsageError
 from carina.navigate import moves as m
 from carina.navigate.flight_path import FlightPath
 from carina.navigate.navigator import EASE_MM_PER_MM, EASE_RAD_PER_MM, Navigator, eased
-from carina.navigate.one_euro import SampleFilter
+from carina.navigate.one_euro import MAX_GAP_S, SampleFilter
 from carina.navigate.registration import Registration, as_registration
 from carina.navigate.rotation import (
     orthonormal,
@@ -371,6 +371,9 @@ class Pilot:
             return
         newest = device.newest
         last = self._followed[1] if self._followed is not None and self._followed[0] == holder else None
+        if last is not None and not 0.0 <= newest.time_s - last.time_s <= MAX_GAP_S:
+            # A handle that started again counts from elsewhere; after a gap the hand is elsewhere. Neither moved.
+            last = None
         self._followed = (holder, newest)
         match newest:
             case AxesSample():
