@@ -125,6 +125,7 @@ def test_a_wrong_checksum_costs_its_message_only():
         (b"\0" * 48, "TRANSFORM"),
         (struct.pack(">12f", *[math.nan] * 12), "TRANSFORM"),
         (b"\0" * 47, "TRANSFORM"),
+        (struct.pack(">12f", 1, 0, 0, 0, 1, 0, 0, 0, -1, 0, 0, 0), "TRANSFORM"),  # a mirror
         (b"\0" * 13, "POSITION"),
         (b"\0" * 51, "QTDATA"),
     ],

@@ -174,6 +174,9 @@ def _poses(kind: str, name: str, time_s: float, content: bytes) -> list[IgtlPose
         # Nine numbers in f32: anything that is no rotation is refused, since no quaternion stands for it.
         if not np.isfinite(rotation).all() or np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-3:
             raise ValueError("no rotation")
+        # Within that bound of orthonormal, the determinant is near 1 or near -1.
+        if np.linalg.det(rotation) < 0.0:
+            raise ValueError("a mirror, for which no quaternion stands either")
         return [IgtlPose(name, time_s, _three(values[9:]), wxyz_from_rotation(rotation))]
     if kind == "POSITION":
         if len(content) == 12:
