@@ -326,3 +326,38 @@ def test_the_server_ends_while_a_peer_is_connected(reads, monkeypatch):
         ending.start()
         ending.join(5.0)
         assert not ending.is_alive()
+
+
+def test_a_connection_that_says_nothing_is_opened_again():
+    heard = Heard()
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        listening.settimeout(8.0)
+        client = IgtlClient("127.0.0.1", listening.getsockname()[1], heard.listener, silence_s=0.2)
+        client.RETRY_S = 0.05
+        client.start()
+        try:
+            silent, _ = listening.accept()
+            silent.sendall(pack_transform("Pen", np.eye(4), time_s=1.0))
+            wait_for(lambda: len(heard.samples) == 1)
+            # No farewell: as after the peer lost its power.
+            again, _ = listening.accept()
+            assert heard.gone[0].endswith("/Pen")
+            again.sendall(pack_transform("Pen", np.eye(4), time_s=2.0))
+            wait_for(lambda: len(heard.samples) == 2)
+            wait_for(lambda: "nothing came for 0.2 s" in client.status().words)
+            silent.close()
+            again.close()
+        finally:
+            client.stop()
+
+
+def test_a_name_that_is_none_ends_no_source():
+    heard = Heard()
+    client = IgtlClient("a" * 64 + "..b", 18944, heard.listener)
+    client.RETRY_S = 0.02
+    client.start()
+    try:
+        wait_for(lambda: len(heard.gone) >= 2)
+        assert "UnicodeError" in wait_for(lambda: client.status().words)
+    finally:
+        client.stop()

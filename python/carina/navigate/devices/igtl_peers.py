@@ -21,6 +21,7 @@ __all__ = ["DEFAULT_PORT", "IgtlClient", "IgtlServer"]
 
 DEFAULT_PORT = 18944
 CHUNK = 1 << 16
+SILENCE_S = 5.0
 # RAS is what 3D Slicer expects; ours is LPS.
 RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 TIP_NAME = "CarinaTip"
@@ -38,6 +39,8 @@ class IgtlClient(Source):
         Of the server.
     tool
         Only this one; None takes all.
+    silence_s
+        A connection that says nothing for so long is opened again: a peer that lost its power says no farewell.
     """
 
     def __init__(
@@ -47,10 +50,12 @@ class IgtlClient(Source):
         listener: Listener,
         *,
         tool: str | None = None,
+        silence_s: float = SILENCE_S,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(f"openigtlink:{host}:{port}", "OpenIGTLink", listener, clock=clock)
         self._host, self._port, self._tool = host, port, tool
+        self._silence_s = silence_s
         self._loop: asyncio.AbstractEventLoop | None = None
         self._task: asyncio.Task[None] | None = None
         self._devices: set[str] = set()
@@ -69,7 +74,7 @@ class IgtlClient(Source):
         stream.num_bad = self.num_bad
         self._state, self._words = "live", "connected; no tool yet"
         try:
-            while data := await reader.read(CHUNK):
+            while data := await self._heard(reader):
                 for message in stream.feed(data):
                     if isinstance(message, IgtlPose) and self._tool in {None, message.name}:
                         self._words = ""
@@ -82,6 +87,13 @@ class IgtlClient(Source):
             for device in self._devices:
                 self._listener.gone(device)
             self._devices.clear()
+
+    async def _heard(self, reader: asyncio.StreamReader) -> bytes:
+        try:
+            async with asyncio.timeout(self._silence_s):
+                return await reader.read(CHUNK)
+        except TimeoutError:
+            raise TimeoutError(f"connected, and nothing came for {self._silence_s:g} s") from None
 
     def _told(self, pose: IgtlPose) -> None:
         device = f"{self.address}/{pose.name}"

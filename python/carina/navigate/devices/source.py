@@ -121,7 +121,10 @@ class Source(ABC):
                 self._connect_and_read()
                 words = "the connection ended"
             except (OSError, CarinaError) as trouble:
-                words = str(trouble)
+                words = str(trouble) or "no answer came in time"
+            except Exception as trouble:
+                # A fault of ours, or a name that is none: the source goes on, and its state says so.
+                words = f"{type(trouble).__name__}: {trouble}"
             if self._stopping.is_set():
                 break
             self._state, self._words = "lost", words
