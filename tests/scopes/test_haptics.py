@@ -156,9 +156,13 @@ def test_a_message_of_the_service_is_read_and_a_broken_one_refused() -> None:
     assert state.buttons == {"a"}
     assert read_haply_message('{"inverse3": []}') is None
     good = json.dumps(message(0.1, -0.2, 0.3))
+    huge = [{"state": {"orientation": {"w": 10**400, "x": 0, "y": 0, "z": 0}}}]
+    long = [{"state": {"orientation": {"w": 1e200, "x": 0, "y": 0, "z": 0}}}]
     for broken in (
         "",
         "[]",
+        json.dumps(message(0.1, -0.2, 0.3, wireless_verse_grip=huge)),
+        json.dumps(message(0.1, -0.2, 0.3, wireless_verse_grip=long)),
         good[:-2],
         good.replace("0.1", "NaN"),
         good.replace("0.1", "1e9"),

@@ -35,6 +35,8 @@ _SILENCE_S = 1.0
 _MOST_BYTES = 65536
 # No hand is faster, and no device is larger.
 _MOST_M, _MOST_M_PER_S = 2.0, 20.0
+# Of unit length where it is in order.
+_MOST_QUATERNION = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +98,8 @@ def _vector(found: object, most: float) -> Point:
 
 def _quaternion(found: dict[str, Any]) -> tuple[float, float, float, float] | None:
     values = [found.get(axis) for axis in "wxyz"]
-    if not all(isinstance(v, int | float) and math.isfinite(v) for v in values):
+    # An integer may be too large for a float, and a float for its square.
+    if not all(isinstance(v, int | float) and abs(v) <= _MOST_QUATERNION for v in values):
         raise ValueError("expected w, x, y, z")
     length = math.sqrt(sum(float(v) ** 2 for v in values if v is not None))
     if length < 0.5:
