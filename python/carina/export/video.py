@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-import tempfile
+import secrets
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -72,10 +73,20 @@ class VideoWriter:
         self._av, self._size = av, (width, height)
         self.num_frames = 0
         self._rate = Fraction(rate_hz).limit_denominator(1001)
-        with tempfile.NamedTemporaryFile(dir=self._path.parent, suffix=suffix, delete=False) as scratch:
-            self._draft = Path(scratch.name)
+        self._draft = self._path.with_name(f".{secrets.token_hex(8)}{suffix}")
+        # Made here, so that it has the permissions of any new file of this person.
+        self._draft.open("xb").close()
+        self._container: Any = None
+        try:
+            self._container = av.open(str(self._draft), "w")
+            self._stream = self._made_stream(suffix)
+        except BaseException:
+            self.discard()
+            raise
+
+    def _made_stream(self, suffix: str) -> Any:
         codec, options = _OPTIONS[suffix]
-        self._container = av.open(str(self._draft), "w")
+        width, height = self._size
         self._container.metadata["comment"] = COMMENT
         stream = self._container.add_stream(codec, rate=self._rate, options=options)
         stream.width, stream.height = width, height
@@ -84,7 +95,7 @@ class VideoWriter:
         stream.codec_context.time_base = 1 / self._rate
         for label in ("colorspace", "color_primaries", "color_trc"):
             setattr(stream.codec_context, label, _BT709)
-        self._stream = stream
+        return stream
 
     def add(self, rgb: NDArray[np.uint8]) -> None:
         """One more frame, ``(height, width, 3)`` uint8."""
@@ -98,16 +109,24 @@ class VideoWriter:
         self.num_frames += 1
 
     def close(self) -> None:
-        """Write what is left and put the file in its place."""
-        self._container.mux(self._stream.encode(None))
-        self._container.close()
-        self._draft.chmod(0o644)
-        self._draft.replace(self._path)
+        """Write what is left and put the file in its place; where that fails (a full disk) it is given up."""
+        try:
+            self._container.mux(self._stream.encode(None))
+            self._container.close()
+            self._draft.replace(self._path)
+        except BaseException:
+            self.discard()
+            raise
 
     def discard(self) -> None:
         """Give it up."""
-        self._container.close()
-        self._draft.unlink(missing_ok=True)
+        try:
+            if self._container is not None:
+                # It writes its last bytes, for which there may be no room; they are not wanted.
+                with contextlib.suppress(OSError):
+                    self._container.close()
+        finally:
+            self._draft.unlink(missing_ok=True)
 
     def __enter__(self) -> VideoWriter:
         return self
