@@ -54,14 +54,19 @@ class RateMeter:
 
     def note(self, now_s: float, span_s: float) -> None:
         """One more."""
+        # Here as well, since nobody may ask.
+        self._forget(now_s)
         self._times.append(now_s)
         self._spans.append(span_s)
 
     def rate_hz(self, now_s: float) -> float:
         """Per second."""
+        self._forget(now_s)
+        return len(self._times) / self._over_s
+
+    def _forget(self, now_s: float) -> None:
         while self._times and self._times[0] < now_s - self._over_s:
             self._times.popleft()
-        return len(self._times) / self._over_s
 
     @property
     def median_s(self) -> float | None:
