@@ -344,3 +344,25 @@ def test_frames_that_see_a_sample_twice_or_late_follow_it_once():
         for _ in range(3):
             hand.pilot.apply(m.Frame(hand.now))
     np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -9.0], atol=1e-9)
+
+
+def test_devices_without_end_are_no_more_than_are_told_apart():
+    hand = Hand()
+    hand.pilot.apply(m.Calibrate("registered", tuple(np.eye(4).ravel())))
+    sample = PoseSample(0.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    for n in range(1000):
+        hand.now += 1.0
+        hand.say(sample, f"pen {n}")
+    for n in range(1000):
+        hand.pilot.apply(m.TakeDevice(f"stick {n}"))
+    assert len(hand.pilot.devices()) <= 65
+    hand.say(sample, "pen")
+    hand.now += 1.0
+    hand.say(sample, "pen")
+    assert {"registered", "pen"} <= {device.device for device in hand.pilot.devices()}
+    numbers = tuple(np.eye(4).ravel())
+    for n in range(127 - len(hand.pilot.devices())):
+        hand.pilot.apply(m.Calibrate(f"tracker {n}", numbers))
+    hand.pilot.apply(m.Calibrate("the last", numbers))
+    with pytest.raises(UsageError, match="registration"):
+        hand.pilot.apply(m.Calibrate("one too many", numbers))

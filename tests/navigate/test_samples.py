@@ -90,6 +90,43 @@ def test_two_devices_at_once_the_first_keeps_the_scope_until_it_is_silent():
     assert gate.holder == "stick"
 
 
+def test_a_device_that_was_given_the_scope_and_stays_silent_lets_go_of_it():
+    gate = SampleGate()
+    gate.admit("pen", pen(0.0), 0.0)
+    gate.take("handle")
+    assert gate.holder == "handle"
+    taken = [gate.admit("pen", pen(0.01 * n), 10.0 + 0.01 * n) is not None for n in range(1, 80)]
+    assert not any(taken[:49])
+    assert all(taken[52:])
+    assert gate.holder == "pen"
+
+
+def test_no_more_devices_are_told_apart_than_can_be_used_and_the_sentence_names_three():
+    gate = SampleGate()
+    gate.admit("pen", pen(0.0), 0.0)
+    for n in range(10_000):
+        gate.admit(f"stick {n}", AxesSample(0.0, (5.0, *REST[1:])), 0.1)
+    # All are refused as they come; those that said nothing of use give way first.
+    assert len(gate._seen) <= 64
+    assert len(gate._unsaid) <= 66
+    assert gate.holder == "pen"
+    words = gate.take_message(0.2)
+    assert words is not None
+    assert "10000 samples of other devices, stick 0, stick 1 and 62 more were ignored" in words
+    assert len(words) < 200
+
+
+def test_a_device_too_many_waits_until_another_is_silent():
+    gate = SampleGate()
+    for n in range(64):
+        assert gate.admit(f"stick {n}", AxesSample(1.0, REST), 1.0 + 0.001 * n) is not None
+    assert gate.admit("pen", pen(1.0), 1.1) is None
+    assert gate.take_message(1.1) == "1 samples of other devices were ignored: 1 for more devices than can be used"
+    assert gate.admit("pen", pen(2.0), 2.0) is not None
+    assert not gate.knows("stick 0")
+    assert gate.knows("stick 1")
+
+
 def test_an_unplugged_device_comes_back_with_another_clock():
     gate = SampleGate()
     gate.admit("pen", pen(500.0), 0.0)

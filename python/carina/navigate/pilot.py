@@ -23,7 +23,7 @@ from carina.navigate.rotation import (
     vector_from_rotation,
     yaw_pitch_roll,
 )
-from carina.navigate.samples import AxesSample, HandleSample, PoseSample, Sample, SampleGate
+from carina.navigate.samples import MAX_DEVICES, AxesSample, HandleSample, PoseSample, Sample, SampleGate
 from carina.scopes import Pose, ScopeDrive, WallField, lever_flexion
 
 __all__ = ["CLUTCH_BUTTON", "CYCLE_BUTTON", "DeviceState", "Pilot"]
@@ -266,6 +266,11 @@ class Pilot:
             case m.TakeDevice():
                 self._gate.take(move.device)
             case m.Calibrate():
+                if move.device not in self._devices and len(self._devices) >= 2 * MAX_DEVICES:
+                    raise UsageError(
+                        f"at most {2 * MAX_DEVICES} devices are known at once; forget a registration first",
+                        code="navigate.registration",
+                    )
                 device = self._device(move.device)
                 device.registration = as_registration(move.lps_from_tracker) if move.lps_from_tracker else None
                 if device.registration is None and self._free == "absolute":
@@ -298,6 +303,11 @@ class Pilot:
     # ------------------------------------------------------------ devices
 
     def _device(self, name: str) -> _Device:
+        if name not in self._devices and len(self._devices) >= MAX_DEVICES:
+            # Those that the gate forgot go here as well; a registration is kept.
+            lost = [d for d, kept in self._devices.items() if kept.registration is None and not self._gate.knows(d)]
+            for other in lost:
+                del self._devices[other]
         return self._devices.setdefault(name, _Device(SampleFilter(self._controls.filter)))
 
     def _hear(self, name: str, sample: Sample, now_s: float) -> None:

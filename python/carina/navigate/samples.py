@@ -20,10 +20,15 @@ Refusal = Literal[
     "a clock that ran backwards",
     "more samples than can be used",
     "another device holds the scope",
+    "more devices than can be used",
 ]
 
 MAX_MM = 1e5
 MAX_BUTTONS = 32
+MAX_DEVICES = 64
+"""That are told apart at once; nobody has so many, but names come from outside."""
+MAX_NAMED = 3
+OTHERS = "other devices"
 # A finger's tremor and a stick's rest: below it a stick is let go.
 REST = 1e-3
 
@@ -161,7 +166,8 @@ class SampleGate:
     min_interval_s
         Samples nearer in time to the last one used are too many: at 2,000 a second each next one says nothing new.
     silence_s
-        A device that was silent for so long lets go of the scope; a clock that is behind for so long has been set back.
+        A device that was silent for so long lets go of the scope, and its place to another one where all
+        :data:`MAX_DEVICES` are taken; a clock that is behind for so long has been set back.
     message_every_s
         The least time between two messages.
     """
@@ -194,12 +200,20 @@ class SampleGate:
         now_s
             When it arrived, monotonic.
         """
-        seen = self._seen.setdefault(device, _Seen())
+        holder = self._holder
+        if holder is not None and self._seen[holder].arrived_s == math.inf:
+            self._seen[holder].arrived_s = now_s
+        seen = self._seen.get(device)
+        if seen is None:
+            if not self._make_room(now_s):
+                self._note(OTHERS, "more devices than can be used")
+                return None
+            seen = self._seen[device] = _Seen()
         checked = _checked(sample)
         refusal = checked if isinstance(checked, str) else self._refusal(device, seen, checked, now_s)
         if refusal is not None:
             seen.ignored[refusal] += 1
-            self._unsaid[device, refusal] += 1
+            self._note(device, refusal)
             return None
         assert not isinstance(checked, str)
         seen.last_s, seen.backwards_since_s, seen.arrived_s = checked.time_s, None, now_s
@@ -211,10 +225,20 @@ class SampleGate:
         return checked
 
     def take(self, device: str) -> None:
-        """Give the scope to a device, whoever holds it."""
-        self._seen.setdefault(device, _Seen())
+        """Give the scope to a device, whoever holds it; if it stays silent, for as long as any other holds it."""
+        if device not in self._seen:
+            self._make_room(math.inf)
+            self._seen[device] = _Seen()
+        before = self._holder
+        if before is not None and self._seen[before].arrived_s == math.inf:
+            self._seen[before].arrived_s = -math.inf  # it said nothing
         self._holder = device
+        # Of now, which the next sample says, be it another device's: a move that is recorded holds no time of its own.
         self._seen[device].arrived_s = math.inf
+
+    def knows(self, device: str) -> bool:
+        """Whether the device is one of those told apart."""
+        return device in self._seen
 
     def gone(self, device: str) -> None:
         """A device was unplugged; it may come back with any clock."""
@@ -238,11 +262,31 @@ class SampleGate:
         if not self._unsaid or now_s - self._message_s < self._message_every_s:
             return None
         self._message_s = now_s
-        words = [f"{num} for {why}" for (_, why), num in self._unsaid.most_common(3)]
-        devices = ", ".join(sorted({device for device, _ in self._unsaid}))
+        whys: Counter[Refusal] = Counter()
+        for (_, why), num in self._unsaid.items():
+            whys[why] += num
+        words = [f"{num} for {why}" for why, num in whys.most_common(3)]
+        names = sorted({device for device, _ in self._unsaid})
+        devices = ", ".join(names[:MAX_NAMED]) + (f" and {len(names) - MAX_NAMED} more" if names[MAX_NAMED:] else "")
         total = self._unsaid.total()
         self._unsaid.clear()
         return f"{total} samples of {devices} were ignored: {'; '.join(words)}"
+
+    def _note(self, device: str, why: Refusal) -> None:
+        # Devices may come and go many times between two messages.
+        if (device, why) not in self._unsaid and len(self._unsaid) >= MAX_DEVICES:
+            device = OTHERS
+        self._unsaid[device, why] += 1
+
+    def _make_room(self, now_s: float) -> bool:
+        """For one more device: the one that was silent the longest goes, if it is silent at all."""
+        if len(self._seen) < MAX_DEVICES:
+            return True
+        longest = min((d for d in self._seen if d != self._holder), key=lambda d: self._seen[d].arrived_s)
+        if now_s - self._seen[longest].arrived_s < self._silence_s:
+            return False
+        del self._seen[longest]
+        return True
 
     def _refusal(self, device: str, seen: _Seen, sample: Sample, now_s: float) -> Refusal | None:
         if seen.last_s is not None:
