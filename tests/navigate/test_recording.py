@@ -347,6 +347,15 @@ def test_key_frames_at_no_times_are_refused(times):
         KeyFrameFlight([KeyFrame(t, Pose(np.eye(4))) for t in times])
 
 
+def test_a_flight_of_more_than_a_day_is_refused():
+    with pytest.raises(UsageError, match="24 hours"):
+        KeyFrameFlight([KeyFrame(t, Pose(np.eye(4))) for t in (0.0, 1e12)])
+    for duration_s in (1e12, math.inf, math.nan):
+        with pytest.raises(UsageError, match="24 hours"):
+            frame_times_s(duration_s, 30.0)
+    assert KeyFrameFlight([KeyFrame(t, Pose(np.eye(4))) for t in (0.0, 86_400.0)]).duration_s == 86_400.0
+
+
 def test_a_video_has_as_many_frames_as_its_length_needs():
     assert len(frame_times_s(2.0, 30.0)) == 60
     assert len(frame_times_s(0.0, 30.0)) == 1

@@ -16,6 +16,9 @@ from carina.scopes import Pose
 
 __all__ = ["AutoFlight", "KeyFrame", "KeyFrameFlight", "frame_times_s"]
 
+MAX_DURATION_S = 86_400.0
+"""Of a flight, a day: a longer one is a slip of the pen, and its frames need more memory than there is."""
+
 
 class AutoFlight:
     """Along a path at one speed, with a pause at each look-out.
@@ -92,7 +95,7 @@ class KeyFrameFlight:
     Raises
     ------
     UsageError
-        If they are fewer, or their times do not increase.
+        If they are fewer, their times do not increase, or more than a day lies between them.
 
     Notes
     -----
@@ -105,6 +108,7 @@ class KeyFrameFlight:
         times = np.array([frame.time_s for frame in frames], dtype=np.float64)
         if len(times) < 2 or not np.isfinite(times).all() or not (np.diff(times) > 0).all():
             raise UsageError("a flight through key frames needs two or more, at increasing times")
+        _check_duration(float(times[-1]) - float(times[0]))
         self._times = times
         self._matrices = [frame.pose.lps_from_camera for frame in frames]
         at = np.array([matrix[:3, 3] for matrix in self._matrices])
@@ -141,5 +145,19 @@ class KeyFrameFlight:
 
 
 def frame_times_s(duration_s: float, rate_hz: float) -> NDArray[np.float64]:
-    """Times of a video's frames: the first at 0, so many that they last as long as the flight, one at least."""
+    """Times of a video's frames: the first at 0, so many that they last as long as the flight, one at least.
+
+    Raises
+    ------
+    UsageError
+        If the flight lasts longer than a day.
+    """
+    _check_duration(duration_s)
     return np.arange(max(1, math.floor(duration_s * rate_hz + 0.5))) / rate_hz
+
+
+def _check_duration(duration_s: float) -> None:
+    if not duration_s <= MAX_DURATION_S:
+        raise UsageError(
+            f"a flight lasts at most 24 hours ({MAX_DURATION_S:.0f} s); found {duration_s:g} s: times are in seconds"
+        )
