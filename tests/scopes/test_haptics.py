@@ -130,6 +130,9 @@ def test_laws_ports_and_spaces_out_of_range_are_refused(tube: WallField) -> None
         ForceLoop(tube, udp_port=70000)
     with pytest.raises(UsageError):
         ForceLoop(tube, lps_from_device=np.diag([1.0, 1.0, 0.5, 1.0]))
+    with pytest.raises(UsageError, match="mirrored") as refused:
+        ForceLoop(tube, lps_from_device=np.diag([-0.5, 0.5, 0.5, 1.0]))
+    assert refused.value.code == "scope.force"
     with ForceLoop(tube, udp_port=0) as loop, pytest.raises(UsageError, match="could not be opened"):
         ForceLoop(tube, udp_port=loop.port)
 

@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use carina_grid::{Affine, dot, length};
+use carina_grid::{Affine, cross, dot, length};
 
 use crate::ScopeError;
 use crate::force::{ForceModel, HandForce, HandSample};
@@ -294,6 +294,13 @@ impl DeviceSpace {
             return Err(ScopeError::Force {
                 reason: "the device's space must be turned, shifted and scaled alike on all axes, by 0.05 to 1 mm of \
                          the lumen per mm of the hand"
+                    .to_owned(),
+            });
+        }
+        if dot(cross(axes[0], axes[1]), axes[2]) <= 0.0 {
+            return Err(ScopeError::Force {
+                reason: "the device's space is mirrored: the hand's left would be the scope's right; its three axes \
+                         must be right-handed"
                     .to_owned(),
             });
         }

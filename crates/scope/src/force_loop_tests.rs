@@ -148,3 +148,22 @@ fn a_space_that_is_sheared_or_enlarges_is_refused() {
         assert!(ForceLoop::start(model(), options).is_err());
     }
 }
+
+#[test]
+fn a_mirrored_space_is_refused_in_words() {
+    // The patient's right for the hand's left; and two axes changed for each other.
+    for [x, y] in [
+        [[-0.5, 0.0, 0.0], [0.0, 0.5, 0.0]],
+        [[0.0, 0.5, 0.0], [0.5, 0.0, 0.0]],
+    ] {
+        let space = Affine::from_columns(x, y, [0.0, 0.0, 0.5], [0.0; 3]);
+        let options = LoopOptions {
+            lps_from_device: Some(space),
+            ..LoopOptions::default()
+        };
+        let Err(refused) = ForceLoop::start(model(), options) else {
+            panic!("a mirrored space was taken: {x:?} {y:?}");
+        };
+        assert!(refused.to_string().contains("mirrored"), "{refused}");
+    }
+}

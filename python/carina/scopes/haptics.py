@@ -149,7 +149,7 @@ class ForceLoop:
     udp_port
         Listen for a bridge on this port of 127.0.0.1; 0 takes a free one (`port`).
     lps_from_device
-        (4, 4) the bridge's space in LPS: turned, shifted and scaled alike on all axes, by 0.05 to 1.
+        (4, 4) the bridge's space in LPS: turned, shifted and scaled alike on all axes, by 0.05 to 1; not mirrored.
     simulated
         A hand that moves by itself, for tests and benches: round which place (LPS mm), how far (mm), how often a
         second.
