@@ -172,7 +172,18 @@ def test_depth_counts_from_the_cords_and_a_facing_operator_sees_the_picture_turn
     # Anterior is up from the head end, and down for one who faces the patient; the tip lies the same.
     assert a.pose.lps_from_camera[1, 1] > 0.9
     assert b.pose.lps_from_camera[1, 1] < -0.9
-    assert np.allclose(a.pose.lps_from_camera[:3, 2:], b.pose.lps_from_camera[:3, 2:], atol=1e-6)
+    for _ in range(3):
+        assert np.array_equal(a.pose.lps_from_camera[:3, 2:], b.pose.lps_from_camera[:3, 2:])
+        assert np.array_equal(a.pose.lps_from_camera[:3, :2], -b.pose.lps_from_camera[:3, :2])
+        # And so it is when the tip is bent, which a turn of the instrument would swing.
+        a, b = (drive.drive(48.0, 0.4, 0.8, 0.1) for drive in (head, facing))
+    b = facing.set_operator("head")
+    assert facing.state is b
+    assert np.array_equal(b.pose.lps_from_camera, a.pose.lps_from_camera)
+    for name in ("insertion_mm", "roll_rad", "flexion_rad", "contact", "record"):
+        assert getattr(b, name) == getattr(a, name), name
+    with pytest.raises(UsageError, match="operator position"):
+        facing.set_operator("above")  # type: ignore[arg-type]
     with pytest.raises(UsageError):
         ScopeDrive(field, "standard", path, cords_mm=math.nan)
 

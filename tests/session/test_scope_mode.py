@@ -7,6 +7,7 @@ import pytest
 
 from carina.errors import NoResultError
 from carina.navigate import HandleSample, open_recording
+from carina.render.lettering import letters_of
 from carina.scopes import WallField
 from small_case import SHAPE_ZYX, small_airways, small_bench
 
@@ -122,6 +123,70 @@ def test_other_scopes_lumens_and_modes_end_or_change_it(bench):
     assert session.snapshot().mode == "path"
 
 
+def letters(matrix) -> tuple[str, str]:
+    """What stands at the right and at the top of the picture."""
+    return letters_of(matrix[:3, 0])[0], letters_of(-matrix[:3, 1])[0]
+
+
+@pytest.mark.parametrize("scope", ["ultrathin", "ebus"])
+def test_an_operator_who_faces_turns_the_picture_and_never_the_instrument(bench, scope):
+    session = bench.session
+    session.set_scope(scope)
+    session.go_to(20.0)
+    enter(bench)
+    straight = session.pose_info().pose.lps_from_camera
+    session.steer(0.0, 0.0, 0.5, 0.3)
+    before = session.pose_info()
+    looked = session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera
+    session.set_operator("facing")
+    after = session.pose_info()
+    tip, turned = before.pose.lps_from_camera, after.pose.lps_from_camera
+    np.testing.assert_array_equal(turned[:3, 2:], tip[:3, 2:], "place and direction")
+    np.testing.assert_array_equal(turned[:3, :2], -tip[:3, :2])
+    held, turned_held = before.scope, after.scope
+    for name in ("insertion_mm", "roll_rad", "flexion_rad", "contact", "red_out", "limit", "record"):
+        assert getattr(turned_held, name) == getattr(held, name), name
+    # The lens, which may look up, is the instrument's: it sees the same, upside down.
+    seen = session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera
+    np.testing.assert_allclose(seen[:3, 2:], looked[:3, 2:], atol=1e-12)
+    np.testing.assert_allclose(seen[:3, :2], -looked[:3, :2], atol=1e-12)
+    # Up is the picture's up.
+    session.steer(0.0, 0.0, 0.2, 0.0)
+    raised = session.pose_info()
+    assert raised.scope.flexion_rad == pytest.approx(held.flexion_rad - 0.2)
+    # The wall takes part of the 11 degrees.
+    assert raised.pose.forward_lps @ -turned[:3, 1] > 0.02
+    session.steer(0.0, 0.0, -0.2, 0.0)
+    before_undo = session.pose_info().pose.lps_from_camera
+    session.undo()
+    undone = session.pose_info().pose.lps_from_camera
+    np.testing.assert_array_equal(undone[:3, 2:], before_undo[:3, 2:])
+    np.testing.assert_array_equal(undone[:3, :2], -before_undo[:3, :2])
+    assert letters(straight)[1] == "A"
+
+
+def test_a_scope_laid_for_an_operator_who_faces_lies_as_for_one_at_the_head(bench):
+    session = bench.session
+    seen = {}
+    for operator in ("head", "facing"):
+        session.set_mode("free")
+        session.set_operator(operator)
+        session.go_to(20.0)
+        enter(bench)
+        seen[operator] = session.pose_info()
+    head, facing = (seen[operator].pose.lps_from_camera for operator in ("head", "facing"))
+    np.testing.assert_array_equal(facing[:3, 2:], head[:3, 2:])
+    np.testing.assert_array_equal(facing[:3, :2], -head[:3, :2])
+    assert seen["facing"].scope.roll_rad == seen["head"].scope.roll_rad == 0.0
+    # From the head the patient's right is on the right and anterior on top; for who faces, the other way round.
+    assert letters(head) == ("R", "A")
+    assert letters(facing) == ("L", "P")
+    session.level_horizon()
+    np.testing.assert_allclose(session.pose_info().pose.lps_from_camera, facing, atol=1e-6)
+    session.set_mode("free")
+    np.testing.assert_allclose(session.pose_info().pose.lps_from_camera, facing, atol=1e-6)
+
+
 def test_without_a_route_no_scope_is_laid(bench):
     bench.session.choose_route()
     with pytest.raises(NoResultError, match="along a route"):
@@ -140,6 +205,8 @@ def test_a_recording_of_a_held_scope_replays_bit_for_bit(bench, tmp_path):
         session.steer(float(rng.uniform(-0.3, 1.0)), 0.0, float(rng.normal(0, 0.1)), float(rng.normal(0, 0.1)))
         session.device_said("handle", HandleSample(0.02 * n, 0.05 * n, 0.01 * n, float(np.sin(n / 9.0))))
         session.device_frame()
+        if n in {20, 50, 60}:
+            session.set_operator("facing" if n != 50 else "head")
     session.set_scope("single-use-slim")
     session.steer(1.0, 0.0, 0.0, 0.0)
     session.stop_recording()
@@ -150,4 +217,5 @@ def test_a_recording_of_a_held_scope_replays_bit_for_bit(bench, tmp_path):
     wall = wall_field(volume, small_airways(volume), progress=lambda *_: None, cancel=lambda: False)
     replayed = list(recording.replay(volume, wall=wall))
     assert len(replayed) > 60
+    assert {moment.picture_turned for moment, _ in replayed} == {False, True}
     assert all(same for _, same in replayed)

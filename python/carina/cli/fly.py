@@ -189,7 +189,7 @@ def _pictures(renderer: Renderer, frames: list[ReplayedPose], shown: _Shown) -> 
             preset = scope_preset(scope)
             if mask is not None:
                 settings["field"] = replace(preset.field, mask=mask)
-            made = AirwayView.of_scope(preset, frame.pose, **settings)
+            made = AirwayView.of_scope(preset, frame.pose, picture_turned=frame.picture_turned, **settings)
         picture = renderer.render(made).rgb
         last = ((id(frame.pose), id(view)), picture)
         yield picture

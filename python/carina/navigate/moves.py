@@ -278,7 +278,7 @@ class SetScope:
     insertion_mm
         Where the tip should be, in mm of the points.
     up_lps
-        What the picture has up at roll 0.
+        Where flexion up leads to at roll 0; anterior unless told.
     """
 
     scope: str

@@ -37,7 +37,8 @@ class Navigator:
     mode *path* it advances along the path; turning is a free look around that leaves the way alone.
 
     In mode *scope* a bronchoscope is held by the lumen: advancing inserts it, pitching bends its tip, and rolling or
-    yawing rolls it, since its tip bends in one plane only (paper 7; :class:`carina.scopes.ScopeDrive`).
+    yawing rolls it, since its tip bends in one plane only (paper 7; :class:`carina.scopes.ScopeDrive`). Up is the
+    picture's up, whichever way the operator's position turns it; levers are the instrument's (:meth:`hold_scope`).
 
     Leaving the path keeps the pose exactly. Entering it within 10 mm keeps the pose too, and what is off the path
     (position and direction) eases over while the tip advances, so the picture never jumps. From farther off the tip
@@ -136,6 +137,11 @@ class Navigator:
         """Stops of the lever, down (below 0) and up, in mode *scope*."""
         return self._drive.flexion_range_rad if self._mode == "scope" and self._drive is not None else None
 
+    @property
+    def picture_turned(self) -> bool:
+        """In mode *scope*: the picture is turned against the instrument, for an operator who faces the patient."""
+        return self._mode == "scope" and self._operator == "facing"
+
     # Movement.
 
     def steer(
@@ -216,7 +222,8 @@ class Navigator:
         self._pose = drive.drive(insertion_mm, roll_rad, flexion_rad, max(dt_s, 0.0)).pose
 
     def enter_scope(self, drive: ScopeDrive) -> None:
-        """Hold a scope that lies in the lumen; the tip is where its tip is."""
+        """Hold a scope that lies in the lumen; the tip is where its tip is, seen as the operator stands."""
+        drive.set_operator(self._operator)
         self._drive = drive
         self._mode, self._limit = "scope", "none"
         self._look, self._entry = np.eye(3), np.eye(3)
@@ -323,9 +330,16 @@ class Navigator:
         self._roll(math.atan2(float(level @ rotation[:, 0]), float(level @ -rotation[:, 1])))
 
     def set_operator(self, position: OperatorPosition) -> None:
-        """Stand at the patient's head or face the patient: the picture turns by 180 degrees."""
-        if _checked_operator(position) != self._operator:
-            self._operator = position
+        """Stand at the patient's head or face the patient: the picture turns by 180 degrees.
+
+        In mode *scope* too it is only the picture: a roll of the instrument would swing a bent tip to the other wall.
+        """
+        if _checked_operator(position) == self._operator:
+            return
+        self._operator = position
+        if self._mode == "scope":
+            self._pose = self._needed_drive().set_operator(position).pose
+        else:
             self._roll(math.pi)
 
     # All of it, for recordings.
@@ -394,12 +408,13 @@ class Navigator:
             raise UsageError("no scope lies in the lumen", code="navigate.no-scope")
         return self._drive
 
-    def _drive_by(self, advance_mm: float, roll_rad: float, flexion_rad: float, dt_s: float) -> None:
+    def _drive_by(self, advance_mm: float, roll_rad: float, pitch_rad: float, dt_s: float) -> None:
         """From where the scope is, not from what was asked for: a hand that pushed at a wall has not to draw back."""
         drive = self._needed_drive()
         state = drive.state
         down, up = drive.flexion_range_rad
-        flexion = min(max(state.flexion_rad + flexion_rad, down), up)
+        bend = -pitch_rad if self.picture_turned else pitch_rad
+        flexion = min(max(state.flexion_rad + bend, down), up)
         self.hold_scope(state.insertion_mm + advance_mm, state.roll_rad + roll_rad, flexion, dt_s=dt_s)
 
     def _needed_path(self) -> FlightPath:

@@ -183,6 +183,8 @@ class ReplayedPose:
     time_s: float
     pose: Pose
     view: dict[str, Any]
+    picture_turned: bool = False
+    """See :attr:`carina.navigate.Navigator.picture_turned`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,16 +259,17 @@ class Recording:
                 pilot.apply(m.move_from_json(value))
             pilot.navigator.restore(self.header["tip"], pilot.navigator.path)
             view: dict[str, Any] = {}
-            yield ReplayedPose(0.0, pilot.navigator.pose, view), True
+            tip = pilot.navigator
+            yield ReplayedPose(0.0, tip.pose, view), True
             for line in self.lines:
                 if "view" in line:
                     view = dict(line["view"])
-                    yield ReplayedPose(float(line["t"]), pilot.navigator.pose, view), True
+                    yield ReplayedPose(float(line["t"]), tip.pose, view, tip.picture_turned), True
                 elif "move" in line:
                     pilot.apply(m.move_from_json(line["move"]))
                     if "pose" in line:
-                        same = pilot.navigator.pose.lps_from_camera.ravel().tolist() == line["pose"]
-                        yield ReplayedPose(float(line["t"]), pilot.navigator.pose, view), same
+                        same = tip.pose.lps_from_camera.ravel().tolist() == line["pose"]
+                        yield ReplayedPose(float(line["t"]), tip.pose, view, tip.picture_turned), same
         except (UsageError, KeyError, TypeError, ValueError) as trouble:
             raise VolumeImportError(
                 f"the recording cannot be replayed: {trouble}", code="navigate.recording"

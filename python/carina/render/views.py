@@ -133,15 +133,24 @@ class AirwayView:
         return self.lens.optics(self.width, self.height, self.fov_deg)
 
     @classmethod
-    def of_scope(cls, scope: ScopePreset, tip: Pose, *, fov_deg: float | None = None, **settings: Any) -> AirwayView:
+    def of_scope(
+        cls,
+        scope: ScopePreset,
+        tip: Pose,
+        *,
+        fov_deg: float | None = None,
+        picture_turned: bool = False,
+        **settings: Any,
+    ) -> AirwayView:
         """What an instrument shows when its shaft ends at ``tip``: its lens, field of view, outline and direction.
 
         Any of them can be overridden, and all other settings given, by name. Depth of field stays off unless told.
+        ``picture_turned`` is as in `ScopePreset.camera_pose`.
         """
         seen = {"lens": scope.lens, "field": scope.field, "guides_mm": scope.guides_mm, **settings}
         if fov_deg is None and seen["lens"].calibration is None:
             fov_deg = scope.usual_fov_deg
-        return cls(scope.camera_pose(tip), fov_deg=fov_deg, **seen)
+        return cls(scope.camera_pose(tip, picture_turned=picture_turned), fov_deg=fov_deg, **seen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

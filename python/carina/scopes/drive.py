@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from carina import _core
 from carina.errors import UsageError
 from carina.scopes.library import ScopePreset, scope_preset
-from carina.scopes.pose import Pose, upright
+from carina.scopes.pose import Pose
 from carina.scopes.wall_field import WallField
 
 __all__ = ["Contact", "ContactRecord", "ScopeDrive", "ScopeLimit", "ScopeState", "lever_flexion"]
@@ -57,13 +57,14 @@ class ScopeState:
     """The scope after a sample."""
 
     pose: Pose
-    """The tip's face; `ScopePreset.camera_pose` gives the camera of a forward-oblique scope from it."""
+    """The tip's face, turned by 180 degrees about its axis for an operator who faces the patient
+    (`ScopeDrive.operator`); `ScopePreset.camera_pose` gives the camera of a forward-oblique scope from it."""
     insertion_mm: float
     """Insertion, in mm from the start of the path that the scope enters along (the trachea's start)."""
     roll_rad: float
     """Roll, clockwise as the operator sees it."""
     flexion_rad: float
-    """Flexion, above 0 up, below 0 down."""
+    """Flexion, above 0 the instrument's up, below 0 down."""
     contact: Contact | None
     """Where the tip touches, or None."""
     red_out: float
@@ -96,9 +97,10 @@ class ScopeDrive:
         (n, 3) LPS mm, from where the scope enters: the trachea's centreline, or a route from the tree's root. It enters
         at the first place with room for it.
     up_lps
-        What the picture has up at roll 0; unless told anterior, or posterior for an operator who faces the patient.
+        Where flexion up leads to at roll 0, which the picture of an operator at the head has up; anterior unless told.
     operator
-        ``head`` (stands at the patient's head) or ``facing``. It says what roll 0 is; the scope itself lies the same.
+        ``head`` (stands at the patient's head) or ``facing``, whose picture is turned by 180 degrees. Only the picture
+        is: the scope lies the same, and insertion, roll and flexion stay the instrument's own.
     cords_mm
         Where the vocal cords are, in mm of the start path; below 0 where they lie above it. None: not known.
 
@@ -130,8 +132,7 @@ class ScopeDrive:
         operator: OperatorPosition = "head",
         cords_mm: float | None = None,
     ) -> None:
-        if operator not in {"head", "facing"}:
-            raise UsageError(f"expected operator position 'head' or 'facing'; found {operator!r}", code="scope.drive")
+        _check_operator(operator)
         if cords_mm is not None and not math.isfinite(cords_mm):
             raise UsageError(f"expected a place of the vocal cords in mm; found {cords_mm}", code="scope.drive")
         preset = scope_preset(scope) if isinstance(scope, str) else scope
@@ -146,16 +147,14 @@ class ScopeDrive:
             preset.length_mm or _LENGTH_MM,
         )
         path = _points(start_path)
-        if up_lps is None and operator == "facing" and len(path) > 1:
-            along = path[-1] - path[0]
-            up_lps = -upright(along / max(float(np.linalg.norm(along)), 1e-9))
         up = None if up_lps is None else [float(v) for v in np.asarray(up_lps, dtype=np.float64)]
         self._core = _core.ScopeDrive(field.core, sizes, path, up)
         self._cords_mm = cords_mm
         self._scope = preset
         self._field = field
         self._flexion_rad = (sizes[5], sizes[4])
-        self._state = _state(self._core.state)
+        self._operator: OperatorPosition = operator
+        self._state = self._seen(self._core.state)
 
     def __repr__(self) -> str:
         return f"ScopeDrive({self._scope.name!r}, insertion_mm={self._state.insertion_mm:.1f})"
@@ -174,6 +173,29 @@ class ScopeDrive:
     def state(self) -> ScopeState:
         """The scope now."""
         return self._state
+
+    @property
+    def operator(self) -> OperatorPosition:
+        """Where the operator stands."""
+        return self._operator
+
+    def set_operator(self, operator: OperatorPosition) -> ScopeState:
+        """Turn the picture for an operator who stands elsewhere; the scope stays as it lies, to the last bit.
+
+        Raises
+        ------
+        UsageError
+            If the position is unknown; nothing is changed.
+        """
+        _check_operator(operator)
+        if operator != self._operator:
+            self._operator = operator
+            self._state = replace(self._state, pose=_turned(self._state.pose))
+        return self._state
+
+    def _seen(self, found: dict[str, Any]) -> ScopeState:
+        state = _state(found)
+        return state if self._operator == "head" else replace(state, pose=_turned(state.pose))
 
     @property
     def entry_mm(self) -> float:
@@ -201,7 +223,7 @@ class ScopeDrive:
         insertion_mm
             From the start of the path.
         roll_rad, flexion_rad
-            Clockwise as the operator sees it; up.
+            Clockwise as the operator sees it; up, as the instrument is held (the picture's down where it is turned).
         dt_s
             Time since the sample before, for the time of contact.
 
@@ -215,7 +237,8 @@ class ScopeDrive:
         UsageError
             If a number is not finite or time runs backwards; nothing is changed.
         """
-        self._state = _state(self._core.drive(float(insertion_mm), float(roll_rad), float(flexion_rad), float(dt_s)))
+        found = self._core.drive(float(insertion_mm), float(roll_rad), float(flexion_rad), float(dt_s))
+        self._state = self._seen(found)
         return self._state
 
     def place(self, path: ArrayLike, insertion_mm: float) -> ScopeState:
@@ -234,7 +257,7 @@ class ScopeDrive:
         UsageError
             If the path passes far from where the scope enters (code ``scope.drive``).
         """
-        self._state = _state(self._core.place(_points(path), float(insertion_mm)))
+        self._state = self._seen(self._core.place(_points(path), float(insertion_mm)))
         return self._state
 
     def shaft_lps(self) -> NDArray[np.float64]:
@@ -273,6 +296,18 @@ def lever_flexion(lever: float, flexion_range_rad: tuple[float, float], *, inver
     place = min(max(-lever if invert else lever, -1.0), 1.0)
     down, up = flexion_range_rad
     return place * up if place >= 0.0 else -place * down
+
+
+def _check_operator(operator: OperatorPosition) -> None:
+    if operator not in {"head", "facing"}:
+        raise UsageError(f"expected operator position 'head' or 'facing'; found {operator!r}", code="scope.drive")
+
+
+def _turned(pose: Pose) -> Pose:
+    """Seen upside down: signs alone change, so that nothing is rounded."""
+    matrix = pose.lps_from_camera.copy()
+    matrix[:3, :2] *= -1.0
+    return Pose(matrix)
 
 
 def _points(points: ArrayLike) -> NDArray[np.float64]:

@@ -97,11 +97,16 @@ class ScopePreset:
         """The range that it shows sharp."""
         return None if self.focus_mm is None else DepthOfField(*self.focus_mm)
 
-    def camera_pose(self, tip: Pose) -> Pose:
-        """The pose of its camera when the shaft ends at ``tip``: looking up by `view_up_deg`."""
+    def camera_pose(self, tip: Pose, *, picture_turned: bool = False) -> Pose:
+        """The pose of its camera when the shaft ends at ``tip``: looking up by `view_up_deg`.
+
+        ``picture_turned``: the tip is seen turned by 180 degrees (`ScopeDrive.operator`), so that the instrument's up
+        is the picture's down.
+        """
         if self.view_up_deg == 0.0:
             return tip
-        c, s = math.cos(math.radians(self.view_up_deg)), math.sin(math.radians(self.view_up_deg))
+        up_rad = math.radians(-self.view_up_deg if picture_turned else self.view_up_deg)
+        c, s = math.cos(up_rad), math.sin(up_rad)
         turn = np.eye(4)
         # About +x, right: forward goes towards -y, up.
         turn[1:3, 1:3] = [[c, -s], [s, c]]

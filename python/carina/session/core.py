@@ -296,6 +296,7 @@ class SessionCore:
                 slab=case.slab,
                 frames=None if document.route is None else document.route.frames,
                 path_mm=case.navigator.path_mm,
+                picture_turned=case.navigator.picture_turned,
             )
 
 

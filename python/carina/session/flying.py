@@ -108,9 +108,8 @@ class Flying(SessionCore):
         if insertion_mm is None:
             insertion_mm = route.path.nearest_mm(case.navigator.pose.position_lps)
         name = case.document.scope or DEFAULT_SCOPE
-        up = (0.0, 1.0, 0.0) if case.document.operator == "facing" else None
         points = tuple(as_point(point) for point in route.points_lps)
-        self._fly(moves.SetScope(name, points, float(insertion_mm), up))
+        self._fly(moves.SetScope(name, points, float(insertion_mm)))
         case.laid_scope = name
 
     def _follow_scope(self, case: OpenCase) -> None:

@@ -146,6 +146,8 @@ class Scene:
     """The route, as the views along it want it."""
     path_mm: float | None = None
     """The tip's place on the route; None in free movement."""
+    picture_turned: bool = False
+    """See :attr:`carina.navigate.Navigator.picture_turned`."""
 
     @property
     def shown_lps(self) -> tuple[float, float, float]:
@@ -200,7 +202,11 @@ class Scene:
             if self.scope is None:
                 return render.AirwayView(self.pose, field=ImageField(self.mask), **settings)
             return render.AirwayView.of_scope(
-                self.scope, self.pose, field=replace(self.scope.field, mask=self.mask), **settings
+                self.scope,
+                self.pose,
+                picture_turned=self.picture_turned,
+                field=replace(self.scope.field, mask=self.mask),
+                **settings,
             )
         if view == "cut-plane":
             extent_mm = self.zoom.cut_plane_extent_mm or 60.0
