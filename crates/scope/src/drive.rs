@@ -94,6 +94,8 @@ pub struct ScopeDrive {
     first_up: Point,
     axis: Axis,
     controls: Controls,
+    /// The roll as it was asked for, whole turns and all; the controls hold less than one.
+    asked_roll_rad: f64,
     touches: bool,
     state: ScopeState,
 }
@@ -172,6 +174,7 @@ impl ScopeDrive {
             first_up,
             axis,
             controls,
+            asked_roll_rad: 0.0,
             touches: false,
         };
         drive.look(0.0, Limit::None, 0.0);
@@ -261,11 +264,9 @@ impl ScopeDrive {
             limit = Limit::Length;
         }
         let start = self.controls;
-        // Whole turns change nothing: the shaft is stiff, and is not wound up.
-        let turn = {
-            let change = roll_rad - start.roll_rad;
-            change - core::f64::consts::TAU * (change / core::f64::consts::TAU).round()
-        };
+        // Whole turns change nothing: the shaft is stiff, and is not wound up. Of a roll of any size less than one is left.
+        let whole = |rad: f64| libm::remainder(rad, core::f64::consts::TAU);
+        let turn = whole(whole(roll_rad) - start.roll_rad);
         let (advance, bend) = (depth_mm - start.depth_mm, flexion - start.flexion_rad);
         let num = (advance.abs() / STEP_MM)
             .max(bend.abs() / STEP_RAD)
@@ -285,8 +286,8 @@ impl ScopeDrive {
             };
             blocked |= !self.step(wanted);
         }
-        // The number that was asked for, whole turns and all.
-        self.controls.roll_rad = roll_rad;
+        self.controls.roll_rad = whole(roll_rad);
+        self.asked_roll_rad = roll_rad;
         if blocked {
             limit = Limit::Wall;
         }
@@ -394,6 +395,7 @@ impl ScopeDrive {
             if found {
                 self.axis = axis;
                 self.controls = controls;
+                self.asked_roll_rad = 0.0;
                 break;
             }
             if depth_mm == 0.0 {
@@ -472,7 +474,7 @@ impl ScopeDrive {
         self.state = ScopeState {
             lps_from_tip: Affine::from_columns(tip.right, tip.down, tip.forward, tip.at),
             insertion_mm: self.entry_mm + self.controls.depth_mm,
-            roll_rad: self.controls.roll_rad,
+            roll_rad: self.asked_roll_rad,
             flexion_rad: self.controls.flexion_rad,
             contact,
             red_out: self.red_out(&tip),
@@ -526,6 +528,8 @@ impl ScopeDrive {
 }
 
 const PATH_STEP_MM: f64 = 0.25;
+/// Eight times the length of a scope; the points of a longer path would only fill the memory.
+const MOST_PATH_MM: f64 = 5_000.0;
 
 /// A path as points [`PATH_STEP_MM`] apart.
 fn evenly(path: &[Point]) -> Result<Vec<Point>, ScopeError> {
@@ -534,15 +538,18 @@ fn evenly(path: &[Point]) -> Result<Vec<Point>, ScopeError> {
             reason: "its path holds coordinates that are not finite".to_owned(),
         });
     }
+    let path_mm: f64 = path.windows(2).map(|w| distance(w[0], w[1])).sum();
+    if path_mm > MOST_PATH_MM {
+        return Err(ScopeError::Scope {
+            reason: format!(
+                "its path is {path_mm:.0} mm long, and no airway is longer than {MOST_PATH_MM} mm"
+            ),
+        });
+    }
     let mut line: Vec<Point> = path.first().copied().into_iter().collect();
     let mut left = PATH_STEP_MM;
     for w in path.windows(2) {
         let far = distance(w[0], w[1]);
-        if far > 1e5 {
-            return Err(ScopeError::Scope {
-                reason: "its path is longer than any airway".to_owned(),
-            });
-        }
         let mut at = left;
         while at <= far {
             line.push(along(w[0], at / far, sub(w[1], w[0])));

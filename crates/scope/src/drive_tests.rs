@@ -259,3 +259,60 @@ fn the_same_samples_give_the_same_states_bit_for_bit() {
     };
     assert_eq!(run(), run());
 }
+
+#[test]
+fn a_roll_of_any_size_is_less_than_a_turn_and_does_not_hang() {
+    let mut scope = scope();
+    let start = scope.drive(50.0, 0.0, 0.6, 0.1).unwrap();
+    // Taking whole turns off by a rounded division leaves 2.1e9 rad of this one, which is 1e11 steps.
+    let state = scope.drive(50.0, 1.559e25, 0.6, 0.1).unwrap();
+    assert_eq!(state.roll_rad, 1.559e25);
+    for roll in [f64::MAX, -f64::MAX, 1e300] {
+        let state = scope.drive(50.0, roll, 0.6, 0.1).unwrap();
+        assert!(
+            state
+                .lps_from_tip
+                .rows()
+                .iter()
+                .flatten()
+                .all(|v| v.is_finite())
+        );
+    }
+    let mut winding = scope;
+    winding.place(&TRACHEA, 50.0).unwrap();
+    assert_eq!(winding.state().roll_rad, 0.0);
+    winding.drive(50.0, 0.0, 0.6, 0.1).unwrap();
+    let turns = 1000.0 * core::f64::consts::TAU;
+    let wound = winding.drive(50.0, turns, 0.6, 0.1).unwrap();
+    assert_eq!(wound.roll_rad, turns);
+    assert!(
+        distance(wound.lps_from_tip.column(3), start.lps_from_tip.column(3)) < 0.5,
+        "whole turns change nothing: {wound:?}"
+    );
+}
+
+#[test]
+fn a_path_longer_than_any_airway_is_refused_however_it_is_cut() {
+    let far = |num: usize| -> Vec<Point> {
+        (0..=num)
+            .map(|n| [0.0, 0.0, 110.0 - 6_000.0 * n as f64 / num as f64])
+            .collect()
+    };
+    for num in [1, 2, 1000] {
+        let told = ScopeDrive::new(field(), BODY, &far(num), None)
+            .unwrap_err()
+            .to_string();
+        assert!(told.contains("6000 mm long"), "{told}");
+        let told = scope().place(&far(num), 50.0).unwrap_err().to_string();
+        assert!(told.contains("6000 mm long"), "{told}");
+    }
+    assert!(
+        ScopeDrive::new(
+            field(),
+            BODY,
+            &[[0.0, 0.0, 110.0], [0.0, 0.0, -4_800.0]],
+            None
+        )
+        .is_ok()
+    );
+}
