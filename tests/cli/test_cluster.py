@@ -9,10 +9,13 @@ import signal
 import socket
 import subprocess
 import sys
+import types
 
 import pytest
 
+from carina.cli import cluster
 from carina.cluster.node import descendants
+from carina.errors import ClusterError
 
 needs_ray = pytest.mark.skipif(
     not sys.platform.startswith("linux") or importlib.util.find_spec("ray") is None,
@@ -60,6 +63,84 @@ def test_what_cannot_be_done_is_said_before_anything_is_started(tmp_path, argume
     done = _run(tmp_path, *arguments, "--json")
     assert done.returncode == code, done.stderr
     assert words in json.loads(done.stdout)["error"]["message"]
+
+
+class StubNode:
+    """A machine's part in a cluster, by a script: each begins as the next line says."""
+
+    address, ip = "10.0.0.1:6379", "10.0.0.2"
+
+    def __init__(self, script: list[str], made: list[StubNode]) -> None:
+        self._line = script[len(made)]
+        self.num_stopped = 0
+        made.append(self)
+
+    def wait_ready(self) -> None:
+        if self._line == "no answer":
+            raise ClusterError("nothing answers at 10.0.0.1:6379", code="cluster.start")
+
+    @property
+    def running(self) -> bool:
+        if self._line == "until Ctrl-C":
+            raise KeyboardInterrupt
+        return False
+
+    def stop(self) -> None:
+        self.num_stopped += 1
+
+
+def _join(monkeypatch, tmp_path, *script: str) -> tuple[list[StubNode], list[float]]:
+    """What ``carina cluster join`` makes of such a link: its nodes and its pauses."""
+    made: list[StubNode] = []
+    pauses_s: list[float] = []
+    monkeypatch.setattr(cluster, "check_available", lambda: None)
+    monkeypatch.setattr(cluster, "check_token", lambda path: path)
+    monkeypatch.setattr(cluster, "_log_file", lambda: tmp_path / "log")
+    monkeypatch.setattr(cluster, "Node", lambda *_, **__: StubNode(list(script), made))
+    monkeypatch.setattr(cluster, "time", types.SimpleNamespace(sleep=pauses_s.append, monotonic=lambda: 0.0))
+    try:
+        cluster.join("10.0.0.1:6379", ip=None, dedicated=False, token=tmp_path / "token", as_json=False)
+    finally:
+        assert [node.num_stopped for node in made] == [1] * len(made)
+    return made, pauses_s
+
+
+def test_a_machine_that_was_in_the_cluster_joins_again_however_long_the_link_is_cut(monkeypatch, tmp_path, capsys):
+    made, pauses_s = _join(monkeypatch, tmp_path, "dropped", *["no answer"] * 5, "dropped", "until Ctrl-C")
+    assert len(made) == 8
+    assert pauses_s == [1.0, 2.0, 5.0, 10.0, 10.0, 10.0, 10.0]
+    told = capsys.readouterr()
+    assert told.out.count("joins the cluster") == 1
+    assert told.err.count("nothing answers at 10.0.0.1:6379; trying again in") == 5
+    assert told.err.count("is in the cluster at 10.0.0.1:6379 again") == 2
+    assert told.err.endswith("left the cluster\n")
+
+
+def test_a_machine_that_never_got_into_the_cluster_says_why_and_ends(monkeypatch, tmp_path):
+    with pytest.raises(ClusterError, match="nothing answers"):
+        _join(monkeypatch, tmp_path, "no answer")
+
+
+def test_a_cluster_of_one_machine_says_that_its_ports_are_open_before_it_opens_them(monkeypatch, tmp_path, capsys):
+    told = ""
+
+    def node(*_: object, **__: object) -> None:
+        nonlocal told
+        told = capsys.readouterr().err
+        raise ClusterError("enough", code="cluster.start")
+
+    backend = types.ModuleType("carina.cluster.ray_backend")
+    backend.RayCluster = None
+    monkeypatch.setitem(sys.modules, backend.__name__, backend)
+    monkeypatch.setattr(cluster, "check_available", lambda: None)
+    monkeypatch.setattr(cluster, "_free_port", lambda: 6379)
+    monkeypatch.setattr(cluster, "_log_file", lambda: tmp_path / "log")
+    monkeypatch.setattr(cluster, "Node", node)
+    opened = cluster.opened_cluster("local", token=tmp_path / "token", mixed=False)
+    with pytest.raises(ClusterError, match="enough"), opened:
+        pass
+    assert "listens on every address of this machine, not only on 127.0.0.2" in told
+    assert "docs/cluster.md" in told
 
 
 @needs_ray

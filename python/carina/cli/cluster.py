@@ -24,7 +24,7 @@ from carina.cluster.node import (
     token_file,
 )
 from carina.config import load_settings
-from carina.errors import UsageError
+from carina.errors import ClusterError, UsageError
 from carina.render import Renderer, TransferFunction
 from carina.session import RendererFactory
 from carina.volume import Volume
@@ -33,6 +33,11 @@ __all__ = ["OpenCluster", "join", "opened_cluster", "start", "status"]
 
 LOCAL_IP = "127.0.0.2"
 AGAIN_S = (1.0, 2.0, 5.0, 10.0)
+_OPEN_PORTS_WARNING = (
+    "Ray listens on every address of this machine, not only on {ip}: everyone on its networks can reach the ports, and "
+    "whoever has the token, which is sent in clear, can run programs here. Keep to a private network or behind a "
+    "firewall (docs/cluster.md), or leave --cluster out: one machine alone is no slower without."
+)
 
 
 def _token(path: Path | None) -> Path:
@@ -96,17 +101,21 @@ def start(*, ip: str | None, port: int, renders: bool, dedicated: bool, token: P
 
 
 def join(address: str, *, ip: str | None, dedicated: bool, token: Path | None, as_json: bool) -> int:
-    """Render for a cluster until Ctrl-C; after a cut link, join again."""
+    """Render for a cluster until Ctrl-C; after a cut link, join again, however long the link stays cut."""
     check_available()
     found = check_token(_token(token))
     attempts = 0
+    has_joined = False
     with _ends_by_signal():
         while True:
             node = Node(found, address=address, ip=ip, dedicated=dedicated, log=_log_file())
-            began_s = time.monotonic()
             try:
                 node.wait_ready()
-                if attempts == 0:
+                began_s = time.monotonic()
+                if has_joined:
+                    say(f"this machine is in the cluster at {address} again")
+                else:
+                    has_joined = True
                     if as_json:
                         print_json({"address": node.address, "ip": node.ip})
                     else:
@@ -116,12 +125,19 @@ def join(address: str, *, ip: str | None, dedicated: bool, token: Path | None, a
                         )
                 while node.running:
                     time.sleep(0.2)
+                # A machine that was cut off is declared dead and its process ends: it has to join anew.
+                attempts = 1 if time.monotonic() - began_s > 60.0 else attempts + 1
+                words = f"this machine has been dropped from the cluster at {address}; joining again"
+            except ClusterError as trouble:
+                if not has_joined:
+                    raise
+                attempts += 1
+                words = f"{trouble}; trying again"
             finally:
                 node.stop()
-            # A machine that was cut off is declared dead and its process ends: it has to join anew.
-            attempts = 1 if time.monotonic() - began_s > 60.0 else attempts + 1
-            say(f"this machine has been dropped from the cluster at {address}; joining again")
-            time.sleep(AGAIN_S[min(attempts, len(AGAIN_S)) - 1])
+            pause_s = AGAIN_S[min(attempts, len(AGAIN_S)) - 1]
+            say(f"{words} in {pause_s:g} s")
+            time.sleep(pause_s)
     return 0
 
 
@@ -175,6 +191,7 @@ def opened_cluster(address: str | None, *, token: Path | None, mixed: bool) -> I
         if address == "local":
             found = make_token(_token(token))
             say("starting a cluster of this machine alone")
+            say(_OPEN_PORTS_WARNING.format(ip=LOCAL_IP))
             node = Node(found, head=True, ip=LOCAL_IP, port=_free_port(), log=_log_file())
             node.wait_ready()
             where, ip = node.address, LOCAL_IP
