@@ -391,6 +391,16 @@ impl LumenTracker {
 }
 
 impl LumenTracker {
+    /// The tracker of another graph, solved, in the same grid and with the same wall levels.
+    pub(crate) fn with(&self, graph: Arc<LumenGraph>, solved: Tracker) -> Self {
+        Self {
+            grid: self.grid.clone(),
+            graph,
+            tracker: Mutex::new(solved),
+            levels: self.levels,
+        }
+    }
+
     pub(crate) fn lock(&self) -> std::sync::MutexGuard<'_, Tracker> {
         // A stop leaves the tracker whole (it stops between nodes); a panic inside is a bug reported elsewhere.
         self.tracker.lock().unwrap_or_else(PoisonError::into_inner)

@@ -4,7 +4,7 @@
     reason = "pyo3 hands arguments over by value"
 )]
 
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use carina_airpath::graph::Graph;
 use carina_airpath::lumen::LumenGraph;
@@ -126,13 +126,7 @@ fn edit_lumen(
         })
         .map_err(|e| watch.error(e))?;
     let corners = edited.changed_box.map(|b| (b.first_ijk, b.shape_ijk));
-    let new = LumenTracker {
-        grid: tracker.grid.clone(),
-        graph: Arc::new(edited.graph),
-        tracker: Mutex::new(solved),
-        levels: tracker.levels,
-    };
-    Ok((new, corners))
+    Ok((tracker.with(Arc::new(edited.graph), solved), corners))
 }
 
 /// The tracker of a whole lumen from scratch, with the wall levels of another tracker and the root in a voxel.
@@ -166,12 +160,7 @@ fn fresh_lumen(
             Ok((graph, solved))
         })
         .map_err(|e| watch.error(e))?;
-    Ok(LumenTracker {
-        grid: tracker.grid.clone(),
-        graph: Arc::new(graph),
-        tracker: Mutex::new(solved),
-        levels: tracker.levels,
-    })
+    Ok(tracker.with(Arc::new(graph), solved))
 }
 
 fn root_node(graph: &LumenGraph, root_ijk: [isize; 3]) -> Result<u32, TrackError> {
@@ -196,12 +185,7 @@ fn reroot_lumen(
             lumen_edit::solved(&tracker.graph, root, &watch)
         })
         .map_err(|e| watch.error(e))?;
-    Ok(LumenTracker {
-        grid: tracker.grid.clone(),
-        graph: Arc::clone(&tracker.graph),
-        tracker: Mutex::new(solved),
-        levels: tracker.levels,
-    })
+    Ok(tracker.with(Arc::clone(&tracker.graph), solved))
 }
 
 /// (nz, ny, nx) 1 inside the lumen.
