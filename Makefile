@@ -33,6 +33,9 @@ run: $(STAMP) ## build what is missing and open the demo (CASE=patient for the r
 
 test: test-rust test-web test-python ## every test that needs no special hardware
 
+# The same random cases every time, as in Python (tests/conftest.py): a test that turns red tells of the change at hand.
+# `make soak` draws new ones.
+test-rust: export PROPTEST_RNG_SEED ?= 1
 test-rust:
 	cargo test --release --workspace --exclude carina-bindings
 
@@ -68,7 +71,8 @@ test-gpu: $(STAMP) ## the GPU caster and the wheel, on a software adapter where 
 	CARINA_GPU_REQUIRED=1 .venv-gpu/bin/python -m pytest -m gpu -ra tests
 
 soak: $(STAMP) $(CLUSTER_STAMP) ## what runs for minutes: 20,000 poses against the f64 ray caster, 10,000 sequences of edits, a cluster that loses members
-	cargo test --release --workspace --exclude carina-bindings -- --ignored
+	PROPTEST_CASES=2000 cargo test --release -p carina-airpath --lib section
+	cargo test --release --workspace --exclude carina-bindings -- --include-ignored
 	$(PY) -m pytest -m soak -ra
 
 check: $(STAMP) web/node_modules/.package-lock.json ## formatting, lints, types, layers, lock file, spelling
