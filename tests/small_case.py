@@ -173,6 +173,8 @@ class SmallRenderer:
     on_render: Callable[[Any], None] = lambda _view: None
     hit: Any = None
     """What a pick finds."""
+    grey: int = 90
+    """Of its pictures."""
     picks: list[Any] = field(default_factory=list)
     on_prepare: Callable[[], None] = lambda: None
 
@@ -187,7 +189,7 @@ class SmallRenderer:
             raise CancelledError("given up")
         planar = type(view).__name__ != "AirwayView"
         return SimpleNamespace(
-            rgb=np.full((view.height, view.width, 3), 90, dtype=np.uint8),
+            rgb=np.full((view.height, view.width, 3), self.grey, dtype=np.uint8),
             view=type(view).__name__,
             lps_from_pixel=np.eye(4) if planar else None,
             lines=None,

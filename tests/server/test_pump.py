@@ -66,6 +66,17 @@ def test_pictures_carry_the_pose_they_answer_and_their_geometry(screen):
     assert len(axial.lps_from_pixel) == 16
 
 
+def test_an_airway_view_without_anything_in_it_says_so(screen):
+    screen.drain()
+    assert not any(h.empty for h in screen.headers)
+    screen.bench.renderers[-1].grey = 0
+    screen.data.clear()
+    screen.steer()
+    screen.drain()
+    # A black slice says so by its frame: the tip's place is drawn in it.
+    assert {h.view: h.empty for h in screen.headers} == {"airway": True, "axial": False}
+
+
 def test_a_moving_view_is_coarse_and_becomes_full_when_still(screen):
     screen.drain()
     screen.bench.clock.advance(screen.pump.wait_s())

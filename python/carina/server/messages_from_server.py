@@ -527,5 +527,7 @@ class PictureHeader:
     quality: Annotated[int, Range(1, 100)]
     full: bool
     """Final quality for this state; false while moving."""
+    empty: bool
+    """An airway view without anything in it: the tip looks out of the CT."""
     render_ms: float
     method: Words

@@ -249,6 +249,7 @@ class FramePump:
                 codec="jpeg",
                 quality=quality,
                 full=order.full,
+                empty=shows == "airway" and _is_empty(picture.rgb),
                 render_ms=round(rendered_s * 1e3, 2),
                 method=str(picture.stats.method),
             )
@@ -317,6 +318,11 @@ class FramePump:
 
 def _keys(scene: Scene, scheduler: FrameScheduler) -> dict[str, Hashable]:
     return {view: scene.key(view) for view in scheduler.visible}
+
+
+def _is_empty(rgb: NDArray[np.uint8]) -> bool:
+    """Whether no ray met anything, looked at in one pixel of 64."""
+    return not rgb[::8, ::8].any()
 
 
 def _lens(optics: Optics | None) -> PictureLens | None:

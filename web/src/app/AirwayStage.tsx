@@ -49,6 +49,7 @@ export function AirwayStage() {
             <RedOut />
             <Readings />
             <FinderLabel />
+            <EmptyLabel />
           </>
         ) : (
           <p className="empty centre">The view from the tip appears here as soon as the CT is read.</p>
@@ -118,6 +119,31 @@ function FinderLabel() {
       <strong>View finder: cut-plane across the tip</strong>
       <span>The airway view is too slow while moving. Hold still to see it.</span>
     </p>
+  );
+}
+
+/** Says that the picture is black because there is nothing in it: the tip looks out of the CT. */
+function EmptyLabel() {
+  const station = useStation();
+  const empty = useApp((state) => state.frames.airway?.empty ?? false);
+  const alongPath = useApp((state) => state.pose?.mode === "path");
+  if (!empty) return null;
+  return (
+    <div className="finder-label" role="status" data-testid="nothing-seen">
+      <strong>Nothing to see from here: the CT ends</strong>
+      {alongPath ? (
+        <Act
+          kind="quiet"
+          icon="straight"
+          label="Look along the path"
+          words="Look straight along the path"
+          keys={keyOf("reset_look")}
+          onPress={() => station.act("reset_look")}
+        />
+      ) : (
+        <span>Turn back, or choose a branch.</span>
+      )}
+    </div>
   );
 }
 

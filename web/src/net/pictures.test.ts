@@ -35,6 +35,7 @@ function picture(
       codec: "jpeg",
       quality: 85,
       full: false,
+      empty: false,
       render_ms: 1,
       method: "leap",
     },

@@ -963,6 +963,7 @@ export interface PictureHeader {
   readonly codec: "jpeg" | "png";
   readonly quality: number;
   readonly full: boolean;
+  readonly empty: boolean;
   readonly render_ms: number;
   readonly method: string;
 }
