@@ -76,6 +76,8 @@ class Trouble:
     old_frame: bool = False
     other_rows: bool = False
     garbles: bool = False
+    twice: bool = False
+    refuses: bool = False
     held: list[Callable[[], None]] = field(default_factory=list)
     holds: bool = False
     num_orders: int = 0
@@ -93,10 +95,17 @@ class FaultyLane(LocalLane):
         """Render, and then maybe not say so."""
         trouble = self.trouble
         trouble.num_orders += 1
+        if trouble.refuses:
+            raise ConnectionError("the order cannot be sent")
 
         def answered(answer):
             if trouble.raises is not None:
                 done(trouble.raises)
+            elif trouble.garbles:
+                done(("no", "answer"))
+            elif trouble.twice:
+                done(answer)
+                done(replace(answer, rgb=answer.rgb * 0))
             elif trouble.wrong_shape:
                 done(replace(answer, rgb=answer.rgb[:-1]))
             elif trouble.old_frame:

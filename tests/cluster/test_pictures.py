@@ -226,6 +226,39 @@ def test_wrong_answers_are_never_shown(case, cluster, what):
     assert any("lane-0 answered wrongly" in n and words in n for n in notices), notices
 
 
+@pytest.mark.parametrize("what", ["wrong_shape", "garbles", "twice", "refuses"])
+def test_no_answer_however_wrong_hangs_a_frame(case, cluster, monkeypatch, what):
+    """Also where nobody looks at answers: what cannot be taken comes from another renderer."""
+    from carina.cluster import console
+
+    monkeypatch.setattr(console, "what_is_wrong", lambda answer, order: None)
+    made = cluster(settings=FAST)
+    _wait_ready(made)
+    expected = made.truth.render(_airway(case)).rgb
+    setattr(made.lanes[0].trouble, what, True)
+    for _ in range(6):
+        _, future = made.renderer.want(_airway(case))
+        assert np.array_equal(future.result(timeout=20.0).rgb, expected)
+        time.sleep(0.05)
+    assert made.lanes[0].trouble.num_orders > 0
+    status = made.console.status()
+    told = [n for n in status.notices if "lane-0" in n]
+    words = {"twice": [], "refuses": ["does not answer"]}.get(what, ["cannot be used"])
+    assert len(told) >= len(words) and all(any(w in n for n in told) for w in words), status.notices
+
+
+def test_a_picture_that_cannot_be_put_together_is_refused_and_not_waited_for(case, cluster, monkeypatch):
+    from carina.cluster import frames
+
+    made = cluster(settings=FAST)
+    _wait_ready(made)
+    monkeypatch.setattr(frames, "with_pixels", lambda *_, **__: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        made.renderer.want(_airway(case))[1].result(timeout=20.0)
+    monkeypatch.undo()
+    made.renderer.render(_airway(case))
+
+
 def test_a_renderer_that_keeps_answering_wrongly_is_left_out(case, cluster):
     made = cluster(simds=(None, None), settings=FAST)
     _wait_ready(made)

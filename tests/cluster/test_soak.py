@@ -11,6 +11,7 @@ import pytest
 from ray_rig import VIEW, flying, needs_ray, running_head, wait_for
 
 from carina.cluster import ClusterSettings
+from carina.cluster.node import descendants, reap
 from carina.cluster.stand_in import StandInHost
 
 SECONDS = float(os.environ.get("CARINA_SOAK_SECONDS", "600"))
@@ -61,3 +62,24 @@ def test_ten_minutes_of_flight_with_a_member_killed_every_20_seconds():
         assert max(settled) - min(settled) < 50 * 2**20
     assert len(head.seen) > 4 + killed, "renderers were looked for where they are not"
     assert head.left == []
+
+
+@pytest.mark.soak
+@pytest.mark.ray
+@needs_ray
+@pytest.mark.filterwarnings("ignore")
+def test_with_the_head_gone_the_console_renders_alone_and_goes_on():
+    """Ray ends a program whose head is gone for 60 s, unless it is told to wait."""
+    with running_head(renderers=2) as head, flying(head, StandInHost, num=2, row_seconds=0.004 / 256) as flight:
+        assert flight.check(flight.renderer.render(VIEW)) == 1.0
+        head.look()
+        tree = descendants(head.node.process.pid)
+        head.node.process.kill()
+        reap(tree, grace_s=0.0)
+        end_s = time.monotonic() + 75.0
+        while time.monotonic() < end_s:
+            began_s = time.monotonic()
+            flight.check(flight.renderer.render(VIEW))
+            assert time.monotonic() - began_s < 10.0
+            time.sleep(0.2)
+        assert flight.console.status().alone

@@ -13,19 +13,14 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
-from carina.cluster.host import Counts
-from carina.cluster.lanes import Lane, LaneFacts, LocalLane, StripAnswer, StripOrder, with_pixels
+from carina.cluster.frames import Content, Frame, fail, what_is_wrong
+from carina.cluster.lanes import Lane, LaneFacts, LocalLane, StripAnswer, StripOrder
 from carina.cluster.parcel import Parcel, Parcels
 from carina.cluster.scheduler import FrameDone, FrameDropped, Issue, LaneBack, LaneLate, StripScheduler
 from carina.cluster.settings import ClusterSettings
 from carina.cluster.status import ClusterStatus, MemberStatus, RateMeter
 from carina.errors import CancelledError, CarinaError, ClusterError
-from carina.render import AirwayView, CancelToken, Picture, Renderer, RenderStats, View
-from carina.render.scene import Scene
-from carina.scopes import PINHOLE
+from carina.render import CancelToken, Picture, View
 
 __all__ = ["Console", "Content", "Job"]
 
@@ -53,15 +48,6 @@ class Job:
     accepted: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Content:
-    """What a frame shows, and who can render it here."""
-
-    number: int
-    renderer: Renderer
-    scene: Scene
-
-
 @dataclass(slots=True)
 class _Member:
     lane: Lane
@@ -74,20 +60,6 @@ class _Member:
     generation: int = 0
     """Answers to loads of an earlier generation do not count."""
     latency: RateMeter = field(default_factory=RateMeter)
-
-
-@dataclass(slots=True)
-class _Frame:
-    view: View
-    content: Content
-    future: Future[Picture]
-    stop: CancelToken
-    wanted_s: float
-    rgb: NDArray[np.uint8] | None = None
-    picture: Picture | None = None
-    counts: Counts = (0, 0, 0, 0, 0, 0, 0)
-    view_bytes: bytes = b""
-    method: str = ""
 
 
 class Console:
@@ -115,7 +87,7 @@ class Console:
         self._scheduler = StripScheduler(self._settings)
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._members: dict[str, _Member] = {}
-        self._frames: dict[int, _Frame] = {}
+        self._frames: dict[int, Frame] = {}
         self._tasks: dict[int, tuple[StripOrder, float]] = {}
         self._parcel: Parcel | None = None
         self._later: list[tuple[float, Callable[[], None]]] = []
@@ -162,7 +134,7 @@ class Console:
         """
         future: Future[Picture] = Future()
         frame_id = next(self._frame_ids)
-        frame = _Frame(view, content, future, CancelToken(), self._clock(), view_bytes=pickle.dumps(view, protocol=5))
+        frame = Frame(view, content, future, CancelToken(), self._clock(), view_bytes=pickle.dumps(view, protocol=5))
         self._inbox.put(lambda: self._want(frame_id, frame, whole, stream))
         return frame_id, future
 
@@ -228,7 +200,7 @@ class Console:
                 self._later.remove(item)
                 item[1]()
         for frame in self._frames.values():
-            _fail(frame.future, CancelledError("the cluster was closed"))
+            fail(frame.future, CancelledError("the cluster was closed"))
         for member in self._members.values():
             member.lane.close()
 
@@ -322,7 +294,7 @@ class Console:
         self._later.append((self._clock() + wait_s, lambda: self._load(name)))
         self._note_alone()
 
-    def _want(self, frame_id: int, frame: _Frame, whole: bool, stream: str | None) -> None:
+    def _want(self, frame_id: int, frame: Frame, whole: bool, stream: str | None) -> None:
         self._frames[frame_id] = frame
         view = frame.view
         # An answer carries three bytes a pixel.
@@ -358,7 +330,7 @@ class Console:
                     frame = self._frames.pop(frame_id, None)
                     if frame is not None:
                         frame.stop.cancel()
-                        _fail(frame.future, CancelledError("the picture was given up for a newer one"))
+                        fail(frame.future, CancelledError("the picture was given up for a newer one"))
                 case LaneLate(lane):
                     # A moment's delay is nobody's business but the panel's.
                     self._later.append((self._clock() + TELL_AFTER_S, partial(self._tell_if_late, str(lane))))
@@ -393,16 +365,29 @@ class Console:
             at_s = self._clock()
             self._inbox.put(lambda: self._answered(name, order, answer, at_s))
 
-        member.lane.submit(order, done)
+        try:
+            member.lane.submit(order, done)
+        except Exception as trouble:
+            # Never without an answer: the console's own lane has no deadline that would notice.
+            done(trouble)
 
     def _answered(self, name: str, order: StripOrder, answer: StripAnswer | BaseException, at_s: float) -> None:
-        _, issued_s = self._tasks.pop(order.task_id)
+        _, issued_s = self._tasks.pop(order.task_id, (order, None))
+        if issued_s is None:
+            # A lane that answers twice.
+            return
         frame = self._frames.get(order.frame_id)
         if isinstance(answer, BaseException):
             self._refused(name, order, frame, answer)
             return
-        first, end = order.rows or (0, order.view.height)
-        wrong = _what_is_wrong(answer, order)
+        rows = order.rows or (0, order.view.height)
+        try:
+            wrong = what_is_wrong(answer, order)
+            if wrong is None and frame is not None and self._scheduler.wants(name, order.task_id):
+                # Before the scheduler counts these rows as done: what cannot be taken has to come from another.
+                frame.take(answer, rows)
+        except Exception as trouble:
+            wrong = f"a strip that cannot be used ({type(trouble).__name__}: {trouble})"
         if wrong is not None:
             self._fault(name, order, wrong)
             return
@@ -411,20 +396,15 @@ class Console:
             member.latency.note(at_s, at_s - issued_s)
         # The scheduler's clock never runs backwards, and answers may have waited.
         accepted = self._scheduler.answered(name, order.task_id, answer.seconds, self._clock())
-        if accepted and frame is not None:
-            if frame.rgb is None:
-                frame.rgb = np.empty((frame.view.height, frame.view.width, 3), np.uint8)
-            frame.rgb[first:end] = answer.rgb
-            if first == 0:
-                frame.picture = answer.picture
-            frame.counts = _plus(frame.counts, answer.counts)
-            frame.method = max(frame.method, answer.method, key=lambda m: (m.startswith("gpu"), m))
         if self.jobs is not None:
-            self.jobs.append(Job(name, order.frame_id, (first, end), issued_s, at_s, answer.seconds, accepted))
+            self.jobs.append(Job(name, order.frame_id, rows, issued_s, at_s, answer.seconds, accepted))
         self._act()
 
-    def _refused(self, name: str, order: StripOrder, frame: _Frame | None, trouble: BaseException) -> None:
+    def _refused(self, name: str, order: StripOrder, frame: Frame | None, trouble: BaseException) -> None:
         now_s = self._clock()
+        if isinstance(trouble, ClusterError) and trouble.code == "cluster.fault":
+            self._fault(name, order, str(trouble))
+            return
         if isinstance(trouble, CancelledError):
             if frame is not None:
                 self._drop(order.frame_id)
@@ -435,7 +415,7 @@ class Console:
             # The view itself is refused; every renderer would say so.
             self._frames.pop(order.frame_id, None)
             if frame is not None:
-                _fail(frame.future, trouble)
+                fail(frame.future, trouble)
                 self._scheduler.drop(order.frame_id, now_s)
             self._scheduler.answered(name, order.task_id, 1e-9, now_s)
             self._act()
@@ -447,7 +427,7 @@ class Console:
             self._scheduler.join(name, now_s, reserve=True)
             self._frames.pop(order.frame_id, None)
             if frame is not None:
-                _fail(frame.future, trouble)
+                fail(frame.future, trouble)
                 self._scheduler.drop(order.frame_id, now_s)
             self._act()
             return
@@ -470,16 +450,10 @@ class Console:
         self._tell(f"the renderer {name} answered wrongly: {wrong}; its part was rendered by another")
         self._retry(name, ClusterError(wrong, code="cluster.fault"))
 
-    def _deliver(self, frame: _Frame) -> None:
+    def _deliver(self, frame: Frame) -> None:
         now_s = self._clock()
         self._meter.note(now_s, now_s - frame.wanted_s)
-        assert frame.rgb is not None and frame.picture is not None
-        view = frame.view
-        optics = view.optics if isinstance(view, AirwayView) and view.lens != PINHOLE else None
-        stats = RenderStats(frame.method, view.width, view.height, *frame.counts, now_s - frame.wanted_s)
-        picture = with_pixels(frame.picture, frame.rgb, stats=stats, optics=optics)
-        if frame.future.set_running_or_notify_cancel():
-            frame.future.set_result(picture)
+        frame.deliver(now_s)
 
     def _tell(self, words: str) -> None:
         if words not in self._told:
@@ -525,37 +499,5 @@ class Console:
         )
 
 
-def _plus(a: Counts, b: Counts) -> Counts:
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6])
-
-
 def _nothing() -> None:
     """Only the time has passed."""
-
-
-def _fail(future: Future[Picture], trouble: BaseException) -> None:
-    if not future.done() and future.set_running_or_notify_cancel():
-        future.set_exception(trouble)
-
-
-def _what_is_wrong(answer: StripAnswer, order: StripOrder) -> str | None:
-    """Why an answer is not what was asked for, or None."""
-    first, end = order.rows or (0, order.view.height)
-    expected = (end - first, order.view.width, 3)
-    if answer.frame_id != order.frame_id:
-        return f"a strip of frame {answer.frame_id} instead of frame {order.frame_id}"
-    if answer.content != order.content:
-        return f"a strip of content {answer.content} instead of {order.content}"
-    if (answer.first_row, answer.num_rows) != (first, end - first):
-        # A frame is cut anew when a renderer leaves: strips of one height may lie elsewhere.
-        found = f"{answer.num_rows} rows from row {answer.first_row}"
-        return f"a strip of {found} instead of {end - first} from row {first}"
-    if not isinstance(answer.rgb, np.ndarray) or answer.rgb.dtype != np.uint8:
-        return "no picture of 8 bits"
-    if order.rows is not None and order.rows[0] > 0 and answer.picture is None:
-        pass
-    elif not isinstance(answer.picture, Picture):
-        return "the first rows without what belongs to the picture"
-    if answer.rgb.shape != expected:
-        return f"a strip of shape {answer.rgb.shape} instead of {expected}"
-    return None

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import carina
+from carina.cluster.envelope import open_order, pack_answer
 from carina.cluster.parcel import open_parcel
 from carina.errors import ClusterError
 from carina.render import Backend, Picture, Renderer, RenderStats, build_info
@@ -155,6 +156,10 @@ class RendererHost:
         seconds = time.perf_counter() - began_s
         counts = counts_of(stats)
         return frame_id, content, first_row, end_row - first_row, seconds, stats.method, counts, first, picture.rgb
+
+    def answer(self, order: bytes) -> bytes:
+        """:meth:`strip`, for a transport that carries bytes best; see :mod:`carina.cluster.envelope`."""
+        return pack_answer(self.strip(*open_order(order)))
 
 
 def _same(a: NDArray[Any], b: NDArray[Any]) -> bool:

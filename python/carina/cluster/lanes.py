@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.cluster.host import Counts, bare_picture, counts_of
+from carina.cluster.host import Counts, Strip, bare_picture, counts_of
 from carina.cluster.parcel import Parcel
 from carina.render import CancelToken, Picture, Renderer, View
 from carina.render.scene import Scene
@@ -55,6 +55,11 @@ class StripAnswer:
     picture: Picture | None
     """Without pixels; only with the first rows."""
     rgb: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, strip: Strip) -> StripAnswer:
+        """What a host said."""
+        return cls(*strip)
 
 
 @dataclass(frozen=True, slots=True)

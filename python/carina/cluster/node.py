@@ -21,6 +21,7 @@ from pathlib import Path
 from carina.errors import ClusterError, UsageError
 
 __all__ = [
+    "CONSOLE_ENVIRONMENT",
     "DEFAULT_PORT",
     "Node",
     "check_available",
@@ -36,6 +37,9 @@ TOKEN_NAME = "cluster.token"
 HOW_TO_GET = "install it with: pip install 'carina[cluster]'"
 STARTED = "Ray runtime started"
 """What Ray says when a machine has joined."""
+CONSOLE_ENVIRONMENT = {"RAY_gcs_rpc_server_reconnect_timeout_s": str(10 * 365 * 86_400)}
+"""For the console alone. Ray ends a program whose head has been gone for a minute; a workstation renders alone and goes
+on. Machines do end, and join anew."""
 LEAST_STORE_BYTES = 80 * 1024 * 1024
 
 

@@ -16,9 +16,10 @@ from typing import Any
 
 import carina
 from carina.cluster.console import Console
+from carina.cluster.envelope import open_answer, pack_order
 from carina.cluster.host import RendererHost
 from carina.cluster.lanes import Answered, LaneFacts, Loaded, StripAnswer, StripOrder
-from carina.cluster.node import check_available, check_token, ray_environment
+from carina.cluster.node import CONSOLE_ENVIRONMENT, check_available, check_token, ray_environment
 from carina.cluster.parcel import Parcel
 from carina.errors import ClusterError
 
@@ -34,11 +35,26 @@ SPARE_BYTES = 256 * 1024 * 1024
 """Memory that a machine needs beside the volume."""
 
 
+class _RaysWords(logging.Handler):
+    """What Ray says on this console, as a word for those who look for a fault: people get the console's notices."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        logger.debug("Ray: %s", record.getMessage())
+
+
 def _import_ray(token: Path) -> Any:
     check_available()
-    os.environ.update(ray_environment(check_token(token)))
+    os.environ.update({**ray_environment(check_token(token)), **CONSOLE_ENVIRONMENT})
+    words = logging.getLogger("ray")
+    if words.propagate:
+        # Ray names processes, addresses and paths on standard error, and calls a link that was closed an error.
+        words.propagate = False
+        words.addHandler(_RaysWords())
     import ray
+    import ray._private.worker as told
 
+    # What the cluster's machines publish goes to standard output else, in colours.
+    told.print_to_stdstream = lambda data, *_, **__: logger.debug("Ray: %s", " ".join(map(str, data.get("lines", ()))))
     return ray
 
 
@@ -165,13 +181,12 @@ class RayLane:
                 done(_plain(trouble))
                 return
             try:
-                frame_id, content, first_row, num_rows, seconds, *rest = future.result()
-                done(StripAnswer(frame_id, content, first_row, num_rows, float(seconds), *rest))
-            except (TypeError, ValueError) as nonsense:
-                done(ClusterError(f"an answer that is no strip: {nonsense}", code="cluster.fault"))
+                done(StripAnswer.of(open_answer(future.result())))
+            except ClusterError as nonsense:
+                done(nonsense)
 
         try:
-            ref = self._handle.strip.remote(order.frame_id, order.content, order.view_bytes, order.rows)
+            ref = self._handle.answer.remote(pack_order(order.frame_id, order.content, order.view_bytes, order.rows))
             ref.future().add_done_callback(answered)
         except Exception as trouble:
             done(_plain(trouble))

@@ -299,6 +299,13 @@ class StripScheduler:
 
     # --- answers ---------------------------------------------------------------------------------------------------
 
+    def wants(self, lane: Lane, task_id: int) -> bool:
+        """Whether :meth:`answered` would accept this answer; changes nothing."""
+        state = self._lanes.get(lane)
+        task = None if state is None else next((t for t in state.in_flight if t.task_id == task_id), None)
+        frame = None if task is None else self._frames.get(task.frame_id)
+        return task is not None and frame is not None and task.strip in frame.missing
+
     def answered(self, lane: Lane, task_id: int, seconds: float, now_s: float) -> bool:
         """A lane has rendered a strip.
 
@@ -379,12 +386,24 @@ class StripScheduler:
             return None
         task = lane.in_flight[0]
         pace = lane.pace.get(task.cost)
-        limit_s = (
-            self.settings.first_answer_s
-            if pace is None
-            else max(self.settings.late_factor * pace * task.num_rows, self.settings.late_floor_s)
-        )
+        if pace is not None:
+            limit_s = max(self.settings.late_factor * pace * task.num_rows, self.settings.late_floor_s)
+        else:
+            limit_s = self._first_answer_s(task)
         return max(task.issued_s, lane.answered_s) + limit_s
+
+    def _first_answer_s(self, task: _Task) -> float:
+        """How long a lane may take whose pace is not known: the pace of the others tells, where there is one.
+
+        It may be many times slower than they are, or have to prepare; but whoever has just come must not hold the
+        picture up much longer than who was there before.
+        """
+        settings = self.settings
+        paces = [lane.pace[task.cost] for lane in self._lanes.values() if task.cost in lane.pace and not lane.reserve]
+        if not paces:
+            return settings.first_answer_s
+        guess_s = settings.late_factor**2 * max(paces) * task.num_rows
+        return min(settings.first_answer_s, max(guess_s, 4.0 * settings.late_floor_s))
 
     def _measure(self, lane: _Lane, task: _Task, service_s: float) -> None:
         row_s = service_s / task.num_rows
