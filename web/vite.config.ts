@@ -1,11 +1,28 @@
+import { fileURLToPath } from "node:url";
 import react from "@vitejs/plugin-react";
 import { defineConfig } from "vitest/config";
+
+const page = (name: string) => fileURLToPath(new URL(name, import.meta.url));
 
 export default defineConfig({
   // Relative addresses: the same build works behind any path a hospital's proxy may put it at.
   base: "./",
   plugins: [react()],
-  build: { outDir: "../python/carina/_web", emptyOutDir: true, target: "es2022", chunkSizeWarningLimit: 900 },
+  build: {
+    outDir: "../python/carina/_web",
+    emptyOutDir: true,
+    target: "es2022",
+    chunkSizeWarningLimit: 900,
+    modulePreload: { polyfill: false },
+    rolldownOptions: {
+      input: { index: page("index.html"), phone: page("phone.html") },
+      output: {
+        // What both pages read lies in a file of its own, which the phone's server hands out too: by its name.
+        manualChunks: (id: string) =>
+          /\/src\/(wire|net)\//.test(id) || id.endsWith("schema.json") ? "phone-wire" : undefined,
+      },
+    },
+  },
   server: {
     proxy: {
       "/ws": { target: "ws://127.0.0.1:8765", ws: true },

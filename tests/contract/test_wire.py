@@ -19,6 +19,8 @@ PARSERS = {
     "client": wire.parse_client_message,
     "server": wire.parse_server_message,
     "pictures": wire.parse_picture,
+    "phone": wire.parse_phone_message,
+    "to-phone": wire.parse_to_phone_message,
 }
 
 
@@ -46,7 +48,12 @@ def test_invalid_samples_are_refused_with_a_code_and_a_sentence(path):
 
 
 def test_every_message_has_a_valid_sample():
-    for kind, classes in (("client", wire.CLIENT_MESSAGES), ("server", wire.SERVER_MESSAGES)):
+    for kind, classes in (
+        ("client", wire.CLIENT_MESSAGES),
+        ("server", wire.SERVER_MESSAGES),
+        ("phone", wire.PHONE_MESSAGES),
+        ("to-phone", wire.TO_PHONE_MESSAGES),
+    ):
         sampled = {json.loads(p.read_text(encoding="utf-8"))["type"] for p in (PROTOCOL / "valid" / kind).iterdir()}
         assert sampled == set(classes)
 

@@ -366,3 +366,28 @@ def test_devices_without_end_are_no_more_than_are_told_apart():
     hand.pilot.apply(m.Calibrate("the last", numbers))
     with pytest.raises(UsageError, match="registration"):
         hand.pilot.apply(m.Calibrate("one too many", numbers))
+
+
+@pytest.mark.parametrize("path", [True, False])
+def test_a_pen_that_cannot_be_carried_goes_forward_by_its_key_and_turns_meanwhile(path):
+    hand = Hand(path=path)
+    start = hand.pose
+    for n in range(50):
+        turn = wxyz_from_rotation(rotation_from_vector(np.array([0.0, 0.01 * n, 0.0])))
+        hand.say(PoseSample(0.0, None, turn, 0, 1.0))
+    # The first frame begins the time.
+    went = moved(hand.pose, start)
+    assert went == pytest.approx(25.0 * 0.49, rel=0.06), "free, the turn makes an arc of it"
+    assert hand.pilot.is_moving
+    cosine = float(hand.pose.forward_lps @ start.forward_lps)
+    assert cosine == pytest.approx(math.cos(0.49), abs=1e-6)
+    # Its link is lost with the key down: a quarter of a second later it stops.
+    for _ in range(100):
+        hand.now += 0.01
+        hand.pilot.apply(m.Frame(hand.now))
+    after = hand.pose
+    assert moved(after, start) < went + 25.0 * 0.26
+    hand.say(PoseSample(0.0, None, (1.0, 0.0, 0.0, 0.0), 2, -1.0))
+    assert (after.position_lps - hand.pose.position_lps) @ after.forward_lps > 0.2, "backwards, also with the clutch"
+    hand.say(PoseSample(0.0, None, (1.0, 0.0, 0.0, 0.0), 2, 0.0))
+    assert not hand.pilot.is_moving

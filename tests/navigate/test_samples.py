@@ -37,6 +37,8 @@ def pen(time_s: float, x: float = 0.0, wxyz: tuple[float, ...] = IDENTITY, butto
         (pen(1.0, wxyz=(math.nan, 0.0, 0.0, 1.0)), "numbers that are not finite"),
         (pen(1.0, 1e9), "numbers out of range"),
         (pen(1.0, buttons=-1), "numbers out of range"),
+        (PoseSample(1.0, None, IDENTITY, 0, 1.5), "numbers out of range"),
+        (PoseSample(1.0, None, IDENTITY, 0, math.nan), "numbers that are not finite"),
         (AxesSample(1.0, (2.0, 0.0, 0.0, 0.0, 0.0, 0.0)), "numbers out of range"),
         (HandleSample(1.0, 0.0, 0.0, 7.0), "numbers out of range"),
         (pen(-0.2), "a clock that ran backwards"),

@@ -50,6 +50,18 @@ MixedOption = Annotated[
 ]
 
 
+PhoneOption = Annotated[
+    bool,
+    typer.Option(
+        "--phone", help="Open the page for a phone to the local network at once: its link may move the tip, no more."
+    ),
+]
+PhoneAddressOption = Annotated[
+    str | None,
+    typer.Option("--phone-address", help="Where that page listens; this machine's address in its network unless told."),
+]
+
+
 def _workstation(
     *,
     path: Path | None,
@@ -61,13 +73,22 @@ def _workstation(
     cluster: str | None = None,
     token: Path | None = None,
     mixed: bool = False,
+    phone: bool = False,
+    phone_address: str | None = None,
 ) -> None:
+    told: dict[str, Any] = {}
+
+    def phone_open(url: str, sha256: str) -> None:
+        told["phone"] = {"url": url, "sha256": sha256}
+
     def ready(url: str, token: str) -> None:
         if as_json:
             # The link is for a browser and works once; the token is for programs and lasts as long as the server.
-            print_json({"url": url, "token": token})
-        else:
-            print(f"Carina is open at {url}\nPress Ctrl-C to close it.", flush=True)
+            print_json({"url": url, "token": token, **told})
+            return
+        if "phone" in told:
+            print(f"Open on the phone: {told['phone']['url']}\nIts certificate, SHA-256: {told['phone']['sha256']}")
+        print(f"Carina is open at {url}\nPress Ctrl-C to close it.", flush=True)
 
     with exit_codes(as_json):
         from carina.cli.cluster import opened_cluster
@@ -81,6 +102,9 @@ def _workstation(
                 port=port,
                 open_browser=browser,
                 on_ready=ready,
+                phone=phone,
+                phone_address=phone_address,
+                on_phone=phone_open,
                 make_renderer=None if used is None else used.make_renderer,
                 cluster_status=None if used is None else used.status,
             )
@@ -112,6 +136,8 @@ def open_(
     cluster_: ClusterOption = None,
     mixed: MixedOption = False,
     token_file: TokenOption = None,
+    phone: PhoneOption = False,
+    phone_address: PhoneAddressOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Open the workstation on a CT.
@@ -128,6 +154,8 @@ def open_(
         cluster=cluster_,
         token=token_file,
         mixed=mixed,
+        phone=phone,
+        phone_address=phone_address,
     )
 
 
@@ -137,6 +165,8 @@ def demo(
     port: PortOption = 0,
     host: HostOption = "127.0.0.1",
     browser: BrowserOption = True,
+    phone: PhoneOption = False,
+    phone_address: PhoneAddressOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Open the workstation on a bundled case; nothing to download.
@@ -146,7 +176,16 @@ def demo(
     with exit_codes(as_json):
         if name not in {"phantom", "patient"}:
             raise UsageError(f"demo: expected phantom or patient; found {name!r}")
-    _workstation(path=None, demo=name, host=host, port=port, browser=browser, as_json=as_json)
+    _workstation(
+        path=None,
+        demo=name,
+        host=host,
+        port=port,
+        browser=browser,
+        as_json=as_json,
+        phone=phone,
+        phone_address=phone_address,
+    )
 
 
 @app.command()

@@ -142,6 +142,8 @@ class Pilot:
     def is_moving(self) -> bool:
         """Whether frames move the tip without another sample: a stick is held."""
         newest = self._newest()
+        if isinstance(newest, PoseSample):
+            return newest.advance != 0.0
         return isinstance(newest, AxesSample) and any(abs(v) > 0.0 for v in newest.axes)
 
     def devices(self) -> tuple[DeviceState, ...]:
@@ -394,6 +396,9 @@ class Pilot:
             case PoseSample():
                 if isinstance(last, PoseSample) and self._engaged(newest.buttons):
                     self._follow_hand(newest, last)
+                if newest.advance != 0.0 and now_s - device.arrived_s <= STALE_S:
+                    along_mm = newest.advance * self._controls.speed_mm_s * passed_s
+                    self._move_by(np.array([0.0, 0.0, along_mm]), np.eye(3), np.zeros(3))
             case HandleSample():
                 if isinstance(last, HandleSample) and self._engaged(newest.buttons):
                     self._follow_handle(newest, last)

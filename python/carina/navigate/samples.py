@@ -47,12 +47,16 @@ class PoseSample:
         ``tracker_from_pen``, wxyz, any length but 0. The pen's axes are the camera's: +x right, +y down, +z forward.
     buttons
         Bit n is button n.
+    advance
+        How far its forward key or stick is pushed, -1 (back) to 1 of full speed; of devices that cannot be carried
+        along an airway, such as a phone.
     """
 
     time_s: float
     position_mm: Vec3 | None
     orientation_wxyz: Wxyz
     buttons: int = 0
+    advance: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +109,7 @@ Sample = PoseSample | AxesSample | HandleSample
 def _numbers(sample: Sample) -> tuple[float, ...]:
     match sample:
         case PoseSample():
-            return (sample.time_s, *(sample.position_mm or ()), *sample.orientation_wxyz)
+            return (sample.time_s, *(sample.position_mm or ()), *sample.orientation_wxyz, sample.advance)
         case AxesSample():
             return (sample.time_s, *sample.axes)
         case HandleSample():
@@ -121,6 +125,8 @@ def _checked(sample: Sample) -> Sample | Refusal:
     match sample:
         case PoseSample():
             if sample.position_mm is not None and max(abs(v) for v in sample.position_mm) > MAX_MM:
+                return "numbers out of range"
+            if abs(sample.advance) > 1.0 + REST:
                 return "numbers out of range"
             # Largest first: squares of 1e200 are not finite, and of 1e-200 vanish.
             largest = max(abs(v) for v in sample.orientation_wxyz)

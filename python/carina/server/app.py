@@ -5,90 +5,27 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
-from starlette.datastructures import Headers
 from starlette.requests import Request
-from starlette.responses import FileResponse, HTMLResponse, JSONResponse, RedirectResponse, Response
+from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 import carina
 from carina.errors import CarinaError, ProtocolError, UsageError
 from carina.server import messages as wire
+from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.hub import Hub, Outbox
 from carina.server.security import Gate
 from carina.server.uploads import Uploads
+from carina.server.web_files import asset_path, web_folder
 
 __all__ = ["create_app", "web_folder"]
 
-CONTENT_SECURITY_POLICY = (
-    "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; connect-src 'self'; "
-    "worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
-"""Only our own files; inline styles because the panels' library sets them on elements."""
-SECURITY_HEADERS = {
-    "content-security-policy": CONTENT_SECURITY_POLICY,
-    "x-content-type-options": "nosniff",
-    "referrer-policy": "no-referrer",
-    "cross-origin-opener-policy": "same-origin",
-    "cross-origin-resource-policy": "same-origin",
-}
-PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Carina</title>
-<body style="margin:15vh auto;max-width:36rem;padding:0 1rem;font:16px/1.5 system-ui;background:#0e1113;color:#e6e8ea">
-<h1 style="font-size:1.3rem">{title}</h1><p>{words}</p></body></html>
-"""
 HELLO_WITHIN_S = 20.0
-
-
-def web_folder() -> Path | None:
-    """Where the built client lies, or None if it was not built."""
-    folder = Path(str(files("carina"))) / "_web"
-    return folder if (folder / "index.html").is_file() else None
-
-
-class GateMiddleware:
-    """Host and Origin of every request, HTTP and WebSocket, before anything else; security headers on every answer."""
-
-    def __init__(self, app: ASGIApp, gate: Gate) -> None:
-        self._app = app
-        self._gate = gate
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in {"http", "websocket"}:
-            await self._app(scope, receive, send)
-            return
-        method = scope["method"] if scope["type"] == "http" else None
-        refusal = self._gate.refusal(method=method, headers=Headers(scope=scope))
-        if refusal is not None:
-            if scope["type"] == "websocket":
-                # Before it is accepted: the server answers 403.
-                await send({"type": "websocket.close", "code": 1008, "reason": refusal})
-                return
-            await _page("Carina does not answer this", refusal, 403)(scope, receive, _with_headers(send))
-            return
-        await self._app(scope, receive, _with_headers(send) if scope["type"] == "http" else send)
-
-
-def _with_headers(send: Send) -> Send:
-    async def send_with_headers(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            present = {name.lower() for name, _ in message["headers"]}
-            message["headers"] = [
-                *message["headers"],
-                *((k.encode(), v.encode()) for k, v in SECURITY_HEADERS.items() if k.encode() not in present),
-            ]
-        await send(message)
-
-    return send_with_headers
-
-
-def _page(title: str, words: str, status: int) -> Response:
-    return HTMLResponse(PAGE.format(title=title, words=words), status, headers={"cache-control": "no-store"})
 
 
 def _error(trouble: CarinaError, status: int) -> JSONResponse:
@@ -120,18 +57,18 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             words = (
                 "A link works once, so that nobody else can use it. Start Carina again, or go back to the open window."
             )
-            return _page("This link was used already", words, 403)
+            return page("This link was used already", words, 403)
         # No cookie is asked for here: after a click in another site's page the browser withholds a Strict cookie from
         # this navigation, but not from the socket that the page then opens. The files hold nothing of a patient.
         if web is None:
             words = "The window of Carina has not been built. Run <code>make run</code> in the repository, then reload."
-            return _page("Nothing to show yet", words, 503)
+            return page("Nothing to show yet", words, 503)
         return FileResponse(web / "index.html", headers={"cache-control": "no-store"})
 
     async def asset(request: Request) -> Response:
-        found = _asset_path(web, request.path_params["path"])
+        found = asset_path(web, request.path_params["path"])
         if found is None:
-            return _page("Nothing here", "Carina has no such page.", 404)
+            return page("Nothing here", "Carina has no such page.", 404)
         # The builder puts a hash of the content in the name of everything below assets/.
         lasting = found.parent.name == "assets"
         return FileResponse(
@@ -189,18 +126,6 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     app.state.gate = gate
     app.state.hub = hub
     return app
-
-
-def _asset_path(web: Path | None, name: str) -> Path | None:
-    """A file below the client's folder; None for anything else."""
-    if web is None or "\0" in name:
-        return None
-    try:
-        path = (web / name).resolve()
-        return path if path.is_relative_to(web.resolve()) and path.is_file() else None
-    except OSError:
-        # A name that no file system takes: too long, or of too many parts.
-        return None
 
 
 async def _serve_client(websocket: WebSocket, hub: Hub) -> None:

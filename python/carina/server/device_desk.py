@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from carina.config import load_settings
-from carina.errors import UsageError
+from carina.errors import CarinaError, UsageError
 from carina.navigate import AxesSample, Controls, DeviceState, FilterSettings, HandleSample, PoseSample
 from carina.navigate.devices import IgtlServer, Listener, Source, found_ports, open_source
 from carina.server import messages as wire
+from carina.server.phone_page import PhonePage
 from carina.session import Session
 from carina.session.jobs import log_fault
 
@@ -39,6 +40,8 @@ class DeviceDesk:
         Sends a message to the client; from any thread.
     recordings
         Folder of recordings.
+    phone
+        The page for a phone, closed or open; None where there is none.
     """
 
     def __init__(
@@ -47,10 +50,14 @@ class DeviceDesk:
         push: Callable[[Any], None],
         *,
         recordings: Path | None = None,
+        phone: PhonePage | None = None,
     ) -> None:
         self._session = session
         self._push = push
         self._recordings = recordings
+        self._phone = phone
+        if phone is not None:
+            phone.changed = self._show
         self._sources: dict[str, Source] = {}
         self._publisher: IgtlServer | None = None
         self._watched = False
@@ -73,6 +80,9 @@ class DeviceDesk:
         self._sources.clear()
         if self._publisher is not None:
             self._publisher.stop()
+        if self._phone is not None:
+            self._phone.changed = lambda: None
+            self._phone.stop()
         if self._thread.is_alive():
             self._thread.join()
 
@@ -113,6 +123,11 @@ class DeviceDesk:
                     session.device_gone(message.address)
             case wire.PublishTip():
                 self._publish(message.port)
+            case wire.SetPhone():
+                if self._phone is None:
+                    raise UsageError("this Carina has no page for a phone", code="phone.missing")
+                # Keys, sockets and threads: not while the window waits.
+                threading.Thread(target=self._switch_phone, args=(message.on,), daemon=True).start()
             case wire.WatchDevices():
                 self._watched = message.on
                 if message.on:
@@ -140,6 +155,20 @@ class DeviceDesk:
         source = open_source(address, Listener(self._session.device_said, self._session.device_gone))
         self._sources[address] = source
         source.start()
+
+    def _switch_phone(self, on: bool) -> None:
+        assert self._phone is not None
+        try:
+            if on:
+                self._phone.start()
+            else:
+                self._phone.stop()
+        except CarinaError as trouble:
+            self._push(wire.Error(trouble.code, str(trouble), None))
+        except Exception as trouble:
+            log_fault(logger, "the page for a phone could not be switched", trouble)
+            words = f"the page for a phone failed, by a fault of Carina ({type(trouble).__name__})"
+            self._push(wire.Error("carina.fault", words, None))
 
     def _publish(self, port: int | None) -> None:
         if self._publisher is not None:
@@ -188,6 +217,8 @@ class DeviceDesk:
             serial_problem=self._ports[1],
             published_port=None if self._publisher is None else self._publisher.port,
             recording=None if recording is None else str(recording),
+            phone=None if self._phone is None else self._phone.info(),
+            phone_problem="this Carina has no page for a phone" if self._phone is None else self._phone.problem,
         )
 
     def _show(self) -> None:
@@ -223,11 +254,14 @@ def _ports() -> tuple[tuple[str, ...], str | None]:
     return tuple(port["port"] for port in ports)[:200], trouble
 
 
-def _sample(message: wire.DeviceSample) -> PoseSample | AxesSample:
+def _sample(message: wire.DeviceSample) -> PoseSample | AxesSample | HandleSample:
     if message.orientation_wxyz is not None:
         w, x, y, z = message.orientation_wxyz
         at = None if message.position_mm is None else _three(message.position_mm)
-        return PoseSample(message.time_s, at, (w, x, y, z), message.buttons)
+        return PoseSample(message.time_s, at, (w, x, y, z), message.buttons, message.advance)
+    if message.handle is not None:
+        insertion_mm, roll_rad, lever = message.handle
+        return HandleSample(message.time_s, insertion_mm, roll_rad, lever, message.buttons)
     assert message.axes is not None
     forward, right, up, yaw, pitch, roll = message.axes
     return AxesSample(message.time_s, (forward, right, up, yaw, pitch, roll), message.buttons)

@@ -16,6 +16,7 @@ from carina.render import Slab
 from carina.server import messages as wire
 from carina.server.cluster_watch import ClusterWatch
 from carina.server.device_desk import DeviceDesk
+from carina.server.phone_page import PhonePage
 from carina.server.pointing import Pointing, edit_from_wire
 from carina.server.presenter import (
     picked_message,
@@ -131,6 +132,7 @@ class Hub:
         simd: str = "",
         patient_citation: str | None = None,
         recordings: Path | None = None,
+        phone: PhonePage | None = None,
         cluster_status: Callable[[], dict[str, Any]] | None = None,
     ) -> None:
         self.session = session
@@ -144,7 +146,9 @@ class Hub:
         )
         self._thread = threading.Thread(target=self.pump.run, name="carina-frames", daemon=True)
         self._pointing = Pointing(session, self.pump.shown, lambda answer: self._in_loop(self._push, answer))
-        self.devices = DeviceDesk(session, lambda message: self._in_loop(self._push, message), recordings=recordings)
+        self.devices = DeviceDesk(
+            session, lambda message: self._in_loop(self._push, message), recordings=recordings, phone=phone
+        )
         self._watch = None if cluster_status is None else ClusterWatch(cluster_status, self._tell_of_cluster)
         self._unsubscribe: Callable[[], None] = lambda: None
         self._cache: dict[str, tuple[tuple[object, ...], str]] = {}

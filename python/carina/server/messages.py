@@ -1,7 +1,7 @@
 """The messages between server and client, gathered, and how they are read and written (prose: ``protocol/README.md``).
 
-They are frozen dataclasses in ``messages_from_client.py``, ``messages_from_server.py``, ``messages_of_tree.py`` and
-``messages_of_devices.py``.
+They are frozen dataclasses in ``messages_from_client.py``, ``messages_from_server.py``, ``messages_of_tree.py``,
+``messages_of_devices.py`` and ``messages_of_phone.py`` (between the server and a phone's page, on a socket of its own).
 
 ``web/src/wire/messages.ts`` and ``protocol/schema.json`` are generated from them by
 ``python -m carina.server.wire_types``; a test fails when they drift apart. World is LPS mm, matrices are 4x4 row-major,
@@ -118,14 +118,17 @@ from carina.server.messages_of_devices import (
     DeviceSample,
     DeviceSource,
     DisconnectDevice,
+    PhoneInfo,
     PublishTip,
     SetControl,
     SetControls,
+    SetPhone,
     StartRecording,
     StopRecording,
     TakeDevice,
     WatchDevices,
 )
+from carina.server.messages_of_phone import PhoneAct, PhoneHello, PhoneSample, PhoneState
 from carina.server.messages_of_tree import (
     BranchDetail,
     BranchMeasures,
@@ -200,6 +203,11 @@ __all__ = [
     "OpenUpload",
     "Orbit",
     "OtherSeries",
+    "PhoneAct",
+    "PhoneHello",
+    "PhoneInfo",
+    "PhoneSample",
+    "PhoneState",
     "Pick",
     "Picked",
     "PictureHeader",
@@ -233,6 +241,7 @@ __all__ = [
     "SetMode",
     "SetOperator",
     "SetOrbit",
+    "SetPhone",
     "SetReformation",
     "SetRoot",
     "SetScope",
@@ -264,8 +273,10 @@ __all__ = [
     "Zoom",
     "encode_message",
     "parse_client_message",
+    "parse_phone_message",
     "parse_picture",
     "parse_server_message",
+    "parse_to_phone_message",
 ]
 
 WIRE_VERSION = 1
@@ -291,12 +302,17 @@ CLIENT_MESSAGES = _by_type(
     ChooseRoute, SetCrosshair, SetWindow, SetFov, SetScope, SetMask, SetTransfer, SetShading, SetTexture, SetMethod,
     SetLumenThreshold, SetOrbit, SetZoom, SetCarm, SetReformation, SetSlab, SetFrameRate, Probe, Pick, AskLivePath,
     AskBranchDetail, EditTree, Undo, Redo, AcceptNotice, DeviceSample, DeviceGone, TakeDevice, SetControl, SetControls,
-    Calibrate, ArmPen, ConnectDevice, DisconnectDevice, PublishTip, WatchDevices, StartRecording, StopRecording,
+    Calibrate, ArmPen, ConnectDevice, DisconnectDevice, PublishTip, SetPhone, WatchDevices, StartRecording,
+    StopRecording,
 )  # fmt: skip
 SERVER_MESSAGES = _by_type(
     ServerHello, Start, State, Tree, Route, Pose, Value, Picked, LivePath, BranchDetail, Progress, Done, Error, Notice,
     Status, Devices, Cluster,
 )  # fmt: skip
+PHONE_MESSAGES = _by_type(PhoneHello, PhoneSample, PhoneAct)
+TO_PHONE_MESSAGES = _by_type(PhoneState)
+MAX_PHONE_BYTES = 2048
+"""Largest message of a phone; its samples have 200."""
 
 
 def _parse(classes: dict[str, type[Any]], text: str | bytes, max_bytes: int) -> Any:
@@ -326,13 +342,31 @@ def parse_client_message(text: str | bytes, *, max_bytes: int = 262_144) -> Any:
         in_picture = [part is not None for part in (message.frame_id, message.column, message.row)]
         if any(in_picture) != all(in_picture) or (message.lps is None) != all(in_picture):
             raise ProtocolError("live_path needs either a point or a place in a picture", code="protocol.choice")
-    if isinstance(message, DeviceSample) and (message.axes is None) != (message.orientation_wxyz is not None):
-        raise ProtocolError("device_sample needs either an orientation or axes", code="protocol.choice")
+    if isinstance(message, DeviceSample):
+        kinds = (message.orientation_wxyz, message.axes, message.handle)
+        if sum(kind is not None for kind in kinds) != 1:
+            raise ProtocolError("device_sample needs an orientation, axes or a handle", code="protocol.choice")
     if isinstance(message, DeviceSample) and message.position_mm is not None and message.orientation_wxyz is None:
         raise ProtocolError("device_sample has a position without an orientation", code="protocol.choice")
     if isinstance(message, Layout) and len({v.view for v in message.views}) != len(message.views):
         raise ProtocolError("layout names a view twice", code="protocol.choice")
     return message
+
+
+def parse_phone_message(text: str | bytes) -> Any:
+    """One message of the page for a phone.
+
+    Raises
+    ------
+    ProtocolError
+        With a ``protocol.*`` code and one sentence.
+    """
+    return _parse(PHONE_MESSAGES, text, MAX_PHONE_BYTES)
+
+
+def parse_to_phone_message(text: str | bytes) -> Any:
+    """One message of the server to a phone's page; for tests."""
+    return _parse(TO_PHONE_MESSAGES, text, MAX_PHONE_BYTES)
 
 
 def parse_server_message(text: str | bytes, *, max_bytes: int = 64 * 1024 * 1024) -> Any:

@@ -20,9 +20,11 @@ __all__ = [
     "DeviceSource",
     "Devices",
     "DisconnectDevice",
+    "PhoneInfo",
     "PublishTip",
     "SetControl",
     "SetControls",
+    "SetPhone",
     "StartRecording",
     "StopRecording",
     "TakeDevice",
@@ -41,7 +43,10 @@ Buttons = Annotated[int, Range(0, 2**32 - 1)]
 
 @dataclass(frozen=True, slots=True)
 class DeviceSample:
-    """What a device of the window says; second check: either an orientation (with a position or without) or axes."""
+    """What a device of the window says.
+
+    Second check: an orientation (with a position or without), axes, or a scope handle's controls.
+    """
 
     wire_type: ClassVar[str] = "device_sample"
     device: DeviceName
@@ -54,6 +59,10 @@ class DeviceSample:
     axes: Six | None
     """Forward, right, up, yaw right, pitch up, roll clockwise, -1 to 1 of full speed."""
     buttons: Buttons
+    handle: Three | None = None
+    """Insertion in mm, roll in rad, lever -1 to 1 (1 is fully down, which bends the tip up)."""
+    advance: Wide = 0.0
+    """Beside an orientation: how far a forward key or stick is pushed, -1 to 1 of full speed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +154,14 @@ class PublishTip:
 
 
 @dataclass(frozen=True, slots=True)
+class SetPhone:
+    """Open the page for a phone to this machine's network, with a new certificate and link, or close it."""
+
+    wire_type: ClassVar[str] = "set_phone"
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
 class WatchDevices:
     """Send ``devices`` a few times a second, or only when something changes."""
 
@@ -202,6 +219,25 @@ class DeviceSource:
 
 
 @dataclass(frozen=True, slots=True)
+class PhoneInfo:
+    """The page for a phone while it is open to the network."""
+
+    url: Words
+    """With the token: whoever has it may move the tip."""
+    address: Words
+    sha256: Words
+    """Of the certificate, as browsers show it."""
+    qr: Annotated[tuple[Words, ...], Length(0, 200)]
+    """The link as a QR code: rows of 0 (light) and 1 (dark)."""
+    connected: bool
+    rate_hz: float
+    num_bad: Count
+    bad_words: Words
+    num_refused: Count
+    """Connections with a wrong token."""
+
+
+@dataclass(frozen=True, slots=True)
 class Devices:
     """Input devices, how they move the tip, and what is recorded."""
 
@@ -218,3 +254,7 @@ class Devices:
     published_port: Annotated[int, Range(0, 65_535)] | None
     recording: Words | None
     """The file that is being recorded to."""
+    phone: PhoneInfo | None
+    """Null while the page for a phone is closed."""
+    phone_problem: Words | None
+    """Why it cannot be opened on this machine."""

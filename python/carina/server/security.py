@@ -13,6 +13,7 @@ import socket
 import threading
 from collections.abc import Mapping
 from http.cookies import CookieError, SimpleCookie
+from typing import Literal
 
 __all__ = ["Gate", "host_allowed", "is_loopback"]
 
@@ -74,9 +75,10 @@ class Gate:
     ``secret`` is what programs send as bearer; the cookie carries another value, so that neither reveals the other.
     """
 
-    def __init__(self, *, host: str, port: int) -> None:
+    def __init__(self, *, host: str, port: int, scheme: Literal["http", "https"] = "http") -> None:
         self.host = host
         self.port = port
+        self.scheme = scheme
         self.secret = secrets.token_urlsafe(32)
         self._cookie_value = secrets.token_urlsafe(32)
         self._tokens: set[str] = set()
@@ -119,7 +121,7 @@ class Gate:
             return None
         scheme, _, rest = origin.partition("://")
         # The same host and port as the one this request was sent to, which was checked above.
-        if scheme != "http" or rest.lower() != headers.get("host", "").lower():
+        if scheme != self.scheme or rest.lower() != headers.get("host", "").lower():
             return "the request comes from another page"
         return None
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import os
 import socket
 import sys
 import threading
@@ -15,9 +13,11 @@ from typing import Any
 import uvicorn
 
 from carina.config import load_settings
-from carina.errors import CarinaError, UsageError
+from carina.errors import UsageError
 from carina.server.app import create_app, web_folder
 from carina.server.hub import Hub
+from carina.server.listening import bind
+from carina.server.phone_page import PhonePage
 from carina.server.security import Gate, is_loopback
 from carina.server.uploads import Uploads
 from carina.server.wire_codec import MAX_TEXT_BYTES
@@ -26,41 +26,6 @@ from carina.session import LocalStore, RendererFactory, Session
 __all__ = ["bind", "make_server", "serve", "start_url"]
 
 GRACE_S = 3
-
-
-def bind(host: str, port: int) -> socket.socket:
-    """A listening socket.
-
-    Raises
-    ------
-    CarinaError
-        ``server.port`` if the port is taken or not allowed; ``server.host`` if this machine has no such address.
-    """
-    try:
-        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
-    except (OSError, UnicodeError) as trouble:
-        raise CarinaError(f"cannot listen on {host!r}: there is no such address", code="server.host") from trouble
-    sock = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        if os.name == "posix":
-            # A port whose last connections are still closing is free; on Windows this flag would share a port in use.
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        sock.bind(address)
-        sock.listen(64)
-    except OSError as trouble:
-        sock.close()
-        if trouble.errno == errno.EADDRINUSE:
-            msg = (
-                f"port {port} is in use by another program; choose another with --port, or leave it out for a free one"
-            )
-            raise CarinaError(msg, code="server.port") from trouble
-        if trouble.errno == errno.EACCES:
-            msg = f"port {port} may not be used; choose one above 1023, or leave it out for a free one"
-            raise CarinaError(msg, code="server.port") from trouble
-        msg = f"cannot listen on {host!r}: {trouble.strerror}"
-        raise CarinaError(msg, code="server.host") from trouble
-    sock.set_inheritable(False)
-    return sock
 
 
 def start_url(gate: Gate) -> str:
@@ -94,6 +59,7 @@ def make_server(
     uploads: Uploads | None = None,
     patient_citation: str | None = None,
     build_info: dict[str, Any] | None = None,
+    phone: PhonePage | None = None,
     cluster_status: Callable[[], dict[str, Any]] | None = None,
 ) -> uvicorn.Server:
     """The server over a session; run it with ``server.run(sockets=[sock])``; ``server.should_exit = True`` ends it."""
@@ -105,6 +71,7 @@ def make_server(
         threads=int(info.get("threads", 1)),
         simd=str(info.get("simd", "")),
         patient_citation=patient_citation,
+        phone=phone,
         cluster_status=cluster_status,
     )
     config = uvicorn.Config(
@@ -131,6 +98,9 @@ def serve(
     port: int = 0,
     open_browser: bool = True,
     on_ready: Callable[[str, str], None] | None = None,
+    phone: bool = False,
+    phone_address: str | None = None,
+    on_phone: Callable[[str, str], None] | None = None,
     make_renderer: RendererFactory | None = None,
     cluster_status: Callable[[], dict[str, Any]] | None = None,
 ) -> int:
@@ -151,6 +121,13 @@ def serve(
     on_ready
         Gets, once the server answers, the start URL for a browser, which works once, and the token for programs,
         which lasts as long as the server (``Authorization: Bearer TOKEN``, protocol/README.md).
+    phone
+        Open the page for a phone at once; else a person may, in the window under Devices.
+    phone_address
+        Where that page listens; this machine's address in its network unless told.
+    on_phone
+        Gets, if ``phone``, the link of that page, which holds its token, and the certificate's SHA-256 fingerprint;
+        before ``on_ready``.
     make_renderer
         Makes the renderer of a volume; this machine's unless told.
     cluster_status
@@ -168,7 +145,7 @@ def serve(
     VolumeImportError
         If nothing at ``path`` can be opened; no server was started then.
     CarinaError
-        ``server.port`` if the port is in use.
+        ``server.port`` if the port is in use; with ``phone``, ``phone.missing`` or ``server.no-network``.
     """
     if path is not None and demo is not None:
         raise UsageError("give a path or a demo, not both")
@@ -181,6 +158,7 @@ def serve(
         if not is_loopback(host):
             print(_NETWORK_WARNING.format(host=host), file=sys.stderr, flush=True)
         session = Session(make_renderer or _renderer_factory(), store=LocalStore(load_settings().config_dir))
+        page = PhonePage(session, web=web_folder(), address=phone_address)
 
         def ready() -> None:
             if path is not None:
@@ -201,14 +179,21 @@ def serve(
             web=web_folder(),
             patient_citation=_patient_citation(),
             build_info=_build_info(),
+            phone=page,
             cluster_status=cluster_status,
         )
         try:
+            if phone:
+                opened = page.start()
+                print(_PHONE_WARNING.format(address=opened.address), file=sys.stderr, flush=True)
+                if on_phone is not None:
+                    on_phone(opened.url, opened.sha256)
             server.run(sockets=[sock])
         except KeyboardInterrupt:
             # uvicorn has ended cleanly and raises the signal again; Ctrl-C is how a workstation is closed.
             pass
         finally:
+            page.stop()
             session.close()
     return 0
 
@@ -216,6 +201,12 @@ def serve(
 _NETWORK_WARNING = (
     "Carina listens on {host}: everyone on this network who gets hold of the link can see and change the open case, "
     "and the traffic is not encrypted. Leave --host out to keep it on this machine."
+)
+
+
+_PHONE_WARNING = (
+    "Carina's page for a phone listens on {address}: whoever on this network has its link may move the tip, and can "
+    "see nothing of the case. It is closed under Devices, or with Carina."
 )
 
 

@@ -18,6 +18,13 @@ from carina.server.wire_codec import Length, Range, field_types
 
 __all__ = ["generated_files", "json_schema", "main", "typescript"]
 
+GROUPS = (
+    ("ClientMessage", messages.CLIENT_MESSAGES),
+    ("ServerMessage", messages.SERVER_MESSAGES),
+    ("PhoneMessage", messages.PHONE_MESSAGES),
+    ("ToPhoneMessage", messages.TO_PHONE_MESSAGES),
+)
+
 
 def _unwrap(hint: Any) -> tuple[Any, list[Any]]:
     if get_origin(hint) is Annotated:
@@ -52,7 +59,7 @@ def _nested(classes: list[type[Any]]) -> list[type[Any]]:
 
 
 def _all_classes() -> list[type[Any]]:
-    return _nested([*messages.CLIENT_MESSAGES.values(), *messages.SERVER_MESSAGES.values(), messages.PictureHeader])
+    return _nested([*(cls for _, classes in GROUPS for cls in classes.values()), messages.PictureHeader])
 
 
 def _ts_name(cls: type[Any]) -> str:
@@ -111,7 +118,7 @@ def typescript() -> str:
             lines.append(f"  readonly type: {json.dumps(cls.wire_type)};")
         lines += [f"  readonly {name}: {_ts_type(hint)};" for name, hint in field_types(cls).items()]
         lines += ["}", ""]
-    for name, classes in (("ClientMessage", messages.CLIENT_MESSAGES), ("ServerMessage", messages.SERVER_MESSAGES)):
+    for name, classes in GROUPS:
         lines += [f"export type {name} =", *(f"  | {_ts_name(cls)}" for cls in classes.values())]
         lines[-1] += ";"
         lines.append("")
@@ -160,7 +167,7 @@ def json_schema() -> dict[str, Any]:
             "required": list(properties),
             "additionalProperties": bool(getattr(cls, "extra_keys_allowed", False)),
         }
-    for name, classes in (("ClientMessage", messages.CLIENT_MESSAGES), ("ServerMessage", messages.SERVER_MESSAGES)):
+    for name, classes in GROUPS:
         definitions[name] = {"oneOf": [{"$ref": f"#/$defs/{_ts_name(cls)}"} for cls in classes.values()]}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

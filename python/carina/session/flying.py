@@ -145,6 +145,10 @@ class Flying(SessionCore):
         """Look along the path again."""
         self._fly(moves.ResetLook())
 
+    def cycle_control(self) -> None:
+        """The next of absolute, relative and path that there is, as a device's first button does."""
+        self._fly(moves.CycleControl())
+
     # ------------------------------------------------------------ recordings
 
     @property

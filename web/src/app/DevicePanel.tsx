@@ -20,6 +20,7 @@ import { useApp, useStation } from "./context";
 import { Act, SwitchKey } from "./controls";
 import type { CalibrationPair } from "./devices";
 import { Icon } from "./icons";
+import { PhoneGroup } from "./PhoneGroup";
 
 const CONTROLS = [
   ["absolute", "Absolute", "The pen's place in the patient; needs a calibration"],
@@ -50,6 +51,7 @@ export function DevicePanel() {
               told.devices.map((device) => <Device key={device.device} device={device} />)
             )}
             <Connections told={told} />
+            <PhoneGroup told={told} />
             <Recording told={told} />
           </>
         )}

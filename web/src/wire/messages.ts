@@ -377,7 +377,9 @@ export interface AcceptNoticeMessage {
   readonly type: "accept_notice";
 }
 
-/** What a device of the window says; second check: either an orientation (with a position or without) or axes. */
+/** What a device of the window says.
+
+    Second check: an orientation (with a position or without), axes, or a scope handle's controls. */
 export interface DeviceSampleMessage {
   readonly type: "device_sample";
   readonly device: string;
@@ -386,6 +388,8 @@ export interface DeviceSampleMessage {
   readonly orientation_wxyz: readonly [number, number, number, number] | null;
   readonly axes: readonly number[] | null;
   readonly buttons: number;
+  readonly handle: readonly [number, number, number] | null;
+  readonly advance: number;
 }
 
 /** A device of the window was unplugged. */
@@ -454,6 +458,12 @@ export interface DisconnectDeviceMessage {
 export interface PublishTipMessage {
   readonly type: "publish_tip";
   readonly port: number | null;
+}
+
+/** Open the page for a phone to this machine's network, with a new certificate and link, or close it. */
+export interface SetPhoneMessage {
+  readonly type: "set_phone";
+  readonly on: boolean;
 }
 
 /** Send `devices` a few times a second, or only when something changes. */
@@ -884,6 +894,19 @@ export interface DeviceSource {
   readonly num_bad: number;
 }
 
+/** The page for a phone while it is open to the network. */
+export interface PhoneInfo {
+  readonly url: string;
+  readonly address: string;
+  readonly sha256: string;
+  readonly qr: readonly string[];
+  readonly connected: boolean;
+  readonly rate_hz: number;
+  readonly num_bad: number;
+  readonly bad_words: string;
+  readonly num_refused: number;
+}
+
 /** Input devices, how they move the tip, and what is recorded. */
 export interface DevicesMessage {
   readonly type: "devices";
@@ -896,6 +919,8 @@ export interface DevicesMessage {
   readonly serial_problem: string | null;
   readonly published_port: number | null;
   readonly recording: string | null;
+  readonly phone: PhoneInfo | null;
+  readonly phone_problem: string | null;
 }
 
 /** One machine that renders with this one. */
@@ -920,6 +945,38 @@ export interface ClusterMessage {
   readonly mixed: boolean;
   readonly fps: number;
   readonly frame_ms: number | null;
+}
+
+/** The first message of the page: the token of its link. */
+export interface PhoneHelloMessage {
+  readonly type: "phone_hello";
+  readonly wire_version: number;
+  readonly token: string;
+}
+
+/** How the phone is turned and what is held on it; sent while something is held, and once after. */
+export interface PhoneSampleMessage {
+  readonly type: "phone_sample";
+  readonly time_s: number;
+  readonly orientation_wxyz: readonly [number, number, number, number] | null;
+  readonly held: boolean;
+  readonly advance: number;
+}
+
+/** A button of the page: look along the path again, or the next way to move. */
+export interface PhoneActMessage {
+  readonly type: "phone_act";
+  readonly action: "recenter" | "next_control";
+}
+
+/** What the page shows; when it changes. Nothing of the patient is in it. */
+export interface PhoneStateMessage {
+  readonly type: "phone_state";
+  readonly case_open: boolean;
+  readonly control: "absolute" | "relative" | "path";
+  readonly scope_held: boolean;
+  readonly holds: boolean;
+  readonly words: string;
 }
 
 /** A lens in front of this picture. A direction (x, y, z) in camera space falls on center + focal * (x', y').
@@ -1026,6 +1083,7 @@ export type ClientMessage =
   | ConnectDeviceMessage
   | DisconnectDeviceMessage
   | PublishTipMessage
+  | SetPhoneMessage
   | WatchDevicesMessage
   | StartRecordingMessage
   | StopRecordingMessage;
@@ -1048,3 +1106,11 @@ export type ServerMessage =
   | StatusMessage
   | DevicesMessage
   | ClusterMessage;
+
+export type PhoneMessage =
+  | PhoneHelloMessage
+  | PhoneSampleMessage
+  | PhoneActMessage;
+
+export type ToPhoneMessage =
+  | PhoneStateMessage;

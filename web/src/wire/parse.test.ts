@@ -1,7 +1,7 @@
 import { readdirSync, readFileSync } from "node:fs";
 import { fileURLToPath } from "node:url";
 import { describe, expect, it } from "vitest";
-import { checkClientMessage, parsePicture, parseServerMessage } from "./parse";
+import { checkClientMessage, checkPhoneMessage, parsePicture, parseServerMessage, parseToPhone } from "./parse";
 
 const SAMPLES = fileURLToPath(new URL("../../../protocol/", import.meta.url));
 
@@ -49,6 +49,22 @@ describe("samples of the protocol", () => {
 
   it.each(samples("invalid/client"))("would not send $name", ({ bytes }) => {
     expect(refused(() => checkClientMessage(text(bytes)))).toBe(true);
+  });
+
+  it.each(samples("valid/phone"))("would send from a phone $name", ({ bytes }) => {
+    expect(() => checkPhoneMessage(text(bytes))).not.toThrow();
+  });
+
+  it.each(samples("valid/to-phone"))("reads on a phone $name", ({ bytes }) => {
+    expect(parseToPhone(text(bytes))).toEqual(JSON.parse(text(bytes)));
+  });
+
+  it.each(samples("invalid/phone"))("would not send from a phone $name", ({ bytes }) => {
+    expect(refused(() => checkPhoneMessage(text(bytes)))).toBe(true);
+  });
+
+  it.each(samples("invalid/to-phone"))("refuses on a phone $name", ({ bytes }) => {
+    expect(refused(() => parseToPhone(text(bytes)))).toBe(true);
   });
 
   it.each(samples("invalid/pictures"))("refuses the picture $name", ({ bytes }) => {

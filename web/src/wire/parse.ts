@@ -4,7 +4,7 @@
  */
 
 import schemaJson from "../../../protocol/schema.json";
-import type { ClientMessage, PictureHeader, ServerMessage } from "./messages";
+import type { ClientMessage, PictureHeader, ServerMessage, ToPhoneMessage } from "./messages";
 import { clientProblem, doubledKey, pictureProblem } from "./second-checks";
 
 export class WireError extends Error {}
@@ -136,6 +136,8 @@ function byType(union: string): ReadonlyMap<unknown, Schema> {
 
 const SERVER_TYPES = byType("ServerMessage");
 const CLIENT_TYPES = byType("ClientMessage");
+const PHONE_TYPES = byType("PhoneMessage");
+const TO_PHONE_TYPES = byType("ToPhoneMessage");
 
 function parseMessage(types: ReadonlyMap<unknown, Schema>, text: string): unknown {
   const value = parseJson(text);
@@ -167,6 +169,15 @@ export function parseServerMessage(text: string): ServerMessage {
 export function checkClientMessage(text: string): void {
   const found = clientProblem(parseMessage(CLIENT_TYPES, text) as ClientMessage);
   if (found !== null) throw new WireError(found);
+}
+
+/** What the server tells the page for a phone. */
+export function parseToPhone(text: string): ToPhoneMessage {
+  return parseMessage(TO_PHONE_TYPES, text) as ToPhoneMessage;
+}
+
+export function checkPhoneMessage(text: string): void {
+  parseMessage(PHONE_TYPES, text);
 }
 
 /** A header longer than this lies about its length. */

@@ -53,8 +53,8 @@ export function clientProblem(message: ClientMessage): string | null {
         ? null
         : "layout names a view twice";
     case "device_sample":
-      if ((message.axes === null) === (message.orientation_wxyz === null)) {
-        return "device_sample needs either an orientation or axes";
+      if ([message.axes, message.orientation_wxyz, message.handle].filter((kind) => kind !== null).length !== 1) {
+        return "device_sample needs an orientation, axes or a handle";
       }
       return message.position_mm !== null && message.orientation_wxyz === null
         ? "device_sample has a position without an orientation"

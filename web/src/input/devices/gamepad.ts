@@ -108,6 +108,8 @@ export class Gamepads {
         orientation_wxyz: null,
         axes,
         buttons: 0,
+        handle: null,
+        advance: 0,
       });
     }
     if (rests) this.#moving.delete(pad.index);

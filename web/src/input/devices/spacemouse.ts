@@ -87,6 +87,8 @@ export class SpaceMouse {
       orientation_wxyz: null,
       axes,
       buttons: this.#buttons,
+      handle: null,
+      advance: 0,
     });
   }
 

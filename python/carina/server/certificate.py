@@ -1,0 +1,115 @@
+"""A certificate made on the spot: browsers give a phone's sensors to secure pages only."""
+
+from __future__ import annotations
+
+import datetime
+import ipaddress
+import secrets
+import ssl
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from carina.errors import CarinaError
+
+__all__ = ["Certificate", "make_certificate", "phone_problem"]
+
+# A phone's clock may be behind ours; and nobody flies for a month.
+VALID_BEFORE = datetime.timedelta(days=1)
+VALID_FOR = datetime.timedelta(days=30)
+MISSING = "the page for a phone needs pip install 'carina[devices]'"
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """What a server shows, and how a person compares it."""
+
+    context: ssl.SSLContext
+    sha256: str
+    """Fingerprint in capital hexadecimal pairs with colons between, as browsers show it."""
+
+
+def phone_problem() -> str | None:
+    """What is missing for the page for a phone, in words."""
+    try:
+        import cryptography  # noqa: F401 - only whether it is there
+        import segno  # noqa: F401
+    except ImportError:
+        return MISSING
+    return None
+
+
+def make_certificate(host: str) -> Certificate:
+    """A new key and a certificate for one address, signed by itself.
+
+    No authority knows it, so a browser warns; a person compares the fingerprint. The key is written nowhere readable:
+    for the moment in which the TLS library reads it, it lies encrypted in a folder of this user.
+
+    Parameters
+    ----------
+    host
+        Address or name that the phone's link holds.
+
+    Raises
+    ------
+    CarinaError
+        ``phone.missing`` if the library that makes keys is not installed.
+    """
+    problem = phone_problem()
+    if problem is not None:
+        raise CarinaError(problem, code="phone.missing")
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.x509.oid import ExtendedKeyUsageOID
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "Carina on this computer")])
+    alternative: x509.GeneralName
+    try:
+        alternative = x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        alternative = x509.DNSName(host)
+    now = datetime.datetime.now(datetime.UTC)
+    usage = x509.KeyUsage(
+        digital_signature=True,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=False,
+        crl_sign=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
+    certificate = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - VALID_BEFORE)
+        .not_valid_after(now + VALID_FOR)
+        .add_extension(x509.SubjectAlternativeName([alternative]), critical=False)
+        # Whoever trusts it trusts this one page, and nothing that it might sign.
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(usage, critical=True)
+        .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+    password = secrets.token_bytes(32).hex().encode()
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    with tempfile.TemporaryDirectory(prefix="carina-") as folder:
+        file = Path(folder) / "phone.pem"
+        file.touch(mode=0o600)
+        file.write_bytes(
+            key.private_bytes(
+                serialization.Encoding.PEM,
+                serialization.PrivateFormat.PKCS8,
+                serialization.BestAvailableEncryption(password),
+            )
+            + certificate.public_bytes(serialization.Encoding.PEM)
+        )
+        context.load_cert_chain(file, password=password)
+    return Certificate(context, certificate.fingerprint(hashes.SHA256()).hex(":").upper())

@@ -1,0 +1,329 @@
+"""The page that makes a phone an input device: a small HTTPS server of its own, off until a person opens it.
+
+It is apart from the workstation's server in everything: another socket, bound to the address in the local network,
+another token, and an application that knows one page, its files and one WebSocket. Nothing of a case can be read
+through it; what comes in are samples of a device, which go the way of every device's (``navigate.Pilot``).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+
+from carina.errors import CarinaError, ProtocolError
+from carina.server import messages as wire
+from carina.server.certificate import Certificate, make_certificate, phone_problem
+from carina.server.gate_middleware import GateMiddleware, page
+from carina.server.listening import bind, lan_address
+from carina.server.phone_link import DEVICE, PhoneLink, TokenGate
+from carina.server.security import Gate
+from carina.server.web_files import asset_path
+from carina.session import Session
+from carina.session.jobs import log_fault
+
+__all__ = ["PhonePage", "qr_rows"]
+
+logger = logging.getLogger(__name__)
+
+HELLO_WITHIN_S = 5.0
+WRONG_TOKEN_WAIT_S = 0.5
+STATE_EVERY_S = 0.25
+GRACE_S = 1
+STARTS_WITHIN_S = 20.0
+MAX_CONNECTIONS = 32
+
+
+def qr_rows(text: str) -> tuple[str, ...]:
+    """A text as a QR code with its quiet border of four modules: rows of 0 (light) and 1 (dark)."""
+    import segno
+
+    code = segno.make_qr(text, error="m")
+    return tuple("".join("1" if dark else "0" for dark in row) for row in code.matrix_iter(border=4))
+
+
+@dataclass(slots=True)
+class _Open:
+    """All that ends when the page is closed."""
+
+    server: uvicorn.Server
+    thread: threading.Thread
+    tokens: TokenGate
+    info: wire.PhoneInfo
+
+
+class PhonePage:
+    """Opens and closes the page, and hands on what the phone says.
+
+    Parameters
+    ----------
+    session
+        What is driven.
+    web
+        Folder of the built client.
+    address
+        Where to listen; None takes this machine's address in its network.
+    changed
+        Told when a phone comes or goes; from any thread.
+    """
+
+    def __init__(self, session: Session, *, web: Path | None, address: str | None = None) -> None:
+        self.changed: Callable[[], None] = lambda: None
+        self._session = session
+        self._web = web
+        self._address = address
+        self._open: _Open | None = None
+        self._lock = threading.Lock()
+        # Of the page's event loop only, but for the look of info().
+        self._link: PhoneLink | None = None
+        self._socket: WebSocket | None = None
+        self._words = ""
+
+    # ------------------------------------------------------------ opened and closed
+
+    @property
+    def problem(self) -> str | None:
+        """Why it cannot be opened, in words."""
+        if self._web is None or not (self._web / "phone.html").is_file():
+            return "the page for a phone has not been built: run make setup"
+        return phone_problem()
+
+    def start(self) -> wire.PhoneInfo:
+        """Open it, with a new key, certificate and token; the same again changes nothing.
+
+        Raises
+        ------
+        CarinaError
+            ``phone.missing`` if something is not installed; ``server.no-network``, ``server.host``.
+        """
+        with self._lock:
+            if self._open is not None:
+                return self._open.info
+            problem = self.problem
+            if problem is not None:
+                raise CarinaError(problem, code="phone.missing")
+            address = self._address or lan_address()
+            certificate = make_certificate(address)
+            sock = bind(address, 0)
+            try:
+                self._open = self._serve(sock, address, certificate)
+            except BaseException:
+                sock.close()
+                raise
+            info = self._open.info
+        self.changed()
+        return info
+
+    def stop(self) -> None:
+        """Close it: the link, its token and the certificate are void. Returns when nothing listens any more."""
+        with self._lock:
+            opened, self._open = self._open, None
+            if opened is None:
+                return
+            opened.server.should_exit = True
+            opened.thread.join()
+        self.changed()
+
+    def info(self) -> wire.PhoneInfo | None:
+        """What is shown of it; None while it is closed."""
+        opened, link = self._open, self._link
+        if opened is None:
+            return None
+        bad = {} if link is None else dict(link.num_bad)
+        return replace(
+            opened.info,
+            connected=self._socket is not None,
+            rate_hz=0.0 if link is None else link.rate_hz(time.monotonic()),
+            num_bad=sum(bad.values()),
+            bad_words=", ".join(f"{n} for {why}" for why, n in bad.items()),
+            num_refused=opened.tokens.num_refused,
+        )
+
+    def _serve(self, sock: object, address: str, certificate: Certificate) -> _Open:
+        port = sock.getsockname()[1]  # type: ignore[attr-defined]
+        tokens = TokenGate()
+        shown = f"[{address}]" if ":" in address else address
+        # Behind the #: a browser sends it nowhere and keeps it out of every Referer; the page hands it over by itself.
+        url = f"https://{shown}:{port}/#{tokens.token}"
+        started = threading.Event()
+        app = self._app(Gate(host=address, port=port, scheme="https"), tokens)
+        config = uvicorn.Config(
+            app,
+            ssl_context_factory=lambda _config, _default: certificate.context,
+            ws="websockets-sansio",
+            ws_per_message_deflate=False,
+            ws_max_size=wire.MAX_PHONE_BYTES,
+            ws_ping_interval=5.0,
+            ws_ping_timeout=5.0,
+            access_log=False,
+            log_config=None,
+            log_level="error",
+            lifespan="off",
+            server_header=False,
+            limit_concurrency=MAX_CONNECTIONS,
+            timeout_graceful_shutdown=GRACE_S,
+        )
+
+        class Server(uvicorn.Server):
+            async def startup(self, sockets: object = None) -> None:
+                await super().startup(sockets=sockets)  # type: ignore[arg-type]
+                started.set()
+
+        server = Server(config)
+        thread = threading.Thread(target=server.run, args=([sock],), name="carina-phone", daemon=True)
+        thread.start()
+        if not started.wait(STARTS_WITHIN_S):
+            server.should_exit = True
+            raise CarinaError("the page for a phone did not start", code="phone.not-started")
+        info = wire.PhoneInfo(url, address, certificate.sha256, qr_rows(url), False, 0.0, 0, "", 0)
+        return _Open(server, thread, tokens, info)
+
+    # ------------------------------------------------------------ what it answers
+
+    def _app(self, gate: Gate, tokens: TokenGate) -> Starlette:
+        async def index(_request: Request) -> Response:
+            assert self._web is not None
+            return FileResponse(self._web / "phone.html", headers={"cache-control": "no-store"})
+
+        async def asset(request: Request) -> Response:
+            found = asset_path(self._web, f"assets/{request.path_params['name']}")
+            # The workstation's own script holds nothing secret either, but has nothing to do here.
+            if found is None or not found.name.startswith("phone"):
+                return page("Nothing here", "Carina has no such page.", 404)
+            return FileResponse(found, headers={"cache-control": "no-cache"})
+
+        async def socket(websocket: WebSocket) -> None:
+            await websocket.accept()
+            await self._talk(websocket, tokens)
+
+        app = Starlette(
+            routes=[
+                Route("/", index),
+                Route("/assets/{name}", asset),
+                WebSocketRoute("/phone", socket),
+            ]
+        )
+        app.add_middleware(GateMiddleware, gate=gate)
+        return app
+
+    async def _talk(self, websocket: WebSocket, tokens: TokenGate) -> None:
+        """One phone, from its hello to its end."""
+        teller: asyncio.Task[None] | None = None
+        link = PhoneLink(self._heard, self._act, clutch_held_moves=self._clutch_held_moves)
+        try:
+            async with asyncio.timeout(HELLO_WITHIN_S):
+                hello = wire.parse_phone_message(await _receive(websocket) or b"")
+            if not isinstance(hello, wire.PhoneHello):
+                raise ProtocolError("the first message must be phone_hello", code="protocol.order")
+            if hello.wire_version != wire.WIRE_VERSION:
+                raise ProtocolError("this page is of another version; reload it", code="protocol.version")
+            if not tokens.admits(hello.token, time.monotonic()):
+                # Who guesses waits.
+                await asyncio.sleep(WRONG_TOKEN_WAIT_S)
+                raise ProtocolError(
+                    "this link is not valid any more: scan the code on the workstation", code="protocol.not-authorised"
+                )
+            await self._take_over(websocket, link)
+            teller = asyncio.create_task(self._tell(websocket))
+            while True:
+                link.hear(await _receive(websocket), time.monotonic())
+                if self._socket is not websocket:
+                    return
+                if link.is_broken:
+                    raise ProtocolError("too much of what came could not be read", code="protocol.malformed")
+        except ProtocolError as trouble:
+            await _close(websocket, trouble.code, str(trouble))
+        except TimeoutError:
+            await _close(websocket, "protocol.order", "no hello came")
+        except WebSocketDisconnect:
+            pass
+        except Exception as trouble:
+            log_fault(logger, "the link to a phone failed", trouble)
+        finally:
+            if teller is not None:
+                teller.cancel()
+                with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                    await teller
+            if self._socket is websocket:
+                self._socket = None
+                self._session.device_gone(DEVICE)
+                self.changed()
+
+    async def _take_over(self, websocket: WebSocket, link: PhoneLink) -> None:
+        """The newest phone moves the tip: one that lost its network comes back before its old connection is missed."""
+        before, self._socket, self._link, self._words = self._socket, websocket, link, ""
+        if before is not None:
+            self._session.device_gone(DEVICE)
+            await _close(before, "protocol.taken-over", "another phone, or another page of this one, has taken over")
+        self.changed()
+
+    async def _tell(self, websocket: WebSocket) -> None:
+        """What the page shows, when it changes."""
+        told = ""
+        while True:
+            text = wire.encode_message(self._state())
+            if text != told:
+                await websocket.send_text(text)
+                told = text
+            await asyncio.sleep(STATE_EVERY_S)
+
+    def _state(self) -> wire.PhoneState:
+        devices = self._session.devices_info()
+        words = self._words
+        if devices is None:
+            return wire.PhoneState(False, "relative", False, False, words)
+        pose = self._session.pose_info()
+        holds = any(device.device == DEVICE and device.holds for device in devices.devices)
+        return wire.PhoneState(True, devices.control, pose is not None and pose.mode == "scope", holds, words)
+
+    # ------------------------------------------------------------ what it does
+
+    def _heard(self, sample: object) -> None:
+        self._session.device_said(DEVICE, sample)  # type: ignore[arg-type]
+
+    def _clutch_held_moves(self) -> bool:
+        devices = self._session.devices_info()
+        return devices is not None and devices.controls.clutch == "hold"
+
+    def _act(self, action: str) -> None:
+        self._words = ""
+        try:
+            pose = self._session.pose_info()
+            if action == "next_control":
+                self._session.cycle_control()
+            elif pose is not None and pose.mode != "path":
+                # Away from a path, ahead is where the tip looks, and up is what can be set right.
+                self._session.level_horizon()
+            else:
+                self._session.reset_look()
+        except CarinaError as trouble:
+            self._words = str(trouble)
+
+
+async def _receive(websocket: WebSocket) -> str | None:
+    """A text; None for a binary message."""
+    message = await websocket.receive()
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", 1006), message.get("reason"))
+    text = message.get("text")
+    return None if text is None else str(text)
+
+
+async def _close(websocket: WebSocket, code: str, reason: str) -> None:
+    if websocket.application_state is not WebSocketState.CONNECTED:
+        return
+    number = wire.CLOSE_CODES.get(code, wire.CLOSE_CODES["protocol.malformed"])
+    with contextlib.suppress(RuntimeError, WebSocketDisconnect):
+        await websocket.close(number, reason.encode()[:123].decode(errors="ignore"))

@@ -1,0 +1,196 @@
+"""A phone in the hand: switched on in the window, its page in a browser that turns, is cut off and comes back."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import pytest
+from server_process import Server, start_server, stop_server
+
+pytestmark = pytest.mark.browser
+pytest.importorskip("cryptography")
+
+OPEN_MS = 20_000
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory) -> Iterator[Server]:
+    """``carina demo phantom``; the phone's page is closed at first, and stays on this machine when it is opened."""
+    arguments = ["demo", "phantom", "--phone-address", "127.0.0.1"]
+    running = start_server(arguments, tmp_path_factory.mktemp("home"))
+    yield running
+    assert stop_server(running) == 0
+    assert running.errors() == []
+
+
+class Phone:
+    """A page of the size of a phone, with a sensor that the test turns."""
+
+    def __init__(self, context, url: str) -> None:
+        self.context = context
+        self.page = context.new_page()
+        self.faults: list[str] = []
+        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        self.links: list[object] = []
+        self.page.route_web_socket("**/phone", self._linked)
+        self._devtools = context.new_cdp_session(self.page)
+        self.turn(0.0, 20.0, 0.0)
+        self.page.goto(url)
+
+    def _linked(self, link) -> None:
+        link.connect_to_server()
+        self.links.append(link)
+
+    def lose_network(self) -> None:
+        """The connection is cut under the page; a new one is let through."""
+        self.links[-1].close(code=1001)
+
+    def turn(self, alpha: float, beta: float, gamma: float) -> None:
+        angles = {"alpha": alpha % 360.0, "beta": beta, "gamma": gamma}
+        self._devtools.send("DeviceOrientation.setDeviceOrientationOverride", angles)
+
+    def says(self, words: str) -> None:
+        self.page.wait_for_function(
+            "(words) => document.getElementById('state').textContent.includes(words)", arg=words, timeout=OPEN_MS
+        )
+
+    def press(self, what: str) -> None:
+        box = self.page.locator(f"#{what}").bounding_box()
+        self.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        self.page.mouse.down()
+
+    def let_go(self) -> None:
+        self.page.mouse.up()
+
+
+@pytest.fixture
+def phone_of(browser):
+    contexts = []
+
+    def made(url: str) -> Phone:
+        context = browser.new_context(
+            viewport={"width": 390, "height": 844}, device_scale_factor=2, has_touch=True, ignore_https_errors=True
+        )
+        contexts.append(context)
+        return Phone(context, url)
+
+    yield made
+    for context in contexts:
+        context.close()
+
+
+def switch_on(workstation) -> str:
+    page = workstation.page
+    page.keyboard.press(";")
+    page.wait_for_selector("[data-testid=device-panel]")
+    page.wait_for_function("() => window.__carina.state.devices !== null")
+    assert workstation.state("devices.phone") is None, "off until a person switches it on"
+    page.get_by_test_id("phone-switch").click()
+    page.wait_for_selector("[data-testid=phone-qr]", timeout=OPEN_MS)
+    return str(workstation.state("devices.phone.url"))
+
+
+def test_a_phone_turns_and_advances_the_tip_is_lost_and_comes_back(server, workstation, phone_of):
+    workstation.open(server)
+    workstation.wait_ready()
+    url = switch_on(workstation)
+    assert re.fullmatch(r"https://127\.0\.0\.1:\d+/#[\w-]{22,}", url)
+    shown = workstation.page.get_by_test_id("phone-sha256").inner_text()
+    assert re.sub(r"\s", ":", shown.strip()).replace("::", ":") == workstation.state("devices.phone.sha256")
+    workstation.page.get_by_test_id("phone-qr").scroll_into_view_if_needed()
+    workstation.picture("phone-panel")
+
+    phone = phone_of(url)
+    phone.says("Connected")
+    phone.page.screenshot(path=str(workstation.out / "phone-begin.png"))
+    phone.page.locator("#use").tap()
+    phone.page.wait_for_selector("#control:not([hidden])")
+    workstation.page.wait_for_function("() => window.__carina.state.devices.phone.connected")
+
+    # Turned without its button: nothing moves.
+    before = workstation.state("pose.lps_from_camera")
+    for n in range(5):
+        phone.turn(360.0 - 4.0 * n, 20.0, 0.0)
+        phone.page.wait_for_timeout(50)
+    assert workstation.state("pose.lps_from_camera") == before
+    # Held: the tip looks to the right with the phone's upper edge (alpha falls), and the picture follows.
+    pixels = workstation.pixels("airway")
+    phone.press("turn")
+    for n in range(12):
+        phone.turn(344.0 - 2.0 * n, 20.0, 0.0)
+        phone.page.wait_for_timeout(60)
+    workstation.page.wait_for_selector("[data-testid=device][data-holds]")
+    phone.says("moves the tip")
+    phone.page.screenshot(path=str(workstation.out / "phone-held.png"))
+    phone.let_go()
+    after = workstation.state("pose.lps_from_camera")
+    forward = [after[2], after[6], after[10]]
+    right, ahead = (sum(before[4 * row + axis] * forward[row] for row in range(3)) for axis in (0, 2))
+    assert right > 0.2, "to the right"
+    assert ahead > 0.8, "by less than 40 degrees"
+    workstation.wait_still()
+    assert workstation.frame_answers("airway", workstation.state("pose.pose_id"))
+    assert workstation.pixels("airway") != pixels
+    workstation.picture("phone-turned")
+
+    phone.page.locator("#recenter").tap()
+    workstation.page.wait_for_function(
+        f"() => Math.abs(window.__carina.state.pose.lps_from_camera[2] - {before[2]}) < 0.01"
+    )
+    at_mm = workstation.state("pose.path_mm")
+    phone.press("forward")
+    workstation.page.wait_for_function(f"() => window.__carina.state.pose.path_mm > {at_mm + 8}")
+    # The connection is cut under the finger: the tip stops, the page says so, comes back by itself, and what is still
+    # held from before does not move the tip.
+    phone.lose_network()
+    phone.says("Trying again")
+    phone.says("Connected")
+    assert len(phone.links) == 2
+    workstation.wait_still()
+    stopped = workstation.state("pose.pose_id")
+    workstation.page.wait_for_timeout(300)
+    assert workstation.state("pose.pose_id") == stopped
+    phone.let_go()
+    at_mm = workstation.state("pose.path_mm")
+    phone.press("back")
+    workstation.page.wait_for_function(f"() => window.__carina.state.pose.path_mm < {at_mm - 4}")
+    phone.let_go()
+    phone.page.locator("#mode").tap()
+    workstation.page.wait_for_function("() => window.__carina.state.pose.mode === 'free'")
+    phone.says("relative movement")
+
+    # Closed with its finger down, and opened again by the same link.
+    phone.press("forward")
+    phone.page.wait_for_timeout(100)
+    phone.page.close()
+    workstation.page.wait_for_function("() => window.__carina.state.devices.phone.connected === false")
+    workstation.wait_still()
+    stopped = workstation.state("pose.pose_id")
+    workstation.page.wait_for_timeout(300)
+    assert workstation.state("pose.pose_id") == stopped
+    again = phone_of(url)
+    again.says("Connected")
+    workstation.page.wait_for_function("() => window.__carina.state.devices.phone.connected")
+    other = phone_of(url)
+    again.says("has taken over")
+    other.says("Connected")
+
+    workstation.page.get_by_test_id("phone-switch").click()
+    workstation.page.wait_for_function("() => window.__carina.state.devices.phone === null")
+    other.says("does not answer")
+    assert [*phone.faults, *again.faults, *other.faults, *workstation.faults] == []
+
+
+def test_a_page_with_a_wrong_link_is_refused_in_words_and_counted(server, workstation, phone_of):
+    workstation.open(server)
+    workstation.wait_ready()
+    url = switch_on(workstation)
+    stranger = phone_of(url.partition("#")[0] + "#guessed")
+    stranger.says("Scan the code")
+    stranger.page.screenshot(path=str(workstation.out / "phone-refused.png"))
+    workstation.page.wait_for_function("() => window.__carina.state.devices.phone.num_refused === 1")
+    assert workstation.state("devices.phone.connected") is False
+    workstation.page.get_by_test_id("phone-switch").click()
+    workstation.page.wait_for_function("() => window.__carina.state.devices.phone === null")
+    assert workstation.faults == []

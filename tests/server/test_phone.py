@@ -1,0 +1,457 @@
+"""The page for a phone on loopback: certificate, token, what is refused and counted, and the tip that follows."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import socket
+import ssl
+import time
+from types import SimpleNamespace
+
+import httpx
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from carina.errors import CarinaError
+from carina.navigate import PoseSample
+from carina.navigate.pilot import CLUTCH_BUTTON
+from carina.server import certificate as certificate_module
+from carina.server import messages as wire
+from carina.server.certificate import make_certificate
+from carina.server.device_desk import DeviceDesk
+from carina.server.phone_link import MAX_BAD, ClockMap, PhoneLink, TokenGate
+from carina.server.phone_page import PhonePage, qr_rows
+from simulated_serial import wait_for
+from small_case import small_bench
+
+WAIT_S = 10.0
+
+
+def wxyz(axis: int, rad: float) -> list[float]:
+    """A turn about an axis of the pen: 0 right, 1 down, 2 forward."""
+    turned = [math.cos(rad / 2), 0.0, 0.0, 0.0]
+    turned[1 + axis] = math.sin(rad / 2)
+    return turned
+
+
+def sample(time_s: float, orientation=(1.0, 0.0, 0.0, 0.0), *, held=True, advance=0.0) -> str:
+    turn = None if orientation is None else tuple(orientation)
+    return wire.encode_message(wire.PhoneSample(time_s, turn, held, advance))
+
+
+# ------------------------------------------------------------------ the clock, the token, the messages: no network
+
+
+def test_a_phones_clock_is_mapped_by_the_message_that_was_least_delayed():
+    clock = ClockMap()
+    delays_s = [0.080, 0.004, 0.250, 0.020]
+    ours = [clock.ours(1000.0 + n / 60, 5.0 + n / 60 + delay_s) for n, delay_s in enumerate(delays_s)]
+    # From the second message on, all are placed as if each had taken its 4 ms.
+    np.testing.assert_allclose(ours[1:], [5.004 + n / 60 for n in (1, 2, 3)], atol=1e-9)
+    assert ours[0] <= 5.080
+
+
+@pytest.mark.parametrize("jump_s", [-3600.0, -2.0, 1e9, -1e9])
+def test_a_clock_that_is_set_is_taken_up_again_after_a_while(jump_s):
+    clock = ClockMap()
+    for n in range(10):
+        clock.ours(50.0 + n / 60, n / 60)
+    late = [clock.ours(50.0 + jump_s + n / 60, 1.0 + n / 60) - (1.0 + n / 60) for n in range(60)]
+    assert late[-1] == pytest.approx(0.0, abs=1e-6)
+    assert max(late) <= 1e-6, "no sample is from the future"
+
+
+def test_a_time_beyond_all_numbers_spoils_the_map_for_half_a_second_only():
+    clock = ClockMap()
+    clock.ours(1e300, 0.0)
+    late = [clock.ours(50.0 + n / 60, 1.0 + n / 60) - (1.0 + n / 60) for n in range(60)]
+    assert late[-1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_token_is_the_only_one_and_guessing_shuts_the_door_for_a_while():
+    gate = TokenGate(max_wrong=3, window_s=60.0)
+    assert gate.admits(gate.token, 0.0)
+    for n in range(3):
+        assert not gate.admits(f"wrong{n}", 1.0)
+    assert not gate.admits("w\u00f6rter", 1.0)
+    assert not gate.admits(gate.token, 2.0), "right, but somebody guesses"
+    assert gate.num_refused == 5
+    assert gate.admits(gate.token, 62.0)
+    assert TokenGate().token != gate.token
+    assert len(gate.token) >= 22  # 128 bits
+
+
+def a_link(*, clutch="always"):
+    heard: list[PoseSample] = []
+    acts: list[str] = []
+    link = PhoneLink(heard.append, acts.append, clutch_held_moves=lambda: clutch == "hold")
+    return link, heard, acts
+
+
+@pytest.mark.parametrize("clutch", ["always", "hold"])
+@pytest.mark.parametrize("held", [True, False])
+def test_the_tip_turns_while_the_phones_button_is_held_whatever_is_set_for_pens(clutch, held):
+    link, heard, _ = a_link(clutch=clutch)
+    link.hear(sample(1.0, held=held), 0.0)
+    engaged = bool(heard[0].buttons >> CLUTCH_BUTTON & 1) == (clutch == "hold")
+    assert engaged == held
+
+
+def test_a_phone_without_a_sensor_goes_forward_and_does_not_turn():
+    link, heard, _ = a_link()
+    link.hear(sample(1.0, None, held=True, advance=1.0), 0.0)
+    assert (heard[0].advance, heard[0].buttons, heard[0].position_mm) == (1.0, 1 << CLUTCH_BUTTON, None)
+
+
+def test_what_is_bad_is_counted_refused_and_in_the_end_cut_off():
+    link, heard, acts = a_link()
+    bad = ["", "{", "[]", '{"type": "steer"}', sample(1.0).replace("true", "1"), "x" * 5000, None]
+    bad.append(sample(1.0).replace("1.0", "NaN", 1))
+    for n, text in enumerate(bad):
+        link.hear(text, 0.1 * n)
+    assert heard == []
+    assert sum(link.num_bad.values()) == len(bad)
+    assert not link.is_broken
+    link.hear(wire.encode_message(wire.PhoneAct("recenter")), 1.0)
+    link.hear(sample(2.0), 1.1)
+    assert (acts, len(heard)) == (["recenter"], 1)
+    for n in range(MAX_BAD):
+        link.hear("{", 2.0 + n)
+    assert link.is_broken
+
+
+def test_a_flood_is_not_even_read_and_the_next_second_is():
+    link, heard, _ = a_link()
+    for n in range(5000):
+        link.hear(sample(n / 5000), n / 5000)
+    assert 150 <= len(heard) <= 200  # 120 a second and a burst of 60
+    assert link.num_bad["more than can be used"] == 5000 - len(heard)
+    assert not link.is_broken
+    before = len(heard)
+    link.hear(sample(3.0), 3.0)
+    assert len(heard) == before + 1
+
+
+def test_a_qr_code_has_its_three_eyes_and_a_quiet_border():
+    rows = qr_rows("https://192.0.2.7:50443/#" + "a" * 22)
+    size = len(rows)
+    assert all(len(row) == size and set(row) <= {"0", "1"} for row in rows)
+    assert set("".join(rows[:4]) + "".join(row[:4] for row in rows)) == {"0"}
+    eye = ["1111111", "1000001", "1011101", "1011101", "1011101", "1000001", "1111111"]
+    for down, right in ((4, 4), (4, size - 11), (size - 11, 4)):
+        assert [row[right : right + 7] for row in rows[down : down + 7]] == eye
+
+
+def test_without_the_library_it_says_what_to_install(monkeypatch, tmp_path):
+    monkeypatch.setattr(certificate_module, "phone_problem", lambda: certificate_module.MISSING)
+    with pytest.raises(CarinaError, match=r"carina\[devices\]") as refusal:
+        make_certificate("127.0.0.1")
+    assert refusal.value.code == "phone.missing"
+    with pytest.raises(CarinaError, match="make setup"):
+        PhonePage(small_bench().session, web=tmp_path).start()
+
+
+# ------------------------------------------------------------------ on loopback
+
+
+@pytest.fixture
+def web(tmp_path):
+    """A built client, as far as a phone goes."""
+    folder = tmp_path / "web"
+    (folder / "assets").mkdir(parents=True)
+    (folder / "phone.html").write_text("<!doctype html><title>phone</title>")
+    (folder / "index.html").write_text("<!doctype html><title>workstation</title>")
+    (folder / "assets" / "phone-1.js").write_text("// phone")
+    (folder / "assets" / "index-1.js").write_text("// workstation")
+    return folder
+
+
+@pytest.fixture
+def phone(web):
+    """An open page over the small case, as the workstation has it."""
+    bench = small_bench()
+    bench.session._clock = time.monotonic  # the desk's thread keeps the real time
+    bench.open()
+    page = PhonePage(bench.session, web=web, address="127.0.0.1")
+    sent: list[object] = []
+    desk = DeviceDesk(bench.session, sent.append, phone=page)
+    desk.start()
+    page.start()
+    url, _, token = page.info().url.partition("#")
+    yield SimpleNamespace(page=page, desk=desk, session=bench.session, url=url, token=token, sent=sent, bench=bench)
+    desk.stop()
+    bench.session.close()
+
+
+def trusting(fingerprint: str) -> ssl.SSLContext:
+    """As a person who accepted the warning: the certificate is compared by its fingerprint, below."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.verify_mode = ssl.CERT_NONE
+    assert fingerprint
+    return context
+
+
+@contextlib.contextmanager
+def dialled(phone, *, token=None, origin=None, hello=True):
+    base = phone.url.rstrip("/")
+    with connect(
+        f"wss{base[5:]}/phone",
+        ssl=trusting(phone.page.info().sha256),
+        origin=origin or base,
+        compression=None,
+        open_timeout=WAIT_S,
+    ) as link:
+        if hello:
+            link.send(wire.encode_message(wire.PhoneHello(wire.WIRE_VERSION, token or phone.token)))
+        yield link
+
+
+def state(link) -> wire.PhoneState:
+    return wire.parse_to_phone_message(link.recv(timeout=WAIT_S))
+
+
+def ended(link) -> tuple[int, str]:
+    try:
+        while True:
+            link.recv(timeout=WAIT_S)
+    except ConnectionClosed as closed:
+        return closed.rcvd.code, closed.rcvd.reason
+
+
+def get(phone, path, **headers):
+    return httpx.get(f"{phone.url}{path}", verify=trusting("any"), headers=headers, timeout=WAIT_S)
+
+
+def test_the_certificate_is_the_one_whose_fingerprint_is_shown_and_names_the_address(phone):
+    host, port = phone.url[8:].rstrip("/").split(":")
+    with (
+        socket.create_connection((host, int(port)), timeout=WAIT_S) as plain,
+        trusting("any").wrap_socket(plain) as secure,
+    ):
+        der = secure.getpeercert(binary_form=True)
+        assert secure.version() in {"TLSv1.2", "TLSv1.3"}
+    shown = phone.page.info().sha256
+    assert hashlib.sha256(der).hexdigest() == shown.replace(":", "").lower()
+    # A client that trusts this certificate and nothing else takes it for this address: name, dates and use are right.
+    strict = ssl.create_default_context(cadata=ssl.DER_cert_to_PEM_cert(der))
+    assert httpx.get(phone.url, verify=strict, timeout=WAIT_S).status_code == 200
+    from cryptography import x509
+
+    constraints = x509.load_der_x509_certificate(der).extensions.get_extension_for_class(x509.BasicConstraints)
+    assert not constraints.value.ca, "whoever trusts it trusts no other page by it"
+
+
+def test_only_the_page_and_its_files_are_there_and_the_token_is_in_none_of_them(phone):
+    answers = {path: get(phone, path) for path in ("", "assets/phone-1.js")}
+    assert all(answer.status_code == 200 for answer in answers.values())
+    assert all(phone.token not in answer.text for answer in answers.values())
+    assert "default-src 'self'" in answers[""].headers["content-security-policy"]
+    for path in (
+        "index.html",
+        "assets/index-1.js",
+        "ws",
+        "api/upload",
+        "assets/..%2fphone.html",
+        "assets/%00",
+        "x" * 4000,
+    ):
+        assert get(phone, path).status_code in {404, 405}, path
+    with pytest.raises(httpx.HTTPError):
+        httpx.get(phone.url.replace("https", "http"), timeout=WAIT_S)
+
+
+def test_another_host_or_origin_is_refused(phone):
+    assert get(phone, "", Host="evil.example").status_code == 403
+    from websockets.exceptions import InvalidStatus
+
+    with pytest.raises(InvalidStatus) as refused, dialled(phone, origin="https://evil.example"):
+        pass
+    assert refused.value.response.status_code == 403
+
+
+def test_a_wrong_token_no_token_and_silence_are_refused_and_counted(phone, monkeypatch):
+    monkeypatch.setattr("carina.server.phone_page.HELLO_WITHIN_S", 0.2)
+    with dialled(phone, token="wrong") as link:
+        code, reason = ended(link)
+    assert code == wire.CLOSE_CODES["protocol.not-authorised"]
+    assert "scan the code" in reason
+    with dialled(phone, hello=False) as link:
+        link.send(sample(1.0))
+        assert ended(link)[0] == wire.CLOSE_CODES["protocol.order"]
+    with dialled(phone, hello=False) as link:
+        assert ended(link)[0] == wire.CLOSE_CODES["protocol.order"]
+    info = phone.page.info()
+    assert (info.num_refused, info.connected) == (1, False)
+    assert phone.session.devices_info().devices == (), "nothing of them reached the tip"
+
+
+def test_a_phone_turns_the_tip_while_its_button_is_held_and_goes_forward(phone):
+    phone.session.set_mode("free")
+    start = phone.session.pose_info().pose
+    with dialled(phone) as link:
+        assert state(link).case_open
+        assert phone.page.info().connected
+        turn = 0.0
+        for n in range(40):
+            turn = 0.01 * n
+            link.send(sample(100.0 + n / 60, wxyz(1, turn)))
+            time.sleep(1 / 60)
+        # Up to the filter's delay, the tip has turned to the right as the phone has.
+        wait_for(lambda: angle(start, phone.session.pose_info().pose) > 0.3)
+        now = phone.session.pose_info().pose
+        assert angle(start, now) == pytest.approx(turn, abs=0.05)
+        rights = start.lps_from_camera[:3, :3].T @ now.forward_lps
+        assert rights[0] > 0.25
+        assert abs(rights[1]) < 0.01
+        # Let go: the hand may go back.
+        for n in range(20):
+            link.send(sample(101.0 + n / 60, wxyz(1, turn - 0.02 * n), held=False))
+            time.sleep(1 / 60)
+        assert angle(now, phone.session.pose_info().pose) < 0.05
+        phone.session.set_mode("path")
+        at_mm = phone.session.pose_info().path_mm
+        for n in range(30):
+            link.send(sample(102.0 + n / 60, None, held=False, advance=1.0))
+            time.sleep(1 / 60)
+        link.send(sample(103.0, None, held=False))
+        gone_mm = phone.session.pose_info().path_mm - at_mm
+        assert 5.0 < gone_mm < 20.0  # 25 mm/s for half a second, on a machine that may be busy
+    wait_for(lambda: not phone.page.info().connected)
+
+
+def angle(a, b) -> float:
+    cosine = (np.trace(a.lps_from_camera[:3, :3].T @ b.lps_from_camera[:3, :3]) - 1) / 2
+    return math.acos(max(-1.0, min(1.0, cosine)))
+
+
+def test_a_forward_that_is_never_let_go_ends_with_the_phone(phone):
+    with dialled(phone) as link:
+        link.send(sample(1.0, None, held=False, advance=1.0))
+        wait_for(lambda: phone.session.pose_info().path_mm > 0.5)
+    wait_for(lambda: not phone.page.info().connected)
+    time.sleep(0.1)
+    at_mm = phone.session.pose_info().path_mm
+    assert at_mm < 12.0  # a quarter of a second at 25 mm/s, and what the end took
+    time.sleep(0.2)
+    assert phone.session.pose_info().path_mm == at_mm
+
+
+def test_nonsense_clocks_and_numbers_are_counted_and_the_tip_stays_finite(phone):
+    with dialled(phone) as link:
+        state(link)
+        for bad in ("NaN", "1e999", "null"):
+            link.send(sample(1.0).replace("1.0", bad, 1))
+        link.send(sample(1.0, (0.0, 0.0, 0.0, 0.0)))
+        link.send(sample(1.0, (1e300, 0.0, 0.0, 0.0)))
+        link.send(sample(2.0, advance=7.0))
+        link.send(b"\x00\x01")
+        link.send(sample(5.0, wxyz(1, 0.1)))
+        link.send(sample(-5.0, wxyz(1, 1.0)))
+        wait_for(lambda: phone.page.info().num_bad == 4)
+        ignored = {}
+
+        def count():
+            (device,) = phone.session.devices_info().devices
+            ignored.update(device.num_ignored)
+            return sum(ignored.values()) >= 3
+
+        wait_for(count)
+        assert ignored["an orientation of length 0"] == 1
+        assert ignored["numbers out of range"] == 1
+        assert ignored["a clock that ran backwards"] == 1
+    assert np.isfinite(phone.session.pose_info().pose.lps_from_camera).all()
+
+
+def test_a_phone_that_lost_its_network_comes_back_and_the_old_link_is_told(phone):
+    with dialled(phone) as first:
+        state(first)
+        with dialled(phone) as second:
+            state(second)
+            code, reason = ended(first)
+            assert code == wire.CLOSE_CODES["protocol.taken-over"]
+            assert "taken over" in reason
+            second.send(sample(1.0, None, held=False, advance=1.0))
+            wait_for(lambda: phone.session.pose_info().path_mm > 0.0)
+            assert phone.page.info().connected
+    wait_for(lambda: not phone.page.info().connected)
+
+
+def test_its_buttons_recenter_and_change_the_way_to_move(phone):
+    with dialled(phone) as link:
+        assert state(link).control == "path"
+        phone.session.steer(0.0, 0.5, 0.0, 0.0)
+        turned = phone.session.pose_info().pose
+        link.send(wire.encode_message(wire.PhoneAct("recenter")))
+        wait_for(lambda: angle(turned, phone.session.pose_info().pose) > 0.4)
+        link.send(wire.encode_message(wire.PhoneAct("next_control")))
+        assert state(link).control == "relative"
+        assert phone.session.pose_info().mode == "free"
+        # Where there is no path it levels the horizon.
+        phone.session.steer(0.0, 0.0, 0.0, 0.5)
+        rolled = phone.session.pose_info().pose
+        link.send(wire.encode_message(wire.PhoneAct("recenter")))
+        wait_for(lambda: angle(rolled, phone.session.pose_info().pose) > 0.4)
+        phone.session.close_case()
+        wait_for(lambda: not state(link).case_open)
+        for action in ("next_control", "recenter"):
+            link.send(wire.encode_message(wire.PhoneAct(action)))
+        link.send(sample(1.0))
+        phone.bench.open()
+        assert state(link).case_open, "what cannot be done without a case ends nothing"
+
+
+def test_much_that_is_bad_cuts_the_phone_off(phone):
+    with dialled(phone) as link:
+        state(link)
+        for _ in range(MAX_BAD + 1):
+            link.send("{")
+            time.sleep(0.01)
+        assert ended(link)[0] == wire.CLOSE_CODES["protocol.malformed"]
+    # And it may come back.
+    with dialled(phone) as link:
+        assert state(link).case_open
+
+
+def test_it_is_closed_with_a_click_and_its_link_is_void(phone):
+    port = int(phone.url.rstrip("/").rpartition(":")[2])
+    old = phone.page.info()
+    with dialled(phone) as link:
+        state(link)
+        phone.desk.handle(wire.SetPhone(False))
+        ended(link)
+    wait_for(lambda: phone.page.info() is None)
+    wait_for(lambda: any(isinstance(m, wire.Devices) and m.phone is None for m in phone.sent))
+    with pytest.raises(OSError, match=r"refused|reset"):
+        socket.create_connection(("127.0.0.1", port), timeout=WAIT_S).close()
+    phone.desk.handle(wire.SetPhone(True))
+    wait_for(lambda: phone.page.info() is not None)
+    new = phone.page.info()
+    assert new.sha256 != old.sha256
+    assert new.url.partition("#")[2] != phone.token
+    phone.url = new.url.partition("#")[0]
+    with dialled(phone) as link:  # the old token
+        assert ended(link)[0] == wire.CLOSE_CODES["protocol.not-authorised"]
+
+
+def test_it_is_off_until_somebody_switches_it_on_and_says_why_it_cannot(web):
+    bench = small_bench()
+    bench.open()
+    page = PhonePage(bench.session, web=web, address="203.0.113.250")  # of no machine: for documentation
+    sent: list[object] = []
+    desk = DeviceDesk(bench.session, sent.append, phone=page)
+    assert page.info() is None
+    message = desk.message()
+    assert (message.phone, message.phone_problem) == (None, None)
+    desk.handle(wire.SetPhone(True))
+    wait_for(lambda: any(isinstance(m, wire.Error) for m in sent))
+    (trouble,) = [m for m in sent if isinstance(m, wire.Error)]
+    assert trouble.code == "server.host"
+    assert page.info() is None
+    json.loads(wire.encode_message(desk.message()))
+    bench.session.close()

@@ -1,0 +1,81 @@
+/** The page for a phone: switched on and off, its link as a code to scan, and the certificate to compare. */
+
+import { fixed } from "../state/format";
+import { fingerprintLines, qrPath } from "../state/qr";
+import type { DevicesMessage, PhoneInfo } from "../wire/messages";
+import { useStation } from "./context";
+import { SwitchKey } from "./controls";
+
+export function PhoneGroup({ told }: { told: DevicesMessage }) {
+  const station = useStation();
+  const { phone } = told;
+  return (
+    <div className="group phone">
+      <h3>Phone</h3>
+      <SwitchKey
+        words={
+          phone === null
+            ? "Opens a page to this network. Whoever has its link may move the tip; nothing of the case is on it."
+            : "Closes the page; its link and certificate are void"
+        }
+        label={phone === null ? "Use a phone" : "Close the phone's page"}
+        on={phone !== null}
+        disabled={phone === null && told.phone_problem !== null}
+        testId="phone-switch"
+        onChange={() => station.send({ type: "set_phone", on: phone === null })}
+      />
+      {phone === null ? (
+        <p className="quiet">
+          {told.phone_problem ?? "A phone can turn the tip and go forward and back: 3 of 6 degrees."}
+        </p>
+      ) : (
+        <Open phone={phone} />
+      )}
+    </div>
+  );
+}
+
+function Open({ phone }: { phone: PhoneInfo }) {
+  return (
+    <>
+      <p data-testid="phone-state">
+        {phone.connected ? `A phone is connected, ${fixed(phone.rate_hz)} Hz.` : "Scan this with the phone's camera:"}
+      </p>
+      {phone.connected ? null : <Code rows={phone.qr} />}
+      <p className="quiet path" data-testid="phone-url">
+        {phone.url}
+      </p>
+      <p>
+        The phone warns of the certificate, since no authority knows this computer. Compare its SHA-256 before you go
+        on:
+      </p>
+      <p className="fingerprint" data-testid="phone-sha256">
+        {fingerprintLines(phone.sha256).map((line) => (
+          <span key={line}>{line}</span>
+        ))}
+      </p>
+      <p className="quiet">
+        Listens on {phone.address}, encrypted. Who has this link may move the tip and see nothing of the case.
+        {phone.num_refused === 0 ? "" : ` Refused: ${phone.num_refused} with a wrong link.`}
+        {phone.num_bad === 0 ? "" : ` Ignored: ${phone.bad_words}.`}
+      </p>
+    </>
+  );
+}
+
+function Code({ rows }: { rows: readonly string[] }) {
+  const size = rows.length;
+  return (
+    <svg
+      className="qr"
+      viewBox={`0 0 ${size} ${size}`}
+      shapeRendering="crispEdges"
+      role="img"
+      aria-label="The link as a QR code"
+      data-testid="phone-qr"
+    >
+      <rect width={size} height={size} fill="#fff" />
+      <path d={qrPath(rows)} fill="#000" />
+    </svg>
+  );
+}

@@ -1,0 +1,142 @@
+import { beforeEach, describe, expect, it } from "vitest";
+import { CLOSE_CODES, type PhoneStateMessage } from "../wire/messages";
+import { checkPhoneMessage } from "../wire/parse";
+import { Link, type LinkStatus } from "./link";
+import { stateWords } from "./words";
+
+const STATE: PhoneStateMessage = {
+  type: "phone_state",
+  case_open: true,
+  control: "path",
+  scope_held: false,
+  holds: true,
+  words: "",
+};
+
+class FakeSocket {
+  binaryType = "";
+  readyState = 0;
+  bufferedAmount = 0;
+  onopen: ((event: never) => void) | null = null;
+  onmessage: ((event: never) => void) | null = null;
+  onclose: ((event: never) => void) | null = null;
+  readonly sent: string[] = [];
+  closed = false;
+  send(text: string): void {
+    checkPhoneMessage(text);
+    this.sent.push(text);
+  }
+  close(): void {
+    this.closed = true;
+  }
+  opens(): void {
+    this.readyState = 1;
+    this.onopen?.(undefined as never);
+  }
+  says(value: unknown): void {
+    this.onmessage?.({ data: JSON.stringify(value) } as never);
+  }
+  ends(code: number): void {
+    this.readyState = 3;
+    this.onclose?.({ code } as never);
+  }
+}
+
+let sockets: FakeSocket[];
+let statuses: LinkStatus[];
+let words: string;
+let timers: { ms: number; call: () => void }[];
+let link: Link;
+const newest = () => {
+  const socket = sockets.at(-1);
+  if (socket === undefined) throw new Error("no socket was made");
+  return socket;
+};
+
+beforeEach(() => {
+  sockets = [];
+  statuses = [];
+  timers = [];
+  link = new Link(
+    () => {
+      sockets.push(new FakeSocket());
+      return newest();
+    },
+    "secret",
+    {
+      status: (status, said) => {
+        statuses.push(status);
+        words = said;
+      },
+      state: () => undefined,
+    },
+    (ms, call) => {
+      const timer = { ms, call };
+      timers.push(timer);
+      return () => {
+        timers = timers.filter((other) => other !== timer);
+      };
+    },
+  );
+  link.open();
+});
+
+describe("a phone's link", () => {
+  it("says its token first, and nothing else before it is let in", () => {
+    newest().opens();
+    expect(newest().sent.map((text) => JSON.parse(text).token)).toEqual(["secret"]);
+    expect(link.send({ type: "phone_act", action: "recenter" })).toBe(false);
+    newest().says(STATE);
+    expect(statuses.at(-1)).toBe("open");
+    expect(link.send({ type: "phone_act", action: "recenter" })).toBe(true);
+  });
+
+  it("comes back by itself, later each time, and soon again once it was in", () => {
+    newest().ends(1006);
+    expect(timers.map((timer) => timer.ms)).toEqual([500]);
+    timers[0]?.call();
+    newest().ends(1006);
+    expect(timers.map((timer) => timer.ms)).toEqual([1000]);
+    timers[0]?.call();
+    expect(sockets.length).toBe(3);
+    newest().opens();
+    newest().says(STATE);
+    newest().ends(1006);
+    expect(timers.at(-1)?.ms).toBe(500);
+    expect(statuses.at(-1)).toBe("lost");
+  });
+
+  it.each(["protocol.not-authorised", "protocol.taken-over"] as const)("does not try again after %s", (code) => {
+    newest().opens();
+    newest().ends(CLOSE_CODES[code]);
+    expect(statuses.at(-1)).toBe("refused");
+    expect(words.length).toBeGreaterThan(20);
+    expect(timers).toEqual([]);
+  });
+
+  it("throws samples away while the network does not keep up", () => {
+    newest().opens();
+    newest().says(STATE);
+    newest().bufferedAmount = 5000;
+    expect(link.send({ type: "phone_act", action: "recenter" })).toBe(false);
+    newest().bufferedAmount = 0;
+    expect(link.send({ type: "phone_act", action: "recenter" })).toBe(true);
+  });
+
+  it("ends where the server speaks otherwise", () => {
+    newest().opens();
+    const socket = newest();
+    socket.says({ type: "phone_state", case_open: "yes" });
+    expect(statuses.at(-1)).toBe("refused");
+    expect(socket.closed).toBe(true);
+  });
+});
+
+describe("its words", () => {
+  it("say what the phone does", () => {
+    expect(stateWords(STATE)).toBe("This phone moves the tip: along the path.");
+    expect(stateWords({ ...STATE, case_open: false })).toContain("Open a case");
+    expect(stateWords({ ...STATE, holds: false, scope_held: true })).toBe("Connected: a scope is held.");
+    expect(stateWords({ ...STATE, words: "no path yet" })).toBe("no path yet");
+  });
+});

@@ -1,0 +1,110 @@
+/** The phone's socket: says the link's token, comes back by itself, and knows when trying again cannot help. */
+
+import { retryDelayMs, type Socket, type StreamClock } from "../net/stream";
+import { CLOSE_CODES, type PhoneMessage, type PhoneStateMessage, WIRE_VERSION } from "../wire/messages";
+import { parseToPhone, WireError } from "../wire/parse";
+
+export type LinkStatus = "connecting" | "open" | "lost" | "refused";
+
+export interface LinkHandlers {
+  status(status: LinkStatus, words: string): void;
+  state(state: PhoneStateMessage): void;
+}
+
+const OPEN = 1;
+/** More than this waits in the browser: the network does not keep up, and an old turn is of no use. */
+const FULL_BYTES = 4096;
+const USELESS = new Map<number, string>([
+  [CLOSE_CODES["protocol.not-authorised"], "This link is not valid any more. Scan the code on the workstation again."],
+  [CLOSE_CODES["protocol.taken-over"], "Another phone, or another page of this one, has taken over."],
+  [CLOSE_CODES["protocol.version"], "This page and Carina are of different versions. Reload the page."],
+  [CLOSE_CODES["protocol.malformed"], "Carina did not understand this page. Reload it."],
+]);
+
+export class Link {
+  readonly #connect: () => Socket & { readonly bufferedAmount: number };
+  readonly #token: string;
+  readonly #handlers: LinkHandlers;
+  readonly #after: StreamClock["after"];
+  #socket: (Socket & { readonly bufferedAmount: number }) | null = null;
+  #isOpen = false;
+  #attempt = 0;
+  #callOff: (() => void) | null = null;
+
+  constructor(
+    connect: () => Socket & { readonly bufferedAmount: number },
+    token: string,
+    handlers: LinkHandlers,
+    after: StreamClock["after"],
+  ) {
+    this.#connect = connect;
+    this.#token = token;
+    this.#handlers = handlers;
+    this.#after = after;
+  }
+
+  open = (): void => {
+    this.#callOff?.();
+    this.#callOff = null;
+    this.#isOpen = false;
+    const previous = this.#socket;
+    this.#socket = null;
+    previous?.close();
+    this.#handlers.status("connecting", "Connecting");
+    const socket = this.#connect();
+    this.#socket = socket;
+    socket.onopen = () =>
+      socket.send(JSON.stringify({ type: "phone_hello", wire_version: WIRE_VERSION, token: this.#token }));
+    socket.onmessage = (event: { data: unknown }) => {
+      if (this.#socket === socket && typeof event.data === "string") this.#receive(event.data);
+    };
+    socket.onclose = (event: { code: number }) => {
+      if (this.#socket !== socket) return;
+      this.#socket = null;
+      this.#isOpen = false;
+      const useless = USELESS.get(event.code);
+      if (useless !== undefined) {
+        this.#handlers.status("refused", useless);
+        return;
+      }
+      this.#handlers.status("lost", "The workstation does not answer. Trying again.");
+      this.#callOff = this.#after(retryDelayMs(this.#attempt), this.open);
+      this.#attempt += 1;
+    };
+  };
+
+  /** Whether it went out; what cannot go out now is not kept. */
+  send = (message: PhoneMessage): boolean => {
+    const socket = this.#socket;
+    if (socket === null || !this.#isOpen || socket.readyState !== OPEN || socket.bufferedAmount > FULL_BYTES) {
+      return false;
+    }
+    socket.send(JSON.stringify(message));
+    return true;
+  };
+
+  close = (): void => {
+    this.#callOff?.();
+    this.#callOff = null;
+    const socket = this.#socket;
+    this.#socket = null;
+    this.#isOpen = false;
+    socket?.close();
+  };
+
+  #receive(text: string): void {
+    try {
+      const state = parseToPhone(text);
+      if (!this.#isOpen) {
+        this.#isOpen = true;
+        this.#attempt = 0;
+        this.#handlers.status("open", "");
+      }
+      this.#handlers.state(state);
+    } catch (trouble) {
+      if (!(trouble instanceof WireError)) throw trouble;
+      this.#handlers.status("refused", "Carina and this page do not understand each other. Reload the page.");
+      this.close();
+    }
+  }
+}

@@ -1,0 +1,151 @@
+/** The page for a phone: its sensor and its buttons, wired to Carina. */
+
+import "./phone.css";
+import { Hand, type Held } from "./hand";
+import { Link } from "./link";
+import { penOrientation } from "./orientation";
+import { NO_SENSOR, SENSOR_REFUSED, SENSOR_WITHIN_MS, stateWords } from "./words";
+
+function element<T extends HTMLElement>(id: string): T {
+  const found = document.getElementById(id);
+  if (found === null) throw new Error(`the page has no ${id}`);
+  return found as T;
+}
+
+function socketAddress(): string {
+  const address = new URL("./phone", location.href);
+  address.protocol = "wss:";
+  address.hash = "";
+  return address.href;
+}
+
+const state = element("state");
+const sensor = element("sensor");
+const say = (words: string, tone: "good" | "wait" | "bad") => {
+  state.textContent = words;
+  document.body.dataset.tone = tone;
+};
+
+const link = new Link(
+  () => new WebSocket(socketAddress()),
+  location.hash.slice(1),
+  {
+    status: (status, words) => {
+      if (status !== "open") say(words, status === "refused" ? "bad" : "wait");
+      // A finger that was down when the network went away must not move the tip when it is back.
+      if (status !== "open") letGo();
+    },
+    state: (told) => say(stateWords(told), "good"),
+  },
+  (ms, call) => {
+    const timer = setTimeout(call, ms);
+    return () => clearTimeout(timer);
+  },
+);
+const hand = new Hand(link.send);
+const holders: [HTMLElement, Held][] = [
+  [element("turn"), "turn"],
+  [element("forward"), "forward"],
+  [element("back"), "back"],
+];
+
+function letGo(): void {
+  hand.letGo();
+  for (const [button] of holders) delete button.dataset.held;
+}
+
+for (const [button, what] of holders) {
+  const set = (down: boolean) => {
+    hand.hold(what, down);
+    if (down) button.dataset.held = "true";
+    else delete button.dataset.held;
+  };
+  button.addEventListener("pointerdown", (event) => {
+    button.setPointerCapture(event.pointerId);
+    set(true);
+  });
+  for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) {
+    button.addEventListener(name, () => set(false));
+  }
+  // Apart from the fingers: a second finger takes the focus from the button that the first one holds.
+  let byKey = false;
+  const key = (down: boolean) => {
+    if (down || byKey) set(down);
+    byKey = down;
+  };
+  button.addEventListener("keydown", (event) => {
+    if (event.key !== " " && event.key !== "Enter") return;
+    event.preventDefault();
+    key(true);
+  });
+  button.addEventListener("keyup", () => key(false));
+  button.addEventListener("blur", () => key(false));
+  // A long press is what this button is for.
+  button.addEventListener("contextmenu", (event) => event.preventDefault());
+}
+
+element("recenter").addEventListener("click", () => link.send({ type: "phone_act", action: "recenter" }));
+element("mode").addEventListener("click", () => link.send({ type: "phone_act", action: "next_control" }));
+
+/** iOS asks, and only in answer to a tap. */
+async function mayRead(): Promise<boolean> {
+  const events = globalThis.DeviceOrientationEvent as
+    | (typeof DeviceOrientationEvent & { requestPermission?: () => Promise<string> })
+    | undefined;
+  if (events === undefined) return true;
+  if (events.requestPermission === undefined) return true;
+  try {
+    return (await events.requestPermission()) === "granted";
+  } catch {
+    return false;
+  }
+}
+
+async function stayAwake(): Promise<void> {
+  try {
+    await navigator.wakeLock?.request("screen");
+  } catch {
+    // The screen may go dark; a tap brings it back.
+  }
+}
+
+let seen = false;
+
+element("use").addEventListener("click", () => {
+  void (async () => {
+    const allowed = await mayRead();
+    element("begin").hidden = true;
+    element("control").hidden = false;
+    void stayAwake();
+    sensor.textContent = allowed ? "" : SENSOR_REFUSED;
+    if (!allowed) return;
+    addEventListener("deviceorientation", (event) => {
+      const turned = penOrientation(event);
+      if (turned === null) return;
+      if (!seen) sensor.textContent = "";
+      seen = true;
+      hand.turned(turned);
+    });
+    setTimeout(() => {
+      if (!seen) sensor.textContent = NO_SENSOR;
+    }, SENSOR_WITHIN_MS);
+  })();
+});
+
+document.addEventListener("visibilitychange", () => {
+  if (document.visibilityState === "hidden") {
+    letGo();
+    hand.tick(performance.now() / 1000);
+  } else if (!element("control").hidden) void stayAwake();
+});
+addEventListener("pagehide", () => link.close());
+addEventListener("pageshow", (event) => {
+  if (event.persisted) link.open();
+});
+
+function tick(nowMs: number): void {
+  hand.tick(nowMs / 1000);
+  requestAnimationFrame(tick);
+}
+requestAnimationFrame(tick);
+link.open();

@@ -1,0 +1,90 @@
+import { describe, expect, it } from "vitest";
+import { multiply, penOrientation, type Turned, type Wxyz } from "./orientation";
+
+type Vec = readonly [number, number, number];
+
+function rotate(q: Wxyz, v: Vec): Vec {
+  const [, x, y, z] = multiply(multiply(q, [0, ...v]), [q[0], -q[1], -q[2], -q[3]]);
+  return [x, y, z];
+}
+
+function close(found: Vec, expected: Vec): void {
+  for (const axis of [0, 1, 2] as const) expect(found[axis]).toBeCloseTo(expected[axis], 12);
+}
+
+const of = (alpha: number, beta: number, gamma: number): Wxyz => {
+  const q = penOrientation({ alpha, beta, gamma });
+  if (q === null) throw new Error("an orientation was expected");
+  return q;
+};
+
+const RIGHT: Vec = [1, 0, 0];
+const DOWN: Vec = [0, 1, 0];
+const FORWARD: Vec = [0, 0, 1];
+
+/** The matrix of the W3C's Device Orientation, section 4.1 (its example, Z-X'-Y''), written out. */
+function w3c({ alpha, beta, gamma }: { alpha: number; beta: number; gamma: number }): number[][] {
+  const rad = Math.PI / 180;
+  const [cx, cy, cz] = [Math.cos(beta * rad), Math.cos(gamma * rad), Math.cos(alpha * rad)];
+  const [sx, sy, sz] = [Math.sin(beta * rad), Math.sin(gamma * rad), Math.sin(alpha * rad)];
+  return [
+    [cz * cy - sz * sx * sy, -cx * sz, cy * sz * sx + cz * sy],
+    [cy * sz + cz * sx * sy, cz * cx, sz * sy - cz * cy * sx],
+    [-cx * sy, sx, cx * cy],
+  ];
+}
+
+describe("a phone as a pen", () => {
+  it("lies flat with its upper edge to the north: forward is north, down is down", () => {
+    close(rotate(of(0, 0, 0), FORWARD), [0, 1, 0]);
+    close(rotate(of(0, 0, 0), RIGHT), [1, 0, 0]);
+    close(rotate(of(0, 0, 0), DOWN), [0, 0, -1]);
+  });
+
+  it("points up when its upper edge is lifted (beta 90), and to the west after a quarter turn to the left", () => {
+    close(rotate(of(0, 90, 0), FORWARD), [0, 0, 1]);
+    close(rotate(of(90, 0, 0), FORWARD), [-1, 0, 0]);
+  });
+
+  it("rolls clockwise, as its owner sees it, when its right edge goes down (gamma 90)", () => {
+    close(rotate(of(0, 0, 90), FORWARD), [0, 1, 0]);
+    close(rotate(of(0, 0, 90), RIGHT), [0, 0, -1]);
+  });
+
+  it("equals the matrix of the standard at any angles", () => {
+    for (const [alpha, beta, gamma] of [
+      [12, 34, 56],
+      [359.9, -179.5, 89.9],
+      [200, 91, -45],
+      [0.001, -0.002, 0.003],
+    ] as const) {
+      const matrix = w3c({ alpha, beta, gamma });
+      const axes: readonly [Vec, Vec][] = [
+        [RIGHT, [1, 0, 0]],
+        [FORWARD, [0, 1, 0]],
+        [DOWN, [0, 0, -1]],
+      ];
+      for (const [pen, device] of axes) {
+        const at = (row: number) =>
+          device.reduce((sum, v, column) => sum + (matrix[row]?.[column] ?? Number.NaN) * v, 0);
+        close(rotate(of(alpha, beta, gamma), pen), [at(0), at(1), at(2)]);
+      }
+    }
+  });
+
+  it("has unit length everywhere", () => {
+    for (let n = 0; n < 200; n += 1) {
+      const q = of((n * 37) % 360, ((n * 53) % 360) - 180, ((n * 29) % 180) - 90);
+      expect(Math.hypot(...q)).toBeCloseTo(1, 12);
+    }
+  });
+
+  it("says nothing where the phone says nothing or nonsense", () => {
+    const bad: Turned[] = [
+      { alpha: null, beta: 0, gamma: 0 },
+      { alpha: 0, beta: Number.NaN, gamma: 0 },
+      { alpha: 0, beta: 0, gamma: Number.POSITIVE_INFINITY },
+    ];
+    for (const turned of bad) expect(penOrientation(turned)).toBeNull();
+  });
+});

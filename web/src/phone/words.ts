@@ -1,0 +1,22 @@
+/** What the page says about how it stands. */
+
+import type { PhoneStateMessage } from "../wire/messages";
+
+const CONTROL_WORDS = {
+  absolute: "absolute movement",
+  relative: "relative movement",
+  path: "along the path",
+} as const;
+
+export function stateWords(state: PhoneStateMessage): string {
+  if (state.words !== "") return state.words;
+  if (!state.case_open) return "Connected. Open a case on the workstation.";
+  const how = state.scope_held ? "a scope is held" : CONTROL_WORDS[state.control];
+  return `${state.holds ? "This phone moves the tip" : "Connected"}: ${how}.`;
+}
+
+/** How long a phone may take to say how it is turned before it counts as one without a sensor. */
+export const SENSOR_WITHIN_MS = 2000;
+export const NO_SENSOR = "This phone or browser does not say how it is turned. Forward and back still work.";
+export const SENSOR_REFUSED =
+  "The browser was not allowed to tell how the phone is turned. Close and open this page, and allow it.";
