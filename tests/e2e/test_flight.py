@@ -128,3 +128,19 @@ def test_the_voxel_under_the_cursor_is_told_with_its_place(server, workstation):
     )
     assert words.inner_text()[0] in "LR"
     assert workstation.faults == []
+
+
+def test_the_rehearsal_says_how_far_the_scope_fits(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    page = workstation.page
+    page.get_by_role("button", name="Rehearse", exact=True).click()
+    fits = page.get_by_test_id("fits")
+    narrowest_mm = 2 * min(workstation.state("route.radius_mm"))
+    tip_mm = page.evaluate(
+        "() => window.__carina.state.start.scopes.find(s => s.name === window.__carina.state.session.scope).tip_mm"
+    )
+    assert (fits.inner_text() == "to the end") == (narrowest_mm >= tip_mm)
+    assert page.get_by_test_id("rehearse").is_enabled()
+    workstation.picture("rehearse")
+    assert workstation.faults == []

@@ -7,6 +7,7 @@ import { Jobs } from "./Jobs";
 import { AirwaysStep } from "./steps/AirwaysStep";
 import { CheckStep } from "./steps/CheckStep";
 import { OpenStep } from "./steps/OpenStep";
+import { RehearseStep } from "./steps/RehearseStep";
 import { RouteStep } from "./steps/RouteStep";
 import { TargetStep } from "./steps/TargetStep";
 
@@ -36,6 +37,7 @@ function body(step: keyof typeof STEP_WORDS) {
     case "route":
       return <RouteStep />;
     case "rehearse":
+      return <RehearseStep />;
     case "share":
       return (
         <>

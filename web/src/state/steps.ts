@@ -18,8 +18,8 @@ export const STEP_WORDS: Readonly<Record<Step, StepWords>> = {
   route: { title: "Route", words: "Choose the way, see its length and narrowest place", built: true },
   rehearse: {
     title: "Rehearse",
-    words: "Practise the route with a real bronchoscope's length, bend and width (not built yet)",
-    built: false,
+    words: "Practise the route with a real bronchoscope's width and bend, and see what it touches",
+    built: true,
   },
   share: {
     title: "Share",

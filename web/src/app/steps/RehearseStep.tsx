@@ -1,0 +1,131 @@
+import { comesFarthest, firstTooNarrow, thatPass } from "../../state/fit";
+import { fixed, mm, plural } from "../../state/format";
+import type { HeldScope, RouteInfo, Scope } from "../../wire/messages";
+import { useApp, useStation } from "../context";
+import { Act, SwitchKey } from "../controls";
+import { Icon } from "../icons";
+import { ScopeSelect } from "../ScopeSelect";
+
+export function RehearseStep() {
+  const station = useStation();
+  const route = useApp((state) => state.route);
+  const scopes = useApp((state) => state.start?.scopes ?? null);
+  const name = useApp((state) => state.session?.scope ?? null);
+  const recording = useApp((state) => state.devices?.recording ?? null);
+  const held = useApp((state) => state.pose?.scope ?? null);
+  if (route === null) {
+    return <p className="empty">A rehearsal follows a route. Choose a branch in the list above, or mark a target.</p>;
+  }
+  const scope = scopes?.find((each) => each.name === name) ?? null;
+  const begin = (fromMm: number | null) => {
+    // Out of the mode and in again: the scope is laid anew, and its contacts are counted from nought.
+    station.send({ type: "set_mode", mode: "path" });
+    if (fromMm !== null) station.goTo(fromMm);
+    station.send({ type: "set_mode", mode: "scope" });
+  };
+  return (
+    <>
+      <p>
+        To <strong>{route.title}</strong>, with a bronchoscope that bends, touches and is held by the wall.
+      </p>
+      <ScopeSelect />
+      <Act
+        kind="primary"
+        icon="play"
+        label={held === null ? "Rehearse from the start" : "Begin again"}
+        words="Lay the scope in the trachea at the start of the route"
+        testId="rehearse"
+        onPress={() => begin(0)}
+      />
+      <div className="row">
+        {held === null ? (
+          <Act
+            label="From here"
+            words="Lay the scope along the route to where the tip is"
+            onPress={() => begin(null)}
+          />
+        ) : (
+          <Act
+            label="End"
+            words="Leave the scope; fly along the path again"
+            onPress={() => station.send({ type: "set_mode", mode: "path" })}
+          />
+        )}
+        <SwitchKey
+          words="Record to a file of this machine; it replays exactly, and carina fly makes a video of it"
+          label={recording === null ? "Record" : "Stop recording"}
+          on={recording !== null}
+          onChange={() => station.send({ type: recording === null ? "start_recording" : "stop_recording" })}
+        />
+      </div>
+      {recording === null ? null : <p className="quiet path">{recording}</p>}
+      {scope === null || scopes === null ? (
+        <p className="quiet">Choose an instrument to see how far it fits.</p>
+      ) : (
+        <Fit route={route} scope={scope} scopes={scopes} />
+      )}
+      {held === null ? null : <Score held={held} />}
+      <p className="quiet">
+        <kbd>W</kbd> <kbd>S</kbd> push and draw back, <kbd>{"\u2191"}</kbd> <kbd>{"\u2193"}</kbd> lever, <kbd>A</kbd>{" "}
+        <kbd>D</kbd> turn. Or a gamepad, pen or scope handle: <kbd>;</kbd>
+      </p>
+    </>
+  );
+}
+
+/** How far the chosen instrument fits, and which others come farther. */
+function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes: readonly Scope[] }) {
+  const stop = firstTooNarrow(route, scope.tip_mm);
+  const passing = thatPass(route, scopes);
+  const farthest = comesFarthest(route, scopes);
+  return (
+    <>
+      <dl className="facts">
+        <div>
+          <dt>Tip</dt>
+          <dd className="numbers">{mm(scope.tip_mm)}</dd>
+        </div>
+        {scope.channel_mm === null ? null : (
+          <div>
+            <dt>Channel</dt>
+            <dd className="numbers">{mm(scope.channel_mm)}</dd>
+          </div>
+        )}
+        <div>
+          <dt>Fits</dt>
+          <dd className="numbers" data-testid="fits">
+            {stop === null ? "to the end" : `to ${fixed(stop.pathMm)} of ${mm(route.length_mm, 0)}`}
+          </dd>
+        </div>
+      </dl>
+      {stop === null ? null : (
+        <p className="warning-text">
+          <Icon name="warning" /> The lumen is {mm(stop.diameterMm)} wide there.{" "}
+          {passing.length > 0
+            ? `To the end pass: ${passing.map((each) => `${each.title} (${mm(each.tip_mm)})`).join("; ")}.`
+            : farthest === null || farthest.scope.name === scope.name
+              ? "No instrument of the list comes farther."
+              : `None of the list passes to the end; ${farthest.scope.title} comes farthest, ${mm(farthest.pathMm, 0)}.`}
+        </p>
+      )}
+    </>
+  );
+}
+
+/** What the rehearsal counted so far. */
+function Score({ held }: { held: HeldScope }) {
+  return (
+    <dl className="facts" data-testid="score">
+      <div>
+        <dt>Inserted</dt>
+        <dd className="numbers">{mm(held.insertion_mm, 0)}</dd>
+      </div>
+      <div>
+        <dt>Touched</dt>
+        <dd className="numbers">
+          {plural(held.num_contacts, "time")}, {fixed(held.contact_s, 1)} s
+        </dd>
+      </div>
+    </dl>
+  );
+}

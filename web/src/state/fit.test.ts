@@ -1,0 +1,36 @@
+import { describe, expect, it } from "vitest";
+import type { Scope } from "../wire/messages";
+import { comesFarthest, firstTooNarrow, thatPass } from "./fit";
+
+const ROUTE = { radius_mm: [9, 5, 2.2, 3, 1.6], cumulative_mm: [0, 100, 200, 210, 260] };
+
+const scope = (name: string, tip_mm: number): Scope => ({
+  name,
+  title: name,
+  tip_mm,
+  channel_mm: null,
+  fov_deg: null,
+  view_up_deg: 0,
+});
+const THICK = scope("thick", 6);
+const THIN = scope("thin", 4);
+const FINE = scope("fine", 3);
+const FINEST = scope("finest", 2.2);
+
+describe("an instrument on a route", () => {
+  it("stops where the lumen is narrower than its tip, though it widens again", () => {
+    expect(firstTooNarrow(ROUTE, 6)).toEqual({ pathMm: 200, diameterMm: 4.4 });
+    expect(firstTooNarrow(ROUTE, 4.4)).toEqual({ pathMm: 260, diameterMm: 3.2 });
+    expect(firstTooNarrow(ROUTE, 3.2)).toBeNull();
+  });
+
+  it("is found among others, the thickest that passes first", () => {
+    expect(thatPass(ROUTE, [FINEST, THICK, FINE, THIN])).toEqual([FINE, FINEST]);
+    expect(thatPass(ROUTE, [THICK, THIN])).toEqual([]);
+  });
+
+  it("is the one that comes farthest where none passes", () => {
+    expect(comesFarthest(ROUTE, [THICK, THIN])).toEqual({ scope: THIN, pathMm: 260 });
+    expect(comesFarthest(ROUTE, [])).toBeNull();
+  });
+});

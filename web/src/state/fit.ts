@@ -1,0 +1,29 @@
+/** How far along a route an instrument fits, by the CT: the lumen's narrowest width against the tip's diameter. */
+
+import type { RouteInfo, Scope } from "../wire/messages";
+
+type Widths = Pick<RouteInfo, "radius_mm" | "cumulative_mm">;
+
+/** The first place of the route that is narrower than the tip; null if it passes to the end. */
+export function firstTooNarrow(route: Widths, tipMm: number): { pathMm: number; diameterMm: number } | null {
+  const index = route.radius_mm.findIndex((radius) => 2 * radius < tipMm);
+  if (index < 0) return null;
+  return { pathMm: route.cumulative_mm[index] ?? 0, diameterMm: 2 * (route.radius_mm[index] ?? 0) };
+}
+
+/** The instruments that pass to the route's end, the thickest first: it has the widest channel. */
+export function thatPass(route: Widths, scopes: readonly Scope[]): Scope[] {
+  return scopes
+    .filter((scope) => firstTooNarrow(route, scope.tip_mm) === null)
+    .sort((a, b) => b.tip_mm - a.tip_mm || a.title.localeCompare(b.title));
+}
+
+/** The instrument that comes farthest, of those that do not pass; null without instruments. */
+export function comesFarthest(route: Widths, scopes: readonly Scope[]): { scope: Scope; pathMm: number } | null {
+  let best: { scope: Scope; pathMm: number } | null = null;
+  for (const scope of scopes) {
+    const pathMm = firstTooNarrow(route, scope.tip_mm)?.pathMm ?? Number.POSITIVE_INFINITY;
+    if (best === null || pathMm > best.pathMm) best = { scope, pathMm };
+  }
+  return best;
+}
