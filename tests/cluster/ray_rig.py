@@ -158,6 +158,7 @@ def flying(
     num: int,
     volume: Volume | None = None,
     settings: ClusterSettings | None = None,
+    ip: str = IP,
     **options,
 ) -> Iterator[Flight]:
     """A console with ``num`` renderers ready; others leave before."""
@@ -168,7 +169,7 @@ def flying(
         console,
         head.node.address,
         head.token,
-        ip=IP,
+        ip=ip,
         host_class=host_class,
         host_options=options,
         poll_s=0.2,

@@ -124,6 +124,9 @@ def ray_environment(token: Path, *, dedicated: bool = False) -> dict[str, str]:
         "RAY_health_check_period_ms": "1000",
         "RAY_health_check_timeout_ms": "2000",
         "RAY_health_check_failure_threshold": "3",
+        # A busy machine takes longer to start than Ray's 30 s, and then would not be in the cluster at all.
+        "RAY_raylet_start_wait_time_s": "120",
+        "RAY_agent_register_timeout_ms": "120000",
         "RAY_task_events_report_interval_ms": "0",
         "RAY_enable_metrics_collection": "0",
         # On a desk the person comes first; Ray's own 15 would be too humble.

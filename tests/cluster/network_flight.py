@@ -1,0 +1,135 @@
+"""A flight on three machines, each a network namespace; run by test_network.py as root, in the head's namespace.
+
+Arguments: a folder, the namespaces' prefix. Prints one JSON object. Each machine has a shared memory and a Ray folder of its
+own: several Rays that start in one folder disturb each other.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from ray_rig import VIEW, Head, flying, wait_for
+
+from carina.cluster import ClusterSettings
+from carina.cluster.node import Node, make_token
+from carina.cluster.stand_in import StandInHost
+
+ADDRESSES = [f"10.231.77.{10 + n}" for n in range(3)]
+PORT = 6399
+OWN_FOLDERS = (
+    'mount -t tmpfs tmpfs /dev/shm && mkdir -p "$RAY_FOLDER" && mount -t tmpfs tmpfs "$RAY_FOLDER" && exec "$@"'
+)
+
+
+def own_folders(folder: Path) -> list[str]:
+    """What to put before a command so that it has shared memory and a Ray folder of its own."""
+    return ["unshare", "-m", "env", f"RAY_FOLDER={folder / 'ray'}", "sh", "-c", OWN_FOLDERS, "machine"]
+
+
+def link(prefix: str, host: int, state: str) -> None:
+    """Cut a machine's cable, or put it back, at the switch."""
+    subprocess.run(["ip", "-n", f"{prefix}s", "link", "set", f"p{host}", state], check=True, timeout=20)
+
+
+def join(folder: Path, prefix: str, host: int) -> subprocess.Popen[bytes]:
+    """``carina cluster join`` on a machine, as a person or a service runs it."""
+    home = folder / f"home{host}"
+    home.mkdir()
+    words = (folder / f"join{host}.log").open("wb")
+    command = ["ip", "netns", "exec", f"{prefix}{host}", *own_folders(folder), sys.executable, "-m", "carina.cli"]
+    command += ["cluster", "join", f"{ADDRESSES[0]}:{PORT}", "--ip", ADDRESSES[host], "--dedicated"]
+    command += ["--token-file", str(folder / "token")]
+    homes = {name: str(home) for name in ("HOME", "XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME")}
+    return subprocess.Popen(command, env={**os.environ, **homes}, stdout=words, stderr=subprocess.STDOUT)
+
+
+def fly(flight, seconds: float, until=lambda: False) -> list[float]:
+    """Ask for pictures, 25 a second at most; every one must be right. When each was shown."""
+    began_s = time.monotonic()
+    shown = [began_s]
+    while time.monotonic() < began_s + seconds and not until():
+        picture = flight.renderer.render(VIEW)
+        shown.append(time.monotonic())
+        flight.check(picture)
+        time.sleep(max(0.0, 0.04 - (time.monotonic() - shown[-1])))
+    return shown
+
+
+def longest_ms(shown: list[float]) -> float:
+    """The longest time that one picture stood."""
+    return 1e3 * max(b - a for a, b in zip(shown, shown[1:], strict=False))
+
+
+def renders(flight, name: str) -> bool:
+    """Whether a machine's strips are in the pictures that are made now."""
+    before = len(flight.console.jobs)
+    fly(flight, 0.5)
+    return name in {job.lane for job in flight.console.jobs[before:] if job.accepted}
+
+
+def main(folder: Path, prefix: str) -> dict[str, object]:
+    """The whole flight; what came of it."""
+    token = make_token(folder / "token")
+    node = Node(
+        token, head=True, ip=ADDRESSES[0], port=PORT, dedicated=True, temp_dir=folder / "ray", log=folder / "head.log",
+        store_bytes=100 * 2**20,
+    )  # fmt: skip
+    joined = []
+    try:
+        node.wait_ready(120.0)
+        head = Head(node, token)
+        with flying(
+            head, StandInHost, num=1, settings=ClusterSettings(), ip=ADDRESSES[0], row_seconds=0.02 / 170
+        ) as flight:
+            # Both come during the flight.
+            joined = [join(folder, prefix, host) for host in (1, 2)]
+            fly(flight, 150.0, until=lambda: len(flight.ready()) == 3)
+            wait_for(lambda: len(flight.ready()) == 3, 30.0)
+            fly(flight, 3.0)
+            quiet_ms = longest_ms(fly(flight, 2.0))
+            gaps_ms = []
+            for n in range(5):
+                host = 1 + n % 2
+                link(prefix, host, "down")
+                gaps_ms.append(longest_ms(fly(flight, 1.0)))
+                link(prefix, host, "up")
+                fly(flight, 60.0, until=lambda: len(flight.ready()) == 3)
+                fly(flight, 1.0)
+            # Long enough that Ray gives the machine up: it has to join anew, which its service does by itself.
+            link(prefix, 2, "down")
+            gone = f"the machine {ADDRESSES[2]} has left the cluster"
+            fly(flight, 60.0, until=lambda: gone in flight.console.status().notices)
+            left = gone in flight.console.status().notices
+            link(prefix, 2, "up")
+            cut_s = time.monotonic()
+            fly(flight, 150.0, until=lambda: ADDRESSES[2] in flight.ready())
+            back_s = time.monotonic() - cut_s
+            serves = renders(flight, ADDRESSES[2])
+            return {
+                "quiet_ms": round(quiet_ms),
+                "gaps_ms": [round(gap) for gap in gaps_ms],
+                "median_ms": round(statistics.median(gaps_ms)),
+                "left": left,
+                "serves_again": serves,
+                "back_s": round(back_s, 1),
+                "load": round(os.getloadavg()[0], 1),
+                "notices": list(flight.console.status().notices),
+            }
+    finally:
+        for process in joined:
+            process.terminate()
+        for process in joined:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(40.0)
+        node.stop()
+
+
+if __name__ == "__main__":
+    print(json.dumps(main(Path(sys.argv[1]), sys.argv[2])))
