@@ -1,12 +1,13 @@
 """A flight on three machines, each a network namespace; run by test_network.py as root, in the head's namespace.
 
-Arguments: a folder, the namespaces' prefix. Prints one JSON object. Each machine has a shared memory and a Ray folder of its
-own: several Rays that start in one folder disturb each other.
+Arguments: a folder, the namespaces' prefix. Prints one JSON object. Each machine has a shared memory and a Ray folder
+of its own: several Rays that start in one folder disturb each other.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import statistics
@@ -64,7 +65,7 @@ def fly(flight, seconds: float, until=lambda: False) -> list[float]:
 
 def longest_ms(shown: list[float]) -> float:
     """The longest time that one picture stood."""
-    return 1e3 * max(b - a for a, b in zip(shown, shown[1:], strict=False))
+    return 1e3 * max(b - a for a, b in itertools.pairwise(shown))
 
 
 def renders(flight, name: str) -> bool:

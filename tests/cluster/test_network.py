@@ -23,7 +23,7 @@ def _ip(*words: str) -> bool:
 
 @contextlib.contextmanager
 def _network(prefix: str) -> Iterator[None]:
-    """Namespaces ``<prefix>0`` to ``2``, on a switch in a namespace of its own; the machine's network is not touched."""
+    """Namespaces ``<prefix>0`` to ``2``, on a switch in one of its own; the machine's network is not touched."""
     names = [f"{prefix}{n}" for n in range(3)]
     switch = f"{prefix}s"
     try:

@@ -519,12 +519,22 @@ def fly(
         str | None, typer.Option(help="Look through an instrument, or none; a recording brings its own.")
     ] = None,
     step_vox: Annotated[float, typer.Option(help="Ray step in units of the smallest voxel spacing.")] = 0.5,
+    keep: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the single pictures: a flight that was stopped goes on behind the last one there."
+        ),
+    ] = None,
+    cluster: ClusterOption = None,
+    mixed: MixedOption = False,
+    token_file: TokenOption = None,
     series: SeriesOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """A flight as video: along the route to a branch or point, of a recording, or through key frames.
 
     Example: carina fly scan/ --to RB9 -o flight.mp4 --speed 15
+    Example: carina fly scan/ --to RB9 -o flight.mp4 --cluster 10.0.0.5 --keep flight-frames/
     """
     with exit_codes(as_json):
         from carina.cli.fly import report
@@ -545,6 +555,10 @@ def fly(
                 step_vox=step_vox,
                 series=series,
                 as_json=as_json,
+                cluster=cluster,
+                token=token_file,
+                mixed=mixed,
+                keep=keep,
             )
         )
 

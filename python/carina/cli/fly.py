@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import itertools
 import json
 import time
 from collections.abc import Iterator
@@ -10,19 +12,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import carina
 from carina.cli.along import check_destination, way_to
 from carina.cli.arguments import check_output_file
+from carina.cli.cluster import opened_cluster
 from carina.cli.console import print_json, progress_printer, say
+from carina.cli.kept_frames import KeptFrames
+from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
 from carina.errors import NoResultError, UsageError, VolumeImportError
 from carina.export import VIDEO_SUFFIXES, VideoWriter
 from carina.navigate import AutoFlight, KeyFrame, KeyFrameFlight, Recording, open_recording
 from carina.navigate.auto_flight import frame_times_s
-from carina.navigate.recording import ReplayedPose, sampled
+from carina.navigate.recording import ReplayedPose, case_key, sampled
 from carina.render import AirwayView, Backend, Renderer, TransferFunction, transfer_preset
 from carina.scopes import DEFAULT_SCOPE, ImageField, Pose, scope_preset
+from carina.session import RendererFactory
 from carina.track import wall_field
 from carina.volume import Volume
 
@@ -57,8 +64,12 @@ def report(
     step_vox: float,
     series: str | None,
     as_json: bool,
+    cluster: str | None = None,
+    token: Path | None = None,
+    mixed: bool = False,
+    keep: Path | None = None,
 ) -> int:
-    """Render all frames and write them."""
+    """Render all frames and write them; on the machines of a cluster, and going on from what was kept."""
     check_output_file(output)
     if output.suffix.lower() not in VIDEO_SUFFIXES:
         raise UsageError(f"-o: expected a file name that ends in {' or '.join(VIDEO_SUFFIXES)}; found {output.name!r}")
@@ -74,7 +85,10 @@ def report(
     recorded = None if recording is None else open_recording(recording)
     key_flight = None if keys is None else _read_keys(keys)
     progress = progress_printer()
-    with VideoWriter(output, *size, rate_hz=rate_hz) as video:
+    with (
+        VideoWriter(output, *size, rate_hz=rate_hz) as video,
+        opened_cluster(cluster, token=token, mixed=mixed) as used,
+    ):
         volume = carina.open_volume(path, series=series, progress=progress)
         facts: dict[str, Any] = {}
         if recorded is not None:
@@ -92,11 +106,17 @@ def report(
                 facts = {"to": way.title, "path_mm": way.length_mm, "stops_mm": list(way.lookouts_mm)}
             times = frame_times_s(flight.duration_s, rate_hz)
             frames = [ReplayedPose(float(t), flight.pose_at(float(t)), {}) for t in times]
+        shots, times_shown = _shots(frames, shown)
+        kept = None if keep is None else KeptFrames(keep, _job(volume, frames, shown, mixed))
+        num_kept = 0 if kept is None else min(kept.num, len(shots))
+        if num_kept:
+            say(f"going on behind {num_kept} of {len(shots)} pictures that were kept in {keep}")
         began_s = time.perf_counter()
-        renderer = _renderer(volume, progress)
-        for n, rgb in enumerate(_pictures(renderer, frames, shown)):
-            video.add(rgb)
-            progress("rendering frames", (n + 1) / len(frames))
+        renderer = _renderer(volume, progress, None if used is None else used.make_renderer)
+        for number, rgb in _pictures(renderer, shots, kept, size):
+            for _ in range(times_shown[number]):
+                video.add(rgb)
+            progress("rendering frames", video.num_frames / len(frames))
         seconds = time.perf_counter() - began_s
     say(f"wrote {output}: {len(frames)} frames, {len(frames) / rate_hz:.2f} s")
     if as_json:
@@ -108,6 +128,7 @@ def report(
                 "duration_s": len(frames) / rate_hz,
                 "size": list(size),
                 "render_s": seconds,
+                "num_kept": num_kept,
                 **facts,
             }
         )
@@ -148,8 +169,24 @@ def _read_keys(path: Path) -> KeyFrameFlight:
         raise VolumeImportError(f"{path}: holds no key frames: {trouble}", code="navigate.keys") from trouble
 
 
-def _renderer(volume: Volume, progress: Any) -> Renderer:
-    renderer = Renderer(volume, backend=Backend(load_settings().backend))
+def _job(volume: Volume, frames: list[ReplayedPose], shown: _Shown, mixed: bool) -> str:
+    """Tells one flight from another by all that its pictures depend on. Nothing about the patient."""
+    digest = hashlib.sha256()
+    settings = load_settings()
+    facts = [case_key(volume), carina.__version__, shown.size, shown.scope, shown.step_vox, settings.backend, mixed]
+    digest.update(json.dumps(facts).encode())
+    for frame in frames:
+        digest.update(np.ascontiguousarray(frame.pose.lps_from_camera, "<f8").tobytes())
+        digest.update(json.dumps([frame.view, frame.picture_turned], sort_keys=True).encode())
+    return digest.hexdigest()
+
+
+def _renderer(volume: Volume, progress: Any, make: RendererFactory | None) -> Renderer | ClusterRenderer:
+    renderer: Renderer | ClusterRenderer
+    if make is None:
+        renderer = Renderer(volume, backend=Backend(load_settings().backend))
+    else:
+        renderer = make(volume, transfer_preset("endoscopic"))  # type: ignore[assignment]
     if volume.is_hu:
         try:
             renderer.set_lumen(carina.find_airways(volume, progress=progress).lumen_zyx)
@@ -158,38 +195,66 @@ def _renderer(volume: Volume, progress: Any) -> Renderer:
     return renderer
 
 
-def _pictures(renderer: Renderer, frames: list[ReplayedPose], shown: _Shown) -> Iterator[Any]:
-    width, height = shown.size
-    transfer: Any = None
-    prepared = False
-    last: tuple[Any, Any] | None = None
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shot:
+    """One picture."""
+
+    transfer: Any
+    """As JSON; None for the usual one."""
+    view: AirwayView
+
+
+def _shots(frames: list[ReplayedPose], shown: _Shown) -> tuple[list[_Shot], list[int]]:
+    """The pictures of a flight, and for how many frames each is shown: while it stands still, none is made twice."""
+    shots: list[_Shot] = []
+    times_shown: list[int] = []
+    last: tuple[int, int] | None = None
     for frame in frames:
-        view = frame.view
-        if view.get("transfer") != transfer:
-            transfer = view.get("transfer")
+        same = (id(frame.pose), id(frame.view))
+        if same == last:
+            times_shown[-1] += 1
+            continue
+        last = same
+        shots.append(_Shot(frame.view.get("transfer"), _view(frame, shown)))
+        times_shown.append(1)
+    return shots, times_shown
+
+
+def _view(frame: ReplayedPose, shown: _Shown) -> AirwayView:
+    view = frame.view
+    settings: dict[str, Any] = {"width": shown.size[0], "height": shown.size[1], "step_vox": shown.step_vox}
+    settings |= {name: view[name] for name in ("shading", "texture", "fov_deg") if name in view}
+    scope = view.get("scope", shown.scope)
+    mask = view.get("mask")
+    if scope is None:
+        field = ImageField() if mask is None else ImageField(mask)
+        settings.setdefault("fov_deg", 90.0)
+        return AirwayView(frame.pose, field=field, **settings)
+    preset = scope_preset(scope)
+    if mask is not None:
+        settings["field"] = replace(preset.field, mask=mask)
+    return AirwayView.of_scope(preset, frame.pose, picture_turned=frame.picture_turned, **settings)
+
+
+def _pictures(
+    renderer: Renderer | ClusterRenderer, shots: list[_Shot], kept: KeptFrames | None, size: tuple[int, int]
+) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """All pictures with their numbers, in order: those that were kept, then the others, on all machines there are."""
+    first = 0 if kept is None else min(kept.num, len(shots))
+    for number in range(first):
+        assert kept is not None
+        yield number, kept.load(number, size)
+    start = 0
+    for transfer, run in itertools.groupby(shots, key=lambda shot: shot.transfer):
+        views = [shot.view for shot in run]
+        end = start + len(views)
+        if end > first:
             renderer.set_transfer(
                 transfer_preset("endoscopic") if transfer is None else TransferFunction.from_json(transfer)
             )
-            prepared, last = False, None
-        if not prepared:
             renderer.prepare()
-            prepared = True
-        if last is not None and last[0] == (id(frame.pose), id(view)):
-            yield last[1]
-            continue
-        settings: dict[str, Any] = {"width": width, "height": height, "step_vox": shown.step_vox}
-        settings |= {name: view[name] for name in ("shading", "texture", "fov_deg") if name in view}
-        scope = view.get("scope", shown.scope)
-        mask = view.get("mask")
-        if scope is None:
-            field = ImageField() if mask is None else ImageField(mask)
-            settings.setdefault("fov_deg", 90.0)
-            made = AirwayView(frame.pose, field=field, **settings)
-        else:
-            preset = scope_preset(scope)
-            if mask is not None:
-                settings["field"] = replace(preset.field, mask=mask)
-            made = AirwayView.of_scope(preset, frame.pose, picture_turned=frame.picture_turned, **settings)
-        picture = renderer.render(made).rgb
-        last = ((id(frame.pose), id(view)), picture)
-        yield picture
+            for n, picture in render_frames(renderer, views, first=max(0, first - start)):
+                if kept is not None:
+                    kept.keep(start + n, picture)
+                yield start + n, picture.rgb
+        start = end

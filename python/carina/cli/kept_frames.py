@@ -1,0 +1,88 @@
+"""Pictures of a long job, kept in a folder: a job that was stopped goes on behind the last one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import SimpleITK as sitk
+from numpy.typing import NDArray
+
+from carina.errors import UsageError, VolumeImportError
+from carina.render import Picture
+
+__all__ = ["KeptFrames"]
+
+FORMAT = "carina-frames"
+JOB = "job.json"
+
+
+class KeptFrames:
+    """Numbered PNG files in a folder, and what job they are of.
+
+    Parameters
+    ----------
+    folder
+        Empty or not there, or one that was used for the same job before.
+    job
+        Tells one job from another: anything that changes a picture must change it.
+
+    Raises
+    ------
+    UsageError
+        If the folder holds something else, or pictures of another job.
+    """
+
+    def __init__(self, folder: Path, job: str) -> None:
+        self._folder = folder
+        found = self._found(folder)
+        if found is None:
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / JOB).write_text(json.dumps({"format": FORMAT, "version": 1, "job": job}) + "\n", encoding="utf-8")
+        elif found != job:
+            raise UsageError(
+                f"--keep: the pictures in {folder} are of another flight, case, size or version of Carina; name "
+                "another folder, or delete it"
+            )
+        self.num = next(n for n in range(10_000_000) if not self._file(n).exists())
+        """How many pictures are here, from the first on."""
+
+    @staticmethod
+    def _found(folder: Path) -> str | None:
+        """The job whose pictures are there; None where there is nothing."""
+        if not folder.exists() or (folder.is_dir() and next(folder.iterdir(), None) is None):
+            return None
+        try:
+            document = json.loads((folder / JOB).read_text(encoding="utf-8"))
+            if document["format"] == FORMAT and document["version"] == 1:
+                return str(document["job"])
+        except (OSError, ValueError, KeyError, TypeError):
+            pass
+        raise UsageError(f"--keep: expected a new or empty folder, or one of this job; {folder} holds something else")
+
+    def _file(self, number: int) -> Path:
+        return self._folder / f"frame-{number:06}.png"
+
+    def keep(self, number: int, picture: Picture) -> None:
+        """Write one more; whole or not at all."""
+        picture.save(self._file(number))
+
+    def load(self, number: int, size: tuple[int, int]) -> NDArray[np.uint8]:
+        """One that was kept, (height, width, 3).
+
+        Raises
+        ------
+        VolumeImportError
+            If the file is not what was written.
+        """
+        file = self._file(number)
+        try:
+            rgb = sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
+        except RuntimeError as trouble:
+            msg = f"{file}: a picture that was kept cannot be read; delete it and all later ones, and start again"
+            raise VolumeImportError(msg, code="fly.kept") from trouble
+        if rgb.shape != (size[1], size[0], 3) or rgb.dtype != np.uint8:
+            msg = f"{file}: expected a picture of {size[0]} x {size[1]}; found {rgb.shape}; delete the folder"
+            raise VolumeImportError(msg, code="fly.kept")
+        return np.asarray(rgb, np.uint8)

@@ -1,0 +1,182 @@
+"""``carina fly`` on many machines, and one that was stopped: the same video, each picture made once and in order."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import carina as api
+from carina.cli import fly
+from carina.cli.cluster import OpenCluster
+from carina.cli.kept_frames import KeptFrames
+from carina.cluster import ClusterRenderer, Console, LocalLane
+from carina.navigate import AutoFlight
+from carina.render import Renderer
+
+av = pytest.importorskip("av", reason="PyAV is not installed")
+needs_ray = pytest.mark.skipif(
+    not sys.platform.startswith("linux") or importlib.util.find_spec("ray") is None,
+    reason="needs Linux and Ray: pip install 'carina[cluster]'",
+)
+HOW = ["--size", "64x64", "--rate", "10", "--step-vox", "1", "--json"]
+
+
+@pytest.fixture(scope="module")
+def keys(phantom_folder, tmp_path_factory):
+    """Twelve pictures along the trachea."""
+    root = json.loads((phantom_folder / "truth.json").read_text())["branches"][0]["points"]
+    flight = AutoFlight(api.FlightPath(root), speed_mm_s=50.0, pause_s=0.0)
+    file = tmp_path_factory.mktemp("keys") / "keys.json"
+    moments = [{"time_s": t, "lps_from_camera": flight.pose_at(t).lps_from_camera.tolist()} for t in (0.0, 0.6, 1.2)]
+    file.write_text(json.dumps({"format": "carina-keys", "version": 1, "keys": moments}))
+    return file
+
+
+def read_video(path):
+    """Its pictures."""
+    with av.open(str(path)) as container:
+        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+
+
+@pytest.fixture
+def film(carina, ct, keys):
+    """Flies through the key frames."""
+    return lambda output, *more: carina("fly", ct, "--keys", keys, "-o", output, *more)
+
+
+@pytest.fixture
+def whole(film, tmp_path):
+    """The video that one machine makes in one go."""
+    ended = film(tmp_path / "whole.mp4", *HOW)
+    assert ended.code == 0, ended.err
+    frames = read_video(tmp_path / "whole.mp4")
+    assert len(frames) == 12
+    return frames
+
+
+class DyingLane(LocalLane):
+    """A machine that answers some strips and then never again."""
+
+    def __init__(self, name: str, lives: int = 10_000) -> None:
+        self.lives = lives
+        self.answered: list[int] = []
+        super().__init__(name=name)
+
+    def submit(self, order, done):
+        """Render, as long as it lives."""
+        self.lives -= 1
+
+        def tell(answer):
+            if self.lives < 0:
+                done(ConnectionError("gone"))
+            else:
+                self.answered.append(order.frame_id)
+                done(answer)
+
+        super().submit(order, tell)
+
+
+@pytest.fixture
+def machines(monkeypatch):
+    """Three machines in place of a cluster's; one of them dies on the way. Those that rendered, afterwards."""
+    lanes = [DyingLane("a"), DyingLane("b", lives=2), DyingLane("c")]
+
+    @contextlib.contextmanager
+    def opened(address, *, token, mixed):
+        if address is None:
+            yield None
+            return
+        assert address == "10.0.0.5"
+        console = Console()
+        for lane in lanes:
+            console.add_lane(lane)
+        try:
+            yield OpenCluster(lambda volume, transfer: ClusterRenderer(Renderer(volume), console), console.status)
+        finally:
+            console.close()
+
+    monkeypatch.setattr(fly, "opened_cluster", opened)
+    return lanes
+
+
+def test_a_flight_on_three_machines_of_which_one_dies_is_that_of_one(film, tmp_path, whole, machines):
+    output = tmp_path / "many.mp4"
+    ended = film(output, *HOW, "--cluster", "10.0.0.5")
+    assert ended.code == 0, ended.err
+    assert np.array_equal(read_video(output), whole)
+    assert sum(len(lane.answered) > 0 for lane in machines) >= 2, "the pictures were spread"
+
+
+def test_a_flight_that_was_stopped_goes_on_behind_its_last_picture(film, tmp_path, whole, machines, monkeypatch):
+    folder, output = tmp_path / "kept", tmp_path / "v.mp4"
+    arguments = [output, *HOW, "--keep", folder]
+    keep = KeptFrames.keep
+    made = []
+
+    def stopped(self, number, picture):
+        if number == 5:
+            raise KeyboardInterrupt
+        made.append(number)
+        keep(self, number, picture)
+
+    monkeypatch.setattr(KeptFrames, "keep", stopped)
+    assert film(*arguments, "--cluster", "10.0.0.5").code == 130
+    assert not output.exists() and made == [0, 1, 2, 3, 4]
+
+    def noted(self, number, picture):
+        made.append(number)
+        keep(self, number, picture)
+
+    monkeypatch.setattr(KeptFrames, "keep", noted)
+    # With or without machines: the pictures are the same.
+    ended = film(*arguments)
+    assert ended.code == 0, ended.err
+    assert ended.json()["num_kept"] == 5
+    assert made == list(range(12)), "each once, in order"
+    assert np.array_equal(read_video(output), whole)
+    assert film(*arguments).json()["num_kept"] == 12
+    assert made == list(range(12))
+
+
+def test_pictures_of_another_flight_are_not_taken_for_this_one(film, tmp_path):
+    folder = tmp_path / "kept"
+    base = [tmp_path / "v.mp4", *HOW[2:], "--keep", folder]
+    assert film(*base, "--size", "48x48").code == 0
+    before = sorted(path.name for path in folder.iterdir())
+    ended = film(*base, "--size", "64x48")
+    assert ended.code == 2 and "another flight" in ended.err
+    ended = film(*base, "--size", "48x48", "--scope", "ultrathin")
+    assert ended.code == 2 and "another flight" in ended.err
+    assert sorted(path.name for path in folder.iterdir()) == before
+    (folder / "frame-000003.png").write_bytes(b"no picture")
+    ended = film(*base, "--size", "48x48")
+    assert ended.code == 3 and "frame-000003.png" in ended.err
+    other = tmp_path / "letters"
+    other.mkdir()
+    (other / "letter.txt").write_text("dear")
+    ended = film(*base[:-1], other, "--size", "48x48")
+    assert ended.code == 2 and "something else" in ended.err
+    assert [path.name for path in other.iterdir()] == ["letter.txt"]
+
+
+@needs_ray
+@pytest.mark.ray
+@pytest.mark.slow
+def test_a_flight_on_a_real_cluster_is_that_of_one_machine(ct, keys, tmp_path, whole):
+    homes = {name: str(tmp_path / name) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME", "HOME")}
+    output = tmp_path / "ray.mp4"
+    command = [sys.executable, "-m", "carina.cli", "fly", str(ct), "--keys", str(keys), "-o", str(output), *HOW]
+    command += ["--cluster", "local"]
+    environment = {**os.environ, **homes}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=180, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["num_frames"] == 12, "nothing but the result is on standard output"
+    assert "raylet" not in done.stderr and "listen_error" not in done.stderr
+    assert np.array_equal(read_video(output), whole)
