@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gzip
 import json
 import threading
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from carina.server.security import Gate
 from carina.server.serve import bind, make_server, start_url
 from carina.server.uploads import Limits, Uploads
 from carina.session import LocalStore, Session
-from small_case import BRANCHES_IJK, SmallRenderer, small_parts, small_volume
+from small_case import BRANCHES_IJK, SmallRenderer, small_airways, small_lumen, small_parts, small_volume
 
 WAIT_S = 10.0
 """Bound of every wait; what is waited for takes milliseconds."""
@@ -632,6 +633,61 @@ def test_dropped_files_are_opened_and_removed(live):
         assert window.until(lambda m: isinstance(m, wire.Error)).code == "upload.gone"
         assert not folder.exists()
         assert live.session.store.recent() == ()
+
+
+def nrrd(labels_zyx):
+    """Labels on the small case's grid, as another tool writes them."""
+    matrix = small_volume().lps_from_ijk
+    axes = " ".join(f"({x!r},{y!r},{z!r})" for x, y, z in matrix[:3, :3].T.tolist())
+    origin = "({!r},{!r},{!r})".format(*matrix[:3, 3].tolist())
+    header = (
+        "NRRD0004\ntype: uint8\ndimension: 3\nspace: left-posterior-superior\n"
+        f"sizes: {' '.join(str(n) for n in labels_zyx.shape[::-1])}\nspace directions: {axes}\n"
+        f"space origin: {origin}\nkinds: domain domain domain\nendian: little\nencoding: gzip\n\n"
+    )
+    return header.encode() + gzip.compress(labels_zyx.tobytes())
+
+
+def test_a_dropped_mask_is_kept_until_its_question_is_answered_and_takes_the_place_of_the_airways(tmp_path):
+    def find_airways(volume, *, lumen_zyx=None, notes=(), **_options):
+        airways = small_airways(volume)
+        if lumen_zyx is not None:
+            airways.lumen_zyx, airways.report, airways.threshold = lumen_zyx, list(notes), float("nan")
+        return airways
+
+    labels = small_lumen() * 3
+    labels[0, 0, 0] = 1
+    with running(tmp_path, find_airways=find_airways) as live, live.window() as window:
+        assert open_case(window).airways_from == "search"
+        with live.http(cookie=live.cookie, origin=live.origin) as http:
+            upload_id = http.post("/api/upload").json()["upload_id"]
+            sent = http.put(f"/api/upload/{upload_id}", params={"name": "airway.nrrd"}, content=nrrd(labels))
+            assert sent.status_code == 201
+        folder = live.uploads._uploads[upload_id].folder
+        window.send(wire.ImportMask(upload_id))
+        asked = window.until_state(lambda s: s.mask_question is not None)
+        assert [label.number for label in asked.mask_question.labels] == [1, 3]
+        assert (asked.airways_from, asked.can_undo) == ("search", None)
+        assert (folder / "airway.nrrd").exists()
+        window.send(wire.AnswerMask(3, False))
+        taken = window.until_state(lambda s: s.airways_from == "mask")
+        assert (taken.can_undo, taken.mask_question) == ("take the mask as airways", None)
+        assert (taken.airways_words, taken.lumen_threshold) == ("the lumen is the mask airway.nrrd", None)
+        window.send(wire.Undo())
+        assert window.until_state(lambda s: s.airways_from == "search").can_redo == "take the mask as airways"
+        assert not folder.exists()
+
+
+def test_a_mask_without_a_case_or_without_its_upload_is_refused(live):
+    with live.http(cookie=live.cookie, origin=live.origin) as http, live.window() as window:
+        upload_id = http.post("/api/upload").json()["upload_id"]
+        assert http.put(f"/api/upload/{upload_id}", params={"name": "m.nrrd"}, content=b"x").status_code == 201
+        window.send(wire.ImportMask(upload_id))
+        assert window.until(lambda m: isinstance(m, wire.Error)).code == "session.no-case"
+        window.send(wire.ImportMask(upload_id))
+        assert window.until(lambda m: isinstance(m, wire.Error)).code == "upload.gone"
+        window.send(wire.AnswerMask(1, False))
+        assert window.until(lambda m: isinstance(m, wire.Error)).code == "session.no-case"
 
 
 def test_uploads_need_the_cookie_and_the_origin_and_keep_their_bounds(live):

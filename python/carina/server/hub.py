@@ -139,6 +139,7 @@ class Hub:
         self._uploads = uploads
         self._patient_citation = patient_citation
         self._upload_of_job: dict[str, str] = {}
+        self._mask_upload: str | None = None
         self._outbox: Outbox | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self.pump = FramePump(
@@ -283,6 +284,9 @@ class Hub:
             upload_id = self._upload_of_job.pop(event.job_id, None)
             if upload_id is not None:
                 self._uploads.discard(upload_id)
+        if self._mask_upload is not None and not self.session.needs_mask_file:
+            self._uploads.discard(self._mask_upload)
+            self._mask_upload = None
         outbox = self._outbox
         if outbox is None:
             return
@@ -392,6 +396,12 @@ class Hub:
                 place = self._uploads.place(message.upload_id)
                 job_id = session.open_path(str(place), remember=False)
                 self._upload_of_job[job_id] = message.upload_id
+            case wire.ImportMask():
+                self._import_mask(message.upload_id)
+            case wire.AnswerMask():
+                session.answer_mask(label=message.label, resample=message.resample)
+            case wire.DismissMask():
+                session.dismiss_mask()
             case wire.CloseCase():
                 session.close_case()
             case wire.Cancel():
@@ -445,6 +455,20 @@ class Hub:
                 raise UsageError(
                     f"{type(message).__name__} cannot be sent after the first message", code="protocol.order"
                 )
+
+    def _import_mask(self, upload_id: str) -> None:
+        """The file is kept until the mask is read, which may take an answer."""
+        place = self._uploads.place(upload_id)
+        before, self._mask_upload = self._mask_upload, None
+        try:
+            self.session.import_mask(str(place))
+        except CarinaError:
+            self._uploads.discard(upload_id)
+            raise
+        finally:
+            if before is not None and before != upload_id:
+                self._uploads.discard(before)
+        self._mask_upload = upload_id
 
 
 def _progress(event: JobProgress) -> wire.Progress:

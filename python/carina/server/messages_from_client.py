@@ -29,12 +29,14 @@ __all__ = [
     "AcceptNotice",
     "Ack",
     "AddTarget",
+    "AnswerMask",
     "AskBranchDetail",
     "AskLivePath",
     "Cancel",
     "ChooseRoute",
     "ClientHello",
     "CloseCase",
+    "DismissMask",
     "EditAddBranch",
     "EditBridge",
     "EditCutBranch",
@@ -45,6 +47,7 @@ __all__ = [
     "EditSmoothBranch",
     "EditTree",
     "GoTo",
+    "ImportMask",
     "Layout",
     "LevelHorizon",
     "NextFork",
@@ -123,6 +126,30 @@ class OpenRecent:
 
     wire_type: ClassVar[str] = "open_recent"
     recent_id: Key
+
+
+@dataclass(frozen=True, slots=True)
+class ImportMask:
+    """Take the mask sent to ``/api/upload`` as the airways of the open case; undoable."""
+
+    wire_type: ClassVar[str] = "import_mask"
+    upload_id: Key
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerMask:
+    """Answer ``state.mask_question``: which label is the airway; whether to resample."""
+
+    wire_type: ClassVar[str] = "answer_mask"
+    label: Annotated[int, Range(-(2**53), 2**53)] | None
+    resample: bool
+
+
+@dataclass(frozen=True, slots=True)
+class DismissMask:
+    """Forget the mask that ``state.mask_question`` asks about."""
+
+    wire_type: ClassVar[str] = "dismiss_mask"
 
 
 @dataclass(frozen=True, slots=True)

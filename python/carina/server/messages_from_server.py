@@ -38,6 +38,8 @@ __all__ = [
     "FeatureOff",
     "GreyWindow",
     "HeldScope",
+    "MaskLabel",
+    "MaskQuestion",
     "Notice",
     "Orbit",
     "OtherSeries",
@@ -223,6 +225,33 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True)
+class MaskLabel:
+    """One structure of a mask of another tool."""
+
+    number: Annotated[int, Range(-(2**53), 2**53)]
+    name: Words | None
+    volume_ml: float
+
+
+@dataclass(frozen=True, slots=True)
+class MaskQuestion:
+    """What must be said of a mask before it can be taken as the airways; answered by ``answer_mask``."""
+
+    title: Words
+    """The file's name."""
+    problem: Literal["label", "grid"]
+    """It holds several structures, or it is on another grid than the scan."""
+    labels: tuple[MaskLabel, ...]
+    suggested: int | None
+    """The label whose name says that it is the airway."""
+    expected: Words | None
+    """The scan's grid, in words."""
+    found: Words | None
+    share_inside: Part | None
+    """How much of the structure lies in the scan."""
+
+
+@dataclass(frozen=True, slots=True)
 class State:
     """All that is shown, but the pose, the tree and the route."""
 
@@ -264,6 +293,9 @@ class State:
     slab: Slab
     frame_rate_hz: float
     """Airway pictures per second that are asked for while moving."""
+    airways_from: Literal["search", "mask"] | None
+    """Found in the CT, or a mask of another tool; null where there are none."""
+    mask_question: MaskQuestion | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from carina.render import PictureLines
 from carina.scopes import DEFAULT_SCOPE, scope_presets
 from carina.server import messages as wire
-from carina.session import ChosenRoute, PoseInfo, RecentCase, Snapshot, WallPoint
+from carina.session import ChosenRoute, MaskQuestion, PoseInfo, RecentCase, Snapshot, WallPoint
 from carina.session.document import DEFAULT_FOV_DEG, Document
 
 __all__ = [
@@ -130,6 +131,22 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
         slab=wire.Slab(0.0, "min") if slab is None else wire.Slab(slab.thickness_mm, slab.kind),
         zoom=wire.Zoom(zoom.axial_mm_per_px, zoom.coronal_mm_per_px, zoom.sagittal_mm_per_px, zoom.cut_plane_extent_mm),
         frame_rate_hz=frame_rate_hz,
+        airways_from=None if airways is None else "mask" if math.isnan(airways.threshold) else "search",
+        mask_question=_mask_question(snapshot.mask_question),
+    )
+
+
+def _mask_question(question: MaskQuestion | None) -> wire.MaskQuestion | None:
+    if question is None:
+        return None
+    return wire.MaskQuestion(
+        title=question.title,
+        problem=question.problem,
+        labels=tuple(wire.MaskLabel(one.number, one.name, round(one.volume_ml, 3)) for one in question.labels),
+        suggested=question.suggested,
+        expected=question.expected,
+        found=question.found,
+        share_inside=question.share_inside,
     )
 
 
@@ -157,7 +174,9 @@ def _threshold(document: Document | None) -> float | None:
         return None
     if document.airways is None:
         return document.lumen_threshold
-    return float(document.airways.threshold)
+    # None (NaN): a given lumen ends where its mask does.
+    threshold = float(document.airways.threshold)
+    return None if math.isnan(threshold) else threshold
 
 
 def route_message(route: ChosenRoute | None) -> wire.Route:

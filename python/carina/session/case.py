@@ -16,14 +16,24 @@ from carina.session.history import History
 from carina.session.parts import Parts, RendererFactory
 from carina.session.routes import AirwayIndex, ChosenRoute
 from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Carm, Orbit, Reformation, Renderer, Zoom
-from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, PoseInfo
+from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, MaskQuestion, PoseInfo
 from carina.session.start_pose import pose_before_airways
 from carina.volume import Volume
 
-__all__ = ["HISTOGRAM_PRESET", "OpenCase", "as_point", "new_case", "pose_info"]
+__all__ = ["HISTOGRAM_PRESET", "AskedMask", "OpenCase", "as_point", "new_case", "pose_info"]
 
 LUNG_WINDOW_HU = (1500.0, -600.0)
 HISTOGRAM_PRESET = "from histogram"
+
+
+@dataclass(frozen=True, slots=True)
+class AskedMask:
+    """A mask of another tool that waits for an answer."""
+
+    path: str
+    label: int | None
+    """As said so far."""
+    question: MaskQuestion
 
 
 @dataclass(slots=True)
@@ -67,6 +77,7 @@ class OpenCase:
     """Grows with each change that the renderer must follow."""
     display_followed: bool = False
     """A job brings the renderer to the newest."""
+    asked_mask: AskedMask | None = None
     has_lumen: bool = False
     """The renderer has been given a lumen."""
     content_number: int = 0

@@ -258,6 +258,7 @@ class SessionCore:
                 redo_label=case.history.redo_label,
                 transfer_presets=case.presets,
                 measures=case.measures if case.measures_of is case.document.airways else None,
+                mask_question=None if case.asked_mask is None else case.asked_mask.question,
             )
 
     def pose_info(self) -> PoseInfo | None:

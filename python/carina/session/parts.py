@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from carina.render import TransferFunction
     from carina.session.scene import Renderer
     from carina.track import Airways, TreeMeasures
-    from carina.volume import Volume
+    from carina.volume import Mask, Volume
 
 __all__ = ["Cancel", "Parts", "Progress", "RendererFactory", "default_parts"]
 
@@ -24,6 +24,12 @@ def _edit_airways(*arguments: Any, **options: Any) -> Airways:
     from carina import track
 
     return track.edit_airways(*arguments, **options)
+
+
+def _open_mask(*arguments: Any, **options: Any) -> Mask:
+    from carina import volume
+
+    return volume.open_mask(*arguments, **options)
 
 
 def _wall_field(*arguments: Any, **options: Any) -> Any:
@@ -47,7 +53,7 @@ class Parts:
     open_demo: Callable[[str, Progress, Cancel], Volume]
     quality_words: Callable[[Volume], tuple[str, ...]]
     find_airways: Callable[..., Airways]
-    """``find_airways(volume, root_lps=, lumen_threshold=, progress=, cancel=)``."""
+    """``find_airways(volume, root_lps=, lumen_threshold=, progress=, cancel=)``; ``lumen_zyx=, notes=`` for a mask."""
     transfer_preset: Callable[[str], TransferFunction]
     transfer_from_json: Callable[[dict[str, Any]], TransferFunction]
     transfer_from_histogram: Callable[[Volume], tuple[TransferFunction, float]]
@@ -58,6 +64,8 @@ class Parts:
     presets: tuple[str, ...] = ("endoscopic", "ct-grey", "see-through", "paper")
     edit_airways: Callable[..., Airways] = _edit_airways
     """``edit_airways(volume, airways, edit, progress=, cancel=)``."""
+    open_mask: Callable[..., Mask] = _open_mask
+    """``open_mask(path, volume, label=, resample=, progress=, cancel=)``."""
 
 
 def default_parts() -> Parts:

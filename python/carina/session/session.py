@@ -13,32 +13,30 @@ from typing import Any, Literal
 
 import numpy as np
 
-from carina.errors import CarinaError, NoResultError, TrackingError, UsageError
-from carina.navigate import moves
+from carina.errors import NoResultError, UsageError
 from carina.render import Slab
 from carina.scopes import MASKS, Mask, scope_preset
-from carina.session.case import HISTOGRAM_PRESET, OpenCase, as_point, new_case
+from carina.session.case import HISTOGRAM_PRESET, OpenCase, new_case
 from carina.session.core import ALL_TOPICS
 from carina.session.document import Document, Method, Operator, Point, Target
-from carina.session.editing import MAX_AIRWAYS_KEPT, TreeEditing, airway_words, found_airways
-from carina.session.flying import Flying, place_move
+from carina.session.editing import TreeEditing
+from carina.session.finding import AirwayFinding
+from carina.session.flying import Flying
 from carina.session.jobs import Job
 from carina.session.measuring import TreeMeasuring
 from carina.session.questions import AirwayQuestions
-from carina.session.routes import ChosenRoute, default_branch_id, route_to_branch
+from carina.session.routes import ChosenRoute, route_to_branch
 from carina.session.scene import Carm, Orbit, Reformation
 from carina.session.snapshot import Said, WallPoint
-from carina.session.start_pose import pose_at_root
 from carina.session.targets import tracked_target
 from carina.volume import Volume
 
 __all__ = ["Session"]
 
 PINHOLE_FOV_DEG = 90.0
-SET_THE_ROOT = "Click in the trachea on a slice and choose it as the root."
 
 
-class Session(Flying, AirwayQuestions, TreeMeasuring, TreeEditing):
+class Session(AirwayFinding, Flying, AirwayQuestions, TreeMeasuring, TreeEditing):
     """State, commands and jobs of one workstation.
 
     Parameters
@@ -120,7 +118,7 @@ class Session(Flying, AirwayQuestions, TreeMeasuring, TreeEditing):
                 # Here, and not before: a refused or stopped opening leaves the case on screen as it was.
                 job.check()
                 self.stop_recording()
-                self._jobs.cancel_kinds("airways", "display", "target", "measures")
+                self._jobs.cancel_kinds("airways", "display", "mask", "target", "measures")
                 self._case = case
                 self._moved()
                 self._changed(*ALL_TOPICS, "start")
@@ -129,111 +127,6 @@ class Session(Flying, AirwayQuestions, TreeMeasuring, TreeEditing):
             self._start_airways(case, None, case.threshold_from_histogram, label=None)
 
         return self._jobs.start("open", title, work)
-
-    # ------------------------------------------------------------ airways
-
-    def set_root(self, root_lps: Point) -> str:
-        """Find the airways again from a point, as a job; undoable once found. Returns the job's id."""
-        case = self._needed_case()
-        case.check_inside(root_lps)
-        return self._start_airways(case, root_lps, case.document.lumen_threshold, label="set the root")
-
-    def set_lumen_threshold(self, value: float | None) -> str:
-        """Find the airways again with another threshold (None: the tracker's choice), as a job. Returns its id."""
-        case = self._needed_case()
-        airways = case.document.airways
-        root = None if airways is None else as_point(airways.root_lps)
-        wanted = case.threshold_from_histogram if value is None else value
-        if airways is None:
-            # Kept even if nothing is found with it: a root that is clicked next must search with this threshold.
-            with self._lock:
-                case.history.amend_current(lambda d: replace(d, lumen_threshold=wanted))
-                self._changed("state")
-        return self._start_airways(case, root, wanted, label="set the lumen threshold")
-
-    def _start_airways(
-        self, case: OpenCase, root_lps: Point | None, threshold: float | None, *, label: str | None
-    ) -> str:
-        """``label`` None: nobody asked, it is part of opening."""
-
-        def work(job: Job) -> None:
-            try:
-                job.check()
-                airways = self._parts.find_airways(
-                    case.info.volume,
-                    root_lps=root_lps,
-                    lumen_threshold=threshold,
-                    progress=job.progress,
-                    cancel=job.cancel,
-                )
-                job.progress("building the tree", None)
-                self._take_airways(case, airways, threshold, label, job)
-            except BaseException as trouble:
-                self._keep_airways(case, trouble, job)
-                if case.document.airways is not None or not isinstance(trouble, TrackingError):
-                    raise
-                # The panel of the airways says it; an error on top would say the same thing twice.
-
-        with self._lock:
-            case.airways_status, case.airways_words = "finding", None
-            self._changed("state")
-            return self._jobs.start("airways", "finding the airways", work)
-
-    def _keep_airways(self, case: OpenCase, trouble: BaseException, job: Job) -> None:
-        """After a search that found nothing: what was there stays, else the panel says why there is nothing."""
-        with self._lock:
-            if any(other.kind == "airways" and other is not job for other in self._jobs.running):
-                return  # A newer search runs in its place.
-            if case.document.airways is not None:
-                case.airways_status, case.airways_words = "found", airway_words(case.document.airways)
-            else:
-                words = str(trouble) if isinstance(trouble, CarinaError) else "finding the airways failed"
-                case.airways_status, case.airways_words = "failed", f"{words}. {SET_THE_ROOT}"
-            if self._case is case:
-                self._changed("state")
-
-    def _take_airways(self, case: OpenCase, airways: Any, threshold: float | None, label: str | None, job: Job) -> None:
-        """Put found airways in place, with paths to the targets; ``label`` makes it a change that can be undone."""
-        branch_id = default_branch_id(airways.tree)
-        default_route = None if branch_id is None else route_to_branch(airways.tree, branch_id)
-        targets: tuple[Target, ...] = ()
-        asked: tuple[Target, ...] | None = None
-        while True:
-            with self._lock:
-                job.check()
-                if asked == case.document.targets:
-                    found = replace(case.document, airways=airways, lumen_threshold=threshold, targets=targets)
-                    self._put_airways(case, found, default_route, label)
-                    return
-                asked = case.document.targets
-            # Not under the lock: a path may take a while, and meanwhile a person may add or remove targets.
-            targets = tuple(tracked_target(airways, target) for target in asked)
-
-    def _put_airways(
-        self, case: OpenCase, found: Document, default_route: ChosenRoute | None, label: str | None
-    ) -> None:
-        chosen = case.document.route
-        to_target = [t.route for t in found.targets if chosen is not None and t.target_id == chosen.target_id]
-        route = next((r for r in to_target if r is not None), default_route)
-        found = replace(found, route=route)
-        airways, threshold = found.airways, found.lumen_threshold
-        if label is None:
-            # Earlier documents of this case have no airways; undoing a change must not take them away.
-            case.history.amend(lambda d: replace(d, airways=airways, lumen_threshold=threshold, route=default_route))
-            case.history.amend_current(lambda _: found)
-        else:
-            case.history.change(label, found, now_s=self._clock())
-            case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
-        case.airways_status = "found"
-        case.airways_words = airway_words(airways)
-        self._follow_document(case)
-        if not case.person_moved:
-            if route is not None:
-                case.pilot.apply(moves.GoTo(0.0))
-            elif airways is not None:
-                case.pilot.apply(place_move(pose_at_root(airways)))
-            self._moved()
-        self._changed(*ALL_TOPICS)
 
     # ------------------------------------------------------------ targets and routes
 

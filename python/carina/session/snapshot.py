@@ -13,13 +13,14 @@ from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Ca
 
 if TYPE_CHECKING:
     from carina.track import TreeMeasures
-    from carina.volume import Volume
+    from carina.volume import MaskLabel, Volume
 
 __all__ = [
     "AirwayStatus",
     "CaseSnapshot",
     "Changed",
     "DevicesInfo",
+    "MaskQuestion",
     "PoseInfo",
     "Said",
     "Snapshot",
@@ -85,6 +86,24 @@ class WallPoint:
 
 
 @dataclass(frozen=True, slots=True)
+class MaskQuestion:
+    """What must be said of a mask of another tool before it can be taken as the airways."""
+
+    title: str
+    """The file's name."""
+    problem: Literal["label", "grid"]
+    labels: tuple[MaskLabel, ...] = ()
+    """It holds these structures: which is the airway?"""
+    suggested: int | None = None
+    """The label whose name says so."""
+    expected: str | None = None
+    """The scan's grid, where the mask is on another one: is it to be resampled?"""
+    found: str | None = None
+    share_inside: float | None = None
+    """How much of the structure lies in the scan, 0 to 1."""
+
+
+@dataclass(frozen=True, slots=True)
 class Snapshot:
     """All but the pose."""
 
@@ -106,6 +125,7 @@ class Snapshot:
     transfer_presets: tuple[str, ...] = ()
     measures: TreeMeasures | None = None
     """What the document's airways measure; None until it is known."""
+    mask_question: MaskQuestion | None = None
 
 
 @dataclass(frozen=True, slots=True)

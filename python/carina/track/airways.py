@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from carina._core import LumenTracker
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.track.edit_kinds import TreeEdit
-from carina.track.growth import Progress, Stages, given_lumen, grow, trachea_in
+from carina.track.growth import Progress, Stages, doubts_of_given, given_lumen, grow, trachea_in
 from carina.track.levels import AirScale
 from carina.track.names import name_tree
 from carina.track.paths import SNAP_MM, Cancel, PathTracker, TrackedPath, as_point, branches_from_rows, words
@@ -94,6 +94,7 @@ def find_airways(
     root_lps: Sequence[float] | NDArray[np.float64] | None = None,
     lumen_threshold: float | None = None,
     lumen_zyx: NDArray[np.uint8] | None = None,
+    notes: Sequence[str] = (),
     progress: Progress | None = None,
     cancel: Cancel | None = None,
 ) -> Airways:
@@ -111,7 +112,10 @@ def find_airways(
         volume is not in HU. Where it is told, the lumen is not followed beyond it by its shape.
     lumen_zyx
         A lumen from another tool, (nz, ny, nx), not 0 inside, on the volume's grid: used instead of the automatic one.
-        Of several pieces the one with the root counts; a note says how much is not connected to it.
+        Of several pieces the one with the root counts; a note says how much is not connected to it, and how much of it
+        is no air in this CT.
+    notes
+        What is known beforehand, such as where ``lumen_zyx`` is from; said first.
     progress, cancel
         Told what is going on; asked whether to stop.
 
@@ -141,7 +145,7 @@ def find_airways(
     if root is not None and not volume.contains_lps(np.array(root)):
         msg = f"the root {words(root)} lies outside the volume"
         raise UsageError(msg)
-    notes: list[str] = []
+    found_notes = list(notes)
     # None: a lumen from another tool need not agree with what this CT shows, and is not judged by it.
     noise: float | None = None
     leaks = np.empty((0, 3))
@@ -149,15 +153,18 @@ def find_airways(
     trachea_mm: float | None = None
     if lumen_zyx is not None:
         lumen, levels, end = given_lumen(volume, lumen_zyx), None, float("nan")
+        doubts = doubts_of_given(volume, lumen)
         if root is None:
             drawn = np.where(lumen != 0, -1000, 40).astype(np.int16)
             trachea = trachea_in(drawn, volume, AirScale(-1000.0, 0.0), stage, painted=True)
-            root, notes = trachea.top, list(trachea.notes)
+            root = trachea.top
+            found_notes += trachea.notes
+        found_notes += doubts
     else:
         grown = grow(volume, root, lumen_threshold, stage)
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
         noise, leaks, trachea_mm = grown.noise, grown.leaks_lps, grown.trachea_mm
-        notes += grown.notes
+        found_notes += grown.notes
     stage.begin("measuring the lumen")
     assert root is not None
     core = LumenTracker(volume.hu_zyx, volume.lps_from_ijk, lumen, levels=levels, root_lps=root, reach_mm=SNAP_MM)
@@ -183,7 +190,7 @@ def find_airways(
         tree = dataclasses.replace(tree, branches=_named(tree.branches))
     tracker.set_branches(tree.branches, [row["nodes"] for row in rows])
     if core.num_settled < core.num_nodes:
-        notes.append(f"{core.num_nodes - core.num_settled} lumen voxels are not connected to the root")
+        found_notes.append(f"{core.num_nodes - core.num_settled} lumen voxels are not connected to the root")
     lumen.flags.writeable = False
     root_at = branches[0].points[0].copy()
     stage.begin("airways found", 1.0)
@@ -193,7 +200,7 @@ def find_airways(
         tree=tree,
         tracker=tracker,
         threshold=end,
-        notes=tuple(notes),
+        notes=tuple(found_notes),
         wall_levels=levels,
         uncertain=uncertain,
     )

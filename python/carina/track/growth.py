@@ -58,6 +58,9 @@ TRACHEA_DOUBTS = {
 LEAK_MM3 = 60_000.0
 SMALL_LEAK_MM3 = 3_000.0
 CLOSED_RADIUS_MM = 10.0
+# Half-way between air and soft tissue; of a mask drawn to the wall's outer side four fifths are still below it.
+HALF_WAY_HU = -500.0
+LEAST_AIR_OF_GIVEN = 0.6
 MIN_LUMEN_MM3 = 300.0
 # A trachea is 100 to 140 mm long; higher up it is larynx and throat.
 MAX_TRACHEA_MM = 150.0
@@ -115,6 +118,16 @@ def given_lumen(volume: Volume, lumen_zyx: NDArray[np.uint8]) -> NDArray[np.uint
     if not inside.any():
         raise NoResultError("the given lumen is empty: no voxel of the mask is set. Choose the mask of the airways")
     return inside
+
+
+def doubts_of_given(volume: Volume, lumen_zyx: NDArray[np.uint8]) -> list[str]:
+    """What makes it doubtful that a given lumen belongs to this CT: a mask of another scan may lie on the same grid."""
+    if not volume.is_hu:
+        return []
+    air = float(np.mean(volume.hu_zyx[lumen_zyx != 0] < HALF_WAY_HU))
+    if air >= LEAST_AIR_OF_GIVEN:
+        return []
+    return [f"only {100.0 * air:.0f} % of the given lumen is air in this CT: it may belong to another scan"]
 
 
 def trachea_in(

@@ -2,7 +2,7 @@
 
 from carina.volume.demo import demo_patient
 from carina.volume.inspection import Inspection, inspect_path
-from carina.volume.mask_files import Mask, open_mask
+from carina.volume.mask_files import Mask, MaskGridError, MaskLabel, MaskLabelError, open_mask
 from carina.volume.model import SeriesInfo, Volume, VolumeSource
 from carina.volume.opening import open_volume
 from carina.volume.quality import Finding, Quality, quality_gate
@@ -11,6 +11,9 @@ __all__ = [
     "Finding",
     "Inspection",
     "Mask",
+    "MaskGridError",
+    "MaskLabel",
+    "MaskLabelError",
     "Quality",
     "SeriesInfo",
     "Volume",

@@ -18,7 +18,7 @@ from carina.volume.model import Volume
 from carina.volume.opening import guarded
 from carina.volume.watch import Watch
 
-__all__ = ["Mask", "open_mask"]
+__all__ = ["Mask", "MaskGridError", "MaskLabel", "MaskLabelError", "open_mask"]
 
 # Of a voxel: headers in float32 are right to about 1e-4 mm, another grid is off by a good part of a voxel.
 _SAME_VOXEL = 0.05
@@ -32,6 +32,42 @@ class Mask:
     """(nz, ny, nx) of the CT, 1 inside, read-only."""
     notes: tuple[str, ...] = ()
     """What was done to bring it there, in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class MaskLabel:
+    """One structure of a mask that holds several."""
+
+    number: int
+    """Its number in the file (or its DICOM segment)."""
+    name: str | None
+    """What the file calls it."""
+    volume_ml: float
+
+
+class MaskLabelError(VolumeImportError):
+    """A mask holds several structures, and none of them was chosen."""
+
+    code = "import.mask-label"
+
+    def __init__(self, message: str, labels: tuple[MaskLabel, ...]) -> None:
+        super().__init__(message)
+        self.labels = labels
+
+
+class MaskGridError(VolumeImportError):
+    """A mask is on another grid than the scan; it can be resampled."""
+
+    code = "import.mask-grid"
+
+    def __init__(self, message: str, *, expected: str, found: str, share_inside: float) -> None:
+        super().__init__(message)
+        self.expected = expected
+        """The scan's grid, in words."""
+        self.found = found
+        """The mask's grid, in words."""
+        self.share_inside = share_inside
+        """How much of the structure lies in the scan, 0 to 1."""
 
 
 def open_mask(
@@ -66,9 +102,12 @@ def open_mask(
 
     Raises
     ------
+    MaskGridError
+        If the mask is on another grid; says how the two differ.
+    MaskLabelError
+        If it holds several structures and ``label`` names none of them.
     VolumeImportError
-        If the mask is on another grid (``import.mask-grid``; says how the two differ), if the file is no mask or is
-        empty, or if it holds several structures and ``label`` names none of them (``import.mask-label``).
+        If the file is no mask or is empty, or if the mask lies outside the scan.
     CancelledError
         If ``cancel()`` returned true.
     """
@@ -76,7 +115,8 @@ def open_mask(
 
     def read(where: Path) -> Mask:
         labels, lps_from_mask, names = _labels(where, watch)
-        chosen = _chosen(where, labels, names, label)
+        voxel_ml = abs(float(np.linalg.det(lps_from_mask[:3, :3]))) / 1000.0
+        chosen = _chosen(where, labels, names, label, voxel_ml)
         return _placed(where, labels == chosen, lps_from_mask, volume, resample=resample, watch=watch)
 
     return guarded(Path(path).expanduser(), read)
@@ -108,8 +148,10 @@ def _labels(path: Path, watch: Watch) -> tuple[NDArray[np.generic], NDArray[np.f
     return values, header.lps_from_ijk, {}
 
 
-def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], label: int | None) -> int:
-    present = [int(v) for v in np.unique(labels) if v != 0]
+def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], label: int | None, voxel_ml: float) -> int:
+    numbers, counts = np.unique(labels, return_counts=True)
+    sizes = {int(number): int(count) for number, count in zip(numbers, counts, strict=True) if number != 0}
+    present = list(sizes)
     if not present:
         msg = f"reading the mask {path.name}: it is empty (all voxels are 0); export the segmentation again"
         raise VolumeImportError(msg, code="import.mask")
@@ -128,7 +170,7 @@ def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], labe
     more = f" and {len(present) - 12} more" if len(present) > 12 else ""
     asked = "say which is the airway" if label is None else f"there is no {label} among them; say which is the airway"
     msg = f"reading the mask {path.name}: it holds the labels {listed}{more}; {asked} (label, --label)"
-    raise VolumeImportError(msg, code="import.mask-label")
+    raise MaskLabelError(msg, tuple(MaskLabel(n, names.get(n) or None, sizes[n] * voxel_ml) for n in present))
 
 
 def _placed(
@@ -152,7 +194,7 @@ def _placed(
     is_turn = bool((np.abs(turn).sum(axis=0) == 1).all() and (np.abs(turn).sum(axis=1) == 1).all())
     if not is_turn or apart > _SAME_VOXEL:
         if not resample:
-            raise _other_grid(path, inside.shape, lps_from_mask, volume)
+            raise _other_grid(path, inside, lps_from_mask, volume)
         mask_from_volume = np.asarray(np.linalg.inv(volume_from_mask), dtype=np.float64)
         return _resampled(path, inside, mask_from_volume, volume, watch)
     # Array axes are z, y, x: axis 2 - a of the array is voxel axis a.
@@ -203,7 +245,7 @@ def _resampled(
 
 
 def _other_grid(
-    path: Path, shape: tuple[int, ...], lps_from_mask: NDArray[np.float64], volume: Volume
+    path: Path, inside: NDArray[np.bool_], lps_from_mask: NDArray[np.float64], volume: Volume
 ) -> VolumeImportError:
     def grid_words(shape_zyx: tuple[int, ...], lps_from_ijk: NDArray[np.float64]) -> str:
         sizes = " x ".join(str(n) for n in shape_zyx[::-1])
@@ -211,9 +253,25 @@ def _other_grid(
         middle = lps_from_ijk[:3, :3] @ ((np.array(shape_zyx[::-1]) - 1) / 2) + lps_from_ijk[:3, 3]
         return f"{sizes} voxels of {spacing} mm round ({', '.join(f'{v:.1f}' for v in middle)})"
 
+    expected, found = grid_words(volume.shape_zyx, volume.lps_from_ijk), grid_words(inside.shape, lps_from_mask)
+    share = _share_inside(inside, lps_from_mask, volume)
+    grids = f"expected {expected}, found {found}"
+    if share == 0.0:
+        msg = (
+            f"reading the mask {path.name}: none of it lies in the scan, and it is on another grid; {grids}; open the "
+            "scan it belongs to"
+        )
+        return VolumeImportError(msg, code="import.mask-grid")
     msg = (
-        f"reading the mask {path.name}: it is on another grid than the scan; expected "
-        f"{grid_words(volume.shape_zyx, volume.lps_from_ijk)}, found {grid_words(shape, lps_from_mask)}; export it on "
-        "the scan's grid, or let it be resampled (resample, --resample)"
+        f"reading the mask {path.name}: it is on another grid than the scan; {grids}; export it on the scan's grid, or "
+        "let it be resampled (resample, --resample)"
     )
-    return VolumeImportError(msg, code="import.mask-grid")
+    return MaskGridError(msg, expected=expected, found=found, share_inside=share)
+
+
+def _share_inside(inside: NDArray[np.bool_], lps_from_mask: NDArray[np.float64], volume: Volume) -> float:
+    """How much of a structure lies in the volume, 0 to 1: of some ten thousand of its voxels."""
+    voxels = np.argwhere(inside)[:, ::-1]
+    voxels = voxels[:: max(1, len(voxels) // 10_000)]
+    ijk = volume.to_ijk(voxels @ lps_from_mask[:3, :3].T + lps_from_mask[:3, 3])
+    return float(((ijk >= -0.5) & (ijk < np.array(volume.shape_zyx[::-1]) - 0.5)).all(axis=1).mean())

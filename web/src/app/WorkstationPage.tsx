@@ -4,6 +4,7 @@ import { AirwayStage } from "./AirwayStage";
 import { BranchList } from "./BranchList";
 import { useApp } from "./context";
 import { DevicePanel } from "./DevicePanel";
+import { DropChoice, MaskDialog } from "./MaskImport";
 import { PathBar } from "./PathBar";
 import { SideViews } from "./SideViews";
 import { StatusBar } from "./StatusBar";
@@ -27,6 +28,8 @@ export function WorkstationPage() {
       </main>
       <PathBar />
       <StatusBar />
+      <DropChoice />
+      <MaskDialog />
     </div>
   );
 }

@@ -194,13 +194,14 @@ export class Workstation {
   openPath = (path: string): void => void this.send({ type: "open_path", path });
   openDemo = (name: Demo["name"]): void => void this.send({ type: "open_demo", name });
 
-  async upload(files: readonly UploadFile[]): Promise<void> {
+  /** Sends files to be opened: as another case, or as the airways of this one. */
+  async upload(files: readonly UploadFile[], use: "case" | "mask" = "case"): Promise<void> {
     this.#uploadStop?.abort();
     const stop = new AbortController();
     this.#uploadStop = stop;
     try {
       const id = await sendUpload(files, (upload) => this.store.dispatch({ kind: "upload", upload }), stop.signal);
-      this.send({ type: "open_upload", upload_id: id });
+      this.send({ type: use === "case" ? "open_upload" : "import_mask", upload_id: id });
     } catch (error) {
       if (stop.signal.aborted) return;
       if (error instanceof UploadError) this.#sayError(error.code, error.message, error.action);

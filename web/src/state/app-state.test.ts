@@ -31,6 +31,8 @@ const EMPTY: StateMessage = {
   orbit_tree: { azimuth_deg: 0, elevation_deg: 0, distance_mm: null },
   orbit_tri_plane: { azimuth_deg: 0, elevation_deg: 0, distance_mm: null },
   frame_rate_hz: 60,
+  airways_from: null,
+  mask_question: null,
   zoom: {
     axial_mm_per_px: null,
     coronal_mm_per_px: null,

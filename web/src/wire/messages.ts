@@ -46,6 +46,24 @@ export interface OpenRecentMessage {
   readonly recent_id: string;
 }
 
+/** Take the mask sent to `/api/upload` as the airways of the open case; undoable. */
+export interface ImportMaskMessage {
+  readonly type: "import_mask";
+  readonly upload_id: string;
+}
+
+/** Answer `state.mask_question`: which label is the airway; whether to resample. */
+export interface AnswerMaskMessage {
+  readonly type: "answer_mask";
+  readonly label: number | null;
+  readonly resample: boolean;
+}
+
+/** Forget the mask that `state.mask_question` asks about. */
+export interface DismissMaskMessage {
+  readonly type: "dismiss_mask";
+}
+
 /** Back to the start page. */
 export interface CloseCaseMessage {
   readonly type: "close_case";
@@ -607,6 +625,24 @@ export interface Slab {
   readonly kind: "max" | "min" | "mean";
 }
 
+/** One structure of a mask of another tool. */
+export interface MaskLabel {
+  readonly number: number;
+  readonly name: string | null;
+  readonly volume_ml: number;
+}
+
+/** What must be said of a mask before it can be taken as the airways; answered by `answer_mask`. */
+export interface MaskQuestion {
+  readonly title: string;
+  readonly problem: "label" | "grid";
+  readonly labels: readonly MaskLabel[];
+  readonly suggested: number | null;
+  readonly expected: string | null;
+  readonly found: string | null;
+  readonly share_inside: number | null;
+}
+
 /** All that is shown, but the pose, the tree and the route. */
 export interface StateMessage {
   readonly type: "state";
@@ -640,6 +676,8 @@ export interface StateMessage {
   readonly reformation: Reformation;
   readonly slab: Slab;
   readonly frame_rate_hz: number;
+  readonly airways_from: "search" | "mask" | null;
+  readonly mask_question: MaskQuestion | null;
 }
 
 /** A branch of a `carina-tree` document. */
@@ -1031,6 +1069,9 @@ export type ClientMessage =
   | OpenDemoMessage
   | OpenUploadMessage
   | OpenRecentMessage
+  | ImportMaskMessage
+  | AnswerMaskMessage
+  | DismissMaskMessage
   | CloseCaseMessage
   | CancelMessage
   | LayoutMessage

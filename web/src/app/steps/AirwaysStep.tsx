@@ -5,6 +5,7 @@ import { BranchPanel } from "../BranchPanel";
 import { useApp, useStation } from "../context";
 import { Act, SwitchKey } from "../controls";
 import { EditTools, ToolInHand } from "../EditTools";
+import { MaskPicker } from "../MaskImport";
 import { Threshold } from "./Threshold";
 
 export function AirwaysStep() {
@@ -19,7 +20,10 @@ export function AirwaysStep() {
       {found ? (
         <details className="part">
           <summary>{plural(count, "branch", "branches")} found</summary>
-          <p>Found by itself: compare it with the slices before you rely on it.</p>
+          <p>
+            {session.airways_from === "mask" ? "Taken from a mask" : "Found by itself"}: compare it with the slices
+            before you rely on it.
+          </p>
           {session.airways_words === null ? null : <p className="quiet">{sentence(session.airways_words)}</p>}
         </details>
       ) : (
@@ -40,12 +44,16 @@ export function AirwaysStep() {
           <EditTools />
           <BranchPanel />
           <details className="part">
-            <summary>Find the airways again</summary>
+            <summary>Find them again, or take a mask</summary>
             <Root />
+            <MaskPicker />
           </details>
         </>
       ) : (
-        <Root />
+        <>
+          <Root />
+          <MaskPicker />
+        </>
       )}
       <Act
         kind="primary"

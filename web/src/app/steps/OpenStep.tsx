@@ -1,6 +1,7 @@
 import { plural } from "../../state/format";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
+import { MaskPicker } from "../MaskImport";
 import { PathForm, Pickers } from "../StartPage";
 
 export function OpenStep() {
@@ -42,6 +43,8 @@ export function OpenStep() {
           {plural(info.other_series.length, "other series", "other series")} in the folder: see Check.
         </p>
       )}
+      <h3>Airways of another tool</h3>
+      <MaskPicker />
       <h3>Another case</h3>
       <p className="quiet">This one stays until the other has been read.</p>
       <Pickers />

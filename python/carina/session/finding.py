@@ -1,0 +1,264 @@
+"""Airways for the open case: found in the CT, or taken from a mask of another tool; each a job and one step of undo."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from carina.errors import CarinaError, NoResultError, TrackingError, UsageError
+from carina.navigate import moves
+from carina.session.case import AskedMask, OpenCase, as_point
+from carina.session.core import ALL_TOPICS, SessionCore
+from carina.session.document import Document, Point, Target
+from carina.session.editing import MAX_AIRWAYS_KEPT, airway_words, found_airways
+from carina.session.flying import place_move
+from carina.session.jobs import Job
+from carina.session.routes import ChosenRoute, default_branch_id, route_to_branch
+from carina.session.snapshot import MaskQuestion
+from carina.session.start_pose import pose_at_root
+from carina.session.targets import tracked_target
+from carina.volume import Mask, MaskGridError, MaskLabel, MaskLabelError
+
+__all__ = ["AirwayFinding"]
+
+SET_THE_ROOT = "Click in the trachea on a slice and choose it as the root."
+AIRWAY_NAMES = re.compile(r"airway|bronch|trache|lumen|luftweg|luftröhre|voies a", re.IGNORECASE)
+
+
+class AirwayFinding(SessionCore):
+    """The commands that put other airways in the place of the present ones."""
+
+    # ------------------------------------------------------------ in the CT
+
+    def set_root(self, root_lps: Point) -> str:
+        """Find the airways again from a point, as a job; undoable once found. Returns the job's id."""
+        case = self._needed_case()
+        case.check_inside(root_lps)
+        return self._start_airways(case, root_lps, case.document.lumen_threshold, label="set the root")
+
+    def set_lumen_threshold(self, value: float | None) -> str:
+        """Find the airways again with another threshold (None: the tracker's choice), as a job. Returns its id."""
+        case = self._needed_case()
+        airways = case.document.airways
+        root = None if airways is None else as_point(airways.root_lps)
+        wanted = case.threshold_from_histogram if value is None else value
+        if airways is None:
+            # Kept even if nothing is found with it: a root that is clicked next must search with this threshold.
+            with self._lock:
+                case.history.amend_current(lambda d: replace(d, lumen_threshold=wanted))
+                self._changed("state")
+        return self._start_airways(case, root, wanted, label="set the lumen threshold")
+
+    # ------------------------------------------------------------ from another tool
+
+    @property
+    def needs_mask_file(self) -> bool:
+        """Whether a mask's file is being read, or will be once its question is answered."""
+        with self._lock:
+            asked = self._case is not None and self._case.asked_mask is not None
+            return asked or any(job.kind == "mask" for job in self._jobs.running)
+
+    def import_mask(self, path: str, *, label: int | None = None, resample: bool = False) -> str:
+        """Take a mask of another tool as the airway lumen, as jobs: read and placed first, then its tree; undoable.
+
+        Where it holds several structures or is on another grid, nothing is changed and ``Snapshot.mask_question``
+        asks.
+
+        Parameters
+        ----------
+        path
+            NIfTI, NRRD, MetaImage or DICOM SEG.
+        label, resample
+            As of :func:`carina.open_mask`.
+
+        Returns
+        -------
+        str
+            The id of the job that reads it. It fails in words where the file is no mask or does not fit the scan.
+        """
+        case = self._needed_case()
+        with self._lock:
+            self._ask_about_mask(case, None)
+
+        def work(job: Job) -> None:
+            job.check()
+            try:
+                mask = self._parts.open_mask(
+                    path, case.info.volume, label=label, resample=resample, progress=job.progress, cancel=job.cancel
+                )
+            except (MaskLabelError, MaskGridError) as trouble:
+                with self._lock:
+                    job.check()
+                    self._ask_about_mask(case, AskedMask(path, label, _question(Path(path).name, trouble)))
+                return
+            with self._lock:
+                job.check()
+                if self._case is case:
+                    self._start_airways_of(case, Path(path).name, mask)
+
+        return self._jobs.start("mask", "reading the mask", work)
+
+    def answer_mask(self, *, label: int | None = None, resample: bool = False) -> str:
+        """Answer ``Snapshot.mask_question`` and go on. Returns the job's id.
+
+        Raises
+        ------
+        UsageError
+            If nothing is asked.
+        """
+        asked = self._needed_case().asked_mask
+        if asked is None:
+            raise UsageError("no mask waits for an answer; choose its file again", code="session.mask")
+        return self.import_mask(asked.path, label=asked.label if label is None else label, resample=resample)
+
+    def dismiss_mask(self) -> None:
+        """Forget the mask that waits for an answer; the airways stay as they are."""
+        case = self._needed_case()
+        with self._lock:
+            self._jobs.cancel_kinds("mask")
+            self._ask_about_mask(case, None)
+
+    def _ask_about_mask(self, case: OpenCase, asked: AskedMask | None) -> None:
+        if case.asked_mask is not asked:
+            case.asked_mask = asked
+            self._changed("state")
+
+    def _follow_document(self, case: OpenCase) -> None:
+        super()._follow_document(case)
+        # Undo may lead to other airways, or to none. A search under way says for itself how it ends.
+        airways = case.document.airways
+        if airways is not None and case.airways_status == "found":
+            case.airways_words = airway_words(airways)
+        elif airways is None and case.airways_status == "found":
+            case.airways_status, case.airways_words = "failed", f"there are no airways at this step. {SET_THE_ROOT}"
+        elif airways is not None and case.airways_status == "failed":
+            case.airways_status, case.airways_words = "found", airway_words(airways)
+
+    # ------------------------------------------------------------ both
+
+    def _start_airways_of(self, case: OpenCase, name: str, mask: Mask) -> None:
+        """The tree of a mask. Its paths begin in its trachea; where that is not in it, at the root that is known."""
+        known = case.document.airways
+        told = (f"the lumen is the mask {name}", *mask.notes)
+
+        def find(job: Job) -> Any:
+            options = {"lumen_zyx": mask.inside_zyx, "notes": told, "progress": job.progress, "cancel": job.cancel}
+            volume = case.info.volume
+            try:
+                return self._parts.find_airways(volume, root_lps=None, lumen_threshold=None, **options)
+            except NoResultError:
+                if known is None:
+                    raise
+                root = as_point(known.root_lps)
+                return self._parts.find_airways(volume, root_lps=root, lumen_threshold=None, **options)
+
+        self._start(case, find, case.document.lumen_threshold, "take the mask as airways", "drawing the mask's tree")
+
+    def _start_airways(
+        self, case: OpenCase, root_lps: Point | None, threshold: float | None, *, label: str | None
+    ) -> str:
+        """``label`` None: nobody asked, it is part of opening."""
+
+        def find(job: Job) -> Any:
+            return self._parts.find_airways(
+                case.info.volume,
+                root_lps=root_lps,
+                lumen_threshold=threshold,
+                progress=job.progress,
+                cancel=job.cancel,
+            )
+
+        return self._start(case, find, threshold, label, "finding the airways")
+
+    def _start(
+        self, case: OpenCase, find: Callable[[Job], Any], threshold: float | None, label: str | None, title: str
+    ) -> str:
+        def work(job: Job) -> None:
+            try:
+                job.check()
+                airways = find(job)
+                job.progress("building the tree", None)
+                self._take_airways(case, airways, threshold, label, job)
+            except BaseException as trouble:
+                self._keep_airways(case, trouble, job)
+                if case.document.airways is not None or not isinstance(trouble, TrackingError):
+                    raise
+                # The panel of the airways says it; an error on top would say the same thing twice.
+
+        with self._lock:
+            case.airways_status, case.airways_words = "finding", None
+            self._changed("state")
+            return self._jobs.start("airways", title, work)
+
+    def _keep_airways(self, case: OpenCase, trouble: BaseException, job: Job) -> None:
+        """After a search that found nothing: what was there stays, else the panel says why there is nothing."""
+        with self._lock:
+            if any(other.kind == "airways" and other is not job for other in self._jobs.running):
+                return  # A newer search runs in its place.
+            if case.document.airways is not None:
+                case.airways_status, case.airways_words = "found", airway_words(case.document.airways)
+            else:
+                words = str(trouble) if isinstance(trouble, CarinaError) else "finding the airways failed"
+                case.airways_status, case.airways_words = "failed", f"{words}. {SET_THE_ROOT}"
+            if self._case is case:
+                self._changed("state")
+
+    def _take_airways(self, case: OpenCase, airways: Any, threshold: float | None, label: str | None, job: Job) -> None:
+        """Put found airways in place, with paths to the targets; ``label`` makes it a change that can be undone."""
+        branch_id = default_branch_id(airways.tree)
+        default_route = None if branch_id is None else route_to_branch(airways.tree, branch_id)
+        targets: tuple[Target, ...] = ()
+        asked: tuple[Target, ...] | None = None
+        while True:
+            with self._lock:
+                job.check()
+                if asked == case.document.targets:
+                    found = replace(case.document, airways=airways, lumen_threshold=threshold, targets=targets)
+                    self._put_airways(case, found, default_route, label)
+                    return
+                asked = case.document.targets
+            # Not under the lock: a path may take a while, and meanwhile a person may add or remove targets.
+            targets = tuple(tracked_target(airways, target) for target in asked)
+
+    def _put_airways(
+        self, case: OpenCase, found: Document, default_route: ChosenRoute | None, label: str | None
+    ) -> None:
+        chosen = case.document.route
+        to_target = [t.route for t in found.targets if chosen is not None and t.target_id == chosen.target_id]
+        route = next((r for r in to_target if r is not None), default_route)
+        found = replace(found, route=route)
+        airways, threshold = found.airways, found.lumen_threshold
+        if label is None:
+            # Earlier documents of this case have no airways; undoing a change must not take them away.
+            case.history.amend(lambda d: replace(d, airways=airways, lumen_threshold=threshold, route=default_route))
+            case.history.amend_current(lambda _: found)
+        else:
+            case.history.change(label, found, now_s=self._clock())
+            case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
+        case.airways_status = "found"
+        case.airways_words = airway_words(airways)
+        self._follow_document(case)
+        if not case.person_moved:
+            if route is not None:
+                case.pilot.apply(moves.GoTo(0.0))
+            elif airways is not None:
+                case.pilot.apply(place_move(pose_at_root(airways)))
+            self._moved()
+        self._changed(*ALL_TOPICS)
+
+
+def _question(name: str, trouble: MaskLabelError | MaskGridError) -> MaskQuestion:
+    if isinstance(trouble, MaskGridError):
+        return MaskQuestion(
+            name, "grid", expected=trouble.expected, found=trouble.found, share_inside=trouble.share_inside
+        )
+    return MaskQuestion(name, "label", labels=trouble.labels, suggested=_suggested(trouble.labels))
+
+
+def _suggested(labels: tuple[MaskLabel, ...]) -> int | None:
+    """The label whose name says that it is the airway, if one alone does."""
+    named = [label.number for label in labels if label.name and AIRWAY_NAMES.search(label.name)]
+    return named[0] if len(named) == 1 else None

@@ -1,0 +1,135 @@
+"""A mask of another tool in the window: chosen or dropped, asked about, refused where it does not fit, undone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+from server_process import Server, start_server, stop_server
+
+from carina.phantom import demo_phantom
+
+pytestmark = pytest.mark.browser
+
+# The mask's tree: seconds, and many of them with others busy on the machine.
+WAIT_MS = 180_000
+
+
+@pytest.fixture(scope="module")
+def masks(tmp_path_factory):
+    """Files as other tools write them: two structures; a coarser grid; the place of another patient."""
+    made = demo_phantom()
+    folder = tmp_path_factory.mktemp("masks")
+    spacing = np.array(made.volume.spacing_mm)
+    origin = made.volume.lps_from_ijk[:3, 3]
+
+    def write(name, labels, scale=1, shift_mm=0.0):
+        image = sitk.GetImageFromArray(labels.astype(np.uint8))
+        image.SetSpacing((spacing * scale).tolist())
+        image.SetDirection((made.volume.lps_from_ijk[:3, :3] / spacing).ravel().tolist())
+        image.SetOrigin((origin + shift_mm).tolist())
+        sitk.WriteImage(image, str(folder / name), True)
+        return folder / name
+
+    labels = (made.lumen_zyx != 0) * 2
+    labels[:3, :3, :3] = 1
+    coarse = made.lumen_zyx[::2, ::2, ::2] != 0
+    return {
+        "several": write("several.nrrd", labels),
+        "coarse": write("coarse.nii.gz", coarse, scale=2),
+        "elsewhere": write("elsewhere.nii.gz", coarse, scale=2, shift_mm=5000.0),
+    }
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory) -> Iterator[Server]:
+    """``carina demo phantom``."""
+    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
+    yield running
+    assert stop_server(running) == 0
+    assert running.errors() == []
+
+
+@pytest.fixture
+def ready(server, workstation):
+    """A page with the case open."""
+    workstation.open(server)
+    workstation.wait_ready()
+    yield workstation
+    assert workstation.faults == []
+
+
+def wait_for(workstation, condition):
+    workstation.page.wait_for_function(f"() => {condition}", timeout=WAIT_MS)
+
+
+def drop(workstation, path, place):
+    """Drag a file from outside over the window and let it go on one of the two places."""
+    page = workstation.page
+    link = page.context.new_cdp_session(page)
+    data = {"items": [], "files": [str(path)], "dragOperationsMask": 1}
+
+    def at(kind, x, y):
+        link.send("Input.dispatchDragEvent", {"type": kind, "x": x, "y": y, "data": data})
+
+    at("dragEnter", 20, 20)
+    at("dragOver", 30, 30)
+    box = page.locator(f"[data-testid=drop-{place}]").bounding_box()
+    middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    at("dragOver", *middle)
+    workstation.picture("mask-dragged")
+    at("drop", *middle)
+    link.detach()
+
+
+def test_a_chosen_mask_is_asked_which_structure_is_the_airway_taken_and_undone(ready, masks):
+    page = ready.page
+    branches = ready.state("tree.byId.size")
+    page.get_by_role("button", name="Open", exact=True).click()
+    with page.expect_file_chooser() as chooser:
+        page.locator("[data-testid=choose-mask]").first.click()
+    chooser.value.set_files(str(masks["several"]))
+    page.locator("[data-testid=mask-question]").wait_for(timeout=WAIT_MS)
+    assert page.locator("[data-testid=mask-answer]").is_disabled()
+    page.get_by_text("Label 2", exact=True).click()
+    ready.picture("mask-labels")
+    page.locator("[data-testid=mask-answer]").click()
+    wait_for(ready, "window.__carina.state.airways_from === 'mask'")
+    assert ready.state("can_undo") == "take the mask as airways"
+    assert page.locator("[data-testid=mask-question]").count() == 0
+    # The phantom's true lumen: more of its smallest branches than were found.
+    wait_for(ready, f"window.__carina.state.tree.byId.size > {branches}")
+    page.get_by_role("button", name="Airways", exact=True).click()
+    page.locator("details.part > summary").first.click()
+    assert page.get_by_text("Taken from a mask").is_visible()
+    ready.picture("mask-taken")
+    page.keyboard.press("Control+z")
+    wait_for(ready, "window.__carina.state.airways_from === 'search'")
+    wait_for(ready, f"window.__carina.state.tree.byId.size === {branches}")
+
+
+def test_a_dropped_mask_on_another_grid_is_resampled_only_when_asked(ready, masks):
+    page = ready.page
+    drop(ready, masks["coarse"], "mask")
+    page.locator("[data-testid=mask-question]").wait_for(timeout=WAIT_MS)
+    ready.picture("mask-grid")
+    assert ready.state("airways_from") == "search"
+    page.get_by_role("button", name="Leave it").click()
+    wait_for(ready, "window.__carina.state.mask_question === null")
+    assert (ready.state("airways_from"), ready.state("can_undo")) == ("search", None)
+    drop(ready, masks["coarse"], "mask")
+    page.locator("[data-testid=mask-answer]").click(timeout=WAIT_MS)
+    wait_for(ready, "window.__carina.state.airways_from === 'mask'")
+    assert "was on another grid" in ready.state("airways_words")
+    page.keyboard.press("Control+z")
+    wait_for(ready, "window.__carina.state.airways_from === 'search'")
+
+
+def test_a_mask_of_another_place_is_refused_in_words(ready, masks):
+    drop(ready, masks["elsewhere"], "mask")
+    ready.page.get_by_text("none of it lies in the scan").wait_for(timeout=WAIT_MS)
+    ready.picture("mask-refused")
+    assert ready.state("mask_question") is None
+    assert ready.state("airways_from") == "search"

@@ -1,0 +1,175 @@
+"""A mask of another tool in the place of the airways: asked about where it must be, undone in one step."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carina.errors import NoResultError, UsageError, VolumeImportError
+from carina.session import JobEnded, Trouble
+from carina.volume import Mask, MaskGridError, MaskLabel, MaskLabelError
+from small_case import small_airways, small_bench, small_lumen
+
+LABELS = (MaskLabel(1, "Left lung", 2100.0), MaskLabel(4, "Airway tree", 61.5), MaskLabel(9, None, 0.2))
+
+
+class Tool:
+    """Masks of another tool, and what was asked of them; ``airways`` as Carina draws them."""
+
+    def __init__(self):
+        self.read, self.searches = [], []
+        self.root_in_mask = True
+
+    def open_mask(self, path, volume, *, label, resample, progress, cancel):
+        self.read.append((path, label, resample))
+        progress("reading", 0.5)
+        if path.endswith("bad.nrrd"):
+            raise VolumeImportError("reading the mask bad.nrrd: it is empty", code="import.mask")
+        if "several" in path and label is None:
+            raise MaskLabelError("it holds the labels 1, 4, 9", LABELS)
+        if "other" in path and not resample:
+            raise MaskGridError("another grid", expected="10 voxels", found="12 voxels", share_inside=0.75)
+        return Mask(small_lumen() * np.uint8(1), ("covers a part",))
+
+    def find_airways(self, volume, *, root_lps, lumen_threshold, progress, cancel, **mask):
+        self.searches.append((root_lps, mask))
+        if mask and root_lps is None and not self.root_in_mask:
+            raise NoResultError("no trachea in the mask")
+        found = small_airways(volume, root_lps=root_lps)
+        if mask:
+            found.lumen_zyx, found.report = mask["lumen_zyx"], [*mask["notes"], *found.report]
+        return found
+
+
+@pytest.fixture
+def tool():
+    return Tool()
+
+
+@pytest.fixture
+def bench(tool):
+    made = small_bench(open_mask=tool.open_mask, find_airways=tool.find_airways)
+    made.open()
+    return made
+
+
+def take(bench, path, **options):
+    bench.session.import_mask(path, **options)
+    bench.background.run_all()
+    return bench.session.snapshot()
+
+
+def test_a_mask_takes_the_place_of_the_airways_in_one_step_that_undo_takes_back(bench, tool):
+    before = bench.session.snapshot()
+    after = take(bench, "/masks/airway.nii.gz")
+    assert after.document.airways is not before.document.airways
+    assert (after.airways, after.undo_label) == ("found", "take the mask as airways")
+    assert after.airways_words == "the lumen is the mask airway.nii.gz; covers a part; three branches"
+    assert bench.renderers[-1].lumen is after.document.airways.lumen_zyx
+    assert after.document.lumen_threshold == before.document.lumen_threshold
+    bench.session.undo()
+    undone = bench.session.snapshot()
+    assert undone.document.airways is before.document.airways
+    assert (undone.airways_words, undone.redo_label) == ("three branches", "take the mask as airways")
+    bench.session.redo()
+    assert bench.session.snapshot().airways_words == after.airways_words
+    assert [mask != {} for _, mask in tool.searches] == [False, True]
+
+
+def test_of_several_structures_one_is_asked_for_and_the_one_called_airway_proposed(bench, tool):
+    before = bench.session.snapshot()
+    asked = take(bench, "/masks/several.nrrd")
+    question = asked.mask_question
+    assert (question.title, question.problem, question.suggested) == ("several.nrrd", "label", 4)
+    assert question.labels == LABELS
+    assert asked.document is before.document
+    assert asked.airways == "found"
+    assert bench.of_type(Trouble) == []
+    assert bench.session.needs_mask_file
+    bench.session.answer_mask(label=4)
+    bench.background.run_all()
+    assert bench.session.snapshot().mask_question is None
+    assert bench.session.snapshot().undo_label == "take the mask as airways"
+    assert tool.read[-1] == ("/masks/several.nrrd", 4, False)
+    assert not bench.session.needs_mask_file
+
+
+def test_another_grid_is_told_and_the_label_said_before_holds_when_it_is_resampled(bench, tool):
+    take(bench, "/masks/several-other.nrrd")
+    bench.session.answer_mask(label=4)
+    bench.background.run_all()
+    question = bench.session.snapshot().mask_question
+    assert (question.problem, question.expected, question.found) == ("grid", "10 voxels", "12 voxels")
+    assert question.share_inside == 0.75
+    bench.session.answer_mask(resample=True)
+    bench.background.run_all()
+    assert tool.read[-1] == ("/masks/several-other.nrrd", 4, True)
+    assert bench.session.snapshot().undo_label == "take the mask as airways"
+
+
+def test_a_dismissed_mask_leaves_everything_as_it_was(bench):
+    before = bench.session.snapshot()
+    take(bench, "/masks/other.nrrd")
+    bench.session.dismiss_mask()
+    after = bench.session.snapshot()
+    assert after.mask_question is None
+    assert after.document is before.document
+    assert after.undo_label is None
+    assert not bench.session.needs_mask_file
+    with pytest.raises(UsageError, match="no mask waits"):
+        bench.session.answer_mask(label=1)
+
+
+def test_a_file_that_is_no_mask_is_refused_in_words_and_nothing_changes(bench):
+    before = bench.session.snapshot()
+    after = take(bench, "/masks/bad.nrrd")
+    assert [e.message for e in bench.of_type(Trouble)] == ["reading the mask bad.nrrd: it is empty"]
+    assert after.document is before.document
+    assert (after.airways, after.airways_words) == (before.airways, before.airways_words)
+
+
+def test_a_mask_without_its_trachea_begins_at_the_root_that_is_known(bench, tool):
+    tool.root_in_mask = False
+    root = tuple(bench.session.snapshot().document.airways.root_lps)
+    assert take(bench, "/masks/airway.nii.gz").undo_label == "take the mask as airways"
+    assert [search[0] for search in tool.searches] == [None, None, root]
+
+
+def test_a_mask_is_taken_where_none_were_found_and_undo_leads_back_to_none():
+    tool = Tool()
+
+    def find_airways(volume, *, root_lps, lumen_threshold, progress, cancel, **mask):
+        if not mask:
+            raise NoResultError("no trachea found")
+        return tool.find_airways(volume, root_lps=root_lps, lumen_threshold=None, progress=None, cancel=None, **mask)
+
+    bench = small_bench(open_mask=tool.open_mask, find_airways=find_airways)
+    bench.open()
+    assert bench.session.snapshot().airways == "failed"
+    assert take(bench, "/masks/airway.nii.gz").airways == "found"
+    bench.session.undo()
+    undone = bench.session.snapshot()
+    assert (undone.airways, undone.document.airways) == ("failed", None)
+    assert "choose it as the root" in undone.airways_words
+    bench.session.redo()
+    assert bench.session.snapshot().airways == "found"
+
+
+def test_reading_a_mask_can_be_stopped_and_does_not_stop_the_search(tool):
+    bench = small_bench(open_mask=tool.open_mask, find_airways=tool.find_airways)
+    bench.session.open_path("case")
+    bench.background.run_next()
+    job_id = bench.session.import_mask("/masks/airway.nii.gz")
+    bench.session.cancel(job_id)
+    bench.background.run_all()
+    assert [e.outcome for e in bench.of_type(JobEnded) if e.job_id == job_id] == ["cancelled"]
+    assert bench.session.snapshot().airways == "found"
+    assert bench.session.snapshot().undo_label is None
+
+
+def test_a_mask_needs_an_open_case_and_a_question_dies_with_it(bench):
+    take(bench, "/masks/other.nrrd")
+    bench.session.close_case()
+    assert not bench.session.needs_mask_file
+    with pytest.raises(UsageError, match="no case is open"):
+        bench.session.import_mask("/masks/airway.nii.gz")

@@ -1,0 +1,188 @@
+/** A mask of another tool as the airways: chosen or dropped, and asked about where it must be. */
+
+import { type DragEvent, useEffect, useState } from "react";
+import {
+  Button,
+  Dialog,
+  FileTrigger,
+  Heading,
+  Label,
+  Modal,
+  ModalOverlay,
+  Radio,
+  RadioGroup,
+} from "react-aria-components";
+import { filesOfDrop, filesOfPicker } from "../net/upload";
+import { firstChoice, labelTitle, lostWords, questionTitle, questionWords, volumeWords } from "../state/mask-question";
+import type { MaskQuestion } from "../wire/messages";
+import { useApp, useStation } from "./context";
+import { Tip } from "./controls";
+import { Icon } from "./icons";
+
+/** By the system's own dialogue; the same file may be dropped anywhere on the window. */
+export function MaskPicker() {
+  const station = useStation();
+  return (
+    <div className="mask-part">
+      <p className="quiet">A mask of another tool in their place: drop it on this window, or choose its file.</p>
+      <FileTrigger
+        allowsMultiple
+        onSelect={(list) => {
+          if (list !== null && list.length > 0) void station.upload(filesOfPicker(list), "mask");
+        }}
+      >
+        <Tip words="NIfTI, NRRD, MetaImage or DICOM SEG on this scan; undo brings the present airways back">
+          <Button className="button" data-testid="choose-mask">
+            <Icon name="file" />
+            {"Choose a mask\u2026"}
+          </Button>
+        </Tip>
+      </FileTrigger>
+    </div>
+  );
+}
+
+/** While files are dragged over the window: what to do with them. */
+export function DropChoice() {
+  const station = useStation();
+  const [dragged, setDragged] = useState(false);
+  const [over, setOver] = useState<"mask" | "case" | null>(null);
+  // One question at a time: a mask that waits for its answer comes first.
+  const asked = useApp((state) => state.session?.mask_question != null);
+  useEffect(() => {
+    const end = () => {
+      setDragged(false);
+      setOver(null);
+    };
+    const drag = (event: globalThis.DragEvent) => {
+      if (event.dataTransfer?.types.includes("Files") !== true) return;
+      // Without this the browser would leave the page and show the file.
+      event.preventDefault();
+      setDragged(true);
+    };
+    const leave = (event: globalThis.DragEvent) => {
+      if (event.relatedTarget === null) end();
+    };
+    const drop = (event: globalThis.DragEvent) => {
+      event.preventDefault();
+      end();
+    };
+    window.addEventListener("dragenter", drag);
+    window.addEventListener("dragover", drag);
+    window.addEventListener("dragleave", leave);
+    window.addEventListener("drop", drop);
+    return () => {
+      window.removeEventListener("dragenter", drag);
+      window.removeEventListener("dragover", drag);
+      window.removeEventListener("dragleave", leave);
+      window.removeEventListener("drop", drop);
+    };
+  }, []);
+  if (!dragged || asked) return null;
+  const place = (use: "mask" | "case", title: string, words: string) => (
+    // biome-ignore lint/a11y/noStaticElementInteractions: buttons in the panels do the same by keyboard
+    <div
+      className={over === use ? "drop over" : "drop"}
+      data-testid={`drop-${use}`}
+      onDragOver={() => setOver(use)}
+      onDragLeave={() => setOver(null)}
+      onDrop={(event: DragEvent) => {
+        event.preventDefault();
+        void filesOfDrop(event.dataTransfer.items).then((files) => station.upload(files, use));
+      }}
+    >
+      <Icon name={use === "mask" ? "fork" : "folder"} />
+      <p>
+        <strong>{title}</strong>
+        <br />
+        <span className="quiet">{words}</span>
+      </p>
+    </div>
+  );
+  return (
+    <div className="drop-choice">
+      {place("mask", "Take as the airways of this scan", "a mask of another tool: NIfTI, NRRD, MetaImage, DICOM SEG")}
+      {place("case", "Open as another case", "a CT: a DICOM series, NIfTI, NRRD or MetaImage")}
+    </div>
+  );
+}
+
+export function MaskDialog() {
+  const station = useStation();
+  const question = useApp((state) => state.session?.mask_question ?? null);
+  return (
+    <ModalOverlay
+      className="dialog-back"
+      isOpen={question !== null}
+      onOpenChange={(open) => {
+        if (!open) station.send({ type: "dismiss_mask" });
+      }}
+    >
+      <Modal className="dialog mask-dialog">
+        {question === null ? null : <Question key={`${question.title} ${question.problem}`} question={question} />}
+      </Modal>
+    </ModalOverlay>
+  );
+}
+
+function Question({ question }: { question: MaskQuestion }) {
+  const station = useStation();
+  const [label, setLabel] = useState(firstChoice(question));
+  const isLabel = question.problem === "label";
+  const lost = lostWords(question);
+  return (
+    <Dialog data-testid="mask-question">
+      <Heading slot="title">{questionTitle(question)}</Heading>
+      <p>{questionWords(question)}</p>
+      {isLabel ? (
+        <RadioGroup
+          className="mask-labels"
+          value={label === null ? null : String(label)}
+          onChange={(value) => setLabel(Number(value))}
+        >
+          <Label className="visually-hidden">Structures of the mask</Label>
+          {question.labels.map((one) => (
+            <Radio key={one.number} value={String(one.number)} className="mask-label">
+              <span>{labelTitle(one)}</span>
+              <span className="quiet numbers">{one.name === null ? "" : one.number}</span>
+              <span className="numbers">{volumeWords(one.volume_ml)}</span>
+            </Radio>
+          ))}
+        </RadioGroup>
+      ) : (
+        <>
+          <dl className="facts">
+            <div>
+              <dt>This scan</dt>
+              <dd className="numbers">{question.expected}</dd>
+            </div>
+            <div>
+              <dt>The mask</dt>
+              <dd className="numbers">{question.found}</dd>
+            </div>
+          </dl>
+          {lost === null ? null : <p className="warning">{lost}</p>}
+          <p>
+            It can be brought onto the scan: each voxel then takes the mask{"\u2019"}s nearest one, so that its edge is
+            as coarse as the mask. Compare it with the slices afterwards, or export it again on the scan{"\u2019"}s
+            grid.
+          </p>
+        </>
+      )}
+      <p className="quiet">The airways stay as they are until then; undo brings them back afterwards.</p>
+      <div className="dialog-actions">
+        <Button className="button" onPress={() => station.send({ type: "dismiss_mask" })}>
+          Leave it
+        </Button>
+        <Button
+          className="button primary"
+          data-testid="mask-answer"
+          isDisabled={isLabel && label === null}
+          onPress={() => station.send({ type: "answer_mask", label: isLabel ? label : null, resample: !isLabel })}
+        >
+          {isLabel ? "Take it as the airways" : "Bring it onto the scan"}
+        </Button>
+      </div>
+    </Dialog>
+  );
+}
