@@ -1,5 +1,6 @@
 /** Devices of the browser: finds them, reads them once per refresh, and hands what they say to Carina. */
 
+import { ContactSense } from "../input/devices/contact";
 import { Gamepads, type Pad } from "../input/devices/gamepad";
 import { hasPointerLock, PointerLock } from "../input/devices/pointer-lock";
 import { type Hid, SPACEMOUSE_FILTERS, SpaceMouse } from "../input/devices/spacemouse";
@@ -20,7 +21,7 @@ export class BrowserDevices {
   readonly #pads: Gamepads;
   readonly #lock: PointerLock;
   #mouse: SpaceMouse | null = null;
-  #wasInside = true;
+  readonly #contact = new ContactSense();
   #armed: "root" | "target" | null = null;
 
   constructor(station: Workstation) {
@@ -58,10 +59,7 @@ export class BrowserDevices {
   tick(): void {
     this.#pads.tick();
     this.#mouse?.tick();
-    const inside = this.#station.state.pose?.inside ?? true;
-    // The tip has met the wall.
-    if (this.#wasInside && !inside) this.#pads.rumble(BUMP.strength, BUMP.ms);
-    this.#wasInside = inside;
+    if (this.#contact.met(this.#station.state.pose)) this.#pads.rumble(BUMP.strength, BUMP.ms);
     this.#armPen();
   }
 

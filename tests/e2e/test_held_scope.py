@@ -1,0 +1,79 @@
+"""A bronchoscope in the lumen, in a real browser: laid along the route, bent, held by the wall, and felt."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from server_process import Server, start_server, stop_server
+from test_devices import MOCK, hold
+
+pytestmark = pytest.mark.browser
+
+# The wall's distances are computed once for a case, on two busy cores in a minute or so.
+WALL_MS = 240_000
+FLIGHT_MS = 60_000
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory) -> Iterator[Server]:
+    """``carina demo phantom``, as a person starts it."""
+    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
+    yield running
+    assert stop_server(running) == 0
+    assert running.errors() == []
+
+
+def test_a_scope_is_held_bends_meets_the_wall_and_is_let_go(server, workstation):
+    page = workstation.page
+    page.add_init_script(MOCK)
+    workstation.open(server)
+    workstation.wait_ready()
+    hold(workstation, (0, 0, 0, 0))
+    page.get_by_role("radio", name="Scope").click()
+    # The wall is found first, and that is said with its progress; the picture stays.
+    page.get_by_text("finding the wall that holds the scope").first.wait_for()
+    workstation.picture("held-scope-waiting")
+    page.wait_for_function("() => window.__carina.state.pose.mode === 'scope'", timeout=WALL_MS)
+    page.get_by_test_id("scope-reading").wait_for()
+    workstation.wait_still()
+    workstation.picture("held-scope-laid")
+    assert workstation.state("pose.scope.num_contacts") == 0
+    assert workstation.state("pose.inside") is True
+
+    # Forward by the key, and the arrow bends the tip up: the picture answers both.
+    start_mm, pixels = workstation.state("pose.scope.insertion_mm"), workstation.pixels("airway")
+    workstation.hold("w", 900)
+    page.wait_for_function(f"() => window.__carina.state.pose.scope.insertion_mm > {start_mm + 5}")
+    workstation.hold("ArrowUp", 700)
+    page.wait_for_function("() => window.__carina.state.pose.scope.flexion_rad > 0.1")
+    workstation.wait_still()
+    assert workstation.frame_answers("airway", workstation.state("pose.pose_id"))
+    assert workstation.pixels("airway") != pixels
+    workstation.picture("held-scope-bent")
+
+    # The gamepad pushes the bent tip on: the wall holds it, the contact is counted and felt, and the lens goes red.
+    assert page.evaluate("() => window.testRumble.length") == workstation.state("pose.scope.num_contacts")
+    contacts = workstation.state("pose.scope.num_contacts")
+    hold(workstation, (0, -1, 0, -1))
+    page.wait_for_function(
+        f"() => window.__carina.state.pose.scope.num_contacts > {contacts} && window.testRumble.length > {contacts}",
+        timeout=FLIGHT_MS,
+    )
+    hold(workstation, (0, 0, 0, 0))
+    workstation.wait_still()
+    workstation.picture("held-scope-touching")
+    assert page.get_by_text("touched").count() >= 1
+
+    # Withdrawn, straightened and let go: the path goes on from there without a jump.
+    hold(workstation, (0, 1, 0, 0))
+    page.wait_for_function(f"() => window.__carina.state.pose.scope.insertion_mm < {start_mm + 2}", timeout=FLIGHT_MS)
+    hold(workstation, (0, 0, 0, 0))
+    workstation.wait_still()
+    before = workstation.state("pose.lps_from_camera")
+    page.get_by_role("radio", name="Free").click()
+    page.wait_for_function("() => window.__carina.state.pose.mode === 'free'")
+    assert workstation.state("pose.scope") is None
+    assert workstation.state("pose.lps_from_camera") == pytest.approx(before, abs=1e-9)
+    workstation.picture("held-scope-let-go")
+    assert workstation.faults == []
