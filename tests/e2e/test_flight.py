@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from server_process import Server, start_server, stop_server
@@ -143,4 +145,17 @@ def test_the_rehearsal_says_how_far_the_scope_fits(server, workstation):
     assert (fits.inner_text() == "to the end") == (narrowest_mm >= tip_mm)
     assert page.get_by_test_id("rehearse").is_enabled()
     workstation.picture("rehearse")
+    assert workstation.faults == []
+
+
+def test_the_airways_are_taken_away_as_a_file(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    page = workstation.page
+    page.get_by_role("button", name="Share", exact=True).click()
+    with page.expect_download() as waiting:
+        page.get_by_test_id("take.json").click()
+    assert waiting.value.suggested_filename == "airways.json"
+    tree = json.loads(Path(waiting.value.path()).read_text())
+    assert len(tree["branches"]) == page.evaluate("() => window.__carina.state.tree.byId.size")
     assert workstation.faults == []

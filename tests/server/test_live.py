@@ -16,8 +16,10 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from carina.errors import CarinaError
 from carina.render import TransferFunction
 from carina.server import messages as wire
+from carina.server.downloads import Downloads
 from carina.server.security import Gate
 from carina.server.serve import bind, make_server, start_url
 from carina.server.uploads import Limits, Uploads
@@ -292,6 +294,49 @@ def test_uploads_on_a_disk_that_takes_nothing_are_refused_in_words(live, monkeyp
         answer = http.post("/api/upload")
     assert answer.status_code == 507
     assert "No space left" in answer.json()["message"]
+
+
+def test_the_airways_are_taken_away_as_a_file_that_does_not_stay(live, tmp_path, monkeypatch):
+    made = []
+
+    def export(path, volume, airways):
+        path.write_text(f"{path.name} {volume.shape_zyx} {len(airways.tree.branches)}")
+        made.append(path)
+        return path
+
+    monkeypatch.setattr(Downloads.__init__, "__defaults__", (export,))
+    with running(tmp_path / "own") as own, own.window() as window:
+        with own.http() as stranger:
+            assert stranger.get("/api/airways.stl").status_code == 401
+        with own.http(cookie=own.cookie) as http:
+            early = http.get("/api/airways.stl")
+            assert early.status_code == 409
+            assert "no case" in early.json()["message"]
+            open_case(window)
+            answer = http.get("/api/airways.nii.gz")
+            assert answer.status_code == 200
+            assert answer.headers["content-disposition"] == 'attachment; filename="airways.nii.gz"'
+            assert answer.text.startswith("airways.nii.gz (")
+            for wrong in (".exe", ".stl/../x", "/../../etc/passwd", ""):
+                assert http.get(f"/api/airways{wrong}").status_code in {403, 404}
+            # Removed after the last byte, before the next answer of this connection.
+            (path,) = made
+            assert not path.parent.exists()
+
+
+def test_a_file_that_cannot_be_made_is_refused_in_words(live, tmp_path, monkeypatch):
+    def export(path, *_parts):
+        path.write_text("half")
+        raise CarinaError("the disk is full", code="export.disk")
+
+    monkeypatch.setattr(Downloads.__init__, "__defaults__", (export,))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with running(tmp_path / "own") as own, own.window() as window, own.http(cookie=own.cookie) as http:
+        open_case(window)
+        answer = http.get("/api/airways.json")
+    assert answer.status_code == 507
+    assert answer.json()["message"] == "the disk is full"
+    assert not list(tmp_path.glob("carina-download-*"))
 
 
 def test_a_file_in_the_place_of_a_folder_is_refused_in_words(live):

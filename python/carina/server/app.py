@@ -17,6 +17,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 import carina
 from carina.errors import CarinaError, ProtocolError, UsageError
 from carina.server import messages as wire
+from carina.server.downloads import Downloads
 from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.hub import Hub, Outbox
 from carina.server.security import Gate
@@ -26,6 +27,8 @@ from carina.server.web_files import asset_path, web_folder
 __all__ = ["create_app", "web_folder"]
 
 HELLO_WITHIN_S = 20.0
+DOWNLOAD_STATUS = {"export.suffix": 404, "export.disk": 507}
+"""HTTP status of a refused download; 409 for all else, such as a case without airways."""
 
 
 def _error(trouble: CarinaError, status: int) -> JSONResponse:
@@ -46,6 +49,8 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     web
         Folder of the built client; None shows a page that says how to build it.
     """
+
+    downloads = Downloads(hub.session)
 
     async def index(request: Request) -> Response:
         token = request.query_params.get("token")
@@ -98,6 +103,14 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             return _error(trouble, 507)
         return JSONResponse({}, 201)
 
+    async def download(request: Request) -> Response:
+        if not gate.authorised(request.headers):
+            return _error(CarinaError("this page has no access", code="protocol.not-authorised"), 401)
+        try:
+            return await downloads.answer(request.path_params["suffix"])
+        except CarinaError as trouble:
+            return _error(trouble, DOWNLOAD_STATUS.get(trouble.code, 409))
+
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
         if not gate.authorised(websocket.headers):
@@ -118,6 +131,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         Route("/", index),
         Route("/api/upload", begin_upload, methods=["POST"]),
         Route("/api/upload/{upload_id}", one_upload, methods=["PUT", "DELETE"]),
+        Route("/api/airways{suffix:path}", download),
         WebSocketRoute("/ws", socket),
         Route("/{path:path}", asset),
     ]

@@ -36,6 +36,22 @@ class AirwayQuestions(SessionCore):
         """
         return self._airways().tracker.live_path(lps)
 
+    def airways_to_take_away(self) -> tuple[Any, Any]:
+        """The volume and its airways as they are now (both immutable), for a file.
+
+        Returns
+        -------
+        tuple
+            :class:`carina.volume.Volume` and :class:`carina.track.Airways`.
+
+        Raises
+        ------
+        NoResultError
+            If the case has no airways.
+        """
+        with self._lock:
+            return self._needed_case().info.volume, self._airways()
+
     def lumen_before_wall(self, wall_lps: Point, lens_lps: Point) -> Point:
         """The point that a click on a wall means: the lumen in front of it (paper 6.3, Figure 14).
 

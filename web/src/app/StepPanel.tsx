@@ -9,6 +9,7 @@ import { CheckStep } from "./steps/CheckStep";
 import { OpenStep } from "./steps/OpenStep";
 import { RehearseStep } from "./steps/RehearseStep";
 import { RouteStep } from "./steps/RouteStep";
+import { ShareStep } from "./steps/ShareStep";
 import { TargetStep } from "./steps/TargetStep";
 
 export function StepPanel() {
@@ -39,11 +40,6 @@ function body(step: keyof typeof STEP_WORDS) {
     case "rehearse":
       return <RehearseStep />;
     case "share":
-      return (
-        <>
-          <p>{STEP_WORDS[step].words}.</p>
-          <p className="quiet">Everything before this step works without it.</p>
-        </>
-      );
+      return <ShareStep />;
   }
 }

@@ -26,7 +26,7 @@ export function TopBar() {
       <nav aria-label="Steps">
         <ol className="steps">
           {STEPS.map((name, index) => {
-            const { title: words, words: tip, built } = STEP_WORDS[name];
+            const { title: words, words: tip } = STEP_WORDS[name];
             return (
               <Fragment key={name}>
                 {index === 0 ? null : (
@@ -37,7 +37,7 @@ export function TopBar() {
                 <li>
                   <Tip words={tip}>
                     <Button
-                      className={`step${built ? "" : " unbuilt"}`}
+                      className="step"
                       aria-current={name === step ? "step" : undefined}
                       onPress={(event) => {
                         if (event.pointerType === "mouse" && document.activeElement instanceof HTMLElement) {

@@ -3,6 +3,7 @@
 import { Flight } from "../input/flight";
 import { listenToKeys } from "../input/keyboard";
 import { type Action, WINDOWS } from "../input/keymap";
+import { DownloadError, fetchAirways } from "../net/download";
 import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
@@ -212,6 +213,21 @@ export class Workstation {
   }
 
   cancelUpload = (): void => this.#uploadStop?.abort();
+
+  /** The airways as a file with this suffix, into the browser's downloads. One at a time: a surface takes seconds. */
+  async takeAirways(suffix: string): Promise<void> {
+    if (this.state.ui.making !== null) return;
+    this.ui({ making: suffix });
+    try {
+      const { name, blob } = await fetchAirways(suffix, AbortSignal.timeout(DOWNLOAD_WITHIN_MS));
+      saveAs(name, blob);
+    } catch (error) {
+      if (error instanceof DownloadError) this.#sayError(error.code, error.message, null);
+      else this.#sayError("download.failed", "The file did not come from Carina.", "Check that Carina still runs.");
+    } finally {
+      this.ui({ making: null });
+    }
+  }
 
   // ------------------------------------------------------------------ flight
 
@@ -481,6 +497,19 @@ export class Workstation {
   #sayError(code: string, message: string, action: string | null): void {
     this.store.dispatch({ kind: "say", message: { kind: "error", code, message, action } });
   }
+}
+
+/** Longer than any file takes. */
+const DOWNLOAD_WITHIN_MS = 300_000;
+
+/** Hands a file to the browser, as a click on a link would. */
+function saveAs(name: string, blob: Blob): void {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  // The browser has taken the file by the next turn.
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
 /** Tells one open case from another; reopening the same one changes nothing on the screen. */

@@ -96,6 +96,8 @@ export interface Ui {
   readonly keyCardOpen: boolean;
   /** The panel of input devices stands in the place of the step's. */
   readonly devicesOpen: boolean;
+  /** The file of the airways that is being made, by its suffix. */
+  readonly making: string | null;
   /** The mouse is locked to the airway picture. */
   readonly mouseLocked: boolean;
   readonly routeLineVisible: boolean;
@@ -179,6 +181,7 @@ export const INITIAL_STATE: AppState = {
     pointedLps: null,
     keyCardOpen: false,
     devicesOpen: false,
+    making: null,
     mouseLocked: false,
     routeLineVisible: true,
     advancing: false,

@@ -7,23 +7,20 @@ export interface StepWords {
   title: string;
   /** What the step is for, in a tooltip. */
   words: string;
-  built: boolean;
 }
 
 export const STEP_WORDS: Readonly<Record<Step, StepWords>> = {
-  open: { title: "Open", words: "The case: what is open, and how to open another", built: true },
-  check: { title: "Check", words: "Is this CT good enough? Findings, other series, grey window", built: true },
-  airways: { title: "Airways", words: "The airway tree that was found, its root and threshold", built: true },
-  target: { title: "Target", words: "Mark where you want to go", built: true },
-  route: { title: "Route", words: "Choose the way, see its length and narrowest place", built: true },
+  open: { title: "Open", words: "The case: what is open, and how to open another" },
+  check: { title: "Check", words: "Is this CT good enough? Findings, other series, grey window" },
+  airways: { title: "Airways", words: "The airway tree that was found, its root and threshold" },
+  target: { title: "Target", words: "Mark where you want to go" },
+  route: { title: "Route", words: "Choose the way, see its length and narrowest place" },
   rehearse: {
     title: "Rehearse",
     words: "Practise the route with a real bronchoscope's width and bend, and see what it touches",
-    built: true,
   },
   share: {
     title: "Share",
-    words: "Reports, films of the flight, surfaces and centrelines (not built yet)",
-    built: false,
+    words: "Surface, lumen and centrelines as files",
   },
 };
