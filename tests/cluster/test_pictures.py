@@ -295,18 +295,29 @@ def test_with_no_renderer_left_the_console_renders_alone_and_nothing_fails(case,
 
 
 def test_a_renderer_that_joins_during_a_flight_takes_its_part(case, cluster, consoles):
-    made = cluster(simds=(None,))
+    made = cluster(simds=(None,), settings=ClusterSettings(open_frames=2))
     _wait_ready(made)
-    made.renderer.render(_airway(case))
-    made.lanes += cluster(simds=("portable",)).lanes
-    late = made.lanes[1]
+    views = [_airway(case, fov_deg=60.0 + n) for n in range(4)]
+    expected = [made.truth.render(view).rgb for view in views]
+    late = cluster(simds=("portable",)).lanes[0]
     late.name = "newcomer"
-    made.console.add_lane(late)
-    _wait_ready(made)
-    before = late.trouble.num_orders
-    expected = made.truth.render(_airway(case)).rgb
-    assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
-    assert late.trouble.num_orders > before
+    under_way, joined_at, num = [], None, 0
+    end_s = time.monotonic() + 30.0
+    # Two frames are always open: the newcomer comes while strips are out.
+    while joined_at is None or late.trouble.num_orders < 5:
+        assert time.monotonic() < end_s, "it gets nothing"
+        under_way.append((num % 4, made.renderer.want(views[num % 4])[1]))
+        num += 1
+        if num == 6:
+            made.console.add_lane(late)
+            joined_at = num
+        if len(under_way) > 2:
+            which, future = under_way.pop(0)
+            assert np.array_equal(future.result(timeout=20.0).rgb, expected[which])
+    for which, future in under_way:
+        assert np.array_equal(future.result(timeout=20.0).rgb, expected[which])
+    [share] = [m.share for m in made.console.status().members if m.name == "newcomer"]
+    assert 0.0 < share < 1.0
 
 
 def test_another_transfer_function_is_shown_by_all_or_none(case, cluster):
