@@ -139,6 +139,31 @@ def test_a_tilted_chest_is_the_same_chest(made, tilt_deg):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("side", "tilt_deg"), [("x", -30.0), ("x", 30.0), ("y", -35.0), ("y", 35.0)])
+def test_a_tilted_neck_bends_the_trachea_and_nothing_else(made, side, tilt_deg):
+    # Above the middle of the trachea each slice lies farther aside than the one below, as where a head is bent.
+    _, _, z = places(made.volume)
+    from_mm, axis = 45.0, {"x": 2, "y": 1}[side]
+    aside_mm = np.tan(np.radians(tilt_deg)) * np.maximum(z[:, 0, 0] - from_mm, 0.0)
+    bent, lumen = np.array(made.volume.hu_zyx), np.array(made.lumen_zyx != 0)
+    for n, by in enumerate(np.rint(aside_mm / SPACING_MM).astype(int)):
+        bent[n], lumen[n] = (np.roll(slices[n], by, axis - 1) for slices in (bent, lumen))
+    airways = find_airways(Volume(bent, made.volume.lps_from_ijk))
+    top = np.array(made.truth["branches"][0]["points"][0])
+    top["xy".index(side)] += np.interp(top[2], z[:, 0, 0], aside_mm)
+    assert np.linalg.norm((airways.root_lps - top)[:2]) < 9.0
+    assert airways.root_lps[2] > top[2] - 25.0
+    found = airways.lumen_zyx != 0
+    assert (found & ~lumen).sum() <= 0.02 * found.sum()
+    height = np.arange(len(z))[z[:, 0, 0] > from_mm]
+    # The flood ends short of the wall: of the bent part it holds what it holds of the straight one.
+    assert found[height].sum() > 0.8 * lumen[height].sum()
+    assert share_found(airways, made, 3) > 0.85
+    for name in ("Trachea", "RMB", "LMB"):
+        assert airways.tree.named(name) is not None
+
+
+@pytest.mark.slow
 def test_a_part_of_the_trachea_is_enough_and_a_chest_without_airways_is_refused(made):
     x, _, z = places(made.volume)
     heights = z[:, 0, 0]
