@@ -585,12 +585,16 @@ class LumenTracker:
         """Even, smooth (n, 3) points that stay in lumen voxels."""
     def radius_mm(self, points_lps: Sequence[tuple[float, float, float]] | NDArray[np.float64]) -> NDArray[np.float64]:
         """(n,) distance to the wall."""
+    def section_radii(
+        self, lines_lps: Sequence[NDArray[np.float64]], parents: Sequence[int | None], wanted: Sequence[bool]
+    ) -> list[NDArray[np.float64] | None]:
+        """For each wanted branch, (n,) radius of the circle with the area of the lumen across it."""
     def inside(self, points_lps: Sequence[tuple[float, float, float]] | NDArray[np.float64]) -> NDArray[np.bool_]:
         """(n,) whether the voxel is lumen."""
     def branches(
         self, *, cancel: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None
     ) -> list[dict[str, Any]]:
-        """parent, generation, points, radius_mm, cost, nodes; parents first."""
+        """parent, generation, points, radius_mm, wall_mm, cost, nodes; parents first."""
     def branches_to(
         self,
         nodes: Sequence[int],

@@ -86,7 +86,7 @@ def test_lumen_is_erased_with_the_brush_and_painted_again(ready):
     assert len(erased) < 0.8 * len(before), "what hung on the bronchus is cut off"
     ready.picture("after-erasing")
 
-    # Painted there again: a second edit, not an undo. What was cut off does not come back by that.
+    # Painted there again: a second edit, not an undo.
     ready.page.keyboard.press("Escape")
     ready.page.keyboard.press("q")
     ready.page.mouse.move(x, y)

@@ -82,6 +82,7 @@ def assert_same_tree(found: AirwayTree, expected: AirwayTree) -> None:
             assert getattr(one, key) == getattr(other, key), (one.id, key)
         np.testing.assert_array_equal(one.points, other.points, err_msg=f"points of branch {one.id}")
         np.testing.assert_array_equal(one.radius, other.radius, err_msg=f"radius of branch {one.id}")
+        np.testing.assert_array_equal(one.wall_distance, other.wall_distance, err_msg=f"wall of branch {one.id}")
 
 
 def assert_same(found: Airways, expected: Airways) -> None:

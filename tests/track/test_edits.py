@@ -331,6 +331,20 @@ def test_lumen_erased_across_a_bronchus_cuts_what_is_beyond_and_says_so_with_its
     # The lumen beyond is there, without a way to it: painting it back brings the branches back, with new ids.
     back = edited(case, PaintLumen((point(middle),), 4.0, "ball"), start=airways)
     assert len(back.tree.tips()) == len(case.airways.tree.tips())
+    assert {b.kind for b in back.tree.branches} == {"tracked"}, "the search had found all of it"
+
+
+def test_paint_that_bridges_a_gap_is_a_persons_and_what_lies_beyond_is_what_was_found(case):
+    branch = case.airways.tree.branch(4)
+    middle, aside = branch.points[len(branch.points) // 2], np.array([4.5, 0.0, 0.0])
+    # Round the erased stretch, where the search found nothing.
+    erased = edited(case, PaintLumen((point(middle),), 4.0, "ball", erase=True))
+    before, after = branch.points[len(branch.points) // 2 - 5], branch.points[len(branch.points) // 2 + 5]
+    way = tuple(point(p) for p in (before, before + aside, after + aside, after))
+    back = edited(case, PaintLumen(way, 1.2, "ball"), start=erased)
+    beyond = branch_to(back, case.tips[2])
+    assert beyond.kind == "tracked"
+    assert any(b.kind == "manual" for b in back.tree.lineage(beyond.id))
 
 
 def test_a_wider_lumen_has_a_wider_radius_there_and_nowhere_else(case):
@@ -341,7 +355,13 @@ def test_a_wider_lumen_has_a_wider_radius_there_and_nowhere_else(case):
     np.testing.assert_array_equal(airways.tree.branch(5).radius, case.airways.tree.branch(5).radius)
     core = airways.tracker.core
     for branch in airways.tree.branches:
-        np.testing.assert_array_equal(branch.radius, core.radius_mm(branch.points))
+        np.testing.assert_array_equal(branch.wall_distance, core.radius_mm(branch.points))
+    branches = airways.tree.branches
+    place_of = {branch.id: place for place, branch in enumerate(branches)}
+    parents = [None if branch.parent is None else place_of[branch.parent] for branch in branches]
+    fresh = core.section_radii([branch.points for branch in branches], parents, [True] * len(branches))
+    for branch, radius in zip(branches, fresh, strict=True):
+        np.testing.assert_array_equal(branch.radius, radius)
 
 
 def test_strokes_that_change_nothing_are_refused_in_words(case):

@@ -9,6 +9,7 @@
 use carina_grid::{Grid, Ijk, Lps, dot, length, unit};
 use rayon::prelude::*;
 
+use crate::caliber;
 use crate::cross_section::{NUM_RAYS, centroid, direction, filled, plane_axes, without_far};
 use crate::lumen::LumenGraph;
 use crate::smooth::{self, Point, cumulative_mm, point_at};
@@ -17,8 +18,8 @@ use crate::tree::{self, Branch};
 /// Places along two branches are compared at this distance.
 const LOOK_MM: f64 = 0.25;
 /// A branch is a tube by itself this many radii past the carina, and up to as many before its own fork as the second says.
-const PAST_CARINA_RADII: f64 = 0.3;
-const BEFORE_FORK_RADII: f64 = 1.0;
+pub(crate) const PAST_CARINA_RADII: f64 = 0.3;
+pub(crate) const BEFORE_FORK_RADII: f64 = 1.0;
 /// The lumen closes at a tip: its last part is no tube.
 const BEFORE_TIP_RADII: f64 = 0.5;
 /// An axis is the line through so many radii of tube.
@@ -34,10 +35,11 @@ const FORK_PULL: f64 = 1e-3;
 const ROUNDS: usize = 3;
 
 /// A branch with the part of it that is a tube by itself.
-struct Tube {
-    points: Vec<Point>,
-    along_mm: Vec<f64>,
-    radius_mm: f64,
+pub(crate) struct Tube {
+    pub(crate) points: Vec<Point>,
+    pub(crate) along_mm: Vec<f64>,
+    /// Median distance to the wall.
+    pub(crate) radius_mm: f64,
     /// The tube's part, mm along the branch.
     from_mm: f64,
     to_mm: f64,
@@ -46,7 +48,7 @@ struct Tube {
 }
 
 impl Tube {
-    fn length_mm(&self) -> f64 {
+    pub(crate) fn length_mm(&self) -> f64 {
         self.along_mm[self.along_mm.len() - 1]
     }
 
@@ -55,6 +57,11 @@ impl Tube {
             return self.points[0];
         }
         point_at(&self.points, &self.along_mm, s.clamp(0.0, self.length_mm()))
+    }
+
+    /// From one place along the branch to another.
+    pub(crate) fn chord(&self, from_mm: f64, to_mm: f64) -> Point {
+        sub(self.at(to_mm), self.at(from_mm))
     }
 
     /// The axis at one end of the tube's part: a point and a unit vector along the branch, and how well it is known.
@@ -183,31 +190,39 @@ pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], s
             )
         })
         .collect();
-    for (branch, points) in branches.iter_mut().zip(drawn) {
-        branch.radius_mm = points
-            .iter()
-            .map(|p| tree::radius_mm(graph, grid, *p))
-            .collect();
+    let parents: Vec<Option<usize>> = branches.iter().map(|b| b.parent).collect();
+    let calibers = caliber::of_branches(graph, grid, &drawn, &parents, |_| true);
+    for ((branch, points), caliber) in branches.iter_mut().zip(drawn).zip(calibers) {
         branch.points = points;
+        if let Some(caliber) = caliber {
+            branch.radius_mm = caliber.section_mm;
+            branch.wall_mm = caliber.wall_mm;
+        }
     }
 }
 
-struct View<'a> {
-    graph: &'a LumenGraph,
-    grid: &'a Grid,
+pub(crate) struct View<'a> {
+    pub(crate) graph: &'a LumenGraph,
+    pub(crate) grid: &'a Grid,
 }
 
 impl View<'_> {
     fn tube(&self, branch: &Branch) -> Tube {
-        let points = branch.points.clone();
-        let mut radii: Vec<f64> = points
+        let walls: Vec<f64> = branch
+            .points
             .iter()
             .map(|p| tree::radius_mm(self.graph, self.grid, *p))
             .collect();
+        self.tube_of(&branch.points, &walls)
+    }
+
+    /// A line with its distances to the wall.
+    pub(crate) fn tube_of(&self, points: &[Point], walls_mm: &[f64]) -> Tube {
+        let mut radii = walls_mm.to_vec();
         radii.sort_by(f64::total_cmp);
         Tube {
-            along_mm: cumulative_mm(&points),
-            points,
+            along_mm: cumulative_mm(points),
+            points: points.to_vec(),
             radius_mm: radii[radii.len() / 2].max(self.grid.min_spacing_mm()),
             from_mm: 0.0,
             to_mm: 0.0,
@@ -220,7 +235,7 @@ impl View<'_> {
     }
 
     /// How far from their common fork a wall comes between two branches.
-    fn parting_mm(&self, one: &Tube, other: &Tube) -> Option<f64> {
+    pub(crate) fn parting_mm(&self, one: &Tube, other: &Tube) -> Option<f64> {
         let shorter = one.length_mm().min(other.length_mm());
         (1..=(shorter / LOOK_MM) as usize)
             .map(|n| n as f64 * LOOK_MM)
@@ -250,7 +265,7 @@ impl View<'_> {
                     } else {
                         // A short part has its branch's direction.
                         let s = place(n);
-                        sub(tube.at(s + tube.radius_mm), tube.at(s - tube.radius_mm))
+                        tube.chord(s - tube.radius_mm, s + tube.radius_mm)
                     };
                     unit(chord)
                         .and_then(|normal| self.center(points[n], normal, tube.radius_mm))
@@ -264,7 +279,7 @@ impl View<'_> {
     }
 
     /// The lumen's edge in a plane, if it is closed there.
-    fn contour(
+    pub(crate) fn contour(
         &self,
         from: Point,
         axes: (Point, Point),
@@ -288,19 +303,19 @@ impl View<'_> {
     /// Where a ray leaves the lumen: the last voxel on it, and how far that one's wall is. NaN beyond the reach.
     fn ray_mm(&self, from: Point, dir: Point, reach_mm: f64) -> f64 {
         let step_mm = 0.5 * self.grid.min_spacing_mm();
-        let mut edge_mm = f64::NAN;
+        let first = self.grid.to_ijk(Lps(from)).0;
+        let step = self.grid.ijk_from_lps().vector(dir).map(|v| v * step_mm);
+        let mut last = None;
         for n in 0..=(reach_mm / step_mm) as usize {
-            let s = n as f64 * step_mm;
-            let at = self
-                .grid
-                .to_ijk(Lps(std::array::from_fn(|a| from[a] + s * dir[a])))
-                .0;
-            let voxel = at.map(|v| (v + 0.5).floor() as isize);
+            let voxel: [isize; 3] =
+                std::array::from_fn(|a| (first[a] + n as f64 * step[a] + 0.5).floor() as isize);
             let Some(node) = self.graph.node_at_voxel(voxel) else {
-                return edge_mm;
+                return last.map_or(f64::NAN, |(voxel, node): ([isize; 3], u32)| {
+                    let center = self.grid.to_lps(Ijk(voxel.map(|v| v as f64))).0;
+                    dot(sub(center, from), dir) + self.graph.wall_mm(node)
+                });
             };
-            let center = self.grid.to_lps(Ijk(voxel.map(|v| v as f64))).0;
-            edge_mm = dot(sub(center, from), dir) + self.graph.wall_mm(node);
+            last = Some((voxel, node));
         }
         f64::NAN
     }

@@ -11,6 +11,7 @@
 
 pub mod box_graph;
 mod buckets;
+pub mod caliber;
 mod centre;
 pub mod cross_section;
 pub mod deblur;
@@ -51,6 +52,8 @@ mod wall_sites;
 
 pub use error::{TrackError, Unwatched, Watch};
 
+#[cfg(test)]
+mod caliber_tests;
 #[cfg(test)]
 mod centre_tests;
 #[cfg(test)]

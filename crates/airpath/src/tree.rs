@@ -54,8 +54,10 @@ pub struct Branch {
     pub nodes: Vec<u32>,
     /// Smooth centreline in the middle of the lumen, LPS; the first point is the parent's last, bit for bit.
     pub points: Vec<Point>,
-    /// Distance to the wall at each point, mm.
+    /// Radius of the circle with the area of the lumen across the branch, at each point, mm.
     pub radius_mm: Vec<f64>,
+    /// Distance to the wall at each point, mm.
+    pub wall_mm: Vec<f64>,
 }
 
 /// The automatic tree of everything that `tracker` has settled.
@@ -415,6 +417,7 @@ impl<'a> NodeTree<'a> {
                     nodes: nodes.clone(),
                     points: Vec::new(),
                     radius_mm: Vec::new(),
+                    wall_mm: Vec::new(),
                 });
                 Some(branches.len() - 1)
             };
@@ -468,7 +471,6 @@ impl<'a> NodeTree<'a> {
                         .parent
                         .and_then(|p| branches[p].points.last().copied());
                     let points = self.cut(&curve, &at_mm, chain_mm[first], chain_mm[last], start);
-                    branches[b].radius_mm = points.iter().map(|p| self.radius_mm(*p)).collect();
                     branches[b].points = points;
                 }
                 first = last;

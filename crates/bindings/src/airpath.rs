@@ -6,6 +6,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use carina_airpath::caliber;
 use carina_airpath::flood::{FloodLimits, flood};
 use carina_airpath::graph::{Graph, NO_NODE};
 use carina_airpath::lumen::{LumenCost, LumenGraph, WallLevels};
@@ -25,6 +26,7 @@ use pyo3::types::{PyDict, PyList};
 
 use crate::arrays;
 use crate::errors::{IntoPy, carina_error};
+use crate::tree_edits::points;
 use crate::watch::PyWatch;
 
 impl IntoPy for TrackError {
@@ -313,6 +315,45 @@ impl LumenTracker {
         radius.into_pyarray(py)
     }
 
+    /// The radii of the circles with the area of the lumen across the wanted branches; None for the others. All branches
+    /// are given: (n, 3) LPS points of each, and the place of its parent in the list.
+    fn section_radii<'py>(
+        &self,
+        py: Python<'py>,
+        lines_lps: Vec<PyReadonlyArray2<'py, f64>>,
+        parents: Vec<Option<usize>>,
+        wanted: Vec<bool>,
+    ) -> PyResult<Vec<Option<Bound<'py, PyArray1<f64>>>>> {
+        let count = lines_lps.len();
+        let mut lines = Vec::with_capacity(count);
+        for line in &lines_lps {
+            lines.push(points("lines_lps", line)?);
+        }
+        let is_parent = |p: &usize| *p < count;
+        if parents.len() != count
+            || wanted.len() != count
+            || !parents.iter().flatten().all(is_parent)
+        {
+            return Err(TrackError::Argument {
+                what: "parents",
+                expected: "the place of a branch in the list for each branch".to_owned(),
+                found: format!(
+                    "{count} branches, {} parents, {} wanted",
+                    parents.len(),
+                    wanted.len()
+                ),
+            }
+            .into_py());
+        }
+        let calibers = py.detach(|| {
+            caliber::of_branches(&self.graph, &self.grid, &lines, &parents, |b| wanted[b])
+        });
+        Ok(calibers
+            .into_iter()
+            .map(|c| c.map(|c| c.section_mm.into_pyarray(py)))
+            .collect())
+    }
+
     /// For (n, 3) LPS points, whether the voxel that holds each is lumen.
     fn inside<'py>(
         &self,
@@ -455,6 +496,7 @@ impl LumenTracker {
                 nodes,
                 points: Vec::new(),
                 radius_mm: Vec::new(),
+                wall_mm: Vec::new(),
             })
             .collect())
     }
@@ -494,6 +536,7 @@ impl LumenTracker {
             dict.set_item("generation", branch.generation)?;
             dict.set_item("points", points_array(py, &branch.points))?;
             dict.set_item("radius_mm", branch.radius_mm.clone().into_pyarray(py))?;
+            dict.set_item("wall_mm", branch.wall_mm.clone().into_pyarray(py))?;
             dict.set_item("cost", cost)?;
             dict.set_item("nodes", branch.nodes.clone().into_pyarray(py))?;
             list.append(dict)?;

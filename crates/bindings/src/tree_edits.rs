@@ -74,7 +74,10 @@ fn nodes(tracker: &LumenTracker, array: &PyReadonlyArray1<'_, u32>) -> PyResult<
     Ok(found)
 }
 
-fn points(what: &'static str, array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 3]>> {
+pub(crate) fn points(
+    what: &'static str,
+    array: &PyReadonlyArray2<'_, f64>,
+) -> PyResult<Vec<[f64; 3]>> {
     let view = array.as_array();
     if view.ncols() != 3 {
         return Err(refused(

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from carina._core import cut_voxels, more_tips, newly_reached, nodes_at, pulled_inside, reached, sees, voxels_of
 from carina.errors import NoResultError, UsageError
+from carina.track.caliber import Box
 from carina.track.edit_kinds import (
     AddBranch,
     Bridge,
@@ -32,6 +33,7 @@ from carina.track.edit_lumen import (
     tube_round,
     voxel_of,
 )
+from carina.track.edit_pieces import Piece, bridge_pieces, painted_pieces
 from carina.track.edit_tree import Place, Points, TreeDraft, along_mm, needed_branch
 from carina.track.paths import SNAP_MM, STEP_MM
 from carina.track.tree import AirwayTree, Branch
@@ -59,14 +61,25 @@ class EditSteps:
         Before the edit.
     tree, next_id
         The tree before the edit, and the first branch id that was never used.
+    found_zyx
+        (nz, ny, nx) the lumen before the first edit: what is painted there again was found by the search.
     bridges
         (n, 3) LPS mm each, ways of the bridges made so far.
     """
 
-    def __init__(self, lumen: EditedLumen, tree: AirwayTree, next_id: int, bridges: tuple[Points, ...] = ()) -> None:
+    def __init__(
+        self,
+        lumen: EditedLumen,
+        tree: AirwayTree,
+        next_id: int,
+        found_zyx: NDArray[np.uint8],
+        bridges: tuple[Points, ...] = (),
+    ) -> None:
         self.lumen = lumen
+        self._found_zyx = found_zyx
         self.bridges = bridges
         self.lumen_changed = False
+        self.changed_boxes: list[Box] | None = []
         self._old_radius: dict[int, NDArray[np.float64]] = {}
         self.draft = TreeDraft(tree, next_id)
         self._tree = tree
@@ -262,7 +275,7 @@ class EditSteps:
             self._change_lumen(voxels, NO_VOXELS)
         lost = self._mend(voxels)
         candidates = np.concatenate([newly_reached(self.lumen.core, before), lost])
-        self._find_more(candidates, "tracked" if edit.erase else "manual")
+        self._find_more(candidates, "tracked" if edit.erase else "painted")
 
     def _smooth(self, branch: Branch) -> None:
         points = branch.points
@@ -277,11 +290,13 @@ class EditSteps:
         before = self.lumen
         self.lumen = before.changed(added, removed)
         self.lumen_changed = True
+        box = self.lumen.changed_box
+        self.changed_boxes = None if box is None or self.changed_boxes is None else [*self.changed_boxes, box]
         self._old_radius = {}
         branches = self.draft.ordered()
         points, starts = _together(branches)
         near = np.arange(len(points))
-        if (box := self.lumen.changed_box) is not None:
+        if box is not None:
             ijk = self._volume.to_ijk(points)
             # A radius is interpolated between the voxels round a point.
             near = np.flatnonzero(((ijk > box[0] - 1.5) & (ijk < box[1] + 1.5)).all(axis=1))
@@ -501,31 +516,20 @@ class EditSteps:
             return parent_id
         return self.draft.add_child(parent_id, points, radius, kind)
 
-    def _pieces(self, points: Points, kind: str) -> list[tuple[Points, str]]:
-        """A new centreline in pieces of one kind: where it leads over a bridge that was made before, it is that bridge.
-
-        The bridge's lumen may have been erased and painted again, or grown again: what was never seen in the CT does
-        not become an airway by that.
-        """
+    def _pieces(self, points: Points, kind: str) -> list[Piece]:
+        """A new centreline in pieces of one kind; ``painted`` is none: paint may lead to what was found before."""
+        pieces = [(points, kind)]
+        if kind == "painted":
+            i, j, k = np.floor(self._volume.to_ijk(points) + 0.5).astype(int).T
+            pieces = painted_pieces(points, self._found_zyx[k, j, i] != 0, MIN_ADDED_MM)
         if kind == "bridge" or not self.bridges:
-            return [(points, kind)]
-        near_mm = BRIDGE_RADIUS_MM + 0.5 * max(self._volume.spacing_mm)
-        is_on = np.zeros(len(points), dtype=bool)
-        for way in self.bridges:
-            off = np.sqrt(np.square(points[:, None] - way[None]).sum(axis=2))
-            place = off.argmin(axis=1)
-            # Not before its beginning or beyond its end, and along it, not off it to a side.
-            on_way = (off.min(axis=1) <= near_mm) & (place > 0) & (place < len(way) - 1)
-            if on_way.any() and np.ptp(along_mm(way)[place[on_way]]) >= near_mm:
-                is_on |= on_way
-        on, along = np.flatnonzero(is_on), along_mm(points)
-        if not len(on):
-            return [(points, kind)]
-        # What would be left of less than a branch belongs to the bridge.
-        first = int(on[0]) if along[on[0]] >= MIN_ADDED_MM else 0
-        last = int(on[-1]) if along[-1] - along[on[-1]] >= MIN_ADDED_MM else len(points) - 1
-        pieces = [(points[: first + 1], kind), (points[first : last + 1], "bridge"), (points[last:], kind)]
-        return [piece for piece in pieces if len(piece[0]) > 1]
+            return pieces
+        half_voxel_mm = 0.5 * max(self._volume.spacing_mm)
+        return [
+            piece
+            for part, its_kind in pieces
+            for piece in bridge_pieces(part, its_kind, self.bridges, half_voxel_mm, MIN_ADDED_MM)
+        ]
 
     def _forget_bridges(self, cut: list[Branch]) -> None:
         """A bridge that a person cuts was none."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from carina.errors import CancelledError
 from carina.track.airways import Airways
+from carina.track.caliber import with_sections, with_walls
 from carina.track.edit_kinds import (
     AddBranch,
     Bridge,
@@ -165,10 +166,12 @@ def _edited(
         renamed = dataclasses.replace(tree, branches=branches)
         return dataclasses.replace(airways, tree=renamed, edits=edits, base=airways.base or airways, next_id=next_id)
     before = EditedLumen(volume, airways.tracker.core, is_fresh, cancel)
-    steps = EditSteps(before, tree, next_id, airways.bridges)
+    found_zyx = (airways.base or airways).lumen_zyx
+    steps = EditSteps(before, with_walls(tree), next_id, found_zyx, airways.bridges)
     steps.make(edit)
-    branches = steps.draft.finished()
     core = steps.lumen.core
+    changed = None if is_fresh else steps.changed_boxes
+    branches = with_sections(volume, core, steps.draft.finished(), tree, changed)
     tracker = PathTracker(volume, core)
     tracker.follow_branches(branches)
     edited_tree = AirwayTree(branches, _smooth=tracker.smooth)

@@ -33,7 +33,7 @@ class TrackedPath:
     points_lps: NDArray[np.float64]
     """(n, 3) LPS mm, root to target, about 1 mm apart; each in a lumen voxel."""
     radius_mm: NDArray[np.float64]
-    """(n,) distance to the wall."""
+    """(n,) radius of the branch at its nearest place, see :attr:`Branch.radius`; off the tree the wall's distance."""
     length_mm: float
     cost: float
     """Cost of the voxel path: the sum of length in mm times weight over its edges."""
@@ -246,7 +246,7 @@ class PathTracker:
         branch_ids, generation = self._branches_along(nodes[at])
         return TrackedPath(
             points_lps=points,
-            radius_mm=self._core.radius_mm(points),
+            radius_mm=self._calibers(points, branch_ids),
             length_mm=float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()),
             cost=cost,
             generation=generation,
@@ -255,6 +255,22 @@ class PathTracker:
             target_node=node,
             snapped_mm=snapped_mm,
         )
+
+    def _calibers(self, points: NDArray[np.float64], branch_ids: NDArray[np.int32]) -> NDArray[np.float64]:
+        """(n,) radius of the branch that each point is in, at its nearest place; off the tree the wall's distance."""
+        radius = self._core.radius_mm(points)
+        by_id = {branch.id: branch for branch in self._branches}
+        for branch_id in np.unique(branch_ids):
+            branch = by_id.get(int(branch_id))
+            if branch is None:
+                continue
+            mine = np.flatnonzero(branch_ids == branch_id)
+            off = np.linalg.norm(points[mine, None] - branch.points[None], axis=2)
+            near = off.argmin(axis=1)
+            # Off the tree (a click in a leaf of lumen) only the wall is known.
+            on_it = off[np.arange(len(mine)), near] <= np.maximum(branch.radius[near], STEP_MM)
+            radius[mine[on_it]] = branch.radius[near[on_it]]
+        return radius
 
     def smooth(self, points_lps: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Even, smooth points of a way inside the lumen, and their distance to the wall in mm.
@@ -375,6 +391,7 @@ def branches_from_rows(rows: Sequence[dict[str, Any]]) -> tuple[Branch, ...]:
             kind="tracked",
             points=row["points"],
             radius=row["radius_mm"],
+            wall_mm=row["wall_mm"],
             cost=row["cost"],
         )
         for number, row in enumerate(rows)

@@ -39,7 +39,8 @@ class Branch:
     points: Points
     """(n, 3) centreline, LPS mm, root to tip. The first point is the parent's last, bit for bit."""
     radius: NDArray[np.float64]
-    """(n,) distance to the wall, mm."""
+    """(n,) radius of the circle with the area of the lumen across the branch, mm; at a fork, where a section cuts more
+    than one branch, that of the nearest section of this one. What fits inside is smaller: see ``wall_distance``."""
     cost: float | None = None
     """Path cost of this piece (weight times mm), None where it was not tracked."""
     confidence: float | None = None
@@ -50,11 +51,18 @@ class Branch:
     """``anatomy`` or ``person``; None without a name. A person's name is never replaced."""
     variant: str | None = None
     """What is uncommon about the anatomy here, in words, e.g. "RB1 and RB2 share a stem"."""
+    wall_mm: NDArray[np.float64] | None = field(default=None, repr=False)
+    """(n,) distance to the wall, mm; None for a tree that was read from a file. See ``wall_distance``."""
 
     @property
     def length_mm(self) -> float:
         """Length of the centreline."""
         return float(_cumulative_mm(self.points)[-1])
+
+    @property
+    def wall_distance(self) -> NDArray[np.float64]:
+        """(n,) how large a ball fits round each point, mm: less than ``radius`` where the lumen is no circle."""
+        return self.radius if self.wall_mm is None else self.wall_mm
 
     @property
     def tip_lps(self) -> Points:
@@ -75,7 +83,7 @@ class Route:
     cumulative_mm: NDArray[np.float64]
     """(n,) way from the root, mm."""
     radius_mm: NDArray[np.float64]
-    """(n,) distance to the wall."""
+    """(n,) radius of the branch there, see :attr:`Branch.radius`."""
     generation: NDArray[np.int32]
     """(n,)"""
     branch_ids: NDArray[np.int32]
@@ -259,9 +267,10 @@ def route_along(
     along = _cumulative_mm(points)
     total = along[-1]
     if smooth is not None and len(points) > 3 and total > 0.0:
-        points, radius = smooth(points)
+        points, _ = smooth(points)
         # The smoother's points are even along the given ones.
         given_mm = np.linspace(0.0, total, len(points))
+        radius = np.interp(given_mm, along, radius)
         along = _cumulative_mm(points)
     else:
         given_mm = along

@@ -1,0 +1,133 @@
+//! How wide a branch is at each point of its centreline: the radius of the circle with the area of the lumen across it.
+//!
+//! The distance to the wall is less than that: it is the least of all directions, and the more of the wall is near, the more
+//! noise it finds. At a fork a section cuts more than one tube. There a branch is as wide as its nearest section of its own,
+//! or as the section at the place where that is narrower (a stenosis at its mouth).
+
+use carina_grid::{Grid, unit};
+use rayon::prelude::*;
+
+use crate::centre::{BEFORE_FORK_RADII, PAST_CARINA_RADII, Tube, View};
+use crate::cross_section::plane_axes;
+use crate::lumen::LumenGraph;
+use crate::smooth::Point;
+use crate::tree;
+
+/// Radii of branches, mm: of sections, and distances to the wall.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Caliber {
+    /// Of the circle with the area of the lumen across the branch, at each of its points.
+    pub section_mm: Vec<f64>,
+    /// Distance to the wall.
+    pub wall_mm: Vec<f64>,
+}
+
+/// The radii of the wanted branches of a tree, all of which are given: the points of each, and its parent.
+///
+/// Everything follows from the lumen and these lines: the same tree has the same radii, however it came to be.
+#[must_use]
+pub fn of_branches(
+    graph: &LumenGraph,
+    grid: &Grid,
+    lines: &[Vec<Point>],
+    parents: &[Option<usize>],
+    wanted: impl Fn(usize) -> bool + Sync,
+) -> Vec<Option<Caliber>> {
+    let view = View { graph, grid };
+    let mut children: Vec<Vec<usize>> = vec![Vec::new(); lines.len()];
+    for (b, parent) in parents.iter().enumerate() {
+        if let Some(parent) = parent {
+            children[*parent].push(b);
+        }
+    }
+    // Where a branch begins to be one by itself depends on those that leave the same fork.
+    let needed: Vec<bool> = (0..lines.len())
+        .map(|b| wanted(b) || parents[b].is_some_and(|p| children[p].iter().any(|c| wanted(*c))))
+        .collect();
+    let walls: Vec<Vec<f64>> = lines
+        .par_iter()
+        .zip(&needed)
+        .map(|(line, needed)| {
+            line.iter()
+                .filter(|_| *needed)
+                .map(|p| tree::radius_mm(graph, grid, *p))
+                .collect()
+        })
+        .collect();
+    let tubes: Vec<Option<Tube>> = lines
+        .iter()
+        .zip(&walls)
+        .map(|(line, wall)| (!wall.is_empty()).then(|| view.tube_of(line, wall)))
+        .collect();
+    (0..lines.len())
+        .into_par_iter()
+        .map(|b| {
+            if !wanted(b) {
+                return None;
+            }
+            let (tube, wall) = (tubes[b].as_ref()?, &walls[b]);
+            let siblings = parents[b].map_or(&[][..], |p| &children[p]);
+            let from_mm = siblings
+                .iter()
+                .filter(|other| **other != b)
+                .filter_map(|&other| view.parting_mm(tube, tubes[other].as_ref()?))
+                .reduce(f64::max)
+                .map_or(0.0, |mm| mm + PAST_CARINA_RADII * tube.radius_mm);
+            let before_end = if children[b].len() > 1 {
+                BEFORE_FORK_RADII * tube.radius_mm
+            } else {
+                0.0
+            };
+            Some(Caliber {
+                section_mm: sections(&view, tube, wall, from_mm, tube.length_mm() - before_end),
+                wall_mm: wall.clone(),
+            })
+        })
+        .collect()
+}
+
+/// The radius at each point, from sections of the tube's own part, `from_mm` to `to_mm`.
+fn sections(view: &View<'_>, tube: &Tube, wall: &[f64], from_mm: f64, to_mm: f64) -> Vec<f64> {
+    let count = tube.points.len();
+    let raw: Vec<f64> = (0..count).map(|n| section(view, tube, n)).collect();
+    let is_own = |n: usize| {
+        let at = tube.along_mm[n];
+        raw[n].is_finite() && at >= from_mm - 1e-9 && at <= to_mm + 1e-9
+    };
+    let own: Vec<usize> = (0..count).filter(|n| is_own(*n)).collect();
+    (0..count)
+        .map(|n| {
+            let after = own.partition_point(|m| *m < n);
+            if own.get(after) == Some(&n) {
+                return raw[n];
+            }
+            let held = match (after.checked_sub(1).map(|m| own[m]), own.get(after)) {
+                // A gap between two sections: even between them.
+                (Some(before), Some(&next)) => {
+                    let (a, b) = (tube.along_mm[before], tube.along_mm[next]);
+                    let share = (tube.along_mm[n] - a) / (b - a).max(1e-9);
+                    raw[before] + share * (raw[next] - raw[before])
+                }
+                (Some(nearest), None) | (None, Some(&nearest)) => raw[nearest],
+                (None, None) => wall[n],
+            };
+            if raw[n].is_finite() {
+                held.min(raw[n])
+            } else {
+                held
+            }
+        })
+        .collect()
+}
+
+/// The radius of the section at a point; NaN where the lumen is not closed round it.
+fn section(view: &View<'_>, tube: &Tube, n: usize) -> f64 {
+    let at = tube.along_mm[n];
+    let chord = tube.chord(at - tube.radius_mm, at + tube.radius_mm);
+    unit(chord)
+        .and_then(|normal| view.contour(tube.points[n], plane_axes(normal), tube.radius_mm))
+        .map_or(f64::NAN, |contour| {
+            // A sector's area is r^2 / 2 of its angle.
+            (contour.iter().map(|r| r * r).sum::<f64>() / contour.len() as f64).sqrt()
+        })
+}
