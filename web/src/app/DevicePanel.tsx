@@ -12,7 +12,6 @@ import {
   SelectValue,
   TextField,
 } from "react-aria-components";
-import { crosshairLps, tipLps } from "../state/app-state";
 import { coordinates, fixed, plural } from "../state/format";
 import { asVec3 } from "../state/vec";
 import type { DeviceControls, DeviceInfo, DevicesMessage } from "../wire/messages";
@@ -52,6 +51,7 @@ export function DevicePanel() {
             )}
             <Connections told={told} />
             <PhoneGroup told={told} />
+            <HeadsetGroup />
             <Recording told={told} />
           </>
         )}
@@ -128,6 +128,35 @@ function Movement({ told }: { told: DevicesMessage }) {
   );
 }
 
+function HeadsetGroup() {
+  const station = useStation();
+  const headset = useApp((state) => state.ui.headset);
+  if (headset === null || headset === "no-webxr") return null;
+  return (
+    <div className="group">
+      <h3>Headset</h3>
+      {headset === "no-headset" ? (
+        <p className="quiet">This browser finds no headset. Start its program, or open Carina in the headset.</p>
+      ) : (
+        <>
+          <Act
+            label={headset === "inside" ? "Leave the headset" : "Enter the headset"}
+            words="The airway view on a screen in the room; the controllers are pens"
+            testId="headset"
+            onPress={() =>
+              headset === "inside" ? station.devices.leaveHeadset() : void station.devices.enterHeadset()
+            }
+          />
+          <p className="quiet">
+            Hold the trigger to move the tip, the stick for forward and back. Grip: the screen comes in front of you.
+            Lower button: next way to move. Upper: look along the path.
+          </p>
+        </>
+      )}
+    </div>
+  );
+}
+
 interface FigureProps {
   words: string;
   unit: string;
@@ -199,8 +228,8 @@ function valueWords(device: DeviceInfo): string {
 function Calibration({ device }: { device: DeviceInfo }) {
   const station = useStation();
   const [pairs, setPairs] = useState<readonly CalibrationPair[]>([]);
-  const place = useApp((state) => crosshairLps(state) ?? tipLps(state));
   const take = () => {
+    const place = station.centre();
     if (device.position_mm === null || place === null) return;
     setPairs([...pairs, { tracker: asVec3(device.position_mm), patient: place }]);
   };

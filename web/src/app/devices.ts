@@ -4,8 +4,11 @@ import { ContactSense } from "../input/devices/contact";
 import { Gamepads, type Pad } from "../input/devices/gamepad";
 import { hasPointerLock, PointerLock } from "../input/devices/pointer-lock";
 import { type Hid, SPACEMOUSE_FILTERS, SpaceMouse } from "../input/devices/spacemouse";
+import { Headset, headsetOffer, type Xr } from "../input/devices/webxr";
 import { WHEEL_MM_PER_PX } from "../input/flight";
+import { maskOf } from "../state/app-state";
 import type { Vec3 } from "../state/vec";
+import { type NewestPicture, PictureScreen, type XrLayer } from "../views/headset-screen";
 import type { Workstation } from "./workstation";
 
 const BUMP = { strength: 0.6, ms: 120 } as const;
@@ -20,6 +23,7 @@ export class BrowserDevices {
   readonly #station: Workstation;
   readonly #pads: Gamepads;
   readonly #lock: PointerLock;
+  readonly #headset: Headset | null;
   #mouse: SpaceMouse | null = null;
   readonly #contact = new ContactSense();
   #armed: "root" | "target" | null = null;
@@ -32,8 +36,9 @@ export class BrowserDevices {
       nowS,
       send: (message) => void station.send(message),
       act: (action) => station.act(action),
-      enabled: () => station.state.session?.case != null && station.state.start?.notice_accepted !== false,
+      enabled: () => this.#mayFly(),
     });
+    this.#headset = this.#headsetOf(xrOf(navigator));
     this.#lock = new PointerLock(document, {
       look: (yaw_rad, pitch_rad) => station.flight.nudge({ yaw_rad, pitch_rad }),
       wheel: (px) => station.flight.nudge({ advance_mm: -px * WHEEL_MM_PER_PX }),
@@ -42,24 +47,88 @@ export class BrowserDevices {
     });
   }
 
+  /** Asks what headset there is, now and whenever one is plugged in or out. */
+  watchHeadset(): void {
+    const xr = xrOf(navigator);
+    const look = () => {
+      if (this.#headset?.inside === true) return;
+      void headsetOffer(xr).then((headset) => this.#station.ui({ headset }));
+    };
+    look();
+    xr?.addEventListener("devicechange", look);
+  }
+
+  /** Needs a click. */
+  async enterHeadset(): Promise<void> {
+    // How pens' clutches are set is told with the devices.
+    this.#station.send({ type: "watch_devices", on: true });
+    await this.#headset?.enter();
+  }
+
+  leaveHeadset(): void {
+    void this.#headset?.leave();
+  }
+
+  #headsetOf(xr: Xr | null): Headset | null {
+    if (xr === null) return null;
+    const station = this.#station;
+    const screen = new PictureScreen({
+      newest: () => this.#newestPicture(),
+      canvas: () => document.createElement("canvas"),
+      layer: (session, gl) => {
+        const { XRWebGLLayer } = globalThis as unknown as { XRWebGLLayer: new (...of: unknown[]) => XrLayer };
+        return new XRWebGLLayer(session, gl);
+      },
+    });
+    return new Headset(xr, {
+      screen,
+      send: (message) => void station.send(message),
+      act: (action) => station.act(action),
+      enabled: () => this.#mayFly(),
+      clutchHeldMoves: () => station.state.devices?.controls.clutch === "hold",
+      changed: (inside) => {
+        station.ui({ headset: inside ? "inside" : "ready" });
+        station.send({ type: "watch_devices", on: inside || station.state.ui.devicesOpen });
+      },
+      failed: (words) => station.notice(words),
+    });
+  }
+
+  /** What the screen of this page shows in the airway's place. */
+  #newestPicture(): NewestPicture | null {
+    const viewport = this.#station.wall.find("airway");
+    if (viewport?.header == null) return null;
+    const round = maskOf(this.#station.state) === "round" && viewport.header.view === "airway";
+    return { image: viewport.picture, frameId: viewport.header.frame_id, round };
+  }
+
+  #mayFly(): boolean {
+    return this.#station.state.session?.case != null && this.#station.state.start?.notice_accepted !== false;
+  }
+
   /** What this browser does not offer, in words. */
   missing(): readonly string[] {
     const words: string[] = [];
     if (!("getGamepads" in navigator)) words.push("no gamepads");
     if (this.#hid() === null) words.push("no SpaceMouse (WebHID: Chrome, Edge and Chromium have it)");
+    if (xrOf(navigator) === null) words.push("no headsets (WebXR: Chrome, Edge, Chromium, and headsets' own browsers)");
     if (!hasPointerLock(document)) words.push("no locking of the mouse");
     if (!("vibrationActuator" in globalThis || "GamepadHapticActuator" in globalThis)) words.push("no rumble");
     return words;
   }
 
   get names(): readonly string[] {
-    return [...this.#pads.names, ...(this.#mouse === null ? [] : [this.#mouse.name])];
+    const mouse = this.#mouse === null ? [] : [this.#mouse.name];
+    return [...this.#pads.names, ...mouse, ...(this.#headset?.names ?? [])];
   }
 
   tick(): void {
     this.#pads.tick();
     this.#mouse?.tick();
-    if (this.#contact.met(this.#station.state.pose)) this.#pads.rumble(BUMP.strength, BUMP.ms);
+    if (this.#contact.met(this.#station.state.pose)) {
+      this.#pads.rumble(BUMP.strength, BUMP.ms);
+      this.#headset?.rumble(BUMP.strength, BUMP.ms);
+    }
     this.#armPen();
   }
 
@@ -101,6 +170,7 @@ export class BrowserDevices {
 
   stop(): void {
     this.#lock.stop();
+    this.leaveHeadset();
     void this.#mouse?.close();
     this.#mouse = null;
   }
@@ -122,4 +192,8 @@ export class BrowserDevices {
     const { hid } = navigator as Navigator & { hid?: Hid };
     return hid ?? null;
   }
+}
+
+function xrOf(of: Navigator): Xr | null {
+  return (of as Navigator & { xr?: Xr }).xr ?? null;
 }

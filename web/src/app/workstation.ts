@@ -156,6 +156,7 @@ export class Workstation {
       this.store.dispatch({ kind: "pace", pace: this.#pace.read(performance.now()) });
     }, PACE_MS);
     this.#stream.open();
+    this.devices.watchHeadset();
     return () => {
       stopKeys();
       stopTouch();

@@ -100,6 +100,8 @@ export interface Ui {
   readonly making: string | null;
   /** The mouse is locked to the airway picture. */
   readonly mouseLocked: boolean;
+  /** Whether there is a headset, as far as this browser tells; null until it has told. */
+  readonly headset: "no-webxr" | "no-headset" | "ready" | "inside" | null;
   readonly routeLineVisible: boolean;
   readonly advancing: boolean;
   readonly cursorLps: Vec3 | null;
@@ -183,6 +185,7 @@ export const INITIAL_STATE: AppState = {
     devicesOpen: false,
     making: null,
     mouseLocked: false,
+    headset: null,
     routeLineVisible: true,
     advancing: false,
     cursorLps: null,

@@ -1,0 +1,161 @@
+"""A headset by WebXR, in the emulation of its makers (npm iwer): its controllers fly, and it shows the airway."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from server_process import Server, start_server, stop_server
+
+pytestmark = pytest.mark.browser
+
+EMULATION = Path(__file__).resolve().parents[2] / "web" / "node_modules" / "iwer" / "build" / "iwer.min.js"
+INSTALL = """
+window.headset = new IWER.XRDevice(IWER.metaQuest3, {stereoEnabled: true});
+window.headset.installRuntime({forceInstall: true});
+"""
+# What the headset shows, 16x8 pixels of both eyes: read in the refresh in which it was drawn.
+SHOWN = """() => new Promise((done) => requestAnimationFrame(() => {
+  const small = new OffscreenCanvas(16, 8), ink = small.getContext('2d');
+  ink.drawImage(document.querySelector('[data-webxr_runtime] canvas'), 0, 0, 16, 8);
+  done([...ink.getImageData(0, 0, 16, 8).data]);
+}))"""
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory) -> Iterator[Server]:
+    """``carina demo phantom``, as a person starts it."""
+    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
+    yield running
+    assert stop_server(running) == 0
+    assert running.errors() == []
+
+
+@pytest.fixture
+def emulated(workstation):
+    """The page with a headset."""
+    if not EMULATION.is_file():
+        pytest.skip("needs web/node_modules (make test-web)")
+    workstation.page.add_init_script(path=EMULATION)
+    workstation.page.add_init_script(INSTALL)
+    return workstation
+
+
+def controller(workstation, *, at_mm=(0.0, 0.0, 0.0), yaw_rad=0.0, trigger=False) -> None:
+    """The right controller, from 30 cm in front of the head; a yaw to the right is positive."""
+    workstation.page.evaluate(
+        """([x, y, z, yaw, trigger]) => {
+            const hand = window.headset.controllers.right;
+            hand.position.set(x / 1000, 1.2 + y / 1000, -0.3 + z / 1000);
+            hand.quaternion.set(0, -Math.sin(yaw / 2), 0, Math.cos(yaw / 2));
+            hand.updateButtonValue('trigger', trigger ? 1 : 0);
+        }""",
+        [*at_mm, yaw_rad, trigger],
+    )
+
+
+def stroke(workstation, until: str, *, ahead_mm: float = 0.0, yaw_rad: float = 0.0) -> None:
+    """Move the held hand, take it back free, and again, until something holds: on a busy machine a refresh may take
+    so long that a stroke counts for nothing."""
+    for _ in range(30):
+        controller(workstation)
+        workstation.page.wait_for_timeout(50)
+        for n in range(13):
+            controller(workstation, at_mm=(0, 0, -ahead_mm * n / 12), yaw_rad=yaw_rad * n / 12, trigger=True)
+            workstation.page.wait_for_timeout(50)
+        controller(workstation, at_mm=(0, 0, -ahead_mm), yaw_rad=yaw_rad)
+        workstation.page.wait_for_timeout(100)
+        if workstation.page.evaluate(f"() => {until}"):
+            return
+    raise AssertionError(f"not after 30 strokes: {until}")
+
+
+def right_and_ahead(before, after) -> tuple[float, float]:
+    """Where the look has gone, in the axes that it had."""
+    forward = [after[2], after[6], after[10]]
+    right, ahead = (sum(before[4 * row + axis] * forward[row] for row in range(3)) for axis in (0, 2))
+    return right, ahead
+
+
+def test_a_headset_shows_the_airway_and_its_controller_flies_is_lost_and_comes_back(server, emulated):
+    workstation, page = emulated, emulated.page
+    workstation.open(server)
+    workstation.wait_ready()
+    page.keyboard.press(";")
+    page.get_by_test_id("headset").click()
+    page.wait_for_function("() => window.__carina.state.ui.headset === 'inside'")
+    workstation.wait_still()
+    page.wait_for_function("() => document.querySelector('[data-webxr_runtime] canvas') !== null")
+    workstation.picture("headset-screen")
+    start = page.evaluate(SHOWN)
+    left_eye, right_eye = (
+        [start[4 * (16 * row + column)] for row in (3, 4) for column in columns] for columns in ((3, 4), (11, 12))
+    )
+    assert min(max(left_eye), max(right_eye)) > 30, "both eyes see the airway, not an empty room"
+
+    # Its trigger free, the hand moves nothing; held, the tip does what the hand does: forward, and to the right.
+    before = workstation.state("pose.lps_from_camera")
+    at_mm = workstation.state("pose.path_mm")
+    controller(workstation, at_mm=(0, 0, 40))
+    page.wait_for_timeout(200)
+    assert workstation.state("pose.lps_from_camera") == before
+    controller(workstation, trigger=True)
+    page.wait_for_selector("[data-testid=device][data-holds]")
+    controller(workstation)
+    stroke(workstation, f"window.__carina.state.pose.path_mm > {at_mm + 8}", ahead_mm=12.0)
+    workstation.wait_still()
+    before = workstation.state("pose.lps_from_camera")
+    ahead = [before[2], before[6], before[10]]
+    pose = "window.__carina.state.pose.lps_from_camera"
+    cosine = " + ".join(f"{pose}[{4 * row + 2}] * {ahead[row]}" for row in range(3))
+    stroke(workstation, f"{cosine} < {math.cos(0.15)}", yaw_rad=0.3)
+    workstation.wait_still()
+    right, ahead = right_and_ahead(before, workstation.state("pose.lps_from_camera"))
+    assert 0.1 < math.atan2(right, ahead) < 0.7, "to the right, by one stroke or two"
+    workstation.picture("headset-turned")
+    turned = page.evaluate(SHOWN)
+    assert sum(abs(a - b) for a, b in zip(start, turned, strict=True)) / len(start) > 1.0, "the screen follows"
+
+    # The stick goes back along the path.
+    page.evaluate("() => window.headset.controllers.right.updateAxes('thumbstick', 0, 1)")
+    page.wait_for_function(f"() => window.__carina.state.pose.path_mm < {at_mm + 5}")
+    page.evaluate("() => window.headset.controllers.right.updateAxes('thumbstick', 0, 0)")
+
+    # Its battery is empty: nothing holds the tip any more. A new one, and it flies again.
+    page.evaluate("() => { window.headset.controllers.right.connected = false; }")
+    page.wait_for_function("() => !window.__carina.state.devices.devices.some((d) => d.holds)")
+    page.evaluate("() => { window.headset.controllers.right.connected = true; }")
+    at_mm = workstation.state("pose.path_mm")
+    stroke(workstation, f"window.__carina.state.pose.path_mm > {at_mm + 4}", ahead_mm=12.0)
+
+    # Taken off: the window goes on as before, and the headset may be entered again.
+    page.evaluate("() => window.headset.activeSession.end()")
+    page.wait_for_function("() => window.__carina.state.ui.headset === 'ready'")
+    workstation.hold("w", 300)
+    workstation.wait_still()
+    page.get_by_test_id("headset").click()
+    page.wait_for_function("() => window.__carina.state.ui.headset === 'inside'")
+    page.evaluate("() => window.headset.activeSession.end()")
+    page.wait_for_function("() => window.__carina.state.ui.headset === 'ready'")
+    assert workstation.faults == []
+
+
+def test_what_this_browser_has_not_is_said(server, workstation):
+    page = workstation.page
+    page.add_init_script(
+        """
+        for (const name of ['xr', 'hid']) Object.defineProperty(Navigator.prototype, name, {get: () => undefined});
+        delete Navigator.prototype.getGamepads;
+        """
+    )
+    workstation.open(server)
+    workstation.wait_ready()
+    page.keyboard.press(";")
+    words = page.get_by_text("This browser offers").inner_text()
+    for missing in ("no gamepads", "WebHID", "WebXR"):
+        assert missing in words
+    assert page.get_by_test_id("headset").count() == 0
+    workstation.picture("devices-missing")
+    assert workstation.faults == []

@@ -1,0 +1,308 @@
+import { beforeEach, describe, expect, it } from "vitest";
+import type { ClientMessage, DeviceSampleMessage } from "../../wire/messages";
+import { checkClientMessage } from "../../wire/parse";
+import type { Action } from "../keymap";
+import {
+  Headset,
+  headsetOffer,
+  penFromGrip,
+  type Xr,
+  type XrFrame,
+  type XrInputSource,
+  type XrSession,
+  type XrTransform,
+} from "./webxr";
+
+const IDENTITY = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
+const at = (x: number, y: number, z: number, turn = { x: 0, y: 0, z: 0, w: 1 }): XrTransform => ({
+  position: { x, y, z, w: 1 },
+  orientation: turn,
+  matrix: IDENTITY,
+  inverse: { matrix: IDENTITY },
+});
+
+class FakeController implements XrInputSource {
+  readonly gripSpace = {};
+  readonly targetRaySpace = {};
+  place: XrTransform | null = at(0, 0, 0);
+  pulses: number[] = [];
+  readonly handedness: string;
+  readonly #values = [0, 0, 0, 0, 0, 0];
+  #stick = 0;
+  constructor(handedness: string) {
+    this.handedness = handedness;
+  }
+  press(n: number, value: number): void {
+    this.#values[n] = value;
+  }
+  push(y: number): void {
+    this.#stick = y;
+  }
+  get gamepad() {
+    const pulse = (strength: number) => {
+      this.pulses.push(strength);
+      return Promise.resolve();
+    };
+    return {
+      axes: [0, 0, 0, this.#stick],
+      buttons: this.#values.map((value) => ({ value, pressed: value > 0.5 })),
+      hapticActuators: [{ pulse }],
+    };
+  }
+}
+
+class FakeSession extends EventTarget implements XrSession {
+  inputSources: FakeController[] = [];
+  visibilityState = "visible";
+  calls: ((timeMs: number, frame: XrFrame) => void)[] = [];
+  ended = false;
+  requestReferenceSpace(): Promise<object> {
+    return Promise.resolve({});
+  }
+  requestAnimationFrame(call: (timeMs: number, frame: XrFrame) => void): number {
+    this.calls.push(call);
+    return this.calls.length;
+  }
+  updateRenderState(): void {}
+  end(): Promise<void> {
+    if (!this.ended) {
+      this.ended = true;
+      this.dispatchEvent(new Event("end"));
+    }
+    return Promise.resolve();
+  }
+  /** One refresh of the headset. */
+  refresh(timeMs: number): void {
+    const sources = this.inputSources;
+    const frame: XrFrame = {
+      getPose: (space) => {
+        const place = sources.find((source) => source.gripSpace === space)?.place;
+        return place == null ? null : { transform: place };
+      },
+      getViewerPose: () => ({ transform: at(0, 0, 0), views: [] }),
+    };
+    for (const call of this.calls.splice(0)) call(timeMs, frame);
+  }
+}
+
+class FakeXr extends EventTarget implements Xr {
+  session = new FakeSession();
+  refuses: Error | null = null;
+  supports: boolean | Error = true;
+  isSessionSupported(): Promise<boolean> {
+    return this.supports instanceof Error ? Promise.reject(this.supports) : Promise.resolve(this.supports);
+  }
+  requestSession(): Promise<XrSession> {
+    return this.refuses === null ? Promise.resolve(this.session) : Promise.reject(this.refuses);
+  }
+}
+
+let xr: FakeXr;
+let sent: ClientMessage[];
+let acts: Action[];
+let said: string[];
+let changes: boolean[];
+let drawn: number;
+let recentred: number;
+let openFails: Error | null;
+let drawFails: Error | null;
+let clutchHeld: boolean;
+let enabled: boolean;
+let headset: Headset;
+let right: FakeController;
+
+beforeEach(() => {
+  xr = new FakeXr();
+  [sent, acts, said, changes] = [[], [], [], []];
+  drawn = recentred = 0;
+  openFails = drawFails = null;
+  clutchHeld = false;
+  enabled = true;
+  right = new FakeController("right");
+  xr.session.inputSources = [right];
+  headset = new Headset(xr, {
+    screen: {
+      open: () => (openFails === null ? Promise.resolve() : Promise.reject(openFails)),
+      draw: () => {
+        drawn += 1;
+        if (drawFails !== null) throw drawFails;
+      },
+      recenter: () => {
+        recentred += 1;
+      },
+      close: () => undefined,
+    },
+    send: (message) => {
+      checkClientMessage(JSON.stringify(message));
+      sent.push(message);
+    },
+    act: (action) => acts.push(action),
+    enabled: () => enabled,
+    clutchHeldMoves: () => clutchHeld,
+    changed: (inside) => changes.push(inside),
+    failed: (words) => said.push(words),
+  });
+});
+
+const samples = () => sent.filter((message): message is DeviceSampleMessage => message.type === "device_sample");
+
+describe("what there is", () => {
+  it("is no WebXR, no headset, or one that can be entered", async () => {
+    expect(await headsetOffer(null)).toBe("no-webxr");
+    expect(await headsetOffer(xr)).toBe("ready");
+    xr.supports = false;
+    expect(await headsetOffer(xr)).toBe("no-headset");
+    xr.supports = new Error("not allowed here");
+    expect(await headsetOffer(xr)).toBe("no-headset");
+  });
+});
+
+describe("a controller", () => {
+  it("is a pen in mm whose axes are right, down, forward", async () => {
+    await headset.enter();
+    right.place = at(0.1, 1.2, -0.3);
+    right.press(0, 1);
+    xr.session.refresh(1000);
+    expect(samples()[0]).toMatchObject({
+      device: "headset right",
+      time_s: 1,
+      position_mm: [100, 1200, -300],
+      orientation_wxyz: [0, 1, 0, 0],
+      buttons: 0,
+      advance: 0,
+    });
+  });
+
+  it("turns as the hand does: a quaternion equals its own matrix of columns right, -up, -back", () => {
+    const turn = { x: 0.1, y: -0.5, z: 0.3, w: Math.sqrt(1 - 0.35) };
+    const axis = (q: readonly [number, number, number, number], n: 0 | 1 | 2) => {
+      const [w, x, y, z] = q;
+      const columns = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)],
+        [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)],
+        [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)],
+      ] as const;
+      return columns[n];
+    };
+    const pen = penFromGrip(turn);
+    const grip = [turn.w, turn.x, turn.y, turn.z] as const;
+    for (const [n, sign] of [
+      [0, 1],
+      [1, -1],
+      [2, -1],
+    ] as const) {
+      for (const row of [0, 1, 2] as const) expect(axis(pen, n)[row]).toBeCloseTo(sign * axis(grip, n)[row], 12);
+    }
+  });
+
+  it("says nothing while its trigger is free, and once more when it is let go", async () => {
+    await headset.enter();
+    for (let n = 0; n < 30; n += 1) xr.session.refresh(n * 11);
+    expect(samples()).toEqual([]);
+    right.press(0, 1);
+    for (let n = 30; n < 40; n += 1) xr.session.refresh(n * 11);
+    right.press(0, 0);
+    for (let n = 40; n < 60; n += 1) xr.session.refresh(n * 11);
+    expect(samples().length).toBe(11);
+    expect(samples().at(-1)?.buttons).toBe(2);
+    expect(drawn).toBe(60);
+  });
+
+  it.each([false, true])("moves while the trigger is held, whatever pens' clutches do (hold: %s)", async (hold) => {
+    clutchHeld = hold;
+    await headset.enter();
+    right.press(0, 1);
+    xr.session.refresh(0);
+    right.press(0, 0);
+    right.push(-1);
+    xr.session.refresh(11);
+    const [held, pushed] = samples();
+    expect(((held?.buttons ?? 0) & 2) !== 0).toBe(hold);
+    expect(((pushed?.buttons ?? 0) & 2) !== 0).toBe(!hold);
+    expect(pushed?.advance).toBe(1);
+  });
+
+  it("has buttons that act once for each press", async () => {
+    await headset.enter();
+    for (const button of [1, 4, 5]) right.press(button, 1);
+    for (let n = 0; n < 5; n += 1) xr.session.refresh(n * 11);
+    expect(recentred).toBe(1);
+    expect(acts).toEqual(["reset_look"]);
+    expect(samples().every((sample) => (sample.buttons & 1) === 1)).toBe(true);
+  });
+
+  it("is not listened to under the headset's own menu, without a case, or out of sight", async () => {
+    await headset.enter();
+    right.press(0, 1);
+    xr.session.visibilityState = "visible-blurred";
+    xr.session.refresh(0);
+    xr.session.visibilityState = "visible";
+    enabled = false;
+    xr.session.refresh(11);
+    enabled = true;
+    right.place = null;
+    xr.session.refresh(22);
+    expect(samples()).toEqual([]);
+    right.place = at(0, 0, 0);
+    xr.session.refresh(33);
+    expect(samples().length).toBe(1);
+  });
+
+  it("is gone when it is switched off, and new when it is back", async () => {
+    await headset.enter();
+    right.press(0, 1);
+    xr.session.refresh(0);
+    xr.session.inputSources = [];
+    xr.session.dispatchEvent(new Event("inputsourceschange"));
+    expect(sent.at(-1)).toEqual({ type: "device_gone", device: "headset right" });
+    expect(headset.names).toEqual([]);
+    xr.session.inputSources = [right];
+    xr.session.refresh(11);
+    expect(samples().length).toBe(2);
+  });
+
+  it("shakes", async () => {
+    await headset.enter();
+    xr.session.refresh(0);
+    headset.rumble(0.6, 120);
+    expect(right.pulses).toEqual([0.6]);
+  });
+});
+
+describe("the headset", () => {
+  it("is left by itself, and entered again", async () => {
+    await headset.enter();
+    xr.session.refresh(0);
+    await xr.session.end();
+    expect([headset.inside, changes]).toEqual([false, [true, false]]);
+    expect(sent.at(-1)).toEqual({ type: "device_gone", device: "headset right" });
+    xr.session = new FakeSession();
+    await headset.enter();
+    expect(headset.inside).toBe(true);
+    await headset.leave();
+    expect(changes).toEqual([true, false, true, false]);
+  });
+
+  it("says why it cannot be entered, and a session that began is ended", async () => {
+    xr.refuses = new Error("the headset is in use");
+    await headset.enter();
+    expect(said).toEqual(["The headset could not be entered: the headset is in use."]);
+    xr.refuses = null;
+    openFails = new Error("no WebGL");
+    await headset.enter();
+    expect([headset.inside, xr.session.ended, changes]).toEqual([false, true, []]);
+  });
+
+  it("goes on when a picture fails, and says so once", async () => {
+    await headset.enter();
+    drawFails = new Error("the graphics context was lost");
+    for (let n = 0; n < 20; n += 1) xr.session.refresh(n * 11);
+    expect(drawn).toBe(20);
+    expect(said.length).toBe(1);
+  });
+
+  it("is entered once, however often it is asked for", async () => {
+    await Promise.all([headset.enter(), headset.enter()]);
+    expect(changes).toEqual([true]);
+  });
+});

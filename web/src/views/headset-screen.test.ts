@@ -1,0 +1,116 @@
+import { describe, expect, it } from "vitest";
+import type { XrSession, XrViewerPose } from "../input/devices/webxr";
+import { inFrontOf, type NewestPicture, PictureScreen, product } from "./headset-screen";
+
+const IDENTITY = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
+
+/** A head at a place that looks to an angle, seen from above: 0 is -z, 90 degrees is its left. */
+function head(x: number, y: number, z: number, deg: number, upDeg = 0): Float32Array {
+  const [c, s] = [Math.cos((deg * Math.PI) / 180), Math.sin((deg * Math.PI) / 180)];
+  const [cu, su] = [Math.cos((upDeg * Math.PI) / 180), Math.sin((upDeg * Math.PI) / 180)];
+  return new Float32Array([c, 0, -s, 0, s * su, cu, c * su, 0, s * cu, -su, c * cu, 0, x, y, z, 1]);
+}
+
+const at = (m: Float32Array, x: number, y: number): number[] =>
+  [0, 1, 2].map((row) => (m[row] ?? 0) * x + (m[4 + row] ?? 0) * y + (m[12 + row] ?? 0));
+
+function close(found: readonly number[], expected: readonly number[]): void {
+  for (const [n, value] of expected.entries()) expect(found[n]).toBeCloseTo(value, 5);
+}
+
+describe("the screen in the room", () => {
+  it("stands upright in front of the head, its right on the right", () => {
+    const room = inFrontOf({ matrix: head(1, 1.7, 2, 0) }, 1);
+    close(at(room, 0, 0), [1, 1.7, 0.5]);
+    close(at(room, 1, 1), [1.8, 2.5, 0.5]);
+  });
+
+  it("goes round with the head and does not tilt when the head looks up", () => {
+    const room = inFrontOf({ matrix: head(0, 1.7, 0, 90, 40) }, 1);
+    close(at(room, 0, 0), [-1.5, 1.7, 0]);
+    close(at(room, 1, 0), [-1.5, 1.7, -0.8]);
+  });
+
+  it("is finite for a head that looks straight up", () => {
+    const room = inFrontOf({ matrix: head(0, 0, 0, 0, 90) }, 1);
+    expect([...room].every(Number.isFinite)).toBe(true);
+  });
+
+  it("has the picture's proportions", () => {
+    close(at(inFrontOf({ matrix: IDENTITY }, 2), 1, 1), [1.6, 0.8, -1.5]);
+    close(at(inFrontOf({ matrix: IDENTITY }, 0.5), 1, 1), [0.8, 1.6, -1.5]);
+  });
+});
+
+describe("matrices", () => {
+  it("chain as WebGL has them: the right one first", () => {
+    const move = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1]);
+    const scale = new Float32Array([2, 0, 0, 0, 0, 3, 0, 0, 0, 0, 4, 0, 0, 0, 0, 1]);
+    close([...product(move, scale)], [2, 0, 0, 0, 0, 3, 0, 0, 0, 0, 4, 0, 5, 6, 7, 1]);
+    close([...product(scale, move)].slice(12), [10, 18, 28, 1]);
+  });
+});
+
+/** As much of WebGL as is called, which writes down what is drawn. */
+function fakeGl(log: string[], linksWell: boolean): WebGL2RenderingContext {
+  const known: Record<string, unknown> = {
+    getProgramParameter: () => linksWell,
+    getProgramInfoLog: () => "bad shader",
+    createShader: () => ({}),
+    createProgram: () => ({}),
+    createTexture: () => ({}),
+    getUniformLocation: () => ({}),
+  };
+  return new Proxy({} as WebGL2RenderingContext, {
+    get: (_, name: string) => known[name] ?? ((..._of: unknown[]) => log.push(name)),
+  });
+}
+
+function screenOf(log: string[], newest: () => NewestPicture | null, linksWell = true) {
+  const states: object[] = [];
+  const gl = fakeGl(log, linksWell);
+  const screen = new PictureScreen({
+    newest,
+    canvas: () => ({ getContext: () => gl }) as unknown as HTMLCanvasElement,
+    layer: () => ({ framebuffer: null, getViewport: () => ({ x: 0, y: 0, width: 9, height: 9 }) }),
+  });
+  const session = { updateRenderState: (state: object) => states.push(state) } as unknown as XrSession;
+  return { screen, session, states };
+}
+
+const VIEW = { projectionMatrix: IDENTITY, transform: { inverse: { matrix: IDENTITY } } };
+const VIEWER = { transform: { matrix: IDENTITY }, views: [VIEW, VIEW] } as unknown as XrViewerPose;
+const IMAGE = { width: 4, height: 4 } as unknown as NewestPicture["image"];
+
+describe("its pictures", () => {
+  it("are drawn for each eye at every refresh, and handed to the device only when they are new", async () => {
+    const log: string[] = [];
+    let frameId = 1;
+    const { screen, session, states } = screenOf(log, () => ({ image: IMAGE, frameId, round: true }));
+    await screen.open(session);
+    expect(states.length).toBe(1);
+    for (let n = 0; n < 30; n += 1) {
+      if (n === 20) frameId = 2;
+      screen.draw(VIEWER);
+    }
+    expect(log.filter((name) => name === "drawArrays").length).toBe(60);
+    expect(log.filter((name) => name === "texImage2D").length).toBe(2);
+    screen.close();
+    screen.draw(VIEWER);
+    expect(log.filter((name) => name === "drawArrays").length).toBe(60);
+  });
+
+  it("are an empty room while there is none", async () => {
+    const log: string[] = [];
+    const { screen, session } = screenOf(log, () => null);
+    await screen.open(session);
+    screen.draw(VIEWER);
+    expect(log).toContain("clear");
+    expect(log).not.toContain("drawArrays");
+  });
+
+  it("are refused in words where the device does not take the shaders", async () => {
+    const { screen, session } = screenOf([], () => null, false);
+    await expect(screen.open(session)).rejects.toThrow("bad shader");
+  });
+});

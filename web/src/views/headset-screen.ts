@@ -1,0 +1,155 @@
+/**
+ * A screen in the headset's room that shows the newest airway picture. It is drawn at the headset's own rate, from the
+ * picture that is there: a slow renderer makes the picture older, never the head's movement.
+ */
+
+import type { HeadsetScreen, XrSession, XrTransform, XrView, XrViewerPose } from "../input/devices/webxr";
+import fragmentText from "./shaders/screen.frag?raw";
+import vertexText from "./shaders/screen.vert?raw";
+
+/** How far away, and half its height, m: about 55 degrees, as a monitor that is looked at closely. */
+const AWAY_M = 1.5;
+const HALF_M = 0.8;
+
+/** The newest picture, and a number that changes with it. */
+export interface NewestPicture {
+  readonly image: TexImageSource & { readonly width: number; readonly height: number };
+  readonly frameId: number;
+  readonly round: boolean;
+}
+
+/** What the browser calls `XRWebGLLayer`. */
+export interface XrLayer {
+  readonly framebuffer: WebGLFramebuffer | null;
+  getViewport(view: XrView): { x: number; y: number; width: number; height: number } | null;
+}
+
+export interface ScreenSurroundings {
+  newest(): NewestPicture | null;
+  canvas(): HTMLCanvasElement;
+  layer(session: XrSession, gl: WebGL2RenderingContext): XrLayer;
+}
+
+/** Column-major 4x4 product, as WebGL takes it. */
+export function product(a: ArrayLike<number>, b: ArrayLike<number>): Float32Array {
+  const found = new Float32Array(16);
+  for (let column = 0; column < 4; column += 1) {
+    for (let row = 0; row < 4; row += 1) {
+      let sum = 0;
+      for (let n = 0; n < 4; n += 1) sum += (a[4 * n + row] ?? 0) * (b[4 * column + n] ?? 0);
+      found[4 * column + row] = sum;
+    }
+  }
+  return found;
+}
+
+/** `room_from_screen`, column-major: upright in front of where the head looks, at its height. */
+export function inFrontOf(head: Pick<XrTransform, "matrix">, aspect: number): Float32Array {
+  const m = head.matrix;
+  // The head looks along -z; up and down do not count, and who looks straight up gets the screen where z is.
+  let [x, z] = [-(m[8] ?? 0), -(m[10] ?? -1)];
+  const flat = Math.hypot(x, z);
+  [x, z] = flat < 1e-3 ? [0, -1] : [x / flat, z / flat];
+  const [wide, high] = aspect >= 1 ? [HALF_M * aspect, HALF_M] : [HALF_M, HALF_M / aspect];
+  const [px, py, pz] = [(m[12] ?? 0) + AWAY_M * x, m[13] ?? 0, (m[14] ?? 0) + AWAY_M * z];
+  // Right is ahead turned a quarter clockwise seen from above; the screen's own z comes to the head.
+  return new Float32Array([-z * wide, 0, x * wide, 0, 0, high, 0, 0, -x, 0, -z, 0, px, py, pz, 1]);
+}
+
+export class PictureScreen implements HeadsetScreen {
+  readonly #around: ScreenSurroundings;
+  #gl: WebGL2RenderingContext | null = null;
+  #layer: XrLayer | null = null;
+  #program: WebGLProgram | null = null;
+  #texture: WebGLTexture | null = null;
+  #uploaded: number | null = null;
+  #room: Float32Array | null = null;
+
+  constructor(around: ScreenSurroundings) {
+    this.#around = around;
+  }
+
+  async open(session: XrSession): Promise<void> {
+    const canvas = this.#around.canvas();
+    const gl = canvas.getContext("webgl2", { xrCompatible: true, antialias: true, alpha: false });
+    if (gl === null) throw new Error("this browser draws nothing by WebGL 2");
+    await (gl as { makeXRCompatible?: () => Promise<void> }).makeXRCompatible?.();
+    this.#gl = gl;
+    this.#program = linked(gl);
+    this.#texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, this.#texture);
+    for (const [name, value] of [
+      [gl.TEXTURE_MIN_FILTER, gl.LINEAR],
+      [gl.TEXTURE_MAG_FILTER, gl.LINEAR],
+      [gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE],
+      [gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE],
+    ] as const) {
+      gl.texParameteri(gl.TEXTURE_2D, name, value);
+    }
+    this.#layer = this.#around.layer(session, gl);
+    session.updateRenderState({ baseLayer: this.#layer });
+  }
+
+  draw(viewer: XrViewerPose): void {
+    const gl = this.#gl;
+    const layer = this.#layer;
+    if (gl === null || layer === null) return;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, layer.framebuffer);
+    gl.clearColor(0.055, 0.067, 0.075, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    const newest = this.#around.newest();
+    if (newest === null || newest.image.width === 0 || newest.image.height === 0) return;
+    // biome-ignore lint/correctness/useHookAtTopLevel: WebGL's, no hook of React's
+    gl.useProgram(this.#program);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, this.#texture);
+    if (this.#uploaded !== newest.frameId) {
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, newest.image);
+      this.#uploaded = newest.frameId;
+    }
+    this.#room ??= inFrontOf(viewer.transform, newest.image.width / newest.image.height);
+    gl.uniform1i(gl.getUniformLocation(this.#program as WebGLProgram, "is_round"), newest.round ? 1 : 0);
+    const place = gl.getUniformLocation(this.#program as WebGLProgram, "eye_from_screen");
+    for (const view of viewer.views) {
+      const viewport = layer.getViewport(view);
+      if (viewport === null) continue;
+      gl.viewport(viewport.x, viewport.y, viewport.width, viewport.height);
+      const eye = product(view.projectionMatrix, product(view.transform.inverse.matrix, this.#room));
+      gl.uniformMatrix4fv(place, false, eye);
+      gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    }
+  }
+
+  recenter(): void {
+    this.#room = null;
+  }
+
+  close(): void {
+    const gl = this.#gl;
+    if (gl !== null) {
+      gl.deleteTexture(this.#texture);
+      gl.deleteProgram(this.#program);
+    }
+    this.#gl = this.#layer = this.#program = this.#texture = this.#uploaded = this.#room = null;
+  }
+}
+
+function linked(gl: WebGL2RenderingContext): WebGLProgram {
+  const program = gl.createProgram();
+  for (const [kind, text] of [
+    [gl.VERTEX_SHADER, vertexText],
+    [gl.FRAGMENT_SHADER, fragmentText],
+  ] as const) {
+    const shader = gl.createShader(kind);
+    if (shader === null) throw new Error("the graphics context was lost");
+    gl.shaderSource(shader, text);
+    gl.compileShader(shader);
+    gl.attachShader(program, shader);
+    gl.deleteShader(shader);
+  }
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
+    throw new Error(`the headset's screen could not be made: ${gl.getProgramInfoLog(program) ?? ""}`);
+  }
+  return program;
+}
