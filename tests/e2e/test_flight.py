@@ -138,7 +138,7 @@ def test_the_rehearsal_says_how_far_the_scope_fits(server, workstation):
     page = workstation.page
     page.get_by_role("button", name="Rehearse", exact=True).click()
     fits = page.get_by_test_id("fits")
-    narrowest_mm = 2 * min(workstation.state("route.radius_mm"))
+    narrowest_mm = 2 * min(workstation.state("route.wall_mm"))
     tip_mm = page.evaluate(
         "() => window.__carina.state.start.scopes.find(s => s.name === window.__carina.state.session.scope).tip_mm"
     )

@@ -8,7 +8,8 @@ import pytest
 from carina.errors import NoResultError, UsageError
 from carina.scopes import PINHOLE, scope_preset
 from carina.session import Changed, JobEnded, JobProgress, LocalStore, Orbit, Said, Trouble
-from carina.session.routes import RouteSpan, lookouts_mm
+from carina.session.routes import RouteSpan, lookouts_mm, route_to_branch
+from carina.track import AirwayTree, Branch
 from small_case import BRANCHES_IJK, small_airways, small_bench, small_volume
 
 
@@ -641,3 +642,18 @@ def test_a_wall_point_is_told_with_its_voxel_and_the_nearest_branch():
     assert (found.voxel_value, found.branch_id, found.branch_name, found.generation) == (40, 2, "LMB", 1)
     outside = tuple(float(v) for v in small_volume().to_lps((-5.0, 0.0, 0.0)))
     assert bench.session.wall_point(outside).voxel_value is None
+
+
+def test_a_route_says_what_fits_not_only_how_wide_it_is():
+    along = np.linspace(0.0, 40.0, 41)
+    points = np.stack([0 * along, 0 * along, -along], axis=1)
+    flat = np.where(np.abs(along - 20.0) < 5.0, 1.0, 3.0)
+    # A slit in the middle: its section is as large as elsewhere, but nothing thick passes.
+    tree = AirwayTree((Branch(0, None, (), 0, "Trachea", "tracked", points, np.full(41, 3.0), wall_mm=flat),))
+    route = route_to_branch(tree, 0)
+    assert len(route.wall_mm) == len(route.points_lps)
+    middle = np.abs(route.cumulative_mm - 20.0) < 4.0
+    assert middle.any()
+    assert (route.wall_mm[middle] == 1.0).all()
+    assert (route.wall_mm[route.cumulative_mm < 14.0] == 3.0).all()
+    assert (route.radius_mm == 3.0).all()

@@ -321,6 +321,9 @@ class RouteInfo:
     cumulative_mm: Numbers
     generation: Annotated[tuple[Annotated[int, Range(0, 1000)], ...], Length(0, 1_000_000)]
     radius_mm: Numbers
+    """Of the circle with the area of the branch's section."""
+    wall_mm: Numbers
+    """Of the largest ball that fits there: what an instrument has."""
     forks_mm: Numbers
     lookouts_mm: Numbers
     """Where to stop for the forks: in front of them, with their openings in view. Strictly increasing."""

@@ -192,6 +192,7 @@ def route_message(route: ChosenRoute | None) -> wire.Route:
         cumulative_mm=_floats(np.round(route.cumulative_mm, 3)),
         generation=tuple(int(g) for g in route.generation),
         radius_mm=_floats(np.round(route.radius_mm, 3)),
+        wall_mm=_floats(np.round(route.wall_mm, 3)),
         forks_mm=tuple(round(mm, 3) for mm in route.forks_mm),
         lookouts_mm=tuple(round(mm, 3) for mm in route.lookouts_mm),
         spans=tuple(wire.RouteSpan(s.branch_id, s.name, s.generation, s.from_mm, s.to_mm) for s in route.spans),

@@ -49,6 +49,8 @@ class ChosenRoute:
     points_lps: NDArray[np.float64]
     cumulative_mm: NDArray[np.float64]
     radius_mm: NDArray[np.float64]
+    wall_mm: NDArray[np.float64]
+    """How large a ball fits round the branch's centre there, mm: what an instrument has."""
     generation: NDArray[np.int64]
     branch_ids: NDArray[np.int64]
     forks_mm: tuple[float, ...]
@@ -208,6 +210,24 @@ def route_to_target(tree: AirwayTree, path: TrackedPath, target_id: str, name: s
     )
 
 
+def _wall_distance(
+    tree: AirwayTree,
+    points_lps: NDArray[np.float64],
+    branch_ids: NDArray[np.int64],
+    radius_mm: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Of the nearest centreline point, since a scope need not run beside the centre as a path may; else the radius."""
+    wall_mm = radius_mm.copy()
+    for branch in tree.branches:
+        here = np.flatnonzero(branch_ids == branch.id)
+        if len(here) == 0:
+            continue
+        away = points_lps[here, None, :] - np.asarray(branch.points, dtype=np.float64)[None, :, :]
+        nearest = np.argmin(np.einsum("ijk,ijk->ij", away, away), axis=1)
+        wall_mm[here] = np.minimum(radius_mm[here], np.asarray(branch.wall_distance, dtype=np.float64)[nearest])
+    return wall_mm
+
+
 def _chosen(
     route: Route,
     tree: AirwayTree,
@@ -233,6 +253,7 @@ def _chosen(
         points_lps=points,
         cumulative_mm=cumulative_mm,
         radius_mm=radius_mm,
+        wall_mm=_wall_distance(tree, points, branch_ids, radius_mm),
         generation=generation,
         branch_ids=branch_ids,
         forks_mm=forks_mm,

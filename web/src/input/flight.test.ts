@@ -11,6 +11,7 @@ const ROUTE: RouteInfo = {
   cumulative_mm: [],
   generation: [],
   radius_mm: [],
+  wall_mm: [],
   forks_mm: [36, 54],
   lookouts_mm: [30, 50],
   spans: [],

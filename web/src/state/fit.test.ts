@@ -2,7 +2,7 @@ import { describe, expect, it } from "vitest";
 import type { Scope } from "../wire/messages";
 import { comesFarthest, firstTooNarrow, thatPass } from "./fit";
 
-const ROUTE = { radius_mm: [9, 5, 2.2, 3, 1.6], cumulative_mm: [0, 100, 200, 210, 260] };
+const ROUTE = { wall_mm: [9, 5, 2.2, 3, 1.6], cumulative_mm: [0, 100, 200, 210, 260] };
 
 const scope = (name: string, tip_mm: number): Scope => ({
   name,

@@ -1,14 +1,14 @@
-/** How far along a route an instrument fits, by the CT: the lumen's narrowest width against the tip's diameter. */
+/** How far along a route an instrument fits, by the CT: the largest ball in the lumen against the tip's diameter. */
 
 import type { RouteInfo, Scope } from "../wire/messages";
 
-type Widths = Pick<RouteInfo, "radius_mm" | "cumulative_mm">;
+type Widths = Pick<RouteInfo, "wall_mm" | "cumulative_mm">;
 
 /** The first place of the route that is narrower than the tip; null if it passes to the end. */
 export function firstTooNarrow(route: Widths, tipMm: number): { pathMm: number; diameterMm: number } | null {
-  const index = route.radius_mm.findIndex((radius) => 2 * radius < tipMm);
+  const index = route.wall_mm.findIndex((ball) => 2 * ball < tipMm);
   if (index < 0) return null;
-  return { pathMm: route.cumulative_mm[index] ?? 0, diameterMm: 2 * (route.radius_mm[index] ?? 0) };
+  return { pathMm: route.cumulative_mm[index] ?? 0, diameterMm: 2 * (route.wall_mm[index] ?? 0) };
 }
 
 /** The instruments that pass to the route's end, the thickest first: it has the widest channel. */

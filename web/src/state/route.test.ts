@@ -20,6 +20,7 @@ const ROUTE: RouteInfo = {
   cumulative_mm: [0, 10, 30, 40],
   generation: [0, 0, 0, 1],
   radius_mm: [9, 8, 7, 2.5],
+  wall_mm: [9, 8, 7, 2.5],
   forks_mm: [30],
   lookouts_mm: [15],
   spans: [

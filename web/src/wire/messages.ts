@@ -769,6 +769,7 @@ export interface RouteInfo {
   readonly cumulative_mm: readonly number[];
   readonly generation: readonly number[];
   readonly radius_mm: readonly number[];
+  readonly wall_mm: readonly number[];
   readonly forks_mm: readonly number[];
   readonly lookouts_mm: readonly number[];
   readonly spans: readonly RouteSpan[];
