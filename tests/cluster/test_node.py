@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import sys
+import types
+from pathlib import Path
 
 import pytest
 
 from carina.cluster import node
-from carina.cluster.ray_backend import version_words
+from carina.cluster.ray_backend import RayLane, version_words
 from carina.errors import ClusterError, UsageError
 
 
@@ -59,12 +62,42 @@ def test_the_environment_never_holds_the_token_and_never_reports(tmp_path):
     assert node.ray_environment(made, dedicated=True)["RAY_worker_niceness"] == "0"
 
 
+def test_the_kuberay_manifest_sets_what_our_own_machines_get(tmp_path):
+    manifest = (Path(__file__).parents[2] / "docs" / "cluster.md").read_text(encoding="utf-8")
+    told = dict(re.findall(r"\{name: (RAY_\w+), value: \"?([^\"}]+)\"?\}", manifest))
+    ours = node.ray_environment(node.make_token(tmp_path / "token"), dedicated=True)
+    assert told == {**ours, "RAY_AUTH_TOKEN_PATH": "/etc/carina/token"}
+
+
 def test_addresses_have_a_port_or_get_the_usual_one():
     assert node.split_address("10.0.0.5") == ("10.0.0.5", 6379)
     assert node.split_address("desk:7000") == ("desk", 7000)
     for bad in ("", ":7000", "desk:door"):
         with pytest.raises(UsageError, match="HOST:PORT"):
             node.split_address(bad)
+
+
+FACTS = {"host": "m", "threads": 4, "simd": "avx2", "version": "0.1.0", "pid": 1}
+
+
+@pytest.mark.parametrize(
+    ("store_bytes", "new_bytes", "free_bytes", "words"),
+    [
+        (3 * 2**30, 0, None, "keeps 3.0 GiB for volumes"),
+        (8 * 2**30, 4 * 2**30, 4 * 2**30, "has 4.0 GiB of memory left"),
+    ],
+)
+def test_a_case_that_does_not_fit_is_told_with_what_is_there_and_what_it_needs(
+    store_bytes, new_bytes, free_bytes, words
+):
+    lane = RayLane("m", None, None, FACTS, store_bytes)
+    big = types.SimpleNamespace(num_bytes=4 * 2**30)
+    with pytest.raises(ClusterError, match=words) as refused:
+        lane._check_memory(big, new_bytes, free_bytes)
+    assert refused.value.code == "cluster.memory"
+    assert "the renderer m takes no part" in str(refused.value) and "the case needs 4.0 GiB" in str(refused.value)
+    # A byte less than it keeps, and room beside it.
+    RayLane("m", None, None, FACTS, 4 * 2**30)._check_memory(big, 4 * 2**30, 5 * 2**30)
 
 
 @pytest.mark.parametrize(

@@ -152,10 +152,10 @@ def bench_cluster(
     quick: BenchQuick = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Many machines: the paper's Tables 1 and 2 by calibrated simulation and on real processes, and what Ray costs.
+    """Many machines: the paper's Tables 1 and 2, simulated, on machines that sleep, and on real ones; what Ray costs.
 
-    Sections: simulation, real, transport, kills. All but the first need the extra `cluster`. Plots of Figures 9, 10 and
-    11 go to the folder.
+    Sections: simulation, sleeping, real, transport, kills. All but the first need the extra `cluster`. Plots of
+    Figures 9, 10 and 11 go to the folder.
 
     Example: carina bench cluster --only simulation
     """

@@ -159,6 +159,10 @@ class Console:
         """The machine behind a lane."""
         return self._members[name].lane.facts
 
+    def lane(self, name: str) -> Lane:
+        """A lane, for tests and benchmarks."""
+        return self._members[name].lane
+
     @property
     def num_ready(self) -> int:
         """How many lanes can render now, the console's own only where there is no other."""

@@ -191,6 +191,10 @@ class RayLane:
         except Exception as trouble:
             done(_plain(trouble))
 
+    def call(self, method: str, *arguments: Any, **options: Any) -> Any:
+        """What a method of the renderer gives, waited for: for tests and benchmarks."""
+        return self._cluster.ray.get(getattr(self._handle, method).remote(*arguments, **options), timeout=60.0)
+
     def _ping(self) -> Any:
         return self._handle.ping.options(concurrency_group="control").remote()
 

@@ -62,6 +62,7 @@ class StandInHost(RendererHost):
         super().__init__(mixed=mixed)
         self._strip_seconds = strip_seconds
         self._row_seconds = row_seconds
+        self._row_costs: tuple[float, ...] | None = None
         self._version = version
         self._memory_bytes = memory_bytes
         self._factor = 1.0
@@ -84,6 +85,10 @@ class StandInHost(RendererHost):
         self._trouble, self._factor = trouble, factor
         return os.getpid()
 
+    def pace(self, row_seconds: float, row_costs: tuple[float, ...]) -> None:
+        """From now on take ``row_seconds`` times its cost for each row of a picture: rows differ."""
+        self._row_seconds, self._row_costs = row_seconds, row_costs
+
     def strip(self, frame_id: int, content: int, view: bytes, rows: tuple[int, int] | None) -> Strip:
         """Sleep, and answer with pixels that tell where they belong."""
         began_s = time.perf_counter()
@@ -95,7 +100,8 @@ class StandInHost(RendererHost):
             # Another strip of the same height, as an answer to an older cut of the frame would be.
             first_row, end_row = first_row + 1, end_row + 1
         rgb = stand_in_pixels(shown, (first_row, end_row), content)
-        wanted_s = (self._strip_seconds + self._row_seconds * len(rgb)) * self._factor
+        rows_alike = len(rgb) if self._row_costs is None else sum(self._row_costs[first_row:end_row])
+        wanted_s = (self._strip_seconds + self._row_seconds * rows_alike) * self._factor
         time.sleep(max(0.0, wanted_s - (time.perf_counter() - began_s)))
         if self._trouble == "size":
             rgb = rgb[:-1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import math
 import os
 import statistics
 import sys
@@ -30,7 +31,7 @@ from carina.volume import Volume
 
 __all__ = ["PAPER_TABLE_1", "PAPER_TABLE_2", "SECTIONS", "report"]
 
-SECTIONS = ("simulation", "real", "transport", "kills")
+SECTIONS = ("simulation", "sleeping", "real", "transport", "kills")
 SIDE = 512
 GRIDS = {"head, 128x128x64": (64, 128, 128), "lung, 256x256x200": (200, 256, 256)}
 CONCURRENCY = (1, 2, 4, 8)
@@ -88,9 +89,14 @@ def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> 
         "left_out": left_out,
     }
     lines: list[str] = []
-    if "simulation" in wanted:
+    if {"simulation", "sleeping"} & set(wanted):
         costs = {name: _measure(name, quick) for name in GRIDS}
-        result["simulation"] = _simulated(costs, quick, folder, lines)
+    if "simulation" in wanted:
+        result["simulation"] = _simulated(costs, quick, lines)
+    if can_ray and "sleeping" in wanted:
+        result["sleeping"] = _sleeping(costs, quick, folder, lines)
+    if {"simulation", "sleeping"} & set(result):
+        _plot_tables(result, folder)
     if can_ray and "real" in wanted:
         result["real"] = _real(quick, folder, lines)
     if can_ray and {"transport", "kills"} & set(wanted):
@@ -197,14 +203,12 @@ def _row(fps: float, alone_fps: float, num: int, response_s: float) -> dict[str,
     }
 
 
-def _simulated(costs: dict[str, _Cost], quick: bool, folder: Path, lines: list[str]) -> dict[str, Any]:
+def _simulated(costs: dict[str, _Cost], quick: bool, lines: list[str]) -> dict[str, Any]:
     num = 120 if quick else 400
     skip = 40
     # Two settings: this machine's own speed, where the network is what limits; and the paper's frame time, where the
     # schemes can be compared with its rows.
     found: dict[str, Any] = {"cost": {}, "table_1": [], "table_2": []}
-    fps: dict[str, list[float]] = {}
-    speed: dict[str, list[float]] = {}
     lines.append("Simulation of this scheduler, calibrated with measured costs of rows and calls (not a measurement):")
     for name, cost in costs.items():
         paper = _Cost(1.0 / PAPER_TABLE_1[name][1][0], cost.profile)
@@ -213,8 +217,9 @@ def _simulated(costs: dict[str, _Cost], quick: bool, folder: Path, lines: list[s
             "frame_ms_paper": round(paper.frame_s * 1e3),
         }
         for machine, used in (("here", cost), ("paper", paper)):
+            # Speed-up is against one of the fastest machines, with everything.
+            alone = 0.0
             for scheme in SCHEMES:
-                alone = 0.0
                 for n in CONCURRENCY:
                     run = _simulate(used, (1.0,) * n, scheme.settings, num)
                     rate = run.fps(skip)
@@ -222,35 +227,81 @@ def _simulated(costs: dict[str, _Cost], quick: bool, folder: Path, lines: list[s
                     row = _row(rate, alone, n, statistics.median(run.response_s[skip:]))
                     row |= {"grid": name, "machine": machine, "scheme": scheme.name}
                     found["table_1"].append(row)
-                    if scheme.name in {"all", "none of them"}:
-                        label = f"{name.split(',', maxsplit=1)[0]}, {scheme.name}" if machine == "paper" else ""
-                        if label:
-                            fps.setdefault(label, []).append(rate)
-                            speed.setdefault(label, []).append(rate / alone)
-                    if scheme.name == "all":
-                        lines.append(_table_line(row, PAPER_TABLE_1[name][n] if machine == "paper" else None))
+                    if scheme.name == "all" or n == CONCURRENCY[-1]:
+                        lines.append(_table_line(row, _paper_row(row)))
             hetero = _simulate(used, ASSUMED_SPEEDS, SCHEMES[0].settings, num)
-            alone = _simulate(used, (1.0,), SCHEMES[0].settings, num).fps(skip)
             row = _row(hetero.fps(skip), alone, 16, statistics.median(hetero.response_s[skip:]))
-            row |= {"grid": name, "machine": machine, "speeds": list(ASSUMED_SPEEDS)}
+            row |= {"grid": name, "machine": machine, "scheme": "all", "speeds": list(ASSUMED_SPEEDS)}
             found["table_2"].append(row)
-            lines.append(_table_line(row, PAPER_TABLE_2[name] if machine == "paper" else None))
+            lines.append(_table_line(row, _paper_row(row)))
     lines.append(f"  16 machines: assumed speeds {', '.join(f'{s:g}' for s in ASSUMED_SPEEDS)} of the fastest")
-    for key, grid in (("head", "head, 128x128x64"), ("lung", "lung, 256x256x200")):
-        fps[f"{key}, paper"] = [PAPER_TABLE_1[grid][c][0] for c in CONCURRENCY]
-        speed[f"{key}, paper"] = [PAPER_TABLE_1[grid][c][1] for c in CONCURRENCY]
-    speed["ideal"] = [float(c) for c in CONCURRENCY]
-    plots = {
-        "frame-rate.svg": line_plot(
-            "Frame rate (paper, Figure 9), simulated", CONCURRENCY, fps, across="renderers", up="fps"
-        ),
-        "speed-up.svg": line_plot(
-            "Speed-up (paper, Figure 10), simulated", CONCURRENCY, speed, across="renderers", up=""
-        ),
-    }
-    for file, text in plots.items():
-        (folder / file).write_text(text, encoding="utf-8")
     return found
+
+
+def _paper_row(row: dict[str, Any]) -> tuple[float, float, int, int] | None:
+    """What the paper prints for such a row; nothing where the frame time or the scheme is another."""
+    if row["machine"] == "here" or row["scheme"] != "all":
+        return None
+    return PAPER_TABLE_2[row["grid"]] if row["renderers"] == 16 else PAPER_TABLE_1[row["grid"]][row["renderers"]]
+
+
+def _sleeping(costs: dict[str, _Cost], quick: bool, folder: Path, lines: list[str]) -> dict[str, Any]:
+    from carina.cli.bench.cluster_real import real_head
+    from carina.cli.bench.cluster_sleep import sleeping_runs
+
+    found: dict[str, Any] = {"table_1": [], "table_2": []}
+    lines.append("A real Ray whose renderers sleep as long as the paper's machine took for the rows:")
+    frame_s = {name: 1.0 / PAPER_TABLE_1[name][1][0] for name in costs}
+    alone: dict[str, float] = {}
+    with real_head(len(ASSUMED_SPEEDS)) as head:
+        for run in sleeping_runs(
+            head,
+            frame_s,
+            {name: [float(c) for c in cost.profile] for name, cost in costs.items()},
+            [(scheme.name, scheme.settings) for scheme in (SCHEMES[:1] if quick else SCHEMES)],
+            concurrency=CONCURRENCY,
+            mixed_speeds=ASSUMED_SPEEDS,
+            quick=quick,
+            say=say,
+        ):
+            num, flown = len(run.speeds), run.flown
+            if num == 1:
+                alone[run.grid] = flown.fps
+            row = _row(flown.fps, alone[run.grid], num, flown.response_s)
+            row |= {"grid": run.grid, "machine": "asleep", "scheme": run.scheme, "load_average": load_average()}
+            found["table_2" if num == len(ASSUMED_SPEEDS) else "table_1"].append(row)
+            lines.append(_table_line(row, _paper_row(row)))
+            if num == len(ASSUMED_SPEEDS):
+                title = "Job assignment (paper, Figure 11), real Ray, 16 sleeping machines"
+                (folder / "timeline.svg").write_text(_timeline(flown, title), encoding="utf-8")
+    lines.append(f"  16 machines: assumed speeds {', '.join(f'{s:g}' for s in ASSUMED_SPEEDS)} of the fastest")
+    return found
+
+
+def _plot_tables(result: dict[str, Any], folder: Path) -> None:
+    """Figures 9 and 10: the paper's rows, the simulation, and the real scheduler with sleeping machines."""
+    names = {"paper": "simulated", "asleep": "real Ray, asleep"}
+    for file, title, value, up in (
+        ("frame-rate.svg", "Frame rate (paper, Figure 9)", "fps", "fps"),
+        ("speed-up.svg", "Speed-up (paper, Figure 10)", "speedup", ""),
+    ):
+        lines: dict[str, list[float]] = {}
+        for grid in GRIDS:
+            short = grid.split(",", maxsplit=1)[0]
+            lines[f"{short}, paper"] = [PAPER_TABLE_1[grid][n][0 if value == "fps" else 1] for n in CONCURRENCY]
+            for section in ("simulation", "sleeping"):
+                rows = result.get(section, {"table_1": []})["table_1"]
+                for machine, words in names.items():
+                    found = [
+                        row[value]
+                        for row in rows
+                        if (row["grid"], row["machine"], row["scheme"]) == (grid, machine, "all")
+                    ]
+                    if len(found) == len(CONCURRENCY):
+                        lines[f"{short}, {words}"] = found
+        if value == "speedup":
+            lines["ideal"] = [float(n) for n in CONCURRENCY]
+        (folder / file).write_text(line_plot(title, CONCURRENCY, lines, across="renderers", up=up), encoding="utf-8")
 
 
 def _table_line(row: dict[str, Any], paper: tuple[float, float, int, int] | None) -> str:
@@ -259,6 +310,8 @@ def _table_line(row: dict[str, Any], paper: tuple[float, float, int, int] | None
 
     text = f"  {row['grid']:<18} {row['machine']:<6} {row['renderers']:>2} renderers: "
     text += words(row["fps"], row["speedup"], row["efficiency"], row["response_us"])
+    if row["scheme"] != "all":
+        text += f"   {row['scheme']}"
     return text if paper is None else f"{text}   paper {words(*paper)}"
 
 
@@ -268,13 +321,13 @@ def _real(quick: bool, folder: Path, lines: list[str]) -> list[dict[str, Any]]:
     rows = []
     most = min(4, os.cpu_count() or 1)
     counts = [n for n in (1, 2, 4) if n <= most]
-    schemes = SCHEMES[:1] if quick else (SCHEMES[0], SCHEMES[1], SCHEMES[4])
+    schemes = SCHEMES[:1] if quick else SCHEMES
     lines.append(f"Real processes on this machine, one thread each, {os.cpu_count()} cores, load {load_average()}:")
     with real_head(most, threads=1) as head:
         for name in GRIDS:
             local, view_of = _renderer(name)
+            alone = 0.0
             for scheme in schemes:
-                alone = 0.0
                 for n in counts:
                     say(f"real: {name}, {scheme.name}, {n} renderers")
                     with renderers_ready(head, n, RendererHost, scheme.settings) as (console, _):
@@ -287,7 +340,7 @@ def _real(quick: bool, folder: Path, lines: list[str]) -> list[dict[str, Any]]:
                     row = _row(flown.fps, alone, n, flown.response_s)
                     row |= {"grid": name, "machine": "real", "scheme": scheme.name, "load_average": load_average()}
                     rows.append(row)
-                    lines.append(f"{_table_line(row, PAPER_TABLE_1[name][n])}   {scheme.name}")
+                    lines.append(_table_line(row, _paper_row(row)))
     return rows
 
 
@@ -306,7 +359,9 @@ def _stand_ins(wanted: Sequence[str], quick: bool, folder: Path, lines: list[str
                 f"{paced['console_cpu_ms_per_frame']} ms CPU a frame, load {paced['load_average']}; "
                 f"unpaced {free['fps']} fps"
             )
-            (folder / "timeline.svg").write_text(_timeline(flown), encoding="utf-8")
+            if "sleeping" not in wanted:
+                title = "Job assignment (paper, Figure 11), real Ray, 8 sleeping machines"
+                (folder / "timeline.svg").write_text(_timeline(flown, title), encoding="utf-8")
         if "kills" in wanted:
             say("kill -9 of one renderer after the other")
             found["kills"] = lost_renderers(head, num=8, kills=3 if quick else 10)
@@ -318,15 +373,17 @@ def _stand_ins(wanted: Sequence[str], quick: bool, folder: Path, lines: list[str
     return found
 
 
-def _timeline(flown: Any) -> str:
+def _timeline(flown: Any, title: str) -> str:
     """Figure 11 of a real run: the last frames of a flight."""
     frames = sorted({job.frame_id for job in flown.jobs})[-12:-6]
     jobs: dict[str, list[tuple[float, float, int]]] = {}
     for job in flown.jobs:
         if job.frame_id in frames:
             name = job.lane.rpartition(" ")[2]
-            # A renderer begins its part so long before its answer is here; transport lies before and after.
+            # A renderer begins its part so long before its answer is here, and after the part before: transport lies
+            # before and after, and takes now more, now less.
             end_ms = job.answered_s * 1e3
-            jobs.setdefault(name, []).append((end_ms - job.seconds * 1e3, end_ms, frames.index(job.frame_id) + 1))
-    ordered = {name: jobs[name] for name in sorted(jobs)}
-    return timeline("Job assignment on a real Ray (paper, Figure 11): eight sleeping renderers", ordered)
+            row = jobs.setdefault(name, [])
+            begin_ms = max(end_ms - job.seconds * 1e3, row[-1][1] if row else -math.inf)
+            row.append((begin_ms, end_ms, frames.index(job.frame_id) + 1))
+    return timeline(title, {name: jobs[name] for name in sorted(jobs, key=lambda name: (len(name), name))})

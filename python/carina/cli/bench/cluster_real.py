@@ -29,7 +29,17 @@ from carina.render import AirwayView, Picture, Renderer, View
 from carina.scopes import Pose
 from carina.volume import Volume
 
-__all__ = ["Flown", "fly", "lost_renderers", "real_head", "renderers_ready", "transport"]
+__all__ = [
+    "Flown",
+    "fly",
+    "lost_renderers",
+    "real_head",
+    "renderers_ready",
+    "small_renderer",
+    "stand_in_view",
+    "transport",
+    "wait_ready",
+]
 
 IP = "127.0.0.2"
 SIDE = 512
@@ -179,11 +189,13 @@ def fly(
     )
 
 
-def _stand_in_view(_number: int) -> View:
+def stand_in_view(_number: int) -> View:
+    """What stand-ins are asked for."""
     return AirwayView(Pose.looking((8.0, 8.0, 8.0), (0.0, 0.0, -1.0)), width=SIDE, height=SIDE)
 
 
-def _small_renderer(console: Console) -> ClusterRenderer:
+def small_renderer(console: Console) -> ClusterRenderer:
+    """A renderer of a case that is sent at once."""
     hu = np.zeros((16, 16, 16), np.int16)
     renderer = ClusterRenderer(Renderer(Volume(hu, np.eye(4))), console, spread_all=True)
     renderer.prepare()
@@ -194,11 +206,11 @@ def transport(head: tuple[Node, Path], *, num: int, seconds: float) -> tuple[lis
     """Renderers that sleep, paced at 30 a second and unpaced: what scheduling and transport take."""
     rows: list[dict[str, Any]] = []
     with renderers_ready(head, num, StandInHost, ClusterSettings(open_frames=2), row_seconds=ROW_S) as (console, _):
-        renderer = _small_renderer(console)
+        renderer = small_renderer(console)
         wait_ready(console, num)
-        fly(renderer, console, _stand_in_view, seconds=2.0, rate_hz=30.0)
+        fly(renderer, console, stand_in_view, seconds=2.0, rate_hz=30.0)
         cpu_s = time.process_time()
-        paced = fly(renderer, console, _stand_in_view, seconds=seconds, rate_hz=30.0)
+        paced = fly(renderer, console, stand_in_view, seconds=seconds, rate_hz=30.0)
         cpu_s = time.process_time() - cpu_s
         over = np.array(paced.overhead_s) * 1e3
         rows.append(
@@ -212,7 +224,7 @@ def transport(head: tuple[Node, Path], *, num: int, seconds: float) -> tuple[lis
                 "load_average": round(os.getloadavg()[0], 1),
             }
         )
-        free = fly(renderer, console, _stand_in_view, seconds=seconds / 2, rate_hz=None)
+        free = fly(renderer, console, stand_in_view, seconds=seconds / 2, rate_hz=None)
         rows.append({"renderers": num, "paced_hz": None, "fps": round(free.fps, 2)})
     return rows, free
 
@@ -221,10 +233,10 @@ def lost_renderers(head: tuple[Node, Path], *, num: int, kills: int) -> dict[str
     """kill -9 of one renderer after the other in flight: gaps between shown frames round each."""
     worst = []
     with renderers_ready(head, num, StandInHost, ClusterSettings(), row_seconds=ROW_S) as (console, _):
-        renderer = _small_renderer(console)
+        renderer = small_renderer(console)
         for n in range(kills):
             wait_ready(console, num)
-            fly(renderer, console, _stand_in_view, seconds=1.5, rate_hz=30.0)
+            fly(renderer, console, stand_in_view, seconds=1.5, rate_hz=30.0)
             victim = [m.name for m in console.status().members if m.name != "console"][n % num]
             pid = console.facts(victim).pid
             killed = False
@@ -235,7 +247,7 @@ def lost_renderers(head: tuple[Node, Path], *, num: int, kills: int) -> dict[str
                     killed = True
                     os.kill(pid, signal.SIGKILL)
 
-            flown = fly(renderer, console, _stand_in_view, seconds=3.0, rate_hz=30.0, during=kill)
+            flown = fly(renderer, console, stand_in_view, seconds=3.0, rate_hz=30.0, during=kill)
             worst.append(max(flown.gaps_s) * 1e3)
     return {
         "renderers": num,

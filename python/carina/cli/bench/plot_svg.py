@@ -7,7 +7,7 @@ from xml.sax.saxutils import escape
 
 __all__ = ["line_plot", "timeline"]
 
-COLOURS = ("#3b82c4", "#d97a2b", "#4a9b5c", "#b0509a", "#8a7a2f", "#777777")
+COLOURS = ("#3b82c4", "#d97a2b", "#4a9b5c", "#b0509a", "#8a7a2f", "#2aa5a5", "#c23b5e", "#777777")
 INK = "#777777"
 WIDTH, HEIGHT = 640, 400
 LEFT, RIGHT, TOP, BOTTOM = 64, 168, 40, 48

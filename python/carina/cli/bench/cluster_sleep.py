@@ -1,0 +1,98 @@
+"""The paper's tables on a real Ray whose renderers sleep: scheduler, processes and transport are real.
+
+So eight or sixteen renderers stand on a machine of two cores. Each sleeps as long as the paper's own machine took for
+these rows, rows differing as they do in a picture rendered here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from carina.cli.bench.cluster_real import (
+    SIDE,
+    Flown,
+    fly,
+    renderers_ready,
+    small_renderer,
+    stand_in_view,
+    wait_ready,
+)
+from carina.cluster import ClusterRenderer, ClusterSettings, Console
+from carina.cluster.node import Node
+from carina.cluster.ray_backend import RayLane
+from carina.cluster.stand_in import StandInHost
+
+__all__ = ["SleepingRun", "sleeping_runs"]
+
+
+@dataclass(frozen=True, slots=True)
+class SleepingRun:
+    """One flight: which grid, how shared out, how fast the machines are, and how it went."""
+
+    grid: str
+    scheme: str
+    speeds: tuple[float, ...]
+    flown: Flown
+
+
+def sleeping_runs(
+    head: tuple[Node, Path],
+    frame_s: Mapping[str, float],
+    row_costs: Mapping[str, Sequence[float]],
+    schemes: Sequence[tuple[str, ClusterSettings]],
+    *,
+    concurrency: Sequence[int],
+    mixed_speeds: tuple[float, ...],
+    quick: bool,
+    say: Callable[[str], None],
+) -> Iterator[SleepingRun]:
+    """Fly on machines that sleep.
+
+    Parameters
+    ----------
+    head
+        A cluster with as many renderers as are asked for.
+    frame_s, row_costs
+        By grid: what a picture takes the fastest machine, and each of its rows as a multiple of the mean.
+    schemes
+        Names and settings. The first is flown on every number of machines, the others on the largest number of equal
+        ones.
+    concurrency
+        Numbers of equal machines.
+    mixed_speeds
+        Of machines that differ, relative to the fastest.
+    quick
+        Fewer pictures.
+    say
+        Told what comes.
+    """
+    plain = schemes[0][0]
+    for scheme, settings in schemes:
+        for speeds in [(1.0,) * n for n in concurrency] + [mixed_speeds]:
+            if scheme != plain and speeds != (1.0,) * concurrency[-1]:
+                continue
+            say(f"sleeping machines: {scheme}, {len(speeds)} of them")
+            with renderers_ready(head, len(speeds), StandInHost, settings) as (console, _):
+                renderer = small_renderer(console)
+                wait_ready(console, len(speeds), 240.0)
+                for grid, seconds in frame_s.items():
+                    _set_pace(console, speeds, seconds / SIDE, tuple(row_costs[grid]))
+                    flown = _flown(renderer, console, seconds / sum(speeds), settings.open_frames, len(speeds), quick)
+                    yield SleepingRun(grid, scheme, speeds, flown)
+
+
+def _set_pace(console: Console, speeds: tuple[float, ...], row_s: float, row_costs: tuple[float, ...]) -> None:
+    names = sorted(m.name for m in console.status().members if m.name != "console")
+    for name, speed in zip(names, speeds, strict=True):
+        lane = console.lane(name)
+        assert isinstance(lane, RayLane)
+        lane.call("pace", row_s / speed, row_costs)
+
+
+def _flown(renderer: ClusterRenderer, console: Console, frame_s: float, ahead: int, num: int, quick: bool) -> Flown:
+    # One machine has nothing to settle; the more there are, the shorter is a picture.
+    settle_s, frames = (3 * frame_s, 10) if num == 1 else (max(6.0, 30 * frame_s), 20 if num == 2 or quick else 60)
+    fly(renderer, console, stand_in_view, seconds=settle_s, rate_hz=None, ahead=ahead)
+    return fly(renderer, console, stand_in_view, seconds=frames * frame_s, rate_hz=None, ahead=ahead)

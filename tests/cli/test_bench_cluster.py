@@ -1,0 +1,49 @@
+"""``carina bench cluster``: tables beside the paper's rows, and plots; costs of rows are given here, not measured."""
+
+from __future__ import annotations
+
+import json
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from carina.cli.bench import cluster
+
+
+@pytest.fixture
+def measured(monkeypatch):
+    """A picture of 100 ms whose middle rows cost twice as much."""
+    profile = np.ones(cluster.SIDE)
+    profile[128:384] = 2.0
+    monkeypatch.setattr(cluster, "_measure", lambda *_: cluster._Cost(0.1, profile / profile.mean()))
+
+
+def test_the_simulation_prints_the_papers_tables_beside_its_own_and_draws_them(carina, tmp_path, measured):
+    ended = carina("bench", "cluster", "--only", "simulation", "--quick", "-o", tmp_path)
+    assert ended.code == 0, ended.err
+    assert "not a measurement" in ended.out
+    assert "1.70 fps  x 1.00  100 %   855193 us" in ended.out and "15.83 fps  x 9.54   60 %   338778 us" in ended.out
+    assert "assumed speeds 0.8, 0.8, 1, 1, 0.7" in ended.out
+    found = json.loads((tmp_path / "cluster.json").read_text())["simulation"]
+    schemes = {scheme.name for scheme in cluster.SCHEMES}
+    assert {(row["grid"], row["machine"], row["scheme"], row["renderers"]) for row in found["table_1"]} == {
+        (grid, machine, scheme, num)
+        for grid in cluster.GRIDS
+        for machine in ("here", "paper")
+        for scheme in schemes
+        for num in (1, 2, 4, 8)
+    }
+    assert [row["renderers"] for row in found["table_2"]] == [16] * 4
+    rates = {row["scheme"]: row["fps"] for row in found["table_1"] if (row["renderers"], row["machine"]) == (8, "here")}
+    # Rows differ in cost, and the network takes a millisecond: each of the paper's means is worth something.
+    assert all(rates["all"] > rates[name] for name in schemes - {"all"})
+    assert rates["none of them"] < 0.8 * rates["all"]
+    for name in ("frame-rate.svg", "speed-up.svg"):
+        words = "".join(ET.parse(tmp_path / name).getroot().itertext())
+        assert "head, paper" in words and "lung, simulated" in words
+
+
+def test_an_unknown_section_is_refused(carina, tmp_path):
+    ended = carina("bench", "cluster", "--only", "magic", "-o", tmp_path)
+    assert ended.code == 2 and "sleeping" in ended.err
