@@ -314,7 +314,15 @@ function Connections({ told }: { told: DevicesMessage }) {
         <Act
           label="SpaceMouse"
           words="Choose a SpaceMouse; the browser asks which"
-          onPress={() => void station.devices.askSpaceMouse()}
+          disabled={!station.devices.hasHid}
+          onPress={() => station.devices.askSpaceMouse()}
+        />
+        <Act
+          label="Handle"
+          words="Choose a scope handle at USB (HID); the browser asks which"
+          disabled={!station.devices.hasHid}
+          testId="ask-handle"
+          onPress={() => station.devices.askHandle()}
         />
       </div>
       {told.serial_problem === null ? null : <p className="quiet">{told.serial_problem}</p>}

@@ -2,13 +2,16 @@
 
 import { ContactSense } from "../input/devices/contact";
 import { Gamepads, type Pad } from "../input/devices/gamepad";
+import { HANDLE_FILTERS, Handle } from "../input/devices/handle";
+import { type Hid, HidPort } from "../input/devices/hid-port";
 import { hasPointerLock, PointerLock } from "../input/devices/pointer-lock";
-import { type Hid, SPACEMOUSE_FILTERS, SpaceMouse } from "../input/devices/spacemouse";
+import { SPACEMOUSE_FILTERS, SpaceMouse } from "../input/devices/spacemouse";
 import { Headset, headsetOffer, type Xr } from "../input/devices/webxr";
 import { WHEEL_MM_PER_PX } from "../input/flight";
 import { maskOf } from "../state/app-state";
 import type { Vec3 } from "../state/vec";
 import { type NewestPicture, PictureScreen, type XrLayer } from "../views/headset-screen";
+import type { ClientMessage } from "../wire/messages";
 import type { Workstation } from "./workstation";
 
 const BUMP = { strength: 0.6, ms: 120 } as const;
@@ -24,7 +27,9 @@ export class BrowserDevices {
   readonly #pads: Gamepads;
   readonly #lock: PointerLock;
   readonly #headset: Headset | null;
-  #mouse: SpaceMouse | null = null;
+  /** Null where the browser has no WebHID. */
+  readonly #mouse: HidPort | null;
+  readonly #handle: HidPort | null;
   readonly #contact = new ContactSense();
   #armed: "root" | "target" | null = null;
 
@@ -39,6 +44,30 @@ export class BrowserDevices {
       enabled: () => this.#mayFly(),
     });
     this.#headset = this.#headsetOf(xrOf(navigator));
+    const send = (message: ClientMessage) => void station.send(message);
+    const around = {
+      gone: (device: string) => send({ type: "device_gone", device }),
+      failed: (words: string) => station.notice(words),
+    };
+    const hid = hidOf(navigator);
+    this.#mouse =
+      hid === null
+        ? null
+        : new HidPort(hid, SPACEMOUSE_FILTERS, (device) => new SpaceMouse(device, send, nowS), around);
+    this.#handle =
+      hid === null
+        ? null
+        : new HidPort(
+            hid,
+            HANDLE_FILTERS,
+            (device) =>
+              new Handle(device, send, nowS, () =>
+                station.notice(
+                  `${device.productName} sends reports that are not as it describes them; they are ignored.`,
+                ),
+              ),
+            around,
+          );
     this.#lock = new PointerLock(document, {
       look: (yaw_rad, pitch_rad) => station.flight.nudge({ yaw_rad, pitch_rad }),
       wheel: (px) => station.flight.nudge({ advance_mm: -px * WHEEL_MM_PER_PX }),
@@ -110,21 +139,21 @@ export class BrowserDevices {
   missing(): readonly string[] {
     const words: string[] = [];
     if (!("getGamepads" in navigator)) words.push("no gamepads");
-    if (this.#hid() === null) words.push("no SpaceMouse (WebHID: Chrome, Edge and Chromium have it)");
+    if (!this.hasHid) words.push("no SpaceMouse and no handle by HID (WebHID: Chrome, Edge and Chromium have it)");
     if (xrOf(navigator) === null) words.push("no headsets (WebXR: Chrome, Edge, Chromium, and headsets' own browsers)");
     if (!hasPointerLock(document)) words.push("no locking of the mouse");
     if (!("vibrationActuator" in globalThis || "GamepadHapticActuator" in globalThis)) words.push("no rumble");
     return words;
   }
 
-  get names(): readonly string[] {
-    const mouse = this.#mouse === null ? [] : [this.#mouse.name];
-    return [...this.#pads.names, ...mouse, ...(this.#headset?.names ?? [])];
+  get hasHid(): boolean {
+    return this.#mouse !== null;
   }
 
   tick(): void {
     this.#pads.tick();
     this.#mouse?.tick();
+    this.#handle?.tick();
     if (this.#contact.met(this.#station.state.pose)) {
       this.#pads.rumble(BUMP.strength, BUMP.ms);
       this.#headset?.rumble(BUMP.strength, BUMP.ms);
@@ -138,41 +167,19 @@ export class BrowserDevices {
   }
 
   /** The browser asks which device; needs a click. */
-  async askSpaceMouse(): Promise<void> {
-    const hid = this.#hid();
-    if (hid === null) return;
-    try {
-      const [device] = await hid.requestDevice({ filters: SPACEMOUSE_FILTERS });
-      if (device === undefined) return;
-      const station = this.#station;
-      const mouse = new SpaceMouse(
-        device,
-        (message) => void station.send(message),
-        () => performance.now() / 1000,
-      );
-      if (!mouse.hasAxes) {
-        station.notice(`${device.productName} has no axes to fly with.`);
-        return;
-      }
-      await this.#mouse?.close();
-      await mouse.open();
-      this.#mouse = mouse;
-      hid.addEventListener("disconnect", (event) => {
-        if ((event as Event & { device?: unknown }).device === device && this.#mouse === mouse) {
-          this.#mouse = null;
-          station.send({ type: "device_gone", device: mouse.name });
-        }
-      });
-    } catch (trouble) {
-      this.#station.notice(`The SpaceMouse could not be opened: ${trouble instanceof Error ? trouble.message : ""}.`);
-    }
+  askSpaceMouse(): void {
+    void this.#mouse?.ask();
+  }
+
+  askHandle(): void {
+    void this.#handle?.ask();
   }
 
   stop(): void {
     this.#lock.stop();
     this.leaveHeadset();
-    void this.#mouse?.close();
-    this.#mouse = null;
+    void this.#mouse?.stop();
+    void this.#handle?.stop();
   }
 
   /** While root or target are in the hand, the pen's button sets them, and the way there is shown (paper 6.3). */
@@ -187,11 +194,10 @@ export class BrowserDevices {
     this.#armed = tool;
     if (this.#station.state.session?.case != null) this.#station.send({ type: "arm_pen", tool });
   }
+}
 
-  #hid(): Hid | null {
-    const { hid } = navigator as Navigator & { hid?: Hid };
-    return hid ?? null;
-  }
+function hidOf(of: Navigator): Hid | null {
+  return (of as Navigator & { hid?: Hid }).hid ?? null;
 }
 
 function xrOf(of: Navigator): Xr | null {

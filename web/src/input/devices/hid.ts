@@ -17,6 +17,8 @@ export interface HidItem {
 }
 
 export interface HidCollection {
+  readonly usagePage?: number;
+  readonly usage?: number;
   readonly children?: readonly HidCollection[];
   readonly inputReports?: readonly { readonly reportId?: number; readonly items?: readonly HidItem[] }[];
 }

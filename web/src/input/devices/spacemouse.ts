@@ -2,29 +2,11 @@
 
 import type { ClientMessage } from "../../wire/messages";
 import { type SixAxes, shaped } from "./gamepad";
-import { AXIS_USAGES, fieldsOf, type HidCollection, type HidField, isButton, readField, scaled } from "./hid";
+import { AXIS_USAGES, fieldsOf, type HidField, isButton, readField, scaled } from "./hid";
+import type { HidDevice, HidReader, InputReport } from "./hid-port";
 
 /** 3Dconnexion, and Logitech, which made the older ones. */
 export const SPACEMOUSE_FILTERS = [{ vendorId: 0x256f }, { vendorId: 0x046d, usagePage: 0x01, usage: 0x08 }];
-
-/** What of the browser's `HIDDevice` is used. */
-export interface HidDevice extends EventTarget {
-  readonly productName: string;
-  readonly opened: boolean;
-  readonly collections: readonly HidCollection[];
-  open(): Promise<void>;
-  close(): Promise<void>;
-}
-
-export interface Hid extends EventTarget {
-  requestDevice(options: { filters: readonly object[] }): Promise<readonly HidDevice[]>;
-  getDevices(): Promise<readonly HidDevice[]>;
-}
-
-export interface InputReport extends Event {
-  readonly reportId: number;
-  readonly data: DataView;
-}
 
 /** X right, Y towards the hand, Z down; a turn about each. */
 export function capAxes(values: readonly number[]): SixAxes {
@@ -32,7 +14,7 @@ export function capAxes(values: readonly number[]): SixAxes {
   return [-at(1) + 0, at(0) + 0, -at(2) + 0, at(5) + 0, -at(3) + 0, -at(4) + 0];
 }
 
-export class SpaceMouse {
+export class SpaceMouse implements HidReader {
   readonly #device: HidDevice;
   readonly #fields: ReadonlyMap<number, readonly HidField[]>;
   readonly #send: (message: ClientMessage) => void;
@@ -52,9 +34,9 @@ export class SpaceMouse {
     this.name = `spacemouse ${device.productName}`.slice(0, 200);
   }
 
-  /** Whether the descriptor has any axis at all. */
-  get hasAxes(): boolean {
-    return [...this.#fields.values()].flat().some((field) => axisOf(field) >= 0);
+  get problem(): string | null {
+    const some = [...this.#fields.values()].flat().some((field) => axisOf(field) >= 0);
+    return some ? null : "it has no axes to fly with";
   }
 
   async open(): Promise<void> {
@@ -64,7 +46,6 @@ export class SpaceMouse {
 
   async close(): Promise<void> {
     this.#device.removeEventListener("inputreport", this.#report);
-    this.#send({ type: "device_gone", device: this.name });
     await this.#device.close();
   }
 

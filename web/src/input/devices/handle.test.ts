@@ -1,0 +1,256 @@
+import { readFileSync } from "node:fs";
+import { beforeEach, describe, expect, it } from "vitest";
+import type { ClientMessage, DeviceSampleMessage } from "../../wire/messages";
+import { checkClientMessage } from "../../wire/parse";
+import { HANDLE_FILTERS, Handle } from "./handle";
+import type { HidCollection } from "./hid";
+import { collectionsOf } from "./hid-descriptor.testing";
+import { type Hid, type HidDevice, HidPort } from "./hid-port";
+
+/** The descriptor that the firmware sketch sends, byte by byte. */
+function sketchDescriptor(): Uint8Array {
+  const sketch = readFileSync(
+    new URL("../../../../examples/03_scope_handle/scope_handle.ino", import.meta.url),
+    "utf8",
+  );
+  const table = /REPORT_DESCRIPTOR\[\] PROGMEM = \{([\s\S]*?)\};/.exec(sketch)?.[1] ?? "";
+  const bytes = table.replaceAll(/\/\/.*$/gm, "").match(/0x[0-9A-F]{2}/g) ?? [];
+  return Uint8Array.from(bytes.map(Number));
+}
+
+class FakeDevice extends EventTarget implements HidDevice {
+  readonly vendorId: number;
+  readonly productId = 0x8036;
+  readonly productName = "Test handle";
+  readonly collections: readonly HidCollection[];
+  opened = false;
+  refuses = false;
+  constructor(collections: readonly HidCollection[], vendorId = 0x2341) {
+    super();
+    this.vendorId = vendorId;
+    this.collections = collections;
+  }
+  open(): Promise<void> {
+    if (this.refuses) return Promise.reject(new DOMException("it is open in another program", "NotAllowedError"));
+    this.opened = true;
+    return Promise.resolve();
+  }
+  close(): Promise<void> {
+    this.opened = false;
+    return Promise.resolve();
+  }
+  /** The report as the sketch's struct lies in memory. */
+  report(clockMs: number, insertion: number, roll: number, lever: number, buttons: number, bytes = 15): void {
+    const data = new DataView(new ArrayBuffer(15));
+    data.setUint32(0, clockMs, true);
+    data.setInt32(4, insertion, true);
+    data.setInt32(8, roll, true);
+    data.setInt16(12, lever, true);
+    data.setUint8(14, buttons);
+    const cut = new DataView(data.buffer, 0, bytes);
+    this.dispatchEvent(Object.assign(new Event("inputreport"), { reportId: 1, data: cut }));
+  }
+}
+
+const SKETCH = collectionsOf(sketchDescriptor());
+let sent: ClientMessage[];
+let told: number;
+let device: FakeDevice;
+let handle: Handle;
+const samples = () => sent.filter((message): message is DeviceSampleMessage => message.type === "device_sample");
+const made = (of: HidDevice) =>
+  new Handle(
+    of,
+    (message) => {
+      checkClientMessage(JSON.stringify(message));
+      sent.push(message);
+    },
+    () => 99,
+    () => {
+      told += 1;
+    },
+  );
+
+beforeEach(async () => {
+  sent = [];
+  told = 0;
+  device = new FakeDevice(SKETCH);
+  handle = made(device);
+  await handle.open();
+});
+
+describe("the sketch's descriptor", () => {
+  it("is the collection that the browser is asked for, and whole", () => {
+    expect(SKETCH.map(({ usagePage, usage }) => ({ usagePage, usage }))).toEqual(HANDLE_FILTERS);
+    expect(handle.problem).toBeNull();
+    const bits = (SKETCH[0]?.inputReports?.[0]?.items ?? []).map(
+      (item) => (item.reportSize ?? 0) * (item.reportCount ?? 0),
+    );
+    expect(bits.reduce((sum, n) => sum + n, 0)).toBe(15 * 8);
+  });
+});
+
+describe("a handle", () => {
+  it("says insertion in mm, roll in rad, the lever's part of its way, buttons, and its own time", () => {
+    device.report(12_500, 12_345, -9_000, 500, 0b10);
+    handle.tick();
+    const [sample] = samples();
+    expect(sample).toMatchObject({ device: "scope handle Test handle", time_s: 12.5, buttons: 2, axes: null });
+    expect(sample?.handle?.[0]).toBeCloseTo(123.45, 9);
+    expect(sample?.handle?.[1]).toBeCloseTo(-Math.PI / 2, 9);
+    expect(sample?.handle?.[2]).toBe(0.5);
+  });
+
+  it("that floods says no more than the newest of each refresh", () => {
+    for (let n = 0; n < 1000; n += 1) device.report(n, n, 0, 0, 0);
+    handle.tick();
+    handle.tick();
+    expect(samples().map((sample) => sample.handle?.[0])).toEqual([9.99]);
+  });
+
+  it("goes on over the end of its clock", () => {
+    device.report(2 ** 31 - 10, 0, 0, 0, 0);
+    handle.tick();
+    device.report(6, 0, 0, 0, 0);
+    handle.tick();
+    const [before, after] = samples();
+    expect((after?.time_s ?? 0) - (before?.time_s ?? 0)).toBeCloseTo(0.016, 6);
+  });
+
+  it("is not believed beyond its own ranges or its report's end, and that is told once", () => {
+    device.report(1, 0, 0, 1500, 0);
+    device.report(2, 2_000_000_000, 0, 0, 0);
+    device.report(3, 0, 0, 0, 0, 9);
+    device.report(2 ** 31 + 5, 0, 0, 0, 0);
+    device.dispatchEvent(
+      Object.assign(new Event("inputreport"), { reportId: 7, data: new DataView(new ArrayBuffer(2)) }),
+    );
+    handle.tick();
+    expect([samples().length, handle.numBad, told]).toEqual([0, 4, 1]);
+    device.report(5, 100, 0, -1000, 0);
+    handle.tick();
+    expect(samples()[0]?.handle).toEqual([1, 0, -1]);
+  });
+
+  it("is found by usages: other places, sizes and ranges, and no clock", async () => {
+    const field = (usage: number, reportSize: number, low: number, high: number) => ({
+      usages: [0xff42 * 0x10000 + usage],
+      reportSize,
+      reportCount: 1,
+      logicalMinimum: low,
+      logicalMaximum: high,
+    });
+    const other = new FakeDevice([
+      {
+        usagePage: 0xff42,
+        usage: 1,
+        inputReports: [
+          {
+            reportId: 4,
+            items: [field(0x24, 8, -127, 127), field(0x23, 16, -20_000, 20_000), field(0x22, 16, 0, 65_535)],
+          },
+        ],
+      },
+    ]);
+    const small = made(other);
+    await small.open();
+    const data = new DataView(new ArrayBuffer(5));
+    data.setInt8(0, 127);
+    data.setInt16(1, 18_000, true);
+    data.setUint16(3, 40_000, true);
+    other.dispatchEvent(Object.assign(new Event("inputreport"), { reportId: 4, data }));
+    small.tick();
+    expect(samples()[0]).toMatchObject({ time_s: 99 });
+    expect(samples()[0]?.handle?.[0]).toBeCloseTo(400, 9);
+    expect(samples()[0]?.handle?.[1]).toBeCloseTo(Math.PI, 9);
+    expect(samples()[0]?.handle?.[2]).toBe(1);
+  });
+
+  it("without insertion, roll and lever is refused in words", () => {
+    expect(made(new FakeDevice([])).problem).toContain("insertion");
+  });
+});
+
+class FakeHid extends EventTarget implements Hid {
+  offers: FakeDevice[] = [];
+  requestDevice(): Promise<readonly HidDevice[]> {
+    return Promise.resolve(this.offers);
+  }
+  event(name: "connect" | "disconnect", of: HidDevice): void {
+    this.dispatchEvent(Object.assign(new Event(name), { device: of }));
+  }
+}
+
+describe("the place for a device", () => {
+  let hid: FakeHid;
+  let gone: string[];
+  let failed: string[];
+  let port: HidPort;
+  const settled = () => new Promise((done) => setTimeout(done, 0));
+
+  beforeEach(() => {
+    hid = new FakeHid();
+    [gone, failed] = [[], []];
+    port = new HidPort(hid, HANDLE_FILTERS, made, {
+      gone: (name) => gone.push(name),
+      failed: (words) => failed.push(words),
+    });
+  });
+
+  it("is empty when nothing is chosen, and takes what is chosen", async () => {
+    await port.ask();
+    expect(port.name).toBeNull();
+    hid.offers = [device];
+    await port.ask();
+    expect(port.name).toBe("scope handle Test handle");
+    device.report(1, 100, 0, 0, 0);
+    port.tick();
+    expect(samples().length).toBe(1);
+  });
+
+  it("is empty while the device is pulled out, and holds it again, as the same or another object", async () => {
+    hid.offers = [device];
+    await port.ask();
+    const another = new FakeDevice([]);
+    hid.event("disconnect", another);
+    expect(port.name).not.toBeNull();
+    for (const back of [device, new FakeDevice(SKETCH)]) {
+      hid.event("disconnect", device);
+      await settled();
+      expect([port.name, gone.length > 0]).toEqual([null, true]);
+      hid.event("connect", new FakeDevice(SKETCH, 1));
+      await settled();
+      expect(port.name).toBeNull();
+      hid.event("connect", back);
+      await settled();
+      expect([port.name, back.opened]).toEqual(["scope handle Test handle", true]);
+      sent = [];
+      back.report(1, 100, 0, 0, 0);
+      port.tick();
+      expect(samples().length).toBe(1);
+    }
+    expect(gone).toEqual(["scope handle Test handle", "scope handle Test handle"]);
+  });
+
+  it("says why a device cannot be used or opened", async () => {
+    hid.offers = [new FakeDevice([])];
+    await port.ask();
+    device.refuses = true;
+    device.opened = false;
+    hid.offers = [device];
+    await port.ask();
+    expect(failed[0]).toContain("Test handle cannot be used: no report of it holds insertion");
+    expect(failed[1]).toBe("The device could not be opened: it is open in another program.");
+    expect(port.name).toBeNull();
+  });
+
+  it("is left with the page", async () => {
+    hid.offers = [device];
+    await port.ask();
+    await port.stop();
+    expect([device.opened, gone.length]).toEqual([false, 1]);
+    hid.event("connect", device);
+    await settled();
+    expect(port.name).toBeNull();
+  });
+});

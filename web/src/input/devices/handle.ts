@@ -1,0 +1,115 @@
+/** A scope handle by WebHID (`docs/scope-handle.md`): how far it is in, how it is rolled, and its lever. */
+
+import type { ClientMessage } from "../../wire/messages";
+import { fieldsOf, type HidField, isButton, readField } from "./hid";
+import type { HidDevice, HidReader, InputReport } from "./hid-port";
+
+/** Of a page that belongs to no standard: nothing else in the machine takes the handle for a mouse or a gamepad. */
+const PAGE = 0xff42;
+export const HANDLE_FILTERS = [{ usagePage: PAGE, usage: 0x01 }];
+const CLOCK = PAGE * 0x10000 + 0x21;
+const INSERTION = PAGE * 0x10000 + 0x22;
+const ROLL = PAGE * 0x10000 + 0x23;
+const LEVER = PAGE * 0x10000 + 0x24;
+const CLOCK_WRAPS_MS = 2 ** 31;
+const MM = 0.01;
+const RAD = (0.01 * Math.PI) / 180;
+
+interface Values {
+  timeS: number;
+  handle: readonly [number, number, number];
+  buttons: number;
+}
+
+export class Handle implements HidReader {
+  readonly #device: HidDevice;
+  readonly #fields: ReadonlyMap<number, readonly HidField[]>;
+  readonly #send: (message: ClientMessage) => void;
+  readonly #nowS: () => number;
+  readonly #bad: () => void;
+  readonly name: string;
+  #newest: Values | null = null;
+  #clockMs: number | null = null;
+  #wraps = 0;
+  numBad = 0;
+
+  /** `bad` is told of the first report that is not as the descriptor says. */
+  constructor(device: HidDevice, send: (message: ClientMessage) => void, nowS: () => number, bad: () => void) {
+    this.#device = device;
+    this.#fields = fieldsOf(device.collections);
+    this.#send = send;
+    this.#nowS = nowS;
+    this.#bad = bad;
+    this.name = `scope handle ${device.productName}`.slice(0, 200);
+  }
+
+  get problem(): string | null {
+    const usages = [...this.#fields.values()].map((fields) => fields.map((field) => field.usage));
+    const whole = usages.some((report) => [INSERTION, ROLL, LEVER].every((usage) => report.includes(usage)));
+    return whole ? null : "no report of it holds insertion, roll and lever (docs/scope-handle.md)";
+  }
+
+  async open(): Promise<void> {
+    this.#device.addEventListener("inputreport", this.#report);
+    if (!this.#device.opened) await this.#device.open();
+  }
+
+  async close(): Promise<void> {
+    this.#device.removeEventListener("inputreport", this.#report);
+    await this.#device.close();
+  }
+
+  tick(): void {
+    const newest = this.#newest;
+    this.#newest = null;
+    if (newest === null) return;
+    this.#send({
+      type: "device_sample",
+      device: this.name,
+      time_s: newest.timeS,
+      position_mm: null,
+      orientation_wxyz: null,
+      axes: null,
+      buttons: newest.buttons,
+      handle: newest.handle,
+      advance: 0,
+    });
+  }
+
+  readonly #report = (event: Event): void => {
+    const { reportId, data } = event as InputReport;
+    const fields = this.#fields.get(reportId);
+    // A report of something else that the device may be as well.
+    if (fields === undefined || !fields.some((field) => field.usage === INSERTION)) return;
+    const values = this.#values(fields, data);
+    if (values === null) {
+      this.numBad += 1;
+      if (this.numBad === 1) this.#bad();
+    } else this.#newest = values;
+  };
+
+  #values(fields: readonly HidField[], data: DataView): Values | null {
+    const found = new Map<number, number>();
+    let buttons = 0;
+    for (const field of fields) {
+      const value = readField(data, field);
+      // Out of the range that the descriptor gives: HID's own way to say that there is no value.
+      if (value === null || value < field.minimum || value > field.maximum) return null;
+      const number = (field.usage & 0xffff) - 1;
+      if (isButton(field.usage)) {
+        if (value !== 0 && number >= 0 && number < 31) buttons |= 1 << number;
+      } else found.set(field.usage, field.usage === LEVER ? value / Math.max(field.maximum, -field.minimum) : value);
+    }
+    const [insertion, roll, lever] = [found.get(INSERTION), found.get(ROLL), found.get(LEVER)];
+    if (insertion === undefined || roll === undefined || lever === undefined) return null;
+    return { timeS: this.#timeS(found.get(CLOCK)), handle: [insertion * MM, roll * RAD, lever], buttons };
+  }
+
+  /** On the handle's own clock, unwrapped; on the page's where it has none. */
+  #timeS(clockMs: number | undefined): number {
+    if (clockMs === undefined) return this.#nowS();
+    if (this.#clockMs !== null && this.#clockMs - clockMs > CLOCK_WRAPS_MS / 2) this.#wraps += 1;
+    this.#clockMs = clockMs;
+    return (clockMs + this.#wraps * CLOCK_WRAPS_MS) / 1000;
+  }
+}
