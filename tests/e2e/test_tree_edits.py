@@ -64,7 +64,7 @@ def points_of(workstation, branch_id):
 
 
 def test_lumen_is_erased_with_the_brush_and_painted_again(ready):
-    before = tree_text(ready)
+    before, num_before = tree_text(ready), ready.state("tree.byId.size")
     lmb = named(ready, "LMB")
     points = points_of(ready, lmb)
     middle = points[len(points) // 2]
@@ -94,6 +94,8 @@ def test_lumen_is_erased_with_the_brush_and_painted_again(ready):
     ready.page.mouse.move(x + 3, y + 3, steps=3)
     ready.page.mouse.up()
     wait_for_edit(ready, "paint", erased)
+    # What hung on the bronchus is back.
+    wait_for(ready, "(num) => window.__carina.state.tree.byId.size >= num", num_before)
     ready.picture("after-painting")
     ready.page.keyboard.press("Escape")
     ready.page.keyboard.press("Control+z")
