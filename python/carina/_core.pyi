@@ -54,6 +54,8 @@ class WallField:
         """(n,) of (n, 3)."""
     @property
     def num_bytes(self) -> int: ...
+    def digest(self) -> str:
+        """BLAKE3 of all that it holds, hexadecimal."""
 
 @final
 class ScopeDrive:
@@ -103,6 +105,17 @@ class ForceLoop:
         """How it keeps time."""
     def stop(self) -> None:
         """End the loop."""
+
+@final
+class LeftThread:
+    """Leaves a thread of the renderer's to somebody else."""
+
+    def __new__(cls) -> LeftThread: ...
+    def release(self) -> None:
+        """Give it back."""
+
+def picture_threads() -> int:
+    """Threads that a picture is made by now."""
 
 def local_contact(
     field: WallField,

@@ -16,6 +16,7 @@ use pyo3::types::PyDict;
 
 use crate::arrays;
 use crate::errors::IntoPy;
+use crate::pool::LeftThread;
 use crate::scope_drive::{PyWallField, points};
 
 type LawNumbers = (f64, f64, f64, f64, f64, f64, f64);
@@ -36,13 +37,16 @@ fn law(numbers: LawNumbers) -> PyResult<ForceLaw> {
     .map_err(IntoPy::into_py)
 }
 
-/// The force law 1,000 times a second, on a thread of its own.
+/// The force law 1,000 times a second, on a thread of its own, which the renderer leaves to it while it runs.
 #[pyclass(name = "ForceLoop", frozen, module = "carina._core")]
-struct PyForceLoop(Mutex<ForceLoop>);
+struct PyForceLoop {
+    force: Mutex<ForceLoop>,
+    left: Mutex<Option<LeftThread>>,
+}
 
 impl PyForceLoop {
     fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut ForceLoop) -> T + Send) -> T {
-        py.detach(|| work(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner)))
+        py.detach(|| work(&mut self.force.lock().unwrap_or_else(PoisonError::into_inner)))
     }
 }
 
@@ -74,7 +78,10 @@ impl PyForceLoop {
         let path = points(&path_lps)?;
         ForceModel::new(field.get().0.clone(), law(numbers)?, path)
             .and_then(|model| ForceLoop::start(model, options))
-            .map(|force| Self(Mutex::new(force)))
+            .map(|force| Self {
+                force: Mutex::new(force),
+                left: Mutex::new(Some(LeftThread::new())),
+            })
             .map_err(IntoPy::into_py)
     }
 
@@ -130,6 +137,10 @@ impl PyForceLoop {
 
     fn stop(&self, py: Python<'_>) {
         self.with(py, ForceLoop::stop);
+        self.left
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take();
     }
 }
 

@@ -11,6 +11,7 @@ use carina_raycast::Transfer;
 use numpy::{PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
+use crate::pool;
 use crate::{
     arrays::values,
     errors::{IntoPy, carina_error},
@@ -81,9 +82,7 @@ fn label_classes<'py>(
 ) -> PyResult<(Bound<'py, PyArray3<u8>>, Vec<PyClass>)> {
     let transfer = transfer(&points, reference_mm, bin_hu)?;
     let hu = values("hu_zyx", &hu_zyx)?;
-    let out = py
-        .detach(|| classes_of(hu, &transfer, false))
-        .map_err(IntoPy::into_py)?;
+    let out = pool::detached(py, || classes_of(hu, &transfer, false)).map_err(IntoPy::into_py)?;
     label_arrays(py, out, shape_of(&hu_zyx))
 }
 
@@ -129,7 +128,7 @@ fn map_array<'py>(
     let array = unsafe { PyArray3::<u8>::new(py, shape_zyx, false) };
     // SAFETY: the array is new: C-contiguous, and this is the only reference to its values.
     let out = unsafe { array.as_slice_mut() }?;
-    py.detach(|| {
+    pool::detached(py, || {
         let cancelled = || !watch.goes_on(0.0);
         let builder = MapBuilder {
             simd,

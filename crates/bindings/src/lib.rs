@@ -17,6 +17,7 @@ mod mesh;
 mod optics;
 mod paper_tracker;
 mod phantom;
+mod pool;
 mod raycast;
 mod scope;
 mod scope_drive;
@@ -63,6 +64,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     scope::register(module)?;
     scope_drive::register(module)?;
     force::register(module)?;
+    pool::register(module)?;
     views::register(module)?;
     Ok(())
 }

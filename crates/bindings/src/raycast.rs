@@ -22,6 +22,7 @@ use numpy::{
 };
 use pyo3::prelude::*;
 
+use crate::pool;
 use crate::{
     arrays::{affine, grid, values},
     errors::{IntoPy, carina_error},
@@ -314,16 +315,18 @@ fn cast<'py>(
             let scene = scene.get();
             Some(scene.cast(py, &frame, &hu_zyx, start..end, method, simd)?)
         }
-        (None, None) => py
-            .detach(|| cast_rows(&frame, method, start..end, simd).map(Some))
-            .map_err(IntoPy::into_py)?,
-        (None, Some(stop)) => py
-            .detach(|| cast_rows_until(&frame, method, start..end, simd, stop))
-            .map_err(IntoPy::into_py)?,
+        (None, None) => {
+            pool::detached(py, || cast_rows(&frame, method, start..end, simd).map(Some))
+                .map_err(IntoPy::into_py)?
+        }
+        (None, Some(stop)) => pool::detached(py, || {
+            cast_rows_until(&frame, method, start..end, simd, stop)
+        })
+        .map_err(IntoPy::into_py)?,
     };
     let done = done.map(|(mut rgb, stats)| {
         if let Some(rays) = frame.camera().lens_rays().filter(|_| darken) {
-            py.detach(|| rays.shade_rows(start, &mut rgb));
+            pool::detached(py, || rays.shade_rows(start, &mut rgb));
         }
         (rgb, stats)
     });
@@ -457,9 +460,10 @@ fn cut_plane<'py>(
     let simd = instruction_set(None)?;
     let rows = rows_of(rows, height)?;
     let num_rows = rows.len();
-    let image = py
-        .detach(|| sample_plane_by(volume, &place, width, rows, window, simd))
-        .map_err(IntoPy::into_py)?;
+    let image = pool::detached(py, || {
+        sample_plane_by(volume, &place, width, rows, window, simd)
+    })
+    .map_err(IntoPy::into_py)?;
     let array = |data: Vec<u8>| PyArray1::from_vec(py, data).reshape([num_rows, width]);
     Ok((array(image.grey)?, array(image.inside)?))
 }
@@ -498,7 +502,7 @@ fn tri_plane<'py>(
     };
     let rows = rows_of(rows, height)?;
     let num_rows = rows.len();
-    let rgb = py.detach(|| cast_tri_plane(volume, &planes, &camera, rows));
+    let rgb = pool::detached(py, || cast_tri_plane(volume, &planes, &camera, rows));
     volume_array(py, rgb, [num_rows, width, 3])
 }
 
@@ -520,7 +524,7 @@ fn project_maximum<'py>(
         .map_err(IntoPy::into_py)?;
     let volume = VolumeView::new(values("hu_zyx", &hu_zyx)?, &grid).map_err(IntoPy::into_py)?;
     let simd = instruction_set(None)?;
-    let out = py.detach(|| maximum_projections_by(volume, simd));
+    let out = pool::detached(py, || maximum_projections_by(volume, simd));
     let array = |data: Vec<i16>, shape: [usize; 2]| PyArray1::from_vec(py, data).reshape(shape);
     Ok((
         array(out.along_i, [nk, nj])?,
@@ -551,8 +555,10 @@ fn raise_wall(
         shell: &heights[1],
         backing: &heights[2],
     };
-    py.detach(|| carina_raycast::raise_wall(values, lumen, shape, part_zyx, open_below, heights))
-        .map_err(IntoPy::into_py)
+    pool::detached(py, || {
+        carina_raycast::raise_wall(values, lumen, shape, part_zyx, open_below, heights)
+    })
+    .map_err(IntoPy::into_py)
 }
 
 /// A smooth field 0..1024 from a mask.
@@ -567,7 +573,7 @@ fn smooth_mask<'py>(
         mask_zyx.shape()[2],
     ];
     let mask = values("mask_zyx", &mask_zyx)?;
-    let field = py.detach(|| smoothed_mask(mask, shape));
+    let field = pool::detached(py, || smoothed_mask(mask, shape));
     volume_array(py, field, shape)
 }
 

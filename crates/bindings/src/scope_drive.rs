@@ -104,6 +104,16 @@ impl PyWallField {
         self.0.num_bytes()
     }
 
+    fn digest(&self, py: Python<'_>) -> String {
+        py.detach(|| {
+            let mut hasher = blake3::Hasher::new();
+            self.0.for_each_part(|bytes| {
+                hasher.update(bytes);
+            });
+            hasher.finalize().to_hex().to_string()
+        })
+    }
+
     fn __repr__(&self) -> String {
         format!("WallField(num_bytes={})", self.0.num_bytes())
     }

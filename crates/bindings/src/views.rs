@@ -14,6 +14,7 @@ use numpy::{
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 
+use crate::pool;
 use crate::{
     arrays::{affine, grid, values},
     errors::IntoPy,
@@ -54,9 +55,10 @@ fn radiograph<'py>(
     let simd = instruction_set(simd)?;
     let rows = rows_of(rows, height)?;
     let num_rows = rows.len();
-    let lengths = py
-        .detach(|| cast_radiograph(volume, &projector, attenuation, width, rows, simd))
-        .map_err(IntoPy::into_py)?;
+    let lengths = pool::detached(py, || {
+        cast_radiograph(volume, &projector, attenuation, width, rows, simd)
+    })
+    .map_err(IntoPy::into_py)?;
     PyArray1::from_vec(py, lengths).reshape([num_rows, width])
 }
 
@@ -113,8 +115,7 @@ fn lines_of<'py>(
         })
         .transpose()?;
     let height = rows.len();
-    let image = py
-        .detach(|| sample_lines(volume, &rows, width, window, slab))
+    let image = pool::detached(py, || sample_lines(volume, &rows, width, window, slab))
         .map_err(IntoPy::into_py)?;
     let array = |data: Vec<u8>| PyArray1::from_vec(py, data).reshape([height, width]);
     Ok((array(image.grey)?, array(image.inside)?))

@@ -28,6 +28,19 @@ pub(crate) enum Brick {
     Near(Vec<f32>),
 }
 
+impl Brick {
+    /// What these samples make.
+    pub(crate) fn of(samples: Vec<f32>) -> Self {
+        if samples.iter().all(|&d| f64::from(d) <= -OUTSIDE_MM) {
+            Self::Outside
+        } else if samples.iter().all(|&d| f64::from(d) >= INSIDE_MM) {
+            Self::Inside
+        } else {
+            Self::Near(samples)
+        }
+    }
+}
+
 /// Signed distance to the wall in mm, positive in the lumen.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WallField {
@@ -72,13 +85,7 @@ impl WallField {
                     clamped(distance_mm[(at[2] * ny + at[1]) * nx + at[0]])
                 })
                 .collect();
-            if samples.iter().all(|&d| f64::from(d) <= -OUTSIDE_MM) {
-                Brick::Outside
-            } else if samples.iter().all(|&d| f64::from(d) >= INSIDE_MM) {
-                Brick::Inside
-            } else {
-                Brick::Near(samples)
-            }
+            Brick::of(samples)
         })
     }
 
@@ -140,6 +147,30 @@ impl WallField {
     #[must_use]
     pub const fn num_bytes(&self) -> usize {
         self.samples.len() * size_of::<f32>()
+    }
+
+    /// All that it holds, as bytes one after the other: equal fields give equal bytes.
+    pub fn for_each_part(&self, mut take: impl FnMut(&[u8])) {
+        for row in self.lps_from_lattice.rows() {
+            for v in row {
+                take(&v.to_le_bytes());
+            }
+        }
+        for n in self.shape_ijk {
+            take(&(n as u64).to_le_bytes());
+        }
+        let mut piece = Vec::new();
+        for brick in &self.brick_at {
+            piece.extend_from_slice(&brick.to_le_bytes());
+        }
+        take(&piece);
+        for brick in self.samples.chunks(SAMPLES) {
+            piece.clear();
+            for v in brick {
+                piece.extend_from_slice(&v.to_le_bytes());
+            }
+            take(&piece);
+        }
     }
 
     /// Distance to the wall, positive in the lumen. It ends at -2.5 mm outside (also beyond the lattice, and for a point

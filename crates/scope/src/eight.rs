@@ -1,0 +1,188 @@
+//! Eight numbers at once, in registers where the machine has them.
+#![allow(
+    clippy::inline_always,
+    reason = "operations must become registers in the function that has them enabled"
+)]
+
+pub(crate) const LANES: usize = 8;
+
+/// Eight numbers. No operation is fused or estimated: every form gives the same bits.
+pub(crate) trait Eight: Copy {
+    fn of(values: [f32; LANES]) -> Self;
+    fn out(self) -> [f32; LANES];
+    fn plus(self, other: Self) -> Self;
+    fn minus(self, other: Self) -> Self;
+    fn times(self, other: Self) -> Self;
+    /// The greater; the other where it is not greater.
+    fn greater(self, other: Self) -> Self;
+    /// The lesser; the other where it is not less.
+    fn lesser(self, other: Self) -> Self;
+    fn root(self) -> Self;
+    /// `yes` where this is above 0, else `no`.
+    fn above_zero(self, yes: Self, no: Self) -> Self;
+    /// Whether any is not above the other's.
+    fn any_within(self, other: Self) -> bool;
+
+    #[inline(always)]
+    fn all(value: f32) -> Self {
+        Self::of([value; LANES])
+    }
+}
+
+/// As the compiler makes it for the build's target.
+#[derive(Clone, Copy)]
+pub(crate) struct Plain([f32; LANES]);
+
+/// Loops and not closures: each becomes one operation of registers.
+macro_rules! each {
+    ($n:ident, $value:expr) => {{
+        let mut out = [0.0; LANES];
+        for $n in 0..LANES {
+            out[$n] = $value;
+        }
+        Self(out)
+    }};
+}
+
+impl Eight for Plain {
+    #[inline(always)]
+    fn of(values: [f32; LANES]) -> Self {
+        Self(values)
+    }
+    #[inline(always)]
+    fn out(self) -> [f32; LANES] {
+        self.0
+    }
+    #[inline(always)]
+    fn plus(self, other: Self) -> Self {
+        each!(n, self.0[n] + other.0[n])
+    }
+    #[inline(always)]
+    fn minus(self, other: Self) -> Self {
+        each!(n, self.0[n] - other.0[n])
+    }
+    #[inline(always)]
+    fn times(self, other: Self) -> Self {
+        each!(n, self.0[n] * other.0[n])
+    }
+    #[inline(always)]
+    fn greater(self, other: Self) -> Self {
+        each!(
+            n,
+            if self.0[n] > other.0[n] {
+                self.0[n]
+            } else {
+                other.0[n]
+            }
+        )
+    }
+    #[inline(always)]
+    fn lesser(self, other: Self) -> Self {
+        each!(
+            n,
+            if self.0[n] < other.0[n] {
+                self.0[n]
+            } else {
+                other.0[n]
+            }
+        )
+    }
+    #[inline(always)]
+    fn root(self) -> Self {
+        each!(n, self.0[n].sqrt())
+    }
+    #[inline(always)]
+    fn above_zero(self, yes: Self, no: Self) -> Self {
+        each!(n, if self.0[n] > 0.0 { yes.0[n] } else { no.0[n] })
+    }
+    #[inline(always)]
+    fn any_within(self, other: Self) -> bool {
+        let mut any = false;
+        for n in 0..LANES {
+            any |= self.0[n] <= other.0[n];
+        }
+        any
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+pub(crate) use avx2::Avx2;
+
+#[cfg(target_arch = "x86_64")]
+mod avx2 {
+    use std::arch::x86_64 as x86;
+
+    use super::{Eight, LANES};
+
+    /// Made only in functions that a machine with AVX2 reaches (`Packets::signed`).
+    #[derive(Clone, Copy)]
+    pub(crate) struct Avx2(x86::__m256);
+
+    // SAFETY of all: see the type. Loads and stores are of arrays of eight f32 and need no alignment.
+    impl Eight for Avx2 {
+        #[inline(always)]
+        fn of(values: [f32; LANES]) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { x86::_mm256_loadu_ps(values.as_ptr()) })
+        }
+        #[inline(always)]
+        fn all(value: f32) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { x86::_mm256_set1_ps(value) })
+        }
+        #[inline(always)]
+        fn out(self) -> [f32; LANES] {
+            let mut out = [0.0; LANES];
+            // SAFETY: as above.
+            unsafe { x86::_mm256_storeu_ps(out.as_mut_ptr(), self.0) };
+            out
+        }
+        #[inline(always)]
+        fn plus(self, other: Self) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { x86::_mm256_add_ps(self.0, other.0) })
+        }
+        #[inline(always)]
+        fn minus(self, other: Self) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { x86::_mm256_sub_ps(self.0, other.0) })
+        }
+        #[inline(always)]
+        fn times(self, other: Self) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { x86::_mm256_mul_ps(self.0, other.0) })
+        }
+        #[inline(always)]
+        fn greater(self, other: Self) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { x86::_mm256_max_ps(self.0, other.0) })
+        }
+        #[inline(always)]
+        fn lesser(self, other: Self) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { x86::_mm256_min_ps(self.0, other.0) })
+        }
+        #[inline(always)]
+        fn root(self) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { x86::_mm256_sqrt_ps(self.0) })
+        }
+        #[inline(always)]
+        fn above_zero(self, yes: Self, no: Self) -> Self {
+            // SAFETY: as above.
+            unsafe {
+                let above =
+                    x86::_mm256_cmp_ps::<{ x86::_CMP_GT_OQ }>(self.0, x86::_mm256_setzero_ps());
+                Self(x86::_mm256_blendv_ps(no.0, yes.0, above))
+            }
+        }
+        #[inline(always)]
+        fn any_within(self, other: Self) -> bool {
+            // SAFETY: as above.
+            unsafe {
+                x86::_mm256_movemask_ps(x86::_mm256_cmp_ps::<{ x86::_CMP_LE_OQ }>(self.0, other.0))
+                    != 0
+            }
+        }
+    }
+}

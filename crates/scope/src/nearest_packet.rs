@@ -1,0 +1,419 @@
+//! Signed distances of eight points at once: one walk through the tree of boxes, triangles measured in lanes.
+//!
+//! [`Boxes::signed`] is the readable form; a property test holds the two together. Lanes are plain arrays that the
+//! compiler turns into registers. Nothing is fused or estimated, so every instruction set gives the same bits.
+#![allow(
+    clippy::inline_always,
+    reason = "operations of lanes must become registers in the function that has them enabled"
+)]
+
+use carina_grid::{InstructionSet, cross, dot, unit};
+
+use crate::axis::sub;
+#[cfg(target_arch = "x86_64")]
+use crate::eight::Avx2;
+use crate::eight::{Eight, LANES, Plain};
+use crate::nearest::Boxes;
+
+type Point = [f64; 3];
+type Lanes = [f32; LANES];
+
+/// Boxes are kept in f32 about the mesh's middle: more than that rounds.
+const BOX_MM: f32 = 1e-4;
+
+/// A triangle as lanes need it.
+struct Face {
+    corner: Point,
+    /// Edges from corner to corner, once round.
+    edges: [[f32; 3]; 3],
+    /// Directions in the triangle's plane that lead out over each edge.
+    outwards: [[f32; 3]; 3],
+    /// 1 / length^2 of the edges; 0 for one without length.
+    inverse: [f32; 3],
+    normal: [f32; 3],
+    /// 1 for a triangle without area, of which only the edges count.
+    flat: f32,
+}
+
+impl Face {
+    fn new([a, b, c]: [Point; 3]) -> Self {
+        let normal = unit(cross(sub(b, a), sub(c, a))).unwrap_or([0.0; 3]);
+        let single = |v: Point| v.map(|x| x as f32);
+        let edges = [sub(b, a), sub(c, b), sub(a, c)];
+        let inverse = edges.map(|e| {
+            let squared = dot(e, e);
+            if squared > 0.0 {
+                (1.0 / squared) as f32
+            } else {
+                0.0
+            }
+        });
+        Self {
+            corner: a,
+            edges: edges.map(single),
+            outwards: edges.map(|e| single(cross(e, normal))),
+            // An edge shorter than f32 can square has no length either.
+            inverse: inverse.map(|v| if v.is_finite() { v } else { 0.0 }),
+            normal: single(normal),
+            flat: f32::from(u8::from(normal == [0.0; 3])),
+        }
+    }
+}
+
+/// The mesh for questions in packets.
+pub(crate) struct Packets<'a> {
+    boxes: &'a Boxes,
+    middle: Point,
+    /// Low and high corners of the nodes' boxes, from the middle.
+    spans: Vec<[[f32; 3]; 2]>,
+    faces: Vec<Face>,
+    simd: InstructionSet,
+}
+
+/// Eight points that lie together.
+pub(crate) struct Together {
+    /// What the points are given from.
+    pub(crate) origin: Point,
+    /// x, y and z of the points, mm from the origin.
+    pub(crate) at: [Lanes; 3],
+}
+
+impl<'a> Packets<'a> {
+    pub(crate) fn new(boxes: &'a Boxes, simd: InstructionSet) -> Self {
+        let faces = boxes
+            .triangles
+            .iter()
+            .map(|corners| Face::new(*corners))
+            .collect();
+        let (low, high) = boxes.nodes[0].span();
+        let middle = std::array::from_fn(|a| 0.5 * (low[a] + high[a]));
+        let single = |p: Point| sub(p, middle).map(|v| v as f32);
+        let spans = boxes
+            .nodes
+            .iter()
+            .map(|n| [single(n.span().0), single(n.span().1)])
+            .collect();
+        Self {
+            boxes,
+            middle,
+            spans,
+            faces,
+            simd,
+        }
+    }
+
+    /// Signed distances in mm, positive inside, and the nearest triangles. `hint` is a triangle that may be near.
+    pub(crate) fn signed(&self, points: &Together, hint: u32) -> Found {
+        let (mut signed_mm, triangles) = self.nearest(points, hint);
+        for n in 0..LANES {
+            let p = [0, 1, 2].map(|a| points.origin[a] + f64::from(points.at[a][n]));
+            if !self.boxes.is_inside(p, triangles[n] as usize) {
+                signed_mm[n] = -signed_mm[n];
+            }
+        }
+        Found {
+            signed_mm,
+            triangles,
+        }
+    }
+
+    fn nearest(&self, points: &Together, hint: u32) -> (Lanes, [u32; LANES]) {
+        match self.simd {
+            #[cfg(target_arch = "x86_64")]
+            // SAFETY: the set is one of `InstructionSet::available`, which asked this machine. Measured by
+            // `cargo bench -p carina-scope --bench field`.
+            InstructionSet::Avx2 | InstructionSet::Avx512 => unsafe {
+                self.nearest_avx2(points, hint)
+            },
+            _ => self.nearest_in::<Plain>(points, hint),
+        }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn nearest_avx2(&self, points: &Together, hint: u32) -> (Lanes, [u32; LANES]) {
+        self.nearest_in::<Avx2>(points, hint)
+    }
+
+    #[inline(always)]
+    fn nearest_in<E: Eight>(&self, points: &Together, hint: u32) -> (Lanes, [u32; LANES]) {
+        let at = [
+            E::of(points.at[0]),
+            E::of(points.at[1]),
+            E::of(points.at[2]),
+        ];
+        let mut nearest = Nearest {
+            distance: E::all(1e9),
+            which: E::all(0.0),
+        };
+        nearest.meet(&self.faces[hint as usize], hint, points.origin, at);
+        let shift = [
+            (points.origin[0] - self.middle[0]) as f32,
+            (points.origin[1] - self.middle[1]) as f32,
+            (points.origin[2] - self.middle[2]) as f32,
+        ];
+        let from_middle = [
+            at[0].plus(E::all(shift[0])),
+            at[1].plus(E::all(shift[1])),
+            at[2].plus(E::all(shift[2])),
+        ];
+        // Each lane asks only for what may be nearer to itself: together they see little more than one of them alone.
+        let mut bound = nearest.bound();
+        let mut stack = [(E::all(0.0), 0u32); 64];
+        let mut depth = 1;
+        while depth > 0 {
+            depth -= 1;
+            let (far, at_node) = stack[depth];
+            if !far.any_within(bound) {
+                continue;
+            }
+            let node = &self.boxes.nodes[at_node as usize];
+            if node.count > 0 {
+                for t in node.first..node.first + node.count {
+                    nearest.meet(&self.faces[t as usize], t, points.origin, at);
+                }
+                bound = nearest.bound();
+                continue;
+            }
+            let one = (self.squared_to_box(at_node + 1, from_middle), at_node + 1);
+            let other = (self.squared_to_box(node.first, from_middle), node.first);
+            let (near, far) = if one.0.out()[0] <= other.0.out()[0] {
+                (one, other)
+            } else {
+                (other, one)
+            };
+            if far.0.any_within(bound) {
+                stack[depth] = far;
+                depth += 1;
+            }
+            if near.0.any_within(bound) {
+                stack[depth] = near;
+                depth += 1;
+            }
+        }
+        (
+            nearest.distance.out(),
+            nearest.which.out().map(f32::to_bits),
+        )
+    }
+
+    #[inline(always)]
+    fn squared_to_box<E: Eight>(&self, node: u32, from: [E; 3]) -> E {
+        let [low, high] = &self.spans[node as usize];
+        let mut squared = E::all(0.0);
+        for a in 0..3 {
+            let out = E::all(low[a])
+                .minus(from[a])
+                .greater(from[a].minus(E::all(high[a])))
+                .greater(E::all(0.0));
+            squared = squared.plus(out.times(out));
+        }
+        squared
+    }
+}
+
+#[inline(always)]
+fn inner<E: Eight>(a: [f32; 3], b: [E; 3]) -> E {
+    let xy = E::all(a[0]).times(b[0]).plus(E::all(a[1]).times(b[1]));
+    xy.plus(E::all(a[2]).times(b[2]))
+}
+
+#[inline(always)]
+fn less<E: Eight>(a: [E; 3], b: [f32; 3]) -> [E; 3] {
+    [
+        a[0].minus(E::all(b[0])),
+        a[1].minus(E::all(b[1])),
+        a[2].minus(E::all(b[2])),
+    ]
+}
+
+#[inline(always)]
+fn squared_to_edge<E: Eight>(from: [E; 3], edge: [f32; 3], inverse: f32) -> E {
+    let share = inner(edge, from)
+        .times(E::all(inverse))
+        .greater(E::all(0.0))
+        .lesser(E::all(1.0));
+    let x = from[0].minus(share.times(E::all(edge[0])));
+    let y = from[1].minus(share.times(E::all(edge[1])));
+    let z = from[2].minus(share.times(E::all(edge[2])));
+    x.times(x).plus(y.times(y)).plus(z.times(z))
+}
+
+/// The nearest so far, for each lane.
+struct Nearest<E> {
+    distance: E,
+    /// The triangle's number, as bits.
+    which: E,
+}
+
+impl<E: Eight> Nearest<E> {
+    /// Measure a triangle from every lane.
+    #[inline(always)]
+    fn meet(&mut self, face: &Face, number: u32, origin: Point, at: [E; 3]) {
+        let corner = [
+            (face.corner[0] - origin[0]) as f32,
+            (face.corner[1] - origin[1]) as f32,
+            (face.corner[2] - origin[2]) as f32,
+        ];
+        let [ab, bc, ca] = face.edges;
+        let from_a = less(at, corner);
+        let from_b = less(from_a, ab);
+        let from_c = less(from_b, bc);
+        let over = inner(face.outwards[0], from_a)
+            .greater(inner(face.outwards[1], from_b))
+            .greater(inner(face.outwards[2], from_c))
+            .plus(E::all(face.flat));
+        let side = inner(face.normal, from_a);
+        let edge = squared_to_edge(from_a, ab, face.inverse[0])
+            .lesser(squared_to_edge(from_b, bc, face.inverse[1]))
+            .lesser(squared_to_edge(from_c, ca, face.inverse[2]));
+        let distance = over.above_zero(edge, side.times(side)).root();
+        let nearer = self.distance.minus(distance);
+        self.which = nearer.above_zero(E::all(f32::from_bits(number)), self.which);
+        self.distance = self.distance.lesser(distance);
+    }
+
+    /// Nothing farther than this, squared, changes a lane.
+    #[inline(always)]
+    fn bound(&self) -> E {
+        let far = self.distance.plus(E::all(BOX_MM));
+        far.times(far)
+    }
+}
+
+/// What was found for each of eight points.
+pub(crate) struct Found {
+    pub(crate) signed_mm: Lanes,
+    pub(crate) triangles: [u32; LANES],
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::nearest::tests::cube;
+    use proptest::prelude::*;
+
+    /// A closed surface round the origin with folds and dents: a sphere of latitudes whose corners lie at random radii.
+    fn dented(radii: &[f64]) -> (Vec<Point>, Vec<[u32; 3]>) {
+        const ROWS: usize = 7;
+        const ROUND: usize = 9;
+        let mut vertices = vec![[0.0, 0.0, 4.0], [0.0, 0.0, -4.0]];
+        for row in 0..ROWS {
+            for n in 0..ROUND {
+                let polar = std::f64::consts::PI * (row + 1) as f64 / (ROWS + 1) as f64;
+                let turn = std::f64::consts::TAU * n as f64 / ROUND as f64;
+                let r = radii[(row * ROUND + n) % radii.len()];
+                vertices.push([
+                    r * libm::sin(polar) * libm::cos(turn),
+                    r * libm::sin(polar) * libm::sin(turn),
+                    r * libm::cos(polar),
+                ]);
+            }
+        }
+        let at = |row: usize, n: usize| (2 + row * ROUND + n % ROUND) as u32;
+        let mut triangles = Vec::new();
+        for n in 0..ROUND {
+            triangles.push([0, at(0, n), at(0, n + 1)]);
+            triangles.push([1, at(ROWS - 1, n + 1), at(ROWS - 1, n)]);
+            for row in 0..ROWS - 1 {
+                triangles.push([at(row, n), at(row + 1, n), at(row + 1, n + 1)]);
+                triangles.push([at(row, n), at(row + 1, n + 1), at(row, n + 1)]);
+            }
+        }
+        (vertices, triangles)
+    }
+
+    fn together(origin: Point, spread: f32, seed: u32) -> Together {
+        let part = |n: usize, a: usize| {
+            let hash = (seed + (n * 3 + a) as u32).wrapping_mul(2_654_435_761) >> 8;
+            spread * (hash % 1000) as f32 / 1000.0
+        };
+        Together {
+            origin,
+            at: std::array::from_fn(|a| std::array::from_fn(|n| part(n, a))),
+        }
+    }
+
+    fn check(vertices: &[Point], triangles: &[[u32; 3]], points: &Together, hint: usize) {
+        let boxes = Boxes::new(vertices, triangles);
+        let mut bits = Vec::new();
+        for simd in InstructionSet::available() {
+            let hint = (hint % triangles.len()) as u32;
+            let found = Packets::new(&boxes, simd).signed(points, hint);
+            for n in 0..LANES {
+                let p = std::array::from_fn(|a| points.origin[a] + f64::from(points.at[a][n]));
+                let (truth, _) = boxes.signed(p, 0);
+                // f32 of coordinates within some 10 mm.
+                let one = f64::from(found.signed_mm[n]);
+                assert!((one - truth).abs() < 2e-5, "{one} {truth} at {p:?}");
+                let triangle = boxes.triangles[found.triangles[n] as usize];
+                let away = carina_grid::length(sub(p, crate::nearest::nearest_on(triangle, p).0));
+                assert!((away - truth.abs()).abs() < 2e-5, "{away} {truth}");
+            }
+            bits.push(found.signed_mm.map(f32::to_bits));
+        }
+        assert!(bits.windows(2).all(|w| w[0] == w[1]));
+    }
+
+    /// How often the surface goes round a point, by solid angles (van Oosterom and Strackee 1983): 1 inside, 0 outside.
+    fn winding(vertices: &[Point], triangles: &[[u32; 3]], p: Point) -> f64 {
+        let angles = triangles.iter().map(|t| {
+            let [a, b, c] = t.map(|v| sub(vertices[v as usize], p));
+            let [la, lb, lc] = [a, b, c].map(carina_grid::length);
+            let below = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb;
+            libm::atan2(dot(a, cross(b, c)), below)
+        });
+        angles.sum::<f64>() / std::f64::consts::TAU
+    }
+
+    proptest! {
+        #[test]
+        fn the_side_of_the_wall_is_right_at_every_corner_and_fold(
+            radii in prop::collection::vec(2.0..6.0f64, 40..63),
+            place in prop::array::uniform3(-6.0..6.0f64),
+        ) {
+            let (vertices, triangles) = dented(&radii);
+            let boxes = Boxes::new(&vertices, &triangles);
+            let (found, _) = boxes.signed(place, 0);
+            let inside = winding(&vertices, &triangles, place) > 0.5;
+            prop_assert!(found.abs() < 1e-6 || (found > 0.0) == inside, "{found} {inside}");
+        }
+
+        #[test]
+        fn a_packet_measures_what_single_points_do(
+            radii in prop::collection::vec(2.0..6.0f64, 40..63),
+            place in prop::array::uniform3(-6.0..6.0f64),
+            spread in 0.0..1.0f32,
+            seed in 0u32..1_000_000,
+            hint in 0usize..200,
+        ) {
+            let (vertices, triangles) = dented(&radii);
+            check(&vertices, &triangles, &together(place, spread, seed), hint);
+        }
+
+        #[test]
+        fn beside_faces_edges_and_corners_of_a_cube_packets_have_the_right_side(
+            place in prop::array::uniform3(-8i32..8),
+            seed in 0u32..1_000_000,
+        ) {
+            let (vertices, triangles) = cube();
+            check(&vertices, &triangles, &together(place.map(f64::from), 1.0, seed), seed as usize);
+        }
+    }
+
+    #[test]
+    fn triangles_without_area_or_length_hide_nothing() {
+        let (mut vertices, mut triangles) = cube();
+        vertices.push([0.0, 0.0, 5.0]);
+        triangles.extend([[8, 8, 8], [0, 0, 1], [8, 1, 8]]);
+        // The last two lie on the surface or inside: as edges they are near, and tell no side.
+        for seed in 0..50 {
+            check(
+                &vertices,
+                &triangles[..13],
+                &together([0.0, 0.0, 4.0], 3.0, seed),
+                12,
+            );
+        }
+    }
+}
