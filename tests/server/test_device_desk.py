@@ -160,6 +160,29 @@ def test_a_handle_is_connected_shown_and_disconnected(desk):
         port.unplug()
 
 
+def test_a_handle_that_rests_and_goes_on_speaking_makes_no_new_poses(desk):
+    made, bench, _ = desk
+    made.handle(wire.WatchDevices(True))  # frames go on five times a second
+
+    def say(n: int, insertion_mm: float) -> None:
+        handle = (insertion_mm, 0.1, 0.2)
+        made.handle(wire.DeviceSample("handle", 0.01 * n, None, None, None, 0, handle))
+        time.sleep(0.01)
+
+    for n in range(100):
+        say(n, 0.1 * n)
+    # The filter comes to rest.
+    for n in range(100, 180):
+        say(n, 9.9)
+    assert bench.session.pose_info().path_mm > 5.0
+    rests = bench.session.pose_info().pose_id
+    for n in range(180, 220):
+        say(n, 9.9)
+    assert bench.session.pose_info().pose_id == rests
+    say(220, 10.4)
+    wait_for(lambda: bench.session.pose_info().pose_id > rests)
+
+
 def published(port: int) -> IgtlPose:
     """The first pose that a peer gets there."""
     stream = IgtlStream()

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from carina.errors import CarinaError, NoResultError, UsageError
 from carina.navigate import Controls, Move, Recorder, Sample, case_key, fit_registration, moves
 from carina.scopes import DEFAULT_SCOPE, Pose
@@ -278,7 +280,10 @@ class Flying(SessionCore):
                 return False
             before, mode = case.navigator.pose, case.navigator.mode
             case.pilot.apply(moves.Frame(self._clock()))
-            if case.navigator.pose is not before:
+            # A hand that rests goes on speaking: a pose of the same numbers is no news, and the picture gets fine.
+            if case.navigator.mode != mode or not np.array_equal(
+                case.navigator.pose.lps_from_camera, before.lps_from_camera
+            ):
                 self._after_move(case, mode)
             way = case.pilot.take_wanted_way()
             if way is not None:
