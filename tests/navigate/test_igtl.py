@@ -17,9 +17,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carina.errors import ProtocolError
+from carina.errors import ProtocolError, UsageError
 from carina.navigate import PoseSample
-from carina.navigate.devices import IgtlClient, IgtlServer, Listener
+from carina.navigate.devices import IgtlClient, IgtlServer, Listener, open_source
 from carina.navigate.devices.crc import crc64, crc64_bitwise
 from carina.navigate.devices.igtl import (
     HEADER,
@@ -361,3 +361,45 @@ def test_a_name_that_is_none_ends_no_source():
         assert "UnicodeError" in wait_for(lambda: client.status().words)
     finally:
         client.stop()
+
+
+def test_an_idle_connection_stays_and_the_system_looks_after_it():
+    heard = Heard()
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        listening.settimeout(0.6)
+        address = f"openigtlink:127.0.0.1:{listening.getsockname()[1]}"
+        client = open_source(address, heard.listener)
+        client.RETRY_S = 0.05
+        client.start()
+        try:
+            idle, _ = listening.accept()
+            idle.sendall(pack_transform("Pen", np.eye(4), time_s=1.0))
+            wait_for(lambda: len(heard.samples) == 1)
+            with pytest.raises(TimeoutError):
+                listening.accept()
+            assert client.status().state == "live"
+            idle.sendall(pack_transform("Pen", np.eye(4), time_s=2.0))
+            wait_for(lambda: len(heard.samples) == 2)
+            assert heard.gone == []
+            idle.close()
+        finally:
+            client.stop()
+
+
+def test_a_person_can_say_how_long_a_peer_may_be_silent():
+    heard = Heard()
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        listening.settimeout(8.0)
+        client = open_source(f"openigtlink:127.0.0.1:{listening.getsockname()[1]}?silence=0.2", heard.listener)
+        client.RETRY_S = 0.05
+        client.start()
+        try:
+            first, _ = listening.accept()
+            again, _ = listening.accept()
+            first.close()
+            again.close()
+        finally:
+            client.stop()
+    for broken in ("silence=nan", "silence=0", "silent=5"):
+        with pytest.raises(UsageError):
+            open_source(f"openigtlink:127.0.0.1:18944?{broken}", heard.listener)

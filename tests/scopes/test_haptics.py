@@ -23,6 +23,7 @@ from carina.scopes import (
     Pose,
     WallField,
     local_contact,
+    picture_threads,
     rumble,
 )
 from carina.scopes.haply import HaplyBridge, read_haply_message
@@ -226,3 +227,20 @@ def test_a_haply_service_is_served_survives_nonsense_and_comes_back(tube: WallFi
 def test_a_scale_out_of_range_is_refused(tube: WallField) -> None:
     with ForceLoop(tube) as loop, pytest.raises(UsageError):
         HaplyBridge(loop, Pose(np.eye(4)), scale=5.0)
+
+
+def test_a_force_loop_leaves_itself_a_thread_and_gives_it_back() -> None:
+    _, y, x = np.mgrid[0:20, -10:11, -10:11].astype(np.float32)
+    matrix = np.diag([1.0, 1.0, 1.0, 1.0])
+    matrix[:3, 3] = (-10.0, -10.0, 0.0)
+    field = WallField.from_distances(6.0 - np.hypot(x, y), matrix)
+    before = picture_threads()
+    with ForceLoop(field) as loop:
+        assert picture_threads() == max(1, before - 1)
+        # Two leave no more than one.
+        with ForceLoop(field):
+            assert picture_threads() == max(1, before - 1)
+        assert picture_threads() == max(1, before - 1)
+        loop.stop()
+        assert picture_threads() == before
+    assert picture_threads() == before

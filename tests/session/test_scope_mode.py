@@ -219,3 +219,15 @@ def test_a_recording_of_a_held_scope_replays_bit_for_bit(bench, tmp_path):
     assert len(replayed) > 60
     assert {moment.picture_turned for moment, _ in replayed} == {False, True}
     assert all(same for _, same in replayed)
+
+
+@pytest.mark.parametrize("mode", ["free", "path"])
+def test_a_lens_that_looks_up_sees_the_same_when_who_faces_lets_the_scope_go(bench, mode):
+    session = bench.session
+    session.set_scope("ebus")
+    session.set_operator("facing")
+    session.go_to(20.0)
+    enter(bench)
+    held = session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera
+    session.set_mode(mode)
+    np.testing.assert_allclose(session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera, held, atol=1e-9)

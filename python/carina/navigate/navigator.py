@@ -139,8 +139,11 @@ class Navigator:
 
     @property
     def picture_turned(self) -> bool:
-        """In mode *scope*: the picture is turned against the instrument, for an operator who faces the patient."""
-        return self._mode == "scope" and self._operator == "facing"
+        """The picture is turned against the instrument, for an operator who faces the patient.
+
+        In every mode, so that a lens that looks up from its shaft sees the same when a scope is laid or let go.
+        """
+        return self._operator == "facing"
 
     # Movement.
 

@@ -12,8 +12,10 @@ from carina.scopes.haptics import (
     ForceLaw,
     ForceLoop,
     HandForce,
+    LeftThread,
     LocalContact,
     local_contact,
+    picture_threads,
     rumble,
 )
 from carina.scopes.lens import (
@@ -51,6 +53,7 @@ __all__ = [
     "ForceLoop",
     "HandForce",
     "ImageField",
+    "LeftThread",
     "Lens",
     "LocalContact",
     "Mask",
@@ -68,6 +71,7 @@ __all__ = [
     "lens_from_text",
     "lever_flexion",
     "local_contact",
+    "picture_threads",
     "rumble",
     "scope_preset",
     "scope_presets",

@@ -28,8 +28,10 @@ __all__ = [
     "ForceLaw",
     "ForceLoop",
     "HandForce",
+    "LeftThread",
     "LocalContact",
     "local_contact",
+    "picture_threads",
     "rumble",
 ]
 
@@ -237,6 +239,31 @@ class ForceLoop:
     def stop(self) -> None:
         """End the loop and wait for it; it may be called again."""
         self._core.stop()
+
+
+class LeftThread:
+    """Leaves one thread of the renderer's to a force device, until :meth:`release`; a `ForceLoop` does so by itself.
+
+    Examples
+    --------
+    >>> left = LeftThread()
+    >>> num_then = picture_threads()
+    >>> left.release()
+    >>> 1 <= num_then <= picture_threads()
+    True
+    """
+
+    def __init__(self) -> None:
+        self._core = _core.LeftThread()
+
+    def release(self) -> None:
+        """Give it back; it may be called again."""
+        self._core.release()
+
+
+def picture_threads() -> int:
+    """How many threads a picture is made by now."""
+    return _core.picture_threads()
 
 
 def local_contact(field: WallField, at_lps: Sequence[float], law: ForceLaw | None = None) -> LocalContact | None:

@@ -18,6 +18,7 @@ import carina
 from carina.errors import CarinaError, ProtocolError, UsageError
 from carina.server import messages as wire
 from carina.server.downloads import Downloads
+from carina.server.force_link import ForceLink
 from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.hub import Hub, Outbox
 from carina.server.security import Gate
@@ -119,6 +120,16 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             return
         await _serve_client(websocket, hub)
 
+    force_link = ForceLink(hub.session)
+
+    async def force(websocket: WebSocket) -> None:
+        await websocket.accept()
+        if not gate.authorised(websocket.headers):
+            reason = "a bridge sends the token that Carina printed: Authorization: Bearer TOKEN"
+            await websocket.close(wire.CLOSE_CODES["protocol.not-authorised"], reason)
+            return
+        await force_link.serve(websocket)
+
     @contextlib.asynccontextmanager
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
         hub.start()
@@ -133,6 +144,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         Route("/api/upload/{upload_id}", one_upload, methods=["PUT", "DELETE"]),
         Route("/api/airways{suffix:path}", download),
         WebSocketRoute("/ws", socket),
+        WebSocketRoute("/force", force),
         Route("/{path:path}", asset),
     ]
     app = Starlette(routes=routes, lifespan=lifespan)

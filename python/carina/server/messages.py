@@ -114,6 +114,7 @@ from carina.server.messages_from_server import (
 )
 from carina.server.messages_of_devices import (
     ArmPen,
+    AskContact,
     Calibrate,
     ConnectDevice,
     DeviceControls,
@@ -123,6 +124,8 @@ from carina.server.messages_of_devices import (
     DeviceSample,
     DeviceSource,
     DisconnectDevice,
+    ForcePlane,
+    LocalContact,
     PhoneInfo,
     PublishTip,
     SetControl,
@@ -159,6 +162,7 @@ __all__ = [
     "AnswerMask",
     "ArmPen",
     "AskBranchDetail",
+    "AskContact",
     "AskLivePath",
     "BranchDetail",
     "BranchMeasures",
@@ -195,6 +199,7 @@ __all__ = [
     "EditTree",
     "Error",
     "FeatureOff",
+    "ForcePlane",
     "GoTo",
     "GreyWindow",
     "HeldScope",
@@ -202,6 +207,7 @@ __all__ = [
     "Layout",
     "LevelHorizon",
     "LivePath",
+    "LocalContact",
     "Mask",
     "MaskLabel",
     "MaskQuestion",
@@ -283,9 +289,11 @@ __all__ = [
     "Zoom",
     "encode_message",
     "parse_client_message",
+    "parse_force_message",
     "parse_phone_message",
     "parse_picture",
     "parse_server_message",
+    "parse_to_force_message",
     "parse_to_phone_message",
 ]
 
@@ -319,6 +327,10 @@ SERVER_MESSAGES = _by_type(
     ServerHello, Start, State, Tree, Route, Pose, Value, Picked, LivePath, BranchDetail, Progress, Done, Error, Notice,
     Status, Devices, Cluster,
 )  # fmt: skip
+FORCE_MESSAGES = _by_type(ClientHello, AskContact)
+"""What a bridge to a force device sends on ``/force``; no window speaks these, so TypeScript does not know them."""
+TO_FORCE_MESSAGES = _by_type(ServerHello, LocalContact)
+MAX_FORCE_BYTES = 2048
 PHONE_MESSAGES = _by_type(PhoneHello, PhoneSample, PhoneAct)
 TO_PHONE_MESSAGES = _by_type(PhoneState)
 MAX_PHONE_BYTES = 2048
@@ -361,6 +373,22 @@ def parse_client_message(text: str | bytes, *, max_bytes: int = 262_144) -> Any:
     if isinstance(message, Layout) and len({v.view for v in message.views}) != len(message.views):
         raise ProtocolError("layout names a view twice", code="protocol.choice")
     return message
+
+
+def parse_force_message(text: str | bytes) -> Any:
+    """One message of a bridge to a force device.
+
+    Raises
+    ------
+    ProtocolError
+        With a ``protocol.*`` code and one sentence.
+    """
+    return _parse(FORCE_MESSAGES, text, MAX_FORCE_BYTES)
+
+
+def parse_to_force_message(text: str | bytes) -> Any:
+    """One message of the server to a bridge; for bridges in Python, and tests."""
+    return _parse(TO_FORCE_MESSAGES, text, MAX_FORCE_BYTES)
 
 
 def parse_phone_message(text: str | bytes) -> Any:

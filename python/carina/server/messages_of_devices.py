@@ -11,6 +11,7 @@ from carina.server.wire_fields import Count, PointLps, Words
 
 __all__ = [
     "ArmPen",
+    "AskContact",
     "Calibrate",
     "ConnectDevice",
     "DeviceControls",
@@ -20,6 +21,8 @@ __all__ = [
     "DeviceSource",
     "Devices",
     "DisconnectDevice",
+    "ForcePlane",
+    "LocalContact",
     "PhoneInfo",
     "PublishTip",
     "SetControl",
@@ -162,6 +165,16 @@ class SetPhone:
 
 
 @dataclass(frozen=True, slots=True)
+class AskContact:
+    """On ``/force`` only: the wall near a place as a plane; answered by ``local_contact``, the newest alone."""
+
+    wire_type: ClassVar[str] = "ask_contact"
+    number: Count
+    lps: PointLps | None
+    """The middle of the tip that feels; null for Carina's own tip."""
+
+
+@dataclass(frozen=True, slots=True)
 class WatchDevices:
     """Send ``devices`` a few times a second, or only when something changes."""
 
@@ -258,3 +271,36 @@ class Devices:
     """Null while the page for a phone is closed."""
     phone_problem: Words | None
     """Why it cannot be opened on this machine."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForcePlane:
+    """The wall near a place.
+
+    The force is ``stiffness * max(0, -dot(p - point, normal))`` along the normal, less damping times the speed across
+    it, within the limits of ``docs/haptics.md``, which are the bridge's to hold.
+    """
+
+    point_lps: PointLps
+    normal_lps: PointLps
+    """Unit length, away from the wall."""
+    stiffness_n_per_mm: float
+    damping_ns_per_mm: float
+    friction: float
+    valid_mm: float
+    """It stands for the wall so far round the place that was asked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class LocalContact:
+    """Answer to ``ask_contact``."""
+
+    wire_type: ClassVar[str] = "local_contact"
+    number: Count
+    """Of the question."""
+    state: Literal["ready", "finding", "none"]
+    """``finding``: the wall is being measured; ``none``: no case, no airways, or a person stopped that."""
+    lps: PointLps | None
+    """The place that it is about."""
+    plane: ForcePlane | None
+    """Null where no wall is near enough to matter, and while it is not ready: no force then."""

@@ -61,6 +61,12 @@ class OpenCase:
     slab: Slab | None = None
     wall_of: Any = None
     """The airways whose wall the pilot knows."""
+    walling_of: Any = None
+    """The airways whose wall a job measures now."""
+    unwalled: Any = None
+    """The airways whose wall a person stopped, or that have none: no bridge starts it again by asking."""
+    lays_scope: bool = False
+    """A scope is laid once the wall is known."""
     laid_scope: str | None = None
     """The scope that was last laid in the lumen."""
     flown_route: Any = None

@@ -12,13 +12,13 @@ import numpy as np
 
 from carina.errors import CarinaError, NoResultError, UsageError
 from carina.navigate import Controls, Move, Recorder, Sample, case_key, fit_registration, moves
-from carina.scopes import DEFAULT_SCOPE, Pose
+from carina.scopes import DEFAULT_SCOPE, ForceLaw, Pose, local_contact, scope_preset
 from carina.session.case import OpenCase, as_point
 from carina.session.core import SessionCore
 from carina.session.document import Document, Point
 from carina.session.jobs import Job
 from carina.session.routes import leaf_below, route_to_branch
-from carina.session.snapshot import DevicesInfo, Said, Trouble
+from carina.session.snapshot import DevicesInfo, NearWall, Said, Trouble
 
 # A hand that rests at the wall is counted so long, until it moves again.
 MAX_CONTACT_S = 10.0
@@ -89,16 +89,63 @@ class Flying(SessionCore):
         if case.wall_of is airways:
             self._lay_scope(case)
             return
+        with self._lock:
+            case.lays_scope = True
+            self._find_wall(case)
+
+    def _find_wall(self, case: OpenCase) -> None:
+        """Start the job that measures the wall, unless it runs; with the session locked."""
+        airways = case.document.airways
+        if airways is None or case.walling_of is airways:
+            return
 
         def work(job: Job) -> None:
-            wall = self._parts.wall_field(case.info.volume, airways, progress=job.progress, cancel=job.cancel)
-            with self._lock:
-                job.check()
-                case.pilot.wall, case.wall_of = wall, airways
-                if self._case is case and case.document.airways is airways:
-                    self._lay_scope(case)
+            try:
+                wall = self._parts.wall_field(case.info.volume, airways, progress=job.progress, cancel=job.cancel)
+                with self._lock:
+                    job.check()
+                    case.pilot.wall, case.wall_of = wall, airways
+                    if self._case is case and case.document.airways is airways and case.lays_scope:
+                        self._lay_scope(case)
+            except BaseException:
+                case.unwalled = airways
+                raise
+            finally:
+                with self._lock:
+                    if case.walling_of is airways:
+                        case.walling_of, case.lays_scope = None, False
 
+        case.walling_of = airways
         self._jobs.start("scope", "finding the wall that holds the scope", work)
+
+    def want_wall_again(self) -> None:
+        """Forget that measuring the wall was stopped: whoever asks for it now may start it."""
+        with self._lock:
+            if self._case is not None:
+                self._case.unwalled = None
+
+    def local_contact(self, lps: Point | None = None) -> NearWall:
+        """The wall near a place, as a plane, for a bridge to a force device; the first question starts measuring it.
+
+        Parameters
+        ----------
+        lps
+            The middle of the tip that feels; None for the tip of this session.
+        """
+        with self._lock:
+            case = self._case
+            airways = None if case is None else case.document.airways
+            if case is None or airways is None:
+                return NearWall("none")
+            wall = case.pilot.wall
+            if case.wall_of is not airways or wall is None:
+                if case.unwalled is airways:
+                    return NearWall("none")
+                self._find_wall(case)
+                return NearWall("finding")
+            at = as_point(case.navigator.pose.position_lps) if lps is None else lps
+            tip_mm = scope_preset(case.document.scope or DEFAULT_SCOPE).tip_mm
+        return NearWall("ready", at, local_contact(wall, at, ForceLaw(tip_radius_mm=tip_mm / 2.0)))
 
     def _lay_scope(self, case: OpenCase, insertion_mm: float | None = None) -> None:
         """Along the route, to where the tip is, or the place of the route that is nearest to it."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from carina.navigate import Controls, DeviceState
 from carina.render import Slab
-from carina.scopes import Pose, ScopeState
+from carina.scopes import LocalContact, Pose, ScopeState
 from carina.session.document import Document
 from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Carm, Orbit, Reformation, Zoom
 
@@ -21,6 +21,7 @@ __all__ = [
     "Changed",
     "DevicesInfo",
     "MaskQuestion",
+    "NearWall",
     "PoseInfo",
     "Said",
     "Snapshot",
@@ -135,6 +136,17 @@ class DevicesInfo:
     control: Literal["absolute", "relative", "path"]
     controls: Controls
     devices: tuple[DeviceState, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class NearWall:
+    """The wall near a place, for a hand that feels it."""
+
+    state: Literal["ready", "finding", "none"]
+    """``finding``: the wall is being measured; ``none``: there are no airways, or a person stopped that."""
+    lps: tuple[float, float, float] | None = None
+    plane: LocalContact | None = None
+    """None also where no wall is near enough to matter."""
 
 
 @dataclass(frozen=True, slots=True)

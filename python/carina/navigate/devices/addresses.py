@@ -1,4 +1,7 @@
-"""Devices by name: ``fastrak:/dev/ttyUSB0``, ``handle:COM3``, ``openigtlink:localhost:18944``."""
+"""Devices by name: ``fastrak:/dev/ttyUSB0``, ``handle:COM3``, ``openigtlink:localhost:18944``.
+
+``openigtlink:localhost:18944?silence=5`` opens the connection again when nothing came for 5 s.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from carina.navigate.devices.source import Listener, Source
 
 __all__ = ["KINDS", "open_source"]
 
-KINDS = ("fastrak:PORT", "fastrak-binary:PORT", "handle:PORT", "openigtlink:HOST[:PORT]")
+KINDS = ("fastrak:PORT", "fastrak-binary:PORT", "handle:PORT", "openigtlink:HOST[:PORT][?silence=S]")
 
 
 def open_source(address: str, listener: Listener, *, clock: Callable[[], float] = time.monotonic) -> Source:
@@ -29,7 +32,20 @@ def open_source(address: str, listener: Listener, *, clock: Callable[[], float] 
     if place and kind == "handle":
         return HandleSource(place, listener, clock=clock)
     if place and kind == "openigtlink":
+        place, _, option = place.partition("?")
+        silence_s = _silence_s(option)
         host, _, port_text = place.rpartition(":") if ":" in place else (place, "", str(DEFAULT_PORT))
-        if host and port_text.isascii() and port_text.isdigit() and 0 < int(port_text) < 65536:
-            return IgtlClient(host, int(port_text), listener, clock=clock)
+        known = silence_s is not None or not option
+        if known and host and port_text.isascii() and port_text.isdigit() and 0 < int(port_text) < 65536:
+            return IgtlClient(host, int(port_text), listener, silence_s=silence_s, clock=clock)
     raise UsageError(f"a device is named {', '.join(KINDS)}; found {address!r}", code="devices.address")
+
+
+def _silence_s(option: str) -> float | None:
+    """Seconds from 0.1 to 3,600 of ``silence=S``; None for anything else."""
+    name, _, text = option.partition("=")
+    try:
+        seconds = float(text)
+    except ValueError:
+        return None
+    return seconds if name == "silence" and 0.1 <= seconds <= 3600.0 else None

@@ -21,7 +21,8 @@ __all__ = ["DEFAULT_PORT", "IgtlClient", "IgtlServer"]
 
 DEFAULT_PORT = 18944
 CHUNK = 1 << 16
-SILENCE_S = 5.0
+# A peer that lost its power says no farewell: the system asks for it after so long, so often, so many times.
+KEEPALIVE = (("TCP_KEEPIDLE", 4), ("TCP_KEEPALIVE", 4), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3))
 # RAS is what 3D Slicer expects; ours is LPS.
 RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 TIP_NAME = "CarinaTip"
@@ -40,7 +41,9 @@ class IgtlClient(Source):
     tool
         Only this one; None takes all.
     silence_s
-        A connection that says nothing for so long is opened again: a peer that lost its power says no farewell.
+        A connection that says nothing for so long is opened again; None: being idle is no fault, since many peers speak
+        only while a tool moves or is seen. A peer that is gone without a farewell is found by TCP's own keep-alive,
+        within some 10 s.
     """
 
     def __init__(
@@ -50,7 +53,7 @@ class IgtlClient(Source):
         listener: Listener,
         *,
         tool: str | None = None,
-        silence_s: float = SILENCE_S,
+        silence_s: float | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(f"openigtlink:{host}:{port}", "OpenIGTLink", listener, clock=clock)
@@ -70,6 +73,7 @@ class IgtlClient(Source):
             return
         async with asyncio.timeout(3.0):
             reader, writer = await asyncio.open_connection(self._host, self._port)
+        _keep_alive(writer)
         stream = IgtlStream()
         stream.num_bad = self.num_bad
         self._state, self._words = "live", "connected; no tool yet"
@@ -93,7 +97,7 @@ class IgtlClient(Source):
             async with asyncio.timeout(self._silence_s):
                 return await reader.read(CHUNK)
         except TimeoutError:
-            raise TimeoutError(f"connected, and nothing came for {self._silence_s:g} s") from None
+            raise TimeoutError(f"connected, and nothing came for {self._silence_s or 0.0:g} s") from None
 
     def _told(self, pose: IgtlPose) -> None:
         device = f"{self.address}/{pose.name}"
@@ -106,6 +110,15 @@ class IgtlClient(Source):
         if loop is not None and task is not None and not loop.is_closed():
             with contextlib.suppress(RuntimeError):
                 loop.call_soon_threadsafe(task.cancel)
+
+
+def _keep_alive(writer: asyncio.StreamWriter) -> None:
+    connection = writer.get_extra_info("socket")
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in KEEPALIVE:
+        # What a system does not know it keeps its own default of.
+        with contextlib.suppress(AttributeError, OSError):
+            connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 class IgtlServer:
