@@ -69,6 +69,26 @@ def test_the_kuberay_manifest_sets_what_our_own_machines_get(tmp_path):
     assert told == {**ours, "RAY_AUTH_TOKEN_PATH": "/etc/carina/token"}
 
 
+@pytest.mark.parametrize(
+    ("words", "starts", "told"), [(node.TIMED_OUT, 3, node.TIMED_OUT), ("no such option", 1, "no such option")]
+)
+def test_a_start_that_was_too_slow_is_tried_again_and_one_that_is_refused_is_not(
+    tmp_path, monkeypatch, words, starts, told
+):
+    """A busy machine's helpers miss a limit of Ray's own; a wrong argument stays wrong."""
+    monkeypatch.setattr(node, "check_available", lambda: None)
+    log, began = tmp_path / "log", tmp_path / "began"
+    program = f"open({str(began)!r}, 'a').write('x'); print({words!r})"
+    made = node.Node(node.make_token(tmp_path / "token"), head=True, ip="127.0.0.2", port=1, log=log)
+    made.stop()
+    made._command, made._starts_left, made._log = [sys.executable, "-c", program], 3, log.open("ab")
+    made.process = made._started()
+    with pytest.raises(ClusterError, match=told):
+        made.wait_ready(60.0)
+    made.stop()
+    assert began.read_text() == "x" * starts
+
+
 def test_addresses_have_a_port_or_get_the_usual_one():
     assert node.split_address("10.0.0.5") == ("10.0.0.5", 6379)
     assert node.split_address("desk:7000") == ("desk", 7000)

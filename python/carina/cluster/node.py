@@ -40,6 +40,8 @@ STARTED = "Ray runtime started"
 CONSOLE_ENVIRONMENT = {"RAY_gcs_rpc_server_reconnect_timeout_s": str(10 * 365 * 86_400)}
 """For the console alone. Ray ends a program whose head has been gone for a minute; a workstation renders alone and goes
 on. Machines do end, and join anew."""
+TIMED_OUT = "timed out during startup"
+"""What it says when its own helpers were too slow."""
 LEAST_STORE_BYTES = 80 * 1024 * 1024
 
 
@@ -124,9 +126,6 @@ def ray_environment(token: Path, *, dedicated: bool = False) -> dict[str, str]:
         "RAY_health_check_period_ms": "1000",
         "RAY_health_check_timeout_ms": "2000",
         "RAY_health_check_failure_threshold": "3",
-        # A busy machine takes longer to start than Ray's 30 s, and then would not be in the cluster at all.
-        "RAY_raylet_start_wait_time_s": "120",
-        "RAY_agent_register_timeout_ms": "120000",
         "RAY_task_events_report_interval_ms": "0",
         "RAY_enable_metrics_collection": "0",
         # On a desk the person comes first; Ray's own 15 would be too humble.
@@ -218,11 +217,17 @@ class Node:
         where = {**os.environ, **ray_environment(token, dedicated=dedicated), **(environment or {})}
         self._log = None if log is None else log.open("ab")
         self._log_path = log
-        self._log_from = 0 if log is None else log.stat().st_size
-        command = [*command_prefix, sys.executable, "-m", "ray.scripts.scripts", *arguments]
-        self.process = subprocess.Popen(
-            command,
-            env=where,
+        self._starts_left = 3
+        self._command = [*command_prefix, sys.executable, "-m", "ray.scripts.scripts", *arguments]
+        self._environment = where
+        self.process = self._started()
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        self._starts_left -= 1
+        self._log_from = 0 if self._log_path is None else self._log_path.stat().st_size
+        return subprocess.Popen(
+            self._command,
+            env=self._environment,
             stdin=subprocess.DEVNULL,
             stdout=self._log or subprocess.DEVNULL,
             stderr=subprocess.STDOUT if self._log else subprocess.DEVNULL,
@@ -234,7 +239,7 @@ class Node:
         """Whether the machine is still in the cluster, as far as its own process knows."""
         return self.process.poll() is None
 
-    def wait_ready(self, timeout_s: float = 60.0) -> None:
+    def wait_ready(self, timeout_s: float = 150.0) -> None:
         """Until the head's port answers.
 
         Raises
@@ -245,6 +250,9 @@ class Node:
         host, port = split_address(self.address)
         end_s = time.monotonic() + timeout_s
         while time.monotonic() < end_s:
+            if not self.running and self._starts_left and TIMED_OUT in self._words():
+                # Ray's own helpers must answer within 15 s, which nothing can change: a busy machine needs another try.
+                self.process = self._started()
             if not self.running:
                 raise ClusterError(
                     f"joining the cluster at {self.address} failed{self._last_words()}", code="cluster.start"
@@ -257,7 +265,8 @@ class Node:
         raise ClusterError(f"nothing answers at {self.address} after {timeout_s:g} s", code="cluster.start")
 
     def _words(self) -> str:
-        assert self._log_path is not None
+        if self._log_path is None:
+            return ""
         return self._log_path.read_bytes()[self._log_from :].decode("utf-8", errors="replace")
 
     def _last_words(self) -> str:
