@@ -1,10 +1,15 @@
-"""Devices in the hand, end to end: a gamepad of the browser and a scope handle at a serial port fly the phantom."""
+"""Devices in the hand fly the phantom, are lost and come back: mocked ones of the browser, a serial port, a network."""
 
 from __future__ import annotations
 
+import itertools
+import math
+import struct
 import sys
+import time
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 from server_process import Server, start_server, stop_server
 
@@ -71,6 +76,191 @@ def test_a_gamepad_flies_changes_the_mode_is_shown_and_may_be_pulled_out(server,
     stopped = workstation.state("pose.pose_id")
     workstation.page.wait_for_timeout(300)
     assert workstation.state("pose.pose_id") == stopped
+
+    # Plugged in again: what was held when it came presses nothing, and it flies.
+    hold(workstation, (0, 0, 0, 0), [3])
+    workstation.page.wait_for_timeout(200)
+    assert workstation.state("pose.mode") == "free"
+    hold(workstation, (0, 0, 0, -1))
+    workstation.page.wait_for_function(f"() => window.__carina.state.pose.pose_id > {stopped}")
+    hold(workstation, (0, 0, 0, 0))
+    assert workstation.faults == []
+
+
+# WebHID with two devices that the test moves: as each describes itself to a browser.
+HID_MOCK = """
+class Device extends EventTarget {
+  constructor(vendorId, productName, collections) {
+    super();
+    Object.assign(this, {vendorId, productId: 1, productName, collections, opened: false});
+  }
+  async open() { this.opened = true; }
+  async close() { this.opened = false; }
+  report(reportId, bytes) {
+    if (!this.opened) return;
+    const data = new DataView(Uint8Array.from(bytes).buffer);
+    this.dispatchEvent(Object.assign(new Event('inputreport'), {reportId, data}));
+  }
+}
+const item = (usages, reportSize, low, high, more = {}) => ({
+  usages, reportSize, reportCount: usages.length, logicalMinimum: low, logicalMaximum: high, isArray: false, ...more,
+});
+const axes = (first) => item([first, first + 1, first + 2], 16, -350, 350);
+const page = 0xff42 * 65536, end = 99999999;
+window.testHid = {
+  mouse: new Device(0x256f, 'SpaceMouse Test', [{usagePage: 1, usage: 8, children: [], inputReports: [
+    {reportId: 1, items: [axes(0x10030)]}, {reportId: 2, items: [axes(0x10033)]}]}]),
+  handle: new Device(0x2341, 'Test handle', [{usagePage: 0xff42, usage: 1, children: [], inputReports: [
+    {reportId: 1, items: [item([page + 0x21], 32, 0, 2147483647), item([page + 0x22, page + 0x23], 32, -end, end),
+      item([page + 0x24], 16, -1000, 1000), item([0x90001, 0x90002], 1, 0, 1), item([], 6, 0, 1)]}]}]),
+};
+const hid = Object.assign(new EventTarget(), {
+  requestDevice: async ({filters}) => [filters[0].usagePage === 0xff42 ? window.testHid.handle : window.testHid.mouse],
+});
+window.plug = (name, event) => hid.dispatchEvent(Object.assign(new Event(event), {device: window.testHid[name]}));
+Object.defineProperty(navigator, 'hid', {value: hid});
+"""
+
+
+def hid_report(workstation, name: str, report_id: int, data: bytes) -> None:
+    workstation.page.evaluate("([n, id, b]) => window.testHid[n].report(id, b)", [name, report_id, list(data)])
+
+
+def test_a_spacemouse_and_a_handle_at_usb_fly_are_pulled_out_and_come_back(server, workstation):
+    page = workstation.page
+    page.add_init_script(HID_MOCK)
+    workstation.open(server)
+    workstation.wait_ready()
+    page.keyboard.press(";")
+    page.get_by_role("radio", name="Path").click()
+    page.wait_for_function("() => window.__carina.state.pose.mode === 'path'")
+    page.get_by_text("SpaceMouse", exact=True).click()
+    page.wait_for_function("() => window.testHid.mouse.opened")
+
+    def push_the_cap() -> None:
+        before = workstation.state("pose.pose_id")
+        hid_report(workstation, "mouse", 1, struct.pack("<3h", 0, 350, 0))
+        page.wait_for_function(f"() => window.__carina.state.pose.pose_id > {before + 5}")
+        hid_report(workstation, "mouse", 1, struct.pack("<3h", 0, 0, 0))
+        workstation.wait_still()
+
+    push_the_cap()
+    page.evaluate("() => window.plug('mouse', 'disconnect')")
+    page.wait_for_function("() => !window.testHid.mouse.opened")
+    page.evaluate("() => window.plug('mouse', 'connect')")
+    page.wait_for_function("() => window.testHid.mouse.opened")
+    push_the_cap()
+
+    page.get_by_test_id("ask-handle").click()
+    page.wait_for_function("() => window.testHid.handle.opened")
+    clock = itertools.count(1000, 20)
+
+    def push_the_handle(from_mm: float, by_mm: float) -> float:
+        """The shaft goes in; how far the tip went."""
+        before_mm = workstation.state("pose.path_mm")
+        for n in range(41):
+            insertion = round(100 * (from_mm + by_mm * n / 40))
+            hid_report(workstation, "handle", 1, struct.pack("<Iiihb", next(clock), insertion, 0, 0, 0))
+            page.wait_for_timeout(20)
+        workstation.wait_still()
+        return workstation.state("pose.path_mm") - before_mm
+
+    assert push_the_handle(500.0, 10.0) == pytest.approx(10.0, abs=2.5), "from wherever it stands, and smoothed"
+    page.evaluate("() => window.plug('handle', 'disconnect')")
+    page.wait_for_function("() => !window.__carina.state.devices.devices.some(d => d.holds)")
+    page.evaluate("() => window.plug('handle', 'connect')")
+    page.wait_for_function("() => window.testHid.handle.opened")
+    # It was moved by 30 cm meanwhile: that moves nothing.
+    assert push_the_handle(200.0, 10.0) == pytest.approx(10.0, abs=2.5)
+    workstation.picture("devices-hid")
+    # Half a report, and a lever beyond its end: told once, and it flies on.
+    hid_report(workstation, "handle", 1, b"\x00\x01")
+    hid_report(workstation, "handle", 1, struct.pack("<Iiihb", next(clock), 0, 0, 9000, 0))
+    page.get_by_text("not as it describes them").wait_for()
+    assert push_the_handle(210.0, 5.0) == pytest.approx(5.0, abs=1.5)
+    assert workstation.faults == []
+
+
+def test_a_tracker_in_the_network_flies_is_calibrated_lost_and_found_again(server, workstation):
+    from carina.navigate.devices import IgtlServer
+
+    page = workstation.page
+    workstation.open(server)
+    workstation.wait_ready()
+    page.keyboard.press(";")
+    page.wait_for_selector("[data-testid=device-panel]")
+    place = np.eye(4)
+    began = time.monotonic()
+
+    def pose() -> np.ndarray:
+        # It trembles, as every tracker does.
+        moved = place.copy()
+        moved[0, 3] += 0.2 * math.sin(40.0 * (time.monotonic() - began))
+        return moved
+
+    tracker = IgtlServer(pose, port=0)
+    tracker.start()
+    try:
+        field = page.locator(".device-panel input")
+        field.fill(f"openigtlink:127.0.0.1:{tracker.port}")
+        field.press("Enter")
+        page.wait_for_function("() => window.__carina.state.devices?.sources[0]?.state === 'live'")
+        page.wait_for_selector("[data-testid=device][data-holds]")
+        page.get_by_text("Calibrate", exact=True).click()
+        corners = [(0.0, 0.0, 0.0), (40.0, 0.0, 0.0), (0.0, 40.0, 0.0)]
+        for n, corner in enumerate(corners):
+            place[:3, 3] = corner
+            x, y = -corner[0], -corner[1]  # the window's numbers are LPS or RAS, as the tracker says them
+            page.wait_for_function(
+                "([x, y]) => { const at = window.__carina.state.devices.devices[0].position_mm;"
+                " return Math.abs(Math.abs(at[0]) - Math.abs(x)) < 1 && Math.abs(Math.abs(at[1]) - Math.abs(y)) < 1; }",
+                arg=[x, y],
+            )
+            page.get_by_test_id("take-pair").click()
+            assert page.locator(".calibration p.numbers").count() == n + 1
+        workstation.picture("devices-calibration")
+        port = tracker.port
+    finally:
+        tracker.stop()
+    page.wait_for_function("() => window.__carina.state.devices.sources[0].state !== 'live'")
+    workstation.wait_still()
+    stopped = workstation.state("pose.pose_id")
+    page.wait_for_timeout(300)
+    assert workstation.state("pose.pose_id") == stopped
+    tracker = IgtlServer(pose, port=port)
+    tracker.start()
+    try:
+        page.wait_for_function("() => window.__carina.state.devices.sources[0].state === 'live'")
+        page.wait_for_function(f"() => window.__carina.state.pose.pose_id > {stopped}")
+    finally:
+        tracker.stop()
+    page.get_by_text("Disconnect").click()
+    page.wait_for_function("() => window.__carina.state.devices.sources.length === 0")
+    assert workstation.faults == []
+
+
+def test_the_mouse_is_locked_looks_around_and_is_let_go(server, workstation):
+    page = workstation.page
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.wait_still()
+    before = workstation.state("pose.lps_from_camera")
+    page.keyboard.press("Control+Enter")
+    page.wait_for_function("() => window.__carina.state.ui.mouseLocked")
+    for n in range(10):
+        page.mouse.move(500 + 20 * n, 450)
+        page.wait_for_timeout(30)
+    page.wait_for_function(f"() => Math.abs(window.__carina.state.pose.lps_from_camera[2] - {before[2]}) > 0.02")
+    page.evaluate("() => document.exitPointerLock()")
+    page.wait_for_function("() => !window.__carina.state.ui.mouseLocked")
+    workstation.wait_still()
+    stopped = workstation.state("pose.pose_id")
+    page.mouse.move(300, 600)
+    page.wait_for_timeout(200)
+    assert workstation.state("pose.pose_id") == stopped
+    page.keyboard.press("Control+Enter")
+    page.wait_for_function("() => window.__carina.state.ui.mouseLocked")
+    page.evaluate("() => document.exitPointerLock()")
     assert workstation.faults == []
 
 

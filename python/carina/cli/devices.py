@@ -14,7 +14,10 @@ from carina.navigate.devices import Listener, SourceStatus, found_ports, open_so
 
 __all__ = ["report"]
 
-IN_THE_WINDOW = "mouse, keyboard, gamepads and SpaceMouse are found by the window (`carina open`, Devices)"
+IN_THE_WINDOW = (
+    "mouse, keyboard, gamepads, SpaceMouse, handles at USB (HID), headsets and phones are found by the window "
+    "(`carina open`, Devices)"
+)
 REFRESH_S = 0.25
 
 
