@@ -231,3 +231,25 @@ def test_a_lens_that_looks_up_sees_the_same_when_who_faces_lets_the_scope_go(ben
     held = session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera
     session.set_mode(mode)
     np.testing.assert_allclose(session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera, held, atol=1e-9)
+
+
+def test_a_recording_keeps_what_its_wall_was_made_from(bench, tmp_path):
+    session = bench.session
+    session.go_to(12.0)
+    enter(bench)
+    session.start_recording(tmp_path / "w.jsonl")
+    session.steer(2.0, 0.0, 0.3, 0.1)
+    session.stop_recording()
+    recording = open_recording(tmp_path / "w.jsonl")
+    volume = session.snapshot().case.volume
+    asked = []
+
+    def made(kept):
+        asked.append(kept)
+        return wall_field(volume, small_airways(volume), progress=lambda *_: None, cancel=lambda: False)
+
+    replayed = list(recording.replay(volume, wall=made))
+    assert len(asked) == 1
+    assert asked[0]["digest"] == made(asked[0]).digest()
+    assert asked[0]["edits"] is None
+    assert all(same for _, same in replayed)

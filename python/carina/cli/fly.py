@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,9 @@ from carina.navigate import AutoFlight, KeyFrame, KeyFrameFlight, Recording, ope
 from carina.navigate.auto_flight import frame_times_s
 from carina.navigate.recording import ReplayedPose, case_key, sampled
 from carina.render import AirwayView, Backend, Renderer, TransferFunction, transfer_preset
-from carina.scopes import DEFAULT_SCOPE, ImageField, Pose, scope_preset
+from carina.scopes import DEFAULT_SCOPE, ImageField, Pose, WallField, scope_preset
 from carina.session import RendererFactory
-from carina.track import wall_field
+from carina.track import edits_from_json, wall_field
 from carina.volume import Volume
 
 __all__ = ["report"]
@@ -136,9 +136,7 @@ def report(
 
 
 def _replayed(recorded: Recording, volume: Volume, progress: Any) -> tuple[list[ReplayedPose], dict[str, Any]]:
-    wall = None
-    if recorded.needs_wall:
-        wall = wall_field(volume, carina.find_airways(volume, progress=progress), progress=progress)
+    wall = _walls(volume, progress) if recorded.needs_wall else None
     moments, different = [], 0
     for moment, same in recorded.replay(volume, wall=wall):
         moments.append(moment)
@@ -150,6 +148,39 @@ def _replayed(recorded: Recording, volume: Volume, progress: Any) -> tuple[list[
     if not recorded.complete:
         say("note: the recording was cut off; it is flown as far as it goes")
     return moments, {"num_moments": len(moments), "num_different": different, "complete": recorded.complete}
+
+
+def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallField]:
+    """Makes walls from what a recording keeps of the airways: searched for as then, and edited as then."""
+    known: dict[str, WallField] = {}
+
+    def wall(kept: dict[str, Any]) -> WallField:
+        digest = str(kept.get("digest", ""))
+        if digest in known:
+            return known[digest]
+        searches: list[dict[str, Any]] = [{}]
+        if kept.get("root_lps") is not None:
+            # Airways are found by themselves, or from a root and with a threshold that a person gave.
+            searches += [
+                {"lumen_threshold": kept.get("lumen_threshold")},
+                {"root_lps": kept["root_lps"], "lumen_threshold": kept.get("lumen_threshold")},
+            ]
+        edits = () if kept.get("edits") is None else edits_from_json(kept["edits"])
+        for search in searches:
+            airways = carina.find_airways(volume, **search, progress=progress)
+            for edit in edits:
+                airways = carina.edit_airways(volume, airways, edit, progress=progress)
+            made = wall_field(volume, airways, progress=progress)
+            if digest in {"", made.digest()}:
+                known[digest] = made
+                return made
+        raise VolumeImportError(
+            "the scope of this recording was held by other airways than Carina finds and edits here: they came from a "
+            "mask of another tool, or from another build of Carina; replay it where it was made",
+            code="navigate.recording",
+        )
+
+    return wall
 
 
 def _read_keys(path: Path) -> KeyFrameFlight:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import assert_never
+from typing import Any, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,6 +97,8 @@ class Pilot:
         """Told of every move after it was applied, for recordings."""
         self.wall: WallField | None = None
         """What holds a scope in the lumen."""
+        self.wall_made_from: dict[str, Any] | None = None
+        """What a replay makes that wall from again, as JSON values; kept with each scope that is laid."""
         self._gate = SampleGate()
         self._devices: dict[str, _Device] = {}
         self._controls = m.Controls()

@@ -147,6 +147,8 @@ class Recorder:
             json.dumps(line, allow_nan=False)
         except ValueError:
             return  # a sample with NaN, which the gate refused: it moves nothing
+        if isinstance(move, m.SetScope) and self._pilot.wall_made_from is not None:
+            line["wall"] = self._pilot.wall_made_from
         pose = self._pilot.navigator.pose
         if pose is not self._pose:
             self._pose = pose
@@ -237,7 +239,9 @@ class Recording:
         """Whether a scope was held in the lumen, so that a replay needs the wall."""
         return any(line.get("move", {}).get("move") == "SetScope" for line in self.lines)
 
-    def replay(self, volume: Volume, *, wall: WallField | None = None) -> Iterator[tuple[ReplayedPose, bool]]:
+    def replay(
+        self, volume: Volume, *, wall: WallField | Callable[[dict[str, Any]], WallField] | None = None
+    ) -> Iterator[tuple[ReplayedPose, bool]]:
         """Fly it again: every pose that the moves give, and whether it equals the recorded one bit for bit.
 
         Parameters
@@ -245,7 +249,8 @@ class Recording:
         volume
             The case's.
         wall
-            What held the scope; where there was one (:attr:`needs_wall`).
+            What held the scope, where there was one (:attr:`needs_wall`); or what makes it from what the recording
+            keeps of the airways (``digest``, ``root_lps``, ``lumen_threshold``, ``edits``), whenever a scope is laid.
 
         Raises
         ------
@@ -254,7 +259,7 @@ class Recording:
         """
         try:
             pilot = Pilot(Navigator(Pose(np.asarray(self.header["tip"]["lps_from_camera"])), volume=volume))
-            pilot.wall = wall
+            pilot.wall = wall if isinstance(wall, WallField) else None
             for value in self.header["begin"]:
                 pilot.apply(m.move_from_json(value))
             pilot.navigator.restore(self.header["tip"], pilot.navigator.path)
@@ -266,6 +271,8 @@ class Recording:
                     view = dict(line["view"])
                     yield ReplayedPose(float(line["t"]), tip.pose, view, tip.picture_turned), True
                 elif "move" in line:
+                    if line["move"].get("move") == "SetScope" and wall is not None and not isinstance(wall, WallField):
+                        pilot.wall = wall(dict(line.get("wall") or {}))
                     pilot.apply(m.move_from_json(line["move"]))
                     if "pose" in line:
                         same = tip.pose.lps_from_camera.ravel().tolist() == line["pose"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,13 +13,14 @@ import numpy as np
 
 from carina.errors import CarinaError, NoResultError, UsageError
 from carina.navigate import Controls, Move, Recorder, Sample, case_key, fit_registration, moves
-from carina.scopes import DEFAULT_SCOPE, ForceLaw, Pose, local_contact, scope_preset
+from carina.scopes import DEFAULT_SCOPE, ForceLaw, Pose, WallField, local_contact, scope_preset
 from carina.session.case import OpenCase, as_point
 from carina.session.core import SessionCore
 from carina.session.document import Document, Point
 from carina.session.jobs import Job
 from carina.session.routes import leaf_below, route_to_branch
 from carina.session.snapshot import DevicesInfo, NearWall, Said, Trouble
+from carina.track import edits_to_json
 
 # A hand that rests at the wall is counted so long, until it moves again.
 MAX_CONTACT_S = 10.0
@@ -102,9 +104,11 @@ class Flying(SessionCore):
         def work(job: Job) -> None:
             try:
                 wall = self._parts.wall_field(case.info.volume, airways, progress=job.progress, cancel=job.cancel)
+                made_from = _made_from(wall, airways)
                 with self._lock:
                     job.check()
                     case.pilot.wall, case.wall_of = wall, airways
+                    case.pilot.wall_made_from = made_from
                     if self._case is case and case.document.airways is airways and case.lays_scope:
                         self._lay_scope(case)
             except BaseException:
@@ -425,3 +429,19 @@ class Flying(SessionCore):
             self._changed("state", "pose", "views")
         else:
             self._changed("pose", "views")
+
+
+def _made_from(wall: WallField, airways: Any) -> dict[str, Any]:
+    """What a replay makes a wall from again: search, edits, and how to tell that it is the same."""
+    found = getattr(airways, "base", None) or airways
+    edits = getattr(airways, "edits", ())
+    return {
+        "digest": wall.digest(),
+        "root_lps": [float(v) for v in found.root_lps],
+        "lumen_threshold": float(getattr(found, "threshold", math.nan)) if _has_threshold(found) else None,
+        "edits": edits_to_json(edits) if edits else None,
+    }
+
+
+def _has_threshold(airways: Any) -> bool:
+    return math.isfinite(float(getattr(airways, "threshold", math.nan)))

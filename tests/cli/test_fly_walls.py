@@ -1,0 +1,51 @@
+"""The wall of a recording is made again from what the recording keeps of the airways, or refused."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+import carina
+from carina.cli import fly
+from carina.errors import VolumeImportError
+from carina.track import CutBranch, edits_to_json
+
+
+@pytest.fixture
+def searches(monkeypatch):
+    """Airways are the words that say how they came to be; a wall's digest is theirs."""
+    seen = []
+
+    def find(volume, *, root_lps=None, lumen_threshold=None, progress):
+        seen.append((root_lps, lumen_threshold))
+        return f"found {root_lps} {lumen_threshold}"
+
+    monkeypatch.setattr(carina, "find_airways", find)
+    monkeypatch.setattr(carina, "edit_airways", lambda volume, airways, edit, *, progress: f"{airways}, {edit}")
+    monkeypatch.setattr(
+        fly, "wall_field", lambda volume, airways, *, progress: SimpleNamespace(digest=lambda: airways, of=airways)
+    )
+    return seen
+
+
+def test_edits_are_made_again_to_airways_found_as_then(searches):
+    edit = CutBranch(3)
+    kept = {"digest": f"found [1.0, 2.0, 3.0] -800.0, {edit}", "root_lps": [1.0, 2.0, 3.0], "lumen_threshold": -800.0}
+    kept["edits"] = edits_to_json([edit])
+    wall = fly._walls(None, None)
+    assert wall(kept).of == kept["digest"]
+    assert searches == [(None, None), (None, -800.0), ([1.0, 2.0, 3.0], -800.0)]
+    # The same wall is made once.
+    assert wall(kept) is wall(kept)
+    assert len(searches) == 3
+
+
+def test_other_airways_are_refused_in_words(searches):
+    with pytest.raises(VolumeImportError, match="held by other airways") as refused:
+        fly._walls(None, None)({"digest": "a mask", "root_lps": [0.0, 0.0, 0.0], "lumen_threshold": None})
+    assert refused.value.code == "navigate.recording"
+
+
+def test_a_recording_from_before_takes_the_airways_that_are_found(searches):
+    assert fly._walls(None, None)({}).of == "found None None"
