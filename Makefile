@@ -54,7 +54,7 @@ $(CLUSTER_STAMP): requirements-cluster.lock $(STAMP)
 
 test-python: $(STAMP) $(CLUSTER_STAMP)
 	$(PY) tools/find_browser.py --install
-	$(PY) -m pytest -m "not soak" -ra
+	$(PY) -m pytest -m "not soak" -ra --durations=25
 
 # Not part of `make test`: wgpu is a large build, and most machines that test have no adapter. Here a missing one is a
 # failure, and the software one of Mesa (lavapipe) is enough. The Python tests take the wheel, as people get it.
