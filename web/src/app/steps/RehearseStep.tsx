@@ -20,7 +20,8 @@ export function RehearseStep() {
   const begin = (fromMm: number | null) => {
     // Out of the mode and in again: the scope is laid anew, and its contacts are counted from nought.
     station.send({ type: "set_mode", mode: "path" });
-    if (fromMm !== null) station.goTo(fromMm);
+    // At once, not with the next frame as station.goTo: it enters path mode, and would end the scope's.
+    if (fromMm !== null) station.send({ type: "go_to", path_mm: fromMm });
     station.send({ type: "set_mode", mode: "scope" });
   };
   return (
