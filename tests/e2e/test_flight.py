@@ -139,10 +139,10 @@ def test_the_rehearsal_says_how_far_the_scope_fits(server, workstation):
     page.get_by_role("button", name="Rehearse", exact=True).click()
     fits = page.get_by_test_id("fits")
     narrowest_mm = 2 * min(workstation.state("route.wall_mm"))
-    tip_mm = page.evaluate(
-        "() => window.__carina.state.start.scopes.find(s => s.name === window.__carina.state.session.scope).tip_mm"
+    needed_mm = page.evaluate(
+        "() => window.__carina.state.start.scopes.find(s => s.name === window.__carina.state.session.scope).fit_mm"
     )
-    assert (fits.inner_text() == "to the end") == (narrowest_mm >= tip_mm)
+    assert (fits.inner_text() == "to the end") == (narrowest_mm >= needed_mm)
     assert page.get_by_test_id("rehearse").is_enabled()
     workstation.picture("rehearse")
     assert workstation.faults == []

@@ -103,6 +103,8 @@ class Scope:
     title: Words
     tip_mm: float
     """Outer diameter, as stated."""
+    fit_mm: float
+    """The lumen that it needs: true tips are thicker than stated, and some insertion tubes thicker than their tips."""
     channel_mm: float | None
     fov_deg: float | None
     view_up_deg: float

@@ -36,7 +36,8 @@ def start_message(*, notice_accepted: bool, recent: tuple[RecentCase, ...], pati
     """What the start page shows; paths stay on the server's side."""
     cases = tuple(wire.RecentCase(c.recent_id, c.date, c.title) for c in recent)
     scopes = tuple(
-        wire.Scope(s.name, s.title, s.tip_mm, s.channel_mm, s.fov_deg, s.view_up_deg) for s in scope_presets()
+        wire.Scope(s.name, s.title, s.tip_mm, round(s.fit_mm, 2), s.channel_mm, s.fov_deg, s.view_up_deg)
+        for s in scope_presets()
     )
     return wire.Start(notice_accepted, cases, demos(patient_citation), scopes)
 

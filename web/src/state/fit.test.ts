@@ -4,21 +4,22 @@ import { comesFarthest, firstTooNarrow, thatPass } from "./fit";
 
 const ROUTE = { wall_mm: [9, 5, 2.2, 3, 1.6], cumulative_mm: [0, 100, 200, 210, 260] };
 
-const scope = (name: string, tip_mm: number): Scope => ({
+const scope = (name: string, tip_mm: number, fit_mm = tip_mm + 0.4): Scope => ({
   name,
   title: name,
   tip_mm,
+  fit_mm,
   channel_mm: null,
   fov_deg: null,
   view_up_deg: 0,
 });
 const THICK = scope("thick", 6);
-const THIN = scope("thin", 4);
-const FINE = scope("fine", 3);
+const THIN = scope("thin", 3.9);
+const FINE = scope("fine", 2.8);
 const FINEST = scope("finest", 2.2);
 
 describe("an instrument on a route", () => {
-  it("stops where the lumen is narrower than its tip, though it widens again", () => {
+  it("stops where the lumen is narrower than it needs, though it widens again", () => {
     expect(firstTooNarrow(ROUTE, 6)).toEqual({ pathMm: 200, diameterMm: 4.4 });
     expect(firstTooNarrow(ROUTE, 4.4)).toEqual({ pathMm: 260, diameterMm: 3.2 });
     expect(firstTooNarrow(ROUTE, 3.2)).toBeNull();
@@ -27,6 +28,14 @@ describe("an instrument on a route", () => {
   it("is found among others, the thickest that passes first", () => {
     expect(thatPass(ROUTE, [FINEST, THICK, FINE, THIN])).toEqual([FINE, FINEST]);
     expect(thatPass(ROUTE, [THICK, THIN])).toEqual([]);
+  });
+
+  it("needs more than its stated tip: true tips are thicker, and so are some tubes", () => {
+    // 3.2 mm is the narrowest place.
+    const nominal = scope("nominal", 3.2);
+    const thickTube = scope("thick tube", 2, 3.6);
+    expect(thatPass(ROUTE, [nominal, thickTube])).toEqual([]);
+    expect(comesFarthest(ROUTE, [THICK, nominal])).toEqual({ scope: nominal, pathMm: 260 });
   });
 
   it("is the one that comes farthest where none passes", () => {

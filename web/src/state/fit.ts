@@ -1,12 +1,12 @@
-/** How far along a route an instrument fits, by the CT: the largest ball in the lumen against the tip's diameter. */
+/** How far along a route an instrument fits, by the CT: the largest ball in the lumen against the lumen that it needs. */
 
 import type { RouteInfo, Scope } from "../wire/messages";
 
 type Widths = Pick<RouteInfo, "wall_mm" | "cumulative_mm">;
 
-/** The first place of the route that is narrower than the tip; null if it passes to the end. */
-export function firstTooNarrow(route: Widths, tipMm: number): { pathMm: number; diameterMm: number } | null {
-  const index = route.wall_mm.findIndex((ball) => 2 * ball < tipMm);
+/** The first place of the route that is narrower than what is needed (`Scope.fit_mm`); null if it passes to the end. */
+export function firstTooNarrow(route: Widths, neededMm: number): { pathMm: number; diameterMm: number } | null {
+  const index = route.wall_mm.findIndex((ball) => 2 * ball < neededMm);
   if (index < 0) return null;
   return { pathMm: route.cumulative_mm[index] ?? 0, diameterMm: 2 * (route.wall_mm[index] ?? 0) };
 }
@@ -14,7 +14,7 @@ export function firstTooNarrow(route: Widths, tipMm: number): { pathMm: number; 
 /** The instruments that pass to the route's end, the thickest first: it has the widest channel. */
 export function thatPass(route: Widths, scopes: readonly Scope[]): Scope[] {
   return scopes
-    .filter((scope) => firstTooNarrow(route, scope.tip_mm) === null)
+    .filter((scope) => firstTooNarrow(route, scope.fit_mm) === null)
     .sort((a, b) => b.tip_mm - a.tip_mm || a.title.localeCompare(b.title));
 }
 
@@ -22,7 +22,7 @@ export function thatPass(route: Widths, scopes: readonly Scope[]): Scope[] {
 export function comesFarthest(route: Widths, scopes: readonly Scope[]): { scope: Scope; pathMm: number } | null {
   let best: { scope: Scope; pathMm: number } | null = null;
   for (const scope of scopes) {
-    const pathMm = firstTooNarrow(route, scope.tip_mm)?.pathMm ?? Number.POSITIVE_INFINITY;
+    const pathMm = firstTooNarrow(route, scope.fit_mm)?.pathMm ?? Number.POSITIVE_INFINITY;
     if (best === null || pathMm > best.pathMm) best = { scope, pathMm };
   }
   return best;

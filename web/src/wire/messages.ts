@@ -527,6 +527,7 @@ export interface Scope {
   readonly name: string;
   readonly title: string;
   readonly tip_mm: number;
+  readonly fit_mm: number;
   readonly channel_mm: number | null;
   readonly fov_deg: number | null;
   readonly view_up_deg: number;

@@ -76,7 +76,7 @@ export function RehearseStep() {
 
 /** How far the chosen instrument fits, and which others come farther. */
 function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes: readonly Scope[] }) {
-  const stop = firstTooNarrow(route, scope.tip_mm);
+  const stop = firstTooNarrow(route, scope.fit_mm);
   const passing = thatPass(route, scopes);
   const farthest = comesFarthest(route, scopes);
   return (
@@ -84,7 +84,9 @@ function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes:
       <dl className="facts">
         <div>
           <dt>Tip</dt>
-          <dd className="numbers">{mm(scope.tip_mm)}</dd>
+          <dd className="numbers">
+            {mm(scope.tip_mm)}, needs {mm(scope.fit_mm)}
+          </dd>
         </div>
         {scope.channel_mm === null ? null : (
           <div>
@@ -103,7 +105,7 @@ function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes:
         <p className="warning-text">
           <Icon name="warning" /> The lumen is {mm(stop.diameterMm)} wide there.{" "}
           {passing.length > 0
-            ? `To the end pass: ${passing.map((each) => `${each.title} (${mm(each.tip_mm)})`).join("; ")}.`
+            ? `To the end pass: ${passing.map((each) => `${each.title} (needs ${mm(each.fit_mm)})`).join("; ")}.`
             : farthest === null || farthest.scope.name === scope.name
               ? "No instrument of the list comes farther."
               : `None of the list passes to the end; ${farthest.scope.title} comes farthest, ${mm(farthest.pathMm, 0)}.`}
