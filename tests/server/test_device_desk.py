@@ -160,6 +160,27 @@ def test_a_handle_is_connected_shown_and_disconnected(desk):
         port.unplug()
 
 
+@pytest.mark.parametrize("option", ["", "?silence=30"])
+def test_a_tracker_is_disconnected_by_the_name_that_is_shown_however_it_was_typed(desk, option):
+    made, _, _ = desk
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        made.handle(wire.ConnectDevice(f"openigtlink:127.0.0.1:{port}{option}"))
+        (shown,) = made.message().sources
+        with pytest.raises(UsageError, match="connected already"):
+            made.handle(wire.ConnectDevice(f"openigtlink:127.0.0.1:{port}"))
+        made.handle(wire.DisconnectDevice(shown.address))
+        assert made.message().sources == ()
+
+
+def test_a_tracker_without_a_port_is_disconnected_by_the_name_that_is_shown(desk):
+    made, _, _ = desk
+    made.handle(wire.ConnectDevice("openigtlink:127.0.0.1"))
+    (shown,) = made.message().sources
+    made.handle(wire.DisconnectDevice(shown.address))
+    assert made.message().sources == ()
+
+
 def test_a_handle_that_rests_and_goes_on_speaking_makes_no_new_poses(desk):
     made, bench, _ = desk
     made.handle(wire.WatchDevices(True))  # frames go on five times a second

@@ -148,12 +148,13 @@ class DeviceDesk:
         self._watched = False
 
     def _connect(self, address: str) -> None:
-        if address in self._sources:
-            raise UsageError(f"{address} is connected already", code="devices.address")
+        source = open_source(address, Listener(self._session.device_said, self._session.device_gone))
+        # By its own name, which is shown: what was typed may leave out a port, or say more than the name.
+        if source.address in self._sources:
+            raise UsageError(f"{source.address} is connected already", code="devices.address")
         if len(self._sources) >= MAX_SOURCES:
             raise UsageError(f"at most {MAX_SOURCES} devices are connected at once", code="devices.address")
-        source = open_source(address, Listener(self._session.device_said, self._session.device_gone))
-        self._sources[address] = source
+        self._sources[source.address] = source
         source.start()
 
     def _switch_phone(self, on: bool) -> None:
