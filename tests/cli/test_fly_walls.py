@@ -8,7 +8,7 @@ import pytest
 
 import carina
 from carina.cli import fly
-from carina.errors import VolumeImportError
+from carina.errors import NoResultError, UsageError, VolumeImportError
 from carina.track import CutBranch, edits_to_json
 
 
@@ -39,6 +39,32 @@ def test_edits_are_made_again_to_airways_found_as_then(searches):
     # The same wall is made once.
     assert wall(kept) is wall(kept)
     assert len(searches) == 3
+
+
+def test_a_search_that_finds_nothing_by_itself_does_not_end_the_others(searches, monkeypatch):
+    find = carina.find_airways
+
+    def by_root_alone(volume, *, root_lps=None, lumen_threshold=None, progress):
+        found = find(volume, root_lps=root_lps, lumen_threshold=lumen_threshold, progress=progress)
+        if root_lps is None and lumen_threshold is None:
+            raise NoResultError("no trachea was found")
+        return found
+
+    def no_such_branch(volume, airways, edit, *, progress):
+        if "None" in airways:
+            raise UsageError("the tree has no branch 3")
+        return f"{airways}, {edit}"
+
+    monkeypatch.setattr(carina, "find_airways", by_root_alone)
+    monkeypatch.setattr(carina, "edit_airways", no_such_branch)
+    edit = CutBranch(3)
+    kept = {"digest": f"found [1.0, 2.0, 3.0] -800.0, {edit}", "root_lps": [1.0, 2.0, 3.0], "lumen_threshold": -800.0}
+    kept["edits"] = edits_to_json([edit])
+    assert fly._walls(None, None)(kept).of == kept["digest"]
+    with pytest.raises(VolumeImportError, match="held by other airways"):
+        fly._walls(None, None)({**kept, "root_lps": None})
+    with pytest.raises(NoResultError, match="no trachea"):
+        fly._walls(None, None)({})
 
 
 def test_other_airways_are_refused_in_words(searches):

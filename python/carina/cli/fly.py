@@ -22,7 +22,7 @@ from carina.cli.console import print_json, progress_printer, say
 from carina.cli.kept_frames import KeptFrames
 from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
-from carina.errors import NoResultError, UsageError, VolumeImportError
+from carina.errors import NoResultError, TrackingError, UsageError, VolumeImportError
 from carina.export import VIDEO_SUFFIXES, VideoWriter
 from carina.navigate import AutoFlight, KeyFrame, KeyFrameFlight, Recording, open_recording
 from carina.navigate.auto_flight import frame_times_s
@@ -167,10 +167,16 @@ def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallFiel
             ]
         edits = () if kept.get("edits") is None else edits_from_json(kept["edits"])
         for search in searches:
-            airways = carina.find_airways(volume, **search, progress=progress)
-            for edit in edits:
-                airways = carina.edit_airways(volume, airways, edit, progress=progress)
-            made = wall_field(volume, airways, progress=progress)
+            try:
+                airways = carina.find_airways(volume, **search, progress=progress)
+                for edit in edits:
+                    airways = carina.edit_airways(volume, airways, edit, progress=progress)
+                made = wall_field(volume, airways, progress=progress)
+            except (TrackingError, UsageError):
+                # A person gives a root where the search finds none by itself; and other airways have other branches.
+                if search is searches[-1] and not digest:
+                    raise
+                continue
             if digest in {"", made.digest()}:
                 known[digest] = made
                 return made
