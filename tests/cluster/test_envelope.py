@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -56,6 +58,26 @@ def test_the_largest_strip_stays_on_the_transports_quick_path():
 def test_what_is_no_picture_is_not_sent(rgb):
     with pytest.raises(ClusterError, match="uint8"):
         pack_answer((1, 1, 5, 3, 0.0, "leap", COUNTS, None, rgb))
+
+
+@pytest.mark.parametrize(
+    "pickled",
+    [
+        b"cno_such_module\nX\n.",
+        b"cbuiltins\nno_such_name\n.",
+        b"0.",
+        b"h\x05.",
+        b"\x80\xff.",
+        b"cbuiltins\nint\n(I0\ndR.",
+        b"",
+    ],
+)
+def test_a_picture_that_cannot_be_unpacked_is_told_as_no_answer(pickled):
+    bare = pickle.dumps(_picture(), protocol=5)
+    whole = pack_answer((1, 1, 0, 3, 0.0, "leap", COUNTS, _picture(), np.zeros((3, 8, 3), np.uint8)))
+    assert bare in whole
+    with pytest.raises(ClusterError, match="no strip"):
+        open_answer(whole.replace(bare, pickled.ljust(len(bare), b"\0")))
 
 
 @given(st.data())
