@@ -282,6 +282,33 @@ def test_a_renderer_that_dies_in_mid_frame_loses_no_picture(case, cluster):
     _wait_ready(made)
 
 
+def test_a_renderer_that_cannot_even_be_asked_to_load_ends_nothing(case, cluster, monkeypatch):
+    made = cluster(settings=FAST)
+    _wait_ready(made)
+    expected = made.truth.render(_airway(case)).rgb
+    asked = []
+
+    def load(parcel, done):
+        asked.append(parcel)
+        raise ConnectionError("the head is gone")
+
+    monkeypatch.setattr(made.lanes[0], "load", load)
+    made.lanes[0].trouble.raises = ConnectionError("gone")
+    end_s = time.monotonic() + 20.0
+    while len(asked) < 2:
+        assert np.array_equal(made.renderer.want(_airway(case))[1].result(timeout=20.0).rgb, expected)
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+    # Another transfer function reaches the lanes after it.
+    made.renderer.set_transfer(transfer_preset("paper"))
+    made.truth.set_transfer(transfer_preset("paper"))
+    expected = made.truth.render(_airway(case)).rgb
+    assert np.array_equal(made.renderer.want(_airway(case))[1].result(timeout=20.0).rgb, expected)
+    monkeypatch.undo()
+    made.lanes[0].trouble.raises = None
+    _wait_ready(made)
+
+
 def test_with_no_renderer_left_the_console_renders_alone_and_nothing_fails(case, cluster):
     made = cluster(simds=(None,), settings=FAST)
     _wait_ready(made)

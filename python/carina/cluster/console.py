@@ -185,10 +185,7 @@ class Console:
                 happen = _nothing
             # Everything that has come, before anyone is called late: answers may have waited for this thread.
             while happen is not None:
-                try:
-                    happen()
-                except Exception:
-                    logger.exception("the console stumbled")
+                _whatever_happens(happen)
                 try:
                     happen = self._inbox.get_nowait()
                 except queue.Empty:
@@ -198,15 +195,18 @@ class Console:
             now_s = self._clock()
             due_s = self._scheduler.deadline_s
             if due_s is not None and now_s >= due_s:
-                self._scheduler.tick(now_s)
-                self._act()
+                _whatever_happens(partial(self._tick, now_s))
             for item in [item for item in self._later if item[0] <= now_s]:
                 self._later.remove(item)
-                item[1]()
+                _whatever_happens(item[1])
         for frame in self._frames.values():
             fail(frame.future, CancelledError("the cluster was closed"))
         for member in self._members.values():
-            member.lane.close()
+            _whatever_happens(member.lane.close)
+
+    def _tick(self, now_s: float) -> None:
+        self._scheduler.tick(now_s)
+        self._act()
 
     def _wait_s(self) -> float | None:
         due = [at_s for at_s, _ in self._later]
@@ -258,7 +258,12 @@ class Console:
         def done(trouble: BaseException | None) -> None:
             self._inbox.put(lambda: self._loaded(name, generation, parcel, trouble))
 
-        light = member.lane.load(parcel, done)
+        try:
+            light = member.lane.load(parcel, done)
+        except Exception as trouble:
+            # As one that cannot load: the others still get theirs, and this one is asked again.
+            done(trouble)
+            return
         if light and not was_loading:
             self._scheduler.load(name, parcel.content, self._clock())
             self._act()
@@ -501,6 +506,14 @@ class Console:
             frame_ms=None if frame_s is None else frame_s * 1e3,
             notices=tuple(self._notices),
         )
+
+
+def _whatever_happens(step: Callable[[], object]) -> None:
+    """Without this thread no picture would ever come again, and nobody would be told."""
+    try:
+        step()
+    except Exception:
+        logger.exception("the console stumbled")
 
 
 def _nothing() -> None:
