@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from workstation import FLAGS, Workstation
+from workstation import FLAGS, PICTURE_MS, Workstation
 
 from find_browser import find_browser
 
@@ -21,6 +21,7 @@ def browser() -> Iterator[object]:
     path = find_browser()
     if path is None:
         pytest.skip("needs a Chromium or Chrome (Debian package: chromium)")
+    sync_api.expect.set_options(timeout=PICTURE_MS)
     with sync_api.sync_playwright() as playwright:
         launched = playwright.chromium.launch(executable_path=path, args=FLAGS)
         yield launched
@@ -31,6 +32,7 @@ def browser() -> Iterator[object]:
 def workstation(browser, request) -> Iterator[Workstation]:
     """A page at the pinned size and pixel ratio; a screenshot is left where the test failed or asked for one."""
     context = browser.new_context(viewport={"width": 1440, "height": 900}, device_scale_factor=1)
+    context.set_default_timeout(PICTURE_MS)
     OUT.mkdir(parents=True, exist_ok=True)
     station = Workstation(context.new_page(), OUT)
     yield station

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import expect
 from server_process import Server, start_server, stop_server
 
 pytestmark = pytest.mark.browser
@@ -36,7 +37,7 @@ def test_while_flying_the_status_says_how_fast_and_how_fine_and_at_rest_the_pict
     workstation.wait_ready()
     workstation.wait_still()
     status = workstation.page.locator(".status-bar")
-    assert "full resolution" in status.inner_text()
+    expect(status).to_contain_text("full resolution")
     workstation.page.keyboard.down("w")
     workstation.page.wait_for_timeout(2000)
     workstation.picture("budget-flying")

@@ -87,6 +87,39 @@ def test_a_moving_view_is_coarse_and_becomes_full_when_still(screen):
     assert screen.pump.wait_s() is None
 
 
+def final_airway(screen):
+    """Whether the airway picture that is on the screen once all has come to rest is called final."""
+    screen.drain()
+    while (wait_s := screen.pump.wait_s()) is not None:
+        screen.bench.clock.advance(wait_s)
+        screen.drain()
+    return [h.full for h in screen.headers if h.view == "airway"][-1]
+
+
+@pytest.mark.parametrize("ends", ["shown", "taken back", "stopped", "failed"])
+def test_no_picture_is_final_while_another_transfer_function_is_on_its_way(screen, ends):
+    assert final_airway(screen)
+    session, renderer = screen.bench.session, screen.bench.renderers[-1]
+
+    def fail(_transfer):
+        raise MemoryError
+
+    session.set_transfer(preset="ct-grey")
+    session.set_fov(100.0)  # Another picture, still of what the renderer has.
+    assert not final_airway(screen)
+    assert [h.full for h in screen.headers if h.view == "axial"][-1], "a slice does not depend on it"
+    if ends == "taken back":
+        session.undo()
+        session.undo()
+    elif ends == "stopped":
+        (job,) = session.jobs.running
+        session.cancel(job.job_id)
+    elif ends == "failed":
+        renderer.set_transfer = fail
+    screen.bench.background.run_all()
+    assert final_airway(screen)
+
+
 def test_a_view_never_goes_back_to_an_older_pose(screen):
     screen.bench.renderers[-1].on_render = lambda _view: screen.bench.clock.advance(0.01)
     for _ in range(40):

@@ -563,7 +563,7 @@ class PictureHeader:
     codec: Literal["jpeg", "png"]
     quality: Annotated[int, Range(1, 100)]
     full: bool
-    """Final quality for this state; false while moving."""
+    """Final quality for this state; false while moving, and while another lumen or transfer function is on its way."""
     empty: bool
     """An airway view without anything in it: the tip looks out of the CT."""
     render_ms: float

@@ -248,7 +248,7 @@ class FramePump:
                 step_vox=order.step_vox if shows == "airway" else None,
                 codec="jpeg",
                 quality=quality,
-                full=order.full,
+                full=order.full and scene.can_be_final(shows),
                 empty=shows == "airway" and _is_empty(picture.rgb),
                 render_ms=round(rendered_s * 1e3, 2),
                 method=str(picture.stats.method),

@@ -87,6 +87,10 @@ class OpenCase:
     has_lumen: bool = False
     """The renderer has been given a lumen."""
     content_number: int = 0
+    content_wanted: int = 0
+    """Grows when a person or a job decides on another transfer function or lumen..."""
+    content_shown: int = 0
+    """... and the one of these that the renderer has come to."""
 
     @property
     def navigator(self) -> Navigator:

@@ -166,6 +166,7 @@ class SessionCore:
                 # Another tree or other names in the same lumen: the renderer shows it already.
                 case.shown_airways, new_airways = airways, False
         if new_airways or document.transfer is not case.shown_transfer:
+            case.content_wanted += 1
             self._sync_display(case)
 
     def _sync_display(self, case: OpenCase) -> None:
@@ -203,6 +204,9 @@ class SessionCore:
                 if case.display_wanted != wanted and self._case is case:
                     # What came after the change that this job was stopped at, or failed with.
                     self._sync_display(case)
+                elif case.content_shown != case.content_wanted:
+                    # Nothing brings the renderer further: what it shows is final.
+                    self._content_shown(case, case.content_wanted)
             raise
 
     @staticmethod
@@ -211,7 +215,7 @@ class SessionCore:
 
     def _show_document(self, case: OpenCase, job: Job, stale: Callable[[], bool]) -> None:
         with self._lock:
-            document = case.document
+            document, wanted = case.document, case.content_wanted
             new_transfer = document.transfer is not case.shown_transfer
             new_lumen = document.airways is not case.shown_airways
             case.shown_transfer, case.shown_airways = document.transfer, document.airways
@@ -219,12 +223,18 @@ class SessionCore:
             case.renderer.set_transfer(document.transfer)
         if new_lumen:
             case.renderer.set_lumen(None if document.airways is None else document.airways.lumen_zyx)
-        if new_transfer or new_lumen:
-            with self._lock:
+        with self._lock:
+            if new_transfer or new_lumen or case.content_shown != wanted:
                 case.has_lumen = document.airways is not None
-                case.content_number += 1
-                self._changed("views")
+                self._content_shown(case, wanted)
         case.renderer.prepare(job.progress, stale)
+
+    def _content_shown(self, case: OpenCase, wanted: int) -> None:
+        """The renderer has come to a change of content; with the session locked."""
+        case.content_shown = wanted
+        # Also where it was taken back meanwhile: no picture since was sent as final.
+        case.content_number += 1
+        self._changed("views")
 
     def _moved(self) -> None:
         self._pose_id += 1
@@ -276,6 +286,7 @@ class SessionCore:
             return Scene(
                 case_number=case.number,
                 content_number=case.content_number,
+                content_is_newest=case.content_shown == case.content_wanted,
                 renderer=case.renderer,
                 pose=case.navigator.pose,
                 pose_id=self._pose_id,

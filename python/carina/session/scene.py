@@ -148,6 +148,8 @@ class Scene:
     """The tip's place on the route; None in free movement."""
     picture_turned: bool = False
     """See :attr:`carina.navigate.Navigator.picture_turned`."""
+    content_is_newest: bool = True
+    """The renderer has the transfer function and the lumen that were decided on; else it is being given them."""
 
     @property
     def shown_lps(self) -> tuple[float, float, float]:
@@ -185,6 +187,10 @@ class Scene:
         if view == "tree":
             return (*case, self.content_number, self.orbit_tree) if self.has_lumen else None
         return case
+
+    def can_be_final(self, view: str) -> bool:
+        """Whether a view's picture shows what was decided on, and will not be made again by itself."""
+        return self.content_is_newest or view not in {"airway", "tree"}
 
     def spec(self, view: str, width: int, height: int, step_vox: float, *, full_width: int | None = None) -> Any:
         """The view as the renderer takes it. ``full_width`` keeps a zoomed slice's extent in a smaller picture."""
