@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pydicom
 import pytest
@@ -11,7 +13,7 @@ from pydicom.sequence import Sequence
 from pydicom.uid import ExplicitVRLittleEndian, generate_uid
 
 from carina.errors import VolumeImportError
-from carina.volume import Volume, open_mask
+from carina.volume import MaskLabelError, Volume, mask_files, open_mask
 
 SHAPE = (6, 8, 10)
 
@@ -129,12 +131,35 @@ def test_of_several_labels_one_must_be_chosen(volume, inside, tmp_path):
         (np.zeros(SHAPE, np.uint8), "it is empty"),
         (np.linspace(0.0, 1.0, 480, dtype=np.float32).reshape(SHAPE), "probabilities"),
         (np.arange(480 * 4, dtype=np.int16).reshape(24, 8, 10), "different numbers"),
+        # In 32 bits these two structures would be one, and no browser can name them.
+        (np.arange(480, dtype=np.float64).reshape(SHAPE) % 3 * 2.0**40, "no labels"),
+        (np.arange(480, dtype=np.uint32).reshape(SHAPE) % 3 * np.uint32(2**30), "no labels"),
     ],
 )
 def test_what_is_no_mask_is_refused(tmp_path, values, words):
     volume = Volume(np.zeros(values.shape, dtype=np.int16), oblique())
     with pytest.raises(VolumeImportError, match=words):
         open_mask(write(tmp_path / "m.nrrd", values, oblique()), volume)
+
+
+def test_how_much_lies_in_the_scan_is_told_without_the_places_of_all_voxels(volume):
+    inside = np.random.default_rng(2).random((40, 90, 80)) < 0.4
+    inside[30:] = True
+    place = oblique()
+    # The volume's own corner, and most of the mask beyond it.
+    place[:3, 3] -= place[:3, :3] @ (40.0, 45.0, 20.0)
+    ijk = volume.to_ijk(np.argwhere(inside)[:, ::-1] @ place[:3, :3].T + place[:3, 3])
+    truth = ((ijk >= -0.5) & (ijk < np.array(volume.shape_zyx[::-1]) - 0.5)).all(axis=1).mean()
+    tracemalloc.start()
+    share = mask_files._share_inside(inside, place, volume)
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert 0.0 < truth < 0.01
+    assert abs(share - truth) < 0.002
+    assert peak_bytes < 2_500_000
+    few = np.zeros(SHAPE, bool)
+    few[0, 0, 0] = few[-1, -1, -1] = True
+    assert mask_files._share_inside(few, oblique(), volume) == 1.0
 
 
 def test_a_missing_file_and_a_folder_are_refused(volume, tmp_path):
@@ -215,6 +240,20 @@ def test_segments_have_names(volume, inside, tmp_path):
     assert np.array_equal(open_mask(path, volume, label=1).inside_zyx, labels == 1)
 
 
+@pytest.mark.filterwarnings("ignore:The value length")
+def test_segments_names_are_text_that_can_be_shown(volume, inside, tmp_path):
+    labels = inside.copy()
+    labels[4, 6, 8] = 2
+
+    def rename(data):
+        data.SegmentSequence[0].SegmentLabel = "air\x01way" + 5000 * "y"
+
+    path = segmentation(tmp_path / "seg.dcm", labels, oblique(), change=rename)
+    with pytest.raises(MaskLabelError) as asked:
+        open_mask(path, volume)
+    assert [label.name for label in asked.value.labels] == [("air way" + 5000 * "y")[:64], "structure 2"]
+
+
 def _tilt(data):
     position = data.PerFrameFunctionalGroupsSequence[1].PlanePositionSequence[0]
     position.ImagePositionPatient = [v + 0.6 for v in position.ImagePositionPatient]
@@ -236,6 +275,14 @@ def _short(data):
     data.PixelData = data.PixelData[:4]
 
 
+def _wide(data):
+    data.SharedFunctionalGroupsSequence[0].PixelMeasuresSequence[0].PixelSpacing = ["1e200", "1e200"]
+
+
+def _segment_of_none(data):
+    data.PerFrameFunctionalGroupsSequence[0].SegmentIdentificationSequence[0].ReferencedSegmentNumber = 300
+
+
 def _many(data):
     data.NumberOfFrames = 2**31 - 1
 
@@ -249,6 +296,8 @@ def _many(data):
         (_an_image, "not a segmentation"),
         (_short, "pixels cannot be read"),
         (_many, "it claims"),
+        (_wide, "mm wide"),
+        (_segment_of_none, "name segments"),
     ],
 )
 def test_a_broken_segmentation_is_refused(volume, inside, tmp_path, change, words):

@@ -18,6 +18,7 @@ __all__ = ["read_segmentation"]
 _SEGMENTATION_STORAGE = "1.2.840.10008.5.1.4.1.1.66.4"
 # Of the distance of two planes: rounding of decimal strings.
 _PLANE = 0.05
+_WIDEST_MM = 100.0
 
 
 def read_segmentation(path: Path, watch: Watch) -> tuple[NDArray[np.uint8], NDArray[np.float64], dict[int, str]]:
@@ -43,7 +44,7 @@ def read_segmentation(path: Path, watch: Watch) -> tuple[NDArray[np.uint8], NDAr
         raise _refused(path, "it is DICOM, but not a segmentation (SEG)", "choose the SEG file, or a NIfTI of the mask")
     if str(data.get("SegmentationType", "BINARY")) != "BINARY":
         raise _refused(path, "its segments are fractional", "export a binary segmentation")
-    names = {int(s.SegmentNumber): str(s.get("SegmentLabel", "")) for s in data.get("SegmentSequence", [])}
+    names = {int(s.SegmentNumber): _plain(str(s.get("SegmentLabel", ""))) for s in data.get("SegmentSequence", [])}
     if len(names) > 255 or any(not 0 < number <= 255 for number in names):
         raise _refused(path, f"it has {len(names)} segments; at most 255 are read", "export the airway alone")
     rows, columns, num_frames = (int(data.get(key, 0) or 0) for key in ("Rows", "Columns", "NumberOfFrames"))
@@ -87,6 +88,10 @@ class _Places:
             ]
         except (KeyError, TypeError, ValueError):
             raise _refused(path, "its frames do not say where they lie", "export it again") from None
+        if not (spacing.min() > 0.0 and spacing.max() < _WIDEST_MM):
+            raise _refused(path, f"its pixels are {spacing.max():g} mm wide", "export it again")
+        if not all(0 < number <= 255 for number in self.segments):
+            raise _refused(path, "its frames name segments that it cannot have", "export it again")
         along, down = orientation[0, :3], orientation[0, 3:]
         normal = np.cross(along, down)
         straight = np.allclose([along @ along, down @ down, along @ down], [1.0, 1.0, 0.0], atol=1e-3)
@@ -138,7 +143,12 @@ def _length(group: Any, shared: Any, name: str) -> float | None:
         value = float(_item(group, shared, "PixelMeasuresSequence", name))
     except (KeyError, TypeError, ValueError):
         return None
-    return value if 0.0 < value < 100.0 else None
+    return value if 0.0 < value < _WIDEST_MM else None
+
+
+def _plain(name: str) -> str:
+    """A segment's name as it may be shown: DICOM allows 64 characters, and what no text has would end a message."""
+    return "".join(c if c.isprintable() else " " for c in name[:64]).strip()
 
 
 def _refused(path: Path, problem: str, way_out: str) -> VolumeImportError:

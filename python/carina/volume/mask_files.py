@@ -20,6 +20,9 @@ from carina.volume.watch import Watch
 
 __all__ = ["Mask", "MaskGridError", "MaskLabel", "MaskLabelError", "open_mask"]
 
+# Tools count structures from 1. Larger ones would not be the same number in a browser, or after rounding to float32.
+_LARGEST_LABEL = 2**24
+_SAMPLED = 10_000
 # Of a voxel: headers in float32 are right to about 1e-4 mm, another grid is off by a good part of a voxel.
 _SAME_VOXEL = 0.05
 
@@ -137,6 +140,13 @@ def _labels(path: Path, watch: Watch) -> tuple[NDArray[np.generic], NDArray[np.f
         )
         raise VolumeImportError(msg, code="import.not-an-image")
     values, header = read_grid_array(path, kind, watch=watch)
+    low, high = values.min(), values.max()
+    if low < -_LARGEST_LABEL or high > _LARGEST_LABEL:
+        msg = (
+            f"reading the mask {path.name}: it holds numbers from {low:g} to {high:g}, which are no labels; choose the "
+            "file of the segmentation"
+        )
+        raise VolumeImportError(msg, code="import.mask")
     if values.dtype.kind == "f":
         if not np.isfinite(values).all() or (values != np.rint(values)).any():
             msg = (
@@ -271,7 +281,14 @@ def _other_grid(
 
 def _share_inside(inside: NDArray[np.bool_], lps_from_mask: NDArray[np.float64], volume: Volume) -> float:
     """How much of a structure lies in the volume, 0 to 1: of some ten thousand of its voxels."""
-    voxels = np.argwhere(inside)[:, ::-1]
-    voxels = voxels[:: max(1, len(voxels) // 10_000)]
+    step = max(1, int(np.count_nonzero(inside)) // _SAMPLED)
+    taken, passed = [], 0
+    # Slice by slice: the places of all voxels of a large structure take gigabytes.
+    for k, plane in enumerate(inside):
+        flat = np.flatnonzero(plane)
+        j, i = np.divmod(flat[-passed % step :: step], inside.shape[2])
+        taken.append(np.stack([i, j, np.full_like(i, k)], axis=1))
+        passed += len(flat)
+    voxels = np.concatenate(taken)
     ijk = volume.to_ijk(voxels @ lps_from_mask[:3, :3].T + lps_from_mask[:3, 3])
     return float(((ijk >= -0.5) & (ijk < np.array(volume.shape_zyx[::-1]) - 0.5)).all(axis=1).mean())
