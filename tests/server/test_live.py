@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import gzip
 import json
@@ -322,6 +323,48 @@ def test_the_airways_are_taken_away_as_a_file_that_does_not_stay(live, tmp_path,
             # Removed after the last byte, before the next answer of this connection.
             (path,) = made
             assert not path.parent.exists()
+
+
+def test_a_file_does_not_stay_when_a_part_of_it_is_asked_for_that_it_does_not_have(live, tmp_path, monkeypatch):
+    def export(path, *_parts):
+        path.write_text("short")
+        return path
+
+    monkeypatch.setattr(Downloads.__init__, "__defaults__", (export,))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with running(tmp_path / "own") as own, own.window() as window, own.http(cookie=own.cookie) as http:
+        open_case(window)
+        for part in ("bytes=900-", "bytes=x-y", "bytes=0-1"):
+            http.get("/api/airways.stl", headers={"range": part})
+        http.head("/api/airways.stl")
+        assert http.get("/api/airways.stl").text == "short"
+    assert not list(tmp_path.glob("carina-download-*"))
+
+
+def test_a_file_does_not_stay_when_the_server_ends_while_it_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    begun, may_end = threading.Event(), threading.Event()
+
+    def export(path, *_parts):
+        begun.set()
+        assert may_end.wait(WAIT_S)
+        # As one that writes its file at the end.
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("the anatomy of somebody")
+        return path
+
+    async def ends_meanwhile():
+        answering = asyncio.create_task(
+            Downloads(SimpleNamespace(airways_to_take_away=lambda: (1, 2)), export).answer(".stl")
+        )
+        await asyncio.to_thread(begun.wait, WAIT_S)
+        answering.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await answering
+        may_end.set()
+
+    asyncio.run(ends_meanwhile())
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_file_that_cannot_be_made_is_refused_in_words(live, tmp_path, monkeypatch):

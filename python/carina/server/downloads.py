@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
-from starlette.background import BackgroundTask
 from starlette.responses import FileResponse, Response
+from starlette.types import Receive, Scope, Send
 
 from carina.errors import CarinaError
 from carina.export import EXPORT_SUFFIXES, export_airways
@@ -51,21 +52,37 @@ class Downloads:
             raise CarinaError(msg, code="export.suffix")
         volume, airways = self._session.airways_to_take_away()
         async with self._one_at_a_time:
-            path = await asyncio.to_thread(self._make, suffix, volume, airways)
-        return FileResponse(
-            path,
-            filename=path.name,
-            headers={"cache-control": "no-store"},
-            background=BackgroundTask(rmtree, path.parent, ignore_errors=True),
-        )
+            folder = _new_folder()
+            given_up = threading.Event()
+            try:
+                path = await asyncio.to_thread(self._make, folder / f"{FILE_STEM}{suffix}", volume, airways, given_up)
+            except BaseException:
+                # Also where the server ends meanwhile: the thread goes on, and sees it.
+                given_up.set()
+                rmtree(folder, ignore_errors=True)
+                raise
+        return _FileForOnce(path, filename=path.name, headers={"cache-control": "no-store"})
 
-    def _make(self, suffix: str, volume: Any, airways: Any) -> Path:
+    def _make(self, path: Path, volume: Any, airways: Any, given_up: threading.Event) -> Path:
         try:
-            folder = Path(tempfile.mkdtemp(prefix="carina-download-"))
-        except OSError as trouble:
-            raise CarinaError(f"no file can be made on this machine: {trouble}", code="export.disk") from trouble
+            return self._export(path, volume, airways)
+        finally:
+            if given_up.is_set():
+                rmtree(path.parent, ignore_errors=True)
+
+
+class _FileForOnce(FileResponse):
+    """A file in a folder of its own; both go however the answer ends: sent, refused (a range beyond it), broken off."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
-            return self._export(folder / f"{FILE_STEM}{suffix}", volume, airways)
-        except BaseException:
-            rmtree(folder, ignore_errors=True)
-            raise
+            await super().__call__(scope, receive, send)
+        finally:
+            rmtree(Path(self.path).parent, ignore_errors=True)
+
+
+def _new_folder() -> Path:
+    try:
+        return Path(tempfile.mkdtemp(prefix="carina-download-"))
+    except OSError as trouble:
+        raise CarinaError(f"no file can be made on this machine: {trouble}", code="export.disk") from trouble
