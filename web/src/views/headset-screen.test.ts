@@ -52,8 +52,9 @@ describe("matrices", () => {
 });
 
 /** As much of WebGL as is called, which writes down what is drawn. */
-function fakeGl(log: string[], linksWell: boolean): WebGL2RenderingContext {
+function fakeGl(log: string[], linksWell: boolean, places: Float32Array[]): WebGL2RenderingContext {
   const known: Record<string, unknown> = {
+    uniformMatrix4fv: (_: unknown, __: boolean, place: Float32Array) => places.push(place),
     getProgramParameter: () => linksWell,
     getProgramInfoLog: () => "bad shader",
     createShader: () => ({}),
@@ -68,14 +69,15 @@ function fakeGl(log: string[], linksWell: boolean): WebGL2RenderingContext {
 
 function screenOf(log: string[], newest: () => NewestPicture | null, linksWell = true) {
   const states: object[] = [];
-  const gl = fakeGl(log, linksWell);
+  const places: Float32Array[] = [];
+  const gl = fakeGl(log, linksWell, places);
   const screen = new PictureScreen({
     newest,
     canvas: () => ({ getContext: () => gl }) as unknown as HTMLCanvasElement,
     layer: () => ({ framebuffer: null, getViewport: () => ({ x: 0, y: 0, width: 9, height: 9 }) }),
   });
   const session = { updateRenderState: (state: object) => states.push(state) } as unknown as XrSession;
-  return { screen, session, states };
+  return { screen, session, states, places };
 }
 
 const VIEW = { projectionMatrix: IDENTITY, transform: { inverse: { matrix: IDENTITY } } };
@@ -98,6 +100,22 @@ describe("its pictures", () => {
     screen.close();
     screen.draw(VIEWER);
     expect(log.filter((name) => name === "drawArrays").length).toBe(60);
+  });
+
+  it("keep their proportions when the picture's change, and the screen its place", async () => {
+    let image = IMAGE;
+    let frameId = 1;
+    const { screen, session, places } = screenOf([], () => ({ image, frameId, round: true }));
+    await screen.open(session);
+    screen.draw(VIEWER);
+    image = { width: 8, height: 4 } as unknown as NewestPicture["image"];
+    frameId = 2;
+    const gone = { transform: { matrix: head(5, 0, 0, 30) }, views: [VIEW] } as unknown as XrViewerPose;
+    screen.draw(gone);
+    const size = (place: Float32Array | undefined) => [Math.hypot(...(place ?? []).slice(0, 3)), place?.[5]];
+    close(size(places[0]) as number[], [0.8, 0.8]);
+    close(size(places.at(-1)) as number[], [1.6, 0.8]);
+    close([...(places.at(-1) ?? [])].slice(12), [0, 0, -1.5, 1]);
   });
 
   it("are an empty room while there is none", async () => {

@@ -63,7 +63,8 @@ export class PictureScreen implements HeadsetScreen {
   #program: WebGLProgram | null = null;
   #texture: WebGLTexture | null = null;
   #uploaded: number | null = null;
-  #room: Float32Array | null = null;
+  /** Where the head was when the screen came in front of it. */
+  #head: Pick<XrTransform, "matrix"> | null = null;
 
   constructor(around: ScreenSurroundings) {
     this.#around = around;
@@ -107,21 +108,24 @@ export class PictureScreen implements HeadsetScreen {
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, newest.image);
       this.#uploaded = newest.frameId;
     }
-    this.#room ??= inFrontOf(viewer.transform, newest.image.width / newest.image.height);
+    // A copy: what a frame hands on need not last.
+    this.#head ??= { matrix: Float32Array.from(viewer.transform.matrix) };
+    // Of this picture: the panels on the desk may be moved meanwhile, and a round lumen must stay round.
+    const room = inFrontOf(this.#head, newest.image.width / newest.image.height);
     gl.uniform1i(gl.getUniformLocation(this.#program as WebGLProgram, "is_round"), newest.round ? 1 : 0);
     const place = gl.getUniformLocation(this.#program as WebGLProgram, "eye_from_screen");
     for (const view of viewer.views) {
       const viewport = layer.getViewport(view);
       if (viewport === null) continue;
       gl.viewport(viewport.x, viewport.y, viewport.width, viewport.height);
-      const eye = product(view.projectionMatrix, product(view.transform.inverse.matrix, this.#room));
+      const eye = product(view.projectionMatrix, product(view.transform.inverse.matrix, room));
       gl.uniformMatrix4fv(place, false, eye);
       gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
     }
   }
 
   recenter(): void {
-    this.#room = null;
+    this.#head = null;
   }
 
   close(): void {
@@ -130,7 +134,7 @@ export class PictureScreen implements HeadsetScreen {
       gl.deleteTexture(this.#texture);
       gl.deleteProgram(this.#program);
     }
-    this.#gl = this.#layer = this.#program = this.#texture = this.#uploaded = this.#room = null;
+    this.#gl = this.#layer = this.#program = this.#texture = this.#uploaded = this.#head = null;
   }
 }
 

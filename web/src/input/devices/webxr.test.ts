@@ -104,7 +104,9 @@ let said: string[];
 let changes: boolean[];
 let drawn: number;
 let recentred: number;
+let closed: number;
 let openFails: Error | null;
+let whileOpening: () => void;
 let drawFails: Error | null;
 let clutchHeld: boolean;
 let enabled: boolean;
@@ -114,7 +116,8 @@ let right: FakeController;
 beforeEach(() => {
   xr = new FakeXr();
   [sent, acts, said, changes] = [[], [], [], []];
-  drawn = recentred = 0;
+  drawn = recentred = closed = 0;
+  whileOpening = () => undefined;
   openFails = drawFails = null;
   clutchHeld = false;
   enabled = true;
@@ -122,7 +125,10 @@ beforeEach(() => {
   xr.session.inputSources = [right];
   headset = new Headset(xr, {
     screen: {
-      open: () => (openFails === null ? Promise.resolve() : Promise.reject(openFails)),
+      open: () => {
+        whileOpening();
+        return openFails === null ? Promise.resolve() : Promise.reject(openFails);
+      },
       draw: () => {
         drawn += 1;
         if (drawFails !== null) throw drawFails;
@@ -130,7 +136,9 @@ beforeEach(() => {
       recenter: () => {
         recentred += 1;
       },
-      close: () => undefined,
+      close: () => {
+        closed += 1;
+      },
     },
     send: (message) => {
       checkClientMessage(JSON.stringify(message));
@@ -291,6 +299,30 @@ describe("the headset", () => {
     openFails = new Error("no WebGL");
     await headset.enter();
     expect([headset.inside, xr.session.ended, changes]).toEqual([false, true, []]);
+  });
+
+  it("can be entered again after it was taken off while it was entered", async () => {
+    whileOpening = () => void xr.session.end();
+    await headset.enter();
+    expect([headset.inside, closed, changes]).toEqual([false, 1, []]);
+    expect(said).toEqual(["The headset could not be entered: it was taken off meanwhile."]);
+    whileOpening = () => undefined;
+    xr.session = new FakeSession();
+    xr.session.inputSources = [right];
+    await headset.enter();
+    xr.session.refresh(11);
+    expect([headset.inside, drawn, changes]).toEqual([true, 1, [true]]);
+  });
+
+  it("can be entered again after it refused the first picture", async () => {
+    xr.session.requestAnimationFrame = () => {
+      throw new DOMException("the session has ended", "InvalidStateError");
+    };
+    await headset.enter();
+    expect([headset.inside, closed, changes]).toEqual([false, 1, []]);
+    xr.session = new FakeSession();
+    await headset.enter();
+    expect(headset.inside).toBe(true);
   });
 
   it("goes on when a picture fails, and says so once", async () => {

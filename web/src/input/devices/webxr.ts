@@ -137,18 +137,25 @@ export class Headset {
     if (this.#session !== null || this.#entering) return;
     this.#entering = true;
     let session: XrSession | null = null;
+    let isOver = false;
     try {
       session = await this.#xr.requestSession("immersive-vr");
       const begun = session;
-      session.addEventListener("end", () => this.#ended(begun));
+      session.addEventListener("end", () => {
+        isOver = true;
+        this.#ended(begun);
+      });
       session.addEventListener("inputsourceschange", () => this.#forgetThoseGone(begun));
       this.#space = await session.requestReferenceSpace("local");
       await this.#around.screen.open(session);
+      if (isOver) throw new Error("it was taken off meanwhile");
+      session.requestAnimationFrame(this.#frame);
       this.#session = session;
       this.#faultSaid = false;
       this.#around.changed(true);
-      session.requestAnimationFrame(this.#frame);
     } catch (trouble) {
+      this.#space = null;
+      this.#around.screen.close();
       this.#around.failed(`The headset could not be entered: ${wordsOf(trouble)}.`);
       await session?.end().catch(() => undefined);
     } finally {
