@@ -166,6 +166,26 @@ describe("a handle", () => {
     expect(samples()[0]?.handle?.[2]).toBe(1);
   });
 
+  it("whose lever has no way says nothing: what is no number would end the connection", async () => {
+    const field = (usage: number, high: number) => ({
+      usages: [0xff42 * 0x10000 + usage],
+      reportSize: 8,
+      reportCount: 1,
+      logicalMinimum: 0,
+      logicalMaximum: high,
+    });
+    const stuck = new FakeDevice([
+      { usagePage: 0xff42, usage: 1, inputReports: [{ items: [field(0x22, 100), field(0x23, 100), field(0x24, 0)] }] },
+    ]);
+    const still = made(stuck);
+    await still.open();
+    stuck.dispatchEvent(
+      Object.assign(new Event("inputreport"), { reportId: 0, data: new DataView(new ArrayBuffer(3)) }),
+    );
+    still.tick();
+    expect([samples().length, still.numBad, told]).toEqual([0, 1, 1]);
+  });
+
   it("without insertion, roll and lever is refused in words", () => {
     expect(made(new FakeDevice([])).problem).toContain("insertion");
   });
@@ -242,6 +262,47 @@ describe("the place for a device", () => {
     expect(failed[0]).toContain("Test handle cannot be used: no report of it holds insertion");
     expect(failed[1]).toBe("The device could not be opened: it is open in another program.");
     expect(port.name).toBeNull();
+  });
+
+  it("takes the interface of a device that holds its controls, when chosen and when plugged in", async () => {
+    const keys = new FakeDevice([]);
+    hid.offers = [keys, device];
+    await port.ask();
+    expect([port.name, failed]).toEqual(["scope handle Test handle", []]);
+    hid.event("disconnect", device);
+    await settled();
+    // One after the other, as browsers tell of interfaces.
+    hid.event("connect", keys);
+    hid.event("connect", device);
+    await settled();
+    expect([port.name, failed, keys.opened, device.opened]).toEqual(["scope handle Test handle", [], false, true]);
+  });
+
+  it("holds one device though another is told of while it is opened", async () => {
+    hid.offers = [device];
+    await port.ask();
+    hid.event("disconnect", device);
+    await settled();
+    const [first, second] = [new FakeDevice(SKETCH), new FakeDevice(SKETCH)];
+    hid.event("connect", first);
+    hid.event("connect", second);
+    hid.event("connect", second);
+    await settled();
+    expect([first.opened, second.opened]).toEqual([false, true]);
+    sent = [];
+    second.report(1, 100, 0, 0, 0);
+    port.tick();
+    expect(samples().length).toBe(1);
+  });
+
+  it("opens nothing once the page is left", async () => {
+    const late = new FakeDevice(SKETCH);
+    hid.offers = [late];
+    const asked = port.ask();
+    await port.stop();
+    await asked;
+    await settled();
+    expect([port.name, late.opened]).toEqual([null, false]);
   });
 
   it("is left with the page", async () => {

@@ -102,6 +102,8 @@ export class Handle implements HidReader {
     }
     const [insertion, roll, lever] = [found.get(INSERTION), found.get(ROLL), found.get(LEVER)];
     if (insertion === undefined || roll === undefined || lever === undefined) return null;
+    // A lever whose descriptor gives it no way.
+    if (!Number.isFinite(lever)) return null;
     return { timeS: this.#timeS(found.get(CLOCK)), handle: [insertion * MM, roll * RAD, lever], buttons };
   }
 

@@ -45,6 +45,9 @@ export class HidPort {
   readonly #around: HidPortSurroundings;
   #device: HidDevice | null = null;
   #reader: HidReader | null = null;
+  /** What is being opened; the newest counts. */
+  #taking: { readonly device: HidDevice } | null = null;
+  #stopped = false;
 
   constructor(
     hid: Hid,
@@ -67,7 +70,9 @@ export class HidPort {
   /** The browser asks which device; needs a click. */
   async ask(): Promise<void> {
     try {
-      const [device] = await this.#hid.requestDevice({ filters: this.#filters });
+      // A device of several interfaces is handed on as several, of which one is what was asked for.
+      const devices = await this.#hid.requestDevice({ filters: this.#filters });
+      const device = devices.find((one) => this.#read(one).problem === null) ?? devices[0];
       if (device !== undefined) await this.#take(device);
     } catch (trouble) {
       this.#fail(trouble);
@@ -81,20 +86,34 @@ export class HidPort {
   async stop(): Promise<void> {
     this.#hid.removeEventListener("disconnect", this.#pulledOut);
     this.#hid.removeEventListener("connect", this.#pluggedIn);
+    this.#stopped = true;
     this.#device = null;
+    this.#taking = null;
     await this.#letGo();
   }
 
   async #take(device: HidDevice): Promise<void> {
+    if (this.#stopped || this.#taking?.device === device) return;
     const reader = this.#read(device);
     if (reader.problem !== null) {
       this.#around.failed(`${device.productName} cannot be used: ${reader.problem}.`);
       return;
     }
-    await this.#letGo();
-    await reader.open();
-    this.#device = device;
-    this.#reader = reader;
+    const taking = { device };
+    this.#taking = taking;
+    try {
+      await this.#letGo();
+      await reader.open();
+      if (this.#taking !== taking) {
+        // Another one was taken, or the page was left, while it was opened.
+        await reader.close().catch(() => undefined);
+        return;
+      }
+      this.#device = device;
+      this.#reader = reader;
+    } finally {
+      if (this.#taking === taking) this.#taking = null;
+    }
   }
 
   async #letGo(): Promise<void> {
@@ -115,6 +134,8 @@ export class HidPort {
     // Browsers may hand out another object for the same device.
     if (device === undefined || before === null || this.#reader !== null) return;
     if (device.vendorId !== before.vendorId || device.productId !== before.productId) return;
+    // Another interface of the same device.
+    if (this.#read(device).problem !== null) return;
     this.#take(device).catch((trouble) => this.#fail(trouble));
   };
 
