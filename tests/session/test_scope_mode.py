@@ -187,6 +187,50 @@ def test_a_scope_laid_for_an_operator_who_faces_lies_as_for_one_at_the_head(benc
     np.testing.assert_allclose(session.pose_info().pose.lps_from_camera, facing, atol=1e-6)
 
 
+def test_a_wall_that_nobody_stopped_is_measured_when_its_airways_are_back(bench):
+    session = bench.session
+    session.set_root(tuple(float(v) for v in session.snapshot().document.airways.root_lps))
+    bench.background.run_all()
+    assert session.local_contact().state == "finding"
+    session.undo()
+    # The other airways' wall now: its job takes the place of the first one.
+    assert session.local_contact().state == "finding"
+    bench.background.run_all()
+    assert session.local_contact().state == "ready"
+    session.redo()
+    assert session.local_contact().state == "finding"
+    bench.background.run_all()
+    assert session.local_contact().state == "ready"
+
+
+def test_a_wall_that_is_wanted_once_more_while_its_first_job_ends_is_measured_once(bench):
+    session = bench.session
+    session.set_root(tuple(float(v) for v in session.snapshot().document.airways.root_lps))
+    bench.background.run_all()
+    for step in (session.undo, session.redo):
+        assert session.local_contact().state == "finding"
+        step()
+    assert session.local_contact().state == "finding"
+    running = len(session.jobs.running)
+    bench.background.run_next()
+    # The first job has ended; the third, of the same airways, goes on.
+    assert session.local_contact().state == "finding"
+    assert len(session.jobs.running) == running - 1
+    bench.background.run_all()
+    assert session.local_contact().state == "ready"
+
+
+def test_a_wall_that_a_person_stopped_stays_unmeasured_until_it_is_wanted_again(bench):
+    session = bench.session
+    assert session.local_contact().state == "finding"
+    (job,) = session.jobs.running
+    session.cancel(job.job_id)
+    bench.background.run_all()
+    assert session.local_contact().state == "none"
+    session.want_wall_again()
+    assert session.local_contact().state == "finding"
+
+
 def test_without_a_route_no_scope_is_laid(bench):
     bench.session.choose_route()
     with pytest.raises(NoResultError, match="along a route"):

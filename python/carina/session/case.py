@@ -63,6 +63,8 @@ class OpenCase:
     """The airways whose wall the pilot knows."""
     walling_of: Any = None
     """The airways whose wall a job measures now."""
+    walling_job: str = ""
+    """The newest such job."""
     unwalled: Any = None
     """The airways whose wall a person stopped, or that have none: no bridge starts it again by asking."""
     lays_scope: bool = False

@@ -112,15 +112,18 @@ class Flying(SessionCore):
                     if self._case is case and case.document.airways is airways and case.lays_scope:
                         self._lay_scope(case)
             except BaseException:
-                case.unwalled = airways
+                with self._lock:
+                    # A job that a newer one replaced was stopped by nobody.
+                    if case.walling_job == job.job_id:
+                        case.unwalled = airways
                 raise
             finally:
                 with self._lock:
-                    if case.walling_of is airways:
+                    if case.walling_job == job.job_id:
                         case.walling_of, case.lays_scope = None, False
 
         case.walling_of = airways
-        self._jobs.start("scope", "finding the wall that holds the scope", work)
+        case.walling_job = self._jobs.start("scope", "finding the wall that holds the scope", work)
 
     def want_wall_again(self) -> None:
         """Forget that measuring the wall was stopped: whoever asks for it now may start it."""
