@@ -56,6 +56,7 @@ def _began(pid: int) -> str | None:
         (["cluster", "join", "nowhere:door"], 1, "no token"),
         (["cluster", "status", "127.0.0.2:1"], 1, "no token"),
         (["open", "--mixed"], 2, "--cluster"),
+        (["open", "--token-file", "cluster.token"], 2, "--cluster"),
         (["open", "--cluster", "127.0.0.2:1"], 1, "no token"),
     ],
 )

@@ -34,9 +34,25 @@ def test_live_values_of_a_handle_are_shown(capsys):
     assert said["filter_latency_ms"] <= 10.0
 
 
-def test_a_device_that_says_nothing_is_no_success(capsys):
-    assert report(["handle:/dev/there-is-none"], seconds=0.3, as_json=True) == 4
-    assert "there-is-none" in json.loads(capsys.readouterr().out)["devices"][0]["words"]
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("handle:/dev/there-is-none", "no such port"),
+        ("openigtlink:127.0.0.1:1", "nothing answers there"),
+        ("openigtlink:no-such-machine.invalid:18944", "no machine has this name"),
+    ],
+)
+def test_a_device_that_says_nothing_is_no_success_and_the_reason_is_in_words(capsys, address, words):
+    assert report([address], seconds=1.0, as_json=True) == 4
+    said = json.loads(capsys.readouterr().out)["devices"][0]
+    assert said["address"] == address
+    assert words in said["words"] and "Errno" not in said["words"]
+
+
+def test_what_does_not_change_is_said_once(capsys):
+    assert report(["handle:/dev/there-is-none"], seconds=0.9, as_json=False) == 4
+    lines = capsys.readouterr().err.splitlines()
+    assert lines and len(set(lines)) == len(lines)
 
 
 def test_without_a_name_what_is_found_is_listed(capsys):

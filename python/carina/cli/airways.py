@@ -36,6 +36,7 @@ def find(
         check_output_file(output, ".json")
     if mask is not None:
         check_output_file(mask, what="--mask")
+    _check_mask_options(from_mask, label, resample)
     volume = _open(path, series)
     airways = _airways(volume, seed=seed, from_mask=from_mask, label=label, resample=resample)
     if output is not None:
@@ -92,6 +93,7 @@ def write(
     except UsageError as error:
         raise UsageError(f"-o: {error}") from None
     check_output_file(output)
+    _check_mask_options(from_mask, label, resample)
     given = None if tree is None else read_tree(tree)
     volume = _open(path, series)
     if given is not None and tree_alone:
@@ -116,6 +118,11 @@ def _open(path: Path, series: str | None) -> Volume:
     return volume
 
 
+def _check_mask_options(from_mask: Path | None, label: int | None, resample: bool) -> None:
+    if from_mask is None and (label is not None or resample):
+        raise UsageError("--label and --resample say how to read a mask; give one with --from-mask")
+
+
 def _airways(
     volume: Volume, *, seed: NDArray[np.float64] | None, from_mask: Path | None, label: int | None, resample: bool
 ) -> Airways:
@@ -126,8 +133,6 @@ def _airways(
         lumen = mask.inside_zyx
         for note in mask.notes:
             say(f"note: {note}")
-    elif label is not None or resample:
-        raise UsageError("--label and --resample say how to read a mask; give one with --from-mask")
     airways = carina.find_airways(volume, root_lps=seed, lumen_zyx=lumen, progress=progress)
     for note in airways.notes:
         say(f"note: {note}")

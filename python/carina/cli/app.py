@@ -534,6 +534,7 @@ def fly(
     """A flight as video: along the route to a branch or point, of a recording, or through key frames.
 
     Example: carina fly scan/ --to RB9 -o flight.mp4 --speed 15
+
     Example: carina fly scan/ --to RB9 -o flight.mp4 --cluster 10.0.0.5 --keep flight-frames/
     """
     with exit_codes(as_json):
@@ -568,7 +569,8 @@ def devices(
     device: Annotated[
         list[str] | None,
         typer.Option(
-            help="fastrak:PORT, fastrak-binary:PORT, handle:PORT or openigtlink:HOST[:PORT]; may be repeated."
+            help="fastrak:PORT, fastrak-binary:PORT, handle:PORT or openigtlink:HOST[:PORT][?silence=S] (connect anew "
+            "after S silent seconds); may be repeated."
         ),
     ] = None,
     seconds: Annotated[float, typer.Option(help="How long to listen.")] = 3.0,

@@ -177,8 +177,9 @@ class OpenCluster:
 def opened_cluster(address: str | None, *, token: Path | None, mixed: bool) -> Iterator[OpenCluster | None]:
     """The cluster of ``carina open --cluster``, until the workstation is closed; None without an address."""
     if address is None:
-        if mixed:
-            raise UsageError("--mixed is about the machines of a cluster: give --cluster ADDRESS")
+        for option, is_given in (("--mixed", mixed), ("--token-file", token is not None)):
+            if is_given:
+                raise UsageError(f"{option} is about the machines of a cluster: give --cluster ADDRESS")
         yield None
         return
     check_available()

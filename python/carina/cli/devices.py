@@ -29,6 +29,7 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
     live = _Live()
     sources = [open_source(address, live.listener) for address in addresses]
     statuses: list[SourceStatus] = []
+    said: dict[str, str] = {}
     try:
         for source in sources:
             source.start()
@@ -37,7 +38,10 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
             threading.Event().wait(min(REFRESH_S, max(0.0, end_s - time.monotonic())))
             if not as_json:
                 for source in sources:
-                    say(_line(source.status(), live.newest(source.address)))
+                    line = _line(source.status(), live.newest(source.address))
+                    if said.get(source.address) != line:
+                        say(line)
+                    said[source.address] = line
         statuses = [source.status() for source in sources]
     finally:
         for source in sources:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import socket
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -15,6 +17,16 @@ from carina.navigate.samples import Sample
 __all__ = ["Listener", "Source", "SourceStatus", "StampSpreader"]
 
 State = Literal["connecting", "live", "lost", "stopped"]
+
+WORDS = {
+    errno.ENOENT: "there is no such port; is the device plugged in and on?",
+    errno.EACCES: "this user may not open the port; on Linux the group dialout may",
+    errno.EBUSY: "another program holds the port",
+    errno.ECONNREFUSED: "nothing answers there; start the tracker's program, and compare host and port",
+    errno.EHOSTUNREACH: "no way leads to that machine; look at the network and the address",
+    errno.ENETUNREACH: "no way leads to that machine; look at the network and the address",
+}
+"""What systems say by a number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +133,7 @@ class Source(ABC):
                 self._connect_and_read()
                 words = "the connection ended"
             except (OSError, CarinaError) as trouble:
-                words = str(trouble) or "no answer came in time"
+                words = _words(trouble)
             except Exception as trouble:
                 # A fault of ours, or a name that is none: the source goes on, and its state says so.
                 words = f"{type(trouble).__name__}: {trouble}"
@@ -130,6 +142,14 @@ class Source(ABC):
             self._state, self._words = "lost", words
             self._listener.gone(self.address)
             self._stopping.wait(self.RETRY_S)
+
+
+def _words(trouble: Exception) -> str:
+    """Why a connection is lost, for a person."""
+    if isinstance(trouble, socket.gaierror):
+        return "no machine has this name"
+    number = trouble.errno if isinstance(trouble, OSError) else None
+    return WORDS.get(number or 0) or str(trouble) or "no answer came in time"
 
 
 class StampSpreader:
