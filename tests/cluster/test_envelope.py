@@ -80,6 +80,12 @@ def test_a_picture_that_cannot_be_unpacked_is_told_as_no_answer(pickled):
         open_answer(whole.replace(bare, pickled.ljust(len(bare), b"\0")))
 
 
+def test_what_is_in_a_pictures_place_and_is_none_is_told_as_such():
+    other = {"view": "airway"}
+    with pytest.raises(ClusterError, match="a dict in place of a picture"):
+        open_answer(pack_answer((1, 1, 0, 3, 0.0, "leap", COUNTS, other, np.zeros((3, 8, 3), np.uint8))))
+
+
 @given(st.data())
 def test_bytes_that_are_no_answer_are_told_as_such(data):
     whole = pack_answer((1, 1, 5, 3, 0.0, "leap", COUNTS, None, np.zeros((3, 8, 3), np.uint8)))

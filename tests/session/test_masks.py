@@ -94,6 +94,22 @@ def test_of_several_structures_one_is_asked_for_and_the_one_called_airway_propos
     assert not bench.session.needs_mask_file
 
 
+@pytest.mark.parametrize(
+    ("names", "suggested"),
+    [(("Lunge", "Luftröhre"), 2), (("Lung", "Heart"), None), (("Airway", "airway wall"), None), ((None, None), None)],
+)
+def test_a_structure_is_proposed_only_where_its_name_alone_is_the_airways(bench, tool, names, suggested):
+    labels = tuple(MaskLabel(number, name, 1.0) for number, name in enumerate(names, start=1))
+
+    def open_mask(path, volume, **_):
+        raise MaskLabelError("it holds the labels 1, 2", labels)
+
+    tool.open_mask = open_mask
+    made = small_bench(open_mask=open_mask, find_airways=tool.find_airways)
+    made.open()
+    assert take(made, "/masks/several.nrrd").mask_question.suggested == suggested
+
+
 def test_another_grid_is_told_and_the_label_said_before_holds_when_it_is_resampled(bench, tool):
     take(bench, "/masks/several-other.nrrd")
     bench.session.answer_mask(label=4)
@@ -118,6 +134,17 @@ def test_a_dismissed_mask_leaves_everything_as_it_was(bench):
     assert not bench.session.needs_mask_file
     with pytest.raises(UsageError, match="no mask waits"):
         bench.session.answer_mask(label=1)
+
+
+def test_a_mask_that_is_dismissed_while_it_is_read_is_not_taken(bench, tool):
+    before = bench.session.snapshot()
+    job_id = bench.session.import_mask("/masks/airway.nii.gz")
+    assert bench.session.needs_mask_file
+    bench.session.dismiss_mask()
+    bench.background.run_all()
+    assert [e.outcome for e in bench.of_type(JobEnded) if e.job_id == job_id] == ["cancelled"]
+    assert bench.session.snapshot().document is before.document
+    assert not bench.session.needs_mask_file
 
 
 def test_a_file_that_is_no_mask_is_refused_in_words_and_nothing_changes(bench):
@@ -152,6 +179,37 @@ def test_a_mask_is_taken_where_none_were_found_and_undo_leads_back_to_none():
     assert (undone.airways, undone.document.airways) == ("failed", None)
     assert "choose it as the root" in undone.airways_words
     bench.session.redo()
+    assert bench.session.snapshot().airways == "found"
+
+
+def test_a_mask_without_a_trachea_where_none_is_known_says_so(tool):
+    def find_airways(volume, *, root_lps, lumen_threshold, progress, cancel, **mask):
+        raise NoResultError("no trachea in the mask" if mask else "no trachea found")
+
+    bench = small_bench(open_mask=tool.open_mask, find_airways=find_airways)
+    bench.open()
+    after = take(bench, "/masks/airway.nii.gz")
+    assert after.airways == "failed"
+    assert after.airways_words.startswith("no trachea in the mask. ")
+
+
+def test_a_search_that_a_newer_one_replaced_says_nothing(tool):
+    roots = []
+
+    def find_airways(volume, *, root_lps, **options):
+        roots.append(root_lps)
+        if len(roots) == 1:
+            raise NoResultError("no trachea found")
+        return small_airways(volume, root_lps=root_lps)
+
+    bench = small_bench(open_mask=tool.open_mask, find_airways=find_airways)
+    bench.open()
+    root = tuple(float(v) for v in small_airways(bench.session.snapshot().case.volume).root_lps)
+    bench.session.set_root(root)
+    bench.session.set_root(root)
+    bench.background.run_next()
+    assert bench.session.snapshot().airways == "finding"
+    bench.background.run_all()
     assert bench.session.snapshot().airways == "found"
 
 

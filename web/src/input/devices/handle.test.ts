@@ -20,14 +20,15 @@ function sketchDescriptor(): Uint8Array {
 
 class FakeDevice extends EventTarget implements HidDevice {
   readonly vendorId: number;
-  readonly productId = 0x8036;
+  readonly productId: number;
   readonly productName = "Test handle";
   readonly collections: readonly HidCollection[];
   opened = false;
   refuses = false;
-  constructor(collections: readonly HidCollection[], vendorId = 0x2341) {
+  constructor(collections: readonly HidCollection[], vendorId = 0x2341, productId = 0x8036) {
     super();
     this.vendorId = vendorId;
+    this.productId = productId;
     this.collections = collections;
   }
   open(): Promise<void> {
@@ -117,6 +118,14 @@ describe("a handle", () => {
     expect((after?.time_s ?? 0) - (before?.time_s ?? 0)).toBeCloseTo(0.016, 6);
   });
 
+  it("whose clock steps back a little has not come to its end", () => {
+    device.report(2000, 0, 0, 0, 0);
+    handle.tick();
+    device.report(1990, 0, 0, 0, 0);
+    handle.tick();
+    expect(samples().map((sample) => sample.time_s)).toEqual([2, 1.99]);
+  });
+
   it("is not believed beyond its own ranges or its report's end, and that is told once", () => {
     device.report(1, 0, 0, 1500, 0);
     device.report(2, 2_000_000_000, 0, 0, 0);
@@ -147,7 +156,7 @@ describe("a handle", () => {
         inputReports: [
           {
             reportId: 4,
-            items: [field(0x24, 8, -127, 127), field(0x23, 16, -20_000, 20_000), field(0x22, 16, 0, 65_535)],
+            items: [field(0x24, 8, -128, 127), field(0x23, 16, -20_000, 20_000), field(0x22, 16, 0, 65_535)],
           },
         ],
       },
@@ -155,7 +164,7 @@ describe("a handle", () => {
     const small = made(other);
     await small.open();
     const data = new DataView(new ArrayBuffer(5));
-    data.setInt8(0, 127);
+    data.setInt8(0, -128);
     data.setInt16(1, 18_000, true);
     data.setUint16(3, 40_000, true);
     other.dispatchEvent(Object.assign(new Event("inputreport"), { reportId: 4, data }));
@@ -163,7 +172,8 @@ describe("a handle", () => {
     expect(samples()[0]).toMatchObject({ time_s: 99 });
     expect(samples()[0]?.handle?.[0]).toBeCloseTo(400, 9);
     expect(samples()[0]?.handle?.[1]).toBeCloseTo(Math.PI, 9);
-    expect(samples()[0]?.handle?.[2]).toBe(1);
+    // The lever's lower end is the farther one.
+    expect(samples()[0]?.handle?.[2]).toBe(-1);
   });
 
   it("whose lever has no way says nothing: what is no number would end the connection", async () => {
@@ -186,8 +196,23 @@ describe("a handle", () => {
     expect([samples().length, still.numBad, told]).toEqual([0, 1, 1]);
   });
 
-  it("without insertion, roll and lever is refused in words", () => {
-    expect(made(new FakeDevice([])).problem).toContain("insertion");
+  it("without insertion, roll and lever in one report is refused in words", () => {
+    const report = (reportId: number, ...usages: number[]) => ({
+      reportId,
+      items: usages.map((usage) => ({
+        usages: [0xff42 * 0x10000 + usage],
+        reportSize: 16,
+        reportCount: 1,
+        logicalMinimum: -1000,
+        logicalMaximum: 1000,
+      })),
+    });
+    const of = (...inputReports: ReturnType<typeof report>[]) =>
+      made(new FakeDevice([{ usagePage: 0xff42, usage: 1, inputReports }])).problem;
+    expect(of(report(1, 0x22, 0x23, 0x24))).toBeNull();
+    expect(of()).toContain("insertion");
+    expect(of(report(1, 0x22, 0x23))).toContain("insertion");
+    expect(of(report(1, 0x22, 0x23), report(2, 0x24))).toContain("insertion");
   });
 });
 
@@ -238,9 +263,11 @@ describe("the place for a device", () => {
       hid.event("disconnect", device);
       await settled();
       expect([port.name, gone.length > 0]).toEqual([null, true]);
-      hid.event("connect", new FakeDevice(SKETCH, 1));
-      await settled();
-      expect(port.name).toBeNull();
+      for (const other of [new FakeDevice(SKETCH, 1), new FakeDevice(SKETCH, 0x2341, 1)]) {
+        hid.event("connect", other);
+        await settled();
+        expect(port.name).toBeNull();
+      }
       hid.event("connect", back);
       await settled();
       expect([port.name, back.opened]).toEqual(["scope handle Test handle", true]);
@@ -250,6 +277,21 @@ describe("the place for a device", () => {
       expect(samples().length).toBe(1);
     }
     expect(gone).toEqual(["scope handle Test handle", "scope handle Test handle"]);
+  });
+
+  it("keeps what it holds when another of its kind is plugged in, and leaves it for one that is chosen", async () => {
+    hid.offers = [device];
+    await port.ask();
+    const another = new FakeDevice(SKETCH);
+    hid.event("connect", another);
+    await settled();
+    expect([device.opened, another.opened, gone]).toEqual([true, false, []]);
+    hid.offers = [another];
+    await port.ask();
+    expect([device.opened, another.opened, gone]).toEqual([false, true, ["scope handle Test handle"]]);
+    device.report(1, 100, 0, 0, 0);
+    port.tick();
+    expect(samples()).toEqual([]);
   });
 
   it("says why a device cannot be used or opened", async () => {

@@ -256,6 +256,28 @@ describe("a controller", () => {
     expect(samples().length).toBe(1);
   });
 
+  it("looks along the path again only where it is listened to", async () => {
+    await headset.enter();
+    xr.session.visibilityState = "visible-blurred";
+    right.press(5, 1);
+    xr.session.refresh(0);
+    right.press(5, 0);
+    xr.session.refresh(11);
+    xr.session.visibilityState = "visible";
+    enabled = false;
+    right.press(5, 1);
+    xr.session.refresh(22);
+    // Held until it is listened to: that is no press.
+    enabled = true;
+    xr.session.refresh(33);
+    expect(acts).toEqual([]);
+    right.press(5, 0);
+    xr.session.refresh(44);
+    right.press(5, 1);
+    xr.session.refresh(55);
+    expect(acts).toEqual(["reset_look"]);
+  });
+
   it("is gone when it is switched off, and new when it is back", async () => {
     await headset.enter();
     right.press(0, 1);
