@@ -133,3 +133,25 @@ def test_a_mask_of_another_place_is_refused_in_words(ready, masks):
     ready.picture("mask-refused")
     assert ready.state("mask_question") is None
     assert ready.state("airways_from") == "search"
+
+
+def test_a_mask_is_not_taken_for_a_case_that_was_opened_while_it_was_sent(ready, masks, tmp_path):
+    page = ready.page
+    made = demo_phantom().volume
+    image = sitk.GetImageFromArray(np.ascontiguousarray(made.hu_zyx[:40]))
+    image.SetSpacing(made.spacing_mm)
+    image.SetDirection((made.lps_from_ijk[:3, :3] / np.array(made.spacing_mm)).ravel().tolist())
+    image.SetOrigin(made.lps_from_ijk[:3, 3].tolist())
+    sitk.WriteImage(image, str(tmp_path / "other.nrrd"))
+    held = []
+    page.route("**/api/upload/*", held.append)
+    page.get_by_role("button", name="Open", exact=True).first.click()
+    page.get_by_placeholder("/data/ct/series").fill(str(tmp_path / "other.nrrd"))
+    drop(ready, masks["coarse"], "mask")
+    while not held:
+        page.wait_for_timeout(20)
+    page.locator(".path-form button[type=submit]").evaluate("button => button.click()")
+    wait_for(ready, "window.__carina.state.case?.title === 'other.nrrd'")
+    held[0].continue_()
+    page.get_by_text("Another case was opened while the mask was sent").wait_for(timeout=WAIT_MS)
+    assert ready.state("mask_question") is None

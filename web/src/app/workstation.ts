@@ -201,8 +201,18 @@ export class Workstation {
     this.#uploadStop?.abort();
     const stop = new AbortController();
     this.#uploadStop = stop;
+    const of = caseKey(this.state.session);
     try {
       const id = await sendUpload(files, (upload) => this.store.dispatch({ kind: "upload", upload }), stop.signal);
+      if (use === "mask" && caseKey(this.state.session) !== of) {
+        // Large files take a while. On the same grid the mask of one patient would lie in the scan of another.
+        this.#sayError(
+          "upload.other-case",
+          "Another case was opened while the mask was sent: it was not taken.",
+          "Drop it again on the scan that it belongs to.",
+        );
+        return;
+      }
       this.send({ type: use === "case" ? "open_upload" : "import_mask", upload_id: id });
     } catch (error) {
       if (stop.signal.aborted) return;
