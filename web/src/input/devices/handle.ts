@@ -1,8 +1,9 @@
 /** A scope handle by WebHID (`docs/scope-handle.md`): how far it is in, how it is rolled, and its lever. */
 
 import type { ClientMessage } from "../../wire/messages";
-import { fieldsOf, type HidField, isButton, readField } from "./hid";
-import type { HidDevice, HidReader, InputReport } from "./hid-port";
+import { buttonBit, type HidField, isButton, readField } from "./hid";
+import type { HidDevice } from "./hid-port";
+import { FieldReader } from "./hid-reader";
 
 /** Of a page that belongs to no standard: nothing else in the machine takes the handle for a mouse or a gamepad. */
 const PAGE = 0xff42;
@@ -21,13 +22,10 @@ interface Values {
   buttons: number;
 }
 
-export class Handle implements HidReader {
-  readonly #device: HidDevice;
-  readonly #fields: ReadonlyMap<number, readonly HidField[]>;
+export class Handle extends FieldReader {
   readonly #send: (message: ClientMessage) => void;
   readonly #nowS: () => number;
   readonly #bad: () => void;
-  readonly name: string;
   #newest: Values | null = null;
   #clockMs: number | null = null;
   #wraps = 0;
@@ -35,28 +33,16 @@ export class Handle implements HidReader {
 
   /** `bad` is told of the first report that is not as the descriptor says. */
   constructor(device: HidDevice, send: (message: ClientMessage) => void, nowS: () => number, bad: () => void) {
-    this.#device = device;
-    this.#fields = fieldsOf(device.collections);
+    super("scope handle", device);
     this.#send = send;
     this.#nowS = nowS;
     this.#bad = bad;
-    this.name = `scope handle ${device.productName}`.slice(0, 200);
   }
 
   get problem(): string | null {
-    const usages = [...this.#fields.values()].map((fields) => fields.map((field) => field.usage));
+    const usages = [...this.fields.values()].map((fields) => fields.map((field) => field.usage));
     const whole = usages.some((report) => [INSERTION, ROLL, LEVER].every((usage) => report.includes(usage)));
     return whole ? null : "no report of it holds insertion, roll and lever (docs/scope-handle.md)";
-  }
-
-  async open(): Promise<void> {
-    this.#device.addEventListener("inputreport", this.#report);
-    if (!this.#device.opened) await this.#device.open();
-  }
-
-  async close(): Promise<void> {
-    this.#device.removeEventListener("inputreport", this.#report);
-    await this.#device.close();
   }
 
   tick(): void {
@@ -76,17 +62,15 @@ export class Handle implements HidReader {
     });
   }
 
-  readonly #report = (event: Event): void => {
-    const { reportId, data } = event as InputReport;
-    const fields = this.#fields.get(reportId);
+  protected heard(fields: readonly HidField[], data: DataView): void {
     // A report of something else that the device may be as well.
-    if (fields === undefined || !fields.some((field) => field.usage === INSERTION)) return;
+    if (!fields.some((field) => field.usage === INSERTION)) return;
     const values = this.#values(fields, data);
     if (values === null) {
       this.numBad += 1;
       if (this.numBad === 1) this.#bad();
     } else this.#newest = values;
-  };
+  }
 
   #values(fields: readonly HidField[], data: DataView): Values | null {
     const found = new Map<number, number>();
@@ -95,10 +79,8 @@ export class Handle implements HidReader {
       const value = readField(data, field);
       // Out of the range that the descriptor gives: HID's own way to say that there is no value.
       if (value === null || value < field.minimum || value > field.maximum) return null;
-      const number = (field.usage & 0xffff) - 1;
-      if (isButton(field.usage)) {
-        if (value !== 0 && number >= 0 && number < 31) buttons |= 1 << number;
-      } else found.set(field.usage, field.usage === LEVER ? value / Math.max(field.maximum, -field.minimum) : value);
+      if (isButton(field.usage)) buttons |= buttonBit(field, value);
+      else found.set(field.usage, field.usage === LEVER ? value / Math.max(field.maximum, -field.minimum) : value);
     }
     const [insertion, roll, lever] = [found.get(INSERTION), found.get(ROLL), found.get(LEVER)];
     if (insertion === undefined || roll === undefined || lever === undefined) return null;

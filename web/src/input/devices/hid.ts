@@ -95,3 +95,9 @@ export function scaled(value: number, field: HidField): number {
 export function isButton(usage: number): boolean {
   return usage >> 16 === BUTTON_PAGE;
 }
+
+/** The bit of a pressed button: button 1 is bit 0. What has no place in a sample's 31 bits is left out. */
+export function buttonBit(field: HidField, value: number): number {
+  const number = (field.usage & 0xffff) - 1;
+  return value !== 0 && number >= 0 && number < 31 ? 1 << number : 0;
+}

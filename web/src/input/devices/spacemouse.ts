@@ -2,8 +2,9 @@
 
 import type { ClientMessage } from "../../wire/messages";
 import { type SixAxes, shaped } from "./gamepad";
-import { AXIS_USAGES, fieldsOf, type HidField, isButton, readField, scaled } from "./hid";
-import type { HidDevice, HidReader, InputReport } from "./hid-port";
+import { AXIS_USAGES, buttonBit, type HidField, isButton, readField, scaled } from "./hid";
+import type { HidDevice } from "./hid-port";
+import { FieldReader } from "./hid-reader";
 
 /** 3Dconnexion, and Logitech, which made the older ones. */
 export const SPACEMOUSE_FILTERS = [{ vendorId: 0x256f }, { vendorId: 0x046d, usagePage: 0x01, usage: 0x08 }];
@@ -14,52 +15,31 @@ export function capAxes(values: readonly number[]): SixAxes {
   return [-at(1) + 0, at(0) + 0, -at(2) + 0, at(5) + 0, -at(3) + 0, -at(4) + 0];
 }
 
-export class SpaceMouse implements HidReader {
-  readonly #device: HidDevice;
-  readonly #fields: ReadonlyMap<number, readonly HidField[]>;
+export class SpaceMouse extends FieldReader {
   readonly #send: (message: ClientMessage) => void;
   readonly #nowS: () => number;
   /** The newest of each axis: translation and rotation come in reports of their own. */
   readonly #values = [0, 0, 0, 0, 0, 0];
   #buttons = 0;
-  #changed = false;
   #rests = true;
-  readonly name: string;
 
   constructor(device: HidDevice, send: (message: ClientMessage) => void, nowS: () => number) {
-    this.#device = device;
-    this.#fields = fieldsOf(device.collections);
+    super("spacemouse", device);
     this.#send = send;
     this.#nowS = nowS;
-    this.name = `spacemouse ${device.productName}`.slice(0, 200);
   }
 
   get problem(): string | null {
-    const some = [...this.#fields.values()].flat().some((field) => axisOf(field) >= 0);
+    const some = [...this.fields.values()].flat().some((field) => axisOf(field) >= 0);
     return some ? null : "it has no axes to fly with";
-  }
-
-  async open(): Promise<void> {
-    this.#device.addEventListener("inputreport", this.#report);
-    if (!this.#device.opened) await this.#device.open();
-  }
-
-  async close(): Promise<void> {
-    this.#device.removeEventListener("inputreport", this.#report);
-    await this.#device.close();
   }
 
   /** Once per refresh: the newest, while the cap is off its rest. A device that floods sends no more than that. */
   tick(): void {
     const axes = capAxes(this.#values);
     const rests = axes.every((value) => value === 0) && this.#buttons === 0;
-    if (rests && this.#rests && !this.#changed) return;
-    if (rests && this.#rests) {
-      this.#changed = false;
-      return;
-    }
+    if (rests && this.#rests) return;
     this.#rests = rests;
-    this.#changed = false;
     this.#send({
       type: "device_sample",
       device: this.name,
@@ -73,25 +53,17 @@ export class SpaceMouse implements HidReader {
     });
   }
 
-  readonly #report = (event: Event): void => {
-    const { reportId, data } = event as InputReport;
-    const fields = this.#fields.get(reportId);
-    if (fields === undefined) return;
-    this.#changed = true;
+  protected heard(fields: readonly HidField[], data: DataView): void {
     let buttons: number | null = null;
     for (const field of fields) {
       const value = readField(data, field);
       if (value === null) continue;
       const axis = axisOf(field);
       if (axis >= 0) this.#values[axis] = scaled(value, field);
-      else if (isButton(field.usage)) {
-        const number = (field.usage & 0xffff) - 1;
-        buttons ??= 0;
-        if (value !== 0 && number >= 0 && number < 31) buttons |= 1 << number;
-      }
+      else if (isButton(field.usage)) buttons = (buttons ?? 0) | buttonBit(field, value);
     }
     if (buttons !== null) this.#buttons = buttons;
-  };
+  }
 }
 
 function axisOf(field: HidField): number {
