@@ -60,7 +60,11 @@ def sending(records: Callable[[int], bytes], port: PseudoPort, *, rate_hz: float
         thread.join()
 
 
-def wait_for(what: Callable[[], object], seconds: float = 8.0) -> object:
+WAIT_S = 120.0
+"""Bound of every wait, for what hangs."""
+
+
+def wait_for(what: Callable[[], object], seconds: float = WAIT_S) -> object:
     end = time.monotonic() + seconds
     while not (found := what()):
         assert time.monotonic() < end, "waited in vain"

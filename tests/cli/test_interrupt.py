@@ -12,7 +12,7 @@ import pytest
 
 from carina.cli.console import interruptible
 
-WAIT_S = 30.0
+WAIT_S = 120.0
 """Bound of every wait. One picture below takes minutes: only an answer to Ctrl-C ends within it."""
 
 

@@ -41,7 +41,7 @@ TURN = rotation_from_vector(np.array([0.4, -1.2, 0.7]))
 POSE = IgtlPose("Pen", 12.5, (1.5, -20.25, 300.0), wxyz_from_rotation(TURN))
 
 
-def wait_for(what, seconds=8.0):
+def wait_for(what, seconds=120.0):
     end = time.monotonic() + seconds
     while not (found := what()):
         assert time.monotonic() < end, "waited in vain"

@@ -15,7 +15,7 @@ from carina.navigate.devices.igtl import IgtlPose, IgtlStream, pose_matrix
 from carina.navigate.devices.scope_handle import format_line
 from carina.server import messages as wire
 from carina.server.device_desk import DeviceDesk
-from simulated_serial import PseudoPort, sending, wait_for
+from simulated_serial import WAIT_S, PseudoPort, sending, wait_for
 from small_case import small_bench
 
 if sys.platform == "win32":
@@ -31,6 +31,10 @@ CONTROLS = wire.DeviceControls(
     filter_on=True,
     min_cutoff_hz=20.0,
 )
+
+
+# What the first frame after a rest may take as passed.
+FIRST_S = 0.1
 
 
 def stick(time_s: float, *axes: float) -> wire.DeviceSample:
@@ -58,14 +62,17 @@ def desk(tmp_path):
 def test_a_stick_flies_while_it_is_held_and_stops_with_it(desk):
     made, bench, _ = desk
     began = time.monotonic()
-    while time.monotonic() - began < 0.4:
+
+    def pushed() -> bool:
         made.handle(stick(time.monotonic(), 1.0))
-        time.sleep(0.016)
+        time.sleep(0.016)  # one that speaks faster is not heard every time
+        return bench.session.pose_info().path_mm > 8.0
+
+    wait_for(pushed)
     made.handle(stick(time.monotonic(), 0.0))
-    at = bench.session.pose_info().path_mm
-    assert 4.0 < at < 14.0  # 25 mm/s for 0.4 s, on a machine that may be busy
     wait_for(lambda: not bench.session.device_woken.is_set())
     at = bench.session.pose_info().path_mm
+    assert at < 25.0 * (time.monotonic() - began + FIRST_S), "25 mm/s"
     time.sleep(0.1)
     assert bench.session.pose_info().path_mm == at
 
@@ -74,12 +81,11 @@ def test_a_flood_makes_no_more_poses_than_frames(desk):
     made, bench, _ = desk
     first = bench.session.pose_info().pose_id
     began, n = time.monotonic(), 0
-    while time.monotonic() - began < 0.5:
+    while n <= 500 or time.monotonic() - began < 0.5:
         made.handle(stick(time.monotonic(), 1.0))
         n += 1
     poses = bench.session.pose_info().pose_id - first
-    assert n > 500
-    assert poses <= 0.6 * 125 + 2
+    assert poses <= 1.2 * 125 * (time.monotonic() - began) + 2
 
 
 def test_what_a_device_says_wrongly_is_counted_and_said_once(desk):
@@ -130,11 +136,14 @@ def test_the_stick_chooses_the_way_at_a_fork_and_the_route_follows(desk):
     (trachea, *_) = session.snapshot().document.route.spans
     session.go_to(trachea.to_mm - 3.0)
     assert session.snapshot().document.route.branch_id == 3
-    began = time.monotonic()
-    while session.snapshot().document.route.branch_id == 3 and time.monotonic() - began < 5.0:
+
+    def has_turned() -> bool:
+        time.sleep(0.016)
         # The patient's left is on the left of the picture (operator at the head).
         made.handle(stick(time.monotonic(), 1.0, 0.0, 0.0, -1.0))
-        time.sleep(0.016)
+        return session.snapshot().document.route.branch_id != 3
+
+    wait_for(has_turned)
     assert session.snapshot().document.route.branch_id == 2
     assert session.snapshot().mode == "path"
     assert session.snapshot().undo_label is None, "a flight is no change that undo takes back"
@@ -152,7 +161,9 @@ def test_a_handle_is_connected_shown_and_disconnected(desk):
         before = bench.session.pose_info().path_mm
         with sending(lambda n: format_line(n, 10 * n, 0.2 * n), port, rate_hz=100.0):
             wait_for(lambda: bench.session.pose_info().path_mm > before + 5.0)
-            wait_for(lambda: any(isinstance(m, wire.Devices) and m.sources and m.sources[0].rate_hz > 50 for m in sent))
+            wait_for(
+                lambda: any(isinstance(m, wire.Devices) and m.sources and 0 < m.sources[0].rate_hz < 200 for m in sent)
+            )
         made.handle(wire.DisconnectDevice(address))
         assert made.message().sources == ()
         made.handle(wire.WatchDevices(False))
@@ -188,7 +199,7 @@ def test_a_handle_that_rests_and_goes_on_speaking_makes_no_new_poses(desk):
     def say(n: int, insertion_mm: float) -> None:
         handle = (insertion_mm, 0.1, 0.2)
         made.handle(wire.DeviceSample("handle", 0.01 * n, None, None, None, 0, handle))
-        time.sleep(0.01)
+        wait_for(lambda: not bench.session.device_woken.is_set())
 
     for n in range(100):
         say(n, 0.1 * n)
@@ -207,7 +218,7 @@ def test_a_handle_that_rests_and_goes_on_speaking_makes_no_new_poses(desk):
 def published(port: int) -> IgtlPose:
     """The first pose that a peer gets there."""
     stream = IgtlStream()
-    with socket.create_connection(("127.0.0.1", port), timeout=10.0) as peer:
+    with socket.create_connection(("127.0.0.1", port), timeout=WAIT_S) as peer:
         while True:
             data = peer.recv(4096)
             assert data, "the connection was closed"

@@ -18,7 +18,7 @@ from carina.session.questions import lumen_before_wall
 from carina.track import AddBranch, CutBranch, MoveFork, PaintLumen, RenameBranch, TreeEdit
 from small_case import small_bench, small_volume
 
-WAIT_S = 10.0
+WAIT_S = 120.0
 
 
 def lps(ijk):

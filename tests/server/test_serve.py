@@ -16,7 +16,7 @@ from carina.errors import CarinaError, UsageError, VolumeImportError
 from carina.server import serve
 from carina.server.serve import bind
 
-WAIT_S = 60.0
+WAIT_S = 120.0
 """Imports of SimpleITK on a busy machine take seconds."""
 
 

@@ -1,0 +1,15 @@
+"""Fixtures of the server's tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from live_server import Live, running
+
+
+@pytest.fixture
+def live(tmp_path) -> Iterator[Live]:
+    """A running server over the small case."""
+    with running(tmp_path) as live:
+        yield live

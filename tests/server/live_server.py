@@ -1,0 +1,140 @@
+"""A whole server on loopback over a small case, and a client as the browser is one, for the tests of this folder."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from dataclasses import dataclass
+
+import httpx
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from carina.server import messages as wire
+from carina.server.security import Gate
+from carina.server.serve import bind, make_server
+from carina.server.uploads import Limits, Uploads
+from carina.session import LocalStore, Session
+from small_case import SmallRenderer, small_parts
+
+WAIT_S = 120.0
+"""Bound of every wait, for what hangs: what is waited for takes milliseconds, and seconds where others are busy."""
+
+
+@dataclass
+class Live:
+    """A running server."""
+
+    gate: Gate
+    session: Session
+    uploads: Uploads
+    opened: list
+
+    @property
+    def origin(self):
+        return f"http://127.0.0.1:{self.gate.port}"
+
+    @property
+    def cookie(self):
+        return self.gate.set_cookie.split(";")[0]
+
+    def http(self, **headers):
+        return httpx.Client(base_url=self.origin, headers=headers, timeout=WAIT_S)
+
+    @contextlib.contextmanager
+    def window(self, *, hello=True):
+        """A client as the browser is one: cookie and origin."""
+        with connect(
+            f"ws://127.0.0.1:{self.gate.port}/ws",
+            origin=self.origin,
+            additional_headers={"Cookie": self.cookie},
+            compression=None,
+            open_timeout=WAIT_S,
+        ) as socket:
+            yield Window(socket, hello=hello)
+
+
+class Window:
+    """What a client sent and saw."""
+
+    def __init__(self, socket, *, hello):
+        self.socket = socket
+        self.pictures = []
+        self.seen = []
+        if hello:
+            self.send(wire.ClientHello(wire.WIRE_VERSION))
+            self.until(lambda m: isinstance(m, wire.ServerHello))
+
+    def send(self, *messages):
+        for message in messages:
+            self.socket.send(wire.encode_message(message))
+
+    def next(self):
+        data = self.socket.recv(timeout=WAIT_S)
+        if isinstance(data, bytes):
+            header, _ = wire.parse_picture(data)
+            self.pictures.append(header)
+            return header
+        message = wire.parse_server_message(data)
+        self.seen.append(message)
+        return message
+
+    def until(self, wanted, *, acknowledge=True):
+        """The first message that is wanted; pictures are acknowledged on the way."""
+        while True:
+            message = self.next()
+            if acknowledge and isinstance(message, wire.PictureHeader):
+                self.send(wire.Ack(message.frame_id))
+            if wanted(message):
+                return message
+
+    def until_state(self, wanted):
+        return self.until(lambda m: isinstance(m, wire.State) and wanted(m))
+
+    def close_code(self):
+        with pytest.raises(ConnectionClosed) as closed:
+            self.until(lambda _message: False)
+        return closed.value.rcvd.code, closed.value.rcvd.reason
+
+
+@contextlib.contextmanager
+def serving(session, uploads, *, web=None):
+    """A server's gate, while it runs in a thread of its own."""
+    with bind("127.0.0.1", 0) as sock:
+        gate = Gate(host="127.0.0.1", port=sock.getsockname()[1])
+        started = threading.Event()
+        server = make_server(session, gate, on_started=started.set, web=web, uploads=uploads)
+        thread = threading.Thread(target=lambda: server.run(sockets=[sock]), daemon=True)
+        thread.start()
+        try:
+            assert started.wait(WAIT_S)
+            yield gate
+        finally:
+            server.should_exit = True
+            thread.join(WAIT_S)
+            assert not thread.is_alive()
+
+
+@contextlib.contextmanager
+def running(tmp_path, *, web=None, **replaced):
+    """A server over the small case, with parts of it replaced."""
+    opened = []
+
+    def open_volume(path, progress, cancel):
+        opened.append(path)
+        return small_parts(**replaced).open_volume(path, progress, cancel)
+
+    parts = small_parts(**({"open_volume": open_volume} | replaced))
+    session = Session(SmallRenderer, parts=parts, store=LocalStore(tmp_path / "config"))
+    uploads = Uploads(Limits(num_files=20, total_bytes=10_000, file_bytes=5000))
+    with serving(session, uploads, web=web) as gate:
+        yield Live(gate, session, uploads, opened)
+
+
+SHOWN = wire.Layout((wire.ViewSize("airway", 160, 120), wire.ViewSize("axial", 80, 60), wire.ViewSize("tree", 64, 48)))
+
+
+def open_case(window, path="case"):
+    window.send(wire.OpenPath(path))
+    return window.until_state(lambda s: s.airways == "found")

@@ -1,0 +1,214 @@
+"""Files that come and go: dropped scans and masks, and the airways taken away, on loopback."""
+
+from __future__ import annotations
+
+import asyncio
+import gzip
+import threading
+from types import SimpleNamespace
+
+import pytest
+from live_server import WAIT_S, open_case, running
+
+from carina.errors import CarinaError
+from carina.server import messages as wire
+from carina.server.downloads import Downloads
+from small_case import small_airways, small_lumen, small_volume
+
+
+def test_uploads_on_a_disk_that_takes_nothing_are_refused_in_words(live, monkeypatch):
+    def full(**_options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.mkdtemp", full)
+    with live.http(authorization=f"Bearer {live.gate.secret}") as http:
+        answer = http.post("/api/upload")
+    assert answer.status_code == 507
+    assert "No space left" in answer.json()["message"]
+
+
+def test_the_airways_are_taken_away_as_a_file_that_does_not_stay(live, tmp_path, monkeypatch):
+    made = []
+
+    def export(path, volume, airways):
+        path.write_text(f"{path.name} {volume.shape_zyx} {len(airways.tree.branches)}")
+        made.append(path)
+        return path
+
+    monkeypatch.setattr(Downloads.__init__, "__defaults__", (export,))
+    with running(tmp_path / "own") as own, own.window() as window:
+        with own.http() as stranger:
+            assert stranger.get("/api/airways.stl").status_code == 401
+        with own.http(cookie=own.cookie) as http:
+            early = http.get("/api/airways.stl")
+            assert early.status_code == 409
+            assert "no case" in early.json()["message"]
+            open_case(window)
+            answer = http.get("/api/airways.nii.gz")
+            assert answer.status_code == 200
+            assert answer.headers["content-disposition"] == 'attachment; filename="airways.nii.gz"'
+            assert answer.text.startswith("airways.nii.gz (")
+            for wrong in (".exe", ".stl/../x", "/../../etc/passwd", ""):
+                assert http.get(f"/api/airways{wrong}").status_code in {403, 404}
+            # Removed after the last byte, before the next answer of this connection.
+            (path,) = made
+            assert not path.parent.exists()
+
+
+def test_a_file_does_not_stay_when_a_part_of_it_is_asked_for_that_it_does_not_have(live, tmp_path, monkeypatch):
+    def export(path, *_parts):
+        path.write_text("short")
+        return path
+
+    monkeypatch.setattr(Downloads.__init__, "__defaults__", (export,))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with running(tmp_path / "own") as own, own.window() as window, own.http(cookie=own.cookie) as http:
+        open_case(window)
+        for part in ("bytes=900-", "bytes=x-y", "bytes=0-1"):
+            http.get("/api/airways.stl", headers={"range": part})
+        http.head("/api/airways.stl")
+        assert http.get("/api/airways.stl").text == "short"
+    assert not list(tmp_path.glob("carina-download-*"))
+
+
+def test_a_file_does_not_stay_when_the_server_ends_while_it_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    begun, may_end = threading.Event(), threading.Event()
+
+    def export(path, *_parts):
+        begun.set()
+        assert may_end.wait(WAIT_S)
+        # As one that writes its file at the end.
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("the anatomy of somebody")
+        return path
+
+    async def ends_meanwhile():
+        answering = asyncio.create_task(
+            Downloads(SimpleNamespace(airways_to_take_away=lambda: (1, 2)), export).answer(".stl")
+        )
+        await asyncio.to_thread(begun.wait, WAIT_S)
+        answering.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await answering
+        may_end.set()
+
+    asyncio.run(ends_meanwhile())
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_cannot_be_made_is_refused_in_words(live, tmp_path, monkeypatch):
+    def export(path, *_parts):
+        path.write_text("half")
+        raise CarinaError("the disk is full", code="export.disk")
+
+    monkeypatch.setattr(Downloads.__init__, "__defaults__", (export,))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with running(tmp_path / "own") as own, own.window() as window, own.http(cookie=own.cookie) as http:
+        open_case(window)
+        answer = http.get("/api/airways.json")
+    assert answer.status_code == 507
+    assert answer.json()["message"] == "the disk is full"
+    assert not list(tmp_path.glob("carina-download-*"))
+
+
+def test_a_file_in_the_place_of_a_folder_is_refused_in_words(live):
+    with live.http(authorization=f"Bearer {live.gate.secret}") as http:
+        upload = http.post("/api/upload").json()["upload_id"]
+        assert http.put(f"/api/upload/{upload}", params={"name": "a"}, content=b"1").status_code == 201
+        for name in ("a/b", "a/b/c"):
+            answer = http.put(f"/api/upload/{upload}", params={"name": name}, content=b"1")
+            assert answer.status_code == 507
+            assert "could not be stored" in answer.json()["message"]
+    assert live.uploads.place(upload).read_bytes() == b"1"
+
+
+def test_dropped_files_are_opened_and_removed(live):
+    with live.http(cookie=live.cookie, origin=live.origin) as http, live.window() as window:
+        upload_id = http.post("/api/upload").json()["upload_id"]
+        for name in ("s/1.dcm", "../../2.dcm"):
+            assert http.put(f"/api/upload/{upload_id}", params={"name": name}, content=b"x" * 10).status_code == 201
+        folder = live.uploads._uploads[upload_id].folder
+        assert sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()) == [
+            "2.dcm",
+            "s/1.dcm",
+        ]
+        window.send(wire.OpenUpload(upload_id))
+        # Its own end is told after the removal; the jobs that it starts may end before it.
+        window.until(lambda m: isinstance(m, wire.Done) and not folder.exists())
+        assert live.opened == [str(folder)]
+        # Answered after the end of the job was handled, and with it the removal.
+        window.send(wire.OpenUpload(upload_id))
+        assert window.until(lambda m: isinstance(m, wire.Error)).code == "upload.gone"
+        assert not folder.exists()
+        assert live.session.store.recent() == ()
+
+
+def nrrd(labels_zyx):
+    """Labels on the small case's grid, as another tool writes them."""
+    matrix = small_volume().lps_from_ijk
+    axes = " ".join(f"({x!r},{y!r},{z!r})" for x, y, z in matrix[:3, :3].T.tolist())
+    origin = "({!r},{!r},{!r})".format(*matrix[:3, 3].tolist())
+    header = (
+        "NRRD0004\ntype: uint8\ndimension: 3\nspace: left-posterior-superior\n"
+        f"sizes: {' '.join(str(n) for n in labels_zyx.shape[::-1])}\nspace directions: {axes}\n"
+        f"space origin: {origin}\nkinds: domain domain domain\nendian: little\nencoding: gzip\n\n"
+    )
+    return header.encode() + gzip.compress(labels_zyx.tobytes())
+
+
+def test_a_dropped_mask_is_kept_until_its_question_is_answered_and_takes_the_place_of_the_airways(tmp_path):
+    def find_airways(volume, *, lumen_zyx=None, notes=(), **_options):
+        airways = small_airways(volume)
+        if lumen_zyx is not None:
+            airways.lumen_zyx, airways.report, airways.threshold = lumen_zyx, list(notes), float("nan")
+        return airways
+
+    labels = small_lumen() * 3
+    labels[0, 0, 0] = 1
+    with running(tmp_path, find_airways=find_airways) as live, live.window() as window:
+        assert open_case(window).airways_from == "search"
+        with live.http(cookie=live.cookie, origin=live.origin) as http:
+            upload_id = http.post("/api/upload").json()["upload_id"]
+            sent = http.put(f"/api/upload/{upload_id}", params={"name": "airway.nrrd"}, content=nrrd(labels))
+            assert sent.status_code == 201
+        folder = live.uploads._uploads[upload_id].folder
+        window.send(wire.ImportMask(upload_id))
+        asked = window.until_state(lambda s: s.mask_question is not None)
+        assert [label.number for label in asked.mask_question.labels] == [1, 3]
+        assert (asked.airways_from, asked.can_undo) == ("search", None)
+        assert (folder / "airway.nrrd").exists()
+        window.send(wire.AnswerMask(3, False))
+        taken = window.until_state(lambda s: s.airways_from == "mask")
+        assert (taken.can_undo, taken.mask_question) == ("take the mask as airways", None)
+        assert (taken.airways_words, taken.lumen_threshold) == ("the lumen is the mask airway.nrrd", None)
+        window.send(wire.Undo())
+        assert window.until_state(lambda s: s.airways_from == "search").can_redo == "take the mask as airways"
+        assert not folder.exists()
+
+
+def test_a_mask_without_a_case_or_without_its_upload_is_refused(live):
+    with live.http(cookie=live.cookie, origin=live.origin) as http, live.window() as window:
+        upload_id = http.post("/api/upload").json()["upload_id"]
+        assert http.put(f"/api/upload/{upload_id}", params={"name": "m.nrrd"}, content=b"x").status_code == 201
+        window.send(wire.ImportMask(upload_id))
+        assert window.until(lambda m: isinstance(m, wire.Error)).code == "session.no-case"
+        window.send(wire.ImportMask(upload_id))
+        assert window.until(lambda m: isinstance(m, wire.Error)).code == "upload.gone"
+        window.send(wire.AnswerMask(1, False))
+        assert window.until(lambda m: isinstance(m, wire.Error)).code == "session.no-case"
+
+
+def test_uploads_need_the_cookie_and_the_origin_and_keep_their_bounds(live):
+    with live.http(origin=live.origin) as http:
+        assert http.post("/api/upload").status_code == 401
+        assert http.put("/api/upload/x").status_code == 401
+    with live.http(cookie=live.cookie) as http:
+        assert http.post("/api/upload").status_code == 403
+    with live.http(cookie=live.cookie, origin=live.origin) as http:
+        upload_id = http.post("/api/upload").json()["upload_id"]
+        big = http.put(f"/api/upload/{upload_id}", params={"name": "a"}, content=b"x" * 5001)
+        assert (big.status_code, big.json()["code"]) == (413, "upload.limit")
+        assert http.put("/api/upload/other", params={"name": "a"}, content=b"x").status_code == 404
+        assert http.delete(f"/api/upload/{upload_id}").status_code == 204
+        assert http.put(f"/api/upload/{upload_id}", params={"name": "a"}, content=b"x").status_code == 404
