@@ -32,8 +32,17 @@ describe("the screen in the room", () => {
   });
 
   it("is finite for a head that looks straight up", () => {
-    const room = inFrontOf({ matrix: head(0, 0, 0, 0, 90) }, 1);
-    expect([...room].every(Number.isFinite)).toBe(true);
+    for (const [x, z] of [
+      [0, 0],
+      [1e-6, 0],
+      [0, 1e-6],
+    ]) {
+      const up = head(0, 1.7, 0, 0, 90);
+      up[8] = x ?? 0;
+      up[10] = z ?? 0;
+      // Which way its feet point is noise: the screen stands where the room's front is.
+      close(at(inFrontOf({ matrix: up }, 1), 0, 0), [0, 1.7, -1.5]);
+    }
   });
 
   it("has the picture's proportions", () => {
@@ -67,14 +76,18 @@ function fakeGl(log: string[], linksWell: boolean, places: Float32Array[]): WebG
   });
 }
 
-function screenOf(log: string[], newest: () => NewestPicture | null, linksWell = true) {
+function screenOf(log: string[], newest: () => NewestPicture | null, linksWell = true, shown = [true, true]) {
+  let eye = 0;
   const states: object[] = [];
   const places: Float32Array[] = [];
   const gl = fakeGl(log, linksWell, places);
   const screen = new PictureScreen({
     newest,
     canvas: () => ({ getContext: () => gl }) as unknown as HTMLCanvasElement,
-    layer: () => ({ framebuffer: null, getViewport: () => ({ x: 0, y: 0, width: 9, height: 9 }) }),
+    layer: () => ({
+      framebuffer: null,
+      getViewport: () => (shown[eye++ % shown.length] ? { x: 0, y: 0, width: 9, height: 9 } : null),
+    }),
   });
   const session = { updateRenderState: (state: object) => states.push(state) } as unknown as XrSession;
   return { screen, session, states, places };
@@ -100,6 +113,38 @@ describe("its pictures", () => {
     screen.close();
     screen.draw(VIEWER);
     expect(log.filter((name) => name === "drawArrays").length).toBe(60);
+  });
+
+  it("are seen from each eye: the room first moved into the eye, then projected", async () => {
+    const { screen, session, places } = screenOf([], () => ({ image: IMAGE, frameId: 1, round: true }));
+    await screen.open(session);
+    const eye = new Float32Array(IDENTITY);
+    eye[12] = 0.03;
+    const projection = new Float32Array([2, 0, 0, 0, 0, 3, 0, 0, 0, 0, -1, -1, 0, 0, -0.2, 0]);
+    const view = { projectionMatrix: projection, transform: { inverse: { matrix: eye } } };
+    screen.draw({ transform: { matrix: IDENTITY }, views: [view] } as unknown as XrViewerPose);
+    // The screen's middle, 1.5 m ahead: 3 cm to the right of this eye, twice as far on its picture, and as deep as it is away.
+    close([...(places[0] ?? [])].slice(12), [0.06, 0, 1.3, 1.5]);
+  });
+
+  it("stay where the head was, until the screen is asked to come in front of it again", async () => {
+    const { screen, session, places } = screenOf([], () => ({ image: IMAGE, frameId: 1, round: true }));
+    await screen.open(session);
+    screen.draw(VIEWER);
+    const turned = { transform: { matrix: head(0, 0, 0, 90) }, views: [VIEW] } as unknown as XrViewerPose;
+    screen.draw(turned);
+    close([...(places.at(-1) ?? [])].slice(12), [0, 0, -1.5, 1]);
+    screen.recenter();
+    screen.draw(turned);
+    close([...(places.at(-1) ?? [])].slice(12), [-1.5, 0, 0, 1]);
+  });
+
+  it("are left out for an eye that the headset does not show now", async () => {
+    const log: string[] = [];
+    const { screen, session } = screenOf(log, () => ({ image: IMAGE, frameId: 1, round: true }), true, [true, false]);
+    await screen.open(session);
+    screen.draw(VIEWER);
+    expect(log.filter((name) => name === "drawArrays").length).toBe(1);
   });
 
   it("keep their proportions when the picture's change, and the screen its place", async () => {
