@@ -109,6 +109,7 @@ class SmallTracker:
         return TrackedPath(
             points_lps=route.points_lps,
             radius_mm=route.radius_mm,
+            wall_mm=route.radius_mm,
             length_mm=route.length_mm,
             cost=1.0,
             generation=route.generation,

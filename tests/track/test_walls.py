@@ -98,6 +98,17 @@ def test_a_branch_of_one_voxel_is_followed_to_its_end():
     assert airways.tracker.inside(live.points_lps).all()
 
 
+def test_a_path_says_what_fits_beside_how_wide_the_lumen_is():
+    lumen = np.zeros((13, 20, 60), bool)
+    lumen[4:9, 3:17, 2:58] = True
+    airways = painted(lumen, (3.0, 1.2 * 10, 9.0))
+    path = airways.tracker.path_to((55.0, 1.2 * 10, 9.0))
+    middle = np.abs(path.points_lps[:, 0] - 30.0) < 15.0
+    # A slit of 7.5 by 17 mm.
+    assert path.wall_mm[middle] == pytest.approx(3.75, abs=0.1)
+    assert (path.radius_mm[middle] > 5.0).all()
+
+
 def test_a_loop_is_walked_the_cheaper_way_and_once():
     lumen = np.zeros((9, 50, 50), bool)
     lumen[3:6, 5:45, 5:8] = lumen[3:6, 5:45, 42:45] = True

@@ -57,7 +57,7 @@ def report(
             row |= {
                 "length_mm": target.path.length_mm,
                 "cost": target.path.cost,
-                "min_radius_mm": float(np.min(target.path.radius_mm)),
+                "min_radius_mm": float(np.min(target.path.wall_mm)),
                 "generation": int(target.path.generation[-1]),
             }
             outside = None if search is None else search.targets[number - 1]

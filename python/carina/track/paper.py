@@ -347,7 +347,8 @@ def _as_path(
     branch_ids, generation = _along_branches(points, airways.tree)
     return TrackedPath(
         points_lps=points,
-        radius_mm=airways.tracker.core.radius_mm(points),
+        radius_mm=airways.tracker.calibers(points, branch_ids),
+        wall_mm=airways.tracker.core.radius_mm(points),
         length_mm=float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()),
         cost=cost,
         generation=generation,

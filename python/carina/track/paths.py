@@ -34,6 +34,8 @@ class TrackedPath:
     """(n, 3) LPS mm, root to target, about 1 mm apart; each in a lumen voxel."""
     radius_mm: NDArray[np.float64]
     """(n,) radius of the branch at its nearest place, see :attr:`Branch.radius`; off the tree the wall's distance."""
+    wall_mm: NDArray[np.float64]
+    """(n,) distance to the wall: how large a ball fits there, less than ``radius_mm`` where the lumen is no circle."""
     length_mm: float
     cost: float
     """Cost of the voxel path: the sum of length in mm times weight over its edges."""
@@ -246,7 +248,8 @@ class PathTracker:
         branch_ids, generation = self._branches_along(nodes[at])
         return TrackedPath(
             points_lps=points,
-            radius_mm=self._calibers(points, branch_ids),
+            radius_mm=self.calibers(points, branch_ids),
+            wall_mm=self._core.radius_mm(points),
             length_mm=float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()),
             cost=cost,
             generation=generation,
@@ -256,7 +259,7 @@ class PathTracker:
             snapped_mm=snapped_mm,
         )
 
-    def _calibers(self, points: NDArray[np.float64], branch_ids: NDArray[np.int32]) -> NDArray[np.float64]:
+    def calibers(self, points: NDArray[np.float64], branch_ids: NDArray[np.int32]) -> NDArray[np.float64]:
         """(n,) radius of the branch that each point is in, at its nearest place; off the tree the wall's distance."""
         radius = self._core.radius_mm(points)
         by_id = {branch.id: branch for branch in self._branches}

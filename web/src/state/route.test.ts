@@ -20,7 +20,7 @@ const ROUTE: RouteInfo = {
   cumulative_mm: [0, 10, 30, 40],
   generation: [0, 0, 0, 1],
   radius_mm: [9, 8, 7, 2.5],
-  wall_mm: [9, 8, 7, 2.5],
+  wall_mm: [8, 6, 2, 2.4],
   forks_mm: [30],
   lookouts_mm: [15],
   spans: [
@@ -91,7 +91,8 @@ describe("along the route", () => {
 
   it("knows its direction, its narrowest place and the place nearest to a point", () => {
     expect(directionAt(ROUTE, 20)).toEqual([0, 0, -1]);
-    expect(narrowest(ROUTE)).toEqual({ diameterMm: 5, pathMm: 40 });
+    // A slit: its section is wide, what fits through it is not.
+    expect(narrowest(ROUTE)).toEqual({ diameterMm: 4, pathMm: 30 });
     expect(nearestMm(ROUTE, [3, 3, -9])).toBe(10);
   });
 });

@@ -80,12 +80,12 @@ export function spanAt(route: Pick<RouteInfo, "spans">, pathMm: number): RouteSp
   return route.spans.find((span) => pathMm >= span.from_mm && pathMm < span.to_mm) ?? route.spans.at(-1) ?? null;
 }
 
-/** Diameter of the narrowest place of the route and where it is. */
+/** The narrowest place of the route: the diameter of what fits there (as the live path says it), and where it is. */
 export function narrowest(
-  route: Pick<RouteInfo, "radius_mm" | "cumulative_mm">,
+  route: Pick<RouteInfo, "wall_mm" | "cumulative_mm">,
 ): { diameterMm: number; pathMm: number } | null {
   let found: { diameterMm: number; pathMm: number } | null = null;
-  route.radius_mm.forEach((radius, index) => {
+  route.wall_mm.forEach((radius, index) => {
     if (found === null || 2 * radius < found.diameterMm) {
       found = { diameterMm: 2 * radius, pathMm: route.cumulative_mm[index] ?? 0 };
     }
