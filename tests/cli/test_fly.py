@@ -10,11 +10,11 @@ import pytest
 
 import carina as api
 from carina.cli.along import way_to
-from carina.navigate import AutoFlight
+from carina.navigate import AirwayWay, AutoFlight, KeyFile, KeyFrame, case_key
 from carina.navigate.recording import ReplayedPose, sampled
 from carina.navigate.rotation import rotation_from_vector
-from carina.render import read_png_pose
-from carina.scopes import DEFAULT_SCOPE
+from carina.render import AirwayView, read_png_pose
+from carina.scopes import DEFAULT_SCOPE, ImageField
 from small_case import small_bench
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
@@ -104,6 +104,40 @@ def test_key_frames_are_flown(carina, ct, tree, tmp_path):
         assert differs(frames[n], shown) < 4
     document.write_text('{"format": "carina-keys", "version": 1, "keys": [{"time_s": 0}]}')
     assert carina("fly", ct, "--keys", document, "-o", output).code == 3
+
+
+def test_key_frames_of_the_window_are_flown_at_their_speed_as_they_were_seen(carina, ct, tree, tmp_path):
+    volume = api.open_volume(ct)
+    root = api.FlightPath(json.loads(tree.read_text())["branches"][0]["points"])
+    poses = [root.pose_at(mm) for mm in (0.0, 20.0, 40.0)]
+    way = AirwayWay(root.points_lps[: len(root.points_lps) // 2], 0)
+    frames = [KeyFrame(None, poses[0]), KeyFrame(None, poses[1], speed_mm_s=40.0), KeyFrame(None, poses[2], way=way)]
+    view = {"scope": None, "mask": "none", "fov_deg": 70.0, "operator": "head"}
+    file = KeyFile(tuple(frames), 50.0, "airways", case_key(volume), view)
+    document, output = tmp_path / "keys.json", tmp_path / "k.mp4"
+    document.write_text(json.dumps(file.to_json()))
+    how = ("--size", "64x64", "--rate", "10", "--step-vox", "1")
+    ended = carina("fly", ct, "--keys", document, "-o", output, *how, "--json")
+    assert ended.code == 0, ended.err
+    said, flight = ended.json(), file.flight()
+    assert said["key_times_s"] == list(flight.key_times_s)
+    pictures, _, _, seconds = read_video(output)
+    assert len(pictures) == int(flight.duration_s * 10 + 0.5)
+    assert seconds == pytest.approx(flight.duration_s, abs=0.11)
+    renderer = api.Renderer(volume)
+    renderer.set_lumen(api.find_airways(volume).lumen_zyx)
+    first = AirwayView(poses[0], fov_deg=70.0, field=ImageField("none"), width=64, height=64, step_vox=1.0)
+    assert differs(pictures[0], renderer.render(first).rgb) < 4
+    # An instrument that the command names has its own picture.
+    ended = carina("fly", ct, "--keys", document, "-o", output, *how, "--scope", DEFAULT_SCOPE)
+    assert ended.code == 0, ended.err
+    assert differs(read_video(output)[0][0], still(carina, ct, poses[0], (64, 64), tmp_path / "s.png")) < 4
+    other = {**file.to_json(), "case": {**file.case, "digest": "0" * 32}}
+    document.write_text(json.dumps(other))
+    ended = carina("fly", ct, "--keys", document, "-o", tmp_path / "other.mp4")
+    assert ended.code == 3
+    assert "another case" in ended.err
+    assert not (tmp_path / "other.mp4").exists()
 
 
 def test_a_recording_of_another_case_is_refused_and_writes_nothing(carina, ct, tmp_path):

@@ -510,10 +510,12 @@ def fly(
         str | None, typer.Option(help="Where to: a branch's name or id, or a point x,y,z in mm (LPS).")
     ] = None,
     recording: Annotated[Path | None, typer.Option(help="Fly a recording of the workstation again.")] = None,
-    keys: Annotated[Path | None, typer.Option(help="Fly through key frames (carina-keys, JSON).")] = None,
+    keys: Annotated[
+        Path | None, typer.Option(help="Fly through key frames (carina-keys, JSON), as the window saves them.")
+    ] = None,
     size: Annotated[str, typer.Option(help="WxH in pixels.")] = "512x512",
     rate: Annotated[float, typer.Option(help="Frames per second, 1 to 240.")] = 30.0,
-    speed: Annotated[float, typer.Option(help="mm/s along the route.")] = 20.0,
+    speed: Annotated[float, typer.Option(help="mm/s along the route; key frames bring their own.")] = 20.0,
     pause: Annotated[float, typer.Option(help="Seconds at each fork and at the end.")] = 1.0,
     scope: Annotated[
         str | None, typer.Option(help="Look through an instrument, or none; a recording brings its own.")

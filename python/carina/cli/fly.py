@@ -24,19 +24,16 @@ from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
 from carina.errors import NoResultError, TrackingError, UsageError, VolumeImportError
 from carina.export import VIDEO_SUFFIXES, VideoWriter
-from carina.navigate import AutoFlight, KeyFrame, KeyFrameFlight, Recording, open_recording
+from carina.navigate import AutoFlight, KeyFile, KeyFrameFlight, Recording, open_keys, open_recording
 from carina.navigate.auto_flight import frame_times_s
 from carina.navigate.recording import ReplayedPose, case_key, sampled
 from carina.render import AirwayView, Backend, Renderer, TransferFunction, transfer_preset
-from carina.scopes import DEFAULT_SCOPE, ImageField, Pose, WallField, scope_preset
+from carina.scopes import DEFAULT_SCOPE, ImageField, WallField, scope_preset
 from carina.session import RendererFactory
 from carina.track import edits_from_json, wall_field
 from carina.volume import Volume
 
 __all__ = ["report"]
-
-KEYS_FORMAT = "carina-keys"
-MAX_KEYS_BYTES = 10_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +80,8 @@ def report(
         check_destination(to, "airway")
         AutoFlight(carina.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=speed_mm_s, pause_s=pause_s)
     recorded = None if recording is None else open_recording(recording)
-    key_flight = None if keys is None else _read_keys(keys)
+    key_file = None if keys is None else open_keys(keys)
+    key_flight = None if key_file is None else key_file.flight()
     progress = progress_printer()
     with (
         VideoWriter(output, *size, rate_hz=rate_hz) as video,
@@ -98,14 +96,18 @@ def report(
             frames = sampled(moments, times)
         else:
             flight: AutoFlight | KeyFrameFlight
-            if key_flight is not None:
+            if key_file is not None and key_flight is not None:
+                key_file.check(volume)
                 flight = key_flight
+                facts = {"key_times_s": list(flight.key_times_s), "path_mm": sum(flight.leg_mm)}
             else:
                 way = way_to(volume, str(to), tree_file=tree, progress=progress)
                 flight = AutoFlight(way.path, speed_mm_s=speed_mm_s, pause_s=pause_s)
                 facts = {"to": way.title, "path_mm": way.length_mm, "stops_mm": list(way.lookouts_mm)}
             times = frame_times_s(flight.duration_s, rate_hz)
-            frames = [ReplayedPose(float(t), flight.pose_at(float(t)), {}) for t in times]
+            view = {} if key_file is None else _key_view(key_file, shown, chosen=scope is not None)
+            turned = view.get("operator") == "facing"
+            frames = [ReplayedPose(float(t), flight.pose_at(float(t)), view, turned) for t in times]
         shots, times_shown = _shots(frames, shown)
         kept = None if keep is None else KeptFrames(keep, _job(volume, frames, shown, mixed))
         num_kept = 0 if kept is None else min(kept.num, len(shots))
@@ -189,21 +191,12 @@ def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallFiel
     return wall
 
 
-def _read_keys(path: Path) -> KeyFrameFlight:
-    try:
-        if path.stat().st_size > MAX_KEYS_BYTES:
-            raise VolumeImportError(f"{path}: too large for key frames", code="navigate.keys")
-        document = json.loads(path.read_text(encoding="utf-8"))
-        if document["format"] != KEYS_FORMAT or document["version"] != 1:
-            raise ValueError(f"expected {KEYS_FORMAT} 1")
-        keys = [KeyFrame(float(k["time_s"]), Pose(np.array(k["lps_from_camera"]))) for k in document["keys"]]
-        return KeyFrameFlight(keys)
-    except VolumeImportError:
-        raise
-    except OSError as trouble:
-        raise VolumeImportError(f"{path}: cannot be read: {trouble.strerror}", code="navigate.keys") from trouble
-    except (ValueError, KeyError, TypeError, UsageError) as trouble:
-        raise VolumeImportError(f"{path}: holds no key frames: {trouble}", code="navigate.keys") from trouble
+def _key_view(file: KeyFile, shown: _Shown, *, chosen: bool) -> dict[str, Any]:
+    """How the window showed the key frames; an instrument that the command names comes with its own picture."""
+    view = dict(file.view)
+    if chosen:
+        view = {name: value for name, value in view.items() if name not in {"mask", "fov_deg"}} | {"scope": shown.scope}
+    return view
 
 
 def _job(volume: Volume, frames: list[ReplayedPose], shown: _Shown, mixed: bool) -> str:

@@ -1,7 +1,10 @@
 """Moving the tip of the scope: freely or along a path, by hand, key or device."""
 
-from carina.navigate.auto_flight import AutoFlight, KeyFrame, KeyFrameFlight
+from carina.navigate.auto_flight import AutoFlight
 from carina.navigate.flight_path import FlightPath
+from carina.navigate.key_files import KeyFile, Through, open_keys
+from carina.navigate.key_frames import MAX_SPEED_MM_S, MIN_SPEED_MM_S, KeyFrame, KeyFrameFlight
+from carina.navigate.key_legs import AirwayWay
 from carina.navigate.moves import CONTROL_RANGES, Controls, Move
 from carina.navigate.navigator import Navigator
 from carina.navigate.one_euro import FilterSettings, SampleFilter
@@ -12,6 +15,9 @@ from carina.navigate.samples import AxesSample, HandleSample, PoseSample, Sample
 
 __all__ = [
     "CONTROL_RANGES",
+    "MAX_SPEED_MM_S",
+    "MIN_SPEED_MM_S",
+    "AirwayWay",
     "AutoFlight",
     "AxesSample",
     "Controls",
@@ -19,6 +25,7 @@ __all__ = [
     "FilterSettings",
     "FlightPath",
     "HandleSample",
+    "KeyFile",
     "KeyFrame",
     "KeyFrameFlight",
     "Move",
@@ -31,7 +38,9 @@ __all__ = [
     "Sample",
     "SampleFilter",
     "SampleGate",
+    "Through",
     "case_key",
     "fit_registration",
+    "open_keys",
     "open_recording",
 ]

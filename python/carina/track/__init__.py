@@ -1,6 +1,7 @@
 """Airway lumen, least-cost paths and the airway tree (paper 6)."""
 
 from carina.track.airways import Airways, TargetResult, TrackResult, find_airways, track_paths
+from carina.track.between import way_between
 from carina.track.edit_folded import FoldedAirways, fold_airways
 from carina.track.edits import (
     AddBranch,
@@ -78,4 +79,5 @@ __all__ = [
     "rebuild_airways",
     "track_paths",
     "wall_field",
+    "way_between",
 ]

@@ -1,0 +1,164 @@
+"""Key frames in files (``carina-keys``): version 1 has times, version 2 speeds, ways and the case they belong to."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from carina.errors import UsageError, VolumeImportError
+from carina.navigate.key_frames import KeyFrame, KeyFrameFlight
+from carina.navigate.key_legs import AirwayWay
+from carina.navigate.recording import case_key
+from carina.scopes import Pose
+from carina.volume import Volume
+
+__all__ = ["KeyFile", "Through", "open_keys"]
+
+Through = Literal["airways", "space"]
+
+FORMAT, VERSION = "carina-keys", 2
+MAX_BYTES = 50_000_000
+MAX_NAME = 200
+
+
+@dataclass(frozen=True, slots=True)
+class KeyFile:
+    """Key frames with all that a flight through them needs.
+
+    Parameters
+    ----------
+    frames
+        In the order of the flight.
+    speed_mm_s
+        Of legs that name none.
+    through
+        What was asked for: the airways where two key frames lie in them, or a curve through space.
+    case
+        :func:`carina.navigate.case_key` of the scan they were made in; None (version 1) does not say.
+    view
+        How the airway view was shown, as in a recording; empty does not say.
+    """
+
+    frames: tuple[KeyFrame, ...]
+    speed_mm_s: float = 20.0
+    through: Through = "space"
+    case: dict[str, Any] | None = None
+    view: dict[str, Any] = field(default_factory=dict)
+
+    def flight(self) -> KeyFrameFlight:
+        """The flight through them.
+
+        Raises
+        ------
+        UsageError
+            ``navigate.keys``: see :class:`KeyFrameFlight`.
+        """
+        return KeyFrameFlight(self.frames, speed_mm_s=self.speed_mm_s)
+
+    def check(self, volume: Volume) -> None:
+        """Refuse another case.
+
+        Raises
+        ------
+        VolumeImportError
+            ``navigate.keys``.
+        """
+        if self.case is not None and self.case != case_key(volume):
+            raise VolumeImportError(
+                "these key frames were made in another case: its scan has another grid or other numbers; open the scan "
+                "that they were made in",
+                code="navigate.keys",
+            )
+        for number, frame in enumerate(self.frames, 1):
+            if not volume.contains_lps(frame.pose.position_lps):
+                raise VolumeImportError(
+                    f"key frame {number} lies outside this scan; open the scan that it was made in",
+                    code="navigate.keys",
+                )
+
+    def to_json(self) -> dict[str, Any]:
+        """The document ``carina-keys`` 2; floats keep every bit."""
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "case": self.case,
+            "speed_mm_s": self.speed_mm_s,
+            "through": self.through,
+            "view": self.view,
+            "keys": [
+                {
+                    "name": frame.name,
+                    "lps_from_camera": frame.pose.lps_from_camera.tolist(),
+                    "speed_mm_s": frame.speed_mm_s,
+                    "way": None
+                    if frame.way is None
+                    else {"points_lps": frame.way.points_lps.tolist(), "apex": frame.way.apex},
+                }
+                for frame in self.frames
+            ],
+        }
+
+
+def open_keys(path: str | Path) -> KeyFile:
+    """Read key frames.
+
+    Raises
+    ------
+    VolumeImportError
+        ``navigate.keys``: if they cannot be read, or are none.
+    """
+    place = Path(path)
+    try:
+        if place.stat().st_size > MAX_BYTES:
+            raise VolumeImportError(f"{place.name}: too large for key frames", code="navigate.keys")
+        document = json.loads(place.read_text(encoding="utf-8"))
+        if document["format"] != FORMAT or document["version"] not in {1, VERSION}:
+            raise ValueError(f"expected {FORMAT} 1 or {VERSION}")
+        return _timed(document) if document["version"] == 1 else _with_speeds(document)
+    except VolumeImportError:
+        raise
+    except OSError as trouble:
+        raise VolumeImportError(f"{place.name}: cannot be read: {trouble.strerror}", code="navigate.keys") from trouble
+    except (ValueError, KeyError, TypeError, RecursionError, UsageError) as trouble:
+        raise VolumeImportError(f"{place.name}: holds no key frames: {trouble}", code="navigate.keys") from trouble
+
+
+def _timed(document: dict[str, Any]) -> KeyFile:
+    keys = document["keys"]
+    file = KeyFile(tuple(KeyFrame(float(key["time_s"]), Pose(np.array(key["lps_from_camera"]))) for key in keys))
+    # Times that do not increase are the file's fault, whoever flies it.
+    file.flight()
+    return file
+
+
+def _with_speeds(document: dict[str, Any]) -> KeyFile:
+    through, case, view = document["through"], document["case"], document.get("view", {})
+    if (
+        through not in {"airways", "space"}
+        or not (case is None or isinstance(case, dict))
+        or not isinstance(view, dict)
+    ):
+        raise ValueError("through is expected to be airways or space, case and view objects")
+    frames = []
+    for key in document["keys"]:
+        way = key.get("way")
+        frames.append(
+            KeyFrame(
+                None,
+                Pose(np.array(key["lps_from_camera"])),
+                str(key.get("name") or "")[:MAX_NAME],
+                None if key.get("speed_mm_s") is None else float(key["speed_mm_s"]),
+                None if way is None else AirwayWay(np.array(way["points_lps"]), int(way["apex"])),
+            )
+        )
+    file = KeyFile(tuple(frames), float(document["speed_mm_s"]), through, case, view)
+    if not frames or not math.isfinite(file.speed_mm_s):
+        raise ValueError("it has no key frame, or no speed")
+    if len(frames) > 1:
+        file.flight()
+    return file

@@ -1,0 +1,243 @@
+"""Flights through key frames: at times, or at a speed in mm/s."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import UsageError
+from carina.navigate.auto_flight import check_duration
+from carina.navigate.key_legs import STAND_MM, AirwayWay, Leg, build_legs
+from carina.scopes import Pose
+
+__all__ = ["MAX_SPEED_MM_S", "MIN_SPEED_MM_S", "KeyFrame", "KeyFrameFlight"]
+
+MIN_SPEED_MM_S, MAX_SPEED_MM_S = 0.1, 500.0
+# A look around takes its time, however short the way: 40 degrees a second on average.
+TURN_RAD_S = math.radians(40.0)
+# From rest to full speed.
+RAMP_S = 0.5
+STAND_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class KeyFrame:
+    """A pose to fly through, and how to get there.
+
+    Parameters
+    ----------
+    time_s
+        When; None where speeds say it.
+    pose
+        What the camera sees then.
+    name
+        In words, for lists.
+    speed_mm_s
+        On the way here from the key frame before, 0.1 to 500; None takes the flight's.
+    way
+        The airways between the key frame before and this; None flies a curve through space.
+    """
+
+    time_s: float | None
+    pose: Pose
+    name: str = ""
+    speed_mm_s: float | None = None
+    way: AirwayWay | None = None
+
+
+class _Timed:
+    """Between given times, in space: positions and velocities as the times want them, through all key frames.
+
+    A cubic Hermite curve over time with the slopes of the neighbours' differences (Catmull-Rom over unequal times).
+    """
+
+    def __init__(self, at: NDArray[np.float64], times: NDArray[np.float64]) -> None:
+        self._at, self._slopes, self._times = at, np.gradient(at, times, axis=0), times
+
+    def position(self, n: int, t: float) -> NDArray[np.float64]:
+        length = float(self._times[n + 1] - self._times[n])
+        t2, t3 = t * t, t * t * t
+        return np.asarray(
+            (2 * t3 - 3 * t2 + 1) * self._at[n]
+            + (t3 - 2 * t2 + t) * length * self._slopes[n]
+            + (3 * t2 - 2 * t3) * self._at[n + 1]
+            + (t3 - t2) * length * self._slopes[n + 1]
+        )
+
+
+class _Cruise:
+    """The distance flown after a time on a leg: evenly faster at first, then its speed, then evenly slower."""
+
+    def __init__(self, length_mm: float, begin_mm_s: float, speed_mm_s: float, end_mm_s: float) -> None:
+        self._length_mm, self._speed = length_mm, speed_mm_s
+        self._begin, self._end = begin_mm_s, end_mm_s
+        self._begin_mm, self._end_mm = self._ramp_mm(begin_mm_s), self._ramp_mm(end_mm_s)
+        self._begin_s = 2.0 * self._begin_mm / (begin_mm_s + speed_mm_s)
+        self._end_s = 2.0 * self._end_mm / (end_mm_s + speed_mm_s)
+        even_mm = length_mm - self._begin_mm - self._end_mm
+        self.duration_s = self._begin_s + even_mm / speed_mm_s + self._end_s
+
+    def place_mm(self, time_s: float) -> float:
+        if time_s < self._begin_s:
+            return time_s * (self._begin + 0.5 * (self._speed - self._begin) * time_s / self._begin_s)
+        left_s = self.duration_s - time_s
+        if left_s < self._end_s:
+            return self._length_mm - left_s * (self._end + 0.5 * (self._speed - self._end) * left_s / self._end_s)
+        return self._begin_mm + (time_s - self._begin_s) * self._speed
+
+    def _ramp_mm(self, slow_mm_s: float) -> float:
+        """The way over which the speed changes: at most half of the leg."""
+        wanted = 0.5 * (self._speed + slow_mm_s) * (self._speed - slow_mm_s) / self._speed * RAMP_S
+        return min(wanted, 0.5 * self._length_mm)
+
+
+class KeyFrameFlight:
+    """Through poses, without corners.
+
+    Either all key frames have times, or none has: then there is one path, and each leg of it is flown at its speed
+    (mm/s), evenly but for half a second of gathering speed and of coming to rest. Where the path turns sharply back
+    (from one bronchus into its sibling) the flight rests for a moment. A look around on the way, or on the spot, takes
+    at least its own time.
+
+    Parameters
+    ----------
+    frames
+        Two or more; times increase.
+    speed_mm_s
+        Of legs that name none, 0.1 to 500.
+
+    Raises
+    ------
+    UsageError
+        ``navigate.keys``: if they are fewer, only some have times, times do not increase, a speed is out of range, or
+        the flight lasts more than a day.
+
+    Notes
+    -----
+    Where :attr:`KeyFrame.way` is given, the path is the airways' middle: what a key frame lies beside it eases out, and
+    the camera turns as the airway does. Elsewhere it is a curve through space. See
+    :func:`carina.navigate.key_legs.build_legs`.
+
+    Examples
+    --------
+    >>> looks = [Pose.looking([0, 0, z], [0, 0, -1]) for z in (100.0, 60.0, 20.0)]
+    >>> flight = KeyFrameFlight([KeyFrame(None, pose) for pose in looks], speed_mm_s=20)
+    >>> flight.duration_s, flight.key_times_s[1]
+    (4.5, 2.25)
+    >>> flight.pose_at(2.25).position_lps.tolist()
+    [0.0, 0.0, 60.0]
+    """
+
+    def __init__(self, frames: Sequence[KeyFrame], *, speed_mm_s: float = 20.0) -> None:
+        if len(frames) < 2:
+            raise UsageError("a flight through key frames needs two or more", code="navigate.keys")
+        timed = [frame.time_s for frame in frames if frame.time_s is not None]
+        if timed and len(timed) != len(frames):
+            raise UsageError("either all key frames have times, or none has", code="navigate.keys")
+        for speed in (speed_mm_s, *(frame.speed_mm_s for frame in frames)):
+            if speed is not None and not MIN_SPEED_MM_S <= speed <= MAX_SPEED_MM_S:
+                raise UsageError(
+                    f"a speed is {MIN_SPEED_MM_S:g} to {MAX_SPEED_MM_S:g} mm/s; found {speed:g}", code="navigate.keys"
+                )
+        self._poses = [frame.pose for frame in frames]
+        self._legs, rests = build_legs([pose.lps_from_camera for pose in self._poses], [f.way for f in frames[1:]])
+        self._timed: _Timed | None = None
+        self._laws: list[_Law | None] = [None] * len(self._legs)
+        if timed:
+            times = np.array(timed, dtype=np.float64)
+            if not np.isfinite(times).all() or not (np.diff(times) > 0).all():
+                raise UsageError("a flight through key frames needs increasing times", code="navigate.keys")
+            if any(frame.way is not None for frame in frames):
+                raise UsageError("key frames at times are flown through space, not along airways", code="navigate.keys")
+            check_duration(float(times[-1] - times[0]))
+            self._times = times - times[0]
+            self._timed = _Timed(np.array([pose.position_lps for pose in self._poses]), self._times)
+        else:
+            speeds = [speed_mm_s if frame.speed_mm_s is None else frame.speed_mm_s for frame in frames[1:]]
+            self._laws = _cruises(self._legs, rests, speeds)
+            stands = [max(leg.turn_rad / TURN_RAD_S, STAND_S) for leg in self._legs]
+            lasts = [s if law is None else law.duration_s for law, s in zip(self._laws, stands, strict=True)]
+            self._times = np.concatenate([[0.0], np.cumsum(lasts)])
+            check_duration(self.duration_s)
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last."""
+        return float(self._times[-1])
+
+    @property
+    def key_times_s(self) -> tuple[float, ...]:
+        """When each key frame is passed, after the first."""
+        return tuple(float(t) for t in self._times)
+
+    @property
+    def leg_mm(self) -> tuple[float, ...]:
+        """Length of the way to each key frame from the one before; one fewer than key frames."""
+        return tuple(leg.length_mm for leg in self._legs)
+
+    @property
+    def through_airways(self) -> tuple[bool, ...]:
+        """Whether that way follows the airways."""
+        return tuple(leg.frames is not None for leg in self._legs)
+
+    def pose_at(self, time_s: float) -> Pose:
+        """The pose at a time after the first; clamped to the ends, the key frames themselves to the last bit."""
+        wanted = min(max(time_s, 0.0), self.duration_s)
+        n = min(int(np.searchsorted(self._times, wanted, side="right")) - 1, len(self._legs) - 1)
+        since_s = wanted - float(self._times[n])
+        if since_s <= 0.0 or wanted >= self._times[n + 1]:
+            return self._poses[n if since_s <= 0.0 else n + 1]
+        leg, law = self._legs[n], self._laws[n]
+        share = since_s / float(self._times[n + 1] - self._times[n])
+        mm = 0.0 if law is None else law.place_mm(since_s)
+        matrix = np.eye(4)
+        matrix[:3, 3] = leg.position(mm) if self._timed is None else self._timed.position(n, share)
+        matrix[:3, :3] = leg.rotation(mm, share)
+        return Pose(matrix)
+
+
+class _TwoCruises:
+    """With a rest on the way."""
+
+    def __init__(self, first: _Cruise, first_mm: float, second: _Cruise) -> None:
+        self._first, self._first_mm, self._second = first, first_mm, second
+        self.duration_s = first.duration_s + second.duration_s
+
+    def place_mm(self, time_s: float) -> float:
+        since_s = time_s - self._first.duration_s
+        return self._first.place_mm(time_s) if since_s < 0.0 else self._first_mm + self._second.place_mm(since_s)
+
+
+_Law = _Cruise | _TwoCruises
+
+
+def _cruises(legs: Sequence[Leg], rests: Sequence[bool], speeds_mm_s: Sequence[float]) -> list[_Law | None]:
+    """How each leg is flown; None where the camera only turns."""
+    speeds = []
+    for leg, speed in zip(legs, speeds_mm_s, strict=True):
+        turn_s = leg.turn_rad / TURN_RAD_S
+        speeds.append(min(speed, leg.length_mm / turn_s) if turn_s > 0.0 else speed)
+    stands = [leg.length_mm <= STAND_MM for leg in legs]
+    knots = [
+        0.0,
+        *(
+            0.0 if rests[n] or stands[n - 1] or stands[n] else min(speeds[n - 1], speeds[n])
+            for n in range(1, len(legs))
+        ),
+        0.0,
+    ]
+    laws: list[_Law | None] = []
+    for n, leg in enumerate(legs):
+        begin, speed, end = knots[n], speeds[n], knots[n + 1]
+        if stands[n]:
+            laws.append(None)
+        elif leg.rest_mm is None:
+            laws.append(_Cruise(leg.length_mm, begin, speed, end))
+        else:
+            first = _Cruise(leg.rest_mm, begin, speed, 0.0)
+            laws.append(_TwoCruises(first, leg.rest_mm, _Cruise(leg.length_mm - leg.rest_mm, 0.0, speed, end)))
+    return laws

@@ -1,0 +1,297 @@
+"""The ways between key frames: through space or along an airway, and where the camera looks on them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import UsageError
+from carina.navigate.flight_path import FlightPath
+from carina.navigate.rotation import orthonormal, rotation_from_vector, vector_from_rotation
+from carina.scopes import upright
+from carina.scopes.pose import ANTERIOR_LPS
+
+__all__ = ["AirwayWay", "Leg", "build_legs"]
+
+Points = NDArray[np.float64]
+
+STEP_MM = 0.5
+MAX_SAMPLES = 400
+# Shorter than this is no way: what is left of two equal poses after a round trip through a file.
+STAND_MM = 1e-6
+# Ways that meet at a smaller angle run into each other; at a larger one the flight comes to rest between them.
+BEND_RAD = math.radians(40.0)
+# The airway's direction, where the camera looks, is taken over this much way before and behind: a fork is turned into
+# as a scope is turned, and not within a voxel.
+LOOK_MM = 8.0
+# A key frame beside the airway's middle is left for it over four times its distance, and not within a voxel.
+EASE, EASE_MM = 4.0, 4.0
+# Round a fork: at most so far from the corner of the centrelines, where the lumens of both branches are one.
+ROUND_MM = 1.0
+CORNER_MM = 2.0
+# Nearer to the anterior axis than this (cosine), "anterior up" spins with the slightest turn.
+LEVEL_LIMIT = 0.9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AirwayWay:
+    """The airways' middle between the places of two key frames.
+
+    Parameters
+    ----------
+    points_lps
+        ``(n, 3)``, LPS mm, two or more, in the direction of the flight.
+    apex
+        Index of the point nearest to the root: before it the flight withdraws, after it it advances.
+
+    Raises
+    ------
+    UsageError
+        ``navigate.keys``: if they are no such points.
+    """
+
+    points_lps: Points
+    apex: int
+
+    def __post_init__(self) -> None:
+        points = np.array(self.points_lps, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1:] != (3,) or len(points) < 2 or not np.isfinite(points).all():
+            raise UsageError("a way through airways needs two or more points of three numbers", code="navigate.keys")
+        if not 0 <= self.apex < len(points):
+            raise UsageError(f"a way of {len(points)} points has no point {self.apex}", code="navigate.keys")
+        object.__setattr__(self, "points_lps", points)
+
+
+@dataclass(slots=True, eq=False)
+class Leg:
+    """From one key frame to the next: places by the distance flown, directions by that and the share of the time."""
+
+    start: Points
+    """``lps_from_camera`` at its two ends."""
+    end: Points
+    place_mm: NDArray[np.float64]
+    points_lps: Points
+    tangents: Points
+    """Unit vectors; on a way of no length zeros."""
+    frames: Points | None = None
+    """``(n, 3, 3)``: the airway's own directions at the points, distal forward; None looks by the two ends alone."""
+    rest_mm: float | None = None
+    """Where the way leaves one bronchus for its sibling, at an angle that is not flown without a rest."""
+
+    @property
+    def length_mm(self) -> float:
+        """Of the way."""
+        return float(self.place_mm[-1])
+
+    @property
+    def turn_rad(self) -> float:
+        """Between the directions at the ends."""
+        return float(np.linalg.norm(vector_from_rotation(orthonormal(self.start[:3, :3].T @ self.end[:3, :3]))))
+
+    def position(self, mm: float) -> Points:
+        """The point at a place: a cubic through the samples with their tangents, so that velocity has no steps."""
+        n, t, length = self._between(mm)
+        if length == 0.0:
+            return np.asarray(self.points_lps[n])
+        t2, t3 = t * t, t * t * t
+        return np.asarray(
+            (2 * t3 - 3 * t2 + 1) * self.points_lps[n]
+            + (t3 - 2 * t2 + t) * length * self.tangents[n]
+            + (3 * t2 - 2 * t3) * self.points_lps[n + 1]
+            + (t3 - t2) * length * self.tangents[n + 1]
+        )
+
+    def rotation(self, mm: float, share: float) -> Points:
+        """The camera's axes at a place, and a share of the time: what a key frame looks away by eases over."""
+        eased = share * share * (3.0 - 2.0 * share)
+        a, b = self.start[:3, :3], self.end[:3, :3]
+        if self.frames is None:
+            return _turned_level(a, b, eased)
+        n, t, _ = self._between(mm)
+        here = orthonormal((1.0 - t) * self.frames[n] + t * self.frames[n + 1])
+        off_a, off_b = orthonormal(self.frames[0].T @ a), orthonormal(self.frames[-1].T @ b)
+        return orthonormal(here @ off_a @ rotation_from_vector(eased * vector_from_rotation(off_a.T @ off_b)))
+
+    def _between(self, mm: float) -> tuple[int, float, float]:
+        n = min(max(int(np.searchsorted(self.place_mm, mm, side="right")) - 1, 0), len(self.place_mm) - 2)
+        length = float(self.place_mm[n + 1] - self.place_mm[n])
+        return n, (0.0 if length == 0.0 else min(max((mm - float(self.place_mm[n])) / length, 0.0), 1.0)), length
+
+
+def build_legs(poses: Sequence[Points], ways: Sequence[AirwayWay | None]) -> tuple[list[Leg], list[bool]]:
+    """The legs between poses, and at which poses the flight must come to rest because its direction breaks off.
+
+    Parameters
+    ----------
+    poses
+        ``lps_from_camera``, n of them.
+    ways
+        n - 1: the airway between a pose and the next, or None for a curve through space.
+
+    Notes
+    -----
+    Through space it is a centripetal Catmull-Rom curve (Yuksel, Schaefer, Keyser, "Parameterization and applications of
+    Catmull-Rom curves", CAD 43(7), 2011): of that family the one that makes no loops and leaves the chords least.
+    Directions turn with the gaze on the great circle and the horizon kept; along an airway they turn with it.
+    """
+    at = np.array([pose[:3, 3] for pose in poses])
+    legs: list[Leg | None] = [
+        None if way is None else _along(way, poses[n], poses[n + 1]) for n, way in enumerate(ways)
+    ]
+    found = [leg or _through_space(n, at, poses, legs) for n, leg in enumerate(legs)]
+    rests = [True] * len(poses)
+    for n in range(1, len(found)):
+        before, after = found[n - 1], found[n]
+        if before.length_mm <= STAND_MM or after.length_mm <= STAND_MM:
+            continue
+        one, other = before.tangents[-1], after.tangents[0]
+        if float(one @ other) > math.cos(BEND_RAD):
+            shared = (one + other) / np.linalg.norm(one + other)
+            before.tangents[-1] = after.tangents[0] = shared
+            rests[n] = False
+    return found, rests
+
+
+def _through_space(n: int, at: Points, poses: Sequence[Points], airways: Sequence[Leg | None]) -> Leg:
+    start, end = at[n], at[n + 1]
+    chord = end - start
+    length = float(np.linalg.norm(chord))
+    if length <= STAND_MM:
+        still = np.zeros((2, 3))
+        return Leg(poses[n], poses[n + 1], np.zeros(2), np.array([start, end]), still)
+    knot = math.sqrt(length)
+
+    def slope(beyond: int, leg_beyond: int, tangent_at: int) -> Points:
+        """At an end, per knot interval 1: from the neighbour in space, or the direction of the airway that joins."""
+        if 0 <= leg_beyond < len(airways):
+            airway = airways[leg_beyond]
+            if airway is not None:
+                return np.asarray(airway.tangents[tangent_at] * length)
+            outer = at[beyond] - (start if beyond < n else end)
+            outer = -outer if beyond < n else outer
+            far = float(np.linalg.norm(outer))
+            if far > STAND_MM:
+                gap = math.sqrt(far)
+                return np.asarray(knot * (outer / gap - (outer + chord) / (gap + knot)) + chord)
+        return np.asarray(chord, dtype=np.float64)
+
+    a, b = slope(n - 1, n - 1, -1), slope(n + 2, n + 1, 0)
+    t = np.linspace(0.0, 1.0, min(max(math.ceil(length / STEP_MM), 8), MAX_SAMPLES) + 1)[:, None]
+    t2, t3 = t * t, t * t * t
+    points = (2 * t3 - 3 * t2 + 1) * start + (t3 - 2 * t2 + t) * a + (3 * t2 - 2 * t3) * end + (t3 - t2) * b
+    slopes = (6 * t2 - 6 * t) * start + (3 * t2 - 4 * t + 1) * a + (6 * t - 6 * t2) * end + (3 * t2 - 2 * t) * b
+    return _leg(poses[n], poses[n + 1], points, slopes)
+
+
+def _along(way: AirwayWay, start: Points, end: Points) -> Leg | None:
+    """Along the airway's middle; None where there is hardly any airway between, so that the way is one across it."""
+    given_mm = _cumulative(way.points_lps)
+    if given_mm[-1] <= STAND_MM:
+        return None
+    path = FlightPath(way.points_lps, max_deviation_mm=ROUND_MM)
+    points = path.points_lps
+    mm = np.linspace(0.0, path.length_mm, len(points))
+    off_start, off_end = start[:3, 3] - points[0], end[:3, 3] - points[-1]
+    away = float(np.linalg.norm(off_start)) + float(np.linalg.norm(off_end))
+    if path.length_mm <= away:
+        return None
+    half = path.length_mm / 2.0
+    # Its own middle is where an airway is widest: what a key frame lies beside it is left soon, and taken up late.
+    leaving = _smooth(mm / min(half, max(EASE * float(np.linalg.norm(off_start)), EASE_MM)))
+    coming = _smooth((mm[-1] - mm) / min(half, max(EASE * float(np.linalg.norm(off_end)), EASE_MM)))
+    shifted = points + np.outer(1.0 - leaving, off_start) + np.outer(1.0 - coming, off_end)
+    leg = _leg(start, end, shifted, np.gradient(shifted, axis=0))
+    apex_mm = float(given_mm[way.apex])
+    leg.frames = _airway_frames(points, mm, apex_mm)
+    leg.rest_mm = _corner(leg, float(np.interp(apex_mm, mm, leg.place_mm)))
+    return leg
+
+
+def _corner(leg: Leg, place_mm: float) -> float | None:
+    """The place, if the way turns sharply round it."""
+    before = int(np.searchsorted(leg.place_mm, place_mm - CORNER_MM))
+    after = int(np.searchsorted(leg.place_mm, place_mm + CORNER_MM))
+    if before == 0 or after == len(leg.place_mm):
+        return None
+    return place_mm if float(leg.tangents[before] @ leg.tangents[after]) < math.cos(BEND_RAD) else None
+
+
+def _leg(start: Points, end: Points, points: Points, slopes: Points) -> Leg:
+    points[0], points[-1] = start[:3, 3], end[:3, 3]
+    lengths = np.linalg.norm(slopes, axis=1)
+    # A slope vanishes where the curve turns back on itself: there the chord says where it goes.
+    chords = np.gradient(points, axis=0)
+    vanished = lengths < 1e-9
+    slopes[vanished] = chords[vanished]
+    lengths = np.maximum(np.linalg.norm(slopes, axis=1), 1e-12)
+    return Leg(start, end, _cumulative(points), points, slopes / lengths[:, None])
+
+
+def _airway_frames(points: Points, mm: NDArray[np.float64], apex_mm: float) -> Points:
+    """Axes that look distally, averaged over the neighbourhood, with the horizon level where that is possible."""
+    tangents = np.gradient(points, axis=0)
+    tangents /= np.maximum(np.linalg.norm(tangents, axis=1), 1e-12)[:, None]
+    distal = np.where((mm < apex_mm)[:, None], -tangents, tangents)
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(distal, axis=0)])
+    step = mm[1] - mm[0]
+    numbers = np.arange(len(mm))
+    # Narrower towards the ends, so that it stays centred: a key frame there looks as the airway runs.
+    reach = np.minimum(np.minimum(numbers, numbers[::-1]), max(int(LOOK_MM / step), 0))
+    looks = sums[numbers + reach + 1] - sums[numbers - reach]
+    norms = np.linalg.norm(looks, axis=1)
+    # Two airways never leave a fork in opposite directions; broken points might.
+    looks = np.where((norms > 1e-9)[:, None], looks / np.maximum(norms, 1e-12)[:, None], distal)
+    return _with_ups(np.asarray(looks, dtype=np.float64))
+
+
+def _with_ups(looks: Points) -> Points:
+    """Axes for viewing directions: level where all of them are well away from the anterior axis, else not twisting."""
+    level = bool((np.abs(looks @ ANTERIOR_LPS) < LEVEL_LIMIT).all())
+    frames = np.empty((len(looks), 3, 3))
+    up = upright(looks[0])
+    for n, look in enumerate(looks):
+        # Carried on without a twist; where it is level, taken anew.
+        up = upright(look) if level else up - float(up @ look) * look
+        up = up / np.linalg.norm(up)
+        frames[n] = np.column_stack([np.cross(-up, look), -up, look])
+    return frames
+
+
+def _turned_level(a: Points, b: Points, share: float) -> Points:
+    """Between two rotations: the gaze on the great circle, what they roll against the horizon shared out evenly.
+
+    Where the gaze passes too near to the anterior axis for a horizon, and where it turns right back, the shortest turn
+    (Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985).
+    """
+    axis = np.cross(a[:, 2], b[:, 2])
+    sine, cosine = float(np.linalg.norm(axis)), float(a[:, 2] @ b[:, 2])
+    shortest = vector_from_rotation(orthonormal(a.T @ b))
+    if sine < 1e-6:
+        return orthonormal(a @ rotation_from_vector(share * shortest))
+    angle = math.atan2(sine, cosine)
+    looks = np.array([rotation_from_vector(axis / sine * angle * t) @ a[:, 2] for t in np.linspace(0.0, 1.0, 9)])
+    if not (np.abs(looks @ ANTERIOR_LPS) < LEVEL_LIMIT).all():
+        return orthonormal(a @ rotation_from_vector(share * shortest))
+    look = rotation_from_vector(axis / sine * angle * share) @ a[:, 2]
+    roll_a, roll_b = _roll(a), _roll(b)
+    roll = roll_a + share * math.remainder(roll_b - roll_a, math.tau)
+    return orthonormal(_with_ups(look[None])[0] @ rotation_from_vector(np.array([0.0, 0.0, roll])))
+
+
+def _roll(rotation: Points) -> float:
+    """How far it is rolled from the horizon."""
+    level = _with_ups(rotation[:, 2][None])[0].T @ rotation
+    return math.atan2(float(level[1, 0]), float(level[0, 0]))
+
+
+def _smooth(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    t = np.clip(share, 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t))
+
+
+def _cumulative(points: Points) -> NDArray[np.float64]:
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
