@@ -12,11 +12,12 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
-from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import carina
 from carina.errors import CarinaError, ProtocolError, UsageError
 from carina.server import messages as wire
+from carina.server.closing import close_socket
 from carina.server.downloads import Downloads
 from carina.server.force_link import ForceLink
 from carina.server.gate_middleware import GateMiddleware, page
@@ -116,7 +117,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         await websocket.accept()
         if not gate.authorised(websocket.headers):
             reason = "this page belongs to an earlier start of Carina; open the link that it printed"
-            await websocket.close(wire.CLOSE_CODES["protocol.not-authorised"], reason)
+            await close_socket(websocket, "protocol.not-authorised", reason)
             return
         await _serve_client(websocket, hub)
 
@@ -126,7 +127,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         await websocket.accept()
         if not gate.authorised(websocket.headers):
             reason = "a bridge sends the token that Carina printed: Authorization: Bearer TOKEN"
-            await websocket.close(wire.CLOSE_CODES["protocol.not-authorised"], reason)
+            await close_socket(websocket, "protocol.not-authorised", reason)
             return
         await force_link.serve(websocket)
 
@@ -176,11 +177,9 @@ async def _serve_client(websocket: WebSocket, hub: Hub) -> None:
             if hub.is_current(outbox):
                 hub.handle(message)
     except ProtocolError as trouble:
-        await _close(
-            websocket, wire.CLOSE_CODES.get(trouble.code, wire.CLOSE_CODES["protocol.malformed"]), str(trouble)
-        )
+        await close_socket(websocket, trouble.code, str(trouble))
     except TimeoutError:
-        await _close(websocket, wire.CLOSE_CODES["protocol.order"], "no hello came")
+        await close_socket(websocket, "protocol.order", "no hello came")
     except WebSocketDisconnect:
         pass
     finally:
@@ -207,10 +206,10 @@ async def _send_all(websocket: WebSocket, hub: Hub, outbox: Outbox) -> None:
         topics, texts, pictures = await outbox.take()
         if not hub.is_current(outbox):
             reason = "Carina was opened in another window"
-            await _close(websocket, wire.CLOSE_CODES["protocol.taken-over"], reason)
+            await close_socket(websocket, "protocol.taken-over", reason)
             return
         if outbox.overflowed:
-            await _close(websocket, wire.CLOSE_CODES["protocol.slow-client"], "this window did not keep up")
+            await close_socket(websocket, "protocol.slow-client", "this window did not keep up")
             return
         for topic in topics:
             text = hub.topic_text(topic)
@@ -220,12 +219,3 @@ async def _send_all(websocket: WebSocket, hub: Hub, outbox: Outbox) -> None:
             await websocket.send_text(text)
         for picture in pictures:
             await websocket.send_bytes(picture)
-
-
-async def _close(websocket: WebSocket, code: int, reason: str) -> None:
-    if websocket.application_state is not WebSocketState.CONNECTED:
-        return
-    # A close frame holds 125 bytes, two of them the code.
-    short = reason.encode()[:123].decode(errors="ignore")
-    with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-        await websocket.close(code, short)

@@ -9,12 +9,13 @@ import asyncio
 import contextlib
 from typing import Any
 
-from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import carina
 from carina.errors import CarinaError, ProtocolError
 from carina.scopes import LeftThread
 from carina.server import messages as wire
+from carina.server.closing import close_socket
 from carina.session import Session
 
 __all__ = ["MAX_BRIDGES", "ForceLink"]
@@ -41,17 +42,16 @@ class ForceLink:
     async def serve(self, socket: WebSocket) -> None:
         """One bridge, from its hello to its end; the socket is accepted and authorised."""
         if self._num_bridges >= MAX_BRIDGES:
-            await _close(socket, "protocol.order", f"at most {MAX_BRIDGES} bridges are served at once")
+            await close_socket(socket, "protocol.order", f"at most {MAX_BRIDGES} bridges are served at once")
             return
         self._num_bridges += 1
         left = LeftThread()
         try:
             await self._converse(socket)
         except ProtocolError as trouble:
-            code = trouble.code if trouble.code in wire.CLOSE_CODES else "protocol.malformed"
-            await _close(socket, code, str(trouble))
+            await close_socket(socket, trouble.code, str(trouble))
         except TimeoutError:
-            await _close(socket, "protocol.order", "no hello came")
+            await close_socket(socket, "protocol.order", "no hello came")
         except WebSocketDisconnect:
             pass
         finally:
@@ -122,12 +122,6 @@ async def _receive(socket: WebSocket) -> Any:
     if text is None:
         raise ProtocolError("a bridge sends text, no binary messages", code="protocol.type")
     return wire.parse_force_message(text)
-
-
-async def _close(socket: WebSocket, code: str, reason: str) -> None:
-    if socket.application_state is WebSocketState.CONNECTED:
-        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-            await socket.close(wire.CLOSE_CODES[code], reason[:120])
 
 
 def _three(values: Any) -> tuple[float, float, float]:

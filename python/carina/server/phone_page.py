@@ -21,11 +21,12 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Route, WebSocketRoute
-from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from carina.errors import CarinaError, ProtocolError
 from carina.server import messages as wire
 from carina.server.certificate import Certificate, make_certificate, phone_problem
+from carina.server.closing import close_socket
 from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.listening import bind, lan_address
 from carina.server.phone_link import DEVICE, PhoneLink, TokenGate
@@ -244,9 +245,9 @@ class PhonePage:
                 if link.is_broken:
                     raise ProtocolError("too much of what came could not be read", code="protocol.malformed")
         except ProtocolError as trouble:
-            await _close(websocket, trouble.code, str(trouble))
+            await close_socket(websocket, trouble.code, str(trouble))
         except TimeoutError:
-            await _close(websocket, "protocol.order", "no hello came")
+            await close_socket(websocket, "protocol.order", "no hello came")
         except WebSocketDisconnect:
             pass
         except Exception as trouble:
@@ -266,7 +267,9 @@ class PhonePage:
         before, self._socket, self._link, self._words = self._socket, websocket, link, ""
         if before is not None:
             self._session.device_gone(DEVICE)
-            await _close(before, "protocol.taken-over", "another phone, or another page of this one, has taken over")
+            await close_socket(
+                before, "protocol.taken-over", "another phone, or another page of this one, has taken over"
+            )
         self.changed()
 
     async def _tell(self, websocket: WebSocket) -> None:
@@ -319,11 +322,3 @@ async def _receive(websocket: WebSocket) -> str | None:
         raise WebSocketDisconnect(message.get("code", 1006), message.get("reason"))
     text = message.get("text")
     return None if text is None else str(text)
-
-
-async def _close(websocket: WebSocket, code: str, reason: str) -> None:
-    if websocket.application_state is not WebSocketState.CONNECTED:
-        return
-    number = wire.CLOSE_CODES.get(code, wire.CLOSE_CODES["protocol.malformed"])
-    with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-        await websocket.close(number, reason.encode()[:123].decode(errors="ignore"))
