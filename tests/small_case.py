@@ -71,6 +71,17 @@ def small_lumen() -> np.ndarray:
     return lumen
 
 
+def small_lps(ijk: tuple[float, float, float]) -> tuple[float, float, float]:
+    """A place in the small volume, from voxels."""
+    x, y, z = (float(v) for v in small_volume().to_lps(np.array(ijk)))
+    return x, y, z
+
+
+LEFT_TIP = small_lps(BRANCHES_IJK[2][1][1])
+RIGHT_TIP = small_lps(BRANCHES_IJK[3][1][1])
+OUTSIDE_LUMEN = small_lps((28.0, 3.0, 30.0))
+
+
 def small_tree(matrix: np.ndarray) -> AirwayTree:
     """The branches of :data:`BRANCHES_IJK`; children begin with their parent's last point, bit for bit."""
     generation = {0: 0, 1: 1, 2: 1, 3: 2}

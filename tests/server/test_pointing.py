@@ -16,13 +16,9 @@ from carina.server.pointing import Pointing, edit_from_wire, live_path_message
 from carina.server.wire_codec import field_types
 from carina.session.questions import lumen_before_wall
 from carina.track import AddBranch, CutBranch, MoveFork, PaintLumen, RenameBranch, TreeEdit
-from small_case import small_bench, small_volume
+from small_case import small_bench, small_lps
 
 WAIT_S = 120.0
-
-
-def lps(ijk):
-    return tuple(float(v) for v in small_volume().to_lps(ijk))
 
 
 @pytest.fixture
@@ -37,7 +33,8 @@ def pointing():
         return picture.hit
 
     shown = SimpleNamespace(
-        wall_at=wall_at, view=SimpleNamespace(pose=SimpleNamespace(position_lps=np.array(lps((16.0, 14.0, 34.0)))))
+        wall_at=wall_at,
+        view=SimpleNamespace(pose=SimpleNamespace(position_lps=np.array(small_lps((16.0, 14.0, 34.0))))),
     )
     answers = queue.Queue()
     made = Pointing(bench.session, {5: shown}.get, answers.put)
@@ -53,29 +50,29 @@ def ask(pointing, request_id, **place):
 
 
 def test_a_point_is_answered_with_the_way_to_it(pointing):
-    point = lps((8.5, 13.0, 14.5))
+    point = small_lps((8.5, 13.0, 14.5))
     answer = ask(pointing, 3, lps=point)
     assert (answer.request_id, answer.lps, answer.problem) == (3, point, None)
     assert answer.joins_branch_id == 1
     assert answer.confidence == 0.75
-    assert answer.points_lps[0] == pytest.approx(lps((16.0, 14.0, 37.0)), abs=0.01)
-    assert answer.points_lps[-1] == pytest.approx(lps((8.0, 13.0, 14.0)), abs=0.01)
+    assert answer.points_lps[0] == pytest.approx(small_lps((16.0, 14.0, 37.0)), abs=0.01)
+    assert answer.points_lps[-1] == pytest.approx(small_lps((8.0, 13.0, 14.0)), abs=0.01)
     wire.parse_server_message(wire.encode_message(answer))
 
 
 def test_a_point_without_a_way_is_answered_in_words_and_no_error_is_raised(pointing):
-    answer = ask(pointing, 4, lps=lps((2.0, 2.0, 30.0)))
+    answer = ask(pointing, 4, lps=small_lps((2.0, 2.0, 30.0)))
     assert answer.points_lps == ()
     assert "mm away" in answer.problem
     wire.parse_server_message(wire.encode_message(answer))
 
 
 def test_a_place_in_the_airway_picture_means_the_lumen_in_front_of_the_wall(pointing):
-    wall = np.array(lps((18.6, 14.0, 30.0)))
+    wall = np.array(small_lps((18.6, 14.0, 30.0)))
     pointing.picture.hit = SimpleNamespace(position_lps=wall)
     answer = ask(pointing, 5, frame_id=5, column=12.0, row=7.5)
     assert pointing.picture.asked == [(12.0, 7.5)]
-    lens = np.array(lps((16.0, 14.0, 34.0)))
+    lens = np.array(small_lps((16.0, 14.0, 34.0)))
     back = np.linalg.norm(np.array(answer.lps) - wall)
     assert 0.5 < back < np.linalg.norm(lens - wall)
     # On the ray, and inside the lumen (3 mm round the centreline in this case).
@@ -115,18 +112,18 @@ def test_a_fault_is_answered_and_the_next_question_too(pointing, monkeypatch):
     monkeypatch.setattr(pointing.session, "live_path", lambda _lps: 1 / 0)
     assert "fault of Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
     monkeypatch.undo()
-    assert ask(pointing, 2, lps=lps((16.0, 14.0, 30.0))).problem is None
+    assert ask(pointing, 2, lps=small_lps((16.0, 14.0, 30.0))).problem is None
 
 
 def test_what_the_first_question_would_wait_for_is_done_before_it_comes(pointing, monkeypatch):
     asked = queue.Queue()
     monkeypatch.setattr(pointing.session, "live_path", asked.put)
     pointing.pointing.warm()
-    assert asked.get(timeout=WAIT_S) == pytest.approx(lps((16.0, 14.0, 37.0)))
+    assert asked.get(timeout=WAIT_S) == pytest.approx(small_lps((16.0, 14.0, 37.0)))
     # Once for the same airways, and without an answer.
     pointing.pointing.warm()
     monkeypatch.undo()
-    assert ask(pointing, 8, lps=lps((16.0, 14.0, 30.0))).request_id == 8
+    assert ask(pointing, 8, lps=small_lps((16.0, 14.0, 30.0))).request_id == 8
     assert asked.empty()
 
 

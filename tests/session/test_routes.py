@@ -1,0 +1,164 @@
+"""Targets and routes of a session: tracked, chosen, undone; where a flight stops, and what fits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carina.errors import NoResultError, UsageError
+from carina.session import Said
+from carina.session.routes import RouteSpan, lookouts_mm, route_to_branch
+from carina.track import AirwayTree, Branch
+from small_case import (
+    LEFT_TIP,
+    OUTSIDE_LUMEN,
+    RIGHT_TIP,
+    small_bench,
+)
+
+
+def test_adding_a_target_can_be_undone_and_done_again_with_its_route():
+    bench = small_bench()
+    bench.open()
+    default_route = bench.session.snapshot().document.route
+    bench.session.add_target(LEFT_TIP)
+    bench.background.run_all()
+    snapshot = bench.session.snapshot()
+    (target,) = snapshot.document.targets
+    assert target.problem is None
+    assert target.length_mm == pytest.approx(snapshot.document.route.length_mm)
+    assert snapshot.document.route.target_id == target.target_id
+    assert snapshot.undo_label == "add Target 1"
+
+    bench.session.undo()
+    snapshot = bench.session.snapshot()
+    assert snapshot.document.targets == ()
+    assert snapshot.document.route is default_route
+    assert (snapshot.undo_label, snapshot.redo_label) == (None, "add Target 1")
+
+    bench.session.redo()
+    assert bench.session.snapshot().document.targets == (target,)
+    assert bench.session.snapshot().document.route.target_id == target.target_id
+
+
+def test_a_target_beside_the_lumen_is_snapped_and_that_is_said():
+    bench = small_bench()
+    bench.open()
+    beside = (LEFT_TIP[0], LEFT_TIP[1] + 2.0, LEFT_TIP[2])
+    bench.session.add_target(beside)
+    bench.background.run_all()
+    (target,) = bench.session.snapshot().document.targets
+    assert target.snapped_mm == pytest.approx(2.0)
+    assert target.lps == beside
+    assert Said("Target 1 was moved 2.0 mm to the nearest lumen") in bench.events
+
+
+def test_a_target_far_from_the_lumen_is_kept_with_its_reason_and_without_a_path():
+    bench = small_bench()
+    bench.open()
+    route = bench.session.snapshot().document.route
+    bench.session.add_target(OUTSIDE_LUMEN)
+    bench.background.run_all()
+    document = bench.session.snapshot().document
+    (target,) = document.targets
+    assert "nearest lumen is" in target.problem
+    assert target.route is None
+    assert target.used_lps is None
+    assert document.route is route
+    with pytest.raises(NoResultError, match="no path to Target 1"):
+        bench.session.choose_route(target_id=target.target_id)
+
+
+def test_a_target_outside_the_volume_is_refused():
+    bench = small_bench()
+    bench.open()
+    with pytest.raises(UsageError, match=r"the point L 5000\.0 P 0\.0 S 0\.0 mm lies outside the scan"):
+        bench.session.add_target((5000.0, 0.0, 0.0))
+
+
+def test_removing_a_target_takes_its_route_away_and_undo_brings_both_back():
+    bench = small_bench()
+    bench.open()
+    bench.session.add_target(LEFT_TIP)
+    bench.background.run_all()
+    bench.session.remove_target("target-1")
+    document = bench.session.snapshot().document
+    assert (document.targets, document.route) == ((), None)
+    assert bench.session.snapshot().mode == "free"
+    bench.session.undo()
+    assert bench.session.snapshot().document.route.target_id == "target-1"
+
+
+def test_choosing_a_branch_flies_to_it_and_an_unknown_one_is_refused():
+    bench = small_bench()
+    bench.open()
+    bench.session.choose_route(branch_id=2)
+    route = bench.session.snapshot().document.route
+    assert route.title == "LMB"
+    bench.session.go_to(route.length_mm)
+    np.testing.assert_allclose(bench.session.pose_info().pose.position_lps, LEFT_TIP, atol=0.6)
+    with pytest.raises(UsageError, match="no branch 77"):
+        bench.session.choose_route(branch_id=77)
+
+
+def test_new_airways_track_the_targets_again():
+    bench = small_bench()
+    bench.open()
+    bench.session.add_target(LEFT_TIP)
+    bench.background.run_all()
+    old = bench.session.snapshot().document.targets[0]
+    bench.session.set_lumen_threshold(-850.0)
+    bench.background.run_all()
+    document = bench.session.snapshot().document
+    assert document.lumen_threshold == -850.0
+    assert document.targets[0].route is not old.route
+    assert document.route is document.targets[0].route
+
+
+def test_the_right_tip_is_to_the_patients_right():
+    assert RIGHT_TIP[0] < LEFT_TIP[0]
+
+
+def test_the_flight_stops_in_front_of_each_fork_and_goes_back_likewise():
+    bench = small_bench()
+    bench.open()
+    route = bench.session.snapshot().document.route
+    assert len(route.lookouts_mm) == len(route.forks_mm) == 2
+    for stop_mm, fork_mm, span in zip(route.lookouts_mm, route.forks_mm, route.spans, strict=False):
+        assert (span.from_mm + fork_mm) / 2.0 - 1e-9 <= stop_mm < fork_mm
+    # The trachea of the small case is 12 mm wide and far longer than two diameters.
+    assert route.lookouts_mm[0] == pytest.approx(route.forks_mm[0] - 12.0)
+    stops = []
+    for _ in range(3):
+        bench.session.next_fork()
+        stops.append(bench.session.pose_info().path_mm)
+    assert stops == pytest.approx([*route.lookouts_mm, route.length_mm])
+    bench.session.previous_fork()
+    bench.session.previous_fork()
+    assert bench.session.pose_info().path_mm == pytest.approx(route.lookouts_mm[0])
+
+
+def test_a_short_branch_has_its_look_out_in_its_middle_and_all_look_outs_are_in_order():
+    cumulative_mm = np.arange(0.0, 61.0)
+    spans = tuple(
+        RouteSpan(n, None, n, from_mm, to_mm)
+        for n, (from_mm, to_mm) in enumerate([(0, 40), (40, 44), (44, 44), (44, 60)])
+    )
+    stops = lookouts_mm((40.0, 44.0, 44.0), spans, cumulative_mm, np.full(61, 5.0))
+    # 10 mm wide: one diameter before the first fork, half of the 4 mm branch before the second, the third at the fork.
+    assert stops == (30.0, 42.0, 44.0)
+
+
+def test_a_route_says_what_fits_not_only_how_wide_it_is():
+    along = np.linspace(0.0, 40.0, 41)
+    points = np.stack([0 * along, 0 * along, -along], axis=1)
+    flat = np.where(np.abs(along - 20.0) < 5.0, 1.0, 3.0)
+    # A slit in the middle: its section is as large as elsewhere, but nothing thick passes.
+    tree = AirwayTree((Branch(0, None, (), 0, "Trachea", "tracked", points, np.full(41, 3.0), wall_mm=flat),))
+    route = route_to_branch(tree, 0)
+    assert len(route.wall_mm) == len(route.points_lps)
+    middle = np.abs(route.cumulative_mm - 20.0) < 4.0
+    assert middle.any()
+    assert (route.wall_mm[middle] == 1.0).all()
+    assert (route.wall_mm[route.cumulative_mm < 14.0] == 3.0).all()
+    assert (route.radius_mm == 3.0).all()
