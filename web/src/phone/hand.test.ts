@@ -60,6 +60,17 @@ describe("the hand on a phone", () => {
     expect(sent.map((m) => (m.type === "phone_sample" ? m.advance : null))).toEqual([1, 0]);
   });
 
+  it("that is still is said again ten times a second, and a turn at once", () => {
+    hand.hold("turn", true);
+    hand.turned([1, 0, 0, 0]);
+    for (let n = 0; n < 60; n += 1) hand.tick(n / 60);
+    expect(sent.length).toBeGreaterThanOrEqual(9);
+    expect(sent.length).toBeLessThanOrEqual(11);
+    hand.turned([0, 1, 0, 0]);
+    hand.tick(1);
+    expect(sent.at(-1)).toMatchObject({ orientation_wxyz: [0, 1, 0, 0] });
+  });
+
   it("lets go of everything when the page is left", () => {
     hand.hold("turn", true);
     hand.hold("back", true);

@@ -106,13 +106,30 @@ describe("a phone's link", () => {
     expect(statuses.at(-1)).toBe("lost");
   });
 
-  it.each(["protocol.not-authorised", "protocol.taken-over"] as const)("does not try again after %s", (code) => {
+  it("that is opened anew hears nothing more of the old socket", () => {
+    const old = newest();
+    old.opens();
+    link.open();
+    expect([sockets.length, old.closed]).toEqual([2, true]);
+    old.says(STATE);
+    expect(statuses.at(-1)).toBe("connecting");
+    old.ends(1006);
+    expect([statuses.at(-1), timers.length]).toEqual(["connecting", 0]);
     newest().opens();
-    newest().ends(CLOSE_CODES[code]);
-    expect(statuses.at(-1)).toBe("refused");
-    expect(words.length).toBeGreaterThan(20);
-    expect(timers).toEqual([]);
+    newest().says(STATE);
+    expect(statuses.at(-1)).toBe("open");
   });
+
+  it.each(["protocol.not-authorised", "protocol.taken-over", "protocol.version", "protocol.malformed"] as const)(
+    "does not try again after %s",
+    (code) => {
+      newest().opens();
+      newest().ends(CLOSE_CODES[code]);
+      expect(statuses.at(-1)).toBe("refused");
+      expect(words.length).toBeGreaterThan(20);
+      expect(timers).toEqual([]);
+    },
+  );
 
   it("throws samples away while the network does not keep up", () => {
     newest().opens();
