@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +19,10 @@ from carina.cli.cluster import OpenCluster
 from carina.cli.kept_frames import KeptFrames
 from carina.cluster import ClusterRenderer, Console, LocalLane
 from carina.navigate import AutoFlight
+from carina.navigate.recording import ReplayedPose
 from carina.render import Renderer
+from carina.scopes import Pose
+from carina.volume import Volume
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 needs_ray = pytest.mark.skipif(
@@ -164,6 +168,38 @@ def test_pictures_of_another_flight_are_not_taken_for_this_one(film, tmp_path):
     ended = film(*base[:-1], other, "--size", "48x48")
     assert ended.code == 2 and "something else" in ended.err
     assert [path.name for path in other.iterdir()] == ["letter.txt"]
+
+
+def test_all_that_a_picture_depends_on_tells_one_flight_from_another(ct, monkeypatch):
+    volume = api.open_volume(ct)
+    pose = AutoFlight(api.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=10.0, pause_s=0.0).pose_at(0.0)
+    frames = [ReplayedPose(0.0, pose, {"shading": True})]
+    shown = fly._Shown((64, 48), "generic", 0.5)
+    job = fly._job(volume, frames, shown, False)
+    assert fly._job(api.open_volume(ct), [ReplayedPose(9.0, pose, {"shading": True})], shown, False) == job
+
+    values = np.array(volume.hu_zyx)
+    values[0, 0, 0] += 1
+    further = np.array(volume.lps_from_ijk)
+    further[0, 3] += 1e-6
+    moved = np.array(pose.lps_from_camera)
+    moved[2, 3] += 1e-9
+    others = {
+        "values": fly._job(Volume(values, volume.lps_from_ijk), frames, shown, False),
+        "place": fly._job(Volume(np.array(volume.hu_zyx), further), frames, shown, False),
+        "pose": fly._job(volume, [ReplayedPose(0.0, Pose(moved), {"shading": True})], shown, False),
+        "view": fly._job(volume, [ReplayedPose(0.0, pose, {"shading": False})], shown, False),
+        "turned": fly._job(volume, [ReplayedPose(0.0, pose, {"shading": True}, True)], shown, False),
+        "more": fly._job(volume, frames * 2, shown, False),
+        "size": fly._job(volume, frames, replace(shown, size=(48, 64)), False),
+        "scope": fly._job(volume, frames, replace(shown, scope=None), False),
+        "step": fly._job(volume, frames, replace(shown, step_vox=0.4), False),
+        "mixed": fly._job(volume, frames, shown, True),
+    }
+    monkeypatch.setattr(api, "__version__", "99.0")
+    others["version"] = fly._job(volume, frames, shown, False)
+    assert job not in others.values()
+    assert len(set(others.values())) == len(others)
 
 
 @needs_ray
