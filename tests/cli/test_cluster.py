@@ -29,7 +29,7 @@ def _environment(tmp_path) -> dict[str, str]:
     return {**os.environ, **homes, "HOME": str(tmp_path)}
 
 
-def _run(tmp_path, *arguments: str, timeout: float = 120.0) -> subprocess.CompletedProcess[str]:
+def _run(tmp_path, *arguments: str, timeout: float = 600.0) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [*COMMAND, *arguments],
         env=_environment(tmp_path),
@@ -177,11 +177,11 @@ def test_a_cluster_is_started_looked_at_used_and_left_without_a_trace(tmp_path):
             assert used.stdout.readline().startswith("{")
         finally:
             used.send_signal(signal.SIGINT)
-            _, words = used.communicate(timeout=60)
+            _, words = used.communicate(timeout=240)
         assert used.returncode == 0, words
         tree = descendants(head.pid)
         assert tree
     finally:
         head.send_signal(signal.SIGTERM)
-        head.communicate(timeout=60)
+        head.communicate(timeout=240)
     assert not [pid for pid, began in tree.items() if _began(pid) == began], "processes were left behind"

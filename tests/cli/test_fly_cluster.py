@@ -211,7 +211,7 @@ def test_a_flight_on_a_real_cluster_is_that_of_one_machine(ct, keys, tmp_path, w
     command = [sys.executable, "-m", "carina.cli", "fly", str(ct), "--keys", str(keys), "-o", str(output), *HOW]
     command += ["--cluster", "local"]
     environment = {**os.environ, **homes}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=180, check=False)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["num_frames"] == 12, "nothing but the result is on standard output"
     assert "raylet" not in done.stderr and "listen_error" not in done.stderr

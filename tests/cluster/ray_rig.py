@@ -102,7 +102,7 @@ def small_volume(size: int = 16) -> Volume:
     return Volume(hu, np.eye(4))
 
 
-def wait_for(what, timeout_s: float = 60.0):
+def wait_for(what, timeout_s: float = 240.0):
     """Until something is true; says what it was if not."""
     end_s = time.monotonic() + timeout_s
     while not (found := what()):

@@ -63,16 +63,26 @@ def whole(flight):
     return flight
 
 
-def _fly(flight, seconds: float, rate_hz: float = 25.0) -> list[float]:
-    """Ask for pictures at a rate; every one must be right. Returns when it began, and when each was shown."""
+def _fly(flight, seconds: float, until=lambda: True, rate_hz: float = 25.0) -> list[float]:
+    """Ask for pictures at a rate, and until something is so; every one must be right.
+
+    Returns when it began, and when each was shown.
+    """
     began_s = time.monotonic()
     shown = [began_s]
-    while time.monotonic() < began_s + seconds:
+    while time.monotonic() < began_s + seconds or not until():
+        assert time.monotonic() < began_s + 120.0, "nothing came of it"
         picture = flight.renderer.render(VIEW)
         shown.append(time.monotonic())
         flight.check(picture)
         time.sleep(max(0.0, 1.0 / rate_hz - (time.monotonic() - shown[-1])))
     return shown
+
+
+def _is_a_moment(shown: list[float]) -> bool:
+    """Whether no picture was waited for much longer than a second; longer where the machine is slow with all."""
+    gaps_s = np.diff(shown)
+    return bool(gaps_s.max() < max(1.0, 10.0 * np.median(gaps_s)))
 
 
 def _strike(flight, name: str, what: signal.Signals, after_s: float = 0.01) -> list[int]:
@@ -113,14 +123,13 @@ def test_a_renderer_killed_in_mid_frame_costs_a_moment_and_comes_back_with_the_v
     name = flight.ready()[1]
     pid = flight.lane(name).facts.pid
     struck = _strike(flight, name, signal.SIGKILL)
-    shown = _fly(flight, 3.0)
-    assert max(np.diff(shown)) < 1.0
+    shown = _fly(flight, 3.0, lambda: struck)
+    assert _is_a_moment(shown)
     assert _made_by_others(flight, struck[0], name)
     wait_for(lambda: name in flight.ready())
     assert flight.lane(name).facts.pid != pid
     before = len(flight.console.jobs)
-    _fly(flight, 0.5)
-    assert name in {job.lane for job in flight.console.jobs[before:] if job.accepted}
+    _fly(flight, 0.5, lambda: name in {job.lane for job in flight.console.jobs[before:] if job.accepted})
     told = [n for n in flight.console.status().notices if name in n and "does not answer" in n]
     assert len(told) == 1
 
@@ -131,10 +140,9 @@ def test_a_renderer_that_is_stopped_is_late_and_goes_on_when_it_wakes(whole):
     pid = flight.lane(name).facts.pid
     struck = _strike(flight, name, signal.SIGSTOP)
     try:
-        shown = _fly(flight, 1.5)
-        assert max(np.diff(shown)) < 1.0
+        shown = _fly(flight, 1.5, lambda: struck and name not in flight.ready())
+        assert _is_a_moment(shown)
         assert _made_by_others(flight, struck[0], name)
-        assert name not in flight.ready()
         assert sum(f"{name} is late" in n for n in flight.console.status().notices) == 1
     finally:
         os.kill(pid, signal.SIGCONT)
@@ -146,10 +154,13 @@ def test_a_renderer_ten_times_slower_gets_a_tenth_of_a_share(whole):
     flight = whole
     name = flight.ready()[0]
     flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote(factor=10.0))
-    _fly(flight, 4.0)
-    [member] = [m for m in flight.console.status().members if m.name == name]
-    # Ideal is 1 / 31; the transport's millisecond weighs more in small strips.
-    assert member.share < 0.12
+
+    def has_little() -> bool:
+        [member] = [m for m in flight.console.status().members if m.name == name]
+        # Ideal is 1 / 31; the transport's millisecond weighs more in small strips.
+        return member.share < 0.12
+
+    _fly(flight, 4.0, has_little)
     flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote())
 
 
@@ -160,9 +171,12 @@ def test_wrong_answers_are_told_and_never_shown(whole, trouble, words):
     name = flight.ready()[["size", "frame", "rows"].index(trouble)]
     flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote(trouble))
     try:
-        _fly(flight, 0.5)
-        notices = flight.console.status().notices
-        assert any(f"{name} answered wrongly" in n and words in n for n in notices), notices
+
+        def is_told() -> bool:
+            notices = flight.console.status().notices
+            return any(f"{name} answered wrongly" in n and words in n for n in notices)
+
+        _fly(flight, 0.5, is_told)
     finally:
         flight.cluster.ray.get(flight.lane(name)._handle.misbehave.remote())
 
@@ -230,6 +244,6 @@ except ClusterError as refused:
 def test_a_wrong_token_is_refused(head, tmp_path):
     wrong = make_token(tmp_path / "token")
     command = [sys.executable, "-W", "ignore", "-c", REFUSED, head.node.address, str(wrong), IP]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert "refused: the cluster at" in done.stdout, done.stdout + done.stderr[-2000:]
     assert "token" in done.stdout
