@@ -75,9 +75,13 @@ function ScopeReading() {
   const stop = scopeStop(scope);
   return (
     <>
-      <span data-testid="scope-reading">
-        in <strong>{mm(scope.insertion_mm, 0)}</strong>, bent <strong>{degrees(scope.flexion_rad)}</strong>, rolled{" "}
-        {degrees(scope.roll_rad)}
+      <span className="scope-reading" data-testid="scope-reading">
+        <span>
+          in <strong>{mm(scope.insertion_mm, 0)}</strong>
+        </span>
+        <span>
+          bent <strong>{degrees(scope.flexion_rad)}</strong>, rolled {degrees(scope.roll_rad)}
+        </span>
       </span>
       {stop === null ? null : <span className="warning-text">{stop}</span>}
       {scope.num_contacts === 0 ? null : (
