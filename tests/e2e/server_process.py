@@ -11,6 +11,9 @@ import threading
 from dataclasses import dataclass, field
 from pathlib import Path
 
+STOP_S = 120.0
+"""Longer than a server needs to end, on whatever machine."""
+
 
 @dataclass
 class Server:
@@ -56,7 +59,7 @@ def start_server(arguments: list[str], home: Path, *, program: tuple[str, ...] =
             return Server(process, reader, json.loads(text)["url"], log)
         except json.JSONDecodeError:
             continue
-    process.wait(timeout=10)
+    process.wait(timeout=STOP_S)
     raise AssertionError(f"the server ended without a URL: {log}")
 
 
@@ -64,12 +67,12 @@ def stop_server(server: Server) -> int:
     """Ctrl-C, as a person would; kill it only if it does not leave."""
     server.process.send_signal(signal.SIGINT)
     try:
-        code = server.process.wait(timeout=20)
+        code = server.process.wait(timeout=STOP_S)
     except subprocess.TimeoutExpired:
         server.process.kill()
         server.process.wait()
         raise
-    server.reader.join(timeout=5)
+    server.reader.join(timeout=STOP_S)
     for pipe in (server.process.stdout, server.process.stderr):
         assert pipe is not None
         pipe.close()

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from playwright.sync_api import expect
 from server_process import Server, start_server, stop_server
+from workstation import PICTURE_MS
 
 pytestmark = pytest.mark.browser
-
-WAIT_MS = 20_000
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def server(tmp_path_factory) -> Iterator[Server]:
 
 
 def wait_for(workstation, condition, arg=None):
-    workstation.page.wait_for_function(condition, arg=arg, timeout=WAIT_MS)
+    workstation.page.wait_for_function(condition, arg=arg, timeout=PICTURE_MS)
 
 
 def place_on_tree(workstation, branch_id, part=0.5):
@@ -270,7 +270,7 @@ def test_a_branch_is_renamed_in_place_and_the_name_is_undone(server, workstation
     # Esc leaves the name as it was; the keys fly again afterwards.
     workstation.page.keyboard.press("F2")
     field.press("Escape")
-    assert field.count() == 0
+    expect(field).to_have_count(0)
     workstation.page.keyboard.press("m")
     wait_for(workstation, "() => window.__carina.state.pose.mode === 'free'")
     workstation.page.keyboard.press("m")
@@ -283,7 +283,7 @@ def test_the_list_is_searched(server, workstation):
     workstation.page.keyboard.press("/")
     workstation.page.keyboard.type("lmb")
     rows = workstation.page.locator(".branch-tree [data-branch]")
-    wait_for(workstation, "() => document.querySelectorAll('.branch-tree [data-branch]').length < 6")
+    expect(rows).to_have_count(2)
     assert [row.split()[0] for row in rows.all_inner_texts()] == ["Trachea", "LMB"]
     workstation.page.keyboard.press("Escape")
     wait_for(workstation, "() => document.querySelectorAll('.branch-tree [data-branch]').length > 2")

@@ -13,6 +13,7 @@ from server_process import Server, start_server, stop_server
 pytestmark = pytest.mark.browser
 
 SLOW_SERVER = str(Path(__file__).parent / "slow_server.py")
+STATUS_WORDS = "document.querySelector('.status-bar').innerText"
 STANDS_IN = "document.querySelector('[data-testid=view-finder]')"
 
 
@@ -38,20 +39,23 @@ def test_while_flying_the_status_says_how_fast_and_how_fine_and_at_rest_the_pict
     workstation.wait_still()
     status = workstation.page.locator(".status-bar")
     expect(status).to_contain_text("full resolution")
+    workstation.hold("w", 1500)
     workstation.page.keyboard.down("w")
-    workstation.page.wait_for_timeout(2000)
+    while_flying, frame = workstation.once(
+        f"/frame \\d/.test({STATUS_WORDS}) && !window.__carina.state.frames.airway.full",
+        f"[{STATUS_WORDS}, window.__carina.state.frames.airway]",
+    )
     workstation.picture("budget-flying")
-    while_flying, frame = status.inner_text(), workstation.state("frames.airway")
     workstation.page.keyboard.up("w")
     rate = int(re.search(r"frame (\d+)/s", while_flying)[1])
     # A hand's input comes 60 times a second; how near the pictures come to it is the machine's and its load's affair.
     assert 1 <= rate <= 70
-    assert re.search(r"age \d+ ms", while_flying)
+    assert re.search(r"age \d+ ms|picture [\d.]+ s behind", while_flying)
     assert not frame["full"]
     words = "coarse: " if frame["width"] < workstation.wanted_width() else "full resolution"
     assert words in while_flying
     workstation.wait_still()
-    assert "full resolution" in status.inner_text()
+    expect(status).to_contain_text("full resolution")
     assert workstation.faults == []
 
 
@@ -62,9 +66,9 @@ def test_another_rate_can_be_asked_for(server, workstation):
     workstation.page.get_by_role("option", name="15 per second").click()
     workstation.page.wait_for_function("() => window.__carina.state.frame_rate_hz === 15")
     workstation.watch_pose_ids("airway")
-    workstation.hold("w", 3000)
+    held_s = workstation.hold("w", 3000)
     shown = len(workstation.watched_pose_ids())
-    assert shown <= 3 * 15 * 1.2 + 3, "no more than what was asked for"
+    assert shown <= held_s * 15 * 1.2 + 3, "no more than what was asked for"
     workstation.page.locator(".status-bar .pace button").click()
     workstation.page.get_by_role("option", name="60 per second").click()
     workstation.page.wait_for_function("() => window.__carina.state.frame_rate_hz === 60")
@@ -78,20 +82,20 @@ def test_where_the_airway_view_is_too_slow_the_labelled_cut_plane_stands_in_unti
     workstation.wait_ready()
     assert workstation.page.evaluate(f"() => {STANDS_IN}") is None
     slow_file.touch()
-    workstation.fly_until(STANDS_IN, 20.0)
+    workstation.fly_until(STANDS_IN, 120.0)
     workstation.watch_stand_ins()
     workstation.page.keyboard.down("w")
-    workstation.page.wait_for_timeout(2000)
+    label, frame, status = workstation.once(
+        STANDS_IN,
+        f"[{STANDS_IN}.innerText, window.__carina.state.frames.airway, {STATUS_WORDS}]",
+    )
     workstation.picture("budget-view-finder")
-    label = workstation.page.locator("[data-testid=view-finder]").inner_text()
-    frame = workstation.state("frames.airway")
-    status = workstation.page.locator(".status-bar").inner_text()
     workstation.page.keyboard.up("w")
     assert "View finder: cut-plane" in label
     assert "view finder" in status
     assert (frame["view"], frame["stands_for"], frame["full"]) == ("cut-plane", "airway", False)
-    shown = workstation.watched_stand_ins()
-    assert shown.count("cut-plane") >= 8, "it follows the hand, where the airway view could not"
+    # It follows the hand, where the airway view could not.
+    workstation.fly_until("window.__shown.filter((view) => view === 'cut-plane').length >= 8", 120.0)
 
     # At rest the airway view comes, however long it takes, and the label goes.
     workstation.wait_still()
@@ -99,7 +103,7 @@ def test_where_the_airway_view_is_too_slow_the_labelled_cut_plane_stands_in_unti
     assert workstation.state("frames.airway.view") == "airway"
 
     slow_file.unlink()
-    workstation.fly_until(f"!{STANDS_IN} && window.__carina.state.frames.airway.full === false", 20.0)
+    workstation.fly_until(f"!{STANDS_IN} && window.__carina.state.frames.airway.full === false", 120.0)
     workstation.watch_stand_ins()
     workstation.hold("s", 1500)
     assert set(workstation.watched_stand_ins()) == {"airway"}

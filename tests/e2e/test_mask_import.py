@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import SimpleITK as sitk
+from playwright.sync_api import expect
 from server_process import Server, start_server, stop_server
 
 from carina.phantom import demo_phantom
@@ -14,7 +15,7 @@ from carina.phantom import demo_phantom
 pytestmark = pytest.mark.browser
 
 # The mask's tree: seconds, and many of them with others busy on the machine.
-WAIT_MS = 180_000
+WAIT_MS = 600_000
 
 
 @pytest.fixture(scope="module")
@@ -92,18 +93,18 @@ def test_a_chosen_mask_is_asked_which_structure_is_the_airway_taken_and_undone(r
         page.locator("[data-testid=choose-mask]").first.click()
     chooser.value.set_files(str(masks["several"]))
     page.locator("[data-testid=mask-question]").wait_for(timeout=WAIT_MS)
-    assert page.locator("[data-testid=mask-answer]").is_disabled()
+    expect(page.locator("[data-testid=mask-answer]")).to_be_disabled()
     page.get_by_text("Label 2", exact=True).click()
     ready.picture("mask-labels")
     page.locator("[data-testid=mask-answer]").click()
     wait_for(ready, "window.__carina.state.airways_from === 'mask'")
     assert ready.state("can_undo") == "take the mask as airways"
-    assert page.locator("[data-testid=mask-question]").count() == 0
+    expect(page.locator("[data-testid=mask-question]")).to_have_count(0)
     # The phantom's true lumen: more of its smallest branches than were found.
     wait_for(ready, f"window.__carina.state.tree.byId.size > {branches}")
     page.get_by_role("button", name="Airways", exact=True).click()
     page.locator("details.part > summary").first.click()
-    assert page.get_by_text("Taken from a mask").is_visible()
+    expect(page.get_by_text("Taken from a mask")).to_be_visible()
     ready.picture("mask-taken")
     page.keyboard.press("Control+z")
     wait_for(ready, "window.__carina.state.airways_from === 'search'")
@@ -144,10 +145,15 @@ def test_a_mask_is_not_taken_for_a_case_that_was_opened_while_it_was_sent(ready,
     image.SetOrigin(made.lps_from_ijk[:3, 3].tolist())
     sitk.WriteImage(image, str(tmp_path / "other.nrrd"))
     held = []
-    page.route("**/api/upload/*", held.append)
+
+    def hold(route):
+        held.append(route)
+
+    page.route("**/api/upload/*", hold)
     page.get_by_role("button", name="Open", exact=True).first.click()
     page.get_by_placeholder("/data/ct/series").fill(str(tmp_path / "other.nrrd"))
-    drop(ready, masks["coarse"], "mask")
+    with page.expect_request("**/api/upload/*"):
+        drop(ready, masks["coarse"], "mask")
     while not held:
         page.wait_for_timeout(20)
     page.locator(".path-form button[type=submit]").evaluate("button => button.click()")

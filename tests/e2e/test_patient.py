@@ -51,19 +51,24 @@ def test_a_flight_through_the_patient_follows_the_hand_and_says_how_well(server,
     workstation.go_to(5.0)
     workstation.wait_still()
     workstation.watch_pose_ids("airway")
-    workstation.page.keyboard.down("w")
-    workstation.page.wait_for_timeout(4000)
-    workstation.picture("patient-flying")
-    status, frame = workstation.page.locator(".status-bar").inner_text(), workstation.state("frames.airway")
-    workstation.page.keyboard.up("w")
+    held_s = workstation.hold("w", 4000)
     shown = workstation.watched_pose_ids()
     assert shown == sorted(shown)
-    print(f"{len(shown) / 4.0:.1f} pictures a second, {frame['width']} pixels wide; status: {status!r}")
+    seen_hz = len(shown) / held_s
+    workstation.page.keyboard.down("w")
+    status_words = "document.querySelector('.status-bar').innerText"
+    status, frame = workstation.once(
+        f"!window.__carina.state.frames.airway.full && /frame \\d|view finder/.test({status_words})",
+        f"[{status_words}, window.__carina.state.frames.airway]",
+    )
+    workstation.picture("patient-flying")
+    workstation.page.keyboard.up("w")
+    print(f"{seen_hz:.1f} pictures a second, {frame['width']} pixels wide; status: {status!r}")
     if frame["stands_for"] is None:
-        rate, age_ms = (int(re.search(words, status)[1]) for words in (r"frame (\d+)/s", r"age (\d+) ms"))
+        rate = int(re.search(r"frame (\d+)/s", status)[1])
         # What the status says is what was seen; it looks back a second, and the machine's load may change meanwhile.
-        assert 0.3 < rate / (len(shown) / 4.0) < 3.0
-        assert age_ms < 2000
+        assert 0.3 < rate / seen_hz < 3.0
+        assert re.search(r"age \d+ ms|picture [\d.]+ s behind", status)
     else:
         assert "view finder" in status, "a machine under such a load says so"
     workstation.wait_still()

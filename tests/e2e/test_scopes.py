@@ -31,8 +31,8 @@ def after(workstation, act) -> None:
             return c.dataset.full === 'true' && Number(c.dataset.frameId) > before;
         }""",
         arg=before,
-        timeout=20_000,
     )
+    workstation.wait_still()
 
 
 def choose_scope(workstation, title: str) -> None:
@@ -137,7 +137,7 @@ def test_the_fine_texture_is_switched_off_and_on_where_the_look_has_one(server, 
     workstation.page.mouse.move(400, 500)
     switch.hover()
     workstation.page.mouse.move(*(v + 1 for v in middle(switch)))
-    workstation.page.get_by_role("tooltip").wait_for(timeout=5_000)
+    workstation.page.get_by_role("tooltip").wait_for()
     assert "decoration" in workstation.page.get_by_role("tooltip").inner_text()
     workstation.picture("texture-off")
 

@@ -7,15 +7,13 @@ from collections.abc import Iterator
 import pytest
 from server_process import Server, start_server, stop_server
 from test_airway_tools import named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
+from workstation import PICTURE_MS
 
 pytestmark = pytest.mark.browser
 
-# An edit of a main bronchus, with others busy on the machine.
-WAIT_MS = 60_000
-
 
 def wait_for(workstation, condition, arg=None):
-    workstation.page.wait_for_function(condition, arg=arg, timeout=WAIT_MS)
+    workstation.page.wait_for_function(condition, arg=arg, timeout=PICTURE_MS)
 
 
 @pytest.fixture(scope="module")

@@ -26,11 +26,6 @@ def wait_for(workstation, condition):
     workstation.page.wait_for_function(f"() => {condition}", timeout=PICTURE_MS)
 
 
-def shown(workstation, view):
-    """Wait until a full picture of a view is on the screen."""
-    wait_for(workstation, f"document.querySelector('canvas[data-view={view}]')?.dataset.full === 'true'")
-
-
 def host(workstation, view):
     """Where a view's picture takes clicks, CSS px."""
     return workstation.page.locator(f".picture-host:has(canvas[data-view={view}])").bounding_box()
@@ -49,7 +44,7 @@ def test_the_c_arm_turns_with_a_drag_and_by_keys_and_only_the_marker_follows_the
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.get_by_role("radio", name="DRR").or_(workstation.page.get_by_role("button", name="DRR")).click()
-    shown(workstation, "drr")
+    workstation.wait_picture("drr")
     workstation.picture("views-drr")
     frontal = workstation.pixels("drr")
     assert 20 < workstation.brightness("drr") < 200
@@ -57,9 +52,7 @@ def test_the_c_arm_turns_with_a_drag_and_by_keys_and_only_the_marker_follows_the
     drag(workstation, "drr", (0.5, 0.5), (0.2, 0.6))
     wait_for(workstation, "window.__carina.state.session.carm.primary_deg > 10")
     assert workstation.state("session.carm.secondary_deg") > 3
-    shown(workstation, "drr")
-    wait_for(workstation, "true")
-    assert workstation.pixels("drr") != frontal
+    workstation.wait_picture("drr", unlike=frontal)
     workstation.picture("views-drr-turned")
 
     workstation.page.locator(".picture-host:has(canvas[data-view=drr])").focus()
@@ -68,12 +61,14 @@ def test_the_c_arm_turns_with_a_drag_and_by_keys_and_only_the_marker_follows_the
     workstation.page.keyboard.press("Shift+ArrowLeft")
     wait_for(workstation, "window.__carina.state.session.carm.primary_deg === 5")
     workstation.page.keyboard.press("Home")
+    wait_for(workstation, "window.__carina.state.session.carm.primary_deg === 0")
+    workstation.wait_picture("drr", like=frontal)
     workstation.page.keyboard.press("g")
     wait_for(workstation, "window.__carina.state.session.carm.tone === 'fluoroscopy'")
+    workstation.wait_picture("drr", unlike=frontal)
     workstation.page.keyboard.press("g")
     wait_for(workstation, "window.__carina.state.session.carm.tone === 'radiograph'")
-    workstation.page.wait_for_timeout(1500)
-    shown(workstation, "drr")
+    workstation.wait_picture("drr", like=frontal)
     frame, marks = workstation.frame("drr"), workstation.overlay("drr")
     workstation.go_to(60.0)
     workstation.wait_still()
@@ -86,7 +81,7 @@ def test_the_straightened_airway_takes_the_tip_where_it_is_clicked(server, works
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("v")
-    shown(workstation, "straightened")
+    workstation.wait_picture("straightened")
     workstation.go_to(10.0)
     workstation.wait_still()
     workstation.picture("views-straightened")
@@ -102,12 +97,12 @@ def test_the_straightened_airway_takes_the_tip_where_it_is_clicked(server, works
     before = workstation.pixels("straightened")
     drag(workstation, "straightened", (0.3, 0.5), (0.8, 0.5))
     wait_for(workstation, "window.__carina.state.session.reformation.turn_deg > 20")
-    shown(workstation, "straightened")
-    workstation.page.wait_for_timeout(500)
-    assert workstation.pixels("straightened") != before
+    workstation.wait_picture("straightened", unlike=before)
+    turned = workstation.pixels("straightened")
     workstation.page.mouse.wheel(0, -600)
     wait_for(workstation, "window.__carina.state.session.reformation.mm_per_px < 1")
-    workstation.page.wait_for_timeout(500)
+    workstation.wait_picture("straightened", unlike=turned)
+    workstation.wait_still()
     workstation.picture("views-straightened-zoomed")
     frame = workstation.frame("straightened")["frame_id"]
     workstation.go_to(20.0)
@@ -119,10 +114,10 @@ def test_the_straightened_airway_takes_the_tip_where_it_is_clicked(server, works
     workstation.page.locator(".picture-host:has(canvas[data-view=straightened])").focus()
     workstation.page.keyboard.press("Home")
     workstation.page.keyboard.press("v")
-    shown(workstation, "curved")
+    workstation.wait_picture("curved")
     workstation.picture("views-curved")
     workstation.page.keyboard.press("v")
-    shown(workstation, "cut-plane")
+    workstation.wait_picture("cut-plane")
     assert workstation.faults == []
 
 
@@ -130,7 +125,8 @@ def test_a_plane_of_the_tri_plane_view_moves_with_a_drag_and_the_background_orbi
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.keyboard.press("t")
-    shown(workstation, "tri-plane")
+    workstation.wait_picture("tri-plane")
+    first = workstation.pixels("tri-plane")
     workstation.page.locator("[data-cell=outside] canvas.overlay").wait_for(state="attached")
     workstation.picture("views-tri-plane")
     before = workstation.state("session.orbit_tri_plane")
@@ -138,13 +134,14 @@ def test_a_plane_of_the_tri_plane_view_moves_with_a_drag_and_the_background_orbi
 
     drag(workstation, "tri-plane", (0.5, 0.62), (0.5, 0.5))
     wait_for(workstation, "window.__carina.state.session.crosshair_lps !== null")
+    workstation.wait_still()
     crosshair = workstation.state("session.crosshair_lps")
     moved = np.abs(np.subtract(crosshair, tip))
     # Along one axis alone.
     assert (moved > 3.0).sum() == 1
     assert (moved < 0.2).sum() == 2
     assert workstation.state("session.orbit_tri_plane") == before
-    workstation.page.wait_for_timeout(800)
+    workstation.wait_picture("tri-plane", unlike=first)
     workstation.picture("views-tri-plane-moved")
 
     workstation.page.locator(".picture-host:has(canvas[data-view=tri-plane])").focus()
@@ -160,7 +157,8 @@ def test_a_plane_of_the_tri_plane_view_moves_with_a_drag_and_the_background_orbi
 def test_a_slice_zooms_about_the_cursor_and_says_when_it_is_thick(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
-    shown(workstation, "axial")
+    workstation.wait_picture("axial")
+    plain = workstation.pixels("axial")
     box = host(workstation, "axial")
     at = (box["x"] + 0.3 * box["width"], box["y"] + 0.4 * box["height"])
     workstation.page.mouse.move(*at)
@@ -171,10 +169,16 @@ def test_a_slice_zooms_about_the_cursor_and_says_when_it_is_thick(server, workst
         workstation.page.mouse.wheel(0, -150)
     workstation.page.keyboard.up("Control")
     wait_for(workstation, "window.__carina.state.session.zoom.axial_mm_per_px !== null")
-    workstation.page.wait_for_timeout(800)
+    workstation.wait_still()
+    workstation.wait_picture("axial", unlike=plain)
+    wait_for(
+        workstation,
+        "((m) => Math.abs(Math.hypot(m[0], m[4], m[8]) - window.__carina.state.zoom.axial_mm_per_px) < 1e-3)"
+        "(window.__carina.state.frames.axial.lps_from_pixel)",
+    )
     workstation.page.mouse.move(at[0] + 1, at[1])
     workstation.page.mouse.move(*at)
-    workstation.page.wait_for_timeout(200)
+    workstation.wait_still()
     # Under the cursor lies what lay there before; a pixel of the small picture is about a millimetre.
     np.testing.assert_allclose(workstation.state("ui.cursorLps"), here, atol=1.5)
     workstation.picture("views-slice-zoomed")
@@ -183,8 +187,7 @@ def test_a_slice_zooms_about_the_cursor_and_says_when_it_is_thick(server, workst
     workstation.page.mouse.move(5, 400)
     workstation.page.keyboard.press("i")
     wait_for(workstation, "window.__carina.state.session.slab.thickness_mm === 10")
-    workstation.page.wait_for_timeout(800)
-    assert workstation.pixels("coronal") != thin
+    workstation.wait_picture("coronal", unlike=thin)
     workstation.picture("views-slab")
     for _ in range(3):
         workstation.page.keyboard.press("i")

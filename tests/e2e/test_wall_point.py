@@ -24,6 +24,7 @@ def server(tmp_path_factory) -> Iterator[Server]:
 def wall_point(workstation, num_picks):
     """The newest wall point, once so many are known."""
     workstation.page.wait_for_function("(n) => window.__carina.state.picks.length === n", arg=num_picks)
+    workstation.wait_still()
     return workstation.state("picks.at(-1)")
 
 
@@ -87,7 +88,6 @@ def test_the_keyboard_picks_the_middle_and_a_double_click_picks_nothing(server, 
     workstation.click_airway(0.3, 0.4, twice=True)
     workstation.page.wait_for_function("() => window.__carina.state.ui.full === 'airway'")
     workstation.wait_still()
-    workstation.page.wait_for_timeout(300)
     assert workstation.state("picks.length") == 0
     assert workstation.state("crosshair_lps") is None
     workstation.page.keyboard.press("Escape")

@@ -21,6 +21,57 @@ FLAGS = [
 ]
 
 
+# How a page comes to rest: the server does what it is sent in order, so the answer to a question of this script's own
+# (the page does not see it) says that everything sent before was done. While the pose stays the same, nothing more is
+# on its way.
+SETTLE = """
+window.WebSocket = class extends WebSocket {
+  constructor(...options) {
+    super(...options);
+    const place = [0.1234567, 0, 0];
+    this.addEventListener('message', (event) => {
+      if (typeof event.data !== 'string' || !/^.{0,9}"value"/.test(event.data)) return;
+      if (JSON.parse(event.data).lps[0] !== place[0]) return;
+      event.stopImmediatePropagation();
+      window.__answered();
+    });
+    window.__ask = () => this.send(JSON.stringify({type: 'probe', lps: place}));
+  }
+};
+window.__settled = async (limitMs) => {
+  const end = performance.now() + limitMs;
+  const refresh = () => new Promise((done) => requestAnimationFrame(done));
+  const answer = () => new Promise((done, fail) => {
+    // The answer to a cursor that moves may take this one's place: asked again.
+    const again = setInterval(() => window.__ask(), 1000);
+    const late = setTimeout(() => fail(new Error('the server does not answer')), end - performance.now());
+    window.__answered = () => { clearInterval(again); clearTimeout(late); done(); };
+    window.__ask();
+  });
+  let pose = null, since = performance.now();
+  while (pose === null || performance.now() < since + 200) {
+    await refresh();
+    await refresh();
+    await answer();
+    const newest = window.__carina.state.pose.pose_id;
+    if (newest !== pose) since = performance.now();
+    pose = newest;
+    if (performance.now() > end) throw new Error('the tip does not come to rest');
+  }
+};
+"""
+PIXELS = """
+window.__pixels = (view) => {
+  const canvas = document.querySelector(`canvas[data-view=${view}]`);
+  const small = document.createElement('canvas');
+  small.width = small.height = 32;
+  const context = small.getContext('2d');
+  context.drawImage(canvas, 0, 0, 32, 32);
+  return [...context.getImageData(0, 0, 32, 32).data];
+};
+"""
+
+
 class Workstation:
     """One open page of the workstation."""
 
@@ -28,6 +79,8 @@ class Workstation:
         self.page = page
         self.out = out
         self.faults: list[str] = []
+        page.add_init_script(SETTLE)
+        page.add_init_script(PIXELS)
         page.on("console", lambda m: self.faults.append(m.text) if m.type == "error" else None)
         page.on("pageerror", lambda error: self.faults.append(str(error)))
 
@@ -133,9 +186,15 @@ class Workstation:
         """Move forth and back until an expression of the page holds; fails where it does not within the time."""
         for _ in range(int(seconds / 1.2) + 1):
             for key in ("w", "s"):
-                self.hold(key, 600)
-                if self.page.evaluate(f"() => Boolean({condition})"):
+                self.page.keyboard.down(key)
+                try:
+                    self.page.wait_for_function(f"() => Boolean({condition})", timeout=600)
+                except PlaywrightTimeout:
+                    continue
+                else:
                     return
+                finally:
+                    self.page.keyboard.up(key)
         raise AssertionError(f"not within {seconds} s of flight: {condition}")
 
     def click_airway(self, right: float, down: float, *, twice: bool = False) -> None:
@@ -151,17 +210,12 @@ class Workstation:
 
     def pixels(self, view: str) -> list[int]:
         """A coarse grid of pixel values of a view: enough to see that it changed."""
-        return self.page.evaluate(
-            """(view) => {
-                const canvas = document.querySelector(`canvas[data-view=${view}]`);
-                const small = document.createElement('canvas');
-                small.width = small.height = 32;
-                const context = small.getContext('2d');
-                context.drawImage(canvas, 0, 0, 32, 32);
-                return [...context.getImageData(0, 0, 32, 32).data];
-            }""",
-            view,
-        )
+        return self.page.evaluate("(view) => window.__pixels(view)", view)
+
+    def once(self, condition: str, told: str) -> Any:
+        """Wait for a condition of the page; what an expression is in that same moment."""
+        told_then = self.page.wait_for_function(f"() => ({condition}) ? [{told}] : false", timeout=PICTURE_MS)
+        return told_then.json_value()[0]
 
     def shown_views(self) -> list[str]:
         """Views that have a canvas on the screen."""
@@ -170,8 +224,19 @@ class Workstation:
             ".filter(c => c.offsetParent).map(c => c.dataset.view)"
         )
 
+    def settle(self) -> None:
+        """Wait until nothing that was done is on its way to the server or back any more."""
+        self.page.evaluate("(limit) => window.__settled(limit)", PICTURE_MS)
+
+    def hold_until(self, key: str, condition: str, arg: Any = None) -> None:
+        """Hold a key as a hand does, until a condition of the page holds."""
+        self.page.keyboard.down(key)
+        self.page.wait_for_function(condition, arg=arg, timeout=PICTURE_MS)
+        self.page.keyboard.up(key)
+
     def wait_still(self) -> None:
-        """Wait until the airway view answers the newest pose in full quality."""
+        """Wait until the tip is at rest and the airway view answers its pose in full quality."""
+        self.settle()
         self.page.wait_for_function(
             """() => {
                 const c = document.querySelector('canvas[data-view=airway]');
@@ -212,6 +277,20 @@ class Workstation:
             "(id) => window.__carina.state.route?.spans.at(-1).branch_id === id", arg=branch_id, timeout=PICTURE_MS
         )
 
+    def wait_picture(self, view: str, *, unlike: list[int] | None = None, like: list[int] | None = None) -> None:
+        """Wait until a view shows a full picture; one that is, or is not, what ``pixels`` told before."""
+        self.page.wait_for_function(
+            """([view, unlike, like]) => {
+                const canvas = document.querySelector(`canvas[data-view=${view}]`);
+                if (canvas?.dataset.full !== 'true') return false;
+                const shown = window.__pixels(view);
+                const same = (others) => others.every((value, n) => value === shown[n]);
+                return (unlike === null || !same(unlike)) && (like === null || same(like));
+            }""",
+            arg=[view, unlike, like],
+            timeout=PICTURE_MS,
+        )
+
     def brightness(self, view: str) -> float:
         """Mean of the red channel of a view, 0 to 255."""
         red = self.pixels(view)[::4]
@@ -233,11 +312,13 @@ class Workstation:
             "(mm) => Math.abs(window.__carina.state.pose.path_mm - mm) < 1.0", arg=path_mm, timeout=PICTURE_MS
         )
 
-    def hold(self, key: str, milliseconds: int) -> None:
-        """Hold a key as a hand does."""
+    def hold(self, key: str, milliseconds: int) -> float:
+        """Hold a key as a hand does; how many seconds it was down by the page's clock."""
+        began_ms = self.page.evaluate("() => performance.now()")
         self.page.keyboard.down(key)
         self.page.wait_for_timeout(milliseconds)
         self.page.keyboard.up(key)
+        return (self.page.evaluate("() => performance.now()") - began_ms) / 1e3
 
     def picture(self, name: str) -> Path:
         """Save a screenshot."""
