@@ -161,6 +161,32 @@ def test_what_no_bridge_says_ends_its_socket_and_no_other(live, broken):
         well.until_ready((0.0, 0.0, 0.0))
 
 
+def test_a_fault_ends_the_bridges_connection_and_not_only_its_answers(live, monkeypatch):
+    """A device that waits for an answer that never comes would go on with an old plane."""
+    with bridge(live) as socket:
+        hand = Bridge(socket)
+        hand.until_ready((0.0, 0.0, 0.0))
+        monkeypatch.setattr(live.session, "local_contact", lambda lps: 1 / 0)
+        hand.send(wire.AskContact(7, (0.0, 0.0, 0.0)))
+        with pytest.raises(ConnectionClosed) as closed:
+            hand.receive()
+        assert closed.value.rcvd.code == 1011
+    monkeypatch.undo()
+    with bridge(live) as socket:
+        Bridge(socket).until_ready((0.0, 0.0, 0.0))
+
+
+def test_a_state_that_cannot_be_told_ends_the_windows_connection(live, monkeypatch):
+    """A window that is told nothing any more would show an old state as if it were the present one."""
+    url = f"ws://127.0.0.1:{live.gate.port}/ws"
+    monkeypatch.setattr("carina.server.hub.state_message", lambda *_, **__: wire.Value((0.0, 0.0, float("nan")), None))
+    with connect(url, additional_headers={"Authorization": f"Bearer {live.gate.secret}"}, compression=None) as socket:
+        socket.send(wire.encode_message(wire.ClientHello(wire.WIRE_VERSION)))
+        with pytest.raises(ConnectionClosed) as closed:
+            list(socket)
+        assert closed.value.rcvd.code == 1011
+
+
 def test_without_the_token_there_is_no_force(live):
     with bridge(live, Cookie="nothing=1", Origin=live.origin) as socket:
         with pytest.raises(ConnectionClosed) as closed:

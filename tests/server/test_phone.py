@@ -401,6 +401,18 @@ def test_a_phone_that_lost_its_network_comes_back_and_the_old_link_is_told(phone
     wait_for(lambda: not phone.page.info().connected)
 
 
+def test_a_state_that_cannot_be_told_lets_the_phone_go(phone, monkeypatch):
+    with dialled(phone) as link:
+        state(link)
+        link.send(sample(1.0))
+        wait_for(lambda: phone.page.info().rate_hz > 0)
+        monkeypatch.setattr(phone.page, "_state", lambda: 1 / 0)
+        assert ended(link)[0] == 1011
+    wait_for(lambda: not phone.page.info().connected)
+    devices = phone.session.devices_info().devices
+    assert not any(device.device == "phone" for device in devices)
+
+
 def test_its_buttons_recenter_and_change_the_way_to_move(phone):
     with dialled(phone) as link:
         assert state(link).control == "path"

@@ -23,6 +23,7 @@ from carina.server.force_link import ForceLink
 from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.hub import Hub, Outbox
 from carina.server.security import Gate
+from carina.server.senders import start_sender
 from carina.server.uploads import Uploads
 from carina.server.web_files import asset_path, web_folder
 
@@ -171,7 +172,7 @@ async def _serve_client(websocket: WebSocket, hub: Hub) -> None:
             raise ProtocolError(msg, code="protocol.version")
         await websocket.send_text(wire.encode_message(wire.ServerHello(wire.WIRE_VERSION, carina.__version__)))
         outbox = hub.attach()
-        sender = asyncio.create_task(_send_all(websocket, hub, outbox))
+        sender = start_sender(websocket, "the window", _send_all(websocket, hub, outbox))
         while True:
             message = wire.parse_client_message(await _receive_text(websocket))
             if hub.is_current(outbox):
@@ -187,7 +188,7 @@ async def _serve_client(websocket: WebSocket, hub: Hub) -> None:
             hub.detach(outbox)
         if sender is not None:
             sender.cancel()
-            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+            with contextlib.suppress(asyncio.CancelledError):
                 await sender
 
 

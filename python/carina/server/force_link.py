@@ -16,6 +16,7 @@ from carina.errors import CarinaError, ProtocolError
 from carina.scopes import LeftThread
 from carina.server import messages as wire
 from carina.server.closing import close_socket
+from carina.server.senders import start_sender
 from carina.session import Session
 
 __all__ = ["MAX_BRIDGES", "ForceLink"]
@@ -70,7 +71,7 @@ class ForceLink:
         # A bridge that comes back may ask again for a wall whose measuring was stopped.
         self._session.want_wall_again()
         asked: asyncio.Queue[wire.AskContact] = asyncio.Queue(maxsize=1)
-        answering = asyncio.create_task(self._answer(socket, asked))
+        answering = start_sender(socket, "a bridge", self._answer(socket, asked))
         try:
             while True:
                 message = await _receive(socket)
@@ -81,7 +82,7 @@ class ForceLink:
                 asked.put_nowait(message)
         finally:
             answering.cancel()
-            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+            with contextlib.suppress(asyncio.CancelledError):
                 await answering
 
     async def _answer(self, socket: WebSocket, asked: asyncio.Queue[wire.AskContact]) -> None:

@@ -31,6 +31,7 @@ from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.listening import bind, lan_address
 from carina.server.phone_link import DEVICE, PhoneLink, TokenGate
 from carina.server.security import Gate
+from carina.server.senders import start_sender
 from carina.server.web_files import asset_path
 from carina.session import Session
 from carina.session.jobs import log_fault
@@ -237,7 +238,7 @@ class PhonePage:
                     "this link is not valid any more: scan the code on the workstation", code="protocol.not-authorised"
                 )
             await self._take_over(websocket, link)
-            teller = asyncio.create_task(self._tell(websocket))
+            teller = start_sender(websocket, "a phone", self._tell(websocket))
             while True:
                 link.hear(await _receive(websocket), time.monotonic())
                 if self._socket is not websocket:
@@ -255,7 +256,7 @@ class PhonePage:
         finally:
             if teller is not None:
                 teller.cancel()
-                with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                with contextlib.suppress(asyncio.CancelledError):
                     await teller
             if self._socket is websocket:
                 self._socket = None
