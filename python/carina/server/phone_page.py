@@ -28,6 +28,7 @@ from carina.server import messages as wire
 from carina.server.certificate import Certificate, make_certificate, phone_problem
 from carina.server.closing import close_socket
 from carina.server.gate_middleware import GateMiddleware, page
+from carina.server.impatient import ImpatientProtocol
 from carina.server.listening import bind, lan_address
 from carina.server.phone_link import DEVICE, PhoneLink, TokenGate
 from carina.server.security import Gate
@@ -163,6 +164,7 @@ class PhonePage:
         app = self._app(Gate(host=address, port=port, scheme="https"), tokens)
         config = uvicorn.Config(
             app,
+            http=ImpatientProtocol,
             ssl_context_factory=lambda _config, _default: certificate.context,
             ws="websockets-sansio",
             ws_per_message_deflate=False,
@@ -231,8 +233,8 @@ class PhonePage:
                 raise ProtocolError("the first message must be phone_hello", code="protocol.order")
             if hello.wire_version != wire.WIRE_VERSION:
                 raise ProtocolError("this page is of another version; reload it", code="protocol.version")
-            if not tokens.admits(hello.token, time.monotonic()):
-                # Who guesses waits.
+            if not tokens.admits(hello.token):
+                # Who tries others waits.
                 await asyncio.sleep(WRONG_TOKEN_WAIT_S)
                 raise ProtocolError(
                     "this link is not valid any more: scan the code on the workstation", code="protocol.not-authorised"
