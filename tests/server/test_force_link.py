@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +14,7 @@ from websockets.sync.client import connect
 
 from carina.scopes import WallField, picture_threads
 from carina.server import messages as wire
+from carina.server.force_link import MAX_BRIDGES
 from carina.server.security import Gate
 from carina.server.serve import bind, make_server
 from carina.server.uploads import Limits, Uploads
@@ -134,17 +135,27 @@ def test_far_from_the_wall_and_without_a_case_there_is_no_plane(live):
         assert (answer.state, answer.plane) == ("none", None)
 
 
-def test_a_flood_of_questions_is_answered_by_the_newest(live):
+def test_a_flood_of_questions_is_answered_by_the_newest(live, monkeypatch):
     with bridge(live) as socket:
         hand = Bridge(socket)
         hand.until_ready((0.0, 0.0, 0.0))
+        # The first answer takes until all questions are on the way.
+        flooded, answer = threading.Event(), live.session.local_contact
+
+        def local_contact(lps):
+            assert flooded.wait(WAIT_S)
+            return answer(lps)
+
+        monkeypatch.setattr(live.session, "local_contact", local_contact)
         for number in range(1000, 1400):
             hand.send(wire.AskContact(number, (0.0, 0.0, 0.0)))
+        flooded.set()
         answers = [hand.receive()]
         while answers[-1].number < 1399:
             answers.append(hand.receive())
         numbers = [answer.number for answer in answers]
         assert numbers == sorted(numbers)
+        assert len(numbers) < 200, "most of them were never answered: they came faster than one in a millisecond"
 
 
 @pytest.mark.parametrize(
@@ -185,6 +196,40 @@ def test_a_state_that_cannot_be_told_ends_the_windows_connection(live, monkeypat
         with pytest.raises(ConnectionClosed) as closed:
             list(socket)
         assert closed.value.rcvd.code == 1011
+
+
+def test_no_more_bridges_than_can_be_served_and_a_place_that_is_left_is_given_anew(live):
+    with ExitStack() as stack:
+        hands = [Bridge(stack.enter_context(bridge(live))) for _ in range(MAX_BRIDGES)]
+        with bridge(live) as socket, pytest.raises(ConnectionClosed) as closed:
+            socket.recv(timeout=WAIT_S)
+        assert closed.value.rcvd.code == wire.CLOSE_CODES["protocol.order"]
+        assert f"at most {MAX_BRIDGES}" in closed.value.rcvd.reason
+        hands[-1].ask((0.0, 0.0, 0.0))
+        hands.pop().socket.close()
+        end_s = time.monotonic() + WAIT_S
+        while True:
+            try:
+                with bridge(live) as socket:
+                    Bridge(socket).ask((0.0, 0.0, 0.0))
+                break
+            except ConnectionClosed:
+                assert time.monotonic() < end_s, "the place of one that went was not given anew"
+
+
+@pytest.mark.parametrize(
+    ("first", "code"),
+    [
+        (wire.ClientHello(wire.WIRE_VERSION + 1), "protocol.version"),
+        (wire.AskContact(1, None), "protocol.order"),
+    ],
+)
+def test_a_bridge_begins_with_a_hello_of_this_version(live, first, code):
+    with bridge(live) as socket:
+        socket.send(wire.encode_message(first))
+        with pytest.raises(ConnectionClosed) as closed:
+            socket.recv(timeout=WAIT_S)
+    assert closed.value.rcvd.code == wire.CLOSE_CODES[code]
 
 
 def test_without_the_token_there_is_no_force(live):
