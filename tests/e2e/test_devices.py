@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from playwright.sync_api import expect
 from server_process import Server, start_server, stop_server
 
 pytestmark = pytest.mark.browser
@@ -68,7 +69,7 @@ def test_a_gamepad_flies_changes_the_mode_is_shown_and_may_be_pulled_out(server,
     hold(workstation, (0, 0, 0, 0))
     # Free, and full speed sideways: into the wall, which is felt.
     hold(workstation, (0, -1, 1, 0))
-    workstation.page.wait_for_function("() => window.testRumble.length > 0", timeout=20_000)
+    workstation.page.wait_for_function("() => window.testRumble.length > 0")
 
     workstation.page.evaluate("() => window.pullPad()")
     workstation.page.wait_for_function("() => !window.__carina.state.devices.devices.some(d => d.holds)")
@@ -221,7 +222,7 @@ def test_a_tracker_in_the_network_flies_is_calibrated_lost_and_found_again(serve
                 arg=[x, y],
             )
             page.get_by_test_id("take-pair").click()
-            assert page.locator(".calibration p.numbers").count() == n + 1
+            expect(page.locator(".calibration p.numbers")).to_have_count(n + 1)
         workstation.picture("devices-calibration")
         port = tracker.port
     finally:

@@ -67,6 +67,7 @@ def stroke(workstation, until: str, *, ahead_mm: float = 0.0, yaw_rad: float = 0
             workstation.page.wait_for_timeout(50)
         controller(workstation, at_mm=(0, 0, -ahead_mm), yaw_rad=yaw_rad)
         workstation.page.wait_for_timeout(100)
+        workstation.settle()
         if workstation.page.evaluate(f"() => {until}"):
             return
     raise AssertionError(f"not after 30 strokes: {until}")
