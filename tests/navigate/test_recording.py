@@ -138,7 +138,10 @@ def bad(lines: list[str], n: int, line: str) -> str:
     return "\n".join([*lines[:n], line, *lines[n + 1 :]]) + "\n"
 
 
-@pytest.mark.parametrize("line", ["[]", "{}", '{"t":-1}', '{"t":NaN}', "{" * 100_000, '{"t":0,"t":', "\x00"])
+NO_MOVES = ['{"t":9,"move":[1]}', '{"t":9,"move":"SetScope"}', '{"t":9,"view":3}', '{"t":9,"move":{},"wall":"w"}']
+
+
+@pytest.mark.parametrize("line", ["[]", "{}", '{"t":-1}', '{"t":NaN}', "{" * 100_000, '{"t":0,"t":', "\x00", *NO_MOVES])
 def test_broken_lines_are_refused_with_their_number(flown, tmp_path, line):
     session, clock = flown
     session.start_recording(tmp_path / "a.jsonl")

@@ -323,6 +323,8 @@ def _read(file: io.TextIOBase | TextIO, place: Path) -> Recording:
         at_s = line.get("end", line.get("t"))
         if not isinstance(at_s, int | float) or not math.isfinite(at_s) or at_s < last_s:
             raise _refused(place, f"line {len(lines) + 2} has no time, or an earlier one than the line before")
+        if not all(isinstance(line.get(part, {}), dict) for part in ("move", "view", "wall")):
+            raise _refused(place, f"line {len(lines) + 2} holds a move, a view or a wall that is none")
         last_s = float(at_s)
         lines.append(line)
         if "end" in line:
