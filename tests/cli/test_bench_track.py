@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
+import SimpleITK as sitk
 
-from carina.cli.bench import track
+from carina.cli.bench import track, track_names
 from carina.errors import CarinaError
+from carina.phantom import generate_phantom
+from carina.track import AirwayTree, branch_side_and_lobe, name_tree
 
 ROW = {"what": "paths", "case": "phantom", "figure": 9.0, "limit": 8.0, "unit": "x", "median": 9.0, "min": 8.5}
 
@@ -63,3 +67,44 @@ def test_a_part_without_its_peer_is_left_out_unless_it_was_asked_for(carina, mon
     else:
         assert ended.code == 0
         assert "dijkstra3d" in ended.json()["parts"]["speed"]["left_out"]
+
+
+def test_lobes_are_judged_by_masks_one_of_which_is_a_nifti_named_gz(tmp_path):
+    phantom = generate_phantom(seed=1, spacing_mm=1.5, generations=4, noise_hu=0.0)
+    lumen, truth = phantom.lumen_zyx, AirwayTree.from_json(phantom.truth)
+    lobes = branch_side_and_lobe(name_tree(truth))
+    points = np.concatenate([branch.points for branch in truth.branches])
+    told = np.repeat([lobes[branch.id] or "" for branch in truth.branches], [len(b.points) for b in truth.branches])
+    voxels = np.argwhere(lumen)
+    places = phantom.volume.to_lps(voxels[:, ::-1].astype(float))
+    near = np.concatenate([told[nearest(part, points)] for part in np.array_split(places, len(places) // 500 + 1)])
+
+    def write(name: str, chosen: np.ndarray) -> None:
+        mask = np.zeros(lumen.shape, dtype=np.uint8)
+        mask[tuple(voxels[chosen].T)] = 1
+        image = sitk.GetImageFromArray(mask)
+        matrix = phantom.volume.lps_from_ijk
+        spacing = np.linalg.norm(matrix[:3, :3], axis=0)
+        image.SetSpacing(spacing.tolist())
+        image.SetDirection((matrix[:3, :3] / spacing).ravel().tolist())
+        image.SetOrigin(matrix[:3, 3].tolist())
+        sitk.WriteImage(image, str(tmp_path / f"{name}.nii.gz"))
+
+    write("BronchialTree", np.ones(len(voxels), dtype=bool))
+    (tmp_path / "BronchialTree.nii.gz").rename(tmp_path / "BronchialTree.gz")
+    for lobe in track_names.LOBES:
+        write(lobe, near == lobe)
+    lengths = track_names.lobe_lengths(tmp_path)
+    assert lengths["right"] > 500
+    assert lengths["wrong"] < 0.05 * lengths["right"]
+
+    # Masks of the other side: what was right is wrong.
+    for lobe, other in (("RUL", "LUL"), ("RLL", "LLL")):
+        write(lobe, near == other)
+        write(other, near == lobe)
+    swapped = track_names.lobe_lengths(tmp_path)
+    assert swapped["wrong"] > 0.7 * lengths["right"]
+
+
+def nearest(places: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return np.argmin(np.linalg.norm(places[:, None] - points[None], axis=2), axis=1)
