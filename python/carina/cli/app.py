@@ -10,11 +10,12 @@ from typing import Annotated, Any
 import typer
 
 import carina
+from carina.cli.app_airways import airways, export, track
 from carina.cli.app_bench import bench
 from carina.cli.app_cluster import cluster
 from carina.cli.arguments import check_output_folder, parse_point, parse_size
 from carina.cli.console import exit_codes, fail, print_json, progress_printer
-from carina.cli.options import JsonOption, TokenOption
+from carina.cli.options import JsonOption, PathArgument, SeriesOption, TokenOption
 from carina.errors import UsageError
 
 __all__ = ["app", "main"]
@@ -27,12 +28,6 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-PathArgument = Annotated[
-    Path, typer.Argument(help="A DICOM folder or file, NIfTI, NRRD or MetaImage.", show_default=False)
-]
-SeriesOption = Annotated[
-    str | None, typer.Option("--series", help="Key of the series to open, as `carina info` lists them.")
-]
 PortOption = Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.", min=0, max=65535)]
 HostOption = Annotated[
     str, typer.Option(help="Address to listen on. Anything but loopback opens the case to the network.")
@@ -205,134 +200,8 @@ def info(
         raise SystemExit(report(path, strict=strict, series=series, as_json=as_json))
 
 
-FromMaskOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--from-mask",
-        help="Lumen from another tool: NIfTI, NRRD, MetaImage or DICOM SEG, instead of the automatic one.",
-    ),
-]
-LabelOption = Annotated[int | None, typer.Option("--label", help="Which number in that mask is the airway.")]
-ResampleOption = Annotated[
-    bool, typer.Option("--resample", help="Take that mask although it is on another grid than the scan.")
-]
-
-
-@app.command()
-def airways(
-    path: PathArgument,
-    seed: Annotated[
-        str | None, typer.Option("--seed", help="A point in the trachea, x,y,z in mm (LPS), where it is not found.")
-    ] = None,
-    from_mask: FromMaskOption = None,
-    label: LabelOption = None,
-    resample: ResampleOption = False,
-    mask: Annotated[
-        Path | None, typer.Option("--mask", help="Write the lumen: .nii.gz, .nii, .nrrd or .mha, on the scan's grid.")
-    ] = None,
-    series: SeriesOption = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the tree: .json.")] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Airway lumen and tree, with names, generations and lengths.
-
-    Example: carina airways ~/scans/thorax --mask lumen.nii.gz -o tree.json
-    """
-    with exit_codes(as_json):
-        from carina.cli.airways import find
-
-        raise SystemExit(
-            find(
-                path,
-                seed=None if seed is None else parse_point(seed, "--seed"),
-                from_mask=from_mask,
-                label=label,
-                resample=resample,
-                series=series,
-                mask=mask,
-                output=output,
-                as_json=as_json,
-            )
-        )
-
-
-@app.command()
-def export(
-    path: PathArgument,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Tree: .json .vtp .swc .mrk.json; lumen: .nii.gz .nii .nrrd .mha; its surface: .stl .ply .obj .glb",
-        ),
-    ],
-    tree: Annotated[
-        Path | None, typer.Option("--tree", help="A tree that carina wrote; found in the scan unless given.")
-    ] = None,
-    from_mask: FromMaskOption = None,
-    label: LabelOption = None,
-    resample: ResampleOption = False,
-    series: SeriesOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """The airways as a file for another program, in LPS millimetres.
-
-    Example: carina export ~/scans/thorax -o airways.stl
-    """
-    with exit_codes(as_json):
-        from carina.cli.airways import write
-
-        raise SystemExit(
-            write(
-                path,
-                output=output,
-                tree=tree,
-                from_mask=from_mask,
-                label=label,
-                resample=resample,
-                series=series,
-                as_json=as_json,
-            )
-        )
-
-
-@app.command()
-def track(
-    path: PathArgument,
-    target: Annotated[list[str], typer.Option("--target", help="x,y,z in mm (LPS); may be given several times.")],
-    root_: Annotated[str, typer.Option("--root", help="auto, or x,y,z in mm (LPS).")] = "auto",
-    cost: Annotated[str, typer.Option(help="Edge cost: lumen, or paper (6.2).")] = "lumen",
-    graph: Annotated[str, typer.Option(help="Graph: voxel, or isoregion (6.1).")] = "voxel",
-    series: SeriesOption = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Tree file to write.")] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Least-cost airway paths from the root to each target (the Intelligent Path Tracker, paper 6).
-
-    A target outside the lumen is snapped to it when within 5 mm; a target without a path is exit code 4, and the other
-    targets are still written. With --cost paper every voxel can be walked on: what of a path lies outside the lumen is
-    reported.
-
-    Example: carina track scan.nii.gz --root auto --target -41,12,-180 --target 38,20,-176 -o tree.json
-    """
-    with exit_codes(as_json):
-        from carina.cli.track import report
-
-        start = None if root_ == "auto" else parse_point(root_, "--root")
-        targets = [parse_point(text, "--target") for text in target]
-        raise SystemExit(
-            report(
-                path,
-                root=start,
-                targets=targets,
-                cost=cost,
-                graph=graph,
-                series=series,
-                output=output,
-                as_json=as_json,
-            )
-        )
+for verb in (airways, export, track):
+    app.command()(verb)
 
 
 @app.command()

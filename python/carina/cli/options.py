@@ -7,9 +7,15 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["JsonOption", "TokenOption"]
+__all__ = ["JsonOption", "PathArgument", "SeriesOption", "TokenOption"]
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; words go to stderr.")]
 TokenOption = Annotated[
     Path | None, typer.Option("--token-file", help="The cluster's token; in Carina's folder of settings unless told.")
+]
+PathArgument = Annotated[
+    Path, typer.Argument(help="A DICOM folder or file, NIfTI, NRRD or MetaImage.", show_default=False)
+]
+SeriesOption = Annotated[
+    str | None, typer.Option("--series", help="Key of the series to open, as `carina info` lists them.")
 ]
