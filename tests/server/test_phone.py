@@ -485,6 +485,25 @@ def test_it_is_closed_with_a_click_and_its_link_is_void(phone):
         assert ended(link)[0] == wire.CLOSE_CODES["protocol.not-authorised"]
 
 
+def test_the_last_click_decides_whether_it_is_open_however_its_threads_run(phone, monkeypatch):
+    phone.desk.handle(wire.SetPhone(False))
+    wait_for(lambda: phone.page.info() is None)
+    waiting = []
+
+    def thread(target, args, daemon):
+        return SimpleNamespace(start=lambda: waiting.append((target, args)))
+
+    monkeypatch.setattr("carina.server.device_desk.threading", SimpleNamespace(Thread=thread))
+    for clicks in ([True, False], [True, False, True], [False]):
+        for on in clicks:
+            phone.desk.handle(wire.SetPhone(on))
+        # The last one's first.
+        while waiting:
+            target, args = waiting.pop()
+            target(*args)
+        assert (phone.page.info() is not None) == clicks[-1]
+
+
 def test_it_is_off_until_somebody_switches_it_on_and_says_why_it_cannot(web):
     bench = small_bench()
     bench.open()

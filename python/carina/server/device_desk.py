@@ -56,6 +56,8 @@ class DeviceDesk:
         self._push = push
         self._recordings = recordings
         self._phone = phone
+        self._phone_wanted = False
+        self._phone_switching = threading.Lock()
         if phone is not None:
             phone.changed = self._show
         self._sources: dict[str, Source] = {}
@@ -126,6 +128,7 @@ class DeviceDesk:
             case wire.SetPhone():
                 if self._phone is None:
                     raise UsageError("this Carina has no page for a phone", code="phone.missing")
+                self._phone_wanted = message.on
                 # Keys, sockets and threads: not while the window waits.
                 threading.Thread(target=self._switch_phone, args=(message.on,), daemon=True).start()
             case wire.WatchDevices():
@@ -160,10 +163,13 @@ class DeviceDesk:
     def _switch_phone(self, on: bool) -> None:
         assert self._phone is not None
         try:
-            if on:
-                self._phone.start()
-            else:
-                self._phone.stop()
+            with self._phone_switching:
+                if on != self._phone_wanted:
+                    return  # a later click, whose thread may come first
+                if on:
+                    self._phone.start()
+                else:
+                    self._phone.stop()
         except CarinaError as trouble:
             self._push(wire.Error(trouble.code, str(trouble), None))
         except Exception as trouble:
