@@ -386,6 +386,31 @@ def test_an_idle_connection_stays_and_the_system_looks_after_it():
             client.stop()
 
 
+def test_the_system_asks_whether_an_idle_peer_is_still_there(monkeypatch):
+    writers, connect = [], asyncio.open_connection
+
+    async def noted(*address):
+        reader, writer = await connect(*address)
+        writers.append(writer)
+        return reader, writer
+
+    monkeypatch.setattr(asyncio, "open_connection", noted)
+    heard = Heard()
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        client = IgtlClient("127.0.0.1", listening.getsockname()[1], heard.listener)
+        client.start()
+        try:
+            wait_for(lambda: client.status().state == "live")
+            connection = writers[0].get_extra_info("socket")
+            assert connection.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) != 0
+            if sys.platform.startswith("linux"):
+                options = (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_KEEPCNT)
+                idle_s, between_s, times = (connection.getsockopt(socket.IPPROTO_TCP, option) for option in options)
+                assert idle_s + between_s * times <= 10, "found to be gone within 10 s"
+        finally:
+            client.stop()
+
+
 def test_a_person_can_say_how_long_a_peer_may_be_silent():
     heard = Heard()
     with socket.create_server(("127.0.0.1", 0)) as listening:

@@ -115,13 +115,17 @@ describe("a SpaceMouse", () => {
     device.report(3, 0b10);
     mouse.tick();
     expect(sent[1]).toMatchObject({ axes: [0, 0, 0, 0, 0, 0], buttons: 2 });
+    // Reports of the cap say nothing of its buttons.
+    device.report(1, 0, 0, 0);
+    mouse.tick();
+    expect(sent[2]).toMatchObject({ buttons: 2 });
     device.report(3, 0);
     mouse.tick();
     mouse.tick();
-    expect(sent).toHaveLength(3);
+    expect(sent).toHaveLength(4);
     device.report(9, 1, 2, 3);
     device.report(1, 5);
     await mouse.close();
-    expect([device.opened, sent.length]).toEqual([false, 3]);
+    expect([device.opened, sent.length]).toEqual([false, 4]);
   });
 });
