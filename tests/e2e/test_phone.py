@@ -7,11 +7,10 @@ from collections.abc import Iterator
 
 import pytest
 from server_process import Server, start_server, stop_server
+from workstation import PICTURE_MS
 
 pytestmark = pytest.mark.browser
 pytest.importorskip("cryptography")
-
-OPEN_MS = 20_000
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +51,7 @@ class Phone:
 
     def says(self, words: str) -> None:
         self.page.wait_for_function(
-            "(words) => document.getElementById('state').textContent.includes(words)", arg=words, timeout=OPEN_MS
+            "(words) => document.getElementById('state').textContent.includes(words)", arg=words, timeout=PICTURE_MS
         )
 
     def press(self, what: str) -> None:
@@ -72,6 +71,7 @@ def phone_of(browser):
         context = browser.new_context(
             viewport={"width": 390, "height": 844}, device_scale_factor=2, has_touch=True, ignore_https_errors=True
         )
+        context.set_default_timeout(PICTURE_MS)
         contexts.append(context)
         return Phone(context, url)
 
@@ -87,7 +87,7 @@ def switch_on(workstation) -> str:
     page.wait_for_function("() => window.__carina.state.devices !== null")
     assert workstation.state("devices.phone") is None, "off until a person switches it on"
     page.get_by_test_id("phone-switch").click()
-    page.wait_for_selector("[data-testid=phone-qr]", timeout=OPEN_MS)
+    page.wait_for_selector("[data-testid=phone-qr]", timeout=PICTURE_MS)
     return str(workstation.state("devices.phone.url"))
 
 
@@ -123,6 +123,10 @@ def test_a_phone_turns_and_advances_the_tip_is_lost_and_comes_back(server, works
     workstation.page.wait_for_selector("[data-testid=device][data-holds]")
     phone.says("moves the tip")
     phone.page.screenshot(path=str(workstation.out / "phone-held.png"))
+    # Where the look goes, in the axes that it had.
+    right = " + ".join(f"{before[4 * n]} * window.__carina.state.pose.lps_from_camera[{4 * n + 2}]" for n in range(3))
+    workstation.page.wait_for_function(f"() => {right} > 0.2")
+    workstation.settle()
     phone.let_go()
     after = workstation.state("pose.lps_from_camera")
     forward = [after[2], after[6], after[10]]
