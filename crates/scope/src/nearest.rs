@@ -244,6 +244,29 @@ pub(crate) mod tests {
         (vertices, triangles)
     }
 
+    /// A closed surface of `rows` rings of `round` points between two ends, the upper one first.
+    pub(crate) fn of_rings(
+        [top, bottom]: [Point; 2],
+        [rows, round]: [usize; 2],
+        point: impl Fn(usize, usize) -> Point,
+    ) -> (Vec<Point>, Vec<[u32; 3]>) {
+        let mut vertices = vec![top, bottom];
+        for row in 0..rows {
+            vertices.extend((0..round).map(|n| point(row, n)));
+        }
+        let at = |row: usize, n: usize| (2 + row * round + n % round) as u32;
+        let mut triangles = Vec::new();
+        for n in 0..round {
+            triangles.push([0, at(0, n), at(0, n + 1)]);
+            triangles.push([1, at(rows - 1, n + 1), at(rows - 1, n)]);
+            for row in 0..rows - 1 {
+                triangles.push([at(row, n), at(row + 1, n), at(row + 1, n + 1)]);
+                triangles.push([at(row, n), at(row + 1, n + 1), at(row, n + 1)]);
+            }
+        }
+        (vertices, triangles)
+    }
+
     #[test]
     fn the_distance_of_a_cube_has_its_sign_beside_faces_edges_and_corners() {
         let (vertices, triangles) = cube();

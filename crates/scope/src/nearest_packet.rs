@@ -290,37 +290,24 @@ pub(crate) struct Found {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::nearest::tests::cube;
+    use crate::nearest::tests::{cube, of_rings};
     use proptest::prelude::*;
 
     /// A closed surface round the origin with folds and dents: a sphere of latitudes whose corners lie at random radii.
     fn dented(radii: &[f64]) -> (Vec<Point>, Vec<[u32; 3]>) {
         const ROWS: usize = 7;
         const ROUND: usize = 9;
-        let mut vertices = vec![[0.0, 0.0, 4.0], [0.0, 0.0, -4.0]];
-        for row in 0..ROWS {
-            for n in 0..ROUND {
-                let polar = std::f64::consts::PI * (row + 1) as f64 / (ROWS + 1) as f64;
-                let turn = std::f64::consts::TAU * n as f64 / ROUND as f64;
-                let r = radii[(row * ROUND + n) % radii.len()];
-                vertices.push([
-                    r * libm::sin(polar) * libm::cos(turn),
-                    r * libm::sin(polar) * libm::sin(turn),
-                    r * libm::cos(polar),
-                ]);
-            }
-        }
-        let at = |row: usize, n: usize| (2 + row * ROUND + n % ROUND) as u32;
-        let mut triangles = Vec::new();
-        for n in 0..ROUND {
-            triangles.push([0, at(0, n), at(0, n + 1)]);
-            triangles.push([1, at(ROWS - 1, n + 1), at(ROWS - 1, n)]);
-            for row in 0..ROWS - 1 {
-                triangles.push([at(row, n), at(row + 1, n), at(row + 1, n + 1)]);
-                triangles.push([at(row, n), at(row + 1, n + 1), at(row, n + 1)]);
-            }
-        }
-        (vertices, triangles)
+        let ends = [[0.0, 0.0, 4.0], [0.0, 0.0, -4.0]];
+        of_rings(ends, [ROWS, ROUND], |row, n| {
+            let polar = std::f64::consts::PI * (row + 1) as f64 / (ROWS + 1) as f64;
+            let turn = std::f64::consts::TAU * n as f64 / ROUND as f64;
+            let r = radii[(row * ROUND + n) % radii.len()];
+            [
+                r * libm::sin(polar) * libm::cos(turn),
+                r * libm::sin(polar) * libm::sin(turn),
+                r * libm::cos(polar),
+            ]
+        })
     }
 
     fn together(origin: Point, spread: f32, seed: u32) -> Together {

@@ -328,7 +328,7 @@ fn reached_from_outside(near: &[u32], num: [usize; 3]) -> Vec<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::nearest::tests::cube;
+    use crate::nearest::tests::{cube, of_rings};
 
     #[test]
     fn the_field_of_a_mesh_is_its_distance_within_what_interpolation_leaves() {
@@ -359,26 +359,13 @@ mod tests {
     fn bulb() -> (Vec<Point>, Vec<[u32; 3]>) {
         const ROWS: usize = 40;
         const ROUND: usize = 24;
-        let mut vertices = vec![[0.0, 0.0, 7.0], [0.3, -0.2, -21.0]];
-        for row in 1..ROWS {
-            let z = 7.0 - 28.0 * row as f64 / ROWS as f64;
+        let ends = [[0.0, 0.0, 7.0], [0.3, -0.2, -21.0]];
+        of_rings(ends, [ROWS - 1, ROUND], |row, n| {
+            let z = 7.0 - 28.0 * (row + 1) as f64 / ROWS as f64;
             let radius = libm::sqrt((49.0 - z * z).max(0.0)).max(2.2);
-            for n in 0..ROUND {
-                let turn = std::f64::consts::TAU * n as f64 / ROUND as f64;
-                vertices.push([radius * libm::cos(turn), radius * libm::sin(turn), z]);
-            }
-        }
-        let at = |row: usize, n: usize| (2 + (row - 1) * ROUND + n % ROUND) as u32;
-        let mut triangles = Vec::new();
-        for n in 0..ROUND {
-            triangles.push([0, at(1, n), at(1, n + 1)]);
-            triangles.push([1, at(ROWS - 1, n + 1), at(ROWS - 1, n)]);
-            for row in 1..ROWS - 1 {
-                triangles.push([at(row, n), at(row + 1, n), at(row + 1, n + 1)]);
-                triangles.push([at(row, n), at(row + 1, n + 1), at(row, n + 1)]);
-            }
-        }
-        (vertices, triangles)
+            let turn = std::f64::consts::TAU * n as f64 / ROUND as f64;
+            [radius * libm::cos(turn), radius * libm::sin(turn), z]
+        })
     }
 
     #[test]
