@@ -12,6 +12,8 @@ mod clip;
 mod distortion;
 mod error;
 mod lens;
+#[cfg(test)]
+mod lens_tests;
 mod rays;
 mod simd;
 mod volume;

@@ -29,6 +29,8 @@ mod brute;
 mod composite;
 mod defocus;
 mod drr;
+#[cfg(test)]
+mod drr_tests;
 mod error;
 mod frame;
 mod gathered;

@@ -20,6 +20,8 @@ mod pool;
 mod portable;
 mod sample;
 mod setup;
+mod texture;
+mod vectors;
 mod voxels;
 
 use carina_isoregion::SegmentTable;

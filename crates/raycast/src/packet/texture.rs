@@ -1,0 +1,181 @@
+//! The texture of mucosa: mottling, vessels and micro relief out of noise, which stay on the tissue.
+
+use std::array::from_fn;
+
+use super::{
+    lanes::Lanes,
+    vectors::{dot, scaled, smooth, turn},
+};
+use crate::appearance::Appearance;
+
+/// Cells of the texture's noise per mm: mottling, vessels, micro relief.
+const MOTTLE_PER_MM: f32 = 0.23;
+const VESSELS_PER_MM: f32 = 0.42;
+const RELIEF_PER_MM: f32 = 1.9;
+/// Half the width of a vessel, mm.
+const VESSEL_MM: f32 = 0.13;
+/// Slope of the micro relief.
+const RELIEF: f32 = 0.11;
+
+#[inline(always)]
+fn lerp<L: Lanes>(l: L, t: L::F, a: L::F, b: L::F) -> L::F {
+    l.fma(t, l.sub(b, a), a)
+}
+
+/// x (2 x + 1), which permutes 32-bit numbers.
+#[inline(always)]
+fn mix<L: Lanes>(l: L, x: L::I) -> L::I {
+    l.mul_i(x, l.add_i(l.add_i(x, x), l.splat_i(1)))
+}
+
+/// A number -1..1 for a corner of the lattice. Mixed twice, the high bits have no pattern that an eye finds.
+#[inline(always)]
+fn corner<L: Lanes>(l: L, at: [[L::I; 2]; 3], [i, j, k]: [usize; 3]) -> L::F {
+    let sum = l.add_i(l.add_i(at[0][i], at[1][j]), at[2][k]);
+    let mixed = mix(l, l.add_i(mix(l, sum), l.splat_i(0x6d2b_79f5)));
+    l.mul(l.to_f(mixed), l.splat(1.0 / 2_147_483_648.0))
+}
+
+/// Noise of the integer lattice, -1..1, and its slope; smooth to the second derivative.
+#[inline(always)]
+fn noise<L: Lanes>(l: L, q: [L::F; 3], seed: i32) -> (L::F, [L::F; 3]) {
+    // Odd numbers without a pattern.
+    const PRIMES: [i32; 3] = [
+        0x0019_660d_u32 as i32,
+        0x9e37_79b1_u32 as i32,
+        0x85eb_ca77_u32 as i32,
+    ];
+    let one = l.splat(1.0);
+    let (mut t, mut slope) = (q, q);
+    let mut at = [[l.splat_i(seed); 2]; 3];
+    for a in 0..3 {
+        let floor = l.floor(q[a]);
+        let x = l.sub(q[a], floor);
+        let low = l.mul_i(
+            l.add_i(l.whole(floor), l.splat_i(seed)),
+            l.splat_i(PRIMES[a]),
+        );
+        at[a] = [low, l.add_i(low, l.splat_i(PRIMES[a]))];
+        // x^3 (6 x^2 - 15 x + 10) and its derivative 30 x^2 (x - 1)^2.
+        let s = |v: f32| l.splat(v);
+        let inner = l.fma(x, l.fma(x, s(6.0), s(-15.0)), s(10.0));
+        t[a] = l.mul(l.mul(l.mul(x, x), x), inner);
+        let y = l.mul(x, l.sub(x, one));
+        slope[a] = l.mul(s(30.0), l.mul(y, y));
+    }
+    // Rows along x, then their slopes along x, y, z.
+    let mut value = [[q[0]; 2]; 2];
+    let mut rise = value;
+    for k in 0..2 {
+        for j in 0..2 {
+            let (low, high) = (corner(l, at, [0, j, k]), corner(l, at, [1, j, k]));
+            rise[k][j] = l.sub(high, low);
+            value[k][j] = l.fma(t[0], rise[k][j], low);
+        }
+    }
+    let (near, far) = (
+        lerp(l, t[1], value[0][0], value[0][1]),
+        lerp(l, t[1], value[1][0], value[1][1]),
+    );
+    let dx = lerp(
+        l,
+        t[2],
+        lerp(l, t[1], rise[0][0], rise[0][1]),
+        lerp(l, t[1], rise[1][0], rise[1][1]),
+    );
+    let dy = lerp(
+        l,
+        t[2],
+        l.sub(value[0][1], value[0][0]),
+        l.sub(value[1][1], value[1][0]),
+    );
+    let slopes = [
+        l.mul(slope[0], dx),
+        l.mul(slope[1], dy),
+        l.mul(slope[2], l.sub(far, near)),
+    ];
+    (lerp(l, t[2], near, far), slopes)
+}
+
+/// The texture of a wall at a point of the patient.
+#[derive(Clone, Copy)]
+pub(super) struct Texture<L: Lanes> {
+    /// Factors of the colour's channels, linear.
+    pub tint: [L::F; 3],
+    /// Slope of the micro relief, LPS.
+    pub relief: [L::F; 3],
+    /// How thick the film of mucus is, 0..1.
+    pub film: L::F,
+}
+
+/// The lattice lies askew in the patient, so that no row of it runs along an airway.
+const ASKEW: [[f32; 3]; 3] = [[0.36, 0.48, -0.8], [-0.8, 0.60, 0.0], [0.48, 0.64, 0.60]];
+
+/// 1 while a cell of the lattice has 2 pixels or more, 0 when it has less than one.
+#[inline(always)]
+fn sharp<L: Lanes>(l: L, footprint_mm: L::F, per_mm: f32) -> L::F {
+    let cells = l.mul(footprint_mm, l.splat(per_mm));
+    smooth(l, l.fma(cells, l.splat(-2.0), l.splat(2.0)))
+}
+
+/// How much of a vessel, 0..1, is at points `q` of the lattice (mm), whose mottling there has the slope `bend`.
+#[inline(always)]
+fn vessel<L: Lanes>(l: L, q: [L::F; 3], bend: [L::F; 3], footprint_mm: L::F) -> L::F {
+    let s = |v: f32| l.splat(v);
+    // Vessels follow the zero lines of noise whose lattice the mottling bends.
+    let mut bent = scaled(l, s(VESSELS_PER_MM), q);
+    for a in 0..3 {
+        bent[a] = l.fma(bend[a], s(0.35), bent[a]);
+    }
+    let (web, across) = noise(l, bent, 23);
+    // Distance to the line, mm; where the noise is flat there is a patch in place of a line, which is left out.
+    let steep = l.sqrt(dot(l, across, across));
+    let off_mm = l.div(l.abs(web), l.mul(l.max(steep, s(0.2)), s(VESSELS_PER_MM)));
+    let width = l.max(s(VESSEL_MM), l.mul(footprint_mm, s(0.7)));
+    let vessel = smooth(l, l.sub(s(1.0), l.div(off_mm, width)));
+    let vessel = l.mul(vessel, smooth(l, l.fma(steep, s(1.5), s(-0.6))));
+    // Thin vessels seen from afar are paler, not wider; and they come and go.
+    let vessel = l.mul(vessel, l.div(s(VESSEL_MM), width));
+    l.mul(vessel, smooth(l, l.fma(bend[0], s(0.7), s(0.35))))
+}
+
+/// Reads the texture at patient points `lps` (mm). It depends on the point alone, so it stays on the tissue when the scope
+/// moves; detail finer than `footprint_mm`, the width of a pixel there, fades out.
+#[inline(always)]
+pub(super) fn texture<L: Lanes>(
+    l: L,
+    look: &Appearance,
+    lps: [L::F; 3],
+    footprint_mm: L::F,
+) -> Texture<L> {
+    let s = |v: f32| l.splat(v);
+    let q = turn(l, &ASKEW, lps);
+    let (mottle, bend) = noise(l, scaled(l, s(MOTTLE_PER_MM), q), 11);
+    let mottle = l.mul(mottle, s(look.texture));
+    let mut vessels = s(0.0);
+    if look.vessels > 0.0 {
+        vessels = l.mul(vessel(l, q, bend, footprint_mm), s(look.vessels));
+    }
+    let tint = [
+        l.fma(mottle, s(0.03), l.fma(vessels, s(-0.08), s(1.0))),
+        l.fma(mottle, s(-0.11), l.fma(vessels, s(-0.40), s(1.0))),
+        l.fma(mottle, s(-0.09), l.fma(vessels, s(-0.30), s(1.0))),
+    ];
+    let (grain, slope) = noise(l, scaled(l, s(RELIEF_PER_MM), q), 37);
+    let (_, coarse) = noise(l, scaled(l, s(0.45 * RELIEF_PER_MM), q), 41);
+    let slope_of = s(RELIEF * look.texture);
+    let fine = l.mul(sharp(l, footprint_mm, RELIEF_PER_MM), slope_of);
+    let wide = l.mul(sharp(l, footprint_mm, 0.45 * RELIEF_PER_MM), slope_of);
+    let mut relief = slope;
+    for a in 0..3 {
+        relief[a] = l.fma(slope[a], fine, l.mul(coarse[a], wide));
+    }
+    // Back from the lattice: its turn is its inverse's transpose.
+    let back = from_fn::<_, 3, _>(|x| from_fn(|a| ASKEW[a][x]));
+    let film = l.fma(l.mul(grain, fine), s(1.2), l.fma(mottle, s(0.35), s(0.75)));
+    Texture {
+        tint,
+        relief: turn(l, &back, relief),
+        film: l.min(l.max(film, s(0.0)), s(1.0)),
+    }
+}

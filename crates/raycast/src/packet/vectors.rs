@@ -1,0 +1,55 @@
+//! Vectors of the lanes: three numbers each.
+
+use super::lanes::Lanes;
+
+#[inline(always)]
+pub(super) fn dot<L: Lanes>(l: L, u: [L::F; 3], v: [L::F; 3]) -> L::F {
+    l.fma(u[2], v[2], l.fma(u[1], v[1], l.mul(u[0], v[0])))
+}
+
+/// The same numbers in all lanes.
+#[inline(always)]
+pub(super) fn splat<L: Lanes>(l: L, v: [f32; 3]) -> [L::F; 3] {
+    [l.splat(v[0]), l.splat(v[1]), l.splat(v[2])]
+}
+
+/// `t v`.
+#[inline(always)]
+pub(super) fn scaled<L: Lanes>(l: L, t: L::F, v: [L::F; 3]) -> [L::F; 3] {
+    [l.mul(v[0], t), l.mul(v[1], t), l.mul(v[2], t)]
+}
+
+/// `rows . v`.
+#[inline(always)]
+pub(super) fn turn<L: Lanes>(l: L, rows: &[[f32; 3]; 3], v: [L::F; 3]) -> [L::F; 3] {
+    let mut out = v;
+    for x in 0..3 {
+        out[x] = dot(l, splat(l, rows[x]), v);
+    }
+    out
+}
+
+/// `p + t v`.
+#[inline(always)]
+pub(super) fn along<L: Lanes>(l: L, p: [L::F; 3], t: L::F, v: [L::F; 3]) -> [L::F; 3] {
+    let mut out = p;
+    for a in 0..3 {
+        out[a] = l.fma(t, v[a], p[a]);
+    }
+    out
+}
+
+/// The vector at unit length; anything where it has none.
+#[inline(always)]
+pub(super) fn unit<L: Lanes>(l: L, v: [L::F; 3]) -> ([L::F; 3], L::F) {
+    let length = l.sqrt(dot(l, v, v));
+    let inverse = l.div(l.splat(1.0), l.max(length, l.splat(1e-12)));
+    (scaled(l, inverse, v), length)
+}
+
+/// 0 below 0, 1 above 1, smooth between.
+#[inline(always)]
+pub(super) fn smooth<L: Lanes>(l: L, t: L::F) -> L::F {
+    let t = l.min(l.max(t, l.splat(0.0)), l.splat(1.0));
+    l.mul(l.mul(t, t), l.fma(t, l.splat(-2.0), l.splat(3.0)))
+}
