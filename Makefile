@@ -37,7 +37,7 @@ test: test-rust test-web test-python ## every test that needs no special hardwar
 # `make soak` draws new ones.
 test-rust: export PROPTEST_RNG_SEED ?= 1
 test-rust:
-	cargo test --release --workspace --exclude carina-bindings
+	cargo test --profile checked --workspace --exclude carina-bindings
 
 web/node_modules/.package-lock.json: web/package-lock.json
 	cd web && npm ci --no-audit --no-fund
@@ -71,13 +71,13 @@ test-gpu: $(STAMP) ## the GPU caster and the wheel, on a software adapter where 
 	CARINA_GPU_REQUIRED=1 .venv-gpu/bin/python -m pytest -m gpu -ra tests
 
 soak: $(STAMP) $(CLUSTER_STAMP) ## what runs for minutes: 20,000 poses against the f64 ray caster, 10,000 sequences of edits, a cluster that loses members
-	PROPTEST_CASES=2000 cargo test --release -p carina-airpath --lib section
-	cargo test --release --workspace --exclude carina-bindings -- --include-ignored
+	PROPTEST_CASES=2000 cargo test --profile checked -p carina-airpath --lib section
+	cargo test --profile checked --workspace --exclude carina-bindings -- --include-ignored
 	$(PY) -m pytest -m soak -ra
 
 check: $(STAMP) web/node_modules/.package-lock.json ## formatting, lints, types, layers, lock file, spelling
 	cargo fmt --all --check
-	cargo clippy --release --workspace --exclude carina-bindings --all-targets -- -D warnings
+	cargo clippy --profile checked --workspace --exclude carina-bindings --all-targets -- -D warnings
 	cargo clippy --release -p carina-bindings -- -D warnings
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
