@@ -123,13 +123,16 @@ impl PyForceLoop {
         let out = PyDict::new(py);
         out.set_item("num_ticks", figures.num_ticks)?;
         out.set_item("num_missed", figures.num_missed)?;
+        out.set_item("num_missed_in_queue", figures.num_missed_in_queue)?;
+        out.set_item("num_stood_in", figures.num_stood_in)?;
         out.set_item("late_us", figures.late_us)?;
+        out.set_item("work_us", figures.work_us)?;
         out.set_item("latency_us", figures.latency_us)?;
         out.set_item("cpu_s", figures.cpu_s)?;
         out.set_item("wall_s", figures.wall_s)?;
         out.set_item("num_samples", figures.num_samples)?;
         out.set_item("num_refused", figures.num_refused)?;
-        out.set_item("realtime", figures.is_realtime)?;
+        out.set_item("scheduling", figures.scheduling.name())?;
         out.set_item("max_force_n", figures.max_force_n)?;
         out.set_item("max_change_n", figures.max_change_n)?;
         Ok(out)

@@ -1,4 +1,5 @@
-//! The threads that pictures are made by: all of the machine's, or one fewer while a force device is on.
+//! The threads that pictures are made by: all of the machine's, or one fewer, and those after all others, while a force
+//! device is on.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -33,6 +34,8 @@ impl LeftThread {
             left.pool = ThreadPoolBuilder::new()
                 .num_threads(threads)
                 .thread_name(|n| format!("carina-picture-{n}"))
+                // A user without the right to real-time priority cannot raise the loop, but may lower these.
+                .start_handler(|_| carina_scope::let_others_go_first())
                 .build()
                 .ok()
                 .map(Arc::new);

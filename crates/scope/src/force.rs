@@ -165,12 +165,12 @@ pub fn local_contact(field: &WallField, law: &ForceLaw, at_lps: Point) -> Option
     })
 }
 
-/// The law at work: it remembers the proxy and the force before.
+/// The law at work: it remembers the proxy and the force before. Copies are cheap.
 #[derive(Debug, Clone)]
 pub struct ForceModel {
     field: Arc<WallField>,
     law: ForceLaw,
-    path: Vec<Point>,
+    path: Arc<[Point]>,
     near: usize,
     proxy: Option<Point>,
     last: HandForce,
@@ -187,7 +187,7 @@ impl ForceModel {
         Ok(Self {
             field,
             law: law.checked()?,
-            path,
+            path: path.into(),
             near: 0,
             proxy: None,
             last: HandForce::default(),

@@ -9,6 +9,7 @@
 mod axis;
 mod body;
 mod curve;
+mod device_space;
 mod drive;
 mod eight;
 mod error;
@@ -16,11 +17,13 @@ mod force;
 mod force_loop;
 mod frames;
 mod gaze;
+mod loop_figures;
 mod nearest;
 mod nearest_packet;
 mod packet;
 mod realtime;
 mod simulated;
+mod turn;
 mod wall;
 mod wall_mesh;
 
@@ -39,8 +42,10 @@ pub use force::{
     ForceLaw, ForceModel, HandForce, HandSample, LIMIT_N, LocalContact, MAX_STIFFNESS_N_PER_MM,
     SLEW_N_PER_MS, local_contact,
 };
-pub use force_loop::{ForceLoop, LoopFigures, LoopOptions, WanderingHand};
+pub use force_loop::{ForceLoop, LoopOptions, WanderingHand};
 pub use frames::rotation_minimizing_frames;
+pub use loop_figures::LoopFigures;
 pub use packet::{FORCE_BYTES, ForcePacket, SAMPLE_BYTES, SamplePacket};
+pub use realtime::{Scheduling, let_others_go_first};
 pub use simulated::SimulatedHand;
 pub use wall::WallField;

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -99,20 +99,26 @@ class ForceFigures:
     """Ticks that were due."""
     num_missed: int
     """Of which not done within their millisecond."""
+    num_missed_in_queue: int
+    """Of these, missed while other threads had the core (Linux; else 0); the rest the machine itself stood still."""
+    num_stood_in: int
+    """Ticks that the stand-in did, since the first thread had not begun them in time."""
     late_us: Point
     """How late ticks began: median, 99th percentile, worst."""
+    work_us: Point
+    """How long ticks took, from begin to end: median, 99th percentile, worst."""
     latency_us: Point
     """From when a sample was put to its force: median, 99th percentile, worst."""
     cpu_s: float
-    """Time of the thread on a core (Linux; else 0)."""
+    """Time of its threads on cores (Linux; else 0)."""
     wall_s: float
     """Time since the start."""
     num_samples: int
     """Samples from outside."""
     num_refused: int
     """Of them no sane ones."""
-    realtime: bool
-    """The system lets the thread go before all others."""
+    scheduling: Literal["real-time", "short-slice", "ordinary"]
+    """How the system lets the loop go before others: before all, as soon as it wakes, or not at all."""
     max_force_n: float
     """The strongest force so far."""
     max_change_n: float
@@ -233,8 +239,8 @@ class ForceLoop:
     def figures(self) -> ForceFigures:
         """How it keeps time."""
         found = self._core.figures()
-        found["late_us"], found["latency_us"] = tuple(found["late_us"]), tuple(found["latency_us"])
-        return ForceFigures(**found)
+        values: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in found.items()}
+        return ForceFigures(**values)
 
     def stop(self) -> None:
         """End the loop and wait for it; it may be called again."""

@@ -8,6 +8,8 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +17,27 @@ import numpy as np
 
 from carina.cli.bench.cases import open_phantom
 from carina.cli.bench.gates import Gate
-from carina.cli.bench.machine import load_average, machine_facts
+from carina.cli.bench.haptics_pictures import PICTURES_HZ, Pictures, full_pictures, moving_pictures
+from carina.cli.bench.machine import load_average, machine_facts, stolen_s
 from carina.cli.bench.worker import run_section
 from carina.cli.console import print_json, progress_printer, say
 from carina.navigate import FlightPath
 from carina.phantom import lumen_distance_at
-from carina.render import AirwayView, Renderer
-from carina.scopes import FORCE_LIMIT_N, FORCE_SLEW_N_PER_MS, ForceFigures, ForceLoop, WallField
+from carina.render import Renderer
+from carina.scopes import (
+    FORCE_LIMIT_N,
+    FORCE_SLEW_N_PER_MS,
+    ForceFigures,
+    ForceLoop,
+    LeftThread,
+    WallField,
+    picture_threads,
+)
 from carina.scopes.haptic_packets import decode_force, encode_sample
 
 __all__ = ["bridge", "measure", "report"]
 
 CASE = "phantom-256"
-PICTURES_HZ = 30.0
 BRIDGE_HZ = 500.0
 # The limits of the plan.
 MOST_OF_A_CORE = 0.15
@@ -39,16 +49,15 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     facts = machine_facts()
     say(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")
-    # While a force device is on, the renderer leaves it one thread.
-    threads = max(1, (os.cpu_count() or 2) - 1)
-    rows = run_section("haptics:measure", {"seconds": 8.0 if quick else 60.0}, threads=threads)
+    measured = run_section("haptics:measure", {"seconds": 8.0 if quick else 60.0})
+    rows = measured["rows"]
     gates = [gate for row in rows for gate in _gates(row)]
     document = {
         "benchmark": "haptics",
-        "version": 1,
+        "version": 2,
         "quick": quick,
         "machine": {**facts, "load_average_after": load_average()},
-        "render_threads": threads,
+        "render_threads": measured["render_threads"],
         "rows": rows,
         "gates": [gate.to_json() for gate in gates],
     }
@@ -59,6 +68,7 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
         print_json(document)
         return 0
     print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']} to {load_average()}")
+    print(f"pictures by {measured['render_threads']} of the machine's threads; forces {rows[0]['scheduling']}")
     for row in rows:
         print("\n".join(_words(row)))
     print("\n".join(gate.line() for gate in gates))
@@ -66,12 +76,17 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
 
 
 def _gates(row: dict[str, Any]) -> list[Gate]:
+    if not row["gated"]:
+        return []
     where = row["hand"]
-    priority = "before all others" if row["realtime"] else "no right to go before others"
-    note = f"load {row['load_average']}, {priority}"
+    stolen = (
+        "" if row["stolen_share"] is None else f", {100 * row['stolen_share']:.1f} % of the cores taken by the host"
+    )
+    note = f"load {row['load_average']}, {row['scheduling']}{stolen}"
     return [
         Gate(f"share of a core, {where}", row["share_of_a_core"], MOST_OF_A_CORE, "lower", note=note),
         Gate(f"share of deadlines missed, {where}", row["share_missed"], MOST_MISSED, "lower", note=note),
+        Gate(f"pictures/s beside it, {where}", row["pictures"]["per_s"], PICTURES_HZ, note=note),
         Gate(f"strongest force (N), {where}", row["max_force_n"], FORCE_LIMIT_N, "lower"),
         # Rounding of a difference of forces.
         Gate(f"largest change (N per ms), {where}", row["max_change_n"], FORCE_SLEW_N_PER_MS + 1e-12, "lower"),
@@ -79,11 +94,24 @@ def _gates(row: dict[str, Any]) -> list[Gate]:
 
 
 def _words(row: dict[str, Any]) -> list[str]:
+    stolen = (
+        "" if row["stolen_share"] is None else f"; {100 * row['stolen_share']:.2f} % of the cores taken by the host"
+    )
     lines = [
-        f"\n{row['hand']}: {row['num_ticks']} ticks, {row['num_missed']} missed; "
-        f"{100 * row['share_of_a_core']:.1f} % of a core; pictures {row['pictures_per_s']:.1f}/s of {PICTURES_HZ:.0f}",
-        "  ticks begin late by {:.0f} us (median), {:.0f} (99 %), {:.0f} (worst)".format(*row["late_us"]),
+        f"\n{row['hand']}, {row['beside']}: {row['num_ticks']} ticks, {row['num_missed']} missed "
+        f"({100 * row['share_missed']:.3f} %; {row['num_missed_in_queue']} while another thread had the core), "
+        f"{row['num_stood_in']} done by the stand-in; {100 * row['share_of_a_core']:.1f} % of a core{stolen}",
+        "  ticks begin late by {:.0f} us (median), {:.0f} (99 %), {:.0f} (worst)".format(*row["late_us"])
+        + " and take {:.0f}, {:.0f}, {:.0f} us".format(*row["work_us"]),
     ]
+    pictures = row["pictures"]
+    if pictures is not None:
+        lines.append(
+            f"  pictures {pictures['per_s']:.1f}/s, {100 * pictures['scale']:.0f} % of the sides, step "
+            f"{pictures['step_vox']:.2f} voxels, {pictures['render_ms']:.1f} ms each"
+        )
+        if pictures["finder_per_s"] > 0.0:
+            lines.append(f"  too slow at the coarsest: {pictures['finder_per_s']:.1f}/s of the view finder besides")
     if row["round_trip_us"] is not None:
         lines.append(
             "  over UDP and back {:.0f} us (median), {:.0f} (99 %), {:.0f} (worst), {} of {} lost".format(
@@ -93,34 +121,71 @@ def _words(row: dict[str, Any]) -> list[str]:
     return lines
 
 
-def measure(request: dict[str, Any]) -> list[dict[str, Any]]:
-    """The loop with a simulated hand, then with a bridge in another process, while pictures are rendered."""
+def measure(request: dict[str, Any]) -> dict[str, Any]:
+    """The loop beside nothing, beside moving pictures with a simulated hand and a bridge, and beside full pictures.
+
+    The first row is the machine's own floor: what is missed there no program took.
+    """
+    seconds = request["seconds"]
     volume, points = open_phantom(CASE, progress_printer())
     renderer = Renderer(volume)
     renderer.prepare()
     top = points[0]
     place = top + np.array([0.0, 0.0, -40.0])
     path = FlightPath(np.array([top, place]))
-    view = AirwayView(path.pose_at(20.0))
     field = _trachea(place)
-    rows = []
     center = (float(place[0]), float(place[1]), float(place[2]))
-    with ForceLoop(field, simulated=(center, 12.0, 1.5)) as loop:
-        rate = _render(renderer, view, request["seconds"])
-        rows.append(_row("simulated hand", loop.figures(), rate, None))
-    with ForceLoop(field, udp_port=0) as loop:
-        command = [sys.executable, "-m", "carina.cli.bench.haptics_bridge"]
-        asked = json.dumps({"port": loop.port, "seconds": request["seconds"], "center": center})
-        other = subprocess.Popen([*command, asked], stdout=subprocess.PIPE, text=True)
-        try:
-            rate = _render(renderer, view, request["seconds"])
-            found, _ = other.communicate(timeout=60)
-        finally:
-            if other.poll() is None:
-                other.kill()
-                other.wait()
-        rows.append(_row("bridge over UDP", loop.figures(), rate, json.loads(found)))
-    return rows
+    circling = (center, 12.0, 1.5)
+    rows = []
+    with ForceLoop(field, simulated=circling) as loop, _Watch() as watch:
+        time.sleep(0.5 * seconds)
+        rows.append(_row("simulated hand", "nothing else", loop.figures(), watch))
+    with ForceLoop(field, simulated=circling) as loop, _Watch() as watch:
+        moving = moving_pictures(renderer, path, seconds)
+        rows.append(_row("simulated hand", "moving pictures", loop.figures(), watch, moving, gated=True))
+    with ForceLoop(field, udp_port=0) as loop, _Watch() as watch, _bridged(loop, seconds, center) as bridged:
+        moving = moving_pictures(renderer, path, seconds)
+        found = bridged()
+        rows.append(_row("bridge over UDP", "moving pictures", loop.figures(), watch, moving, found, gated=True))
+    with ForceLoop(field, simulated=circling) as loop, _Watch() as watch:
+        full = full_pictures(renderer, path, 0.5 * seconds)
+        rows.append(_row("simulated hand", "full pictures", loop.figures(), watch, full))
+    left = LeftThread()
+    try:
+        return {"rows": rows, "render_threads": picture_threads()}
+    finally:
+        left.release()
+
+
+class _Watch:
+    """What the host of a virtual machine took of the cores since it was entered."""
+
+    def __enter__(self) -> _Watch:
+        self._start_s, self._stolen_s = time.monotonic(), stolen_s()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def stolen_share(self) -> float | None:
+        now_s, cores = stolen_s(), os.cpu_count() or 1
+        if now_s is None or self._stolen_s is None:
+            return None
+        return (now_s - self._stolen_s) / (cores * (time.monotonic() - self._start_s))
+
+
+@contextmanager
+def _bridged(loop: ForceLoop, seconds: float, center: tuple[float, float, float]) -> Iterator[Any]:
+    """A bridge in a process of its own; gives what waits for its figures."""
+    command = [sys.executable, "-m", "carina.cli.bench.haptics_bridge"]
+    asked = json.dumps({"port": loop.port, "seconds": seconds, "center": center})
+    other = subprocess.Popen([*command, asked], stdout=subprocess.PIPE, text=True)
+    try:
+        yield lambda: json.loads(other.communicate(timeout=60)[0])
+    finally:
+        if other.poll() is None:
+            other.kill()
+            other.wait()
 
 
 def _trachea(place: Any) -> WallField:
@@ -133,29 +198,34 @@ def _trachea(place: Any) -> WallField:
     return WallField.from_distances(distance.astype(np.float32), matrix)
 
 
-def _render(renderer: Renderer, view: AirwayView, seconds: float) -> float:
-    """Pictures at their rate for a time; how many a second there were."""
-    start, num = time.monotonic(), 0
-    while time.monotonic() - start < seconds:
-        renderer.render(view)
-        num += 1
-        time.sleep(max(0.0, start + num / PICTURES_HZ - time.monotonic()))
-    return num / (time.monotonic() - start)
-
-
-def _row(hand: str, figures: ForceFigures, pictures_per_s: float, bridged: dict[str, Any] | None) -> dict[str, Any]:
+def _row(
+    hand: str,
+    beside: str,
+    figures: ForceFigures,
+    watch: _Watch,
+    pictures: Pictures | None = None,
+    bridged: dict[str, Any] | None = None,
+    *,
+    gated: bool = False,
+) -> dict[str, Any]:
     return {
         "hand": hand,
+        "beside": beside,
+        "gated": gated,
         "num_ticks": figures.num_ticks,
         "num_missed": figures.num_missed,
+        "num_missed_in_queue": figures.num_missed_in_queue,
+        "num_stood_in": figures.num_stood_in,
         "share_missed": figures.num_missed / max(figures.num_ticks, 1),
         "share_of_a_core": figures.cpu_s / max(figures.wall_s, 1e-9),
         "late_us": list(figures.late_us),
+        "work_us": list(figures.work_us),
         "latency_us": list(figures.latency_us),
         "max_force_n": figures.max_force_n,
         "max_change_n": figures.max_change_n,
-        "realtime": figures.realtime,
-        "pictures_per_s": pictures_per_s,
+        "scheduling": figures.scheduling,
+        "pictures": None if pictures is None else pictures.to_json(),
+        "stolen_share": watch.stolen_share(),
         "load_average": load_average(),
         "round_trip_us": None if bridged is None else bridged["round_trip_us"],
         "num_sent": None if bridged is None else bridged["num_sent"],

@@ -13,7 +13,7 @@ import carina
 from carina.errors import CarinaError
 from carina.render import build_info
 
-__all__ = ["load_average", "machine_facts", "require_peers"]
+__all__ = ["load_average", "machine_facts", "require_peers", "stolen_s"]
 
 PEERS = ("vtk", "numba", "scipy", "numpy", "dijkstra3d", "scikit-image")
 
@@ -40,6 +40,15 @@ def load_average() -> list[float] | None:
     try:
         return [round(v, 2) for v in os.getloadavg()]
     except (AttributeError, OSError):
+        return None
+
+
+def stolen_s() -> float | None:
+    """Seconds, summed over all cores, that the host of a virtual machine kept them from it; None where not told."""
+    try:
+        words = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()
+        return int(words[8]) / os.sysconf("SC_CLK_TCK")
+    except (OSError, IndexError, ValueError, AttributeError):
         return None
 
 

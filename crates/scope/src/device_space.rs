@@ -1,0 +1,71 @@
+//! The space that a force device measures in.
+
+use carina_grid::{Affine, cross, dot, length};
+
+use crate::ScopeError;
+use crate::force::{HandForce, HandSample};
+
+/// A rotation, a shift and one scale.
+pub(crate) struct DeviceSpace {
+    lps_from_device: Affine,
+    scale: f64,
+}
+
+impl DeviceSpace {
+    /// Samples are in LPS already.
+    pub(crate) const LPS: Self = Self {
+        lps_from_device: Affine::IDENTITY,
+        scale: 1.0,
+    };
+
+    pub(crate) fn new(lps_from_device: Affine) -> Result<Self, ScopeError> {
+        let axes = [0, 1, 2].map(|a| lps_from_device.column(a));
+        let scale = length(axes[0]);
+        let is_even = axes
+            .iter()
+            .all(|a| (length(*a) - scale).abs() <= 1e-6 * scale);
+        let is_square =
+            (0..3).all(|a| dot(axes[a], axes[(a + 1) % 3]).abs() <= 1e-6 * scale * scale);
+        // More than 4 would make every tremor a jump; the felt stiffness grows with the scale.
+        if !(is_even && is_square && (0.05..=1.0).contains(&scale)) {
+            return Err(ScopeError::Force {
+                reason: "the device's space must be turned, shifted and scaled alike on all axes, by 0.05 to 1 mm of \
+                         the lumen per mm of the hand"
+                    .to_owned(),
+            });
+        }
+        if dot(cross(axes[0], axes[1]), axes[2]) <= 0.0 {
+            return Err(ScopeError::Force {
+                reason: "the device's space is mirrored: the hand's left would be the scope's right; its three axes \
+                         must be right-handed"
+                    .to_owned(),
+            });
+        }
+        Ok(Self {
+            lps_from_device,
+            scale,
+        })
+    }
+
+    pub(crate) fn to_lps(&self, hand: &HandSample) -> HandSample {
+        HandSample {
+            at_lps: self.lps_from_device.point(hand.at_lps),
+            velocity_mm_s: self.lps_from_device.vector(hand.velocity_mm_s),
+            forward_lps: self
+                .lps_from_device
+                .vector(hand.forward_lps)
+                .map(|v| v / self.scale),
+        }
+    }
+
+    pub(crate) fn to_device(&self, felt: &HandForce) -> HandForce {
+        let turned = |v: [f64; 3]| {
+            std::array::from_fn(|a| dot(self.lps_from_device.column(a), v) / self.scale)
+        };
+        HandForce {
+            force_n: turned(felt.force_n),
+            torque_n_mm: turned(felt.torque_n_mm),
+            ..*felt
+        }
+    }
+}

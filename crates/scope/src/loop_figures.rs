@@ -1,0 +1,156 @@
+//! How the force loop keeps time, in figures.
+
+use carina_grid::length;
+
+use crate::force::HandForce;
+
+/// Lateness is counted in bins of 1 us up to here.
+const LATE_BINS: usize = 5000;
+
+/// How the loop kept time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LoopFigures {
+    /// Ticks that were due since the start.
+    pub num_ticks: u64,
+    /// Of which not done within their millisecond.
+    pub num_missed: u64,
+    /// Of these, missed while other threads had the core; for the rest the machine itself stood still or woke the
+    /// thread late.
+    pub num_missed_in_queue: u64,
+    /// Ticks that the stand-in did, since the first thread had not begun them in time.
+    pub num_stood_in: u64,
+    /// How late ticks began: median, 99th percentile and worst, us.
+    pub late_us: [f64; 3],
+    /// How long ticks took, from begin to end: median, 99th percentile and worst, us.
+    pub work_us: [f64; 3],
+    /// From when a sample was put (or its packet taken) to its force: median, 99th percentile and worst, us.
+    pub latency_us: [f64; 3],
+    /// Time of the loop's threads on cores.
+    pub cpu_s: f64,
+    /// Time since the start.
+    pub wall_s: f64,
+    /// Samples that were taken.
+    pub num_samples: u64,
+    /// Packets that were no sane samples.
+    pub num_refused: u64,
+    /// How the system lets the loop go before others.
+    pub scheduling: crate::Scheduling,
+    /// The strongest force and the largest change in a tick so far, N.
+    pub max_force_n: f64,
+    /// See `max_force_n`.
+    pub max_change_n: f64,
+}
+
+struct Histogram {
+    counts: Vec<u32>,
+    num: u64,
+    worst: f64,
+}
+
+impl Histogram {
+    fn new() -> Self {
+        Self {
+            counts: vec![0; LATE_BINS],
+            num: 0,
+            worst: 0.0,
+        }
+    }
+
+    fn add(&mut self, us: f64) {
+        let bin = (us.max(0.0) as usize).min(LATE_BINS - 1);
+        self.counts[bin] += 1;
+        self.num += 1;
+        self.worst = self.worst.max(us);
+    }
+
+    fn summary(&self) -> [f64; 3] {
+        let at = |share: f64| {
+            let wanted = (share * self.num as f64).ceil() as u64;
+            let mut seen = 0;
+            for (bin, &count) in self.counts.iter().enumerate() {
+                seen += u64::from(count);
+                if seen >= wanted && seen > 0 {
+                    return bin as f64;
+                }
+            }
+            0.0
+        };
+        [at(0.5), at(0.99), self.worst]
+    }
+}
+
+/// One tick's part of the figures.
+pub(crate) struct TickTimes {
+    /// Ticks that came due up to its end, itself among them.
+    pub(crate) num_due: u64,
+    pub(crate) late_us: f64,
+    pub(crate) work_us: f64,
+    /// Of the sample that it took.
+    pub(crate) latency_us: Option<f64>,
+    /// Others had the core while it was late.
+    pub(crate) was_in_queue: bool,
+    pub(crate) stood_in: bool,
+}
+
+/// What is counted from tick to tick.
+pub(crate) struct LoopCounts {
+    late: Histogram,
+    work: Histogram,
+    latency: Histogram,
+    figures: LoopFigures,
+}
+
+impl LoopCounts {
+    pub(crate) fn new() -> Self {
+        Self {
+            late: Histogram::new(),
+            work: Histogram::new(),
+            latency: Histogram::new(),
+            figures: LoopFigures {
+                num_ticks: 0,
+                num_missed: 0,
+                num_missed_in_queue: 0,
+                num_stood_in: 0,
+                late_us: [0.0; 3],
+                work_us: [0.0; 3],
+                latency_us: [0.0; 3],
+                cpu_s: 0.0,
+                wall_s: 0.0,
+                num_samples: 0,
+                num_refused: 0,
+                scheduling: crate::Scheduling::Ordinary,
+                max_force_n: 0.0,
+                max_change_n: 0.0,
+            },
+        }
+    }
+
+    pub(crate) fn add(&mut self, tick: &TickTimes, felt: &HandForce, last: &HandForce) {
+        let figures = &mut self.figures;
+        // Skipped ticks were due as well, and are missed.
+        let missed = tick.num_due - 1;
+        figures.num_ticks += tick.num_due;
+        figures.num_missed += missed;
+        figures.num_missed_in_queue += if tick.was_in_queue { missed } else { 0 };
+        figures.num_stood_in += u64::from(tick.stood_in);
+        self.late.add(tick.late_us);
+        self.work.add(tick.work_us);
+        if let Some(us) = tick.latency_us {
+            figures.num_samples += 1;
+            self.latency.add(us);
+        }
+        let change: [f64; 3] = std::array::from_fn(|a| felt.force_n[a] - last.force_n[a]);
+        figures.max_force_n = figures.max_force_n.max(length(felt.force_n));
+        figures.max_change_n = figures.max_change_n.max(length(change));
+    }
+
+    /// Reads the histograms, which takes some microseconds.
+    pub(crate) fn figures(&self) -> LoopFigures {
+        LoopFigures {
+            late_us: self.late.summary(),
+            work_us: self.work.summary(),
+            latency_us: self.latency.summary(),
+            ..self.figures.clone()
+        }
+    }
+}

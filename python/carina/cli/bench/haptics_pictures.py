@@ -1,0 +1,157 @@
+"""Pictures beside the force loop: as a window gets them while the tip moves, and in full at a fixed place."""
+
+from __future__ import annotations
+
+import statistics
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from carina.navigate import FlightPath
+from carina.render import AirwayView, Renderer
+from carina.server.messages import PictureHeader, parse_picture
+from carina.server.pump import FramePump
+from carina.session import Scene, Zoom
+from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE
+
+__all__ = ["Pictures", "full_pictures", "moving_pictures", "summed"]
+
+SIZE_PX = 512
+PICTURES_HZ = 30.0
+# A hand's input, as from a gamepad or a screen.
+HAND_HZ = 60.0
+SPEED_MM_S = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pictures:
+    """What came in a time."""
+
+    per_s: float
+    scale: float
+    """Of the sides, against 512 pixels; the mean of all pictures."""
+    step_vox: float
+    """Ray step; the mean."""
+    render_ms: float
+    """Median."""
+    finder_per_s: float = 0.0
+    """Pictures of the view finder, which stands in where even the coarsest picture is too slow; they count as none."""
+
+    def to_json(self) -> dict[str, Any]:
+        """For the report."""
+        return {
+            "per_s": self.per_s,
+            "scale": self.scale,
+            "step_vox": self.step_vox,
+            "render_ms": self.render_ms,
+            "finder_per_s": self.finder_per_s,
+        }
+
+
+def moving_pictures(renderer: Renderer, path: FlightPath, seconds: float) -> Pictures:
+    """Pictures of 512x512 pixels on a screen, 30 a second, while the tip flies to and fro.
+
+    By the frame pump of ``carina open``, which chooses how fine each is so that the rate is kept. Its pictures are
+    encoded as for a window, and each counts as shown when it is handed over; there is no socket and no browser.
+    """
+    shown: list[tuple[float, PictureHeader]] = []
+
+    def deliver(data: bytes) -> None:
+        header, _ = parse_picture(data)
+        shown.append((time.monotonic(), header))
+        pump.acknowledge(header.frame_id)
+
+    tip = _Tip(renderer, path)
+    pump = FramePump(lambda: tip.scene, deliver, lambda _: None, clock=time.monotonic)
+    pump.set_rate(PICTURES_HZ)
+    pump.set_layout({"airway": (SIZE_PX, SIZE_PX)})
+    thread = threading.Thread(target=pump.run, name="bench-pump")
+    thread.start()
+    start = time.monotonic()
+    try:
+        _at_rate(HAND_HZ, seconds, lambda: tip.move(pump))
+    finally:
+        pump.stop()
+        thread.join()
+    return summed(shown, start, seconds)
+
+
+def summed(shown: Sequence[tuple[float, PictureHeader]], start_s: float, seconds: float) -> Pictures:
+    """What was shown in a time, but for its first second: the budget's, to learn what pictures cost."""
+    steady = [header for shown_s, header in shown if start_s + 1.0 <= shown_s <= start_s + seconds]
+    airway = [(header, header.step_vox) for header in steady if header.step_vox is not None]
+    finder_per_s = (len(steady) - len(airway)) / (seconds - 1.0)
+    if not airway:
+        return Pictures(0.0, 0.0, 0.0, 0.0, finder_per_s)
+    return Pictures(
+        per_s=len(airway) / (seconds - 1.0),
+        scale=statistics.fmean(header.width / SIZE_PX for header, _ in airway),
+        step_vox=statistics.fmean(step_vox for _, step_vox in airway),
+        render_ms=statistics.median(header.render_ms for header, _ in airway),
+        finder_per_s=finder_per_s,
+    )
+
+
+def full_pictures(renderer: Renderer, path: FlightPath, seconds: float) -> Pictures:
+    """As many full pictures of 512x512 pixels as come, up to 30 a second: what is seen at rest."""
+    view = AirwayView(path.pose_at(20.0), width=SIZE_PX, height=SIZE_PX)
+    times_ms: list[float] = []
+
+    def render() -> None:
+        began = time.monotonic()
+        renderer.render(view)
+        times_ms.append(1e3 * (time.monotonic() - began))
+
+    took = _at_rate(PICTURES_HZ, seconds, render)
+    return Pictures(len(times_ms) / took, 1.0, view.step_vox, statistics.median(times_ms))
+
+
+class _Tip:
+    """A tip that flies to and fro, and the scene that shows it."""
+
+    def __init__(self, renderer: Renderer, path: FlightPath) -> None:
+        self._renderer = renderer
+        self._path = path
+        self._num = 0
+        self.scene = self._scene()
+
+    def move(self, pump: FramePump) -> None:
+        self._num += 1
+        self.scene = self._scene()
+        pump.content_changed()
+
+    def _scene(self) -> Scene:
+        # From 10 to 30 mm along the path and back.
+        turn = (self._num * SPEED_MM_S / HAND_HZ) % 40.0
+        return Scene(
+            case_number=1,
+            content_number=1,
+            renderer=self._renderer,
+            pose=self._path.pose_at(10.0 + min(turn, 40.0 - turn)),
+            pose_id=self._num,
+            pose_s=time.monotonic(),
+            scope=None,
+            mask="none",
+            fov_deg=90.0,
+            shading=True,
+            texture=True,
+            method="auto",
+            window_hu=(-600.0, 1500.0),
+            crosshair_lps=None,
+            orbit_tree=DEFAULT_ORBIT_TREE,
+            orbit_tri_plane=DEFAULT_ORBIT_TRI_PLANE,
+            zoom=Zoom(),
+            has_lumen=False,
+        )
+
+
+def _at_rate(hz: float, seconds: float, work: Callable[[], None]) -> float:
+    """Work at a rate for a time; a call that comes late makes the later ones no denser. Says how long it was."""
+    start = due = time.monotonic()
+    while (now := time.monotonic()) - start < seconds:
+        time.sleep(max(0.0, due - now))
+        work()
+        due = max(due + 1.0 / hz, time.monotonic() - 1.0 / hz)
+    return time.monotonic() - start

@@ -1,0 +1,88 @@
+"""What of the force loop's benchmark holds on any machine, however loaded: what is counted and what is gated."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from carina.cli.bench import haptics
+from carina.cli.bench.haptics_pictures import full_pictures, moving_pictures, summed
+from carina.cli.bench.machine import stolen_s
+from carina.navigate import FlightPath
+from carina.render import Renderer
+from carina.scopes import picture_threads
+from small_case import small_volume
+
+
+@dataclass
+class Header:
+    """Of a picture's header what is summed."""
+
+    width: int
+    step_vox: float | None
+    render_ms: float = 10.0
+
+
+def test_pictures_are_summed_without_the_first_second_and_the_view_finder_counts_as_none():
+    shown: list[Any] = [
+        (0.5, Header(512, 0.5)),
+        (1.5, Header(256, 0.5)),
+        (2.0, Header(128, 1.0)),
+        (2.5, Header(512, None)),
+        (3.5, Header(512, 0.5)),
+    ]
+    found = summed(shown, 0.0, 3.0)
+    assert (found.per_s, found.scale, found.step_vox, found.finder_per_s) == (1.0, 0.375, 0.75, 0.5)
+    assert summed(shown[3:4], 0.0, 3.0).per_s == 0.0
+
+
+def test_moving_pictures_come_from_the_products_pump_and_full_ones_are_full():
+    volume = small_volume()
+    renderer = Renderer(volume)
+    center = volume.center_lps
+    path = FlightPath(np.array([center, center + np.array([0.0, 0.0, -40.0])]))
+    moving = moving_pictures(renderer, path, 1.5)
+    assert 0.0 < moving.per_s + moving.finder_per_s < 60.0
+    assert 0.0 <= moving.scale <= 1.0
+    full = full_pictures(renderer, path, 0.05)
+    assert (full.scale, full.step_vox) == (1.0, 0.5)
+    assert full.per_s > 0.0
+
+
+def test_the_benchmark_measures_the_products_threads_and_gates_what_moves(monkeypatch, capsys, tmp_path):
+    volume = small_volume()
+    top = volume.lps_from_ijk[:3, 3] + np.array([0.0, 0.0, 50.0])
+    monkeypatch.setattr(haptics, "open_phantom", lambda *_: (volume, [top]))
+    # In this process, and short: the figures do not matter here.
+    monkeypatch.setattr(haptics, "run_section", lambda *_: haptics.measure({"seconds": 1.2}))
+    all_threads = picture_threads()
+    assert haptics.report(folder=tmp_path, quick=True, as_json=False) == 0
+    assert picture_threads() == all_threads
+    document = json.loads((tmp_path / "haptics.json").read_text())
+    assert document["render_threads"] == max(1, all_threads - 1)
+    beside = [(row["hand"], row["beside"], row["gated"]) for row in document["rows"]]
+    assert beside == [
+        ("simulated hand", "nothing else", False),
+        ("simulated hand", "moving pictures", True),
+        ("bridge over UDP", "moving pictures", True),
+        ("simulated hand", "full pictures", False),
+    ]
+    for row in document["rows"]:
+        assert row["share_missed"] == row["num_missed"] / max(row["num_ticks"], 1)
+        assert row["num_missed_in_queue"] <= row["num_missed"]
+    missed = [gate for gate in document["gates"] if gate["name"].startswith("share of deadlines missed")]
+    assert [gate["limit"] for gate in missed] == [0.001, 0.001]
+    assert "done by the stand-in" in capsys.readouterr().out
+
+
+def test_what_the_host_takes_only_grows():
+    first = stolen_s()
+    if first is None:
+        pytest.skip("this system does not say what its host takes")
+    again = stolen_s()
+    assert again is not None
+    assert 0.0 <= first <= again
