@@ -5,7 +5,10 @@ use std::ops::Range;
 use carina_grid::{Affine, VolumeView};
 use rayon::prelude::*;
 
-use crate::{Field, InstructionSet, RaycastError, packet::PlaneRows};
+use crate::{
+    Field, InstructionSet, RaycastError,
+    packet::{PlaneTiles, TILE_ROWS},
+};
 
 /// Window and level: which values become black and white.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -75,26 +78,61 @@ pub fn sample_plane_by(
     simd: InstructionSet,
 ) -> Result<PlaneImage, RaycastError> {
     check_size(width, rows.end)?;
-    let height = rows.len();
-    check_size(width, height)?;
+    check_size(width, rows.len())?;
     let ijk_from_pixel = volume.grid().ijk_from_lps().after(lps_from_pixel);
     let field = Field::new(volume);
     let along_row = ijk_from_pixel.column(0).map(|v| v as f32);
-    let packets = PlaneRows::of(&field, along_row, window, simd);
+    let tiles = PlaneTiles::of(&field, along_row, window, simd);
+    Ok(sample_rows(
+        &field,
+        &ijk_from_pixel,
+        width,
+        rows,
+        window,
+        tiles.as_ref(),
+    ))
+}
+
+/// The same by tiles, or pixel by pixel where there are none.
+fn sample_rows(
+    field: &Field<'_>,
+    ijk_from_pixel: &Affine,
+    width: usize,
+    rows: Range<usize>,
+    window: Window,
+    tiles: Option<&PlaneTiles<'_>>,
+) -> PlaneImage {
+    let height = rows.len();
+    let along_row = ijk_from_pixel.column(0).map(|v| v as f32);
     let mut image = PlaneImage {
         grey: vec![0; width * height],
         inside: vec![0; width * height],
     };
+    let start_of = |row: usize| {
+        let row = (rows.start + row) as f64 + 0.5;
+        ijk_from_pixel.point([0.0, row, 0.0]).map(|v| v as f32)
+    };
     // A row takes half a microsecond: a small picture is done before another thread has woken up.
     let band_rows = (BAND_PIXELS / width).max(1);
     let sample_band = |(band, (grey, inside)): (usize, (&mut [u8], &mut [u8]))| {
-        let lines = grey.chunks_mut(width).zip(inside.chunks_mut(width));
-        for (n, (grey, inside)) in lines.enumerate() {
-            let row = (rows.start + band * band_rows + n) as f64 + 0.5;
-            let start = ijk_from_pixel.point([0.0, row, 0.0]).map(|v| v as f32);
-            match &packets {
-                Some(packets) => packets.sample(start, grey, inside),
-                None => sample_row(&field, start, along_row, window, grey, inside),
+        let mut first = band * band_rows;
+        let parts = grey
+            .chunks_mut(width * TILE_ROWS)
+            .zip(inside.chunks_mut(width * TILE_ROWS));
+        for (grey, inside) in parts {
+            let mut starts = [[0.0; 3]; TILE_ROWS];
+            let starts = &mut starts[..grey.len() / width];
+            for (n, start) in starts.iter_mut().enumerate() {
+                *start = start_of(first + n);
+            }
+            first += TILE_ROWS;
+            if let Some(tiles) = tiles {
+                tiles.sample(starts, grey, inside);
+                continue;
+            }
+            let lines = grey.chunks_mut(width).zip(inside.chunks_mut(width));
+            for (start, (grey, inside)) in starts.iter().zip(lines) {
+                sample_row(field, *start, along_row, window, grey, inside);
             }
         }
     };
@@ -108,7 +146,7 @@ pub fn sample_plane_by(
             .enumerate()
             .for_each(sample_band);
     }
-    Ok(image)
+    image
 }
 
 const BAND_PIXELS: usize = 1 << 16;
@@ -176,6 +214,7 @@ mod tests {
             [5, 4, 1],
             [1, 1, 1],
             [30, 40, 50],
+            [70, 90, 80],
         ] {
             let place = Affine::from_columns(
                 [0.1, 0.5, 0.0],
@@ -233,6 +272,17 @@ mod tests {
                             sample_plane_by(volume, &matrix, width, 0..height, window, simd)
                                 .unwrap();
                         assert!(found == expected, "{simd:?} {shape:?} {width} x {height}");
+                        let along_row = exact.column(0).map(|v| v as f32);
+                        for gathers in [false, true] {
+                            let Some(tiles) = PlaneTiles::of(&field, along_row, window, simd)
+                            else {
+                                continue;
+                            };
+                            let tiles = tiles.with_gathers(gathers);
+                            let found =
+                                sample_rows(&field, &exact, width, 0..height, window, Some(&tiles));
+                            assert!(found == expected, "{simd:?} {shape:?} gathers: {gathers}");
+                        }
                         let rows = height / 3..height - height / 4;
                         let strip =
                             sample_plane_by(volume, &matrix, width, rows.clone(), window, simd)
@@ -245,6 +295,33 @@ mod tests {
             }
         }
         assert!(num_seen > 10_000, "the planes meet the volumes");
+    }
+
+    #[test]
+    fn a_plane_of_numbers_too_large_is_black() {
+        let grid = Grid::new([8, 9, 10], Affine::IDENTITY).unwrap();
+        let data = vec![500i16; grid.num_voxels()];
+        let volume = VolumeView::new(&data, &grid).unwrap();
+        let window = Window::new(100.0, 0.0).unwrap();
+        for (across, first) in [(1e300, 0.0), (-1e300, 1e300), (1.0, 1e300), (3e38, -3e38)] {
+            let matrix = Affine::from_columns(
+                [across, 0.0, 0.0],
+                [0.0, 1.0, 0.0],
+                [0.0, 0.0, 1.0],
+                [first; 3],
+            );
+            for simd in InstructionSet::available() {
+                let image = sample_plane_by(volume, &matrix, 40, 0..70, window, simd).unwrap();
+                assert!(
+                    image.grey.iter().all(|&g| g == 0),
+                    "{simd:?} {across} {first}"
+                );
+                assert!(
+                    image.inside.iter().all(|&i| i == 0),
+                    "{simd:?} {across} {first}"
+                );
+            }
+        }
     }
 
     #[test]

@@ -13,16 +13,19 @@ use super::{
 
 /// The machine has AVX2 and FMA.
 #[derive(Clone, Copy)]
-pub(super) struct Avx2(());
+pub(super) struct Avx2 {
+    /// Pairs of voxels are read by gather instructions.
+    gathers: bool,
+}
 
 impl Avx2 {
-    /// The proof.
+    /// The proof, and whether pairs of voxels are read by gather instructions ([`super::gathers`]).
     ///
     /// # Safety
     /// The machine must have AVX2 and FMA.
     #[inline(always)]
-    pub(super) unsafe fn new() -> Self {
-        Self(())
+    pub(super) const unsafe fn new(gathers: bool) -> Self {
+        Self { gathers }
     }
 }
 
@@ -206,8 +209,17 @@ impl Lanes for Avx2 {
         base: __m256i,
         offsets: [i32; R],
     ) -> [__m256i; R] {
-        let index = self.store_i(base);
         let mut out = [base; R];
+        if self.gathers {
+            for n in 0..R {
+                // SAFETY: every pair lies in the data, as promised by the caller.
+                out[n] = unsafe {
+                    _mm256_i32gather_epi32::<2>(data.offset(offsets[n] as isize).cast(), base)
+                };
+            }
+            return out;
+        }
+        let index = self.store_i(base);
         // SAFETY: every pair lies in the data, as promised by the caller. Four lanes at a time, whose addresses stay in
         // registers for all offsets.
         unsafe {

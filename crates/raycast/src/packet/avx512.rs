@@ -13,16 +13,19 @@ use super::{
 
 /// The machine has AVX-512 F, BW, DQ and VL.
 #[derive(Clone, Copy)]
-pub(super) struct Avx512(());
+pub(super) struct Avx512 {
+    /// Pairs of voxels are read by gather instructions.
+    gathers: bool,
+}
 
 impl Avx512 {
-    /// The proof.
+    /// The proof, and whether pairs of voxels are read by gather instructions ([`super::gathers`]).
     ///
     /// # Safety
     /// The machine must have AVX-512 F, BW, DQ and VL.
     #[inline(always)]
-    pub(super) unsafe fn new() -> Self {
-        Self(())
+    pub(super) const unsafe fn new(gathers: bool) -> Self {
+        Self { gathers }
     }
 }
 
@@ -165,8 +168,17 @@ impl Lanes for Avx512 {
         base: __m512i,
         offsets: [i32; R],
     ) -> [__m512i; R] {
-        let index = self.store_i(base);
         let mut out = [base; R];
+        if self.gathers {
+            for n in 0..R {
+                // SAFETY: every pair lies in the data, as promised by the caller.
+                out[n] = unsafe {
+                    _mm512_i32gather_epi32::<2>(base, data.offset(offsets[n] as isize).cast())
+                };
+            }
+            return out;
+        }
+        let index = self.store_i(base);
         // SAFETY: every pair lies in the data, as promised by the caller. Four lanes at a time, whose addresses stay in
         // registers for all offsets.
         unsafe {

@@ -234,7 +234,7 @@ fn light_row_avx512(
     rgb: &mut [u8],
 ) {
     // SAFETY: this function runs only where the machine has the instructions.
-    let l = Pair(unsafe { Avx512::new() });
+    let l = Pair(unsafe { Avx512::new(false) });
     light_row(l, frame, light, voxels, row, gathered, rgb);
 }
 
@@ -249,7 +249,7 @@ fn light_row_avx2(
     rgb: &mut [u8],
 ) {
     // SAFETY: this function runs only where the machine has the instructions.
-    let l = Pair(unsafe { Avx2::new() });
+    let l = Pair(unsafe { Avx2::new(false) });
     light_row(l, frame, light, voxels, row, gathered, rgb);
 }
 

@@ -8,6 +8,8 @@ mod ask;
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+#[cfg(target_arch = "x86_64")]
+mod gathers;
 mod kernel;
 mod lanes;
 mod lighting;
@@ -35,7 +37,7 @@ use kernel::{BRUTE, CLASSES, Scene, TRANSPARENT};
 use lanes::Lanes;
 use out::{Out, Rgb8, Walls};
 use pair::Pair;
-pub(crate) use plane::PlaneRows;
+pub(crate) use plane::{PlaneTiles, TILE_ROWS};
 use pool::Source;
 use voxels::Voxels;
 
@@ -151,14 +153,14 @@ impl<'a> Packets<'a> {
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn cast_avx512<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only where the machine has the instructions.
-        self.cast(Pair(unsafe { avx512::Avx512::new() }), source, out)
+        self.cast(Pair(unsafe { avx512::Avx512::new(false) }), source, out)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn cast_avx2<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only where the machine has the instructions.
-        self.cast(Pair(unsafe { avx2::Avx2::new() }), source, out)
+        self.cast(Pair(unsafe { avx2::Avx2::new(false) }), source, out)
     }
 
     #[inline(always)]

@@ -105,6 +105,24 @@ impl<'a> Voxels<'a> {
         }
     }
 
+    /// The same for points that need no clamping.
+    ///
+    /// # Safety
+    /// In every lane a coordinate must be 0 or more and less than `last` on every axis.
+    #[inline(always)]
+    pub(super) unsafe fn cells_between<L: Lanes>(&self, l: L, mut t: [L::F; 3]) -> Cells<L> {
+        let mut ijk = [l.splat_i(0); 3];
+        for a in 0..3 {
+            ijk[a] = l.whole(t[a]);
+            t[a] = l.sub(t[a], l.to_f(ijk[a]));
+        }
+        Cells {
+            ijk,
+            base: self.index(l, ijk),
+            t,
+        }
+    }
+
     /// The voxels nearest to points, clamped to the volume: their places in memory and their coordinates.
     #[inline(always)]
     pub(super) fn nearest<L: Lanes>(&self, l: L, p: [L::F; 3]) -> (L::I, [L::F; 3]) {

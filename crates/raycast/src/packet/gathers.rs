@@ -1,0 +1,160 @@
+//! Whether gather instructions take less time than single loads here.
+//!
+//! They do on Intel's server processors since Sapphire Rapids, do not on Zen 4 and Zen 5, and are several times slower
+//! where microcode fences them (Gather Data Sampling). No feature flag tells these apart, a virtual machine may hide the
+//! model, and the bits are the same either way: so both are timed, once in a process (docs/decisions/0033).
+
+use std::{
+    hint::black_box,
+    sync::OnceLock,
+    time::{Duration, Instant},
+};
+
+use super::{
+    avx2, avx512,
+    lanes::{Array, Lanes, MAX_LANES},
+};
+use crate::InstructionSet;
+
+/// True if voxels are read faster by gathers than one by one. The first call takes some fifty microseconds.
+pub(super) fn gathers_pay(simd: InstructionSet) -> bool {
+    static PAY: [OnceLock<bool>; 2] = [OnceLock::new(), OnceLock::new()];
+    match simd {
+        InstructionSet::Avx2 if simd.is_available() => *PAY[0].get_or_init(|| {
+            // SAFETY: the machine has it. Benchmark: `carina bench isoregion`, the oblique slice.
+            faster(|data, gathers| unsafe { read_avx2(data, gathers) })
+        }),
+        InstructionSet::Avx512 if simd.is_available() => *PAY[1].get_or_init(|| {
+            // SAFETY: as above.
+            faster(|data, gathers| unsafe { read_avx512(data, gathers) })
+        }),
+        _ => false,
+    }
+}
+
+const SIDE: usize = 64;
+const READS: usize = 64;
+const ROUNDS: usize = 9;
+
+/// Least times of rounds in turn, from lines that lie in the nearest cache.
+fn faster(read: impl Fn(&[i16], bool) -> i32) -> bool {
+    let data: Vec<i16> = (0..SIDE * SIDE).map(|n| n as i16).collect();
+    let mut least = [Duration::MAX; 2];
+    for _ in 0..ROUNDS {
+        for (least, gathers) in least.iter_mut().zip([false, true]) {
+            let started = Instant::now();
+            black_box(read(black_box(&data), gathers));
+            *least = started.elapsed().min(*least);
+        }
+    }
+    least[1] < least[0]
+}
+
+#[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+fn read_avx512(data: &[i16], gathers: bool) -> i32 {
+    // SAFETY: this function runs only where the machine has the instructions.
+    read(unsafe { avx512::Avx512::new(gathers) }, data)
+}
+
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+fn read_avx2(data: &[i16], gathers: bool) -> i32 {
+    // SAFETY: this function runs only where the machine has the instructions.
+    read(unsafe { avx2::Avx2::new(gathers) }, data)
+}
+
+/// The rows of cells one after another along a diagonal, added up.
+#[inline(always)]
+fn read<L: Lanes>(l: L, data: &[i16]) -> i32 {
+    assert!(data.len() >= SIDE * SIDE);
+    let mut places: Array<i32> = [0; MAX_LANES];
+    for (n, place) in places.iter_mut().enumerate() {
+        *place = (n * (SIDE + 1)) as i32;
+    }
+    let places = l.load_i(&places);
+    let mut sum = l.splat_i(0);
+    for n in 0..READS as i32 {
+        let base = l.add_i(places, l.splat_i(n % 16));
+        let side = SIDE as i32;
+        let offsets = [0, side, 8 * side, 9 * side];
+        // SAFETY: a lane's place is at most 31 * 65 + 15, and the furthest pair 9 * 64 and one more beyond it: 2607 of 4096.
+        // Benchmark: as above.
+        let pairs = unsafe { l.pairs(data.as_ptr(), base, offsets) };
+        for pair in pairs {
+            sum = l.add_i(sum, pair);
+        }
+    }
+    let sum = l.store_i(sum);
+    (0..L::N).fold(0, |a, n| a.wrapping_add(sum[n]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Pairs at one place for each lane, and the same read one by one.
+    fn pairs_of<L: Lanes>(l: L, data: &[i16], places: &Array<i32>, offset: i32) -> [Vec<i32>; 2] {
+        let reach = |place: i32| usize::try_from(place + offset).unwrap();
+        assert!(places[..L::N].iter().all(|&p| reach(p) + 1 < data.len()));
+        // SAFETY: as just asserted. No speed is asked of a test.
+        let [found] = unsafe { l.pairs(data.as_ptr(), l.load_i(places), [offset]) };
+        let expected = (0..L::N).map(|n| {
+            let at = reach(places[n]);
+            i32::from(data[at + 1]) << 16 | i32::from(data[at]) & 0xffff
+        });
+        [l.store_i(found)[..L::N].to_vec(), expected.collect()]
+    }
+
+    #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+    fn pairs_avx512(
+        gathers: bool,
+        data: &[i16],
+        places: &Array<i32>,
+        offset: i32,
+    ) -> [Vec<i32>; 2] {
+        // SAFETY: this function runs only where the machine has the instructions.
+        pairs_of(
+            unsafe { avx512::Avx512::new(gathers) },
+            data,
+            places,
+            offset,
+        )
+    }
+
+    #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+    fn pairs_avx2(gathers: bool, data: &[i16], places: &Array<i32>, offset: i32) -> [Vec<i32>; 2] {
+        // SAFETY: this function runs only where the machine has the instructions.
+        pairs_of(unsafe { avx2::Avx2::new(gathers) }, data, places, offset)
+    }
+
+    #[test]
+    fn gathers_read_what_single_loads_read() {
+        let mut state = 11u64;
+        let mut random = |n: usize| {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 33) as usize % n
+        };
+        let data: Vec<i16> = (0..5000).map(|_| random(1 << 16) as u16 as i16).collect();
+        for _ in 0..200 {
+            let offset = random(200) as i32 - 100;
+            let mut places: Array<i32> = [0; MAX_LANES];
+            for place in &mut places {
+                *place = 100 + random(data.len() - 201) as i32;
+            }
+            for gathers in [false, true] {
+                if InstructionSet::Avx512.is_available() {
+                    // SAFETY: the machine has it. No speed is asked of a test.
+                    let [found, expected] =
+                        unsafe { pairs_avx512(gathers, &data, &places, offset) };
+                    assert_eq!(found, expected, "AVX-512, gathers: {gathers}");
+                }
+                if InstructionSet::Avx2.is_available() {
+                    // SAFETY: as above.
+                    let [found, expected] = unsafe { pairs_avx2(gathers, &data, &places, offset) };
+                    assert_eq!(found, expected, "AVX2, gathers: {gathers}");
+                }
+            }
+        }
+    }
+}
