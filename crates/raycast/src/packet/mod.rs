@@ -33,6 +33,8 @@ use crate::{
     composite::Gathered,
     leap::{Price, Start, class_margin},
 };
+#[cfg(target_arch = "x86_64")]
+use gathers::gathers_pay;
 use kernel::{BRUTE, CLASSES, Scene, TRANSPARENT};
 use lanes::Lanes;
 use out::{Out, Rgb8, Walls};
@@ -153,7 +155,11 @@ impl<'a> Packets<'a> {
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn cast_avx512<O: Out>(&self, source: Source, out: O) -> CastStats {
         // SAFETY: this function runs only where the machine has the instructions.
-        self.cast(Pair(unsafe { avx512::Avx512::new(false) }), source, out)
+        self.cast(
+            Pair(unsafe { avx512::Avx512::new(gathers_pay(self.simd)) }),
+            source,
+            out,
+        )
     }
 
     #[cfg(target_arch = "x86_64")]
