@@ -114,6 +114,14 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         except CarinaError as trouble:
             return _error(trouble, DOWNLOAD_STATUS.get(trouble.code, 409))
 
+    async def key_frames(request: Request) -> Response:
+        if not gate.authorised(request.headers):
+            return _error(CarinaError("this page has no access", code="protocol.not-authorised"), 401)
+        try:
+            return await downloads.key_frames()
+        except CarinaError as trouble:
+            return _error(trouble, 409)
+
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
         if not gate.authorised(websocket.headers):
@@ -145,6 +153,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         Route("/api/upload", begin_upload, methods=["POST"]),
         Route("/api/upload/{upload_id}", one_upload, methods=["PUT", "DELETE"]),
         Route("/api/airways{suffix:path}", download),
+        Route("/api/key-frames.json", key_frames),
         WebSocketRoute("/ws", socket),
         WebSocketRoute("/force", force),
         Route("/{path:path}", asset),

@@ -1,4 +1,4 @@
-"""What a person takes away: the airways of the open case as a file, made when it is asked for."""
+"""What a person takes away: airways and key frames of the open case as files, made when they are asked for."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
-from starlette.responses import FileResponse, Response
+from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.types import Receive, Scope, Send
 
 from carina.errors import CarinaError
@@ -21,6 +21,7 @@ __all__ = ["FILE_STEM", "Downloads"]
 
 FILE_STEM = "airways"
 """Of every file: neither the patient nor the case is in its name."""
+KEYS_NAME = "key-frames.json"
 
 
 class Downloads:
@@ -62,6 +63,18 @@ class Downloads:
                 rmtree(folder, ignore_errors=True)
                 raise
         return _FileForOnce(path, filename=path.name, headers={"cache-control": "no-store"})
+
+    async def key_frames(self) -> Response:
+        """The key frames of the open case, as ``carina fly`` takes them.
+
+        Raises
+        ------
+        CarinaError
+            If there are none.
+        """
+        document = await asyncio.to_thread(lambda: self._session.keys_to_take_away().to_json())
+        disposition = f'attachment; filename="{KEYS_NAME}"'
+        return JSONResponse(document, headers={"cache-control": "no-store", "content-disposition": disposition})
 
     def _make(self, path: Path, volume: Any, airways: Any, given_up: threading.Event) -> Path:
         try:

@@ -16,9 +16,11 @@ from carina.render import Slab
 from carina.server import messages as wire
 from carina.server.cluster_watch import ClusterWatch
 from carina.server.device_desk import DeviceDesk
+from carina.server.key_desk import handle_keys
 from carina.server.phone_page import PhonePage
 from carina.server.pointing import Pointing, edit_from_wire
 from carina.server.presenter import (
+    keys_message,
     picked_message,
     pose_message,
     route_message,
@@ -48,7 +50,7 @@ logger = logging.getLogger(__name__)
 
 MAX_QUEUED = 2000
 """Text messages waiting for a client that does not read; beyond it is cut off."""
-TOPICS = ("start", "state", "tree", "route", "pose")
+TOPICS = ("start", "state", "tree", "route", "keys", "pose")
 
 
 class Outbox:
@@ -189,7 +191,7 @@ class Hub:
         self._outbox = outbox
         topics = ["start", "state"]
         if self.session.snapshot().case is not None:
-            topics += ["tree", "route", "pose"]
+            topics += ["tree", "route", "keys", "pose"]
         outbox.mark(*topics)
         for job in self.session.jobs.running:
             if job.latest is not None:
@@ -230,6 +232,8 @@ class Hub:
         if topic == "route":
             route = None if document is None else document.route
             return self._cached("route", lambda: route_message(route), route)
+        if topic == "keys":
+            return wire.encode_message(keys_message(self.session.keys_info()))
         info = self.session.pose_info()
         return None if info is None else wire.encode_message(pose_message(info))
 
@@ -344,6 +348,8 @@ class Hub:
                 session.level_horizon()
             case wire.ResetLook():
                 session.reset_look()
+            case wire.FlyKeys():
+                session.fly_keys(message.time_s, goes_on=message.goes_on)
             case wire.SetCrosshair():
                 session.set_crosshair(None if message.lps is None else _three(message.lps))
             case wire.Probe():
@@ -402,6 +408,9 @@ class Hub:
                 session.answer_mask(label=message.label, resample=message.resample)
             case wire.DismissMask():
                 session.dismiss_mask()
+            case wire.OpenKeys():
+                job_id = session.open_keys(self._uploads.place(message.upload_id))
+                self._upload_of_job[job_id] = message.upload_id
             case wire.CloseCase():
                 session.close_case()
             case wire.Cancel():
@@ -449,7 +458,7 @@ class Hub:
                     session.store.accept_notice()
                 if self._outbox is not None:
                     self._outbox.mark("start")
-            case _ if self.devices.handle(message):
+            case _ if self.devices.handle(message) or handle_keys(session, message):
                 pass
             case _:
                 raise UsageError(

@@ -136,6 +136,21 @@ from carina.server.messages_of_devices import (
     TakeDevice,
     WatchDevices,
 )
+from carina.server.messages_of_keys import (
+    EditKeys,
+    FlyKeys,
+    KeyAdd,
+    KeyFrame,
+    KeyMove,
+    KeyRemove,
+    KeyRename,
+    Keys,
+    KeySpeed,
+    KeyUpdate,
+    OpenKeys,
+    SetKeyFlight,
+    ShowKey,
+)
 from carina.server.messages_of_phone import PhoneAct, PhoneHello, PhoneSample, PhoneState
 from carina.server.messages_of_tree import (
     BranchDetail,
@@ -191,6 +206,7 @@ __all__ = [
     "EditAddBranch",
     "EditBridge",
     "EditCutBranch",
+    "EditKeys",
     "EditMoveFork",
     "EditMoveRoot",
     "EditPaintLumen",
@@ -199,11 +215,20 @@ __all__ = [
     "EditTree",
     "Error",
     "FeatureOff",
+    "FlyKeys",
     "ForcePlane",
     "GoTo",
     "GreyWindow",
     "HeldScope",
     "ImportMask",
+    "KeyAdd",
+    "KeyFrame",
+    "KeyMove",
+    "KeyRemove",
+    "KeyRename",
+    "KeySpeed",
+    "KeyUpdate",
+    "Keys",
     "Layout",
     "LevelHorizon",
     "LivePath",
@@ -214,6 +239,7 @@ __all__ = [
     "NextFork",
     "Notice",
     "OpenDemo",
+    "OpenKeys",
     "OpenPath",
     "OpenRecent",
     "OpenUpload",
@@ -251,6 +277,7 @@ __all__ = [
     "SetCrosshair",
     "SetFov",
     "SetFrameRate",
+    "SetKeyFlight",
     "SetLumenThreshold",
     "SetMask",
     "SetMethod",
@@ -267,6 +294,7 @@ __all__ = [
     "SetTransfer",
     "SetWindow",
     "SetZoom",
+    "ShowKey",
     "Slab",
     "Start",
     "StartRecording",
@@ -322,10 +350,11 @@ CLIENT_MESSAGES = _by_type(
     SetSlab, SetFrameRate, Probe, Pick, AskLivePath, AskBranchDetail, EditTree, Undo, Redo, AcceptNotice,
     DeviceSample, DeviceGone, TakeDevice, SetControl, SetControls, Calibrate, ArmPen, ConnectDevice, DisconnectDevice,
     PublishTip, SetPhone, WatchDevices, StartRecording, StopRecording,
+    EditKeys, SetKeyFlight, ShowKey, FlyKeys, OpenKeys,
 )  # fmt: skip
 SERVER_MESSAGES = _by_type(
     ServerHello, Start, State, Tree, Route, Pose, Value, Picked, LivePath, BranchDetail, Progress, Done, Error, Notice,
-    Status, Devices, Cluster,
+    Status, Devices, Cluster, Keys,
 )  # fmt: skip
 FORCE_MESSAGES = _by_type(ClientHello, AskContact)
 """What a bridge to a force device sends on ``/force``; no window speaks these, so TypeScript does not know them."""

@@ -382,6 +382,10 @@ class Pose:
     """The tip is in the lumen (in the volume's box while there is no lumen)."""
     scope: HeldScope | None
     """In mode ``scope``."""
+    keys_s: float | None
+    """The time in the flight through the key frames; null once anything else has moved the tip."""
+    by_device: bool
+    """An input device moved the tip last."""
 
 
 @dataclass(frozen=True, slots=True)

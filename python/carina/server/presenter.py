@@ -10,11 +10,12 @@ import numpy as np
 from carina.render import PictureLines
 from carina.scopes import DEFAULT_SCOPE, scope_presets
 from carina.server import messages as wire
-from carina.session import ChosenRoute, MaskQuestion, PoseInfo, RecentCase, Snapshot, WallPoint
+from carina.session import ChosenRoute, KeysInfo, MaskQuestion, PoseInfo, RecentCase, Snapshot, WallPoint
 from carina.session.document import DEFAULT_FOV_DEG, Document
 
 __all__ = [
     "demos",
+    "keys_message",
     "picked_message",
     "picture_lines",
     "pose_message",
@@ -215,6 +216,8 @@ def pose_message(info: PoseInfo) -> wire.Pose:
         lumen_mm=info.lumen_mm,
         inside=info.inside,
         scope=_held(info),
+        keys_s=info.keys_s,
+        by_device=info.by_device,
     )
 
 
@@ -234,6 +237,30 @@ def _held(info: PoseInfo) -> wire.HeldScope | None:
         contact_mm=None if contact is None else round(contact.depth_mm, 3),
         num_contacts=state.record.count,
         contact_s=round(state.record.time_s, 3),
+    )
+
+
+def keys_message(info: KeysInfo) -> wire.Keys:
+    """The key frames and the flight through them."""
+    return wire.Keys(
+        keys=tuple(
+            wire.KeyFrame(
+                key_id=key.key_id,
+                name=key.name,
+                own_name=key.own_name,
+                branch_id=key.branch_id,
+                speed_mm_s=key.speed_mm_s,
+                # Not rounded: the flight is at the key frame itself at this time, to the last bit.
+                time_s=key.time_s,
+                leg_mm=None if key.leg_mm is None else round(key.leg_mm, 3),
+                through_airways=key.through_airways,
+            )
+            for key in info.keys
+        ),
+        speed_mm_s=info.speed_mm_s,
+        through=info.through,
+        duration_s=info.duration_s,
+        problem=info.problem,
     )
 
 

@@ -7,7 +7,7 @@ from carina.session.recent import LocalStore, RecentCase
 from carina.session.routes import ChosenRoute
 from carina.session.scene import Carm, Orbit, Reformation, Renderer, Scene, Zoom
 from carina.session.session import Session
-from carina.session.snapshot import Changed, MaskQuestion, PoseInfo, Said, Snapshot, Trouble, WallPoint
+from carina.session.snapshot import Changed, KeysInfo, MaskQuestion, PoseInfo, Said, Snapshot, Trouble, WallPoint
 
 __all__ = [
     "Carm",
@@ -16,6 +16,7 @@ __all__ = [
     "Event",
     "JobEnded",
     "JobProgress",
+    "KeysInfo",
     "LocalStore",
     "MaskQuestion",
     "Orbit",

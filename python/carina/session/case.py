@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from carina.errors import UsageError
-from carina.navigate import Navigator, Pilot
+from carina.navigate import KeyFrameFlight, Navigator, Pilot
 from carina.render import Slab
-from carina.session.document import Document, Point
+from carina.session.document import Document, Keys, Point
 from carina.session.history import History
 from carina.session.parts import Parts, RendererFactory
 from carina.session.routes import AirwayIndex, ChosenRoute
@@ -20,7 +20,7 @@ from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, Mask
 from carina.session.start_pose import pose_before_airways
 from carina.volume import Volume
 
-__all__ = ["HISTOGRAM_PRESET", "AskedMask", "OpenCase", "as_point", "new_case", "pose_info"]
+__all__ = ["HISTOGRAM_PRESET", "AskedMask", "OpenCase", "as_point", "in_lumen", "new_case", "pose_info"]
 
 LUNG_WINDOW_HU = (1500.0, -600.0)
 HISTOGRAM_PRESET = "from histogram"
@@ -89,6 +89,12 @@ class OpenCase:
     has_lumen: bool = False
     """The renderer has been given a lumen."""
     content_number: int = 0
+    keys_s: float | None = None
+    """The tip's time in the flight through key frames; None once anything else has moved it."""
+    by_device: bool = False
+    """A device moved the tip last."""
+    key_flight: tuple[Keys, Any, KeyFrameFlight | None, str | None] | None = None
+    """The flight, or why there is none, and the key frames and airways that it is of."""
     content_wanted: int = 0
     """Grows when a person or a job decides on another transfer function or lumen..."""
     content_shown: int = 0
@@ -163,7 +169,7 @@ def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
     airways, route, path_mm = document.airways, document.route, tip.path_mm
     inside = case.info.volume.contains_lps(at)
     if airways is not None:
-        inside = inside and _in_lumen(case.info.volume, airways.lumen_zyx, at)
+        inside = inside and in_lumen(case.info.volume, airways.lumen_zyx, at)
     branch_id: int | None = None
     lumen_mm: float | None = None
     if path_mm is not None and route is not None:
@@ -184,6 +190,8 @@ def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
         inside=inside,
         scope=tip.scope_state,
         scope_tip_mm=tip.scope_tip_mm,
+        keys_s=case.keys_s,
+        by_device=case.by_device,
     )
 
 
@@ -193,7 +201,8 @@ def as_point(values: Iterable[Any]) -> Point:
     return x, y, z
 
 
-def _in_lumen(volume: Volume, lumen_zyx: Any, point_lps: Any) -> bool:
+def in_lumen(volume: Volume, lumen_zyx: Any, point_lps: Any) -> bool:
+    """Whether the voxel that a point lies in is lumen."""
     i, j, k = np.rint(volume.to_ijk(point_lps)).astype(int)
     nz, ny, nx = volume.shape_zyx
     return 0 <= i < nx and 0 <= j < ny and 0 <= k < nz and bool(lumen_zyx[k, j, i])

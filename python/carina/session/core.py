@@ -27,7 +27,7 @@ from carina.session.snapshot import Changed, PoseInfo, Said, Snapshot, Topic, Tr
 __all__ = ["Event", "SessionCore"]
 
 Event = Changed | Trouble | Said | JobProgress | JobEnded
-ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "pose", "views")
+ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "keys", "pose", "views")
 
 
 class SessionCore:
@@ -239,6 +239,9 @@ class SessionCore:
     def _moved(self) -> None:
         self._pose_id += 1
         self._pose_s = self._clock()
+        if self._case is not None:
+            # Whoever flies by themselves says so afterwards.
+            self._case.keys_s, self._case.by_device = None, False
 
     # ------------------------------------------------------------ what others read
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from carina.scopes import DEFAULT_SCOPE, Mask, scope_preset
+from carina.navigate import Through
+from carina.scopes import DEFAULT_SCOPE, Mask, Pose, scope_preset
 
 if TYPE_CHECKING:
     from carina.render import TransferFunction
     from carina.session.routes import ChosenRoute
     from carina.track import Airways
 
-__all__ = ["Document", "Target"]
+__all__ = ["Document", "Key", "Keys", "Target"]
 
 Method = Literal["leap", "brute"]
 Operator = Literal["head", "facing"]
@@ -37,6 +38,27 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True)
+class Key:
+    """A key frame."""
+
+    key_id: str
+    pose: Pose
+    name: str | None = None
+    """As a person called it; None is called by its branch."""
+    speed_mm_s: float | None = None
+    """On the way here; None takes that of all."""
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """The key frames in their order, and how they are flown through."""
+
+    frames: tuple[Key, ...] = ()
+    speed_mm_s: float = 20.0
+    through: Through = "airways"
+
+
+@dataclass(frozen=True, slots=True)
 class Document:
     """All that undo and redo move between; poses, mode, crosshair, orbits and zooms are not in it."""
 
@@ -58,3 +80,4 @@ class Document:
     """As asked; None lets the tracker choose."""
     targets: tuple[Target, ...] = ()
     route: ChosenRoute | None = None
+    keys: Keys = Keys()

@@ -339,6 +339,7 @@ class Flying(SessionCore):
                 case.navigator.pose.lps_from_camera, before.lps_from_camera
             ):
                 self._after_move(case, mode)
+                case.by_device = True
             way = case.pilot.take_wanted_way()
             if way is not None:
                 self._take_way(case, way)

@@ -21,8 +21,8 @@ from carina.session.core import ALL_TOPICS
 from carina.session.document import Document, Method, Operator, Point, Target
 from carina.session.editing import TreeEditing
 from carina.session.finding import AirwayFinding
-from carina.session.flying import Flying
 from carina.session.jobs import Job
+from carina.session.key_framing import KeyFraming
 from carina.session.measuring import TreeMeasuring
 from carina.session.questions import AirwayQuestions
 from carina.session.routes import ChosenRoute, route_to_branch
@@ -36,7 +36,7 @@ __all__ = ["Session"]
 PINHOLE_FOV_DEG = 90.0
 
 
-class Session(AirwayFinding, Flying, AirwayQuestions, TreeMeasuring, TreeEditing):
+class Session(AirwayFinding, KeyFraming, AirwayQuestions, TreeMeasuring, TreeEditing):
     """State, commands and jobs of one workstation.
 
     Parameters

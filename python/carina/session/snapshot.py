@@ -20,6 +20,8 @@ __all__ = [
     "CaseSnapshot",
     "Changed",
     "DevicesInfo",
+    "KeyInfo",
+    "KeysInfo",
     "MaskQuestion",
     "NearWall",
     "PoseInfo",
@@ -32,7 +34,7 @@ __all__ = [
 
 Stage = Literal["empty", "opening", "ready"]
 AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
-Topic = Literal["state", "tree", "route", "pose", "start", "views"]
+Topic = Literal["state", "tree", "route", "pose", "start", "views", "keys"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +73,10 @@ class PoseInfo:
     """The scope in the lumen, in mode *scope*."""
     scope_tip_mm: float | None = None
     """Diameter of its tip."""
+    keys_s: float | None = None
+    """The time in the flight through key frames, while that is what moved the tip."""
+    by_device: bool = False
+    """A device moved the tip last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +142,37 @@ class DevicesInfo:
     control: Literal["absolute", "relative", "path"]
     controls: Controls
     devices: tuple[DeviceState, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class KeyInfo:
+    """A key frame as it is shown."""
+
+    key_id: str
+    name: str
+    """As a person called it, or its branch."""
+    own_name: bool
+    branch_id: int | None
+    """The branch that it lies in."""
+    speed_mm_s: float | None
+    """Its own; None takes that of all."""
+    time_s: float
+    leg_mm: float | None
+    """Length of the way here; None for the first, and while there is no flight."""
+    through_airways: bool
+    """Whether that way follows the airways."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeysInfo:
+    """The key frames, and the flight through them."""
+
+    keys: tuple[KeyInfo, ...] = ()
+    speed_mm_s: float = 20.0
+    through: Literal["airways", "space"] = "airways"
+    duration_s: float = 0.0
+    problem: str | None = None
+    """Why they cannot be flown."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -321,6 +321,21 @@ function Fov() {
   );
 }
 
+/** How fast the tip flies, by whatever hand; nothing at rest. */
+function SpeedReading() {
+  const speed = useApp((state) => state.speedMmS);
+  if (speed === null) return null;
+  return (
+    <span data-testid="speed">
+      speed{" "}
+      <strong>
+        {fixed(speed, Number.isInteger(speed) ? 0 : 1)}
+        {"\u202f"}mm/s
+      </strong>
+    </span>
+  );
+}
+
 /** The wall point that was clicked last. */
 function WallReading() {
   const picks = useApp((state) => state.picks);
@@ -380,6 +395,7 @@ function Readings() {
           </span>
         )}
         <ScopeReading />
+        <SpeedReading />
         {pose.lumen_mm === null ? null : (
           <span>
             lumen <strong>{mm(pose.lumen_mm)}</strong>

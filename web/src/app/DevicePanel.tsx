@@ -1,24 +1,14 @@
 /** Input devices: what is there, what it says, how it moves the tip, and where its space lies in the patient. */
 
 import { useState } from "react";
-import {
-  Button,
-  Input,
-  Label,
-  ListBox,
-  ListBoxItem,
-  Popover,
-  Select,
-  SelectValue,
-  TextField,
-} from "react-aria-components";
+import { Input, TextField } from "react-aria-components";
 import { coordinates, fixed, plural } from "../state/format";
 import { asVec3 } from "../state/vec";
 import type { DeviceControls, DeviceInfo, DevicesMessage } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, SwitchKey } from "./controls";
 import type { CalibrationPair } from "./devices";
-import { Icon } from "./icons";
+import { Figure } from "./Figure";
 import { PhoneGroup } from "./PhoneGroup";
 
 const CONTROLS = [
@@ -92,25 +82,25 @@ function Movement({ told }: { told: DevicesMessage }) {
         />
       </p>
       <Figure
-        words="Steadier"
+        label="Steadier"
         unit="Hz"
         value={told.controls.min_cutoff_hz}
         choices={[2, 5, 10, 20, 50]}
-        onChange={(min_cutoff_hz) => change({ min_cutoff_hz })}
+        onChange={(hz) => (hz === null ? undefined : change({ min_cutoff_hz: hz }))}
       />
       <Figure
-        words="Gain"
+        label="Gain"
         unit="x"
         value={told.controls.gain_mm}
         choices={[0.25, 0.5, 1, 2, 4]}
-        onChange={(gain_mm) => change({ gain_mm })}
+        onChange={(gain) => (gain === null ? undefined : change({ gain_mm: gain }))}
       />
       <Figure
-        words="Speed"
+        label="Speed"
         unit="mm/s"
         value={told.controls.speed_mm_s}
         choices={[5, 10, 25, 50]}
-        onChange={(speed_mm_s) => change({ speed_mm_s })}
+        onChange={(speed) => (speed === null ? undefined : change({ speed_mm_s: speed }))}
       />
       <SwitchKey
         words="Lever down moves the tip down, unlike on a real scope"
@@ -154,40 +144,6 @@ function HeadsetGroup() {
         </>
       )}
     </div>
-  );
-}
-
-interface FigureProps {
-  words: string;
-  unit: string;
-  value: number;
-  choices: readonly number[];
-  onChange: (value: number) => void;
-}
-
-function Figure({ words, unit, value, choices, onChange }: FigureProps) {
-  const known = choices.includes(value) ? choices : [...choices, value].sort((a, b) => a - b);
-  return (
-    <Select
-      className="select"
-      selectedKey={String(value)}
-      onSelectionChange={(key) => (key === null || Number(key) === value ? undefined : onChange(Number(key)))}
-    >
-      <Label>{words}</Label>
-      <Button className="button">
-        <SelectValue>{() => `${value} ${unit}`}</SelectValue>
-        <Icon name="down" />
-      </Button>
-      <Popover className="popover" offset={4}>
-        <ListBox className="listbox">
-          {known.map((choice) => (
-            <ListBoxItem key={choice} id={String(choice)} textValue={`${choice} ${unit}`} className="listbox-item">
-              {choice} {unit}
-            </ListBoxItem>
-          ))}
-        </ListBox>
-      </Popover>
-    </Select>
   );
 }
 

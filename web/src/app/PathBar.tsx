@@ -7,9 +7,11 @@ import { pathMm, tipLps } from "../state/app-state";
 import { isBridge } from "../state/branch-words";
 import { fixed, mm } from "../state/format";
 import { nearestMm } from "../state/route";
+import { AUTO_SPEEDS_MM_S } from "../state/speed";
 import type { RouteInfo } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
+import { Figure } from "./Figure";
 
 /** Width of a letter at the size of the names, generous: a name that may not fit is not begun. */
 const LETTER_PX = 6.6;
@@ -18,6 +20,7 @@ export function PathBar() {
   const station = useStation();
   const route = useApp((state) => state.route);
   const at = useApp(pathMm);
+  const autoSpeed = useApp((state) => state.ui.autoSpeedMmS);
   const stage = useApp((state) => state.session?.airways ?? "none");
   if (route === null) {
     return (
@@ -62,6 +65,16 @@ export function PathBar() {
         icon="nextFork"
         words="To the next fork (Space flies there)"
         onPress={() => station.toFork("next")}
+      />
+      <Figure
+        label="Speed of the flight by itself"
+        quiet
+        words="Speed of the flight by itself (Space); Shift flies slowly"
+        unit="mm/s"
+        value={autoSpeed}
+        choices={AUTO_SPEEDS_MM_S}
+        testId="auto-speed"
+        onChange={(speed) => (speed === null ? undefined : station.ui({ autoSpeedMmS: speed }))}
       />
       <p className="path-numbers numbers">
         {at === null ? "off the path" : <strong>{mm(at)}</strong>}

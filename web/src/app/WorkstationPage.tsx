@@ -4,6 +4,7 @@ import { AirwayStage } from "./AirwayStage";
 import { BranchList } from "./BranchList";
 import { useApp } from "./context";
 import { DevicePanel } from "./DevicePanel";
+import { KeyPanel } from "./KeyPanel";
 import { DropChoice, MaskDialog } from "./MaskImport";
 import { PathBar } from "./PathBar";
 import { SideViews } from "./SideViews";
@@ -14,13 +15,14 @@ import { TopBar } from "./TopBar";
 export function WorkstationPage() {
   const full = useApp((state) => state.ui.full);
   const devicesOpen = useApp((state) => state.ui.devicesOpen);
+  const keysOpen = useApp((state) => state.ui.keysOpen);
   const lost = useApp((state) => state.connection.status === "lost" || state.connection.status === "refused");
   return (
     <div className="workstation" data-testid="workstation" data-full={full ?? undefined} data-lost={lost || undefined}>
       <TopBar />
       <aside className="left-panel">
         <BranchList />
-        {devicesOpen ? <DevicePanel /> : <StepPanel />}
+        {devicesOpen ? <DevicePanel /> : keysOpen ? <KeyPanel /> : <StepPanel />}
       </aside>
       <main className="pictures">
         <AirwayStage />

@@ -1,38 +1,40 @@
 /** Wires the parts: stream, pictures, state, flight and keys. Panels call its methods; it knows no panel. */
 
 import { Flight } from "../input/flight";
+import { KeyPlayer } from "../input/key-player";
 import { listenToKeys } from "../input/keyboard";
 import { type Action, WINDOWS } from "../input/keymap";
-import { DownloadError, fetchAirways } from "../net/download";
+import { DownloadError, fetchAirways, fetchKeyFrames } from "../net/download";
 import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
 import { mainLeaf, neighbourWay } from "../state/airways";
-import {
-  type AppState,
-  type Connection,
-  crosshairLps,
-  maskOf,
-  pathMm,
-  shownBranch,
-  tipLps,
-  type Ui,
-} from "../state/app-state";
+import { type AppState, crosshairLps, maskOf, pathMm, shownBranch, tipLps, type Ui } from "../state/app-state";
 import { bridgeWords } from "../state/branch-words";
 import { forkAhead } from "../state/fork";
 import { ownWord } from "../state/own-word";
 import { PaceMeter } from "../state/pace";
 import type { PixelPoint } from "../state/projection";
 import { clampToRoute } from "../state/route";
+import { SpeedMeter, shownSpeed } from "../state/speed";
 import { Store } from "../state/store";
 import { type Armed, isBrush, nextBrush } from "../state/tools";
 import { asVec3, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { WallPoint } from "../state/wall-point";
 import { sceneOf } from "../views/scene";
 import { Wall } from "../views/wall";
-import type { ClientMessage, Demo, Mask, PickedMessage, PictureHeader, StateMessage } from "../wire/messages";
+import type {
+  ClientMessage,
+  Demo,
+  Mask,
+  PickedMessage,
+  PictureHeader,
+  PoseMessage,
+  StateMessage,
+} from "../wire/messages";
 import { BrowserDevices } from "./devices";
 import { Pointing } from "./pointing";
+import { asConnection, caseKey, saveAs } from "./station-parts";
 
 const XRAYS = ["xray-coronal", "xray-sagittal", "xray-axial", "drr"] as const;
 const CUTS = ["cut-plane", "straightened", "curved"] as const;
@@ -48,11 +50,13 @@ export const FRONTAL: Carm = { primary_deg: 0, secondary_deg: 0, mm_per_px: null
 /** One press of the path bar's arrows. */
 const STEP_MM = 2;
 const PACE_MS = 500;
+const SPEED_MS = 250;
 
 export class Workstation {
   readonly store = new Store();
   readonly wall: Wall;
   readonly flight: Flight;
+  readonly player: KeyPlayer;
   readonly pointing: Pointing;
   readonly devices: BrowserDevices;
   readonly #stream: Stream;
@@ -67,6 +71,7 @@ export class Workstation {
   #outline: Mask = "round";
   #pickForgotten = 0;
   readonly #pace = new PaceMeter();
+  readonly #speed = new SpeedMeter();
 
   constructor(connect: () => WebSocket) {
     this.#board = new PictureBoard<ImageBitmap>({
@@ -91,8 +96,18 @@ export class Workstation {
     this.flight = new Flight({
       route: () => this.state.route,
       pathMm: () => pathMm(this.state),
-      send: (message) => void this.send(message),
+      speedMmS: () => this.state.ui.autoSpeedMmS,
+      send: (message) => {
+        // At once, not with the answer: a hand takes over.
+        this.player.pause();
+        this.send(message);
+      },
       advancing: (on) => this.ui({ advancing: on }),
+    });
+    this.player = new KeyPlayer({
+      keys: () => this.state.keys,
+      send: (message) => this.send(message),
+      changed: (playing) => this.store.dispatch({ kind: "playing", playing }),
     });
     this.pointing = new Pointing(this);
     this.devices = new BrowserDevices(this);
@@ -104,6 +119,8 @@ export class Workstation {
           const before = this.state;
           if (message.type === "pose") this.#pace.poseArrived(message.pose_id, performance.now());
           this.store.dispatch({ kind: "server", message, nowMs: performance.now() });
+          if (message.type === "pose") this.#posed(message);
+          if (message.type === "keys") this.player.reset(message);
           if (message.type === "picked") this.#picked(message);
           if (message.type === "route") this.#warnOfBridges();
           if (message.type === "live_path") this.pointing.receive(message);
@@ -111,6 +128,7 @@ export class Workstation {
           if (message.type === "state" && caseKey(before.session) !== caseKey(message)) {
             this.#board.reset();
             this.#pace.reset();
+            this.#speed.reset();
             this.wall.clear();
           }
         },
@@ -155,6 +173,9 @@ export class Workstation {
     const counter = setInterval(() => {
       this.store.dispatch({ kind: "pace", pace: this.#pace.read(performance.now()) });
     }, PACE_MS);
+    const speed = setInterval(() => {
+      this.store.dispatch({ kind: "speed", speedMmS: shownSpeed(this.#speed.read(performance.now())) });
+    }, SPEED_MS);
     this.#stream.open();
     this.devices.watchHeadset();
     return () => {
@@ -163,6 +184,7 @@ export class Workstation {
       this.devices.stop();
       cancelAnimationFrame(refresh);
       clearInterval(counter);
+      clearInterval(speed);
       this.#stream.close();
     };
   }
@@ -196,24 +218,24 @@ export class Workstation {
   openPath = (path: string): void => void this.send({ type: "open_path", path });
   openDemo = (name: Demo["name"]): void => void this.send({ type: "open_demo", name });
 
-  /** Sends files to be opened: as another case, or as the airways of this one. */
-  async upload(files: readonly UploadFile[], use: "case" | "mask" = "case"): Promise<void> {
+  /** Sends files to be opened: as another case, or as the airways or the key frames of this one. */
+  async upload(files: readonly UploadFile[], use: keyof typeof UPLOADED = "case"): Promise<void> {
     this.#uploadStop?.abort();
     const stop = new AbortController();
     this.#uploadStop = stop;
     const of = caseKey(this.state.session);
     try {
       const id = await sendUpload(files, (upload) => this.store.dispatch({ kind: "upload", upload }), stop.signal);
-      if (use === "mask" && caseKey(this.state.session) !== of) {
+      if (use !== "case" && caseKey(this.state.session) !== of) {
         // Large files take a while. On the same grid the mask of one patient would lie in the scan of another.
         this.#sayError(
           "upload.other-case",
-          "Another case was opened while the mask was sent: it was not taken.",
-          "Drop it again on the scan that it belongs to.",
+          "Another case was opened while the file was sent: it was not taken.",
+          "Open it again in the scan that it belongs to.",
         );
         return;
       }
-      this.send({ type: use === "case" ? "open_upload" : "import_mask", upload_id: id });
+      this.send({ type: UPLOADED[use], upload_id: id });
     } catch (error) {
       if (stop.signal.aborted) return;
       if (error instanceof UploadError) this.#sayError(error.code, error.message, error.action);
@@ -229,15 +251,23 @@ export class Workstation {
   async takeAirways(suffix: string): Promise<void> {
     if (this.state.ui.making !== null) return;
     this.ui({ making: suffix });
+    await this.#take(() => fetchAirways(suffix, AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
+    this.ui({ making: null });
+  }
+
+  async #take(fetched: () => Promise<{ name: string; blob: Blob }>): Promise<void> {
     try {
-      const { name, blob } = await fetchAirways(suffix, AbortSignal.timeout(DOWNLOAD_WITHIN_MS));
+      const { name, blob } = await fetched();
       saveAs(name, blob);
     } catch (error) {
       if (error instanceof DownloadError) this.#sayError(error.code, error.message, null);
       else this.#sayError("download.failed", "The file did not come from Carina.", "Check that Carina still runs.");
-    } finally {
-      this.ui({ making: null });
     }
+  }
+
+  /** The key frames as a file that `carina fly` makes a film of. */
+  async takeKeys(): Promise<void> {
+    await this.#take(() => fetchKeyFrames(AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
   }
 
   // ------------------------------------------------------------------ flight
@@ -253,6 +283,32 @@ export class Workstation {
     const at = pathMm(this.state);
     if (at !== null) this.goTo(at + sign * STEP_MM);
   };
+
+  /** This view becomes the last key frame, in the list that is then on the screen. */
+  addKey(): void {
+    this.send({ type: "edit_keys", edit: { kind: "add" } });
+    this.#showKeys(true);
+  }
+
+  /** In the place of the step's panel, or of the devices'. */
+  #showKeys(keysOpen: boolean): void {
+    if (keysOpen && this.state.ui.devicesOpen) this.toggleDevices();
+    this.ui({ keysOpen });
+  }
+
+  /** The flight through the key frames plays, or stands where it is. */
+  playKeys(): void {
+    this.flight.stopAuto();
+    this.player.toggle();
+  }
+
+  #posed(pose: PoseMessage): void {
+    const tip = tipLps(this.state);
+    if (tip !== null) this.#speed.poseArrived(tip, performance.now());
+    this.player.poseArrived(pose);
+    // A device in the hand takes over.
+    if (pose.by_device) this.flight.stopAuto();
+  }
 
   toFork = (which: "next" | "previous"): void => {
     this.flight.stopAuto();
@@ -326,7 +382,7 @@ export class Workstation {
   /** Opens or closes the panel of devices; only while it is open, their values are sent. */
   toggleDevices(): void {
     const devicesOpen = !this.state.ui.devicesOpen;
-    this.ui({ devicesOpen });
+    this.ui({ devicesOpen, keysOpen: false });
     this.send({ type: "watch_devices", on: devicesOpen });
   }
 
@@ -404,10 +460,13 @@ export class Workstation {
     redo: () => this.send({ type: "redo" }),
     lock_mouse: () => this.devices.lockMouse(),
     devices: () => this.toggleDevices(),
+    add_key: () => this.addKey(),
+    key_frames: () => this.#showKeys(!this.state.ui.keysOpen),
     key_card: () => this.ui({ keyCardOpen: !this.state.ui.keyCardOpen }),
     wall_point: () => this.#wallPointAhead(),
     leave: () => {
       this.flight.stopAuto();
+      this.player.pause();
       const { armed, forkHeld, full } = this.state.ui;
       if (forkHeld !== null) {
         this.pointing.forget();
@@ -472,6 +531,7 @@ export class Workstation {
       this.flight.startAuto();
     }
     this.flight.tick(elapsedS);
+    this.player.tick(elapsedS);
     this.devices.tick();
     if (this.#soon.size === 0) return;
     const messages = [...this.#soon.values()];
@@ -495,10 +555,12 @@ export class Workstation {
     this.store.dispatch({ kind: "connection", connection: asConnection(status) });
     if (status.status !== "open") {
       this.flight.stopAuto();
+      this.player.pause();
       this.#autoWanted = false;
       return;
     }
     this.#board.reset();
+    this.#speed.reset();
     this.#pace.reset();
     this.pointing.reset();
     if (this.state.ui.devicesOpen) this.#stream.send({ type: "watch_devices", on: true });
@@ -510,33 +572,8 @@ export class Workstation {
   }
 }
 
+/** What becomes of files that were sent. */
+const UPLOADED = { case: "open_upload", mask: "import_mask", keys: "open_keys" } as const;
+
 /** Longer than any file takes. */
 const DOWNLOAD_WITHIN_MS = 300_000;
-
-/** Hands a file to the browser, as a click on a link would. */
-function saveAs(name: string, blob: Blob): void {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(blob);
-  link.download = name;
-  link.click();
-  // The browser has taken the file by the next turn.
-  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-}
-
-/** Tells one open case from another; reopening the same one changes nothing on the screen. */
-function caseKey(session: StateMessage | null): string {
-  const open = session?.case ?? null;
-  return open === null ? "" : JSON.stringify([open.title, open.shape_zyx, open.lps_from_ijk]);
-}
-
-function asConnection(status: StreamStatus): Connection {
-  switch (status.status) {
-    case "connecting":
-    case "open":
-      return { status: status.status, reason: null, retryAtMs: null };
-    case "lost":
-      return { status: "lost", reason: status.reason, retryAtMs: status.retryAtMs };
-    case "refused":
-      return { status: "refused", reason: status.reason, retryAtMs: null };
-  }
-}

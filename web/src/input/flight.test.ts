@@ -1,6 +1,7 @@
 import { describe, expect, it } from "vitest";
+import { AUTO_SPEED_MM_S } from "../state/speed";
 import type { ClientMessage, RouteInfo } from "../wire/messages";
-import { AUTO_SPEED_MM_S, Flight, SLOW, SPEED_MM_S } from "./flight";
+import { Flight, SLOW, SPEED_MM_S } from "./flight";
 
 const ROUTE: RouteInfo = {
   route_id: "r",
@@ -21,10 +22,11 @@ const ROUTE: RouteInfo = {
 function flight(route: RouteInfo | null = ROUTE) {
   const sent: ClientMessage[] = [];
   const auto: boolean[] = [];
-  const around = { at: 10 as number | null };
+  const around = { at: 10 as number | null, speed: AUTO_SPEED_MM_S };
   const made = new Flight({
     route: () => route,
     pathMm: () => around.at,
+    speedMmS: () => around.speed,
     send: (message) => {
       sent.push(message);
       if (message.type === "go_to") around.at = message.path_mm;
@@ -92,6 +94,18 @@ describe("the flight", () => {
     expect(places.at(-1)).toBe(30);
     expect(auto).toEqual([true, false]);
     expect(made.startAuto()).toBe(true);
+  });
+
+  it("flies by itself at the speed that was chosen, and slowly with Shift", () => {
+    const { made, sent, around } = flight();
+    around.speed = 7;
+    made.startAuto();
+    made.tick(0.05);
+    made.slow(true);
+    made.tick(0.05);
+    const places = sent.map((message) => (message.type === "go_to" ? message.path_mm : Number.NaN));
+    expect(places[0]).toBeCloseTo(10 + 7 * 0.05, 9);
+    expect(places[1]).toBeCloseTo(10 + 7 * 0.05 * (1 + SLOW), 9);
   });
 
   it("stops flying by itself when a hand moves the scope", () => {

@@ -10,16 +10,17 @@ import type { HoldAxis } from "./keymap";
 /** A careful hand: the trachea in four seconds. */
 export const SPEED_MM_S = 25;
 export const SLOW = 0.3;
-export const AUTO_SPEED_MM_S = 22;
 export const TURN_RAD_S = 1.0;
 /** One notch of a usual wheel is 100 px of scrolling. */
 export const WHEEL_MM_PER_PX = 0.03;
 /** A late refresh (another tab, a pause) must not become a leap through a wall. */
-const MAX_TICK_S = 0.1;
+export const MAX_TICK_S = 0.1;
 
 export interface FlightSurroundings {
   route(): RouteInfo | null;
   pathMm(): number | null;
+  /** Of the flight by itself. */
+  speedMmS(): number;
   send(message: ClientMessage): void;
   /** The automatic advance began or ended. */
   advancing(on: boolean): void;
@@ -96,7 +97,7 @@ export class Flight {
       this.#around.send({ type: "steer", ...move });
     }
     if (this.#auto !== null) {
-      this.#auto.atMm = Math.min(this.#auto.atMm + AUTO_SPEED_MM_S * pace * dt, this.#auto.stopMm);
+      this.#auto.atMm = Math.min(this.#auto.atMm + this.#around.speedMmS() * pace * dt, this.#auto.stopMm);
       // Steered by place, not by speed: it stops at the fork exactly, however late the answers come.
       this.#around.send({ type: "go_to", path_mm: this.#auto.atMm });
       if (this.#auto.atMm >= this.#auto.stopMm) this.stopAuto();

@@ -40,6 +40,8 @@ export type Action =
   | "window_bone"
   | "undo"
   | "redo"
+  | "add_key"
+  | "key_frames"
   | "lock_mouse"
   | "devices"
   | "key_card"
@@ -109,6 +111,20 @@ export const KEYMAP: readonly Binding[] = [
     words: "Lock the mouse to the airway picture: it turns the tip (Esc frees it)",
     group: "Fly",
     command: press("lock_mouse"),
+  },
+  {
+    key: ".",
+    label: ".",
+    words: "Add a key frame: this view becomes a stop of the flight",
+    group: "Fly",
+    command: press("add_key"),
+  },
+  {
+    key: ",",
+    label: ",",
+    words: "Key frames: list, flight, speed, file",
+    group: "Fly",
+    command: press("key_frames"),
   },
   { key: ";", label: ";", words: "Input devices", group: "Fly", command: press("devices") },
   { key: "ArrowUp", label: "\u2191", words: "Tip up", group: "Look", command: hold("pitch", 1) },

@@ -11,8 +11,19 @@ export class DownloadError extends Error {
 }
 
 /** The airways as a file with this suffix (".stl"). */
-export async function fetchAirways(suffix: string, signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
-  const response = await fetch(`./api/airways${suffix}`, { signal });
+export function fetchAirways(suffix: string, signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
+  return fetchFile(`airways${suffix}`, signal);
+}
+
+/** The key frames with their ways, as `carina fly` takes them. */
+export function fetchKeyFrames(signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
+  return fetchFile(KEYS_FILE, signal);
+}
+
+export const KEYS_FILE = "key-frames.json";
+
+async function fetchFile(name: string, signal: AbortSignal): Promise<{ name: string; blob: Blob }> {
+  const response = await fetch(`./api/${name}`, { signal });
   if (!response.ok) {
     const body: unknown = await response.json().catch(() => null);
     const field = (name: string): string | null => {
@@ -24,5 +35,5 @@ export async function fetchAirways(suffix: string, signal: AbortSignal): Promise
       field("message") ?? `The file could not be made (${response.status}).`,
     );
   }
-  return { name: `airways${suffix}`, blob: await response.blob() };
+  return { name, blob: await response.blob() };
 }

@@ -77,6 +77,8 @@ function pose(poseId: number, pathMillimetres: number | null = null): PoseMessag
     lumen_mm: 9,
     inside: true,
     scope: null,
+    keys_s: null,
+    by_device: false,
   };
 }
 

@@ -5,6 +5,7 @@ import type {
   ClientMessage,
   ClusterMessage,
   DevicesMessage,
+  KeysMessage,
   Mask,
   PickedMessage,
   PictureHeader,
@@ -23,6 +24,8 @@ import { type BranchTree, buildTree } from "./airways";
 import type { LiveAnswer } from "./live-path";
 import { type Optimistic, shown } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
+import { NOT_PLAYING, type Playing } from "./playing";
+import { AUTO_SPEED_MM_S } from "./speed";
 import type { Step } from "./steps";
 import { type Armed, FIRST_BRUSH_MM } from "./tools";
 import type { TreePlace } from "./tree-index";
@@ -96,6 +99,10 @@ export interface Ui {
   readonly keyCardOpen: boolean;
   /** The panel of input devices stands in the place of the step's. */
   readonly devicesOpen: boolean;
+  /** So does the panel of key frames. */
+  readonly keysOpen: boolean;
+  /** Of the flight by itself, mm/s. */
+  readonly autoSpeedMmS: number;
   /** The file of the airways that is being made, by its suffix. */
   readonly making: string | null;
   /** The mouse is locked to the airway picture. */
@@ -135,6 +142,12 @@ export interface AppState {
   readonly upload: Upload | null;
   /** Input devices, as last told. */
   readonly devices: DevicesMessage | null;
+  /** The key frames, and the flight through them. */
+  readonly keys: KeysMessage | null;
+  /** The flight through them, as it is played here. */
+  readonly playing: Playing;
+  /** How fast the tip moves, mm/s; null at rest. */
+  readonly speedMmS: number | null;
   readonly ui: Ui;
   readonly local: {
     readonly crosshair: Optimistic<Vec3 | null> | null;
@@ -164,6 +177,9 @@ export const INITIAL_STATE: AppState = {
   detail: null,
   upload: null,
   devices: null,
+  keys: null,
+  playing: NOT_PLAYING,
+  speedMmS: null,
   ui: {
     step: "open",
     full: null,
@@ -183,6 +199,8 @@ export const INITIAL_STATE: AppState = {
     pointedLps: null,
     keyCardOpen: false,
     devicesOpen: false,
+    keysOpen: false,
+    autoSpeedMmS: AUTO_SPEED_MM_S,
     making: null,
     mouseLocked: false,
     headset: null,
@@ -202,6 +220,8 @@ export type AppEvent =
   | { kind: "picks"; picks: readonly WallPoint[] }
   | { kind: "live_path"; livePath: LiveAnswer | null }
   | { kind: "pace"; pace: Pace }
+  | { kind: "speed"; speedMmS: number | null }
+  | { kind: "playing"; playing: Playing }
   | { kind: "upload"; upload: Upload | null }
   | { kind: "say"; message: Omit<Message, "id"> }
   | { kind: "dismiss"; id: number }
@@ -240,6 +260,10 @@ export function reduce(state: AppState, event: AppEvent): AppState {
       return state.livePath === event.livePath ? state : { ...state, livePath: event.livePath };
     case "pace":
       return samePace(event.pace, state.pace) ? state : { ...state, pace: event.pace };
+    case "speed":
+      return state.speedMmS === event.speedMmS ? state : { ...state, speedMmS: event.speedMmS };
+    case "playing":
+      return { ...state, playing: event.playing };
     case "upload":
       return { ...state, upload: event.upload };
     case "say":
@@ -250,7 +274,8 @@ export function reduce(state: AppState, event: AppEvent): AppState {
       return {
         ...state,
         probed: event.change.cursorLps === null ? null : state.probed,
-        ui: { ...state.ui, ...event.change },
+        // Whoever goes to a step wants to see its panel.
+        ui: { ...state.ui, keysOpen: event.change.step === undefined && state.ui.keysOpen, ...event.change },
       };
   }
 }
@@ -295,6 +320,8 @@ function receive(state: AppState, message: ServerMessage, nowMs: number): AppSta
       return { ...state, status: message };
     case "devices":
       return { ...state, devices: message };
+    case "keys":
+      return { ...state, keys: message };
     case "cluster":
       return { ...state, cluster: message };
   }
@@ -305,9 +332,12 @@ function sessionChanged(state: AppState, session: StateMessage, nowMs: number): 
   const now = session.case;
   let next: AppState = { ...state, session };
   if (now === null && before !== null) {
-    next = { ...next, livePath: null, detail: null, devices: null };
+    next = { ...next, livePath: null, detail: null, devices: null, keys: null, speedMmS: null };
     next = { ...next, frames: {}, picks: [], pose: null, route: null, tree: null, status: null, local: NOTHING_LOCAL };
-    next = { ...next, ui: { ...next.ui, ...NOTHING_HELD, full: null, advancing: false, step: "open" } };
+    next = {
+      ...next,
+      ui: { ...next.ui, ...NOTHING_HELD, full: null, advancing: false, keysOpen: false, step: "open" },
+    };
   } else if (now !== null && (before === null || before.title !== now.title)) {
     const hasFindings = now.quality.length + now.warnings.length > 0 || !now.is_hu;
     const ui: Ui = { ...next.ui, ...NOTHING_HELD, step: hasFindings ? "check" : "airways" };

@@ -500,6 +500,76 @@ export interface StopRecordingMessage {
   readonly type: "stop_recording";
 }
 
+/** The present pose becomes the last key frame. */
+export interface KeyAdd {
+  readonly kind: "add";
+}
+
+/** The present pose takes a key frame's place. */
+export interface KeyUpdate {
+  readonly kind: "update";
+  readonly key_id: string;
+}
+
+/** Earlier (below 0) or later in the order. */
+export interface KeyMove {
+  readonly kind: "move";
+  readonly key_id: string;
+  readonly by: number;
+}
+
+/** A name of one's own; null calls it by its branch. */
+export interface KeyRename {
+  readonly kind: "rename";
+  readonly key_id: string;
+  readonly name: string | null;
+}
+
+/** The speed on the way to a key frame; null takes that of all. */
+export interface KeySpeed {
+  readonly kind: "speed";
+  readonly key_id: string;
+  readonly speed_mm_s: number | null;
+}
+
+/** Take a key frame away. */
+export interface KeyRemove {
+  readonly kind: "remove";
+  readonly key_id: string;
+}
+
+/** One change to the list of key frames, and one step of undo. */
+export interface EditKeysMessage {
+  readonly type: "edit_keys";
+  readonly edit: KeyAdd | KeyUpdate | KeyMove | KeyRename | KeySpeed | KeyRemove;
+}
+
+/** How the key frames are flown through; null keeps what there is. Undoable. */
+export interface SetKeyFlightMessage {
+  readonly type: "set_key_flight";
+  readonly speed_mm_s: number | null;
+  readonly through: "airways" | "space" | null;
+}
+
+/** Tip to a key frame; free mode afterwards. */
+export interface ShowKeyMessage {
+  readonly type: "show_key";
+  readonly key_id: string;
+}
+
+/** Tip to a time of the flight through the key frames; free mode afterwards. */
+export interface FlyKeysMessage {
+  readonly type: "fly_keys";
+  readonly time_s: number;
+  readonly goes_on: boolean;
+}
+
+/** Take the key frames of the file sent to `/api/upload`; undoable. */
+export interface OpenKeysMessage {
+  readonly type: "open_keys";
+  readonly upload_id: string;
+}
+
 /** Answer to the client's hello. */
 export interface ServerHelloMessage {
   readonly type: "hello";
@@ -810,6 +880,8 @@ export interface PoseMessage {
   readonly lumen_mm: number | null;
   readonly inside: boolean;
   readonly scope: HeldScope | null;
+  readonly keys_s: number | null;
+  readonly by_device: boolean;
 }
 
 /** Answer to `probe`; only the newest is sent. */
@@ -987,6 +1059,28 @@ export interface ClusterMessage {
   readonly frame_ms: number | null;
 }
 
+/** A pose to fly through. */
+export interface KeyFrame {
+  readonly key_id: string;
+  readonly name: string;
+  readonly own_name: boolean;
+  readonly branch_id: number | null;
+  readonly speed_mm_s: number | null;
+  readonly time_s: number;
+  readonly leg_mm: number | null;
+  readonly through_airways: boolean;
+}
+
+/** The key frames, when they changed. */
+export interface KeysMessage {
+  readonly type: "keys";
+  readonly keys: readonly KeyFrame[];
+  readonly speed_mm_s: number;
+  readonly through: "airways" | "space";
+  readonly duration_s: number;
+  readonly problem: string | null;
+}
+
 /** The first message of the page: the token of its link. */
 export interface PhoneHelloMessage {
   readonly type: "phone_hello";
@@ -1129,7 +1223,12 @@ export type ClientMessage =
   | SetPhoneMessage
   | WatchDevicesMessage
   | StartRecordingMessage
-  | StopRecordingMessage;
+  | StopRecordingMessage
+  | EditKeysMessage
+  | SetKeyFlightMessage
+  | ShowKeyMessage
+  | FlyKeysMessage
+  | OpenKeysMessage;
 
 export type ServerMessage =
   | ServerHelloMessage
@@ -1148,7 +1247,8 @@ export type ServerMessage =
   | NoticeMessage
   | StatusMessage
   | DevicesMessage
-  | ClusterMessage;
+  | ClusterMessage
+  | KeysMessage;
 
 export type PhoneMessage =
   | PhoneHelloMessage

@@ -1,3 +1,4 @@
+import { keyOf } from "../../input/keymap";
 import { comesFarthest, firstTooNarrow, thatPass } from "../../state/fit";
 import { fixed, mm, plural } from "../../state/format";
 import type { HeldScope, RouteInfo, Scope } from "../../wire/messages";
@@ -60,6 +61,14 @@ export function RehearseStep() {
         />
       </div>
       {recording === null ? null : <p className="quiet path">{recording}</p>}
+      <Act
+        kind="quiet"
+        icon="capture"
+        label="Key frames"
+        words="Views to fly through, smoothly, at a speed"
+        keys={keyOf("key_frames")}
+        onPress={() => station.act("key_frames")}
+      />
       {scope === null || scopes === null ? (
         <p className="quiet">Choose an instrument to see how far it fits.</p>
       ) : (

@@ -1,3 +1,4 @@
+import { keyOf } from "../../input/keymap";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 
@@ -59,8 +60,16 @@ export function ShareStep() {
         In patient coordinates (LPS), mm. No name is in them, but anatomy can tell who it is: share them as you would
         share the CT.
       </p>
+      <Act
+        icon="capture"
+        label="Key frames"
+        words="Views to fly through, smoothly, at a speed: for a film"
+        keys={keyOf("key_frames")}
+        testId="to-keys"
+        onPress={() => station.act("key_frames")}
+      />
       <p className="quiet">
-        A film: record a flight under Rehearse, then <kbd>carina fly</kbd> makes a video of the recording.
+        A film: key frames, or a flight that is recorded under Rehearse. <kbd>carina fly</kbd> makes a video of either.
       </p>
     </>
   );

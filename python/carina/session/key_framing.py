@@ -1,0 +1,314 @@
+"""Commands about key frames: the list, the flight through it, and its file."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carina.errors import NoResultError, UsageError
+from carina.navigate import (
+    MAX_SPEED_MM_S,
+    MIN_SPEED_MM_S,
+    AirwayWay,
+    KeyFile,
+    KeyFrame,
+    KeyFrameFlight,
+    Through,
+    case_key,
+    open_keys,
+)
+from carina.session.case import OpenCase, in_lumen
+from carina.session.document import Key, Keys
+from carina.session.flying import Flying, place_move, view_words
+from carina.session.jobs import Job
+from carina.session.snapshot import KeyInfo, KeysInfo, Said
+from carina.track import way_between
+
+__all__ = ["MAX_KEYS", "KeyFraming", "key_frames"]
+
+MAX_KEYS = 200
+MAX_NAME = 80
+
+
+class KeyFraming(Flying):
+    """Key frames are part of the document: every change of them is a step of undo."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._key_numbers = itertools.count(1)
+
+    # ------------------------------------------------------------ the list
+
+    def add_key(self) -> str:
+        """Put the present pose at the end of the list; returns its id."""
+        case = self._needed_case()
+        with self._lock:
+            keys = case.document.keys
+            if len(keys.frames) >= MAX_KEYS:
+                raise UsageError(f"a flight has at most {MAX_KEYS} key frames; remove some first", code="session.keys")
+            key = Key(f"key-{next(self._key_numbers)}", case.navigator.pose)
+            self._set_keys(case, f"add key frame {len(keys.frames) + 1}", (*keys.frames, key))
+            return key.key_id
+
+    def update_key(self, key_id: str) -> None:
+        """Take the present pose for a key frame."""
+        self._change_key(key_id, "update", pose=self._needed_case().navigator.pose)
+
+    def rename_key(self, key_id: str, name: str | None) -> None:
+        """Call a key frame by a name of one's own; None calls it by its branch again."""
+        own = None if name is None else name.strip()[:MAX_NAME] or None
+        self._change_key(key_id, "rename", name=own)
+
+    def set_key_speed(self, key_id: str, speed_mm_s: float | None) -> None:
+        """The speed on the way to a key frame; None takes that of all."""
+        if speed_mm_s is not None:
+            _check_speed(speed_mm_s)
+        self._change_key(key_id, "speed to", speed_mm_s=speed_mm_s)
+
+    def move_key(self, key_id: str, by: int) -> None:
+        """Earlier (below 0) or later in the order; nothing beyond its ends."""
+        case = self._needed_case()
+        with self._lock:
+            frames = list(case.document.keys.frames)
+            at = _place(frames, key_id)
+            to = min(max(at + by, 0), len(frames) - 1)
+            if to != at:
+                frames.insert(to, frames.pop(at))
+                self._set_keys(case, f"move key frame {at + 1} to {to + 1}", tuple(frames))
+
+    def remove_key(self, key_id: str) -> None:
+        """Take a key frame away."""
+        case = self._needed_case()
+        with self._lock:
+            frames = list(case.document.keys.frames)
+            at = _place(frames, key_id)
+            del frames[at]
+            self._set_keys(case, f"remove key frame {at + 1}", tuple(frames))
+
+    def set_key_flight(self, *, speed_mm_s: float | None = None, through: Through | None = None) -> None:
+        """The speed of all legs that name none, and whether the flight follows the airways; None keeps either."""
+        if speed_mm_s is not None:
+            _check_speed(speed_mm_s)
+        if through not in {"airways", "space", None}:
+            raise UsageError(f"key frames are flown through airways or space; found {through!r}")
+        case = self._needed_case()
+        with self._lock:
+            keys = case.document.keys
+            if speed_mm_s is not None and speed_mm_s != keys.speed_mm_s:
+                self._edit("speed through the key frames", "keys speed", keys=replace(keys, speed_mm_s=speed_mm_s))
+            keys = case.document.keys
+            if through is not None and through != keys.through:
+                self._edit("way through the key frames", None, keys=replace(keys, through=through))
+
+    def _change_key(self, key_id: str, verb: str, **values: Any) -> None:
+        case = self._needed_case()
+        with self._lock:
+            frames = list(case.document.keys.frames)
+            at = _place(frames, key_id)
+            changed = replace(frames[at], **values)
+            if any(getattr(frames[at], name) != value for name, value in values.items()):
+                frames[at] = changed
+                self._set_keys(case, f"{verb} key frame {at + 1}", tuple(frames))
+
+    def _set_keys(self, case: OpenCase, label: str, frames: tuple[Key, ...]) -> None:
+        self._change(case, label, replace(case.document, keys=replace(case.document.keys, frames=frames)))
+
+    # ------------------------------------------------------------ the flight
+
+    def _follow_document(self, case: OpenCase) -> None:
+        super()._follow_document(case)
+        known = case.key_flight
+        if known is not None and (known[0] is not case.document.keys or known[1] is not case.document.airways):
+            # Another flight, at whose times the tip is not.
+            case.key_flight = case.keys_s = None
+
+    def show_key(self, key_id: str) -> None:
+        """Go to a key frame; free movement afterwards."""
+        case = self._needed_case()
+        with self._lock:
+            at = _place(case.document.keys.frames, key_id)
+            flight, _ = self._key_flight(case)
+            self._fly(place_move(case.document.keys.frames[at].pose))
+            case.keys_s = 0.0 if flight is None else flight.key_times_s[at]
+
+    def fly_keys(self, time_s: float, *, goes_on: bool = False) -> None:
+        """Where the flight through the key frames is at a time.
+
+        Parameters
+        ----------
+        time_s
+            After the first key frame; clamped to the flight.
+        goes_on
+            A flight under way: nothing happens if anything else has moved the tip since.
+
+        Raises
+        ------
+        NoResultError
+            ``session.keys``: if there are fewer than two key frames.
+        """
+        case = self._needed_case()
+        with self._lock:
+            if goes_on and case.keys_s is None:
+                return
+            flight, problem = self._key_flight(case)
+            if flight is None:
+                raise NoResultError(problem or "a flight needs two key frames or more", code="session.keys")
+            place_s = min(max(time_s, 0.0), flight.duration_s)
+            self._fly(place_move(flight.pose_at(place_s)))
+            case.keys_s = place_s
+
+    def keys_info(self) -> KeysInfo:
+        """The key frames as they are shown."""
+        with self._lock:
+            case = self._case
+            if case is None:
+                return KeysInfo()
+            keys = case.document.keys
+            flight, problem = self._key_flight(case)
+            shown = []
+            for n, key in enumerate(keys.frames):
+                leg = None if flight is None or n == 0 else n - 1
+                words, branch_id = _branch_words(case, key)
+                shown.append(
+                    KeyInfo(
+                        key.key_id,
+                        key.name or words,
+                        key.name is not None,
+                        branch_id,
+                        key.speed_mm_s,
+                        0.0 if flight is None else flight.key_times_s[n],
+                        None if flight is None or leg is None else flight.leg_mm[leg],
+                        flight is not None and leg is not None and flight.through_airways[leg],
+                    )
+                )
+            duration_s = 0.0 if flight is None else flight.duration_s
+            return KeysInfo(tuple(shown), keys.speed_mm_s, keys.through, duration_s, problem)
+
+    def _key_flight(self, case: OpenCase) -> tuple[KeyFrameFlight | None, str | None]:
+        """The flight, or why there is none; with the session locked."""
+        keys, airways = case.document.keys, case.document.airways
+        known = case.key_flight
+        if known is None or known[0] is not keys or known[1] is not airways:
+            flight, problem = None, None
+            if len(keys.frames) > 1:
+                try:
+                    flight = KeyFrameFlight(key_frames(keys, case.info.volume, airways), speed_mm_s=keys.speed_mm_s)
+                except UsageError as trouble:
+                    problem = str(trouble)
+            known = case.key_flight = (keys, airways, flight, problem)
+        return known[2], known[3]
+
+    # ------------------------------------------------------------ its file
+
+    def keys_to_take_away(self) -> KeyFile:
+        """The key frames with their ways, the view and the case, for a file that ``carina fly`` renders.
+
+        Raises
+        ------
+        NoResultError
+            ``session.keys``: if there are none.
+        """
+        case = self._needed_case()
+        with self._lock:
+            document = case.document
+        if not document.keys.frames:
+            raise NoResultError("there are no key frames yet", code="session.keys")
+        keys = document.keys
+        frames = key_frames(keys, case.info.volume, document.airways)
+        return KeyFile(frames, keys.speed_mm_s, keys.through, case_key(case.info.volume), view_words(document))
+
+    def open_keys(self, path: str | Path) -> str:
+        """Take the key frames of a file in the place of these, as a job; undoable. Returns the job's id.
+
+        The ways between them are found anew in the present airways. Those of another case are refused.
+        """
+        case = self._needed_case()
+
+        def work(job: Job) -> None:
+            file = open_keys(path)
+            job.check()
+            file.check(case.info.volume)
+            if len(file.frames) > MAX_KEYS:
+                raise UsageError(f"the file has {len(file.frames)} key frames; {MAX_KEYS} can be taken")
+            speeds = _speeds(file)
+            frames = tuple(
+                Key(f"key-{next(self._key_numbers)}", frame.pose, frame.name or None, speed)
+                for frame, speed in zip(file.frames, speeds, strict=True)
+            )
+            with self._lock:
+                job.check()
+                keys = Keys(frames, file.speed_mm_s, file.through)
+                self._change(case, "open key frames", replace(case.document, keys=keys))
+                if any(frame.time_s is not None for frame in file.frames):
+                    self._emit(Said("the file has times; here they are speeds"))
+
+        return self._jobs.start("keys", "opening key frames", work)
+
+
+def key_frames(keys: Keys, volume: Any, airways: Any) -> tuple[KeyFrame, ...]:
+    """The key frames as they are flown: through the airways between two that both lie in them, if that is asked for."""
+    found: list[KeyFrame] = []
+    before: Key | None = None
+    for key in keys.frames:
+        way = None
+        if before is not None and keys.through == "airways" and airways is not None:
+            way = _way(volume, airways, before, key)
+        found.append(KeyFrame(None, key.pose, key.name or "", key.speed_mm_s, way))
+        before = key
+    return tuple(found)
+
+
+def _way(volume: Any, airways: Any, start: Key, end: Key) -> AirwayWay | None:
+    if not (_is_inside(volume, airways, start) and _is_inside(volume, airways, end)):
+        return None
+    between = way_between(airways.tree, start.pose.position_lps, end.pose.position_lps)
+    return None if between is None else AirwayWay(*between)
+
+
+def _is_inside(volume: Any, airways: Any, key: Key) -> bool:
+    """In the lumen, or so near to a branch's middle as its wall: a lens that lies on the wall is half in it."""
+    at = key.pose.position_lps
+    if in_lumen(volume, airways.lumen_zyx, at):
+        return True
+    branch, index, away_mm = airways.tree.nearest_branch(at)
+    return bool(away_mm <= branch.radius[index])
+
+
+def _branch_words(case: OpenCase, key: Key) -> tuple[str, int | None]:
+    """What a key frame is called that has no name, and its branch."""
+    airways, index = case.document.airways, case.index
+    if airways is None or index is None:
+        return "in the volume", None
+    if not _is_inside(case.info.volume, airways, key):
+        return "outside the airways", None
+    branch_id, _, _ = index.nearest(np.asarray(key.pose.position_lps))
+    return index.name(branch_id) or f"generation {index.generation(branch_id)}", branch_id
+
+
+def _speeds(file: KeyFile) -> list[float | None]:
+    """Of the ways to a file's key frames; times become the speeds that keep them."""
+    times = [frame.time_s for frame in file.frames]
+    if times[0] is None:
+        return [frame.speed_mm_s for frame in file.frames]
+    legs = zip(file.flight().leg_mm, itertools.pairwise(t for t in times if t is not None), strict=True)
+    found = [min(max(mm / (after - before), MIN_SPEED_MM_S), MAX_SPEED_MM_S) for mm, (before, after) in legs]
+    return [None, *found]
+
+
+def _check_speed(speed_mm_s: float) -> None:
+    if not MIN_SPEED_MM_S <= speed_mm_s <= MAX_SPEED_MM_S:
+        raise UsageError(
+            f"a speed is {MIN_SPEED_MM_S:g} to {MAX_SPEED_MM_S:g} mm/s; found {speed_mm_s:g}", code="navigate.keys"
+        )
+
+
+def _place(frames: Sequence[Key], key_id: str) -> int:
+    for n, key in enumerate(frames):
+        if key.key_id == key_id:
+            return n
+    raise UsageError("this key frame is gone", code="session.keys")

@@ -1,0 +1,153 @@
+"""Key frames in the window: added, flown, taken over by a hand, undone, saved, opened again and filmed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from server_process import Server, start_server, stop_server
+
+from carina.navigate import open_keys
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory) -> Iterator[Server]:
+    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
+    yield running
+    assert stop_server(running) == 0
+    assert running.errors() == []
+
+
+def wait(page, condition: str, *, timeout: int = 30_000) -> None:
+    page.wait_for_function(f"() => {condition}", timeout=timeout)
+
+
+def wait_keys(page, num: int) -> None:
+    wait(page, f"window.__carina.state.keys?.keys.length === {num}")
+
+
+def test_three_key_frames_are_flown_taken_over_undone_saved_and_opened_again(server, workstation, tmp_path):
+    workstation.open(server)
+    workstation.wait_ready()
+    page = workstation.page
+    state = workstation.state
+    right, left = workstation.deepest_tip(-1.0), workstation.deepest_tip(1.0)
+
+    # Three views: in the trachea by the key, at the end of a branch on either side by the button.
+    workstation.go_to(30.0)
+    page.keyboard.press(".")
+    wait_keys(page, 1)
+    page.get_by_test_id("key-panel").wait_for()
+    for n, tip in enumerate((right, left), 2):
+        workstation.choose_branch(tip["id"])
+        workstation.go_to(state("route.length_mm") - 3.0)
+        page.get_by_test_id("add-key").click()
+        wait_keys(page, n)
+    assert [key["through_airways"] for key in state("keys.keys")] == [False, True, True]
+    assert state("keys.keys")[0]["name"] == "Trachea"
+    lasts = state("keys.duration_s")
+    assert page.get_by_test_id("keys-clock").inner_text().endswith(f"of 0:{lasts:04.1f}")
+    workstation.wait_still()
+    workstation.picture("key-frames")
+
+    # It plays from the start, through every view, and the speed is what was asked for.
+    page.get_by_test_id("stop-keys").click()
+    wait(page, "window.__carina.state.pose.keys_s === 0")
+    before = {view: workstation.pixels(view) for view in ("airway", "axial", "coronal", "sagittal", "cut-plane")}
+    page.get_by_test_id("play-keys").click()
+    wait(page, "window.__carina.state.pose.keys_s > 1.0 && window.__carina.state.speedMmS > 1")
+    page.get_by_test_id("speed").wait_for()
+    assert state("pose.inside")
+    workstation.picture("key-frames-flying")
+
+    # A hand takes over at once, and the flight does not throw the tip back.
+    workstation.hold("s", 300)
+    wait(page, "!window.__carina.state.playing.on && window.__carina.state.pose.keys_s === null")
+    workstation.wait_still()
+    newest = state("pose.pose_id")
+    page.wait_for_timeout(500)
+    assert state("pose.pose_id") == newest
+    for view, pixels in before.items():
+        assert workstation.frame_answers(view, newest)
+        assert workstation.pixels(view) != pixels, f"{view} did not change"
+
+    # Scrubbed to the end; then a change of the list, undone and done again.
+    page.get_by_role("slider", name="Place in the flight").press("End")
+    wait(page, f"Math.abs(window.__carina.state.pose.keys_s - {lasts}) < 1e-6")
+    third = state("keys.keys")[2]["key_id"]
+    rows = page.get_by_test_id("key")
+    rows.nth(2).get_by_test_id("key-more").click()
+    page.get_by_test_id("key-up").click()
+    wait(page, f"window.__carina.state.keys.keys[1].key_id === '{third}'")
+    page.get_by_test_id("key-name").click()
+    page.get_by_test_id("key-rename").fill("the tumour")
+    page.get_by_test_id("key-rename").press("Enter")
+    wait(page, "window.__carina.state.keys.keys[1].name === 'the tumour'")
+    workstation.picture("key-frames-changed")
+    page.set_viewport_size({"width": 1280, "height": 720})
+    workstation.wait_still()
+    workstation.picture("key-frames-small")
+    page.set_viewport_size({"width": 1440, "height": 900})
+    for _ in range(2):
+        page.keyboard.press("Control+z")
+    wait(page, f"window.__carina.state.keys.keys[2].key_id === '{third}'")
+    assert state("keys.duration_s") == lasts
+
+    # Taken away, it is the same flight; opened again, it takes the list's place as one step.
+    with page.expect_download() as waiting:
+        page.get_by_test_id("save-keys").click()
+    assert waiting.value.suggested_filename == "key-frames.json"
+    saved = tmp_path / "key-frames.json"
+    waiting.value.save_as(saved)
+    assert open_keys(saved).flight().duration_s == lasts
+    assert "--keys key-frames.json" in page.get_by_test_id("key-panel").inner_text()
+    rows.nth(0).get_by_test_id("key-more").click()
+    page.get_by_test_id("key-remove").click()
+    wait_keys(page, 2)
+    with page.expect_file_chooser() as choosing:
+        page.get_by_test_id("open-keys").click()
+    choosing.value.set_files(str(saved))
+    wait_keys(page, 3)
+    assert state("keys.duration_s") == lasts
+    assert state("can_undo") == "open key frames"
+
+    # A reload shows them as they are; a file of another case is refused in words and changes nothing.
+    page.reload()
+    workstation.wait_ready()
+    wait_keys(page, 3)
+    page.keyboard.press(",")
+    page.get_by_test_id("key-panel").wait_for()
+    other = json.loads(saved.read_text())
+    other["case"]["digest"] = "0" * 32
+    foreign = Path(tmp_path / "other.json")
+    foreign.write_text(json.dumps(other))
+    with page.expect_file_chooser() as choosing:
+        page.get_by_test_id("open-keys").click()
+    choosing.value.set_files(str(foreign))
+    page.get_by_text("another case").wait_for()
+    assert len(state("keys.keys")) == 3
+    assert workstation.faults == []
+
+
+def test_the_flight_by_itself_has_the_speed_that_was_chosen_and_the_reading_says_it(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    page = workstation.page
+    workstation.go_to(1.0)
+    wait(page, "window.__carina.state.pose.mode === 'path' && window.__carina.state.pose.path_mm < 2")
+    page.get_by_test_id("auto-speed").click()
+    page.get_by_role("option", name="5 mm/s").first.click()
+    # The list has gone and gives the keys back: the space bar flies, and does not open it again.
+    wait(page, "document.activeElement === document.body")
+    page.keyboard.press("Space")
+    # Pictures may come late on a busy machine; the meter goes by poses.
+    wait(page, "Math.abs(window.__carina.state.speedMmS - 5) < 1.5")
+    page.get_by_test_id("speed").wait_for()
+    page.keyboard.press("Space")
+    wait(page, "window.__carina.state.speedMmS === null")
+    page.get_by_test_id("speed").wait_for(state="detached")
+    assert workstation.faults == []

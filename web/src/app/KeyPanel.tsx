@@ -1,0 +1,349 @@
+/** Key frames: the list, the flight through them, and the file that a film is made of. */
+
+import { useState } from "react";
+import { Button, FileTrigger, Input, Slider, SliderThumb, SliderTrack, TextField } from "react-aria-components";
+import { keyOf } from "../input/keymap";
+import { KEYS_FILE } from "../net/download";
+import { filesOfPicker } from "../net/upload";
+import { mm, sentence } from "../state/format";
+import { clock, KEY_SPEEDS_MM_S, PLAY_RATES, passedKey } from "../state/playing";
+import type { KeyFrame, KeysMessage } from "../wire/messages";
+import { useApp, useStation } from "./context";
+import { Act, Choice, Tip } from "./controls";
+import { Figure } from "./Figure";
+import { Icon } from "./icons";
+
+export function KeyPanel() {
+  const station = useStation();
+  const told = useApp((state) => state.keys);
+  return (
+    <section className="step-panel key-panel" aria-label="Key frames" data-testid="key-panel">
+      <div className="panel-head">
+        <h2>Key frames</h2>
+        <Act kind="quiet" label="Close" words="Back to the step" keys="," onPress={() => station.act("key_frames")} />
+      </div>
+      <div className="step-body">
+        {told === null ? (
+          <p className="empty">Open a case first: key frames are views in it.</p>
+        ) : (
+          <>
+            <Act
+              kind="primary"
+              icon="capture"
+              label="Add key frame here"
+              words="This view becomes the last key frame"
+              keys={keyOf("add_key")}
+              testId="add-key"
+              onPress={() => station.addKey()}
+            />
+            {told.keys.length === 0 ? (
+              <p className="empty">
+                Fly to a view and add it, then to the next one. Carina flies smoothly from one to the other, and makes a
+                film of it.
+              </p>
+            ) : (
+              <KeyList told={told} />
+            )}
+            {told.keys.length > 1 ? <Player told={told} /> : null}
+            {told.keys.length > 0 ? <Flight told={told} /> : null}
+            <KeyFile told={told} />
+          </>
+        )}
+      </div>
+    </section>
+  );
+}
+
+function KeyList({ told }: { told: KeysMessage }) {
+  const [open, setOpen] = useState<string | null>(null);
+  const here = useApp((state) => (state.pose?.keys_s == null ? -1 : passedKey(told.keys, state.pose.keys_s)));
+  return (
+    <ol className="key-list">
+      {told.keys.map((key, n) => (
+        <KeyRow
+          key={key.key_id}
+          frame={key}
+          number={n + 1}
+          last={n === told.keys.length - 1}
+          here={n === here}
+          timed={told.duration_s > 0}
+          open={open === key.key_id}
+          onOpen={() => setOpen(open === key.key_id ? null : key.key_id)}
+        />
+      ))}
+    </ol>
+  );
+}
+
+interface RowProps {
+  frame: KeyFrame;
+  number: number;
+  last: boolean;
+  here: boolean;
+  timed: boolean;
+  open: boolean;
+  onOpen: () => void;
+}
+
+function KeyRow({ frame, number, last, here, timed, open, onOpen }: RowProps) {
+  const station = useStation();
+  const id = frame.key_id;
+  // As the list of branches calls it.
+  const branch = useApp((state) =>
+    frame.branch_id === null ? undefined : state.tree?.byId.get(frame.branch_id)?.label,
+  );
+  const label = frame.own_name ? frame.name : (branch ?? frame.name);
+  return (
+    <li className={here ? "key here" : "key"} data-testid="key" aria-current={here ? "true" : undefined}>
+      <div className="key-head">
+        <Tip words={`Go to key frame ${number}`}>
+          <Button
+            className="key-name plain-text"
+            data-testid="key-go"
+            onPress={() => station.send({ type: "show_key", key_id: id })}
+          >
+            <span className="key-number numbers">{number}</span>
+            <strong>{label}</strong>
+            {timed ? <span className="quiet numbers">{clock(frame.time_s)}</span> : null}
+          </Button>
+        </Tip>
+        <Tip words={open ? "Close" : "Change this key frame"}>
+          <Button
+            className="button icon quiet"
+            aria-label={`Change key frame ${number}`}
+            aria-expanded={open}
+            data-testid="key-more"
+            onPress={onOpen}
+          >
+            <Icon name={open ? "down" : "chevron"} />
+          </Button>
+        </Tip>
+      </div>
+      {open ? <KeyTools frame={frame} first={number === 1} last={last} /> : null}
+    </li>
+  );
+}
+
+function KeyTools({ frame, first, last }: { frame: KeyFrame; first: boolean; last: boolean }) {
+  const station = useStation();
+  const key_id = frame.key_id;
+  const [name, setName] = useState<string | null>(null);
+  const rename = () => {
+    if (name !== null) {
+      const own = name.trim();
+      station.send({ type: "edit_keys", edit: { kind: "rename", key_id, name: own === "" ? null : own } });
+    }
+    setName(null);
+  };
+  return (
+    <div className="key-tools">
+      {first ? null : (
+        <>
+          <p className="quiet numbers">
+            {frame.leg_mm === null ? "" : `${mm(frame.leg_mm, 0)} `}
+            {frame.through_airways ? "through the airways" : "straight"}
+          </p>
+          <Figure
+            label="Speed to here"
+            unit="mm/s"
+            value={frame.speed_mm_s}
+            choices={KEY_SPEEDS_MM_S}
+            none="as all"
+            testId="key-speed"
+            onChange={(speed_mm_s) => station.send({ type: "edit_keys", edit: { kind: "speed", key_id, speed_mm_s } })}
+          />
+        </>
+      )}
+      {name === null ? null : (
+        <TextField
+          className="field"
+          aria-label="Name of the key frame"
+          autoFocus
+          maxLength={80}
+          value={name}
+          onChange={setName}
+        >
+          <Input
+            placeholder="its branch"
+            data-testid="key-rename"
+            onBlur={rename}
+            onKeyDown={(event) => {
+              if (event.key === "Enter") rename();
+              else if (event.key === "Escape") setName(null);
+            }}
+          />
+        </TextField>
+      )}
+      <div className="row">
+        <Act
+          label="Update"
+          words="Take the present view in its place"
+          testId="key-update"
+          onPress={() => station.send({ type: "edit_keys", edit: { kind: "update", key_id } })}
+        />
+        <Act
+          kind="icon"
+          icon="pencil"
+          words="Rename; no name calls it by its branch"
+          testId="key-name"
+          onPress={() => setName(frame.own_name ? frame.name : "")}
+        />
+        <Act
+          kind="icon"
+          icon="up"
+          words="Earlier"
+          disabled={first}
+          testId="key-up"
+          onPress={() => station.send({ type: "edit_keys", edit: { kind: "move", key_id, by: -1 } })}
+        />
+        <Act
+          kind="icon"
+          icon="down"
+          words="Later"
+          disabled={last}
+          testId="key-down"
+          onPress={() => station.send({ type: "edit_keys", edit: { kind: "move", key_id, by: 1 } })}
+        />
+        <Act
+          kind="icon"
+          icon="close"
+          words="Remove"
+          testId="key-remove"
+          onPress={() => station.send({ type: "edit_keys", edit: { kind: "remove", key_id } })}
+        />
+      </div>
+    </div>
+  );
+}
+
+/** Play, stop, and the bar of the flight. */
+function Player({ told }: { told: KeysMessage }) {
+  const station = useStation();
+  const playing = useApp((state) => state.playing);
+  // Off the flight the bar stands where it was left, and says so.
+  const on = useApp((state) => state.pose?.keys_s != null);
+  if (told.duration_s <= 0) {
+    return told.problem === null ? null : <p className="warning-text">{sentence(told.problem)}</p>;
+  }
+  return (
+    <div className="group player">
+      <div className="row">
+        <Act
+          icon={playing.on ? "pause" : "play"}
+          label={playing.on ? "Pause" : "Play"}
+          words={playing.on ? "Stand here" : "Fly through the key frames; any movement of yours takes over"}
+          testId="play-keys"
+          onPress={() => station.playKeys()}
+        />
+        <Act
+          kind="icon"
+          icon="stop"
+          words="Back to the first key frame"
+          testId="stop-keys"
+          onPress={() => station.player.stop()}
+        />
+        <span className="space" />
+        <Choice
+          name="Speed of playing"
+          value={String(playing.rate)}
+          choices={PLAY_RATES.map((rate) => ({
+            value: String(rate),
+            label: rate === 0.5 ? "\u00bd\u00d7" : `${rate}\u00d7`,
+            words: rate === 1 ? "Play at the speeds of the flight" : rate < 1 ? "Play slower" : "Play faster",
+          }))}
+          onChange={(rate) => station.player.setRate(Number(rate))}
+        />
+      </div>
+      <Slider
+        className={on ? "path-slider" : "path-slider off-flight"}
+        aria-label="Place in the flight, seconds"
+        minValue={0}
+        maxValue={told.duration_s}
+        step={0.01}
+        value={Math.min(playing.atS, told.duration_s)}
+        onChange={(value) => station.player.seek(value)}
+      >
+        <SliderTrack className="path-track">
+          <div className="path-line" />
+          <div className="path-done" style={{ width: share(playing.atS, told.duration_s) }} />
+          {told.keys.map((key) => (
+            <span key={key.key_id} className="fork" style={{ left: share(key.time_s, told.duration_s) }} />
+          ))}
+          <SliderThumb className="path-thumb" />
+        </SliderTrack>
+      </Slider>
+      <p className="numbers" data-testid="keys-clock">
+        {clock(playing.atS)} <span className="quiet">of {clock(told.duration_s)}</span>
+      </p>
+    </div>
+  );
+}
+
+const share = (seconds: number, of: number): string =>
+  `${(100 * Math.min(Math.max(seconds / Math.max(of, 1e-6), 0), 1)).toFixed(2)}%`;
+
+function Flight({ told }: { told: KeysMessage }) {
+  const station = useStation();
+  return (
+    <div className="group">
+      <Figure
+        label="Speed"
+        words="Along every way that names no speed of its own"
+        unit="mm/s"
+        value={told.speed_mm_s}
+        choices={KEY_SPEEDS_MM_S}
+        testId="keys-speed"
+        onChange={(speed_mm_s) => station.send({ type: "set_key_flight", speed_mm_s, through: null })}
+      />
+      <Choice<KeysMessage["through"]>
+        name="Way between key frames"
+        value={told.through}
+        choices={[
+          {
+            value: "airways",
+            label: "Through the airways",
+            words: "Along the airways where two key frames lie in them, else straight",
+          },
+          { value: "space", label: "Straight", words: "A smooth curve through space, also through tissue" },
+        ]}
+        onChange={(through) => station.send({ type: "set_key_flight", speed_mm_s: null, through })}
+      />
+    </div>
+  );
+}
+
+function KeyFile({ told }: { told: KeysMessage }) {
+  const station = useStation();
+  return (
+    <div className="group">
+      <div className="row">
+        <Act
+          icon="file"
+          label="Save"
+          words="As a file: it opens again in this case, and carina fly makes a film of it"
+          disabled={told.keys.length === 0}
+          testId="save-keys"
+          onPress={() => void station.takeKeys()}
+        />
+        <FileTrigger
+          acceptedFileTypes={[".json"]}
+          onSelect={(list) => {
+            if (list !== null && list.length > 0) void station.upload(filesOfPicker(list), "keys");
+          }}
+        >
+          <Tip words="Key frames that were saved in this case; undo brings these back">
+            <Button className="button" data-testid="open-keys">
+              <Icon name="folder" />
+              {"Open\u2026"}
+            </Button>
+          </Tip>
+        </FileTrigger>
+      </div>
+      {told.keys.length > 1 ? (
+        <p className="quiet film">
+          A film of it: <code>carina fly SCAN --keys {KEYS_FILE} -o film.mp4</code>
+        </p>
+      ) : null}
+    </div>
+  );
+}

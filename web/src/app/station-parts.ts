@@ -1,0 +1,33 @@
+/** What the workstation does without remembering anything. */
+
+import type { StreamStatus } from "../net/stream";
+import type { Connection } from "../state/app-state";
+import type { StateMessage } from "../wire/messages";
+
+/** Hands a file to the browser, as a click on a link would. */
+export function saveAs(name: string, blob: Blob): void {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  // The browser has taken the file by the next turn.
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
+
+/** Tells one open case from another; reopening the same one changes nothing on the screen. */
+export function caseKey(session: StateMessage | null): string {
+  const open = session?.case ?? null;
+  return open === null ? "" : JSON.stringify([open.title, open.shape_zyx, open.lps_from_ijk]);
+}
+
+export function asConnection(status: StreamStatus): Connection {
+  switch (status.status) {
+    case "connecting":
+    case "open":
+      return { status: status.status, reason: null, retryAtMs: null };
+    case "lost":
+      return { status: "lost", reason: status.reason, retryAtMs: status.retryAtMs };
+    case "refused":
+      return { status: "refused", reason: status.reason, retryAtMs: null };
+  }
+}

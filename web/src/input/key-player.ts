@@ -1,0 +1,106 @@
+/**
+ * Plays the flight through the key frames: steered by time, once per screen refresh, as the automatic flight is steered by
+ * place. Whoever else moves the tip takes over at once; the server says so with every pose. Time comes from outside.
+ */
+
+import { NOT_PLAYING, type Playing } from "../state/playing";
+import type { ClientMessage, KeysMessage, PoseMessage } from "../wire/messages";
+import { MAX_TICK_S } from "./flight";
+
+/** Nearer than this to a key frame or to the end, it is there. */
+const AT_END_S = 0.02;
+
+export interface PlayerSurroundings {
+  keys(): KeysMessage | null;
+  send(message: ClientMessage): boolean;
+  changed(playing: Playing): void;
+}
+
+export class KeyPlayer {
+  readonly #around: PlayerSurroundings;
+  #playing = NOT_PLAYING;
+  /** The server has answered: from now on a pose of another origin means that somebody took over. */
+  #answered = false;
+
+  constructor(around: PlayerSurroundings) {
+    this.#around = around;
+  }
+
+  get isPlaying(): boolean {
+    return this.#playing.on;
+  }
+
+  /** From where it is, or from the start where it is at the end; false where there is no flight. */
+  play(): boolean {
+    const lasts = this.#around.keys()?.duration_s ?? 0;
+    if (lasts <= 0) return false;
+    const from = this.#playing.atS >= lasts - AT_END_S ? 0 : this.#playing.atS;
+    if (!this.#go(from)) return false;
+    this.#set({ on: true, atS: from });
+    return true;
+  }
+
+  pause(): void {
+    if (this.#playing.on) this.#set({ on: false });
+  }
+
+  toggle(): boolean {
+    if (!this.#playing.on) return this.play();
+    this.pause();
+    return true;
+  }
+
+  /** Back to the first key frame. */
+  stop(): void {
+    this.pause();
+    this.seek(0);
+  }
+
+  seek(toS: number): void {
+    const lasts = this.#around.keys()?.duration_s ?? 0;
+    const stops = [lasts, ...(this.#around.keys()?.keys ?? []).map((key) => key.time_s)];
+    // A bar has steps: what is meant is the key frame itself, or the end.
+    const atS = stops.find((stop) => Math.abs(stop - toS) < AT_END_S) ?? Math.min(Math.max(toS, 0), lasts);
+    if (lasts > 0 && this.#go(atS)) this.#set({ atS });
+  }
+
+  setRate(rate: number): void {
+    this.#set({ rate });
+  }
+
+  tick(elapsedS: number): void {
+    if (!this.#playing.on) return;
+    const lasts = this.#around.keys()?.duration_s ?? 0;
+    const atS = Math.min(this.#playing.atS + Math.min(elapsedS, MAX_TICK_S) * this.#playing.rate, lasts);
+    this.#around.send({ type: "fly_keys", time_s: atS, goes_on: true });
+    this.#set({ atS, on: atS < lasts });
+  }
+
+  /** The tip is where the server says; on the flight, the bar stands there too. */
+  poseArrived(pose: PoseMessage): void {
+    if (pose.keys_s !== null) {
+      this.#answered = true;
+      if (!this.#playing.on && pose.keys_s !== this.#playing.atS) this.#set({ atS: pose.keys_s });
+    } else if (this.#answered) {
+      this.pause();
+    }
+  }
+
+  /** The list was changed, another case was opened, or the connection is gone. */
+  reset(keys: KeysMessage | null): void {
+    const lasts = keys?.duration_s ?? 0;
+    if (this.#playing.on || this.#playing.atS > lasts) {
+      this.#set({ on: false, atS: Math.min(this.#playing.atS, lasts) });
+    }
+  }
+
+  #go(time_s: number): boolean {
+    this.#answered = false;
+    return this.#around.send({ type: "fly_keys", time_s, goes_on: false });
+  }
+
+  #set(change: Partial<Playing>): void {
+    this.#playing = { ...this.#playing, ...change };
+    this.#around.changed(this.#playing);
+  }
+}
