@@ -7,7 +7,8 @@
 
 use carina_grid::{cross, dot, unit};
 
-use crate::body::{Entry, Feeler, NODE_MM, ScopeBody, Tip, tip_clearance};
+use crate::body::{Entry, NODE_MM, ScopeBody, Tip};
+use crate::feelers::Feelers;
 use crate::wall::WallField;
 
 type Point = [f64; 3];
@@ -248,7 +249,7 @@ impl Axis {
     fn hold_off(
         &mut self,
         field: &WallField,
-        feelers: &[Feeler],
+        feelers: &Feelers,
         body: &ScopeBody,
         entry: &Entry,
         up: Point,
@@ -279,7 +280,7 @@ impl Axis {
         }
         for _ in 0..3 {
             let tip = self.tip(up);
-            let least = tip_clearance(field, feelers, &tip, entry);
+            let least = feelers.clearance(field, &tip, entry);
             if least.mm >= 0.0 {
                 break;
             }
@@ -302,13 +303,13 @@ impl Axis {
     pub(crate) fn depths_mm(
         &self,
         field: &WallField,
-        feelers: &[Feeler],
+        feelers: &Feelers,
         body: &ScopeBody,
         entry: &Entry,
         up: Point,
         num: usize,
     ) -> (f64, f64) {
-        let tip = tip_clearance(field, feelers, &self.tip(up), entry);
+        let tip = feelers.clearance(field, &self.tip(up), entry);
         let mut shaft: f64 = 0.0;
         for (a, b) in Self::shaft_places(body, num) {
             let p = mix(self.nodes[a], self.nodes[b], 0.5);
@@ -324,7 +325,7 @@ impl Axis {
     pub(crate) fn relax(
         &mut self,
         field: &WallField,
-        feelers: &[Feeler],
+        feelers: &Feelers,
         body: &ScopeBody,
         entry: &Entry,
         first_up: Point,

@@ -1,16 +1,11 @@
-//! The scope's sizes, and which points of its tip feel for the wall.
+//! The scope's sizes, and its tip in space.
 
 use carina_grid::{dot, length};
 
 use crate::ScopeError;
-use crate::wall::WallField;
 
 /// Distance of the nodes of the scope's axis.
 pub(crate) const NODE_MM: f64 = 2.0;
-/// Radius of the rounded edge of the tip's face.
-const EDGE_MM: f64 = 0.6;
-/// Balls of a ring round the tip's edge and sides.
-const NUM_ROUND: usize = 20;
 
 /// Sizes of a scope. Lengths in mm, angles in radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,49 +66,6 @@ impl ScopeBody {
     }
 }
 
-/// A ball of the tip: its centre in the tip's frame (right, down, forward; the face's centre is the origin) and radius.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Feeler {
-    pub(crate) at: [f64; 3],
-    pub(crate) radius: f64,
-}
-
-/// The balls that stand for the rigid tip: a cylinder with a flat face and a rounded edge.
-pub(crate) fn feelers(body: &ScopeBody) -> Vec<Feeler> {
-    let r = body.tip_radius_mm;
-    let edge = EDGE_MM.min(0.5 * r);
-    let mut all = vec![Feeler {
-        at: [0.0, 0.0, -edge],
-        radius: edge,
-    }];
-    let mut ring = |across: f64, behind: f64, num: usize, shift: f64| {
-        for n in 0..num {
-            let turn = core::f64::consts::TAU * (n as f64 + shift) / num as f64;
-            all.push(Feeler {
-                at: [across * libm::cos(turn), across * libm::sin(turn), -behind],
-                radius: edge,
-            });
-        }
-    };
-    ring(0.5 * (r - edge), edge, NUM_ROUND / 2, 0.0);
-    // Rings stand on gap, so that the gaps between balls are small.
-    let levels = ((r - edge) / 0.5).ceil() as usize;
-    for level in 0..=levels {
-        let behind = edge + (r - edge) * level as f64 / (levels + 1) as f64;
-        ring(r - edge, behind, NUM_ROUND, 0.5 * (level % 2) as f64);
-    }
-    // Behind that the cylinder is the balls on its axis.
-    let mut behind = r;
-    while behind < body.rigid_mm {
-        all.push(Feeler {
-            at: [0.0, 0.0, -behind],
-            radius: r,
-        });
-        behind += 1.0;
-    }
-    all
-}
-
 /// A tip in space: the face's centre and unit axes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Tip {
@@ -144,51 +96,6 @@ impl Entry {
     }
 }
 
-/// Least clearance of the tip's balls, and where in the tip's frame and in space.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Clearance {
-    pub(crate) mm: f64,
-    pub(crate) at_lps: [f64; 3],
-    pub(crate) in_tip: [f64; 3],
-}
-
-pub(crate) fn tip_clearance(
-    field: &WallField,
-    feelers: &[Feeler],
-    tip: &Tip,
-    entry: &Entry,
-) -> Clearance {
-    let mut least = Clearance {
-        mm: f64::INFINITY,
-        at_lps: tip.at,
-        in_tip: [0.0; 3],
-    };
-    // With room for a ball round the face and what is behind it, no ball of the face can touch.
-    let r = feelers.last().map_or(0.0, |f| f.radius);
-    let is_clear = entry.depth_mm(tip.at) >= 0.0
-        && field.distance_mm(tip.place([0.0, 0.0, -0.5 * r])) > 1.2 * r + 1.0;
-    let skipped = if is_clear {
-        feelers.iter().position(|f| f.radius == r).unwrap_or(0)
-    } else {
-        0
-    };
-    for feeler in &feelers[skipped..] {
-        let p = tip.place(feeler.at);
-        if entry.depth_mm(p) < 0.0 {
-            continue;
-        }
-        let mm = field.distance_mm(p) - feeler.radius;
-        if mm < least.mm {
-            least = Clearance {
-                mm,
-                at_lps: p,
-                in_tip: feeler.at,
-            };
-        }
-    }
-    least
-}
-
 pub(crate) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     length(std::array::from_fn(|k| a[k] - b[k]))
 }
@@ -206,26 +113,6 @@ mod tests {
         down_rad: 2.27,
         length_mm: 600.0,
     };
-
-    #[test]
-    fn the_balls_fill_the_tip_to_its_face_and_nowhere_stick_out() {
-        let all = feelers(&BODY);
-        for f in &all {
-            assert!(libm::hypot(f.at[0], f.at[1]) + f.radius <= 2.45 + 1e-12);
-            assert!(f.at[2] + f.radius <= 1e-12);
-        }
-        // Any point of the cylinder's side behind the rounded edge is near a ball: a spike could sink in by 0.12 mm, a wall cannot.
-        for n in 0..3600 {
-            let turn = f64::from(n) * 0.1;
-            let z = -0.6 - 8.0 * f64::from(n % 97) / 97.0;
-            let p = [2.45 * libm::cos(turn), 2.45 * libm::sin(turn), z];
-            let gap = all
-                .iter()
-                .map(|f| distance(p, f.at) - f.radius)
-                .fold(f64::INFINITY, f64::min);
-            assert!(gap < 0.12, "{gap} at {p:?}");
-        }
-    }
 
     #[test]
     fn a_scope_of_impossible_sizes_is_refused() {

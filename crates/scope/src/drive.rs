@@ -6,7 +6,8 @@ use carina_grid::{Affine, dot, unit};
 
 use crate::ScopeError;
 use crate::axis::{Axis, Controls, along, sub};
-use crate::body::{Entry, Feeler, ScopeBody, Tip, distance, feelers, tip_clearance};
+use crate::body::{Entry, ScopeBody, Tip, distance};
+use crate::feelers::{Feelers, SKIN_MM};
 use crate::wall::WallField;
 
 type Point = [f64; 3];
@@ -88,7 +89,7 @@ pub struct ScopeState {
 pub struct ScopeDrive {
     field: Arc<WallField>,
     body: ScopeBody,
-    feelers: Vec<Feeler>,
+    feelers: Feelers,
     entry: Entry,
     entry_mm: f64,
     first_up: Point,
@@ -155,7 +156,7 @@ impl ScopeDrive {
         };
         let axis = Axis::straight(&entry, 0.0);
         let mut drive = Self {
-            feelers: feelers(&body),
+            feelers: Feelers::new(&body),
             state: ScopeState {
                 lps_from_tip: Affine::IDENTITY,
                 insertion_mm: 0.0,
@@ -444,7 +445,7 @@ impl ScopeDrive {
     /// Writes the state from axis and controls.
     fn look(&mut self, dt_s: f64, limit: Limit, further_mm: f64) {
         let tip = self.tip();
-        let least = tip_clearance(&self.field, &self.feelers, &tip, &self.entry);
+        let least = self.feelers.clearance(&self.field, &tip, &self.entry);
         let mut record = self.state.record;
         let was = self.touches;
         self.touches = least.mm <= if was { RELEASE_MM } else { TOUCH_MM };
@@ -523,7 +524,7 @@ impl ScopeDrive {
             at = p;
             walked = ahead;
         }
-        (least < self.body.tip_radius_mm + 0.02).then_some(2.0 * least)
+        (least < self.body.tip_radius_mm + SKIN_MM + 0.02).then_some(2.0 * least)
     }
 }
 

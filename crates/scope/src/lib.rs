@@ -13,6 +13,7 @@ mod device_space;
 mod drive;
 mod eight;
 mod error;
+mod feelers;
 mod force;
 mod force_loop;
 mod frames;

@@ -1,0 +1,298 @@
+//! The balls that stand for the rigid tip, and how near they are to the wall.
+//!
+//! They lie so densely that a ridge of the wall cannot sink in between them by more than some hundredths of a millimetre,
+//! which makes hundreds of a wide tip. Most are never asked: each group has a leader, and where that has room for all of
+//! its group the others have room too.
+
+use crate::body::{Entry, ScopeBody, Tip, distance};
+use crate::wall::WallField;
+
+/// Radius of the rounded edge of the tip's face.
+const EDGE_MM: f64 = 0.6;
+/// Distance of neighbouring balls of the face, the edge and the side behind it: a ridge sinks in by `APART^2 / (8 EDGE)`.
+const APART_MM: f64 = 0.36;
+/// Distance of the balls on the axis behind them: no more than 0.03 mm, for the thinnest tip.
+const AXIS_MM: f64 = 0.4;
+/// Left between the balls and the wall: at an edge of the wall the field, read between its samples, says some hundredths
+/// too much, and a ridge sinks in between balls by as much.
+pub(crate) const SKIN_MM: f64 = 0.03;
+/// How far the balls of a group are from its leader.
+const REACH_MM: f64 = 0.75;
+/// What a leader must have beyond its reach. Distances change by no more than 1 mm per mm, but what is read between
+/// samples of the field may be a little more, and clearances up to where contact ends are told as they are.
+const GUARD_MM: f64 = 0.5;
+
+/// A ball: its centre in the tip's frame (right, down, forward; the face's centre is the origin) and radius.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Feeler {
+    pub(crate) at: [f64; 3],
+    pub(crate) radius: f64,
+}
+
+/// Some balls that follow each other, the leader first.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Group {
+    first: usize,
+    end: usize,
+    /// From the leader's centre to the farthest of the others.
+    reach_mm: f64,
+}
+
+/// All balls of a tip: a cylinder with a flat face and a rounded edge.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Feelers {
+    balls: Vec<Feeler>,
+    groups: Vec<Group>,
+    /// Groups of face, edge and the side near them; the balls of the others lie on the axis.
+    num_front: usize,
+    radius_mm: f64,
+}
+
+/// Least clearance of the tip's balls, and where in the tip's frame and in space.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Clearance {
+    pub(crate) mm: f64,
+    pub(crate) at_lps: [f64; 3],
+    pub(crate) in_tip: [f64; 3],
+}
+
+impl Clearance {
+    const fn none(tip: &Tip) -> Self {
+        Self {
+            mm: f64::INFINITY,
+            at_lps: tip.at,
+            in_tip: [0.0; 3],
+        }
+    }
+}
+
+impl Feelers {
+    pub(crate) fn new(body: &ScopeBody) -> Self {
+        let r = body.tip_radius_mm;
+        let edge = EDGE_MM.min(0.5 * r);
+        let across = r - edge;
+        let mut front = Vec::new();
+        let mut ring = |across: f64, behind: f64, shift: f64| {
+            let num = (core::f64::consts::TAU * across / APART_MM).ceil().max(1.0) as usize;
+            for n in 0..num {
+                let turn = core::f64::consts::TAU * (n as f64 + shift) / num as f64;
+                front.push(Feeler {
+                    at: [across * libm::cos(turn), across * libm::sin(turn), -behind],
+                    radius: edge,
+                });
+            }
+        };
+        let num = (across / APART_MM).ceil() as usize;
+        for n in 0..=num {
+            ring(across * n as f64 / num as f64, edge, 0.0);
+        }
+        // Rings stand on gap.
+        for n in 1..=num {
+            let behind = edge + across * n as f64 / (num + 1) as f64;
+            ring(across, behind, 0.5 * (n % 2) as f64);
+        }
+        let mut made = Self {
+            balls: Vec::new(),
+            groups: Vec::new(),
+            num_front: 0,
+            radius_mm: r,
+        };
+        while let Some(&leader) = front.first() {
+            let first = made.balls.len();
+            let mut reach_mm: f64 = 0.0;
+            front.retain(|ball| {
+                let off = distance(ball.at, leader.at);
+                if off <= REACH_MM {
+                    made.balls.push(*ball);
+                    reach_mm = reach_mm.max(off);
+                }
+                off > REACH_MM
+            });
+            made.groups.push(Group {
+                first,
+                end: made.balls.len(),
+                reach_mm,
+            });
+        }
+        made.num_front = made.groups.len();
+        let mut behind = r;
+        while behind < body.rigid_mm {
+            let first = made.balls.len();
+            made.balls.push(Feeler {
+                at: [0.0, 0.0, -behind],
+                radius: r,
+            });
+            made.groups.push(Group {
+                first,
+                end: first + 1,
+                reach_mm: 0.0,
+            });
+            behind += AXIS_MM;
+        }
+        made
+    }
+
+    /// The least clearance; where that is far beyond where contact ends it may be another ball's.
+    pub(crate) fn clearance(&self, field: &WallField, tip: &Tip, entry: &Entry) -> Clearance {
+        let mut least = Clearance::none(tip);
+        // With room for a ball round the face and what is behind it, no ball of the face can touch.
+        let r = self.radius_mm;
+        let is_clear = entry.depth_mm(tip.at) >= 0.0
+            && field.distance_mm(tip.place([0.0, 0.0, -0.5 * r])) > 1.2 * r + 1.0;
+        let skipped = if is_clear { self.num_front } else { 0 };
+        for group in &self.groups[skipped..] {
+            let room = self.take(&mut least, group.first, field, tip, entry);
+            if room <= group.reach_mm + GUARD_MM {
+                for n in group.first + 1..group.end {
+                    self.take(&mut least, n, field, tip, entry);
+                }
+            }
+        }
+        least
+    }
+
+    /// The clearance of a ball, wherever it is; what lies behind the entry does not count.
+    fn take(
+        &self,
+        least: &mut Clearance,
+        n: usize,
+        field: &WallField,
+        tip: &Tip,
+        entry: &Entry,
+    ) -> f64 {
+        let ball = self.balls[n];
+        let p = tip.place(ball.at);
+        let mm = field.distance_mm(p) - ball.radius - SKIN_MM;
+        if mm < least.mm && entry.depth_mm(p) >= 0.0 {
+            *least = Clearance {
+                mm,
+                at_lps: p,
+                in_tip: ball.at,
+            };
+        }
+        mm
+    }
+
+    /// The same from every ball: what [`Self::clearance`] is checked against.
+    #[cfg(test)]
+    fn clearance_of_all(&self, field: &WallField, tip: &Tip, entry: &Entry) -> Clearance {
+        let mut least = Clearance::none(tip);
+        for n in 0..self.balls.len() {
+            self.take(&mut least, n, field, tip, entry);
+        }
+        least
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::drive_tests::{BODY, field};
+
+    fn tip_of(radius: f64) -> Feelers {
+        Feelers::new(&ScopeBody {
+            tip_radius_mm: radius,
+            ..BODY
+        })
+    }
+
+    /// A place of the tip's surface, `along` its outline from the face's centre to the rigid end (0 to 1).
+    fn on_surface(radius: f64, along: f64, turn: f64) -> [f64; 3] {
+        let edge = EDGE_MM.min(0.5 * radius);
+        let (flat, round) = (radius - edge, 0.5 * core::f64::consts::PI * edge);
+        // The last ball is as long as the rigid end.
+        let mm = along * (flat + round + BODY.rigid_mm - edge - AXIS_MM);
+        let (across, behind) = if mm < flat {
+            (mm, 0.0)
+        } else if mm < flat + round {
+            let a = (mm - flat) / edge;
+            (flat + edge * libm::sin(a), edge - edge * libm::cos(a))
+        } else {
+            (radius, edge + mm - flat - round)
+        };
+        [across * libm::cos(turn), across * libm::sin(turn), -behind]
+    }
+
+    proptest! {
+        #[test]
+        fn the_balls_fill_the_tip_to_its_surface_and_nowhere_stick_out(
+            radius in 0.7f64..3.9,
+            along in 0.0f64..1.0,
+            turn in 0.0f64..6.3,
+        ) {
+            let tip = tip_of(radius);
+            for f in &tip.balls {
+                prop_assert!(libm::hypot(f.at[0], f.at[1]) + f.radius <= radius + 1e-12);
+                prop_assert!(f.at[2] + f.radius <= 1e-12);
+            }
+            let p = on_surface(radius, along, turn);
+            let gap = tip
+                .balls
+                .iter()
+                .map(|f| distance(p, f.at) - f.radius)
+                .fold(f64::INFINITY, f64::min);
+            // A spike could sink in as far as this; a ridge by half of it.
+            prop_assert!(gap < if radius < 1.2 { 0.12 } else { 0.065 }, "{gap} at {p:?}");
+        }
+
+        #[test]
+        fn a_tip_that_is_rolled_is_as_deep_in_a_wall_as_before(
+            radius in 0.7f64..3.9,
+            lean in 0.0f64..3.2,
+            roll in 0.0f64..6.3,
+        ) {
+            // Pressed at the ridge between two arms, which sinks in between balls that lie too far apart.
+            let forward = [libm::sin(lean), 0.0, -libm::cos(lean)];
+            let entry = Entry { at: [0.0, 0.0, 112.0], into: [0.0, 0.0, -1.0] };
+            let feelers = tip_of(radius);
+            let field = field();
+            let of = |turn: f64, at: [f64; 3]| {
+                let (across, up) = ([0.0, 1.0, 0.0], carina_grid::cross(forward, [0.0, 1.0, 0.0]));
+                let right = std::array::from_fn(|a| libm::cos(turn) * across[a] + libm::sin(turn) * up[a]);
+                Tip { at, right, down: carina_grid::cross(forward, right), forward }
+            };
+            let mut at = [1.0, 0.0, 20.0];
+            for _ in 0..20 {
+                let found = feelers.clearance(&field, &of(0.0, at), &entry);
+                at[2] -= (found.mm + 0.1).clamp(-1.0, 1.0);
+            }
+            let (before, after) = (
+                feelers.clearance(&field, &of(0.0, at), &entry),
+                feelers.clearance(&field, &of(roll, at), &entry),
+            );
+            prop_assert!((before.mm - after.mm).abs() < 0.06, "{} {}", before.mm, after.mm);
+        }
+
+        #[test]
+        fn leaders_find_what_all_balls_find_wherever_a_tip_touches(
+            radius in 0.7f64..3.9,
+            at in prop::array::uniform3(0.0f64..1.0),
+            look in prop::array::uniform3(-1.0f64..1.0),
+        ) {
+            let field = field();
+            let at = [110.0 * at[0] - 50.0, 24.0 * at[1] - 12.0, 190.0 * at[2] - 85.0];
+            let Some(forward) = carina_grid::unit(look) else { return Ok(()) };
+            let Some(right) = carina_grid::unit(carina_grid::cross(forward, [0.31, 0.9, -0.2])) else {
+                return Ok(())
+            };
+            let mut tip = Tip { at, right, down: carina_grid::cross(forward, right), forward };
+            let entry = Entry { at: [0.0, 0.0, 112.0], into: [0.0, 0.0, -1.0] };
+            let feelers = tip_of(radius);
+            // From the middle of nowhere to where it touches, and some way into the wall.
+            for _ in 0..12 {
+                let all = feelers.clearance_of_all(&field, &tip, &entry);
+                let led = feelers.clearance(&field, &tip, &entry);
+                prop_assert!(led.mm >= all.mm);
+                if all.mm <= 0.3 {
+                    prop_assert_eq!(led, all);
+                } else {
+                    prop_assert!(led.mm > 0.3);
+                }
+                let Some(away) = field.away_from_wall(all.at_lps) else { break };
+                tip.at = std::array::from_fn(|a| tip.at[a] - 0.6 * (all.mm - 0.1) * away[a]);
+            }
+        }
+    }
+}
