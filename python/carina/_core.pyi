@@ -124,6 +124,13 @@ def local_contact(
 ) -> tuple[tuple[float, float, float], tuple[float, float, float], float, float, float, float] | None:
     """(point, normal, stiffness, damping, friction, valid_mm)."""
 
+def forces_along(
+    field: WallField,
+    numbers: tuple[float, float, float, float, float, float, float],
+    samples: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Samples (n, 9) to forces (n, 3), a millisecond each."""
+
 def force_limits() -> tuple[float, float, float]:
     """N, N per ms, N per mm."""
 

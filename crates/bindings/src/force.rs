@@ -8,9 +8,10 @@ use std::sync::{Mutex, PoisonError};
 
 use carina_scope::{
     ForceLaw, ForceLoop, ForceModel, HandSample, LIMIT_N, LoopOptions, MAX_STIFFNESS_N_PER_MM,
-    SLEW_N_PER_MS, SimulatedHand, WanderingHand, local_contact,
+    SLEW_N_PER_MS, ScopeError, SimulatedHand, WanderingHand, local_contact,
 };
-use numpy::PyReadonlyArray2;
+use numpy::ndarray::Array2;
+use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -168,6 +169,44 @@ fn py_local_contact(
     }))
 }
 
+/// Forces (n, 3) of a hand's samples (n, 9), a millisecond each: no thread, no clock. A row that no hand makes is silence.
+#[pyfunction]
+fn forces_along<'py>(
+    py: Python<'py>,
+    field: &Bound<'py, PyWallField>,
+    numbers: LawNumbers,
+    samples: PyReadonlyArray2<'py, f64>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    if samples.shape()[1] != 9 {
+        return Err(ScopeError::Force {
+            reason: format!(
+                "expected samples of shape (n, 9), found {:?}",
+                samples.shape()
+            ),
+        }
+        .into_py());
+    }
+    let model = ForceModel::new(field.get().0.clone(), law(numbers)?, Vec::new());
+    let mut model = model.map_err(IntoPy::into_py)?;
+    let hands: Vec<HandSample> = samples
+        .as_array()
+        .rows()
+        .into_iter()
+        .map(|row| HandSample {
+            at_lps: [row[0], row[1], row[2]],
+            velocity_mm_s: [row[3], row[4], row[5]],
+            forward_lps: [row[6], row[7], row[8]],
+        })
+        .collect();
+    let forces: Vec<[f64; 3]> = py.detach(|| {
+        hands
+            .iter()
+            .map(|hand| model.step(hand.is_sane().then_some(hand), 1.0).force_n)
+            .collect()
+    });
+    Ok(Array2::from_shape_fn((forces.len(), 3), |(n, a)| forces[n][a]).into_pyarray(py))
+}
+
 /// The limits that the law is built with: N, N per ms, N per mm.
 #[pyfunction]
 fn force_limits() -> (f64, f64, f64) {
@@ -177,5 +216,6 @@ fn force_limits() -> (f64, f64, f64) {
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyForceLoop>()?;
     module.add_function(wrap_pyfunction!(py_local_contact, module)?)?;
+    module.add_function(wrap_pyfunction!(forces_along, module)?)?;
     module.add_function(wrap_pyfunction!(force_limits, module)?)
 }

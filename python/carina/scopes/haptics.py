@@ -30,6 +30,7 @@ __all__ = [
     "HandForce",
     "LeftThread",
     "LocalContact",
+    "forces_along",
     "local_contact",
     "picture_threads",
     "rumble",
@@ -289,6 +290,44 @@ def local_contact(field: WallField, at_lps: Sequence[float], law: ForceLaw | Non
         return None
     point, normal, stiffness, damping, friction, valid_mm = found
     return LocalContact(point, normal, stiffness, damping, friction, valid_mm)
+
+
+def forces_along(field: WallField, samples: ArrayLike, law: ForceLaw | None = None) -> NDArray[np.float64]:
+    """What a hand would feel along a movement, without thread and clock: the same samples give the same forces.
+
+    Parameters
+    ----------
+    field
+        Signed distance to the wall.
+    samples
+        (n, 9), one for each millisecond: the tip's centre (LPS mm), its velocity (mm/s) and direction (unit length).
+        A row with numbers that no hand makes is a hand that was not heard of.
+    law
+        The numbers of the law.
+
+    Returns
+    -------
+    numpy.ndarray
+        (n, 3) N, LPS.
+
+    Raises
+    ------
+    UsageError
+        If a number of the law is out of range, or the samples have another shape (code ``scope.force``).
+
+    Examples
+    --------
+    >>> z, y, x = np.mgrid[0:40, -10:11, -10:11].astype(np.float32)
+    >>> field = WallField.from_distances(6.0 - np.hypot(x, y), np.array(
+    ...     [[1.0, 0, 0, -10], [0, 1.0, 0, -10], [0, 0, 1.0, -40], [0, 0, 0, 1.0]]))
+    >>> pressed = np.array([[x, 0.0, -20.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0] for x in np.linspace(0.0, 5.0, 100)])
+    >>> bool(forces_along(field, pressed)[-1, 0] < -0.4)
+    True
+    """
+    rows = np.ascontiguousarray(samples, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != 9:
+        raise UsageError(f"expected samples of shape (n, 9); found {rows.shape}", code="scope.force")
+    return _core.forces_along(field.core, (law or ForceLaw()).numbers, rows)
 
 
 def rumble(depth_mm: float) -> tuple[float, float]:

@@ -1,0 +1,132 @@
+"""Which cells of a lattice lie in the lumen as a whole: most points of a scope need no more than a look at theirs."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+from mesh_distance import MeshDistance
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+SignedMm = Callable[[Floats], Floats]
+"""Signed distances of (n, 3) points, above 0 beyond the wall."""
+ROOM = 8
+"""Layers of cells that are told apart: 4 mm, and no scope has such a radius."""
+
+
+class LumenCells:
+    """Asks for the distance only where a point's cell does not tell that it is in the lumen."""
+
+    def __init__(
+        self,
+        low: Floats,
+        cell_mm: float,
+        inside: NDArray[np.bool_],
+        signed_mm: SignedMm,
+        is_inside: Callable[[Floats], bool] = lambda _: False,
+    ) -> None:
+        self._is_inside = is_inside
+        self._told: dict[tuple[int, ...], bool] = {}
+        self._low, self._cell_mm, self._inside, self._signed_mm = low, cell_mm, inside, signed_mm
+        # Cells whose neighbours all round are inside too, and theirs, and so on: 0 is a cell that is not.
+        self._room = inside.astype(np.uint8)
+        layer = inside
+        for _ in range(ROOM):
+            for axis in range(3):
+                layer = layer & np.roll(layer, 1, axis) & np.roll(layer, -1, axis)
+            self._room += layer
+
+    @classmethod
+    def unknown(cls, signed_mm: SignedMm) -> LumenCells:
+        """No cell tells anything: every point is asked for."""
+        return cls(np.zeros(3), 1.0, np.zeros((1, 1, 1), dtype=bool), signed_mm)
+
+    @classmethod
+    def of_mesh(cls, wall: MeshDistance, corners: Floats, seeds: Floats) -> LumenCells:
+        """Of a closed mesh: cells that it does not pass through and that are joined to seeds in the lumen."""
+        cell = 0.5
+        low = corners.min(axis=(0, 1)) - 2.0 * cell
+        num = (np.ptp(corners, axis=(0, 1)) / cell).astype(int) + 5
+        # No place of the mesh is farther from one of these than half of how far they are apart.
+        apart = 0.6 * cell
+        quarter = 0.25 * cell
+        places = ((points_on(corners, apart) - low) / quarter).astype(int)
+        places = np.stack(np.unravel_index(np.unique(np.ravel_multi_index(places.T, 4 * num)), 4 * num), axis=1)
+        reach = (0.5 * quarter + 0.5 * apart) / cell
+        is_wall = np.zeros(num, dtype=bool)
+        for offset in itertools.product((-reach, 0.0, reach), repeat=3):
+            is_wall[tuple(((places + 0.5) * 0.25 + offset).astype(int).T)] = True
+        # Outwards from the seeds, cell by cell; the lattice's outermost cells are no wall and lie outside.
+        open_ = ~is_wall.ravel()
+        inside = np.zeros(open_.size, dtype=bool)
+        front = np.ravel_multi_index(((seeds - low) / cell).astype(int).T, num)
+        steps = [sign * step for step in (1, num[2], num[1] * num[2]) for sign in (-1, 1)]
+        while len(front):
+            front = front[open_[front]]
+            open_[front] = False
+            inside[front] = True
+            front = np.unique(np.concatenate([front + step for step in steps]))
+        inside = inside.reshape(num)
+        assert not inside[0].any(), "the mesh has a hole"
+        return cls(low, cell, inside, wall.signed_mm, wall.is_inside)
+
+    def holds_balls(self, middles: Floats, radii: Floats) -> NDArray[np.bool_]:
+        """Balls that are in the lumen for certain."""
+        return (self._at(middles).astype(float) - 1.0) * self._cell_mm >= radii
+
+    def depths_mm(self, points: Floats) -> Floats:
+        """How deep points are in the wall; 0 for those whose cell is in the lumen, and infinite beyond all reach."""
+        asked = self._at(points) == 0
+        depths = np.zeros(len(points))
+        depths[asked] = self._signed_mm(points[asked])
+        # Far from the wall, in a cell that no seed is joined to: a part of the lumen behind a narrow place, or beyond.
+        for n in np.flatnonzero(np.isinf(depths)):
+            cell = tuple(int(v) for v in (points[n] - self._low) // self._cell_mm)
+            if cell not in self._told:
+                self._told[cell] = self._is_inside(points[n])
+            if self._told[cell]:
+                depths[n] = 0.0
+        return depths
+
+    def _at(self, points: Floats) -> NDArray[np.uint8]:
+        at = ((points - self._low) / self._cell_mm).astype(int)
+        valid = ((at >= 0) & (at < self._inside.shape)).all(axis=1)
+        at[~valid] = 0
+        return np.where(valid, self._room[tuple(at.T)], 0)
+
+
+def points_on(corners: Floats, apart_mm: float) -> Floats:
+    """Corners (n, 3, 3) of triangles, cut at their longest edges until none is longer; the corners of all."""
+    done = []
+    while len(corners):
+        edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+        longest = edges.argmax(axis=1)
+        small = edges.max(axis=1) <= apart_mm
+        done.append(corners[small].reshape(-1, 3))
+        turned = corners[~small][np.arange((~small).sum())[:, None], (longest[~small][:, None] + np.arange(3)) % 3]
+        a, b, c = np.moveaxis(turned, 1, 0)
+        middle = 0.5 * (a + b)
+        corners = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+    return np.concatenate(done)
+
+
+def lattice_of(
+    distance_mm: SignedMm, low: Floats, spacing: tuple[float, float, float], shape_zyx: tuple[int, int, int]
+) -> NDArray[np.float32]:
+    """A distance at the samples of a lattice; where a block is far from the wall, that of its middle."""
+    block = 8
+    num = [-(-n // block) for n in shape_zyx]
+    at = np.stack(np.meshgrid(*map(np.arange, num), indexing="ij"), axis=-1).reshape(-1, 3) * block
+    half = 0.5 * block * np.linalg.norm(spacing)
+    middles = distance_mm(low + (at[:, ::-1] + 0.5 * block) * spacing)
+    found = np.repeat(np.repeat(np.repeat(middles.reshape(num).astype(np.float32), block, 0), block, 1), block, 2)
+    inner = np.stack(np.meshgrid(*[np.arange(block)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    # Farther than a field tells, and than a block reaches.
+    near = at[(middles > -2.5 - 1.3 * half) & (middles < 4.5 + 1.3 * half)]
+    for some in np.array_split(near, max(1, len(near) // 500)):
+        samples = (some[:, None] + inner).reshape(-1, 3)
+        found[tuple(samples.T)] = distance_mm(low + samples[:, ::-1] * spacing)
+    nz, ny, nx = shape_zyx
+    return np.ascontiguousarray(found[:nz, :ny, :nx])

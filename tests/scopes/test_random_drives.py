@@ -1,0 +1,98 @@
+"""Random drives of every instrument, looked at by a geometry that is not the product's (issue 5).
+
+`make soak` drives 1,000 times in the phantom and as often in the patient; `make test` drives a few of them. All of it
+needs numpy alone.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from drive_checks import Floats, Lumen, by_balls, by_surface, check_drives
+from lumen_cells import LumenCells, lattice_of
+from mesh_distance import MeshDistance
+
+import carina
+from carina.phantom import generate_phantom, lumen_distance_at
+from carina.scopes import WallField
+from carina.track import lumen_mesh
+
+SEED = 3
+LOW, HIGH = np.array([-70.0, -50.0, -90.0]), np.array([70.0, 50.0, 112.0])
+PHANTOM_SAMPLES, PATIENT_SAMPLES = 40, 25
+PARTS = 4
+"""Of a thousand drives, so that several processes can share them (-k)."""
+
+
+def exact_mm(points: Floats) -> Floats:
+    """The phantom's lumen as it was made, above 0 beyond the wall."""
+    return lumen_distance_at(points, seed=SEED) if len(points) else np.zeros(0)
+
+
+@pytest.fixture(scope="module")
+def chest() -> Lumen:
+    # The truth is exact at any spacing; the voxels are not needed.
+    truth = generate_phantom(seed=SEED, spacing_mm=9.0, noise_hu=0.0).truth
+    branches: dict[int, dict[str, Any]] = {b["id"]: b for b in truth["branches"]}
+
+    def path_to(branch_id: int) -> Floats:
+        points: list[list[float]] = []
+        at: int | None = branch_id
+        while at is not None:
+            points = branches[at]["points"][: None if not points else -1] + points
+            at = branches[at]["parent"]
+        return np.array(points)
+
+    # As fine as the field of a CT, anisotropic.
+    spacing = (0.4, 0.35, 0.45)
+    shape = tuple(int(n) for n in np.ceil((HIGH - LOW) / spacing)[::-1])
+    matrix = np.diag([*spacing, 1.0])
+    matrix[:3, 3] = LOW
+    wall = WallField.from_distances(lattice_of(lambda p: -exact_mm(p), LOW, spacing, shape), matrix)
+    routes = [path_to(b["id"]) for b in branches.values() if not b["children"]]
+    return Lumen(wall, path_to(0), routes, LumenCells.unknown(exact_mm), by_balls(exact_mm))
+
+
+@pytest.fixture(scope="module")
+def patient() -> Lumen:
+    """The bundled CT; the wall is its lumen's mesh, measured to triangle by triangle."""
+    volume = carina.demo_patient()
+    airways = carina.find_airways(volume)
+    mesh = lumen_mesh(volume, airways)
+    tree = airways.tree
+    routes = [tree.route_to(tip.id).points_lps for tip in tree.tips()]
+    measured = MeshDistance(mesh.vertices_lps, mesh.triangles)
+    middles = np.concatenate(routes)
+    cells = LumenCells.of_mesh(measured, mesh.vertices_lps[mesh.triangles], middles)
+    return Lumen(carina.wall_field(volume, airways), tree.root.points, routes, cells, by_surface(cells))
+
+
+@pytest.mark.slow
+def test_random_drives_stay_in_the_exact_lumen(chest: Lumen) -> None:
+    check_drives(chest, range(16), num_samples=PHANTOM_SAMPLES, every=6).check()
+
+
+@pytest.mark.slow
+def test_random_drives_stay_in_the_patients_lumen(patient: Lumen) -> None:
+    check_drives(patient, range(16), num_samples=PATIENT_SAMPLES, every=6).check()
+
+
+@pytest.mark.slow
+def test_a_tip_pressed_at_the_edge_of_the_carina_does_not_sink_in(chest: Lumen) -> None:
+    # 0.111 mm without the skin of the tip's balls.
+    found = check_drives(chest, [52], num_samples=PHANTOM_SAMPLES, every=1)
+    assert 0.0 < found.tip.mm <= 0.1, found.tip.told
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("part", range(PARTS))
+def test_a_thousand_random_drives_stay_in_the_exact_lumen(chest: Lumen, part: int) -> None:
+    check_drives(chest, range(part, 1000, PARTS), num_samples=PHANTOM_SAMPLES, every=1).check()
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("part", range(PARTS))
+def test_a_thousand_random_drives_stay_in_the_patients_lumen(patient: Lumen, part: int) -> None:
+    check_drives(patient, range(part, 1000, PARTS), num_samples=PATIENT_SAMPLES, every=4).check()
