@@ -197,7 +197,9 @@ class HaplyBridge:
         self._status = "no device"
         try:
             while True:
-                text = await asyncio.wait_for(link.recv(), _SILENCE_S)
+                # Not `wait_for`: in Python 3.11 it loses a cancellation that comes together with a message.
+                async with asyncio.timeout(_SILENCE_S):
+                    text = await link.recv()
                 try:
                     state = read_haply_message(text)
                 except (ValueError, AttributeError, RecursionError):
