@@ -116,16 +116,19 @@ def lattice_of(
     distance_mm: SignedMm, low: Floats, spacing: tuple[float, float, float], shape_zyx: tuple[int, int, int]
 ) -> NDArray[np.float32]:
     """A distance at the samples of a lattice; where a block is far from the wall, that of its middle."""
-    block = 8
+    block = 4
     num = [-(-n // block) for n in shape_zyx]
     at = np.stack(np.meshgrid(*map(np.arange, num), indexing="ij"), axis=-1).reshape(-1, 3) * block
     half = 0.5 * block * np.linalg.norm(spacing)
     middles = distance_mm(low + (at[:, ::-1] + 0.5 * block) * spacing)
     found = np.repeat(np.repeat(np.repeat(middles.reshape(num).astype(np.float32), block, 0), block, 1), block, 2)
     inner = np.stack(np.meshgrid(*[np.arange(block)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    # Farther than a field tells, and than a block reaches.
-    near = at[(middles > -2.5 - 1.3 * half) & (middles < 4.5 + 1.3 * half)]
-    for some in np.array_split(near, max(1, len(near) // 500)):
+    # A field tells from -2.5 to 4.5 mm. Blocks beside such are asked too: beyond the phantom's box nothing is known.
+    is_near = ((middles > -2.5 - 1.3 * half) & (middles < 4.5 + 1.3 * half)).reshape(num)
+    for axis in range(3):
+        is_near = is_near | np.roll(is_near, 1, axis) | np.roll(is_near, -1, axis)
+    near = at[is_near.ravel()]
+    for some in np.array_split(near, max(1, len(near) // 16_000)):
         samples = (some[:, None] + inner).reshape(-1, 3)
         found[tuple(samples.T)] = distance_mm(low + samples[:, ::-1] * spacing)
     nz, ny, nx = shape_zyx
