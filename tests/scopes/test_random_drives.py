@@ -31,6 +31,21 @@ def exact_mm(points: Floats) -> Floats:
     return lumen_distance_at(points, seed=SEED) if len(points) else np.zeros(0)
 
 
+def steady_mm(points: Floats) -> Floats:
+    """The same where it is a distance, which no more than 1.3 mm in a mm changes.
+
+    Where the cut at the back of the trachea turns from one piece to the next the phantom's lumen jumps by 0.165 mm, and
+    no wall is there: what is deep counts as no deeper than places 0.1 mm round it allow.
+    """
+    found = exact_mm(points)
+    deep = np.flatnonzero(found > 0.05)
+    step = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    step = 0.1 * np.delete(step, 13, axis=0) / np.linalg.norm(np.delete(step, 13, axis=0), axis=1)[:, None]
+    round_ = exact_mm((points[deep, None] + step).reshape(-1, 3)).reshape(len(deep), len(step))
+    found[deep] = np.minimum(found[deep], round_.min(axis=1, initial=np.inf) + 0.13)
+    return found
+
+
 @pytest.fixture(scope="module")
 def chest() -> Lumen:
     # The truth is exact at any spacing; the voxels are not needed.
@@ -52,7 +67,7 @@ def chest() -> Lumen:
     matrix[:3, 3] = LOW
     wall = WallField.from_distances(lattice_of(lambda p: -exact_mm(p), LOW, spacing, shape), matrix)
     routes = [path_to(b["id"]) for b in branches.values() if not b["children"]]
-    return Lumen(wall, path_to(0), routes, LumenCells.unknown(exact_mm), by_balls(exact_mm))
+    return Lumen(wall, path_to(0), routes, LumenCells.unknown(steady_mm), by_balls(exact_mm))
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +96,8 @@ def test_random_drives_stay_in_the_patients_lumen(patient: Lumen) -> None:
 
 @pytest.mark.slow
 def test_a_tip_pressed_at_the_edge_of_the_carina_does_not_sink_in(chest: Lumen) -> None:
-    # 0.111 mm without the skin of the tip's balls.
-    found = check_drives(chest, [52], num_samples=PHANTOM_SAMPLES, every=1)
+    # 0.111 and 0.119 mm before the skin of the tip's balls, and by a truth that jumps there.
+    found = check_drives(chest, [52, 261], num_samples=PHANTOM_SAMPLES, every=1)
     assert 0.0 < found.tip.mm <= 0.1, found.tip.told
 
 
