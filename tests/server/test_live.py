@@ -11,6 +11,7 @@ import pytest
 from live_server import SHOWN, WAIT_S, open_case, running
 
 from carina.render import TransferFunction
+from carina.server import hub
 from carina.server import messages as wire
 from small_case import BRANCHES_IJK, small_volume
 
@@ -31,6 +32,32 @@ def test_thousands_of_steers_and_acks_of_frames_never_sent_leave_the_session_ans
         window.until(lambda m: isinstance(m, wire.PictureHeader) and m.full)
         last = live.session.pose_info()
         assert last.path_mm == pytest.approx(3.0)
+
+
+def test_poses_go_on_while_a_tree_is_written_and_its_route_comes_after_it(live, monkeypatch):
+    may_end, written = threading.Event(), hub.tree_message
+
+    def slowly(airways, measures):
+        assert airways is None or may_end.wait(WAIT_S)
+        return written(airways, measures)
+
+    monkeypatch.setattr(hub, "tree_message", slowly)
+    with live.window() as window:
+        window.send(SHOWN)
+        open_case(window)
+        before = len(window.seen)
+        window.send(wire.Steer(1.0, 0.0, 0.0, 0.0))
+        window.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == pytest.approx(1.0))
+        assert not [m for m in window.seen[before:] if isinstance(m, wire.Tree | wire.Route)]
+        may_end.set()
+        tree = window.until(lambda m: isinstance(m, wire.Tree | wire.Route))
+        assert isinstance(tree, wire.Tree) and tree.tree is not None
+        assert window.until(lambda m: isinstance(m, wire.Route)).route is not None
+
+    # Another window gets it all, though nothing changed.
+    with live.window() as window:
+        window.until(lambda m: isinstance(m, wire.Tree) and m.tree is not None)
+        window.until(lambda m: isinstance(m, wire.Route) and m.route is not None)
 
 
 def test_the_first_messages_are_all_that_the_start_page_needs(live):
@@ -157,11 +184,9 @@ def test_flying_gives_newer_poses_and_never_an_older_one_after_a_newer(live):
     with live.window() as window:
         window.send(SHOWN)
         open_case(window)
-        for _ in range(30):
+        for n in range(1, 31):
             window.send(wire.Steer(0.5, 0.01, 0.0, 0.0))
-            window.until(lambda m: isinstance(m, wire.Pose))
-        last = [m for m in window.seen if isinstance(m, wire.Pose)][-1]
-        assert last.path_mm == pytest.approx(15.0)
+            last = window.until(lambda m, n=n: isinstance(m, wire.Pose) and m.path_mm == pytest.approx(0.5 * n))
         still = window.until(
             lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway" and m.full and m.pose_id >= last.pose_id
         )

@@ -155,6 +155,8 @@ class Hub:
         self._watch = None if cluster_status is None else ClusterWatch(cluster_status, self._tell_of_cluster)
         self._unsubscribe: Callable[[], None] = lambda: None
         self._cache: dict[str, tuple[tuple[object, ...], str]] = {}
+        self._writing_tree: asyncio.Task[None] | None = None
+        self._after_tree: set[str] = set()
 
     # ------------------------------------------------------------ life
 
@@ -192,7 +194,7 @@ class Hub:
         topics = ["start", "state"]
         if self.session.snapshot().case is not None:
             topics += ["tree", "route", "keys", "pose"]
-        outbox.mark(*topics)
+        self._mark(outbox, *topics)
         for job in self.session.jobs.running:
             if job.latest is not None:
                 outbox.push(_progress(job.latest))
@@ -226,9 +228,8 @@ class Hub:
         if topic == "state":
             return wire.encode_message(state_message(snapshot, frame_rate_hz=self.pump.rate_hz))
         if topic == "tree":
-            airways = None if document is None else document.airways
-            measures = getattr(snapshot, "measures", None)
-            return self._cached("tree", lambda: tree_message(airways, measures), airways, measures)
+            # One that is newer than what was written is written by now, and marked then.
+            return self._tree_text() if self._is_known("tree", *self._newest_tree()) else None
         if topic == "route":
             route = None if document is None else document.route
             return self._cached("route", lambda: route_message(route), route)
@@ -237,12 +238,52 @@ class Hub:
         info = self.session.pose_info()
         return None if info is None else wire.encode_message(pose_message(info))
 
+    def _tree_text(self) -> str:
+        """From any thread."""
+        airways, measures = self._newest_tree()
+        return self._cached("tree", lambda: tree_message(airways, measures), airways, measures)
+
+    def _newest_tree(self) -> tuple[Any, Any]:
+        snapshot = self.session.snapshot()
+        airways = None if snapshot.document is None else snapshot.document.airways
+        return airways, getattr(snapshot, "measures", None)
+
+    def _mark(self, outbox: Outbox, *topics: str) -> None:
+        """A tree of some hundred branches takes a third of a second to write, in a thread of its own: it and the route
+        through it follow, while poses and pictures go on."""
+        waits: set[str] = set()
+        if self._writing_tree is not None or ("tree" in topics and not self._is_known("tree", *self._newest_tree())):
+            waits = {"tree", "route"} & set(topics)
+        self._after_tree |= waits
+        outbox.mark(*(t for t in topics if t not in waits))
+        if waits and self._writing_tree is None:
+            self._writing_tree = asyncio.get_running_loop().create_task(self._write_tree())
+
+    async def _write_tree(self) -> None:
+        try:
+            # What is marked meanwhile may be of a newer tree.
+            known = None
+            while known != (known := await asyncio.to_thread(self._tree_text)):
+                pass
+        except Exception as trouble:
+            log_fault(logger, "the airway tree could not be written for the window", trouble)
+            words = f"the airway tree cannot be shown, by a fault of Carina ({type(trouble).__name__})"
+            self._push(wire.Error("carina.fault", words, None))
+        finally:
+            self._writing_tree = None
+            waits, self._after_tree = self._after_tree, set()
+            if self._outbox is not None:
+                self._outbox.mark(*waits)
+
     def _cached(self, topic: str, message: Callable[[], Any], *values: object) -> str:
         """A tree is some hundred kilobytes and changes rarely; every change and every reload asks for it."""
+        if not self._is_known(topic, *values):
+            self._cache[topic] = (values, wire.encode_message(message()))
+        return self._cache[topic][1]
+
+    def _is_known(self, topic: str, *values: object) -> bool:
         known = self._cache.get(topic)
-        if known is None or any(a is not b for a, b in zip(known[0], values, strict=True)):
-            known = self._cache[topic] = (values, wire.encode_message(message()))
-        return known[1]
+        return known is not None and all(a is b for a, b in zip(known[0], values, strict=True))
 
     def _on_event(self, event: Event) -> None:
         """From any thread, with the session locked: hand on and return."""
@@ -296,7 +337,7 @@ class Hub:
             return
         match event:
             case Changed():
-                outbox.mark(*event.topics)
+                self._mark(outbox, *event.topics)
             case JobProgress():
                 outbox.push(_progress(event))
             case JobEnded():
