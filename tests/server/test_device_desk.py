@@ -162,7 +162,7 @@ def test_a_handle_is_connected_shown_and_disconnected(desk):
         with sending(lambda n: format_line(n, 10 * n, 0.2 * n), port, rate_hz=100.0):
             wait_for(lambda: bench.session.pose_info().path_mm > before + 5.0)
             wait_for(
-                lambda: any(isinstance(m, wire.Devices) and m.sources and 0 < m.sources[0].rate_hz < 200 for m in sent)
+                lambda: any(isinstance(m, wire.Devices) and m.sources and 50 < m.sources[0].rate_hz < 200 for m in sent)
             )
         made.handle(wire.DisconnectDevice(address))
         assert made.message().sources == ()
