@@ -21,6 +21,7 @@ from carina.track import lumen_mesh
 
 SEED = 3
 LOW, HIGH = np.array([-70.0, -50.0, -90.0]), np.array([70.0, 50.0, 112.0])
+TOP_MM = 110.0
 PHANTOM_SAMPLES, PATIENT_SAMPLES = 40, 25
 PARTS = 4
 """Of a thousand drives, so that several processes can share them (-k)."""
@@ -34,9 +35,11 @@ def exact_mm(points: Floats) -> Floats:
 def steady_mm(points: Floats) -> Floats:
     """The same where it is a distance, which no more than 1.3 mm in a mm changes.
 
-    Where the cut at the back of the trachea turns from one piece to the next the phantom's lumen jumps by 0.165 mm, and
-    no wall is there: what is deep counts as no deeper than places 0.1 mm round it allow.
+    The phantom's lumen jumps by up to 0.21 mm where another branch becomes the second nearest at a fork, or the cut at
+    the back of the trachea turns; no wall is there. What is deep counts as no deeper than places 0.1 mm round it allow.
+    Above the trachea's start nothing is known, and the windpipe goes on as it is there.
     """
+    points = np.minimum(points, [np.inf, np.inf, TOP_MM])
     found = exact_mm(points)
     deep = np.flatnonzero(found > 0.05)
     step = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
