@@ -89,12 +89,12 @@ def patient() -> Lumen:
 
 @pytest.mark.slow
 def test_random_drives_stay_in_the_exact_lumen(chest: Lumen) -> None:
-    check_drives(chest, range(16), num_samples=PHANTOM_SAMPLES, every=6).check()
+    check_drives(chest, range(8), num_samples=PHANTOM_SAMPLES, every=6).check()
 
 
 @pytest.mark.slow
 def test_random_drives_stay_in_the_patients_lumen(patient: Lumen) -> None:
-    check_drives(patient, range(16), num_samples=PATIENT_SAMPLES, every=6).check()
+    check_drives(patient, range(8), num_samples=PATIENT_SAMPLES, every=6).check()
 
 
 @pytest.mark.slow
