@@ -103,6 +103,20 @@ def test_a_device_that_was_given_the_scope_and_stays_silent_lets_go_of_it():
     assert gate.holder == "pen"
 
 
+def test_a_stick_that_is_let_go_is_heard_however_soon_and_a_flood_of_it_is_not():
+    gate = SampleGate()
+    full = (1.0, *REST[1:])
+    assert gate.admit("stick", AxesSample(0.0, full), 0.0) is not None
+    assert gate.admit("stick", AxesSample(0.0001, full), 0.0) is None
+    assert gate.admit("stick", AxesSample(0.0002, REST), 0.0) is not None
+    assert gate.holder is None
+    assert gate.admit("stick", AxesSample(0.0003, full), 0.0) is None
+    used = sum(
+        gate.admit("stick", AxesSample(0.001 + 1e-6 * n, (REST, full)[n % 2]), 0.0) is not None for n in range(10_000)
+    )
+    assert used <= 2 * 20 + 2, "two in half a millisecond at most"
+
+
 def test_no_more_devices_are_told_apart_than_can_be_used_and_the_sentence_names_three():
     gate = SampleGate()
     gate.admit("pen", pen(0.0), 0.0)

@@ -157,6 +157,8 @@ class _Seen:
     """Device clock of the last sample let through."""
     backwards_since_s: float | None = None
     arrived_s: float = -math.inf
+    rests: bool = True
+    """Whether the last sample let through asked for nothing."""
     num_used: int = 0
     ignored: Counter[Refusal] = field(default_factory=Counter)
 
@@ -224,7 +226,8 @@ class SampleGate:
         assert not isinstance(checked, str)
         seen.last_s, seen.backwards_since_s, seen.arrived_s = checked.time_s, None, now_s
         seen.num_used += 1
-        if not _at_rest(checked):
+        seen.rests = _at_rest(checked)
+        if not seen.rests:
             self._holder = device
         elif self._holder == device:
             self._holder = None
@@ -302,7 +305,8 @@ class SampleGate:
                     seen.backwards_since_s = now_s
                 if now_s - seen.backwards_since_s < self._silence_s:
                     return "a clock that ran backwards"
-            elif passed_s < self._min_interval_s:
+            # A stick that is let go says so once: it must not fly on. What follows it as fast is too much again.
+            elif passed_s < self._min_interval_s and (seen.rests or not _at_rest(sample)):
                 return "more samples than can be used"
         holder = self._holder
         if holder is not None and holder != device and now_s - self._seen[holder].arrived_s < self._silence_s:
