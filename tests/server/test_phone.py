@@ -307,6 +307,15 @@ def test_connections_that_say_nothing_keep_no_phone_out_and_end(phone, monkeypat
         wait_for(lambda: phone.page.info().rate_hz > 0)
 
 
+def test_the_patience_with_a_phone_that_has_gone_ends_in_silence(phone, monkeypatch, caplog):
+    monkeypatch.setattr("carina.server.impatient.FIRST_REQUEST_WITHIN_S", 0.5)
+    for token in (None, "wrong"):
+        with dialled(phone, **({} if token is None else {"token": token})) as link:
+            _ = state(link) if token is None else ended(link)
+    time.sleep(1.5)
+    assert [r.getMessage() for r in caplog.records if r.levelname == "ERROR"] == []
+
+
 def test_a_phone_turns_the_tip_while_its_button_is_held_and_goes_forward(phone):
     phone.session.set_mode("free")
     start = phone.session.pose_info().pose

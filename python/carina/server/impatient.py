@@ -27,6 +27,7 @@ class ImpatientProtocol(H11Protocol):
         super().connection_lost(exc)
 
     def _end_if_silent(self) -> None:
-        # A WebSocket has another protocol by then. Abort: a farewell would wait for the stranger's.
-        if self.cycle is None and self.transport.get_protocol() is self:
+        # A WebSocket has another protocol by then, of whose end this one is not told: of what is closed an encrypted
+        # transport does not know the protocol any more. Abort: a farewell would wait for the stranger's.
+        if self.cycle is None and not self.transport.is_closing() and self.transport.get_protocol() is self:
             self.transport.abort()
