@@ -79,12 +79,6 @@ def _fly(flight, seconds: float, until=lambda: True, rate_hz: float = 25.0) -> l
     return shown
 
 
-def _is_a_moment(shown: list[float]) -> bool:
-    """Whether no picture was waited for much longer than a second; longer where the machine is slow with all."""
-    gaps_s = np.diff(shown)
-    return bool(gaps_s.max() < max(1.0, 10.0 * np.median(gaps_s)))
-
-
 def _strike(flight, name: str, what: signal.Signals, after_s: float = 0.01) -> list[int]:
     """Hit a renderer that long after it was given a strip, while that is out; the number of the frame, once done."""
     lane, struck, guard = flight.lane(name), [], threading.Lock()
@@ -124,7 +118,7 @@ def test_a_renderer_killed_in_mid_frame_costs_a_moment_and_comes_back_with_the_v
     pid = flight.lane(name).facts.pid
     struck = _strike(flight, name, signal.SIGKILL)
     shown = _fly(flight, 3.0, lambda: struck)
-    assert _is_a_moment(shown)
+    assert max(np.diff(shown)) < 1.0
     assert _made_by_others(flight, struck[0], name)
     wait_for(lambda: name in flight.ready())
     assert flight.lane(name).facts.pid != pid
@@ -141,7 +135,7 @@ def test_a_renderer_that_is_stopped_is_late_and_goes_on_when_it_wakes(whole):
     struck = _strike(flight, name, signal.SIGSTOP)
     try:
         shown = _fly(flight, 1.5, lambda: struck and name not in flight.ready())
-        assert _is_a_moment(shown)
+        assert max(np.diff(shown)) < 1.0
         assert _made_by_others(flight, struck[0], name)
         assert sum(f"{name} is late" in n for n in flight.console.status().notices) == 1
     finally:

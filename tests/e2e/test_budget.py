@@ -94,8 +94,15 @@ def test_where_the_airway_view_is_too_slow_the_labelled_cut_plane_stands_in_unti
     assert "View finder: cut-plane" in label
     assert "view finder" in status
     assert (frame["view"], frame["stands_for"], frame["full"]) == ("cut-plane", "airway", False)
-    # It follows the hand, where the airway view could not.
-    workstation.fly_until("window.__shown.filter((view) => view === 'cut-plane').length >= 8", 120.0)
+    # It follows the hand, where the airway view could not: in two seconds in which the machine has nothing else to do.
+    num = 0
+    for key in 30 * "sw":
+        before = len(workstation.watched_stand_ins())
+        workstation.hold(key, 2000)
+        num = workstation.watched_stand_ins()[before:].count("cut-plane")
+        if num >= 8:
+            break
+    assert num >= 8, "it follows the hand"
 
     # At rest the airway view comes, however long it takes, and the label goes.
     workstation.wait_still()

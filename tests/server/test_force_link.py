@@ -106,12 +106,12 @@ def test_a_hundred_planes_a_second_through_loss_and_return(live):
             assert plane.stiffness_n_per_mm > 0.0
             assert plane.damping_ns_per_mm > 0.0
             assert picture_threads() == max(1, before - 1)
-            # As often as a bridge needs, in one tenth of a second at least: the machine may have other things to do.
+            # As often as a bridge needs, for a whole second: one in which the machine has nothing else to do.
             end_s, num = time.monotonic() + WAIT_S, 0
-            while num < 10:
-                assert time.monotonic() < end_s, f"{num} in a tenth of a second"
+            while num < 100:
+                assert time.monotonic() < end_s, f"{num} a second"
                 began_s, num = time.monotonic(), 0
-                while time.monotonic() < began_s + 0.1:
+                while time.monotonic() < began_s + 1.0:
                     place = (near[0] + 0.001 * num, *near[1:])
                     assert hand.ask(place).lps == pytest.approx(place)
                     num += 1
