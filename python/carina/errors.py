@@ -6,11 +6,19 @@ crates and with the web client; ``exit_code`` is what the command line returns (
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
 __all__ = [
     "CancelledError",
     "CarinaError",
     "ClusterError",
+    "DiskError",
     "GeometryError",
+    "NoEvidenceError",
     "NoResultError",
     "ProtocolError",
     "RenderError",
@@ -57,6 +65,20 @@ class VolumeImportError(CarinaError, OSError):
         return str(self.args[0]) if self.args else ""
 
 
+class DiskError(CarinaError, OSError):
+    """A disk takes nothing more: it is full, read-only, or what was named is not there.
+
+    The message says what, where and what to do; ``errno`` is the system's.
+    """
+
+    code = "disk.failed"
+    exit_code = 1
+
+    def __str__(self) -> str:
+        # OSError formats its arguments as errno and strerror; ours is one sentence.
+        return str(self.args[0]) if self.args else ""
+
+
 class GeometryError(CarinaError, ValueError):
     """A grid, a transform or an array's shape is unusable."""
 
@@ -83,6 +105,30 @@ class NoResultError(TrackingError):
 
     code = "track.no-result"
     exit_code = 4
+
+
+class NoEvidenceError(NoResultError):
+    """An airway was asked for where the CT shows no wall round the whole way; asked again, it can be drawn by hand.
+
+    Attributes
+    ----------
+    doubtful_mm
+        Length of the way along which no wall is seen, mm.
+    way_lps
+        (n, 3) float64, LPS mm, the way from the tree to the point.
+    doubtful
+        (n-1,) bool, which of its segments are doubtful.
+    """
+
+    code = "track.no-evidence"
+
+    def __init__(
+        self, message: str, *, doubtful_mm: float, way_lps: NDArray[np.float64], doubtful: NDArray[np.bool_]
+    ) -> None:
+        super().__init__(message)
+        self.doubtful_mm = doubtful_mm
+        self.way_lps = way_lps
+        self.doubtful = doubtful
 
 
 class ClusterError(CarinaError):

@@ -80,17 +80,21 @@ def test_big_endian_pixels_are_swapped(write_series, expected_hu_zyx):
     np.testing.assert_array_equal(open_volume(folder).hu_zyx, expected_hu_zyx)
 
 
-def test_slope_and_intercept_of_each_slice_count(write_series):
+def test_slope_and_intercept_of_each_slice_count(write_series, expected_hu_zyx):
     slopes = [1.0, -1.0, 0.5, 2.5, 1.0, 1.0, 0.25, 1.0, -0.5]
+    stored_zyx = [
+        np.rint((hu - (-1000 + index)) / slopes[index]).astype(np.int16) for index, hu in enumerate(expected_hu_zyx)
+    ]
 
     def rescale(dataset, index):
         dataset.RescaleSlope, dataset.RescaleIntercept = slopes[index], -1000 + index
+        dataset.PixelData = stored_zyx[index].tobytes()
 
     volume = open_volume(write_series(edit=rescale))
-    stored = (np.arange(volume.hu_zyx[0].size) * 8).reshape(volume.hu_zyx[0].shape)
     for index, slope in enumerate(slopes):
-        expected = np.rint((stored + index * 17) * slope - 1000 + index)
+        expected = np.rint(stored_zyx[index] * slope - 1000 + index)
         np.testing.assert_array_equal(volume.hu_zyx[index], expected)
+    assert volume.is_hu
 
 
 def test_bits_above_the_used_ones_are_ignored(write_series):
@@ -148,12 +152,23 @@ def test_positions_rounded_to_a_tenth_of_a_millimetre_pass(write_series):
     assert open_volume(write_series(edit=round_positions)).shape_zyx[0] == SLICES
 
 
-def test_a_doubled_slice_is_refused(write_series):
+def test_a_second_slice_at_the_same_place_is_refused(write_series):
     folder = write_series()
-    shutil.copy(folder / "IM002", folder / "IM002 copy")
+    twin = bytearray((folder / "IM002").read_bytes())
+    twin[-1] ^= 1
+    (folder / "IM002 copy").write_bytes(twin)
     error = refusal(folder)
     assert error.code == "import.geometry.duplicate"
     assert "IM002 and IM002 copy" in str(error)
+
+
+def test_a_copy_of_a_slice_counts_once_and_stands_for_it(write_series, expected_hu_zyx):
+    folder = write_series()
+    shutil.copy(folder / "IM002", folder / "IM002 copy")
+    for path in (folder, folder / "IM002 copy"):
+        volume = open_volume(path)
+        np.testing.assert_array_equal(volume.hu_zyx, expected_hu_zyx)
+        assert [note.code for note in volume.source.notes] == ["import.copies"]
 
 
 @pytest.mark.parametrize(("tilt_deg", "good"), [(0.0, True), (0.15, True), (0.6, False), (16.5, False)])
@@ -308,7 +323,7 @@ def test_an_unknown_compression_is_refused_by_name(write_series):
         dataset.PixelData = encapsulate([b"some video"])
         dataset["PixelData"].VR = "OB"
 
-    assert refusal(write_series(edit=video, syntax=MPEG2MPML)).code == "import.unsupported"
+    assert refusal(write_series(edit=video, syntax=MPEG2MPML)).code == "import.not-supported"
 
 
 def test_files_that_are_not_images_are_passed_over(write_series, expected_hu_zyx):

@@ -135,7 +135,7 @@ SHEARED = [[-0.7, 0, 0, 5], [0, -0.9, 0, 6], [0, 0.4, 1.25, 7]]
         ({"shape": (4, -5, 6)}, "import.header"),
         ({"dim0": 9}, "import.header"),
         ({"units": 7}, "import.header"),
-        ({"datatype": 128}, "import.unsupported"),
+        ({"datatype": 128}, "import.not-supported"),
         ({"shape": (400, 500, 600)}, "import.truncated"),
         ({"shape": (32000, 32000, 32000)}, "import.too-large"),
     ],
@@ -163,17 +163,17 @@ def _edit_text(path: Path, old: bytes, new: bytes) -> Path:
         ("nrrd", b"space: left-posterior-superior", b"#", "import.geometry.orientation-unknown"),
         ("nrrd", b"left-posterior-superior", b"scanner-xyz", "import.geometry.orientation-unknown"),
         ("nrrd", b"dimension: 3", b"dimension: 4", "import.header"),
-        ("nrrd", b"encoding: raw", b"encoding: hex", "import.unsupported"),
-        ("nhdr", b"data file: ct.raw", b"data file: ../ct.raw", "import.unsupported"),
+        ("nrrd", b"encoding: raw", b"encoding: hex", "import.not-supported"),
+        ("nhdr", b"data file: ct.raw", b"data file: ../ct.raw", "import.elsewhere"),
         ("nhdr", b"data file: ct.raw", b"data file: gone.raw", "import.not-found"),
         ("mha", b"DimSize = 13 11 9", b"DimSize = 1300 11 9", "import.truncated"),
         ("mha", b"DimSize = 13 11 9", b"DimSize = 99999 99999 99", "import.too-large"),
         ("mha", b"ElementSpacing", b"ElementSpacing = 0.7 -0.9 1.25\nComment", "import.geometry.spacing"),
         ("mha", b"ElementSpacing", b"ElementSpacing = 0.7 nan 1.25\nComment", "import.geometry.spacing"),
-        ("mha", b"ElementType = MET_SHORT", b"ElementType = MET_SHORTS", "import.unsupported"),
+        ("mha", b"ElementType = MET_SHORT", b"ElementType = MET_SHORTS", "import.not-supported"),
         ("mha", b"NDims = 3", b"NDims = 4", "import.header"),
-        ("mhd", b"ElementDataFile = ct.raw", b"ElementDataFile = /etc/hostname", "import.unsupported"),
-        ("mhd", b"ElementDataFile = ct.raw", b"ElementDataFile = LIST", "import.unsupported"),
+        ("mhd", b"ElementDataFile = ct.raw", b"ElementDataFile = /etc/hostname", "import.elsewhere"),
+        ("mhd", b"ElementDataFile = ct.raw", b"ElementDataFile = LIST", "import.not-supported"),
     ],
 )
 def test_text_headers_that_cannot_be_trusted_are_refused(tmp_path, suffix, old, new, code):
@@ -234,7 +234,7 @@ def test_4d_and_colour_files_of_the_library_are_refused(tmp_path):
         sitk.WriteImage(four, str(tmp_path / f"four.{suffix}"))
         assert refusal(tmp_path / f"four.{suffix}").code == "import.not-3d"
         sitk.WriteImage(colour, str(tmp_path / f"colour.{suffix}"))
-        assert refusal(tmp_path / f"colour.{suffix}").code in ("import.not-3d", "import.unsupported")
+        assert refusal(tmp_path / f"colour.{suffix}").code in ("import.not-3d", "import.not-supported")
 
 
 def test_a_volume_of_one_value_is_refused(tmp_path):
@@ -247,7 +247,7 @@ def test_numbers_that_are_not_finite_become_the_lowest_and_are_counted(tmp_path)
     volume = open_volume(write(tmp_path / "ct.nrrd", values))
     assert (volume.hu_zyx[0, 0, :3] == -1000).all()
     assert any("3 voxels are not numbers" in warning for warning in volume.source.warnings)
-    assert refusal(write(tmp_path / "none.nrrd", np.full_like(values, np.nan))).code == "import.values"
+    assert refusal(write(tmp_path / "none.nrrd", np.full_like(values, np.nan))).code == "import.no-numbers"
 
 
 @pytest.mark.parametrize("suffix", ["nii.gz", "nrrd", "mha"])
@@ -255,7 +255,7 @@ def test_cancel_stops_a_file_at_every_step(tmp_path, suffix):
     path = write(tmp_path / f"ct.{suffix}", compress=True)
     seen: list[str] = []
     open_volume(path, progress=lambda what, fraction: seen.append(what))
-    assert "Checking the file" in seen
+    assert "Reading the voxels" in seen
     for stop_at in range(len(seen)):
         asked = iter(range(len(seen) + 1))
         with pytest.raises(CancelledError):

@@ -77,7 +77,7 @@ def test_hu_with_a_metal_peak_outside_int16_is_clipped_and_said(rng):
     values[0, 0, 0] = 70_000
     converted = to_int16(values)
     assert converted.values[0, 0, 0] == 32767
-    assert "1 voxels lie outside" in converted.warnings[0]
+    assert "1 voxels lie outside" in converted.notes[0].words
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.5, 4.25), (0.0, 60_000.0)])

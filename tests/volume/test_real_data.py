@@ -11,7 +11,7 @@ import SimpleITK as sitk
 
 from carina.errors import VolumeImportError
 from carina.volume import demo_patient, inspect_path, open_volume, quality_gate
-from carina.volume.dicom_headers import read_headers
+from carina.volume.dicom_files import read_headers
 from carina.volume.dicom_pixels import read_slice
 from carina.volume.watch import Watch
 
@@ -75,7 +75,7 @@ def test_the_second_patient_opens(data_dir, tmp_path):
     [
         ("gantry_tilt", "import.geometry.tilt", "16.5 degrees"),
         ("gantry_tilt/Philips/S21610/S3010/I210", "import.geometry.tilt", "16.5 degrees"),
-        ("cornerstone3D_transfer_syntaxes", "import.geometry.duplicate", "16 of its 16 slices"),
+        ("cornerstone3D_transfer_syntaxes", "import.geometry.duplicate", "10 of its 10 slices"),
         ("cornerstone3D_transfer_syntaxes/TestPattern_RGB.dcm", "import.not-a-scan", "colour"),
         ("cornerstone3D_transfer_syntaxes/TestPattern_Palette.dcm", "import.not-a-scan", "colour"),
         ("cornerstone3D_transfer_syntaxes/US-YBR_FULL_422-EVRLE.dcm", "import.not-a-scan", "colour"),
@@ -234,3 +234,25 @@ def test_a_coarse_ct_is_told_to_be_coarse(data_dir):
 def test_a_nifti_named_gz_opens(data_dir):
     volume = open_volume(data_dir / "masks" / "thin_slice_lobes" / "Patient1" / "BronchialTree.gz")
     assert volume.shape_zyx == (587, 512, 512)
+
+
+@pytest.mark.parametrize("value", ["absent", "empty"])
+def test_three_slices_of_the_patient_without_rescale_are_refused_by_name(patient_dicom, tmp_path, value):
+    import pydicom
+
+    for path in patient_dicom.iterdir():
+        (tmp_path / path.name).symlink_to(path)
+    for number in (40, 41, 77):
+        name = f"{number:06d}.dcm"
+        dataset = pydicom.dcmread(patient_dicom / name)
+        if value == "absent":
+            del dataset.RescaleIntercept, dataset.RescaleSlope
+        else:
+            dataset.RescaleIntercept = dataset.RescaleSlope = None
+        (tmp_path / name).unlink()
+        dataset.save_as(tmp_path / name)
+    with pytest.raises(VolumeImportError) as caught:
+        open_volume(tmp_path)
+    assert caught.value.code == "import.rescale-mixed"
+    assert "3 of its 130 slices" in str(caught.value)
+    assert "000040.dcm, 000041.dcm, 000077.dcm" in str(caught.value)

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import UsageError, VolumeImportError
+from carina.volume.dicom_checks import (
+    Clipping,
+    check_rescale_tags,
+    doubt_notes,
+    odd_slices,
+    refuse_contradicting_rescale,
+)
+from carina.volume.dicom_files import FolderContent, LostFiles, UnusedFile, name_files
 from carina.volume.dicom_geometry import grid_from_slices
-from carina.volume.dicom_headers import SliceHeader, read_headers
-from carina.volume.dicom_pixels import read_slice
-from carina.volume.hu import judge_dicom
-from carina.volume.model import SeriesInfo, Volume, VolumeSource
+from carina.volume.dicom_headers import SETTINGS, SliceHeader
+from carina.volume.dicom_pixels import Doubt, decode_slice, is_compressed
+from carina.volume.dicom_series import Group, count_patients, group_slices, without_copies
+from carina.volume.hu import HU_TYPES, MAX_DOUBTFUL_SHARE, HuVerdict, clipped_note, judge_dicom
+from carina.volume.model import Note, SeriesInfo, Volume, VolumeSource
 from carina.volume.watch import Watch
 
 __all__ = ["FoundSeries", "choose_series", "find_series", "open_series"]
@@ -27,6 +35,8 @@ MAX_VOXELS = 1 << 31
 _CHEST = re.compile(r"chest|thora|lung|pulmo|bronch", re.IGNORECASE)
 # Many exporters name files by their UID; a volume carries none, not even inside a sentence about another series.
 _UID = re.compile(r"[\w.-]*\d+(?:\.\d+){4,}[\w.-]*")
+_DERIVED = re.compile(r"\b(mip|minip|mpr|projection image|screen save|average|subtract\w*)\b")
+_IMAGE_TYPE = list(SETTINGS).index("ImageType")
 _ELSEWHERE = re.compile(r"head|brain|skull|neuro|sinus|abdom|pelvi|spine|knee|foot|hand|leg\b|hip\b", re.IGNORECASE)
 
 
@@ -36,10 +46,14 @@ class FoundSeries:
 
     info: SeriesInfo
     slices: tuple[SliceHeader, ...]
-    lps_from_ijk: NDArray[np.float64] | None
-    refusal: VolumeImportError | None
-    score: float
+    lps_from_ijk: NDArray[np.float64] | None = None
+    refusal: VolumeImportError | None = None
+    score: float = 0.0
     """Slices times covered height in mm, weighted by what the texts say; decides which one is the chest CT."""
+    notes: tuple[Note, ...] = ()
+    """What is to be said of it as it lies in its folder."""
+    missing: tuple[UnusedFile, ...] = ()
+    """Files that look like a part of it and could not be used."""
 
     @property
     def name(self) -> str:
@@ -61,7 +75,8 @@ def _name(info: SeriesInfo) -> str:
     return f"series {info.key}{text}"
 
 
-def _grid(slices: Sequence[SliceHeader], what: str) -> tuple[list[SliceHeader], NDArray[np.float64]]:
+def _grid(group: Group, what: str) -> tuple[list[SliceHeader], NDArray[np.float64]]:
+    slices = group.slices
     bad = [header for header in slices if header.problem is not None]
     if bad:
         first = bad[0]
@@ -77,7 +92,14 @@ def _grid(slices: Sequence[SliceHeader], what: str) -> tuple[list[SliceHeader], 
             "another series"
         )
         raise VolumeImportError(msg, code="import.too-large")
-    return grid_from_slices(slices, what=what)
+    try:
+        found = grid_from_slices(slices, what=what)
+    except VolumeImportError:
+        if group.mixed_with:  # what was parted from it is the reason, and says so
+            grid_from_slices(group.mixed_with, what=what)
+        raise
+    check_rescale_tags(found[0], what)
+    return found
 
 
 def _score(slices: Sequence[SliceHeader], coverage_mm: float) -> float:
@@ -95,44 +117,90 @@ def _score(slices: Sequence[SliceHeader], coverage_mm: float) -> float:
         score *= 1e-6
     if first.problem_code in ("import.not-a-scan", "import.multi-frame"):
         score *= 1e-3
+    if _DERIVED.search(first.settings[_IMAGE_TYPE]):
+        score /= 4
     return score
 
 
-def find_series(headers: Sequence[SliceHeader]) -> list[FoundSeries]:
-    """Group images into series, best chest CT first.
+def find_series(content: FolderContent, watch: Watch) -> list[FoundSeries]:
+    """Part the images of a folder into series, best chest CT first, by the rules of ``dicom_series``.
 
-    Images of one SeriesInstanceUID belong together, except scouts (ImageType LOCALIZER), which are a series of their
-    own.
+    Scouts (ImageType LOCALIZER) are a series of their own.
     """
-    groups: dict[tuple[str, bool], list[SliceHeader]] = {}
-    for header in headers:
-        groups.setdefault((header.series_uid, header.localizer), []).append(header)
-
+    headers, copies = without_copies(content.headers, watch)
+    groups = group_slices(headers)
+    common = _notes_of_folder(headers)
+    lost = LostFiles(content)
     used: dict[str, int] = {}
     found = []
     # By number, then by file name: the keys a person types do not depend on UIDs.
-    for slices in sorted(groups.values(), key=lambda group: (group[0].series_number or 0, str(group[0].path))):
+    for group in sorted(groups, key=lambda item: (item.slices[0].series_number or 0, str(item.slices[0].path))):
+        watch.step("Sorting the images")
+        slices = group.slices
         first = slices[0]
         number = "0" if first.series_number is None else str(first.series_number)
         used[number] = used.get(number, 0) + 1
-        key = number if used[number] == 1 else f"{number}-{used[number]}"
+        description = first.description or ("scout" if first.localizer else "")
         info = SeriesInfo(
-            key=key,
+            key=number if used[number] == 1 else f"{number}-{used[number]}",
             modality=first.modality,
-            description=first.description or ("scout" if first.localizer else ""),
+            description=", ".join(filter(None, (description, group.label))),
             num_slices=len(slices),
         )
-        series = FoundSeries(info, tuple(slices), None, None, 0.0)
+        missing = lost.beside(slices)
+        notes = (*common, *group.notes, *_notes_of_files(slices, missing, copies))
+        series = FoundSeries(info, slices, notes=notes, missing=tuple(missing))
         try:
-            ordered, lps_from_ijk = _grid(slices, f"reading {_name(info)}")
+            ordered, lps_from_ijk = _grid(group, f"reading {_name(info)}")
             shape = (len(ordered), first.rows, first.columns)
             series = replace(
                 series, info=replace(info, shape_zyx=shape), slices=tuple(ordered), lps_from_ijk=lps_from_ijk
             )
         except VolumeImportError as error:
-            series = replace(series, info=replace(info, refused=_UID.sub("(file name)", str(error))), refusal=error)
+            refusal = _with_missing(error, missing)
+            series = replace(series, info=replace(info, refused=_UID.sub("(file name)", str(refusal))), refusal=refusal)
         found.append(replace(series, score=_score(slices, series.coverage_mm)))
     return sorted(found, key=lambda item: (-item.score, item.info.key))
+
+
+def _notes_of_folder(headers: Sequence[SliceHeader]) -> tuple[Note, ...]:
+    patients = count_patients(headers)
+    if patients < 2:
+        return ()
+    words = f"the folder holds images of {patients} patients; check that this is the right one"
+    return (Note("import.two-patients", words, badge=True),)
+
+
+def _notes_of_files(
+    slices: Sequence[SliceHeader], missing: Sequence[UnusedFile], copies: Mapping[Hashable, Sequence[SliceHeader]]
+) -> list[Note]:
+    notes = []
+    if missing:
+        verb = (
+            "files beside the slices look like a part"
+            if len(missing) > 1
+            else "file beside the slices looks like a part"
+        )
+        names = name_files([(file.path, file.reason) for file in missing])
+        words = f"{len(missing)} {verb} of this series and could not be used: {names}; the scan may be incomplete"
+        notes.append(Note("import.files-unread", words, badge=True))
+    mine = [copy for h in slices for copy in copies.get((h.sop_uid, h.series_uid, h.position_lps), ())]
+    if mine:
+        names = name_files([(copy.path, "") for copy in mine])
+        words = f"{len(mine)} slices are there twice, byte for byte, and were taken once ({names})"
+        notes.append(Note("import.copies", words))
+    return notes
+
+
+def _with_missing(error: VolumeImportError, missing: Sequence[UnusedFile]) -> VolumeImportError:
+    """A refusal that also names the files that could not be used: they are its likely cause."""
+    if not missing:
+        return error
+    shown = ", ".join(f"{file.path.name} ({file.reason})" for file in missing[:4])
+    more = f" and {len(missing) - 4} more" if len(missing) > 4 else ""
+    verb = "files beside it look like a part of it" if len(missing) > 1 else "a file beside it looks like a part of it"
+    msg = f"{error}. {len(missing)} {verb}" if len(missing) > 1 else f"{error}. And {verb}"
+    return VolumeImportError(f"{msg} and could not be used: {shown}{more}; copy them again", code=error.code)
 
 
 def describe_series(series: Sequence[SeriesInfo]) -> str:
@@ -143,15 +211,15 @@ def describe_series(series: Sequence[SeriesInfo]) -> str:
     )
 
 
-def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) -> tuple[FoundSeries, tuple[str, ...]]:
+def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) -> tuple[FoundSeries, tuple[Note, ...]]:
     """Choose by key, else the largest chest CT; say which others there are.
 
     Where the largest is refused, another CT takes its place only if it covers at least half of its height, and a
-    warning says so.
+    note says so.
 
     Returns
     -------
-    chosen, warnings
+    chosen, notes
 
     Raises
     ------
@@ -167,9 +235,9 @@ def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) 
             raise UsageError(msg, code="usage.series")
         if chosen.refusal is not None:
             raise chosen.refusal
-        return chosen, ()
+        return chosen, chosen.notes
     chosen = found[0]
-    notes: list[str] = []
+    notes: list[Note] = []
     if chosen.refusal is not None:
         refused, refusal = chosen, chosen.refusal
         candidates = [
@@ -185,19 +253,19 @@ def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) 
             more = f". {where} also has: {describe_series(others)}" if others else ""
             raise VolumeImportError(f"{refusal}{more}", code=refusal.code)
         chosen = candidates[0]
-        notes.append(f"the largest series was refused ({refused.info.refused}); {chosen.name} was opened in its place")
+        words = f"the largest series was refused ({refused.info.refused}); {chosen.name} was opened in its place"
+        notes.append(Note("import.series-replaced", words))
     others = [item.info for item in found if item is not chosen]
     if others:
-        notes.append(
+        words = (
             f"the folder holds several series; opened {chosen.name}, {chosen.info.num_slices} slices; not opened: "
             f"{describe_series(others)}"
         )
-    return chosen, tuple(notes)
+        notes.append(Note("import.several-series", words))
+    return chosen, (*notes, *chosen.notes)
 
 
-def open_series(
-    series: FoundSeries, *, others: Sequence[SeriesInfo], warnings: tuple[str, ...], watch: Watch
-) -> Volume:
+def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tuple[Note, ...], watch: Watch) -> Volume:
     """Read the pixels of one series into a volume.
 
     Raises
@@ -210,46 +278,68 @@ def open_series(
     if series.lps_from_ijk is None or series.info.shape_zyx is None:
         raise series.refusal or VolumeImportError(f"reading {series.name}: it has no grid")
     first = series.slices[0]
-    notes = list(warnings)
+    said = list(notes)
     values: NDArray[np.int16] | None = None
-    num_clipped = 0
+    clipping = Clipping()
+    doubts: list[tuple[SliceHeader, Doubt]] = []
+    before: tuple[SliceHeader, NDArray[Any]] | None = None
     for index, header in enumerate(series.slices):
         watch.step("Reading the slices", index / len(series.slices))
-        numbers: NDArray[Any] = read_slice(header)
+        pixels = decode_slice(header)
+        numbers: NDArray[Any] = pixels.numbers
+        doubts.extend((header, doubt) for doubt in pixels.doubts)
+        refuse_contradicting_rescale(before, header, numbers, f"reading {series.name}")
+        before = header, numbers
         if values is None:  # only now: a first slice that cannot be read costs no memory for the rest
             values = np.empty(series.info.shape_zyx, dtype=np.int16)
         if numbers.dtype.kind == "f":
             numbers = np.rint(numbers)
-        if numbers.min() < -32768 or numbers.max() > 32767:
-            num_clipped += int(np.count_nonzero((numbers < -32768) | (numbers > 32767)))
-            numbers = np.clip(numbers, -32768, 32767)
-        values[index] = numbers
+        values[index] = clipping.take(header, numbers)
     assert values is not None  # a grid has at least two slices
     if values.min() == values.max():
         msg = f"reading {series.name}: every pixel holds the same number, so there is nothing to see; export it again"
         raise VolumeImportError(msg, code="import.values")
-    if num_clipped:
-        notes.append(f"{num_clipped} voxels lie outside -32768..32767 and were set to the nearest of these")
+    if clipping.count:
+        said.append(clipped_note(clipping.count))
     if any(header.lossy for header in series.slices):
-        notes.append("the slices were compressed with loss; fine walls may be blurred")
+        said.append(Note("import.lossy", "the slices were compressed with loss; fine walls may be blurred", badge=True))
+    if first.modality == "CT":
+        odd = Doubt("import.slices-odd", "a slice differs from both its neighbours far more than these from each other")
+        compressed = any(is_compressed(header) for header in series.slices)
+        slice_mm = float(np.linalg.norm(series.lps_from_ijk[:3, 2]))
+        doubts.extend((series.slices[at], odd) for at in odd_slices(values, compressed=compressed, slice_mm=slice_mm))
+    in_doubt = doubt_notes(doubts, len(series.slices))
     verdict = judge_dicom(
         values,
         modality=first.modality,
         has_rescale=all(header.has_rescale for header in series.slices),
-        rescale_type=first.rescale_type,
+        rescale_type=next((h.rescale_type for h in series.slices if h.rescale_type not in HU_TYPES), ""),
         bits_stored=min(header.bits_stored for header in series.slices),
     )
+    if not all(header.has_rescale for header in series.slices):
+        said.append(_no_rescale_note(series.slices, is_hu=verdict.is_hu))
+    said.extend(in_doubt)
+    lost = clipping.lost / values.size
+    if verdict.is_hu and in_doubt:
+        verdict = HuVerdict(False, in_doubt[0].words)
+    elif verdict.is_hu and lost > MAX_DOUBTFUL_SHARE:
+        verdict = HuVerdict(False, f"{100 * lost:.0f} % of its voxels lie outside -32768..32767 and were cut off")
     source = VolumeSource(
         format="dicom",
         title=series.info.description or f"{first.modality} series {series.info.key}",
         series=series.info,
         other_series=tuple(others),
-        warnings=tuple(notes),
+        notes=tuple(said),
     )
     watch.step("Reading the slices", 1.0)
     return Volume(values, series.lps_from_ijk, is_hu=verdict.is_hu, not_hu_reason=verdict.reason, source=source)
 
 
-def series_in(folder: Path, *, recursive: bool, watch: Watch) -> list[FoundSeries]:
-    """All series in a folder, best chest CT first; empty where there is no DICOM image."""
-    return find_series(read_headers(folder, recursive=recursive, watch=watch))
+def _no_rescale_note(slices: Sequence[SliceHeader], *, is_hu: bool) -> Note:
+    lacking = [
+        tag
+        for tag, given in (("RescaleSlope", slices[0].has_slope), ("RescaleIntercept", slices[0].has_intercept))
+        if not given
+    ]
+    end = "its values show that they are HU" if is_hu else "so its values are not taken for HU"
+    return Note("import.rescale-absent", f"no slice gives {' or '.join(lacking)}; {end}", badge=True)

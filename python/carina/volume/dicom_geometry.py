@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from carina.errors import VolumeImportError
 from carina.volume.dicom_headers import SliceHeader
 
-__all__ = ["MAX_TILT_DEG", "grid_from_slices"]
+__all__ = ["MAX_CORNER_SHIFT_MM", "MAX_TILT_DEG", "grid_from_slices"]
 
 MAX_TILT_DEG = 0.2
-_MAX_CORNER_SHIFT_MM = 0.1
+MAX_CORNER_SHIFT_MM = 0.1
 
 
 def _refuse(what: str, problem: str, way_out: str, code: str) -> VolumeImportError:
@@ -46,7 +46,7 @@ def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
             )
             raise _refuse(what, problem, way_out, "import.geometry.mixed")
         turn = max(math.dist(header.row_lps, first.row_lps), math.dist(header.column_lps, first.column_lps))
-        if turn * extent_mm > _MAX_CORNER_SHIFT_MM:
+        if turn * extent_mm > MAX_CORNER_SHIFT_MM:
             problem = (
                 f"its slices have mixed orientations: {header.path.name} is turned by {math.degrees(turn):.2f} "
                 f"degrees against {first.path.name}"
@@ -56,7 +56,7 @@ def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
             abs(header.spacing_mm[0] - first.spacing_mm[0]) * header.columns,
             abs(header.spacing_mm[1] - first.spacing_mm[1]) * header.rows,
         )
-        if stretch_mm > _MAX_CORNER_SHIFT_MM:
+        if stretch_mm > MAX_CORNER_SHIFT_MM:
             problem = (
                 f"its slices have mixed pixel distances: expected {first.spacing_mm[0]:g} x {first.spacing_mm[1]:g} "
                 f"mm as in {first.path.name}, found {header.spacing_mm[0]:g} x {header.spacing_mm[1]:g} mm in "
@@ -148,7 +148,7 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
     lean = positions[-1] - positions[0] - height * normal
     lean_mm = float(np.linalg.norm(lean))
     tilt_deg = math.degrees(math.atan2(lean_mm, height))
-    if tilt_deg > MAX_TILT_DEG and lean_mm > _MAX_CORNER_SHIFT_MM:
+    if tilt_deg > MAX_TILT_DEG and lean_mm > MAX_CORNER_SHIFT_MM:
         problem = (
             f"its slices are tilted: the stack leans by {tilt_deg:.1f} degrees against the slices (gantry tilt), "
             f"{lean_mm:.1f} mm from the first to the last; expected a straight stack"
@@ -158,7 +158,7 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
     line = positions[0] + np.arange(len(ordered))[:, None] * step
     across = positions - line
     across = np.linalg.norm(across - np.outer(across @ normal, normal), axis=1)
-    allowed = max(_MAX_CORNER_SHIFT_MM, 0.1 * min(first.spacing_mm))
+    allowed = max(MAX_CORNER_SHIFT_MM, 0.1 * min(first.spacing_mm))
     if float(across.max()) > allowed:
         at = int(across.argmax())
         problem = (

@@ -1,21 +1,27 @@
-"""The pixels of one DICOM slice: stored numbers, then the rescale of that slice (PS3.3 C.7.6.16.2.9, C.11.1)."""
+"""The pixels of one DICOM slice: stored numbers, then the rescale of that slice (PS3.3 C.7.6.16.2.9, C.11.1).
+
+Pixels that are surely wrong (too few, another size, a stream that does not decode) are refused. Where they can be read
+but something contradicts them, they come with a ``Doubt``, and the volume is not HU.
+"""
 
 from __future__ import annotations
 
-import struct
-import tempfile
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.encaps import encapsulate
 from pydicom.uid import UID, CTImageStorage
 
+from carina.disk import scratch_folder
 from carina.errors import VolumeImportError
-from carina.volume.dicom_headers import SliceHeader, read_dataset
+from carina.volume.dicom_headers import SliceHeader, read_pixel_bytes
+from carina.volume.dicom_streams import Stream, decoder_words, fragments, read_stream, rle_problem
 
-__all__ = ["read_slice"]
+__all__ = ["Doubt", "SlicePixels", "decode_slice", "is_compressed", "read_slice"]
 
 # Stored as plain numbers: read here, checked byte for byte. Everything else is decoded by GDCM through SimpleITK.
 _IMPLICIT_LITTLE, _EXPLICIT_LITTLE = "1.2.840.10008.1.2", "1.2.840.10008.1.2.1"
@@ -26,6 +32,23 @@ _CODED = {f"1.2.840.10008.1.2.4.{number}" for number in (50, 51, 53, 55, 57, 70,
 _PLAIN = {_IMPLICIT_LITTLE, _EXPLICIT_LITTLE, _DEFLATED_LITTLE, _EXPLICIT_BIG, ""}
 
 
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """Why the pixels of a slice may be wrong although they could be read."""
+
+    code: str
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class SlicePixels:
+    """One slice after its rescale."""
+
+    numbers: NDArray[np.float64] | NDArray[np.int32]
+    """(rows, columns), int32 where slope and intercept are whole, else float64."""
+    doubts: tuple[Doubt, ...]
+
+
 def _truncated(header: SliceHeader, expected: int, found: int) -> VolumeImportError:
     msg = (
         f"reading {header.path.name}: its pixels are cut short: expected {expected} bytes, found {found}; the copy is "
@@ -34,16 +57,15 @@ def _truncated(header: SliceHeader, expected: int, found: int) -> VolumeImportEr
     return VolumeImportError(msg, code="import.truncated")
 
 
-def _plain_pixels(header: SliceHeader) -> NDArray[np.int32]:
+def _plain_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt, ...]]:
     num_bytes = header.bits_allocated // 8
     expected = header.rows * header.columns * num_bytes
     if header.path.stat().st_size < expected and header.transfer_syntax != _DEFLATED_LITTLE:
         raise _truncated(header, expected, header.path.stat().st_size)
     try:
-        data = read_dataset(header.path, pixels=True).get("PixelData")
+        stored = read_pixel_bytes(header)
     except ValueError:
         raise _truncated(header, expected, 0) from None
-    stored = b"" if data is None else bytes(data)
     if len(stored) < expected:
         raise _truncated(header, expected, len(stored))
     if len(stored) > expected + 1:  # one byte of padding keeps the length even
@@ -53,51 +75,51 @@ def _plain_pixels(header: SliceHeader) -> NDArray[np.int32]:
         )
         raise VolumeImportError(msg, code="import.header")
     order = ">" if header.transfer_syntax == _EXPLICIT_BIG else "<"
-    values = np.frombuffer(stored, dtype=f"{order}u{num_bytes}", count=header.rows * header.columns)
+    words = np.frombuffer(stored, dtype=f"{order}u{num_bytes}", count=header.rows * header.columns)
+    words = words.reshape(header.rows, header.columns).astype(f"=u{num_bytes}", copy=False)
+    return _used_bits(words, header), _byte_order_doubts(words, lambda some: _used_bits(some, header))
+
+
+def _used_bits(words: NDArray[np.generic], header: SliceHeader) -> NDArray[np.int32]:
     # Bits beyond the used ones may hold anything (old overlays): shift them out at the top and at the bottom.
-    word = values.astype(np.uint32) << np.uint32(31 - header.high_bit)
+    word = words.astype(np.uint32) << np.uint32(31 - header.high_bit)
     kind = np.int32 if header.signed else np.uint32
-    return (word.view(kind) >> kind(32 - header.bits_stored)).astype(np.int32).reshape(header.rows, header.columns)
+    return (word.view(kind) >> kind(32 - header.bits_stored)).astype(np.int32)
 
 
-_JPEG_START, _J2K_START = b"\xff\xd8\xff", b"\xff\x4f\xff\x51"
-_MAX_J2K_TILES = 4096  # one tile is usual; each costs the decoder kilobytes, whatever it holds
+def _roughness(values: NDArray[np.int32]) -> float:
+    return float(np.abs(np.diff(values, axis=1)).mean()) if values.shape[1] > 1 else 0.0
 
 
-def _coded_size(stored: bytes) -> tuple[int, int, int] | None:
-    """Rows, columns and components that a JPEG, JPEG-LS or JPEG 2000 stream claims for itself, or None.
+def _byte_order_doubts(
+    words: NDArray[np.generic], used_bits: Callable[[NDArray[np.generic]], NDArray[np.int32]]
+) -> tuple[Doubt, ...]:
+    """Numbers whose bytes stand in the wrong order are noise, and become a picture again when they are swapped.
 
-    The decoder believes the stream, not the tags, and takes memory for it before it finds out (ITU-T T.81 B.2.2,
-    T.87 C.2.2, T.800 A.5.1).
+    Measured over shared and painted CTs, with noise up to 90 HU: swapping makes healthy rows 25 to 300 times as rough,
+    and swapped ones as much smoother. Numbers that use one byte alone tell nothing.
     """
-    at = stored.find(_J2K_START, 0, 4096)
-    if at >= 0:
-        right, bottom, left, top, tile_x, tile_y = struct.unpack_from(">6I", stored, at + 8)
-        (components,) = struct.unpack_from(">H", stored, at + 40)
-        if min(tile_x, tile_y) < 1 or -(-right // tile_x) * -(-bottom // tile_y) > _MAX_J2K_TILES:
-            return None
-        return bottom - top, right - left, components
-    at = stored.find(_JPEG_START, 0, 4096)
-    if at < 0:
-        return None
-    at += 2
-    while stored[at] == 0xFF:
-        marker = stored[at + 1]
-        if marker == 0xF7 or (0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC)):
-            rows, columns, components = struct.unpack_from(">2HB", stored, at + 5)
-            return rows, columns, components
-        at += 2 + int.from_bytes(stored[at + 2 : at + 4], "big")
-    return None
+    if words.dtype.itemsize != 2:
+        return ()
+    some = np.ascontiguousarray(words[:: max(1, words.shape[0] // 32)])
+    rough = _roughness(used_bits(some))
+    if rough < 200 or rough < 5 * _roughness(used_bits(some.byteswap())):
+        return ()
+    low_bytes = some & np.uint16(255)
+    if low_bytes.min() == low_bytes.max():
+        return ()
+    words_of = "its bytes stand in another order than the file says: as they are its numbers are noise"
+    return (Doubt("import.byte-order", words_of),)
 
 
-def _check_coded_size(header: SliceHeader, stored: bytes) -> None:
-    try:
-        size = _coded_size(stored)
-    except (IndexError, struct.error):
-        size = None
-    if size == (header.rows, header.columns, 1):
+def _check_coded_size(header: SliceHeader, stream: Stream | None) -> None:
+    if stream is not None and (stream.rows, stream.columns, stream.components) == (header.rows, header.columns, 1):
         return
-    found = "no readable size" if size is None else f"{size[1]} x {size[0]} pixels of {size[2]} values"
+    found = (
+        "no readable size"
+        if stream is None
+        else f"{stream.columns} x {stream.rows} pixels of {stream.components} values"
+    )
     msg = (
         f"reading {header.path.name}: expected {header.columns} x {header.rows} grey pixels, its compressed stream "
         f"holds {found}; the file is damaged; copy the series again"
@@ -105,7 +127,26 @@ def _check_coded_size(header: SliceHeader, stored: bytes) -> None:
     raise VolumeImportError(msg, code="import.truncated")
 
 
-def _decoded_pixels(header: SliceHeader) -> NDArray[np.int32]:
+def _stream_doubts(header: SliceHeader, stream: Stream, pixels: NDArray[np.int32]) -> list[Doubt]:
+    """Where a stream contradicts the tags (PS3.5 8.2): which of the two is right, nobody knows."""
+    doubts = []
+    if stream.problem is not None:
+        doubts.append(Doubt("import.pixels-damaged", f"the compressed stream is damaged: {stream.problem}"))
+    if stream.signed is not None and stream.signed != header.signed:
+        kinds = ("signed", "unsigned") if stream.signed else ("unsigned", "signed")
+        words = f"the compressed stream holds {kinds[0]} numbers, the tags say {kinds[1]}"
+        doubts.append(Doubt("import.pixels-contradict", words))
+    elif stream.bits != header.bits_stored:
+        # Harmless where every number means the same in both depths, as in the many files that pad 12 bits to 16.
+        bits = min(stream.bits, header.bits_stored)
+        low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if header.signed else (0, (1 << bits) - 1)
+        if int(pixels.min()) < low or int(pixels.max()) > high:
+            words = f"the compressed stream holds numbers of {stream.bits} bits, the tags say {header.bits_stored}"
+            doubts.append(Doubt("import.pixels-contradict", words))
+    return doubts
+
+
+def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt, ...]]:
     """Decode with GDCM, which gets a new file with the compressed pixels and what decoding needs, and nothing else.
 
     So no other element of a damaged file can mislead it, and slope, intercept and geometry are read in one place
@@ -116,14 +157,27 @@ def _decoded_pixels(header: SliceHeader) -> NDArray[np.int32]:
             f"reading {header.path.name}: its pixels are compressed in a way that cannot be decoded here; expected "
             "JPEG, JPEG-LS, JPEG 2000 or RLE; export the series uncompressed"
         )
-        raise VolumeImportError(msg, code="import.unsupported")
+        raise VolumeImportError(msg, code="import.not-supported")
     try:
-        stored = bytes(read_dataset(header.path, pixels=True).get("PixelData") or b"")
+        stored = read_pixel_bytes(header)
     except ValueError:
         msg = f"reading {header.path.name}: its pixels cannot be found; the file is damaged; copy the series again"
         raise VolumeImportError(msg, code="import.truncated") from None
-    if header.transfer_syntax != _RLE:
-        _check_coded_size(header, stored)
+    frame = fragments(stored)
+    if frame is None:
+        msg = (
+            f"reading {header.path.name}: its compressed pixels are cut short; the copy is incomplete; copy the series "
+            "again"
+        )
+        raise VolumeImportError(msg, code="import.truncated")
+    stream, doubts = None, []
+    if header.transfer_syntax == _RLE:
+        problem = rle_problem(frame, header.rows * header.columns)
+        if problem is not None:
+            doubts.append(Doubt("import.pixels-damaged", f"the compressed stream is damaged: {problem}"))
+    else:
+        stream = read_stream(frame)
+        _check_coded_size(header, stream)
     pixels = Dataset()
     pixels.file_meta = FileMetaDataset()
     pixels.file_meta.TransferSyntaxUID = UID(header.transfer_syntax)
@@ -133,17 +187,18 @@ def _decoded_pixels(header: SliceHeader) -> NDArray[np.int32]:
     pixels.SamplesPerPixel, pixels.PhotometricInterpretation = 1, "MONOCHROME2"
     pixels.BitsAllocated, pixels.BitsStored, pixels.HighBit = header.bits_allocated, header.bits_stored, header.high_bit
     pixels.PixelRepresentation = 1 if header.signed else 0
-    pixels.PixelData = stored
+    pixels.PixelData = encapsulate([frame])
     pixels["PixelData"].VR = "OB"
     pixels["PixelData"].is_undefined_length = True
     reader = sitk.ImageFileReader()
     reader.SetImageIO("GDCMImageIO")
-    with tempfile.TemporaryDirectory(prefix="carina-") as folder:
-        path = Path(folder) / "pixels.dcm"
+    with scratch_folder() as folder:
+        path = folder / "pixels.dcm"
         reader.SetFileName(str(path))
         try:
             pixels.save_as(path, enforce_file_format=True)
-            image = reader.Execute()
+            with decoder_words() as muttered:
+                image = reader.Execute()
         except (RuntimeError, ValueError, MemoryError):
             msg = (
                 f"reading {header.path.name}: its compressed pixels cannot be decoded (transfer syntax "
@@ -157,23 +212,37 @@ def _decoded_pixels(header: SliceHeader) -> NDArray[np.int32]:
             f"holds {image.GetSize()}; export the series again"
         )
         raise VolumeImportError(msg, code="import.header")
-    return np.array(sitk.GetArrayViewFromImage(image)[0], dtype=np.int32)
+    values = np.array(sitk.GetArrayViewFromImage(image)[0], dtype=np.int32)
+    if stream is not None:
+        doubts.extend(_stream_doubts(header, stream, values))
+    if muttered and not any(doubt.code == "import.pixels-damaged" for doubt in doubts):
+        doubts.append(Doubt("import.pixels-damaged", "the decoder reports damage in the compressed stream"))
+    if header.bits_allocated == 16:
+        words = (values & 0xFFFF).astype(np.uint16)
+        kind = np.int16 if header.signed else np.uint16
+        doubts.extend(_byte_order_doubts(words, lambda some: some.view(kind).astype(np.int32)))
+    return values, tuple(doubts)
 
 
-def read_slice(header: SliceHeader) -> NDArray[np.float64] | NDArray[np.int32]:
-    """Read one slice as rescaled numbers.
+def is_compressed(header: SliceHeader) -> bool:
+    """True where a decoder makes the pixels."""
+    return header.transfer_syntax not in _PLAIN
 
-    Returns
-    -------
-    ndarray
-        (rows, columns), after slope and intercept of this very slice: int32 where they are whole, else float64.
+
+def decode_slice(header: SliceHeader) -> SlicePixels:
+    """Read one slice, rescaled by its own slope and intercept, with what puts its pixels in doubt.
 
     Raises
     ------
     VolumeImportError
-        ``import.truncated`` or ``import.header``, naming the file.
+        ``import.truncated``, ``import.header`` or ``import.unsupported``, naming the file.
     """
-    stored = _plain_pixels(header) if header.transfer_syntax in _PLAIN else _decoded_pixels(header)
+    stored, doubts = _plain_pixels(header) if header.transfer_syntax in _PLAIN else _decoded_pixels(header)
     if header.slope == 1.0 and header.intercept == int(header.intercept) and abs(header.intercept) < 1 << 24:
-        return stored + np.int32(header.intercept)
-    return np.asarray(stored * header.slope + header.intercept, dtype=np.float64)
+        return SlicePixels(stored + np.int32(header.intercept), doubts)
+    return SlicePixels(np.asarray(stored * header.slope + header.intercept, dtype=np.float64), doubts)
+
+
+def read_slice(header: SliceHeader) -> NDArray[np.float64] | NDArray[np.int32]:
+    """The numbers of ``decode_slice`` alone."""
+    return decode_slice(header).numbers

@@ -1,11 +1,9 @@
-"""NIfTI, NRRD and MetaImage files: the claim is checked, SimpleITK reads, and both must agree about the geometry."""
+"""NIfTI, NRRD and MetaImage files: header and numbers are read here, and SimpleITK must agree about the geometry."""
 
 from __future__ import annotations
 
-import bz2
+import re
 import shutil
-import tempfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,140 +12,87 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
+from carina.disk import scratch_folder
 from carina.errors import VolumeImportError
-from carina.volume.dicom import MAX_VOXELS
+from carina.volume.dicom_streams import decoder_words
 from carina.volume.grid_headers import GridHeader, read_grid_header
+from carina.volume.grid_voxels import read_voxels
 from carina.volume.hu import judge_values, to_int16
-from carina.volume.model import Volume, VolumeSource
+from carina.volume.model import Note, Volume, VolumeSource
 from carina.volume.watch import Watch
 
 __all__ = ["open_grid_file", "read_grid_array"]
 
-_CHUNK_BYTES = 1 << 20
-_MAX_RATIO = 1100  # deflate packs at most 1032 to 1
 _ITK_READERS = {"nifti": "NiftiImageIO", "nrrd": "NrrdImageIO", "metaimage": "MetaImageIO"}
+# What MetaIO, teem and the NIfTI library write to stderr.
+_LIBRARY = re.compile(
+    rb"Meta(?:Object|Image|IO|Command)|MET_|\bdefin(?:ed|ing)\b|nrrd|nifti|nii_|^\*\*|^\+\+|itk", re.IGNORECASE
+)
 _SUFFIXES = {"nifti": (".nii", ".nii.gz", ".hdr", ".hdr.gz"), "nrrd": (".nrrd", ".nhdr"), "metaimage": (".mha", ".mhd")}
-
-
-def _lying(path: Path, header: GridHeader, found: str) -> VolumeImportError:
-    sizes = " x ".join(str(n) for n in header.shape_ijk)
-    msg = (
-        f"reading {path.name}: its header claims {sizes} voxels ({header.num_bytes} bytes), but {found}; the file is "
-        "incomplete or its header is wrong; copy or export it again"
-    )
-    return VolumeImportError(msg, code="import.truncated")
-
-
-def _check_claim(path: Path, header: GridHeader, watch: Watch) -> None:
-    """Refuse a header that claims more than its file holds, before anything of that size is allocated."""
-    num_voxels = 1
-    for n in header.shape_ijk:
-        num_voxels *= n
-    if num_voxels > MAX_VOXELS:
-        sizes = " x ".join(str(n) for n in header.shape_ijk)
-        msg = (
-            f"reading {path.name}: its header claims {sizes} voxels; at most {MAX_VOXELS} are read; the header is "
-            "damaged, or the file is no chest CT; crop or resample it"
-        )
-        raise VolumeImportError(msg, code="import.too-large")
-    size = header.data_path.stat().st_size
-    if header.compression is None:
-        held = size - max(0, header.data_offset)
-        if held < header.num_bytes:
-            raise _lying(path, header, f"the file holds {max(0, held)}")
-        return
-    needed = header.data_offset + header.num_bytes
-    if header.compression != "bzip2" and needed > _MAX_RATIO * size:
-        raise _lying(path, header, f"the compressed file has only {size}")
-    # The stream is unpacked piece by piece and thrown away: a bomb or a cut file is found without memory for its
-    # claim, and the
-    # person can cancel. It costs about 0.3 s for each 100 MB.
-    watch.step("Checking the file", 0.0)
-    total = 0
-    for piece_bytes, fraction in _unpacked_sizes(path, header, size):
-        watch.step("Checking the file", fraction)
-        total += piece_bytes
-        if total > needed + _CHUNK_BYTES + max(needed, 1 << 26):
-            raise _lying(path, header, "it unpacks to far more")
-    if total < needed:
-        raise _lying(path, header, f"it unpacks to {max(0, total - header.data_offset)}")
-
-
-def _unpacked_sizes(path: Path, header: GridHeader, size: int) -> Iterator[tuple[int, float]]:
-    bits = {"gzip": zlib.MAX_WBITS | 16, "zlib": zlib.MAX_WBITS | 32}
-    with header.data_path.open("rb") as file:
-        file.seek(header.stream_offset)
-        inflater = (
-            bz2.BZ2Decompressor()
-            if header.compression == "bzip2"
-            else zlib.decompressobj(bits[header.compression or ""])
-        )
-        try:
-            while chunk := file.read(_CHUNK_BYTES):
-                fraction = min(1.0, file.tell() / size)
-                while True:
-                    piece = inflater.decompress(chunk, _CHUNK_BYTES)
-                    yield len(piece), fraction
-                    chunk = b"" if isinstance(inflater, bz2.BZ2Decompressor) else inflater.unconsumed_tail
-                    if inflater.eof or (not chunk and len(piece) < _CHUNK_BYTES):
-                        break
-                if inflater.eof:
-                    return  # further members of a stream are not read by the libraries either
-        except (zlib.error, OSError):
-            raise _lying(path, header, "its compressed stream is damaged") from None
-    raise _lying(path, header, "its compressed stream ends too early")
 
 
 @contextmanager
 def _with_known_suffix(path: Path, header: GridHeader) -> Iterator[Path]:
     """The file under a name that the library accepts: some programs write a NIfTI as ``mask.gz``."""
     suffixes = _SUFFIXES[header.format]
-    if path.name.lower().endswith(suffixes):
+    if path.name.endswith(suffixes):
         yield path
         return
-    suffix = ".nii.gz" if header.compression == "gzip" and header.format == "nifti" else suffixes[0]
-    with tempfile.TemporaryDirectory(prefix="carina-") as folder:
-        named = Path(folder) / f"volume{suffix}"
-        try:
-            named.symlink_to(path.resolve())
-        except OSError:  # no links for ordinary users on Windows
-            shutil.copyfile(path, named)
+    detached = header.data_path != path
+    if header.format == "nifti":
+        suffix = ".hdr" if detached else ".nii.gz" if header.compression else ".nii"
+    else:
+        suffix = suffixes[1 if detached else 0]
+    with scratch_folder() as folder:
+        named = folder / f"volume{suffix}"
+        links = {named: path}
+        if detached:
+            paired = f"volume.img{'.gz' if header.compression else ''}"
+            links[named.with_name(paired if header.format == "nifti" else header.data_path.name)] = header.data_path
+        for link, file in links.items():
+            try:
+                link.symlink_to(file.resolve())
+            except OSError:  # no links for ordinary users on Windows
+                shutil.copyfile(file, link)
         yield named
 
 
-def _read(path: Path, header: GridHeader) -> tuple[NDArray[np.generic], NDArray[np.float64]]:
+def _library_grid(path: Path, header: GridHeader) -> NDArray[np.float64]:
+    """Where the library places the voxels, LPS mm, from its own reading of the header."""
     reader = sitk.ImageFileReader()
     reader.SetImageIO(_ITK_READERS[header.format])
     shown = sitk.ProcessObject.GetGlobalWarningDisplay()
-    # ITK writes its warnings straight to stderr, in its own words; what matters of them is checked here and said in
-    # ours.
+    # ITK and what it calls write straight to stderr, in their own words; what matters of them is checked here and said
+    # in ours.
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
     try:
         with _with_known_suffix(path, header) as named:
             reader.SetFileName(str(named))
-            image = reader.Execute()
+            with decoder_words(_LIBRARY):
+                reader.ReadImageInformation()
     except (RuntimeError, MemoryError):
         msg = (
-            f"reading {path.name}: its {header.format} data cannot be read, although its header looks right; the file "
-            "is damaged or of an unusual kind; export it again"
+            f"reading {path.name}: its {header.format} header is read in one way by Carina and not at all by another "
+            "library; the file is damaged or of an unusual kind; export it again"
         )
-        raise VolumeImportError(msg, code="import.unreadable") from None
+        raise VolumeImportError(msg, code="import.header.disagree") from None
     finally:
         sitk.ProcessObject.SetGlobalWarningDisplay(shown)
-    if image.GetSize() != header.shape_ijk or image.GetNumberOfComponentsPerPixel() != 1:
+    size = tuple(reader.GetSize())
+    if size != header.shape_ijk or reader.GetNumberOfComponents() != 1:
         msg = (
-            f"reading {path.name}: expected {header.shape_ijk} voxels, the library finds {image.GetSize()}; export "
-            "the file again"
+            f"reading {path.name}: expected {header.shape_ijk} voxels, another library finds {size}; export the file "
+            "again"
         )
-        raise VolumeImportError(msg, code="import.header")
+        raise VolumeImportError(msg, code="import.header.disagree")
     theirs = np.eye(4)
-    theirs[:3, :3] = np.reshape(image.GetDirection(), (3, 3)) * image.GetSpacing()
-    theirs[:3, 3] = image.GetOrigin()
-    return sitk.GetArrayFromImage(image), theirs
+    theirs[:3, :3] = np.reshape(reader.GetDirection(), (3, 3)) * reader.GetSpacing()
+    theirs[:3, 3] = reader.GetOrigin()
+    return theirs
 
 
-def _check_agreement(path: Path, header: GridHeader, theirs: NDArray[np.float64]) -> None:
-    ours = header.lps_from_ijk
+def _check_agreement(path: Path, header: GridHeader) -> None:
+    ours, theirs = header.lps_from_ijk, _library_grid(path, header)
     ni, nj, nk = (n - 1 for n in header.shape_ijk)
     corners = np.array([[i, j, k, 1.0] for i in (0, ni) for j in (0, nj) for k in (0, nk)], dtype=np.float64)
     apart_mm = float(np.linalg.norm(corners @ (ours - theirs).T, axis=1).max())
@@ -166,8 +111,8 @@ def read_grid_array(
     format: str,  # noqa: A002 - the word of the field
     *,
     watch: Watch,
-) -> tuple[NDArray[np.generic], GridHeader]:
-    """The numbers of one NIfTI, NRRD or MetaImage file as they are, ``(nz, ny, nx)``, and its checked header.
+) -> tuple[NDArray[np.generic], GridHeader, tuple[Note, ...]]:
+    """The numbers of one NIfTI, NRRD or MetaImage file as they are, ``(nz, ny, nx)``, its checked header, and notes.
 
     Raises
     ------
@@ -178,11 +123,9 @@ def read_grid_array(
     """
     watch.step("Reading the header")
     header = read_grid_header(path, format)
-    _check_claim(path, header, watch)
-    watch.step("Reading the voxels", None)
-    values, theirs = _read(path, header)
-    _check_agreement(path, header, theirs)
-    return values, header
+    values, notes = read_voxels(path, header, watch)
+    _check_agreement(path, header)
+    return values, header, header.notes + notes
 
 
 def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa: A002 - the word of the field
@@ -195,13 +138,13 @@ def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa:
     CancelledError
         If the person cancels.
     """
-    values, header = read_grid_array(path, format, watch=watch)
+    values, header, notes = read_grid_array(path, format, watch=watch)
     watch.step("Converting the values", None)
     try:
         converted = to_int16(values)
     except ValueError as error:
         msg = f"reading {path.name}: {error}; the file is damaged; export it again"
-        raise VolumeImportError(msg, code="import.values") from None
+        raise VolumeImportError(msg, code="import.no-numbers") from None
     if converted.values.min() == converted.values.max():
         msg = (
             f"reading {path.name}: every voxel holds the same number, so there is nothing to see; open the scan itself"
@@ -211,11 +154,13 @@ def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa:
     reason = verdict.reason
     if converted.stretched is not None:
         reason = f"its values are not Hounsfield units; {converted.stretched}"
+    elif verdict.is_hu:
+        reason = converted.doubt
     watch.step("Converting the values", 1.0)
     return Volume(
         converted.values,
         header.lps_from_ijk,
-        is_hu=verdict.is_hu and converted.stretched is None,
+        is_hu=reason is None,
         not_hu_reason=reason,
-        source=VolumeSource(format=format, title=path.name, warnings=converted.warnings),
+        source=VolumeSource(format=format, title=path.name, notes=notes + converted.notes),
     )

@@ -9,7 +9,8 @@ The rule for files that do not say what their numbers mean (NIfTI, NRRD, MetaIma
    is most of what is not air; a z-score times 1000 or a phase image fills its range evenly.
 
 A DICOM CT with rescale tags and no other unit is believed, unless it has 8 bits or fewer or spans fewer than 300
-values: then it is a picture of a CT, windowed for the screen.
+values (then it is a picture of a CT, windowed for the screen), or has no value below -200 and becomes a chest by the
+rule above when 1024 is taken off (then its tags lost the offset).
 """
 
 from __future__ import annotations
@@ -19,10 +20,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["HuVerdict", "Int16Values", "judge_dicom", "judge_values", "to_int16"]
+from carina.volume.model import Note
+
+__all__ = [
+    "HU_TYPES",
+    "MAX_DOUBTFUL_SHARE",
+    "HuVerdict",
+    "Int16Values",
+    "clipped_note",
+    "judge_dicom",
+    "judge_values",
+    "to_int16",
+]
+
+HU_TYPES = ("", "HU", "HU_MOD")
+"""RescaleType of Hounsfield units, or none given."""
 
 _INT16 = np.iinfo(np.int16)
 _MAX_SAMPLES = 4_000_000  # of the histogram; a share of 0.2 % is then known to better than a thousandth of itself
+MAX_DOUBTFUL_SHARE = 0.01
+"""Of the voxels that were clipped, or that are in the body and are no numbers: with more, the values are not HU."""
+_TISSUE = -300  # above every lung and all air, below fat
 _STRETCHED_TOP = 4095  # 12 bits, as CT and MR scanners write
 
 
@@ -41,7 +59,9 @@ class Int16Values:
     values: NDArray[np.int16]
     stretched: str | None
     """How the file's numbers became these, where they were mapped; such values are never HU."""
-    warnings: tuple[str, ...]
+    notes: tuple[Note, ...]
+    doubt: str | None
+    """Why these are not to be called HU although they look like it, or None."""
 
 
 def _sample(values: NDArray[np.int16]) -> NDArray[np.int16]:
@@ -81,7 +101,7 @@ def judge_dicom(
     """Judge a DICOM series: by its tags where they say enough, else by its numbers."""
     if modality != "CT":
         return HuVerdict(False, f"it is a {modality or 'nameless'} series, not CT")
-    if rescale_type not in ("", "HU", "HU_MOD"):
+    if rescale_type not in HU_TYPES:
         return HuVerdict(False, f"its tags give the unit {rescale_type}, not HU")
     if bits_stored <= 8:
         return HuVerdict(False, "its pixels have 8 bits only, windowed for the screen")
@@ -91,21 +111,33 @@ def judge_dicom(
     if not has_rescale:
         verdict = judge_values(values)
         return verdict if verdict.is_hu else HuVerdict(False, f"it has no rescale tags, and {verdict.reason}")
+    if lowest > -200 and judge_values(values - np.int16(1024)).is_hu:
+        return HuVerdict(
+            False,
+            f"its values are {lowest} to {highest}: they look like HU with an offset of 1024 that its tags do not give",
+        )
     return HuVerdict(True, None)
 
 
-def _clip(values: NDArray[np.generic]) -> tuple[NDArray[np.int16], tuple[str, ...]]:
+def _clip(values: NDArray[np.generic]) -> tuple[NDArray[np.int16], int]:
     numbers = np.asarray(values)
     out = np.clip(np.rint(numbers) if numbers.dtype.kind == "f" else numbers, _INT16.min, _INT16.max).astype(np.int16)
     num_clipped = int(np.count_nonzero((numbers < _INT16.min) | (numbers > _INT16.max)))
-    if num_clipped == 0:
-        return out, ()
-    return out, (f"{num_clipped} voxels lie outside -32768..32767 and were set to the nearest of these",)
+    return out, num_clipped
+
+
+def clipped_note(num_clipped: int) -> Note:
+    """That so many voxels did not fit into int16."""
+    words = f"{num_clipped} voxels lie outside -32768..32767 and were set to the nearest of these"
+    return Note("import.clipped", words, badge=True)
 
 
 def to_int16(values: NDArray[np.generic]) -> Int16Values:
     """Bring a file's numbers into int16: as they are where they fit, rounded where they are HU, else stretched to
     0..4095.
+
+    Numbers that are none follow one rule: NaN and minus infinity become the lowest finite value, infinity the highest,
+    and a note counts them.
 
     Parameters
     ----------
@@ -117,26 +149,97 @@ def to_int16(values: NDArray[np.generic]) -> Int16Values:
     ValueError
         If no value is finite.
     """
-    notes: tuple[str, ...] = ()
-    if values.dtype.kind == "f":
-        finite = np.isfinite(values)
-        if not finite.all():
-            if not finite.any():
-                msg = "no voxel holds a finite number"
-                raise ValueError(msg)
-            lowest = values[finite].min()
-            notes = (
-                f"{int(values.size - np.count_nonzero(finite))} voxels are not numbers (NaN) and were set to the "
-                "lowest value",
-            )
-            values = np.where(finite, values, lowest)
+    notes: tuple[Note, ...] = ()
+    doubts: list[str] = []
+    if values.dtype.kind == "f" and not np.isfinite([values.min(), values.max()]).all():
+        values, note, share = _all_finite(values)
+        notes = (note,)
+        if share > MAX_DOUBTFUL_SHARE:
+            doubts.append(f"{100 * share:.1f} % of the voxels in the body are not numbers (NaN or infinite)")
     low, high = float(values.min()), float(values.max())
     whole = values.dtype.kind in "iu" or bool(np.all(values == np.rint(values)))
     if whole and low >= _INT16.min and high <= _INT16.max:
-        return Int16Values(np.ascontiguousarray(values, dtype=np.int16), None, notes)
-    clipped, clip_notes = _clip(values)
+        kept = np.ascontiguousarray(values, dtype=np.int16)
+        return Int16Values(kept, None, notes, "; ".join(doubts) or None)
+    clipped, num_clipped = _clip(values)
     if judge_values(clipped).is_hu:
-        return Int16Values(clipped, None, notes + clip_notes)
-    factor = _STRETCHED_TOP / (high - low) if high > low else 1.0
+        if num_clipped:
+            notes += (clipped_note(num_clipped),)
+        if num_clipped > MAX_DOUBTFUL_SHARE * values.size:
+            share = num_clipped / values.size
+            doubts.append(f"{100 * share:.1f} % of its voxels lie outside -32768..32767, where no Hounsfield units are")
+        return Int16Values(clipped, None, notes, "; ".join(doubts) or None)
+    # Halved before the subtraction: the span of two large numbers may itself be none.
+    span = high / 2 - low / 2
+    factor = _STRETCHED_TOP / 2 / span if span > 0 else 1.0
     stretched = np.rint((values.astype(np.float64) - low) * factor).astype(np.int16)
-    return Int16Values(stretched, f"the file's {low:.6g} to {high:.6g} were mapped to 0 to {stretched.max()}", notes)
+    words = f"the file's {low:.6g} to {high:.6g} were mapped to 0 to {stretched.max()}"
+    return Int16Values(stretched, words, notes, None)
+
+
+def _all_finite(values: NDArray[np.generic]) -> tuple[NDArray[np.generic], Note, float]:
+    """A copy without NaN and infinities, a note that counts them, and their share of the body's voxels."""
+    lowest, highest, num_low, num_high = np.inf, -np.inf, 0, 0
+    for plane in values:  # slice by slice: no second volume of booleans
+        finite = np.isfinite(plane)
+        lowest = min(lowest, plane.min(where=finite, initial=np.inf))
+        highest = max(highest, plane.max(where=finite, initial=-np.inf))
+        above = int(np.count_nonzero(plane == np.inf))
+        num_high += above
+        num_low += plane.size - int(np.count_nonzero(finite)) - above
+    if num_low + num_high == values.size:
+        msg = "no voxel holds a finite number"
+        raise ValueError(msg)
+    share = _share_of_body(values)
+    out = values.copy()
+    for plane in out:
+        plane[plane == np.inf] = highest
+        plane[~np.isfinite(plane)] = lowest
+    parts = []
+    if num_low:
+        parts.append(f"{num_low} became the lowest value, {lowest:g}")
+    if num_high:
+        parts.append(
+            f"{num_high} the highest, {highest:g}" if parts else f"{num_high} became the highest value, {highest:g}"
+        )
+    words = f"{num_low + num_high} voxels are not numbers (NaN or infinite): {', '.join(parts)}"
+    return out, Note("import.not-numbers", words, badge=True), share
+
+
+def _share_of_body(values: NDArray[np.generic]) -> float:
+    """How much of the body holds no finite number, 0 to 1; 0 where nothing looks like a body in HU.
+
+    The body of a slice: the voxels with tissue (above -300) on both sides in their row and on both sides in their
+    column, so lungs belong to it and the air round the patient does not. A slice without tissue between two that have
+    some is lost in whole, and takes the body that both neighbours share.
+    """
+    bodies: list[NDArray[np.uint8] | None] = []
+    for plane in values:
+        tissue = np.isfinite(plane) & (plane > _TISSUE)
+        bodies.append(np.packbits(_enclosed(tissue, 0) & _enclosed(tissue, 1)) if tissue.any() else None)
+    known = [k for k, body in enumerate(bodies) if body is not None]
+    num_body = num_lost = 0
+    for k, plane in enumerate(values):
+        if not known or not known[0] <= k <= known[-1]:
+            continue
+        body = bodies[k]
+        if body is None:
+            before, after = bodies[max(n for n in known if n < k)], bodies[min(n for n in known if n > k)]
+            assert before is not None
+            assert after is not None
+            body = before & after
+        inside = np.unpackbits(body, count=plane.size).reshape(plane.shape).astype(np.bool_)
+        num_body += int(np.count_nonzero(inside))
+        num_lost += int(np.count_nonzero(inside & ~np.isfinite(plane)))
+    return num_lost / num_body if num_body else 0.0
+
+
+def _enclosed(tissue: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
+    """Where tissue lies on both sides along an axis, or in the voxel itself."""
+    lines = tissue if axis == 1 else tissue.T
+    first = lines.argmax(axis=1)
+    last = lines.shape[1] - 1 - lines[:, ::-1].argmax(axis=1)
+    last[~lines.any(axis=1)] = -1
+    places = np.arange(lines.shape[1])
+    inside = (places >= first[:, None]) & (places <= last[:, None])
+    return np.asarray(inside if axis == 1 else inside.T, dtype=np.bool_)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from carina.errors import CarinaError
 from carina.volume.dicom import choose_series
 from carina.volume.grid_headers import read_grid_header
-from carina.volume.model import SeriesInfo
+from carina.volume.model import Note, SeriesInfo
 from carina.volume.opening import find_in, guarded, place_name, refuse_series
 from carina.volume.watch import Watch
 
@@ -35,7 +35,7 @@ class Inspection:
     shape_zyx: tuple[int, int, int] | None
     lps_from_ijk: NDArray[np.float64] | None
     """4x4, voxel centres to LPS mm; None where nothing can be opened."""
-    warnings: tuple[str, ...]
+    notes: tuple[Note, ...]
     refused: str | None
     """Why nothing would be opened, or None."""
     refused_code: str | None
@@ -72,7 +72,8 @@ class Inspection:
             "spacing_mm": None if self.spacing_mm is None else list(self.spacing_mm),
             "axes": self.axes,
             "lps_from_ijk": None if self.lps_from_ijk is None else self.lps_from_ijk.tolist(),
-            "warnings": list(self.warnings),
+            "warnings": [note.words for note in self.notes],
+            "notes": [note.to_json() for note in self.notes],
             "refused": self.refused,
             "refused_code": self.refused_code,
         }
@@ -112,7 +113,7 @@ def _inspect(path: Path, key: str | None, watch: Watch) -> Inspection:
         refuse_series(path, found, key)
         header = read_grid_header(path, found)
         ni, nj, nk = header.shape_ijk
-        return Inspection(found, (), None, (nk, nj, ni), header.lps_from_ijk, (), None, None)
+        return Inspection(found, (), None, (nk, nj, ni), header.lps_from_ijk, header.notes, None, None)
     infos = tuple(item.info for item in found)
     try:
         chosen, notes = choose_series(found, key=key, where=place_name(path))

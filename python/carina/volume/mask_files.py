@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from carina.volume.dicom_headers import looks_like_dicom
 from carina.volume.dicom_segmentation import read_segmentation
 from carina.volume.grid_files import read_grid_array
 from carina.volume.grid_headers import sniff_format
-from carina.volume.model import Volume
+from carina.volume.model import Note, Volume
 from carina.volume.opening import guarded
 from carina.volume.watch import Watch
 
@@ -34,7 +34,7 @@ class Mask:
     inside_zyx: NDArray[np.uint8]
     """(nz, ny, nx) of the CT, 1 inside, read-only."""
     notes: tuple[str, ...] = ()
-    """What was done to bring it there, in words."""
+    """What was done to bring it there, and what is doubtful about its file, in words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,21 +117,24 @@ def open_mask(
     watch = Watch(progress, cancel)
 
     def read(where: Path) -> Mask:
-        labels, lps_from_mask, names = _labels(where, watch)
+        labels, lps_from_mask, names, said = _labels(where, watch)
         voxel_ml = abs(float(np.linalg.det(lps_from_mask[:3, :3]))) / 1000.0
         chosen = _chosen(where, labels, names, label, voxel_ml)
-        return _placed(where, labels == chosen, lps_from_mask, volume, resample=resample, watch=watch)
+        placed = _placed(where, labels == chosen, lps_from_mask, volume, resample=resample, watch=watch)
+        return replace(placed, notes=(*(f"the mask: {note.words}" for note in said), *placed.notes))
 
     return guarded(Path(path).expanduser(), read)
 
 
-def _labels(path: Path, watch: Watch) -> tuple[NDArray[np.generic], NDArray[np.float64], dict[int, str]]:
-    """Whole numbers ``[z, y, x]``, their place, and the names of the labels where the file has them."""
+def _labels(
+    path: Path, watch: Watch
+) -> tuple[NDArray[np.generic], NDArray[np.float64], dict[int, str], tuple[Note, ...]]:
+    """Whole numbers ``[z, y, x]``, their place, the names of the labels where the file has them, and notes on it."""
     if not path.exists():
         msg = f"reading the mask {path.name}: there is no such file; check the path {path}"
         raise VolumeImportError(msg, code="import.not-found")
     if path.is_file() and looks_like_dicom(path):
-        return read_segmentation(path, watch)
+        return *read_segmentation(path, watch), ()
     kind = sniff_format(path) if path.is_file() else None
     if kind not in ("nifti", "nrrd", "metaimage"):
         msg = (
@@ -139,7 +142,7 @@ def _labels(path: Path, watch: Watch) -> tuple[NDArray[np.generic], NDArray[np.f
             "export the segmentation as one of these"
         )
         raise VolumeImportError(msg, code="import.not-an-image")
-    values, header = read_grid_array(path, kind, watch=watch)
+    values, header, notes = read_grid_array(path, kind, watch=watch)
     low, high = values.min(), values.max()
     if low < -_LARGEST_LABEL or high > _LARGEST_LABEL:
         msg = (
@@ -155,7 +158,7 @@ def _labels(path: Path, watch: Watch) -> tuple[NDArray[np.generic], NDArray[np.f
             )
             raise VolumeImportError(msg, code="import.mask")
         values = values.astype(np.int32)
-    return values, header.lps_from_ijk, {}
+    return values, header.lps_from_ijk, {}, notes
 
 
 def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], label: int | None, voxel_ml: float) -> int:

@@ -10,7 +10,26 @@ from numpy.typing import NDArray
 from carina import _core
 from carina.errors import GeometryError
 
-__all__ = ["SeriesInfo", "Volume", "VolumeSource"]
+__all__ = ["SPACING_MM", "Note", "SeriesInfo", "Volume", "VolumeSource", "badges_of"]
+
+SPACING_MM = (0.01, 100.0)
+"""The least and the largest distance of voxels in any volume. No scanner is outside; a lost unit or a lie is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """One thing that a person should know about a case."""
+
+    code: str
+    """Stable, for programs: ``import.clipped``, ... The list is in ``docs/import-answers.md``."""
+    words: str
+    """A sentence part for the screen and the terminal, without a patient's name or a UID."""
+    badge: bool = False
+    """True where it puts the values or the geometry in doubt: it goes with the case wherever the case goes."""
+
+    def to_json(self) -> dict[str, str | bool]:
+        """Plain JSON types, as every ``--json`` prints a note."""
+        return {"code": self.code, "words": self.words, "badge": self.badge}
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +56,15 @@ class VolumeSource:
     """Series text or file name, for the title bar."""
     series: SeriesInfo | None = None
     other_series: tuple[SeriesInfo, ...] = ()
-    warnings: tuple[str, ...] = ()
-    """Things a person should know: coarse slices, a rescue of a header, ..."""
+    notes: tuple[Note, ...] = ()
+    """Things a person should know: clipped values, a series beside it, ..."""
     citation: str | None = None
     """Citation and licence that must be shown with the data, for the bundled case."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The words of all notes."""
+        return tuple(note.words for note in self.notes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +73,7 @@ class Volume:
 
     ``hu_zyx`` is C-contiguous ``(nz, ny, nx)`` int16, read-only: HU where ``is_hu``, else the file's numbers.
     ``lps_from_ijk`` is 4x4 float64; voxel (0, 0, 0) is the *centre* of the first voxel; columns are the steps of one
-    voxel along i, j, k in mm.
+    voxel along i, j, k in mm, each 0.01 to 100 mm long.
     """
 
     hu_zyx: NDArray[np.int16]
@@ -71,6 +95,12 @@ class Volume:
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) == 0.0:
             msg = "lps_from_ijk must be a finite, invertible 4x4 matrix"
             raise GeometryError(msg, code="geometry.transform")
+        spacing = np.linalg.norm(matrix[:3, :3], axis=0)
+        # float32 headers round: a hundredth of a millimetre may come as a little less.
+        if spacing.min() < SPACING_MM[0] * (1 - 1e-6) or spacing.max() > SPACING_MM[1] * (1 + 1e-6):
+            found = ", ".join(f"{s:g}" for s in spacing)
+            msg = f"voxels must be {SPACING_MM[0]:g} to {SPACING_MM[1]:g} mm apart; found {found} mm"
+            raise GeometryError(msg, code="geometry.spacing")
         values = values.view()
         values.flags.writeable = False
         matrix.flags.writeable = False
@@ -127,3 +157,23 @@ class Volume:
         nz, ny, nx = self.shape_zyx
         ijk = self.to_ijk(point_lps)
         return bool(np.all(ijk >= -0.5) and np.all(ijk <= np.array([nx, ny, nz]) - 0.5))
+
+
+def badges_of(volume: Volume, airways: object | None = None) -> tuple[Note, ...]:
+    """The lasting notes of a case: whatever is made from it repeats them. Empty where nothing is in doubt.
+
+    That its numbers are not HU is one of them, with the code ``import.not-hu``.
+
+    Parameters
+    ----------
+    volume
+        The CT.
+    airways
+        What was found in it; anything with ``badges``.
+    """
+    badges = [note for note in volume.source.notes if note.badge]
+    if not volume.is_hu:
+        reason = volume.not_hu_reason or "its numbers are no Hounsfield units"
+        badges.insert(0, Note("import.not-hu", f"not HU: {reason}", badge=True))
+    badges.extend(getattr(airways, "badges", ()))
+    return tuple(dict.fromkeys(badges))

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from carina.errors import CarinaError, GeometryError, UsageError, VolumeImportError
-from carina.volume.dicom import FoundSeries, choose_series, find_series, open_series, series_in
-from carina.volume.dicom_headers import looks_like_dicom, read_headers
+from carina.volume.dicom import FoundSeries, choose_series, find_series, open_series
+from carina.volume.dicom_files import FolderContent, read_folder
+from carina.volume.dicom_headers import looks_like_dicom
 from carina.volume.grid_files import open_grid_file
 from carina.volume.grid_headers import sniff_format
 from carina.volume.model import Volume
@@ -38,7 +39,7 @@ def open_volume(
         in its folder.
     series
         Key of the DICOM series to open (``SeriesInfo.key``). Without it the largest chest CT is taken, and
-        ``source.warnings`` says which others there are.
+        ``source.notes`` say which others there are.
     progress
         Called as ``progress(what, fraction)``; the fraction is None where it is unknown.
     cancel
@@ -77,7 +78,8 @@ def guarded(path: Path, action: Callable[[Path], T]) -> T:
     except CarinaError as error:
         if isinstance(error, GeometryError):
             msg = f"reading {path.name}: {error}; export it again"
-            raise VolumeImportError(msg, code="import.geometry") from None
+            code = "import.geometry.spacing" if error.code == "geometry.spacing" else "import.geometry"
+            raise VolumeImportError(msg, code=code) from None
         raise
     except PermissionError:
         msg = (
@@ -111,10 +113,10 @@ def find_in(path: Path, watch: Watch) -> list[FoundSeries] | str:
         msg = f"reading {path.name}: there is no such file or folder; expected {_KINDS}; check the path {path}"
         raise VolumeImportError(msg, code="import.not-found")
     if path.is_dir():
-        found = series_in(path, recursive=True, watch=watch)
-        if not found:
-            raise _no_images(path)
-        return found
+        content = read_folder(path, recursive=True, watch=watch)
+        if not content.headers:
+            raise _no_images(path, content)
+        return find_series(content, watch)
     if not path.is_file():
         msg = f"reading {path.name}: it is neither a file nor a folder; expected {_KINDS}"
         raise VolumeImportError(msg, code="import.not-an-image")
@@ -138,7 +140,7 @@ def _open(path: Path, series: str | None, watch: Watch) -> Volume:
         return open_grid_file(path, found, watch=watch)
     chosen, notes = choose_series(found, key=series, where=place_name(path))
     others = [item.info for item in found if item is not chosen]
-    return open_series(chosen, others=others, warnings=notes, watch=watch)
+    return open_series(chosen, others=others, notes=notes, watch=watch)
 
 
 def refuse_series(path: Path, kind: str, series: str | None) -> None:
@@ -160,22 +162,36 @@ def place_name(path: Path) -> str:
 
 
 def _series_of_file(path: Path, watch: Watch) -> list[FoundSeries]:
-    headers = read_headers(path.parent, recursive=False, watch=watch)
-    own = next((header for header in headers if header.path.name == path.name), None)
+    content = read_folder(path.parent, recursive=False, watch=watch)
+    own = next((header for header in content.headers if header.path.name == path.name), None)
     if own is None:
         msg = (
             f"reading {path.name}: it is DICOM but holds no image (a report, a structure set or a directory file); "
             "open the folder of the scan"
         )
         raise VolumeImportError(msg, code="import.no-images")
+    # A copy that counted once stands for its twin.
     return [
         item
-        for item in find_series(headers)
-        if item.slices[0].series_uid == own.series_uid and item.slices[0].localizer == own.localizer
+        for item in find_series(content, watch)
+        if any(
+            h.path == own.path
+            or (h.sop_uid, h.series_uid, h.position_lps) == (own.sop_uid, own.series_uid, own.position_lps)
+            for h in item.slices
+        )
     ]
 
 
-def _no_images(folder: Path) -> VolumeImportError:
+def _no_images(folder: Path, content: FolderContent) -> VolumeImportError:
+    damaged = [file for file in content.unused if file.is_dicom]
+    if damaged:
+        shown = ", ".join(f"{file.path.name} ({file.reason})" for file in damaged[:4])
+        more = f" and {len(damaged) - 4} more" if len(damaged) > 4 else ""
+        msg = (
+            f"reading the folder {folder.name}: none of its images can be used: {shown}{more}; expected the slices of "
+            "a chest CT; copy the folder again"
+        )
+        return VolumeImportError(msg, code="import.no-images")
     names = sorted(
         entry.name for entry in folder.iterdir() if entry.is_file() and entry.name.lower().endswith(_GRID_SUFFIXES)
     )

@@ -1,0 +1,347 @@
+"""Which images are one scan: what must never be joined, and what must never be torn apart.
+
+SeriesInstanceUID alone does not decide. Exporters and anonymisers leave it out or give one to several scans, and then
+two scans are stacked or, worse, interleaved into a volume that looks finer than either.
+
+- Two values of an *identity* (patient, study, frame of reference, modality) or of the grid (size and distance of
+  pixels, orientation) always part a series. A missing value beside a single one parts nothing and is said.
+- Two values of a *setting* (kernel, acquisition, phase, contrast, ...) part it only where the parts share positions or
+  lie between each other like two combs. A chest in several breaths changes its acquisition number in mid-stack and
+  stays one series, with a note.
+- A file that stands there twice, byte for byte, counts once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from carina.errors import VolumeImportError
+from carina.volume.dicom_files import name_files
+from carina.volume.dicom_geometry import MAX_CORNER_SHIFT_MM, grid_from_slices
+from carina.volume.dicom_headers import IDENTITY, SETTINGS, SliceHeader
+from carina.volume.model import Note
+from carina.volume.watch import Watch
+
+__all__ = ["Group", "count_patients", "group_slices", "without_copies"]
+
+_MAX_GRIDS = 50
+"""In one series; a folder of images that are all different takes no time that grows with their square."""
+
+_MAX_PAIRS = 10_000
+"""Of series with and without a UID that are tried together."""
+
+_PATIENT = [index for index, word in enumerate(IDENTITY.values()) if word == "patients"]
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Images that are one series, in no order."""
+
+    slices: tuple[SliceHeader, ...]
+    notes: tuple[Note, ...] = ()
+    label: str = ""
+    """What tells it from the other parts of its series, for the list: "kernel b70f", "part 2"; no name, no UID."""
+    mixed_with: tuple[SliceHeader, ...] = ()
+    """All images of the series that it was parted from by the grid of its pixels."""
+
+
+def without_copies(
+    headers: Sequence[SliceHeader], watch: Watch
+) -> tuple[list[SliceHeader], dict[Hashable, list[SliceHeader]]]:
+    """The images without byte-identical copies, and the copies by identifier, series and position.
+
+    Two files with one identifier and different content both stay: nobody knows which is right.
+    """
+    alike: dict[Hashable, list[SliceHeader]] = {}
+    for header in headers:
+        alike.setdefault((header.sop_uid, header.series_uid, header.position_lps), []).append(header)
+    if len(alike) == len(headers):
+        return list(headers), {}
+    copies: dict[Hashable, list[SliceHeader]] = {}
+    for key, twins in alike.items():
+        seen: set[bytes] = set()
+        for header in twins if len(twins) > 1 else ():
+            watch.step("Comparing files that are there twice")
+            digest = _digest(header)
+            if digest in seen:
+                copies.setdefault(key, []).append(header)
+            seen.add(digest)
+    gone = {header.path for twins in copies.values() for header in twins}
+    return [header for header in headers if header.path not in gone], copies
+
+
+def _digest(header: SliceHeader) -> bytes:
+    try:
+        with header.path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").digest()
+    except OSError:
+        return str(header.path).encode()  # like nothing else
+
+
+def count_patients(headers: Sequence[SliceHeader]) -> int:
+    """How many patients the images belong to, as far as their tags tell; missing tags tell nothing."""
+    return max([1] + [len({header.identity[at] for header in headers} - {""}) for at in _PATIENT])
+
+
+def group_slices(headers: Sequence[SliceHeader]) -> list[Group]:
+    """Part images into series by the rules above."""
+    by_uid: dict[Hashable, list[SliceHeader]] = {}
+    for header in headers:
+        # Without a UID the number of the series stands for it, where there is one.
+        uid = header.series_uid or f"number {header.series_number}"
+        by_uid.setdefault((uid, _kind(header)), []).append(header)
+    groups: list[Group] = []
+    for slices in by_uid.values():
+        groups.extend(_part_by_identity(Group(tuple(slices))))
+    return [part for group in _join_nameless(groups) for part in _part_by_setting(group)]
+
+
+def _kind(header: SliceHeader) -> str:
+    if header.localizer:
+        return "scout"
+    return "no slice" if header.problem_code in ("import.not-a-scan", "import.multi-frame") else ""
+
+
+def _by_value(slices: Sequence[SliceHeader], values: Sequence[str]) -> dict[str, list[SliceHeader]]:
+    parts: dict[str, list[SliceHeader]] = {}
+    for header, value in zip(slices, values, strict=True):
+        parts.setdefault(value, []).append(header)
+    return parts
+
+
+def _part_by_identity(group: Group) -> list[Group]:
+    whole = [group]
+    for at, word in enumerate(IDENTITY.values()):
+        whole = [
+            part
+            for item in whole
+            for part in _part(item, word, _by_value(item.slices, [h.identity[at] for h in item.slices]))
+        ]
+    return [part for item in whole for part in _part_by_grid(item)]
+
+
+def _part(group: Group, word: str, parts: dict[str, list[SliceHeader]]) -> list[Group]:
+    nameless = parts.pop("", [])
+    if len(parts) <= 1:
+        if not nameless or not parts:
+            return [group]
+        note = Note(
+            "import.identity-missing",
+            f"{len(nameless)} of {len(group.slices)} slices do not say to which of the {word} they belong "
+            f"({name_files([(h.path, '') for h in nameless])}); they were taken for those of the others",
+            badge=word == "patients",
+        )
+        return [_with_note(group, note)]
+    note = Note(
+        "import.series-parted", f"one series held images of {len(parts)} {word}; each is a series of its own now"
+    )
+    found = [
+        replace(group, slices=tuple(slices), notes=(*group.notes, note), label=_label(group, f"{_one(word)} {number}"))
+        for number, slices in enumerate(parts.values(), 1)
+    ]
+    if nameless:
+        lost = Note(
+            "import.identity-missing",
+            f"{len(nameless)} images of this series do not say to which of the {word} they belong "
+            f"({name_files([(h.path, '') for h in nameless])}); they were left out",
+            badge=True,
+        )
+        found = [replace(part, notes=(*part.notes, lost)) for part in found]
+        found.append(replace(group, slices=tuple(nameless), label=_label(group, f"unknown {_one(word)}")))
+    return found
+
+
+def _one(word: str) -> str:
+    return {"studies": "study", "modalities": "modality", "frames of reference": "frame of reference"}.get(
+        word, word.removesuffix("s")
+    )
+
+
+def _label(group: Group, words: str) -> str:
+    return f"{group.label}, {words}" if group.label else words
+
+
+def _same_grid(one: SliceHeader, other: SliceHeader) -> bool:
+    if (one.rows, one.columns) != (other.rows, other.columns):
+        return False
+    extent_mm = math.hypot(one.columns * one.spacing_mm[0], one.rows * one.spacing_mm[1])
+    turn = max(math.dist(one.row_lps, other.row_lps), math.dist(one.column_lps, other.column_lps))
+    stretch_mm = max(
+        abs(one.spacing_mm[0] - other.spacing_mm[0]) * one.columns,
+        abs(one.spacing_mm[1] - other.spacing_mm[1]) * one.rows,
+    )
+    return max(turn * extent_mm, stretch_mm) <= MAX_CORNER_SHIFT_MM
+
+
+def _part_by_grid(group: Group) -> list[Group]:
+    parts: list[list[SliceHeader]] = []
+    broken = [header for header in group.slices if header.problem is not None]
+    for header in group.slices:
+        if header.problem is not None:
+            continue
+        part = next((part for part in parts if _same_grid(part[0], header)), None)
+        if part is None and len(parts) < _MAX_GRIDS:
+            parts.append([header])
+        else:
+            (part or parts[-1]).append(header)  # with too many grids the last part is a mixed one, and refused so
+    if len(parts) <= 1:
+        return [group]
+    parts.sort(key=len, reverse=True)
+    parts[0].extend(broken)
+    note = Note(
+        "import.series-parted",
+        f"one series held images of {len(parts)} grids (size, pixel distance or orientation); each is a series of its "
+        "own now",
+    )
+    return [
+        replace(
+            group,
+            slices=tuple(part),
+            notes=(*group.notes, note),
+            label=_label(group, f"{part[0].columns} x {part[0].rows} pixels, part {number}"),
+            mixed_with=group.slices,
+        )
+        for number, part in enumerate(parts, 1)
+    ]
+
+
+def _is_regular(slices: Sequence[SliceHeader]) -> bool:
+    if any(header.problem is not None for header in slices):
+        return False
+    try:
+        grid_from_slices(slices, what="")
+    except VolumeImportError:
+        return False
+    return True
+
+
+def _join_nameless(groups: list[Group]) -> list[Group]:
+    """Slices that lost their SeriesInstanceUID go back to the one series into which they fit without a gap."""
+    named = [group for group in groups if group.slices[0].series_uid]
+    nameless = [group for group in groups if not group.slices[0].series_uid]
+    if len(named) * len(nameless) > _MAX_PAIRS:
+        return groups
+    for lost in nameless:
+        fitting = [group for group in named if _may_be_one(group, lost) and _is_regular((*group.slices, *lost.slices))]
+        if len(fitting) != 1:
+            named.append(lost)
+            continue
+        note = Note(
+            "import.identity-missing",
+            f"{len(lost.slices)} slices do not say to which series they belong "
+            f"({name_files([(h.path, '') for h in lost.slices])}); they continue this one and were taken for its own",
+        )
+        at = named.index(fitting[0])
+        named[at] = replace(
+            fitting[0], slices=(*fitting[0].slices, *lost.slices), notes=(*fitting[0].notes, note, *lost.notes)
+        )
+    return named
+
+
+def _may_be_one(group: Group, other: Group) -> bool:
+    one, two = group.slices[0], other.slices[0]
+    if _kind(one) or _kind(two) or not _same_grid(one, two):
+        return False
+    numbers = {one.series_number, two.series_number} - {None}
+    return len(numbers) <= 1 and all(not a or not b or a == b for a, b in zip(one.identity, two.identity, strict=True))
+
+
+def _part_by_setting(group: Group) -> list[Group]:
+    if _kind(group.slices[0]) or len(group.slices) < 2 or any(h.problem is not None for h in group.slices):
+        return [group]
+    keys = [
+        (word, parts)
+        for at, word in enumerate(SETTINGS.values())
+        if len(parts := _by_value(group.slices, [h.settings[at] for h in group.slices])) > 1
+    ]
+    if not keys:
+        return [group]
+    # A value that nearly every slice has for itself alone (a time, a counter) makes no stacks.
+    telling = [(word, parts) for word, parts in keys if 2 * len(parts) <= len(group.slices)]
+    if _is_regular(group.slices):
+        # Every second slice that lacks a tag is no second scan: nothing says so.
+        telling = [(word, parts) for word, parts in telling if "" not in parts or len(parts) > 2]
+        telling = [(word, parts) for word, parts in telling if _are_combs(group.slices, list(parts.values()))]
+    else:
+        telling = [(word, parts) for word, parts in telling if _share_heights(list(parts.values()))]
+    if not telling:
+        return [_said(group, keys)]
+    # The key with the fewest values tells most: two kernels of three acquisitions are two series, not three.
+    word, parts = min(telling, key=lambda item: len(item[1]))
+    note = Note(
+        "import.series-parted",
+        f"one series held {len(parts)} stacks that differ in {word}; each is a series of its own now",
+    )
+    whole_mm = float(np.ptp(_heights(group.slices)))
+    found: list[Group] = []
+    for value, slices in parts.items():
+        part = _with_note(replace(group, slices=tuple(slices), label=_label(group, f"{word} {_shown(value)}")), note)
+        own_mm = float(np.ptp(_heights(slices)))
+        if own_mm < 0.9 * whole_mm:
+            words = f"this stack covers {own_mm:.0f} of the {whole_mm:.0f} mm of its series; the rest is another part"
+            part = _with_note(part, Note("import.part-of-stack", words, badge=True))
+        found.extend(_part_by_setting(part))
+    return found
+
+
+def _with_note(group: Group, note: Note) -> Group:
+    return group if note in group.notes else replace(group, notes=(*group.notes, note))
+
+
+def _shown(value: str) -> str:
+    return "".join(c for c in value if c.isprintable())[:32] or "not given"
+
+
+def _said(group: Group, keys: Sequence[tuple[str, dict[str, list[SliceHeader]]]]) -> Group:
+    # A time tells apart two scans that lie in each other; that it runs on within one is no news.
+    keys = [(word, parts) for word, parts in keys if word != "acquisition time"]
+    changes = [word for word, parts in keys if len(parts.keys() - {""}) > 1]
+    missing = [word for word, parts in keys if "" in parts]
+    notes = list(group.notes)
+    if changes:
+        words = (
+            f"{_listed(changes)} {'changes' if len(changes) == 1 else 'change'} within the series, which is one stack"
+        )
+        notes.append(Note("import.settings-change", words))
+    if missing:
+        notes.append(Note("import.settings-missing", f"some slices do not say their {_listed(missing)}"))
+    return replace(group, notes=tuple(notes))
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
+def _heights(slices: Sequence[SliceHeader]) -> np.ndarray:
+    normal = np.cross(slices[0].row_lps, slices[0].column_lps)
+    return np.sort(np.array([header.position_lps for header in slices]) @ normal)
+
+
+def _share_heights(parts: Sequence[Sequence[SliceHeader]]) -> bool:
+    """True where one part begins before another has ended."""
+    spans = sorted((float(h[0]), float(h[-1])) for h in map(_heights, parts))
+    # Slices of one position in two parts share a height as well.
+    return any(later[0] <= earlier[1] + 0.01 for earlier, later in itertools.pairwise(spans))
+
+
+def _are_combs(whole: Sequence[SliceHeader], parts: Sequence[Sequence[SliceHeader]]) -> bool:
+    """True where parts of a regular stack lie between each other, each regular by itself and coarser than the whole.
+
+    So two scans look that were interleaved; a block in mid-stack, a stray slice or two outer ones do not.
+    """
+    heights = _heights(whole)
+    step = float(heights[-1] - heights[0]) / (len(heights) - 1)
+    combs = 0
+    for part in parts:
+        if len(part) < 2:
+            continue
+        own = np.diff(_heights(part)) / step
+        even = float(own.max() - own.min()) < 0.5
+        combs += even and 1.5 < float(own.mean()) < len(parts) + 0.5
+    return combs >= 2

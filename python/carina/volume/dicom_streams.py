@@ -1,0 +1,221 @@
+"""What a compressed stream says of itself, and what the decoder mutters while it reads one.
+
+A decoder believes the stream, not the tags, and none of the streams has a checksum: a damaged one often decodes into
+wrong pixels without an error. So the stream is looked at before it is decoded (its size, depth and sign; whether its
+parts follow each other to its end), and what the native decoder writes to stderr meanwhile is read.
+
+Sources: ITU-T T.81 B (JPEG), T.87 C (JPEG-LS), T.800 A (JPEG 2000), DICOM PS3.5 A.4 (fragments), G (RLE).
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+import struct
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from carina.volume.dicom_lossless_jpeg import lossless_jpeg_problem
+
+__all__ = ["Stream", "decoder_words", "fragments", "read_stream", "rle_problem"]
+
+_JPEG_START, _J2K_START = b"\xff\xd8\xff", b"\xff\x4f\xff\x51"
+_MAX_J2K_TILES = 4096  # one tile is usual; each costs the decoder kilobytes, whatever it holds
+_LOSSY_JPEG = (0xC0, 0xC1, 0xC2)
+_END = b"\xff\xd9"
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """The head of a JPEG, JPEG-LS or JPEG 2000 stream."""
+
+    rows: int
+    columns: int
+    components: int
+    bits: int
+    signed: bool | None
+    """None where the format has no sign (JPEG, JPEG-LS)."""
+    problem: str | None
+    """What breaks off or does not follow, or None."""
+
+
+def fragments(stored: bytes) -> bytes | None:
+    """The fragments of an encapsulated single frame, joined; None where they are no chain of items.
+
+    The offset table is left out. A chain that just ends without its delimiter, as some writers leave it, is taken.
+    """
+    at, parts = 0, []
+    while at + 8 <= len(stored):
+        tag, length = stored[at : at + 4], int.from_bytes(stored[at + 4 : at + 8], "little")
+        if tag == b"\xfe\xff\xdd\xe0":
+            break
+        if tag != b"\xfe\xff\x00\xe0" or at + 8 + length > len(stored):
+            return None
+        parts.append(stored[at + 8 : at + 8 + length])
+        at += 8 + length
+    return b"".join(parts[1:]) if len(parts) > 1 else None
+
+
+def read_stream(stored: bytes) -> Stream | None:
+    """Read the head of a stream and follow its parts; None where it has no readable head."""
+    try:
+        at = stored.find(_J2K_START, 0, 4096)
+        if at >= 0:
+            return _read_j2k(stored, at)
+        at = stored.find(_JPEG_START, 0, 4096)
+        return _read_jpeg(stored, at) if at >= 0 else None
+    except (IndexError, struct.error):
+        return None
+
+
+def _read_j2k(stored: bytes, start: int) -> Stream | None:
+    right, bottom, left, top, tile_x, tile_y = struct.unpack_from(">6I", stored, start + 8)
+    components, depth = struct.unpack_from(">HB", stored, start + 40)
+    if min(tile_x, tile_y) < 1 or -(-right // tile_x) * -(-bottom // tile_y) > _MAX_J2K_TILES:
+        return None
+    problem = _follow_j2k(stored, start + 2)
+    return Stream(bottom - top, right - left, components, (depth & 0x7F) + 1, bool(depth >> 7), problem)
+
+
+def _follow_j2k(stored: bytes, at: int) -> str | None:
+    """Main header, then tile parts, each as long as it says, up to the end marker."""
+    while True:
+        marker = stored[at : at + 2]
+        if marker == _END:
+            return None
+        if len(marker) < 2:
+            return "it ends before its end marker"
+        if marker == b"\xff\x90":  # start of a tile part; its length counts from here
+            if at + 12 > len(stored):
+                return "it ends within a tile"
+            (length,) = struct.unpack_from(">I", stored, at + 6)
+            if length == 0:  # the last part may leave its length open
+                return None if stored.rstrip(b"\0").endswith(_END) else "it ends before its end marker"
+            if length < 14 or at + length > len(stored):
+                return "a tile is cut short"
+            at += length
+        elif marker[0] == 0xFF and marker[1] >= 0x4F:
+            at += 2 + int.from_bytes(stored[at + 2 : at + 4], "big")
+        else:
+            return "a marker is missing where one must stand"
+
+
+def _read_jpeg(stored: bytes, start: int) -> Stream | None:
+    at, head, kind = start + 2, None, 0
+    while stored[at] == 0xFF:
+        marker = stored[at + 1]
+        if marker == 0xF7 or (0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC)):
+            bits, rows, columns, components = struct.unpack_from(">B2HB", stored, at + 4)
+            head, kind = (rows, columns, components, bits), marker
+        if marker == 0xDA:
+            break
+        if marker == 0xFF:  # a fill byte
+            at += 1
+            continue
+        at += 2 + int.from_bytes(stored[at + 2 : at + 4], "big")
+    else:
+        if head is None:
+            return None
+    if head is None:
+        return None
+    problem = _follow_jpeg(stored, at, _IN_JPEG_LS if kind == 0xF7 else _IN_JPEG)
+    return Stream(*head, signed=None, problem=problem or lossless_jpeg_problem(stored))
+
+
+# A marker within coded data: in JPEG a byte FF of the data is followed by 00, in JPEG-LS by one below 80.
+_IN_JPEG = re.compile(rb"\xff+([^\x00\xd0-\xd7\xff])", re.DOTALL)
+_IN_JPEG_LS = re.compile(rb"\xff+([\x80-\xcf\xd8-\xfe])", re.DOTALL)
+# What may follow a scan: tables, comments, the next scan, the number of lines.
+_AFTER_SCAN = frozenset((0xC4, 0xDA, 0xDB, 0xDC, 0xDD, 0xFE, *range(0xE0, 0xF0), 0xF8))
+
+
+def _follow_jpeg(stored: bytes, at: int, in_data: re.Pattern[bytes]) -> str | None:
+    """From the first scan on: coded data, markers that may stand there, up to the end marker."""
+    while True:
+        at += 2 + int.from_bytes(stored[at + 2 : at + 4], "big")  # past the head of the scan or the table
+        found = in_data.search(stored, at)
+        if found is None:
+            return "it ends before its end marker"
+        at, marker = found.end() - 2, found[1][0]
+        if marker == 0xD9:
+            return None
+        if marker not in _AFTER_SCAN:
+            return "a marker stands where none may be"
+
+
+def rle_problem(frame: bytes, num_pixels: int) -> str | None:
+    """Whether the segments of an RLE frame unpack to exactly the pixels (PS3.5 G.3)."""
+    if len(frame) < 64:
+        return "its header is cut short"
+    count, *offsets = struct.unpack_from("<16I", frame)
+    if not 1 <= count <= 15:
+        return f"it claims {count} segments"
+    starts = [*offsets[:count], len(frame)]
+    for begin, end in itertools.pairwise(starts):
+        if not 64 <= begin <= end <= len(frame):
+            return "its segments lie outside of it"
+        segment, at, pixels = frame[begin:end], 0, 0
+        while at < len(segment) and pixels < num_pixels:
+            code = segment[at]
+            if code < 128:
+                at += code + 2
+                pixels += code + 1
+            elif code > 128:
+                at += 2
+                pixels += 257 - code
+            else:
+                at += 1
+        # A pair of bytes at most pads a segment to an even length.
+        if pixels != num_pixels or not 0 <= len(segment) - at <= 2:
+            return "a segment does not unpack to the pixels of the image"
+    return None
+
+
+_lock = threading.Lock()
+# What libjpeg, CharLS, OpenJPEG, GDCM and ITK write; anything else on stderr comes from another thread.
+_DECODER = re.compile(
+    rb"jpeg|j2k|jp2|huffman|marker|quantization|\bD[QHAN][TCL]\b|\bSO[SFI]\b|\btile|code-?block|codestream|segment|"
+    rb"packet|precinct|subband|resolution|component|\[(?:warning|error|info)\]|gdcm|\bitk|^warning: in |rle|"
+    rb"scan parameters|progress",
+    re.IGNORECASE,
+)
+# Said of healthy streams: the reader tries one library after the other.
+_HARMLESS = re.compile(rb"Unsupported JPEG data precision|\[info\]", re.IGNORECASE)
+
+
+@contextmanager
+def decoder_words(theirs: re.Pattern[bytes] = _DECODER) -> Iterator[list[str]]:
+    """Catch what native code writes to stderr within the block; the list is filled at its end.
+
+    Only the descriptor is turned aside, for one decoder at a time. Lines that no decoder writes (they do not match
+    ``theirs``: another thread's log) go on to stderr afterwards.
+    """
+    caught: list[str] = []
+    with _lock, tempfile.TemporaryFile() as taken:
+        try:
+            before = os.dup(2)
+        except OSError:  # no stderr at all: nothing is heard, and nothing needs to be kept quiet
+            yield caught
+            return
+        try:
+            if sys.stderr is not None:
+                sys.stderr.flush()
+            os.dup2(taken.fileno(), 2)
+            try:
+                yield caught
+            finally:
+                os.dup2(before, 2)
+                taken.seek(0)
+                for line in taken.read(1 << 20).splitlines():
+                    if not theirs.search(line):
+                        if line.strip():
+                            os.write(before, line + b"\n")
+                    elif not _HARMLESS.search(line):
+                        caught.append(line.decode("ascii", "replace").strip())
+        finally:
+            os.close(before)

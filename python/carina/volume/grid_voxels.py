@@ -1,0 +1,135 @@
+"""The numbers of a grid file as they stand in it: no library comes between, so all formats give the very same ones.
+
+ITK turns NaN into 0 (soft tissue) in a NIfTI, adds an intercept where the slope is 0, reads the first member of a gzip
+file alone, and takes twice the memory.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import VolumeImportError
+from carina.volume.dicom import MAX_VOXELS
+from carina.volume.grid_claim import GridHeader
+from carina.volume.model import Note
+from carina.volume.unpacking import Unpacker
+from carina.volume.watch import Watch
+
+__all__ = ["read_voxels"]
+
+_CHUNK_BYTES = 1 << 23
+_MAX_RATIO = 1100  # deflate packs at most 1032 to 1
+_READING = "Reading the voxels"
+
+
+def read_voxels(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[np.generic], tuple[Note, ...]]:
+    """The values ``(nz, ny, nx)`` of a file in this machine's byte order, scaled where the header says so.
+
+    Returns
+    -------
+    values, notes
+        A note says where the file holds more than its header claims.
+
+    Raises
+    ------
+    VolumeImportError
+        ``import.truncated`` or ``import.too-large``.
+    CancelledError
+        If the person cancels.
+    """
+    if header.num_voxels > MAX_VOXELS:
+        msg = (
+            f"reading {path.name}: its header claims {header.sizes} voxels; at most {MAX_VOXELS} are read; the header "
+            "is damaged, or the file is no chest CT; crop or resample it"
+        )
+        raise VolumeImportError(msg, code="import.too-large")
+    if header.compression is None:
+        numbers, extra = _read_plain(path, header, watch)
+    else:
+        numbers, extra = _read_packed(path, header, watch)
+    values = numbers.view(header.dtype).reshape(header.shape_ijk[::-1])
+    if not values.dtype.isnative:
+        values = values.byteswap(inplace=True).view(values.dtype.newbyteorder("="))
+    notes: tuple[Note, ...] = ()
+    if extra:
+        # A few bytes are padding; as much as a slice is a sign that the header speaks of another volume.
+        per_slice = header.num_bytes // header.shape_ijk[2]
+        words = f"the file holds {extra} bytes more than its header claims; they were left out"
+        notes = (Note("import.extra-data", words, badge=extra >= per_slice),)
+    return (values if header.scaling is None else _scaled(values, *header.scaling)), notes
+
+
+def _lying(path: Path, header: GridHeader, found: str) -> VolumeImportError:
+    msg = (
+        f"reading {path.name}: its header claims {header.sizes} voxels ({header.num_bytes} bytes), but {found}; the "
+        "file is incomplete or its header is wrong; copy or export it again"
+    )
+    return VolumeImportError(msg, code="import.truncated")
+
+
+def _read_plain(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[np.uint8], int]:
+    size, needed = header.data_path.stat().st_size, header.num_bytes
+    begin = size - needed if header.data_offset < 0 else header.data_offset
+    extra = size - begin - needed
+    if begin < 0 or extra < 0:
+        # Found before anything of that size is allocated.
+        raise _lying(path, header, f"the file holds {size if begin < 0 else max(0, size - begin)}")
+    out = np.empty(needed, dtype=np.uint8)
+    place = out.data
+    with header.data_path.open("rb", buffering=0) as file:
+        file.seek(begin)
+        at = 0
+        while at < needed:
+            watch.step(_READING, at / needed)
+            count = file.readinto(place[at : at + _CHUNK_BYTES])
+            if not count:
+                raise _lying(path, header, f"the file holds {at}")
+            at += count
+    return out, extra
+
+
+def _read_packed(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[np.uint8], int]:
+    size, needed = header.data_path.stat().st_size, header.num_bytes
+    if header.data_offset + needed > _MAX_RATIO * size:
+        raise _lying(path, header, f"the compressed file has only {size}")
+    # The system gives memory page by page as it is filled, so a claim alone takes none.
+    out = np.empty(needed, dtype=np.uint8)
+    most = header.data_offset + needed + max(needed, 1 << 26)  # much more behind it is a bomb
+    total = 0
+    with header.data_path.open("rb") as file:
+        file.seek(header.stream_offset)
+        stream = Unpacker(file, header.compression or "")
+        watch.step(_READING, 0.0)
+        try:
+            for piece in stream:
+                at = total - header.data_offset
+                total += len(piece)
+                first = max(0, -at)
+                if at < needed and first < len(piece):
+                    part = np.frombuffer(piece, dtype=np.uint8)[first : needed - at]
+                    out[at + first : at + first + part.size] = part
+                if total > most:
+                    raise _lying(path, header, "it unpacks to far more")
+                watch.step(_READING, min(1.0, file.tell() / size))
+        except ValueError as error:
+            raise _lying(path, header, str(error)) from None
+    if total < header.data_offset + needed:
+        raise _lying(path, header, f"it unpacks to {max(0, total - header.data_offset)}")
+    return out, total - header.data_offset - needed + stream.trailing_bytes
+
+
+def _scaled(values: NDArray[np.generic], slope: float, intercept: float) -> NDArray[np.generic]:
+    """Values times slope plus intercept, slice by slice; whole numbers where all of it is whole and small."""
+    small = values.dtype.kind in "iu" and values.dtype.itemsize <= 2
+    if small and slope == int(slope) and intercept == int(intercept) and max(abs(slope), abs(intercept)) < 1 << 14:
+        kind: type[np.generic] = np.int32
+    else:
+        # float32 keeps all digits of 16-bit numbers and of its own; it rounds once, at the end.
+        kind = np.float64 if values.dtype.itemsize > 4 else np.float32
+    out = np.empty(values.shape, dtype=kind)
+    for k, plane in enumerate(values):
+        out[k] = plane.astype(np.float64) * slope + intercept
+    return out

@@ -1,0 +1,177 @@
+"""MetaImage headers (MetaIO's documentation), with the values behind them or in a file beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.volume.grid_claim import GridHeader, beside, real, refuse, take_once, whole
+from carina.volume.model import Note
+
+__all__ = ["read_metaimage_header"]
+
+_MAX_TEXT_HEADER_BYTES = 1 << 20
+_KINDS = {
+    "MET_CHAR": "i1", "MET_UCHAR": "u1", "MET_SHORT": "i2", "MET_USHORT": "u2", "MET_INT": "i4", "MET_UINT": "u4",
+    "MET_LONG": "i4", "MET_ULONG": "u4", "MET_LONG_LONG": "i8", "MET_ULONG_LONG": "u8", "MET_FLOAT": "f4",
+    "MET_DOUBLE": "f8",
+}  # fmt: skip
+_TRUTH = {"true": True, "t": True, "1": True, "false": False, "f": False, "0": False}
+_TURNS = ("transformmatrix", "rotation", "orientation")
+_ORIGINS = ("offset", "position", "origin")
+_FROM_LETTERS = ("RL", "AP", "IS")  # AnatomicalOrientation names where an axis comes from
+
+
+def read_metaimage_header(path: Path) -> GridHeader:
+    """The header of one file; ValueError and KeyError where it does not follow the format.
+
+    Raises
+    ------
+    VolumeImportError
+        See ``read_grid_header``.
+    """
+    fields, at = _fields(path)
+    num_axes = whole(fields["ndims"])
+    shape = tuple(whole(n) for n in fields["dimsize"].split())
+    if len(shape) != num_axes:
+        raise ValueError
+    kind = fields["elementtype"].upper()
+    if kind not in _KINDS:
+        problem = f"it has the type {kind}, which is not supported"
+        raise refuse(path, problem, "save it again as 16-bit numbers", "import.not-supported")
+    if not _truth(fields, "binarydata", default=True):
+        problem = "its values are written as text, which is not supported"
+        raise refuse(path, problem, "save it again in binary", "import.not-supported")
+    _refuse_what_others_ignore(path, fields)
+
+    data_name = fields["elementdatafile"]
+    local = data_name.upper() == "LOCAL"
+    data_path = path if local else beside(path, data_name)
+    begin = at if local else 0
+    compressed = _truth(fields, "compresseddata", default=False)
+    packed_bytes = whole(fields.get("compresseddatasize", "0"))
+    if compressed and packed_bytes not in (0, data_path.stat().st_size - begin):
+        raise ValueError
+    header_size = whole(fields.get("headersize", "0"))
+    if header_size < -1 or (header_size != 0 and compressed) or (header_size > 0 and local):
+        raise ValueError  # with LOCAL programs differ in where it is counted from
+    lps_from_ijk = _transform(path, fields, num_axes)
+    return GridHeader(
+        format="metaimage",
+        shape_ijk=shape,
+        num_components=whole(fields.get("elementnumberofchannels", "1")),
+        dtype=np.dtype(_order(path, fields) + _KINDS[kind]),
+        lps_from_ijk=lps_from_ijk,
+        data_path=data_path,
+        data_offset=0 if compressed else (-1 if header_size == -1 else begin + header_size),
+        compression="zlib" if compressed else None,
+        stream_offset=begin,
+        notes=_notes(fields, lps_from_ijk),
+    )
+
+
+def _fields(path: Path) -> tuple[dict[str, str], int]:
+    """The fields to ElementDataFile, and where the text ends."""
+    with path.open("rb") as file:
+        text = file.read(_MAX_TEXT_HEADER_BYTES)
+    fields: dict[str, str] = {}
+    at = 0
+    while True:
+        line_end = text.find(b"\n", at)
+        line = text[at : line_end if line_end >= 0 else len(text)].decode("ascii", errors="replace")
+        at = line_end + 1
+        name, equals, value = line.partition("=")
+        name = name.strip().lower()
+        if "ndims" not in fields and name in ("dimsize", "elementspacing", "elementsize"):
+            raise ValueError  # lists cannot be read before their length is known
+        if equals and name != "comment":
+            take_once(path, fields, name, value.strip())
+        if name == "elementdatafile":
+            return fields, at
+        if line_end < 0:
+            raise ValueError
+
+
+def _one_of(path: Path, fields: dict[str, str], names: tuple[str, ...], default: str) -> str:
+    """The value of fields that mean the same; refused where two of them differ."""
+    given = {name: fields[name] for name in names if name in fields}
+    values = {tuple(real(number) for number in text.split()) for text in given.values()}
+    if len(values) > 1:
+        problem = f"its {' and '.join(given)} mean the same and differ"
+        way_out = "programs differ in which one they take; export it again"
+        raise refuse(path, problem, way_out, "import.geometry.ambiguous")
+    return next(iter(given.values()), default)
+
+
+def _truth(fields: dict[str, str], name: str, *, default: bool) -> bool:
+    return _TRUTH[fields[name].lower()] if name in fields else default
+
+
+def _order(path: Path, fields: dict[str, str]) -> str:
+    names = ("binarydatabyteordermsb", "elementbyteordermsb")
+    said = {_truth(fields, name, default=False) for name in names if name in fields}
+    if len(said) > 1:
+        problem = "its BinaryDataByteOrderMSB and its ElementByteOrderMSB contradict each other"
+        raise refuse(path, problem, "the order of its bytes is unknown; export it again", "import.header")
+    return ">" if said == {True} else "<"
+
+
+def _refuse_what_others_ignore(path: Path, fields: dict[str, str]) -> None:
+    """Scaling and units that some programs apply and others do not read: no reading of such a file is the right one."""
+    slope = real(fields.get("elementtointensityfunctionslope", "1"))
+    shift = real(fields.get("elementtointensityfunctionoffset", "0"))
+    if (slope, shift) != (1.0, 0.0):
+        problem = f"its numbers should be scaled by {slope:g} and shifted by {shift:g}, which is not supported"
+        raise refuse(path, problem, "save it again with its final values", "import.not-supported")
+    unit = fields.get("distanceunits", "mm").lower()
+    if unit not in ("mm", "?", ""):
+        problem = f"its unit is {unit[:20]}, which is not supported"
+        raise refuse(path, problem, "save it again in mm", "import.not-supported")
+
+
+def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[Note, ...]:
+    """What the format fills in by itself, and what it says twice in two ways."""
+    notes = []
+    if not any(name in fields for name in _TURNS):
+        words = "its header does not say where its axes point; they are taken for left, posterior and superior"
+        notes.append(Note("import.orientation-doubted", words, badge=True))
+    else:
+        letters = fields.get("anatomicalorientation", "").upper()
+        directions = lps_from_ijk[:3, :3] / np.linalg.norm(lps_from_ijk[:3, :3], axis=0)
+        for letter, column in zip(letters, directions.T, strict=False):
+            axis = int(np.argmax(np.abs(column)))
+            expected = _FROM_LETTERS[axis][0 if column[axis] > 0 else 1]
+            if abs(column[axis]) > 0.8 and letter in "RLAPIS" and letter != expected:
+                words = f"its AnatomicalOrientation ({letters}) contradicts its TransformMatrix, which was taken"
+                notes.append(Note("import.orientation-doubted", words, badge=True))
+                break
+    if not any(name in fields for name in _ORIGINS):
+        words = "its header does not say where its first voxel lies; masks and points of other programs may not fit"
+        notes.append(Note("import.position-missing", words))
+    return tuple(notes)
+
+
+def _transform(path: Path, fields: dict[str, str], num_axes: int) -> NDArray[np.float64]:
+    spacing = [real(v) for v in fields.get("elementspacing", fields.get("elementsize", "")).split()]
+    if len(spacing) != num_axes:
+        raise refuse(path, "it gives no ElementSpacing", "export it again with its spacing", "import.geometry.spacing")
+    if not all(distance > 0 for distance in spacing):  # also for NaN; a negative one would mirror the patient
+        problem = f"its ElementSpacing should be positive numbers of mm; found {fields.get('elementspacing')}"
+        raise refuse(path, problem, "export it again with its spacing", "import.geometry.spacing")
+    matrix = np.eye(4)
+    if num_axes != 3:
+        return matrix
+    # Each row of three numbers is the direction of one axis; the world is LPS.
+    turn = _one_of(path, fields, _TURNS, "1 0 0 0 1 0 0 0 1")
+    origin = _one_of(path, fields, _ORIGINS, "0 0 0")
+    directions = np.array([real(v) for v in turn.split()]).reshape(3, 3)
+    lengths = np.linalg.norm(directions, axis=1)
+    if not (np.abs(lengths - 1.0) < 0.01).all():  # three digits, as some programs write, are off by 0.001
+        found = ", ".join(f"{length:g}" for length in lengths)
+        problem = f"the directions in its TransformMatrix should have the length 1; found {found}"
+        raise refuse(path, problem, "export it again, with its spacing in ElementSpacing", "import.geometry.ambiguous")
+    matrix[:3, :3] = directions.T * spacing
+    matrix[:3, 3] = [real(v) for v in origin.split()]
+    return matrix

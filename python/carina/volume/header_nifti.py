@@ -1,0 +1,166 @@
+"""NIfTI-1 headers, by the letter of nifti1.h."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.volume.grid_claim import AMBIGUOUS, GridHeader, refuse
+from carina.volume.model import Note
+
+__all__ = ["read_nifti_header"]
+
+_RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+_KINDS = {
+    2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8",
+}  # fmt: skip
+_OTHER_KINDS = {128: "colour", 2304: "colour", 32: "complex", 1792: "complex", 2048: "complex", 1: "single bits"}
+_SMALLEST_OFFSET = 352  # of the values in a single file: 348 bytes of header and 4 that say whether more follow
+
+
+def read_nifti_header(path: Path, head: bytes) -> GridHeader:
+    """The header of one file from its first (unpacked) bytes; ValueError and struct.error where it follows no format.
+
+    Raises
+    ------
+    VolumeImportError
+        See ``read_grid_header``.
+    """
+    order, version = next(
+        ((order, size) for order in "<>" for size in (348, 540) if struct.unpack_from(f"{order}i", head)[0] == size),
+        ("", 0),
+    )
+    if version == 0 or len(head) < 348:
+        raise ValueError
+    if version == 540:
+        problem = "it is a NIfTI-2 file, which is not supported"
+        raise refuse(path, problem, "save it as NIfTI-1, for example from 3D Slicer", "import.not-supported")
+    magic = head[344:348]
+    if magic[:3] not in (b"n+1", b"ni1"):
+        problem = "it is an Analyze 7.5 file, which does not say where left and right are"
+        raise refuse(path, problem, AMBIGUOUS, "import.geometry.orientation-unknown")
+    dim = struct.unpack_from(f"{order}8h", head, 40)
+    datatype, bits = struct.unpack_from(f"{order}2h", head, 70)
+    pixdim = struct.unpack_from(f"{order}8f", head, 76)
+    offset, slope, intercept = struct.unpack_from(f"{order}3f", head, 108)
+    if not 1 <= dim[0] <= 7:
+        raise ValueError
+    shape = dim[1 : dim[0] + 1]
+    while len(shape) > 3 and shape[-1] == 1:  # trailing axes of one entry are written by many programs
+        shape = shape[:-1]
+    if datatype not in _KINDS:
+        problem = f"its values are {_OTHER_KINDS.get(datatype, f'of the type {datatype}')}, which is not supported"
+        raise refuse(path, problem, "export it again as 16-bit numbers", "import.not-supported")
+    dtype = np.dtype(order + _KINDS[datatype])
+    if bits not in (0, 8 * dtype.itemsize):
+        problem = f"its values have {8 * dtype.itemsize} bits by its datatype and {bits} by its bitpix"
+        raise refuse(path, problem, "one of them is wrong; export it again", "import.header")
+    data_path, gzipped = _data_file(path, single=magic[:2] == b"n+")
+    # For a single file this also finds 0, which means "behind the header" to one program and "at 348" to another.
+    lowest = _SMALLEST_OFFSET if data_path == path else 0
+    if not np.isfinite(offset) or offset < lowest or offset != int(offset):
+        problem = f"its values should begin at byte {lowest} or later; its vox_offset is {offset:g}"
+        raise refuse(path, problem, "the header is damaged; export it again", "import.header.offset")
+    scaling, notes = _scaling(path, slope, intercept)
+    return GridHeader(
+        format="nifti",
+        shape_ijk=tuple(int(n) for n in shape),
+        num_components=1,
+        dtype=dtype,
+        lps_from_ijk=_place(path, head, order, shape, pixdim),
+        data_path=data_path,
+        data_offset=int(offset),
+        compression="gzip" if gzipped else None,
+        scaling=scaling,
+        notes=notes,
+    )
+
+
+def _scaling(path: Path, slope: float, intercept: float) -> tuple[tuple[float, float] | None, tuple[Note, ...]]:
+    """nifti1.h: a slope of 0 means that the numbers are the values, whatever the intercept is."""
+    if slope == 0.0:
+        return None, ()
+    if not np.isfinite(slope):
+        words = f"its slope is no number ({slope}), so its numbers were taken as they are, without the intercept"
+        return None, (Note("import.scaling", words, badge=True),)
+    if not np.isfinite(intercept):
+        problem = f"its numbers should be scaled by {slope:g} and shifted by {intercept}, which is no number"
+        raise refuse(path, problem, "the header is damaged; export it again", "import.header.scaling")
+    return (None if (slope, intercept) == (1.0, 0.0) else (float(slope), float(intercept))), ()
+
+
+def _data_file(path: Path, *, single: bool) -> tuple[Path, bool]:
+    """Where the values are, and whether they are packed by gzip."""
+    with path.open("rb") as file:
+        gzipped = file.read(2) == b"\x1f\x8b"
+    if single:
+        return path, gzipped
+    stem = path.with_suffix("") if path.suffix.lower() == ".gz" else path
+    siblings = [stem.with_suffix(suffix) for suffix in (".img", ".img.gz", ".IMG", ".IMG.GZ")]
+    found = next((candidate for candidate in siblings if candidate.is_file()), None)
+    if found is None:
+        problem = f"its values should be in {siblings[0].name} beside it, which is missing"
+        raise refuse(path, problem, "put both files into one folder", "import.not-found")
+    return found, found.suffix.lower() == ".gz"
+
+
+def _place(
+    path: Path, head: bytes, order: str, shape: tuple[int, ...], pixdim: tuple[float, ...]
+) -> NDArray[np.float64]:
+    qform, sform = struct.unpack_from(f"{order}2h", head, 252)
+    scale = {0: 1.0, 1: 1000.0, 2: 1.0, 3: 0.001}.get(head[123] & 7)
+    if scale is None:
+        raise ValueError
+    forms = []
+    if sform > 0:
+        rows = struct.unpack_from(f"{order}12f", head, 280)
+        forms.append(np.vstack([np.reshape(rows, (3, 4)), [0, 0, 0, 1]]).astype(np.float64))
+    if qform > 0:
+        forms.append(_qform(pixdim, struct.unpack_from(f"{order}6f", head, 256)))
+    if not forms:
+        problem = "neither its qform nor its sform is set, so it does not say where left and right are"
+        raise refuse(path, problem, AMBIGUOUS, "import.geometry.orientation-unknown")
+    lps = [_RAS_TO_LPS @ np.diag([scale, scale, scale, 1.0]) @ form for form in forms]
+    if len(lps) == 2 and len(shape) == 3 and np.isfinite(lps[0]).all() and np.isfinite(lps[1]).all():
+        # The sheared kind is named by the caller; here both are straight grids in different places.
+        corners = np.array([[i, j, k, 1.0] for i in (0, shape[0]) for j in (0, shape[1]) for k in (0, shape[2])])
+        apart = np.linalg.norm(corners @ (lps[0] - lps[1]).T, axis=1).max()
+        smallest = np.linalg.norm(lps[1][:3, :3], axis=0).min()
+        if apart > 0.1 * smallest and _is_straight(lps[0]):
+            problem = f"its qform and sform disagree by up to {apart:.2f} mm about where the voxels are"
+            raise refuse(path, problem, "save it again with one of them", "import.geometry.ambiguous")
+    return np.asarray(lps[0], dtype=np.float64)
+
+
+def _is_straight(lps_from_ijk: NDArray[np.float64]) -> bool:
+    columns = lps_from_ijk[:3, :3]
+    lengths = np.linalg.norm(columns, axis=0)
+    if lengths.min() == 0:
+        return False
+    return bool(np.abs((columns / lengths).T @ (columns / lengths) - np.eye(3)).max() < 3.5e-3)  # sin 0.2 degrees
+
+
+def _qform(pixdim: tuple[float, ...], quaternion: tuple[float, ...]) -> NDArray[np.float64]:
+    b, c, d, *offsets = quaternion
+    squared = 1.0 - (b * b + c * c + d * d)
+    if not np.isfinite([b, c, d, *offsets]).all() or squared < -1e-3:
+        raise ValueError
+    a = np.sqrt(max(0.0, squared))
+    if squared < 1e-7:  # nifti1.h: a half turn, where rounding may leave the vector a little too long
+        b, c, d = np.array([b, c, d]) / np.linalg.norm([b, c, d])
+        a = 0.0
+    rotation = np.array(
+        [
+            [a * a + b * b - c * c - d * d, 2 * (b * c - a * d), 2 * (b * d + a * c)],
+            [2 * (b * c + a * d), a * a + c * c - b * b - d * d, 2 * (c * d - a * b)],
+            [2 * (b * d - a * c), 2 * (c * d + a * b), a * a + d * d - b * b - c * c],
+        ]
+    )
+    handedness = -1.0 if pixdim[0] < 0 else 1.0
+    form = np.eye(4)
+    form[:3, :3] = rotation * [pixdim[1], pixdim[2], pixdim[3] * handedness]
+    form[:3, 3] = offsets
+    return form

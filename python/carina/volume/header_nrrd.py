@@ -1,0 +1,154 @@
+"""NRRD headers (the format's definition by teem), attached and detached."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.volume.grid_claim import AMBIGUOUS, GridHeader, beside, real, refuse, take_once, whole
+
+__all__ = ["read_nrrd_header"]
+
+_MAX_TEXT_HEADER_BYTES = 1 << 20
+_KINDS = {
+    **dict.fromkeys(["signed char", "int8", "int8_t"], "i1"),
+    **dict.fromkeys(["uchar", "unsigned char", "uint8", "uint8_t"], "u1"),
+    **dict.fromkeys(["short", "short int", "signed short", "signed short int", "int16", "int16_t"], "i2"),
+    **dict.fromkeys(["ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"], "u2"),
+    **dict.fromkeys(["int", "signed int", "int32", "int32_t"], "i4"),
+    **dict.fromkeys(["uint", "unsigned int", "uint32", "uint32_t"], "u4"),
+    **dict.fromkeys(
+        ["longlong", "long long", "long long int", "signed long long", "signed long long int", "int64", "int64_t"],
+        "i8",
+    ),
+    **dict.fromkeys(["ulonglong", "unsigned long long", "unsigned long long int", "uint64", "uint64_t"], "u8"),
+    "float": "f4",
+    "double": "f8",
+}
+_SPACES = {
+    "left-posterior-superior": (1, 1), "lps": (1, 1), "right-anterior-superior": (-1, -1), "ras": (-1, -1),
+    "left-anterior-superior": (1, -1), "las": (1, -1),
+}  # fmt: skip
+_SAME_FIELD = {
+    "datafile": "data file", "lineskip": "line skip", "byteskip": "byte skip", "oldmin": "old min", "oldmax": "old max",
+}  # fmt: skip
+
+
+def read_nrrd_header(path: Path) -> GridHeader:
+    """The header of one file; ValueError and KeyError where it does not follow the format.
+
+    Raises
+    ------
+    VolumeImportError
+        See ``read_grid_header``.
+    """
+    fields, begin = _fields(path)
+    detached = fields.get("data file")
+    if begin is None and detached is None:
+        raise ValueError
+    dimension = whole(fields["dimension"])
+    shape = tuple(whole(n) for n in fields["sizes"].split())
+    if len(shape) != dimension:
+        raise ValueError
+    encoding = fields["encoding"].lower()
+    kind = fields["type"].lower()
+    if encoding in ("bzip2", "bz2"):
+        problem = "its values are packed by bzip2, which is not supported"
+        raise refuse(path, problem, "save it again with gzip, or without compression", "import.not-supported")
+    if encoding not in ("raw", "gzip", "gz") or kind not in _KINDS:
+        found = f"the type {kind}" if encoding in ("raw", "gzip", "gz") else f"the encoding {encoding}"
+        problem = f"it has {found}, which is not supported"
+        raise refuse(path, problem, "save it again as raw or gzip 16-bit numbers", "import.not-supported")
+    compressed = encoding != "raw"
+    data_path = path if detached is None else beside(path, detached)
+    offset = 0 if detached is not None else (begin or 0)
+    byte_skip = whole(fields.get("byte skip", "0"))
+    if whole(fields.get("line skip", "0")) != 0 or (byte_skip != 0 and compressed) or byte_skip < -1:
+        problem = "it skips lines or bytes of its data, which is not supported"
+        raise refuse(path, problem, "save it again without skips", "import.not-supported")
+    axis_kinds = fields.get("kinds", "").lower().split()
+    if dimension == 3 and "none" in fields.get("space directions", "").lower():
+        problem = f"expected one volume of three axes, found two and a list ({', '.join(axis_kinds) or 'no kinds'})"
+        raise refuse(path, problem, "save one single volume of it in its own file", "import.not-3d")
+    return GridHeader(
+        format="nrrd",
+        shape_ijk=shape,
+        num_components=1,
+        dtype=np.dtype(_order(path, fields, kind) + _KINDS[kind]),
+        # Another dimension is refused by the caller, with its sizes.
+        lps_from_ijk=_transform(path, fields) if dimension == 3 else np.eye(4),
+        data_path=data_path,
+        data_offset=0 if compressed else (-1 if byte_skip == -1 else offset + byte_skip),
+        compression="gzip" if compressed else None,
+        stream_offset=offset,
+    )
+
+
+def _fields(path: Path) -> tuple[dict[str, str], int | None]:
+    """The fields, and where the values begin behind them; None where the header fills its file."""
+    with path.open("rb") as file:
+        text = file.read(_MAX_TEXT_HEADER_BYTES)
+    fields: dict[str, str] = {}
+    at = text.find(b"\n") + 1
+    while at > 0 and at < len(text):
+        line_end = text.find(b"\n", at)
+        raw = text[at : line_end if line_end >= 0 else len(text)].rstrip(b"\r")
+        at = line_end + 1
+        if not raw:
+            return fields, at if line_end >= 0 else None
+        line = raw.decode("utf-8", errors="replace")
+        name, _, value = line.partition(":")
+        if line.startswith("#") or value.startswith("="):  # a comment, or a key of the writer's own
+            continue
+        name = name.strip().lower()
+        take_once(path, fields, _SAME_FIELD.get(name, name), value.strip())
+        if line_end < 0:
+            break
+    return fields, None
+
+
+def _order(path: Path, fields: dict[str, str], kind: str) -> str:
+    order = {"little": "<", "big": ">"}.get(fields.get("endian", "").lower())
+    if order is None:
+        if _KINDS[kind].endswith("1"):
+            return "<"
+        problem = f"it should say endian: little or big; found {fields.get('endian', 'nothing')[:40]}"
+        raise refuse(path, problem, "the order of its bytes is unknown; export it again", "import.header")
+    return order
+
+
+def _vector(text: str) -> list[float]:
+    text = text.strip()
+    if not (text.startswith("(") and text.endswith(")")):
+        raise ValueError
+    numbers = [real(number) for number in text[1:-1].split(",")]
+    if len(numbers) != 3:
+        raise ValueError
+    return numbers
+
+
+def _transform(path: Path, fields: dict[str, str]) -> NDArray[np.float64]:
+    space = fields.get("space", "").lower()
+    if space not in _SPACES:
+        problem = (
+            f"it {'names the space ' + space if space else 'names no space'}, so it does not say where left and right "
+            "are"
+        )
+        raise refuse(path, problem, AMBIGUOUS, "import.geometry.orientation-unknown")
+    if "space directions" not in fields or "space origin" not in fields:
+        missing = "space directions" if "space directions" not in fields else "space origin"
+        raise refuse(path, f"it has no {missing}", AMBIGUOUS, "import.geometry.orientation-unknown")
+    units = {unit for unit in fields.get("space units", "").replace('"', " ").split() if unit}
+    if units - {"mm"}:
+        problem = f"its unit is {', '.join(sorted(units))}, which is not supported"
+        raise refuse(path, problem, "save it again in mm", "import.not-supported")
+    directions = fields["space directions"].replace(")", ")|").strip().rstrip("|").split("|")
+    if len(directions) != 3:
+        raise ValueError
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.array([_vector(direction) for direction in directions]).T
+    matrix[:3, 3] = _vector(fields["space origin"])
+    flip_x, flip_y = _SPACES[space]
+    return np.diag([flip_x, flip_y, 1.0, 1.0]) @ matrix

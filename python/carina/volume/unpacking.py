@@ -1,0 +1,74 @@
+"""Compressed streams, piece by piece: all members of a gzip file, its check sums, and what lies behind the last one."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from typing import BinaryIO
+
+__all__ = ["Unpacker"]
+
+_CHUNK_BYTES = 1 << 20
+_GZIP = b"\x1f\x8b"
+
+
+class Unpacker:
+    """Unpacks from where a file stands to its end.
+
+    A gzip file may have several members one after another (bgzip and pigz write them); zeros behind them pad the file
+    to whole blocks and are nothing. Whatever else follows is counted in ``trailing_bytes``.
+    """
+
+    def __init__(self, file: BinaryIO, kind: str, *, chunk_bytes: int = _CHUNK_BYTES) -> None:
+        self._file = file
+        self._chunk_bytes = chunk_bytes
+        self._bits = {"gzip": zlib.MAX_WBITS | 16, "zlib": zlib.MAX_WBITS | 32}[kind]
+        self._many = kind == "gzip"
+        self.trailing_bytes = 0
+
+    def __iter__(self) -> Iterator[bytes]:
+        """Pieces of at most 1 MiB.
+
+        Raises
+        ------
+        ValueError
+            If the stream is damaged (its check sum included) or ends too early; says which.
+        """
+        inflater = zlib.decompressobj(self._bits)
+        chunk = b""
+        while True:
+            if not chunk:
+                chunk = self._file.read(self._chunk_bytes)
+                if not chunk:
+                    msg = "its compressed stream ends too early"
+                    raise ValueError(msg)
+            try:
+                piece = inflater.decompress(chunk, _CHUNK_BYTES)
+            except zlib.error:
+                msg = "its compressed stream is damaged"
+                raise ValueError(msg) from None
+            if piece:
+                yield piece
+            chunk = inflater.unconsumed_tail
+            if inflater.eof:
+                chunk = self._next_member(inflater.unused_data)
+                if not chunk:
+                    return
+                inflater = zlib.decompressobj(self._bits)
+
+    def _next_member(self, rest: bytes) -> bytes:
+        """What the next member begins with; empty where there is none."""
+        while True:
+            if self._many and not self.trailing_bytes:
+                while len(rest.lstrip(b"\0")) < 2:
+                    more = self._file.read(self._chunk_bytes)
+                    if not more:
+                        break
+                    rest = rest.lstrip(b"\0") + more
+                rest = rest.lstrip(b"\0")
+                if rest.startswith(_GZIP):
+                    return rest
+            self.trailing_bytes += len(rest)
+            rest = self._file.read(self._chunk_bytes)
+            if not rest:
+                return b""

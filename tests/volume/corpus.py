@@ -1,0 +1,89 @@
+"""The corpus of generated inputs: files as they should be and as they should not, each with the answer it must get.
+
+One table for the tests (``test_corpus.py``) and for the page ``docs/import-answers.md``. ``corpus_dicom.py`` and
+``corpus_grids.py`` hold the entries; nothing in them comes from a patient.
+
+``python tests/volume/corpus.py`` writes the tables of the page anew.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+__all__ = ["PAGE", "Input", "all_inputs", "page_with_tables", "tables"]
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "import-answers.md"
+_SOURCES = ("corpus_dicom", "corpus_grids")
+
+
+@dataclass(frozen=True)
+class Input:
+    """One input, how it is made, and what Carina must answer."""
+
+    name: str
+    """What it is, as a person would say it: a cell of the page."""
+    family: str
+    """Heading on the page."""
+    make: Callable[[Path], Path]
+    """Writes it into an empty folder and returns the path to open."""
+    expected: str
+    """The code of the refusal, or ``opens``."""
+    notes: tuple[str, ...] = ()
+    """The codes of all notes that must be there; no other may be."""
+    is_hu: bool = True
+    do: str = ""
+    """What a person can do; empty where there is nothing to do."""
+    voxels: Callable[[], np.ndarray] | None = None
+    """The exact values [z, y, x] of an input that opens."""
+    series: int | None = None
+    """How many series ``carina info`` lists, where that is the point."""
+    names: tuple[str, ...] = ()
+    """Words that the refusal or the notes must hold, such as names of files."""
+
+
+def all_inputs() -> tuple[Input, ...]:
+    """Every input, by source and in the order in which they stand there."""
+    found: list[Input] = []
+    for source in _SOURCES:
+        if (Path(__file__).parent / f"{source}.py").exists():
+            found.extend(importlib.import_module(source).INPUTS)
+    return tuple(found)
+
+
+def _answer(entry: Input) -> str:
+    if entry.expected != "opens":
+        return f"refused, `{entry.expected}`"
+    words = "opens" if entry.is_hu else "opens, not HU"
+    if entry.series is not None:
+        words += f", {entry.series} series"
+    return words + (f"; notes {', '.join(f'`{code}`' for code in entry.notes)}" if entry.notes else "")
+
+
+def tables() -> str:
+    """The tables of the page, a heading for each family."""
+    inputs = all_inputs()
+    lines: list[str] = []
+    for family in dict.fromkeys(entry.family for entry in inputs):
+        lines += ["", f"### {family}", "", "| input | answer | what to do |", "|---|---|---|"]
+        lines += [f"| {e.name} | {_answer(e)} | {e.do or '-'} |" for e in inputs if e.family == family]
+    return "\n".join(lines).strip()
+
+
+_BEGIN, _END = "<!-- tables: begin -->", "<!-- tables: end -->"
+
+
+def page_with_tables(page: str) -> str:
+    """The page with its tables as they should be."""
+    return re.sub(f"{_BEGIN}.*{_END}", lambda _: f"{_BEGIN}\n\n{tables()}\n\n{_END}", page, flags=re.DOTALL)
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).parent))
+    PAGE.write_text(page_with_tables(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

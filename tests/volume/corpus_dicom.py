@@ -1,0 +1,268 @@
+"""DICOM series of the corpus: what their rescale tags say, and which images are one series."""
+# ruff: noqa: E501 (a table: one input a line)
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from corpus import Input
+from corpus_dicom_files import FILES, PIXELS
+from dicom_writer import GAP_MM, NUM_SLICES, Edit, chest, series
+from pydicom.dataset import Dataset
+
+__all__ = ["INPUTS"]
+
+Make = Callable[[Path], Path]
+SOURCE = "export the series again from where it was stored first"
+CHOOSE = "choose with `--series` if another one is wanted"
+CHECK = "look whether it is the right scan"
+WHOLE = {"expected": "opens", "voxels": chest}
+SECOND = chest(seed=6)
+"""Another scan of the same chest: the same anatomy, other noise."""
+
+
+def _tags(change: Callable[[int], dict[str, Any]]) -> Make:
+    """A series with tags changed in each slice; None takes a tag out."""
+
+    def edit(dataset: Dataset, index: int) -> None:
+        for keyword, value in change(index).items():
+            if value is None:
+                delattr(dataset, keyword)
+            elif value == "":
+                setattr(dataset, keyword, None)
+            else:
+                setattr(dataset, keyword, value)
+
+    return lambda folder: series(folder, edit)
+
+
+def _some(at: tuple[int, ...], **tags: Any) -> Make:
+    return _tags(lambda index: tags if index in at else {})
+
+
+def _all(**tags: Any) -> Make:
+    return _tags(lambda index: tags)
+
+
+THREE = (4, 9, 11)
+NAMED = ("IM004", "IM009", "IM011", "3 of its 20 slices")
+
+
+def _lettered(keyword: str, text: str) -> Make:
+    """A number of one slice written as something that is none; pydicom would not let us set it."""
+
+    def edit(dataset: Dataset, index: int) -> None:
+        if index == 4:
+            setattr(dataset, keyword, 1)
+            dataset[keyword]._value = text
+
+    return lambda folder: series(folder, edit)
+
+
+def _own_rescale(folder: Path) -> Path:
+    def edit(dataset: Dataset, index: int) -> None:
+        slope, intercept = (0.5, 1.0, 0.25)[index % 3], -1200 + 7 * index
+        dataset.RescaleSlope, dataset.RescaleIntercept = slope, intercept
+        dataset.PixelData = ((chest()[index] - float(intercept)) / slope).astype("<u2").tobytes()
+
+    return series(folder, edit)
+
+
+def _unscaled(*, as_hu: bool) -> Make:
+    def edit(dataset: Dataset, index: int) -> None:
+        del dataset.RescaleSlope, dataset.RescaleIntercept
+        if as_hu:
+            dataset.PixelRepresentation = 1
+            dataset.PixelData = chest()[index].astype("<i2").tobytes()
+
+    return lambda folder: series(folder, edit)
+
+
+def _stored() -> np.ndarray:
+    return (chest() + np.int16(1024)).astype(np.int16)
+
+
+MIXED = {"expected": "import.rescale-mixed", "do": SOURCE}
+RESCALE = [
+    Input("three slices without slope and intercept", "DICOM: rescale", _some(THREE, RescaleSlope=None, RescaleIntercept=None), names=NAMED, **MIXED),
+    Input("three slices with an empty slope and intercept", "DICOM: rescale", _some(THREE, RescaleSlope="", RescaleIntercept=""), names=NAMED, **MIXED),
+    Input("the last slice without intercept", "DICOM: rescale", _some((19,), RescaleIntercept=None), names=("IM019", "RescaleIntercept"), **MIXED),
+    Input("half of the slices without slope", "DICOM: rescale", _some(tuple(range(10)), RescaleSlope=None), names=("10 of its 20", "RescaleSlope"), **MIXED),
+    Input("three slices with intercept 0, the others -1024", "DICOM: rescale", _some(THREE, RescaleIntercept=0), "import.rescale-contradicts", names=("IM004",), do=SOURCE),
+    Input("the upper half with intercept 0, the lower -1024", "DICOM: rescale", _some(tuple(range(10)), RescaleIntercept=0), "import.rescale-contradicts", names=("IM010",), do=SOURCE),
+    Input("one slice whose intercept is no number", "DICOM: rescale", _lettered("RescaleIntercept", "none"), "import.tags", names=("IM004",), do=SOURCE),
+    Input("one slice with slope 0", "DICOM: rescale", _some((4,), RescaleSlope=0), "import.tags", names=("IM004",), do=SOURCE),
+    Input("one slice with slope NaN", "DICOM: rescale", _lettered("RescaleSlope", "nan"), "import.tags", names=("IM004",), do=SOURCE),
+    Input("no rescale at all, numbers 1024 above HU", "DICOM: rescale", _unscaled(as_hu=False), "opens", ("import.rescale-absent",), is_hu=False, voxels=_stored, do=SOURCE),
+    Input("no rescale at all, numbers that are HU", "DICOM: rescale", _unscaled(as_hu=True), "opens", ("import.rescale-absent",), voxels=chest, do="compare a known tissue with its HU"),
+    Input("intercept 0 in all slices, numbers 1024 above HU", "DICOM: rescale", _all(RescaleIntercept=0), "opens", is_hu=False, voxels=_stored, do=SOURCE),
+    Input("no slope in any slice, an intercept in all", "DICOM: rescale", _all(RescaleSlope=None), "opens", ("import.rescale-absent",), voxels=chest, do="compare a known tissue with its HU"),
+    Input("a unit that is not HU", "DICOM: rescale", _all(RescaleType="US"), "opens", is_hu=False, voxels=chest, do="choose another series"),
+    Input("a slope and an intercept of its own in every slice", "DICOM: rescale", _own_rescale, **WHOLE),
+    Input("an enhanced image, several frames in one file", "DICOM: rescale", _all(NumberOfFrames=7), "import.multi-frame", do="export it as single slices"),
+]  # fmt: skip
+
+
+def _change(keyword: str, first: Any, second: Any, at: Callable[[int], bool] = lambda index: index >= 10) -> Make:
+    return _tags(lambda index: {keyword: second if at(index) else first})
+
+
+CHANGE, MISSING = ("import.settings-change",), ("import.settings-missing",)
+NAMELESS = ("import.identity-missing",)
+
+
+def _copied(folder: Path) -> Path:
+    series(folder)
+    for index in (3, 4):
+        shutil.copy(folder / f"IM{index:03d}", folder / f"IM{index:03d} (1)")
+    return folder
+
+
+def _with_scout(folder: Path) -> Path:
+    uid = "1.2.3.99"
+    series(folder, uid=uid)
+
+    def scout(dataset: Dataset, index: int) -> None:
+        dataset.ImageType = ["ORIGINAL", "PRIMARY", "LOCALIZER"]
+        dataset.ImageOrientationPatient = [1, 0, 0, 0, 0, -1]
+
+    return series(folder, scout, hu=chest()[:1], uid=uid, name=lambda i: "scout")
+
+
+ONE = "DICOM: one series"
+HEALTHY = [
+    Input("the acquisition number changes in mid-stack (two breaths)", ONE, _change("AcquisitionNumber", 1, 2), notes=CHANGE, **WHOLE),
+    Input("an acquisition number for every slice (step and shoot)", ONE, _tags(lambda i: {"AcquisitionNumber": i}), notes=CHANGE, **WHOLE),
+    Input("an acquisition number for every two slices", ONE, _tags(lambda i: {"AcquisitionNumber": i // 2}), notes=CHANGE, **WHOLE),
+    Input("a middle part of another acquisition", ONE, _change("AcquisitionNumber", 1, 2, lambda i: 5 <= i < 12), notes=CHANGE, **WHOLE),
+    Input("the kernel changes in mid-stack", ONE, _change("ConvolutionKernel", "B41f", "B70f"), notes=CHANGE, **WHOLE),
+    Input("one slice in mid-stack of another kernel", ONE, _change("ConvolutionKernel", "B41f", "B70f", lambda i: i == 7), notes=CHANGE, **WHOLE),
+    Input("first and last slice of another image type", ONE, _change("ImageType", ["ORIGINAL", "PRIMARY", "AXIAL"], ["DERIVED", "PRIMARY", "AXIAL"], lambda i: i in (0, 19)), notes=CHANGE, **WHOLE),
+    Input("the temporal position changes in mid-stack", ONE, _change("TemporalPositionIdentifier", 1, 2), notes=CHANGE, **WHOLE),
+    Input("contrast agent and tube voltage change in mid-stack", ONE, _tags(lambda i: {"KVP": 100 + 20 * (i < 9), "ContrastBolusAgent": ("X", "Y")[i < 9]}), notes=CHANGE, names=("tube voltage and contrast agent",), **WHOLE),
+    Input("a time of its own in every slice", ONE, _tags(lambda i: {"AcquisitionTime": f"1015{i:02d}.5"}), **WHOLE),
+    Input("120 kV written as 120 and as 120.0", ONE, _change("KVP", "120", "120.0", lambda i: i % 2 == 1), **WHOLE),
+    Input("the patient's name in capitals in some slices", ONE, _change("PatientName", "Secret^One", "SECRET^ONE^^", lambda i: i % 3 == 1), **WHOLE),
+    Input("half of the slices without contrast agent", ONE, _tags(lambda i: {"ContrastBolusAgent": "X"} if i < 10 else {}), notes=MISSING, **WHOLE),
+    Input("every second slice without acquisition number", ONE, _some(tuple(range(0, 20, 2)), AcquisitionNumber=None), notes=MISSING, **WHOLE),
+    Input("some slices without series number and kernel", ONE, _some(THREE, SeriesNumber=None, ConvolutionKernel=""), notes=MISSING, **WHOLE),
+    Input("three slices without patient", ONE, _some(THREE, PatientID=None, PatientName="", PatientBirthDate=None), notes=NAMELESS, names=NAMED[:3], do=CHECK, **WHOLE),
+    Input("three slices without SeriesInstanceUID", ONE, _some(THREE, SeriesInstanceUID=None), notes=NAMELESS, names=NAMED[:3], do=CHECK, **WHOLE),
+    Input("no slice with a SeriesInstanceUID", ONE, _all(SeriesInstanceUID=""), **WHOLE),
+    Input("half of the slices without frame of reference", ONE, _some(tuple(range(10)), FrameOfReferenceUID=None), notes=NAMELESS, do=CHECK, **WHOLE),
+    Input("some slices without study", ONE, _some(THREE, StudyInstanceUID=""), notes=NAMELESS, do=CHECK, **WHOLE),
+    Input("no patient, study, frame of reference or numbers at all", ONE, _all(PatientID=None, PatientName=None, PatientBirthDate=None, StudyInstanceUID=None, FrameOfReferenceUID=None, SeriesNumber=None, AcquisitionNumber=None, SOPInstanceUID=None), **WHOLE),
+    Input("directions rounded differently", ONE, _change("ImageOrientationPatient", [1, 0, 0, 0, 1, 0], [1, 0.00001, 0, -0.00001, 1, 0]), **WHOLE),
+    Input("two slices copied, byte for byte", ONE, _copied, notes=("import.copies",), **WHOLE),
+    Input("a folder for every slice, names in another order", ONE, lambda folder: series(folder, name=lambda i: f"{(i * 7) % 20:02d}/slice"), **WHOLE),
+    Input("a scout in the same series", ONE, _with_scout, notes=("import.several-series",), series=2, **WHOLE),
+]  # fmt: skip
+
+
+def _two(
+    tags: dict[str, Any],
+    *,
+    shift_mm: float = GAP_MM / 2,
+    same_uid: bool = True,
+    keep: Callable[[int], bool] = lambda index: True,
+    both: dict[str, Any] | None = None,
+    keep_first: Callable[[int], bool] = lambda index: True,
+) -> Make:
+    """Two scans in one folder; the second differs in tags and lies ``shift_mm`` higher (half-way by default)."""
+
+    def make(folder: Path) -> Path:
+        def edit(mine: dict[str, Any]) -> Edit:
+            def change(dataset: Dataset, index: int) -> None:
+                for keyword, value in {**(both or {}), **mine}.items():
+                    if value is None:
+                        delattr(dataset, keyword)
+                    else:
+                        setattr(dataset, keyword, value)
+
+            return change
+
+        series(folder, edit({}), uid="1.2.3.98")
+        series(
+            folder,
+            edit(tags),
+            hu=SECOND,
+            uid="1.2.3.98" if same_uid else "1.2.3.97",
+            shift_mm=shift_mm,
+            name=lambda i: f"JM{i:03d}",
+        )
+        for index in range(NUM_SLICES):
+            if not keep(index):
+                (folder / f"JM{index:03d}").unlink()
+            if not keep_first(index):
+                (folder / f"IM{index:03d}").unlink()
+        return folder
+
+    return make
+
+
+OTHER_PATIENT = {"PatientID": "SECRET-2", "PatientName": "Secret^Two", "PatientBirthDate": "19020202"}
+PARTED = ("import.several-series", "import.series-parted")
+PATIENTS = ("import.several-series", "import.two-patients")
+TWO = "DICOM: several in one"
+
+
+def _short(index: int) -> bool:
+    """The second scan is two slices shorter: the first is the larger one."""
+    return index < 18
+
+
+def _coronal_too(folder: Path) -> Path:
+    series(folder, uid="1.2.3.98")
+
+    def coronal(dataset: Dataset, index: int) -> None:
+        dataset.ImageOrientationPatient = [1, 0, 0, 0, 0, -1]
+        dataset.ImagePositionPatient = [0, 3 * index, 20]
+
+    return series(folder, coronal, hu=chest()[:6], uid="1.2.3.98", name=lambda i: f"cor{i}")
+
+
+def _four_patients(folder: Path) -> Path:
+    """No UID of a series at all: only the patients tell."""
+
+    def edit(dataset: Dataset, index: int) -> None:
+        del dataset.SeriesInstanceUID
+        if index >= 12:
+            dataset.PatientID, dataset.PatientName = "SECRET-2", "Secret^Two"
+
+    return series(folder, edit)
+
+
+PART = {"expected": "opens", "do": CHOOSE, "series": 2, "voxels": chest}
+SEVERAL = [
+    Input("two patients under one UID, half-way between each other", TWO, _two(OTHER_PATIENT, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
+    Input("two patients under one UID, at the same places", TWO, _two(OTHER_PATIENT, shift_mm=0, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
+    Input("two patients under one UID, one above the other", TWO, _two(OTHER_PATIENT, shift_mm=50, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
+    Input("two patients with one name", TWO, _two({"PatientID": "SECRET-2"}, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
+    Input("two patients with one number", TWO, _two({"PatientName": "Secret^Two"}, keep=_short), notes=(*PATIENTS, "import.series-parted"), **PART),
+    Input("two patients, each with a series of its own", TWO, _two(OTHER_PATIENT, same_uid=False, keep=_short), notes=PATIENTS, **PART),
+    Input("two patients and no UID of a series, one above the other", TWO, _four_patients, "opens", (*PATIENTS, "import.series-parted"), voxels=lambda: chest()[:12], series=2, do=CHECK),
+    Input("two studies half-way between each other", TWO, _two({"StudyInstanceUID": "1.2.3.4.55"}, keep=_short), notes=PARTED, **PART),
+    Input("two frames of reference half-way between each other", TWO, _two({"FrameOfReferenceUID": "1.2.3.4.66"}, keep=_short), notes=PARTED, **PART),
+    Input("CT and MR under one UID", TWO, _two({"Modality": "MR"}, keep=_short), notes=PARTED, **PART),
+    Input("two matrices under one UID", TWO, _two({"PixelSpacing": [0.8, 0.6]}, keep=_short), notes=PARTED, **PART),
+    Input("coronal images under the UID of the slices", TWO, _coronal_too, notes=PARTED, **PART),
+    Input("two kernels at the same places", TWO, _two({"ConvolutionKernel": "B70f"}, shift_mm=0, keep=_short), notes=PARTED, **PART),
+    Input("two kernels half-way between each other", TWO, _two({"ConvolutionKernel": "B70f"}, keep=_short), notes=PARTED, **PART),
+    Input("two kernels half-way, all of one height", TWO, _two({"ConvolutionKernel": "B70f"}), notes=PARTED, **PART),
+    Input("two acquisitions half-way between each other", TWO, _two({"AcquisitionNumber": 2}), notes=PARTED, **PART),
+    Input("two acquisitions half-way, told by their time alone", TWO, _two({"AcquisitionTime": "101530.0"}), notes=PARTED, **PART),
+    Input("two phases at the same places", TWO, _two({"TemporalPositionIdentifier": 2}, both={"TemporalPositionIdentifier": 1}, shift_mm=0), notes=PARTED, **PART),
+    Input("with and without contrast at the same places", TWO, _two({"ContrastBolusAgent": "X"}, shift_mm=0, keep=_short), notes=PARTED, **PART),
+    Input("maximum projections at the places of the slices", TWO, _two({"ImageType": ["DERIVED", "SECONDARY", "MIP"]}, shift_mm=0), notes=PARTED, **PART),
+    Input("no UID of a series, two kernels half-way", TWO, _two({"ConvolutionKernel": "B70f"}, both={"SeriesInstanceUID": None}), notes=PARTED, **PART),
+    Input("two breaths that overlap by four slices", TWO, _two({"AcquisitionNumber": 2}, shift_mm=16 * GAP_MM, keep=_short), notes=(*PARTED, "import.part-of-stack"), **PART),
+    Input("a second kernel at some of the places", TWO, _two({"ConvolutionKernel": "B70f"}, shift_mm=0, keep=lambda i: i in (2, 3, 7, 11)), notes=PARTED, **PART),
+    Input("two kernels at the same places, both with gaps", TWO, _two({"ConvolutionKernel": "B70f"}, shift_mm=0, keep=lambda i: i not in (6, 7), keep_first=lambda i: i not in (11, 12, 13)), "import.geometry.irregular", do="copy the missing slices, or choose another series"),
+    Input("two scans at the same places and no tag that tells them apart", TWO, _two({}, shift_mm=0), "import.geometry.duplicate", do="keep one slice for each position"),
+]  # fmt: skip
+
+INPUTS = (*RESCALE, *HEALTHY, *SEVERAL, *FILES, *PIXELS)

@@ -1,0 +1,266 @@
+"""Grid files of the corpus: NIfTI, NRRD and MetaImage, healthy and wrong in one place each."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from corpus import Input
+from grid_writers import AIR, FORMS, LPS_FROM_IJK, bgzip, chest, metaimage, nifti, nrrd
+
+__all__ = ["INPUTS"]
+
+Make = Callable[[Path], Path]
+AGAIN = "export it again"
+SLICER = "save it again from 3D Slicer, or open the DICOM series"
+
+
+def _same() -> np.ndarray:
+    return chest()
+
+
+def _nifti(values: np.ndarray | None = None, **options: Any) -> Make:
+    return lambda folder: nifti(folder, chest() if values is None else values, **options)
+
+
+def _nrrd(values: np.ndarray | None = None, **options: Any) -> Make:
+    return lambda folder: nrrd(folder, chest() if values is None else values, **options)
+
+
+def _meta(values: np.ndarray | None = None, **options: Any) -> Make:
+    return lambda folder: metaimage(folder, chest() if values is None else values, **options)
+
+
+def _form(name: str, kind: str = "<i2") -> Make:
+    return lambda folder: FORMS[name](folder, chest().astype(kind))
+
+
+def _lines(*changes: tuple[str, str]) -> Callable[[list[str]], None]:
+    """Changes lines by how they begin; an empty beginning appends in front of the last one."""
+
+    def edit(lines: list[str]) -> None:
+        for old, new in changes:
+            if not old:
+                lines.insert(len(lines) - 1, new)
+                continue
+            at = next(n for n, line in enumerate(lines) if line.startswith(old))
+            lines[at : at + 1] = [new] if new else []
+
+    return edit
+
+
+def _gzipped(edit: Callable[[bytes], bytes]) -> Make:
+    def make(folder: Path) -> Path:
+        path = folder / "ct.nii.gz"
+        path.write_bytes(edit(gzip.compress(nifti(folder, chest()).read_bytes())))
+        (folder / "ct.nii").unlink()
+        return path
+
+    return make
+
+
+def _edited(make: Make, edit: Callable[[bytearray], None]) -> Make:
+    def again(folder: Path) -> Path:
+        path = make(folder)
+        data = bytearray(path.read_bytes())
+        edit(data)
+        path.write_bytes(bytes(data))
+        return path
+
+    return again
+
+
+def _gaps(places: str) -> np.ndarray:
+    values = chest().astype(np.float32)
+    if places == "few":
+        values[4, 8, 8] = np.nan
+        values[5, 8, 8], values[5, 8, 9] = np.inf, -np.inf
+    elif places == "lung":
+        values[4:6][values[4:6] == -860] = np.nan
+    elif places == "round":
+        values[:, :AIR] = values[:, -AIR:] = np.nan
+    else:
+        values[...] = np.nan
+    return values
+
+
+def _few_voxels() -> np.ndarray:
+    values = chest()
+    values[4, 8, 8], values[5, 8, 8], values[5, 8, 9] = -1000, 1200, -1000
+    return values
+
+
+def _lost_lung() -> np.ndarray:
+    values = chest()
+    values[4:6][values[4:6] == -860] = -1000
+    return values
+
+
+def _nifti2(folder: Path) -> Path:
+    header = bytearray(544)
+    struct.pack_into("<i", header, 0, 540)
+    header[4:12] = b"n+2\0\r\n\x1a\n"
+    (folder / "ct.nii").write_bytes(bytes(header) + chest().tobytes())
+    return folder / "ct.nii"
+
+
+def _straight(scale: float = 1.0) -> np.ndarray:
+    matrix = np.diag([0.7 * scale, 0.9 * scale, 1.25 * scale, 1.0])
+    matrix[:3, 3] = np.array([-31.5, 12.25, 140.0]) * scale
+    return matrix
+
+
+def _ras(lines: list[str]) -> None:
+    matrix = np.diag([-1.0, -1.0, 1.0, 1.0]) @ LPS_FROM_IJK
+    at = next(n for n, line in enumerate(lines) if line.startswith("space directions"))
+    lines[at] = "space directions: " + " ".join(f"({','.join(map(repr, matrix[:3, a].tolist()))})" for a in range(3))
+    _lines(
+        ("space: ", "space: right-anterior-superior"),
+        ("space origin", f"space origin: ({','.join(map(repr, matrix[:3, 3].tolist()))})"),
+    )(lines)
+
+
+_FLOATS = chest().astype(np.float32)
+_STORED = (chest().astype(np.int32) + 1024).astype(np.uint16)
+_HALVES = (chest() * 2).astype(np.int16)
+_EIGHTS = (chest() * 8).astype(np.int16)
+_N, _R, _M, _G = "NIfTI", "NRRD", "MetaImage", "Numbers that are none"
+_NOT3D = "save one single volume of it in its own file"
+
+INPUTS: tuple[Input, ...] = (
+    Input("a single file", _N, _form("nifti"), "opens", voxels=_same),
+    Input("a single file packed by gzip", _N, _form("nifti gzip"), "opens", voxels=_same),
+    Input("packed by bgzip, in many members", _N, _form("nifti bgzip"), "opens", voxels=_same),
+    Input("packed by gzip, zeros up to the next block behind it", _N, _gzipped(lambda p: p + bytes(300)), "opens",
+          voxels=_same),
+    Input("a pair of .hdr and .img, values from byte 0", _N, _form("nifti pair"), "opens", voxels=_same),
+    Input("big endian", _N, _form("nifti", ">i2"), "opens", voxels=_same),
+    Input("64-bit floats, big endian", _N, _form("nifti", ">f8"), "opens", voxels=_same),
+    Input("64-bit whole numbers", _N, _form("nifti", "<i8"), "opens", voxels=_same),
+    Input("unsigned numbers with an intercept of -1024", _N, _nifti(_STORED, scale=(1, -1024)), "opens",
+          voxels=_same),
+    Input("slope 0.5", _N, _nifti(_HALVES, scale=(0.5, 0)), "opens", voxels=_same),
+    Input("slope 0.125: broken values, rounded to whole HU", _N, _nifti(_EIGHTS, scale=(0.125, 0.25)), "opens",
+          voxels=_same),
+    Input("slope 0: no scaling, the intercept of -1024 neither", _N, _nifti(scale=(0, -1024)), "opens", voxels=_same),
+    Input("slope NaN", _N, _nifti(scale=(np.nan, 5)), "opens", ("import.scaling",), voxels=_same,
+          do="compare a known tissue with its HU; export it again"),
+    Input("intercept NaN", _N, _nifti(scale=(1, np.nan)), "import.header.scaling", do=AGAIN),
+    Input("in metres, and says so", _N, _nifti(lps_from_ijk=_straight(1e-3), units=1), "opens", voxels=_same),
+    Input("in micrometres, and says so", _N, _nifti(lps_from_ijk=_straight(1e3), units=3), "opens", voxels=_same),
+    Input("in metres, and says millimetres", _N, _nifti(lps_from_ijk=_straight(1e-3)), "import.geometry.spacing",
+          do="export it again with its spacing, in mm"),
+    Input("voxels 125 mm apart", _N, _nifti(lps_from_ijk=_straight(100)), "import.geometry.spacing",
+          do="export it again with its spacing, in mm"),
+    Input("four axes, one time point", _N, _nifti(dim=(24, 20, 12, 1)), "opens", voxels=_same),
+    Input("four axes, two time points", _N, _nifti(np.concatenate([chest(), chest()]), dim=(24, 20, 12, 2)),
+          "import.not-3d", do=_NOT3D),
+    Input("qform alone, left-handed by its qfac", _N,
+          _nifti(lps_from_ijk=np.diag([-1.0, -1.0, -1.0, 1.0]) @ np.diag([0.7, 0.9, 1.25, 1.0]), forms=(1, 0), qfac=-1),
+          "opens", voxels=_same),
+    Input("qform and sform in different places", _N, _nifti(forms=(1, 1)), "import.geometry.ambiguous",
+          do="save it again with one of them"),
+    Input("neither qform nor sform", _N, _nifti(forms=(0, 0)), "import.geometry.orientation-unknown", do=SLICER),
+    Input("Analyze 7.5", _N, _nifti(magic=b"\0\0\0\0"), "import.geometry.orientation-unknown", do=SLICER),
+    Input("values from byte 0 of a single file", _N, _nifti(offset=0), "import.header.offset", do=AGAIN),
+    Input("values from byte 348 of a single file", _N, _nifti(offset=348), "import.header.offset", do=AGAIN),
+    Input("values from a broken byte", _N, _nifti(offset=352.5), "import.header.offset", do=AGAIN),
+    Input("values from byte 1024, an extension in between", _N, _nifti(offset=1024), "opens", voxels=_same),
+    Input("NIfTI-2", _N, _nifti2, "import.not-supported", do="save it as NIfTI-1, for example from 3D Slicer"),
+    Input("colour", _N, _nifti(datatype=128, bits=24), "import.not-supported", do="export it again as 16-bit numbers"),
+    Input("16 bits by its datatype, 32 by its bitpix", _N, _nifti(bits=32), "import.header", do=AGAIN),
+    Input("an axis of -12 voxels", _N, _nifti(dim=(24, 20, -12)), "import.header", do=AGAIN),
+    Input("packed by gzip and cut", _N, _gzipped(lambda p: p[: len(p) // 2]), "import.truncated",
+          do="copy the file again"),
+    Input("packed by gzip, its check sum cut", _N, _gzipped(lambda p: p[:-3]), "import.truncated",
+          do="copy the file again"),
+    Input("packed by gzip, one bit turned over", _N,
+          _gzipped(lambda p: p[:200] + bytes([p[200] ^ 4]) + p[201:]), "import.truncated", do="copy the file again"),
+    Input("packed by gzip, other bytes behind it", _N, _gzipped(lambda p: p + b"and more"), "opens",
+          ("import.extra-data",), voxels=_same, do="look whether it is the whole scan; copy the file again"),
+    Input("twice as many bytes as its header claims", _N, _nifti(behind=chest().tobytes()), "opens",
+          ("import.extra-data",), voxels=_same, do="look whether it is the whole scan; export it again"),
+    Input("an attached header, raw", _R, _form("nrrd"), "opens", voxels=_same),
+    Input("packed by gzip", _R, _form("nrrd gzip"), "opens", voxels=_same),
+    Input("packed by bgzip, in many members", _R, _nrrd(encoding="gzip", pack=bgzip), "opens", voxels=_same),
+    Input("a detached header", _R, _form("nrrd detached"), "opens", voxels=_same),
+    Input("big endian floats", _R, _form("nrrd", ">f4"), "opens", voxels=_same),
+    Input("right-anterior-superior", _R, _nrrd(edit=_ras), "opens", voxels=_same),
+    Input("left-handed directions", _R, _nrrd(lps_from_ijk=np.diag([1.0, 1.0, -1.0, 1.0]) @ LPS_FROM_IJK), "opens",
+          voxels=_same),
+    Input("lines that end as on Windows", _R, _nrrd(newline="\r\n"), "opens", voxels=_same),
+    Input("packed by bzip2", _R, _nrrd(encoding="bzip2", pack=bz2.compress), "import.not-supported",
+          do="save it again with gzip, or without compression"),
+    Input("values as text", _R, _nrrd(encoding="ascii"), "import.not-supported",
+          do="save it again as raw or gzip 16-bit numbers"),
+    Input("spacings without directions", _R,
+          _nrrd(edit=_lines(("space: ", ""), ("space directions", "spacings: 0.7 0.9 1.25"), ("space origin", ""))),
+          "import.geometry.orientation-unknown", do=SLICER),
+    Input("directions in a space without left and right", _R, _nrrd(edit=_lines(("space: ", "space: scanner-xyz"))),
+          "import.geometry.orientation-unknown", do=SLICER),
+    Input("a list of images instead of slices", _R,
+          _nrrd(edit=_lines(("space directions", "space directions: none (0.7,0,0) (0,0.9,0)"))), "import.not-3d",
+          do=_NOT3D),
+    Input("a field twice, with two values", _R,
+          _nrrd(edit=_lines(("", "space origin: (0,0,0)"))), "import.header.twice", do=AGAIN),
+    Input("16-bit numbers without their byte order", _R, _nrrd(edit=_lines(("endian", ""))), "import.header", do=AGAIN),
+    Input("values in another folder", _R, _nrrd(detached="../ct.raw"), "import.elsewhere",
+          do="put both files into one folder, and save again"),
+    Input("in micrometres", _R, _nrrd(edit=_lines(("", 'space units: "um" "um" "um"'))), "import.not-supported",
+          do="save it again in mm"),
+    Input("a byte order mark in front", _R, _nrrd(begin=b"\xef\xbb\xbf"), "import.not-an-image", do=AGAIN),
+    Input("one file, raw", _M, _form("metaimage"), "opens", voxels=_same),
+    Input("one file, compressed", _M, _form("metaimage compressed"), "opens", voxels=_same),
+    Input("a detached header", _M, _form("metaimage detached"), "opens", voxels=_same),
+    Input("most significant byte first", _M, _form("metaimage", ">i2"), "opens", voxels=_same),
+    Input("64-bit floats, compressed", _M, _form("metaimage compressed", "<f8"), "opens", voxels=_same),
+    Input("lines that end as on Windows", _M, _meta(newline="\r\n"), "opens", voxels=_same),
+    Input("both byte orders at once", _M, _meta(edit=_lines(("", "ElementByteOrderMSB = True"))), "import.header",
+          do=AGAIN),
+    Input("axes that are not at right angles", _M,
+          _meta(edit=_lines(("TransformMatrix", "TransformMatrix = 1 0 0 0 1 0 0 0.3 0.954"))),
+          "import.geometry.sheared", do="resample it to a straight grid first"),
+    Input("directions that are not of length 1", _M,
+          _meta(edit=_lines(("TransformMatrix", "TransformMatrix = 2 0 0 0 2 0 0 0 2"))),
+          "import.geometry.ambiguous", do="export it again, with its spacing in ElementSpacing"),
+    Input("two origins", _M, _meta(edit=_lines(("", "Position = 1 2 3"))), "import.geometry.ambiguous", do=AGAIN),
+    Input("an origin twice", _M, _meta(edit=_lines(("", "Offset = 1 2 3"))), "import.header.twice", do=AGAIN),
+    Input("values to be scaled", _M, _meta(edit=_lines(("", "ElementToIntensityFunctionSlope = 2"))),
+          "import.not-supported", do="save it again with its final values"),
+    Input("values as text", _M, _meta(edit=_lines(("BinaryData ", "BinaryData = False"))), "import.not-supported",
+          do="save it again in binary"),
+    Input("values in a list of files", _M, _meta(data_file="LIST"), "import.not-supported",
+          do="save it again as one file"),
+    Input("no TransformMatrix", _M, _meta(edit=_lines(("TransformMatrix", ""))), "opens",
+          ("import.orientation-doubted",), voxels=_same, do="look whether left is left; open the DICOM series"),
+    Input("an AnatomicalOrientation that contradicts the directions", _M,
+          _meta(edit=_lines(("TransformMatrix", "TransformMatrix = 1 0 0 0 1 0 0 0 1"),
+                            ("", "AnatomicalOrientation = LAI"))), "opens",
+          ("import.orientation-doubted",), voxels=_same, do="look whether left is left; open the DICOM series"),
+    Input("an AnatomicalOrientation as it should be", _M,
+          _meta(edit=_lines(("TransformMatrix", "TransformMatrix = -1 0 0 0 1 0 0 0 -1"),
+                            ("", "AnatomicalOrientation = LAS"))), "opens", voxels=_same),
+    Input("no Offset", _M, _meta(edit=_lines(("Offset", ""))), "opens", ("import.position-missing",), voxels=_same,
+          do="save the scan again, before a mask or targets of another program are taken"),
+    Input("CompressedData that is neither true nor false", _M,
+          _meta(edit=_lines(("CompressedData", "CompressedData = maybe"))), "import.header", do=AGAIN),
+    Input("TransformMatrix before NDims", _M,
+          _meta(edit=lambda lines: lines.insert(1, lines.pop(5))), "import.header.disagree", do=AGAIN),
+    Input("a skip that is counted in two ways", _M, _meta(edit=_lines(("", "HeaderSize = 8"))), "import.header",
+          do=AGAIN),
+    Input("a few NaN and infinities, NIfTI", _G, _nifti(_gaps("few")), "opens", ("import.not-numbers",),
+          voxels=_few_voxels, do="look at these voxels before a measure near them is trusted"),
+    Input("a few NaN and infinities, NRRD", _G, _nrrd(_gaps("few")), "opens", ("import.not-numbers",),
+          voxels=_few_voxels, do="look at these voxels before a measure near them is trusted"),
+    Input("a few NaN and infinities, MetaImage", _G, _meta(_gaps("few"), compressed=True), "opens",
+          ("import.not-numbers",), voxels=_few_voxels, do="look at these voxels before a measure near them is trusted"),
+    Input("a tenth of the lung is NaN", _G, _nifti(_gaps("lung")), "opens", ("import.not-numbers",), is_hu=False,
+          voxels=_lost_lung, do="export the scan again; what a program masked out is lost"),
+    Input("NaN round the patient", _G, _nifti(_gaps("round")), "opens", ("import.not-numbers",), voxels=_same),
+    Input("NaN alone", _G, _nifti(_gaps("all")), "import.no-numbers", do="export the scan again"),
+)  # fmt: skip

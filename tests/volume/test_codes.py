@@ -1,0 +1,104 @@
+"""Every refusal and every note has a code of its own, and the page says what each means and what a person can do."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+from corpus import PAGE, all_inputs
+
+import carina.cli.badges
+import carina.track
+import carina.volume
+
+CODE = re.compile(r"import(\.[a-z0-9]+(-[a-z0-9]+)*)+")
+ROW = re.compile(r"^\| `(?P<code>[\w.-]+)` \| (?P<kind>[^|]+) \| (?P<means>[^|]+) \| (?P<do>[^|]+) \|$", re.MULTILINE)
+SOURCES = [*sorted(Path(carina.volume.__file__).parent.glob("*.py")), Path(carina.cli.badges.__file__)]
+SEARCH = sorted(Path(carina.track.__file__).parent.glob("*.py"))
+
+
+def rows() -> list[dict[str, str]]:
+    """The page's table of codes."""
+    part = PAGE.read_text(encoding="utf-8").split("## Codes")[1]
+    return [match.groupdict() for match in ROW.finditer(part)]
+
+
+def nodes(kind: type) -> list:
+    """All places of a kind in the sources of the import."""
+    return [node for path in SOURCES for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, kind)]
+
+
+def raised() -> set[str]:
+    """Every code that the import can give, wherever it stands."""
+    found = {node.value for node in nodes(ast.Constant) if isinstance(node.value, str)}
+    return {text for text in found if CODE.fullmatch(text)}
+
+
+def noted() -> dict[str, set[str]]:
+    """The codes of notes, and whether they are badges, as far as the source says it at once."""
+    found: dict[str, set[str]] = {}
+    for node in nodes(ast.Call):
+        if getattr(node.func, "id", "") not in ("Note", "Doubt") or not isinstance(node.args[0], ast.Constant):
+            continue
+        badge = next((word.value for word in node.keywords if word.arg == "badge"), None)
+        if node.func.id == "Doubt" or (isinstance(badge, ast.Constant) and badge.value):
+            kind = "badge"
+        else:
+            kind = "note" if badge is None else "note or badge"
+        found.setdefault(node.args[0].value, set()).add(kind)
+    return found
+
+
+def test_every_code_of_the_import_is_on_the_page():
+    documented = {row["code"] for row in rows()}
+    assert len(raised()) > 40
+    assert raised() - documented == set()
+
+
+def test_codes_and_their_meanings_are_told_apart():
+    assert len({row["code"] for row in rows()}) == len(rows())
+    assert len({row["means"] for row in rows()}) == len(rows())
+
+
+def test_every_refusal_and_every_badge_says_what_a_person_can_do():
+    assert [row["code"] for row in rows() if row["kind"] != "note" and len(row["do"]) < 10] == []
+
+
+def test_the_page_tells_refusals_notes_and_badges_apart_as_the_code_does():
+    kinds = {row["code"]: row["kind"] for row in rows()}
+    assert noted()
+    for code, found in noted().items():
+        said = next(iter(found)) if len(found) == 1 else "note or badge"
+        assert kinds[code] == said, code
+
+
+@pytest.mark.parametrize("kind", ["refusal", "note"])
+def test_the_corpus_shows_only_codes_of_that_kind(kind):
+    kinds = {row["code"]: row["kind"] for row in rows()}
+    shown = {entry.expected for entry in all_inputs()} - {"opens"}
+    if kind == "note":
+        shown = {code for entry in all_inputs() for code in entry.notes}
+    for code in shown:
+        assert (kinds[code] == "refusal") is (kind == "refusal"), code
+
+
+def test_every_badge_of_a_search_is_on_the_page():
+    badges = {row["code"] for row in rows() if row["kind"] == "badge"}
+    trees = [ast.parse(path.read_text()) for path in SEARCH]
+    named = {
+        node.targets[0].id: node.value.value
+        for tree in trees
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Name)
+        and isinstance(node.value, ast.Constant)
+    }
+    calls = [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    firsts = [node.args[0] for node in calls if getattr(node.func, "id", "") == "Note" and node.args]
+    codes = {
+        first.value if isinstance(first, ast.Constant) else named.get(getattr(first, "id", "")) for first in firsts
+    }
+    assert "track.search-stopped" in codes
+    assert codes - {None} <= badges

@@ -1,0 +1,26 @@
+"""What a volume refuses to be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carina.errors import GeometryError
+from carina.volume import Volume
+
+VALUES = np.zeros((3, 4, 5), dtype=np.int16)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("spacing_mm", [0.0099, 100.1, 1e-6, 1e6])
+def test_no_volume_has_voxels_closer_than_a_hundredth_or_farther_than_100_mm(axis, spacing_mm):
+    matrix = np.eye(4)
+    matrix[axis, axis] = spacing_mm
+    with pytest.raises(GeometryError, match=r"0.01 to 100 mm apart") as caught:
+        Volume(VALUES, matrix)
+    assert caught.value.code == "geometry.spacing"
+
+
+@pytest.mark.parametrize("spacing_mm", [0.01, 100.0, np.float64(np.float32(0.01)), np.float64(np.float32(100.0))])
+def test_both_ends_are_a_volume(spacing_mm):
+    assert Volume(VALUES, np.diag([spacing_mm, -spacing_mm, spacing_mm, 1.0])).spacing_mm[0] == spacing_mm
