@@ -1,0 +1,21 @@
+"""What Carina leaves on a disk: whole files, drafts and temporary folders that a crash cannot leave for ever."""
+
+from __future__ import annotations
+
+from carina.disk.drafts import Draft, drafted, make_folder, sweep_drafts, write_whole
+from carina.disk.scratch import ScratchFolder, scratch_folder, sweep_scratch
+from carina.disk.trouble import disk_trouble, is_disk_trouble, say_size
+
+__all__ = [
+    "Draft",
+    "ScratchFolder",
+    "disk_trouble",
+    "drafted",
+    "is_disk_trouble",
+    "make_folder",
+    "say_size",
+    "scratch_folder",
+    "sweep_drafts",
+    "sweep_scratch",
+    "write_whole",
+]

@@ -1,0 +1,275 @@
+"""Files that are written whole or not at all, by a draft beside them that no crash leaves for long.
+
+A draft is called ``.carina-HEX.draft``, so that a person and the next Carina know it: of what is written nothing stands
+in its name. While it is written its owner holds a lock on it (``locks.py``); the next file that any Carina writes into
+the same folder removes the drafts that nobody holds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import secrets
+import stat
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from carina.disk.locks import try_lock
+from carina.disk.trouble import disk_trouble
+from carina.errors import CarinaError
+
+__all__ = ["DRAFT", "Draft", "drafted", "make_folder", "sweep_drafts", "write_whole"]
+
+DRAFT = re.compile(r"\.carina-[0-9a-f]{16}\.draft")
+SWEEP_AGAIN_S = 60.0
+"""A folder is looked through at most so often: a flight keeps thousands of pictures in one."""
+UNKNOWN_AFTER_S = 86_400.0
+"""Where nothing can be locked (and on Windows, for the moment before it is renamed) a draft this old has no owner."""
+_swept: dict[str, float] = {}
+_sweeping = threading.Lock()
+
+
+def write_whole(path: Path | str, content: bytes, *, what: str, private: bool = False) -> Path:
+    """Write a file so that it is either complete or as it was before.
+
+    Parameters
+    ----------
+    path
+        Where. Its folder must exist.
+    content
+        All of it.
+    what
+        What it is, for the message: "the tree".
+    private
+        Only this person may read it.
+
+    Raises
+    ------
+    DiskError
+        If the folder is missing or not writable, the disk is full, or something is in the way; what was there before
+        stays.
+    """
+    with drafted(path, what=what, needed_bytes=len(content), private=private) as file:
+        file.write(content)
+    return Path(path)
+
+
+class Draft:
+    """A file that is being written beside its place: :meth:`commit` it or :meth:`discard` it.
+
+    Parameters
+    ----------
+    path, what, private, needed_bytes
+        As of :func:`drafted`.
+
+    Raises
+    ------
+    DiskError
+        If it cannot be begun.
+    """
+
+    def __init__(self, path: Path | str, *, what: str, needed_bytes: int | None = None, private: bool = False) -> None:
+        self._target = Path(path)
+        self._what = what
+        self._needed_bytes = needed_bytes
+        self._place: Path | None = None
+        try:
+            former = _former(self._target)
+            sweep_drafts(self._target.parent)
+            self.file, self._place = _begin(self._target.parent, 0o600 if private else 0o666)
+            if former is not None and not private and os.name == "posix":
+                # A file that others could not read must not become one that they can.
+                os.fchmod(self.file.fileno(), stat.S_IMODE(former.st_mode))
+        except OSError as error:
+            if self._place is not None:
+                self.discard()
+            raise self.trouble(error) from error
+
+    def commit(self) -> None:
+        """Put it in its place, whole and on the disk.
+
+        Raises
+        ------
+        DiskError
+            If that fails; what was there before stays.
+        """
+        assert self._place is not None
+        try:
+            self.file.flush()
+            os.fsync(self.file.fileno())
+            if os.name == "nt":  # pragma: no cover
+                self.file.close()  # an open file cannot be renamed there
+            self._place.replace(self._target)
+        except OSError as error:
+            self.discard()
+            raise self.trouble(error) from error
+        self._place = None
+        self.file.close()
+
+    def discard(self) -> None:
+        """Give it up; nothing if it has ended."""
+        place, self._place = self._place, None
+        if place is None:
+            return
+        if os.name == "posix":
+            # First: what is left in its buffer then finds room where it is thrown away.
+            with contextlib.suppress(OSError):
+                place.unlink()
+        with contextlib.suppress(OSError):
+            self.file.close()
+        if os.name != "posix":  # pragma: no cover
+            with contextlib.suppress(OSError):
+                place.unlink()
+
+    def trouble(self, error: OSError) -> CarinaError:
+        """What a person is told of an error while it was written; ours are handed back."""
+        if isinstance(error, CarinaError):
+            return error
+        unchanged = ""
+        with contextlib.suppress(OSError):  # a name that is too long
+            unchanged = "the former file is unchanged" if self._target.is_file() else ""
+        if error.errno == errno.ENOENT and self._target.parent.is_dir():
+            unchanged = "its draft was removed meanwhile; try again"
+        doing = f"cannot write {self._what}"
+        return disk_trouble(error, doing, self._target, needed_bytes=self._needed_bytes, unchanged=unchanged)
+
+
+@contextlib.contextmanager
+def drafted(
+    path: Path | str, *, what: str, needed_bytes: int | None = None, private: bool = False
+) -> Iterator[BinaryIO]:
+    """A file to write to, which takes its place when the block ends; after any error what was there before stays.
+
+    Parameters
+    ----------
+    path, what, private
+        As of :func:`write_whole`.
+    needed_bytes
+        How much will be written, if known: for the message.
+
+    Raises
+    ------
+    DiskError
+        As :func:`write_whole`; an ``OSError`` of the block counts as the disk's.
+    """
+    draft = Draft(path, what=what, needed_bytes=needed_bytes, private=private)
+    try:
+        yield draft.file
+        draft.commit()
+    except OSError as error:
+        draft.discard()
+        raise draft.trouble(error) from error
+    except BaseException:
+        draft.discard()
+        raise
+
+
+def make_folder(path: os.PathLike[str] | str, *, what: str, private: bool = False) -> Path:
+    """Make a folder for results, with those above it; nothing if it is there.
+
+    Raises
+    ------
+    DiskError
+        If it cannot be made.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700 if private else 0o777)
+    except OSError as error:
+        raise disk_trouble(error, f"cannot make the folder of {what}", folder) from error
+    return folder
+
+
+def _former(target: Path) -> os.stat_result | None:
+    """What stands there already.
+
+    Raises
+    ------
+    OSError
+        If it is a folder, a device, or anything else that no file may replace.
+    """
+    try:
+        found = target.stat()
+    except FileNotFoundError:
+        return None
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(found.st_mode):
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+    return found
+
+
+def _begin(folder: Path, mode: int) -> tuple[BinaryIO, Path]:
+    """A new draft that is ours."""
+    while True:
+        place = folder / f".carina-{secrets.token_hex(8)}.draft"
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+        descriptor = os.open(place, flags, mode)
+        # One who sweeps may have been faster than the lock: then the draft is gone, or about to be.
+        if try_lock(descriptor) is not False and _is_still_there(place, descriptor):
+            return os.fdopen(descriptor, "w+b"), place
+        os.close(descriptor)
+        with contextlib.suppress(OSError):
+            place.unlink()
+
+
+def _is_still_there(place: Path, descriptor: int) -> bool:
+    try:
+        return os.path.samestat(place.lstat(), os.fstat(descriptor))
+    except OSError:
+        return False
+
+
+def sweep_drafts(folder: Path, *, now_s: float | None = None) -> int:
+    """Remove the drafts in a folder that a crash has left; never one that is being written. Returns how many.
+
+    Trouble costs nothing but the sweep. Done at most once in :data:`SWEEP_AGAIN_S`, unless ``now_s`` is given.
+    """
+    with _sweeping:
+        key = str(Path(folder).absolute())
+        moment_s = time.monotonic()
+        if now_s is None and moment_s - _swept.get(key, -SWEEP_AGAIN_S) < SWEEP_AGAIN_S:
+            return 0
+        if len(_swept) > 1000:
+            _swept.clear()
+        _swept[key] = moment_s
+    try:
+        with os.scandir(folder) as entries:
+            found = [Path(entry.path) for entry in entries if DRAFT.fullmatch(entry.name)]
+    except OSError:
+        return 0
+    return sum(_sweep(place, time.time() if now_s is None else now_s) for place in found)
+
+
+def _sweep(place: Path, now_s: float) -> bool:
+    flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    try:
+        # Before it is opened: a pipe or a link of this name is none of ours.
+        if not stat.S_ISREG(place.lstat().st_mode):
+            return False
+        descriptor = os.open(place, flags)
+    except OSError:
+        return False
+    try:
+        held = try_lock(descriptor)
+        seen = os.fstat(descriptor)
+        mine = not hasattr(os, "geteuid") or seen.st_uid == os.geteuid()
+        certain = held is True and os.name != "nt"
+        if not mine or held is False or not (certain or now_s - seen.st_mtime > UNKNOWN_AFTER_S):
+            return False
+        if os.name != "nt":
+            place.unlink()
+            return True
+    except OSError:
+        return False
+    finally:
+        os.close(descriptor)
+    with contextlib.suppress(OSError):  # pragma: no cover
+        place.unlink()  # Windows removes no open file
+        return True
+    return False  # pragma: no cover

@@ -1,0 +1,128 @@
+"""One clear sentence for whatever a disk refuses: what, where, how much was needed and is free, what to do."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from pathlib import Path
+
+from carina.errors import CarinaError, DiskError
+
+__all__ = ["disk_trouble", "is_disk_trouble", "say_size"]
+
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+_DENIED = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
+_MISSING = frozenset({errno.ENOENT, errno.ENOTDIR})
+_IN_THE_WAY = frozenset({errno.EISDIR, errno.EEXIST, errno.ENOTEMPTY})
+_OTHER = frozenset({errno.EIO, errno.EFBIG, errno.ENAMETOOLONG, errno.ELOOP, errno.ESTALE, errno.ENXIO, errno.ENODEV})
+_MACHINE = frozenset({errno.EMFILE, errno.ENFILE})
+
+
+def say_size(num_bytes: int) -> str:
+    """A number of bytes for people: ``0 MB``, ``3.2 MB``, ``41 MB``, ``1.6 GB``."""
+    if num_bytes >= 1_000_000_000:
+        return f"{num_bytes / 1e9:.1f} GB"
+    if num_bytes >= 10_000_000 or num_bytes == 0:
+        return f"{num_bytes / 1e6:.0f} MB"
+    if num_bytes >= 100_000:
+        return f"{num_bytes / 1e6:.1f} MB"
+    return f"{max(1, round(num_bytes / 1e3))} kB"
+
+
+def is_disk_trouble(error: BaseException) -> bool:
+    """Whether an error is the disk's or the machine's, and not a fault of ours."""
+    known = _FULL | _DENIED | _MISSING | _IN_THE_WAY | _OTHER | _MACHINE
+    return isinstance(error, OSError) and not isinstance(error, CarinaError) and error.errno in known
+
+
+def disk_trouble(
+    error: OSError,
+    doing: str,
+    where: Path | str | None,
+    *,
+    needed_bytes: int | None = None,
+    unchanged: str = "",
+) -> DiskError:
+    """The error that tells a person what a disk refused.
+
+    Parameters
+    ----------
+    error
+        What the system said. A :class:`DiskError` is handed back as it is.
+    doing
+        What could not be done: "cannot write the mask".
+    where
+        File or folder; None where it is of no use to a person (a temporary folder that one never sees).
+    needed_bytes
+        How much was to be written, if known.
+    unchanged
+        What became of what was there before, if anything: "the former file is unchanged".
+
+    Returns
+    -------
+    DiskError
+        With a code by kind of trouble: ``disk.full``, ``disk.denied``, ``disk.missing``, ``disk.in-the-way``,
+        ``disk.failed``.
+    """
+    if isinstance(error, DiskError):
+        return error
+    code, why, advice = _reason(error, where, needed_bytes)
+    place = "" if where is None else f" to {where}"
+    words = "; ".join(part for part in (f"{doing}{place}: {why}", advice, unchanged) if part)
+    made = DiskError(words, code=code)
+    made.errno, made.strerror = error.errno, why
+    return made
+
+
+def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) -> tuple[str, str, str]:
+    """Code, reason, and what to do."""
+    place = None if where is None else Path(where)
+    elsewhere = "choose another folder"
+    match error.errno:
+        case errno.ENOSPC:
+            known = [] if needed_bytes is None else [f"about {say_size(needed_bytes)} needed"]
+            free = _free_bytes(place)
+            known += [] if free is None else [f"{say_size(free)} free"]
+            numbers = f" ({', '.join(known)})" if known else ""
+            # "No space left on device" is what people search for.
+            return "disk.full", f"the disk is full{numbers}", f"free some space{_or_elsewhere(place)}"
+        case errno.EDQUOT:
+            return "disk.full", "your share (quota) of this disk is used up", f"delete files{_or_elsewhere(place)}"
+        case errno.EFBIG:
+            return "disk.full", "the file would be larger than this disk or this account allows", elsewhere
+        case errno.EROFS:
+            return "disk.denied", "this disk is read-only", elsewhere
+        case errno.EACCES | errno.EPERM:
+            return "disk.denied", "you do not have permission to write there", elsewhere
+        case errno.ENOENT:
+            return "disk.missing", "there is no such folder", "make it first, or choose another"
+        case errno.ENOTDIR:
+            return "disk.missing", "a part of this path is a file and no folder", elsewhere
+        case errno.EISDIR | errno.EEXIST | errno.ENOTEMPTY:
+            return "disk.in-the-way", "something of this name is in the way", "move it, or choose another name"
+        case errno.ENAMETOOLONG:
+            return "disk.failed", "the name is too long for this disk", "choose a shorter one"
+        case errno.EMFILE | errno.ENFILE:
+            return "machine.files", "too many files and connections are open", "close other windows and try again"
+        case errno.EIO:
+            return "disk.failed", "the disk reports an error", "check the disk, or choose another"
+        case _:
+            return "disk.failed", error.strerror or str(error) or type(error).__name__, ""
+
+
+def _or_elsewhere(place: Path | None) -> str:
+    return "" if place is None else " or choose another folder"
+
+
+def _free_bytes(place: Path | None) -> int | None:
+    """Of the disk that holds a place, or that temporary files go to."""
+    import tempfile
+
+    try:
+        folder = Path(tempfile.gettempdir()) if place is None else place
+        while not folder.is_dir() and folder != folder.parent:
+            folder = folder.parent
+        return shutil.disk_usage(os.fspath(folder)).free
+    except OSError:
+        return None

@@ -1,0 +1,278 @@
+"""Files are whole or as before; a crash's drafts are swept, those in use are not; what a disk refuses is said."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import resource
+import signal
+import stat
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+
+from carina.disk import disk_trouble, drafted, make_folder, sweep_drafts, write_whole
+from carina.disk.drafts import DRAFT, UNKNOWN_AFTER_S, Draft
+from carina.errors import CarinaError, DiskError
+from carina.volume import GRID_SUFFIXES, write_grid
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="limits and modes of POSIX")
+
+WRITER = """
+import sys
+from pathlib import Path
+from carina.disk import drafted
+with drafted(Path(sys.argv[1]), what="the test") as file:
+    file.write(b"half")
+    file.flush()
+    print("writing", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def small_files():
+    """No file of more than 4 kB can be written while this holds: as a full disk, in the middle of a file."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def writing(path):
+    """Another process in the middle of a file."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline() == "writing\n"
+    return process
+
+
+def ended(process):
+    process.stdin.close()
+    process.wait()
+    process.stdout.close()
+
+
+def test_a_file_is_replaced_whole_and_nothing_else_stays(tmp_path):
+    target = tmp_path / "a.txt"
+    write_whole(target, b"old", what="the test")
+    write_whole(target, b"new", what="the test")
+    assert target.read_bytes() == b"new"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_a_killed_writer_leaves_the_old_file_and_its_draft_goes_with_the_next_one_written(tmp_path):
+    target = tmp_path / "Doe_John.nii.gz"
+    target.write_bytes(b"old")
+    process = writing(target)
+    process.send_signal(signal.SIGKILL)
+    ended(process)
+    left = [p.name for p in tmp_path.iterdir() if p != target]
+    assert len(left) == 1
+    assert DRAFT.fullmatch(left[0])
+    assert target.read_bytes() == b"old"
+    assert sweep_drafts(tmp_path, now_s=0.0) == 1
+    assert [p.name for p in tmp_path.iterdir()] == [target.name]
+
+
+def test_a_draft_that_another_process_writes_is_never_swept(tmp_path):
+    process = writing(tmp_path / "a.bin")
+    try:
+        assert sweep_drafts(tmp_path, now_s=1e12) == 0
+    finally:
+        ended(process)
+    assert (tmp_path / "a.bin").read_bytes() == b"half"
+
+
+def test_two_writers_of_one_file_and_one_who_sweeps_all_the_time_lose_nothing(tmp_path):
+    stop = threading.Event()
+
+    def sweep():
+        while not stop.is_set():
+            sweep_drafts(tmp_path, now_s=0.0)
+
+    def write(content):
+        for _ in range(150):
+            write_whole(tmp_path / "a.bin", content, what="the test")
+
+    sweeper = threading.Thread(target=sweep)
+    writers = [threading.Thread(target=write, args=(bytes([n]) * 5000,)) for n in (1, 2)]
+    sweeper.start()
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    stop.set()
+    sweeper.join()
+    assert (tmp_path / "a.bin").read_bytes() in (b"\x01" * 5000, b"\x02" * 5000)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
+
+
+def test_what_only_looks_like_a_draft_is_left_alone(tmp_path):
+    (tmp_path / "victim").write_bytes(b"dear")
+    name = ".carina-0123456789abcde{}.draft"
+    (tmp_path / name.format(0)).symlink_to(tmp_path / "victim")
+    os.mkfifo(tmp_path / name.format(1))
+    (tmp_path / name.format(2)).mkdir()
+    (tmp_path / "carina-0123456789abcdef.draft").write_bytes(b"a person's")
+    before = sorted(p.name for p in tmp_path.iterdir())
+    assert sweep_drafts(tmp_path, now_s=1e12) == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == before
+    assert (tmp_path / "victim").read_bytes() == b"dear"
+
+
+def test_where_nothing_can_be_locked_only_old_drafts_go(tmp_path, monkeypatch):
+    monkeypatch.setattr("carina.disk.drafts.try_lock", lambda _descriptor: None)
+    draft = Draft(tmp_path / "a", what="the test")
+    now_s = next(p for p in tmp_path.iterdir()).stat().st_mtime
+    assert sweep_drafts(tmp_path, now_s=now_s + UNKNOWN_AFTER_S / 2) == 0
+    draft.commit()
+    left = tmp_path / ".carina-0123456789abcdef.draft"
+    left.write_bytes(b"old")
+    assert sweep_drafts(tmp_path, now_s=now_s + 2 * UNKNOWN_AFTER_S) == 1
+
+
+def test_a_draft_that_somebody_removes_is_said(tmp_path):
+    with pytest.raises(DiskError, match="removed meanwhile"), drafted(tmp_path / "a", what="the test"):
+        next(tmp_path.iterdir()).unlink()
+
+
+def test_a_file_keeps_its_permissions_and_a_private_one_has_none_for_others(tmp_path):
+    target = tmp_path / "a"
+    target.write_bytes(b"old")
+    target.chmod(0o640)
+    write_whole(target, b"new", what="the test")
+    assert stat.S_IMODE(target.stat().st_mode) == 0o640
+    write_whole(tmp_path / "b", b"x", what="the test", private=True)
+    assert stat.S_IMODE((tmp_path / "b").stat().st_mode) == 0o600
+
+
+@pytest.mark.parametrize("suffix", GRID_SUFFIXES)
+def test_a_mask_that_finds_no_room_leaves_the_former_file_and_no_line_of_a_library(
+    tmp_path, suffix, small_files, capfd
+):
+    target = tmp_path / f"mask{suffix}"
+    target.write_bytes(b"old")
+    noise = np.random.default_rng(1).integers(-1000, 1000, (20, 30, 40), dtype=np.int16)
+    with pytest.raises(DiskError, match=r"cannot write the mask to .*the former file is unchanged") as caught:
+        write_grid(target, noise, np.eye(4), what="the mask")
+    assert caught.value.code == "disk.full"
+    assert target.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == [target.name]
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("suffix", GRID_SUFFIXES)
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16])
+def test_a_grid_is_written_as_itk_reads_it_in_every_format_and_direction(tmp_path, suffix, dtype, rng):
+    for number in range(12):
+        values = rng.integers(-1000 if dtype is np.int16 else 0, 250, (3, 4, 5)).astype(dtype)
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))  # also mirrored ones
+        matrix = np.eye(4)
+        matrix[:3, :3] = turn * np.array([0.5, 0.75, 1.25])
+        matrix[:3, 3] = rng.uniform(-300, 300, 3)
+        path = write_grid(tmp_path / f"{number}{suffix}", values, matrix, what="the grid")
+        image = sitk.ReadImage(str(path))
+        assert np.array_equal(sitk.GetArrayFromImage(image), values)
+        assert sitk.GetArrayFromImage(image).dtype == dtype
+        assert np.allclose(image.GetSpacing(), (0.5, 0.75, 1.25), atol=1e-6)
+        assert np.allclose(image.GetOrigin(), matrix[:3, 3], atol=1e-4)
+        assert np.allclose(np.reshape(image.GetDirection(), (3, 3)), turn, atol=1e-6)
+        if suffix == ".nii":
+            assert path.read_bytes() == itk_nifti(values, matrix, tmp_path, like=path.read_bytes())
+
+
+def itk_nifti(values, matrix, folder, *, like):
+    """What ITK writes, with the parts of its header in which both are right: floats rounded, signs of zeros, names."""
+    image = sitk.GetImageFromArray(values)
+    spacing = np.linalg.norm(matrix[:3, :3], axis=0)
+    image.SetSpacing(spacing.tolist())
+    image.SetDirection((matrix[:3, :3] / spacing).ravel().tolist())
+    image.SetOrigin(matrix[:3, 3].tolist())
+    sitk.WriteImage(image, str(folder / "itk.nii"))
+    theirs = (folder / "itk.nii").read_bytes()
+    floats = slice(256, 328)  # quaternion, offset and matrix
+    assert np.allclose(np.frombuffer(like[floats], "<f4"), np.frombuffer(theirs[floats], "<f4"), atol=1e-4)
+    return theirs[:76] + like[76:92] + theirs[92:256] + like[256:328] + theirs[328:]
+
+
+TROUBLES = [
+    (errno.ENOSPC, "disk.full", "the disk is full"),
+    (errno.EDQUOT, "disk.full", "quota"),
+    (errno.EFBIG, "disk.full", "larger than"),
+    (errno.EROFS, "disk.denied", "read-only"),
+    (errno.EACCES, "disk.denied", "permission"),
+    (errno.ENOENT, "disk.missing", "no such folder"),
+    (errno.ENOTDIR, "disk.missing", "is a file and no folder"),
+    (errno.EISDIR, "disk.in-the-way", "in the way"),
+    (errno.EIO, "disk.failed", "reports an error"),
+    (errno.ENAMETOOLONG, "disk.failed", "too long"),
+    (errno.EMFILE, "machine.files", "too many files"),
+    (errno.ETIMEDOUT, "disk.failed", "timed out"),
+]
+
+
+@pytest.mark.parametrize(("number", "code", "words"), TROUBLES)
+def test_each_trouble_has_a_code_and_a_sentence(tmp_path, number, code, words):
+    told = disk_trouble(OSError(number, os.strerror(number)), "cannot write the tree", tmp_path / "t", needed_bytes=9)
+    assert (told.code, told.errno, told.exit_code) == (code, number, 1)
+    assert str(told).startswith(f"cannot write the tree to {tmp_path / 't'}: ")
+    assert words in str(told)
+    assert isinstance(told, OSError)
+    assert isinstance(told, CarinaError)
+
+
+def test_a_full_disk_says_how_much_is_needed_and_free(tmp_path):
+    told = disk_trouble(OSError(errno.ENOSPC, ""), "cannot write the CT", tmp_path, needed_bytes=3_200_000)
+    assert "about 3.2 MB needed" in str(told)
+    assert "free)" in str(told)
+
+
+def test_a_folder_a_device_and_a_missing_folder_in_the_way_are_refused(tmp_path):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_bytes(b"")
+    os.mkfifo(tmp_path / "pipe")
+    for place, code in (
+        ("folder", "disk.in-the-way"),
+        ("pipe", "disk.in-the-way"),
+        ("no/where", "disk.missing"),
+        ("file/x", "disk.missing"),
+        ("x" * 300, "disk.failed"),
+    ):
+        with pytest.raises(DiskError) as caught:
+            write_whole(tmp_path / place, b"x", what="the test")
+        assert caught.value.code == code, place
+    with pytest.raises(DiskError):
+        make_folder(tmp_path / "file" / "x", what="the test")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder", "pipe"]
+
+
+@pytest.mark.parametrize("at_byte", [0, 1, 4095, 4096, 4097, 20_000])
+def test_a_disk_that_fills_up_anywhere_in_a_file_keeps_the_former_one(tmp_path, small_files, at_byte):
+    target = tmp_path / "a"
+    target.write_bytes(b"old")
+    fits = at_byte <= 4096
+    refused = pytest.raises(DiskError, match="the former file is unchanged")
+    with contextlib.nullcontext() if fits else refused, drafted(target, what="the test") as file:
+        for start in range(0, at_byte, 1000):
+            file.write(b"x" * min(1000, at_byte - start))
+    assert target.read_bytes() == (b"x" * at_byte if fits else b"old")
+    assert [p.name for p in tmp_path.iterdir()] == ["a"]
+
+
+@pytest.mark.parametrize("suffix", GRID_SUFFIXES)
+def test_a_note_to_the_reader_is_in_the_file_as_itk_reads_it(tmp_path, suffix):
+    note = "2 branches drawn by hand:\n12 mm \u2192 of 300 mm"
+    path = write_grid(tmp_path / f"a{suffix}", np.zeros((2, 3, 4), np.uint8), np.eye(4), what="the mask", note=note)
+    image = sitk.ReadImage(str(path))
+    line = "2 branches drawn by hand: 12 mm \u2192 of 300 mm"
+    if ".nii" in suffix:
+        assert image.GetMetaData("descrip").rstrip("\0") == line.replace("\u2192", "?")
+    else:
+        assert image.GetMetaData("note") == line

@@ -1,0 +1,185 @@
+"""Temporary folders: for this person alone, and gone even after kill -9; nothing of others is touched."""
+
+from __future__ import annotations
+
+import os
+import signal
+import stat
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from carina.disk import ScratchFolder, sweep_scratch
+from carina.disk.scratch import LOCK, OLD_AFTER_S, PREFIX
+from carina.errors import DiskError
+from carina.server.uploads import Uploads
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills and modes of POSIX")
+
+UPLOAD = """
+import asyncio, sys
+from carina.server.uploads import Uploads
+
+async def body():
+    yield b"the patient's scan"
+    print("writing", flush=True)
+    sys.stdin.read()
+
+uploads = Uploads()
+asyncio.run(uploads.add(uploads.begin(), "Doe^John.dcm", body()))
+"""
+
+
+HOLD = """
+import sys
+from carina.disk import ScratchFolder
+(ScratchFolder().path / "file").write_bytes(b"1")
+print("writing", flush=True)
+sys.stdin.read()
+"""
+
+
+def uploading(folder, script=HOLD):
+    """Another Carina in the middle of something."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", script],
+        env={**os.environ, "TMPDIR": str(folder)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline() == "writing\n"
+    return process
+
+
+def ended(process):
+    process.stdin.close()
+    process.wait()
+    process.stdout.close()
+
+
+@pytest.fixture
+def temp(tmp_path, monkeypatch):
+    """A temporary folder of one's own."""
+    folder = tmp_path / "temp"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    return folder
+
+
+def test_an_upload_of_a_killed_carina_is_removed_by_the_next_and_its_name_was_never_there(temp):
+    process = uploading(temp, UPLOAD)
+    names = [p.name for p in temp.rglob("*")]
+    assert len(names) > 3
+    assert not any("Doe" in name or "John" in name for name in names)
+    assert {stat.S_IMODE(p.stat().st_mode) for p in temp.rglob("*") if p.is_dir()} == {0o700}
+    assert {stat.S_IMODE(p.stat().st_mode) for p in temp.rglob("*") if p.is_file()} == {0o600}
+    # Never one in use by another Carina.
+    assert sweep_scratch(temp, now_s=1e12) == 0
+    process.send_signal(signal.SIGKILL)
+    ended(process)
+    assert [p.name for p in temp.rglob("*")] == names
+    assert sweep_scratch(temp) == 1
+    assert list(temp.iterdir()) == []
+
+
+def test_of_many_killed_and_one_that_lives_the_one_stays(temp):
+    processes = [uploading(temp) for _ in range(6)]
+    for process in processes[1:]:
+        process.send_signal(signal.SIGKILL)
+        ended(process)
+    assert sweep_scratch(temp) == 5
+    assert len(list(temp.iterdir())) == 1
+    ended(processes[0])
+    assert list(temp.iterdir()) == []
+
+
+def test_two_carinas_that_start_at_once_both_sweep_and_neither_fails(temp):
+    left = [uploading(temp) for _ in range(4)]
+    for process in left:
+        process.send_signal(signal.SIGKILL)
+        ended(process)
+    sweep = "from carina.disk import sweep_scratch; print(sweep_scratch())"
+    environment = {**os.environ, "TMPDIR": str(temp)}
+    starting = [
+        subprocess.Popen([sys.executable, "-c", sweep], env=environment, stdout=subprocess.PIPE, text=True)
+        for _ in range(4)
+    ]
+    counts = [int(process.communicate()[0]) for process in starting]
+    assert [process.returncode for process in starting] == [0] * 4
+    assert sum(counts) == 4
+    assert list(temp.iterdir()) == []
+
+
+def test_links_files_and_folders_of_others_are_left_alone(temp, tmp_path, monkeypatch):
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    (victim / LOCK).touch()
+    (victim / "dear").write_bytes(b"1")
+    (temp / f"{PREFIX}abcdefgh").symlink_to(victim)
+    # A lock that is a link, or a pipe on which an open would wait for ever.
+    linked, piped = temp / f"{PREFIX}linkedlo", temp / f"{PREFIX}pipedloc"
+    for folder in (linked, piped):
+        folder.mkdir()
+    (linked / LOCK).symlink_to(victim / "dear")
+    os.mkfifo(piped / LOCK)
+    (temp / f"{PREFIX}afileeee").write_bytes(b"")
+    (temp / "carina-releases").mkdir()
+    (temp / "carina-releases" / "notes.txt").write_bytes(b"a person's own")
+    before = sorted(p.name for p in temp.iterdir())
+    assert sweep_scratch(temp, now_s=1e12) == 0
+    assert sorted(p.name for p in temp.iterdir()) == before
+    assert (victim / "dear").read_bytes() == b"1"
+    # Another person's, with a lock that nobody holds.
+    foreign = temp / f"{PREFIX}foreign0"
+    foreign.mkdir()
+    (foreign / LOCK).touch()
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    assert sweep_scratch(temp, now_s=1e12) == 0
+    monkeypatch.undo()
+    assert sweep_scratch(temp) == 1
+
+
+def test_links_inside_an_abandoned_folder_are_removed_and_not_followed(temp, tmp_path):
+    (tmp_path / "victim").mkdir()
+    (tmp_path / "victim" / "dear").write_bytes(b"1")
+    folder = temp / f"{PREFIX}abcdefgh"
+    (folder / "upload").mkdir(parents=True)
+    (folder / LOCK).touch()
+    (folder / "link").symlink_to(tmp_path / "victim")
+    (folder / "upload" / "link").symlink_to(tmp_path / "victim")
+    assert sweep_scratch(temp) == 1
+    assert (tmp_path / "victim" / "dear").read_bytes() == b"1"
+
+
+def test_folders_of_older_carinas_go_after_a_day(temp):
+    for name in ("carina-upload-abcdefgh", "carina-download-abcdefgh", f"{PREFIX}nolock00", "carina-abcdefgh"):
+        (temp / name).mkdir()
+        (temp / name / "pixels.dcm").write_bytes(b"1")
+    now_s = temp.stat().st_mtime
+    assert sweep_scratch(temp, now_s=now_s + OLD_AFTER_S / 2) == 0
+    assert sweep_scratch(temp, now_s=now_s + OLD_AFTER_S + 10) == 4
+    assert list(temp.iterdir()) == []
+
+
+def test_a_temporary_folder_that_somebody_cleans_is_made_anew(temp):
+    first = ScratchFolder()
+    for path in sorted(first.path.parent.rglob("*"), reverse=True):
+        path.rmdir() if path.is_dir() else path.unlink()
+    first.path.parent.rmdir()
+    second = ScratchFolder()
+    assert second.path.is_dir()
+    first.remove()
+    second.remove()
+
+
+def test_a_temporary_folder_that_cannot_be_written_refuses_uploads_in_words(tmp_path, monkeypatch):
+    (tmp_path / "file").write_bytes(b"")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "file"))
+    monkeypatch.setattr("carina.disk.scratch._Root._path", None)
+    with pytest.raises(DiskError, match="dropped files cannot be stored"):
+        Uploads().begin()
+    assert sweep_scratch(Path(tmp_path / "nowhere")) == 0
