@@ -4,8 +4,8 @@
 //! voxels that are enclosed by brighter wall ([`crate::tubeness`]) are followed from the lumen's surface, face to face.
 //! How enclosed a voxel must be is read off the volume itself: lung away from the airways shows what noise, texture and vessels
 //! pretend. At most a fiftieth of it passes, far below the share (31 % of a cubic lattice joined by faces) at which
-//! passing voxels would join into ways of any length, so the search cannot run out into the lung; it needs no
-//! explosion to notice that it has.
+//! passing voxels would join into ways of any length if they lay about by chance. An edge-enhancing kernel arranges them in
+//! sheets (docs/decisions/0040), so a search that reaches too much of the lung is given up.
 //!
 //! Of what was reached, paths are kept: from the lumen, along the most enclosed voxels, to the farthest tips, the longest
 //! first, cut where following them no longer pays. A path that is short, or not clearly better than lung, goes. Round a
@@ -34,6 +34,10 @@ pub struct ExtensionLimits {
     pub gap_mm: f64,
     /// A path must lead at least this far out of the lumen that is known, mm.
     pub min_length_mm: f64,
+    /// A voxel must be so many times as enclosed as this volume's lung asks for; 1 as a rule.
+    pub raised: f64,
+    /// The search is given up once it has reached more than this share of the lung.
+    pub most_reached: f64,
 }
 
 /// One airway that was followed beyond the flood's end.
@@ -56,6 +60,10 @@ pub struct Extension {
     pub num_voxels: usize,
     /// How far values must rise round a voxel, in the volume's numbers: what 98 % of the lung does not reach.
     pub enclosed: f64,
+    /// Voxels that could be followed from the lumen's surface, before paths were judged.
+    pub num_reached: usize,
+    /// It reached more of the lung than airways can, and was given up: nothing was added.
+    pub ran_out: bool,
 }
 
 pub(crate) const LUMEN: u8 = 1;
@@ -90,16 +98,20 @@ pub fn extend(
     watch.go_on(0.2)?;
     let levels = Levels::of_lung(&smooth, lumen, &enclosure, limits);
     let reached = reach(values, &smooth, &enclosure, lumen, levels, limits, watch)?;
-    watch.go_on(0.7)?;
-    let view = VolumeView::new(&smooth, values.grid()).map_err(|e| TrackError::Argument {
-        what: "volume",
-        expected: "a full array".to_owned(),
-        found: e.to_string(),
-    })?;
-    let open = open_from(values, &smooth, lumen, &reached, levels);
-    let mut search = Search::new(view, lumen, &reached, &open, levels);
-    let followed = search.follow(limits, watch)?;
-    let kept = search.filled(&smooth, &followed);
+    let ran_out = reached.len() > levels.most_reached;
+    let (mut kept, mut followed) = (Vec::new(), Vec::new());
+    if !ran_out {
+        watch.go_on(0.7)?;
+        let view = VolumeView::new(&smooth, values.grid()).map_err(|e| TrackError::Argument {
+            what: "volume",
+            expected: "a full array".to_owned(),
+            found: e.to_string(),
+        })?;
+        let open = open_from(values, &smooth, lumen, &reached, levels);
+        let mut search = Search::new(view, lumen, &reached, &open, levels);
+        followed = search.follow(limits, watch)?;
+        kept = search.filled(&smooth, &followed);
+    }
     for node in &reached {
         lumen[node.voxel as usize] = 0;
     }
@@ -112,12 +124,14 @@ pub fn extend(
         }
     });
     Ok(Extension {
+        ran_out,
         num_voxels: kept.len(),
         enclosed: f64::from(levels.followed),
         followed: followed
             .into_iter()
             .map(|path| path.report(&reached, levels))
             .collect(),
+        num_reached: reached.len(),
     })
 }
 
@@ -129,6 +143,8 @@ pub(crate) struct Levels {
     pub(crate) gap: i16,
     /// A way that rises and falls again by more than this has stepped over a wall.
     pub(crate) drop: f64,
+    /// Voxels; airways beyond the flood are a small part of the lung.
+    pub(crate) most_reached: usize,
 }
 
 impl Levels {
@@ -160,9 +176,15 @@ impl Levels {
                 f64::from(rises[((rises.len() - 1) as f64 * share) as usize])
             }
         };
-        let followed = share(FOLLOWED_SHARE).max(limits.least_rise);
+        let pretended = share(FOLLOWED_SHARE).max(limits.least_rise);
+        let followed = limits.raised * pretended;
         Self {
-            drop: (DROP * followed).max(LEAST_DROP * (f64::from(limits.brightest) - limits.air)),
+            drop: (DROP * pretended).max(LEAST_DROP * (f64::from(limits.brightest) - limits.air)),
+            most_reached: if sample.len() < MIN_SAMPLES {
+                usize::MAX
+            } else {
+                (limits.most_reached * sample.len() as f64 * stride as f64) as usize
+            },
             followed: followed.ceil() as i16,
             kept: share(KEPT_SHARE).max(1.2 * followed),
             gap: (GAP_SHARE * followed) as i16,

@@ -21,6 +21,8 @@ pub(crate) struct Node {
 }
 
 /// All voxels that can be followed from the lumen's surface, in the order in which they were met.
+///
+/// It ends early with more than [`Levels::most_reached`] of them: then it runs out into the lung.
 pub(crate) fn reach(
     values: VolumeView<'_, i16>,
     smooth: &[i16],
@@ -46,7 +48,7 @@ pub(crate) fn reach(
     }
     // Voxels that no short gap has led to yet, and how enclosed they are.
     let mut waiting: HashMap<u32, i16> = HashMap::new();
-    while !wave.is_empty() {
+    while !wave.is_empty() && nodes.len() <= levels.most_reached {
         watch.go_on(0.3)?;
         let rises: Vec<i16> = wave
             .par_iter()

@@ -12,6 +12,8 @@ const LIMITS: ExtensionLimits = ExtensionLimits {
     least_rise: 20.0,
     gap_mm: 2.0,
     min_length_mm: 4.0,
+    raised: 1.0,
+    most_reached: 1.0,
 };
 
 struct Drawn {
@@ -150,6 +152,40 @@ fn a_groove_between_two_vessels_beside_the_airway_is_no_airway() {
     }
     let found = extended(&mut chest);
     assert_eq!(found.followed, vec![]);
+}
+
+#[test]
+fn a_search_that_reaches_too_much_of_the_lung_is_given_up_and_adds_nothing() {
+    // A chest beside itself again and again: less lung would be too little for a share of it.
+    let one = drawn(15.0, 20.0, 50.0, |_| 1.0);
+    let grid = Grid::new([40 * 14, 46, 100], *one.grid.lps_from_ijk()).unwrap();
+    let (values, lumen) = (one.values.repeat(14), one.lumen.repeat(14));
+    let view = VolumeView::new(&values, &grid).unwrap();
+    let mut given = lumen.clone();
+    let found = extend(view, &mut given, &LIMITS, &Unwatched).unwrap();
+    assert!(!found.ran_out && found.num_reached > 200 && found.num_voxels > 0);
+    let sheets = ExtensionLimits {
+        most_reached: 1e-5,
+        ..LIMITS
+    };
+    let mut given = lumen.clone();
+    let found = extend(view, &mut given, &sheets, &Unwatched).unwrap();
+    assert!(found.ran_out && found.followed.is_empty() && found.num_voxels == 0);
+    assert!(given == lumen);
+}
+
+#[test]
+fn a_raised_bar_follows_less() {
+    let follow = |raised: f64| {
+        let mut chest = drawn(30.0, 20.0, 50.0, |_| 1.0);
+        let view = VolumeView::new(&chest.values, &chest.grid).unwrap();
+        let limits = ExtensionLimits { raised, ..LIMITS };
+        let found = extend(view, &mut chest.lumen, &limits, &Unwatched).unwrap();
+        (found.num_reached, found.enclosed)
+    };
+    let (low, high) = (follow(1.0), follow(3.0));
+    assert!(high.0 < low.0, "{low:?} {high:?}");
+    assert!(high.1 > 2.5 * low.1, "{low:?} {high:?}");
 }
 
 #[test]

@@ -18,6 +18,7 @@ pub mod deblur;
 pub mod dijkstra;
 pub mod distance;
 mod error;
+pub mod evidence;
 pub mod extension;
 mod extension_reach;
 mod extension_verdict;
@@ -38,6 +39,7 @@ pub mod lumen;
 pub mod lumen_edit;
 mod lungs;
 pub mod mesh;
+pub mod outline;
 pub mod paper_cost;
 pub mod profile;
 pub mod smooth;
@@ -66,6 +68,8 @@ mod isoregion_graph_tests;
 mod lumen_edit_tests;
 #[cfg(test)]
 mod lumen_tests;
+#[cfg(test)]
+mod outline_tests;
 #[cfg(test)]
 mod paper_cost_tests;
 #[cfg(test)]

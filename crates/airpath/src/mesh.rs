@@ -6,6 +6,7 @@
 //! two voxels of its grid edge, as the radii of the tree have it.
 
 use std::collections::HashMap;
+use std::sync::OnceLock;
 
 use carina_grid::{Ijk, VolumeView};
 
@@ -23,10 +24,10 @@ pub struct Mesh {
 }
 
 /// Vertices keep this far from the voxels of their edge (in edges): no triangle has an area of 0.
-const MARGIN: f64 = 0.02;
+pub(crate) const MARGIN: f64 = 0.02;
 
 /// Grid edges of a cube: lower corner and axis. Corner c is at (c & 1, c >> 1 & 1, c >> 2).
-const EDGES: [(usize, usize); 12] = [
+pub(crate) const EDGES: [(usize, usize); 12] = [
     (0, 0),
     (2, 0),
     (4, 0),
@@ -116,6 +117,36 @@ fn fan(ring: &[usize]) -> Option<Vec<usize>> {
         .find(|turned| (2..n - 1).all(|m| !share_face(turned[0], turned[m])))
 }
 
+/// A ring of crossed edges as a fan of triangles: its first edge is the apex, or none is and the fan is about the middle.
+pub(crate) struct CellRing {
+    pub(crate) edges: Vec<usize>,
+    pub(crate) has_apex: bool,
+}
+
+/// The rings of a cell for each set of its corners that are inside.
+pub(crate) fn cell_rings() -> &'static [Vec<CellRing>] {
+    static CASES: OnceLock<Vec<Vec<CellRing>>> = OnceLock::new();
+    CASES.get_or_init(|| {
+        (0..=255u8)
+            .map(|inside| {
+                let rings = rings_of(inside).into_iter();
+                rings
+                    .map(|ring| match fan(&ring) {
+                        Some(edges) => CellRing {
+                            edges,
+                            has_apex: true,
+                        },
+                        None => CellRing {
+                            edges: ring,
+                            has_apex: false,
+                        },
+                    })
+                    .collect()
+            })
+            .collect()
+    })
+}
+
 /// The surface of the voxels where `lumen` is not 0.
 ///
 /// `levels` is `None` for a lumen that did not come from these values (an imported mask): the surface then lies half-way
@@ -196,7 +227,7 @@ fn mean(points: impl ExactSizeIterator<Item = Point>) -> Point {
 }
 
 /// The lumen, with the voxels beyond its last ones whose centre lies in front of the half-maximum: the flood stops lower.
-struct Reach<'a> {
+pub(crate) struct Reach<'a> {
     values: VolumeView<'a, i16>,
     lumen: &'a [u8],
     levels: Option<WallLevels>,
@@ -204,7 +235,11 @@ struct Reach<'a> {
 }
 
 impl<'a> Reach<'a> {
-    fn new(values: VolumeView<'a, i16>, lumen: &'a [u8], levels: Option<WallLevels>) -> Self {
+    pub(crate) fn new(
+        values: VolumeView<'a, i16>,
+        lumen: &'a [u8],
+        levels: Option<WallLevels>,
+    ) -> Self {
         Self {
             values,
             lumen,
@@ -213,17 +248,17 @@ impl<'a> Reach<'a> {
         }
     }
 
-    fn in_volume(&self, at: [isize; 3]) -> bool {
+    pub(crate) fn in_volume(&self, at: [isize; 3]) -> bool {
         (0..3).all(|a| (0..self.shape[a]).contains(&at[a]))
     }
 
-    fn in_lumen(&self, at: [isize; 3]) -> bool {
+    pub(crate) fn in_lumen(&self, at: [isize; 3]) -> bool {
         self.in_volume(at)
             && self.lumen[((at[2] * self.shape[1] + at[1]) * self.shape[0] + at[0]) as usize] != 0
     }
 
     /// From a lumen voxel one step out: where the wall begins, in steps (0 to 2).
-    fn crossing(&self, from: [isize; 3], step: [isize; 3]) -> f64 {
+    pub(crate) fn crossing(&self, from: [isize; 3], step: [isize; 3]) -> f64 {
         let Some(levels) = self.levels else {
             return 0.5;
         };

@@ -20,7 +20,7 @@ use crate::watch::PyWatch;
 
 /// Follow the airways beyond the flood's end; `lumen_zyx` (1 inside) is changed in place, what is added gets 2.
 #[pyfunction]
-#[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, air, lung, brightest, least_rise, gap_mm, min_length_mm, cancel=None, progress=None))]
+#[pyo3(signature = (values_zyx, lps_from_ijk, lumen_zyx, *, air, lung, brightest, least_rise, gap_mm, min_length_mm, raised=1.0, most_reached=1.0, cancel=None, progress=None))]
 fn extend_lumen<'py>(
     py: Python<'py>,
     values_zyx: PyReadonlyArray3<'py, i16>,
@@ -32,6 +32,8 @@ fn extend_lumen<'py>(
     least_rise: f64,
     gap_mm: f64,
     min_length_mm: f64,
+    raised: f64,
+    most_reached: f64,
     cancel: Option<Py<PyAny>>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
@@ -62,6 +64,8 @@ fn extend_lumen<'py>(
         least_rise,
         gap_mm,
         min_length_mm,
+        raised,
+        most_reached,
     };
     let watch = PyWatch::new(cancel, progress);
     let extension = py
@@ -70,6 +74,8 @@ fn extend_lumen<'py>(
     let report = PyDict::new(py);
     report.set_item("num_voxels", extension.num_voxels)?;
     report.set_item("enclosed", extension.enclosed)?;
+    report.set_item("num_reached", extension.num_reached)?;
+    report.set_item("ran_out", extension.ran_out)?;
     let followed = PyList::empty(py);
     for path in extension.followed {
         let points: Vec<[f64; 3]> = path

@@ -8,6 +8,7 @@ mod airpath;
 mod arrays;
 mod cross_section;
 mod errors;
+mod evidence;
 mod force;
 #[cfg_attr(not(feature = "gpu"), path = "gpu_absent.rs")]
 mod gpu;
@@ -15,6 +16,7 @@ mod growth;
 mod isoregion;
 mod mesh;
 mod optics;
+mod outline;
 mod paper_tracker;
 mod phantom;
 mod pool;
@@ -57,8 +59,10 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     cross_section::register(module)?;
     paper_tracker::register(module)?;
     mesh::register(module)?;
+    outline::register(module)?;
     tracker::register(module)?;
     tree_edits::register(module)?;
+    evidence::register(module)?;
     growth::register(module)?;
     phantom::register(module)?;
     scope::register(module)?;

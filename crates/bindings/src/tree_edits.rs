@@ -35,7 +35,7 @@ fn refused(what: &'static str, expected: &str, found: String) -> PyErr {
     .into_py()
 }
 
-fn voxels(
+pub(crate) fn voxels(
     what: &'static str,
     array: &PyReadonlyArray2<'_, u16>,
     shape_ijk: [usize; 3],

@@ -1,0 +1,556 @@
+//! The way from a place in the lung to the lumen along which the CT shows most of a wall (docs/decisions/0036).
+//!
+//! What counts as wall is what the extension follows ([`crate::tubeness`]): how far the values rise on all but a fifth of
+//! the rays from a voxel. A step is cheap where that is high, or where the values are as dark as the air of a wide airway, which
+//! rays of 3 mm do not cross; it is dear in plain lung and dearer towards tissue. How enclosed a voxel is does
+//! not depend on where a search began, so it is kept: a pointer that moves asks for much the same voxels again.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use std::sync::{Mutex, PoisonError};
+
+use carina_grid::{Grid, VolumeView};
+use rayon::prelude::*;
+
+use crate::tubeness::{Enclosure, REACH_MM, smoothed};
+use crate::{TrackError, Watch};
+
+/// What makes a step cheap or dear, in the volume's numbers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WayLevels {
+    /// A rise to the wall as most lung does not show it; twice as much is as good as it gets.
+    pub enclosed: f64,
+    /// As dark as this is the air of a wide airway.
+    pub dark: f64,
+    /// From here on brightness makes a step dearer.
+    pub bright: f64,
+    /// Brighter than this nothing passes.
+    pub closed: f64,
+}
+
+/// Weight of a voxel without any wall round it, over that of an airway's middle.
+const PLAIN: f64 = 25.0;
+const DARK: f64 = 1.5;
+/// Added where a voxel is about as bright as tissue.
+const BRIGHT: f64 = 6.0;
+/// Voxels that are looked at for an airway before a search heads straight for the lumen.
+const PATIENCE: usize = 25_000;
+/// Voxels after which a search gives up: tissue lies between.
+const MOST_VOXELS: usize = 300_000;
+/// Edge of a page of voxels.
+const PAGE: usize = 8;
+const PAGE_VOXELS: usize = PAGE * PAGE * PAGE;
+const UNKNOWN: i16 = i16::MIN;
+const NO_STEP: u8 = 255;
+
+/// A volume without its finest noise, and how enclosed its voxels are.
+#[derive(Debug)]
+pub struct Enclosures {
+    grid: Grid,
+    smooth: Vec<i16>,
+    enclosure: Enclosure,
+    search: Mutex<Search>,
+}
+
+/// A way from the lumen to a place.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SeenWay {
+    /// Voxels; the first lies in the lumen.
+    pub voxels: Vec<[usize; 3]>,
+    /// Sum of length in mm times weight.
+    pub cost: f64,
+}
+
+impl Enclosures {
+    /// Of a volume.
+    #[must_use]
+    pub fn new(values: VolumeView<'_, i16>) -> Self {
+        let grid = values.grid().clone();
+        Self {
+            smooth: smoothed(values),
+            enclosure: Enclosure::new(&grid, REACH_MM),
+            search: Mutex::new(Search::new(&grid)),
+            grid,
+        }
+    }
+
+    /// Its grid.
+    #[must_use]
+    pub const fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    /// The volume without its finest noise.
+    #[must_use]
+    pub fn smooth(&self) -> VolumeView<'_, i16> {
+        VolumeView::new(&self.smooth, &self.grid).expect("made on this grid")
+    }
+
+    /// Trilinear value without the finest noise, edge-clamped.
+    #[must_use]
+    pub fn value_at(&self, ijk: [f64; 3]) -> f32 {
+        crate::lumen::interpolated(self.smooth(), ijk)
+    }
+
+    /// How far the values rise on all but a fifth of the rays from a voxel.
+    #[must_use]
+    pub fn at(&self, voxel: [usize; 3]) -> i16 {
+        let [nx, ny, _] = self.grid.shape_ijk();
+        self.enclosure
+            .at(&self.smooth, voxel[0] + nx * (voxel[1] + ny * voxel[2]))
+    }
+
+    /// Weight per mm of a voxel; 0 is closed.
+    #[must_use]
+    pub fn weight(&self, levels: WayLevels, value: f64, rise: f64) -> f64 {
+        if value > levels.closed {
+            return 0.0;
+        }
+        let seen = (0.5 * rise / levels.enclosed).clamp(0.0, 1.0);
+        let bright = ((value - levels.bright) / (levels.closed - levels.bright)).clamp(0.0, 1.0);
+        let weight = 1.0 + (PLAIN - 1.0) * (1.0 - seen).powi(2) + BRIGHT * bright * bright;
+        if value <= levels.dark {
+            weight.min(DARK)
+        } else {
+            weight
+        }
+    }
+
+    /// The cheapest way from the lumen to `start`; `None` if there is none.
+    ///
+    /// Where an airway leads there it is found at once. Where none was met among so many voxels there is none, and the search
+    /// heads for `toward`, a place of the lumen: a way that is no airway need not be the cheapest of all.
+    ///
+    /// A step costs its length in mm times the mean weight of its voxels; of equally cheap ways the one whose last voxels come first
+    /// in array order is taken.
+    pub fn way(
+        &self,
+        start: [usize; 3],
+        toward: [usize; 3],
+        levels: WayLevels,
+        is_lumen: impl Fn([usize; 3]) -> bool,
+        watch: &impl Watch,
+    ) -> Result<Option<SeenWay>, TrackError> {
+        let mut search = self.search.lock().unwrap_or_else(PoisonError::into_inner);
+        self.cheapest(&mut search, start, Some(toward), levels, is_lumen, watch)
+    }
+
+    /// From each place the cheapest way to anywhere `away_mm` from it, whatever lies there: what lung can pretend.
+    ///
+    /// Ways begin at their far end; `None` where there is none.
+    pub fn runs(
+        &self,
+        starts: &[[usize; 3]],
+        away_mm: f64,
+        levels: WayLevels,
+        watch: &impl Watch,
+    ) -> Result<Vec<Option<SeenWay>>, TrackError> {
+        let spacing = self.grid.spacing_mm();
+        starts
+            .par_iter()
+            .map(|start| {
+                let is_far = |voxel: [usize; 3]| {
+                    let off: [f64; 3] =
+                        std::array::from_fn(|a| (voxel[a] as f64 - start[a] as f64) * spacing[a]);
+                    carina_grid::length(off) >= away_mm
+                };
+                let mut search = Search::new(&self.grid);
+                self.cheapest(&mut search, *start, None, levels, is_far, watch)
+            })
+            .collect()
+    }
+
+    fn cheapest(
+        &self,
+        search: &mut Search,
+        start: [usize; 3],
+        toward: Option<[usize; 3]>,
+        levels: WayLevels,
+        is_lumen: impl Fn([usize; 3]) -> bool,
+        watch: &impl Watch,
+    ) -> Result<Option<SeenWay>, TrackError> {
+        search.begin();
+        let [nx, ny, nz] = self.grid.shape_ijk();
+        let spacing = self.grid.spacing_mm();
+        let steps: Vec<([isize; 3], f64)> = (0..27isize)
+            .map(|n| {
+                let offset = [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1];
+                let mm = std::array::from_fn(|a| offset[a] as f64 * spacing[a]);
+                (offset, carina_grid::length(mm))
+            })
+            .collect();
+        let mut open = BinaryHeap::new();
+        search.reach(start, 0.0, NO_STEP);
+        let first = self.look(search, start, levels, &is_lumen);
+        if first <= 0.0 {
+            return Ok(None);
+        }
+        let voxel_of = |at: u32| {
+            [
+                at as usize % nx,
+                at as usize / nx % ny,
+                at as usize / nx / ny,
+            ]
+        };
+        let mut aim: Option<[usize; 3]> = None;
+        let left = |aim: Option<[usize; 3]>, voxel: [usize; 3]| {
+            aim.map_or(0.0, |aim| {
+                let off: [f64; 3] =
+                    std::array::from_fn(|a| (aim[a] as f64 - voxel[a] as f64) * spacing[a]);
+                PLAIN * carina_grid::length(off)
+            })
+        };
+        open.push(Reverse((
+            Ordered(0.0),
+            index(start, nx, ny) as u32,
+            Ordered(0.0),
+        )));
+        let mut num_popped = 0usize;
+        while let Some(Reverse((_, at, Ordered(here)))) = open.pop() {
+            let voxel = voxel_of(at);
+            if here > search.cost(voxel) {
+                continue;
+            }
+            num_popped += 1;
+            if num_popped.is_multiple_of(1 << 13) {
+                watch.go_on(0.5)?;
+            }
+            if num_popped > MOST_VOXELS {
+                return Ok(None);
+            }
+            if num_popped == PATIENCE && toward.is_some() {
+                aim = toward;
+                open = open
+                    .drain()
+                    .map(|Reverse((_, at, cost))| {
+                        Reverse((Ordered(cost.0 + left(aim, voxel_of(at))), at, cost))
+                    })
+                    .collect();
+            }
+            let weight = f64::from(search.weight(voxel));
+            if weight < 0.0 {
+                return Ok(Some(SeenWay {
+                    voxels: search.back(voxel, &steps),
+                    cost: here,
+                }));
+            }
+            for (n, (offset, step_mm)) in steps.iter().enumerate() {
+                let to: [isize; 3] = std::array::from_fn(|a| voxel[a] as isize + offset[a]);
+                if n == 13 || to[0] < 0 || to[1] < 0 || to[2] < 0 {
+                    continue;
+                }
+                let to = to.map(|v| v as usize);
+                if to[0] >= nx || to[1] >= ny || to[2] >= nz {
+                    continue;
+                }
+                let (page, cell) = search.place(to);
+                let known = search.pages[page].known_cost(cell, search.round);
+                if known <= here {
+                    continue;
+                }
+                let there = self.look_in(search, (page, cell), to, levels, &is_lumen);
+                if there == 0.0 {
+                    continue;
+                }
+                // The lumen costs what an airway's middle does.
+                let through =
+                    here + step_mm * 0.5 * (weight + if there < 0.0 { 1.0 } else { there });
+                // Costs are kept as f32: compared as they are kept, so that each is reached once.
+                let through = f64::from(through as f32);
+                if through < known {
+                    search.reach(to, through, n as u8);
+                    open.push(Reverse((
+                        Ordered(through + left(aim, to)),
+                        index(to, nx, ny) as u32,
+                        Ordered(through),
+                    )));
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    /// The weight of a voxel, looked up once per search; below 0 in the lumen.
+    fn look(
+        &self,
+        search: &mut Search,
+        voxel: [usize; 3],
+        levels: WayLevels,
+        is_goal: &impl Fn([usize; 3]) -> bool,
+    ) -> f64 {
+        let (page, cell) = search.place(voxel);
+        self.look_in(search, (page, cell), voxel, levels, is_goal)
+    }
+
+    fn look_in(
+        &self,
+        search: &mut Search,
+        (page, cell): (usize, usize),
+        voxel: [usize; 3],
+        levels: WayLevels,
+        is_goal: &impl Fn([usize; 3]) -> bool,
+    ) -> f64 {
+        let known = search.pages[page].weight[cell];
+        if search.pages[page].seen[cell] == search.round {
+            return f64::from(known);
+        }
+        let weight = if is_goal(voxel) {
+            -1.0
+        } else {
+            let [nx, ny, _] = self.grid.shape_ijk();
+            let at = index(voxel, nx, ny);
+            let value = f64::from(self.smooth[at]);
+            let mut rise = search.pages[page].rise[cell];
+            if rise == UNKNOWN && value <= levels.closed {
+                rise = self.enclosure.at(&self.smooth, at).max(UNKNOWN + 1);
+                search.pages[page].rise[cell] = rise;
+            }
+            self.weight(levels, value, f64::from(rise))
+        };
+        search.pages[page].seen[cell] = search.round;
+        search.pages[page].weight[cell] = weight as f32;
+        weight
+    }
+}
+
+const fn index(voxel: [usize; 3], nx: usize, ny: usize) -> usize {
+    voxel[0] + nx * (voxel[1] + ny * voxel[2])
+}
+
+/// What searches know of the voxels that they met; only how enclosed they are is kept from one search to the next.
+#[derive(Debug)]
+struct Search {
+    num_pages: [usize; 3],
+    /// Where each page of the volume is kept, 0 where it is not, else one more than its place.
+    place_of: Vec<u32>,
+    last: (u32, u32),
+    pages: Vec<Page>,
+    round: u32,
+}
+
+#[derive(Debug)]
+struct Page {
+    rise: [i16; PAGE_VOXELS],
+    /// The round in which the weight was looked up, and that in which the voxel was reached.
+    seen: [u32; PAGE_VOXELS],
+    met: [u32; PAGE_VOXELS],
+    weight: [f32; PAGE_VOXELS],
+    cost: [f32; PAGE_VOXELS],
+    before: [u8; PAGE_VOXELS],
+}
+
+impl Page {
+    fn known_cost(&self, cell: usize, round: u32) -> f64 {
+        if self.met[cell] == round {
+            f64::from(self.cost[cell])
+        } else {
+            f64::INFINITY
+        }
+    }
+}
+
+impl Search {
+    fn new(grid: &Grid) -> Self {
+        let num_pages = grid.shape_ijk().map(|n| n.div_ceil(PAGE));
+        Self {
+            place_of: vec![0; num_pages.iter().product()],
+            num_pages,
+            last: (u32::MAX, 0),
+            pages: Vec::new(),
+            round: 0,
+        }
+    }
+
+    fn begin(&mut self) {
+        self.round += 1;
+        // 9 KiB each: where a hand has been all over a large volume, begin again.
+        if self.pages.len() > 10_000 {
+            self.pages.clear();
+            self.place_of.fill(0);
+            self.last = (u32::MAX, 0);
+        }
+    }
+
+    fn place(&mut self, voxel: [usize; 3]) -> (usize, usize) {
+        let [x, y, z] = voxel.map(|v| v / PAGE);
+        let key = (x + self.num_pages[0] * (y + self.num_pages[1] * z)) as u32;
+        if self.last.0 != key {
+            if self.place_of[key as usize] == 0 {
+                self.pages.push(Page {
+                    rise: [UNKNOWN; PAGE_VOXELS],
+                    seen: [0; PAGE_VOXELS],
+                    met: [0; PAGE_VOXELS],
+                    weight: [0.0; PAGE_VOXELS],
+                    cost: [0.0; PAGE_VOXELS],
+                    before: [NO_STEP; PAGE_VOXELS],
+                });
+                self.place_of[key as usize] = self.pages.len() as u32;
+            }
+            let place = self.place_of[key as usize] - 1;
+            self.last = (key, place);
+        }
+        let [i, j, k] = voxel.map(|v| v % PAGE);
+        (self.last.1 as usize, i + PAGE * (j + PAGE * k))
+    }
+
+    fn cost(&mut self, voxel: [usize; 3]) -> f64 {
+        let (page, cell) = self.place(voxel);
+        self.pages[page].known_cost(cell, self.round)
+    }
+
+    fn weight(&mut self, voxel: [usize; 3]) -> f32 {
+        let (page, cell) = self.place(voxel);
+        self.pages[page].weight[cell]
+    }
+
+    fn reach(&mut self, voxel: [usize; 3], cost: f64, step: u8) {
+        let (page, cell) = self.place(voxel);
+        let round = self.round;
+        let page = &mut self.pages[page];
+        page.met[cell] = round;
+        page.cost[cell] = cost as f32;
+        page.before[cell] = step;
+    }
+
+    /// From a voxel back to the start of the search.
+    fn back(&mut self, from: [usize; 3], steps: &[([isize; 3], f64)]) -> Vec<[usize; 3]> {
+        let mut found = vec![from];
+        let mut voxel = from;
+        loop {
+            let (page, cell) = self.place(voxel);
+            let step = self.pages[page].before[cell];
+            if step == NO_STEP {
+                return found;
+            }
+            let offset = steps[step as usize].0;
+            voxel = std::array::from_fn(|a| (voxel[a] as isize - offset[a]) as usize);
+            found.push(voxel);
+        }
+    }
+}
+
+/// Finite costs in order.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Ordered(f64);
+
+impl Eq for Ordered {}
+
+impl PartialOrd for Ordered {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Ordered {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.0.total_cmp(&other.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use carina_grid::Affine;
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::Unwatched;
+
+    /// The least cost to reach any goal, by relaxing every step until nothing changes.
+    fn least_cost(
+        found: &Enclosures,
+        start: [usize; 3],
+        levels: WayLevels,
+        is_goal: impl Fn([usize; 3]) -> bool,
+    ) -> f64 {
+        let grid = found.grid();
+        let [nx, ny, _] = grid.shape_ijk();
+        let spacing = grid.spacing_mm();
+        let weights: Vec<f64> = (0..grid.num_voxels())
+            .map(|at| {
+                let voxel = grid.voxel(at);
+                if is_goal(voxel) {
+                    return 1.0;
+                }
+                let value = f64::from(found.smooth().at(voxel));
+                found.weight(levels, value, f64::from(found.at(voxel)))
+            })
+            .collect();
+        let mut cost = vec![f64::INFINITY; weights.len()];
+        cost[index(start, nx, ny)] = 0.0;
+        loop {
+            let mut changed = false;
+            for a in 0..cost.len() {
+                if cost[a].is_infinite() || is_goal(grid.voxel(a)) {
+                    continue;
+                }
+                for b in 0..cost.len() {
+                    let (u, v) = (grid.voxel(a), grid.voxel(b));
+                    let off: [isize; 3] = std::array::from_fn(|x| v[x] as isize - u[x] as isize);
+                    if a == b || weights[b] <= 0.0 || off.iter().any(|o| o.abs() > 1) {
+                        continue;
+                    }
+                    let mm = std::array::from_fn(|x| off[x] as f64 * spacing[x]);
+                    let through =
+                        cost[a] + carina_grid::length(mm) * 0.5 * (weights[a] + weights[b]);
+                    if through < cost[b] - 1e-9 {
+                        cost[b] = through;
+                        changed = true;
+                    }
+                }
+            }
+            if !changed {
+                break;
+            }
+        }
+        (0..cost.len())
+            .filter(|n| is_goal(grid.voxel(*n)))
+            .map(|n| cost[n])
+            .fold(f64::INFINITY, f64::min)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn the_way_with_most_wall_costs_what_the_slow_search_finds(
+            seed in 0u64..1000,
+            spacing in proptest::array::uniform3(0.5f64..3.0),
+        ) {
+            let [x, y, z] = spacing;
+            let place = Affine::from_columns(
+                [x, 0.0, 0.0],
+                [0.0, y, 0.0],
+                [0.0, 0.0, z],
+                [3.0, -4.0, 5.0],
+            );
+            let grid = Grid::new([5, 6, 7], place).unwrap();
+            let mut state = seed;
+            let values: Vec<i16> = (0..grid.num_voxels())
+                .map(|_| {
+                    state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                    ((state >> 40) % 900) as i16 - 1000
+                })
+                .collect();
+            let found = Enclosures::new(VolumeView::new(&values, &grid).unwrap());
+            let levels = WayLevels { enclosed: 60.0, dark: -950.0, bright: -800.0, closed: -300.0 };
+            let is_goal = |voxel: [usize; 3]| voxel[0] == 0;
+            let start = [6, 3, 2];
+            let slow = least_cost(&found, start, levels, is_goal);
+            // Twice: what the first search leaves behind must not matter to the second.
+            for _ in 0..2 {
+                match found.way(start, [0, 3, 2], levels, is_goal, &Unwatched).unwrap() {
+                    Some(way) => {
+                        prop_assert!((way.cost - slow).abs() <= 1e-4 * slow, "{} {slow}", way.cost);
+                        prop_assert!(is_goal(way.voxels[0]));
+                        prop_assert_eq!(*way.voxels.last().unwrap(), start);
+                        for pair in way.voxels.windows(2) {
+                            prop_assert!((0..3).all(|a| pair[0][a].abs_diff(pair[1][a]) <= 1));
+                        }
+                    }
+                    None => prop_assert!(
+                        slow.is_infinite() || f64::from(found.smooth().at(start)) > levels.closed
+                    ),
+                }
+            }
+        }
+    }
+}

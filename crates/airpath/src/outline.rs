@@ -1,0 +1,435 @@
+//! The lumen's outline in a plane: closed lines on the sub-voxel wall, never farther than half a voxel from the mask.
+//!
+//! The plane is cut through the triangles of the lumen's surface (as in `mesh`), so a line is as exact in an oblique,
+//! zoomed picture as in an axial one, and does not depend on the picture's pixels. The surface differs from that of
+//! `mesh` in one point: a vertex never leaves the grid edge between the last lumen voxel and the first that is none.
+//! `mesh` may go one voxel further out, to where the wall begins; here a person judges the mask itself, and a voxel that
+//! was painted or erased must be seen to be.
+//!
+//! Triangles are made brick by brick, when a plane first passes there, and kept: nothing is built after an edit but a
+//! list of the bricks that hold lumen.
+
+use std::sync::OnceLock;
+
+use carina_grid::{Affine, VolumeView};
+use rayon::prelude::*;
+
+use crate::lumen::WallLevels;
+use crate::mesh::{CellRing, EDGES, MARGIN, Reach, cell_rings};
+
+/// Cells along each side of a brick. With 8, three quarters of the triangles that are looked at lie off the plane; with 2
+/// there are too many bricks.
+const BRICK: usize = 4;
+const SIDE: usize = BRICK + 1;
+/// Picture points nearer to one another than this are one, in pixels: a line moves by half of it at most.
+const APART_PX: f64 = 0.25;
+/// More pieces than any airways have in a plane: noise that was taken for a lumen.
+const MAX_PIECES: usize = 200_000;
+/// Parts of a pixel in an encoded outline.
+pub const PARTS_PER_PX: f64 = 16.0;
+
+/// A point of the picture: column and row, in corner coordinates.
+pub type PicturePoint = [f64; 2];
+
+/// The surface of a lumen, to be cut by planes. Of one mask: another mask needs another surface.
+#[derive(Debug)]
+pub struct LumenSurface {
+    /// Voxels, i j k.
+    shape: [usize; 3],
+    /// Low corners of the bricks that hold lumen, in voxels; each brick has cells from there on.
+    corners: Vec<[i32; 3]>,
+    bricks: Vec<OnceLock<Brick>>,
+}
+
+#[derive(Debug, Default)]
+struct Brick {
+    /// Voxel coordinates.
+    vertices: Vec<[f32; 3]>,
+    /// One number for each place of the grid that a vertex can have: the same in the brick beside.
+    keys: Vec<u64>,
+    triangles: Vec<[u16; 3]>,
+}
+
+/// One triangle's part of the outline: from one crossed edge to another, edges named by their ends.
+struct Piece {
+    from: u128,
+    to: u128,
+    start: PicturePoint,
+    end: PicturePoint,
+}
+
+/// The outline has more pieces than a picture can show.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TooRagged;
+
+impl LumenSurface {
+    /// Finds where the lumen is. `lumen` is `[z, y, x]`, not 0 inside; `shape` is (i, j, k).
+    #[must_use]
+    pub fn new(lumen: &[u8], shape: [usize; 3]) -> Self {
+        let [nx, ny, _] = shape;
+        // Cells begin one voxel before the volume: a brick's low corner is at 8 b - 1.
+        let counts = shape.map(|n| n / BRICK + 1);
+        let slices: Vec<Vec<bool>> = lumen
+            .par_chunks(nx * ny)
+            .map(|slice| {
+                let mut held = vec![false; counts[0] * counts[1]];
+                for (j, row) in slice.chunks(nx).enumerate() {
+                    if row.iter().all(|&v| v == 0) {
+                        continue;
+                    }
+                    for (i, _) in row.iter().enumerate().filter(|(_, v)| **v != 0) {
+                        for b in [j / BRICK, (j + 1) / BRICK] {
+                            for a in [i / BRICK, (i + 1) / BRICK] {
+                                held[b * counts[0] + a] = true;
+                            }
+                        }
+                    }
+                }
+                held
+            })
+            .collect();
+        let mut corners = Vec::new();
+        for c in 0..counts[2] {
+            let first = (c * BRICK).saturating_sub(1);
+            let last = (c * BRICK + BRICK).min(slices.len());
+            let part = slices.get(first..last).unwrap_or(&[]);
+            for n in 0..counts[0] * counts[1] {
+                if part.iter().any(|slice| slice[n]) {
+                    let at = [n % counts[0], n / counts[0], c];
+                    corners.push(at.map(|b| (b * BRICK) as i32 - 1));
+                }
+            }
+        }
+        let bricks = (0..corners.len()).map(|_| OnceLock::new()).collect();
+        Self {
+            shape,
+            corners,
+            bricks,
+        }
+    }
+
+    /// Cuts the surface with a picture's plane, in picture coordinates; closed lines end where they begin.
+    ///
+    /// `pixel_from_ijk` gives column, row and the distance from the plane. `values` and `lumen` are those of the surface.
+    pub fn cut(
+        &self,
+        values: VolumeView<'_, i16>,
+        lumen: &[u8],
+        levels: Option<WallLevels>,
+        pixel_from_ijk: &Affine,
+        (width, height): (usize, usize),
+    ) -> Result<Vec<Vec<PicturePoint>>, TooRagged> {
+        let reach = Reach::new(values, lumen, levels);
+        let size = [width as f64, height as f64];
+        let rows = pixel_from_ijk.rows();
+        let spread = rows.map(|r| (r[0].abs() + r[1].abs() + r[2].abs()) * BRICK as f64 / 2.0);
+        let mut pieces = Vec::new();
+        let mut depths = Vec::new();
+        for (corner, brick) in self.corners.iter().zip(&self.bricks) {
+            let middle = corner.map(|v| f64::from(v) + BRICK as f64 / 2.0);
+            let along = |n: usize| {
+                let r = &rows[n];
+                r[0] * middle[0] + r[1] * middle[1] + r[2] * middle[2] + r[3]
+            };
+            // Nearly all bricks lie off the plane: nothing else is asked of them.
+            if along(2).abs() > spread[2] {
+                continue;
+            }
+            if (0..2).any(|a| !(-spread[a]..=size[a] + spread[a]).contains(&along(a))) {
+                continue;
+            }
+            let brick = brick.get_or_init(|| Brick::new(&reach, *corner, self.shape));
+            brick.cut(pixel_from_ijk, size, &mut depths, &mut pieces);
+            if pieces.len() > MAX_PIECES {
+                return Err(TooRagged);
+            }
+        }
+        Ok(joined(&pieces))
+    }
+}
+
+impl Brick {
+    fn new(reach: &Reach<'_>, corner: [i32; 3], shape: [usize; 3]) -> Self {
+        let low = corner.map(|v| v as isize);
+        let mut inside = [false; SIDE * SIDE * SIDE];
+        for (n, inside) in inside.iter_mut().enumerate() {
+            let at = [n % SIDE, n / SIDE % SIDE, n / (SIDE * SIDE)];
+            *inside = reach.in_lumen(std::array::from_fn(|a| low[a] + at[a] as isize));
+        }
+        let mut brick = Self::default();
+        let mut vertex_at = vec![[u16::MAX; 3]; inside.len()];
+        for cell in 0..BRICK * BRICK * BRICK {
+            let at = [cell % BRICK, cell / BRICK % BRICK, cell / (BRICK * BRICK)];
+            let corner_of =
+                |c: usize| -> [usize; 3] { std::array::from_fn(|a| at[a] + (c >> a & 1)) };
+            let index = |p: [usize; 3]| (p[2] * SIDE + p[1]) * SIDE + p[0];
+            let case = (0..8).fold(0u8, |bits, c| {
+                bits | u8::from(inside[index(corner_of(c))]) << c
+            });
+            for CellRing { edges, has_apex } in &cell_rings()[usize::from(case)] {
+                let mut vertex = |edge: usize| {
+                    let (c, axis) = EDGES[edge];
+                    let lower = corner_of(c);
+                    let known = &mut vertex_at[index(lower)][axis];
+                    if *known == u16::MAX {
+                        *known = brick.vertices.len() as u16;
+                        let from = inside[index(lower)];
+                        let lower: [isize; 3] = std::array::from_fn(|a| low[a] + lower[a] as isize);
+                        brick.vertices.push(crossing(reach, lower, axis, from));
+                        brick.keys.push(key_of(lower, axis as u64, shape));
+                    }
+                    *known
+                };
+                let mut ring: Vec<u16> = edges.iter().map(|edge| vertex(*edge)).collect();
+                let apex = if *has_apex {
+                    ring.remove(0)
+                } else {
+                    let count = ring.len() as f32;
+                    let middle = ring.iter().fold([0.0f32; 3], |sum, v| {
+                        std::array::from_fn(|a| sum[a] + brick.vertices[usize::from(*v)][a])
+                    });
+                    let lower = std::array::from_fn(|a| low[a] + at[a] as isize);
+                    // Two rings of one cell never both need a middle: that takes more than half its edges.
+                    brick.keys.push(key_of(lower, 3, shape));
+                    brick.vertices.push(middle.map(|v| v / count));
+                    ring.push(ring[0]);
+                    brick.vertices.len() as u16 - 1
+                };
+                for pair in ring.windows(2) {
+                    brick.triangles.push([apex, pair[0], pair[1]]);
+                }
+            }
+        }
+        brick
+    }
+
+    fn cut(
+        &self,
+        pixel_from_ijk: &Affine,
+        size: [f64; 2],
+        depths: &mut Vec<f64>,
+        pieces: &mut Vec<Piece>,
+    ) {
+        let rows = pixel_from_ijk.rows();
+        let along = |row: &[f64; 4], v: &[f32; 3]| {
+            row[0] * f64::from(v[0]) + row[1] * f64::from(v[1]) + row[2] * f64::from(v[2]) + row[3]
+        };
+        depths.clear();
+        depths.extend(self.vertices.iter().map(|v| along(&rows[2], v)));
+        for triangle in &self.triangles {
+            // A vertex in the plane counts as behind it, in every triangle alike: lines have no gaps and no doubles.
+            let behind = triangle.map(|v| depths[usize::from(v)] >= 0.0);
+            if behind[0] == behind[1] && behind[1] == behind[2] {
+                continue;
+            }
+            let crossed = |leaves: bool| {
+                let n = (0..3)
+                    .find(|&n| behind[n] == leaves && behind[(n + 1) % 3] != leaves)
+                    .unwrap_or(0);
+                let (a, b) = (usize::from(triangle[n]), usize::from(triangle[(n + 1) % 3]));
+                // From the same end in both triangles of the edge: the same place to the last bit.
+                let (a, b) = if self.keys[a] < self.keys[b] {
+                    (a, b)
+                } else {
+                    (b, a)
+                };
+                let t = depths[a] / (depths[a] - depths[b]);
+                let (from, to) = (&self.vertices[a], &self.vertices[b]);
+                let point = [0, 1].map(|r| {
+                    let start = along(&rows[r], from);
+                    start + t * (along(&rows[r], to) - start)
+                });
+                (
+                    u128::from(self.keys[a]) << 64 | u128::from(self.keys[b]),
+                    point,
+                )
+            };
+            let ((from, start), (to, end)) = (crossed(true), crossed(false));
+            let beside = (0..2).any(|a| {
+                (start[a] < 0.0 && end[a] < 0.0) || (start[a] > size[a] && end[a] > size[a])
+            });
+            if !beside {
+                pieces.push(Piece {
+                    from,
+                    to,
+                    start,
+                    end,
+                });
+            }
+        }
+    }
+}
+
+fn key_of(lower: [isize; 3], what: u64, shape: [usize; 3]) -> u64 {
+    // One beyond the volume on each side, so it is never negative.
+    let place = (0..3).rev().fold(0u64, |key, a| {
+        key * (shape[a] as u64 + 2) + (lower[a] + 1) as u64
+    });
+    4 * place + what
+}
+
+/// Where the surface crosses a grid edge of which one end is lumen.
+fn crossing(reach: &Reach<'_>, lower: [isize; 3], axis: usize, from_lower: bool) -> [f32; 3] {
+    let mut upper = lower;
+    upper[axis] += 1;
+    let (from, to) = if from_lower {
+        (lower, upper)
+    } else {
+        (upper, lower)
+    };
+    let step: [isize; 3] = std::array::from_fn(|a| to[a] - from[a]);
+    let share = if reach.in_volume(to) {
+        reach.crossing(from, step).clamp(MARGIN, 1.0 - MARGIN)
+    } else {
+        0.5
+    };
+    std::array::from_fn(|a| (from[a] as f64 + share * step[a] as f64) as f32)
+}
+
+/// Pieces put together to lines, where the end of one is the beginning of the next.
+fn joined(pieces: &[Piece]) -> Vec<Vec<PicturePoint>> {
+    let at = Places::of(pieces);
+    let next: Vec<Option<usize>> = pieces.iter().map(|p| at.get(pieces, p.to)).collect();
+    let mut follows = vec![false; pieces.len()];
+    for n in next.iter().flatten() {
+        follows[*n] = true;
+    }
+    let mut done = vec![false; pieces.len()];
+    let mut lines = Vec::new();
+    // Lines that leave the picture first; what is left are rings.
+    let begins = (0..pieces.len()).filter(|n| !follows[*n]);
+    for first in begins.chain(0..pieces.len()) {
+        if done[first] {
+            continue;
+        }
+        let mut line = vec![pieces[first].start];
+        let mut here = Some(first);
+        while let Some(n) = here.filter(|n| !done[*n]) {
+            done[n] = true;
+            line.push(pieces[n].end);
+            here = next[n];
+        }
+        lines.push(line);
+    }
+    lines
+}
+
+/// Where each edge's piece is: a table of twice as many places as there are pieces, looked through from a key's own on.
+struct Places(Vec<u32>);
+
+impl Places {
+    const FREE: u32 = u32::MAX;
+
+    fn of(pieces: &[Piece]) -> Self {
+        let mut table = vec![Self::FREE; (2 * pieces.len()).max(2).next_power_of_two()];
+        let mask = table.len() - 1;
+        for (n, piece) in pieces.iter().enumerate() {
+            let mut at = Self::hash(piece.from) & mask;
+            while table[at] != Self::FREE {
+                at = (at + 1) & mask;
+            }
+            table[at] = n as u32;
+        }
+        Self(table)
+    }
+
+    fn get(&self, pieces: &[Piece], key: u128) -> Option<usize> {
+        let mask = self.0.len() - 1;
+        let mut at = Self::hash(key) & mask;
+        while self.0[at] != Self::FREE {
+            let n = self.0[at] as usize;
+            if pieces[n].from == key {
+                return Some(n);
+            }
+            at = (at + 1) & mask;
+        }
+        None
+    }
+
+    /// Keys are numbers of places: a multiplication spreads them well enough.
+    fn hash(key: u128) -> usize {
+        let (high, low) = ((key >> 64) as u64, key as u64);
+        let mixed = (high.rotate_left(29) ^ low).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        (mixed >> 24) as usize
+    }
+}
+
+/// Lines as bytes: for each the number of its points and then column and row of each, all u16 little-endian, columns and
+/// rows in sixteenths of a pixel. Cut off at the picture's edges; points that the eye cannot tell apart become one.
+#[must_use]
+pub fn encoded(lines: &[Vec<PicturePoint>], (width, height): (usize, usize)) -> Vec<u8> {
+    let size = [width as f64, height as f64];
+    let mut bytes = Vec::new();
+    for line in lines {
+        for run in clipped(line, size) {
+            for part in thinned(&run).chunks(usize::from(u16::MAX) - 1) {
+                bytes.extend((part.len() as u16).to_le_bytes());
+                for v in part.iter().flatten() {
+                    // The cast saturates.
+                    bytes.extend(((v * PARTS_PER_PX).round() as u16).to_le_bytes());
+                }
+            }
+        }
+    }
+    bytes
+}
+
+/// The runs of a line that lie in a picture.
+fn clipped(line: &[PicturePoint], size: [f64; 2]) -> Vec<Vec<PicturePoint>> {
+    let holds = |p: &PicturePoint| (0..2).all(|a| (0.0..=size[a]).contains(&p[a]));
+    if line.iter().all(holds) {
+        return vec![line.to_vec()];
+    }
+    let mut runs: Vec<Vec<PicturePoint>> = Vec::new();
+    let mut open = false;
+    for pair in line.windows(2) {
+        let [a, b] = [pair[0], pair[1]];
+        let (mut from, mut to) = (0.0f64, 1.0f64);
+        for axis in 0..2 {
+            let step = b[axis] - a[axis];
+            if step == 0.0 {
+                if !(0.0..=size[axis]).contains(&a[axis]) {
+                    to = -1.0;
+                }
+                continue;
+            }
+            let (low, high) = (-a[axis] / step, (size[axis] - a[axis]) / step);
+            from = from.max(low.min(high));
+            to = to.min(low.max(high));
+        }
+        if from > to {
+            open = false;
+            continue;
+        }
+        let at = |t: f64| [0, 1].map(|n| a[n] + t * (b[n] - a[n]));
+        match runs.last_mut().filter(|_| open && from == 0.0) {
+            Some(run) => run.push(at(to)),
+            None => runs.push(vec![at(from), at(to)]),
+        }
+        open = to == 1.0;
+    }
+    runs
+}
+
+/// A line without the points that lie too near to the one before; its ends, and enough of a small ring to be one, stay.
+fn thinned(line: &[PicturePoint]) -> Vec<PicturePoint> {
+    let far = |a: &PicturePoint, b: &PicturePoint| {
+        (a[0] - b[0]).abs().max((a[1] - b[1]).abs()) >= APART_PX
+    };
+    let mut kept: Vec<PicturePoint> = Vec::with_capacity(line.len());
+    for point in line {
+        if kept.last().is_none_or(|last| far(last, point)) {
+            kept.push(*point);
+        }
+    }
+    let Some(end) = line.last() else {
+        return kept;
+    };
+    if kept.len() < 2 {
+        kept.push(*end);
+    } else if let Some(last) = kept.last_mut() {
+        // What was kept last is the end, or too near to it to be seen.
+        *last = *end;
+    }
+    kept
+}
