@@ -15,7 +15,7 @@ import numpy as np
 from carina.errors import CancelledError, NoResultError, VolumeImportError
 from carina.session import Parts, Session
 from carina.track import AirwayTree, Branch, TrackedPath
-from carina.volume import SeriesInfo, Volume, VolumeSource
+from carina.volume import Note, SeriesInfo, Volume, VolumeSource
 
 SPACING_MM = (1.5, 1.75, 2.0)
 SHAPE_ZYX = (40, 28, 32)
@@ -45,7 +45,7 @@ def small_volume(*, title: str = "Thorax 1.5", is_hu: bool = True) -> Volume:
             format="array",
             title=title,
             other_series=(SeriesInfo("2", "CT", "Scout", 2, refused="too few slices"),),
-            warnings=("a test",),
+            notes=(Note("import.lossy", "a test", badge=True),),
         ),
     )
 
@@ -170,6 +170,7 @@ def small_airways(volume: Volume, *, root_lps: Any = None, note: str = "three br
         report=[note],
         uncertain=(),
         threshold=-800.0,
+        wall_levels=None,
     )
 
 

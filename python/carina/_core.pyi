@@ -493,6 +493,24 @@ def lumen_mesh(
 ) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
     """Closed mesh: vertices (n, 3) LPS mm, triangles (m, 3), counterclockwise from outside."""
 
+@final
+class LumenSurface:
+    """The surface of one lumen, to be cut by planes; the arrays must not change."""
+
+    def __new__(
+        cls,
+        values_zyx: NDArray[np.int16],
+        lps_from_ijk: NDArray[np.float64],
+        lumen_zyx: NDArray[np.uint8],
+        *,
+        levels: tuple[float, float, float] | None,
+    ) -> LumenSurface: ...
+    def cut(self, lps_from_pixel: NDArray[np.float64], *, width: int, height: int) -> list[NDArray[np.float64]] | None:
+        """Lines in a picture, (n, 2) column and row each; None where there are more than can be shown."""
+
+    def encoded(self, lps_from_pixel: NDArray[np.float64], *, width: int, height: int) -> bytes | None:
+        """The same as the wire has it."""
+
 def extend_lumen(
     values_zyx: NDArray[np.int16],
     lps_from_ijk: NDArray[np.float64],
@@ -504,10 +522,12 @@ def extend_lumen(
     least_rise: float,
     gap_mm: float,
     min_length_mm: float,
+    raised: float = 1.0,
+    most_reached: float = 1.0,
     cancel: Callable[[], bool] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """Adds 2 to a lumen of 1 in place; num_voxels, enclosed, followed [points_lps, length_mm, contrast]."""
+    """Adds 2 to a lumen of 1 in place; num_voxels, num_reached, ran_out, enclosed, followed [points_lps, ...]."""
 
 @final
 class GraphTracker:
@@ -699,6 +719,45 @@ def cheapest_way(
     cancel: Callable[[], bool] | None = None,
 ) -> NDArray[np.uint16] | None:
     """(n, 3) voxels of a box on the cheapest way from the nearest goal to a start; weights are per mm, 0 is closed."""
+
+# ---- evidence of airways ----
+
+@final
+class Enclosures:
+    """A volume without its finest noise, and how enclosed its voxels are by brighter ones."""
+
+    def __new__(cls, values_zyx: NDArray[np.int16], lps_from_ijk: NDArray[np.float64]) -> Enclosures: ...
+    def at(self, voxels_ijk: NDArray[np.uint16]) -> NDArray[np.int16]:
+        """(n,) how far the values rise on all but a fifth of 48 rays of 3 mm from each voxel."""
+
+    def values_at(self, points_lps: NDArray[np.float64]) -> NDArray[np.float32]:
+        """(n,) trilinear values without the finest noise at (n, 3) points, edge-clamped."""
+
+    def runs(
+        self,
+        starts_ijk: NDArray[np.uint16],
+        *,
+        away_mm: float,
+        enclosed: float,
+        dark: float,
+        bright: float,
+        closed: float,
+    ) -> list[NDArray[np.uint16] | None]:
+        """For each (n, 3) voxel the way with most wall to anywhere so far from it: (m, 3) voxels, or None."""
+
+    def way(
+        self,
+        tracker: LumenTracker,
+        start_ijk: tuple[int, int, int],
+        toward_ijk: tuple[int, int, int],
+        *,
+        enclosed: float,
+        dark: float,
+        bright: float,
+        closed: float,
+        cancel: Callable[[], bool] | None = None,
+    ) -> NDArray[np.uint16] | None:
+        """(n, 3) voxels of the way with most wall round it, from a lumen that a path reaches; None if there is none."""
 
 # ---- tracker over a volume of weights ----
 

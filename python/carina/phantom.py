@@ -9,19 +9,20 @@ import logging
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
-import SimpleITK
 from numpy.typing import ArrayLike, NDArray
 
 from carina import _core
 from carina.config import load_settings
+from carina.disk import Draft, make_folder
 from carina.errors import CancelledError, UsageError
-from carina.volume import Volume, VolumeSource
+from carina.volume import Volume, VolumeSource, write_grid_to
 
 __all__ = ["Phantom", "demo_phantom", "generate_phantom", "lumen_distance_at", "write_phantom"]
 
@@ -32,6 +33,7 @@ Progress = Callable[[str, float | None], None]
 GENERATOR_VERSION = 2
 DEMO_OPTIONS: dict[str, Any] = {"seed": 0, "spacing_mm": 0.9, "generations": 7, "nodule": True}
 
+ABANDONED_S = 3600.0
 _log = logging.getLogger(__name__)
 
 
@@ -214,25 +216,37 @@ def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[P
     list of Path
         The three files. NIfTI is RAS by convention; SimpleITK turns the LPS grid into it and back.
     """
-    folder = Path(directory)
-    folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".writing-") as scratch:
-        for name, values in (("ct.nii.gz", phantom.volume.hu_zyx), ("lumen.nii.gz", phantom.lumen_zyx)):
-            image = SimpleITK.GetImageFromArray(values)
-            matrix = phantom.volume.lps_from_ijk
-            spacing = np.linalg.norm(matrix[:3, :3], axis=0)
-            image.SetSpacing(spacing.tolist())
-            image.SetDirection((matrix[:3, :3] / spacing).ravel().tolist())
-            image.SetOrigin(matrix[:3, 3].tolist())
-            # Level 1: noise does not shrink further, only slower.
-            SimpleITK.WriteImage(image, str(Path(scratch) / name), useCompression=True, compressionLevel=1)
-            written.append(folder / name)
-        (Path(scratch) / "truth.json").write_text(_json(phantom.truth), encoding="utf-8")
-        written.append(folder / "truth.json")
-        for path in written:
-            (Path(scratch) / path.name).replace(path)
-    return written
+    folder = make_folder(directory, what="the phantom")
+    matrix = phantom.volume.lps_from_ijk
+    # Level 1: noise does not shrink further, only slower.
+    parts: tuple[tuple[str, str, Callable[[BinaryIO], object]], ...] = (
+        ("ct.nii.gz", "the CT", lambda file: _write_nifti(file, phantom.volume.hu_zyx, matrix, "the CT")),
+        ("lumen.nii.gz", "the lumen", lambda file: _write_nifti(file, phantom.lumen_zyx, matrix, "the lumen")),
+        ("truth.json", "the truth", lambda file: file.write(_json(phantom.truth).encode())),
+    )
+    drafts: list[Draft] = []
+    try:
+        # All three are on the disk before the first takes its place: a disk that fills up leaves the former three.
+        for name, what, write in parts:
+            draft = Draft(folder / name, what=what)
+            drafts.append(draft)
+            try:
+                write(draft.file)
+                draft.file.flush()
+                os.fsync(draft.file.fileno())
+            except OSError as error:
+                draft.discard()
+                raise draft.trouble(error) from error
+        for draft in drafts:
+            draft.commit()
+    finally:
+        for draft in drafts:
+            draft.discard()
+    return [folder / name for name in ("ct.nii.gz", "lumen.nii.gz", "truth.json")]
+
+
+def _write_nifti(file: BinaryIO, values: NDArray[Any], lps_from_ijk: NDArray[np.float64], what: str) -> None:
+    write_grid_to(file, ".nii.gz", values, lps_from_ijk, what=what, level=1)
 
 
 def demo_phantom(
@@ -288,6 +302,7 @@ def _json(document: object) -> str:
 def _write_cached(phantom: Phantom, folder: Path) -> None:
     """Write beside its place and rename: a reader, or a second writer, sees all of it or nothing."""
     folder.parent.mkdir(parents=True, exist_ok=True)
+    _sweep_drafts(folder.parent)
     scratch = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".phantom-"))
     try:
         np.save(scratch / "ct.npy", phantom.volume.hu_zyx, allow_pickle=False)
@@ -305,6 +320,14 @@ def _write_cached(phantom: Phantom, folder: Path) -> None:
     finally:
         with contextlib.suppress(OSError):
             shutil.rmtree(scratch)
+
+
+def _sweep_drafts(root: Path) -> None:
+    """What a Carina that was killed while it wrote has left; nobody writes a phantom for an hour."""
+    for draft in root.glob(".phantom-*"):
+        with contextlib.suppress(OSError):
+            if time.time() - draft.lstat().st_mtime > ABANDONED_S:
+                shutil.rmtree(draft)
 
 
 def _read_cached(folder: Path) -> Phantom | None:

@@ -74,11 +74,40 @@ def edit_case() -> EditCase:
     return EditCase(volume, airways, tips, hidden[1] - 0.1 * (hidden[1] - hidden[0]), plug)
 
 
+@cache
+def open_ended_volume() -> Volume:
+    """The volume of the same case, in which the first two tubes have no end: ways lead from them into plain lung."""
+    case = edit_case()
+    values = case.volume.hu_zyx.copy()
+    k, j, i = np.indices(values.shape)
+    places = case.volume.to_lps(np.stack([i, j, k], axis=-1).reshape(-1, 3).astype(np.float64))
+    for tip in case.tips[:2]:
+        near = (np.linalg.norm(places - tip, axis=1) < 5.0).reshape(values.shape)
+        values[near & (values > -850)] = -850
+    return Volume(values, case.volume.lps_from_ijk)
+
+
+def in_plain_lung() -> tuple[float, float, float]:
+    """A point of that volume to which a way without evidence leads, LPS mm."""
+    x, y, z = (float(v) for v in edit_case().tips[0] + np.array([-3.0, 0.5, -3.0]))
+    return x, y, z
+
+
 def assert_same_tree(found: AirwayTree, expected: AirwayTree) -> None:
     """Branch by branch, bit for bit."""
     assert [b.id for b in found.branches] == [b.id for b in expected.branches]
     for one, other in zip(found.branches, expected.branches, strict=True):
-        for key in ("parent", "children", "generation", "kind", "name", "name_from", "cost", "confidence"):
+        for key in (
+            "parent",
+            "children",
+            "generation",
+            "kind",
+            "name",
+            "name_from",
+            "cost",
+            "confidence",
+            "doubtful_mm",
+        ):
             assert getattr(one, key) == getattr(other, key), (one.id, key)
         np.testing.assert_array_equal(one.points, other.points, err_msg=f"points of branch {one.id}")
         np.testing.assert_array_equal(one.radius, other.radius, err_msg=f"radius of branch {one.id}")

@@ -41,7 +41,7 @@ def some_edit(kind: str, airways: Airways, number: Callable[[int], int], case: E
     match kind:
         case "add":
             ends = [*case.tips, case.hidden, place + shift]
-            return AddBranch(point(ends[number(len(ends))]))
+            return AddBranch(point(ends[number(len(ends))]), even_without_evidence=number(2) == 1)
         case "cut":
             return CutBranch(branch.id, float(number(4)) * branch.length_mm / 4.0)
         case "bridge":

@@ -12,7 +12,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, rule
 
-from carina.errors import CancelledError, NoResultError, UsageError
+from carina.errors import CancelledError, NoEvidenceError, NoResultError, UsageError
 from carina.track import (
     AddBranch,
     AirwayTree,
@@ -97,11 +97,14 @@ def test_a_branch_that_is_cut_part_of_the_way_ends_there_and_keeps_its_id(case):
     assert not airways.tracker.inside(whole.points[-3:]).any()
 
 
-def test_a_branch_that_was_cut_comes_back_where_its_end_is_clicked_as_manual(case):
+def test_a_branch_that_was_cut_comes_back_where_its_end_is_clicked_with_measured_confidence(case):
     gone = branch_to(case.airways, case.tips[0])
     airways = edited(case, CutBranch(gone.id), AddBranch(point(case.tips[0])))
     new = branch_to(airways, case.tips[0])
-    assert new.kind == "manual"
+    assert new.kind == "tracked"
+    assert new.doubtful_mm == 0.0
+    assert new.confidence is not None
+    assert new.confidence > 0.5
     assert new.id >= 7  # never used before
     assert airways.tree.branch(new.parent).points[-1] == pytest.approx(gone.points[0], abs=6.0)
     np.testing.assert_allclose(new.tip_lps, case.tips[0], atol=0.8)  # half a voxel's diagonal
@@ -129,7 +132,9 @@ def test_a_click_in_tissue_or_outside_the_scan_is_refused_with_what_to_do(case):
         edited(case, AddBranch(point(case.plug)))
     with pytest.raises(UsageError, match="lies outside the scan; click inside the pictures"):
         edited(case, AddBranch((900.0, 0.0, 0.0)))
-    with pytest.raises(NoResultError, match=r"tissue lies between them\. If the airway is blocked there, bridge"):
+    with pytest.raises(
+        NoEvidenceError, match=r"the CT shows no airway wall .* if the airway is blocked, bridge the blockage"
+    ):
         edited(case, AddBranch(point(case.hidden)))
     with pytest.raises(NoResultError, match="the tree is there already"):
         edited(case, AddBranch(point(case.airways.tree.root.points[5])))
@@ -418,6 +423,16 @@ def test_a_saved_list_of_edits_gives_the_same_airways_again(case):
     airways = edited(case, Bridge(point(case.hidden)), CutBranch(2), RenameBranch(4, "LMB"), SmoothBranch(5))
     saved = edits_from_json(edits_to_json(airways.edits))
     assert_same(rebuild_airways(case.volume, case.airways, saved), airways)
+
+
+def test_a_refused_edit_of_a_list_is_named_by_its_number_in_it(case):
+    edits = (SmoothBranch(5), CutBranch(999), CutBranch(2))
+    with pytest.raises(UsageError, match=r"^edit 2 of 3: ") as refused:
+        rebuild_airways(case.volume, case.airways, edits)
+    with pytest.raises(UsageError) as alone:
+        edit_airways(case.volume, case.airways, edits[1])
+    assert str(refused.value) == f"edit 2 of 3: {alone.value}"
+    assert refused.value.code == alone.value.code
 
 
 def test_an_edit_can_be_stopped(case):

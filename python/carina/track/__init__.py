@@ -2,7 +2,10 @@
 
 from carina.track.airways import Airways, TargetResult, TrackResult, find_airways, track_paths
 from carina.track.between import way_between
+from carina.track.drawn import DrawnPart, drawn_part, drawn_tree, kind_words
 from carina.track.edit_folded import FoldedAirways, fold_airways
+from carina.track.edit_preview import EditPreview, PreviewLine, preview_edit
+from carina.track.edit_way import BranchWay, branch_way
 from carina.track.edits import (
     AddBranch,
     Bridge,
@@ -26,6 +29,7 @@ from carina.track.live import LivePath
 from carina.track.measures import BranchMeasures, BranchSummary, ForkMeasures, Stenosis, TreeMeasures, measure_tree
 from carina.track.mesh import Mesh, lumen_mesh
 from carina.track.names import LetterRule, NameWords, branch_side_and_lobe, name_tree, name_words
+from carina.track.outline import LumenOutline
 from carina.track.paths import PathTracker, TrackedPath
 from carina.track.tree import AirwayTree, Branch, Route
 from carina.track.uncertain import Uncertainty
@@ -38,20 +42,25 @@ __all__ = [
     "Branch",
     "BranchMeasures",
     "BranchSummary",
+    "BranchWay",
     "Bridge",
     "CutBranch",
+    "DrawnPart",
+    "EditPreview",
     "FieldPath",
     "FieldPaths",
     "FoldedAirways",
     "ForkMeasures",
     "LetterRule",
     "LivePath",
+    "LumenOutline",
     "Mesh",
     "MoveFork",
     "MoveRoot",
     "NameWords",
     "PaintLumen",
     "PathTracker",
+    "PreviewLine",
     "RenameBranch",
     "Route",
     "SmoothBranch",
@@ -64,18 +73,23 @@ __all__ = [
     "Uncertainty",
     "aimed_path",
     "branch_side_and_lobe",
+    "branch_way",
+    "drawn_part",
+    "drawn_tree",
     "edit_airways",
     "edit_words",
     "edits_from_json",
     "edits_to_json",
     "find_airways",
     "fold_airways",
+    "kind_words",
     "lumen_mesh",
     "lumen_threshold_from_histogram",
     "measure_tree",
     "name_edited",
     "name_tree",
     "name_words",
+    "preview_edit",
     "rebuild_airways",
     "track_paths",
     "wall_field",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -13,14 +13,17 @@ from numpy.typing import NDArray
 from carina._core import LumenTracker
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.track.edit_kinds import TreeEdit
+from carina.track.evidence import EvidenceStore
 from carina.track.growth import Progress, Stages, doubts_of_given, given_lumen, grow, trachea_in
 from carina.track.levels import AirScale
+from carina.track.mask_doubts import unnamed_where_doubted, with_mask_doubts
 from carina.track.names import name_tree
 from carina.track.paths import SNAP_MM, Cancel, PathTracker, TrackedPath, as_point, branches_from_rows, words
 from carina.track.root_checks import refuse_a_root_below_the_carina, refuse_a_root_of_one_lung
+from carina.track.totals import doubt_of_totals
 from carina.track.tree import AirwayTree, Branch
 from carina.track.uncertain import Uncertainty, find_uncertain, with_confidence
-from carina.volume.model import Volume
+from carina.volume.model import Note, Volume
 
 if TYPE_CHECKING:
     from carina.track.paper import GraphSearch
@@ -57,6 +60,14 @@ class Airways:
     """What could not be followed and why, the widest first; last, where the CT stops being trustworthy."""
     bridges: tuple[NDArray[np.float64], ...] = ()
     """(n, 3) LPS mm each: ways of the bridges that a person made and did not cut; what leads there stays a bridge."""
+    evidence: EvidenceStore = field(default_factory=EvidenceStore, repr=False, compare=False)
+    """What the CT shows of airways beyond those found, for edits; found when first needed, the same after each edit."""
+
+    @property
+    def badges(self) -> tuple[Note, ...]:
+        """The lasting notes: a search that was stopped, a mask that is doubted. They go with the tree wherever it goes
+        and stay through edits; their words are in ``notes`` too."""
+        return self.tree.notes
 
     @property
     def report(self) -> tuple[str, ...]:
@@ -146,6 +157,7 @@ def find_airways(
         msg = f"the root {words(root)} lies outside the volume"
         raise UsageError(msg)
     found_notes = list(notes)
+    badges: list[Note] = []
     # None: a lumen from another tool need not agree with what this CT shows, and is not judged by it.
     noise: float | None = None
     leaks = np.empty((0, 3))
@@ -153,17 +165,17 @@ def find_airways(
     trachea_mm: float | None = None
     if lumen_zyx is not None:
         lumen, levels, end = given_lumen(volume, lumen_zyx), None, float("nan")
-        doubts = doubts_of_given(volume, lumen)
+        badges += doubts_of_given(volume, lumen)
         if root is None:
             drawn = np.where(lumen != 0, -1000, 40).astype(np.int16)
             trachea = trachea_in(drawn, volume, AirScale(-1000.0, 0.0), stage, painted=True)
             root = trachea.top
             found_notes += trachea.notes
-        found_notes += doubts
     else:
         grown = grow(volume, root, lumen_threshold, stage)
         lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
         noise, leaks, trachea_mm = grown.noise, grown.leaks_lps, grown.trachea_mm
+        badges += grown.badges
         found_notes += grown.notes
     stage.begin("measuring the lumen")
     assert root is not None
@@ -184,10 +196,19 @@ def find_airways(
         stage.begin("judging the branches")
         tree = with_confidence(volume, tree, noise)
         uncertain = find_uncertain(volume, tree, leaks)
+        total = doubt_of_totals(branches, splits=trachea_mm is not None)
+        badges += [] if total is None else [total]
+    elif volume.is_hu:
+        stage.begin("comparing the mask with the CT")
+        tree, doubt = with_mask_doubts(volume, tree, tracker.noise_hu, tracker.air_scale)
+        badges += [] if doubt is None else [doubt]
     if len(tree) >= MIN_GRAMMAR_BRANCHES:
         tree = name_tree(tree)
     else:
         tree = dataclasses.replace(tree, branches=_named(tree.branches))
+    if lumen_zyx is not None:
+        tree = unnamed_where_doubted(tree)
+    tree = dataclasses.replace(tree, notes=tuple(badges))
     tracker.set_branches(tree.branches, [row["nodes"] for row in rows])
     if core.num_settled < core.num_nodes:
         found_notes.append(f"{core.num_nodes - core.num_settled} lumen voxels are not connected to the root")
@@ -200,7 +221,7 @@ def find_airways(
         tree=tree,
         tracker=tracker,
         threshold=end,
-        notes=tuple(found_notes),
+        notes=(*found_notes, *(badge.words for badge in badges)),
         wall_levels=levels,
         uncertain=uncertain,
     )
@@ -286,7 +307,7 @@ def track_paths(
     found = [result.path for result in results if result.path is not None]
     tree = airways.tree
     if found:
-        tree = airways.tracker.tree_to(found)
+        tree = dataclasses.replace(airways.tracker.tree_to(found), notes=airways.badges)
     return TrackResult(tree, tuple(results), airways)
 
 

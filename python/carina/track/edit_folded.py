@@ -55,7 +55,7 @@ class FoldedAirways:
             self.base,
             lumen_zyx=lumen_voxels(core),
             root_lps=self.branches[0].points[0].copy(),
-            tree=AirwayTree(self.branches, _smooth=tracker.smooth),
+            tree=AirwayTree(self.branches, _smooth=tracker.smooth, notes=self.base.tree.notes),
             tracker=tracker,
             notes=self.notes,
             base=self.base,

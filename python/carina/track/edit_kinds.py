@@ -43,13 +43,18 @@ BrushPlane = Literal["axial", "coronal", "sagittal", "ball"]
 
 @dataclass(frozen=True, slots=True)
 class AddBranch:
-    """A branch to a point: the least-cost path through the lumen, or through what looks like airway beyond it."""
+    """A branch to a point: the least-cost path through the lumen, or the way with the best evidence beyond it."""
 
     lps: Point
     """Where the branch ends, LPS mm."""
+    even_without_evidence: bool = False
+    """Whether to draw the branch where the CT shows no wall round the way; it is then ``manual``."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lps", _point("the end of the branch", self.lps))
+        if not isinstance(self.even_without_evidence, bool):
+            msg = f"even_without_evidence: expected true or false, found {self.even_without_evidence!r}"
+            raise UsageError(msg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +219,7 @@ def _edit_from_row(row: object, number: int) -> TreeEdit:
     values = {field.name: row[field.name] for field in dataclasses.fields(kind) if field.name in row}
     try:
         edit: TreeEdit = kind(**values)
-    except (TypeError, UsageError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise _refused(f"edit {number}: {error}") from None
     return edit
 
@@ -229,8 +234,9 @@ def edit_words(edit: TreeEdit, airways: Airways) -> str:
     """
     tree = airways.tree
     match edit:
-        case AddBranch(lps):
-            return f"add a branch beyond {_nearest_title(tree, lps)}"
+        case AddBranch(lps, even_without_evidence):
+            what = "draw" if even_without_evidence else "add"
+            return f"{what} a branch beyond {_nearest_title(tree, lps)}"
         case CutBranch(branch_id, at_mm):
             return f"cut {_title(tree, branch_id)}" if at_mm <= 0.0 else f"shorten {_title(tree, branch_id)}"
         case Bridge(lps):

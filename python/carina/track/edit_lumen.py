@@ -16,6 +16,7 @@ from carina._core import (
     lumen_array,
     lumen_states,
     reroot_lumen,
+    voxels_of,
 )
 from carina.errors import NoResultError, UsageError
 from carina.track.edit_kinds import PaintLumen, Point
@@ -23,14 +24,13 @@ from carina.track.levels import air_scale
 from carina.track.paths import Cancel
 from carina.volume.model import Volume
 
-__all__ = ["EditedLumen", "bridge_way", "grown_beyond", "missed_way", "painted_voxels", "tube_round"]
+__all__ = ["EditedLumen", "bridge_way", "by_faces", "grown_beyond", "painted_voxels", "tissue_there", "tube_round"]
 
 Voxels = NDArray[np.uint16]
 """(n, 3) i, j, k."""
 
 MAX_BRIDGE_MM = 60.0
 """A lobe's bronchus and its first division are shorter; what is farther is not bridged but guessed."""
-MAX_MISSED_MM = 80.0
 BRIDGE_RADIUS_MM = 1.0
 MAX_MISSED_RADIUS_MM = 4.0
 AIR_REACH_MM = 2.0
@@ -88,6 +88,10 @@ class EditedLumen:
         found = self.core.path(self.core.root)
         assert found is not None
         return _triple(np.rint(self.volume.to_ijk(found[0][0])))
+
+    def voxel_of_node(self, node: int) -> tuple[int, int, int]:
+        """The voxel of a node of the tracker."""
+        return _triple(voxels_of(self.core, np.array([node], dtype=np.uint32))[0])
 
     def state_at(self, voxel: NDArray[np.int64]) -> int:
         """0 outside the lumen, 1 in lumen that no path reaches, 2 in the lumen."""
@@ -183,7 +187,7 @@ def bridge_way(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
         weights[values >= scale.level(DENSE_HU)] = 12.0
         way = _way(lumen, low, high, weights, start)
         if way is not None and (length_mm := _length_mm(volume, way)) <= MAX_BRIDGE_MM:
-            return _by_faces(way)
+            return by_faces(way)
         if way is not None:
             away_mm = length_mm
     far = f"more than {MAX_BRIDGE_MM:g} mm" if away_mm is None else f"{away_mm:.0f} mm"
@@ -194,40 +198,22 @@ def bridge_way(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
     raise NoResultError(msg, code="track.bridge-too-long")
 
 
-def missed_way(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
-    """The voxels of the darkest way from the reachable lumen to a voxel that the automatic lumen does not hold.
+def tissue_there(lumen: EditedLumen, start: NDArray[np.int64], wall: float) -> None:
+    """Refuse a voxel that is brighter than half-way to tissue.
 
     Raises
     ------
     NoResultError
-        If the voxel is tissue, or only tissue leads to it; says what to do.
+        With what to do.
     """
-    volume = lumen.volume
-    scale = air_scale(volume)
-    value = int(volume.hu_zyx[start[2], start[1], start[0]])
-    wall, core = scale.level(WALL_HU), scale.level(CORE_HU)
+    value = int(lumen.volume.hu_zyx[start[2], start[1], start[0]])
     if value > wall:
-        unit = " HU" if volume.is_hu else ""
+        unit = " HU" if lumen.volume.is_hu else ""
         msg = (
             f"there is tissue at the point ({value}{unit}), no airway: click in the dark middle of the branch, or "
             "bridge to the airway beyond"
         )
         raise NoResultError(msg, code="track.outside-lumen")
-    away_mm = _away_mm(lumen, start, MAX_MISSED_MM)
-    if away_mm is not None:
-        low, high = _box_round(volume, start, (1.3 * away_mm + 10.0,) * 3)
-        values = _crop(volume.hu_zyx, low, high)
-        bright = np.clip((values.astype(np.float32) - core) / (wall - core), 0.0, 1.0)
-        weights = (1.0 + 15.0 * bright * bright).astype(np.float32)
-        weights[values > wall] = 0.0
-        way = _way(lumen, low, high, weights, start)
-        if way is not None:
-            return way
-    msg = (
-        "no airway leads from the tree to the point: tissue lies between them. If the airway is blocked there, bridge "
-        "the blockage; if it is a thin wall or noise, paint the lumen first"
-    )
-    raise NoResultError(msg, code="track.no-path")
 
 
 def air_voxel(lumen: EditedLumen, start: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -289,22 +275,35 @@ def grown_beyond(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
     return _unique(np.concatenate([voxels, start[None]]))
 
 
-def tube_round(volume: Volume, way: Voxels, radius_mm: float | NDArray[np.float64]) -> Voxels:
-    """The voxels of a way and those within a radius of each of its voxels, mm."""
-    radii = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), (len(way),))
-    reach = np.floor(radii.max() / np.array(volume.spacing_mm)).astype(np.int64)
+def tube_round(volume: Volume, points: NDArray[np.float64], radius_mm: float | NDArray[np.float64]) -> Voxels:
+    """The voxels whose centres lie within a radius, mm, of one of (n, 3) LPS points."""
+    radii = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), (len(points),))
+    ijk = volume.to_ijk(points)
+    centers = np.floor(ijk + 0.5)
+    reach = np.ceil(radii.max() / np.array(volume.spacing_mm) + 0.5).astype(np.int64)
     offsets = _box_voxels(-reach, reach)
-    off_mm = np.linalg.norm(offsets @ volume.lps_from_ijk[:3, :3].T, axis=1)
     shape = np.array(volume.shape_zyx[::-1])
-    found = [way.astype(np.int64)]
-    for voxel, radius in zip(way.astype(np.int64), radii, strict=True):
-        ball = voxel + offsets[off_mm <= radius]
+    found = [np.zeros((0, 3), dtype=np.int64)]
+    for point, center, radius in zip(ijk, centers.astype(np.int64), radii, strict=True):
+        ball = center + offsets
+        off_mm = np.linalg.norm((ball - point) @ volume.lps_from_ijk[:3, :3].T, axis=1)
+        ball = ball[off_mm <= radius + 1e-6]
         found.append(ball[((ball >= 0) & (ball < shape)).all(axis=1)])
     return _unique(np.concatenate(found))
 
 
-def missed_radii(volume: Volume, way: Voxels) -> NDArray[np.float64]:
-    """Radius of the airway round each voxel of a way, mm: half-way up to the wall on rays in 26 directions.
+def voxels_along(volume: Volume, points: NDArray[np.float64]) -> Voxels:
+    """The voxels that a line of (n, 3) LPS points runs through, looked at every tenth of a voxel."""
+    ijk = volume.to_ijk(points)
+    counts = np.maximum(np.ceil(10.0 * np.abs(np.diff(ijk, axis=0)).max(axis=1)), 1).astype(np.int64)
+    pieces = [a + np.arange(n)[:, None] / n * (b - a) for a, b, n in zip(ijk[:-1], ijk[1:], counts, strict=True)]
+    shape = np.array(volume.shape_zyx[::-1])
+    voxels = np.floor(np.concatenate([*pieces, ijk[-1:]]) + 0.5).astype(np.int64)
+    return _unique(np.clip(voxels, 0, shape - 1))
+
+
+def missed_radii(volume: Volume, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Radius of the airway round each of (n, 3) LPS points of a way, mm: half-way up to the wall on 26 rays.
 
     The shorter rays count (two fifths), since those along the airway meet no wall; the median of five neighbours takes
     out single mistakes. At most 4 mm, at least half a voxel.
@@ -314,13 +313,15 @@ def missed_radii(volume: Volume, way: Voxels) -> NDArray[np.float64]:
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     step_mm = 0.5 * min(volume.spacing_mm)
     steps = np.arange(0.0, MAX_MISSED_RADIUS_MM + 2.0, step_mm)
-    centers = volume.to_lps(way.astype(np.float64))
-    places = centers[:, None, None] + steps[None, None, :, None] * directions[None, :, None, :]
-    values = _interpolated(volume, places.reshape(-1, 3)).reshape(len(way), len(directions), len(steps))
+    places = points[:, None, None] + steps[None, None, :, None] * directions[None, :, None, :]
+    values = _interpolated(volume, places.reshape(-1, 3)).reshape(len(points), len(directions), len(steps))
     inner = values[:, :, 0].min(axis=1)
     half = 0.5 * (inner[:, None] + values.max(axis=2))
     is_wall = values >= half[:, :, None]
-    rays = np.where(is_wall.any(axis=2), steps[is_wall.argmax(axis=2)], steps[-1])
+    first = np.maximum(is_wall.argmax(axis=2), 1)[:, :, None]
+    before, at = (np.take_along_axis(values, first + n, axis=2)[:, :, 0] for n in (-1, 0))
+    share = np.clip((half - before) / np.maximum(at - before, 1e-9), 0.0, 1.0)
+    rays = np.where(is_wall.any(axis=2), step_mm * (first[:, :, 0] - 1 + share), steps[-1])
     radius = np.quantile(rays, 0.4, axis=1)
     padded = np.pad(radius, 2, mode="edge")
     radius = np.median(np.stack([padded[n : n + len(radius)] for n in range(5)]), axis=0)
@@ -370,7 +371,7 @@ def _way(
     return None if way is None else (way + low).astype(np.uint16)
 
 
-def _by_faces(way: Voxels) -> Voxels:
+def by_faces(way: Voxels) -> Voxels:
     """The same way with voxels put in where two meet at an edge or a corner: such a step may be closed."""
     found = [way[0].astype(np.int64)]
     for voxel in way[1:].astype(np.int64):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from carina.track.edit_lumen import BRIDGE_RADIUS_MM
 from carina.track.edit_tree import Points, along_mm
 
-__all__ = ["Piece", "bridge_pieces", "painted_pieces"]
+__all__ = ["Piece", "bridge_pieces", "kind_of_added", "painted_pieces"]
 
 Piece = tuple[Points, str]
 """Points, and their kind; the last point of a piece is the first of the next."""
@@ -39,6 +39,20 @@ def bridge_pieces(points: Points, kind: str, bridges: Sequence[Points], near_mm:
         if on_way.any() and np.ptp(along_mm(way)[place[on_way]]) >= near_mm:
             is_on |= on_way
     return _split(points, is_on, "bridge", kind, least_mm)
+
+
+def kind_of_added(doubtful: NDArray[np.bool_]) -> str:
+    """Kind of a branch that was added along a line: an airway where the CT shows a wall all along, else drawn by hand.
+
+    The part that has evidence is an airway only once it is asked for by itself. As a piece of a branch that a person
+    insists on it would take part in naming, and rename its neighbours.
+
+    Parameters
+    ----------
+    doubtful
+        (n-1,) per segment.
+    """
+    return "manual" if doubtful.any() else "tracked"
 
 
 def painted_pieces(points: Points, was_found: NDArray[np.bool_], least_mm: float) -> list[Piece]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import cut_voxels, more_tips, newly_reached, nodes_at, pulled_inside, reached, sees, voxels_of
-from carina.errors import NoResultError, UsageError
+from carina.errors import NoEvidenceError, NoResultError, UsageError
 from carina.track.caliber import Box
 from carina.track.edit_kinds import (
     AddBranch,
@@ -28,13 +30,24 @@ from carina.track.edit_lumen import (
     bridge_way,
     grown_beyond,
     missed_radii,
-    missed_way,
     painted_voxels,
     tube_round,
     voxel_of,
+    voxels_along,
 )
-from carina.track.edit_pieces import Piece, bridge_pieces, painted_pieces
-from carina.track.edit_tree import Place, Points, TreeDraft, along_mm, needed_branch
+from carina.track.edit_pieces import Piece, bridge_pieces, kind_of_added, painted_pieces
+from carina.track.edit_tree import Place, Points, TreeDraft, along_mm, needed_branch, turn_deg
+from carina.track.edit_way import (
+    FORK_RADII,
+    MIN_ADDED_MM,
+    join_of,
+    lumen_node,
+    no_evidence,
+    path_to,
+    planned_way,
+    together,
+)
+from carina.track.evidence import Evidence
 from carina.track.paths import SNAP_MM, STEP_MM
 from carina.track.tree import AirwayTree, Branch
 
@@ -42,10 +55,10 @@ __all__ = ["EditSteps"]
 
 NO_VOXELS = np.zeros((0, 3), dtype=np.uint16)
 SMOOTHING_ROUNDS = 3
-MIN_ADDED_MM = 1.0
-"""A branch that ends nearer than this to where it leaves the tree is there already."""
-FORK_RADII = 1.0
-"""A path has left a tube when it is farther from its middle than this multiple of its radius (as when found)."""
+LEAST_BEYOND_MM = 4.0
+"""Beyond a bridge at least this much of an airway must be seen."""
+MOST_TURN_DEG = 120.0
+"""An airway that goes on beyond a bridge turns less."""
 COVER_REACH_MM = 30.0
 """Farther from its middle no tube covers anything: more than the diameter of any trachea."""
 RECENTER_VOXELS = 0.5
@@ -65,6 +78,8 @@ class EditSteps:
         (nz, ny, nx) the lumen before the first edit: what is painted there again was found by the search.
     bridges
         (n, 3) LPS mm each, ways of the bridges made so far.
+    evidence
+        What the CT shows beyond the lumen that was found; asked for only where an edit adds something.
     """
 
     def __init__(
@@ -73,9 +88,14 @@ class EditSteps:
         tree: AirwayTree,
         next_id: int,
         found_zyx: NDArray[np.uint8],
-        bridges: tuple[Points, ...] = (),
+        *,
+        bridges: tuple[Points, ...],
+        evidence: Callable[[], Evidence],
     ) -> None:
         self.lumen = lumen
+        self._evidence = evidence
+        self.judged: set[int] = set()
+        """Branches that are new or longer, and have a wall: how sure they are is still to be measured."""
         self._found_zyx = found_zyx
         self.bridges = bridges
         self.lumen_changed = False
@@ -94,8 +114,8 @@ class EditSteps:
             See :func:`carina.track.edit_airways`.
         """
         match edit:
-            case AddBranch(lps):
-                self._add(lps)
+            case AddBranch(lps, even_without_evidence):
+                self._add(lps, even_without_evidence=even_without_evidence)
             case CutBranch(branch_id, at_mm):
                 self._cut(needed_branch(self._tree, branch_id), at_mm)
             case Bridge(lps):
@@ -113,22 +133,20 @@ class EditSteps:
 
     # ------------------------------------------------------------ the edits
 
-    def _add(self, lps: Point) -> None:
-        voxel = voxel_of(self._volume, lps)
-        kind = "tracked"
-        if self.lumen.state_at(voxel) != 2:
-            way = missed_way(self.lumen, voxel)
-            self._change_lumen(tube_round(self._volume, way, missed_radii(self._volume, way)), NO_VOXELS)
-            kind = "manual"
-        node = self._node(voxel)
-        if self._attach(self._path(node), kind, MIN_ADDED_MM) is None:
-            branch, _, away_mm = self._tree.nearest_branch(lps)
-            title = branch_title(branch.name, branch.id)
-            msg = (
-                f"the tree is there already: the point lies in {title}, {away_mm:.1f} mm from its middle. Click where "
-                "the missing branch ends"
-            )
-            raise NoResultError(msg, code="track.edit-nothing")
+    def _add(self, lps: Point, *, even_without_evidence: bool) -> None:
+        plan = planned_way(self.lumen, self._tree, self.draft, self._evidence(), lps)
+        if plan.doubtful.any() and not even_without_evidence:
+            raise no_evidence(plan)
+        if len(plan.voxels):
+            # Not round the part in the tube that it leaves, whose wall is known.
+            outside = plan.points[~self.lumen.core.inside(plan.points)]
+            tube = tube_round(self._volume, outside, missed_radii(self._volume, outside))
+            line = voxels_along(self._volume, plan.points)
+            self._change_lumen(np.concatenate([tube, line, plan.voxels]), NO_VOXELS)
+        kind = kind_of_added(plan.doubtful)
+        branch_id = self._hang(plan.parent_id, plan.points, kind, kind)
+        if kind == "manual":
+            self.draft.change(branch_id, doubtful_mm=plan.doubtful_mm)
 
     def _cut(self, branch: Branch, at_mm: float) -> None:
         along = along_mm(branch.points)
@@ -168,7 +186,12 @@ class EditSteps:
             raise NoResultError(msg, code="track.edit-nothing")
         way = bridge_way(self.lumen, voxel)
         beyond = grown_beyond(self.lumen, voxel)
-        added = np.unique(np.concatenate([beyond, tube_round(self._volume, way, BRIDGE_RADIUS_MM)]), axis=0)
+        added = np.unique(
+            np.concatenate(
+                [beyond, tube_round(self._volume, self._volume.to_lps(way.astype(np.float64)), BRIDGE_RADIUS_MM)]
+            ),
+            axis=0,
+        )
         first_beyond = _first_in(way, beyond)
         before = self.lumen.core
         self._change_lumen(added, NO_VOXELS)
@@ -176,6 +199,54 @@ class EditSteps:
         if made is not None:
             self.bridges = (*self.bridges, self.draft[made].points)
         self._find_more(np.concatenate([added, newly_reached(self.lumen.core, before)]), "tracked")
+        if made is not None:
+            self._judge_beyond(self.draft[made], beyond)
+
+    def _judge_beyond(self, bridge: Branch, beyond: Voxels) -> None:
+        """Beyond a bridge there must be an airway that goes on from it; what the CT does not show there is ``manual``.
+
+        Raises
+        ------
+        NoEvidenceError
+            If no wall is seen round what lies beyond.
+        NoResultError
+            If the airway beyond leads back to where the bridge came from.
+        """
+        known = {(int(i), int(j), int(k)) for i, j, k in beyond}
+        voxels = np.floor(self._volume.to_ijk(bridge.points) + 0.5).astype(int)
+        own = np.array([(int(i), int(j), int(k)) in known for i, j, k in voxels])
+        # The bridge's own end lies in the airway beyond; its first point there begins a line.
+        first = max(int(np.argmax(own)), 1) if own.any() else len(voxels) - 1
+        lines = [bridge.points[first - 1 :]]
+        doubts = [self._evidence().doubtful(lines[0])]
+        for branch in self.draft.below(bridge.id)[1:]:
+            if branch.id not in self.judged:
+                continue
+            doubtful = self._evidence().doubtful(branch.points)
+            steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
+            if steps[doubtful].sum() > 0.5 * steps.sum():
+                self.draft.change(branch.id, kind="manual", doubtful_mm=float(steps[doubtful].sum()))
+                self.judged.discard(branch.id)
+            lines.append(branch.points)
+            doubts.append(doubtful)
+        steps = [np.linalg.norm(np.diff(line, axis=0), axis=1) for line in lines]
+        evident_mm = sum(float(s[~d].sum()) for s, d in zip(steps, doubts, strict=True))
+        if evident_mm < LEAST_BEYOND_MM:
+            doubtful_mm = sum(float(s[d].sum()) for s, d in zip(steps, doubts, strict=True))
+            msg = (
+                f"the CT shows no airway wall beyond the bridge ({evident_mm:.0f} mm, at least {LEAST_BEYOND_MM:g} mm "
+                "are needed): click in the dark middle of the airway beyond the blockage, or add a branch without "
+                "evidence, which is labelled as drawn by hand"
+            )
+            crossing = np.ones(len(bridge.points) - 1, dtype=bool)
+            raise NoEvidenceError(msg, doubtful_mm=doubtful_mm, way_lps=bridge.points, doubtful=crossing)
+        onward = [line for line in lines[1:] if np.array_equal(line[0], bridge.points[-1])]
+        if onward and all(turn_deg(bridge.points, line) > MOST_TURN_DEG for line in onward):
+            msg = (
+                "the airway beyond leads back to where the bridge would come from: the two ends do not face each "
+                "other. Bridge from the branch that is blocked: click nearer to its end"
+            )
+            raise NoResultError(msg, code="track.bridge-turns")
 
     def _move_root(self, lps: Point) -> None:
         path = self._path(self._node(voxel_of(self._volume, lps), SNAP_MM))
@@ -249,10 +320,18 @@ class EditSteps:
             points[-1 if is_end else 0] = new
             points[0 if is_end else -1] = member.points[0 if is_end else -1]
             moved = np.flatnonzero(share > 0.0)
-            if not self._all_inside(points[moved]):
+            near = np.unique(np.clip(np.concatenate([moved - 1, moved, moved + 1]), 0, len(points) - 1))
+            seen, was_seen = (sees(self.lumen.core, p[near][:-1], p[near][1:]) for p in (points, member.points))
+            if not self._all_inside(points[moved]) or (was_seen & ~seen).any():
                 raise NoResultError(
                     "the fork cannot be moved there: the centrelines beside it would leave the airway. Move it less",
                     code="track.outside-lumen",
+                )
+            if self._evidence().crosses_wall(points[near], member.points):
+                raise NoResultError(
+                    f"the fork cannot be moved there: a wall would lie across {branch_title(member.name, member.id)}. "
+                    "Move it less",
+                    code="track.crosses-wall",
                 )
             radius = member.radius.copy()
             radius[moved] = self._radius(points[moved])
@@ -294,7 +373,7 @@ class EditSteps:
         self.changed_boxes = None if box is None or self.changed_boxes is None else [*self.changed_boxes, box]
         self._old_radius = {}
         branches = self.draft.ordered()
-        points, starts = _together(branches)
+        points, starts = together(branches)
         near = np.arange(len(points))
         if box is not None:
             ijk = self._volume.to_ijk(points)
@@ -331,7 +410,7 @@ class EditSteps:
     def _mend_once(self, voxels: Voxels, lost: list[Points]) -> bool:
         """Look at every branch; true if a branch went, so that two others may have become one."""
         branches = self.draft.ordered()
-        points, starts = _together(branches)
+        points, starts = together(branches)
         all_fit = self._fits(points)
         num_lost = len(lost)
         for was, first in zip(branches, starts, strict=True):
@@ -407,23 +486,10 @@ class EditSteps:
     # ------------------------------------------------------------ paths and the tree
 
     def _node(self, voxel: NDArray[np.int64], reach_mm: float = 0.0) -> int:
-        """The node of a voxel, or the nearest one within ``reach_mm``, that a path leads to."""
-        center = _point(self._volume.to_lps(voxel.astype(np.float64)))
-        found = self.lumen.core.nearest(center, max(reach_mm, 0.1 * min(self._volume.spacing_mm)))
-        if found is None or not reached(self.lumen.core, np.array([found[0]], np.uint32))[0]:
-            msg = (
-                f"no airway of the tree is within {reach_mm:g} mm of the point: click inside an airway"
-                if found is None
-                else "the lumen at the point is not connected to the tree: bridge to it, or add a branch to it first"
-            )
-            raise NoResultError(msg, code="track.outside-lumen")
-        return found[0]
+        return lumen_node(self.lumen, voxel, reach_mm)
 
     def _path(self, node: int) -> Points:
-        """Voxel centres from the root to a node."""
-        found = self.lumen.core.path(node)
-        assert found is not None
-        return found[0]
+        return path_to(self.lumen, node)
 
     def _nodes_of(self, lines: list[Points]) -> NDArray[np.uint32]:
         points = np.concatenate([line for line in lines if len(line)] or [np.zeros((0, 3))])
@@ -450,40 +516,7 @@ class EditSteps:
         return points
 
     def _join(self, path: Points) -> tuple[Place, int]:
-        """Where a path leaves the tree, and the first of its points that lies beyond.
-
-        A point of the path still belongs to a tube while some point of its centreline is within its radius and in
-        sight.
-        """
-        branches = self.draft.ordered()
-        tree_points, starts = _together(branches)
-        radius = np.concatenate([branch.radius for branch in branches])
-        # Half a voxel more: the middle of a tube of one voxel is that voxel.
-        reach = FORK_RADII * radius + 0.5 * min(self._volume.spacing_mm)
-        low, high = path.min(axis=0) - reach.max(), path.max(axis=0) + reach.max()
-        near = np.flatnonzero(((tree_points >= low) & (tree_points <= high)).all(axis=1))
-        owner = np.searchsorted(starts, near, side="right") - 1
-        index = near - starts[owner]
-        owner = np.array([branch.id for branch in branches])[owner]
-        tree_points, reach = tree_points[near], reach[near]
-        leaves, place = 0, 0
-        for first in range(0, len(path), 64):
-            part = path[first : first + 64]
-            off = np.sqrt(sum(np.square(part[:, None, a] - tree_points[None, :, a]) for a in range(3)))
-            over = np.where(off <= reach[None], off, np.inf)
-            for n in range(len(part)):
-                order = np.flatnonzero(np.isfinite(over[n]))
-                order = order[np.argsort(over[n][order], kind="stable")[:4]]
-                if len(order):
-                    same = np.repeat(part[n : n + 1], len(order), axis=0)
-                    order = order[sees(self.lumen.core, same, tree_points[order])]
-                if not len(order):
-                    if first + n == 0:
-                        # The root itself: the trunk begins there.
-                        continue
-                    return Place(int(owner[place]), int(index[place])), leaves + 1
-                leaves, place = first + n, int(order[0])
-        return Place(int(owner[place]), int(index[place])), leaves + 1
+        return join_of(self.lumen, self.draft.ordered(), path)
 
     def _drawn(self, start: Points, beyond: Points) -> Points:
         chain = np.concatenate([start[None], beyond])
@@ -500,6 +533,10 @@ class EditSteps:
         points = self._drawn(parent.points[-1], beyond)
         for piece, piece_kind in self._pieces(points, kind):
             parent_id = self._hang(parent_id, piece, piece_kind, kind)
+            if piece_kind == "manual":
+                steps = np.linalg.norm(np.diff(piece, axis=0), axis=1)
+                doubts = self._is_doubtful(piece)
+                self.draft.change(parent_id, doubtful_mm=float(steps[doubts[1:] | doubts[:-1]].sum()))
         return parent_id
 
     def _hang(self, parent_id: int, points: Points, kind: str, asked_kind: str) -> int:
@@ -513,15 +550,18 @@ class EditSteps:
                 radius=np.concatenate([parent.radius, radius[1:]]),
                 cost=None,
             )
-            return parent_id
-        return self.draft.add_child(parent_id, points, radius, kind)
+            made = parent_id
+        else:
+            made = self.draft.add_child(parent_id, points, radius, kind)
+        if kind == "tracked":
+            self.judged.add(made)
+        return made
 
     def _pieces(self, points: Points, kind: str) -> list[Piece]:
         """A new centreline in pieces of one kind; ``painted`` is none: paint may lead to what was found before."""
         pieces = [(points, kind)]
         if kind == "painted":
-            i, j, k = np.floor(self._volume.to_ijk(points) + 0.5).astype(int).T
-            pieces = painted_pieces(points, self._found_zyx[k, j, i] != 0, MIN_ADDED_MM)
+            pieces = painted_pieces(points, ~self._is_doubtful(points), MIN_ADDED_MM)
         if kind == "bridge" or not self.bridges:
             return pieces
         half_voxel_mm = 0.5 * max(self._volume.spacing_mm)
@@ -530,6 +570,15 @@ class EditSteps:
             for part, its_kind in pieces
             for piece in bridge_pieces(part, its_kind, self.bridges, half_voxel_mm, MIN_ADDED_MM)
         ]
+
+    def _is_doubtful(self, points: Points) -> NDArray[np.bool_]:
+        """(n,) where the search had found no lumen, and the CT shows no wall round the line either."""
+        i, j, k = np.floor(self._volume.to_ijk(points) + 0.5).astype(int).T
+        is_new = self._found_zyx[k, j, i] == 0
+        if is_new.any():
+            segments = self._evidence().doubtful(points)
+            is_new = is_new & (np.append(segments, segments[-1:]) | np.append(segments[:1], segments))
+        return np.asarray(is_new)
 
     def _forget_bridges(self, cut: list[Branch]) -> None:
         """A bridge that a person cuts was none."""
@@ -547,7 +596,7 @@ class EditSteps:
         if not len(candidates):
             return
         core = self.lumen.core
-        points, _ = _together(self.draft.ordered())
+        points, _ = together(self.draft.ordered())
         ends = self._volume.to_lps(candidates.astype(np.float64))
         low, high = ends.min(axis=0) - COVER_REACH_MM, ends.max(axis=0) + COVER_REACH_MM
         nodes = self._nodes_of([points[((points >= low) & (points <= high)).all(axis=1)]])
@@ -558,13 +607,6 @@ class EditSteps:
 def _point(values: NDArray[np.float64]) -> Point:
     x, y, z = (float(v) for v in values)
     return x, y, z
-
-
-def _together(branches: list[Branch]) -> tuple[Points, NDArray[np.int64]]:
-    """The points of all branches in one array, and where each branch begins in it."""
-    points = np.concatenate([branch.points for branch in branches])
-    starts = np.cumsum([0, *(len(branch.points) for branch in branches[:-1])])
-    return points, starts
 
 
 def _first_in(way: Voxels, voxels: Voxels) -> NDArray[np.int64]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from carina.errors import UsageError
 from carina.track.tree import AirwayTree, Branch
 
-__all__ = ["Place", "TreeDraft", "along_mm", "needed_branch"]
+__all__ = ["Place", "TreeDraft", "along_mm", "needed_branch", "turn_deg"]
 
 Points = NDArray[np.float64]
 
@@ -35,6 +35,15 @@ def along_mm(points: Points) -> NDArray[np.float64]:
     """Length along a centreline up to each of its points."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def turn_deg(before: Points, after: Points) -> float:
+    """The angle between the last 5 mm of a line and the first 5 mm of the one that goes on from it."""
+    back, on = along_mm(before), along_mm(after)
+    came = before[-1] - before[int(np.searchsorted(back, back[-1] - 5.0, side="right")) - 1 if back[-1] > 5.0 else 0]
+    goes = after[min(int(np.searchsorted(on, 5.0)), len(after) - 1)] - after[0]
+    length = float(np.linalg.norm(came) * np.linalg.norm(goes))
+    return 0.0 if length == 0.0 else float(np.degrees(np.arccos(np.clip(came @ goes / length, -1.0, 1.0))))
 
 
 def needed_branch(tree: AirwayTree, branch_id: int) -> Branch:
@@ -132,6 +141,7 @@ class TreeDraft:
             points=np.concatenate([branch.points, child.points[1:]]),
             radius=np.concatenate([branch.radius, child.radius[1:]]),
             children=child.children,
+            doubtful_mm=branch.doubtful_mm + child.doubtful_mm,
             cost=_sum(branch.cost, child.cost),
             confidence=_least(branch.confidence, child.confidence),
         )
@@ -145,7 +155,12 @@ class TreeDraft:
                 del self._branches[branch.id]
         branch = self._branches[branch_id]
         self.change(
-            branch_id, children=(), points=branch.points[: last + 1], radius=branch.radius[: last + 1], cost=None
+            branch_id,
+            children=(),
+            points=branch.points[: last + 1],
+            radius=branch.radius[: last + 1],
+            cost=None,
+            doubtful_mm=_share_mm(branch, last),
         )
 
     def split(self, place: Place) -> int:
@@ -165,6 +180,7 @@ class TreeDraft:
             cost=None,
             points=branch.points[at:],
             radius=branch.radius[at:],
+            doubtful_mm=branch.doubtful_mm - _share_mm(branch, at),
         )
         for child in branch.children:
             self.change(child, parent=lower_id)
@@ -174,6 +190,7 @@ class TreeDraft:
             cost=None,
             points=branch.points[: at + 1],
             radius=branch.radius[: at + 1],
+            doubtful_mm=_share_mm(branch, at),
         )
         return lower_id
 
@@ -228,10 +245,18 @@ class TreeDraft:
             if branch.parent is None:
                 generation[branch.id] = 0
             else:
-                is_fork = len(self._branches[branch.parent].children) > 1
+                siblings = [self._branches[child] for child in self._branches[branch.parent].children]
+                # A branch that was drawn without evidence makes no fork for the others.
+                is_fork = sum(other.kind != "manual" or branch.kind == "manual" for other in siblings) > 1
                 generation[branch.id] = generation[branch.parent] + int(is_fork)
             found.append(dataclasses.replace(branch, generation=generation[branch.id]))
         return tuple(found)
+
+
+def _share_mm(branch: Branch, last: int) -> float:
+    """What of a branch's doubtful length lies before one of its points: doubt is told for a whole branch only."""
+    along = along_mm(branch.points)
+    return branch.doubtful_mm * float(along[last] / along[-1]) if branch.doubtful_mm > 0.0 and along[-1] > 0.0 else 0.0
 
 
 def _sum(a: float | None, b: float | None) -> float | None:

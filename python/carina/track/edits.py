@@ -10,10 +10,11 @@ from __future__ import annotations
 import dataclasses
 import importlib
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from carina.errors import CancelledError
+from carina.errors import CancelledError, NoResultError, UsageError
 from carina.track.airways import Airways
 from carina.track.caliber import with_sections, with_walls
 from carina.track.edit_kinds import (
@@ -34,9 +35,10 @@ from carina.track.edit_lumen import EditedLumen, lumen_voxels
 from carina.track.edit_steps import EditSteps
 from carina.track.edit_tree import needed_branch
 from carina.track.growth import Progress
+from carina.track.names_drawn import carried_names, seen_part
 from carina.track.paths import Cancel, PathTracker
 from carina.track.tree import AirwayTree, Branch
-from carina.track.uncertain import Uncertainty, find_uncertain
+from carina.track.uncertain import Uncertainty, find_uncertain, judged
 from carina.volume.model import Volume
 
 __all__ = [
@@ -55,6 +57,7 @@ __all__ = [
     "edits_to_json",
     "name_edited",
     "rebuild_airways",
+    "steps_of",
 ]
 
 
@@ -123,12 +126,19 @@ def rebuild_airways(
 
     Raises
     ------
-    TrackingError
-        As :func:`edit_airways`.
+    UsageError, NoResultError
+        As :func:`edit_airways`; the message begins with the edit's number in the list, from 1.
+    CancelledError
+        If ``cancel()`` said so.
     """
     airways = base
-    for edit in edits:
-        airways = name_edited(airways, _edited(volume, airways, edit, progress, cancel, is_fresh=True))
+    for number, edit in enumerate(edits, start=1):
+        try:
+            edited = _edited(volume, airways, edit, progress, cancel, is_fresh=True)
+        except (NoResultError, UsageError) as error:
+            error.args = (f"edit {number} of {len(edits)}: {error}", *error.args[1:])
+            raise
+        airways = name_edited(airways, edited)
     return airways
 
 
@@ -138,9 +148,13 @@ def name_edited(before: Airways, edited: Airways) -> Airways:
     A branch that is drawn otherwise is still the same bronchus: names change where branches come, go or hang elsewhere,
     and where a person gives a name or takes it back.
     """
-    ways = [[(b.id, b.parent, b.name_from == "person", b.name) for b in a.tree.branches] for a in (before, edited)]
+    (was, _), (seen, place_of) = seen_part(before.tree), seen_part(edited.tree)
+    ways = [[(b.id, b.parent, b.name_from == "person", b.name) for b in tree.branches] for tree in (was, seen)]
     if ways[0] == ways[1]:
-        return edited
+        # What was drawn without evidence renames nobody: its neighbours keep name and confidence to the last digit.
+        if seen is edited.tree:
+            return edited
+        return dataclasses.replace(edited, tree=carried_names(edited.tree, seen, place_of))
     return dataclasses.replace(edited, tree=named_anew(edited.tree))
 
 
@@ -165,16 +179,17 @@ def _edited(
         needed_branch(tree, edit.branch_id)
         renamed = dataclasses.replace(tree, branches=branches)
         return dataclasses.replace(airways, tree=renamed, edits=edits, base=airways.base or airways, next_id=next_id)
-    before = EditedLumen(volume, airways.tracker.core, is_fresh, cancel)
-    found_zyx = (airways.base or airways).lumen_zyx
-    steps = EditSteps(before, with_walls(tree), next_id, found_zyx, airways.bridges)
+    steps = steps_of(volume, airways, is_fresh=is_fresh, cancel=cancel)
     steps.make(edit)
     core = steps.lumen.core
     changed = None if is_fresh else steps.changed_boxes
     branches = with_sections(volume, core, steps.draft.finished(), tree, changed)
+    if steps.judged:
+        noise = airways.evidence.of(volume, airways).noise
+        branches = tuple(judged(volume, b, noise) if b.id in steps.judged else b for b in branches)
     tracker = PathTracker(volume, core)
     tracker.follow_branches(branches)
-    edited_tree = AirwayTree(branches, _smooth=tracker.smooth)
+    edited_tree = AirwayTree(branches, _smooth=tracker.smooth, notes=tree.notes)
     return dataclasses.replace(
         airways,
         lumen_zyx=airways.lumen_zyx if not steps.lumen_changed else lumen_voxels(core),
@@ -186,6 +201,19 @@ def _edited(
         next_id=steps.draft.next_id,
         uncertain=_uncertain_after(volume, airways, edited_tree),
         bridges=steps.bridges,
+    )
+
+
+def steps_of(volume: Volume, airways: Airways, *, is_fresh: bool = False, cancel: Cancel | None = None) -> EditSteps:
+    """The steps of an edit to these airways, which stay as they are: to make it, or to show what it would make."""
+    before = EditedLumen(volume, airways.tracker.core, is_fresh, cancel)
+    return EditSteps(
+        before,
+        with_walls(airways.tree),
+        airways.next_id or 1 + max(branch.id for branch in airways.tree.branches),
+        (airways.base or airways).lumen_zyx,
+        bridges=airways.bridges,
+        evidence=partial(airways.evidence.of, volume, airways),
     )
 
 

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carina._core import extend_lumen, find_trachea_voxels, flood_lumen
-from carina.errors import CancelledError, GeometryError, NoResultError, UsageError
+from carina._core import find_trachea_voxels, flood_lumen
+from carina.errors import GeometryError, NoResultError, UsageError
+from carina.track.beyond import HALF_WALL_HU, follow_beyond
 from carina.track.levels import AirScale, air_scale
-from carina.track.paths import SNAP_MM, Cancel, Point, as_point, words
+from carina.track.mask_doubts import DOUBTED
+from carina.track.paths import SNAP_MM, Point, as_point, words
 from carina.track.root_checks import LUNG_HU, UP_FIRST_MM
+from carina.track.stages import Progress, Stages
 from carina.track.trachea import fill_trachea
-from carina.volume.model import Volume
+from carina.volume.model import Note, Volume
 
 __all__ = ["HALF_WALL_HU", "STEP_RISE_HU", "Grown", "Progress", "Stages", "given_lumen", "grow", "trachea_in"]
-
-Progress = Callable[[str, float | None], None]
 
 # HU levels, read on the volume's own scale (AirScale).
 LUMEN_END_HU = -800.0
@@ -35,15 +36,6 @@ TRACHEA_AIR_HU = (-800.0, -900.0, -700.0)
 TISSUE_HU = -450.0
 MIN_WALL_CONTRAST_HU = 60.0
 STEP_RISE_HU = 25.0
-HALF_WALL_HU = -500.0
-# Beyond the flood's end airways are followed by their shape (docs/decisions/0015). The least rise to a wall; how long a
-# drop of mucus or a beat of the heart may blot it out; how far a branch must lead to be one. Slices thicker than the
-# smallest lumen show its wall only mixed with what lies beside it: so many more of them must agree.
-LEAST_RISE_HU = 15.0
-GAP_MM = 2.0
-MIN_FOLLOWED_MM = 2.0
-THIN_SLICE_MM = 1.0
-THICK_SECTIONS = 5.0
 
 # What is missing where a trachea was found all the same, in words.
 TRACHEA_DOUBTS = {
@@ -87,26 +79,8 @@ class Grown:
     leaks_lps: NDArray[np.float64]
     trachea_mm: float | None
     """As :attr:`Trachea.split_mm`; None where the root was given."""
-
-
-class Stages:
-    """Hands progress on, with the name of the present stage, and stops between stages when asked."""
-
-    def __init__(self, progress: Progress | None, cancel: Cancel | None) -> None:
-        self._progress = progress
-        self.cancel = cancel
-        self._what = ""
-
-    def begin(self, what: str, fraction: float | None = None) -> None:
-        if self.cancel is not None and self.cancel():
-            raise CancelledError("finding the airways was stopped")
-        self._what = what
-        if self._progress is not None:
-            self._progress(what, fraction)
-
-    def share(self, fraction: float) -> None:
-        if self._progress is not None:
-            self._progress(self._what, fraction)
+    badges: tuple[Note, ...] = ()
+    """That the search ran out, and what was done about it."""
 
 
 def given_lumen(volume: Volume, lumen_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -120,14 +94,15 @@ def given_lumen(volume: Volume, lumen_zyx: NDArray[np.uint8]) -> NDArray[np.uint
     return inside
 
 
-def doubts_of_given(volume: Volume, lumen_zyx: NDArray[np.uint8]) -> list[str]:
+def doubts_of_given(volume: Volume, lumen_zyx: NDArray[np.uint8]) -> list[Note]:
     """What makes it doubtful that a given lumen belongs to this CT: a mask of another scan may lie on the same grid."""
     if not volume.is_hu:
         return []
     air = float(np.mean(volume.hu_zyx[lumen_zyx != 0] < HALF_WAY_HU))
     if air >= LEAST_AIR_OF_GIVEN:
         return []
-    return [f"only {100.0 * air:.0f} % of the given lumen is air in this CT: it may belong to another scan"]
+    words = f"only {100.0 * air:.0f} % of the given lumen is air in this CT: it may belong to another scan"
+    return [Note(DOUBTED, words, badge=True)]
 
 
 def trachea_in(
@@ -267,30 +242,13 @@ def grow(volume: Volume, root: Point | None, lumen_threshold: float | None, stag
         places = "one place" if num == 1 else f"{num} places"
         notes.append(f"the search was stopped at {places} where it would have run out of the airway into the lung")
     levels = (float(core), float(max(scale.level(HALF_WALL_HU), end)), scale.span(STEP_RISE_HU))
+    badges: tuple[Note, ...] = ()
     if lumen_threshold is None:
-        stage.begin("following the small airways")
-        followed = extend_lumen(
-            volume.hu_zyx,
-            volume.lps_from_ijk,
-            lumen,
-            air=middle,
-            lung=(scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1])),
-            brightest=scale.level(HALF_WALL_HU),
-            least_rise=scale.span(LEAST_RISE_HU),
-            gap_mm=GAP_MM,
-            min_length_mm=MIN_FOLLOWED_MM + THICK_SECTIONS * max(max(volume.spacing_mm) - THIN_SLICE_MM, 0.0),
-            cancel=stage.cancel,
-            progress=stage.share,
-        )
-        if followed["followed"]:
-            length_mm = sum(path["length_mm"] for path in followed["followed"])
-            notes.append(
-                f"{length_mm:.0f} mm of small airways, in {len(followed['followed'])} pieces, were followed by the "
-                "shape of their walls, beyond where these hold the air"
-            )
-        np.minimum(lumen, 1, out=lumen)
+        beyond = follow_beyond(volume, lumen, scale, stage, air=middle, noise=noise)
+        notes += beyond.notes
+        badges = () if beyond.badge is None else (beyond.badge,)
     leaks = np.array([place for place, _ in report["leaks"]], dtype=np.float64).reshape(-1, 3)
-    return Grown(lumen, levels, float(end), start, notes, noise, leaks, trachea_mm)
+    return Grown(lumen, levels, float(end), start, notes, noise, leaks, trachea_mm, badges)
 
 
 def _values_round(volume: Volume, seeds: Sequence[tuple[int, int, int]]) -> NDArray[np.float64]:

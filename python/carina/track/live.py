@@ -14,7 +14,7 @@ from carina.volume.model import Volume
 if TYPE_CHECKING:
     from carina.track.paths import PathTracker, Point
 
-__all__ = ["LivePath", "find_live_path", "noise_hu", "wall_scores"]
+__all__ = ["LivePath", "find_live_path", "noise_hu", "sampled", "wall_scores"]
 
 # Rays round a point of the path, and the samples on each.
 NUM_RAYS = 8
@@ -148,7 +148,7 @@ def wall_scores(
     reach = radius_mm + WALL_REACH_MM + float(np.prod(spacing)) ** (1 / 3)
     at_mm = np.arange(0.0, reach + 1e-9, max(0.5 * float(spacing.min()), reach / 24.0))
     samples = points[:, None, None, :] + at_mm[None, None, :, None] * rays[:, :, None, :]
-    values = _sample(volume, samples.reshape(-1, 3)).reshape(samples.shape[:3]) / scale.span(1.0)
+    values = sampled(volume, samples.reshape(-1, 3)).reshape(samples.shape[:3]) / scale.span(1.0)
     # The lumen is what the ray passes first; the wall is the brightest behind it.
     lumen = values[:, :, at_mm <= max(0.5 * radius_mm, at_mm[1])].mean(axis=(1, 2))
     rise = values.max(axis=2) - lumen[:, None]
@@ -161,7 +161,7 @@ def noise_hu(volume: Volume, points_lps: NDArray[np.float64], scale: AirScale) -
     """Standard deviation of the values at (n, 3) places deep inside the widest airway, HU; 20 where there are few."""
     if len(points_lps) < 30:
         return 20.0
-    values = _sample(volume, np.asarray(points_lps), nearest=True) / scale.span(1.0)
+    values = sampled(volume, np.asarray(points_lps), nearest=True) / scale.span(1.0)
     # From the middle half: a polyp or a tube in the airway is no noise.
     low, high = np.quantile(values, [0.25, 0.75])
     return float(max((high - low) / 1.349, 1.0))
@@ -181,7 +181,7 @@ def _across(points: NDArray[np.float64], path: NDArray[np.float64]) -> tuple[NDA
     return u, np.cross(along, u)
 
 
-def _sample(volume: Volume, points_lps: NDArray[np.float64], *, nearest: bool = False) -> NDArray[np.float64]:
+def sampled(volume: Volume, points_lps: NDArray[np.float64], *, nearest: bool = False) -> NDArray[np.float64]:
     """Trilinear values at (n, 3) points, edge-clamped."""
     values = volume.hu_zyx
     top = np.array(values.shape[::-1]) - 1
@@ -216,7 +216,7 @@ def _where(tracker: PathTracker, volume: Volume, point: Point, reach_mm: float) 
     offsets = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     around = volume.to_lps(volume.to_ijk(np.array(point)) + offsets)
     scale = tracker.air_scale
-    value = float(np.median(_sample(volume, around, nearest=True)))
+    value = float(np.median(sampled(volume, around, nearest=True)))
     if value > scale.level(-500.0):
         return f"This is soft tissue, not an airway. {do}"
     if value > scale.level(-950.0):

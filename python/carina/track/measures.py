@@ -196,7 +196,8 @@ def measure_tree(
     Returns
     -------
     TreeMeasures
-        Sections (area, equivalent, least and greatest diameter, wall), forks and summaries.
+        Sections (area, equivalent, least and greatest diameter, wall), forks and summaries. Branches that the CT does
+        not show (drawn by hand, bridges) have a length and no other figure.
 
     Raises
     ------
@@ -251,6 +252,9 @@ def measure_tree(
         else:
             first = begins[fresh.index(number)]
             columns = _columns(rows, slice(first, first + len(branch.points)), normals[number])
+        if branch.kind != "tracked":
+            # A calibre of what nobody sees would be an invention, and a narrowing beside it another.
+            columns = {name: np.full_like(v, np.nan) if name in _FIGURES else v for name, v in columns.items()}
         parent = None if branch.parent is None else tree.branch(branch.parent)
         flags = junction_flags(
             branch,
@@ -289,6 +293,7 @@ _COLUMNS = [
     "outer_mm",
     "share",
 ]
+_FIGURES = {name for name in _COLUMNS if name.endswith(("_mm", "_mm2"))}
 
 
 def _go_on(cancel: Cancel | None) -> None:
@@ -297,11 +302,11 @@ def _go_on(cancel: Cancel | None) -> None:
 
 
 def _key(branch: Branch, tree: AirwayTree) -> bytes:
-    """What a branch's sections depend on: its points, and for a single point where it comes from."""
+    """What a branch's sections depend on: its kind and points, and for a single point where it comes from."""
     before = b""
     if len(branch.points) == 1 and branch.parent is not None:
         before = tree.branch(branch.parent).points[-2:].tobytes()
-    return np.int64(branch.id).tobytes() + branch.points.tobytes() + before
+    return np.int64(branch.id).tobytes() + branch.kind.encode() + branch.points.tobytes() + before
 
 
 def _normals(branch: Branch, tree: AirwayTree) -> Floats:
@@ -383,15 +388,18 @@ def _summed_up(tree: AirwayTree, sections: list[dict[str, Any]]) -> tuple[Branch
     ]
     by_id = {branch.branch_id: branch for branch in plain}
     means = {branch.branch_id: _mean(branch) for branch in plain}
+    drawn = {branch.id for branch in tree.branches if branch.kind != "tracked"}
     found = []
     for branch in tree.branches:
         own = by_id[branch.id]
         parent = None if branch.parent is None else tree.branch(branch.parent)
         siblings = [] if parent is None else [child for child in parent.children if child != branch.id]
+        # What a person drew takes no air: its neighbours are judged as if it were not there.
+        siblings, children = ([n for n in ids if n not in drawn] for ids in (siblings, branch.children))
         neighbours = healthy_neighbours_mm(
             None if parent is None else means[parent.id],
             [means[sibling] for sibling in siblings],
-            [means[child] for child in branch.children],
+            [means[child] for child in children],
         )
         summary = summed_up(
             own.at_mm,

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.track.names_drawn import carried_names, seen_part
 from carina.track.names_letters import LetterRule, letter_order
 from carina.track.names_model import LOBES, Grammar, grammar
 from carina.track.names_shape import Bronchus, body_frame, bronchi_of, find_lungs, refined_frame
@@ -84,7 +85,8 @@ def name_tree(tree: AirwayTree, *, letter_rule: LetterRule = LetterRule.TOP_LATE
         The same branches, ids and geometry. ``name``, ``name_confidence`` and ``name_from`` ("anatomy") are new, but
         for branches that a person named: those are kept, and what they say holds for the rest. Where the confidence
         would be below 0.5 the name is None. Branches between which only a twig leaves share a name. ``variant`` says
-        what is uncommon at a branch.
+        what is uncommon at a branch. What was drawn without evidence (kind ``manual``), and what hangs on it, gets no
+        name, and the others have those that they would have without it.
 
     Examples
     --------
@@ -99,6 +101,12 @@ def name_tree(tree: AirwayTree, *, letter_rule: LetterRule = LetterRule.TOP_LATE
     Nomenclature, shares of variants: shared reference, features 5.4. Labelling by a grammar with sums over derivations:
     docs/decisions/0017.
     """
+    seen, place_of = seen_part(tree)
+    named = _named_all(seen, letter_rule)
+    return named if seen is tree else carried_names(tree, named, place_of)
+
+
+def _named_all(tree: AirwayTree, letter_rule: LetterRule) -> AirwayTree:
     read = _read(tree)
     names, notes = _names_of(read, letter_rule)
     given = {bare_name(b.name) for b in tree.branches if b.name_from == "person" and b.name is not None}
@@ -128,6 +136,8 @@ def branch_side_and_lobe(tree: AirwayTree) -> dict[int, str | None]:
     A lobe's own bronchus belongs to it. Persons' names in the tree hold. In a mirrored chest (see :func:`name_tree`)
     the lobes of the three-lobed lung are LUL, LML and LLL.
     """
+    whole = tree
+    tree, place_of = seen_part(tree)
     read = _read(tree)
     found: dict[int, str | None] = dict.fromkeys((branch.id for branch in tree.branches), None)
     by_place = _lobes_of(read)
@@ -138,7 +148,7 @@ def branch_side_and_lobe(tree: AirwayTree) -> dict[int, str | None]:
             if words is not None:
                 lobe = words.lobe
         found[branch.id] = lobe
-    return found
+    return {branch.id: found.get(place_of.get(branch.id, -1)) for branch in whole.branches}
 
 
 # Reading.

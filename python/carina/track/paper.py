@@ -280,7 +280,7 @@ def track_on_graph(
     tree, branch_nodes = airways.tree, np.zeros((0, 3))
     if ways:
         branches, branch_nodes = _tree_of(ways, airways, core.cost)
-        tree = AirwayTree(branches)
+        tree = AirwayTree(branches, notes=airways.badges)
     search = GraphSearch(
         cost=cost,
         graph=graph,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import TrackingError, UsageError
+from carina.volume.model import Note
 
 __all__ = ["AirwayTree", "Branch", "Route"]
 
@@ -35,7 +36,7 @@ class Branch:
     name: str | None
     """Anatomical name where it is beyond doubt, else None."""
     kind: str
-    """``tracked`` through the lumen, ``bridge`` over a blockage, or ``manual``."""
+    """``tracked`` through the lumen, ``bridge`` over a blockage, or ``manual``: drawn where the CT shows no airway."""
     points: Points
     """(n, 3) centreline, LPS mm, root to tip. The first point is the parent's last, bit for bit."""
     radius: NDArray[np.float64]
@@ -51,6 +52,8 @@ class Branch:
     """``anatomy`` or ``person``; None without a name. A person's name is never replaced."""
     variant: str | None = None
     """What is uncommon about the anatomy here, in words, e.g. "RB1 and RB2 share a stem"."""
+    doubtful_mm: float = 0.0
+    """Length along which the CT shows no wall: above 0 only in ``manual`` branches, which a person asked for."""
     wall_mm: NDArray[np.float64] | None = field(default=None, repr=False)
     """(n,) distance to the wall, mm; None for a tree that was read from a file. See ``wall_distance``."""
 
@@ -114,6 +117,8 @@ class AirwayTree:
 
     branches: tuple[Branch, ...]
     """Parents come before their children."""
+    notes: tuple[Note, ...] = field(default=(), kw_only=True)
+    """What puts the whole tree in doubt: it goes with the tree into every file."""
     _smooth: Callable[[Points], tuple[Points, NDArray[np.float64]]] | None = field(default=None, repr=False)
     """Smooths a whole way inside the lumen it was tracked in: even points and their radii. Not saved."""
 
@@ -189,7 +194,7 @@ class AirwayTree:
 
     def to_json(self) -> dict[str, Any]:
         """The document ``carina-tree`` version 1 (DESIGN section 3)."""
-        return {
+        document = {
             "format": FORMAT,
             "version": VERSION,
             "space": "LPS",
@@ -210,10 +215,14 @@ class AirwayTree:
                     "name_confidence": branch.name_confidence,
                     "name_from": branch.name_from,
                     "variant": branch.variant,
+                    "doubtful_mm": branch.doubtful_mm,
                 }
                 for branch in self.branches
             ],
         }
+        if self.notes:
+            document["badges"] = [{"code": note.code, "words": note.words} for note in self.notes]
+        return document
 
     @classmethod
     def from_json(cls, document: object) -> AirwayTree:
@@ -251,7 +260,7 @@ class AirwayTree:
             waiting.extend(reversed(branch.children))
         if by_id:
             raise _refused(f"branch {next(iter(by_id))} is not connected to the root")
-        return cls(tuple(ordered))
+        return cls(tuple(ordered), notes=_read_badges(document.get("badges", ())))
 
 
 def route_along(
@@ -294,6 +303,18 @@ def _refused(reason: str) -> TrackingError:
     return TrackingError(f"this is not a usable airway tree: {reason}", code="track.tree-format")
 
 
+def _read_badges(rows: object) -> tuple[Note, ...]:
+    if not isinstance(rows, Sequence) or isinstance(rows, str):
+        raise _refused("badges: expected a list")
+    notes = []
+    for number, row in enumerate(rows):
+        code, words = (row.get("code"), row.get("words")) if isinstance(row, Mapping) else (None, None)
+        if not isinstance(code, str) or not isinstance(words, str):
+            raise _refused(f"badges: entry {number} must have a code and words, each a text")
+        notes.append(Note(code, words, badge=True))
+    return tuple(notes)
+
+
 def _read_branch(row: object, number: int) -> Branch:
     where = f"branch {number} of the list"
     if not isinstance(row, Mapping):
@@ -333,7 +354,7 @@ def _read_branch(row: object, number: int) -> Branch:
     try:
         points = np.array(row.get("points"), dtype=np.float64)
         radius = np.array(row.get("radius"), dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise _refused(f"{where}: points must be a list of [x, y, z], radius a list of numbers") from None
     return Branch(
         id=branch_id,
@@ -349,6 +370,7 @@ def _read_branch(row: object, number: int) -> Branch:
         name_confidence=number_or_none("name_confidence"),
         name_from=name_from,
         variant=text_or_none("variant"),
+        doubtful_mm=number_or_none("doubtful_mm") or 0.0,
     )
 
 
@@ -368,6 +390,8 @@ def _check(branches: tuple[Branch, ...]) -> None:
             raise _refused(f"{where}: confidence must lie in 0..1, found {branch.confidence}")
         if branch.name_confidence is not None and not 0.0 <= branch.name_confidence <= 1.0:
             raise _refused(f"{where}: name_confidence must lie in 0..1, found {branch.name_confidence}")
+        if not branch.doubtful_mm >= 0.0:
+            raise _refused(f"{where}: doubtful_mm must be at least 0, found {branch.doubtful_mm}")
         if (branch.parent is None) != (number == 0):
             raise _refused(f"{where}: exactly the root has no parent")
         if branch.parent is not None:

@@ -115,11 +115,12 @@ def with_confidence(volume: Volume, tree: AirwayTree, noise: float) -> AirwayTre
     noise
         Standard deviation of the values in the air of the trachea.
     """
-    branches = []
-    for branch in tree.branches:
-        sure = _confidence(volume, branch, noise)
-        branches.append(dataclasses.replace(branch, confidence=sure))
-    return dataclasses.replace(tree, branches=tuple(branches))
+    return dataclasses.replace(tree, branches=tuple(judged(volume, branch, noise) for branch in tree.branches))
+
+
+def judged(volume: Volume, branch: Branch, noise: float) -> Branch:
+    """One branch with its confidence, see :func:`with_confidence`."""
+    return dataclasses.replace(branch, confidence=_confidence(volume, branch, noise))
 
 
 def _confidence(volume: Volume, branch: Branch, noise: float) -> float:

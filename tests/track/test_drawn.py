@@ -1,0 +1,67 @@
+"""What the CT does not show is counted apart, and never measured."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import carina
+from carina.session.routes import route_to_branch
+from carina.track import AirwayTree, DrawnPart, drawn_part, drawn_tree, measure_tree
+
+
+@pytest.fixture(scope="module")
+def case():
+    """A phantom, its airways, and a leaf far down."""
+    phantom = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=4)
+    airways = carina.find_airways(phantom.volume)
+    leaf = max(airways.tree.tips(), key=lambda branch: (branch.generation, branch.length_mm))
+    return phantom.volume, airways, leaf
+
+
+def of_kind(airways, branch_id: int, kind: str):
+    branches = tuple(dataclasses.replace(b, kind=kind) if b.id == branch_id else b for b in airways.tree.branches)
+    return dataclasses.replace(airways, tree=dataclasses.replace(airways.tree, branches=branches))
+
+
+@pytest.mark.parametrize("kind", ["manual", "bridge"])
+def test_a_route_counts_the_way_along_branches_that_the_ct_does_not_show(case, kind):
+    _, airways, leaf = case
+    tree = of_kind(airways, leaf.id, kind).tree
+    route = route_to_branch(tree, leaf.id)
+    found = {"manual": route.drawn.drawn_mm, "bridge": route.drawn.bridge_mm}
+    # The route is smoothed as a whole: its last branch is a little shorter than by itself.
+    assert found.pop(kind) == pytest.approx(leaf.length_mm, rel=0.05)
+    assert list(found.values()) == [0.0]
+    assert route.drawn.length_mm == pytest.approx(route.length_mm)
+    assert [span.kind for span in route.spans] == ["tracked"] * (len(route.spans) - 1) + [kind]
+    assert route_to_branch(airways.tree, leaf.id).drawn.words is None
+
+
+def test_the_words_say_how_much_of_how_much():
+    assert DrawnPart(180.0, drawn_mm=21.0).words == "21 of 180 mm drawn by hand"
+    assert DrawnPart(180.0, 21.0, 8.0).words == "21 of 180 mm drawn by hand; 8 of 180 mm bridged over a blockage"
+    assert DrawnPart(180.0).words is None
+
+
+def test_lumen_beyond_the_tree_is_not_drawn(case):
+    _, airways, _ = case
+    assert drawn_part(airways.tree, np.array([-1, -1, -1]), np.array([0.0, 1.0, 3.0])) == DrawnPart(3.0)
+    assert drawn_tree(airways.tree).words is None
+    assert isinstance(airways.tree, AirwayTree)
+
+
+@pytest.mark.parametrize("kind", ["manual", "bridge"])
+def test_what_a_person_drew_has_a_length_and_no_calibre(case, kind):
+    volume, airways, leaf = case
+    found = measure_tree(volume, airways)
+    drawn = measure_tree(volume, of_kind(airways, leaf.id, kind), previous=found)
+    assert found.of(leaf.id).summary.mean_mm is not None
+    summary = drawn.of(leaf.id).summary
+    assert summary.length_mm == pytest.approx(found.of(leaf.id).summary.length_mm)
+    assert summary.num_sections == 0
+    figures = (summary.mean_mm, summary.min_mm, summary.wall_mm, summary.taper, summary.stenosis)
+    assert figures == (None,) * 5
+    assert np.isnan(drawn.of(leaf.id).equivalent_mm).all()

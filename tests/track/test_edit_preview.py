@@ -1,0 +1,117 @@
+"""Preview is the deed: the lines under the pointer are the lines that the click makes, bit for bit."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from edit_case import edit_case, open_ended_volume
+
+from carina.errors import NoEvidenceError
+from carina.track import AddBranch, Bridge, CutBranch, MoveFork, edit_airways, preview_edit
+from carina.track.edit_preview import new_lines
+
+
+@pytest.fixture(scope="module")
+def case():
+    return edit_case()
+
+
+@pytest.fixture(scope="module")
+def opened(case):
+    """The same case; two tubes have no end, so that ways lead into the lung, and a branch is cut that the CT shows."""
+    volume = open_ended_volume()
+    leaf = case.airways.tree.nearest_branch(case.tips[3])[0]
+    return volume, edit_airways(volume, case.airways, CutBranch(leaf.id)), leaf
+
+
+def points_to_add(volume, case, leaf, count: int):
+    """Points on the branch that was cut, and in the lung round the tubes without an end."""
+    rng = np.random.default_rng(5)
+    lung = np.array(case.tips[:2])[rng.integers(2, size=count)] + rng.normal(0.0, 4.0, (count, 3))
+    inside = [point for point in lung if volume.contains_lps(point)]
+    return [tuple(float(v) for v in point) for point in [*leaf.points[len(leaf.points) // 3 :], *inside]]
+
+
+def joined(lines):
+    """Lines that go on in each other, as one."""
+    for one, other in itertools.pairwise(lines):
+        assert np.array_equal(one.points_lps[-1], other.points_lps[0])
+    return np.concatenate([lines[0].points_lps, *(line.points_lps[1:] for line in lines[1:])])
+
+
+def test_a_branch_is_added_along_the_very_line_that_was_shown(case, opened):
+    volume, airways, leaf = opened
+    taken = refused = 0
+    for lps in points_to_add(volume, case, leaf, 30):
+        preview = preview_edit(volume, airways, AddBranch(lps))
+        if preview.problem is not None:
+            assert preview.lines == ()
+            continue
+        (line,) = preview.lines
+        edited = edit_airways(volume, airways, AddBranch(lps, even_without_evidence=True))
+        made = new_lines(airways.tree.branches, edited.tree.branches)
+        assert np.array_equal(np.concatenate([one.drawn for one in made]), line.drawn)
+        assert joined(made).tobytes() == line.points_lps.tobytes()
+        if preview.has_evidence:
+            taken += 1
+            assert not line.doubtful.any()
+            again = edit_airways(volume, airways, AddBranch(lps)).tree
+            assert {branch.kind for branch in again.branches} == {"tracked"}
+            continue
+        refused += 1
+        with pytest.raises(NoEvidenceError) as doubt:
+            edit_airways(volume, airways, AddBranch(lps))
+        assert doubt.value.way_lps.tobytes() == line.points_lps.tobytes()
+        assert np.array_equal(doubt.value.doubtful, line.doubtful)
+        assert doubt.value.doubtful_mm == pytest.approx(preview.doubtful_mm)
+        drawn = [branch for branch in edited.tree.branches if branch.kind == "manual"]
+        assert sum(branch.doubtful_mm for branch in drawn) == pytest.approx(preview.doubtful_mm)
+    # Else the test shows nothing.
+    assert taken >= 2
+    assert refused > 5
+
+
+def test_a_bridge_is_made_along_the_very_line_that_was_shown(case):
+    edit = Bridge(tuple(float(v) for v in case.hidden))
+    preview = preview_edit(case.volume, case.airways, edit)
+    edited = edit_airways(case.volume, case.airways, edit)
+    bridge = next(branch for branch in edited.tree.branches if branch.kind == "bridge")
+    dashed = [line for line in preview.lines if line.doubtful.all()]
+    assert [line.points_lps.tobytes() for line in dashed] == [bridge.points.tobytes()]
+    made = new_lines(case.airways.tree.branches, edited.tree.branches)
+    assert [line.points_lps.tobytes() for line in preview.lines] == [line.points_lps.tobytes() for line in made]
+
+
+def test_a_fork_is_moved_to_the_very_lines_that_were_shown(case):
+    branch = next(b for b in case.airways.tree.branches if b.parent is not None and b.children)
+    edit = MoveFork(branch.id, tuple(float(v) for v in branch.points[-1] + np.array([0.4, 0.2, 0.3])))
+    preview = preview_edit(case.volume, case.airways, edit)
+    edited = edit_airways(case.volume, case.airways, edit)
+    made = new_lines(case.airways.tree.branches, edited.tree.branches)
+    assert len(made) >= 3
+    assert [line.points_lps.tobytes() for line in preview.lines] == [line.points_lps.tobytes() for line in made]
+    assert preview.doubtful_mm == 0.0
+
+
+def test_what_cannot_be_made_is_said_and_nothing_is_shown(case):
+    tree = case.airways.tree
+    leaf = tree.tips()[0]
+    for edit, words in (
+        (MoveFork(leaf.id, tuple(leaf.tip_lps)), "without a fork"),
+        (Bridge(tuple(leaf.tip_lps)), "nothing to bridge"),
+        (AddBranch(tuple(leaf.points[len(leaf.points) // 2])), "there already"),
+    ):
+        preview = preview_edit(case.volume, case.airways, edit)
+        assert words in str(preview.problem)
+        assert (preview.lines, preview.has_evidence, preview.length_mm) == ((), False, 0.0)
+
+
+def test_a_preview_changes_nothing(case):
+    before = [(b.id, b.points.tobytes(), b.radius.tobytes()) for b in case.airways.tree.branches]
+    lumen = case.airways.lumen_zyx.tobytes()
+    for edit in (Bridge(tuple(case.hidden)), AddBranch(tuple(case.hidden))):
+        preview_edit(case.volume, case.airways, edit)
+    assert [(b.id, b.points.tobytes(), b.radius.tobytes()) for b in case.airways.tree.branches] == before
+    assert case.airways.lumen_zyx.tobytes() == lumen

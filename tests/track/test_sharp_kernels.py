@@ -1,0 +1,177 @@
+"""A search that runs out of the airways stops and says so: CTs with kernels from soft to sharp."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+from sharp_kernel import sharpened
+
+import carina
+from carina.errors import NoResultError
+from carina.export import read_tree, write_tree
+from carina.phantom import generate_phantom
+from carina.track import CutBranch, RenameBranch, edit_airways, fold_airways, track_paths
+from carina.track.kernel import edge_undershoot_hu
+from carina.track.levels import air_scale
+from carina.track.totals import doubt_of_totals
+from carina.track.tree import Branch
+
+CODE = "track.search-stopped"
+
+
+@pytest.fixture(scope="module")
+def patient():
+    volume = carina.demo_patient()
+    return volume, carina.find_airways(volume)
+
+
+@pytest.fixture(scope="module")
+def sharp(patient):
+    """The bundled patient through a kernel that flooded both lungs before."""
+    volume = sharpened(patient[0], 0.8, 15.0)
+    return volume, carina.find_airways(volume)
+
+
+def grown(lumen):
+    """A lumen and the voxels that touch it by a face."""
+    wide = lumen.copy()
+    for axis in range(3):
+        a, b = np.moveaxis(wide, axis, 0), np.moveaxis(lumen, axis, 0)
+        a[1:] |= b[:-1]
+        a[:-1] |= b[1:]
+    return wide
+
+
+def length_mm(airways):
+    return sum(branch.length_mm for branch in airways.tree.branches)
+
+
+def test_a_ct_with_a_soft_kernel_has_no_lasting_note(patient):
+    _, airways = patient
+    assert airways.badges == ()
+    assert "badges" not in airways.tree.to_json()
+
+
+def test_a_sharp_kernel_floods_nothing_and_leaves_a_lasting_note(patient, sharp):
+    soft = patient[1]
+    _, airways = sharp
+    (badge,) = airways.badges
+    assert (badge.code, badge.badge) == (CODE, True)
+    assert badge.words in airways.notes
+    assert "small airways are missing" in badge.words
+    assert length_mm(airways) < 1.3 * length_mm(soft)
+    found, near = airways.lumen_zyx != 0, grown(grown(soft.lumen_zyx != 0))
+    assert np.count_nonzero(found & near) > 0.95 * np.count_nonzero(found)
+    assert np.count_nonzero(found) < 1.3 * np.count_nonzero(soft.lumen_zyx)
+
+
+def test_the_rim_beside_edges_tells_how_sharp_a_kernel_is(patient, sharp):
+    volume = patient[0]
+    depths = [edge_undershoot_hu(one, air_scale(one)) for one in (volume, sharp[0])]
+    assert depths[0] < 5.0
+    assert depths[1] > 40.0
+
+
+def test_where_voxels_are_too_long_or_edges_are_few_nothing_is_said_of_the_kernel(patient):
+    volume = patient[0]
+    matrix = volume.lps_from_ijk.copy()
+    matrix[:3, :3] *= 4.0
+    coarse = dataclasses.replace(volume, lps_from_ijk=matrix)
+    assert edge_undershoot_hu(coarse, air_scale(coarse)) is None
+    small = dataclasses.replace(volume, hu_zyx=np.ascontiguousarray(volume.hu_zyx[:4, :9, :9]))
+    assert edge_undershoot_hu(small, air_scale(small)) is None
+
+
+def test_the_note_stays_with_the_tree_through_edits_undo_and_files(sharp, tmp_path):
+    volume, airways = sharp
+    tip = max(airways.tree.tips(), key=lambda branch: branch.id)
+    edited = edit_airways(volume, airways, CutBranch(tip.id))
+    edited = edit_airways(volume, edited, RenameBranch(airways.tree.root.id, "windpipe"))
+    unfolded = fold_airways(volume, edited).unfold(volume)
+    tracked = track_paths(volume, targets=[airways.tree.root.tip_lps], airways=edited).tree
+    for notes in (edited.badges, unfolded.badges, tracked.notes):
+        assert notes == airways.badges
+    assert unfolded.notes == airways.notes
+    path = write_tree(tmp_path / "tree.json", edited.tree)
+    assert read_tree(path).notes == airways.badges
+
+
+def tube(number, length):
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -length]])
+    generation = 0 if number == 0 else min(number, 3)
+    return Branch(number, None if number == 0 else 0, (), generation, None, "tracked", points, np.ones(2))
+
+
+def test_a_trachea_that_splits_and_leads_nowhere_is_said_to_be_all_that_was_found():
+    branches = (tube(0, 110.0), tube(1, 40.0), tube(2, 30.0))
+    note = doubt_of_totals(branches, splits=True)
+    assert (note.code, note.badge) == (CODE, True)
+    assert "only 70 mm" in note.words
+    # One lung, a crop, a root that a person gave: little may be all there is.
+    assert doubt_of_totals(branches, splits=False) is None
+
+
+def test_totals_that_no_chest_has_are_said_and_those_of_a_good_ct_are_not():
+    chest = tuple(tube(n, 10.0) for n in range(600))
+    assert doubt_of_totals(chest, splits=True) is None
+    lung = tuple(tube(n, 10.0) for n in range(3000))
+    assert "more than a chest holds" in doubt_of_totals(lung, splits=True).words
+
+
+@pytest.mark.slow
+def test_the_sharpest_kernels_leave_a_stump_and_say_so(patient):
+    airways = carina.find_airways(sharpened(patient[0], 2.0))
+    assert {note.code for note in airways.badges} == {CODE}
+    assert any("Nearly all airways are missing" in note for note in airways.notes)
+
+
+def spoilt(found, truth):
+    """Share of the found lumen that lies farther than a voxel from the true one."""
+    return np.count_nonzero(found & ~grown(truth)) / np.count_nonzero(found)
+
+
+@pytest.mark.slow
+def test_a_sharpened_phantom_is_not_flooded():
+    made = generate_phantom(seed=1, spacing_mm=1.3, noise_hu=20.0)
+    airways = carina.find_airways(sharpened(made.volume, 0.8, 30.0))
+    found, truth = airways.lumen_zyx != 0, made.lumen_zyx != 0
+    assert spoilt(found, truth) < 0.05
+    assert np.count_nonzero(found) < 1.3 * np.count_nonzero(truth)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("spacing_mm", [0.8, 1.0, (0.7, 0.7, 3.0)], ids=str)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_no_kernel_from_soft_to_sharp_floods_a_phantom(seed, spacing_mm, capsys):
+    made = generate_phantom(seed=seed, spacing_mm=spacing_mm, noise_hu=20.0)
+    assert_no_kernel_floods(f"phantom {seed}, {spacing_mm} mm", made.volume, made.lumen_zyx != 0, capsys)
+
+
+@pytest.mark.soak
+def test_no_kernel_from_soft_to_sharp_floods_the_bundled_patient(patient, capsys):
+    volume, airways = patient
+    assert_no_kernel_floods("bundled patient", volume, airways.lumen_zyx != 0, capsys)
+
+
+def assert_no_kernel_floods(what, volume, truth, capsys):
+    for amount in (0.0, 0.4, 0.8, 1.2, 2.0):
+        for noise_hu in (0.0, 15.0, 30.0, 60.0) if amount > 0.0 else (0.0,):
+            began = time.process_time()
+            try:
+                airways = carina.find_airways(sharpened(volume, amount, noise_hu))
+            except NoResultError as error:
+                said = f"refused: {error}"[:60]
+            else:
+                found = airways.lumen_zyx != 0
+                codes = {note.code for note in airways.badges}
+                share = np.count_nonzero(found) / np.count_nonzero(truth)
+                said = f"precision {1.0 - spoilt(found, truth):.3f}, {share:.2f} x the lumen"
+                said += f", {length_mm(airways):.0f} mm, {', '.join(codes) or 'no note'}"
+                assert share < 1.3, said
+                assert spoilt(found, truth) <= 0.05 or CODE in codes, said
+            with capsys.disabled():
+                cpu_s = time.process_time() - began
+                print(f"\n{what}, amount {amount}, noise {noise_hu:.0f} HU: {said}, {cpu_s:.1f} s CPU", end="")
