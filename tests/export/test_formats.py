@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import json
 import struct
 import xml.etree.ElementTree as ET
@@ -36,6 +37,42 @@ def tree() -> AirwayTree:
             Branch(5, 3, (), 1, None, "tracked", np.array([fork, [8.0, 0.0, -16.0]]), np.array([7.5, 5.5])),
         )
     )
+
+
+@pytest.fixture
+def drawn_tree(tree) -> AirwayTree:
+    """The same; its last branch was drawn by hand."""
+    *found, last = tree.branches
+    return AirwayTree((*found, dataclasses.replace(last, kind="manual")))
+
+
+def test_every_tree_file_says_what_a_person_drew(drawn_tree, tmp_path):
+    length_mm = sum(branch.length_mm for branch in drawn_tree.branches)
+    words = f"{drawn_tree.branches[-1].length_mm:.0f} of {length_mm:.0f} mm drawn by hand"
+    root = ET.parse(export_tree(tmp_path / "t.vtp", drawn_tree)).getroot()
+    assert vtp_array(root, ".//CellData/DataArray[@Name='DrawnByHand']").tolist() == [0, 0, 1]
+    assert words.encode() in bytes(int(c) for c in root.find(".//FieldData/Array[@Name='Note']").text.split())
+    assert words in export_tree(tmp_path / "t.swc", drawn_tree).read_text()
+    curve = json.loads(export_tree(tmp_path / "t.mrk.json", drawn_tree).read_text())["markups"][-1]
+    assert curve["name"] == "branch 5 (drawn by hand)"
+    assert curve["description"] == "drawn by hand: the CT shows no airway here"
+    assert carina.export.read_tree(export_tree(tmp_path / "t.json", drawn_tree)).branches[-1].kind == "manual"
+
+
+def test_the_lumen_and_its_surface_say_that_a_part_is_drawn(case, tmp_path):
+    volume, airways = case
+    *found, last = airways.tree.branches
+    tree = dataclasses.replace(airways.tree, branches=(*found, dataclasses.replace(last, kind="manual")))
+    drawn = dataclasses.replace(airways, tree=tree)
+    for suffix in (".stl", ".ply", ".obj", ".glb", ".nii.gz", ".nrrd"):
+        for airway, is_drawn in ((airways, False), (drawn, True)):
+            path = export_airways(tmp_path / f"lumen{suffix}", volume, airway)
+            if suffix in (".nii.gz", ".nrrd"):
+                image = sitk.ReadImage(str(path))
+                said = " ".join(image.GetMetaData(key) for key in image.GetMetaDataKeys())
+            else:
+                said = path.read_bytes()[:4000].decode("latin-1")
+            assert ("drawn by hand" in said or "PART IS NOT FROM THE CT" in said) == is_drawn, suffix
 
 
 def vtp_array(root, path):

@@ -34,8 +34,8 @@ def test_a_write_that_fails_leaves_the_old_file(tree, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("carina.export.files.os.fsync", full)
-    with pytest.raises(CarinaError, match="No space left") as caught:
+    monkeypatch.setattr("carina.disk.drafts.os.fsync", full)
+    with pytest.raises(CarinaError, match="the disk is full") as caught:
         write_tree(path, tree)
     assert caught.value.exit_code == 1
     assert path.read_bytes() == before

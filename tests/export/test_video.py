@@ -42,7 +42,7 @@ def write_to_full_disk(target, *, reason: Exception | None = None) -> None:
 def test_a_full_disk_leaves_the_old_video_and_no_draft(tmp_path, suffix):
     target = tmp_path / f"a{suffix}"
     target.write_bytes(b"old")
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError, match="the disk is full"):
         write_to_full_disk(target)
     assert target.read_bytes() == b"old"
     assert [found.name for found in tmp_path.iterdir()] == [target.name]

@@ -106,5 +106,5 @@ def test_a_surface_is_saved_whole_and_read_back(airway, tmp_path):
         assert archive["fov_deg"] == 90.0
     with pytest.raises(RenderError, match=r"\.npz"):
         surface.save(tmp_path / "wall.exr")
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(OSError, match="no such folder"):
         surface.save(tmp_path / "nowhere" / "wall.npz")

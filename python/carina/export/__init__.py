@@ -3,7 +3,7 @@
 from carina.export.any_file import EXPORT_SUFFIXES, export_airways, export_tree, is_tree_file
 from carina.export.mask_file import write_mask
 from carina.export.mesh_file import write_mesh
-from carina.export.tree_file import read_tree, write_tree
+from carina.export.tree_file import read_badges, read_tree, write_tree
 from carina.export.tree_formats import write_markups, write_swc, write_vtp
 from carina.export.video import VIDEO_SUFFIXES, VideoWriter
 
@@ -14,6 +14,7 @@ __all__ = [
     "export_airways",
     "export_tree",
     "is_tree_file",
+    "read_badges",
     "read_tree",
     "write_markups",
     "write_mask",

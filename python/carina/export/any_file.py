@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from carina.errors import UsageError
@@ -10,13 +10,13 @@ from carina.export.mask_file import MASK_SUFFIXES, write_mask
 from carina.export.mesh_file import MESH_SUFFIXES, write_mesh
 from carina.export.tree_file import write_tree
 from carina.export.tree_formats import write_markups, write_swc, write_vtp
-from carina.track import Airways, AirwayTree, lumen_mesh
-from carina.volume import Volume
+from carina.track import Airways, AirwayTree, drawn_tree, lumen_mesh
+from carina.volume import Note, Volume, badges_of
 
 __all__ = ["EXPORT_SUFFIXES", "export_airways", "export_tree", "is_tree_file"]
 
 # ".mrk.json" before ".json".
-_TREE_WRITERS: dict[str, Callable[[Path, AirwayTree], Path]] = {
+_TREE_WRITERS: dict[str, Callable[..., Path]] = {
     ".mrk.json": write_markups,
     ".json": write_tree,
     ".vtp": write_vtp,
@@ -41,8 +41,10 @@ def is_tree_file(path: Path | str) -> bool:
     return name.endswith(tuple(_TREE_WRITERS))
 
 
-def export_tree(path: Path | str, tree: AirwayTree) -> Path:
+def export_tree(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()) -> Path:
     """Write a tree as ``.json`` (``carina-tree``), ``.vtp``, ``.swc`` or ``.mrk.json``.
+
+    ``badges``: the lasting notes of its case (``carina.volume.badges_of``); every format has a place for them.
 
     Raises
     ------
@@ -54,7 +56,7 @@ def export_tree(path: Path | str, tree: AirwayTree) -> Path:
     name = Path(path).name.lower()
     for suffix, writer in _TREE_WRITERS.items():
         if name.endswith(suffix):
-            return writer(Path(path), tree)
+            return writer(Path(path), tree, badges=badges)
     msg = f"a tree is written as {', '.join(_TREE_WRITERS)}; found {Path(path).name!r}"
     raise UsageError(msg)
 
@@ -65,6 +67,7 @@ def export_airways(
     airways: Airways,
     *,
     tree: AirwayTree | None = None,
+    badges: Sequence[Note] = (),
     progress: Callable[[str, float | None], None] | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Path:
@@ -81,6 +84,8 @@ def export_airways(
         The CT and what was found in it.
     tree
         Another tree than that of the airways (one that a person mended).
+    badges
+        Lasting notes beside those of the volume and the airways, which are written in any case.
 
     Raises
     ------
@@ -89,8 +94,13 @@ def export_airways(
     CarinaError
         If it cannot be written; what was there before stays.
     """
+    lasting = tuple(dict.fromkeys([*badges_of(volume, airways), *badges]))
     if is_tree_file(path):
-        return export_tree(path, airways.tree if tree is None else tree)
+        return export_tree(path, airways.tree if tree is None else tree, badges=lasting)
+    # The lumen's own tree, whatever tree was given beside it.
+    words = drawn_tree(airways.tree).words
+    note = None if words is None else f"{words}: not from the CT"
     if Path(path).name.lower().endswith(MESH_SUFFIXES):
-        return write_mesh(path, lumen_mesh(volume, airways, progress=progress, cancel=cancel))
-    return write_mask(path, airways.lumen_zyx, volume)
+        mesh = lumen_mesh(volume, airways, progress=progress, cancel=cancel)
+        return write_mesh(path, mesh, note=note, badges=lasting)
+    return write_mask(path, airways.lumen_zyx, volume, note=note, badges=lasting)

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import SimpleITK as sitk
 from numpy.typing import NDArray
 
-from carina.errors import CarinaError, GeometryError, UsageError
-from carina.export.files import write_whole_by
-from carina.volume import Volume
+from carina.errors import GeometryError, UsageError
+from carina.export.badges import badge_lines
+from carina.volume import GRID_SUFFIXES, Note, Volume, write_grid
 
 __all__ = ["MASK_SUFFIXES", "write_mask"]
 
-MASK_SUFFIXES = (".nii.gz", ".nii", ".nrrd", ".mha")
+MASK_SUFFIXES = GRID_SUFFIXES
 
 
-def write_mask(path: Path | str, mask_zyx: NDArray[np.uint8], volume: Volume) -> Path:
+def write_mask(
+    path: Path | str,
+    mask_zyx: NDArray[np.uint8],
+    volume: Volume,
+    *,
+    note: str | None = None,
+    badges: Sequence[Note] = (),
+) -> Path:
     """Write a mask on the grid of a volume, so that other tools lay it exactly over the CT.
 
     Parameters
@@ -28,6 +35,11 @@ def write_mask(path: Path | str, mask_zyx: NDArray[np.uint8], volume: Volume) ->
         (nz, ny, nx) of the volume; what is not 0 is written as 1.
     volume
         The CT.
+    note
+        What a reader must know, such as how much of it a person drew: NIfTI has it as ``descrip`` (80 bytes, the rest
+        is cut off), the others as a field ``note``.
+    badges
+        The lasting notes of the case, in the same place: their codes, then ``note``, then their words.
 
     Raises
     ------
@@ -35,7 +47,7 @@ def write_mask(path: Path | str, mask_zyx: NDArray[np.uint8], volume: Volume) ->
         If the suffix is another.
     GeometryError
         If the mask is not on the volume's grid, or the grid is sheared, which these formats cannot all say.
-    CarinaError
+    DiskError
         If it cannot be written; what was there before stays.
     """
     if not Path(path).name.lower().endswith(MASK_SUFFIXES):
@@ -44,24 +56,7 @@ def write_mask(path: Path | str, mask_zyx: NDArray[np.uint8], volume: Volume) ->
     if mask_zyx.shape != volume.shape_zyx:
         msg = f"the mask must be on the volume's grid: expected shape {volume.shape_zyx}, found {mask_zyx.shape}"
         raise GeometryError(msg, code="geometry.shape")
-    image = sitk.GetImageFromArray((mask_zyx != 0).astype(np.uint8))
-    spacing = np.array(volume.spacing_mm)
-    direction = volume.lps_from_ijk[:3, :3] / spacing
-    if not np.allclose(direction.T @ direction, np.eye(3), atol=1e-4):
-        msg = (
-            "the scan's axes are not at right angles (a tilted gantry): a mask file cannot hold that; resample the scan"
-        )
-        raise GeometryError(msg, code="geometry.sheared")
-    image.SetSpacing(spacing.tolist())
-    image.SetDirection(direction.ravel().tolist())
-    image.SetOrigin(volume.lps_from_ijk[:3, 3].tolist())
-
-    def write(draft: Path) -> None:
-        try:
-            sitk.WriteImage(image, str(draft), useCompression=True)
-        except RuntimeError:
-            # Its words name the draft; the usual reason is a full disk.
-            msg = f"cannot write the mask to {path}: the library could not write it; is the disk full?"
-            raise CarinaError(msg, code="export.write") from None
-
-    return write_whole_by(path, write, what="the mask")
+    # The codes first: they are short, and NIfTI has no room for whole sentences.
+    parts = [*(badge.code for badge in badges), *([] if note is None else [note]), *badge_lines(badges)]
+    values = (mask_zyx != 0).astype(np.uint8)
+    return write_grid(path, values, volume.lps_from_ijk, what="the mask", note="; ".join(parts) or None)

@@ -10,41 +10,53 @@ from __future__ import annotations
 import io
 import json
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from carina.disk import write_whole
 from carina.errors import UsageError
-from carina.export.files import write_whole
+from carina.export.badges import badge_lines
 from carina.track.mesh import Mesh
+from carina.volume import Note
 
 __all__ = ["MESH_SUFFIXES", "write_mesh"]
 
 _WORDS = "Carina airway lumen, space LPS, unit mm"
 
 
-def write_mesh(path: Path | str, mesh: Mesh) -> Path:
+def write_mesh(path: Path | str, mesh: Mesh, *, note: str | None = None, badges: Sequence[Note] = ()) -> Path:
     """Write a surface; the suffix says how: ``.stl``, ``.ply``, ``.obj`` or ``.glb``.
 
     STL, PLY and OBJ hold LPS millimetres and say so in their header. GLB demands metres with +y up: its vertices are
     LPS millimetres, too, and its one node turns and scales them (patient's head up, front towards the viewer).
 
+    Parameters
+    ----------
+    path, mesh
+        Where to, and what.
+    note
+        What a reader must know, such as how much of it a person drew; it goes into the file's header.
+    badges
+        The lasting notes of the case, there too; the header of an STL is too short and says only that there are any.
+
     Raises
     ------
     UsageError
         If the suffix is another.
-    CarinaError
+    DiskError
         If it cannot be written; what was there before stays.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in _WRITERS:
         msg = f"a surface is written as {', '.join(MESH_SUFFIXES)}; found {Path(path).name!r}"
         raise UsageError(msg)
-    return write_whole(path, _WRITERS[suffix](mesh), what="the surface")
+    return write_whole(path, _WRITERS[suffix](mesh, note, badge_lines(badges)), what="the surface")
 
 
-def _stl(mesh: Mesh) -> bytes:
+def _stl(mesh: Mesh, note: str | None, badges: list[str]) -> bytes:
     corners = mesh.vertices_lps[mesh.triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(across, axis=1, keepdims=True)
@@ -53,15 +65,20 @@ def _stl(mesh: Mesh) -> bytes:
     rows["normal"] = np.divide(across, lengths, out=np.zeros_like(across), where=lengths > 0.0)
     rows["corners"] = corners
     # A header that begins with "solid" would be taken for the text kind.
-    return f"{_WORDS}; SPACE=LPS".encode().ljust(80) + struct.pack("<I", len(rows)) + rows.tobytes()
+    # It has 80 bytes, cut between words.
+    words = f"{_WORDS}; SPACE=LPS" if not badges else "Carina airway lumen; unit mm; SPACE=LPS"
+    words += ("" if note is None else "; PART IS NOT FROM THE CT") + ("; IN DOUBT" if badges else "")
+    return words.encode().ljust(80) + struct.pack("<I", len(rows)) + rows.tobytes()
 
 
-def _ply(mesh: Mesh) -> bytes:
+def _ply(mesh: Mesh, note: str | None, badges: list[str]) -> bytes:
     header = "\n".join(
         [
             "ply",
             "format binary_little_endian 1.0",
             f"comment {_WORDS}",
+            *([] if note is None else [f"comment {note}"]),
+            *(f"comment badge {line}" for line in badges),
             f"element vertex {len(mesh.vertices_lps)}",
             "property float x",
             "property float y",
@@ -77,19 +94,23 @@ def _ply(mesh: Mesh) -> bytes:
     return header.encode() + mesh.vertices_lps.astype("<f4").tobytes() + faces.tobytes()
 
 
-def _obj(mesh: Mesh) -> bytes:
+def _obj(mesh: Mesh, note: str | None, badges: list[str]) -> bytes:
     text = io.StringIO()
-    text.write(f"# {_WORDS}\no airways\n")
+    text.write(f"# {_WORDS}\n" + ("" if note is None else f"# {note}\n"))
+    text.write("".join(f"# badge {line}\n" for line in badges) + "o airways\n")
     np.savetxt(text, mesh.vertices_lps, fmt="v %.5f %.5f %.5f")
     np.savetxt(text, mesh.triangles.astype(np.int64) + 1, fmt="f %d %d %d")
     return text.getvalue().encode()
 
 
-def _glb(mesh: Mesh) -> bytes:
+def _glb(mesh: Mesh, note: str | None, badges: list[str]) -> bytes:
     points = mesh.vertices_lps.astype("<f4")
     corners = mesh.triangles.astype("<u4")
     payload = points.tobytes() + corners.tobytes()
     scale = 0.001
+    extras: dict[str, Any] = {} if note is None else {"note": note}
+    if badges:
+        extras["badges"] = badges
     document = {
         "asset": {"version": "2.0", "generator": "Carina"},
         "scene": 0,
@@ -100,7 +121,7 @@ def _glb(mesh: Mesh) -> bytes:
                 "name": "airways",
                 "mesh": 0,
                 "matrix": [scale, 0, 0, 0, 0, 0, -scale, 0, 0, scale, 0, 0, 0, 0, 0, 1],
-                "extras": {"space": "LPS", "unit": "mm"},
+                "extras": {"space": "LPS", "unit": "mm", **extras},
             }
         ],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0}]}],
@@ -138,6 +159,11 @@ def _glb(mesh: Mesh) -> bytes:
     return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
 
 
-_WRITERS: dict[str, Callable[[Mesh], bytes]] = {".stl": _stl, ".ply": _ply, ".obj": _obj, ".glb": _glb}
+_WRITERS: dict[str, Callable[[Mesh, str | None, list[str]], bytes]] = {
+    ".stl": _stl,
+    ".ply": _ply,
+    ".obj": _obj,
+    ".glb": _glb,
+}
 MESH_SUFFIXES = tuple(_WRITERS)
 """Suffixes that :func:`write_mesh` knows."""

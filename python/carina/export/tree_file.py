@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
+from carina.disk import write_whole
 from carina.errors import TrackingError, VolumeImportError
-from carina.export.files import write_whole
 from carina.track.tree import AirwayTree
+from carina.volume import Note
 
-__all__ = ["read_tree", "write_tree"]
+__all__ = ["read_badges", "read_tree", "write_tree"]
 
 # A tree of 1000 branches is below 5 MB; anything much larger is another file.
 MAX_BYTES = 200_000_000
 
 
-def write_tree(path: Path | str, tree: AirwayTree) -> Path:
+def write_tree(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()) -> Path:
     """Write a tree as JSON, whole or not at all.
+
+    The lasting notes of its case (``carina.volume.badges_of``) stand under ``badges``.
 
     Raises
     ------
-    CarinaError
+    DiskError
         If the folder is missing or not writable, or the disk is full; what was there before stays.
     """
-    text = json.dumps(tree.to_json(), allow_nan=False) + "\n"
+    document = dataclasses.replace(tree, notes=tuple(dict.fromkeys([*badges, *tree.notes]))).to_json()
+    text = json.dumps(document, allow_nan=False) + "\n"
     return write_whole(path, text.encode(), what="the tree")
 
 
@@ -35,6 +41,21 @@ def read_tree(path: Path | str) -> AirwayTree:
     VolumeImportError
         If the file cannot be read or is not an airway tree; the message names it and says what is wrong.
     """
+    return _read(path)
+
+
+def read_badges(path: Path | str) -> tuple[Note, ...]:
+    """The lasting notes that a tree was written with; empty where there were none.
+
+    Raises
+    ------
+    VolumeImportError
+        As by :func:`read_tree`.
+    """
+    return _read(path).notes
+
+
+def _read(path: Path | str) -> AirwayTree:
     source = Path(path)
     try:
         if source.stat().st_size > MAX_BYTES:
@@ -50,7 +71,7 @@ def read_tree(path: Path | str) -> AirwayTree:
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         msg = f"{source}: is not JSON ({error}); expected a file that carina wrote with -o tree.json"
         raise VolumeImportError(msg, code="track.tree-format") from error
-    except (TrackingError, ValueError) as error:
+    except (TrackingError, ValueError, KeyError, TypeError, OverflowError) as error:
         msg = f"{source}: {error}"
         raise VolumeImportError(msg, code="track.tree-format") from error
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -18,8 +19,11 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.export.files import write_whole
+from carina.disk import write_whole
+from carina.export.badges import badge_lines, lasting
+from carina.track import drawn_tree, kind_words
 from carina.track.tree import AirwayTree, Branch
+from carina.volume import Note
 
 __all__ = ["write_markups", "write_swc", "write_vtp"]
 
@@ -37,18 +41,21 @@ _GENERATION_RGB = (
     (0.84, 0.37, 0.0),
     (0.80, 0.47, 0.65),
 )
+_DRAWN_RGB = (0.96, 0.71, 0.30)
 
 
 def _label(branch: Branch) -> str:
-    name = branch.name or f"branch {branch.id}"
-    return f"{name} (bridge)" if branch.kind == "bridge" else name
+    name, kind = branch.name or f"branch {branch.id}", kind_words(branch.kind)
+    return name if kind is None else f"{name} ({kind})"
 
 
-def write_vtp(path: Path | str, tree: AirwayTree) -> Path:
+def write_vtp(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()) -> Path:
     """Write the centrelines as VTK PolyData: a line per branch.
 
     Point data: ``Radius`` (mm). Cell data: ``BranchId``, ``ParentId`` (-1 at the root), ``Generation``, ``Bridge`` (1
-    over a blockage), ``NameConfidence`` (-1 where unknown) and ``Name`` (text). Field data: ``Space`` LPS, ``Unit`` mm.
+    over a blockage), ``DrawnByHand`` (1 where the CT shows no airway and a person drew one), ``NameConfidence`` (-1
+    where unknown), ``Name`` and ``Kind`` (texts). Field data: ``Space`` LPS, ``Unit`` mm, ``Note`` what is drawn,
+    ``Badges`` the lasting notes of the case.
 
     Raises
     ------
@@ -59,6 +66,8 @@ def write_vtp(path: Path | str, tree: AirwayTree) -> Path:
     points = np.concatenate([branch.points for branch in branches])
     counts = np.array([len(branch.points) for branch in branches])
     number = len(points)
+    note = drawn_tree(tree).words
+    said = badge_lines(lasting(tree, badges))
 
     def data(name: str, values: NDArray[Any], components: int = 1) -> str:
         kinds = {"f8": "Float64", "i8": "Int64", "i4": "Int32"}
@@ -89,6 +98,8 @@ def write_vtp(path: Path | str, tree: AirwayTree) -> Path:
             "<FieldData>",
             texts("Space", ["LPS"]),
             texts("Unit", ["mm"]),
+            *([] if note is None else [texts("Note", [note])]),
+            *([texts("Badges", said)] if said else []),
             "</FieldData>",
             f'<Piece NumberOfPoints="{number}" NumberOfVerts="0" NumberOfLines="{len(branches)}" NumberOfStrips="0" '
             'NumberOfPolys="0">',
@@ -100,11 +111,13 @@ def write_vtp(path: Path | str, tree: AirwayTree) -> Path:
             data("ParentId", cells([-1 if b.parent is None else b.parent for b in branches], "<i4")),
             data("Generation", cells([b.generation for b in branches], "<i4")),
             data("Bridge", cells([int(b.kind == "bridge") for b in branches], "<i4")),
+            data("DrawnByHand", cells([int(b.kind == "manual") for b in branches], "<i4")),
             data(
                 "NameConfidence",
                 cells([-1.0 if b.name_confidence is None else b.name_confidence for b in branches], "<f8"),
             ),
             texts("Name", [branch.name or "" for branch in branches]),
+            texts("Kind", [branch.kind for branch in branches]),
             "</CellData>",
             "<Points>",
             data("Points", points.astype("<f8"), 3),
@@ -122,7 +135,7 @@ def write_vtp(path: Path | str, tree: AirwayTree) -> Path:
     return write_whole(path, document.encode(), what="the tree")
 
 
-def write_swc(path: Path | str, tree: AirwayTree) -> Path:
+def write_swc(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()) -> Path:
     """Write the centrelines as SWC: ``number type x y z radius parent`` a line, LPS mm, type 0 (undefined).
 
     A fork is one node, so a child begins with the point after its parent's last.
@@ -133,6 +146,9 @@ def write_swc(path: Path | str, tree: AirwayTree) -> Path:
         If it cannot be written; what was there before stays.
     """
     lines = ["# Carina airway tree", "# space LPS, unit mm, radius to the wall", "# number type x y z radius parent"]
+    if (note := drawn_tree(tree).words) is not None:
+        lines.insert(2, f"# {note}: the CT shows no airway there")
+    lines[2:2] = [f"# badge {line}" for line in badge_lines(lasting(tree, badges))]
     last_node: dict[int, int] = {}
     node = 0
     for branch in tree.branches:
@@ -148,23 +164,33 @@ def write_swc(path: Path | str, tree: AirwayTree) -> Path:
     return write_whole(path, ("\n".join(lines) + "\n").encode(), what="the tree")
 
 
-def write_markups(path: Path | str, tree: AirwayTree) -> Path:
+def write_markups(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()) -> Path:
     """Write the centrelines as 3D Slicer markups (``.mrk.json``): a curve per branch, in LPS, named as in the tree.
+
+    What the CT does not show says so in the curve's name and description, and is drawn thin and amber. Each description
+    holds the lasting notes of the case.
 
     Raises
     ------
     CarinaError
         If it cannot be written; what was there before stays.
     """
-    document = {"@schema": _MARKUPS_SCHEMA, "markups": [_curve(branch) for branch in tree.branches]}
+    document = {
+        "@schema": _MARKUPS_SCHEMA,
+        "markups": [_curve(branch, badge_lines(lasting(tree, badges))) for branch in tree.branches],
+    }
     return write_whole(path, (json.dumps(document, allow_nan=False) + "\n").encode(), what="the tree")
 
 
-def _curve(branch: Branch) -> dict[str, Any]:
-    colour = list(_GENERATION_RGB[branch.generation % len(_GENERATION_RGB)])
+def _curve(branch: Branch, badges: list[str]) -> dict[str, Any]:
+    is_drawn = branch.kind != "tracked"
+    colour = list(_DRAWN_RGB if is_drawn else _GENERATION_RGB[branch.generation % len(_GENERATION_RGB)])
     return {
         "type": "Curve",
         "name": _label(branch),
+        "description": "; ".join(
+            [*([f"{kind_words(branch.kind)}: the CT shows no airway here"] if is_drawn else []), *badges]
+        ),
         "coordinateSystem": "LPS",
         "coordinateUnits": "mm",
         "locked": True,
@@ -194,6 +220,6 @@ def _curve(branch: Branch) -> dict[str, Any]:
             "propertiesLabelVisibility": True,
             "pointLabelsVisibility": False,
             "glyphScale": 0.5,
-            "lineThickness": 0.4,
+            "lineThickness": 0.15 if is_drawn else 0.4,
         },
     }

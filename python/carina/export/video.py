@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
-import secrets
+from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.disk import Draft
 from carina.errors import CarinaError, UsageError
 
 __all__ = ["VIDEO_SUFFIXES", "VideoWriter"]
@@ -36,6 +38,43 @@ def _pyav() -> Any:
             "videos need PyAV: install Carina with the extra `video` (pip install 'carina[video]')", code="export.video"
         ) from None
     return av
+
+
+class _Told(io.RawIOBase):
+    """The draft for the library, which says of a full disk only that something went wrong."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self.trouble: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        try:
+            return self._file.write(data)
+        except OSError as trouble:
+            self.trouble = self.trouble or trouble
+            raise
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        try:
+            return self._file.seek(offset, whence)
+        except OSError as trouble:
+            self.trouble = self.trouble or trouble
+            raise
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def read(self, size: int = -1) -> bytes:
+        return self._file.read(size)
+
+    def readable(self) -> bool:
+        return True
+
+    def writable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
 
 
 class VideoWriter:
@@ -73,16 +112,12 @@ class VideoWriter:
         self._av, self._size = av, (width, height)
         self.num_frames = 0
         self._rate = Fraction(rate_hz).limit_denominator(1001)
-        self._draft = self._path.with_name(f".{secrets.token_hex(8)}{suffix}")
-        # Made here, so that it has the permissions of any new file of this person.
-        self._draft.open("xb").close()
+        self._draft = Draft(self._path, what="the video")
+        self._file = _Told(self._draft.file)
         self._container: Any = None
-        try:
-            self._container = av.open(str(self._draft), "w")
+        with self._disk_told():
+            self._container = av.open(self._file, "w", format=suffix.removeprefix("."))
             self._stream = self._made_stream(suffix)
-        except BaseException:
-            self.discard()
-            raise
 
     def _made_stream(self, suffix: str) -> Any:
         codec, options = _OPTIONS[suffix]
@@ -105,28 +140,45 @@ class VideoWriter:
         frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24")
         frame = frame.reformat(format=self._stream.pix_fmt, dst_colorspace="ITU709")
         frame.pts, frame.time_base = self.num_frames, 1 / self._rate
-        self._container.mux(self._stream.encode(frame))
+        with self._disk_told():
+            self._container.mux(self._stream.encode(frame))
         self.num_frames += 1
 
     def close(self) -> None:
-        """Write what is left and put the file in its place; where that fails (a full disk) it is given up."""
-        try:
+        """Write what is left and put the file in its place.
+
+        Raises
+        ------
+        DiskError
+            Where that fails; it is given up then, and a former file stays.
+        """
+        with self._disk_told():
             self._container.mux(self._stream.encode(None))
             self._container.close()
-            self._draft.replace(self._path)
-        except BaseException:
-            self.discard()
-            raise
+            self._draft.commit()
 
     def discard(self) -> None:
         """Give it up."""
         try:
             if self._container is not None:
-                # It writes its last bytes, for which there may be no room; they are not wanted.
-                with contextlib.suppress(OSError):
+                # It writes its last bytes, for which there may be no room; they are not wanted. Not only OSError: the
+                # library has an error of its own for a file that refused.
+                with contextlib.suppress(Exception):
                     self._container.close()
         finally:
-            self._draft.unlink(missing_ok=True)
+            self._draft.discard()
+
+    @contextlib.contextmanager
+    def _disk_told(self) -> Iterator[None]:
+        """After any error the video is given up; what the disk refused is said in its own words."""
+        try:
+            yield
+        except BaseException as error:
+            refused = self._file.trouble or (error if isinstance(error, OSError) else None)
+            self.discard()
+            if refused is not None:
+                raise self._draft.trouble(refused) from error
+            raise
 
     def __enter__(self) -> VideoWriter:
         return self

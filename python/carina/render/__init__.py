@@ -8,7 +8,7 @@ from carina.render.appearance import Appearance
 from carina.render.backend import Adapter, Backend, Verdict, find_adapters
 from carina.render.lettering import PathSpan, letter_edges, mark_path
 from carina.render.pictures import VIEW_NAMES, mark_tip, render_surface, render_view, view_spec
-from carina.render.png_text import read_png_pose
+from carina.render.png_text import read_png_badges, read_png_pose
 from carina.render.renderer import Renderer, can_cut
 from carina.render.structures import build_isoregion_map, project_maximum, sample_plane
 from carina.render.surface import Hit, Surface
@@ -64,6 +64,7 @@ __all__ = [
     "mark_path",
     "mark_tip",
     "project_maximum",
+    "read_png_badges",
     "read_png_pose",
     "render_surface",
     "render_view",

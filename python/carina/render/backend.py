@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-import os
-import tempfile
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,6 +16,7 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.config import BACKENDS
+from carina.disk import write_whole
 from carina.errors import RenderError
 
 __all__ = ["RECORD_NAME", "Adapter", "Backend", "Verdict", "find_adapters"]
@@ -207,12 +206,6 @@ def _write(path: Path, verdicts: list[Verdict]) -> None:
     data = {"format": FORMAT, "version": VERSION, "carina": _carina(), "measured": measured}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, draft = tempfile.mkstemp(dir=path.parent, suffix=".json")
-        try:
-            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-                json.dump(data, file, indent=1)
-            Path(draft).replace(path)
-        finally:
-            Path(draft).unlink(missing_ok=True)
+        write_whole(path, json.dumps(data, indent=1).encode(), what="the record of measured adapters")
     except OSError as error:
         log.debug("the record of measured adapters could not be written: %s", error.strerror)

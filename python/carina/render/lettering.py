@@ -36,6 +36,8 @@ _GLYPHS = {
 }
 _ADVANCE, _HEIGHT = 6, 8
 _TEXT_RGB, _QUIET_RGB, _AXIS_RGB, _RADIUS_RGB = (230, 232, 234), (169, 177, 184), (79, 211, 230), (79, 211, 230)
+_DRAWN_RGB = (244, 180, 76)
+_DASH_ROWS = 10
 
 # A direction of the path is that over this many rows.
 LOCAL_ROWS = 12
@@ -50,6 +52,8 @@ class PathSpan:
     name: str
     from_mm: float
     to_mm: float
+    drawn: bool = False
+    """The CT shows no airway here (drawn by hand, or a bridge): its lines are dashes of another colour."""
 
 
 def letters_of(direction_lps: NDArray[np.float64]) -> str:
@@ -120,7 +124,8 @@ def mark_path(
     spans
         Branches along the path; names are left out where they would print over one another.
     radius_mm
-        Places (n,) and lumen radii (n,) along the path, mm: drawn as two dotted lines in the straightened picture.
+        Places (n,) and lumen radii (n,) along the path, mm: drawn as two dotted lines in the straightened picture, not
+        along what a person drew.
 
     Raises
     ------
@@ -137,11 +142,15 @@ def mark_path(
     rows = np.flatnonzero(known)
     if rows.size == 0:
         return dataclasses.replace(picture, rgb=rgb)
+    drawn = np.zeros(rows.size, dtype=bool)
+    for span in spans:
+        if span.drawn:
+            drawn |= (lines.path_mm[rows] >= span.from_mm) & (lines.path_mm[rows] <= span.to_mm)
     if radius_mm is not None and picture.view == "straightened":
         reach = np.interp(lines.path_mm[rows], radius_mm[0], radius_mm[1]) / lines.mm_per_px
         for side in (-1.0, 1.0):
             columns = (lines.path_column[rows] + side * reach).astype(int)
-            shown = (rows // size % 4 < 2) & (columns >= 0) & (columns < width)
+            shown = ~drawn & (rows // size % 4 < 2) & (columns >= 0) & (columns < width)
             rgb[rows[shown], columns[shown]] = _RADIUS_RGB
 
     def row_of(place_mm: float) -> int | None:
@@ -151,6 +160,10 @@ def mark_path(
 
     axis = 3 * size
     rgb[rows[0] : rows[-1] + 1, axis : axis + size] = _AXIS_RGB
+    gaps = rows[drawn] % (_DASH_ROWS * size) >= _DASH_ROWS * size // 2
+    rgb[rows[drawn], axis : axis + size] = np.where(
+        gaps[:, None, None], picture.rgb[rows[drawn], axis : axis + size], _DRAWN_RGB
+    )
     per_px = (lines.path_mm[rows[-1]] - lines.path_mm[rows[0]]) / max(rows[-1] - rows[0], 1)
     tick_mm = next(mm for mm in (1, 2, 5, 10, 20, 50, 100, 1000) if mm / max(per_px, 1e-6) >= 3 * _HEIGHT * size)
     first = int(np.ceil(lines.path_mm[rows[0]] / tick_mm - 1e-3))
@@ -169,7 +182,7 @@ def mark_path(
         rgb[start : start + size, max(right - 5 * size, 0) : right] = _QUIET_RGB
         row = (start + end) // 2
         if row - taken > (_HEIGHT + 2) * size:
-            _write(rgb, span.name, right, row, align=1.0, size=size)
+            _write(rgb, span.name, right, row, align=1.0, size=size, rgb_of=_DRAWN_RGB if span.drawn else _TEXT_RGB)
             taken = row
     return dataclasses.replace(picture, rgb=rgb)
 
@@ -178,7 +191,16 @@ def _size(rgb: NDArray[np.uint8]) -> int:
     return 1 if min(rgb.shape[:2]) < 400 else 2
 
 
-def _write(rgb: NDArray[np.uint8], text: str, column: int, row: int, *, align: float = 0.0, size: int = 1) -> None:
+def _write(
+    rgb: NDArray[np.uint8],
+    text: str,
+    column: int,
+    row: int,
+    *,
+    align: float = 0.0,
+    size: int = 1,
+    rgb_of: tuple[int, int, int] = _TEXT_RGB,
+) -> None:
     """Text with its middle at a row, light on a dark edge; what lies outside the picture is cut off."""
     dots = np.zeros((_HEIGHT, max(_ADVANCE * len(text) - 1, 1)), dtype=bool)
     for n, letter in enumerate(text):
@@ -202,4 +224,4 @@ def _write(rgb: NDArray[np.uint8], text: str, column: int, row: int, *, align: f
     if inside[0].start >= inside[0].stop or inside[1].start >= inside[1].stop:
         return
     rgb[inside][edge[part]] = (8, 10, 12)
-    rgb[inside][dots[part]] = _TEXT_RGB
+    rgb[inside][dots[part]] = rgb_of

@@ -11,7 +11,6 @@ import json
 import logging
 import os
 import struct
-import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
+from carina.disk import drafted
 
 __all__ = ["SLOW_NS_PER_VOXEL", "CachedMap", "MapCache", "MapName"]
 
@@ -135,17 +135,11 @@ class MapCache:
             return
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            handle, part = tempfile.mkstemp(dir=self._folder, suffix=".part")
-            try:
-                with os.fdopen(handle, "wb") as out:
-                    out.write(_START.pack(_MAGIC, MAP_VERSION, len(header)))
-                    out.write(header)
-                    for array in built.arrays:
-                        out.write(array.data)
-                Path(part).replace(self._path(name))
-            except BaseException:
-                _remove(Path(part))
-                raise
+            with drafted(self._path(name), what="an IsoRegion map", private=True) as out:
+                out.write(_START.pack(_MAGIC, MAP_VERSION, len(header)))
+                out.write(header)
+                for array in built.arrays:
+                    out.write(array.data)
             self._trim()
         except OSError as error:
             logger.warning("an IsoRegion map could not be cached: %s", error.strerror)

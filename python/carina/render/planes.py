@@ -31,8 +31,12 @@ class PlaneCaster:
     def cut_plane(self, view: CutPlaneView, *, rows: Rows = None) -> Picture:
         """The plane through the tip."""
         right, down, forward = view.pose.lps_from_camera[:3, :3].T
+        middle = view.pose.position_lps
+        if view.center_lps is not None:
+            aside = np.asarray(view.center_lps, dtype=np.float64) - middle
+            middle = middle + (aside @ right) * right + (aside @ down) * down
         matrix = geometry.plane_matrix(
-            view.pose.position_lps,
+            middle,
             (right, down, forward),
             view.extent_mm / view.width,
             view.width,

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import errno
 import os
-import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.disk import drafted
 from carina.errors import RenderError
 from carina.scopes import Pose
+from carina.volume import Note
 
 __all__ = ["Hit", "Surface"]
 
@@ -45,37 +47,33 @@ class Surface:
     pose: Pose
     fov_deg: float
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
+    def save(self, path: str | os.PathLike[str], *, badges: Sequence[Note] = ()) -> Path:
         """Write a NumPy archive and return where; a file of the same name is replaced whole or not at all.
 
-        It holds ``depth_mm``, ``position_lps``, ``normal_lps``, ``lps_from_camera`` (4, 4) and ``fov_deg``.
+        It holds ``depth_mm``, ``position_lps``, ``normal_lps``, ``lps_from_camera`` (4, 4) and ``fov_deg``; where its
+        case is in doubt also ``badges`` (n,), a text each.
 
         Raises
         ------
         RenderError
             If the name does not end in ``.npz``.
-        OSError
-            If the folder does not exist or is not writable.
+        DiskError
+            If the folder does not exist or is not writable, or the disk is full.
         """
+        said: dict[str, Any] = (
+            {"badges": np.array([f"{badge.code}: {badge.words}" for badge in badges])} if badges else {}
+        )
         target = Path(path)
         if target.suffix.lower() != ".npz":
             raise RenderError(f"saving a surface: expected a file name that ends in .npz; found {target.name!r}")
-        if not target.parent.is_dir():
-            raise FileNotFoundError(errno.ENOENT, "saving a surface: there is no such folder", str(target.parent))
-        with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".npz", delete=False) as scratch:
-            draft = Path(scratch.name)
-            try:
-                np.savez_compressed(
-                    scratch,
-                    depth_mm=self.depth_mm,
-                    position_lps=self.position_lps,
-                    normal_lps=self.normal_lps,
-                    lps_from_camera=self.pose.lps_from_camera,
-                    fov_deg=np.float64(self.fov_deg),
-                )
-                scratch.close()
-                draft.chmod(0o644)
-                draft.replace(target)
-            finally:
-                draft.unlink(missing_ok=True)
+        with drafted(target, what="the surface", needed_bytes=self.position_lps.nbytes) as file:
+            np.savez_compressed(
+                file,
+                depth_mm=self.depth_mm,
+                position_lps=self.position_lps,
+                normal_lps=self.normal_lps,
+                lps_from_camera=self.pose.lps_from_camera,
+                fov_deg=np.float64(self.fov_deg),
+                **said,
+            )
         return target

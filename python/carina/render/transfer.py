@@ -170,7 +170,8 @@ class TransferFunction:
                 light=Light(**{k: light_document[k] for k in known if k in light_document}),
                 appearance=None if appearance is None else Appearance.from_json(appearance),
             )
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            # OverflowError: an integer of hundreds of digits has no float.
             if isinstance(error, RenderError):
                 raise
             raise RenderError(f"the transfer function cannot be read: {error}", code="render.transfer") from None

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
-import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import SimpleITK as sitk
 from numpy.typing import NDArray
 
+from carina.disk import write_whole
 from carina.errors import RenderError
 from carina.render.appearance import check_guides
-from carina.render.png_text import KEYWORD, with_text
+from carina.render.png_text import BADGES_KEYWORD, KEYWORD, png_bytes
 from carina.scopes import FULL_FRAME, PINHOLE, DepthOfField, ImageField, Lens, Optics, PathFrames, Pose, ScopePreset
+from carina.volume import Note
 
 __all__ = [
     "AirwayView",
@@ -155,7 +155,10 @@ class AirwayView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CutPlaneView:
-    """The plane through the tip, spanned by the camera's right and down; ``extent_mm`` wide (paper 3.1)."""
+    """The plane through the tip, spanned by the camera's right and down; ``extent_mm`` wide (paper 3.1).
+
+    The tip is in the middle, or the point of the plane nearest to ``center_lps``.
+    """
 
     pose: Pose
     width: int = 512
@@ -163,10 +166,13 @@ class CutPlaneView:
     extent_mm: float = 60.0
     window_hu: tuple[float, float] = WINDOW_HU
     slab: Slab | None = None
+    center_lps: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         _check(self.width, self.height, window_hu=self.window_hu)
         _check_mm("the extent of a cut plane", self.extent_mm)
+        if self.center_lps is not None:
+            _check_point("the middle of a cut plane", self.center_lps)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -472,31 +478,24 @@ class Picture:
             "fov_deg": None if self.fov_deg is None else float(self.fov_deg),
         }
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
+    def save(self, path: str | os.PathLike[str], *, badges: Sequence[Note] = ()) -> Path:
         """Write the picture as PNG and return where; a picture of the same name is replaced whole or not at all.
 
-        Its text chunk ``carina-pose`` holds :meth:`place`; :func:`carina.render.read_png_pose` reads it.
+        Its text chunk ``carina-pose`` holds :meth:`place`; :func:`carina.render.read_png_pose` reads it. The lasting
+        notes of its case are in ``carina-badges``, for :func:`carina.render.read_png_badges`.
 
         Raises
         ------
         RenderError
             If the name does not end in ``.png``.
-        OSError
-            If the folder does not exist or is not writable.
+        DiskError
+            If the folder does not exist or is not writable, or the disk is full.
         """
         target = Path(path)
         if target.suffix.lower() != ".png":
             raise RenderError(f"saving a picture: expected a file name that ends in .png; found {target.name!r}")
-        if not target.parent.is_dir():
-            raise FileNotFoundError(errno.ENOENT, "saving a picture: there is no such folder", str(target.parent))
-        with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".png", delete=False) as scratch:
-            draft = Path(scratch.name)
-        try:
-            image = sitk.GetImageFromArray(np.ascontiguousarray(self.rgb), isVector=True)
-            sitk.WriteImage(image, str(draft))
-            draft.write_bytes(with_text(draft.read_bytes(), KEYWORD, json.dumps(self.place(), allow_nan=False)))
-            draft.chmod(0o644)
-            draft.replace(target)
-        finally:
-            draft.unlink(missing_ok=True)
-        return target
+        words = {KEYWORD: json.dumps(self.place(), allow_nan=False)}
+        if badges:
+            rows = [{"code": badge.code, "words": badge.words} for badge in badges]
+            words[BADGES_KEYWORD] = json.dumps(rows)
+        return write_whole(target, png_bytes(np.ascontiguousarray(self.rgb), words), what="the picture")
