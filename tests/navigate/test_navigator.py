@@ -102,9 +102,10 @@ def test_free_steering_turns_about_the_cameras_own_axes_and_advances_along_the_v
     np.testing.assert_allclose(tip.pose.position_lps, [-3, 0, 0], atol=1e-12)
 
 
-def test_the_pose_is_rigid_after_100_000_random_turns(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("num_turns", [4000, pytest.param(100_000, marks=pytest.mark.soak)])
+def test_the_pose_is_rigid_after_thousands_of_random_turns(rng: np.random.Generator, num_turns: int) -> None:
     tip = Navigator(Pose.looking([0, 0, 0], [0.3, 0.2, -1]), volume=oblique_volume())
-    amounts = rng.normal(0.0, 0.2, size=(100_000, 4))
+    amounts = rng.normal(0.0, 0.2, size=(num_turns, 4))
     for advance, yaw, pitch, roll in amounts:
         tip.steer(advance, yaw, pitch, roll)
     r = tip.pose.lps_from_camera[:3, :3]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 
@@ -220,8 +221,8 @@ def test_an_armed_pen_marks_and_does_not_change_the_way_to_move():
     hand.pen(buttons=1)
     hand.pen(buttons=0)
     assert hand.pilot.control == "relative"
-    assert hand.pilot.take_marks() == 1
-    assert hand.pilot.take_marks() == 0
+    assert hand.pilot.take_marks() == ("pen",)
+    assert hand.pilot.take_marks() == ()
 
 
 def test_keys_and_a_device_move_one_tip_and_neither_makes_the_other_jump():
@@ -391,3 +392,91 @@ def test_a_pen_that_cannot_be_carried_goes_forward_by_its_key_and_turns_meanwhil
     assert (after.position_lps - hand.pose.position_lps) @ after.forward_lps > 0.2, "backwards, also with the clutch"
     hand.say(PoseSample(0.0, None, (1.0, 0.0, 0.0, 0.0), 2, 0.0))
     assert not hand.pilot.is_moving
+
+
+# A tracker that stands beside the patient, turned about two axes.
+STANDS = np.eye(4)
+STANDS[:3, :3] = rotation_from_vector(np.array([0.4, -0.9, 0.2]))
+STANDS[:3, 3] = (120.0, -45.0, 300.0)
+
+
+def registered(*, path: bool = False, controls: Controls = PLAIN) -> Hand:
+    hand = Hand(path=path, controls=controls)
+    hand.pilot.apply(m.Calibrate("pen", tuple(STANDS.ravel())))
+    return hand
+
+
+def in_tracker(lps) -> tuple[float, ...]:
+    return tuple(np.linalg.inv(STANDS[:3, :3]) @ (np.array(lps) - STANDS[:3, 3]))
+
+
+def test_a_registered_pens_own_point_is_known_in_every_way_to_move_also_while_the_hand_hurries():
+    hand = registered(path=True, controls=Controls())
+    for n, control in enumerate(("path", "relative", "absolute", "path", "absolute")):
+        hand.pilot.apply(m.SetControl(control))
+        for step in range(10):
+            at = (20.0 * step, -30.0 + 7.0 * n, 40.0 - 25.0 * step)
+            hand.pen(in_tracker(at))
+            np.testing.assert_allclose(hand.pilot.pen_lps("pen"), at, atol=1e-9)
+            assert hand.pilot.pen().lps == pytest.approx(at, abs=1e-9)
+    assert hand.pilot.pen_lps("another") is None
+
+
+def test_a_pen_that_is_not_registered_or_has_no_position_has_no_point_of_its_own():
+    hand = Hand()
+    assert hand.pilot.pen() is None
+    hand.pen((1.0, 2.0, 3.0))
+    assert (hand.pilot.pen_lps("pen"), hand.pilot.pen().lps, hand.pilot.pen().is_tracked) == (None, None, True)
+    hand.pilot.apply(m.Calibrate("pen", tuple(STANDS.ravel())))
+    assert hand.pilot.pen().lps is not None
+    hand.say(PoseSample(0.0, None, (1.0, 0.0, 0.0, 0.0)), "pen")
+    assert (hand.pilot.pen_lps("pen"), hand.pilot.pen().is_tracked) == (None, False)
+    hand.pilot.apply(m.DeviceGone("pen"))
+    assert hand.pilot.pen() is None
+
+
+def test_what_is_left_between_pen_and_tip_is_told_in_absolute_until_it_is_gone():
+    hand = registered(path=True)
+    hand.pen(in_tracker((30.0, 0.0, -20.0)))
+    assert hand.pilot.pen().off_mm is None, "elsewhere the pen says no place of the tip"
+    hand.pilot.apply(m.SetControl("absolute"))
+    assert hand.pilot.pen().off_mm == pytest.approx(moved(hand.pose, hand.pilot.pen_pose("pen")))
+    assert hand.pilot.pen().off_mm > 30.0
+    left = []
+    for n in range(300):
+        hand.pen(in_tracker((30.0 + 0.5 * n, 0.0, -20.0)))
+        left.append(hand.pilot.pen().off_mm)
+    assert all(b <= a + 1e-9 for a, b in itertools.pairwise(left)), "it never grows"
+    assert left[-1] < 0.05
+
+
+def test_the_tip_joins_the_pen_at_once_and_goes_on_with_it_exactly():
+    hand = registered(path=True)
+    hand.pen(in_tracker((30.0, 10.0, -20.0)), (0.3, -0.2, 0.5))
+    with pytest.raises(UsageError, match="absolute") as refused:
+        hand.pilot.apply(m.JoinPen())
+    assert refused.value.code == "navigate.not-absolute"
+    hand.pilot.apply(m.SetControl("absolute"))
+    hand.pen(in_tracker((30.0, 10.0, -20.0)), (0.3, -0.2, 0.5))
+    assert hand.pilot.pen().off_mm > 30.0
+    hand.pilot.apply(m.JoinPen())
+    assert hand.pilot.pen().off_mm == pytest.approx(0.0, abs=1e-9)
+    assert hand.pilot.pen().off_rad == pytest.approx(0.0, abs=1e-6)
+    for n in range(20):
+        at = (30.0 + 0.3 * n, 10.0, -20.0 - 0.2 * n)
+        hand.pen(in_tracker(at), (0.3, -0.2 + 0.01 * n, 0.5))
+        np.testing.assert_allclose(hand.pose.position_lps, at, atol=1e-9)
+    assert m.move_from_json(m.move_to_json(m.JoinPen())) == m.JoinPen()
+
+
+def test_joining_leaves_nothing_of_the_filters_delay_either():
+    hand = registered(controls=Controls())
+    hand.pilot.apply(m.SetControl("absolute"))
+    for n in range(10):
+        at = (30.0 + 2.0 * n, 10.0, -20.0)
+        hand.pen(in_tracker(at))
+    assert moved(hand.pilot.pen_pose("pen"), Pose.looking(at, [0.0, 0.0, -1.0])) > 0.1, "the filter lags behind"
+    hand.pilot.apply(m.JoinPen())
+    np.testing.assert_allclose(hand.pose.position_lps, at, atol=1e-9)
+    hand.pen(in_tracker(at))
+    np.testing.assert_allclose(hand.pose.position_lps, at, atol=1e-9)

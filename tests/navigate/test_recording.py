@@ -245,8 +245,9 @@ def test_a_full_disk_ends_the_recording_with_one_sentence_and_the_flight_goes_on
     fly(session, clock)
     assert session.pose_info().pose is not before
     (trouble,) = said
-    assert trouble.code == "machine"
-    assert "the recording ended: No space left on device" in trouble.message
+    assert trouble.code == "disk.full"
+    assert "the recording ended" in trouble.message
+    assert "the disk is full" in trouble.message
     assert session.recording_path is None
     assert file.closed
     # And another one can be made.
@@ -285,7 +286,7 @@ def test_a_recording_that_cannot_begin_is_refused_and_leaves_no_file(flown, tmp_
         return file
 
     monkeypatch.setattr(Path, "open", opened)
-    with pytest.raises(CarinaError, match="No space left"):
+    with pytest.raises(CarinaError, match="the disk is full"):
         session.start_recording(tmp_path / "a.jsonl")
     assert session.recording_path is None
     assert file.closed

@@ -8,7 +8,7 @@ from carina.navigate.key_legs import AirwayWay
 from carina.navigate.moves import CONTROL_RANGES, Controls, Move
 from carina.navigate.navigator import Navigator
 from carina.navigate.one_euro import FilterSettings, SampleFilter
-from carina.navigate.pilot import DeviceState, Pilot
+from carina.navigate.pilot import DeviceState, PenState, Pilot
 from carina.navigate.recording import Recorder, Recording, case_key, open_recording
 from carina.navigate.registration import Registration, fit_registration
 from carina.navigate.samples import AxesSample, HandleSample, PoseSample, Sample, SampleGate
@@ -30,6 +30,7 @@ __all__ = [
     "KeyFrameFlight",
     "Move",
     "Navigator",
+    "PenState",
     "Pilot",
     "PoseSample",
     "Recorder",

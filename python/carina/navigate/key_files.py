@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from carina.errors import UsageError, VolumeImportError
+from carina.errors import VolumeImportError
 from carina.navigate.key_frames import KeyFrame, KeyFrameFlight
 from carina.navigate.key_legs import AirwayWay
 from carina.navigate.recording import case_key
@@ -124,7 +124,7 @@ def open_keys(path: str | Path) -> KeyFile:
         raise
     except OSError as trouble:
         raise VolumeImportError(f"{place.name}: cannot be read: {trouble.strerror}", code="navigate.keys") from trouble
-    except (ValueError, KeyError, TypeError, RecursionError, UsageError) as trouble:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as trouble:
         raise VolumeImportError(f"{place.name}: holds no key frames: {trouble}", code="navigate.keys") from trouble
 
 

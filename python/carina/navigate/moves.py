@@ -26,6 +26,7 @@ __all__ = [
     "DeviceSaid",
     "Frame",
     "GoTo",
+    "JoinPen",
     "LevelHorizon",
     "Move",
     "NextFork",
@@ -289,9 +290,14 @@ class SetScope:
 
 @dataclass(frozen=True, slots=True)
 class ArmPen:
-    """The pen's first button marks the place of the tip instead of cycling the ways to move, or no longer."""
+    """The pen's first button marks a point (``Pilot.pen_lps``) instead of cycling the ways to move, or no longer."""
 
     armed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class JoinPen:
+    """In *absolute* the tip comes to the pen at once, instead of easing over while the hand moves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,6 +328,7 @@ Move = (
     | SetControl
     | CycleControl
     | ArmPen
+    | JoinPen
     | SetScope
     | SetControls
 )

@@ -26,7 +26,7 @@ from carina.navigate.rotation import (
 from carina.navigate.samples import MAX_DEVICES, AxesSample, HandleSample, PoseSample, Sample, SampleGate
 from carina.scopes import Pose, ScopeDrive, WallField, lever_flexion
 
-__all__ = ["CLUTCH_BUTTON", "CYCLE_BUTTON", "DeviceState", "Pilot"]
+__all__ = ["CLUTCH_BUTTON", "CYCLE_BUTTON", "DeviceState", "PenState", "Pilot"]
 
 CYCLE_BUTTON = 0
 CLUTCH_BUTTON = 1
@@ -55,10 +55,30 @@ class DeviceState:
     registered: bool
 
 
+@dataclass(frozen=True, slots=True)
+class PenState:
+    """The tracked pen that moves the tip, and the point that its button marks."""
+
+    device: str
+    is_tracked: bool
+    """It tells its position, not only how it is turned."""
+    lps: tuple[float, float, float] | None
+    """Its own tip in the patient; None unless its tracker is registered."""
+    off_mm: float | None
+    """In *absolute*: how far the scope's tip still is from it."""
+    off_rad: float | None
+    """And by how much it is still turned against it."""
+    is_armed: bool
+    """Its first button marks that point."""
+
+
 @dataclass(slots=True)
 class _Device:
     filter: SampleFilter
+    measured: Sample | None = None
+    """The newest as it was measured."""
     newest: Sample | None = None
+    """The same, filtered."""
     arrived_s: float = -math.inf
     buttons: int = 0
     registration: Registration | None = None
@@ -107,7 +127,7 @@ class Pilot:
         self._path_move = m.SetPath(())
         self._wanted_way: int | None = None
         self._pen_armed = False
-        self._num_marks = 0
+        self._marks: list[str] = []
         self._frame_s: float | None = None
         self._passed_s = 0.0
         # What the tip followed in the last frame; None begins anew, so that nothing jumps.
@@ -171,6 +191,35 @@ class Pilot:
             return None
         return None if known.newest.position_mm is None else self._registered(known.registration, known.newest)
 
+    def pen_lps(self, device: str) -> NDArray[np.float64] | None:
+        """Where the tip of a registered pen was measured last, (3,) in LPS mm; None without registration or position.
+
+        As measured, not as filtered: the filter follows a moving hand late, and this is the point that a person shows.
+        """
+        known = self._devices.get(device)
+        if known is None or known.registration is None or not isinstance(known.measured, PoseSample):
+            return None
+        if known.measured.position_mm is None:
+            return None
+        return self._registered(known.registration, known.measured).position_lps
+
+    def pen(self) -> PenState | None:
+        """The pen that moves the tip; None while nothing does, or a stick or a handle."""
+        holder = self._gate.holder
+        device = None if holder is None else self._devices.get(holder)
+        if holder is None or device is None or not isinstance(device.measured, PoseSample):
+            return None
+        lps, off_mm, off_rad = self.pen_lps(holder), None, None
+        pen = self.pen_pose(holder)
+        if pen is not None and self.control == "absolute":
+            tip = self.navigator.pose
+            off_mm = float(np.linalg.norm(tip.position_lps - pen.position_lps))
+            turn = pen.lps_from_camera[:3, :3].T @ tip.lps_from_camera[:3, :3]
+            off_rad = float(np.linalg.norm(vector_from_rotation(orthonormal(turn))))
+        place = None if lps is None else (float(lps[0]), float(lps[1]), float(lps[2]))
+        is_tracked = device.measured.position_mm is not None
+        return PenState(holder, is_tracked, place, off_mm, off_rad, self._pen_armed)
+
     def take_message(self, now_s: float) -> str | None:
         """One sentence about samples that were ignored, now and then."""
         return self._gate.take_message(now_s)
@@ -180,9 +229,9 @@ class Pilot:
         wanted, self._wanted_way = self._wanted_way, None
         return wanted
 
-    def take_marks(self) -> int:
-        """How often the armed pen's button was pressed since the last call."""
-        marks, self._num_marks = self._num_marks, 0
+    def take_marks(self) -> tuple[str, ...]:
+        """The devices whose first button was pressed while a pen was armed, since the last call; one for each press."""
+        marks, self._marks = tuple(self._marks), []
         return marks
 
     # ------------------------------------------------------------ recordings
@@ -287,13 +336,15 @@ class Pilot:
                 self._lay_scope(move)
             case m.ArmPen():
                 self._pen_armed = move.armed
+            case m.JoinPen():
+                self._join_pen()
             case m.SetControls():
                 self._controls = move.controls
                 for device in self._devices.values():
                     device.filter = SampleFilter(move.controls.filter)
             case _:
                 assert_never(move)
-        if not isinstance(move, m.Frame | m.DeviceSaid | m.ArmPen):
+        if not isinstance(move, m.Frame | m.DeviceSaid | m.ArmPen | m.JoinPen):
             # Whatever else moved the tip: the hand goes on from there.
             self._followed = None
 
@@ -319,18 +370,18 @@ class Pilot:
         if admitted is None:
             return
         device = self._device(name)
-        device.newest, device.arrived_s = device.filter.apply(admitted), now_s
+        device.measured, device.newest, device.arrived_s = admitted, device.filter.apply(admitted), now_s
         pressed = admitted.buttons & ~device.buttons
         device.buttons = admitted.buttons
         for number in range(pressed.bit_length()):
             if pressed >> number & 1:
-                self._press(number)
+                self._press(name, number)
 
-    def _press(self, number: int) -> None:
+    def _press(self, name: str, number: int) -> None:
         if number != CYCLE_BUTTON:
             return
         if self._pen_armed:
-            self._num_marks += 1
+            self._marks.append(name)
         else:
             self._cycle()
             self._followed = None
@@ -369,6 +420,25 @@ class Pilot:
             self._free = control
             self.navigator.set_mode("free")
         self._followed = None
+
+    def _join_pen(self) -> None:
+        holder = self._gate.holder
+        if holder is None or self.pen_lps(holder) is None or self.control != "absolute":
+            raise UsageError(
+                "the tip joins a registered pen, in absolute movement only: choose absolute first",
+                code="navigate.not-absolute",
+            )
+        device = self._devices[holder]
+        # To the pen as it was measured: what the filter still lags behind is left out, too.
+        assert device.measured is not None
+        device.filter = SampleFilter(self._controls.filter)
+        device.newest = newest = device.filter.apply(device.measured)
+        pen = self.pen_pose(holder)
+        assert pen is not None
+        self.navigator.place(pen)
+        # What the hand does from this sample on, the tip does: nothing is left to ease over.
+        self._off_turn, self._off_lps = np.eye(3), np.zeros(3)
+        self._followed = (holder, newest)
 
     # ------------------------------------------------------------ one frame
 

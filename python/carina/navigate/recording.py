@@ -19,7 +19,7 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.errors import UsageError, VolumeImportError
+from carina.errors import VolumeImportError
 from carina.navigate import moves as m
 from carina.navigate.navigator import Navigator
 from carina.navigate.pilot import Pilot
@@ -277,7 +277,7 @@ class Recording:
                     if "pose" in line:
                         same = tip.pose.lps_from_camera.ravel().tolist() == line["pose"]
                         yield ReplayedPose(float(line["t"]), tip.pose, view, tip.picture_turned), same
-        except (UsageError, KeyError, TypeError, ValueError) as trouble:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as trouble:
             raise VolumeImportError(
                 f"the recording cannot be replayed: {trouble}", code="navigate.recording"
             ) from trouble
