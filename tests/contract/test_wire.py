@@ -68,6 +68,12 @@ def test_reading_and_writing_a_message_gives_it_back(path):
     assert json.loads(wire.encode_message(message)) == json.loads(path.read_bytes())
 
 
+def test_a_program_that_knows_no_evidence_adds_branches_as_before():
+    edit = {"kind": "add-branch", "lps": [1.0, 2.0, 3.0]}
+    message = wire.parse_client_message(json.dumps({"type": "edit_tree", "edit": edit}))
+    assert message.edit == wire.EditAddBranch("add-branch", (1.0, 2.0, 3.0), even_without_evidence=False)
+
+
 @pytest.mark.parametrize("path", [p for p in samples("valid") if p.suffix == ".bin"], ids=label)
 def test_reading_and_writing_a_picture_gives_it_back(path):
     header, payload = wire.parse_picture(path.read_bytes())

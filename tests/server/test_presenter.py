@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from carina.scopes import scope_preset
-from carina.server.presenter import start_message
+from carina.server.presenter import start_message, state_message
+from small_case import small_bench
 
 
 def test_every_instrument_says_the_lumen_that_it_needs_and_not_only_its_stated_tip():
@@ -14,3 +15,16 @@ def test_every_instrument_says_the_lumen_that_it_needs_and_not_only_its_stated_t
     for scope in told:
         assert scope.fit_mm == pytest.approx(scope_preset(scope.name).fit_mm, abs=0.005)
         assert scope.fit_mm > scope.tip_mm
+
+
+def test_the_badges_of_the_case_and_of_its_airways_stay_in_the_state():
+    bench = small_bench()
+    assert state_message(bench.session.snapshot(), frame_rate_hz=60.0).badges == ()
+    bench.open()
+    shown = state_message(bench.session.snapshot(), frame_rate_hz=60.0)
+    assert [(note.code, note.words, note.badge) for note in shown.badges] == [("import.lossy", "a test", True)]
+    assert shown.case.notes == shown.badges
+    bench.open("raw")
+    shown = state_message(bench.session.snapshot(), frame_rate_hz=60.0)
+    assert [note.code for note in shown.badges] == ["import.not-hu", "import.lossy"]
+    assert [note.code for note in shown.case.notes] == ["import.lossy"]

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import re
+import stat
+from pathlib import PurePosixPath
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from carina.errors import UsageError
+from carina.server.dropped_names import DroppedNames
 from carina.server.uploads import Limits, Uploads, safe_relative_path
 
 
@@ -85,8 +90,70 @@ def test_a_header_file_is_opened_with_its_data_beside_it(uploads):
     upload_id = uploads.begin()
     add(uploads, upload_id, "lung.mhd", b"NDims = 3")
     add(uploads, upload_id, "lung.zraw", b"123")
-    assert uploads.place(upload_id).name == "lung.mhd"
-    assert (uploads.place(upload_id).parent / "lung.zraw").read_bytes() == b"123"
+    place = uploads.place(upload_id)
+    assert place.suffix == ".mhd"
+    # Without a word of its data they lie beside each other under the names that they came with.
+    assert (place.parent / "lung.zraw").read_bytes() == b"123"
+
+
+@pytest.mark.parametrize(
+    ("header", "line"),
+    [("Lung, Anna.mhd", b"ElementDataFile = %s"), ("Lung, Anna.nhdr", b"data file: %s")],
+)
+def test_a_header_finds_its_data_under_a_neutral_name(uploads, header, line):
+    upload_id = uploads.begin()
+    own = header.rsplit(".", 1)[0] + ".zraw"
+    add(uploads, upload_id, header, b"NDims = 3\n" + line % own.encode() + b"\n")
+    add(uploads, upload_id, own, b"123")
+    place = uploads.place(upload_id)
+    named = place.read_bytes().split()[-1].decode()
+    assert (place.parent / named).read_bytes() == b"123"
+    assert not [p for p in place.parent.iterdir() if "Anna" in p.name]
+
+
+def test_a_header_that_names_a_list_of_files_finds_them_by_their_names(uploads):
+    upload_id = uploads.begin()
+    add(uploads, upload_id, "lung.mhd", b"ElementDataFile = LIST\n1.raw\n")
+    add(uploads, upload_id, "1.raw", b"123")
+    assert (uploads.place(upload_id).parent / "1.raw").read_bytes() == b"123"
+
+
+NAMES = ["Müller^Anna.dcm", "Doe_John_1970.nii.gz", "Doe John/IM-0001", "MUELLER.ANNA.19700101"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_disk_holds_neutral_names_for_this_person_alone_and_the_window_sees_the_own_ones(uploads, name):
+    upload_id = uploads.begin()
+    add(uploads, upload_id, name, b"1")
+    place = uploads.place(upload_id)
+    folder = uploads._uploads[upload_id].folder
+    for part in place.relative_to(folder.parent).parts:
+        assert re.fullmatch(r"dropped-[0-9a-f]{8}(-\d+(\.dcm|\.nii\.gz)?)?", part)
+    assert stat.S_IMODE(place.stat().st_mode) == 0o600
+    assert {stat.S_IMODE(p.stat().st_mode) for p in place.parents if p.is_relative_to(folder.parents[1])} == {0o700}
+    own = name.split("/")[-1]
+    said = json.dumps({"message": f"reading {place.name}: it is cut short; the folder {folder.name}"})
+    shown = json.loads(uploads.names.restored(said))["message"]
+    assert shown == f"reading {own}: it is cut short; the folder dropped files"
+
+
+@given(st.text(max_size=40), st.sampled_from(["", ".dcm", ".nii.gz"]))
+def test_any_name_comes_back_as_json_that_parses(stem, suffix):
+    names = DroppedNames()
+    names.begin("01234567")
+    place = names.neutral("01234567", PurePosixPath("x" + suffix), stem + suffix)
+    shown = json.loads(names.restored(json.dumps([place.name, "a dropped-thing, dropped-76543210-1.dcm"])))
+    assert shown[1] == "a dropped-thing, dropped-76543210-1.dcm"
+    assert all(ord(c) >= 0x20 for c in shown[0])
+
+
+def test_what_lies_beside_a_file_under_the_same_stem_still_does(uploads):
+    upload_id = uploads.begin()
+    for name in ("a/scan.hdr", "a/scan.img", "b/scan.img"):
+        add(uploads, upload_id, name, b"1")
+    stems = sorted((p.parent.name, p.name.split(".")[0]) for p in uploads.place(upload_id).rglob("*.*"))
+    assert stems[0] == stems[1] or stems[1] == stems[2]
+    assert len(set(stems)) == 2
 
 
 @pytest.mark.parametrize("chunks", [[b"x" * 61], [b"x" * 30, b"x" * 31]])
@@ -119,6 +186,6 @@ def test_what_is_given_up_or_closed_is_gone_from_the_disk(uploads):
     with pytest.raises(UsageError, match="gone"):
         uploads.place(first)
     add(uploads, second, "a", b"1")
-    root = uploads._root
+    folder = uploads._uploads[second].scratch.path
     uploads.close()
-    assert not root.exists()
+    assert not folder.exists()

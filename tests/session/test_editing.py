@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from edit_case import assert_same, edit_case
+from edit_case import assert_same, edit_case, in_plain_lung, open_ended_volume
 
-from carina.errors import NoResultError, UsageError
-from carina.session import JobEnded, Said, Trouble
+from carina.errors import NoEvidenceError, NoResultError, UsageError
+from carina.session import JobEnded, NotEvident, Said, Trouble
 from carina.session.editing import NUM_EDITS_WHOLE
 from carina.session.history import History
 from carina.track import (
@@ -191,3 +191,81 @@ def test_what_is_far_from_the_present_is_folded_and_what_is_near_is_not():
         history.undo()
     history.fold_far(lambda d: d, 3, lambda d: -d)
     assert sorted(history._documents()) == [-8, -7, -6, -2, -1, 0, 3, 4, 5]
+
+
+@pytest.fixture
+def lung_bench(case):
+    """The same over a volume in which ways lead into plain lung."""
+    made = small_bench(
+        open_volume=lambda _path, _progress, _cancel: open_ended_volume(),
+        find_airways=lambda _volume, **_options: case.airways,
+        edit_airways=edit_airways,
+    )
+    made.open()
+    made.events.clear()
+    return made
+
+
+def test_a_branch_without_evidence_is_asked_about_and_changes_nothing_until_it_is_asked_for_again(lung_bench, case):
+    edit(lung_bench, AddBranch(in_plain_lung()))
+    (asked,) = lung_bench.of_type(NotEvident)
+    assert lung_bench.of_type(Trouble) == []
+    (ended,) = lung_bench.of_type(JobEnded)
+    assert (ended.job_id, ended.outcome) == (asked.job_id, "failed")
+    assert isinstance(ended.error, NoEvidenceError)
+    assert lung_bench.events.index(asked) < lung_bench.events.index(ended)
+    assert asked.lps == in_plain_lung()
+    assert asked.error.doubtful_mm > 2.0
+    assert document(lung_bench).airways is case.airways
+    assert lung_bench.session.snapshot().undo_label is None
+
+    edit(lung_bench, AddBranch(asked.lps, even_without_evidence=True))
+    drawn = [b for b in document(lung_bench).airways.tree.branches if b.kind == "manual"]
+    assert sum(b.doubtful_mm for b in drawn) == pytest.approx(asked.error.doubtful_mm)
+    assert np.array_equal(drawn[-1].points[-1], asked.error.way_lps[-1])
+    assert all(b.name is None and b.confidence is None for b in drawn)
+    lung_bench.session.undo()
+    assert document(lung_bench).airways is case.airways
+
+
+def test_a_route_over_a_drawn_branch_counts_it_as_drawn(lung_bench):
+    edit(lung_bench, AddBranch(in_plain_lung(), even_without_evidence=True))
+    drawn = next(b for b in document(lung_bench).airways.tree.branches if b.kind == "manual")
+    lung_bench.session.choose_route(branch_id=drawn.id)
+    route = document(lung_bench).route
+    assert route.drawn.drawn_mm == pytest.approx(drawn.length_mm, rel=0.1)
+    assert route.drawn.words.endswith("mm drawn by hand")
+
+
+def test_the_preview_of_an_edit_is_the_edit(lung_bench):
+    preview = lung_bench.session.preview_edit(AddBranch(in_plain_lung()))
+    assert not preview.has_evidence
+    edit(lung_bench, AddBranch(in_plain_lung()))
+    (asked,) = lung_bench.of_type(NotEvident)
+    (line,) = preview.lines
+    assert line.points_lps.tobytes() == asked.error.way_lps.tobytes()
+    lung_bench.session.close_case()
+    with pytest.raises(UsageError):
+        lung_bench.session.preview_edit(AddBranch(in_plain_lung()))
+
+
+def test_a_bridge_without_an_airway_beyond_it_is_said_and_not_asked_about():
+    doubt = NoEvidenceError(
+        "the CT shows no airway wall beyond the bridge",
+        doubtful_mm=9.0,
+        way_lps=np.zeros((2, 3)),
+        doubtful=np.ones(1, dtype=bool),
+    )
+
+    def refuse(*_arguments, **_options):
+        raise doubt
+
+    bench = small_bench(
+        open_volume=lambda _path, _progress, _cancel: open_ended_volume(),
+        find_airways=lambda _volume, **_options: edit_case().airways,
+        edit_airways=refuse,
+    )
+    bench.open()
+    edit(bench, Bridge(in_plain_lung()))
+    assert bench.of_type(NotEvident) == []
+    assert [(trouble.code, trouble.message) for trouble in bench.of_type(Trouble)] == [(doubt.code, str(doubt))]

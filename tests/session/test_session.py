@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
-from carina.errors import NoResultError, UsageError
+from carina.errors import CancelledError, NoResultError, UsageError
 from carina.scopes import PINHOLE, scope_preset
 from carina.session import Changed, JobEnded, JobProgress, LocalStore, Orbit, Said, Trouble
+from carina.session.jobs import JobRunner
 from small_case import (
     BRANCHES_IJK,
     LEFT_TIP,
@@ -509,3 +514,23 @@ def test_a_wall_point_is_told_with_its_voxel_and_the_nearest_branch():
     assert (found.voxel_value, found.branch_id, found.branch_name, found.generation) == (40, 2, "LMB", 1)
     outside = tuple(float(v) for v in small_volume().to_lps((-5.0, 0.0, 0.0)))
     assert bench.session.wall_point(outside).voxel_value is None
+
+
+def test_a_job_that_leaves_its_rest_to_another_one_ends_quietly_while_carina_closes():
+    told, begun, closing = [], threading.Event(), threading.Event()
+    pool = ThreadPoolExecutor(1)
+    jobs = JobRunner(pool.submit, told.append, time.monotonic)
+
+    def work(job):
+        begun.set()
+        assert closing.wait(60.0)
+        jobs.start("rest", "the rest", lambda _job: None)
+
+    jobs.start("first", "the first", work)
+    assert begun.wait(60.0)
+    jobs.close()
+    closing.set()
+    pool.shutdown(wait=True)
+    assert [(one.title, one.outcome, one.error) for one in told] == [("the first", "cancelled", None)]
+    with pytest.raises(CancelledError, match="closing"):
+        jobs.start("late", "late", lambda _job: None)

@@ -107,6 +107,26 @@ def test_a_slice_stays_where_it_was_zoomed_until_the_tip_moves():
     assert session.scene().spec("axial", 60, 50, 0.5).center_lps[:2] != pytest.approx(center[:2])
 
 
+def test_a_panned_cut_plane_stays_in_its_plane_until_the_tip_moves():
+    session = opened()
+    pose = session.pose_info().pose
+    right, down, forward = pose.lps_from_camera[:3, :3].T
+    before = session.scene().key("cut-plane")
+    # A point beside the tip, and a little off the plane.
+    aside = pose.position_lps + 3.0 * right - 2.0 * down + 1.5 * forward
+    session.set_zoom("cut-plane", extent_mm=12.0, center_lps=tuple(float(v) for v in aside))
+    scene = session.scene()
+    assert scene.key("cut-plane") != before
+    picture = Renderer(small_volume()).render(scene.spec("cut-plane", 60, 40, 0.5))
+    middle = picture.lps_from_pixel @ (30.0, 20.0, 0.0, 1.0)
+    np.testing.assert_allclose(middle[:3], pose.position_lps + 3.0 * right - 2.0 * down, atol=1e-9)
+    # The plane goes with the tip, also where a crosshair holds the slices.
+    session.set_crosshair(tuple(float(v) for v in pose.position_lps))
+    session.go_to(6.0)
+    view = session.scene().spec("cut-plane", 60, 40, 0.5)
+    assert (view.center_lps, view.extent_mm) == (None, 12.0)
+
+
 def test_slabs_change_slices_and_views_along_the_route_and_nothing_else():
     session = opened()
     views = ("airway", "cut-plane", "tri-plane", "axial", "coronal", "sagittal", "tree", *OVERVIEWS)

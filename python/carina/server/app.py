@@ -15,13 +15,14 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import carina
-from carina.errors import CarinaError, ProtocolError, UsageError
+from carina.errors import CarinaError, DiskError, ProtocolError
 from carina.server import messages as wire
 from carina.server.closing import close_socket
 from carina.server.downloads import Downloads
 from carina.server.force_link import ForceLink
 from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.hub import Hub, Outbox
+from carina.server.inbox import Inbox
 from carina.server.security import Gate
 from carina.server.senders import start_sender
 from carina.server.uploads import Uploads
@@ -30,8 +31,13 @@ from carina.server.web_files import asset_path, web_folder
 __all__ = ["create_app", "web_folder"]
 
 HELLO_WITHIN_S = 20.0
-DOWNLOAD_STATUS = {"export.suffix": 404, "export.disk": 507}
-"""HTTP status of a refused download; 409 for all else, such as a case without airways."""
+
+
+def _status(trouble: CarinaError, usual: int) -> int:
+    """HTTP status of a refused file: 507 where the disk takes nothing."""
+    if isinstance(trouble, DiskError):
+        return 507
+    return {"export.suffix": 404, "upload.limit": 413}.get(trouble.code, usual)
 
 
 def _error(trouble: CarinaError, status: int) -> JSONResponse:
@@ -100,10 +106,8 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             return Response(status_code=204)
         try:
             await uploads.add(upload_id, request.query_params.get("name", ""), request.stream())
-        except UsageError as trouble:
-            return _error(trouble, 413 if trouble.code == "upload.limit" else 404)
         except CarinaError as trouble:
-            return _error(trouble, 507)
+            return _error(trouble, _status(trouble, 404))
         return JSONResponse({}, 201)
 
     async def download(request: Request) -> Response:
@@ -112,7 +116,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         try:
             return await downloads.answer(request.path_params["suffix"])
         except CarinaError as trouble:
-            return _error(trouble, DOWNLOAD_STATUS.get(trouble.code, 409))
+            return _error(trouble, _status(trouble, 409))
 
     async def key_frames(request: Request) -> Response:
         if not gate.authorised(request.headers):
@@ -169,6 +173,8 @@ async def _serve_client(websocket: WebSocket, hub: Hub) -> None:
     """One client, from its hello to its end."""
     outbox: Outbox | None = None
     sender: asyncio.Task[None] | None = None
+    inbox: Inbox | None = None
+    worker: asyncio.Task[None] | None = None
     try:
         async with asyncio.timeout(HELLO_WITHIN_S):
             hello = wire.parse_client_message(await _receive_text(websocket))
@@ -182,10 +188,12 @@ async def _serve_client(websocket: WebSocket, hub: Hub) -> None:
         await websocket.send_text(wire.encode_message(wire.ServerHello(wire.WIRE_VERSION, carina.__version__)))
         outbox = hub.attach()
         sender = start_sender(websocket, "the window", _send_all(websocket, hub, outbox))
-        while True:
-            message = wire.parse_client_message(await _receive_text(websocket))
-            if hub.is_current(outbox):
-                hub.handle(message)
+        current = outbox
+        inbox = Inbox(lambda message: hub.handle(message) if hub.is_current(current) else None)
+        worker = asyncio.create_task(inbox.work())
+        while not worker.done():
+            await inbox.put(wire.parse_client_message(await _receive_text(websocket)))
+        worker.result()
     except ProtocolError as trouble:
         await close_socket(websocket, trouble.code, str(trouble))
     except TimeoutError:
@@ -193,6 +201,11 @@ async def _serve_client(websocket: WebSocket, hub: Hub) -> None:
     except WebSocketDisconnect:
         pass
     finally:
+        if worker is not None and inbox is not None:
+            worker.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await worker
+            inbox.finish()
         if outbox is not None:
             hub.detach(outbox)
         if sender is not None:
@@ -224,8 +237,8 @@ async def _send_all(websocket: WebSocket, hub: Hub, outbox: Outbox) -> None:
         for topic in topics:
             text = hub.topic_text(topic)
             if text is not None and outbox.is_news(topic, text):
-                await websocket.send_text(text)
+                await websocket.send_text(hub.with_own_names(text))
         for text in texts:
-            await websocket.send_text(text)
+            await websocket.send_text(hub.with_own_names(text))
         for picture in pictures:
             await websocket.send_bytes(picture)

@@ -6,10 +6,9 @@ import datetime
 import ipaddress
 import secrets
 import ssl
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 
+from carina.disk import scratch_folder
 from carina.errors import CarinaError
 
 __all__ = ["Certificate", "make_certificate", "phone_problem"]
@@ -100,8 +99,8 @@ def make_certificate(host: str) -> Certificate:
     password = secrets.token_bytes(32).hex().encode()
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
-    with tempfile.TemporaryDirectory(prefix="carina-") as folder:
-        file = Path(folder) / "phone.pem"
+    with scratch_folder() as folder:
+        file = folder / "phone.pem"
         file.touch(mode=0o600)
         file.write_bytes(
             key.private_bytes(

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from carina.config import load_settings
 from carina.errors import CarinaError, UsageError
-from carina.navigate import AxesSample, Controls, DeviceState, FilterSettings, HandleSample, PoseSample
+from carina.navigate import AxesSample, Controls, DeviceState, FilterSettings, HandleSample, PenState, PoseSample
 from carina.navigate.devices import IgtlServer, Listener, Source, found_ports, open_source
 from carina.server import messages as wire
 from carina.server.phone_page import PhonePage
@@ -64,6 +66,7 @@ class DeviceDesk:
         self._publisher: IgtlServer | None = None
         self._watched = False
         self._shown_s = 0.0
+        self._pen_told: wire.Pen | None = None
         self._ports: tuple[tuple[str, ...], str | None] = ((), None)
         self._fault_logged = False
         self._ended = threading.Event()
@@ -116,6 +119,8 @@ class DeviceDesk:
                     self._push(wire.Notice(words))
             case wire.ArmPen():
                 session.arm_pen(message.tool)
+            case wire.JoinPen():
+                session.join_pen()
             case wire.ConnectDevice():
                 self._connect(message.address)
             case wire.DisconnectDevice():
@@ -149,6 +154,8 @@ class DeviceDesk:
     def forget_client(self) -> None:
         """Another window took over: it says itself whether it wants to see devices."""
         self._watched = False
+        self._pen_told = None
+        self._session.device_woken.set()
 
     def _connect(self, address: str) -> None:
         source = open_source(address, Listener(self._session.device_said, self._session.device_gone))
@@ -232,6 +239,18 @@ class DeviceDesk:
         message = self.message()
         if message is not None:
             self._push(message)
+        self._show_pen()
+
+    def _show_pen(self) -> None:
+        """Where the pen is, when that is news."""
+        state = self._session.pen_state()
+        message, told = _pen(state), self._pen_told or NO_PEN
+        if state is not None and not state.is_armed and state.off_mm is None and told.lps is not None:
+            # Nobody looks at its place: it is told when somebody does.
+            message = replace(message, lps=None if message.lps is None else told.lps)
+        if message != told:
+            self._pen_told = message
+            self._push(message)
 
     def _run(self) -> None:
         woken, moving = self._session.device_woken, False
@@ -243,6 +262,7 @@ class DeviceDesk:
             began_s = time.monotonic()
             try:
                 moving = self._session.device_frame()
+                self._show_pen()
                 if self._watched and began_s - self._shown_s >= SHOWN_EVERY_S:
                     self._shown_s = began_s
                     self._show()
@@ -307,6 +327,23 @@ def _device(state: DeviceState) -> wire.DeviceInfo:
         orientation_wxyz=None if pen is None else pen.orientation_wxyz,
         axes=axes,
         buttons=0 if sample is None else sample.buttons,
+    )
+
+
+NO_PEN = wire.Pen(device=None, tracked=False, lps=None, off_mm=None, off_deg=None)
+
+
+def _pen(state: PenState | None) -> wire.Pen:
+    if state is None:
+        return NO_PEN
+    # A tracker's noise beyond this is no news.
+    lps = None if state.lps is None else _three([round(v, 3) for v in state.lps])
+    return wire.Pen(
+        device=state.device[:200],
+        tracked=state.is_tracked,
+        lps=lps,
+        off_mm=None if state.off_mm is None else round(state.off_mm, 2),
+        off_deg=None if state.off_rad is None else round(math.degrees(state.off_rad), 1),
     )
 
 

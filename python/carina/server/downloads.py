@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import tempfile
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.types import Receive, Scope, Send
 
+from carina.disk import ScratchFolder, disk_trouble
 from carina.errors import CarinaError
 from carina.export import EXPORT_SUFFIXES, export_airways
 from carina.session import Session
@@ -96,6 +96,6 @@ class _FileForOnce(FileResponse):
 
 def _new_folder() -> Path:
     try:
-        return Path(tempfile.mkdtemp(prefix="carina-download-"))
+        return ScratchFolder().path
     except OSError as trouble:
-        raise CarinaError(f"no file can be made on this machine: {trouble}", code="export.disk") from trouble
+        raise disk_trouble(trouble, "no file can be made on this machine", None) from trouble

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, assert_never
 
+from carina.disk import disk_trouble, is_disk_trouble
 from carina.errors import CarinaError, UsageError
 from carina.render import Slab
 from carina.server import messages as wire
@@ -18,7 +19,7 @@ from carina.server.cluster_watch import ClusterWatch
 from carina.server.device_desk import DeviceDesk
 from carina.server.key_desk import handle_keys
 from carina.server.phone_page import PhonePage
-from carina.server.pointing import Pointing, edit_from_wire
+from carina.server.pointing import Pointing, edit_from_wire, no_evidence_message
 from carina.server.presenter import (
     keys_message,
     picked_message,
@@ -36,6 +37,7 @@ from carina.session import (
     Event,
     JobEnded,
     JobProgress,
+    NotEvident,
     Orbit,
     Reformation,
     Said,
@@ -51,6 +53,10 @@ logger = logging.getLogger(__name__)
 MAX_QUEUED = 2000
 """Text messages waiting for a client that does not read; beyond it is cut off."""
 TOPICS = ("start", "state", "tree", "route", "keys", "pose")
+
+
+NEWEST_ONLY = (wire.Value, wire.LivePath, wire.BranchDetail, wire.EditPreview, wire.Devices, wire.Pen, wire.Cluster)
+"""Messages of which only the newest matters: answers to a cursor, and what is told again and again."""
 
 
 class Outbox:
@@ -81,7 +87,7 @@ class Outbox:
         """A message that must arrive as it is, in order; of progress and answers to a cursor only the newest."""
         if isinstance(message, wire.Progress):
             self._newest[f"job {message.job_id}"] = wire.encode_message(message)
-        elif isinstance(message, wire.Value | wire.LivePath | wire.BranchDetail | wire.Devices | wire.Cluster):
+        elif isinstance(message, NEWEST_ONLY):
             self._newest[message.wire_type] = wire.encode_message(message)
         else:
             if isinstance(message, wire.Done):
@@ -238,6 +244,10 @@ class Hub:
         info = self.session.pose_info()
         return None if info is None else wire.encode_message(pose_message(info))
 
+    def with_own_names(self, text: str) -> str:
+        """A message in which dropped files have the names by which the person knows them."""
+        return self._uploads.names.restored(text)
+
     def _tree_text(self) -> str:
         """From any thread."""
         airways, measures = self._newest_tree()
@@ -344,6 +354,8 @@ class Hub:
                 outbox.push(wire.Done(event.job_id, event.outcome))
             case Trouble():
                 outbox.push(wire.Error(event.code, event.message, event.action))
+            case NotEvident():
+                outbox.push(no_evidence_message(event))
             case Said():
                 outbox.push(wire.Notice(event.message))
             case _:
@@ -358,6 +370,10 @@ class Hub:
         except CarinaError as trouble:
             self._push(wire.Error(trouble.code, str(trouble), None))
         except Exception as trouble:
+            if isinstance(trouble, OSError) and is_disk_trouble(trouble):
+                told = disk_trouble(trouble, "this could not be done", None)
+                self._push(wire.Error(told.code, str(told), None))
+                return
             log_fault(logger, f"a command failed: {type(message).__name__}", trouble)
             words = f"this could not be done, by a fault of Carina ({type(trouble).__name__})"
             self._push(wire.Error("carina.fault", words, None))
@@ -393,12 +409,16 @@ class Hub:
                 session.fly_keys(message.time_s, goes_on=message.goes_on)
             case wire.SetCrosshair():
                 session.set_crosshair(None if message.lps is None else _three(message.lps))
+            case wire.ShowPlace():
+                session.show_place(_three(message.lps), message.branch_id)
             case wire.Probe():
                 self._push(wire.Value(message.lps, session.value_at(_three(message.lps))))
             case wire.Pick():
                 self._pick(message)
             case wire.AskLivePath():
                 self._pointing.ask_live_path(message)
+            case wire.AskEditPreview():
+                self._pointing.ask_edit_preview(message)
             case wire.AskBranchDetail():
                 self._pointing.ask_branch_detail(message)
             case wire.SetOrbit():

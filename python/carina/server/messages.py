@@ -1,7 +1,8 @@
 """The messages between server and client, gathered, and how they are read and written (prose: ``protocol/README.md``).
 
 They are frozen dataclasses in ``messages_from_client.py``, ``messages_from_server.py``, ``messages_of_tree.py``,
-``messages_of_devices.py`` and ``messages_of_phone.py`` (between the server and a phone's page, on a socket of its own).
+``messages_of_edits.py``, ``messages_of_devices.py`` and ``messages_of_phone.py`` (between the server and a phone's
+page, on a socket of its own).
 
 ``web/src/wire/messages.ts`` and ``protocol/schema.json`` are generated from them by
 ``python -m carina.server.wire_types``; a test fails when they drift apart. World is LPS mm, matrices are 4x4 row-major,
@@ -11,6 +12,7 @@ units are in the names. Numbers are bounded so that no client can ask for a pict
 from __future__ import annotations
 
 import json
+import struct
 from typing import Any
 
 from carina.errors import ProtocolError
@@ -26,15 +28,6 @@ from carina.server.messages_from_client import (
     ClientHello,
     CloseCase,
     DismissMask,
-    EditAddBranch,
-    EditBridge,
-    EditCutBranch,
-    EditMoveFork,
-    EditMoveRoot,
-    EditPaintLumen,
-    EditRenameBranch,
-    EditSmoothBranch,
-    EditTree,
     GoTo,
     ImportMask,
     Layout,
@@ -70,6 +63,7 @@ from carina.server.messages_from_client import (
     SetTransfer,
     SetWindow,
     SetZoom,
+    ShowPlace,
     Steer,
     ToggleMode,
     Undo,
@@ -78,6 +72,7 @@ from carina.server.messages_from_client import (
 from carina.server.messages_from_server import (
     Carm,
     CaseInfo,
+    CaseNote,
     Cluster,
     ClusterMember,
     Demo,
@@ -95,6 +90,7 @@ from carina.server.messages_from_server import (
     PictureHeader,
     PictureLens,
     PictureLines,
+    PictureOutline,
     Pose,
     Progress,
     RecentCase,
@@ -125,7 +121,9 @@ from carina.server.messages_of_devices import (
     DeviceSource,
     DisconnectDevice,
     ForcePlane,
+    JoinPen,
     LocalContact,
+    Pen,
     PhoneInfo,
     PublishTip,
     SetControl,
@@ -135,6 +133,21 @@ from carina.server.messages_of_devices import (
     StopRecording,
     TakeDevice,
     WatchDevices,
+)
+from carina.server.messages_of_edits import (
+    AskEditPreview,
+    EditAddBranch,
+    EditBridge,
+    EditCutBranch,
+    EditLine,
+    EditMoveFork,
+    EditMoveRoot,
+    EditPaintLumen,
+    EditPreview,
+    EditRenameBranch,
+    EditSmoothBranch,
+    EditTree,
+    NoEvidence,
 )
 from carina.server.messages_of_keys import (
     EditKeys,
@@ -178,6 +191,7 @@ __all__ = [
     "ArmPen",
     "AskBranchDetail",
     "AskContact",
+    "AskEditPreview",
     "AskLivePath",
     "BranchDetail",
     "BranchMeasures",
@@ -187,6 +201,7 @@ __all__ = [
     "Cancel",
     "Carm",
     "CaseInfo",
+    "CaseNote",
     "ChooseRoute",
     "ClientHello",
     "CloseCase",
@@ -207,9 +222,11 @@ __all__ = [
     "EditBridge",
     "EditCutBranch",
     "EditKeys",
+    "EditLine",
     "EditMoveFork",
     "EditMoveRoot",
     "EditPaintLumen",
+    "EditPreview",
     "EditRenameBranch",
     "EditSmoothBranch",
     "EditTree",
@@ -221,6 +238,7 @@ __all__ = [
     "GreyWindow",
     "HeldScope",
     "ImportMask",
+    "JoinPen",
     "KeyAdd",
     "KeyFrame",
     "KeyMove",
@@ -237,6 +255,7 @@ __all__ = [
     "MaskLabel",
     "MaskQuestion",
     "NextFork",
+    "NoEvidence",
     "Notice",
     "OpenDemo",
     "OpenKeys",
@@ -245,6 +264,7 @@ __all__ = [
     "OpenUpload",
     "Orbit",
     "OtherSeries",
+    "Pen",
     "PhoneAct",
     "PhoneHello",
     "PhoneInfo",
@@ -255,6 +275,7 @@ __all__ = [
     "PictureHeader",
     "PictureLens",
     "PictureLines",
+    "PictureOutline",
     "Place",
     "Pose",
     "PreviousFork",
@@ -295,6 +316,7 @@ __all__ = [
     "SetWindow",
     "SetZoom",
     "ShowKey",
+    "ShowPlace",
     "Slab",
     "Start",
     "StartRecording",
@@ -323,6 +345,7 @@ __all__ = [
     "parse_server_message",
     "parse_to_force_message",
     "parse_to_phone_message",
+    "split_outline",
 ]
 
 WIRE_VERSION = 1
@@ -344,17 +367,19 @@ def _by_type(*classes: type[Any]) -> dict[str, type[Any]]:
 
 CLIENT_MESSAGES = _by_type(
     ClientHello, OpenPath, OpenDemo, OpenUpload, OpenRecent, ImportMask, AnswerMask, DismissMask, CloseCase, Cancel,
-    Layout, Ack, Steer, SetMode, ToggleMode, GoTo, NextFork, PreviousFork, Place, LevelHorizon, ResetLook,
+    Layout, Ack, Steer, SetMode, ToggleMode, GoTo, NextFork, PreviousFork, Place, ShowPlace, LevelHorizon,
+    ResetLook,
     SetOperator, SetRoot, AddTarget, RemoveTarget, ChooseRoute, SetCrosshair, SetWindow, SetFov, SetScope, SetMask,
     SetTransfer, SetShading, SetTexture, SetMethod, SetLumenThreshold, SetOrbit, SetZoom, SetCarm, SetReformation,
-    SetSlab, SetFrameRate, Probe, Pick, AskLivePath, AskBranchDetail, EditTree, Undo, Redo, AcceptNotice,
-    DeviceSample, DeviceGone, TakeDevice, SetControl, SetControls, Calibrate, ArmPen, ConnectDevice, DisconnectDevice,
-    PublishTip, SetPhone, WatchDevices, StartRecording, StopRecording,
+    SetSlab, SetFrameRate, Probe, Pick, AskLivePath, AskBranchDetail, EditTree, AskEditPreview,
+    Undo, Redo, AcceptNotice,
+    DeviceSample, DeviceGone, TakeDevice, SetControl, SetControls, Calibrate, ArmPen, JoinPen, ConnectDevice,
+    DisconnectDevice, PublishTip, SetPhone, WatchDevices, StartRecording, StopRecording,
     EditKeys, SetKeyFlight, ShowKey, FlyKeys, OpenKeys,
 )  # fmt: skip
 SERVER_MESSAGES = _by_type(
-    ServerHello, Start, State, Tree, Route, Pose, Value, Picked, LivePath, BranchDetail, Progress, Done, Error, Notice,
-    Status, Devices, Cluster, Keys,
+    ServerHello, Start, State, Tree, Route, Pose, Value, Picked, LivePath, BranchDetail, EditPreview, NoEvidence,
+    Progress, Done, Error, Notice, Status, Devices, Pen, Cluster, Keys,
 )  # fmt: skip
 FORCE_MESSAGES = _by_type(ClientHello, AskContact)
 """What a bridge to a force device sends on ``/force``; no window speaks these, so TypeScript does not know them."""
@@ -389,10 +414,13 @@ def parse_client_message(text: str | bytes, *, max_bytes: int = 262_144) -> Any:
         raise ProtocolError("choose_route names a target and a branch; it may name one", code="protocol.choice")
     if isinstance(message, SetTransfer) and (message.preset is None) == (message.document is None):
         raise ProtocolError("set_transfer needs either a preset or a document", code="protocol.choice")
-    if isinstance(message, AskLivePath):
+    if isinstance(message, AskLivePath | AskEditPreview):
         in_picture = [part is not None for part in (message.frame_id, message.column, message.row)]
         if any(in_picture) != all(in_picture) or (message.lps is None) != all(in_picture):
-            raise ProtocolError("live_path needs either a point or a place in a picture", code="protocol.choice")
+            words = f"{message.wire_type} needs either a point or a place in a picture"
+            raise ProtocolError(words, code="protocol.choice")
+    if isinstance(message, AskEditPreview) and (message.branch_id is None) == (message.tool == "move-fork"):
+        raise ProtocolError("preview_edit names a branch for move-fork, and for it alone", code="protocol.choice")
     if isinstance(message, DeviceSample):
         kinds = (message.orientation_wxyz, message.axes, message.handle)
         if sum(kind is not None for kind in kinds) != 1:
@@ -448,7 +476,41 @@ def parse_picture(data: bytes) -> tuple[PictureHeader, bytes]:
     magic = b"\xff\xd8\xff" if header.codec == "jpeg" else b"\x89PNG\r\n\x1a\n"
     if not payload.startswith(magic):
         raise ProtocolError(f"a picture's payload is no {header.codec.upper()}", code="protocol.picture")
+    if header.outline is not None:
+        _outline_places(payload, header.outline.num_bytes)
     return header, payload
+
+
+def split_outline(header: PictureHeader, payload: bytes) -> tuple[bytes, tuple[tuple[tuple[float, float], ...], ...]]:
+    """A payload's picture, and the lines of the outline behind it: columns and rows in pixels of the picture.
+
+    Raises
+    ------
+    ProtocolError
+        ``protocol.picture`` if the outline is longer than the payload, or ends within a line.
+    """
+    if header.outline is None:
+        return payload, ()
+    lines = []
+    for start, count in _outline_places(payload, header.outline.num_bytes):
+        values = struct.unpack_from(f"<{2 * count}H", payload, start)
+        lines.append(tuple((c / 16.0, r / 16.0) for c, r in zip(values[::2], values[1::2], strict=True)))
+    return payload[: len(payload) - header.outline.num_bytes], tuple(lines)
+
+
+def _outline_places(payload: bytes, num_bytes: int) -> list[tuple[int, int]]:
+    """Where the points of each line begin, and how many they are."""
+    at = len(payload) - num_bytes
+    if at <= 0:
+        raise ProtocolError("a picture's outline leaves no room for the picture", code="protocol.picture")
+    places = []
+    while at < len(payload):
+        count = int.from_bytes(payload[at : at + 2], "little") if at + 2 <= len(payload) else 0
+        if count == 0 or at + 2 + 4 * count > len(payload):
+            raise ProtocolError("a picture's outline ends within a line", code="protocol.picture")
+        places.append((at + 2, count))
+        at += 2 + 4 * count
+    return places
 
 
 def encode_message(message: Any) -> str:

@@ -37,15 +37,6 @@ __all__ = [
     "ClientHello",
     "CloseCase",
     "DismissMask",
-    "EditAddBranch",
-    "EditBridge",
-    "EditCutBranch",
-    "EditMoveFork",
-    "EditMoveRoot",
-    "EditPaintLumen",
-    "EditRenameBranch",
-    "EditSmoothBranch",
-    "EditTree",
     "GoTo",
     "ImportMask",
     "Layout",
@@ -81,6 +72,7 @@ __all__ = [
     "SetTransfer",
     "SetWindow",
     "SetZoom",
+    "ShowPlace",
     "Steer",
     "ToggleMode",
     "Undo",
@@ -249,6 +241,16 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
+class ShowPlace:
+    """Tip before a place of the airways, looking at it, and the crosshair on it; free mode afterwards."""
+
+    wire_type: ClassVar[str] = "show_place"
+    lps: PointLps
+    branch_id: BranchId | None
+    """The branch that the place belongs to; null is the nearest."""
+
+
+@dataclass(frozen=True, slots=True)
 class LevelHorizon:
     """Roll so that the operator's up is up."""
 
@@ -359,93 +361,6 @@ class AskBranchDetail:
 
 
 @dataclass(frozen=True, slots=True)
-class EditAddBranch:
-    """A branch to a point."""
-
-    kind: Literal["add-branch"]
-    lps: PointLps
-
-
-@dataclass(frozen=True, slots=True)
-class EditCutBranch:
-    """Take a branch away from a place along it, with all that hangs on it; 0 takes the whole branch."""
-
-    kind: Literal["cut-branch"]
-    branch_id: BranchId
-    at_mm: Annotated[float, Range(0.0, 1e5)]
-
-
-@dataclass(frozen=True, slots=True)
-class EditBridge:
-    """Over a blockage to a point in an airway beyond."""
-
-    kind: Literal["bridge"]
-    lps: PointLps
-
-
-@dataclass(frozen=True, slots=True)
-class EditMoveRoot:
-    """Begin all paths elsewhere."""
-
-    kind: Literal["move-root"]
-    lps: PointLps
-
-
-@dataclass(frozen=True, slots=True)
-class EditMoveFork:
-    """Move the point where a branch ends and its children begin."""
-
-    kind: Literal["move-fork"]
-    branch_id: BranchId
-    lps: PointLps
-
-
-@dataclass(frozen=True, slots=True)
-class EditPaintLumen:
-    """A stroke of a brush that makes voxels lumen, or takes lumen away; ``ball`` paints in all directions."""
-
-    kind: Literal["paint-lumen"]
-    points_lps: Annotated[tuple[PointLps, ...], Length(1, 2000)]
-    radius_mm: Annotated[float, Range(0.1, 30.0)]
-    plane: Literal["axial", "coronal", "sagittal", "ball"]
-    erase: bool
-
-
-@dataclass(frozen=True, slots=True)
-class EditSmoothBranch:
-    """Make a centreline smoother."""
-
-    kind: Literal["smooth-branch"]
-    branch_id: BranchId
-
-
-@dataclass(frozen=True, slots=True)
-class EditRenameBranch:
-    """A name of one's own; null gives the automatic one back."""
-
-    kind: Literal["rename-branch"]
-    branch_id: BranchId
-    name: Annotated[str, Length(1, 80)] | None
-
-
-@dataclass(frozen=True, slots=True)
-class EditTree:
-    """One edit of the airway tree: a job, and one step of undo."""
-
-    wire_type: ClassVar[str] = "edit_tree"
-    edit: (
-        EditAddBranch
-        | EditCutBranch
-        | EditBridge
-        | EditMoveRoot
-        | EditMoveFork
-        | EditPaintLumen
-        | EditSmoothBranch
-        | EditRenameBranch
-    )
-
-
-@dataclass(frozen=True, slots=True)
 class SetFrameRate:
     """Ask for so many airway pictures per second while moving; resolution gives way to it, then the ray step."""
 
@@ -547,7 +462,7 @@ class SetZoom:
     mm_per_px: Annotated[float, Range(0.01, 20.0)] | None
     extent_mm: Annotated[float, Range(2.0, 1000.0)] | None
     center_lps: PointLps | None
-    """Middle of a zoomed slice until the tip moves; null is the point that is shown. Not of the cut-plane."""
+    """Middle of a zoomed picture until the tip moves; null is the point that is shown, and in the cut-plane the tip."""
 
 
 @dataclass(frozen=True, slots=True)

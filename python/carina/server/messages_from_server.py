@@ -30,6 +30,7 @@ from carina.server.wire_fields import (
 __all__ = [
     "Carm",
     "CaseInfo",
+    "CaseNote",
     "Cluster",
     "ClusterMember",
     "Demo",
@@ -47,6 +48,7 @@ __all__ = [
     "PictureHeader",
     "PictureLens",
     "PictureLines",
+    "PictureOutline",
     "Pose",
     "Progress",
     "RecentCase",
@@ -134,6 +136,16 @@ class OtherSeries:
 
 
 @dataclass(frozen=True, slots=True)
+class CaseNote:
+    """One thing that a person should know about the case, with its stable code."""
+
+    code: Key
+    words: Words
+    badge: bool
+    """It stays in sight for as long as the case is open."""
+
+
+@dataclass(frozen=True, slots=True)
 class FeatureOff:
     """What this volume cannot do, and why."""
 
@@ -154,6 +166,8 @@ class CaseInfo:
     lps_from_ijk: Matrix4
     value_range: Annotated[tuple[float, ...], Length(2, 2)]
     warnings: tuple[Words, ...]
+    """The words of all notes."""
+    notes: tuple[CaseNote, ...]
     quality: tuple[Words, ...]
     other_series: tuple[OtherSeries, ...]
     citation: Words | None
@@ -298,6 +312,8 @@ class State:
     airways_from: Literal["search", "mask"] | None
     """Found in the CT, or a mask of another tool; null where there are none."""
     mask_question: MaskQuestion | None
+    badges: tuple[CaseNote, ...]
+    """The lasting notes of the case and of its airways: in sight for as long as it is open."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,6 +325,8 @@ class RouteSpan:
     generation: Annotated[int, Range(0, 1000)]
     from_mm: float
     to_mm: float
+    kind: Literal["tracked", "bridge", "manual"]
+    """``manual`` was drawn by hand: the CT shows no airway there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,6 +349,10 @@ class RouteInfo:
     """Where to stop for the forks: in front of them, with their openings in view. Strictly increasing."""
     spans: tuple[RouteSpan, ...]
     length_mm: float
+    drawn_mm: float
+    """Of it drawn by hand."""
+    bridge_mm: float
+    """Of it over blockages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -540,6 +562,22 @@ class PictureLens:
     """Directions farther from the axis have no place in the picture."""
 
 
+MAX_OUTLINE_BYTES = 4_194_304
+
+
+@dataclass(frozen=True, slots=True)
+class PictureOutline:
+    """The outline of the lumen in this picture: the last bytes of the message, after those of the picture.
+
+    Line after line: u16 number of its points, then column and row of each, u16 little-endian, in sixteenths of a pixel
+    of *this* picture (corner coordinates). A closed line ends where it begins.
+    """
+
+    num_bytes: Annotated[int, Range(0, MAX_OUTLINE_BYTES)]
+    complete: bool
+    """False where the lumen is so ragged that it is left out."""
+
+
 @dataclass(frozen=True, slots=True)
 class PictureHeader:
     """Header of a binary message; the payload follows."""
@@ -559,6 +597,8 @@ class PictureHeader:
     """Planar view: (column, row, 0, 1) in corner coordinates of *this* picture (centre = +0.5) to LPS."""
     lines: PictureLines | None
     """View along the route."""
+    outline: PictureOutline | None
+    """Slices and the cut-plane, once there is a lumen: the current one. Of a thick slice its middle plane."""
     width: Pixels
     height: Pixels
     step_vox: float | None

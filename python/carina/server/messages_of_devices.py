@@ -22,7 +22,9 @@ __all__ = [
     "Devices",
     "DisconnectDevice",
     "ForcePlane",
+    "JoinPen",
     "LocalContact",
+    "Pen",
     "PhoneInfo",
     "PublishTip",
     "SetControl",
@@ -126,10 +128,17 @@ class Calibrate:
 
 @dataclass(frozen=True, slots=True)
 class ArmPen:
-    """What the pen's first button sets at the tip; null lets it change the way to move."""
+    """What the pen's first button sets, at the pen's own tip (``pen``); null lets it change the way to move."""
 
     wire_type: ClassVar[str] = "arm_pen"
     tool: Literal["root", "target"] | None
+
+
+@dataclass(frozen=True, slots=True)
+class JoinPen:
+    """In absolute movement the tip comes to the registered pen at once, instead of easing over."""
+
+    wire_type: ClassVar[str] = "join_pen"
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,6 +280,26 @@ class Devices:
     """Null while the page for a phone is closed."""
     phone_problem: Words | None
     """Why it cannot be opened on this machine."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pen:
+    """The tracked pen that moves the tip, and the point that its button marks; whenever one of them changed."""
+
+    wire_type: ClassVar[str] = "pen"
+    device: DeviceName | None
+    """Null: no pen moves the tip."""
+    tracked: bool
+    """It tells its position, not only how it is turned."""
+    lps: Three | None
+    """Its own tip in the patient; null where it is not registered: then its button marks the scope's tip.
+
+    Kept up to date while a pen is armed, and in absolute movement.
+    """
+    off_mm: float | None
+    """In absolute movement: how far the scope's tip still is from the pen."""
+    off_deg: float | None
+    """And by how much it is still turned against it."""
 
 
 @dataclass(frozen=True, slots=True)

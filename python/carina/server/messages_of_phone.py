@@ -20,7 +20,7 @@ class PhoneHello:
     """The first message of the page: the token of its link."""
 
     wire_type: ClassVar[str] = "phone_hello"
-    wire_version: int
+    wire_version: Annotated[int, Range(0, 2**31)]
     token: Annotated[str, Length(1, 200)]
 
 

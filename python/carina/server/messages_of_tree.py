@@ -42,6 +42,8 @@ class TreeBranch:
     name_from: Literal["anatomy", "person"] | None
     variant: Words | None
     """What is uncommon about the anatomy here."""
+    doubtful_mm: float
+    """Length along which the CT shows no wall; above 0 in branches of kind ``manual``, drawn by hand."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import uvicorn
@@ -28,11 +29,12 @@ from carina.server import messages as wire
 from carina.server.certificate import Certificate, make_certificate, phone_problem
 from carina.server.closing import close_socket
 from carina.server.gate_middleware import GateMiddleware, page
-from carina.server.impatient import ImpatientProtocol
+from carina.server.impatient import impatient
 from carina.server.listening import bind, lan_address
 from carina.server.phone_link import DEVICE, PhoneLink, TokenGate
 from carina.server.security import Gate
 from carina.server.senders import start_sender
+from carina.server.strangers import ACCEPT_AT_ONCE, Strangers
 from carina.server.web_files import asset_path
 from carina.session import Session
 from carina.session.jobs import log_fault
@@ -42,6 +44,7 @@ __all__ = ["PhonePage", "qr_rows"]
 logger = logging.getLogger(__name__)
 
 HELLO_WITHIN_S = 5.0
+HANDSHAKE_WITHIN_S = 10.0
 WRONG_TOKEN_WAIT_S = 0.5
 STATE_EVERY_S = 0.25
 GRACE_S = 1
@@ -161,10 +164,12 @@ class PhonePage:
         # Behind the #: a browser sends it nowhere and keeps it out of every Referer; the page hands it over by itself.
         url = f"https://{shown}:{port}/#{tokens.token}"
         started = threading.Event()
+        strangers = Strangers(MAX_CONNECTIONS - 1)
         app = self._app(Gate(host=address, port=port, scheme="https"), tokens)
         config = uvicorn.Config(
             app,
-            http=ImpatientProtocol,
+            http=impatient(strangers),
+            backlog=ACCEPT_AT_ONCE,
             ssl_context_factory=lambda _config, _default: certificate.context,
             ws="websockets-sansio",
             ws_per_message_deflate=False,
@@ -182,6 +187,12 @@ class PhonePage:
 
         class Server(uvicorn.Server):
             async def startup(self, sockets: object = None) -> None:
+                loop = asyncio.get_running_loop()
+                strangers.watch(loop)
+                # The library has no setting for it: a stranger who never ends the handshake holds a descriptor.
+                loop.create_server = partial(  # type: ignore[method-assign]
+                    loop.create_server, ssl_handshake_timeout=HANDSHAKE_WITHIN_S
+                )
                 await super().startup(sockets=sockets)  # type: ignore[arg-type]
                 started.set()
 

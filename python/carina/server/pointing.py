@@ -13,14 +13,15 @@ from carina.errors import CarinaError, UsageError
 from carina.server import messages as wire
 from carina.server.newest import NewestOnly
 from carina.server.tree_words import branch_detail_message
-from carina.session import Session, log_fault
+from carina.session import NotEvident, Session, log_fault
+from carina.track import AddBranch, Bridge, EditPreview, MoveFork
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carina.server.pump import ShownPicture
 
-__all__ = ["Pointing", "edit_from_wire", "live_path_message"]
+__all__ = ["Pointing", "edit_from_wire", "edit_preview_message", "live_path_message", "no_evidence_message"]
 
 logger = logging.getLogger(__name__)
 
@@ -62,6 +63,10 @@ class Pointing:
         """The way to a place; trouble is said in the answer, since a cursor would raise it again and again."""
         self._newest.ask("live_path", lambda: self._answer_live_path(message))
 
+    def ask_edit_preview(self, message: wire.AskEditPreview) -> None:
+        """What an edit would make at a place; trouble is said in the answer, as for the live path."""
+        self._newest.ask("edit_preview", lambda: self._answer_edit_preview(message))
+
     def warm(self) -> None:
         """For other airways: what the first question would wait for, such as the scan's noise, is found out now."""
         self._newest.ask("warm", self._ask_for_the_root)
@@ -95,7 +100,19 @@ class Pointing:
             answer = _no_path(message.request_id, f"no path, by a fault of Carina ({type(trouble).__name__})")
         self._push(answer)
 
-    def _place(self, message: wire.AskLivePath) -> tuple[float, float, float]:
+    def _answer_edit_preview(self, message: wire.AskEditPreview) -> None:
+        lps = None
+        try:
+            lps = self._place(message)
+            answer = edit_preview_message(message, lps, self._session.preview_edit(_previewed(message, lps)))
+        except CarinaError as trouble:
+            answer = _no_preview(message, lps, str(trouble))
+        except Exception as trouble:
+            log_fault(logger, "a preview of an edit failed", trouble)
+            answer = _no_preview(message, lps, f"no preview, by a fault of Carina ({type(trouble).__name__})")
+        self._push(answer)
+
+    def _place(self, message: wire.AskLivePath | wire.AskEditPreview) -> tuple[float, float, float]:
         if message.lps is not None:
             x, y, z = message.lps
             return x, y, z
@@ -160,6 +177,60 @@ def _thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _rounded(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else round(float(value), 2)
+
+
+def edit_preview_message(
+    message: wire.AskEditPreview, lps: tuple[float, float, float], preview: EditPreview
+) -> wire.EditPreview:
+    """A :class:`carina.track.EditPreview` for the screen: every point, as the edit would make it."""
+    if preview.problem is not None:
+        return _no_preview(message, lps, preview.problem)
+    return wire.EditPreview(
+        request_id=message.request_id,
+        tool=message.tool,
+        lps=lps,
+        lines=tuple(_line(line.points_lps, line.doubtful, line.drawn) for line in preview.lines),
+        length_mm=_rounded(preview.length_mm),
+        doubtful_mm=_rounded(preview.doubtful_mm),
+        has_evidence=preview.has_evidence,
+        problem=None,
+    )
+
+
+def no_evidence_message(event: NotEvident) -> wire.NoEvidence:
+    """The question whether a branch is to be drawn by hand."""
+    error = event.error
+    length_mm = float(np.linalg.norm(np.diff(error.way_lps, axis=0), axis=1).sum())
+    return wire.NoEvidence(
+        job_id=event.job_id,
+        code="track.no-evidence",
+        message=str(error),
+        lps=event.lps,
+        line=_line(error.way_lps, error.doubtful, np.ones(len(error.doubtful), dtype=bool)),
+        length_mm=round(length_mm, 2),
+        doubtful_mm=round(error.doubtful_mm, 2),
+    )
+
+
+def _line(points_lps: NDArray[np.float64], doubtful: NDArray[np.bool_], drawn: NDArray[np.bool_]) -> wire.EditLine:
+    # Not rounded: the branch that is made has these very points.
+    points = tuple(tuple(float(v) for v in p) for p in points_lps)
+    return wire.EditLine(points, tuple(bool(d) for d in doubtful), tuple(bool(d) for d in drawn))
+
+
+def _no_preview(message: wire.AskEditPreview, lps: tuple[float, float, float] | None, problem: str) -> wire.EditPreview:
+    return wire.EditPreview(message.request_id, message.tool, lps, (), None, None, False, problem)
+
+
+def _previewed(message: wire.AskEditPreview, lps: tuple[float, float, float]) -> AddBranch | Bridge | MoveFork:
+    match message.tool:
+        case "add-branch":
+            return AddBranch(lps)
+        case "bridge":
+            return Bridge(lps)
+        case "move-fork":
+            assert message.branch_id is not None
+            return MoveFork(message.branch_id, lps)
 
 
 def edit_from_wire(edit: Any) -> Any:

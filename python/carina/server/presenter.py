@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, cast
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from carina.scopes import DEFAULT_SCOPE, scope_presets
 from carina.server import messages as wire
 from carina.session import ChosenRoute, KeysInfo, MaskQuestion, PoseInfo, RecentCase, Snapshot, WallPoint
 from carina.session.document import DEFAULT_FOV_DEG, Document
+from carina.volume import Note, badges_of
 
 __all__ = [
     "demos",
@@ -87,6 +89,7 @@ def _case(snapshot: Snapshot) -> wire.CaseInfo | None:
         lps_from_ijk=_flat(volume.lps_from_ijk),
         value_range=(float(case.value_range[0]), float(case.value_range[1])),
         warnings=tuple(source.warnings),
+        notes=_notes(source.notes),
         quality=case.quality,
         other_series=tuple(
             wire.OtherSeries(s.key, s.modality, s.description, s.num_slices, s.refused) for s in source.other_series
@@ -94,6 +97,10 @@ def _case(snapshot: Snapshot) -> wire.CaseInfo | None:
         citation=source.citation,
         off=tuple(wire.FeatureOff(o.what, o.why) for o in case.off),
     )
+
+
+def _notes(notes: Sequence[Note]) -> tuple[wire.CaseNote, ...]:
+    return tuple(wire.CaseNote(note.code, note.words, note.badge) for note in notes)
 
 
 def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
@@ -135,6 +142,7 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
         frame_rate_hz=frame_rate_hz,
         airways_from=None if airways is None else "mask" if math.isnan(airways.threshold) else "search",
         mask_question=_mask_question(snapshot.mask_question),
+        badges=() if snapshot.case is None else _notes(badges_of(snapshot.case.volume, airways)),
     )
 
 
@@ -197,8 +205,13 @@ def route_message(route: ChosenRoute | None) -> wire.Route:
         wall_mm=_floats(np.round(route.wall_mm, 3)),
         forks_mm=tuple(round(mm, 3) for mm in route.forks_mm),
         lookouts_mm=tuple(round(mm, 3) for mm in route.lookouts_mm),
-        spans=tuple(wire.RouteSpan(s.branch_id, s.name, s.generation, s.from_mm, s.to_mm) for s in route.spans),
+        spans=tuple(
+            wire.RouteSpan(s.branch_id, s.name, s.generation, s.from_mm, s.to_mm, cast(Any, s.kind))
+            for s in route.spans
+        ),
         length_mm=route.length_mm,
+        drawn_mm=round(route.drawn.drawn_mm, 2),
+        bridge_mm=round(route.drawn.bridge_mm, 2),
     )
     return wire.Route(info)
 

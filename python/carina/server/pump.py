@@ -18,7 +18,7 @@ from carina.errors import CancelledError, CarinaError, UsageError
 from carina.render import CancelToken
 from carina.scopes import Optics
 from carina.server.budget import FULL_STEP_VOX
-from carina.server.messages import PictureHeader, PictureLens, Status
+from carina.server.messages import PictureHeader, PictureLens, PictureOutline, Status
 from carina.server.pacing import DEFAULT_RATE_HZ, MOVING, FrameScheduler, RenderOrder
 from carina.server.presenter import picture_lines
 from carina.server.wire_codec import encode_picture
@@ -230,6 +230,7 @@ class FramePump:
         try:
             view = scene.spec(shows, order.width, order.height, order.step_vox, full_width=order.full_width)
             picture = scene.renderer.render(view, stop=stop)
+            outline = scene.outline_of(shows, picture)
             rendered_s = self._clock() - began_s
             frame_id = next(self._frame_ids)
             payload, quality = encode_jpeg(picture.rgb, full=order.full)
@@ -243,6 +244,7 @@ class FramePump:
                 lens=_lens(picture.optics),
                 lps_from_pixel=_matrix(picture.lps_from_pixel),
                 lines=picture_lines(picture.lines),
+                outline=None if outline is None else PictureOutline(len(outline.data), outline.complete),
                 width=int(picture.rgb.shape[1]),
                 height=int(picture.rgb.shape[0]),
                 step_vox=order.step_vox if shows == "airway" else None,
@@ -253,7 +255,7 @@ class FramePump:
                 render_ms=round(rendered_s * 1e3, 2),
                 method=str(picture.stats.method),
             )
-            data = encode_picture(header, payload)
+            data = encode_picture(header, payload if outline is None else payload + outline.data)
         except CarinaError as trouble:
             if isinstance(trouble, CancelledError) and stop.cancelled:
                 with self._lock:

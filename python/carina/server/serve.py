@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import sys
 import threading
+import time
 import webbrowser
 from collections.abc import Callable
 from pathlib import Path
@@ -13,12 +15,15 @@ from typing import Any
 import uvicorn
 
 from carina.config import load_settings
+from carina.disk import sweep_drafts, sweep_scratch
 from carina.errors import UsageError
 from carina.server.app import create_app, web_folder
 from carina.server.hub import Hub
+from carina.server.impatient import impatient
 from carina.server.listening import bind
 from carina.server.phone_page import PhonePage
 from carina.server.security import Gate, is_loopback
+from carina.server.strangers import ACCEPT_AT_ONCE, WAITING_IN_LINE, Strangers, quieten
 from carina.server.uploads import Uploads
 from carina.server.wire_codec import MAX_TEXT_BYTES
 from carina.session import LocalStore, RendererFactory, Session
@@ -40,12 +45,17 @@ def start_url(gate: Gate) -> str:
 class _Server(uvicorn.Server):
     """Says when it is ready to answer."""
 
-    def __init__(self, config: uvicorn.Config, on_started: Callable[[], None]) -> None:
+    def __init__(self, config: uvicorn.Config, strangers: Strangers, on_started: Callable[[], None]) -> None:
         super().__init__(config)
+        self._strangers = strangers
         self._on_started = on_started
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        self._strangers.watch(asyncio.get_running_loop())
         await super().startup(sockets=sockets)
+        for sock in sockets or ():
+            # The library's one number is both: how many are taken at once, and how many may wait to be.
+            sock.listen(WAITING_IN_LINE)
         if self.started and not self.should_exit:
             self._on_started()
 
@@ -74,8 +84,11 @@ def make_server(
         phone=phone,
         cluster_status=cluster_status,
     )
+    strangers = Strangers()
     config = uvicorn.Config(
         create_app(hub, gate, uploads, web=web),
+        http=impatient(strangers, gate.authorised),
+        backlog=ACCEPT_AT_ONCE,
         ws="websockets-sansio",
         ws_per_message_deflate=False,  # 3 ms a picture, for nothing: JPEG does not shrink
         ws_max_size=MAX_TEXT_BYTES,
@@ -87,7 +100,7 @@ def make_server(
         server_header=False,
         timeout_graceful_shutdown=GRACE_S,
     )
-    return _Server(config, on_started)
+    return _Server(config, strangers, on_started)
 
 
 def serve(
@@ -153,6 +166,8 @@ def serve(
         raise UsageError(f"expected the demo 'phantom' or 'patient'; found {demo!r}")
     if path is not None:
         _refuse_early(path)
+    sweep_leftovers()
+    _leave_no_core(load_settings().log_level)
     with bind(host, port) as sock:
         gate = Gate(host=host, port=sock.getsockname()[1])
         if not is_loopback(host):
@@ -188,7 +203,11 @@ def serve(
                 print(_PHONE_WARNING.format(address=opened.address), file=sys.stderr, flush=True)
                 if on_phone is not None:
                     on_phone(opened.url, opened.sha256)
-            server.run(sockets=[sock])
+            unquieten = quieten(time.monotonic)
+            try:
+                server.run(sockets=[sock])
+            finally:
+                unquieten()
         except KeyboardInterrupt:
             # uvicorn has ended cleanly and raises the signal again; Ctrl-C is how a workstation is closed.
             pass
@@ -196,6 +215,23 @@ def serve(
             page.stop()
             session.close()
     return 0
+
+
+def _leave_no_core(log_level: str) -> None:
+    """A core file would hold the patient's images; who looks for a fault (DEBUG) wants one."""
+    if sys.platform == "win32" or log_level in {"DEBUG", "TRACE"}:
+        return
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
+
+
+def sweep_leftovers() -> None:
+    """Remove what a Carina of this person that was killed has left: uploads, and drafts of files of Carina's own."""
+    settings = load_settings()
+    sweep_scratch()
+    for folder in (settings.config_dir, settings.state_dir, settings.cache_dir, settings.cache_dir / "maps"):
+        sweep_drafts(folder)
 
 
 _NETWORK_WARNING = (

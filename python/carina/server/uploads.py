@@ -1,19 +1,25 @@
-"""Files dropped on the window: written to a folder of their own, bounded, and gone when they are no longer needed."""
+"""Files dropped on the window: written to a folder of their own, bounded, and gone when they are no longer needed.
+
+Their names on the disk say nothing of the patient (``dropped_names.py``), and the folder outlives no crash
+(``disk.scratch``).
+"""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import secrets
-import shutil
-import tempfile
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import BinaryIO
 
 from starlette.concurrency import run_in_threadpool
 
-from carina.errors import CarinaError, UsageError
+from carina.disk import ScratchFolder, disk_trouble
+from carina.errors import UsageError
+from carina.server.dropped_names import DroppedNames
 
 __all__ = ["Limits", "Uploads", "safe_relative_path"]
 
@@ -55,42 +61,47 @@ def _remove(path: Path) -> None:
 
 @dataclass(slots=True)
 class _Upload:
+    scratch: ScratchFolder
+    tag: str
     folder: Path
+    own: dict[Path, tuple[Path, str]] = field(default_factory=dict)
+    """What each file's name was: made harmless, and as the browser sent it."""
     num_files: int = 0
     num_bytes: int = 0
 
 
 class Uploads:
-    """The uploads of one server, below one temporary folder."""
+    """The uploads of one server, each in a temporary folder of its own."""
 
     def __init__(self, limits: Limits | None = None) -> None:
         self._limits = limits or Limits()
-        self._root: Path | None = None
         self._uploads: dict[str, _Upload] = {}
+        self.names = DroppedNames()
+        """What the dropped files are called, for messages."""
 
     def begin(self) -> str:
         """A new, empty upload; returns its id.
 
         Raises
         ------
-        CarinaError
-            ``upload.disk`` if the disk is full or not writable.
+        DiskError
+            If the disk is full or not writable.
         """
         try:
-            return self._begin()
+            while len(self._uploads) >= self._limits.num_uploads:
+                self.discard(next(iter(self._uploads)))
+            scratch = ScratchFolder()
         except OSError as trouble:
-            msg = f"dropped files cannot be stored: {trouble.strerror}; open the folder by its path instead"
-            raise CarinaError(msg, code="upload.disk") from trouble
-
-    def _begin(self) -> str:
-        if self._root is None:
-            self._root = Path(tempfile.mkdtemp(prefix="carina-upload-")).resolve()
-        while len(self._uploads) >= self._limits.num_uploads:
-            self.discard(next(iter(self._uploads)))
+            raise disk_trouble(trouble, "dropped files cannot be stored", None, unchanged=_BY_PATH) from trouble
+        tag = secrets.token_hex(4)
+        folder = scratch.path / self.names.begin(tag)
+        try:
+            folder.mkdir(mode=0o700)
+        except OSError as trouble:
+            scratch.remove()
+            raise disk_trouble(trouble, "dropped files cannot be stored", None, unchanged=_BY_PATH) from trouble
         upload_id = secrets.token_hex(8)
-        folder = self._root / upload_id
-        folder.mkdir(mode=0o700)
-        self._uploads[upload_id] = _Upload(folder)
+        self._uploads[upload_id] = _Upload(scratch, tag, folder)
         return upload_id
 
     async def add(self, upload_id: str, name: str, body: AsyncIterator[bytes]) -> None:
@@ -100,6 +111,8 @@ class Uploads:
         ------
         UsageError
             If the upload is gone, or a bound is passed; the file is then removed.
+        DiskError
+            If there is no room for it; the file is then removed.
         """
         upload = self._needed(upload_id)
         if upload.num_files >= self._limits.num_files:
@@ -108,11 +121,11 @@ class Uploads:
             )
             raise UsageError(msg, code="upload.limit")
         upload.num_files += 1
-        path = self._free_path(upload.folder, safe_relative_path(name))
+        path = self._free_path(upload, name)
         written = 0
         try:
-            await run_in_threadpool(path.parent.mkdir, parents=True, exist_ok=True)
-            with await run_in_threadpool(path.open, "xb") as file:
+            await run_in_threadpool(path.parent.mkdir, mode=0o700, parents=True, exist_ok=True)
+            with await run_in_threadpool(_open_new, path) as file:
                 async for chunk in body:
                     written += len(chunk)
                     upload.num_bytes += len(chunk)
@@ -122,9 +135,7 @@ class Uploads:
                     await run_in_threadpool(file.write, chunk)
         except OSError as trouble:
             _remove(path)
-            raise CarinaError(
-                f"a dropped file could not be stored: {trouble.strerror}", code="upload.disk"
-            ) from trouble
+            raise disk_trouble(trouble, "a dropped file cannot be stored", None, unchanged=_BY_PATH) from trouble
         except BaseException:
             _remove(path)
             raise
@@ -138,21 +149,18 @@ class Uploads:
         if len(files) == 1:
             return files[0]
         headers = [p for p in files if p.suffix.lower() in {".mhd", ".nhdr"}]
-        return headers[0] if len(headers) == 1 else upload.folder
+        return _joined(upload, headers[0]) if len(headers) == 1 else upload.folder
 
     def discard(self, upload_id: str) -> None:
         """Remove an upload's files; nothing if it is gone."""
         upload = self._uploads.pop(upload_id, None)
         if upload is not None:
-            shutil.rmtree(upload.folder, ignore_errors=True)
+            upload.scratch.remove()
 
     def close(self) -> None:
         """Remove everything."""
         for upload_id in list(self._uploads):
             self.discard(upload_id)
-        if self._root is not None:
-            shutil.rmtree(self._root, ignore_errors=True)
-            self._root = None
 
     def _needed(self, upload_id: str) -> _Upload:
         upload = self._uploads.get(upload_id)
@@ -160,14 +168,56 @@ class Uploads:
             raise UsageError("this upload is gone; drop the files again", code="upload.gone")
         return upload
 
-    @staticmethod
-    def _free_path(folder: Path, relative: Path) -> Path:
-        path = folder / relative
-        number = 1
-        while path.exists():
+    def _free_path(self, upload: _Upload, name: str) -> Path:
+        relative = safe_relative_path(name)
+        place = self.names.neutral(upload.tag, PurePosixPath(relative.as_posix()), name)
+        while (path := upload.folder / place).exists():
             # Two names may become one when cleaned; both files count.
-            number += 1
-            path = folder / relative.with_name(f"{number}-{relative.name}")
-        if not path.resolve().is_relative_to(folder):
+            place = self.names.another(upload.tag, place)
+        if not path.resolve().is_relative_to(upload.folder):
             raise UsageError("this file name cannot be used", code="upload.name")
+        upload.own[path] = (relative, re.split(r"[/\\]", name)[-1])
         return path
+
+
+_BY_PATH = "or open the scan by its path instead of dropping it"
+_MAX_HEADER_BYTES = 65_536
+_DATA_FILE = re.compile(rb"^(ElementDataFile\s*=|data ?file\s*:)[ \t]*([^\r\n]*?)[ \t]*$", re.IGNORECASE | re.MULTILINE)
+
+
+def _open_new(path: Path) -> BinaryIO:
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
+    return os.fdopen(os.open(path, flags, 0o600), "wb")
+
+
+def _joined(upload: _Upload, header: Path) -> Path:
+    """A header that finds its data: by the neutral name of its one file, else with the names that they came with.
+
+    Raises
+    ------
+    DiskError
+        If there is no room for the header.
+    """
+    try:
+        data = header.read_bytes() if header.stat().st_size <= _MAX_HEADER_BYTES else b""
+        named = _DATA_FILE.search(data)
+        if named is not None:
+            wanted = named[2].decode("utf-8", "replace")
+            for path, (_, own) in upload.own.items():
+                if own == wanted and path.parent == header.parent and path != header:
+                    header.write_bytes(data[: named.start(2)] + path.name.encode() + data[named.end(2) :])
+                    return header
+                if path.name == wanted:
+                    return header
+            if wanted.upper() == "LOCAL":
+                return header
+        # A list, or a pattern of numbers: they must be called as it says, for as long as it is read.
+        for path, (relative, _) in upload.own.items():
+            back = upload.folder / relative
+            back.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if path.is_file() and not back.exists():
+                path.replace(back)
+                header = back if path == header else header
+    except OSError as trouble:
+        raise disk_trouble(trouble, "a dropped file cannot be stored", None, unchanged=_BY_PATH) from trouble
+    return header

@@ -27,6 +27,7 @@ __all__ = [
     "encode_picture",
     "field_types",
     "load_json_object",
+    "optional_fields",
     "split_picture",
     "to_jsonable",
 ]
@@ -48,6 +49,13 @@ class Range:
     high: float
 
 
+WHOLE = Range(-(2**53 - 1), 2**53 - 1)
+REAL = Range(-1e15, 1e15)
+"""Of numbers that have no bounds of their own; whatever a client sends has some (``tests/contract``)."""
+MAX_DEPTH = 32
+"""Of an object that is read elsewhere."""
+
+
 @dataclass(frozen=True, slots=True)
 class Length:
     """Inclusive bounds of the length of a text or a list."""
@@ -63,6 +71,11 @@ def field_types(cls: type[Any]) -> dict[str, Any]:
         hints = get_type_hints(cls, include_extras=True)
         known = _FIELD_TYPES[cls] = {f.name: hints[f.name] for f in dataclasses.fields(cls)}
     return known
+
+
+def optional_fields(cls: type[Any]) -> frozenset[str]:
+    """Fields that a message may lack: those that came after programs had learned the message."""
+    return getattr(cls, "may_lack", frozenset())
 
 
 def _refuse(code: str, message: str) -> NoReturn:
@@ -117,10 +130,11 @@ def decode_fields(cls: type[T], value: Any, where: str = "message") -> T:
         unknown = sorted(set(value) - set(hints))
         if unknown:
             _refuse("field", f"{where} has a field that is not known: {unknown[0][:40]!r}")
-    missing = [name for name in hints if name not in value]
+    missing = [name for name in hints if name not in value and name not in optional_fields(cls)]
     if missing:
         _refuse("field", f"{where} lacks the field {missing[0]!r}")
-    return cls(**{name: _decode(hint, value[name], f"{where}.{name}") for name, hint in hints.items()})
+    given = {name: hint for name, hint in hints.items() if name in value}
+    return cls(**{name: _decode(hint, value[name], f"{where}.{name}") for name, hint in given.items()})
 
 
 def _decode(hint: Any, value: Any, where: str) -> Any:
@@ -163,6 +177,7 @@ def _decode(hint: Any, value: Any, where: str) -> Any:
     if origin is dict:
         if not isinstance(value, dict):
             _refuse("field", f"{where} must be an object")
+        _check_document(value, where)
         return value
     if dataclasses.is_dataclass(hint):
         return decode_fields(typing.cast(type[Any], hint), value, where)
@@ -197,6 +212,8 @@ def _of_kind(choices: list[Any], value: Any, where: str) -> type[Any]:
 def _decode_number(kind: Any, value: Any, where: str, bounds: tuple[Any, ...]) -> int | float:
     if isinstance(value, bool) or not isinstance(value, int | float) or (kind is int and not isinstance(value, int)):
         _refuse("field", f"{where} must be a {'whole number' if kind is int else 'number'}")
+    if not any(isinstance(bound, Range) for bound in bounds):
+        bounds = (WHOLE if kind is int else REAL,)
     for bound in bounds:
         # Compared before the conversion: a huge integer has no float.
         if isinstance(bound, Range) and not bound.low <= value <= bound.high:
@@ -210,6 +227,19 @@ def _decode_number(kind: Any, value: Any, where: str, bounds: tuple[Any, ...]) -
     if not math.isfinite(number):
         _refuse("number", f"{where} is no finite number")
     return typing.cast(float, number)
+
+
+def _check_document(value: Any, where: str) -> None:
+    """Numbers that have a float, and no more depth than anybody needs: others read what is inside."""
+    waiting = [(value, 1)]
+    while waiting:
+        inner, depth = waiting.pop()
+        if isinstance(inner, dict | list):
+            if depth > MAX_DEPTH:
+                _refuse("size", f"{where} is nested too deeply: at most {MAX_DEPTH} levels are read")
+            waiting += [(entry, depth + 1) for entry in (inner.values() if isinstance(inner, dict) else inner)]
+        elif isinstance(inner, int | float):
+            _decode_number(float, float(inner) if isinstance(inner, bool) else inner, where, ())
 
 
 def _check_length(value: Any, where: str, bounds: tuple[Any, ...], unit: str) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from carina.server import messages
-from carina.server.wire_codec import Length, Range, field_types
+from carina.server.wire_codec import Length, Range, field_types, optional_fields
 
 __all__ = ["generated_files", "json_schema", "main", "typescript"]
 
@@ -116,7 +116,9 @@ def typescript() -> str:
         lines.append(f"export interface {_ts_name(cls)} {{")
         if hasattr(cls, "wire_type"):
             lines.append(f"  readonly type: {json.dumps(cls.wire_type)};")
-        lines += [f"  readonly {name}: {_ts_type(hint)};" for name, hint in field_types(cls).items()]
+        optional = optional_fields(cls)
+        for name, hint in field_types(cls).items():
+            lines.append(f"  readonly {name}{'?' if name in optional else ''}: {_ts_type(hint)};")
         lines += ["}", ""]
     for name, classes in GROUPS:
         lines += [f"export type {name} =", *(f"  | {_ts_name(cls)}" for cls in classes.values())]
@@ -164,7 +166,7 @@ def json_schema() -> dict[str, Any]:
             "description": (cls.__doc__ or "").strip(),
             "type": "object",
             "properties": properties,
-            "required": list(properties),
+            "required": [name for name in properties if name not in optional_fields(cls)],
             "additionalProperties": bool(getattr(cls, "extra_keys_allowed", False)),
         }
     for name, classes in GROUPS:

@@ -7,7 +7,17 @@ from carina.session.recent import LocalStore, RecentCase
 from carina.session.routes import ChosenRoute
 from carina.session.scene import Carm, Orbit, Reformation, Renderer, Scene, Zoom
 from carina.session.session import Session
-from carina.session.snapshot import Changed, KeysInfo, MaskQuestion, PoseInfo, Said, Snapshot, Trouble, WallPoint
+from carina.session.snapshot import (
+    Changed,
+    KeysInfo,
+    MaskQuestion,
+    NotEvident,
+    PoseInfo,
+    Said,
+    Snapshot,
+    Trouble,
+    WallPoint,
+)
 
 __all__ = [
     "Carm",
@@ -19,6 +29,7 @@ __all__ = [
     "KeysInfo",
     "LocalStore",
     "MaskQuestion",
+    "NotEvident",
     "Orbit",
     "Parts",
     "PoseInfo",

@@ -18,6 +18,7 @@ from carina.session.routes import AirwayIndex, ChosenRoute
 from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Carm, Orbit, Reformation, Renderer, Zoom
 from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, MaskQuestion, PoseInfo
 from carina.session.start_pose import pose_before_airways
+from carina.track import LumenOutline
 from carina.volume import Volume
 
 __all__ = ["HISTOGRAM_PRESET", "AskedMask", "OpenCase", "as_point", "in_lumen", "new_case", "pose_info"]
@@ -99,6 +100,20 @@ class OpenCase:
     """Grows when a person or a job decides on another transfer function or lumen..."""
     content_shown: int = 0
     """... and the one of these that the renderer has come to."""
+
+    outlined: LumenOutline | None = None
+    """The outline of the newest lumen that was looked at."""
+
+    @property
+    def outline(self) -> LumenOutline | None:
+        """The outline of the lumen that the document has now; None where it has none."""
+        airways = self.document.airways
+        if airways is None:
+            return None
+        # Edits that leave the lumen as it is (a name, a smoother centreline) keep its outline.
+        if self.outlined is None or self.outlined.lumen_zyx is not airways.lumen_zyx:
+            self.outlined = LumenOutline(self.info.volume, airways)
+        return self.outlined
 
     @property
     def navigator(self) -> Navigator:

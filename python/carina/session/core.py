@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from carina.errors import CancelledError, UsageError
+from carina.errors import CancelledError, CarinaError, NoEvidenceError, UsageError
 from carina.navigate.moves import SetOperator
 from carina.scopes import scope_preset
 from carina.session.case import OpenCase, pose_info
@@ -22,11 +22,11 @@ from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.recent import LocalStore
 from carina.session.routes import AirwayIndex, path_move
 from carina.session.scene import Scene
-from carina.session.snapshot import Changed, PoseInfo, Said, Snapshot, Topic, Trouble
+from carina.session.snapshot import Changed, NotEvident, PoseInfo, Said, Snapshot, Topic, Trouble
 
 __all__ = ["Event", "SessionCore"]
 
-Event = Changed | Trouble | Said | JobProgress | JobEnded
+Event = Changed | Trouble | NotEvident | Said | JobProgress | JobEnded
 ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "keys", "pose", "views")
 
 
@@ -88,7 +88,7 @@ class SessionCore:
 
     def close(self) -> None:
         """Stop all jobs and give the threads back."""
-        self._jobs.cancel_kinds()
+        self._jobs.close()
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
@@ -99,7 +99,7 @@ class SessionCore:
     def _emit(self, event: Event) -> None:
         with self._lock:
             for listener in tuple(self._listeners):
-                if isinstance(event, JobEnded) and event.error is not None:
+                if isinstance(event, JobEnded) and event.error is not None and not _is_asked(event.error):
                     listener(Trouble(event.error.code, str(event.error)))
                 listener(event)
 
@@ -312,8 +312,14 @@ class SessionCore:
                 frames=None if document.route is None else document.route.frames,
                 path_mm=case.navigator.path_mm,
                 picture_turned=case.navigator.picture_turned,
+                lumen=case.outline,
             )
 
 
 def _lumen(airways: Any) -> Any:
     return None if airways is None else airways.lumen_zyx
+
+
+def _is_asked(error: CarinaError) -> bool:
+    """Whether a job's end is a question and no trouble: :class:`NotEvident` has told of it."""
+    return isinstance(error, NoEvidenceError)

@@ -7,14 +7,14 @@ import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from carina.errors import NoResultError
+from carina.errors import NoEvidenceError, NoResultError
 from carina.session.case import OpenCase
 from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.document import Document, Target
 from carina.session.jobs import Job
-from carina.session.snapshot import Said
+from carina.session.snapshot import NotEvident, Said
 from carina.session.targets import followed_route, renamed_route, tracked_target
-from carina.track import FoldedAirways, edit_words, fold_airways, name_edited
+from carina.track import AddBranch, FoldedAirways, edit_words, fold_airways, name_edited
 
 if TYPE_CHECKING:
     from carina.track import TreeEdit
@@ -46,7 +46,8 @@ class TreeEditing(SessionCore):
         Returns
         -------
         str
-            The job's id. The job fails in words where the edit cannot be made; nothing is changed then.
+            The job's id. The job fails in words where the edit cannot be made; nothing is changed then. Where a branch
+            is to be added and the CT shows no wall along its way, :class:`carina.session.NotEvident` asks.
 
         Raises
         ------
@@ -66,6 +67,12 @@ class TreeEditing(SessionCore):
                 job.check()
             try:
                 self._edit_now(case, edit, job)
+            except NoEvidenceError as doubt:
+                if not isinstance(edit, AddBranch):
+                    # Nothing can be drawn in its place: no question, but an answer.
+                    raise NoResultError(str(doubt), code=doubt.code) from doubt
+                self._emit(NotEvident(job.job_id, edit.lps, doubt))
+                raise
             finally:
                 self._one_edit.release()
 

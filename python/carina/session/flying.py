@@ -11,8 +11,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from carina.disk import disk_trouble, make_folder
 from carina.errors import CarinaError, NoResultError, UsageError
-from carina.navigate import Controls, Move, Recorder, Sample, case_key, fit_registration, moves
+from carina.navigate import Controls, Move, PenState, Recorder, Sample, case_key, fit_registration, moves
 from carina.scopes import DEFAULT_SCOPE, ForceLaw, Pose, WallField, local_contact, scope_preset
 from carina.session.case import OpenCase, as_point
 from carina.session.core import SessionCore
@@ -20,6 +21,7 @@ from carina.session.document import Document, Point
 from carina.session.jobs import Job
 from carina.session.routes import leaf_below, route_to_branch
 from carina.session.snapshot import DevicesInfo, NearWall, Said, Trouble
+from carina.session.start_pose import pose_before_place
 from carina.track import edits_to_json
 
 # A hand that rests at the wall is counted so long, until it moves again.
@@ -193,6 +195,28 @@ class Flying(SessionCore):
         """Tip to a pose; free mode afterwards."""
         self._fly(place_move(pose))
 
+    def show_place(self, lps: Point, branch_id: int | None = None) -> None:
+        """Look at a place of the airways: the tip before it and looking at it, free; the crosshair on it.
+
+        Without airways only the crosshair moves.
+
+        Raises
+        ------
+        UsageError
+            ``session.outside``: the point lies outside the scan.
+        """
+        case = self._needed_case()
+        case.check_inside(lps)
+        airways = case.document.airways
+        pose = None if airways is None else pose_before_place(airways, case.info.volume, lps, branch_id)
+        if pose is not None:
+            self._fly(place_move(pose))
+            # As the operator stands.
+            self._fly(moves.LevelHorizon())
+        with self._lock:
+            case.crosshair_lps = lps
+            self._changed("state", "views")
+
     def level_horizon(self) -> None:
         """Roll until the operator's up is up."""
         self._fly(moves.LevelHorizon())
@@ -229,11 +253,10 @@ class Flying(SessionCore):
             raise UsageError("a recording is being made already; stop it first", code="session.recording")
         key = case_key(case.info.volume)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path.parent, what="the recording")
             file = path.open("x", encoding="utf-8")
         except OSError as trouble:
-            words = f"the recording cannot be written to {path}: {trouble.strerror}"
-            raise CarinaError(words, code="machine") from trouble
+            raise disk_trouble(trouble, "cannot write the recording", path) from trouble
         with self._lock:
             try:
                 self._recorder = Recorder(
@@ -248,8 +271,7 @@ class Flying(SessionCore):
             except OSError as trouble:
                 with contextlib.suppress(OSError):
                     path.unlink()
-                words = f"the recording cannot be written to {path}: {trouble.strerror}"
-                raise CarinaError(words, code="machine") from trouble
+                raise disk_trouble(trouble, "cannot write the recording", path) from trouble
             self._recording_path, self._recorded_case = path, case
             if case.navigator.scope_state is not None:
                 # A replay begins with the scope laid anew, so that it can begin at all.
@@ -272,9 +294,9 @@ class Flying(SessionCore):
     def _recording_ended(self, trouble: OSError) -> None:
         """The file cannot be written any more, with the session locked; the flight goes on."""
         self._recorder = None
-        why = trouble.strerror or str(trouble)
-        words = f"the recording ended: {why}; what was recorded before is in {self._recording_path}"
-        self._emit(Trouble("machine", words))
+        kept = f"what was recorded before is in {self._recording_path}"
+        told = disk_trouble(trouble, "the recording ended: cannot write", self._recording_path, unchanged=kept)
+        self._emit(Trouble(told.code, str(told)))
         self._changed("state")
 
     def close(self) -> None:
@@ -310,8 +332,8 @@ class Flying(SessionCore):
             before = case.pilot.control
             now_s = self._clock()
             case.pilot.apply(moves.DeviceSaid(device, sample, now_s))
-            for _ in range(case.pilot.take_marks()):
-                self._mark(case)
+            for pen in case.pilot.take_marks():
+                self._mark(case, pen)
             words = case.pilot.take_message(now_s)
             if words is not None:
                 self._emit(Said(words))
@@ -369,8 +391,16 @@ class Flying(SessionCore):
             self._changed("state")
         return fit.rms_mm or 0.0
 
+    def join_pen(self) -> None:
+        """In absolute movement: the tip comes to the registered pen at once, instead of easing over."""
+        self._fly(moves.JoinPen())
+
     def arm_pen(self, tool: PenTool | None) -> None:
-        """What the pen's first button sets at the place of the tip; None lets it change the way to move."""
+        """What the pen's first button sets; None lets it change the way to move.
+
+        It is set at the pen's own tip where the pen is registered to the patient, in whatever way it moves the scope;
+        at the tip of the scope where it is not.
+        """
         if tool not in {"root", "target", None}:
             raise UsageError(f"a pen sets root or target; found {tool!r}")
         case = self._needed_case()
@@ -386,9 +416,15 @@ class Flying(SessionCore):
             pilot = self._case.pilot
             return DevicesInfo(pilot.control, pilot.controls, pilot.devices())
 
-    def _mark(self, case: OpenCase) -> None:
+    def pen_state(self) -> PenState | None:
+        """The pen that moves the tip and the point that its button marks; None where none does."""
+        with self._lock:
+            return None if self._case is None else self._case.pilot.pen()
+
+    def _mark(self, case: OpenCase, pen: str) -> None:
         """The armed pen's button, with the session locked."""
-        place = as_point(case.navigator.pose.position_lps)
+        own = case.pilot.pen_lps(pen)
+        place = as_point(case.navigator.pose.position_lps if own is None else own)
         try:
             if self._pen_tool == "root":
                 self.set_root(place)
@@ -425,8 +461,9 @@ class Flying(SessionCore):
 
     def _after_move(self, case: OpenCase, mode: str) -> None:
         case.person_moved = True
-        if case.crosshair_lps is None and case.zoom != (following := case.zoom.following):
-            # Slices follow the tip again.
+        following = case.zoom.following if case.crosshair_lps is None else case.zoom.at_tip
+        if case.zoom != following:
+            # Slices follow the tip again; the cut-plane does in any case.
             case.zoom = following
         self._moved()
         if case.navigator.mode != mode:

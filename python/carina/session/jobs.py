@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from carina.disk import disk_trouble, is_disk_trouble
 from carina.errors import CancelledError, CarinaError
 
 __all__ = ["Job", "JobEnded", "JobProgress", "JobRunner", "log_fault"]
@@ -47,6 +48,22 @@ def log_fault(log: logging.Logger, words: str, trouble: BaseException) -> None:
     place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
     log.error("%s: %s%s", words, type(trouble).__name__, place)
     log.debug("%s", words, exc_info=trouble)
+
+
+def _fault(title: str, trouble: BaseException) -> CarinaError:
+    log_fault(logger, f"a job failed: {title}", trouble)
+    return CarinaError(f"{title} failed by a fault of Carina ({type(trouble).__name__})", code="carina.fault")
+
+
+def _of_machine(title: str, trouble: OSError) -> CarinaError:
+    """A full disk, a lost permission or too many open files are no fault of Carina."""
+    if is_disk_trouble(trouble):
+        return disk_trouble(trouble, f"{title} failed", None)
+    return _fault(title, trouble)
+
+
+def _closing(title: str) -> CancelledError:
+    return CancelledError(f"{title}: Carina is closing")
 
 
 class Job:
@@ -119,6 +136,7 @@ class JobRunner:
         self._jobs: dict[str, Job] = {}
         self._numbers = itertools.count(1)
         self._idle = threading.Condition(self._lock)
+        self._closed = False
 
     @property
     def running(self) -> tuple[Job, ...]:
@@ -127,15 +145,38 @@ class JobRunner:
             return tuple(self._jobs.values())
 
     def start(self, kind: str, title: str, work: Callable[[Job], None]) -> str:
-        """Start a job; ``work`` raises CarinaError to fail in words. Returns its id."""
+        """Start a job; ``work`` raises CarinaError to fail in words. Returns its id.
+
+        Raises
+        ------
+        CancelledError
+            If Carina is closing: a job that is stopped for that may want to leave its rest to another one.
+        """
         with self._lock:
+            if self._closed:
+                raise _closing(title)
             for other in self._jobs.values():
                 if other.kind == kind:
                     other.stop()
             job = Job(f"job-{next(self._numbers)}", title, kind, self)
             self._jobs[job.job_id] = job
-        self._submit(lambda: self._run(job, work))
+        try:
+            self._submit(lambda: self._run(job, work))
+        except RuntimeError:
+            # The threads were given back since the look above.
+            if not self._closed:
+                raise
+            with self._idle:
+                self._jobs.pop(job.job_id, None)
+                self._idle.notify_all()
+            raise _closing(title) from None
         return job.job_id
+
+    def close(self) -> None:
+        """Stop all jobs, and start no more."""
+        with self._lock:
+            self._closed = True
+        self.cancel_kinds()
 
     def cancel(self, job_id: str) -> bool:
         """Stop a job; False if there is none of this id."""
@@ -166,13 +207,11 @@ class JobRunner:
             outcome = "cancelled"
         except CarinaError as trouble:
             outcome, error = "failed", trouble
+        except OSError as trouble:
+            outcome, error = "failed", _of_machine(job.title, trouble)
         except BaseException as trouble:
             # BaseException: a panic of the compiled module is no Exception, and a job must end whatever happens.
-            log_fault(logger, f"a job failed: {job.title}", trouble)
-            outcome = "failed"
-            error = CarinaError(
-                f"{job.title} failed by a fault of Carina ({type(trouble).__name__})", code="carina.fault"
-            )
+            outcome, error = "failed", _fault(job.title, trouble)
         with self._idle:
             self._jobs.pop(job.job_id, None)
             self._idle.notify_all()

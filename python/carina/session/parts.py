@@ -11,7 +11,7 @@ from carina.errors import UsageError
 if TYPE_CHECKING:
     from carina.render import TransferFunction
     from carina.session.scene import Renderer
-    from carina.track import Airways, TreeMeasures
+    from carina.track import Airways, EditPreview, TreeMeasures
     from carina.volume import Mask, Volume
 
 __all__ = ["Cancel", "Parts", "Progress", "RendererFactory", "default_parts"]
@@ -24,6 +24,12 @@ def _edit_airways(*arguments: Any, **options: Any) -> Airways:
     from carina import track
 
     return track.edit_airways(*arguments, **options)
+
+
+def _preview_edit(*arguments: Any, **options: Any) -> EditPreview:
+    from carina import track
+
+    return track.preview_edit(*arguments, **options)
 
 
 def _open_mask(*arguments: Any, **options: Any) -> Mask:
@@ -64,6 +70,8 @@ class Parts:
     presets: tuple[str, ...] = ("endoscopic", "ct-grey", "see-through", "paper")
     edit_airways: Callable[..., Airways] = _edit_airways
     """``edit_airways(volume, airways, edit, progress=, cancel=)``."""
+    preview_edit: Callable[..., EditPreview] = _preview_edit
+    """``preview_edit(volume, airways, edit)``."""
     open_mask: Callable[..., Mask] = _open_mask
     """``open_mask(path, volume, label=, resample=, progress=, cancel=)``."""
 

@@ -13,6 +13,8 @@ from carina.session.document import Point
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from carina.track import AddBranch, Bridge, EditPreview, MoveFork
+
 __all__ = ["AirwayQuestions", "lumen_before_wall"]
 
 NO_AIRWAYS = "the airways are not found yet: wait for them, or set the root"
@@ -35,6 +37,23 @@ class AirwayQuestions(SessionCore):
             If the case has no airways.
         """
         return self._airways().tracker.live_path(lps)
+
+    def preview_edit(self, edit: AddBranch | Bridge | MoveFork) -> EditPreview:
+        """The very lines that an edit would make, at once and without making it.
+
+        Returns
+        -------
+        carina.track.EditPreview
+            With the reason in words in ``problem`` where it cannot be made.
+
+        Raises
+        ------
+        NoResultError
+            If the case has no airways.
+        """
+        with self._lock:
+            volume, airways = self._needed_case().info.volume, self._airways()
+        return self._parts.preview_edit(volume, airways, edit)
 
     def airways_to_take_away(self) -> tuple[Any, Any]:
         """The volume and its airways as they are now (both immutable), for a file.

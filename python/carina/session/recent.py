@@ -8,11 +8,11 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from carina.disk import make_folder, write_whole
 
 __all__ = ["LocalStore", "RecentCase"]
 
@@ -30,21 +30,6 @@ class RecentCase:
     """ISO date of the last opening."""
     title: str
     path: str
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a file so that a crash or a full disk leaves the old one whole."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
 
 
 class LocalStore:
@@ -95,7 +80,8 @@ class LocalStore:
 
     def _write(self, path: Path, value: dict[str, Any]) -> None:
         try:
-            write_atomically(path, json.dumps(value, indent=1) + "\n")
+            make_folder(path.parent, what="settings", private=True)
+            write_whole(path, (json.dumps(value, indent=1) + "\n").encode(), what="settings", private=True)
             self._unwritten.pop(path, None)
         except OSError as error:
             # Else a notice that was read would be asked for again after every change.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from carina.errors import NoResultError
 from carina.navigate import FlightPath
 from carina.navigate.moves import PathFork, PathWay, SetPath
 from carina.scopes import PathFrames
-from carina.track import AirwayTree, Route, TrackedPath
+from carina.track import AirwayTree, Branch, DrawnPart, Route, TrackedPath, drawn_part
 
 __all__ = [
     "AirwayIndex",
@@ -38,6 +38,8 @@ class RouteSpan:
     generation: int
     from_mm: float
     to_mm: float
+    kind: str = "tracked"
+    """As in :class:`carina.track.Branch`: what a person drew is named so wherever the route is shown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +64,8 @@ class ChosenRoute:
     """The plane across the path at its places, for the views along it."""
     target_id: str | None = None
     branch_id: int | None = None
+    drawn: DrawnPart = field(default_factory=lambda: DrawnPart(0.0))
+    """How much of it the CT does not show."""
 
     @property
     def length_mm(self) -> float:
@@ -242,8 +246,8 @@ def _chosen(
     branch_ids = np.asarray(route.branch_ids, dtype=np.int64)
     generation = np.asarray(route.generation, dtype=np.int64)
     radius_mm = np.asarray(route.radius_mm, dtype=np.float64)
-    names = {branch.id: branch.name for branch in tree.branches}
-    spans = _spans(branch_ids, generation, cumulative_mm, names)
+    branches = {branch.id: branch for branch in tree.branches}
+    spans = _spans(branch_ids, generation, cumulative_mm, branches)
     forks_mm = tuple(float(mm) for mm in route.forks_mm)
     stops_mm = lookouts_mm(forks_mm, spans, cumulative_mm, radius_mm)
     path = FlightPath(points, forks_mm=_inside(forks_mm, points), lookouts_mm=_inside(stops_mm, points))
@@ -263,6 +267,7 @@ def _chosen(
         frames=path.frames(),
         target_id=target_id,
         branch_id=branch_id,
+        drawn=drawn_part(branches, branch_ids, cumulative_mm),
     )
 
 
@@ -317,17 +322,22 @@ def _spans(
     branch_ids: NDArray[np.int64],
     generation: NDArray[np.int64],
     cumulative_mm: NDArray[np.float64],
-    names: dict[int, str | None],
+    branches: dict[int, Branch],
 ) -> tuple[RouteSpan, ...]:
     starts = np.flatnonzero(np.diff(branch_ids, prepend=branch_ids[0] - 1))
     ends = [*starts[1:], len(branch_ids) - 1]
-    return tuple(
-        RouteSpan(
-            int(branch_ids[a]),
-            names.get(int(branch_ids[a])),
-            int(generation[a]),
-            float(cumulative_mm[a]),
-            float(cumulative_mm[b]),
+    found = []
+    for a, b in zip(starts, ends, strict=True):
+        branch_id = int(branch_ids[a])
+        branch = branches.get(branch_id)
+        found.append(
+            RouteSpan(
+                branch_id,
+                None if branch is None else branch.name,
+                int(generation[a]),
+                float(cumulative_mm[a]),
+                float(cumulative_mm[b]),
+                "tracked" if branch is None else branch.kind,
+            )
         )
-        for a, b in zip(starts, ends, strict=True)
-    )
+    return tuple(found)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carina.render import CancelToken, Hit, Picture, TransferFunction
+    from carina.track import LumenOutline
 
 __all__ = ["VIEWS", "Carm", "Orbit", "Reformation", "Renderer", "Scene", "Zoom"]
 
@@ -36,6 +37,8 @@ VIEWS = (
 NORMAL_AXIS = {"axial": 2, "coronal": 1, "sagittal": 0}
 PLANES = NORMAL_AXIS.keys()
 PATH_VIEWS = ("straightened", "curved")
+OUTLINED = {*PLANES, "cut-plane"}
+"""Views that carry the outline of the lumen."""
 
 
 class Renderer(Protocol):
@@ -96,7 +99,8 @@ class Reformation:
 class Zoom:
     """Scales of the planar views; None fits.
 
-    Centres are where slices were zoomed to, until the tip moves; None is the point that is shown.
+    Centres are where pictures were zoomed or panned to, until the tip moves; None is the point that is shown, and of
+    the cut-plane the tip.
     """
 
     axial_mm_per_px: float | None = None
@@ -106,11 +110,27 @@ class Zoom:
     axial_center_lps: tuple[float, float, float] | None = None
     coronal_center_lps: tuple[float, float, float] | None = None
     sagittal_center_lps: tuple[float, float, float] | None = None
+    cut_plane_center_lps: tuple[float, float, float] | None = None
 
     @property
     def following(self) -> Zoom:
         """The same scales, round the point that is shown."""
-        return replace(self, axial_center_lps=None, coronal_center_lps=None, sagittal_center_lps=None)
+        return replace(self.at_tip, axial_center_lps=None, coronal_center_lps=None, sagittal_center_lps=None)
+
+    @property
+    def at_tip(self) -> Zoom:
+        """The same, with the tip in the middle of the cut-plane, which goes where the tip goes."""
+        return replace(self, cut_plane_center_lps=None)
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """The lumen's outline in one picture."""
+
+    data: bytes
+    """As :meth:`carina.track.LumenOutline.encoded` gives it."""
+    complete: bool
+    """False where the lumen is too ragged for an outline."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +170,8 @@ class Scene:
     """See :attr:`carina.navigate.Navigator.picture_turned`."""
     content_is_newest: bool = True
     """The renderer has the transfer function and the lumen that were decided on; else it is being given them."""
+    lumen: LumenOutline | None = None
+    """The lumen that was decided on, for the outlines in planes: they never wait for the renderer."""
 
     @property
     def shown_lps(self) -> tuple[float, float, float]:
@@ -161,12 +183,15 @@ class Scene:
 
     def key(self, view: str) -> Hashable:
         """What this view's picture depends on; equal keys mean equal pictures. None where there is nothing to show."""
-        case = (self.case_number, view)
+        case: tuple[Hashable, ...] = (self.case_number, view)
+        if view in OUTLINED:
+            # The object: a lumen is known by its identity, and this keeps it from being another's.
+            case = (*case, self.lumen)
         if view == "airway":
             seen = (None if self.scope is None else self.scope.name, self.mask, self.fov_deg)
             return (*case, self.content_number, self.pose_id, *seen, self.shading, self.texture, self.method)
         if view == "cut-plane":
-            return (*case, self.pose_id, self.window_hu, self.zoom.cut_plane_extent_mm)
+            return (*case, self.pose_id, self.window_hu, self.zoom.cut_plane_extent_mm, self.zoom.cut_plane_center_lps)
         if view == "tri-plane":
             return (*case, self._shown_key(), self.orbit_tri_plane, self.window_hu)
         if view in PLANES:
@@ -187,6 +212,17 @@ class Scene:
         if view == "tree":
             return (*case, self.content_number, self.orbit_tree) if self.has_lumen else None
         return case
+
+    def outline_of(self, view: str, picture: Picture) -> Outline | None:
+        """The outline of the lumen in a picture of this scene; None where the view has none, or no lumen is known."""
+        if view not in OUTLINED or self.lumen is None or picture.lps_from_pixel is None:
+            return None
+        if not np.isfinite(picture.lps_from_pixel).all():
+            # A fault of the renderer: whoever encodes the picture says so.
+            return None
+        height, width = picture.rgb.shape[:2]
+        data = self.lumen.encoded(picture.lps_from_pixel, width, height)
+        return Outline(b"", complete=False) if data is None else Outline(data, complete=True)
 
     def can_be_final(self, view: str) -> bool:
         """Whether a view's picture shows what was decided on, and will not be made again by itself."""
@@ -216,7 +252,14 @@ class Scene:
             )
         if view == "cut-plane":
             extent_mm = self.zoom.cut_plane_extent_mm or 60.0
-            return render.CutPlaneView(self.pose, width=width, height=height, extent_mm=extent_mm, window_hu=window_hu)
+            return render.CutPlaneView(
+                self.pose,
+                width=width,
+                height=height,
+                extent_mm=extent_mm,
+                window_hu=window_hu,
+                center_lps=self.zoom.cut_plane_center_lps,
+            )
         if view == "tri-plane":
             orbit = self.orbit_tri_plane
             return render.TriPlaneView(

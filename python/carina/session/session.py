@@ -281,10 +281,10 @@ class Session(AirwayFinding, KeyFraming, AirwayQuestions, TreeMeasuring, TreeEdi
         extent_mm: float | None = None,
         center_lps: Point | None = None,
     ) -> None:
-        """Scale of a planar view; None fits. A slice stays round its centre until the tip moves."""
+        """Scale of a planar view; None fits. The picture stays round its centre until the tip moves."""
         case = self._needed_case()
         if view == "cut-plane":
-            self._look(case, zoom=replace(case.zoom, cut_plane_extent_mm=extent_mm))
+            self._look(case, zoom=replace(case.zoom, cut_plane_extent_mm=extent_mm, cut_plane_center_lps=center_lps))
         elif view in {"axial", "coronal", "sagittal"}:
             changed: dict[str, Any] = {f"{view}_mm_per_px": mm_per_px, f"{view}_center_lps": center_lps}
             self._look(case, zoom=replace(case.zoom, **changed))

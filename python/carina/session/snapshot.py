@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
+from carina.errors import NoEvidenceError
 from carina.navigate import Controls, DeviceState
 from carina.render import Slab
 from carina.scopes import LocalContact, Pose, ScopeState
@@ -24,6 +25,7 @@ __all__ = [
     "KeysInfo",
     "MaskQuestion",
     "NearWall",
+    "NotEvident",
     "PoseInfo",
     "Said",
     "Snapshot",
@@ -200,6 +202,19 @@ class Trouble:
     code: str
     message: str
     action: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NotEvident:
+    """An edit was not made, since the CT shows no airway along its whole way; asked for again it can be drawn by hand.
+
+    Comes in the place of :class:`Trouble`.
+    """
+
+    job_id: str
+    lps: tuple[float, float, float]
+    """What was asked for."""
+    error: NoEvidenceError
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Where a flight begins: at the top of the trachea, looking down it as from the patient's head."""
+"""Where a flight begins, and from where a place in the airways is looked at."""
 
 from __future__ import annotations
 
@@ -9,12 +9,18 @@ import numpy as np
 from carina.scopes import Pose
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from carina.track import Airways
     from carina.volume import Volume
 
-__all__ = ["pose_at_root", "pose_before_airways"]
+__all__ = ["pose_at_root", "pose_before_airways", "pose_before_place"]
 
 CAUDAL_LPS = (0.0, 0.0, -1.0)
+# A place is looked at from the farthest of these ways before it from where it is in view.
+STAND_BACK_MM = (12.0, 10.0, 8.0, 6.0, 4.0, 3.0, 2.0)
+# The place itself may lie in the wall or beyond the lumen's blind end.
+WALL_MM = 1.5
 
 
 def pose_before_airways(volume: Volume) -> Pose:
@@ -43,3 +49,55 @@ def pose_at_root(airways: Airways) -> Pose:
     if float(np.linalg.norm(look)) < 1e-6:
         return Pose.looking(at, CAUDAL_LPS)
     return Pose.looking(at, [float(v) for v in look])
+
+
+def pose_before_place(
+    airways: Airways, volume: Volume, lps: tuple[float, float, float], branch_id: int | None
+) -> Pose | None:
+    """A pose in the lumen that looks at a place of a branch, from the side of the root.
+
+    It stands on the way from the root, at most 12 mm before the place, and where the straight line to it lies in the
+    lumen; where none does, 2 mm before it.
+
+    Parameters
+    ----------
+    airways, volume
+        The airways, and the CT that they are of.
+    lps
+        The place, LPS mm.
+    branch_id
+        The branch that it belongs to; the nearest where it is None or no longer there.
+
+    Returns
+    -------
+    Pose or None
+        None where the place is the root itself: there is nothing before it.
+    """
+    place = np.asarray(lps, dtype=np.float64)
+    tree = airways.tree
+    if branch_id is None or all(branch.id != branch_id for branch in tree.branches):
+        branch_id = tree.nearest_branch(place)[0].id
+    way = tree.route_to(branch_id)
+    at = int(np.argmin(np.linalg.norm(way.points_lps - place, axis=1)))
+    stand = None
+    for back_mm in STAND_BACK_MM:
+        along_mm = way.cumulative_mm[at] - back_mm
+        if along_mm < 0.0:
+            continue
+        stand = np.array([np.interp(along_mm, way.cumulative_mm, way.points_lps[:, axis]) for axis in range(3)])
+        if _in_view(airways.lumen_zyx, volume, stand, place):
+            break
+    if stand is None:
+        stand = way.points_lps[0]
+    look = place - stand
+    return None if float(np.linalg.norm(look)) < 1e-3 else Pose.looking(stand, look)
+
+
+def _in_view(
+    lumen_zyx: NDArray[np.uint8], volume: Volume, stand: NDArray[np.float64], place: NDArray[np.float64]
+) -> bool:
+    length_mm = float(np.linalg.norm(place - stand))
+    shares = np.linspace(0.0, max(1.0 - WALL_MM / max(length_mm, 1e-9), 0.0), 40)
+    ijk = np.rint(volume.to_ijk(stand + shares[:, None] * (place - stand))).astype(np.int64)
+    i, j, k = np.clip(ijk, 0, np.array(lumen_zyx.shape[::-1]) - 1).T
+    return bool(lumen_zyx[k, j, i].all())

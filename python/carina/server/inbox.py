@@ -1,0 +1,127 @@
+"""What a client sent and Carina has not done yet: movements add up, of wishes the newest counts, others get a turn.
+
+The client of ours sends a movement per screen refresh. A script may send a thousand a second, each of which takes
+milliseconds: all else on this machine would wait behind them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from carina.server import messages as wire
+
+__all__ = ["Inbox"]
+
+STEER_EVERY_S = 0.004
+"""Movements that follow each other faster are one; a screen shows at most 240 a second."""
+MAX_WAITING = 64
+"""Beyond this nothing is read: the network waits."""
+MAX_ADVANCE_MM = 1000.0
+MAX_TURN_RAD = 7.0
+NEWEST_ONLY = (
+    wire.SetOrbit,
+    wire.SetZoom,
+    wire.SetCarm,
+    wire.SetReformation,
+    wire.SetSlab,
+    wire.SetCrosshair,
+    wire.SetWindow,
+    wire.SetFov,
+    wire.GoTo,
+    wire.Probe,
+    wire.AskLivePath,
+    wire.AskBranchDetail,
+    wire.Layout,
+)
+"""Of two of them that follow each other, with the same value of ``view`` where they have one, the first is void."""
+
+
+class Inbox:
+    """The messages of one client, in their order; event loop only.
+
+    Parameters
+    ----------
+    handle
+        Does one message, at once; must not raise.
+    """
+
+    def __init__(self, handle: Callable[[Any], None]) -> None:
+        self._handle = handle
+        self._waiting: deque[Any] = deque()
+        self._changed = asyncio.Event()
+        self._room = asyncio.Event()
+        self._room.set()
+        self._steered_s = float("-inf")
+
+    @property
+    def num_waiting(self) -> int:
+        """How many have not been done."""
+        return len(self._waiting)
+
+    async def put(self, message: Any) -> None:
+        """One more; waits while there are too many."""
+        await self._room.wait()
+        if self._waiting and (merged := _merged(self._waiting[-1], message)) is not None:
+            self._waiting[-1] = merged
+            return
+        self._waiting.append(message)
+        if len(self._waiting) >= MAX_WAITING:
+            self._room.clear()
+        self._changed.set()
+
+    async def work(self) -> None:
+        """Do them until cancelled; whatever else the loop has to do comes in between."""
+        loop = asyncio.get_running_loop()
+        try:
+            await self._work(loop)
+        finally:
+            self._room.set()
+
+    async def _work(self, loop: asyncio.AbstractEventLoop) -> None:
+        while True:
+            await self._changed.wait()
+            if len(self._waiting) == 1 and isinstance(self._waiting[0], wire.Steer):
+                # Behind it there may be more of the same in a moment; nothing else waits for it.
+                soon_s = self._steered_s + STEER_EVERY_S - loop.time()
+                if soon_s > 0.0:
+                    await asyncio.sleep(soon_s)
+            if self._waiting and isinstance(self._waiting[0], wire.Steer):
+                self._steered_s = loop.time()
+            self._do_next()
+            await asyncio.sleep(0)
+
+    def finish(self) -> None:
+        """Do all that is left, now: the client has gone, and meant it."""
+        while self._waiting:
+            self._do_next()
+
+    def _do_next(self) -> None:
+        if self._waiting:
+            message = self._waiting.popleft()
+            self._room.set()
+            if not self._waiting:
+                self._changed.clear()
+            self._handle(message)
+
+
+def _merged(before: Any, after: Any) -> Any:
+    """One message that does what two that follow each other do; None where there is none."""
+    if type(before) is not type(after):
+        return None
+    if isinstance(after, wire.Steer):
+        return _sum(before, after)
+    if isinstance(after, NEWEST_ONLY) and getattr(before, "view", None) == getattr(after, "view", None):
+        return after
+    return None
+
+
+def _sum(a: wire.Steer, b: wire.Steer) -> wire.Steer | None:
+    """As the client adds them up; None where the sum is more than one message may say."""
+    summed = wire.Steer(
+        a.advance_mm + b.advance_mm, a.yaw_rad + b.yaw_rad, a.pitch_rad + b.pitch_rad, a.roll_rad + b.roll_rad
+    )
+    turns = max(abs(summed.yaw_rad), abs(summed.pitch_rad), abs(summed.roll_rad))
+    return summed if abs(summed.advance_mm) <= MAX_ADVANCE_MM and turns <= MAX_TURN_RAD else None

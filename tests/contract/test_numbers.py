@@ -1,0 +1,188 @@
+"""Every number that comes from outside has bounds, which are looked at before it is used: on the wire and in files."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import types
+from pathlib import Path
+from typing import Annotated, Any, Union, get_args, get_origin
+
+import numpy as np
+import pytest
+
+from carina.errors import CarinaError, ProtocolError
+from carina.export import read_tree
+from carina.navigate import open_keys, open_recording
+from carina.render import TransferFunction, transfer_preset
+from carina.server import messages as wire
+from carina.server.wire_codec import MAX_DEPTH, Range, field_types
+from carina.track import AirwayTree, Branch, edits_from_json
+
+PROTOCOL = Path(__file__).resolve().parents[2] / "protocol"
+PARSERS = {
+    "client": wire.parse_client_message,
+    "server": wire.parse_server_message,
+    "force": wire.parse_force_message,
+    "to-force": wire.parse_to_force_message,
+    "phone": wire.parse_phone_message,
+    "to-phone": wire.parse_to_phone_message,
+}
+EVIL = [
+    "9" * 10_000,
+    "9" * 400,
+    "-" + "9" * 400,
+    "1e999",
+    "-1e999",
+    "1e308",
+    "9007199254740993",
+    "NaN",
+    "Infinity",
+    "-Infinity",
+    "true",
+    "null",
+    '"1"',
+    "[" * 5000 + "]" * 5000,
+    '{"a":' * 5000 + "1" + "}" * 5000,
+    "[]",
+    "{}",
+    "-0.0",
+    "1e-320",
+]
+
+
+def numbers_of(hint: Any, bounds: tuple[Any, ...] = ()):
+    """Each number in a field's type, and whether it has a range."""
+    if get_origin(hint) is Annotated:
+        inner, *metadata = get_args(hint)
+        yield from numbers_of(inner, tuple(metadata))
+    elif hint in (int, float):
+        yield any(isinstance(bound, Range) and np.isfinite([bound.low, bound.high]).all() for bound in bounds)
+    elif get_origin(hint) in (Union, types.UnionType):
+        for choice in get_args(hint):
+            yield from numbers_of(choice, bounds)
+    elif dataclasses.is_dataclass(hint):
+        for inner in field_types(hint).values():
+            yield from numbers_of(inner)
+    elif get_origin(hint) is tuple:
+        yield from numbers_of(get_args(hint)[0])
+
+
+INCOMING = [*wire.CLIENT_MESSAGES.values(), *wire.PHONE_MESSAGES.values(), *wire.FORCE_MESSAGES.values()]
+
+
+@pytest.mark.parametrize("cls", INCOMING, ids=lambda cls: cls.__name__)
+def test_every_number_that_a_client_sends_has_a_range(cls):
+    missing = [name for name, hint in field_types(cls).items() if not all(numbers_of(hint))]
+    assert missing == [], f"{cls.__name__}: give these a Range (wire_fields.py)"
+
+
+def evil_texts(document: Any):
+    """The document with each of its values replaced by each evil one, as text."""
+    mark = "@@evil@@"
+
+    def places(value, path=()):
+        yield path
+        if isinstance(value, dict):
+            for key, entry in value.items():
+                yield from places(entry, (*path, key))
+        elif isinstance(value, list):
+            # Of a long list the first and the last.
+            for n in {0, len(value) - 1} if value else ():
+                yield from places(value[n], (*path, n))
+
+    for path in places(document):
+        if not path:
+            continue
+        changed = json.loads(json.dumps(document))
+        inner = changed
+        for step in path[:-1]:
+            inner = inner[step]
+        inner[path[-1]] = mark
+        text = json.dumps(changed)
+        for evil in EVIL:
+            yield text.replace(f'"{mark}"', evil)
+
+
+SAMPLES = [p for kind in PARSERS for p in sorted((PROTOCOL / "valid" / kind).glob("*.json"))]
+
+
+@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_evil_numbers_are_refused_in_words_or_taken_and_nothing_else(path):
+    parse = PARSERS[path.parent.name]
+    for text in evil_texts(json.loads(path.read_bytes())):
+        try:
+            parse(text)
+        except ProtocolError as trouble:
+            assert len(str(trouble)) < 500  # noqa: PT017, it may also be taken
+
+
+def test_a_huge_integer_in_a_phones_hello_is_refused_before_its_token_is_read():
+    for number in ("9" * 400, "1e400", str(2**63)):
+        with pytest.raises(ProtocolError):
+            wire.parse_phone_message(f'{{"type":"phone_hello","wire_version":{number},"token":"x"}}')
+
+
+def test_an_object_that_others_read_has_no_endless_depth_and_no_endless_numbers():
+    for inside in ("[" * MAX_DEPTH + "]" * MAX_DEPTH, "9" * 400, "1e999"):
+        with pytest.raises(ProtocolError):
+            wire.parse_client_message(f'{{"type":"set_transfer","preset":null,"document":{{"points":{inside}}}}}')
+
+
+TREE = AirwayTree(
+    (
+        Branch(0, None, (1,), 0, "Trachea", "tracked", np.array([[0.0, 0, 0], [0, 0, -9]]), np.array([8.0, 7.5])),
+        Branch(1, 0, (), 1, None, "manual", np.array([[0.0, 0, -9], [0, 0, -20]]), np.array([7.5, 6.0])),
+    )
+)
+IDENTITY = [float(v) for v in np.eye(4).ravel()]
+FILES = {
+    "tree": (TREE.to_json(), read_tree),
+    "transfer": (
+        transfer_preset("endoscopic").to_json(),
+        lambda path: TransferFunction.from_json_text(path.read_text(encoding="utf-8")),
+    ),
+    "keys": (
+        {
+            "format": "carina-keys",
+            "version": 1,
+            "keys": [{"time_s": 0.0, "lps_from_camera": IDENTITY}, {"time_s": 1.0, "lps_from_camera": IDENTITY}],
+        },
+        open_keys,
+    ),
+    "recording": (
+        {"format": "carina-recording", "version": 1, "carina": "0", "case": {}, "tip": {}, "begin": []},
+        open_recording,
+    ),
+    "edits": (
+        {
+            "format": "carina-tree-edits",
+            "version": 1,
+            "space": "LPS",
+            "unit": "mm",
+            "edits": [{"kind": "cut-branch", "branch_id": 1, "at_mm": 1.0}, {"kind": "move-root", "lps": [0, 0, 0]}],
+        },
+        lambda path: edits_from_json(json.loads(path.read_text(encoding="utf-8"))),
+    ),
+}
+
+
+def is_json(text):
+    try:
+        json.loads(text)
+    except (ValueError, RecursionError):
+        return False
+    return True
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_evil_numbers_in_a_file_are_refused_in_words_or_taken_and_nothing_else(kind, tmp_path):
+    document, read = FILES[kind]
+    path = tmp_path / "file.json"
+    for text in evil_texts(document):
+        path.write_text(text, encoding="utf-8")
+        if kind == "edits" and not is_json(text):
+            continue  # it is given what json.loads has read
+        with contextlib.suppress(CarinaError):
+            read(path)

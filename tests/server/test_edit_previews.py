@@ -1,0 +1,130 @@
+"""Over the wire: what is shown under the cursor is what the click makes, and what has no evidence is asked about."""
+
+from __future__ import annotations
+
+import queue
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from edit_case import edit_case, in_plain_lung, open_ended_volume
+
+from carina.server import messages as wire
+from carina.server.pointing import Pointing, edit_from_wire, no_evidence_message
+from carina.server.tree_words import tree_message
+from carina.session import NotEvident
+from carina.track import edit_airways
+from small_case import small_bench
+
+WAIT_S = 120.0
+
+
+@pytest.fixture
+def pointing():
+    """A session with real airways and real edits, the wall that a picture of number 5 shows, and the answers."""
+    case = edit_case()
+    bench = small_bench(
+        open_volume=lambda _path, _progress, _cancel: open_ended_volume(),
+        find_airways=lambda _volume, **_options: case.airways,
+        edit_airways=edit_airways,
+    )
+    bench.open()
+    picture = SimpleNamespace(hit=None)
+    shown = SimpleNamespace(
+        wall_at=lambda _column, _row: picture.hit,
+        view=SimpleNamespace(pose=SimpleNamespace(position_lps=np.array(case.tips[0]) + np.array([0.0, 0.0, 8.0]))),
+    )
+    answers = queue.Queue()
+    made = Pointing(bench.session, {5: shown}.get, answers.put)
+    made.start()
+    yield SimpleNamespace(pointing=made, session=bench.session, picture=picture, answers=answers, bench=bench)
+    made.stop()
+
+
+def ask(pointing, request_id, tool="add-branch", **place):
+    fields = {"branch_id": None, "lps": None, "frame_id": None, "column": None, "row": None} | place
+    pointing.pointing.ask_edit_preview(wire.AskEditPreview(request_id, tool, **fields))
+    answer = pointing.answers.get(timeout=WAIT_S)
+    return wire.parse_server_message(wire.encode_message(answer))
+
+
+def edit(pointing, message):
+    text = wire.encode_message(wire.EditTree(message))
+    pointing.session.edit_tree(edit_from_wire(wire.parse_client_message(text).edit))
+    pointing.bench.background.run_all()
+
+
+def test_the_points_of_a_preview_are_those_of_the_branch_in_the_next_tree(pointing):
+    lps = in_plain_lung()
+    preview = ask(pointing, 3, lps=lps)
+    assert (preview.request_id, preview.lps, preview.problem) == (3, lps, None)
+    assert not preview.has_evidence
+    (line,) = preview.lines
+    assert len(line.doubtful) == len(line.points_lps) - 1
+
+    edit(pointing, wire.EditAddBranch("add-branch", lps))
+    (asked,) = pointing.bench.of_type(NotEvident)
+    question = wire.parse_server_message(wire.encode_message(no_evidence_message(asked)))
+    assert (question.code, question.lps) == ("track.no-evidence", lps)
+    assert question.line == line
+    assert question.doubtful_mm == preview.doubtful_mm > 2.0
+    assert question.length_mm == preview.length_mm
+
+    edit(pointing, wire.EditAddBranch("add-branch", question.lps, even_without_evidence=True))
+    airways = pointing.session.snapshot().document.airways
+    tree = wire.parse_server_message(wire.encode_message(tree_message(airways))).tree
+    drawn = [branch for branch in tree.branches if branch.kind == "manual"]
+    assert sum(branch.doubtful_mm for branch in drawn) == pytest.approx(question.doubtful_mm, abs=0.01)
+    # Every point of the preview is one of the tree's, bit for bit, and in that order up to the end that was clicked.
+    points = {point for branch in tree.branches for point in branch.points}
+    assert set(line.points_lps) <= points
+    assert drawn[-1].points == line.points_lps[-len(drawn[-1].points) :]
+
+
+def test_a_bridge_and_a_fork_are_shown_as_they_would_be_made(pointing):
+    hidden = tuple(float(v) for v in edit_case().hidden)
+    bridge = ask(pointing, 1, "bridge", lps=hidden)
+    assert any(all(line.doubtful) for line in bridge.lines)
+    edit(pointing, wire.EditBridge("bridge", hidden))
+    made = next(b for b in pointing.session.snapshot().document.airways.tree.branches if b.kind == "bridge")
+    assert tuple(map(tuple, made.points.tolist())) in {line.points_lps for line in bridge.lines}
+
+    branch = next(b for b in pointing.session.snapshot().document.airways.tree.branches if b.parent and b.children)
+    place = tuple(float(v) for v in branch.points[-1] + 0.3)
+    fork = ask(pointing, 2, "move-fork", branch_id=branch.id, lps=place)
+    edit(pointing, wire.EditMoveFork("move-fork", branch.id, place))
+    tree = pointing.session.snapshot().document.airways.tree
+    assert {point for line in fork.lines for point in line.points_lps} <= {
+        tuple(point) for branch in tree.branches for point in branch.points.tolist()
+    }
+
+
+def test_a_place_in_the_airway_picture_means_the_lumen_in_front_of_the_wall(pointing):
+    wall = np.array(in_plain_lung())
+    pointing.picture.hit = SimpleNamespace(position_lps=wall)
+    preview = ask(pointing, 5, frame_id=5, column=12.0, row=7.5)
+    assert preview.lps is not None
+    again = ask(pointing, 6, lps=preview.lps)
+    # What a click sends, the point, makes what the place showed.
+    assert (again.lines, again.problem) == (preview.lines, preview.problem)
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ({"frame_id": 99, "column": 1.0, "row": 1.0}, "picture is gone"),
+        ({"frame_id": 5, "column": 1.0, "row": 1.0}, "no wall"),
+        ({"lps": (0.0, 0.0, 9000.0)}, "outside the scan"),
+    ],
+)
+def test_a_place_where_nothing_can_be_made_says_so(pointing, place, words):
+    preview = ask(pointing, 6, **place)
+    assert words in preview.problem
+    assert (preview.lines, preview.length_mm, preview.has_evidence) == ((), None, False)
+
+
+def test_a_fault_is_answered_and_the_next_question_too(pointing, monkeypatch):
+    monkeypatch.setattr(pointing.session, "preview_edit", lambda _edit: 1 / 0)
+    assert "fault of Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
+    monkeypatch.undo()
+    assert ask(pointing, 2, lps=in_plain_lung()).problem is None

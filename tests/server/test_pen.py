@@ -1,0 +1,172 @@
+"""A tracked pen over the wire: its button marks the pen's own tip, in every way to move and after every switch."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from live_server import SHOWN, open_case
+
+from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
+from carina.server import messages as wire
+from small_case import small_volume
+
+# The tracker stands beside the patient, turned about two axes.
+TURN = rotation_from_vector(np.array([0.4, -0.9, 0.2]))
+AWAY = np.array([120.0, -45.0, 300.0])
+# A hand at work: some 200 mm/s, far more than a filter follows at once.
+HURRY_MM = 4.0
+SAMPLE_S = 0.02
+
+
+class TrackedPen:
+    """A pen that a person holds at places of the patient; what it tells are the tracker's."""
+
+    def __init__(self, window, device="openigtlink:192.0.2.7:18944"):
+        self.window, self.device = window, device
+        self.now_s = itertools.count(1)
+
+    def register(self, points):
+        tracker = tuple(self.tracker(p) for p in points)
+        patient = tuple(tuple(float(v) for v in p) for p in points)
+        self.window.send(wire.Calibrate(self.device, tracker, patient))
+        self.window.until(lambda m: isinstance(m, wire.Notice) and "is registered" in m.message)
+
+    def tracker(self, lps):
+        return tuple(float(v) for v in TURN.T @ (np.asarray(lps) - AWAY))
+
+    def hold(self, lps, buttons=0):
+        wxyz = wxyz_from_rotation(TURN.T @ rotation_from_vector(np.array([0.1, 0.5, -0.3])))
+        time_s = SAMPLE_S * next(self.now_s)
+        self.window.send(wire.DeviceSample(self.device, time_s, self.tracker(lps), wxyz, None, buttons))
+
+    def comes_to(self, lps, along=(1.0, 0.0, 0.0)):
+        """In a hurry, from the side; the last sample is at the place."""
+        for n in range(5, -1, -1):
+            self.hold(np.asarray(lps) + n * HURRY_MM * np.asarray(along))
+
+    def presses(self, lps):
+        self.hold(lps, buttons=1)
+        self.hold(lps)
+
+
+@pytest.fixture
+def middle():
+    volume = small_volume()
+    nz, ny, nx = volume.shape_zyx
+    return np.array(volume.to_lps(((nx - 1) / 2, (ny - 1) / 2, (nz - 1) / 2)), dtype=float)
+
+
+@pytest.fixture
+def window(live):
+    with live.window() as opened:
+        opened.send(SHOWN)
+        open_case(opened)
+        yield opened
+
+
+def corners(middle):
+    return [middle + offset for offset in ((0, 0, 0), (50, 0, 0), (0, 50, 0), (0, 0, 50))]
+
+
+def targets(window, num):
+    return window.until_state(lambda s: len(s.targets) >= num).targets
+
+
+def test_a_registered_pens_button_marks_its_own_tip_in_every_way_to_move_and_after_every_switch(window, middle):
+    pen = TrackedPen(window)
+    pen.hold(middle)
+    pen.register(corners(middle))
+    window.send(wire.ArmPen("target"))
+    errors = {}
+    modes = ("path", "relative", "absolute", "path", "absolute", "relative", "absolute")
+    for n, control in enumerate(modes, start=1):
+        window.send(wire.SetControl(control))
+        place = middle + np.array([3.0 * n, -2.0 * n, 4.0 - n])
+        pen.comes_to(place, along=((1, 0, 0), (0, 1, 0), (0, 0, 1))[n % 3])
+        pen.presses(place)
+        marked = np.array(targets(window, n)[-1].lps)
+        errors[n, control] = float(np.linalg.norm(marked - place))
+    assert max(errors.values()) < 0.1, errors
+    # The same in a free flight that keys began, and with the tip anywhere else.
+    window.send(wire.SetMode("free"), wire.Place(tuple(float(v) for v in middle)))
+    place = middle + np.array([5.0, 5.0, 5.0])
+    pen.comes_to(place)
+    pen.presses(place)
+    assert np.linalg.norm(np.array(targets(window, len(modes) + 1)[-1].lps) - place) < 0.1
+
+
+def test_a_registered_pens_button_sets_the_root_at_its_own_tip(window, middle):
+    pen = TrackedPen(window)
+    pen.hold(middle)
+    pen.register(corners(middle))
+    before = [m for m in window.seen if isinstance(m, wire.State)][-1].root_lps
+    window.send(wire.ArmPen("root"))
+    place = middle + np.array([4.0, -3.0, 2.0])
+    pen.comes_to(place)
+    pen.presses(place)
+    state = window.until_state(lambda s: s.root_lps not in {None, before})
+    assert np.linalg.norm(np.array(state.root_lps) - place) < 0.1
+
+
+def test_what_the_button_would_mark_is_told_before_it_is_pressed(window, middle):
+    pen = TrackedPen(window)
+    window.send(wire.ArmPen("target"))
+    pen.hold(middle)
+    told = window.until(lambda m: isinstance(m, wire.Pen))
+    assert (told.device, told.tracked, told.lps) == (pen.device, True, None), "not registered: the tip, and it is said"
+    pen.register(corners(middle))
+    place = middle + np.array([0.0, 7.0, 0.0])
+    pen.hold(place)
+    told = window.until(lambda m: isinstance(m, wire.Pen) and np.allclose(m.lps or 0.0, place, atol=0.01))
+    assert told.off_mm is None
+    window.send(wire.DeviceGone(pen.device))
+    assert window.until(lambda m: isinstance(m, wire.Pen) and m.device is None).lps is None
+
+
+def test_without_a_registration_the_scopes_tip_is_marked(live, window, middle):
+    pen = TrackedPen(window)
+    window.send(wire.GoTo(10.0), wire.ArmPen("target"))
+    window.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == pytest.approx(10.0))
+    pen.hold(middle)
+    pen.presses(middle)
+    (target,) = targets(window, 1)
+    np.testing.assert_allclose(target.lps, live.session.pose_info().pose.position_lps, atol=1e-6)
+
+
+def test_what_is_left_between_pen_and_tip_is_told_in_absolute_and_joined_at_once(live, window, middle):
+    pen = TrackedPen(window)
+    pen.hold(middle)
+    pen.register(corners(middle))
+    window.send(wire.JoinPen())
+    refused = window.until(lambda m: isinstance(m, wire.Error))
+    assert refused.code == "navigate.not-absolute"
+    window.send(wire.SetControl("absolute"))
+    place = middle + np.array([10.0, 0.0, 0.0])
+    pen.hold(place)
+    told = window.until(lambda m: isinstance(m, wire.Pen) and m.off_mm is not None and m.off_mm > 1.0)
+    tip = live.session.pose_info().pose.position_lps
+    assert told.off_mm == pytest.approx(np.linalg.norm(tip - place), abs=10.0)
+    window.send(wire.JoinPen())
+    joined = window.until(lambda m: isinstance(m, wire.Pen) and m.off_mm == 0.0)
+    assert joined.off_deg == 0.0
+
+
+def test_a_point_outside_the_scan_is_refused_in_words_and_marks_nothing(window, middle):
+    pen = TrackedPen(window)
+    pen.hold(middle)
+    pen.register(corners(middle))
+    window.send(wire.ArmPen("target"))
+    pen.presses(middle + np.array([5000.0, 0.0, 0.0]))
+    refused = window.until(lambda m: isinstance(m, wire.Error))
+    assert "outside" in refused.message
+    assert not [s for s in window.seen if isinstance(s, wire.State) and s.targets]
+
+
+def test_another_window_is_told_of_a_pen_that_rests(live, window, middle):
+    pen = TrackedPen(window)
+    pen.hold(middle)
+    window.until(lambda m: isinstance(m, wire.Pen) and m.device is not None)
+    with live.window() as other:
+        assert other.until(lambda m: isinstance(m, wire.Pen)).device == pen.device
