@@ -7,7 +7,9 @@ import json
 import numpy as np
 import pytest
 import SimpleITK as sitk
+from edit_case import edit_case, in_plain_lung, open_ended_volume
 
+from carina.export import write_mask
 from carina.phantom import generate_phantom, write_phantom
 
 
@@ -87,3 +89,87 @@ def test_an_unknown_suffix_is_refused_with_those_that_are_known(carina, case, tm
     ended = carina("export", case / "ct.nii.gz", "-o", tmp_path / "a.txt", "--json")
     assert ended.code == 2
     assert ".glb" in ended.json()["error"]["message"]
+
+
+@pytest.fixture(scope="module")
+def lung_case(tmp_path_factory):
+    """A small CT in which ways lead from two airways into plain lung, and its lumen as a mask."""
+    folder = tmp_path_factory.mktemp("lung")
+    volume, airways = open_ended_volume(), edit_case().airways
+    image = sitk.GetImageFromArray(volume.hu_zyx)
+    spacing = np.array(volume.spacing_mm)
+    image.SetSpacing(spacing.tolist())
+    image.SetDirection((volume.lps_from_ijk[:3, :3] / spacing).ravel().tolist())
+    image.SetOrigin(volume.lps_from_ijk[:3, 3].tolist())
+    sitk.WriteImage(image, str(folder / "ct.nii.gz"))
+    write_mask(folder / "lumen.nii.gz", airways.lumen_zyx, volume)
+    root = ",".join(f"{v:.3f}" for v in airways.root_lps)
+    return ["airways", folder / "ct.nii.gz", "--from-mask", folder / "lumen.nii.gz", "--seed", root]
+
+
+def point(lps):
+    return ",".join(f"{v:.3f}" for v in lps)
+
+
+def test_a_branch_without_evidence_is_exit_4_with_its_way_and_the_rest_is_written(carina, lung_case, tmp_path):
+    tree = tmp_path / "t.json"
+    ended = carina(*lung_case, "--add-branch", point(in_plain_lung()), "-o", tree, "--json")
+    assert ended.code == 4
+    report = ended.json()
+    error = report["error"]
+    assert error["code"] == "track.no-evidence"
+    assert error["doubtful_mm"] > 2.0
+    assert len(error["doubtful"]) == len(error["way"]) - 1
+    assert np.linalg.norm(np.array(error["way"][-1]) - in_plain_lung()) < 2.0
+    assert report["added"] == [{"lps": pytest.approx(in_plain_lung(), abs=1e-3), "branches": [], "error": error}]
+    assert "--even-without-evidence" in ended.err
+    assert len(json.loads(tree.read_text())["branches"]) == report["num_branches"]
+    assert report["drawn_mm"] == 0.0
+
+
+def test_a_branch_that_is_drawn_all_the_same_is_labelled_everywhere(carina, lung_case, tmp_path):
+    tree, lumen, lines = tmp_path / "t.json", tmp_path / "l.nrrd", tmp_path / "t.swc"
+    arguments = [*lung_case, "--add-branch", point(in_plain_lung()), "--even-without-evidence", "-o", tree]
+    ended = carina(*arguments, "--mask", lumen, "--json")
+    assert ended.code == 0
+    report = ended.json()
+    assert "error" not in report
+    (made,) = [row for row in report["added"][0]["branches"] if row["kind"] == "manual"]
+    assert made["doubtful_mm"] > 2.0
+    assert report["drawn_mm"] > 2.0
+    row = next(row for row in report["branches"] if row["id"] == made["id"])
+    assert (row["name"], row["confidence"], row["lumen_mm"]) == (None, None, None)
+    assert row["doubtful_mm"] == made["doubtful_mm"]
+    branch = next(b for b in json.loads(tree.read_text())["branches"] if b["id"] == made["id"])
+    assert (branch["kind"], branch["confidence"]) == ("manual", None)
+    assert branch["doubtful_mm"] == pytest.approx(made["doubtful_mm"], abs=0.01)
+    header = sitk.ReadImage(str(lumen))
+    assert any("drawn by hand" in header.GetMetaData(key) for key in header.GetMetaDataKeys())
+    assert "drawn by hand: the CT shows no airway here" in carina(*arguments).out
+    # Other verbs that take this tree say it, too.
+    exported = carina("export", lung_case[1], "--tree", tree, "-o", lines)
+    assert exported.code == 0
+    assert "drawn by hand" in lines.read_text()
+    seen = carina(
+        "render",
+        lung_case[1],
+        "--view",
+        "straightened",
+        "--tree",
+        tree,
+        "--to",
+        made["id"],
+        "-o",
+        tmp_path / "s.png",
+        "--json",
+    )
+    assert "drawn by hand" in seen.err
+    assert seen.json()["drawn_mm"] > 2.0
+
+
+def test_an_added_branch_must_lie_in_the_scan_and_the_option_for_the_others_needs_one(carina, lung_case):
+    outside = carina(*lung_case, "--add-branch", "0,0,9000", "--json")
+    assert outside.code == 2
+    assert outside.json()["error"]["code"] == "track.outside-volume"
+    assert carina(*lung_case, "--even-without-evidence").code == 2
+    assert carina(*lung_case, "--add-branch", "1,2").code == 2

@@ -51,8 +51,13 @@ def test_ctrl_c_exits_130_and_leaves_no_file(stage, ct, tmp_path):
     assert not list(tmp_path.glob("*.png"))
 
 
+# A shell that starts the tests in the background hands on Ctrl-C as ignored; a person's terminal does not.
 STARTED = """
+import signal
 import sys
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 from carina.cli import main
 
 class Sign:

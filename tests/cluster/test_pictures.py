@@ -463,9 +463,9 @@ def test_a_parcel_holds_each_large_array_once_and_keeps_its_token(case):
 
 
 def test_no_name_and_no_path_of_the_case_travels(case):
-    from carina.volume import Volume, VolumeSource
+    from carina.volume import Note, Volume, VolumeSource
 
-    named = VolumeSource(format="dicom", title="SECRET^NAME", warnings=("SECRET",))
+    named = VolumeSource(format="dicom", title="SECRET^NAME", notes=(Note("import.lossy", "SECRET"),))
     volume = Volume(case.volume.hu_zyx, case.volume.lps_from_ijk, source=named)
     from carina.render import Renderer
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import carina
+from carina.cli.adding import add_branches, error_json
 from carina.cli.arguments import check_output_file
+from carina.cli.badges import opened
 from carina.cli.console import print_json, progress_printer, say
 from carina.errors import UsageError
 from carina.export import export_airways, export_tree, is_tree_file, read_tree, write_mask, write_tree
-from carina.track import Airways
+from carina.track import Airways, drawn_tree, kind_words
 from carina.volume import Volume, open_mask
 
 __all__ = ["find", "write"]
@@ -30,20 +33,35 @@ def find(
     mask: Path | None,
     output: Path | None,
     as_json: bool,
+    strict: bool = False,
+    add_lps: Sequence[NDArray[np.float64]] = (),
+    even_without_evidence: bool = False,
 ) -> int:
-    """Find the airways of a scan, write tree and mask where asked, and say what was found."""
+    """Find the airways of a scan, write tree and mask where asked, and say what was found.
+
+    Returns 4 if a branch that was to be added was not; everything else is written all the same.
+    """
+    if even_without_evidence and not add_lps:
+        raise UsageError("--even-without-evidence says how to add a branch; give one with --add-branch x,y,z")
     if output is not None:
         check_output_file(output, ".json")
     if mask is not None:
         check_output_file(mask, what="--mask")
     _check_mask_options(from_mask, label, resample)
-    volume = _open(path, series)
+    volume, badges = opened(path, series=series, progress=progress_printer(), strict=strict)
     airways = _airways(volume, seed=seed, from_mask=from_mask, label=label, resample=resample)
+    badges.take_airways(airways)
+    added = add_branches(
+        volume, airways, add_lps, even_without_evidence=even_without_evidence, progress=progress_printer()
+    )
+    airways, drawn = added.airways, drawn_tree(added.airways.tree)
+    exit_code = added.refused[0].exit_code if added.refused else 0
     if output is not None:
-        write_tree(output, airways.tree)
+        write_tree(output, airways.tree, badges=badges.notes)
         say(f"wrote {output}")
     if mask is not None:
-        write_mask(mask, airways.lumen_zyx, volume)
+        note = None if drawn.words is None else f"{drawn.words}: not from the CT"
+        write_mask(mask, airways.lumen_zyx, volume, note=note, badges=badges.notes)
         say(f"wrote {mask}")
     rows = _rows(airways)
     lumen_ml = float(np.count_nonzero(airways.lumen_zyx)) * abs(np.linalg.det(volume.lps_from_ijk[:3, :3])) / 1000.0
@@ -56,24 +74,26 @@ def find(
                 "num_branches": len(airways.tree),
                 "deepest_generation": deepest,
                 "length_mm": length_mm,
+                **drawn.to_json(),
                 "lumen_ml": lumen_ml,
                 "threshold": float(airways.threshold) if np.isfinite(airways.threshold) else None,
                 "notes": list(airways.notes),
+                "badges": badges.to_json(),
+                "added": list(added.rows),
                 "branches": rows,
+                **({} if not added.refused else {"error": error_json(added.refused[0])}),
             }
         )
-        return 0
+        return exit_code
     print(
         f"{len(airways.tree)} branches to generation {deepest}, {length_mm / 1000.0:.2f} m in all, "
         f"lumen {lumen_ml:.1f} ml"
     )
     for row in rows:
-        name = row["name"] or "-"
-        print(
-            f"{'  ' * row['generation']}{row['id']:>4} {name:<18} {row['length_mm']:6.1f} mm long, "
-            f"{row['lumen_mm']:4.1f} mm wide"
-        )
-    return 0
+        name, kind = row["name"] or "-", kind_words(row["kind"])
+        wide = f"{row['lumen_mm']:4.1f} mm wide" if kind is None else f"{kind}: the CT shows no airway here"
+        print(f"{'  ' * row['generation']}{row['id']:>4} {name:<18} {row['length_mm']:6.1f} mm long, {wide}")
+    return exit_code
 
 
 def write(
@@ -86,6 +106,7 @@ def write(
     resample: bool,
     series: str | None,
     as_json: bool,
+    strict: bool = False,
 ) -> int:
     """Find the airways, or take a tree from a file, and write them in another format."""
     try:
@@ -95,27 +116,23 @@ def write(
     check_output_file(output)
     _check_mask_options(from_mask, label, resample)
     given = None if tree is None else read_tree(tree)
-    volume = _open(path, series)
+    volume, badges = opened(path, series=series, progress=progress_printer(), strict=strict)
+    if tree is not None:
+        badges.add_tree(tree)
     if given is not None and tree_alone:
         nowhere = [b.id for b in given.branches if not any(volume.contains_lps(point) for point in b.points)]
         if len(nowhere) == len(given):
             raise UsageError(f"--tree: no branch of {tree} lies in the scan {path.name}; is it another patient's?")
-        export_tree(output, given)
+        export_tree(output, given, badges=badges.notes)
     else:
         airways = _airways(volume, seed=None, from_mask=from_mask, label=label, resample=resample)
         given = given or airways.tree
-        export_airways(output, volume, airways, tree=given, progress=progress_printer())
+        badges.take_airways(airways)
+        export_airways(output, volume, airways, tree=given, badges=badges.notes, progress=progress_printer())
     say(f"wrote {output}")
     if as_json:
-        print_json({"output": str(output), "num_branches": len(given)})
+        print_json({"output": str(output), "num_branches": len(given), "badges": badges.to_json()})
     return 0
-
-
-def _open(path: Path, series: str | None) -> Volume:
-    volume = carina.open_volume(path, series=series, progress=progress_printer())
-    for warning in volume.source.warnings:
-        say(f"note: {warning}")
-    return volume
 
 
 def _check_mask_options(from_mask: Path | None, label: int | None, resample: bool) -> None:
@@ -150,8 +167,9 @@ def _rows(airways: Airways) -> list[dict[str, Any]]:
             "variant": branch.variant,
             "kind": branch.kind,
             "confidence": branch.confidence,
+            "doubtful_mm": round(branch.doubtful_mm, 2),
             "length_mm": branch.length_mm,
-            "lumen_mm": 2.0 * float(np.median(branch.radius)),
+            "lumen_mm": 2.0 * float(np.median(branch.radius)) if branch.kind == "tracked" else None,
         }
         for branch in airways.tree.branches
     ]

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import carina
 from carina.cli.arguments import parse_point
+from carina.cli.badges import Badges
+from carina.cli.console import say
 from carina.errors import UsageError
 from carina.export import read_tree
 from carina.session.routes import ChosenRoute, route_to_branch, route_to_point, route_to_target
@@ -14,7 +16,7 @@ from carina.track import AirwayTree
 from carina.track.growth import Progress
 from carina.volume import Volume
 
-__all__ = ["check_destination", "way_to"]
+__all__ = ["check_destination", "say_drawn", "way_to"]
 
 MAX_NAMES_SAID = 12
 
@@ -31,8 +33,10 @@ def check_destination(to: str | None, view: str) -> str:
     return to
 
 
-def way_to(volume: Volume, to: str, *, tree_file: Path | None, progress: Progress | None) -> ChosenRoute:
-    """The route to a branch's tip by name or id, or to a point x,y,z (LPS mm).
+def way_to(
+    volume: Volume, to: str, *, tree_file: Path | None, progress: Progress | None, badges: Badges | None = None
+) -> ChosenRoute:
+    """The route to a branch's tip by name or id, or to a point x,y,z (LPS mm); ``badges`` takes those of its tree.
 
     Raises
     ------
@@ -44,15 +48,25 @@ def way_to(volume: Volume, to: str, *, tree_file: Path | None, progress: Progres
     airways = None
     if tree_file is None:
         airways = carina.find_airways(volume, progress=progress)
+        if badges is not None:
+            badges.add(getattr(airways, "badges", ()))
         tree = airways.tree
     else:
         tree = read_tree(tree_file)
+        if badges is not None:
+            badges.add_tree(tree_file)
     if "," in to:
         point = parse_point(to, "--to")
         if airways is None:
             return route_to_point(tree, point)
         return route_to_target(tree, airways.tracker.path_to(point), "target", "target")
     return route_to_branch(tree, _branch_id(tree, to))
+
+
+def say_drawn(way: ChosenRoute) -> None:
+    """What of a route the CT does not show, as a note on stderr."""
+    if way.drawn.words is not None:
+        say(f"note: {way.drawn.words}: the CT shows no airway there")
 
 
 def _branch_id(tree: AirwayTree, to: str) -> int:

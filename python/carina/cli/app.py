@@ -186,7 +186,7 @@ def demo(
 @app.command()
 def info(
     path: PathArgument,
-    strict: Annotated[bool, typer.Option("--strict", help="Leave with 3 if the quality gate has a finding.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Leave with 3 where there is a doubt or a finding.")] = False,
     series: SeriesOption = None,
     as_json: JsonOption = False,
 ) -> None:

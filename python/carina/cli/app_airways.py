@@ -25,6 +25,10 @@ ResampleOption = Annotated[
     bool, typer.Option("--resample", help="Take that mask although it is on another grid than the scan.")
 ]
 
+StrictOption = Annotated[
+    bool, typer.Option("--strict", help="Refuse a scan that opens with doubts (a badge); leave with 3.")
+]
+
 
 def airways(
     path: PathArgument,
@@ -37,11 +41,26 @@ def airways(
     mask: Annotated[
         Path | None, typer.Option("--mask", help="Write the lumen: .nii.gz, .nii, .nrrd or .mha, on the scan's grid.")
     ] = None,
+    add_branch: Annotated[
+        list[str] | None,
+        typer.Option("--add-branch", help="Add a branch that ends at x,y,z in mm (LPS); may be given several times."),
+    ] = None,
+    even_without_evidence: Annotated[
+        bool,
+        typer.Option(
+            "--even-without-evidence",
+            help="Draw added branches also where the CT shows no airway wall; they are labelled as drawn by hand.",
+        ),
+    ] = False,
     series: SeriesOption = None,
+    strict: StrictOption = False,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the tree: .json.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Airway lumen and tree, with names, generations and lengths.
+
+    A branch that is to be added where the CT shows no wall along its way is not: exit code 4, and the other results are
+    still written.
 
     Example: carina airways ~/scans/thorax --mask lumen.nii.gz -o tree.json
     """
@@ -59,6 +78,9 @@ def airways(
                 mask=mask,
                 output=output,
                 as_json=as_json,
+                strict=strict,
+                add_lps=[parse_point(text, "--add-branch") for text in add_branch or ()],
+                even_without_evidence=even_without_evidence,
             )
         )
 
@@ -80,6 +102,7 @@ def export(
     label: LabelOption = None,
     resample: ResampleOption = False,
     series: SeriesOption = None,
+    strict: StrictOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """The airways as a file for another program, in LPS millimetres.
@@ -99,6 +122,7 @@ def export(
                 resample=resample,
                 series=series,
                 as_json=as_json,
+                strict=strict,
             )
         )
 

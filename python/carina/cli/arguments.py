@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.errors import CarinaError, UsageError
+from carina.disk import disk_trouble
+from carina.errors import UsageError
 
 __all__ = ["check_output_file", "check_output_folder", "parse_point", "parse_size"]
 
@@ -44,7 +45,7 @@ def check_output_file(path: Path, suffix: str | None = None, *, what: str = "-o"
     ------
     UsageError
         If its name, its folder or what stands there already cannot be meant.
-    CarinaError
+    DiskError
         If this person may not write there.
     """
     if suffix is not None and path.suffix.lower() != suffix:
@@ -70,4 +71,4 @@ def check_output_folder(path: Path) -> None:
 
 def _check_writable(folder: Path) -> None:
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise CarinaError(f"-o: {folder} cannot be written: {os.strerror(errno.EACCES)}", code="machine")
+        raise disk_trouble(PermissionError(errno.EACCES, os.strerror(errno.EACCES)), "-o: cannot write", folder)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn, TypeVar
 
+from carina.disk import disk_trouble, is_disk_trouble
 from carina.errors import CancelledError, CarinaError
 
 __all__ = ["exit_codes", "fail", "interruptible", "print_json", "progress_printer", "say"]
@@ -100,6 +101,10 @@ def exit_codes(as_json: bool) -> Iterator[None]:
         say(f"carina: {error}")
         fail(as_json, error.code, str(error), error.exit_code)
     except OSError as error:
+        if is_disk_trouble(error):
+            told = disk_trouble(error, "a file cannot be read or written", error.filename)
+            say(f"carina: {told}")
+            fail(as_json, told.code, str(told), told.exit_code)
         message = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
         say(f"carina: {message}")
         fail(as_json, "machine", message, 1)

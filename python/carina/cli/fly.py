@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import carina
-from carina.cli.along import check_destination, way_to
+from carina.cli.along import check_destination, say_drawn, way_to
 from carina.cli.arguments import check_output_file
+from carina.cli.badges import Badges, opened
 from carina.cli.cluster import opened_cluster
 from carina.cli.console import print_json, progress_printer, say
 from carina.cli.kept_frames import KeptFrames
@@ -87,7 +88,7 @@ def report(
         VideoWriter(output, *size, rate_hz=rate_hz) as video,
         opened_cluster(cluster, token=token, mixed=mixed) as used,
     ):
-        volume = carina.open_volume(path, series=series, progress=progress)
+        volume, badges = opened(path, series=series, progress=progress)
         facts: dict[str, Any] = {}
         if recorded is not None:
             recorded.check(volume, carina=carina.__version__)
@@ -101,9 +102,15 @@ def report(
                 flight = key_flight
                 facts = {"key_times_s": list(flight.key_times_s), "path_mm": sum(flight.leg_mm)}
             else:
-                way = way_to(volume, str(to), tree_file=tree, progress=progress)
+                way = way_to(volume, str(to), tree_file=tree, progress=progress, badges=badges)
                 flight = AutoFlight(way.path, speed_mm_s=speed_mm_s, pause_s=pause_s)
-                facts = {"to": way.title, "path_mm": way.length_mm, "stops_mm": list(way.lookouts_mm)}
+                say_drawn(way)
+                facts = {
+                    "to": way.title,
+                    "path_mm": way.length_mm,
+                    **way.drawn.to_json(),
+                    "stops_mm": list(way.lookouts_mm),
+                }
             times = frame_times_s(flight.duration_s, rate_hz)
             view = {} if key_file is None else _key_view(key_file, shown, chosen=scope is not None)
             turned = view.get("operator") == "facing"
@@ -114,7 +121,7 @@ def report(
         if num_kept:
             say(f"going on behind {num_kept} of {len(shots)} pictures that were kept in {keep}")
         began_s = time.perf_counter()
-        renderer = _renderer(volume, progress, None if used is None else used.make_renderer)
+        renderer = _renderer(volume, progress, None if used is None else used.make_renderer, badges)
         for number, rgb in _pictures(renderer, shots, kept, size):
             for _ in range(times_shown[number]):
                 video.add(rgb)
@@ -132,6 +139,7 @@ def report(
                 "render_s": seconds,
                 "num_kept": num_kept,
                 **facts,
+                "badges": badges.to_json(),
             }
         )
     return 0
@@ -211,7 +219,9 @@ def _job(volume: Volume, frames: list[ReplayedPose], shown: _Shown, mixed: bool)
     return digest.hexdigest()
 
 
-def _renderer(volume: Volume, progress: Any, make: RendererFactory | None) -> Renderer | ClusterRenderer:
+def _renderer(
+    volume: Volume, progress: Any, make: RendererFactory | None, badges: Badges
+) -> Renderer | ClusterRenderer:
     renderer: Renderer | ClusterRenderer
     if make is None:
         renderer = Renderer(volume, backend=Backend(load_settings().backend))
@@ -219,7 +229,9 @@ def _renderer(volume: Volume, progress: Any, make: RendererFactory | None) -> Re
         renderer = make(volume, transfer_preset("endoscopic"))  # type: ignore[assignment]
     if volume.is_hu:
         try:
-            renderer.set_lumen(carina.find_airways(volume, progress=progress).lumen_zyx)
+            airways = carina.find_airways(volume, progress=progress)
+            badges.add(getattr(airways, "badges", ()))
+            renderer.set_lumen(airways.lumen_zyx)
         except NoResultError as trouble:
             say(f"note: {trouble}; thin walls are shown as the CT has them")
     return renderer

@@ -6,17 +6,18 @@ from pathlib import Path
 
 import carina
 from carina.cli.console import print_json, progress_printer, say
-from carina.volume import inspect_path, quality_gate
+from carina.volume import badges_of, inspect_path, quality_gate
 
 __all__ = ["report"]
 
 
 def report(path: Path, *, strict: bool, series: str | None, as_json: bool) -> int:
-    """Print what is known of a path; 3 with ``strict`` where the quality gate has a finding."""
+    """Print what is known of a path; 3 with ``strict`` where there is a badge or a finding of the quality gate."""
     progress = progress_printer()
     inspection = inspect_path(path, series=series)
     volume = carina.open_volume(path, series=series, progress=progress)
     quality = quality_gate(volume)
+    badges = badges_of(volume)
     low, high = volume.value_range
     if as_json:
         print_json(
@@ -30,6 +31,8 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool) -> in
                 "not_hu_reason": volume.not_hu_reason,
                 "range": [low, high],
                 "warnings": list(volume.source.warnings),
+                "notes": [note.to_json() for note in volume.source.notes],
+                "badges": [note.to_json() for note in badges],
                 "citation": volume.source.citation,
                 "inspection": inspection.to_json(),
                 "quality": quality.to_json(),
@@ -48,13 +51,14 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool) -> in
                 f"  also found: series {other.key}, {other.modality}, {other.num_slices} slices, "
                 f"{other.description or 'no description'} ({state})"
             )
-        for warning in volume.source.warnings:
-            print(f"  note: {warning}")
+        for note in volume.source.notes:
+            print(f"  {'doubt' if note.badge else 'note'}: {note.words}")
         for finding in quality.findings:
             print(f"  quality: {finding.words}")
         if volume.source.citation:
             print(f"  {volume.source.citation}")
-    if strict and quality.findings:
-        say("carina: --strict: the quality gate has findings")
+    if strict and (quality.findings or badges):
+        codes = ", ".join([*(badge.code for badge in badges), *(finding.code for finding in quality.findings)])
+        say(f"carina: --strict: there are doubts or findings: {codes}")
         return 3
     return 0

@@ -9,6 +9,7 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
+from carina.disk import make_folder, write_whole
 from carina.errors import UsageError, VolumeImportError
 from carina.render import Picture
 
@@ -38,8 +39,9 @@ class KeptFrames:
         self._folder = folder
         found = self._found(folder)
         if found is None:
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / JOB).write_text(json.dumps({"format": FORMAT, "version": 1, "job": job}) + "\n", encoding="utf-8")
+            make_folder(folder, what="the pictures")
+            document = json.dumps({"format": FORMAT, "version": 1, "job": job}) + "\n"
+            write_whole(folder / JOB, document.encode(), what="the pictures' job")
         elif found != job:
             raise UsageError(
                 f"--keep: the pictures in {folder} are of another flight, case, size or version of Carina; name "

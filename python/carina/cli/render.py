@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import carina
-from carina.cli.along import check_destination, way_to
+from carina.cli.along import check_destination, say_drawn, way_to
 from carina.cli.arguments import check_output_file, parse_point
+from carina.cli.badges import opened
 from carina.cli.console import interruptible, print_json, progress_printer, say
 from carina.cli.optics import SeenThrough
 from carina.config import load_settings
@@ -32,6 +33,7 @@ from carina.render import (
 )
 from carina.scopes import PathFrames, Pose
 from carina.session.routes import ChosenRoute
+from carina.track import kind_words
 
 __all__ = ["report"]
 
@@ -92,7 +94,12 @@ def _slab(text: str | None) -> Slab | None:
 
 
 def _along(picture: Picture, way: ChosenRoute) -> Picture:
-    spans = [PathSpan(s.name or f"generation {s.generation}", s.from_mm, s.to_mm) for s in way.spans]
+    spans = [
+        PathSpan(
+            kind_words(s.kind) or s.name or f"generation {s.generation}", s.from_mm, s.to_mm, drawn=s.kind != "tracked"
+        )
+        for s in way.spans
+    ]
     return mark_path(picture, spans=spans, radius_mm=(way.cumulative_mm, way.radius_mm))
 
 
@@ -160,7 +167,7 @@ def report(
     # What is wrong with the arguments is said now, and not after minutes of reading and tracking.
     view_spec(pose=Pose.looking((0.0, 0.0, 0.0) if at is None else at, direction, up), **options)
     progress = progress_printer()
-    volume = carina.open_volume(path, series=series, progress=progress)
+    volume, badges = opened(path, series=series, progress=progress)
     if at is not None and not volume.contains_lps(at):
         words = "--at {:g},{:g},{:g} lies outside the volume".format(*at)
         if view in VIEWS_INSIDE:
@@ -173,11 +180,13 @@ def report(
     wants_pose = at is None and not view.startswith("xray-") and view != "drr" and not along_path
     way = None
     if to is not None:
-        way = way_to(volume, to, tree_file=tree, progress=progress)
+        way = way_to(volume, to, tree_file=tree, progress=progress, badges=badges)
         options["path"] = way.path.frames()
+        say_drawn(way)
     if wants_pose or view == "tree" or wants_wall:
         try:
             airways = carina.find_airways(volume, progress=progress)
+            badges.add(getattr(airways, "badges", ()))
         except carina.NoResultError as error:
             if wants_pose or view == "tree":
                 raise
@@ -198,7 +207,7 @@ def report(
             picture = mark_tip(picture, at)
     if view in LETTERED_VIEWS:
         picture = letter_edges(picture)
-    picture.save(output)
+    picture.save(output, badges=badges.notes)
     say(f"wrote {output}")
     if surface is not None:
         walls = render_surface(
@@ -214,7 +223,7 @@ def report(
             mask=options["mask"],
             lumen_zyx=lumen_zyx,
         )
-        walls.save(surface)
+        walls.save(surface, badges=badges.notes)
         say(f"wrote {surface}")
     camera = picture.lps_from_camera if view == "airway" else None
     if as_json:
@@ -224,10 +233,11 @@ def report(
                 **({} if surface is None else {"surface": str(surface)}),
                 "view": view,
                 "size": list(size),
-                **({} if way is None else {"path_mm": way.length_mm, "to": way.title}),
+                **({} if way is None else {"path_mm": way.length_mm, "to": way.title, **way.drawn.to_json()}),
                 "lps_from_camera": (pose.lps_from_camera if camera is None else camera).tolist(),
                 **({} if picture.fov_deg is None else {"fov_deg": picture.fov_deg}),
                 "stats": dataclasses.asdict(picture.stats),
+                "badges": badges.to_json(),
             }
         )
     return 0

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 import carina
 from carina.cli.arguments import check_output_file
+from carina.cli.badges import opened
 from carina.cli.console import print_json, progress_printer, say
 from carina.errors import NoResultError
 from carina.export import write_tree
+from carina.track import drawn_part
 from carina.track.paper import GraphSearch, check_choice, track_on_graph
 
 __all__ = ["report"]
@@ -35,12 +37,11 @@ def report(
         check_output_file(output)
     check_choice(cost, graph)
     progress = progress_printer()
-    volume = carina.open_volume(path, series=series, progress=progress)
-    for warning in volume.source.warnings:
-        say(f"note: {warning}")
+    volume, badges = opened(path, series=series, progress=progress)
     result = carina.track_paths(
         volume, root="auto" if root is None else root, targets=targets, cost=cost, graph=graph, progress=progress
     )
+    badges.add(result.airways.badges)
     search = result.search
     if search is None and as_json:
         # Figures of the graph that paths are read from: built and searched once more, to the targets only.
@@ -54,12 +55,17 @@ def report(
             "problem": target.problem,
         }
         if target.path is not None:
+            along_mm = np.linalg.norm(np.diff(target.path.points_lps, axis=0), axis=1).cumsum()
+            drawn = drawn_part(result.airways.tree, target.path.branch_ids, np.concatenate([[0.0], along_mm]))
             row |= {
                 "length_mm": target.path.length_mm,
                 "cost": target.path.cost,
                 "min_radius_mm": float(np.min(target.path.wall_mm)),
                 "generation": int(target.path.generation[-1]),
+                **drawn.to_json(),
             }
+            if drawn.words is not None:
+                say(f"target {number}: {drawn.words}")
             outside = None if search is None else search.targets[number - 1]
             if outside is not None:
                 row["search"] = dataclasses.asdict(outside)
@@ -77,7 +83,7 @@ def report(
         say(f"note: {note}")
     found = [target for target in result.targets if target.path is not None]
     if output is not None and found:
-        write_tree(output, result.tree)
+        write_tree(output, result.tree, badges=badges.notes)
         say(f"wrote {output}")
     if as_json:
         print_json(
@@ -87,6 +93,7 @@ def report(
                 "search": None if search is None else _search_row(search),
                 "targets": rows,
                 "tree": result.tree.to_json() if found else None,
+                "badges": badges.to_json(),
             }
         )
     if len(found) == len(result.targets):

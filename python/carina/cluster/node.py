@@ -18,6 +18,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
+from carina.disk import make_folder, write_whole
 from carina.errors import ClusterError, UsageError
 
 __all__ = [
@@ -69,10 +70,8 @@ def token_file(config_dir: Path) -> Path:
 def make_token(path: Path) -> Path:
     """The token's file; made with a fresh token where there is none, readable by its owner alone."""
     if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(descriptor, "w", encoding="ascii") as file:
-            file.write(secrets.token_hex(32))
+        make_folder(path.parent, what="the token", private=True)
+        write_whole(path, secrets.token_hex(32).encode(), what="the token", private=True)
     return check_token(path)
 
 

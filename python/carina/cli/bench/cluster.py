@@ -23,6 +23,7 @@ from carina.cli.console import print_json, say
 from carina.cluster import ClusterRenderer, ClusterSettings
 from carina.cluster.host import RendererHost
 from carina.cluster.simulation import SimulatedCluster, SimulatedRenderer, SimulationResult
+from carina.disk import make_folder, write_whole
 from carina.errors import UsageError
 from carina.phantom import generate_phantom
 from carina.render import AirwayView, Renderer, View
@@ -78,7 +79,7 @@ def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> 
     left_out = [] if can_ray else [name for name in wanted if name != "simulation"]
     if left_out:
         say(f"left out, since Ray is not installed (pip install 'carina[cluster]'): {', '.join(left_out)}")
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, what="the measurements")
     result: dict[str, Any] = {
         "format": "carina-bench-cluster",
         "version": 1,
@@ -101,7 +102,8 @@ def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> 
         result["real"] = _real(quick, folder, lines)
     if can_ray and {"transport", "kills"} & set(wanted):
         result |= _stand_ins(wanted, quick, folder, lines)
-    (folder / "cluster.json").write_text(json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    text = json.dumps(result, indent=2, allow_nan=False) + "\n"
+    write_whole(folder / "cluster.json", text.encode(), what="the measurements")
     if as_json:
         print_json(result)
     else:
@@ -273,7 +275,7 @@ def _sleeping(costs: dict[str, _Cost], quick: bool, folder: Path, lines: list[st
             lines.append(_table_line(row, _paper_row(row)))
             if num == len(ASSUMED_SPEEDS):
                 title = "Job assignment (paper, Figure 11), real Ray, 16 sleeping machines"
-                (folder / "timeline.svg").write_text(_timeline(flown, title), encoding="utf-8")
+                write_whole(folder / "timeline.svg", _timeline(flown, title).encode(), what="the plot")
     lines.append(f"  16 machines: assumed speeds {', '.join(f'{s:g}' for s in ASSUMED_SPEEDS)} of the fastest")
     return found
 
@@ -301,7 +303,8 @@ def _plot_tables(result: dict[str, Any], folder: Path) -> None:
                         lines[f"{short}, {words}"] = found
         if value == "speedup":
             lines["ideal"] = [float(n) for n in CONCURRENCY]
-        (folder / file).write_text(line_plot(title, CONCURRENCY, lines, across="renderers", up=up), encoding="utf-8")
+        plot = line_plot(title, CONCURRENCY, lines, across="renderers", up=up)
+        write_whole(folder / file, plot.encode(), what="the plot")
 
 
 def _table_line(row: dict[str, Any], paper: tuple[float, float, int, int] | None) -> str:
@@ -361,7 +364,7 @@ def _stand_ins(wanted: Sequence[str], quick: bool, folder: Path, lines: list[str
             )
             if "sleeping" not in wanted:
                 title = "Job assignment (paper, Figure 11), real Ray, 8 sleeping machines"
-                (folder / "timeline.svg").write_text(_timeline(flown, title), encoding="utf-8")
+                write_whole(folder / "timeline.svg", _timeline(flown, title).encode(), what="the plot")
         if "kills" in wanted:
             say("kill -9 of one renderer after the other")
             found["kills"] = lost_renderers(head, num=8, kills=3 if quick else 10)

@@ -18,6 +18,7 @@ from carina.cli.bench.scene import FOV_DEG, STEP_VOX, STOP_TRANSPARENCY, TRANSFE
 from carina.cli.bench.worker import run_section
 from carina.cli.console import print_json, say
 from carina.config import load_settings
+from carina.disk import make_folder, write_whole
 from carina.errors import UsageError
 
 __all__ = ["SECTIONS", "report"]
@@ -185,7 +186,7 @@ def report(
     if unknown:
         raise UsageError(f"--only: expected some of {', '.join(sections)}; found {', '.join(unknown)}")
     require_peers("vtk", "numba", "scipy")
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, what="the measurements")
     started = time.monotonic()
     facts = machine_facts()
     document: dict[str, Any] = {
@@ -231,7 +232,7 @@ def report(
     passed = sum(gate.passed for gate in must)
     document["gates_passed"], document["gates_missed"] = passed, len(must) - passed
     text = json.dumps(document, allow_nan=False, ensure_ascii=False, indent=1)
-    (folder / f"{what}.json").write_text(text + "\n", encoding="utf-8")
+    write_whole(folder / f"{what}.json", (text + "\n").encode(), what="the measurements")
     if as_json:
         print_json(document)
         return 0

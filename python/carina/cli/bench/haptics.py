@@ -21,6 +21,7 @@ from carina.cli.bench.haptics_pictures import PICTURES_HZ, Pictures, full_pictur
 from carina.cli.bench.machine import load_average, machine_facts, stolen_s
 from carina.cli.bench.worker import run_section
 from carina.cli.console import print_json, progress_printer, say
+from carina.disk import make_folder, write_whole
 from carina.navigate import FlightPath
 from carina.phantom import lumen_distance_at
 from carina.render import Renderer
@@ -46,7 +47,7 @@ MOST_MISSED = 0.001
 
 def report(*, folder: Path, quick: bool, as_json: bool) -> int:
     """Measure, print, and write ``haptics.json``; always 0 when it could be measured: a missed limit is a result."""
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, what="the measurements")
     facts = machine_facts()
     say(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")
     measured = run_section("haptics:measure", {"seconds": 8.0 if quick else 60.0})
@@ -61,9 +62,8 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
         "rows": rows,
         "gates": [gate.to_json() for gate in gates],
     }
-    (folder / "haptics.json").write_text(
-        json.dumps(document, allow_nan=False, ensure_ascii=False, indent=1) + "\n", encoding="utf-8"
-    )
+    text = json.dumps(document, allow_nan=False, ensure_ascii=False, indent=1) + "\n"
+    write_whole(folder / "haptics.json", text.encode(), what="the measurements")
     if as_json:
         print_json(document)
         return 0

@@ -6,17 +6,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import SimpleITK as sitk
 from numpy.typing import NDArray
+
+from carina.disk import write_whole
+from carina.render.png_text import png_bytes
 
 __all__ = ["difference", "save"]
 
 
 def save(folder: str | Path, name: str, rgb: NDArray[np.uint8]) -> str:
-    """Write a PNG and return its name."""
-    target = Path(folder) / f"{name}.png"
-    sitk.WriteImage(sitk.GetImageFromArray(np.ascontiguousarray(rgb), isVector=rgb.ndim == 3), str(target))
-    return target.name
+    """Write a PNG and return its name; a grey picture has two axes."""
+    colours = np.repeat(rgb[..., None], 3, axis=2) if rgb.ndim == 2 else rgb
+    content = png_bytes(np.ascontiguousarray(colours), {})
+    return write_whole(Path(folder) / f"{name}.png", content, what="the picture").name
 
 
 def difference(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> dict[str, Any]:

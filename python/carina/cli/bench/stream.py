@@ -16,6 +16,7 @@ import simplejpeg
 
 from carina.cli.bench.machine import machine_facts
 from carina.cli.console import print_json, say
+from carina.disk import make_folder, write_whole
 from carina.errors import CarinaError
 from carina.server import messages as wire
 
@@ -46,8 +47,9 @@ def report(*, folder: Path, case: str, quick: bool, as_json: bool) -> int:
         "rows": rows,
         "machine": machine_facts(),
     }
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "stream.json").write_text(json.dumps(facts, indent=1, allow_nan=False), encoding="utf-8")
+    make_folder(folder, what="the measurements")
+    text = json.dumps(facts, indent=1, allow_nan=False)
+    write_whole(folder / "stream.json", text.encode(), what="the measurements")
     if as_json:
         print_json(facts)
         return 0

@@ -40,6 +40,7 @@ from carina.cli.bench.gates import Gate
 from carina.cli.bench.machine import load_average, machine_facts, require_peers
 from carina.cli.bench.worker import run_section
 from carina.cli.console import print_json, say
+from carina.disk import make_folder, write_whole
 from carina.errors import CancelledError, CarinaError, UsageError
 
 __all__ = ["PARTS", "built_parts", "gate_of", "line_of", "part", "report"]
@@ -63,6 +64,7 @@ PARTS: dict[str, Part] = {
     "quality": Part("branches and length detected, precision, leakage, centreline distance"),
     "names": Part("names of segmental bronchi and lobes"),
     "measures": Part("diameters, areas and lengths against truth"),
+    "evidence": Part("what a click of Add branch takes for an airway"),
 }
 
 
@@ -135,7 +137,7 @@ def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> 
         there = ", ".join(built) or "none"
         raise UsageError(f"--only: {', '.join(missing)} cannot be measured by this version; its parts are: {there}")
     require_peers()
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, what="the measurements")
     started = time.monotonic()
     facts = machine_facts()
     say(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")
@@ -171,7 +173,7 @@ def report(*, folder: Path, only: Sequence[str], quick: bool, as_json: bool) -> 
         "seconds": round(time.monotonic() - started, 1),
     }
     text = json.dumps(document, allow_nan=False, ensure_ascii=False, indent=1)
-    (folder / "track.json").write_text(text + "\n", encoding="utf-8")
+    write_whole(folder / "track.json", (text + "\n").encode(), what="the measurements")
     if as_json:
         print_json(document)
         return 0

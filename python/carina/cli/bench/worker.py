@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from carina.disk import disk_trouble, write_whole
 from carina.errors import CarinaError
 
 __all__ = ["run_section"]
@@ -67,7 +68,10 @@ def _main() -> int:
         return CANCELLED
     except CarinaError as error:
         document = {"error": {"code": error.code, "message": str(error), "exit_code": error.exit_code}}
-    Path(message["result"]).write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
+    except OSError as error:
+        told = disk_trouble(error, "the benchmark cannot read or write a file", error.filename)
+        document = {"error": {"code": told.code, "message": str(told), "exit_code": told.exit_code}}
+    write_whole(message["result"], json.dumps(document, allow_nan=False).encode(), what="the measurements")
     return 0
 
 

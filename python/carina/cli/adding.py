@@ -1,0 +1,79 @@
+"""``carina airways --add-branch``: branches that a person adds, and what becomes of those without evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.cli.console import say
+from carina.errors import NoEvidenceError, NoResultError, UsageError
+from carina.track import AddBranch, Airways, edit_airways
+from carina.track.growth import Progress
+from carina.volume import Volume
+
+__all__ = ["AddedBranches", "add_branches", "error_json"]
+
+
+@dataclass(frozen=True, slots=True)
+class AddedBranches:
+    """The airways with all branches that could be added, and what became of each point."""
+
+    airways: Airways
+    rows: tuple[dict[str, Any], ...]
+    """One for each point: ``lps``, ``branches`` (what was made: id, kind, doubtful_mm) and ``error`` or null."""
+    refused: tuple[NoResultError, ...]
+
+
+def add_branches(
+    volume: Volume,
+    airways: Airways,
+    points_lps: Sequence[NDArray[np.float64]],
+    *,
+    even_without_evidence: bool,
+    progress: Progress | None = None,
+) -> AddedBranches:
+    """Add branches one after the other; one that cannot be added is said, and the others are made all the same.
+
+    Raises
+    ------
+    UsageError
+        If a point lies outside the scan.
+    """
+    rows, refused = [], []
+    for number, lps in enumerate(points_lps, 1):
+        x, y, z = (float(v) for v in lps)
+        row: dict[str, Any] = {"lps": [x, y, z], "branches": [], "error": None}
+        known = {branch.id for branch in airways.tree.branches}
+        try:
+            airways = edit_airways(
+                volume, airways, AddBranch((x, y, z), even_without_evidence=even_without_evidence), progress=progress
+            )
+        except NoResultError as error:
+            refused.append(error)
+            row["error"] = error_json(error)
+            say(f"branch {number} to {x:g},{y:g},{z:g}: {error}")
+            if isinstance(error, NoEvidenceError):
+                say("  with --even-without-evidence it is drawn all the same, and labelled as drawn by hand")
+        except UsageError as error:
+            raise UsageError(f"--add-branch {x:g},{y:g},{z:g}: {error}", code=error.code) from None
+        else:
+            made = [branch for branch in airways.tree.branches if branch.id not in known]
+            row["branches"] = [{"id": b.id, "kind": b.kind, "doubtful_mm": round(b.doubtful_mm, 2)} for b in made]
+        rows.append(row)
+    return AddedBranches(airways, tuple(rows), tuple(refused))
+
+
+def error_json(error: NoResultError) -> dict[str, Any]:
+    """An error as ``--json`` has it; one for want of evidence holds the way (LPS mm) and what of it is doubtful."""
+    found: dict[str, Any] = {"code": error.code, "message": str(error)}
+    if isinstance(error, NoEvidenceError):
+        found |= {
+            "doubtful_mm": round(error.doubtful_mm, 2),
+            "way": error.way_lps.tolist(),
+            "doubtful": error.doubtful.tolist(),
+        }
+    return found

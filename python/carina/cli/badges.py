@@ -1,0 +1,69 @@
+"""Opening a scan for a command, and the lasting notes that its output repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import carina
+from carina.cli.console import ProgressCallback, say
+from carina.errors import VolumeImportError
+from carina.export import read_badges
+from carina.volume import Note, Volume, badges_of
+
+__all__ = ["Badges", "opened"]
+
+
+class Badges:
+    """The lasting notes of what a command works on; each is said once on stderr."""
+
+    def __init__(self) -> None:
+        self._notes: dict[Note, None] = {}
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """All of them, in the order in which they came."""
+        return tuple(self._notes)
+
+    def add(self, notes: Iterable[Note]) -> None:
+        """Say those that are new, and keep them."""
+        for note in notes:
+            if note not in self._notes:
+                self._notes[note] = None
+                say(f"note: {note.words}")
+
+    def take_airways(self, airways: object) -> None:
+        """Keep those of a search or of an imported mask; what it found is said by the caller, with all its notes."""
+        for note in getattr(airways, "badges", ()):
+            self._notes.setdefault(note, None)
+
+    def add_tree(self, path: Path) -> None:
+        """Those that a tree was written with."""
+        self.add(read_badges(path))
+
+    def to_json(self) -> list[dict[str, str]]:
+        """As every ``--json`` has them under ``badges``."""
+        return [{"code": note.code, "words": note.words} for note in self._notes]
+
+
+def opened(
+    path: Path, *, series: str | None, progress: ProgressCallback, strict: bool = False
+) -> tuple[Volume, Badges]:
+    """Open a scan, say its notes, and begin the list of its badges.
+
+    Raises
+    ------
+    VolumeImportError
+        The refusal of the import; with ``strict`` also ``import.strict`` where the scan has a badge.
+    """
+    volume = carina.open_volume(path, series=series, progress=progress)
+    badges = Badges()
+    for note in volume.source.notes:
+        if not note.badge:
+            say(f"note: {note.words}")
+    badges.add(badges_of(volume))
+    if strict and badges.notes:
+        codes = ", ".join(note.code for note in badges.notes)
+        msg = f"reading {path.name}: --strict: it opens with doubts ({codes}); mend them, or leave --strict out"
+        raise VolumeImportError(msg, code="import.strict")
+    return volume, badges

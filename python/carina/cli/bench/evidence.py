@@ -1,0 +1,145 @@
+"""How many places of plain lung a click makes an airway of, and how many places of true airways it takes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.track import Airways, branch_way, find_airways
+from carina.track.edit_tree import along_mm
+from carina.track.tree import Branch
+from carina.volume.model import Volume
+
+__all__ = ["lung_points", "missed_points", "removed_branches", "taken"]
+
+Points = NDArray[np.float64]
+
+CLEAR_MM = 5.0
+"""Places of lung are farther than this from every airway."""
+FARTHEST_MM = 40.0
+MISSED_MM = 3.0
+"""A place of a true airway was missed where no lumen was found so near."""
+LUNG_HU, OUTSIDE_HU = -650.0, -988.0
+
+
+def lung_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8], num: int, seed: int) -> Points:
+    """(num, 3) random places of lung, LPS mm, more than 5 mm from every airway found or true, at most 40 from the tree.
+
+    Parameters
+    ----------
+    truth_zyx
+        (nz, ny, nx) not 0 in true airways; what was found counts as true as well.
+    """
+    rng = np.random.default_rng(seed)
+    tree = np.concatenate([b.points for b in airways.tree.branches if b.generation >= 2])
+    known = (truth_zyx != 0) | (airways.lumen_zyx != 0)
+    shape = np.array(volume.shape_zyx[::-1])
+    found: list[Points] = []
+    while len(found) < num:
+        direction = rng.normal(size=3)
+        reach_mm = rng.uniform(CLEAR_MM, FARTHEST_MM)
+        place = tree[rng.integers(len(tree))] + reach_mm * direction / np.linalg.norm(direction)
+        voxel = np.floor(volume.to_ijk(place) + 0.5).astype(int)
+        if (voxel < 0).any() or (voxel >= shape).any():
+            continue
+        values, off_mm, _ = _round(volume, voxel, volume.hu_zyx, 4.0)
+        near = off_mm <= 2.5
+        if not OUTSIDE_HU < values[near].mean() < LUNG_HU or values[off_mm == 0.0][0] > LUNG_HU:
+            continue
+        airway, off_mm, _ = _round(volume, voxel, known, CLEAR_MM + 2.0)
+        if (airway & (off_mm <= CLEAR_MM)).any():
+            continue
+        found.append(volume.to_lps(voxel.astype(np.float64)))
+    return np.array(found)
+
+
+def removed_branches(volume: Volume, airways: Airways, num: int, seed: int, *, whole: bool) -> tuple[Airways, Points]:
+    """Airways opened from a mask without some branches, and (num, 3) places, LPS mm, on the middle of those.
+
+    Parameters
+    ----------
+    whole
+        Take segmental bronchi away with all that hangs on them; else single tips.
+    """
+    rng = np.random.default_rng(seed)
+    tree = airways.tree
+    if whole:
+        stems = [b for b in tree.branches if b.children and 3 <= b.generation <= 4]
+        stems = [stems[n] for n in rng.permutation(len(stems))[: max(3, len(stems) // 4)]]
+    else:
+        stems = [b for b in tree.tips() if b.generation >= 2 and b.length_mm >= 4.0]
+        stems = [stems[n] for n in rng.permutation(len(stems))[: max(3, (3 * len(stems)) // 4)]]
+    gone: dict[int, Branch] = {}
+    for stem in stems:
+        below = [stem]
+        for branch in below:
+            below.extend(tree.branch(child) for child in branch.children)
+        gone.update({branch.id: branch for branch in below})
+    points = np.concatenate([b.points for b in tree.branches])
+    radius = np.concatenate([b.radius for b in tree.branches])
+    owner = np.concatenate([np.full(len(b.points), b.id) for b in tree.branches])
+    mask = airways.lumen_zyx.copy()
+    voxels = np.argwhere(mask)[:, ::-1]
+    centers = volume.to_lps(voxels.astype(np.float64))
+    is_gone = np.zeros(len(voxels), dtype=bool)
+    wanted = np.array(sorted(gone))
+    for first in range(0, len(voxels), 4000):
+        part = slice(first, first + 4000)
+        off = np.sqrt(sum((centers[part, None, a] - points[None, :, a]) ** 2 for a in range(3))) - radius[None]
+        is_gone[part] = np.isin(owner[off.argmin(axis=1)], wanted)
+    i, j, k = voxels[is_gone].T
+    mask[k, j, i] = 0
+    opened = find_airways(volume, lumen_zyx=mask, root_lps=airways.root_lps)
+    branches = list(gone.values())
+    places = []
+    for _ in range(num):
+        branch = branches[rng.integers(len(branches))]
+        along = along_mm(branch.points)
+        at = rng.uniform(0.3, 1.0) * along[-1]
+        places.append([np.interp(at, along, branch.points[:, axis]) for axis in range(3)])
+    return opened, np.array(places)
+
+
+def missed_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8], num: int, seed: int) -> Points:
+    """At most (num, 3) places, LPS mm, in the middle of true airways where the search found no lumen within 3 mm."""
+    rng = np.random.default_rng(seed)
+    truth = truth_zyx != 0
+    voxels = np.argwhere(truth & (airways.lumen_zyx == 0))[:, ::-1]
+    found: list[Points] = []
+    for n in rng.permutation(len(voxels)):
+        voxel = voxels[n]
+        is_truth, off_mm, around = _round(volume, voxel, truth, 2.0)
+        near = around[is_truth & (off_mm <= 2.0)]
+        middle = near[np.argmin(np.linalg.norm(volume.to_lps(near) - volume.to_lps(near).mean(axis=0), axis=1))]
+        x, y, z = (float(v) for v in volume.to_lps(middle))
+        # What a mask has above the top of the trachea was not missed, but left out.
+        if z < airways.root_lps[2] and airways.tracker.core.nearest((x, y, z), MISSED_MM) is None:
+            found.append(np.array([x, y, z]))
+        if len(found) == num:
+            break
+    return np.array(found).reshape(-1, 3)
+
+
+def taken(volume: Volume, airways: Airways, points: Points) -> NDArray[np.int8]:
+    """(n,) for each (n, 3) place what a click there does: 1 taken at once, 0 asked or refused, -1 the tree is there."""
+    found = np.zeros(len(points), dtype=np.int8)
+    for number, point in enumerate(points):
+        way = branch_way(volume, airways, point)
+        is_there = way.problem is not None and "there already" in way.problem
+        found[number] = -1 if is_there else int(way.has_evidence)
+    return found
+
+
+def _round(
+    volume: Volume, voxel: NDArray[np.int64], values: NDArray[Any], reach_mm: float
+) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[np.float64]]:
+    """Values in the box round a voxel, how far from it their voxels are, mm, and these, i, j, k."""
+    reach = np.ceil(reach_mm / np.array(volume.spacing_mm)).astype(int)
+    shape = np.array(volume.shape_zyx[::-1])
+    low, high = np.maximum(voxel - reach, 0), np.minimum(voxel + reach, shape - 1)
+    k, j, i = np.mgrid[low[2] : high[2] + 1, low[1] : high[1] + 1, low[0] : high[0] + 1].reshape(3, -1)
+    around = np.stack([i, j, k], axis=1)
+    off_mm = np.linalg.norm((around - voxel) @ volume.lps_from_ijk[:3, :3].T, axis=1)
+    return values[k, j, i], off_mm, around.astype(np.float64)

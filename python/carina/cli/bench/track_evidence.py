@@ -1,0 +1,113 @@
+"""``carina bench track --only evidence``: what a click of *Add branch* takes for an airway.
+
+Places of plain lung more than 5 mm from every airway, places on true branches that the session never held, and
+places on true branches that the search missed: the share that is taken without being asked again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import carina
+from carina.cli.bench.evidence import lung_points, missed_points, removed_branches, taken
+from carina.config import load_settings
+from carina.phantom import generate_phantom
+from carina.track import Airways, find_airways
+from carina.volume import Volume
+
+__all__ = ["run"]
+
+Say = Callable[[str], None]
+Row = dict[str, Any]
+
+NUM_POINTS, QUICK_POINTS = 200, 60
+MOST_OF_LUNG, LEAST_OF_REMOVED, LEAST_OF_MISSED = 0.03, 0.95, 0.70
+FEW = 10
+"""Of fewer places no share is told."""
+PHANTOMS = ((24, 0.8, 20.0), (22, (0.7, 0.7, 1.25), 40.0), (29, (0.65, 0.65, 3.0), 25.0))
+"""Seed, spacing in mm, noise in HU."""
+
+
+def run(quick: bool, say: Say) -> list[Row]:
+    """Rows of the share that is taken, one case after the other, and of the time that a preview takes."""
+    rows: list[Row] = []
+    num = QUICK_POINTS if quick else NUM_POINTS
+    for name, volume, truth in _cases(quick, say):
+        airways = find_airways(volume)
+        begun = time.perf_counter()
+        airways.evidence.of(volume, airways)
+        first_s = time.perf_counter() - begun
+        lung = lung_points(volume, airways, truth, num, seed=101)
+        begun = time.thread_time()
+        of_lung = taken(volume, airways, lung)
+        each_ms = 1e3 * (time.thread_time() - begun) / num
+        rows.append(_row("places of plain lung taken", name, of_lung, MOST_OF_LUNG, "lower"))
+        removed = []
+        for whole in (False, True):
+            opened, places = removed_branches(volume, airways, num // 2, seed=102, whole=whole)
+            removed.append(taken(volume, opened, places))
+        rows.append(_row("removed branches taken", name, np.concatenate(removed), LEAST_OF_REMOVED, "higher"))
+        missed = _missed(volume, airways, truth, num)
+        if (missed >= 0).sum() >= FEW:
+            rows.append(_row("missed branches taken", name, missed, LEAST_OF_MISSED, "higher"))
+        rows.append(
+            {"what": "CPU time of a preview over plain lung, mean", "case": name, "figure": each_ms, "unit": "ms"}
+        )
+        rows.append({"what": "what is computed once", "case": name, "figure": first_s, "unit": "s"})
+        say(", ".join(f"{row['what']} {row['figure']:.3g}" for row in rows if row.get("case") == name))
+    return rows
+
+
+def _missed(volume: Volume, airways: Airways, truth: NDArray[np.uint8], num: int) -> NDArray[np.int8]:
+    places = missed_points(volume, airways, truth, num, seed=103)
+    return taken(volume, airways, places)
+
+
+def _row(what: str, case: str, found: NDArray[np.int8], limit: float, better: str) -> Row:
+    clicks = found[found >= 0]
+    return {
+        "what": what,
+        "case": case,
+        "figure": float((clicks == 1).mean()),
+        "limit": limit,
+        "better": better,
+        "note": f"{int((clicks == 1).sum())} of {len(clicks)}",
+    }
+
+
+def _cases(quick: bool, say: Say) -> Iterator[tuple[str, Volume, NDArray[np.uint8]]]:
+    patient = carina.demo_patient()
+    folder = load_settings().data_dir
+    case = None if folder is None else folder / "ct" / "QIN-LSC-0003"
+    if case is None or not case.is_dir():
+        say("QIN-LSC-0003 is not here (CARINA_DATA_DIR): true airways of the bundled patient are those found")
+        yield "bundled patient", patient, np.zeros(patient.shape_zyx, dtype=np.uint8)
+    else:
+        mask = carina.open_volume(case / "airway_ground_truth" / "github_demo_seg.nii.gz")
+        yield "bundled patient", patient, _on_grid(mask, patient)
+        if not quick:
+            whole = carina.open_volume(case / "dicom")
+            yield "QIN-LSC-0003", whole, _on_grid(mask, whole)
+    for seed, spacing, noise in PHANTOMS[: 1 if quick else None]:
+        phantom = generate_phantom(seed=seed, spacing_mm=spacing, noise_hu=noise)
+        yield f"phantom {seed}, {spacing} mm, {noise:g} HU", phantom.volume, phantom.lumen_zyx
+
+
+def _on_grid(mask: Volume, volume: Volume) -> NDArray[np.uint8]:
+    """A mask on a grid of parallel axes, by its nearest voxels; 0 beyond it."""
+    first = mask.to_ijk(volume.to_lps(np.zeros(3)))
+    steps = np.diag(mask.to_ijk(volume.to_lps(np.eye(3))) - first)
+    found = np.zeros(volume.shape_zyx, dtype=np.uint8)
+    places, sources = [], []
+    for axis in (2, 1, 0):
+        at = np.rint(first[axis] + steps[axis] * np.arange(volume.shape_zyx[2 - axis])).astype(int)
+        inside = np.flatnonzero((at >= 0) & (at < mask.shape_zyx[2 - axis]))
+        places.append(inside)
+        sources.append(at[inside])
+    found[np.ix_(*places)] = mask.hu_zyx[np.ix_(*sources)] > 0
+    return found

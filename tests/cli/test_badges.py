@@ -1,0 +1,105 @@
+"""A scan that opens with a doubt: every command says it, and repeats it in what it makes."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+
+from carina.export import read_badges
+from carina.render import read_png_badges
+
+CODES = ["import.not-numbers"]
+
+
+@pytest.fixture(scope="module")
+def doubted(phantom_folder, tmp_path_factory):
+    """The phantom as floats, with three voxels that hold no number."""
+    image = sitk.ReadImage(str(phantom_folder / "ct.nii.gz"))
+    values = sitk.GetArrayFromImage(image).astype(np.float32)
+    values[0, 0, :3] = np.nan
+    other = sitk.GetImageFromArray(values)
+    other.CopyInformation(image)
+    path = tmp_path_factory.mktemp("doubted") / "ct.nrrd"
+    sitk.WriteImage(other, str(path))
+    return path
+
+
+@pytest.fixture(scope="module")
+def tree(phantom_folder, tmp_path_factory):
+    """The phantom's exact tree, written with a doubt of its own."""
+    truth = json.loads((phantom_folder / "truth.json").read_text())
+    badge = {"code": "track.search-stopped", "words": "the search was stopped"}
+    file = tmp_path_factory.mktemp("tree") / "tree.json"
+    file.write_text(json.dumps({**truth, "format": "carina-tree", "badges": [badge]}))
+    return file
+
+
+def told(ended, codes=CODES):
+    """Checks that a command said its doubts, once each, on stderr and in its JSON."""
+    assert ended.code == 0, ended.err
+    badges = ended.json()["badges"]
+    assert [badge["code"] for badge in badges] == codes
+    for badge in badges:
+        assert ended.err.count(f"note: {badge['words']}") == 1
+    return badges
+
+
+def test_info_says_the_doubt_and_strict_leaves_with_3(carina, doubted, ct):
+    ended = carina("info", doubted, "--json")
+    said = ended.json()
+    assert [note["code"] for note in said["notes"]] == CODES
+    assert said["notes"][0]["badge"] is True
+    assert said["notes"][0]["words"] in said["warnings"]
+    assert [badge["code"] for badge in said["badges"]] == CODES
+    assert "doubt: 3 voxels are not numbers" in carina("info", doubted).out
+    strict = carina("info", doubted, "--strict")
+    assert strict.code == 3
+    assert "import.not-numbers" in strict.err
+
+
+def test_airways_and_export_repeat_it_and_strict_refuses(carina, doubted, tmp_path):
+    file = tmp_path / "t.json"
+    told(carina("airways", doubted, "-o", file, "--mask", tmp_path / "m.nrrd", "--json"))
+    assert [note.code for note in read_badges(file)] == CODES
+    assert CODES[0] in sitk.ReadImage(str(tmp_path / "m.nrrd")).GetMetaData("note")
+    told(carina("export", doubted, "--tree", file, "-o", tmp_path / "t.swc", "--json"))
+    assert CODES[0] in (tmp_path / "t.swc").read_text()
+    for verb in (("airways",), ("export", "-o", tmp_path / "never.swc")):
+        ended = carina(verb[0], doubted, *verb[1:], "--strict", "--json")
+        assert ended.code == 3
+        assert ended.json()["error"]["code"] == "import.strict"
+    assert not (tmp_path / "never.swc").exists()
+
+
+def test_the_doubt_of_a_tree_goes_on_with_it(carina, ct, doubted, tree, tmp_path):
+    told(carina("export", ct, "--tree", tree, "-o", tmp_path / "t.vtp", "--json"), ["track.search-stopped"])
+    both = carina("export", doubted, "--tree", tree, "-o", tmp_path / "t.json", "--json")
+    told(both, [*CODES, "track.search-stopped"])
+    assert [note.code for note in read_badges(tmp_path / "t.json")] == [*CODES, "track.search-stopped"]
+
+
+def test_a_picture_and_a_track_repeat_it(carina, doubted, phantom_folder, tmp_path):
+    picture = tmp_path / "a.png"
+    told(carina("render", doubted, "--view", "axial", "--at", "0,0,0", "--size", "64x48", "-o", picture, "--json"))
+    assert [note.code for note in read_png_badges(picture)] == CODES
+    surface = tmp_path / "s.npz"
+    at = ("--at", "0,0,0", "--size", "32x32", "--step-vox", "2")
+    told(carina("render", doubted, "--surface", surface, *at, "-o", picture, "--json"))
+    with np.load(surface) as walls:
+        assert walls["badges"][0].startswith("import.not-numbers: 3 voxels")
+    tip = json.loads((phantom_folder / "truth.json").read_text())["branches"][1]["points"][-1]
+    file = tmp_path / "t.json"
+    told(carina("track", doubted, "--target", ",".join(map(str, tip)), "-o", file, "--json"))
+    assert [note.code for note in read_badges(file)] == CODES
+
+
+def test_a_flight_repeats_it(carina, doubted, tree, tmp_path):
+    pytest.importorskip("av", reason="PyAV is not installed")
+    ended = carina(
+        "fly", doubted, "--tree", tree, "--to", "1", "-o", tmp_path / "a.mp4", "--size", "32x32", "--rate", "4",
+        "--speed", "200", "--pause", "0", "--step-vox", "1", "--json",
+    )  # fmt: skip
+    told(ended, [*CODES, "track.search-stopped"])
