@@ -21,6 +21,52 @@ def server(tmp_path_factory) -> Iterator[Server]:
     assert running.errors() == []
 
 
+PREVIEWED = """() => {
+    const { preview } = window.__carina.state;
+    return preview !== null && !preview.stale && preview.answer?.problem === null;
+}"""
+DRAWN = "() => [...window.__carina.state.tree.byId.values()].some((node) => node.branch.kind === 'manual')"
+
+
+def lung_point(workstation):
+    """A point beside the tree to which a way leads that the CT shows no wall along: the server is asked for it."""
+    return workstation.page.evaluate(
+        """async () => {
+            const socket = window.__socket;
+            let number = 900000;
+            const ask = (lps) => new Promise((done) => {
+                number += 1;
+                const id = number;
+                const heard = (event) => {
+                    if (typeof event.data !== 'string' || !event.data.includes('"edit_preview"')) return;
+                    const answer = JSON.parse(event.data);
+                    if (answer.request_id !== id) return;
+                    socket.removeEventListener('message', heard);
+                    done(answer);
+                };
+                socket.addEventListener('message', heard);
+                const place = {lps, frame_id: null, column: null, row: null};
+                socket.send(JSON.stringify({
+                    type: 'preview_edit', request_id: id, tool: 'add-branch', branch_id: null, ...place,
+                }));
+            });
+            for (const node of window.__carina.state.tree.byId.values()) {
+                if (node.children.length > 0) continue;
+                const [a, b] = [node.branch.points.at(-4), node.branch.points.at(-1)];
+                if (a === undefined || b === undefined) continue;
+                const away = b.map((v, i) => v - a[i]);
+                const length = Math.hypot(...away);
+                for (const mm of [8, 12, 18]) {
+                    const lps = b.map((v, i) => v + (mm * away[i]) / length);
+                    const answer = await ask(lps);
+                    if (answer.problem === null && answer.doubtful_mm > 5) return lps;
+                }
+            }
+            throw new Error('no such point');
+        }"""
+    )
+
+
 def wait_for(workstation, condition, arg=None):
     workstation.page.wait_for_function(condition, arg=arg, timeout=PICTURE_MS)
 
@@ -168,10 +214,12 @@ def test_a_branch_is_cut_undone_cut_again_and_added_by_a_click(server, workstati
     workstation.page.keyboard.press("j")
     x, y = place_in_slice(workstation, "coronal", end)
     workstation.page.mouse.move(x, y)
-    wait_for(workstation, "() => window.__carina.state.livePath !== null")
+    wait_for(workstation, PREVIEWED)
+    (line,) = workstation.state("preview.answer.lines")
     workstation.picture("before-the-addition")
     workstation.page.mouse.click(x, y)
     wait_for(workstation, "(n) => window.__carina.state.tree.byId.size > n", cut)
+    assert {str(p) for p in line["points_lps"]} <= all_points(workstation), "what was shown is what was made"
     assert workstation.state("can_undo").startswith("add a branch")
     reaches = workstation.page.evaluate(
         """(end) => Math.min(...[...window.__carina.state.tree.byId.values()].map((node) =>
@@ -182,6 +230,76 @@ def test_a_branch_is_cut_undone_cut_again_and_added_by_a_click(server, workstati
     workstation.page.keyboard.press("Escape")
     for _ in range(2):
         workstation.page.keyboard.press("Control+z")
+    wait_for(workstation, "(n) => window.__carina.state.tree.byId.size === n", whole)
+    assert workstation.faults == []
+
+
+def all_points(workstation):
+    """Every point of the tree, as text."""
+    points = workstation.page.evaluate(
+        "() => [...window.__carina.state.tree.byId.values()].flatMap((node) => node.branch.points)"
+    )
+    return {str(p) for p in points}
+
+
+def test_a_branch_without_evidence_is_shown_dashed_asked_about_and_drawn_by_hand(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    tree_is_shown(workstation)
+    whole = workstation.state("tree.byId.size")
+    # Lung beside the end of a branch, to which a way leads that has no wall.
+    lps = lung_point(workstation)
+    show_slices_at(workstation, lps)
+    workstation.page.keyboard.press("j")
+    x, y = place_in_slice(workstation, "coronal", lps)
+    workstation.page.mouse.move(x, y)
+    wait_for(workstation, PREVIEWED)
+    shown = workstation.state("preview.answer")
+    assert not shown["has_evidence"]
+    assert any(shown["lines"][0]["drawn"])
+    workstation.picture("without-evidence-before-the-click")
+
+    workstation.page.mouse.click(x, y)
+    wait_for(workstation, "() => window.__carina.state.doubt !== null")
+    question = workstation.page.locator("[data-testid=doubt]")
+    expect(question).to_contain_text("The CT shows no wall along")
+    asked = workstation.state("doubt")
+    assert asked["line"] == shown["lines"][0], "the question is about the way that was shown"
+    assert workstation.state("messages.length") == 0, "a question is no error"
+    workstation.picture("without-evidence-the-question")
+    # Esc leaves the tree as it is, and the tool in the hand.
+    workstation.page.keyboard.press("Escape")
+    expect(question).to_have_count(0)
+    assert workstation.state("ui.armed") == "add"
+    assert workstation.state("tree.byId.size") == whole
+
+    workstation.page.mouse.click(x, y)
+    wait_for(workstation, "() => window.__carina.state.doubt !== null")
+    workstation.page.keyboard.press("Enter")
+    wait_for(workstation, DRAWN)
+    assert {str(p) for p in asked["line"]["points_lps"]} <= all_points(workstation)
+    drawn = workstation.page.evaluate(
+        "() => [...window.__carina.state.tree.byId.values()].find((n) => n.branch.kind === 'manual').branch"
+    )
+    assert drawn["confidence"] is None
+    assert drawn["name"] is None
+    assert drawn["doubtful_mm"] > 0
+    workstation.page.keyboard.press("Escape")
+
+    # In the list, its panel and the route it is called what it is.
+    workstation.page.get_by_role("searchbox", name="Search branches").fill("by hand")
+    row = workstation.page.locator(f"[data-branch='{drawn['id']}']")
+    expect(row).to_contain_text("drawn by hand")
+    row.click()
+    expect(workstation.page.locator("[data-testid=branch-drawn]")).to_contain_text(
+        "Drawn by hand. The CT shows no wall"
+    )
+    wait_for(workstation, "(id) => window.__carina.state.route?.branch_id === id", drawn["id"])
+    assert workstation.state("route.drawn_mm") > 1.0
+    assert workstation.state("route.spans").pop()["kind"] == "manual"
+    workstation.picture("without-evidence-drawn-by-hand")
+    workstation.page.keyboard.press("Control+z")
+    workstation.page.keyboard.press("Control+z")
     wait_for(workstation, "(n) => window.__carina.state.tree.byId.size === n", whole)
     assert workstation.faults == []
 

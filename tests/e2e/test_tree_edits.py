@@ -6,7 +6,15 @@ from collections.abc import Iterator
 
 import pytest
 from server_process import Server, start_server, stop_server
-from test_airway_tools import named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
+from test_airway_tools import (
+    PREVIEWED,
+    all_points,
+    named,
+    place_in_slice,
+    place_on_tree,
+    show_slices_at,
+    tree_is_shown,
+)
 from workstation import PICTURE_MS
 
 pytestmark = pytest.mark.browser
@@ -131,9 +139,14 @@ def test_a_fork_is_moved_in_two_clicks(ready):
     # A few millimetres back along the bronchus.
     x, y = place_on_tree(ready, lmb, 0.9)
     ready.page.mouse.move(x, y)
-    wait_for(ready, "() => window.__carina.state.livePath !== null")
+    wait_for(ready, PREVIEWED)
+    lines = ready.state("preview.answer.lines")
+    assert len(lines) >= 3, "the branch and those that begin at its fork"
     ready.page.mouse.click(x, y)
     wait_for_edit(ready, "move the fork", before)
+    assert {str(p) for line in lines for p in line["points_lps"]} <= all_points(ready), (
+        "what was shown is what was made"
+    )
     moved = points_of(ready, lmb)[-1]
     assert sum((a - b) ** 2 for a, b in zip(moved, points[-1], strict=True)) ** 0.5 > 1.0
     ready.picture("fork-moved")

@@ -26,6 +26,20 @@ def wait_for(workstation, condition):
     workstation.page.wait_for_function(f"() => {condition}", timeout=PICTURE_MS)
 
 
+def extent_mm(workstation, view):
+    """Width of the picture that a view shows, mm."""
+    header = workstation.state(f"frames['{view}']")
+    matrix = np.reshape(header["lps_from_pixel"], (4, 4))
+    return float(np.linalg.norm(matrix[:3, 0])) * header["width"]
+
+
+def middle_lps(workstation, view):
+    """The point in the middle of the picture that a view shows."""
+    header = workstation.state(f"frames['{view}']")
+    matrix = np.reshape(header["lps_from_pixel"], (4, 4))
+    return (matrix @ (header["width"] / 2, header["height"] / 2, 0.0, 1.0))[:3]
+
+
 def host(workstation, view):
     """Where a view's picture takes clicks, CSS px."""
     return workstation.page.locator(f".picture-host:has(canvas[data-view={view}])").bounding_box()
@@ -192,4 +206,55 @@ def test_a_slice_zooms_about_the_cursor_and_says_when_it_is_thick(server, workst
     for _ in range(3):
         workstation.page.keyboard.press("i")
     wait_for(workstation, "window.__carina.state.session.slab.thickness_mm === 0")
+    assert workstation.faults == []
+
+
+@pytest.mark.parametrize("view", ["coronal", "cut-plane"])
+def test_a_picture_is_panned_by_middle_and_shift_drag_and_by_keys_and_fits_again(server, workstation, view):
+    workstation.open(server)
+    workstation.wait_ready()
+    workstation.wait_picture(view)
+    fitted, first_mm = workstation.pixels(view), extent_mm(workstation, view)
+    first = middle_lps(workstation, view)
+    crosshair = workstation.state("session.crosshair_lps")
+    box = host(workstation, view)
+    mm_per_css = first_mm / box["width"]
+    header = workstation.state(f"frames['{view}']")
+    axes = np.reshape(header["lps_from_pixel"], (4, 4))[:3, :2]
+    right, down = (axes / np.linalg.norm(axes, axis=0)).T
+
+    def settled_at(expected):
+        """The picture in full quality round this point."""
+        text = ",".join(str(float(v)) for v in expected)
+        wait_for(
+            workstation,
+            f"""((h) => h.full && Math.hypot(...[{text}].map((v, n) =>
+                h.lps_from_pixel[4 * n] * h.width / 2 + h.lps_from_pixel[4 * n + 1] * h.height / 2
+                + h.lps_from_pixel[4 * n + 3] - v)) < 0.02 * {first_mm})(window.__carina.state.frames['{view}'])""",
+        )
+
+    drag(workstation, view, (0.5, 0.5), (0.6, 0.4), button="middle")
+    moved = first - (0.1 * box["width"] * right - 0.1 * box["height"] * down) * mm_per_css
+    settled_at(moved)
+    assert extent_mm(workstation, view) == pytest.approx(first_mm, rel=0.01), "a pan does not zoom"
+    assert workstation.state("session.crosshair_lps") == crosshair, "a pan moves no crosshair"
+
+    workstation.page.keyboard.down("Shift")
+    mouse = workstation.page.mouse
+    mouse.down()
+    mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"], steps=6)
+    mouse.up()
+    workstation.page.keyboard.up("Shift")
+    settled_at(first)
+    workstation.picture(f"views-panned-{view}")
+
+    workstation.page.locator(f".picture-host:has(canvas[data-view={view}])").focus()
+    workstation.page.keyboard.press("Control+ArrowRight")
+    settled_at(first + 40 * mm_per_css * right)
+    workstation.page.keyboard.press("+")
+    wait_for(workstation, f"window.__carina.state.frames['{view}'].full")
+    workstation.page.locator(f"[data-testid=fit-{view}]").click()
+    workstation.page.locator(f"[data-testid=fit-{view}]").wait_for(state="detached")
+    settled_at(first)
+    workstation.wait_picture(view, like=fitted)
     assert workstation.faults == []

@@ -35,6 +35,7 @@ window.WebSocket = class extends WebSocket {
       event.stopImmediatePropagation();
       window.__answered();
     });
+    window.__socket = this;
     window.__ask = () => this.send(JSON.stringify({type: 'probe', lps: place}));
   }
 };

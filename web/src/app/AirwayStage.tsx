@@ -15,10 +15,12 @@ import {
 } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { maskOf, pathMm, scopeOf } from "../state/app-state";
+import { kindWords } from "../state/branch-words";
 import { forkAhead } from "../state/fork";
 import { fixed, mm, plural } from "../state/format";
+import { penOffWords } from "../state/pen";
 import { nextStopMm } from "../state/route";
-import { isBrush } from "../state/tools";
+import { worksIn } from "../state/tools";
 import { cameraFromMatrix, lookingUp } from "../state/vec";
 import { wallPointLines } from "../state/wall-point";
 import { clipPathOf, shapeOf } from "../views/outline";
@@ -28,16 +30,18 @@ import { Act, Choice, SwitchKey, Tip } from "./controls";
 import { Icon } from "./icons";
 import { PictureView } from "./PictureView";
 import { ScopeSelect } from "./ScopeSelect";
+import { ToolTag } from "./ToolTag";
 
 export function AirwayStage() {
   const mask = useApp(maskOf);
   const shown = useApp((state) => state.frames.airway !== undefined);
-  const armed = useApp((state) => state.ui.armed !== null && !isBrush(state.ui.armed));
+  const armed = useApp((state) => state.ui.armed);
+  const markable = armed === null ? undefined : worksIn(armed, "airway") ? "yes" : "no";
   const station = useStation();
   return (
     <section className="airway-stage" aria-label="Airway view">
       <AirwayTools />
-      <div className="airway-picture" data-mask={mask} data-armed={armed || undefined}>
+      <div className="airway-picture" data-mask={mask} data-armed={markable}>
         <PictureView
           view="airway"
           shape={shapeOf(mask)}
@@ -54,6 +58,7 @@ export function AirwayStage() {
         ) : (
           <p className="empty centre">The view from the tip appears here as soon as the CT is read.</p>
         )}
+        <ToolTag view="airway" />
       </div>
     </section>
   );
@@ -336,6 +341,17 @@ function SpeedReading() {
   );
 }
 
+/** How far the tip still is from the pen that it follows. */
+function PenReading() {
+  const words = useApp((state) => penOffWords(state.pen));
+  if (words === null) return null;
+  return (
+    <span className="warning-text" data-testid="pen-offset">
+      pen <strong>{words}</strong> away <kbd>{keyOf("join_pen")}</kbd>
+    </span>
+  );
+}
+
 /** The wall point that was clicked last. */
 function WallReading() {
   const picks = useApp((state) => state.picks);
@@ -376,6 +392,7 @@ function Readings() {
   const toFork = route !== null && at !== null && nextStopMm(route, at) < route.length_mm;
   const atEnd = route !== null && at !== null && pose.mode === "path" && at > route.length_mm - AT_END_MM;
   const node = pose.branch_id === null ? undefined : tree?.byId.get(pose.branch_id);
+  const kind = node === undefined ? null : kindWords(node.branch.kind);
   return (
     <>
       <div className="reading top-left" data-testid="hud">
@@ -386,7 +403,7 @@ function Readings() {
           <strong className="warning-text">{pose.scope === null ? "Outside the airway" : "At the wall"}</strong>
         )}
         {pose.generation === null ? null : <span>generation {pose.generation}</span>}
-        {node?.branch.kind === "bridge" ? <span className="warning-text">bridge: no airway on the CT</span> : null}
+        {kind === null ? null : <span className="warning-text">{kind}: the CT shows no airway here</span>}
       </div>
       <div className="reading top-right numbers">
         {at === null ? null : (
@@ -395,6 +412,7 @@ function Readings() {
           </span>
         )}
         <ScopeReading />
+        <PenReading />
         <SpeedReading />
         {pose.lumen_mm === null ? null : (
           <span>

@@ -2,15 +2,19 @@
 
 import { useEffect, useMemo, useRef, useState } from "react";
 import { Button, Input, type Key, SearchField, Tree, TreeItem, TreeItemContent } from "react-aria-components";
+import { ClickCounter } from "../input/clicks";
 import { keyOf } from "../input/keymap";
 import type { BranchNode, BranchTree } from "../state/airways";
 import { lineage } from "../state/airways";
 import { shownBranch } from "../state/app-state";
-import { filterTree, kindWords, marksOf, tooltipOf } from "../state/branch-words";
+import { filterTree, kindWords, lumenMm, marksOf, tooltipOf } from "../state/branch-words";
 import { fixed, plural, sentence } from "../state/format";
+import { wantsBranch } from "../state/tools";
+import { below } from "../state/tree-index";
 import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
 import { Icon } from "./icons";
+import { ListToolTag } from "./ToolTag";
 import { UncertainPlaces } from "./UncertainPlaces";
 
 /** Open at first: as far as every bronchoscopist knows the names by heart. */
@@ -24,6 +28,11 @@ export function BranchList() {
   const arming = useApp((state) => state.ui.armed === "root");
   const chosen = useApp((state) => state.route?.spans.at(-1)?.branch_id ?? null);
   const shown = useApp(shownBranch);
+  /** A row is a branch to cut, to smooth, or whose fork is moved. */
+  const forTool = useApp((state) => wantsBranch(state.ui.armed, state.ui.forkHeld !== null));
+  /** Rows move up when one is cut: the second click of a double click must not mean the one that lies there then. */
+  const clicks = useRef(new ClickCounter());
+  const isRepeated = useRef(false);
   const [expanded, setExpanded] = useState<Set<Key>>(new Set());
   const [search, setSearch] = useState("");
   const list = useRef<HTMLDivElement>(null);
@@ -76,7 +85,7 @@ export function BranchList() {
   return (
     <section className="branches" aria-label="Airways">
       <h2>
-        Airways <span className="quiet numbers">{plural(count, "branch", "branches")}</span>
+        Airways <ListToolTag /> <span className="quiet numbers">{plural(count, "branch", "branches")}</span>
       </h2>
       <BranchSearch value={search} onChange={setSearch} />
       <RowStyles tree={tree} />
@@ -89,15 +98,32 @@ export function BranchList() {
         <div
           ref={list}
           className="branch-rows"
+          data-armed={forTool || undefined}
+          onPointerDownCapture={({ clientX, clientY, timeStamp, pointerType }) => {
+            const by = pointerType === "mouse" ? "mouse" : "finger";
+            isRepeated.current = clicks.current.count({ x: clientX, y: clientY }, timeStamp, by) > 1;
+          }}
+          onKeyDownCapture={() => {
+            isRepeated.current = false;
+          }}
           onPointerMove={(event) => station.pointing.hoverBranch(branchOf(event.target))}
           onPointerLeave={() => station.pointing.hoverBranch(null)}
           onFocus={(event) => station.pointing.hoverBranch(branchOf(event.target))}
           onBlur={() => station.pointing.hoverBranch(null)}
         >
           <Tree
-            aria-label="Airway branches; choosing one makes it the route"
+            aria-label={
+              forTool
+                ? "Airway branches; the tool acts on the one that is chosen"
+                : "Airway branches; choosing one makes it the route"
+            }
             className="branch-tree"
-            selectionMode="single"
+            selectionMode={forTool ? "none" : "single"}
+            onAction={(key) => {
+              if (!forTool) return;
+              if (!isRepeated.current) station.pointing.clickRow(Number(key));
+              giveKeysBackAfterClick();
+            }}
             selectionBehavior="replace"
             selectedKeys={chosen === null ? [] : [String(chosen)]}
             onSelectionChange={(keys) => {
@@ -150,7 +176,13 @@ function RowStyles({ tree }: { tree: BranchTree }) {
   const here = useApp((state) => state.pose?.branch_id ?? null);
   const hovered = useApp((state) => state.ui.hovered?.branchId ?? null);
   const selected = useApp((state) => state.ui.selected);
+  const cuts = useApp((state) => state.ui.armed === "cut");
   const rules: string[] = [];
+  const doomed = hovered === null || !cuts ? undefined : tree.byId.get(hovered);
+  if (doomed !== undefined) {
+    const rows = below(doomed).map(({ branch }) => `[data-branch="${branch.id}"]`);
+    rules.push(`.branch-tree :is(${rows.join()}) { color: var(--warning); }`);
+  }
   if (here !== null && tree.byId.has(here)) {
     rules.push(`.branch-tree [data-branch="${here}"] .here { visibility: visible; }`);
   }
@@ -199,6 +231,7 @@ function giveKeysBackAfterClick(): void {
 function Row({ node, only }: { node: BranchNode; only: ReadonlySet<number> | null }) {
   const { branch } = node;
   const kind = kindWords(branch.kind);
+  const lumen = lumenMm(node);
   const children = only === null ? node.children : node.children.filter((child) => only.has(child.branch.id));
   return (
     <TreeItem id={String(branch.id)} textValue={node.label}>
@@ -212,25 +245,27 @@ function Row({ node, only }: { node: BranchNode; only: ReadonlySet<number> | nul
             ) : (
               <span className="chevron" />
             )}
-            <span className={`side ${node.side}`} data-lobe={node.lobe ?? undefined} />
+            <span className={`side ${node.side}${kind === null ? "" : " drawn"}`} data-lobe={node.lobe ?? undefined} />
             <span className="name">
               {node.label}
-              {kind === null ? null : <em className={`kind ${branch.kind}`}> {kind}</em>}
               {marksOf(node).map((mark) => (
                 <abbr key={mark.sign} className="mark" title={mark.words}>
                   {mark.sign}
                 </abbr>
               ))}
             </span>
+            {kind === null ? null : <em className="kind">{kind}</em>}
             <span className="here" aria-hidden="true">
               {"\u25c0"}
             </span>
             <span className="numbers generation" title="generation">
               g{branch.generation}
             </span>
-            <span className="numbers quiet lumen" title="lumen, mm">
-              {fixed(node.measures?.lumen_mm ?? node.diameterMm, 1)}
-            </span>
+            {lumen === null ? null : (
+              <span className="numbers quiet lumen" title="lumen, mm">
+                {fixed(lumen, 1)}
+              </span>
+            )}
           </div>
         )}
       </TreeItemContent>

@@ -5,7 +5,7 @@ import { Input, TextField } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import type { BranchNode } from "../state/airways";
 import { shownBranch } from "../state/app-state";
-import { factsOf, nameWords } from "../state/branch-words";
+import { drawnWords, factsOf, nameWords } from "../state/branch-words";
 import { sentence } from "../state/format";
 import { centrelinePoints, measuredPoints } from "../state/profile";
 import { useApp, useStation } from "./context";
@@ -31,20 +31,21 @@ export function BranchPanel() {
   if (node === undefined) {
     return <p className="empty">Choose a branch in the list or in a picture: its measurements appear here.</p>;
   }
+  const drawn = drawnWords(node);
   return (
     <section className="branch-panel" aria-label={`Branch ${node.label}`} data-testid="branch-panel">
       <BranchName node={node} />
-      {node.branch.kind === "bridge" ? (
-        <p className="warning-text">
-          <Icon name="warning" /> A bridge over a blockage: no airway that the CT shows.
+      {drawn === null ? null : (
+        <p className="warning-text" data-testid="branch-drawn">
+          <Icon name="warning" /> {drawn}
         </p>
-      ) : null}
+      )}
       {node.branch.variant === null ? null : (
         <p className="variant">
           <Icon name="info" /> {sentence(node.branch.variant)}
         </p>
       )}
-      <Chart node={node} />
+      {node.branch.kind === "manual" ? null : <Chart node={node} />}
       <dl className="facts">
         {factsOf(node).map((fact) => (
           <div key={fact.term}>

@@ -2,7 +2,9 @@
 
 import { useState } from "react";
 import { Input, TextField } from "react-aria-components";
+import { keyOf } from "../input/keymap";
 import { coordinates, fixed, plural } from "../state/format";
+import { penOffWords } from "../state/pen";
 import { asVec3 } from "../state/vec";
 import type { DeviceControls, DeviceInfo, DevicesMessage } from "../wire/messages";
 import { useApp, useStation } from "./context";
@@ -72,6 +74,7 @@ function Movement({ told }: { told: DevicesMessage }) {
           />
         ))}
       </fieldset>
+      <PenOffset />
       <p className="numbers">
         filter {fixed(told.filter_latency_ms, 1)} ms
         <SwitchKey
@@ -115,6 +118,26 @@ function Movement({ told }: { told: DevicesMessage }) {
         onChange={() => change({ clutch: told.controls.clutch === "hold" ? "always" : "hold" })}
       />
     </div>
+  );
+}
+
+/** What is left between the pen and the tip in absolute movement. */
+function PenOffset() {
+  const station = useStation();
+  const words = useApp((state) => penOffWords(state.pen));
+  if (words === null) return null;
+  return (
+    <p className="warning-text numbers">
+      The pen is {words} away from the tip. They come together as the hand moves.
+      <Act
+        kind="quiet"
+        label="Join now"
+        words="Bring the tip to the pen at once"
+        keys={keyOf("join_pen")}
+        testId="join-pen"
+        onPress={() => station.act("join_pen")}
+      />
+    </p>
   );
 }
 

@@ -3,21 +3,11 @@
 import { type Action, keyOf } from "../input/keymap";
 import { shownBranch } from "../state/app-state";
 import { mm } from "../state/format";
-import { isBrush, isTreeTool, nextBrush, TOOL_WORDS, TREE_TOOLS, type TreeTool } from "../state/tools";
+import { isBrush, isTreeTool, nextBrush, TOOL_WORDS, TREE_TOOLS, type TreeTool, wordsOf } from "../state/tools";
 import { useApp, useStation } from "./context";
 import { Act, SwitchKey } from "./controls";
-import type { IconName } from "./icons";
-
-const ICONS: Readonly<Record<TreeTool, IconName>> = {
-  add: "addBranch",
-  bridge: "bridge",
-  cut: "cut",
-  fork: "fork",
-  smooth: "smooth",
-  paint: "paint",
-  erase: "erase",
-  reroot: "root",
-};
+import { DoubtQuestion } from "./DoubtQuestion";
+import { TOOL_ICONS } from "./ToolTag";
 
 const ACTIONS: Readonly<Record<TreeTool, Action>> = {
   add: "tool_add",
@@ -39,7 +29,7 @@ export function EditTools() {
       {TREE_TOOLS.map((tool) => (
         <SwitchKey
           key={tool}
-          icon={ICONS[tool]}
+          icon={TOOL_ICONS[tool]}
           label={TOOL_WORDS[tool].short}
           words={TOOL_WORDS[tool].words}
           keys={keyOf(ACTIONS[tool])}
@@ -67,15 +57,16 @@ export function ToolInHand() {
   const forkHeld = useApp((state) => state.ui.forkHeld);
   const brushMm = useApp((state) => state.ui.brushMm);
   const ball = useApp((state) => state.ui.brushIsBall);
-  if (!isTreeTool(armed)) return null;
-  const { label, hint } = TOOL_WORDS[armed];
+  const doubted = useApp((state) => state.doubt !== null);
+  if (!isTreeTool(armed)) return <DoubtQuestion />;
+  const { label, hint } = wordsOf(armed, forkHeld !== null);
   return (
     <div className="in-hand" role="status" data-testid="in-hand">
       <header>
         <strong>{label}</strong>
         <Act kind="quiet" label="Done" words="Put the tool down" keys="Esc" onPress={() => station.disarm()} />
       </header>
-      <p>{forkHeld === null ? hint : "Now click where the fork should be. The line shows the way there."}</p>
+      {doubted ? <DoubtQuestion /> : <p>{hint}</p>}
       {isBrush(armed) ? (
         <div className="row brush">
           <Act

@@ -4,7 +4,7 @@ import { useLayoutEffect, useRef, useState } from "react";
 import { Slider, SliderThumb, SliderTrack } from "react-aria-components";
 import { keyOf } from "../input/keymap";
 import { pathMm, tipLps } from "../state/app-state";
-import { isBridge } from "../state/branch-words";
+import { kindWords } from "../state/branch-words";
 import { fixed, mm } from "../state/format";
 import { nearestMm } from "../state/route";
 import { AUTO_SPEEDS_MM_S } from "../state/speed";
@@ -86,7 +86,6 @@ export function PathBar() {
 
 function Ruler({ route, at }: { route: RouteInfo; at: number | null }) {
   const station = useStation();
-  const tree = useApp((state) => state.tree);
   const box = useRef<HTMLDivElement>(null);
   const [width, setWidth] = useState(0);
   useLayoutEffect(() => {
@@ -103,15 +102,15 @@ function Ruler({ route, at }: { route: RouteInfo; at: number | null }) {
       <div className="ruler-spans" aria-hidden="true">
         {route.spans.map((span) => {
           const pixels = ((span.to_mm - span.from_mm) / length) * width;
-          const bridge = isBridge(tree, span.branch_id);
-          const name = bridge ? "bridge" : (span.name ?? "");
+          const kind = kindWords(span.kind);
+          const name = kind ?? span.name ?? "";
           const generation = String(span.generation);
           const full = name === "" ? `generation ${generation}` : `${name} \u00b7 ${generation}`;
           const words = [full, name, generation].find((text) => text !== "" && text.length * LETTER_PX + 8 <= pixels);
           return (
             <span
               key={span.branch_id}
-              className={`span${bridge ? " bridge" : ""}${at !== null && at >= span.from_mm && at < span.to_mm ? " here" : ""}`}
+              className={`span${kind === null ? "" : " drawn"}${at !== null && at >= span.from_mm && at < span.to_mm ? " here" : ""}`}
               style={{ left: percent(span.from_mm), width: percent(span.to_mm - span.from_mm) }}
             >
               {words ?? ""}
@@ -132,11 +131,11 @@ function Ruler({ route, at }: { route: RouteInfo; at: number | null }) {
           <div className="path-line" />
           <div className="path-done" style={{ width: percent(at ?? 0) }} />
           {route.spans
-            .filter((span) => isBridge(tree, span.branch_id))
+            .filter((span) => span.kind !== "tracked")
             .map((span) => (
               <span
                 key={span.branch_id}
-                className="path-bridge"
+                className="path-drawn"
                 style={{ left: percent(span.from_mm), width: percent(span.to_mm - span.from_mm) }}
               />
             ))}

@@ -6,11 +6,13 @@ import type { CellName, XrayView } from "../state/app-state";
 import { fixed } from "../state/format";
 import { lettersOf } from "../state/letters";
 import { geometryOf, lpsFromPixel, normalOf } from "../state/projection";
-import { isBrush } from "../state/tools";
+import { worksIn } from "../state/tools";
 import type { PictureHeader, ViewName } from "../wire/messages";
 import { useApp, useStation } from "./context";
-import { Act, Choice } from "./controls";
+import { Act, Choice, SwitchKey } from "./controls";
+import { type FlatView, fitPicture, isFlatView } from "./gestures-flat";
 import { PictureView } from "./PictureView";
+import { ToolTag } from "./ToolTag";
 
 const SLICES = [
   { cell: "axial", title: "Axial" },
@@ -125,17 +127,18 @@ function Cell({ cell, view, title, reading, tools, empty }: CellProps) {
   const isFull = useApp((state) => state.ui.full === cell);
   const shown = useApp((state) => state.frames[view] !== undefined);
   const armed = useApp((state) => state.ui.armed);
-  const outside = view === "tree" || view === "tri-plane";
-  const markable = armed !== null && !view.startsWith("xray") && view !== "drr" && !(outside && isBrush(armed));
+  const markable = armed === null ? undefined : worksIn(armed, view) ? "yes" : "no";
   const toggleFull = () => station.ui({ full: station.state.ui.full === cell ? null : cell });
   return (
-    <section className="cell" data-cell={cell} data-armed={markable || undefined} aria-label={title}>
+    <section className="cell" data-cell={cell} data-armed={markable} aria-label={title}>
       <header>
         <span className={`plane ${cell}`} aria-hidden="true" />
         <h2>{title}</h2>
         {reading}
         <span className="space" />
         {tools}
+        {isFlatView(view) ? <OutlineSwitch /> : null}
+        {isFlatView(view) ? <Fit view={view} /> : null}
         <Act
           kind="icon"
           icon={isFull ? "leaveFull" : "full"}
@@ -147,8 +150,49 @@ function Cell({ cell, view, title, reading, tools, empty }: CellProps) {
       <div className="cell-picture">
         <PictureView view={view} shape="fill" name={title} onDoubleClick={toggleFull} />
         {shown ? null : <p className="empty centre">{empty}</p>}
+        <ToolTag view={view} />
       </div>
     </section>
+  );
+}
+
+/** What was found, over the CT: in all slices and the cut-plane at once. */
+function OutlineSwitch() {
+  const station = useStation();
+  const on = useApp((state) => state.ui.outlineVisible);
+  const found = useApp((state) => state.tree !== null);
+  if (!found) return null;
+  return (
+    <SwitchKey
+      icon="lumen"
+      words="Outline of the lumen and centrelines (dashed: drawn by hand; dotted: uncertain)"
+      keys={keyOf("toggle_outline")}
+      on={on}
+      testId="outline"
+      onChange={() => station.act("toggle_outline")}
+    />
+  );
+}
+
+/** Brings a zoomed or panned picture back. */
+function Fit({ view }: { view: FlatView }) {
+  const station = useStation();
+  const zoomed = useApp((state) => {
+    const zoom = state.session?.zoom;
+    if (zoom === undefined) return false;
+    return (view === "cut-plane" ? zoom.cut_plane_extent_mm : zoom[`${view}_mm_per_px`]) !== null;
+  });
+  if (!zoomed) return null;
+  const words = view === "cut-plane" ? "Back to the tip, 60 mm wide" : "Fit the whole slice";
+  return (
+    <Act
+      kind="icon"
+      icon="fit"
+      words={words}
+      keys="Home"
+      testId={`fit-${view}`}
+      onPress={() => fitPicture(station, view)}
+    />
   );
 }
 

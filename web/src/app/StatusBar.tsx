@@ -8,6 +8,7 @@ import { asVec3 } from "../state/vec";
 import { ClusterPanel } from "./ClusterPanel";
 import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
+import { ToolHint } from "./ToolTag";
 
 export function StatusBar() {
   const station = useStation();
@@ -23,16 +24,17 @@ export function StatusBar() {
   const level = useApp((state) => greyWindow(state).level_hu);
   const undo = useApp((state) => state.session?.can_undo ?? null);
   const redo = useApp((state) => state.session?.can_redo ?? null);
+  const armed = useApp((state) => state.ui.armed !== null);
   return (
     <footer className="status-bar numbers">
       <ConnectionWords />
       <PaceWords />
-      <FineWords />
-      <MethodWords />
+      {armed ? null : <FineWords />}
+      {armed ? null : <MethodWords />}
       <ClusterPanel />
       <span data-testid="mode">mode: {control ?? mode} [M]</span>
       {recording === null ? null : <span className="warning-text">recording</span>}
-      <span className="wide spare">
+      <span className="wide spare" hidden={armed}>
         {windowWords(width, level)}
         {isHu ? " HU" : ""}
       </span>
@@ -58,6 +60,7 @@ export function StatusBar() {
           />
         )}
       </span>
+      <ToolHint />
       <span className="space" />
       <CursorWords />
       <strong className="not-device">not a medical device</strong>

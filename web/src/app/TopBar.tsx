@@ -2,15 +2,22 @@
 
 import { Fragment } from "react";
 import { Button } from "react-aria-components";
+import { besideNotHu } from "../state/badges";
+import { sentence } from "../state/format";
 import { STEP_WORDS, STEPS } from "../state/steps";
+import type { CaseNote } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
+
+const NONE: readonly CaseNote[] = [];
 
 export function TopBar() {
   const station = useStation();
   const title = useApp((state) => state.session?.case?.title ?? "");
   const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
   const reason = useApp((state) => state.session?.case?.not_hu_reason ?? null);
+  const badges = useApp((state) => state.session?.badges ?? NONE);
+  const doubts = besideNotHu(badges);
   const step = useApp((state) => state.ui.step);
   return (
     <header className="top-bar">
@@ -20,6 +27,13 @@ export function TopBar() {
         <Tip words={reason ?? "The numbers of this volume are no Hounsfield units."}>
           <Button className="badge warning" onPress={() => station.ui({ step: "check" })} data-testid="not-hu">
             not HU
+          </Button>
+        </Tip>
+      )}
+      {doubts.length === 0 ? null : (
+        <Tip words={doubts.map(({ words }) => sentence(words)).join(" ")}>
+          <Button className="badge warning" onPress={() => station.ui({ step: "check" })} data-testid="doubts">
+            {doubts.length === 1 ? "1 doubt" : `${doubts.length} doubts`}
           </Button>
         </Tip>
       )}
@@ -43,7 +57,7 @@ export function TopBar() {
                         if (event.pointerType === "mouse" && document.activeElement instanceof HTMLElement) {
                           document.activeElement.blur();
                         }
-                        station.ui({ step: name });
+                        station.toStep(name);
                       }}
                     >
                       {words}

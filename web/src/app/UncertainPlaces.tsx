@@ -6,6 +6,7 @@ import { groupsOf } from "../state/uncertain";
 import { asVec3 } from "../state/vec";
 import type { UncertainPlace } from "../wire/messages";
 import { useApp, useStation } from "./context";
+import { showPlace } from "./gestures-flat";
 
 const NONE: readonly UncertainPlace[] = [];
 
@@ -27,7 +28,7 @@ export function UncertainPlaces() {
                   <Button
                     className="plain-text"
                     onPress={() => {
-                      station.send({ type: "set_crosshair", lps: asVec3(place.lps) });
+                      showPlace(station, asVec3(place.lps), place.branch_id);
                       if (place.branch_id !== null) station.ui({ selected: place.branch_id });
                     }}
                     onHoverChange={(on) => station.pointing.hoverBranch(on ? place.branch_id : null)}

@@ -1,5 +1,6 @@
 /** The workstation: the airway large, the other pictures around it, the step's panel at its side. */
 
+import type { CSSProperties } from "react";
 import { AirwayStage } from "./AirwayStage";
 import { BranchList } from "./BranchList";
 import { useApp } from "./context";
@@ -10,15 +11,24 @@ import { PathBar } from "./PathBar";
 import { SideViews } from "./SideViews";
 import { StatusBar } from "./StatusBar";
 import { StepPanel } from "./StepPanel";
+import { cursorOf } from "./ToolTag";
 import { TopBar } from "./TopBar";
 
 export function WorkstationPage() {
   const full = useApp((state) => state.ui.full);
   const devicesOpen = useApp((state) => state.ui.devicesOpen);
   const keysOpen = useApp((state) => state.ui.keysOpen);
+  const armed = useApp((state) => state.ui.armed);
   const lost = useApp((state) => state.connection.status === "lost" || state.connection.status === "refused");
   return (
-    <div className="workstation" data-testid="workstation" data-full={full ?? undefined} data-lost={lost || undefined}>
+    <div
+      className="workstation"
+      data-testid="workstation"
+      data-full={full ?? undefined}
+      data-lost={lost || undefined}
+      data-armed={armed ?? undefined}
+      style={armed === null ? undefined : ({ "--tool-cursor": cursorOf(armed) } as CSSProperties)}
+    >
       <TopBar />
       <aside className="left-panel">
         <BranchList />

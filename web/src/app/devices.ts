@@ -9,6 +9,7 @@ import { SPACEMOUSE_FILTERS, SpaceMouse } from "../input/devices/spacemouse";
 import { Headset, headsetOffer, type Xr } from "../input/devices/webxr";
 import { WHEEL_MM_PER_PX } from "../input/flight";
 import { maskOf } from "../state/app-state";
+import { marksByPen } from "../state/pen";
 import type { Vec3 } from "../state/vec";
 import { type NewestPicture, PictureScreen, type XrLayer } from "../views/headset-screen";
 import type { ClientMessage } from "../wire/messages";
@@ -185,10 +186,9 @@ export class BrowserDevices {
   /** While root or target are in the hand, the pen's button sets them, and the way there is shown (paper 6.3). */
   #armPen(): void {
     const { armed } = this.#station.state.ui;
-    const tool = armed === "root" || armed === "target" ? armed : null;
-    const pen = this.#station.state.devices?.devices.some((device) => device.holds && device.position_mm !== null);
+    const tool = marksByPen(armed) ? armed : null;
     if (tool === this.#armed) {
-      if (tool !== null && pen === true) this.#station.pointing.penAt();
+      if (tool !== null) this.#station.pointing.penAt();
       return;
     }
     this.#armed = tool;

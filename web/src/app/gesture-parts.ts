@@ -12,9 +12,7 @@ const WINDOW_HU_PER_PX = 3;
 
 export interface Gestures {
   pointer: PointerHandlers;
-  /** Takes back what the clicks of a double click have done. */
-  unclick?(): void;
-  key?(key: string, shift: boolean): boolean;
+  key?(key: string, shift: boolean, ctrl: boolean): boolean;
 }
 
 export function dragWindow(station: Workstation, moved: { dx: number; dy: number }): void {

@@ -11,7 +11,6 @@ import type { StateMessage } from "../wire/messages";
 import { dragWindow, type Gestures, ORBIT_DEG_PER_PX, ORBIT_KEY_DEG, ZOOM_KEY_PX, ZOOM_PER_PX } from "./gesture-parts";
 import { FRONTAL, type Workstation } from "./workstation";
 
-const DOUBLE_CLICK_MS = 700;
 const STEP_MM = 2;
 const MM_PER_PX = { least: 0.02, most: 10 } as const;
 
@@ -43,24 +42,14 @@ export function pathGestures(station: Workstation, viewport: Viewport): Gestures
     const scaleNow = shown.now().mm_per_px ?? (geometry.mmPerPx * header.width) / wantedPixels.width;
     change({ ...shown.now(), mm_per_px: clampScale(scaleNow * Math.exp(deltaPx * ZOOM_PER_PX)) });
   };
-  /** The tip's place before a click that may turn out to be the first half of a double click. */
-  let before: { pathMm: number; atMs: number } | null = null;
   return {
-    unclick: () => {
-      if (before !== null && performance.now() - before.atMs < DOUBLE_CLICK_MS) station.goTo(before.pathMm);
-      before = null;
-    },
     pointer: {
       click: (at) => {
         const geometry = lines();
         const pixel = viewport.pixelAt(at);
         if (geometry === null || pixel === null) return;
-        const here = station.pathMm();
-        const nowMs = performance.now();
-        if (here !== null && (before === null || nowMs - before.atMs > DOUBLE_CLICK_MS)) {
-          before = { pathMm: here, atMs: nowMs };
-        }
-        station.goTo(pathMmAt(geometry, pixel.row));
+        const there = pathMmAt(geometry, pixel.row);
+        station.pointing.unlessDouble(() => station.goTo(there));
       },
       drag: (_at, moved, button) => {
         if (button === "main") turn(moved.dx * ORBIT_DEG_PER_PX);

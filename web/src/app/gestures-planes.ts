@@ -72,7 +72,8 @@ export function planeDrag(station: Workstation, viewport: Viewport): PlaneDrag {
     },
     hover: (at) => {
       const plane = at === null ? null : (under(at)?.hit.plane ?? null);
-      viewport.host.style.cursor = plane === null ? "" : "move";
+      // With a tool in the hand the cursor is the tool's.
+      viewport.host.style.cursor = plane === null || station.state.ui.armed !== null ? "" : "move";
       if (station.state.ui.overPlane !== plane) station.ui({ overPlane: plane });
     },
     key: (name) => {

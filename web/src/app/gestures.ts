@@ -1,24 +1,29 @@
 /** What the mouse, the wheel and the keys of a focused picture do, by kind of picture. */
 
+import { deedOf } from "../input/clicks";
 import { WHEEL_MM_PER_PX } from "../input/flight";
 import { listenToPointer, type PointerPlace } from "../input/pointer";
-import { type AppState, crosshairLps } from "../state/app-state";
 import { type FlatGeometry, geometryOf, lpsFromPixel, mmPerPixel, normalOf } from "../state/projection";
-import { add, asVec3, cameraFromMatrix, distance, dot, scale, sub, unit, type Vec3 } from "../state/vec";
+import { add, asVec3, cameraFromMatrix, distance, dot, scale, sub, type Vec3 } from "../state/vec";
 import { clampToVolume, middleOf } from "../state/volume";
 import { isInside } from "../views/outline";
 import type { Viewport } from "../views/viewport";
 import type { ViewName } from "../wire/messages";
 import { dragWindow, type Gestures, ORBIT_DEG_PER_PX, ORBIT_KEY_DEG, ZOOM_KEY_PX, ZOOM_PER_PX } from "./gesture-parts";
 import { carmGestures, pathGestures } from "./gestures-along";
+import { fitPicture, flatPlacing, PAN_KEY_PX } from "./gestures-flat";
 import { planeDrag } from "./gestures-planes";
 import type { Workstation } from "./workstation";
 
 const CROSSHAIR_KEY_MM = 1;
 /** A wheel notch (100 px) scrolls one slice. */
 const SCROLL_SLICES_PER_PX = 0.01;
-const DOUBLE_CLICK_MS = 700;
-const ZOOM_MEMORY_MS = 400;
+const ARROWS: Readonly<Record<string, { x: number; y: number }>> = {
+  ArrowLeft: { x: -1, y: 0 },
+  ArrowRight: { x: 1, y: 0 },
+  ArrowUp: { x: 0, y: -1 },
+  ArrowDown: { x: 0, y: 1 },
+};
 
 type Slice = "axial" | "coronal" | "sagittal";
 const isSlice = (view: ViewName): view is Slice => view === "axial" || view === "coronal" || view === "sagittal";
@@ -59,21 +64,41 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
     return current;
   };
   const key = (event: KeyboardEvent) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.target !== viewport.host) return;
-    if (event.key === "Enter" && station.state.ui.armed !== null) {
+    // With Ctrl only the arrows are a picture's: the rest is the page's and the browser's.
+    const ctrl = event.ctrlKey || event.metaKey;
+    if ((ctrl && ARROWS[event.key] === undefined) || event.altKey || event.target !== viewport.host) return;
+    if (event.key === "Enter" && event.repeat) {
+      // A key that is held is one gesture.
+    } else if (event.key === "Enter" && station.state.ui.armed !== null) {
       // The crosshair, or the middle of the airway picture, stands for the cursor.
       const centre = station.centre();
       if (viewport.view === "airway") station.act("wall_point");
-      else if (centre !== null) station.pointing.commit(centre);
+      else if (centre !== null) station.pointing.commitHere(centre);
     } else if (event.key === "Enter") doubleClick();
-    else if (now().key?.(event.key, event.shiftKey) !== true) return;
+    else if (now().key?.(event.key, event.shiftKey, ctrl) !== true) return;
     event.preventDefault();
   };
   viewport.host.addEventListener("keydown", key);
+  /** The first click of a series was for what was in the hand: the others do nothing more. */
+  let forTool = false;
   const stopPointer = listenToPointer(viewport.host, {
-    click: (at) => {
-      if (!station.pointing.click(viewport, at)) now().pointer.click?.(at);
+    pans: () => now().pointer.pans?.() ?? false,
+    click: (at, count) => {
+      const armed = station.state.ui.armed !== null;
+      forTool = armed || (forTool && count > 1);
+      switch (deedOf(count, forTool)) {
+        case "click":
+          if (!armed) station.pointing.beginClick();
+          if (!station.pointing.click(viewport, at)) now().pointer.click?.(at, count);
+          break;
+        case "enlarge":
+          if (station.pointing.takeBackClick()) doubleClick();
+          break;
+        case "nothing":
+          break;
+      }
     },
+    secondaryClick: () => station.putAway(),
     drag: (at, moved, button) => now().pointer.drag?.(at, moved, button),
     release: () => now().pointer.release?.(),
     hover: (at, shift) => {
@@ -81,11 +106,6 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
       station.pointing.hover(viewport, at);
     },
     wheel: (delta, zoom, at) => now().pointer.wheel?.(delta, zoom, at),
-    doubleClick: () => {
-      station.pointing.unclick();
-      now().unclick?.();
-      doubleClick();
-    },
   });
   return () => {
     viewport.host.removeEventListener("keydown", key);
@@ -94,23 +114,12 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
 }
 
 function airwayGestures(station: Workstation, viewport: Viewport): Gestures {
-  /** What was before a click that may turn out to be the first half of a double click. */
-  let before: { crosshair: Vec3 | null; picks: AppState["picks"]; atMs: number } | null = null;
   return {
-    unclick: () => {
-      if (before === null || performance.now() - before.atMs > DOUBLE_CLICK_MS) return;
-      station.forgetPicks(before);
-      before = null;
-    },
     pointer: {
       click: (at) => {
         const { header, frame } = viewport;
         const pixel = viewport.pixelAt(at);
         if (header === null || pixel === null) return;
-        const nowMs = performance.now();
-        if (before === null || nowMs - before.atMs > DOUBLE_CLICK_MS) {
-          before = { crosshair: crosshairLps(station.state), picks: station.state.picks, atMs: nowMs };
-        }
         const geometry = geometryOf(header);
         if (geometry?.kind === "flat") {
           // The view finder is a cut-plane, and is clicked in like one.
@@ -135,7 +144,7 @@ function airwayGestures(station: Workstation, viewport: Viewport): Gestures {
 function flatGestures(station: Workstation, viewport: Viewport): Gestures {
   /** Where the picture lay when the drag began: it may move under the pointer while it is zoomed. */
   let held: { geometry: FlatGeometry; viewport: Viewport["header"] } | null = null;
-  const zoomed = zoomsUnderWay();
+  const placing = flatPlacing(station, viewport);
   const flat = (): FlatGeometry | null => {
     if (viewport.header === null) return null;
     const geometry = geometryOf(viewport.header);
@@ -163,41 +172,6 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
     const way = viewport.view === "axial" ? -step : step;
     moveCrosshair(add(centre, scale(normalOf(geometry), slices * way)));
   };
-  /** About the cursor, so that what lies under it stays there; with keys about the middle. */
-  const zoom = (deltaPx: number, at: PointerPlace | null): void => {
-    const geometry = flat();
-    const { header, wantedPixels } = viewport;
-    if (geometry === null || header === null || wantedPixels === null) return;
-    const factor = Math.exp(deltaPx * ZOOM_PER_PX);
-    const extentMm = mmPerPixel(geometry) * header.width;
-    if (isSlice(viewport.view)) {
-      const before = zoomed.now(viewport.view) ?? {
-        mmPerPx: extentMm / wantedPixels.width,
-        middle: lpsFromPixel(geometry, { column: header.width / 2, row: header.height / 2 }),
-      };
-      const mmPerPx = Math.min(Math.max(before.mmPerPx * factor, 0.02), 10);
-      const pixel = at === null ? null : viewport.pixelAt(at);
-      let middle = before.middle;
-      if (pixel !== null) {
-        // From the middle of the picture to the cursor, mm; the same pixels are another way after the zoom.
-        const perPx = wantedPixels.width / header.width;
-        const right = (pixel.column - header.width / 2) * perPx * (before.mmPerPx - mmPerPx);
-        const down = (pixel.row - header.height / 2) * perPx * (before.mmPerPx - mmPerPx);
-        middle = add(middle, add(scale(unit(geometry.perColumn), right), scale(unit(geometry.perRow), down)));
-      }
-      zoomed.note(viewport.view, { mmPerPx, middle });
-      station.sendSoon({
-        type: "set_zoom",
-        view: viewport.view,
-        mm_per_px: mmPerPx,
-        extent_mm: null,
-        center_lps: middle,
-      });
-    } else {
-      const extent = Math.min(Math.max(extentMm * factor, 5), 500);
-      station.sendSoon({ type: "set_zoom", view: "cut-plane", mm_per_px: null, extent_mm: extent, center_lps: null });
-    }
-  };
   const moveBy = (right: number, down: number): void => {
     const geometry = flat();
     const centre = station.centre();
@@ -207,27 +181,20 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
     moveCrosshair(add(centre, offset));
   };
   let scrolled = 0;
-  /** The crosshair before a click that may turn out to be the first half of a double click. */
-  let before: { crosshair: Vec3 | null; atMs: number } | null = null;
   return {
-    unclick: () => {
-      if (before === null || performance.now() - before.atMs > DOUBLE_CLICK_MS) return;
-      station.sendSoon({ type: "set_crosshair", lps: before.crosshair });
-      before = null;
-    },
     pointer: {
+      pans: () => true,
       click: (at) => {
         const lps = pointAt(at);
-        if (lps === null) return;
-        const nowMs = performance.now();
-        if (before === null || nowMs - before.atMs > DOUBLE_CLICK_MS) {
-          before = { crosshair: crosshairLps(station.state), atMs: nowMs };
-        }
-        station.pick(lps);
+        if (lps !== null) station.pick(lps);
       },
       drag: (at, moved, button) => {
         if (button === "window") {
           dragWindow(station, moved);
+          return;
+        }
+        if (button === "pan") {
+          placing.pan(moved);
           return;
         }
         if (station.pointing.stroke(viewport, at)) return;
@@ -248,7 +215,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
       },
       wheel: (delta, isZoom, at) => {
         if (isZoom || !isSlice(viewport.view)) {
-          zoom(delta, at);
+          placing.zoom(delta, at);
           return;
         }
         scrolled += delta * SCROLL_SLICES_PER_PX;
@@ -257,42 +224,19 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
         if (slices !== 0) scroll(slices);
       },
     },
-    key: (name, shift) => {
+    key: (name, shift, ctrl) => {
+      const arrow = ARROWS[name];
       if (name === "PageUp" || name === "PageDown") scroll(name === "PageUp" ? -1 : 1);
-      else if (name === "+" || name === "=") zoom(-ZOOM_KEY_PX, null);
-      else if (name === "-") zoom(ZOOM_KEY_PX, null);
+      // The picture is looked at farther in the arrow's direction, so it goes the other way.
+      else if (ctrl && arrow !== undefined) placing.pan({ dx: -arrow.x * PAN_KEY_PX, dy: -arrow.y * PAN_KEY_PX });
+      else if (name === "+" || name === "=") placing.zoom(-ZOOM_KEY_PX, null);
+      else if (name === "-") placing.zoom(ZOOM_KEY_PX, null);
       else if (name === "Home") fitPicture(station, viewport.view);
-      else if (shift && name === "ArrowLeft") moveBy(-CROSSHAIR_KEY_MM, 0);
-      else if (shift && name === "ArrowRight") moveBy(CROSSHAIR_KEY_MM, 0);
-      else if (shift && name === "ArrowUp") moveBy(0, -CROSSHAIR_KEY_MM);
-      else if (shift && name === "ArrowDown") moveBy(0, CROSSHAIR_KEY_MM);
+      else if (shift && arrow !== undefined) moveBy(arrow.x * CROSSHAIR_KEY_MM, arrow.y * CROSSHAIR_KEY_MM);
       else return false;
       return true;
     },
   };
-}
-
-interface SliceZoom {
-  mmPerPx: number;
-  middle: Vec3;
-}
-
-/** Turns of the wheel come faster than pictures: each builds on the one before, not on the picture that is still shown. */
-function zoomsUnderWay() {
-  let last: { view: ViewName; zoom: SliceZoom; atMs: number } | null = null;
-  return {
-    now: (view: ViewName): SliceZoom | null =>
-      last !== null && last.view === view && performance.now() - last.atMs < ZOOM_MEMORY_MS ? last.zoom : null,
-    note: (view: ViewName, zoom: SliceZoom): void => {
-      last = { view, zoom, atMs: performance.now() };
-    },
-  };
-}
-
-function fitPicture(station: Workstation, view: ViewName): void {
-  if (isSlice(view) || view === "cut-plane") {
-    station.sendSoon({ type: "set_zoom", view, mm_per_px: null, extent_mm: null, center_lps: null });
-  }
 }
 
 /** One slice of the scan across a plane: the spacing of the voxel axis that lies nearest to the plane's normal. */

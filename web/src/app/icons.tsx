@@ -16,6 +16,8 @@ const PATHS = {
     "M3 4h.01M7 3h.01M11.5 4.5h.01M5 7.5h.01M9 7h.01M13 8.5h.01M3 11h.01M7.5 11.5h.01M11.5 12.5h.01M2.5 7.5h.01M5.5 13.5h.01",
   routeLine: "M3 13.5c0-5 10-4 10-11M3 13.5h.01M13 2.5h.01",
   full: "M2.5 6V2.5H6M10 2.5h3.5V6M13.5 10v3.5H10M6 13.5H2.5V10",
+  fit: "M2 2h12v12H2zM5 8h6M5 8l1.8-1.8M5 8l1.8 1.8M11 8 9.2 6.2M11 8l-1.8 1.8",
+  lumen: "M8 3c3.5 0 5.5 1.8 5.5 4.6S11.2 13 8 13s-5.2-2-5.2-5S4.5 3 8 3M8 7.9h.01",
   leaveFull: "M6 2.5V6H2.5M13.5 6H10V2.5M10 13.5V10h3.5M2.5 10H6v3.5",
   close: "M4 4l8 8M12 4l-8 8",
   warning: "M8 2 1.5 13.5h13zM8 6.5v3.2M8 11.7v.1",
@@ -47,6 +49,9 @@ const PATHS = {
 } as const;
 
 export type IconName = keyof typeof PATHS;
+
+/** As an SVG path in a square of 16, for what is drawn elsewhere. */
+export const outlineOfIcon = (name: IconName): string => PATHS[name];
 
 export function Icon({ name }: { name: IconName }) {
   return (

@@ -1,12 +1,14 @@
 /** What a cursor or a click on a picture means: a branch, a point in the lumen, a stroke; with a tool in the hand or without. */
 
+import { PatientDeed } from "../input/clicks";
 import type { PointerPlace } from "../input/pointer";
-import { tipLps } from "../state/app-state";
+import { type AppState, crosshairLps, penPoint } from "../state/app-state";
+import { previewTool } from "../state/edit-preview";
 import { forkOf } from "../state/fork-choice";
 import { linesOf, lpsAt } from "../state/lines";
 import { LiveAsker, type LiveQuestion } from "../state/live-path";
 import { geometryOf, lpsFromPixel, type PixelPoint } from "../state/projection";
-import { isBrush, strokePoints, wantsBranch, wantsPath } from "../state/tools";
+import { isBrush, strokePoints, wantsBranch, wantsPath, wordsOf, worksIn } from "../state/tools";
 import { branchAhead, placeFromOutside, placeInLumen, type TreePlace } from "../state/tree-index";
 import { planeUnder } from "../state/tri-plane";
 import { asVec3, distance, type Vec3 } from "../state/vec";
@@ -25,8 +27,9 @@ interface Pointed {
   readonly pixel: PixelPoint | null;
 }
 
-/** As long as most systems wait for a second click, at least nearly. */
-const DOUBLE_CLICK_MS = 300;
+/** A mouse that lies still does not ask any more, wherever its cursor is. */
+const CURSOR_RESTS_MS = 1000;
+const SHAKES_PX = 3;
 const PLANES = ["axial", "coronal", "sagittal"] as const;
 
 export class Pointing {
@@ -35,10 +38,15 @@ export class Pointing {
   /** A click in the airway view whose point the server is asked for. */
   #commitOn: number | null = null;
   #lastAsked = 0;
+  /** Where the cursor was last. */
+  #hovered: { viewport: Viewport; at: PointerPlace } | null = null;
+  #cursorMovedMs = Number.NEGATIVE_INFINITY;
   /** Where the pen was when its way was last asked for. */
   #penAsked: Vec3 | null = null;
-  /** A branch clicked from outside, that becomes the route unless a second click follows. */
-  #chosen: { timer: ReturnType<typeof setTimeout>; before: number | null } | null = null;
+  /** What a first click asked for that a second one could not take back: a route, a flight. */
+  readonly #patient = new PatientDeed();
+  /** What was shown before a click that may turn out to be the first half of a double click. */
+  #before: { crosshair: Vec3 | null; picks: AppState["picks"]; selected: number | null } | null = null;
 
   constructor(station: Workstation) {
     this.#station = station;
@@ -58,13 +66,35 @@ export class Pointing {
     const pointed = at === null ? null : this.#under(viewport, at);
     const cursor = at === null ? null : { view: viewport.view, x: at.x, y: at.y };
     const hovered = pointed?.branchId == null ? null : { branchId: pointed.branchId, place: pointed.place };
+    this.#cursorMovedMs = performance.now();
+    this.#hovered = at === null ? null : { viewport, at };
+    if (at === null) this.#penAsked = null;
+    if (ui.penLeads) station.ui({ penLeads: false });
     if (cursor !== null || ui.cursor?.view === viewport.view || ui.cursor === null) {
       station.ui({ cursor, hovered, pointedLps: pointed?.lps ?? null });
     }
-    if (!wantsPath(ui.armed, ui.forkHeld !== null)) return;
-    const question = pointed === null ? null : questionOf(viewport.header, pointed);
-    if (question === null) this.#forget();
-    else this.#live.ask(question);
+    this.#ask(pointed === null ? null : questionOf(viewport.header, pointed));
+  }
+
+  /** Another picture lies under a cursor that rests: a click means another place of the patient. */
+  pictureDrawn(view: string): void {
+    if (this.#hovered?.viewport.view !== view || this.#station.state.ui.penLeads) return;
+    const { armed, forkHeld } = this.#station.state.ui;
+    if (!wantsPath(armed) && previewTool(armed, forkHeld !== null) === null) return;
+    const { viewport, at } = this.#hovered;
+    const pointed = this.#under(viewport, at);
+    this.#station.ui({ pointedLps: pointed?.lps ?? null });
+    this.#ask(pointed === null ? null : questionOf(viewport.header, pointed));
+  }
+
+  /**
+   * Where a click is meant: where what it makes was shown. Browsers tell the places of moves in parts of a pixel and those
+   * of clicks in whole ones, and a hand that clicks shakes.
+   */
+  #meant(viewport: Viewport, at: PointerPlace): PointerPlace {
+    const last = this.#hovered;
+    const near = last !== null && Math.max(Math.abs(last.at.x - at.x), Math.abs(last.at.y - at.y)) <= SHAKES_PX;
+    return last !== null && near && last.viewport === viewport ? last.at : at;
   }
 
   /** A row of a list is pointed at. */
@@ -78,10 +108,24 @@ export class Pointing {
   forget(): void {
     this.#forget();
     this.#commitOn = null;
-    this.#station.ui({ stroke: [] });
+    this.#penAsked = null;
+    this.#station.ui({ stroke: [], penLeads: false });
+  }
+
+  /** The way there, or what the tool in the hand would make there; null where nothing is pointed at. */
+  #ask(question: LiveQuestion | null): void {
+    const { ui, doubt } = this.#station.state;
+    const tool = previewTool(ui.armed, ui.forkHeld !== null);
+    if (question === null) {
+      if (wantsPath(ui.armed) || tool !== null) this.#forget();
+    } else if (wantsPath(ui.armed)) this.#live.ask(question);
+    else if (tool !== null && doubt === null) {
+      this.#station.previewing.ask({ tool, branch_id: tool === "move-fork" ? ui.forkHeld : null, ...question });
+    }
   }
 
   #forget(): void {
+    this.#station.previewing.forget();
     this.#live.forget();
     this.#station.store.dispatch({ kind: "live_path", livePath: null });
   }
@@ -103,10 +147,15 @@ export class Pointing {
   }
 
   /** True where the click was for a tool, or chose a branch from outside. */
-  click(viewport: Viewport, at: PointerPlace): boolean {
+  click(viewport: Viewport, clicked: PointerPlace): boolean {
     const station = this.#station;
     const { armed, forkHeld } = station.state.ui;
+    const at = this.#meant(viewport, clicked);
     const pointed = this.#under(viewport, at);
+    if (armed !== null && !worksIn(armed, viewport.view)) {
+      station.notice(`${wordsOf(armed, false).label} does not work in this picture. ${wordsOf(armed, false).hint}`);
+      return true;
+    }
     if (armed === null) {
       if (pointed?.branchId == null) return false;
       const { branchId } = pointed;
@@ -114,32 +163,39 @@ export class Pointing {
         station.ui({ selected: branchId });
         return false;
       }
-      this.unclick();
-      const before = station.state.ui.selected;
       station.ui({ selected: branchId });
-      const timer = setTimeout(() => {
-        this.#chosen = null;
-        station.chooseBranch(branchId);
-      }, DOUBLE_CLICK_MS);
-      this.#chosen = { timer, before };
+      this.unlessDouble(() => station.chooseBranch(branchId));
       return true;
     }
     if (pointed === null) return viewport.view === "tree" || viewport.view === "tri-plane";
     if (isBrush(armed)) {
       this.stroke(viewport, at);
       this.endStroke();
-    } else if (wantsBranch(armed, forkHeld !== null)) this.#onBranch(pointed);
+    } else if (wantsBranch(armed, forkHeld !== null)) this.#onBranch(pointed.branchId, pointed.place);
     else if (pointed.lps !== null) this.commit(pointed.lps);
     else if (pointed.pixel !== null && viewport.header !== null) this.commitInPicture(viewport.header, pointed.pixel);
     return true;
   }
 
-  /** The clicks were a double click, which makes a picture large and chooses no route. */
-  unclick(): void {
-    if (this.#chosen === null) return;
-    clearTimeout(this.#chosen.timer);
-    this.#station.ui({ selected: this.#chosen.before });
-    this.#chosen = null;
+  /** A click without a tool, which a second one may make a double click. */
+  beginClick(): void {
+    const { state } = this.#station;
+    this.#patient.renew();
+    this.#before = { crosshair: crosshairLps(state), picks: state.picks, selected: state.ui.selected };
+  }
+
+  /** Does it when no second click can follow any more. */
+  unlessDouble(deed: () => void): void {
+    this.#patient.begin(deed);
+  }
+
+  /** It was a double click, which chooses nothing; false where that is too late, since the first one was done already. */
+  takeBackClick(): boolean {
+    const before = this.#before;
+    this.#before = null;
+    if (!this.#patient.cancel() || before === null) return false;
+    this.#station.takeBack(before);
+    return true;
   }
 
   /** In the airway view: the lumen in front of the wall there, once the server has said where that is. */
@@ -149,14 +205,27 @@ export class Pointing {
     this.#commitOn = this.#lastAsked;
   }
 
-  /** The pen is in the hand: the way to the tip, while no cursor asks for another. */
+  /** The pen is in the hand: the way to the point that its button marks, while no cursor moves. */
   penAt(): void {
-    const { ui } = this.#station.state;
-    const tip = tipLps(this.#station.state);
-    if (tip === null || ui.cursor !== null || !wantsPath(ui.armed, false)) return;
-    if (this.#penAsked !== null && distance(tip, this.#penAsked) < 0.1) return;
-    this.#penAsked = tip;
-    this.#live.ask({ lps: tip, frame_id: null, column: null, row: null });
+    const { state } = this.#station;
+    const at = penPoint(state);
+    if (at === null || !wantsPath(state.ui.armed)) return;
+    if (performance.now() - this.#cursorMovedMs < CURSOR_RESTS_MS) return;
+    if (this.#penAsked !== null && distance(at, this.#penAsked) < 0.1) return;
+    this.#penAsked = at;
+    this.#station.ui({ penLeads: true });
+    this.#ask({ lps: at, frame_id: null, column: null, row: null });
+  }
+
+  /** By a key: what is in the hand is used at a point, or on the branch that lies there. */
+  commitHere(lps: Vec3): void {
+    const { tree, ui } = this.#station.state;
+    if (!wantsBranch(ui.armed, ui.forkHeld !== null)) {
+      this.commit(lps);
+      return;
+    }
+    const place = tree === null ? null : placeInLumen(tree.index, lps);
+    this.#onBranch(place?.branchId ?? null, place);
   }
 
   /** What is in the hand is used at a point. */
@@ -173,7 +242,7 @@ export class Pointing {
         station.disarm();
         break;
       case "add":
-        this.#edit({ kind: "add-branch", lps });
+        this.#edit({ kind: "add-branch", lps, even_without_evidence: false });
         this.#forget();
         break;
       case "bridge":
@@ -228,20 +297,24 @@ export class Pointing {
     station.ui({ stroke: [] });
   }
 
-  #onBranch(pointed: Pointed): void {
+  /** A row of the list is clicked, with a tool that is meant for branches: it is one, whole. */
+  clickRow(branchId: number): void {
+    this.#onBranch(branchId, null);
+  }
+
+  #onBranch(branchId: number | null, place: TreePlace | null): void {
     const station = this.#station;
     const { tree, ui } = station.state;
-    if (tree === null || pointed.branchId === null) {
+    if (tree === null || branchId === null) {
       station.notice("There is no branch under this place. Click on an airway of the tree.");
       return;
     }
-    const alongMm = pointed.place?.alongMm ?? 0;
     if (ui.armed === "cut") {
-      this.#edit({ kind: "cut-branch", branch_id: pointed.branchId, at_mm: cutMm(alongMm) });
+      this.#edit({ kind: "cut-branch", branch_id: branchId, at_mm: cutMm(place?.alongMm ?? 0) });
     } else if (ui.armed === "smooth") {
-      this.#edit({ kind: "smooth-branch", branch_id: pointed.branchId });
+      this.#edit({ kind: "smooth-branch", branch_id: branchId });
     } else {
-      const held = forkOf(tree, pointed.branchId, alongMm);
+      const held = forkOf(tree, branchId, place?.alongMm ?? 0);
       if (held === null) station.notice("This branch has no fork that could be moved.");
       else station.ui({ forkHeld: held });
     }

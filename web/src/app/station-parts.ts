@@ -4,6 +4,16 @@ import type { StreamStatus } from "../net/stream";
 import type { Connection } from "../state/app-state";
 import type { StateMessage } from "../wire/messages";
 
+/** What the keys for X-ray, cut and slab go through. */
+export const XRAYS = ["xray-coronal", "xray-sagittal", "xray-axial", "drr"] as const;
+export const CUTS = ["cut-plane", "straightened", "curved"] as const;
+export const SLABS = [
+  { thickness_mm: 0, kind: "min" },
+  { thickness_mm: 10, kind: "min" },
+  { thickness_mm: 10, kind: "max" },
+  { thickness_mm: 5, kind: "mean" },
+] as const;
+
 /** Hands a file to the browser, as a click on a link would. */
 export function saveAs(name: string, blob: Blob): void {
   const link = document.createElement("a");

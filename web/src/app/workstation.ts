@@ -10,10 +10,11 @@ import { Stream, type StreamStatus } from "../net/stream";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
 import { mainLeaf, neighbourWay } from "../state/airways";
 import { type AppState, crosshairLps, maskOf, pathMm, shownBranch, tipLps, type Ui } from "../state/app-state";
-import { bridgeWords } from "../state/branch-words";
+import { routeDoubts } from "../state/branch-words";
 import { forkAhead } from "../state/fork";
 import { ownWord } from "../state/own-word";
 import { PaceMeter } from "../state/pace";
+import { wasUsedByPen } from "../state/pen";
 import type { PixelPoint } from "../state/projection";
 import { clampToRoute } from "../state/route";
 import { SpeedMeter, shownSpeed } from "../state/speed";
@@ -34,17 +35,9 @@ import type {
 } from "../wire/messages";
 import { BrowserDevices } from "./devices";
 import { Pointing } from "./pointing";
-import { asConnection, caseKey, saveAs } from "./station-parts";
+import { Previewing } from "./previewing";
+import { asConnection, CUTS, caseKey, SLABS, saveAs, XRAYS } from "./station-parts";
 
-const XRAYS = ["xray-coronal", "xray-sagittal", "xray-axial", "drr"] as const;
-const CUTS = ["cut-plane", "straightened", "curved"] as const;
-/** What the key for thick slices goes through. */
-const SLABS = [
-  { thickness_mm: 0, kind: "min" },
-  { thickness_mm: 10, kind: "min" },
-  { thickness_mm: 10, kind: "max" },
-  { thickness_mm: 5, kind: "mean" },
-] as const;
 type Carm = StateMessage["carm"];
 export const FRONTAL: Carm = { primary_deg: 0, secondary_deg: 0, mm_per_px: null, tone: "radiograph" };
 /** One press of the path bar's arrows. */
@@ -58,6 +51,7 @@ export class Workstation {
   readonly flight: Flight;
   readonly player: KeyPlayer;
   readonly pointing: Pointing;
+  readonly previewing: Previewing;
   readonly devices: BrowserDevices;
   readonly #stream: Stream;
   readonly #board: PictureBoard<ImageBitmap>;
@@ -76,13 +70,14 @@ export class Workstation {
   constructor(connect: () => WebSocket) {
     this.#board = new PictureBoard<ImageBitmap>({
       decode: ({ header, payload }) => createImageBitmap(new Blob([payload], { type: `image/${header.codec}` })),
-      draw: (header, image) => {
+      draw: (header, image, outline) => {
         // A view that has just left the screen is not remembered either: it would lie when it comes back.
-        if (!this.wall.draw(header, image)) return;
+        if (!this.wall.draw(header, image, outline)) return;
         // What stands in for the airway view says nothing about how quickly that one follows.
         if (header.view === "airway") this.#pace.pictureDrawn(header.pose_id, performance.now());
         else if (header.stands_for === "airway") this.#pace.standInDrawn(header.pose_id);
         this.store.dispatch({ kind: "picture", header });
+        this.pointing.pictureDrawn(header.stands_for ?? header.view);
       },
       acknowledge: (frameId) => this.#stream.send({ type: "ack", frame_id: frameId }),
       failed: (header) =>
@@ -109,6 +104,7 @@ export class Workstation {
       send: (message) => this.send(message),
       changed: (playing) => this.store.dispatch({ kind: "playing", playing }),
     });
+    this.previewing = new Previewing(this);
     this.pointing = new Pointing(this);
     this.devices = new BrowserDevices(this);
     this.#stream = new Stream(
@@ -122,14 +118,19 @@ export class Workstation {
           if (message.type === "pose") this.#posed(message);
           if (message.type === "keys") this.player.reset(message);
           if (message.type === "picked") this.#picked(message);
-          if (message.type === "route") this.#warnOfBridges();
+          if (message.type === "route") this.#warnOfDoubts();
           if (message.type === "live_path") this.pointing.receive(message);
+          if (message.type === "edit_preview") this.previewing.receive(message);
+          if (message.type === "tree") this.previewing.again();
+          if (message.type === "no_evidence") this.#asked();
+          if (message.type === "state" && wasUsedByPen(before.ui.armed, before.session, message)) this.disarm();
           // Another case: its first picture may have an older number than the last one of the case before.
           if (message.type === "state" && caseKey(before.session) !== caseKey(message)) {
             this.#board.reset();
             this.#pace.reset();
             this.#speed.reset();
             this.wall.clear();
+            this.disarm();
           }
         },
         picture: (picture) => this.#board.receive(picture),
@@ -157,7 +158,7 @@ export class Workstation {
       hold: (axis, sign, down) => this.flight.hold(axis, sign, down),
       slow: (on) => this.flight.slow(on),
       wants: (action) => this.#wants(action),
-      holdsTool: () => this.state.ui.armed !== null,
+      holdsTool: () => this.state.ui.armed !== null || this.state.doubt !== null,
       arrowsLook: () => this.state.session?.mode !== "path",
       enabled: () => this.state.session?.case != null && this.state.start?.notice_accepted !== false,
     });
@@ -329,11 +330,14 @@ export class Workstation {
     this.send({ type: "pick", pick_id: this.#pickId, frame_id: header.frame_id, ...at });
   }
 
-  /** What was asked for so far is not waited for any more: the clicks were a double click. */
-  forgetPicks(before: { picks: readonly WallPoint[]; crosshair: Vec3 | null }): void {
+  /** As it was before a click that turned out to be the first half of a double click. */
+  takeBack(before: { picks: readonly WallPoint[]; crosshair: Vec3 | null; selected: number | null }): void {
     this.#pickForgotten = this.#pickId;
-    this.store.dispatch({ kind: "picks", picks: before.picks });
-    this.sendSoon({ type: "set_crosshair", lps: before.crosshair });
+    if (this.state.picks !== before.picks) this.store.dispatch({ kind: "picks", picks: before.picks });
+    if (crosshairLps(this.state) !== before.crosshair) {
+      this.sendSoon({ type: "set_crosshair", lps: before.crosshair });
+    }
+    this.ui({ selected: before.selected });
   }
 
   #picked(message: PickedMessage): void {
@@ -360,18 +364,61 @@ export class Workstation {
   arm(tool: Armed): void {
     const { armed } = this.state.ui;
     this.pointing.forget();
-    this.ui({ armed: armed === tool ? null : tool, forkHeld: null, step: tool === "target" ? "target" : "airways" });
+    this.answerDoubt(false);
+    const step = tool === "target" ? "target" : "airways";
+    this.ui({ armed: armed === tool ? null : tool, forkHeld: null, renaming: null, step });
   }
 
   disarm(): void {
     this.pointing.forget();
+    this.answerDoubt(false);
     this.ui({ armed: null, forkHeld: null });
+  }
+
+  /** Goes to a step; what was in the hand belonged to the one before. */
+  toStep(step: Ui["step"]): void {
+    if (step !== this.state.ui.step) this.disarm();
+    this.ui({ step });
+  }
+
+  /** Lets go of what is in the hand: a question first, the fork that is being moved first, then the tool. False where it is empty. */
+  putAway(): boolean {
+    const { armed, forkHeld } = this.state.ui;
+    if (this.state.doubt !== null) {
+      this.answerDoubt(false);
+      return true;
+    }
+    if (armed === null) return false;
+    if (forkHeld === null) this.disarm();
+    else {
+      this.pointing.forget();
+      this.ui({ forkHeld: null });
+    }
+    return true;
+  }
+
+  /** A branch has no evidence: the question stands at the tool, which is in the panel of its step. */
+  #asked(): void {
+    this.previewing.forget();
+    if (this.state.ui.step !== "airways") this.ui({ step: "airways" });
+  }
+
+  /** Draws by hand what the CT does not show, or leaves it. */
+  answerDoubt(draw: boolean): void {
+    const { doubt } = this.state;
+    if (doubt === null) return;
+    this.store.dispatch({ kind: "doubt_answered" });
+    if (!draw) return;
+    this.send({ type: "edit_tree", edit: { kind: "add-branch", lps: doubt.lps, even_without_evidence: true } });
   }
 
   /** Begins to type another name for the branch that is shown. */
   rename(branchId: number | null): void {
     if (branchId === null) this.notice("Choose a branch first: in the list, or by a click on it.");
-    else this.ui({ renaming: branchId, step: "airways" });
+    else {
+      this.disarm();
+      this.ui({ renaming: branchId, step: "airways" });
+    }
   }
 
   /** Keys that mean something only with a brush in the hand. */
@@ -389,11 +436,11 @@ export class Workstation {
   act = (action: Action): void => this.#actions[action]();
 
   #wallPointAhead(): void {
-    const header = this.wall.find("airway")?.header ?? null;
-    if (header === null || header.view !== "airway") return;
-    const middle = { column: header.width / 2, row: header.height / 2 };
-    if (this.state.ui.armed === null) this.pickWall(header, middle);
-    else this.pointing.commitInPicture(header, middle);
+    const viewport = this.wall.find("airway");
+    const header = viewport?.header ?? null;
+    if (viewport == null || header === null || header.view !== "airway") return;
+    if (this.state.ui.armed === null) this.pickWall(header, { column: header.width / 2, row: header.height / 2 });
+    else this.pointing.click(viewport, viewport.middle);
   }
 
   /** The full frame, or the outline that the scope's picture was last seen in. */
@@ -412,6 +459,7 @@ export class Workstation {
       this.flight.stopAuto();
       this.send({ type: "toggle_mode" });
     },
+    join_pen: () => this.send({ type: "join_pen" }),
     level_horizon: () => this.send({ type: "level_horizon" }),
     flip_operator: () =>
       this.send({ type: "set_operator", position: this.state.session?.operator === "head" ? "facing" : "head" }),
@@ -437,6 +485,7 @@ export class Workstation {
       this.sendSoon({ type: "set_slab", ...this.slab.now() });
     },
     toggle_shape: () => this.#toggleMask(),
+    toggle_outline: () => this.ui({ outlineVisible: !this.state.ui.outlineVisible }),
     toggle_route_line: () => this.ui({ routeLineVisible: !this.state.ui.routeLineVisible }),
     arm_target: () => this.arm("target"),
     arm_root: () => this.arm("root"),
@@ -465,14 +514,10 @@ export class Workstation {
     key_card: () => this.ui({ keyCardOpen: !this.state.ui.keyCardOpen }),
     wall_point: () => this.#wallPointAhead(),
     leave: () => {
+      if (this.putAway()) return;
       this.flight.stopAuto();
       this.player.pause();
-      const { armed, forkHeld, full } = this.state.ui;
-      if (forkHeld !== null) {
-        this.pointing.forget();
-        this.ui({ forkHeld: null });
-      } else if (armed !== null) this.disarm();
-      else if (full !== null) this.ui({ full: null });
+      if (this.state.ui.full !== null) this.ui({ full: null });
       else this.store.dispatch({ kind: "picks", picks: [] });
     },
   };
@@ -505,10 +550,10 @@ export class Workstation {
   }
 
   /** Said when a route is chosen, before it is flown, once for each. */
-  #warnOfBridges(): void {
-    const { route, tree } = this.state;
-    const words = route === null ? null : bridgeWords(tree, route.spans);
-    if (words !== null && words !== this.#warnedOf) this.notice(`${words}.`);
+  #warnOfDoubts(): void {
+    const { route } = this.state;
+    const words = route === null ? null : routeDoubts(route.spans);
+    if (words !== null && words !== this.#warnedOf) this.notice(words);
     this.#warnedOf = words;
   }
 
@@ -563,6 +608,7 @@ export class Workstation {
     this.#speed.reset();
     this.#pace.reset();
     this.pointing.reset();
+    this.previewing.reset();
     if (this.state.ui.devicesOpen) this.#stream.send({ type: "watch_devices", on: true });
     this.wall.tellLayout(true);
   }

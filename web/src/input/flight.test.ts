@@ -17,6 +17,8 @@ const ROUTE: RouteInfo = {
   lookouts_mm: [30, 50],
   spans: [],
   length_mm: 60,
+  drawn_mm: 0,
+  bridge_mm: 0,
 };
 
 function flight(route: RouteInfo | null = ROUTE) {

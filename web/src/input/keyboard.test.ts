@@ -99,21 +99,28 @@ describe("the keyboard", () => {
     expect([without.heard, keys.heard]).toEqual([[], ["brush_larger"]]);
   });
 
-  it("puts a tool down by Esc also from a list, but not while somebody types", () => {
+  it("puts a tool down by Esc first, also from a list and a field, but closes first what lies over the page", () => {
     const list = document.createElement("div");
     list.setAttribute("role", "treegrid");
     const row = document.createElement("button");
     const input = document.createElement("input");
+    const dialog = document.createElement("div");
+    dialog.setAttribute("role", "dialog");
+    const inside = document.createElement("button");
+    dialog.append(inside);
     list.append(row);
-    document.body.append(list, input);
+    document.body.append(list, input, dialog);
     const without = listening();
     type("Escape", row);
+    type("Escape", input);
     without.stop();
     const keys = listening({ tool: true });
     stop = keys.stop;
+    type("Escape", inside);
+    expect(keys.heard).toEqual([]);
     type("Escape", input);
     type("Escape", row);
-    expect([without.heard, keys.heard]).toEqual([[], ["leave"]]);
+    expect([without.heard, keys.heard]).toEqual([[], ["leave", "leave"]]);
   });
 
   it("knows what has the focus", () => {

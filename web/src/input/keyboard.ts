@@ -30,6 +30,13 @@ export function focusKind(target: EventTarget | null): FocusKind {
   return target.closest("button,a,summary") === null ? "page" : "button";
 }
 
+/** What lies over the page is closed first. */
+const OVER_THE_PAGE = "[role=dialog],[role=alertdialog],[role=listbox],[role=menu]";
+
+function closesFirst(target: EventTarget | null): boolean {
+  return target instanceof HTMLElement && target.closest(OVER_THE_PAGE) !== null;
+}
+
 /** Returns how to stop listening. */
 export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => void {
   /** Held keys by physical key: the letter may change while Shift comes and goes. */
@@ -52,8 +59,8 @@ export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => vo
     const binding = bindingOf(event);
     if (binding === null) return;
     const focus = focusKind(event.target);
-    // Esc puts a tool down wherever the focus is, but for a field that is being typed in.
-    const putsDown = event.key === "Escape" && focus !== "typing" && handlers.holdsTool();
+    // Esc puts a tool down first, wherever the focus is: a field keeps its text, and the full view stays.
+    const putsDown = event.key === "Escape" && handlers.holdsTool() && !closesFirst(event.target);
     if (!takesKey(focus, event.key) && !putsDown) return;
     // A focused picture moves its own crosshair or camera with Shift and the arrows.
     if (event.shiftKey && event.key.startsWith("Arrow")) return;

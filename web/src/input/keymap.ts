@@ -8,6 +8,7 @@ export type Action =
   | "way_left"
   | "way_right"
   | "toggle_mode"
+  | "join_pen"
   | "level_horizon"
   | "flip_operator"
   | "reset_look"
@@ -19,6 +20,7 @@ export type Action =
   | "toggle_tone"
   | "next_slab"
   | "toggle_shape"
+  | "toggle_outline"
   | "toggle_route_line"
   | "arm_target"
   | "arm_root"
@@ -99,10 +101,19 @@ export const KEYMAP: readonly Binding[] = [
   },
   {
     key: "m",
+    shift: false,
     label: "M",
     words: "Free, or along the path; with a device: absolute, relative, path",
     group: "Fly",
     command: press("toggle_mode"),
+  },
+  {
+    key: "m",
+    shift: true,
+    label: "Shift+M",
+    words: "Absolute: bring the tip to the pen at once",
+    group: "Fly",
+    command: press("join_pen"),
   },
   {
     key: "Enter",
@@ -235,10 +246,19 @@ export const KEYMAP: readonly Binding[] = [
   },
   {
     key: "o",
+    shift: false,
     label: "O",
     words: "Airway picture round, or the full frame",
     group: "Pictures",
     command: press("toggle_shape"),
+  },
+  {
+    key: "o",
+    shift: true,
+    label: "Shift+O",
+    words: "Show or hide the outline of the lumen and the centrelines in slices",
+    group: "Pictures",
+    command: press("toggle_outline"),
   },
   {
     key: "p",
@@ -267,7 +287,7 @@ export const KEYMAP: readonly Binding[] = [
   {
     key: "Escape",
     label: "Esc",
-    words: "Leave the full view, or the marking of a point",
+    words: "Put the tool away; then leave the full view; then remove the wall marks",
     group: "Help",
     command: press("leave"),
   },

@@ -29,6 +29,7 @@ function picture(
       lens: null,
       lps_from_pixel: null,
       lines: null,
+      outline: null,
       width: 16,
       height: 16,
       step_vox: null,
@@ -40,6 +41,7 @@ function picture(
       method: "leap",
     },
     payload: new Uint8Array(),
+    outline: null,
   };
 }
 

@@ -79,16 +79,19 @@ export function buildTree(given: TreeDocument, extras: TreeExtras = {}): BranchT
   if (rootBranch === undefined) return null;
   const byId = new Map<number, BranchNode>();
   const build = (branch: TreeBranch): BranchNode => {
+    // What a person drew is no bronchus of the anatomy: it has a person's name or none.
+    const unnamed = branch.kind === "manual" && branch.name_from !== "person";
+    const title = unnamed ? undefined : titles.get(branch.id);
     const node: BranchNode = {
-      branch,
-      label: branch.name ?? (branch.parent === null ? "Root branch" : `Branch ${branch.id}`),
+      branch: unnamed ? { ...branch, name: null, name_from: null, name_confidence: null, variant: null } : branch,
+      label: (unnamed ? null : branch.name) ?? (branch.parent === null ? "Root branch" : `Branch ${branch.id}`),
       side: "middle",
       lengthMm: lengthOf(branch),
       diameterMm: medianDiameter(branch),
       children: [],
       measures: measured.get(branch.id) ?? null,
-      longName: titles.get(branch.id)?.long ?? null,
-      lobe: titles.get(branch.id)?.lobe ?? null,
+      longName: title?.long ?? null,
+      lobe: title?.lobe ?? null,
     };
     // Set before the children are visited: a tree with a loop ends here instead of never.
     byId.set(branch.id, node);

@@ -32,6 +32,7 @@ const EMPTY: StateMessage = {
   orbit_tri_plane: { azimuth_deg: 0, elevation_deg: 0, distance_mm: null },
   frame_rate_hz: 60,
   airways_from: null,
+  badges: [],
   mask_question: null,
   zoom: {
     axial_mm_per_px: null,
@@ -57,6 +58,7 @@ const OPEN: StateMessage = {
     lps_from_ijk: [0.6, 0, 0, 1, 0, 0.7, 0, 2, 0, 0, 3, 4, 0, 0, 0, 1],
     value_range: [-1024, 3071],
     warnings: [],
+    notes: [],
     quality: [],
     other_series: [],
     citation: null,

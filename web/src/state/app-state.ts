@@ -7,6 +7,8 @@ import type {
   DevicesMessage,
   KeysMessage,
   Mask,
+  NoEvidenceMessage,
+  PenMessage,
   PickedMessage,
   PictureHeader,
   PoseMessage,
@@ -21,6 +23,7 @@ import type {
   ViewName,
 } from "../wire/messages";
 import { type BranchTree, buildTree } from "./airways";
+import type { Preview } from "./edit-preview";
 import type { LiveAnswer } from "./live-path";
 import { type Optimistic, shown } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
@@ -110,8 +113,12 @@ export interface Ui {
   /** Whether there is a headset, as far as this browser tells; null until it has told. */
   readonly headset: "no-webxr" | "no-headset" | "ready" | "inside" | null;
   readonly routeLineVisible: boolean;
+  /** Outline of the lumen and centrelines in slices and the cut-plane. */
+  readonly outlineVisible: boolean;
   readonly advancing: boolean;
   readonly cursorLps: Vec3 | null;
+  /** The way that is shown is the pen's, since it has moved later than the cursor. */
+  readonly penLeads: boolean;
 }
 
 export interface AppState {
@@ -137,11 +144,17 @@ export interface AppState {
   readonly probed: ValueMessage | null;
   /** The way to the cursor. */
   readonly livePath: LiveAnswer | null;
+  /** What a click would make, while a tool that shows it is in the hand. */
+  readonly preview: Preview | null;
+  /** A branch that was not added for want of evidence: whether to draw it by hand is asked. */
+  readonly doubt: NoEvidenceMessage | null;
   /** What was measured along a branch, as last answered. */
   readonly detail: BranchDetailMessage | null;
   readonly upload: Upload | null;
   /** Input devices, as last told. */
   readonly devices: DevicesMessage | null;
+  /** The tracked pen that moves the tip; null where none does. */
+  readonly pen: PenMessage | null;
   /** The key frames, and the flight through them. */
   readonly keys: KeysMessage | null;
   /** The flight through them, as it is played here. */
@@ -174,9 +187,12 @@ export const INITIAL_STATE: AppState = {
   pace: NO_PACE,
   probed: null,
   livePath: null,
+  preview: null,
+  doubt: null,
   detail: null,
   upload: null,
   devices: null,
+  pen: null,
   keys: null,
   playing: NOT_PLAYING,
   speedMmS: null,
@@ -205,8 +221,10 @@ export const INITIAL_STATE: AppState = {
     mouseLocked: false,
     headset: null,
     routeLineVisible: true,
+    outlineVisible: true,
     advancing: false,
     cursorLps: null,
+    penLeads: false,
   },
   local: { crosshair: null, window: null, pathMm: null },
 };
@@ -219,6 +237,8 @@ export type AppEvent =
   | { kind: "picked"; message: PickedMessage }
   | { kind: "picks"; picks: readonly WallPoint[] }
   | { kind: "live_path"; livePath: LiveAnswer | null }
+  | { kind: "preview"; preview: Preview | null }
+  | { kind: "doubt_answered" }
   | { kind: "pace"; pace: Pace }
   | { kind: "speed"; speedMmS: number | null }
   | { kind: "playing"; playing: Playing }
@@ -228,6 +248,9 @@ export type AppEvent =
   | { kind: "ui"; change: Partial<Ui> };
 
 const NOTHING_LOCAL: AppState["local"] = { crosshair: null, window: null, pathMm: null };
+
+/** Of one case or one connection. */
+const NOTHING_SHOWN = { livePath: null, preview: null, doubt: null, detail: null } as const;
 
 /** Nothing in the hand, nothing under the cursor. */
 const NOTHING_HELD = {
@@ -240,6 +263,7 @@ const NOTHING_HELD = {
   cursor: null,
   pointedLps: null,
   cursorLps: null,
+  penLeads: false,
 } as const;
 
 export function reduce(state: AppState, event: AppEvent): AppState {
@@ -258,6 +282,10 @@ export function reduce(state: AppState, event: AppEvent): AppState {
       return { ...state, picks: event.picks };
     case "live_path":
       return state.livePath === event.livePath ? state : { ...state, livePath: event.livePath };
+    case "preview":
+      return { ...state, preview: event.preview };
+    case "doubt_answered":
+      return { ...state, doubt: null };
     case "pace":
       return samePace(event.pace, state.pace) ? state : { ...state, pace: event.pace };
     case "speed":
@@ -299,6 +327,7 @@ function receive(state: AppState, message: ServerMessage, nowMs: number): AppSta
       return state.ui.cursorLps === null ? state : { ...state, probed: message };
     case "picked":
     case "live_path":
+    case "edit_preview":
       // The workstation judges first whether the answer is still wanted.
       return state;
     case "branch_detail":
@@ -312,6 +341,8 @@ function receive(state: AppState, message: ServerMessage, nowMs: number): AppSta
       };
     case "done":
       return { ...state, jobs: state.jobs.filter((job) => job.job_id !== message.job_id) };
+    case "no_evidence":
+      return { ...state, doubt: message, preview: null };
     case "error":
       return say(state, { kind: "error", code: message.code, message: message.message, action: message.action });
     case "notice":
@@ -320,6 +351,8 @@ function receive(state: AppState, message: ServerMessage, nowMs: number): AppSta
       return { ...state, status: message };
     case "devices":
       return { ...state, devices: message };
+    case "pen":
+      return { ...state, pen: message.device === null ? null : message };
     case "keys":
       return { ...state, keys: message };
     case "cluster":
@@ -332,7 +365,7 @@ function sessionChanged(state: AppState, session: StateMessage, nowMs: number): 
   const now = session.case;
   let next: AppState = { ...state, session };
   if (now === null && before !== null) {
-    next = { ...next, livePath: null, detail: null, devices: null, keys: null, speedMmS: null };
+    next = { ...next, ...NOTHING_SHOWN, devices: null, pen: null, keys: null, speedMmS: null };
     next = { ...next, frames: {}, picks: [], pose: null, route: null, tree: null, status: null, local: NOTHING_LOCAL };
     next = {
       ...next,
@@ -341,7 +374,7 @@ function sessionChanged(state: AppState, session: StateMessage, nowMs: number): 
   } else if (now !== null && (before === null || before.title !== now.title)) {
     const hasFindings = now.quality.length + now.warnings.length > 0 || !now.is_hu;
     const ui: Ui = { ...next.ui, ...NOTHING_HELD, step: hasFindings ? "check" : "airways" };
-    next = { ...next, picks: [], livePath: null, detail: null, local: NOTHING_LOCAL, ui };
+    next = { ...next, ...NOTHING_SHOWN, picks: [], local: NOTHING_LOCAL, ui };
   }
   return {
     ...next,
@@ -395,6 +428,12 @@ function foresee(state: AppState, message: ClientMessage, nowMs: number): AppSta
           window: { value: { width_hu: message.width_hu, level_hu: message.level_hu }, atMs: nowMs },
         },
       };
+    case "edit_tree":
+    case "undo":
+    case "redo":
+    case "set_root":
+      // Of another tree than the one that was asked about, or the answer itself.
+      return { ...state, doubt: null };
     case "go_to":
       return { ...state, local: { ...state.local, pathMm: { value: message.path_mm, atMs: nowMs } } };
     case "steer":
@@ -430,7 +469,7 @@ function connectionChanged(state: AppState, connection: Connection): AppState {
   const jobs = connection.status === "open" || connection.status === "connecting" ? state.jobs : [];
   // A server counts poses anew when it is started again: the first pose of a connection is always the newest.
   const pose = connection.status === "open" ? null : state.pose;
-  return { ...state, connection, jobs, pose, ui: { ...state.ui, advancing: false } };
+  return { ...state, connection, jobs, pose, pen: null, ui: { ...state.ui, advancing: false } };
 }
 
 /** Older news leave when too many wait; errors stay until they are read. */
@@ -461,6 +500,12 @@ const samePathMm = (a: number, b: number): boolean => Math.abs(a - b) < 0.05;
 export function tipLps(state: AppState): Vec3 | null {
   const m = state.pose?.lps_from_camera;
   return m === undefined ? null : [m[3] ?? 0, m[7] ?? 0, m[11] ?? 0];
+}
+
+/** The point that an armed pen's button marks: the pen's own tip, or the scope's where nobody knows where that is. */
+export function penPoint(state: AppState): Vec3 | null {
+  if (state.pen === null) return null;
+  return state.pen.lps === null ? tipLps(state) : asVec3(state.pen.lps);
 }
 
 /** The point that the slices meet at, moved at once while a person drags it; null follows the tip. */

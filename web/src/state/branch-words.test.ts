@@ -1,7 +1,16 @@
 import { describe, expect, it } from "vitest";
 import type { BranchMeasures, TreeBranch } from "../wire/messages";
 import { type BranchTree, buildTree, type TreeExtras } from "./airways";
-import { bridgeWords, factsOf, filterTree, marksOf, nameWords, tooltipOf } from "./branch-words";
+import {
+  drawnShare,
+  drawnWords,
+  factsOf,
+  filterTree,
+  marksOf,
+  nameWords,
+  routeDoubts,
+  tooltipOf,
+} from "./branch-words";
 
 function branch(id: number, parent: number | null, children: number[], change: Partial<TreeBranch> = {}): TreeBranch {
   return {
@@ -21,6 +30,7 @@ function branch(id: number, parent: number | null, children: number[], change: P
     name_confidence: null,
     name_from: null,
     variant: null,
+    doubtful_mm: 0,
     ...change,
   };
 }
@@ -97,7 +107,7 @@ describe("a branch in words", () => {
       `RB1, apical segment, RUL\ngeneration 1, 30${NBSP}mm long, lumen 6.1${NBSP}mm\n` +
         "the name is only 42 % sure\nuncommon anatomy: RB1 and RB2 share a stem",
     );
-    expect(tooltipOf(node(tree, 3))).toContain("a bridge: no airway that the CT shows");
+    expect(tooltipOf(node(tree, 3))).toContain("Bridge over a blockage. The CT shows no airway here.");
   });
 
   it("has its figures with their errors, and leaves out what was not measured", () => {
@@ -130,12 +140,76 @@ describe("the search", () => {
 describe("a route over a bridge", () => {
   it("says so, how long and where", () => {
     const spans = [
-      { branch_id: 1, from_mm: 0, to_mm: 30 },
-      { branch_id: 3, from_mm: 30, to_mm: 38.5 },
-    ];
-    expect(bridgeWords(made(), spans)).toBe(
-      `8.5${NBSP}mm of this route is a bridge over a blockage, from 30${NBSP}mm: no airway that the CT shows`,
+      { kind: "tracked", from_mm: 0, to_mm: 30 },
+      { kind: "bridge", from_mm: 30, to_mm: 38.5 },
+    ] as const;
+    expect(routeDoubts(spans)).toBe(
+      `8.5${NBSP}mm of this route is a bridge over a blockage, from 30${NBSP}mm: the CT shows no airway there.`,
     );
-    expect(bridgeWords(made(), spans.slice(0, 1))).toBeNull();
+    expect(routeDoubts(spans.slice(0, 1))).toBeNull();
+  });
+});
+
+describe("a branch that a person drew", () => {
+  const measured = { ...MEASURES, branch_id: 4 };
+  const tree = buildTree(
+    {
+      format: "carina-tree",
+      version: 1,
+      space: "LPS",
+      unit: "mm",
+      root: 0,
+      branches: [
+        branch(0, null, [4]),
+        // A name from the anatomy that should not be there is not shown either.
+        branch(4, 0, [], {
+          kind: "manual",
+          name: "LB5",
+          name_from: "anatomy",
+          name_confidence: 0.9,
+          confidence: null,
+          doubtful_mm: 21.3,
+        }),
+      ],
+    },
+    { measures: [measured], titles: [{ branch_id: 4, long: "inferior lingular segment, LUL", lobe: "LUL" }] },
+  );
+  if (tree === null) throw new Error("no tree");
+  const drawn = node(tree, 4);
+
+  it("is called so, and has no name from the anatomy, no confidence and no lumen", () => {
+    expect(drawn.label).toBe("Branch 4");
+    expect(drawn.longName).toBeNull();
+    expect(drawn.lobe).toBeNull();
+    expect(nameWords(drawn)).toBeNull();
+    expect(marksOf(drawn)).toEqual([]);
+    expect(drawnWords(drawn)).toBe(`Drawn by hand. The CT shows no wall along 21${NBSP}mm.`);
+    expect(tooltipOf(drawn)).not.toContain("lumen");
+    const facts = factsOf(drawn);
+    expect(facts.map((fact) => fact.term)).toEqual(["Generation", "Length", "Lumen"]);
+    expect(facts[2]?.value).toBe("not measured: drawn by hand");
+    expect(filterTree(tree, "by hand")?.hits).toEqual([4]);
+  });
+
+  it("keeps the name that a person gave it", () => {
+    const named = branch(1, 0, [], { kind: "manual", name: "Mine", name_from: "person" });
+    const own = buildTree({
+      format: "carina-tree",
+      version: 1,
+      space: "LPS",
+      unit: "mm",
+      root: 0,
+      branches: [branch(0, null, [1]), named],
+    });
+    expect(own === null ? null : node(own, 1).label).toBe("Mine");
+  });
+
+  it("counts as drawn in a route", () => {
+    const spans = [
+      { kind: "tracked", from_mm: 0, to_mm: 159 },
+      { kind: "manual", from_mm: 159, to_mm: 180 },
+    ] as const;
+    expect(drawnShare(spans)).toBe(`21 of 180${NBSP}mm drawn by hand, from 159${NBSP}mm`);
+    expect(routeDoubts(spans.slice(0, 1))).toBeNull();
   });
 });

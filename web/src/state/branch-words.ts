@@ -1,6 +1,6 @@
 /** What the list and the panel say about a branch: its title, how sure it is, its figures with their errors. */
 
-import type { BranchMeasures } from "../wire/messages";
+import type { BranchMeasures, RouteSpan } from "../wire/messages";
 import type { BranchNode, BranchTree } from "./airways";
 import { fixed, mm, plural } from "./format";
 
@@ -28,21 +28,39 @@ export function marksOf(node: BranchNode): readonly Mark[] {
   return marks;
 }
 
-/** Where a branch comes from, where it was not found by itself. */
+/** Whether it is not sure that a branch is airway all along. */
+export const isDoubtful = ({ branch }: BranchNode): boolean =>
+  branch.doubtful_mm > 0 || (branch.confidence !== null && branch.confidence < DOUBTFUL.airway);
+
+/** Where a branch comes from, where the CT does not show it. */
 export const kindWords = (kind: BranchNode["branch"]["kind"]): string | null =>
-  kind === "tracked" ? null : kind === "bridge" ? "bridge" : "by hand";
+  kind === "tracked" ? null : kind === "bridge" ? "bridge" : "drawn by hand";
+
+/** What must be said of a branch that the CT does not show, in sentences; null for one that it shows. */
+export function drawnWords(node: BranchNode): string | null {
+  const { kind } = node.branch;
+  if (kind === "tracked") return null;
+  if (kind === "bridge") return "Bridge over a blockage. The CT shows no airway here.";
+  const doubtful = node.branch.doubtful_mm;
+  return doubtful > 0 ? `Drawn by hand. The CT shows no wall along ${mm(doubtful, 0)}.` : "Drawn by hand.";
+}
 
 /** The whole of it, for a tooltip. */
 export function tooltipOf(node: BranchNode): string {
-  const { branch, measures } = node;
+  const { branch } = node;
+  const lumen = lumenMm(node);
   const facts = [
     node.longName === null ? node.label : `${node.label}, ${node.longName}`,
-    `generation ${branch.generation}, ${mm(node.lengthMm, 0)} long, lumen ${mm(measures?.lumen_mm ?? node.diameterMm)}`,
+    `generation ${branch.generation}, ${mm(node.lengthMm, 0)} long${lumen === null ? "" : `, lumen ${mm(lumen)}`}`,
   ];
-  const kind = kindWords(branch.kind);
-  if (kind !== null) facts.push(kind === "bridge" ? "a bridge: no airway that the CT shows" : "drawn by hand");
+  const drawn = drawnWords(node);
+  if (drawn !== null) facts.push(drawn);
   return [...facts, ...marksOf(node).map((mark) => mark.words)].join("\n");
 }
+
+/** The lumen's diameter, measured or from the centreline; null where there is none: what a person drew has no calibre. */
+export const lumenMm = (node: BranchNode): number | null =>
+  node.branch.kind === "manual" ? null : (node.measures?.lumen_mm ?? node.diameterMm);
 
 /** How the name came about. */
 export function nameWords(node: BranchNode): string | null {
@@ -66,12 +84,13 @@ export interface Fact {
 
 /** The figures of a branch, measured where they are, else from its centreline. */
 export function factsOf(node: BranchNode): readonly Fact[] {
-  const { measures } = node;
+  const measures = node.branch.kind === "manual" ? null : node.measures;
   const facts: (Fact | null)[] = [
     { term: "Generation", value: `${node.branch.generation} (trachea is 0)` },
     { term: "Length", value: mm(measures?.length_mm ?? node.lengthMm) },
   ];
-  if (measures === null) facts.push({ term: "Lumen", value: `about ${mm(node.diameterMm)}` });
+  if (node.branch.kind === "manual") facts.push({ term: "Lumen", value: "not measured: drawn by hand" });
+  else if (measures === null) facts.push({ term: "Lumen", value: `about ${mm(node.diameterMm)}` });
   else facts.push(...measuredFacts(measures));
   return facts.filter((fact) => fact !== null);
 }
@@ -110,7 +129,7 @@ export interface Filtered {
 
 /**
  * The branches that a text means; null for no text. Words are looked for in names, long names and lobes; `g3` is a
- * generation, `?` all that is doubtful, `bridge` and `by hand` what was mended.
+ * generation, `?` all that is doubtful, `bridge` and `by hand` what a person drew.
  */
 export function filterTree(tree: BranchTree, text: string): Filtered | null {
   const wanted = text.trim().toLowerCase();
@@ -136,19 +155,31 @@ export function filterTree(tree: BranchTree, text: string): Filtered | null {
   return { shown, hits };
 }
 
-export const isBridge = (tree: BranchTree | null, branchId: number | null): boolean =>
-  branchId !== null && tree?.byId.get(branchId)?.branch.kind === "bridge";
+type Spans = readonly Pick<RouteSpan, "kind" | "from_mm" | "to_mm">[];
 
-/** What a route crosses that is no airway of the CT, in words to be said before flying; null where there is none. */
-export function bridgeWords(
-  tree: BranchTree | null,
-  spans: readonly { branch_id: number; from_mm: number; to_mm: number }[],
-): string | null {
-  const bridges = spans.filter((span) => isBridge(tree, span.branch_id));
+/** What a route crosses that the CT does not show, in sentences to be said before flying; null where there is none. */
+export function routeDoubts(spans: Spans): string | null {
+  const parts = [drawnShare(spans), bridgeWords(spans)].filter((part) => part !== null);
+  return parts.length === 0 ? null : parts.map((part) => `${part}.`).join(" ");
+}
+
+/** How much of a route a person drew; null where nothing is. */
+export function drawnShare(spans: Spans): string | null {
+  const drawn = spans.filter((span) => span.kind === "manual");
+  const total = drawn.reduce((sum, span) => sum + span.to_mm - span.from_mm, 0);
+  const first = drawn[0];
+  const last = spans.at(-1);
+  if (first === undefined || last === undefined) return null;
+  return `${fixed(total)} of ${mm(last.to_mm, 0)} drawn by hand, from ${mm(first.from_mm, 0)}`;
+}
+
+/** Which part of a route is a bridge; null where none is. */
+function bridgeWords(spans: Spans): string | null {
+  const bridges = spans.filter((span) => span.kind === "bridge");
   if (bridges.length === 0) return null;
   const total = bridges.reduce((sum, span) => sum + span.to_mm - span.from_mm, 0);
   const first = bridges[0];
   return `${mm(total)} of this route ${bridges.length === 1 ? "is a bridge" : `are ${plural(bridges.length, "bridge")}`} over a blockage${
     first === undefined ? "" : `, from ${mm(first.from_mm, 0)}`
-  }: no airway that the CT shows`;
+  }: the CT shows no airway there`;
 }

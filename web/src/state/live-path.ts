@@ -2,82 +2,17 @@
 
 import type { AskLivePathMessage, LivePathMessage } from "../wire/messages";
 import { fixed, mm, sentence } from "./format";
+import { type Answered, NewestAsker } from "./newest-asker";
 
 /** What is asked for: a point, or a place in an airway picture. */
 export type LiveQuestion = Pick<AskLivePathMessage, "lps" | "frame_id" | "column" | "row">;
 
-export interface LiveAnswer {
-  readonly answer: LivePathMessage;
-  /** From the question's sending to here. */
-  readonly tookMs: number;
-}
+export type LiveAnswer = Answered<LivePathMessage>;
 
-/** Where a server has not answered for so long, it is asked again. */
-const LOST_MS = 2000;
-
-/**
- * Asks the newest question only, and not before the last one was answered: a slow machine is not asked more than it can
- * answer, a fast one is asked at once.
- */
-export class LiveAsker {
-  readonly #send: (message: AskLivePathMessage) => boolean;
-  readonly #nowMs: () => number;
-  #nextId = 1;
-  #underWay: { id: number; atMs: number } | null = null;
-  #waiting: LiveQuestion | null = null;
-  /** Answers up to this one are not wanted any more. */
-  #forgotten = 0;
-  #newest = 0;
-
+/** Asks for the way to the cursor. */
+export class LiveAsker extends NewestAsker<LiveQuestion, LivePathMessage> {
   constructor(send: (message: AskLivePathMessage) => boolean, nowMs: () => number) {
-    this.#send = send;
-    this.#nowMs = nowMs;
-  }
-
-  ask(question: LiveQuestion): void {
-    const lost = this.#underWay !== null && this.#nowMs() - this.#underWay.atMs > LOST_MS;
-    if (this.#underWay !== null && !lost) {
-      this.#waiting = question;
-      return;
-    }
-    this.#waiting = null;
-    this.#sendNow(question);
-  }
-
-  /** The cursor has left: what is under way is not shown. */
-  forget(): void {
-    this.#waiting = null;
-    this.#forgotten = this.#nextId - 1;
-  }
-
-  /** The answer with how long it took, or null where nobody waits for it. */
-  receive(answer: LivePathMessage): LiveAnswer | null {
-    const sent = this.#underWay;
-    const mine = sent !== null && sent.id === answer.request_id;
-    const tookMs = mine ? this.#nowMs() - sent.atMs : 0;
-    if (mine) {
-      this.#underWay = null;
-      const next = this.#waiting;
-      this.#waiting = null;
-      if (next !== null) this.#sendNow(next);
-    }
-    if (answer.request_id <= this.#forgotten || answer.request_id < this.#newest) return null;
-    this.#newest = answer.request_id;
-    return { answer, tookMs };
-  }
-
-  /** A new connection: nothing is under way. */
-  reset(): void {
-    this.#underWay = null;
-    this.forget();
-  }
-
-  #sendNow(question: LiveQuestion): void {
-    const id = this.#nextId;
-    this.#nextId += 1;
-    this.#underWay = this.#send({ type: "live_path", request_id: id, ...question })
-      ? { id, atMs: this.#nowMs() }
-      : null;
+    super((id, question) => send({ type: "live_path", request_id: id, ...question }), nowMs);
   }
 }
 

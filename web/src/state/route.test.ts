@@ -24,10 +24,12 @@ const ROUTE: RouteInfo = {
   forks_mm: [30],
   lookouts_mm: [15],
   spans: [
-    { branch_id: 0, name: "Trachea", generation: 0, from_mm: 0, to_mm: 30 },
-    { branch_id: 2, name: null, generation: 1, from_mm: 30, to_mm: 40 },
+    { branch_id: 0, name: "Trachea", generation: 0, from_mm: 0, to_mm: 30, kind: "tracked" },
+    { branch_id: 2, name: null, generation: 1, from_mm: 30, to_mm: 40, kind: "tracked" },
   ],
   length_mm: 40,
+  drawn_mm: 0,
+  bridge_mm: 0,
 };
 
 function branch(id: number, parent: number | null, children: number[], points: [number, number, number][], r: number) {
@@ -45,6 +47,7 @@ function branch(id: number, parent: number | null, children: number[], points: [
     name_confidence: null,
     name_from: null,
     variant: null,
+    doubtful_mm: 0,
   };
   return made;
 }
@@ -163,7 +166,7 @@ describe("the tree", () => {
     expect(
       forkAhead(
         TREE,
-        { ...ROUTE, spans: [{ branch_id: 0, name: null, generation: 0, from_mm: 0, to_mm: 99 }] },
+        { ...ROUTE, spans: [{ branch_id: 0, name: null, generation: 0, from_mm: 0, to_mm: 99, kind: "tracked" }] },
         10,
         FROM_HEAD,
       )?.near,
@@ -176,8 +179,8 @@ describe("the tree", () => {
       forks_mm: [30, 33],
       lookouts_mm: [15, 31.5],
       spans: [
-        { branch_id: 0, name: null, generation: 0, from_mm: 0, to_mm: 30 },
-        { branch_id: 0, name: null, generation: 1, from_mm: 30, to_mm: 33 },
+        { branch_id: 0, name: null, generation: 0, from_mm: 0, to_mm: 30, kind: "tracked" },
+        { branch_id: 0, name: null, generation: 1, from_mm: 30, to_mm: 33, kind: "tracked" },
       ],
     };
     expect(forkAhead(TREE, short, 30.5, FROM_HEAD)?.distanceMm).toBe(0);

@@ -3,12 +3,10 @@ import { nextBrush, strokePoints, wantsBranch, wantsPath } from "./tools";
 
 describe("tools", () => {
   it("show the way to the cursor where a click would use it", () => {
-    expect(wantsPath("target", false)).toBe(true);
-    expect(wantsPath("add", false)).toBe(true);
-    expect(wantsPath("cut", false)).toBe(false);
-    expect([wantsPath("fork", false), wantsPath("fork", true)]).toEqual([false, true]);
+    expect(wantsPath("target")).toBe(true);
+    expect(wantsPath("add")).toBe(false);
     expect([wantsBranch("fork", false), wantsBranch("fork", true)]).toEqual([true, false]);
-    expect(wantsPath(null, false)).toBe(false);
+    expect(wantsPath(null)).toBe(false);
   });
 
   it("have brushes from half a millimetre to a trachea, and stop at both ends", () => {

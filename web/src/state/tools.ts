@@ -1,5 +1,7 @@
 /** What the next click does: marks a target or a root, or mends the airway tree. */
 
+import type { ViewName } from "../wire/messages";
+
 export const TREE_TOOLS = ["add", "bridge", "cut", "fork", "smooth", "paint", "erase", "reroot"] as const;
 export type TreeTool = (typeof TREE_TOOLS)[number];
 export type Armed = "target" | "root" | TreeTool;
@@ -19,37 +21,37 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
     label: "Add branch",
     short: "Add",
     words: "Click the end of an airway that is missing: the way to it becomes a branch",
-    hint: "Click the far end of the missing airway, in any picture. The line shows the way that it will take.",
+    hint: "Click the far end of the missing airway, in any picture. The line is the branch that a click makes: dashed where the CT shows no wall.",
   },
   bridge: {
     label: "Bridge",
     short: "Bridge",
     words: "Click in the airway beyond a blockage: the gap is bridged, and stays marked as a bridge",
-    hint: "Click in the airway beyond the blockage. The bridge is no airway that the CT shows: it stays amber and is called a bridge.",
+    hint: "Click in the airway beyond the blockage. The CT shows no airway here: the bridge stays amber and is labelled \u201cbridge\u201d.",
   },
   cut: {
     label: "Cut",
     short: "Cut",
     words: "Click on a branch: it is taken away from there, with all that hangs on it",
-    hint: "Click on a branch. What is amber goes.",
+    hint: "Click a branch, in a picture or in the list. The amber part will be removed.",
   },
   fork: {
     label: "Move fork",
     short: "Fork",
     words: "Click near a fork, then where it should be",
-    hint: "Click near the fork that is to move.",
+    hint: "Click near the fork to move, or its branch in the list. The amber dot is the fork.",
   },
   smooth: {
     label: "Smooth",
     short: "Smooth",
     words: "Click on a branch: its centreline becomes smoother",
-    hint: "Click on the branch whose centreline is to be smoother.",
+    hint: "Click a branch, in a picture or in the list: the amber centreline becomes smoother.",
   },
   paint: {
     label: "Paint",
     short: "Paint",
     words: "Draw lumen in a slice",
-    hint: "Draw in a slice where air is missing.",
+    hint: "Draw in a slice where lumen is missing.",
   },
   erase: {
     label: "Erase",
@@ -61,16 +63,61 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
     label: "Re-root",
     short: "Root",
     words: "Click where all ways should begin; the tree and what was mended stay",
-    hint: "Click in the airway where all ways should begin.",
+    hint: "Click where paths should start (usually the trachea).",
   },
 };
+
+/** The others: they mark a point of the plan. */
+const MARK_WORDS: Readonly<Record<"target" | "root", Pick<ToolWords, "label" | "hint">>> = {
+  target: { label: "Mark target", hint: "Click the target in any picture. The line shows the way to it." },
+  root: {
+    label: "Set root",
+    hint: "Click inside the trachea: the airways are found again from there, and edits are discarded (undo restores them).",
+  },
+};
+
+/** What is in the hand, and what to do with it. */
+export function wordsOf(armed: Armed, forkHeld: boolean): { label: string; hint: string } {
+  if (armed === "fork" && forkHeld) {
+    return {
+      label: TOOL_WORDS.fork.label,
+      hint: "Now click where the fork should be. The lines show what moves with it.",
+    };
+  }
+  return armed === "target" || armed === "root" ? MARK_WORDS[armed] : TOOL_WORDS[armed];
+}
+
+/** In a picture's corner: short, so that it covers no letter of the orientation. */
+export function shortOf(armed: Armed): string {
+  switch (armed) {
+    case "target":
+      return "Target";
+    case "root":
+      return "Set root";
+    case "reroot":
+      return "Re-root";
+    default:
+      return TOOL_WORDS[armed].short;
+  }
+}
+
+/** Whether a click into this picture means something to the tool: an X-ray knows no depth, and a brush needs a plane. */
+export function worksIn(armed: Armed, view: ViewName): boolean {
+  if (view.startsWith("xray") || view === "drr") return false;
+  return isBrush(armed) ? BRUSH_VIEWS.includes(view) : true;
+}
+
+const BRUSH_VIEWS: readonly ViewName[] = ["axial", "coronal", "sagittal", "cut-plane"];
+
+/** Tools that take something away. */
+export const takesAway = (armed: Armed): boolean => armed === "cut" || armed === "erase";
 
 export const isTreeTool = (armed: Armed | null): armed is TreeTool =>
   armed !== null && (TREE_TOOLS as readonly string[]).includes(armed);
 
-/** Whether the way to the cursor is shown while this is in the hand. */
-export function wantsPath(armed: Armed | null, forkHeld: boolean): boolean {
-  return armed === "target" || armed === "add" || (armed === "fork" && forkHeld);
+/** Whether the way to the cursor is shown while this is in the hand; tools for the tree show what they would make. */
+export function wantsPath(armed: Armed | null): boolean {
+  return armed === "target";
 }
 
 /** Whether the click is meant for a branch, not for a point. */

@@ -33,6 +33,7 @@ function branch(
     name_confidence: null,
     name_from: null,
     variant: null,
+    doubtful_mm: 0,
   };
 }
 

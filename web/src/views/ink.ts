@@ -7,6 +7,8 @@ export const INK = {
   quiet: "#a9b1b8",
   accent: "#4fd3e6",
   warning: "#f4b44c",
+  /** Outline of the lumen: a hue that no plane, lobe or mark has. */
+  lumen: "#f08ce0",
   halo: "rgba(8, 10, 12, 0.85)",
   ring: "#2c343a",
   ringTick: "#5b666e",
@@ -89,6 +91,32 @@ export function tipMark(ink: Ink, at: ScreenPoint, look: ScreenPoint | null, onP
     ink.lineTo(tip.x, tip.y);
     ink.lineTo(tip.x - ux * 5 + uy * 3.5, tip.y - uy * 5 - ux * 3.5);
     ink.stroke();
+  }
+  ink.restore();
+}
+
+/** The tip of a tracked pen: a nib whose point lies on it; hollow where it lies off the plane. */
+export function penMark(ink: Ink, at: ScreenPoint, onPlane: boolean): void {
+  ink.save();
+  ink.lineJoin = "round";
+  for (const [width, colour] of [
+    [4, INK.halo],
+    [1.5, INK.text],
+  ] as const) {
+    ink.lineWidth = width;
+    ink.strokeStyle = colour;
+    ink.beginPath();
+    ink.moveTo(at.x, at.y);
+    ink.lineTo(at.x + 4, at.y - 11);
+    ink.lineTo(at.x + 9, at.y - 20);
+    ink.lineTo(at.x + 14, at.y - 16);
+    ink.lineTo(at.x + 8, at.y - 8);
+    ink.closePath();
+    ink.stroke();
+  }
+  if (onPlane) {
+    ink.fillStyle = INK.text;
+    ink.fill();
   }
   ink.restore();
 }

@@ -6,8 +6,9 @@ import { pointsBetween } from "../state/route";
 import { asVec3, distance } from "../state/vec";
 import { INK, type Ink, label, line, type ScreenPoint } from "./ink";
 import { traceOutline } from "./outline";
-import { paintCursorNote, paintLivePath } from "./overlay-cursor";
-import { paintBridges, paintTreeAhead } from "./overlay-tree";
+import { paintCursorNote, paintLivePath, paintPreview } from "./overlay-cursor";
+import { paintPen } from "./overlay-pen";
+import { paintDrawn, paintTreeAhead } from "./overlay-tree";
 import type { Scene } from "./scene";
 import { RING_PX, type Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
@@ -35,20 +36,30 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
   traceOutline(ink, scene.airwayShape, frame);
   ink.clip();
   if (scene.routeLineVisible && scene.route !== null && scene.pathMm !== null) {
-    const ahead = pointsBetween(scene.route, scene.pathMm + LINE_FROM_MM, scene.pathMm + LINE_TO_MM);
+    const { route, pathMm } = scene;
+    // What a person drew is dashed already, as a branch.
+    const ahead = route.spans
+      .filter((span) => span.kind === "tracked")
+      .map(
+        (span) => [Math.max(span.from_mm, pathMm + LINE_FROM_MM), Math.min(span.to_mm, pathMm + LINE_TO_MM)] as const,
+      )
+      .filter(([from, to]) => to > from)
+      .map(([from, to]) => pointsBetween(route, from, to));
     ink.save();
     ink.setLineDash([1, 7]);
-    for (const run of projectLine(geometry, ahead)) {
+    for (const run of ahead.flatMap((part) => projectLine(geometry, part))) {
       const points = run.map((point) => viewport.screenAt(point));
       line(ink, points, INK.halo, 4.5, 0.5);
       line(ink, points, INK.accent, 3, 0.95);
     }
     ink.restore();
   }
-  paintBridges(ink, viewport, geometry, aheadOf(geometry, scene), () => true);
+  paintDrawn(ink, viewport, geometry, aheadOf(geometry, scene), () => true);
   paintTreeAhead(ink, viewport, geometry, scene);
   paintLivePath(ink, viewport, geometry, withinReach(geometry, scene), () => true);
+  paintPreview(ink, viewport, geometry, previewInView(geometry, scene), () => true);
   paintWallMarks(ink, viewport, geometry, scene);
+  paintPen(ink, viewport, geometry, scene, (depthMm) => depthMm < LINE_TO_MM);
   ink.restore();
   const marks = ringMarks(geometry.camera);
   if (round) paintDial(ink, centre, radius, marks);
@@ -59,13 +70,22 @@ export function paintAirway(ink: Ink, viewport: Viewport, scene: Scene): void {
   paintCursorNote(ink, viewport, scene);
 }
 
-/** Bridges that begin near enough to be looked into: the others lie behind walls. */
+/** What a person drew that begins near enough to be looked into: the others lie behind walls. */
 function aheadOf(geometry: SeenGeometry, scene: Scene): Scene {
-  if (scene.bridges.length === 0) return scene;
-  const near = scene.bridges.filter(({ branch }) =>
+  if (scene.drawn.length === 0) return scene;
+  const near = scene.drawn.filter(({ branch }) =>
     branch.points.some((point) => distance(asVec3(point), geometry.camera.position) < LINE_TO_MM),
   );
-  return { ...scene, bridges: near };
+  return { ...scene, drawn: near };
+}
+
+/** What a click would make as far as it lies near enough to be looked into. */
+function previewInView(geometry: SeenGeometry, scene: Scene): Scene {
+  if (scene.preview === null) return scene;
+  const runs = scene.preview.runs.filter(({ points }) =>
+    points.some((point) => distance(point, geometry.camera.position) < LINE_TO_MM),
+  );
+  return { ...scene, preview: { ...scene.preview, runs } };
 }
 
 /** The way to the cursor from where it comes nearest to the lens: what lies before that is behind, or behind walls. */

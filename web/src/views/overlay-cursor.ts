@@ -1,6 +1,7 @@
 /** At the cursor: the way to it with what is known about it, the brush, and the name of the branch under it. */
 
 import { type Geometry, projectLine } from "../state/projection";
+import type { Vec3 } from "../state/vec";
 import { FONT, INK, type Ink, line, type ScreenPoint } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
@@ -13,43 +14,65 @@ export function paintLivePath(
   scene: Scene,
   inPlane: (depthMm: number) => boolean,
 ): void {
-  const { live, reach } = scene;
-  if (reach !== null) {
-    ink.save();
-    ink.setLineDash([4, 4]);
-    for (const run of projectLine(geometry, [reach.from, reach.to])) {
-      const points = run.map((point) => viewport.screenAt(point));
-      line(ink, points, INK.halo, 4, 0.6);
-      line(ink, points, reach.bridges ? INK.warning : INK.accent, 2);
-    }
-    ink.restore();
-  }
+  const { live } = scene;
   if (live === null || live.points.length < 2) return;
   const parts = [
     { points: live.points.slice(0, live.leavesAt + 1), colour: INK.text },
     { points: live.points.slice(live.leavesAt), colour: INK.accent },
   ];
-  for (const { points, colour } of parts) {
-    for (const run of projectLine(geometry, points)) {
-      const all = run.map((point) => viewport.screenAt(point));
-      if (geometry.kind === "seen") {
-        line(ink, all, INK.halo, 5, 0.7);
-        line(ink, all, colour, 2.5);
-        continue;
-      }
-      line(ink, all, INK.halo, 3, 0.4);
-      line(ink, all, colour, 1.25, 0.55);
-      let near: ScreenPoint[] = [];
-      for (const [n, point] of run.entries()) {
-        const at = all[n];
-        if (at !== undefined && inPlane(point.depthMm)) near.push(at);
-        else {
-          line(ink, near, colour, 2.5);
-          near = [];
-        }
-      }
-      line(ink, near, colour, 2.5);
+  for (const { points, colour } of parts) strokeWay(ink, viewport, geometry, points, inPlane, { colour });
+}
+
+/** What a click would make: solid where the CT shows an airway, dashed in amber where it would be drawn by hand. */
+export function paintPreview(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  scene: Scene,
+  inPlane: (depthMm: number) => boolean,
+): void {
+  if (scene.preview === null) return;
+  const { runs, faint } = scene.preview;
+  for (const { points, drawn } of runs) {
+    const colour = drawn ? INK.warning : INK.accent;
+    strokeWay(ink, viewport, geometry, points, inPlane, { colour, dashed: drawn, alpha: faint ? 0.35 : 1 });
+  }
+}
+
+/** A way over a picture; thin where it lies off a slice. */
+function strokeWay(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  way: readonly Vec3[],
+  inPlane: (depthMm: number) => boolean,
+  { colour, dashed = false, alpha = 1 }: { colour: string; dashed?: boolean; alpha?: number },
+): void {
+  const stroke = (points: readonly ScreenPoint[], width: number, opacity = alpha) => {
+    ink.save();
+    if (dashed) ink.setLineDash([5, 5]);
+    line(ink, points, colour, width, opacity);
+    ink.restore();
+  };
+  for (const run of projectLine(geometry, way)) {
+    const all = run.map((point) => viewport.screenAt(point));
+    if (geometry.kind === "seen") {
+      line(ink, all, INK.halo, 5, 0.7 * alpha);
+      stroke(all, 2.5);
+      continue;
     }
+    line(ink, all, INK.halo, 3, 0.4 * alpha);
+    stroke(all, 1.25, 0.55 * alpha);
+    let near: ScreenPoint[] = [];
+    for (const [n, point] of run.entries()) {
+      const at = all[n];
+      if (at !== undefined && inPlane(point.depthMm)) near.push(at);
+      else {
+        stroke(near, 2.5);
+        near = [];
+      }
+    }
+    stroke(near, 2.5);
   }
 }
 

@@ -13,8 +13,10 @@ import {
 import { add, scale, type Vec3 } from "../state/vec";
 import type { ViewName } from "../wire/messages";
 import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
-import { paintBrush, paintCursorNote, paintLivePath } from "./overlay-cursor";
-import { paintBridges, paintTree } from "./overlay-tree";
+import { paintBrush, paintCursorNote, paintLivePath, paintPreview } from "./overlay-cursor";
+import { paintCentrelines, paintOutline } from "./overlay-outline";
+import { paintPen } from "./overlay-pen";
+import { paintActedOn, paintDrawn, paintTree } from "./overlay-tree";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
@@ -46,10 +48,16 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (standsIn) clipToPicture(ink, viewport);
   const inPlane = (depthMm: number) => seesThrough || Math.abs(depthMm) <= IN_PLANE_MM;
   if (isSlice(header.view)) paintCrosshair(ink, viewport, geometry, scene, header.view);
+  if (!seesThrough) {
+    paintOutline(ink, viewport, scene);
+    paintCentrelines(ink, viewport, geometry, scene);
+  }
   paintTree(ink, viewport, geometry, scene, inPlane);
   paintRoute(ink, viewport, geometry, scene, inPlane);
-  paintBridges(ink, viewport, geometry, scene, inPlane);
+  paintActedOn(ink, viewport, geometry, scene, inPlane);
+  paintDrawn(ink, viewport, geometry, scene, inPlane);
   paintLivePath(ink, viewport, geometry, scene, inPlane);
+  paintPreview(ink, viewport, geometry, scene, inPlane);
   const names = new NamePlaces();
   for (const target of scene.targets) {
     const seen = pixelFromLps(geometry, target.lps);
@@ -69,6 +77,7 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
       tipMark(ink, at, ahead === null ? null : minus(viewport.screenAt(ahead), at), inPlane(seen.depthMm));
     }
   }
+  paintPen(ink, viewport, geometry, scene, inPlane);
   if (standsIn)
     paintScale(ink, viewport, mmPerPixel(geometry), { x: viewport.size.width / 2, y: viewport.frame.y + 40 });
   ink.restore();
@@ -155,7 +164,7 @@ function paintRoute(
   inPlane: (depthMm: number) => boolean,
 ): void {
   if (!scene.routeLineVisible) return;
-  for (const run of projectLine(geometry, scene.routePoints)) {
+  for (const run of scene.routeRuns.flatMap((points) => projectLine(geometry, points))) {
     line(
       ink,
       run.map((point) => viewport.screenAt(point)),
@@ -201,7 +210,8 @@ const SLAB_WORDS = { min: "min", max: "max", mean: "mean" } as const;
 export function paintSlab(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (scene.slab === null || scene.slab.thickness_mm <= 0) return;
   const { width, height } = viewport.size;
-  const words = `${SLAB_WORDS[scene.slab.kind]} ${scene.slab.thickness_mm} mm`;
+  const outlined = scene.outlineVisible && viewport.outline !== null ? ", outline: central plane" : "";
+  const words = `${SLAB_WORDS[scene.slab.kind]} ${scene.slab.thickness_mm} mm${outlined}`;
   label(ink, words, { x: width - 8, y: height - 12 }, { size: 11, align: "right" });
 }
 

@@ -1,10 +1,11 @@
 /** Over the pictures along the route: distances and names on the axis, the lumen, targets, tip, letters, scale. */
 
+import { kindWords } from "../state/branch-words";
 import { fixed } from "../state/format";
 import { axesAt, type LinesGeometry, linesOf, nearestPixel, pixelOfPath } from "../state/lines";
 import { radiusAt } from "../state/route";
 import type { RouteInfo } from "../wire/messages";
-import { INK, type Ink, label, line, NamePlaces, type ScreenPoint, targetMark, tipMark } from "./ink";
+import { INK, type Ink, label, line, NamePlaces, penMark, type ScreenPoint, targetMark, tipMark } from "./ink";
 import { paintCursorNote } from "./overlay-cursor";
 import { paintLetters, paintScale, paintSlab } from "./overlay-flat";
 import type { Scene } from "./scene";
@@ -23,6 +24,7 @@ const NAMES_ROOM_PX = 110;
 const TICK_PX = 4;
 const TICKS_APART_PX = 30;
 const NAMES_APART_PX = 15;
+const DASH: readonly number[] = [5, 4];
 const TICKS_MM = [1, 2, 5, 10, 20, 50, 100, 200] as const;
 
 export function paintLines(ink: Ink, viewport: Viewport, scene: Scene): void {
@@ -33,8 +35,8 @@ export function paintLines(ink: Ink, viewport: Viewport, scene: Scene): void {
   const names = new NamePlaces();
   if (scene.route !== null) {
     if (header.view === "straightened") paintLumen(ink, viewport, geometry, scene.route);
-    else if (scene.routeLineVisible) paintPath(ink, viewport, geometry);
-    paintAxis(ink, viewport, geometry, scene, scene.route, sides);
+    else if (scene.routeLineVisible) paintPath(ink, viewport, geometry, scene.route);
+    paintAxis(ink, viewport, geometry, scene.route, sides);
   }
   for (const target of scene.targets) {
     const seen = nearestPixel(geometry, target.lps);
@@ -50,6 +52,10 @@ export function paintLines(ink: Ink, viewport: Viewport, scene: Scene): void {
     const seen = onPath === null ? nearestPixel(geometry, scene.tip.position) : { ...onPath, awayMm: 0 };
     const visible = seen.row >= 0 && seen.row <= header.height;
     if (visible) tipMark(ink, viewport.screenAt(seen), null, seen.awayMm <= IN_SURFACE_MM);
+  }
+  if (scene.pen !== null) {
+    const seen = nearestPixel(geometry, scene.pen.lps);
+    if (seen.awayMm <= NEAR_SURFACE_MM) penMark(ink, viewport.screenAt(seen), seen.awayMm <= IN_SURFACE_MM);
   }
   paintLetters(ink, viewport, axesAt(geometry), sides);
   paintScale(ink, viewport, geometry.mmPerPx);
@@ -83,9 +89,11 @@ function rowsOnPath(geometry: LinesGeometry): number[] {
 
 /** The lumen's width as measured, beside what the picture shows of it. */
 function paintLumen(ink: Ink, viewport: Viewport, geometry: LinesGeometry, route: RouteInfo): void {
-  for (const side of [-1, 1]) {
+  // What a person drew has no lumen that was measured.
+  const seen = partsOnPath(geometry, route).filter((part) => !part.drawn);
+  for (const [side, rows] of [-1, 1].flatMap((side) => seen.map((part) => [side, part.rows] as const))) {
     const points: ScreenPoint[] = [];
-    for (const index of rowsOnPath(geometry)) {
+    for (const index of rows) {
       const row = geometry.rows[index] ?? 0;
       const column = geometry.pathColumn[index] ?? 0;
       const radiusPx = radiusAt(route, geometry.pathMm[index] ?? 0) / geometry.mmPerPx;
@@ -98,22 +106,41 @@ function paintLumen(ink: Ink, viewport: Viewport, geometry: LinesGeometry, route
   }
 }
 
-function paintPath(ink: Ink, viewport: Viewport, geometry: LinesGeometry): void {
-  const points = rowsOnPath(geometry).map((index) =>
-    viewport.screenAt({ column: geometry.pathColumn[index] ?? 0, row: geometry.rows[index] ?? 0 }),
-  );
-  line(ink, points, INK.accent, 1.5, 0.6);
+function paintPath(ink: Ink, viewport: Viewport, geometry: LinesGeometry, route: RouteInfo): void {
+  for (const { rows, drawn } of partsOnPath(geometry, route)) {
+    const points = rows.map((index) =>
+      viewport.screenAt({ column: geometry.pathColumn[index] ?? 0, row: geometry.rows[index] ?? 0 }),
+    );
+    ink.save();
+    if (drawn) ink.setLineDash([...DASH]);
+    line(ink, points, drawn ? INK.warning : INK.accent, 1.5, drawn ? 0.9 : 0.6);
+    ink.restore();
+  }
+}
+
+/** The rows on the route in runs that the CT shows and runs that a person drew; neighbours share a row. */
+function partsOnPath(geometry: LinesGeometry, route: RouteInfo): { rows: number[]; drawn: boolean }[] {
+  const parts: { rows: number[]; drawn: boolean }[] = [];
+  for (const index of rowsOnPath(geometry)) {
+    const mm = geometry.pathMm[index] ?? 0;
+    const drawn = route.spans.some((span) => span.kind !== "tracked" && mm > span.from_mm && mm <= span.to_mm);
+    const last = parts.at(-1);
+    if (last?.drawn === drawn) last.rows.push(index);
+    else {
+      last?.rows.push(index);
+      parts.push({ rows: [index], drawn });
+    }
+  }
+  return parts;
 }
 
 function paintAxis(
   ink: Ink,
   viewport: Viewport,
   geometry: LinesGeometry,
-  scene: Scene,
   route: RouteInfo,
   sides: { left: number; right: number },
 ): void {
-  const bridges = new Set(scene.bridges.map((node) => node.branch.id));
   const first = geometry.pathMm[0] ?? 0;
   const last = geometry.pathMm.at(-1) ?? 0;
   const yOf = (mm: number): number | null => {
@@ -132,6 +159,16 @@ function paintAxis(
     1.5,
     0.9,
   );
+  for (const span of route.spans.filter((one) => one.kind !== "tracked")) {
+    const [from, to] = [yOf(Math.max(span.from_mm, first)), yOf(Math.min(span.to_mm, last))];
+    if (from === null || to === null || to <= from) continue;
+    const ends = [from, to].map((y) => ({ x: sides.left, y }));
+    line(ink, ends, INK.halo, 3);
+    ink.save();
+    ink.setLineDash([...DASH]);
+    line(ink, ends, INK.warning, 2);
+    ink.restore();
+  }
   const pxPerMm = (bottom - top) / Math.max(last - first, 1e-6);
   const stepMm = TICKS_MM.find((mm) => mm * pxPerMm >= TICKS_APART_PX) ?? 500;
   const { height } = viewport.size;
@@ -169,12 +206,12 @@ function paintAxis(
     }
     const y = (Math.max(a, 0) + Math.min(b, height)) / 2;
     if (y - taken < NAMES_APART_PX || y < 26 || y > height - 26) continue;
-    const isBridge = bridges.has(span.branch_id);
+    const kind = kindWords(span.kind);
     label(
       ink,
-      isBridge ? "bridge" : (span.name ?? `gen. ${span.generation}`),
+      kind ?? span.name ?? `gen. ${span.generation}`,
       { x: sides.right - TICK_PX - 4, y },
-      { size: 11, align: "right", colour: isBridge ? INK.warning : INK.text },
+      { size: 11, align: "right", colour: kind === null ? INK.text : INK.warning },
     );
     taken = y;
   }

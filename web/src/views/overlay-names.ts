@@ -3,7 +3,7 @@
 import type { BranchNode } from "../state/airways";
 import { pixelFromLps, type SeenGeometry } from "../state/projection";
 import { asVec3 } from "../state/vec";
-import { INK, type Ink, line, NamePlaces } from "./ink";
+import { INK, type Ink, line, NamePlaces, type ScreenPoint } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 
@@ -17,26 +17,50 @@ export const LOBE_COLOURS = {
   LLL: "#3f7fd0",
 } as const;
 
+/** Of the rings across what a person drew, and of the gaps between them, CSS px. */
+const RING_PX = 4;
 /** A name needs so much of the picture, CSS px squared: a small cell shows the large branches' names only. */
 const PX2_A_NAME = 4800;
 
 export function paintLobes(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene: Scene): void {
   for (const node of scene.named) {
-    if (node.lobe === null) continue;
-    const { points, radius } = node.branch;
-    const seen = points.flatMap((point) => pixelFromLps(geometry, asVec3(point)) ?? []);
-    const depth = seen[seen.length >> 1]?.depthMm;
-    if (depth === undefined) continue;
-    const mean = radius.reduce((sum, mm) => sum + mm, 0) / Math.max(radius.length, 1);
-    const width = ((2 * mean * geometry.focalPx) / depth) * viewport.magnification;
-    line(
-      ink,
-      seen.map((pixel) => viewport.screenAt(pixel)),
-      LOBE_COLOURS[node.lobe],
-      Math.max(width, 1.5),
-      0.5,
-    );
+    const band = node.lobe === null ? null : bandOf(viewport, geometry, node);
+    if (band !== null && node.lobe !== null) line(ink, band.points, LOBE_COLOURS[node.lobe], band.width, 0.5);
   }
+  // The tube of what a person drew is cast like any other: amber rings across it say that it is none.
+  for (const node of scene.drawn) {
+    const band = bandOf(viewport, geometry, node);
+    if (band === null) continue;
+    ink.save();
+    ink.setLineDash([RING_PX, RING_PX]);
+    ink.lineCap = "butt";
+    ink.lineJoin = "bevel";
+    ink.globalAlpha = 0.75;
+    ink.strokeStyle = INK.warning;
+    ink.lineWidth = 1.15 * band.width;
+    ink.beginPath();
+    band.points.forEach((point, n) => {
+      if (n === 0) ink.moveTo(point.x, point.y);
+      else ink.lineTo(point.x, point.y);
+    });
+    ink.stroke();
+    ink.restore();
+  }
+}
+
+/** A branch as a band as wide as its lumen. */
+function bandOf(
+  viewport: Viewport,
+  geometry: SeenGeometry,
+  node: BranchNode,
+): { points: ScreenPoint[]; width: number } | null {
+  const { points, radius } = node.branch;
+  const seen = points.flatMap((point) => pixelFromLps(geometry, asVec3(point)) ?? []);
+  const depth = seen[seen.length >> 1]?.depthMm;
+  if (depth === undefined) return null;
+  const mean = radius.reduce((sum, mm) => sum + mm, 0) / Math.max(radius.length, 1);
+  const width = ((2 * mean * geometry.focalPx) / depth) * viewport.magnification;
+  return { points: seen.map((pixel) => viewport.screenAt(pixel)), width: Math.max(width, 1.5) };
 }
 
 /** Names at the middle of their branches, large branches first. */

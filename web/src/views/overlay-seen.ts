@@ -5,10 +5,11 @@ import { axesOf, geometryOf, pixelFromLps, projectLine, type SeenGeometry } from
 import { outlineOf, PLANE_NAMES } from "../state/tri-plane";
 import { add, scale } from "../state/vec";
 import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
-import { paintCursorNote, paintLivePath } from "./overlay-cursor";
+import { paintCursorNote, paintLivePath, paintPreview } from "./overlay-cursor";
 import { paintLetters } from "./overlay-flat";
 import { paintLobes, paintNames } from "./overlay-names";
-import { paintBridges, paintTree } from "./overlay-tree";
+import { paintPen } from "./overlay-pen";
+import { paintActedOn, paintDrawn, paintTree } from "./overlay-tree";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
 import { paintWallMarks } from "./wall-marks";
@@ -27,14 +28,16 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (isTree) paintLobes(ink, viewport, geometry, scene);
   paintTree(ink, viewport, geometry, scene, () => true);
   if (scene.routeLineVisible) {
-    for (const run of projectLine(geometry, scene.routePoints)) {
+    for (const run of scene.routeRuns.flatMap((points) => projectLine(geometry, points))) {
       const points = run.map((point) => viewport.screenAt(point));
       line(ink, points, INK.halo, 4, 0.6);
       line(ink, points, INK.accent, 2);
     }
   }
-  paintBridges(ink, viewport, geometry, scene, () => true);
+  paintActedOn(ink, viewport, geometry, scene, () => true);
+  paintDrawn(ink, viewport, geometry, scene, () => true);
   paintLivePath(ink, viewport, geometry, scene, () => true);
+  paintPreview(ink, viewport, geometry, scene, () => true);
   const names = new NamePlaces();
   for (const target of scene.targets) {
     const seen = pixelFromLps(geometry, target.lps);
@@ -54,6 +57,7 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
       tipMark(ink, at, to === null ? null : { x: to.x - at.x, y: to.y - at.y }, true);
     }
   }
+  paintPen(ink, viewport, geometry, scene, () => true);
   if (isTree) paintNames(ink, viewport, geometry, scene);
   paintLetters(ink, viewport, axesOf(geometry));
   paintCursorNote(ink, viewport, scene);

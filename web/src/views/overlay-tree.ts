@@ -1,6 +1,7 @@
-/** The airway tree over the pictures: bridges, what could not be followed, and the branch that is pointed at or chosen. */
+/** The airway tree over the pictures: what a person drew, what could not be followed, and the branch that is pointed at or chosen. */
 
 import type { BranchNode } from "../state/airways";
+import { kindWords } from "../state/branch-words";
 import { type Geometry, pixelFromLps, projectLine, type SeenPoint } from "../state/projection";
 import { openingOf } from "../state/tree-index";
 import { asVec3, type Vec3 } from "../state/vec";
@@ -10,6 +11,7 @@ import type { Viewport } from "./viewport";
 
 const DASH: readonly number[] = [5, 4];
 const FAINT = 0.3;
+const NAMED_FROM_PX = 300;
 
 /** Over slices and X-rays, and over what is seen from outside. `inPlane` tells from the depth what belongs to a slice. */
 export function paintTree(
@@ -22,12 +24,14 @@ export function paintTree(
   const names = new NamePlaces();
   for (const place of scene.uncertain) paintUncertain(ink, viewport, geometry, asVec3(place.lps), inPlane);
   if (scene.selected !== null && scene.selected !== scene.hovered?.node) {
-    paintCentreline(ink, viewport, geometry, pointsOf(scene.selected), INK.text, inPlane);
+    paintNode(ink, viewport, geometry, scene.selected, inPlane);
   }
   if (scene.hovered !== null) {
     const { node } = scene.hovered;
-    paintLumen(ink, viewport, geometry, node, inPlane);
-    paintCentreline(ink, viewport, geometry, pointsOf(node), INK.text, inPlane);
+    // A slice shows the lumen itself where its outline is on, and nothing lies over it.
+    const cut = geometry.kind === "flat" && !inPlane(Number.MAX_VALUE);
+    if (!(cut && scene.outlineVisible)) paintLumen(ink, viewport, geometry, node, inPlane);
+    paintNode(ink, viewport, geometry, node, inPlane);
     const middle = node.branch.points[node.branch.points.length >> 1];
     const seen = middle === undefined ? null : pixelFromLps(geometry, asVec3(middle));
     // In the picture under the cursor the name stands at the cursor.
@@ -35,6 +39,16 @@ export function paintTree(
       names.name(ink, node.label, viewport.screenAt(seen), INK.text, viewport.size);
     }
   }
+}
+
+/** What the tool in the hand would act on: amber, over the route as well. */
+export function paintActedOn(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  scene: Scene,
+  inPlane: (depthMm: number) => boolean,
+): void {
   for (const points of scene.doomed) {
     for (const run of runsOf(viewport, geometry, points, inPlane)) {
       line(ink, run, INK.halo, 5, 0.6);
@@ -44,8 +58,8 @@ export function paintTree(
   if (scene.heldFork !== null) paintFork(ink, viewport, geometry, scene.heldFork, inPlane);
 }
 
-/** Bridges over blockages, over whatever else is drawn: amber, dashed, and called so. */
-export function paintBridges(
+/** Bridges and what a person drew, over whatever else is drawn: amber, dashed, and called so. */
+export function paintDrawn(
   ink: Ink,
   viewport: Viewport,
   geometry: Geometry,
@@ -53,7 +67,7 @@ export function paintBridges(
   inPlane: (depthMm: number) => boolean,
 ): void {
   const names = new NamePlaces();
-  for (const node of scene.bridges) paintBridge(ink, viewport, geometry, node, inPlane, names);
+  for (const node of scene.drawn) paintDrawnBranch(ink, viewport, geometry, node, inPlane, names);
 }
 
 /** In the airway view: the opening of the branch that is pointed at. */
@@ -102,6 +116,17 @@ function runsOf(
     if (part.length > 1) runs.push(part);
   }
   return runs;
+}
+
+/** The centreline of a branch; what a person drew is among `drawn`, and never a solid line. */
+function paintNode(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  node: BranchNode,
+  inPlane: (depthMm: number) => boolean,
+): void {
+  if (node.branch.kind === "tracked") paintCentreline(ink, viewport, geometry, pointsOf(node), INK.text, inPlane);
 }
 
 function paintCentreline(
@@ -172,7 +197,7 @@ function chordPx(
   return inPlane(Number.MAX_VALUE) ? radiusMm * perMm : 0;
 }
 
-function paintBridge(
+function paintDrawnBranch(
   ink: Ink,
   viewport: Viewport,
   geometry: Geometry,
@@ -191,7 +216,10 @@ function paintBridge(
   ink.restore();
   const longest = runs.reduce<ScreenPoint[]>((best, run) => (run.length > best.length ? run : best), []);
   const middle = longest[longest.length >> 1];
-  if (middle !== undefined) names.name(ink, "bridge", middle, INK.warning, viewport.size);
+  // In a small slice the words would cover what they are about.
+  const hasRoom = geometry.kind === "seen" || viewport.size.width >= NAMED_FROM_PX;
+  if (middle !== undefined && hasRoom)
+    names.name(ink, kindWords(node.branch.kind) ?? "", middle, INK.warning, viewport.size);
 }
 
 /** A small amber ring with a gap: the airway goes on, but nobody knows where. */

@@ -2,14 +2,19 @@
 
 import type { BranchNode, BranchTree } from "../state/airways";
 import { type AppState, type Cursor, crosshairLps, maskOf, pathMm } from "../state/app-state";
+import { kindWords } from "../state/branch-words";
+import { type PreviewRun, previewTool, previewWords, runsOf } from "../state/edit-preview";
+import { forkOf } from "../state/fork-choice";
 import { mm, plural } from "../state/format";
 import { type LiveAnswer, leavesTreeAt, livePathLines } from "../state/live-path";
-import { isBrush, wantsPath } from "../state/tools";
-import { below, nearestPlace, pointsFrom, type TreePlace } from "../state/tree-index";
+import { marksByPen } from "../state/pen";
+import { pointsBetween } from "../state/route";
+import { type Armed, isBrush, wantsPath } from "../state/tools";
+import { below, pointsFrom, type TreePlace } from "../state/tree-index";
 import type { PlaneName } from "../state/tri-plane";
-import { asVec3, type Camera, cameraFromMatrix, distance, type Vec3 } from "../state/vec";
+import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
-import type { RouteInfo, StateMessage, UncertainPlace } from "../wire/messages";
+import type { EditLine, RouteInfo, StateMessage, UncertainPlace } from "../wire/messages";
 import { type Shape, shapeOf } from "./outline";
 
 export interface SceneTarget {
@@ -26,8 +31,12 @@ export interface Scene {
   crosshair: Vec3 | null;
   followsTip: boolean;
   route: RouteInfo | null;
-  routePoints: readonly Vec3[];
+  /** The parts of it that the CT shows: a solid line. The others are among `drawn`, dashed. */
+  routeRuns: readonly (readonly Vec3[])[];
   routeLineVisible: boolean;
+  /** Outline of the lumen and centrelines in slices and the cut-plane. */
+  outlineVisible: boolean;
+  tree: BranchTree | null;
   pathMm: number | null;
   targets: readonly SceneTarget[];
   root: Vec3 | null;
@@ -40,7 +49,8 @@ export interface Scene {
   overPlane: PlaneName | null;
   /** Clicked points of the wall, newest last. */
   wallPoints: readonly Vec3[];
-  bridges: readonly BranchNode[];
+  /** Branches that the CT does not show: bridges, and what a person drew. */
+  drawn: readonly BranchNode[];
   /** Branches of a known lobe. */
   named: readonly BranchNode[];
   /** Branches with an anatomical name or a person's, large ones first. */
@@ -51,14 +61,16 @@ export interface Scene {
   selected: BranchNode | null;
   /** The branch that the tip is in. */
   hereId: number | null;
-  /** What a cut under the cursor would take away. */
+  /** What a cut under the cursor would take away, or smoothing would change. */
   doomed: readonly (readonly Vec3[])[];
-  /** The fork that is being moved. */
+  /** The fork that is being moved, or that a click would take hold of. */
   heldFork: Vec3 | null;
-  /** From the tree straight to the cursor, where there is no way yet: what a click would look for, or bridge. */
-  reach: { from: Vec3; to: Vec3; bridges: boolean } | null;
+  /** What a click would make, or what is asked about; faint where the cursor is elsewhere by now. */
+  preview: { runs: readonly PreviewRun[]; faint: boolean } | null;
   /** The way to the cursor; leaves the tree at a point of its own. */
   live: { points: readonly Vec3[]; leavesAt: number } | null;
+  /** The tip of the tracked pen, while its button marks it or the scope follows it, and what is said there: the first that there is room for. */
+  pen: { lps: Vec3; words: readonly string[] } | null;
   cursor: Cursor | null;
   /** What is said at the cursor. */
   note: { lines: readonly string[]; warns: boolean } | null;
@@ -67,16 +79,18 @@ export interface Scene {
 }
 
 let partsOf: BranchTree | null = null;
-let parts: Pick<Scene, "bridges" | "named" | "titled"> = { bridges: [], named: [], titled: [] };
+let parts: Pick<Scene, "drawn" | "named" | "titled"> = { drawn: [], named: [], titled: [] };
 let liveOf: LiveAnswer | null = null;
 let live: Scene["live"] = null;
+let previewOf: readonly EditLine[] = [];
+let previewRuns: readonly PreviewRun[] = [];
 
 /** What is pointed at, and what is in the hand. */
 function pointedAt(
   state: AppState,
 ): Pick<
   Scene,
-  | "bridges"
+  | "drawn"
   | "named"
   | "titled"
   | "uncertain"
@@ -84,18 +98,18 @@ function pointedAt(
   | "selected"
   | "doomed"
   | "heldFork"
-  | "reach"
+  | "preview"
   | "live"
   | "note"
   | "brush"
   | "stroke"
 > {
-  const { tree, ui, livePath } = state;
+  const { tree, ui, livePath, preview, doubt } = state;
   if (tree !== partsOf) {
     partsOf = tree;
     const nodes = tree === null ? [] : [...tree.byId.values()];
     parts = {
-      bridges: nodes.filter((node) => node.branch.kind === "bridge"),
+      drawn: nodes.filter((node) => node.branch.kind !== "tracked"),
       named: nodes.filter((node) => node.lobe !== null),
       titled: nodes.filter((node) => node.branch.name !== null).sort((a, b) => b.diameterMm - a.diameterMm),
     };
@@ -106,53 +120,49 @@ function pointedAt(
     const leavesAt = livePath === null ? 0 : leavesTreeAt(livePath.answer.points_lps, livePath.answer.new_mm);
     live = points.length > 1 ? { points, leavesAt } : null;
   }
+  const lines = doubt === null ? (preview?.answer?.lines ?? []) : [doubt.line];
+  if (lines !== previewOf) {
+    previewOf = lines;
+    previewRuns = runsOf(lines);
+  }
   const node = ui.hovered === null ? undefined : tree?.byId.get(ui.hovered.branchId);
   const hovered = node === undefined || ui.hovered === null ? null : { node, place: ui.hovered.place };
   // The route's end is no choice of its own: its line is drawn already.
   const selected = ui.selected === null ? null : (tree?.byId.get(ui.selected) ?? null);
-  const reach = reachOf(state);
-  const held = ui.forkHeld === null ? undefined : tree?.byId.get(ui.forkHeld)?.branch.points.at(-1);
+  const meant =
+    tree !== null && ui.armed === "fork" && hovered !== null
+      ? forkOf(tree, hovered.node.branch.id, hovered.place?.alongMm ?? 0)
+      : null;
+  const fork = ui.forkHeld ?? meant;
+  const held = fork === null ? undefined : tree?.byId.get(fork)?.branch.points.at(-1);
   return {
     ...parts,
     uncertain: tree?.uncertain ?? [],
     hovered,
     selected,
-    doomed: ui.armed === "cut" && hovered !== null ? doomedBy(hovered.node, hovered.place?.alongMm ?? 0) : [],
+    doomed: hovered === null ? [] : actedOn(ui.armed, hovered.node, hovered.place?.alongMm ?? 0),
     heldFork: held === undefined ? null : asVec3(held),
-    reach,
+    preview: previewRuns.length === 0 ? null : { runs: previewRuns, faint: doubt === null && preview?.stale === true },
     live,
-    note: noteOf(state, hovered?.node ?? null, reach),
+    note: noteOf(state, hovered?.node ?? null),
     brush: isBrush(ui.armed) ? { radiusMm: ui.brushMm, erase: ui.armed === "erase" } : null,
     stroke: ui.stroke,
   };
 }
 
-function doomedBy(node: BranchNode, alongMm: number): Vec3[][] {
-  return below(node).map((member) => pointsFrom(member, member === node ? alongMm : 0));
+function actedOn(armed: Armed | null, node: BranchNode, alongMm: number): Vec3[][] {
+  if (armed === "smooth") return [pointsFrom(node, 0)];
+  return armed === "cut" ? below(node).map((member) => pointsFrom(member, member === node ? alongMm : 0)) : [];
 }
 
-/** Nearer than this the cursor is on the tree. */
-const ON_TREE_MM = 0.5;
-
-function reachOf(state: AppState): Scene["reach"] {
-  const { ui, tree, livePath } = state;
-  const bridges = ui.armed === "bridge";
-  const searches = ui.armed === "add" && livePath !== null && livePath.answer.problem !== null;
-  if (tree === null || ui.pointedLps === null || !(bridges || searches)) return null;
-  const nearest = nearestPlace(tree.index, ui.pointedLps);
-  if (nearest === null || nearest.distanceMm < ON_TREE_MM) return null;
-  return { from: nearest.lps, to: ui.pointedLps, bridges };
-}
-
-function noteOf(state: AppState, hovered: BranchNode | null, reach: Scene["reach"]): Scene["note"] {
-  const { ui, livePath } = state;
-  if (reach !== null) {
-    const far = `${mm(distance(reach.from, reach.to))} from the tree`;
-    if (reach.bridges) return { lines: ["bridge to here", far], warns: true };
-    const why = livePath === null ? [] : livePathLines(livePath.answer).lines;
-    return { lines: [...why, `${far}: a click looks for an airway up to here`], warns: false };
-  }
-  if (wantsPath(ui.armed, ui.forkHeld !== null)) return livePath === null ? null : livePathLines(livePath.answer);
+function noteOf(state: AppState, hovered: BranchNode | null): Scene["note"] {
+  const { ui, livePath, preview, doubt } = state;
+  // The question stands at the tool.
+  if (doubt !== null) return null;
+  // It is said at the pen.
+  if (ui.penLeads) return null;
+  if (previewTool(ui.armed, ui.forkHeld !== null) !== null) return preview === null ? null : previewWords(preview);
+  if (wantsPath(ui.armed)) return livePath === null ? null : livePathLines(livePath.answer);
   if (hovered === null) return null;
   const name = branchLine(hovered);
   if (ui.armed === "cut") {
@@ -162,19 +172,50 @@ function noteOf(state: AppState, hovered: BranchNode | null, reach: Scene["reach
       warns: true,
     };
   }
-  return isBrush(ui.armed) ? null : { lines: [name], warns: hovered.branch.kind === "bridge" };
+  if (ui.armed === "smooth") return { lines: [`smooth ${name}`], warns: true };
+  return isBrush(ui.armed) ? null : { lines: [name], warns: hovered.branch.kind !== "tracked" };
 }
 
-const branchLine = (node: BranchNode): string =>
-  node.branch.kind === "bridge" ? `${node.label} (bridge)` : `${node.label}, ${mm(node.diameterMm)}`;
+function branchLine(node: BranchNode): string {
+  const kind = kindWords(node.branch.kind);
+  return kind === null ? `${node.label}, ${mm(node.diameterMm)}` : `${node.label} (${kind})`;
+}
+
+/** What is known of a way, and the same in fewer words. */
+function shorter({ answer }: LiveAnswer): string[] {
+  const { lines } = livePathLines(answer);
+  const length = answer.length_mm === null ? "no way" : mm(answer.length_mm, 0);
+  return [lines.slice(0, 2).join(", "), ...lines.slice(0, 1), length];
+}
+
+function penOf(state: AppState): Scene["pen"] {
+  const { pen, ui, livePath } = state;
+  if (pen === null || pen.lps === null || !(marksByPen(ui.armed) || pen.off_mm !== null)) return null;
+  return { lps: asVec3(pen.lps), words: ui.penLeads && livePath !== null ? shorter(livePath) : [] };
+}
 
 let cachedFor: RouteInfo | null = null;
-let cachedPoints: readonly Vec3[] = [];
+let cachedRuns: readonly (readonly Vec3[])[] = [];
+
+function shownRuns(route: RouteInfo | null): readonly (readonly Vec3[])[] {
+  if (route === null) return [];
+  if (route.spans.every((span) => span.kind === "tracked")) {
+    return [route.points_lps.map((point) => asVec3(point))];
+  }
+  const runs: { fromMm: number; toMm: number }[] = [];
+  for (const span of route.spans) {
+    if (span.kind !== "tracked") continue;
+    const last = runs.at(-1);
+    if (last !== undefined && span.from_mm - last.toMm < 1e-3) last.toMm = span.to_mm;
+    else runs.push({ fromMm: span.from_mm, toMm: span.to_mm });
+  }
+  return runs.map(({ fromMm, toMm }) => pointsBetween(route, fromMm, toMm));
+}
 
 export function sceneOf(state: AppState): Scene {
   if (state.route !== cachedFor) {
     cachedFor = state.route;
-    cachedPoints = state.route?.points_lps.map((point) => asVec3(point)) ?? [];
+    cachedRuns = shownRuns(state.route);
   }
   const tip = state.pose === null ? null : cameraFromMatrix(state.pose.lps_from_camera);
   const cross = crosshairLps(state);
@@ -183,8 +224,10 @@ export function sceneOf(state: AppState): Scene {
     crosshair: cross ?? tip?.position ?? null,
     followsTip: cross === null,
     route: state.route,
-    routePoints: cachedPoints,
+    routeRuns: cachedRuns,
     routeLineVisible: state.ui.routeLineVisible,
+    outlineVisible: state.ui.outlineVisible,
+    tree: state.tree,
     pathMm: pathMm(state),
     targets:
       state.session?.targets.map((target) => ({
@@ -201,6 +244,7 @@ export function sceneOf(state: AppState): Scene {
     overPlane: state.ui.overPlane,
     wallPoints: state.picks.map((point) => point.lps),
     hereId: state.pose?.branch_id ?? null,
+    pen: penOf(state),
     cursor: state.ui.cursor,
     ...pointedAt(state),
   };

@@ -4,6 +4,7 @@ import type { PixelPoint } from "../state/projection";
 import type { PictureHeader, ViewName } from "../wire/messages";
 import type { Ink, ScreenPoint } from "./ink";
 import { clipPathOf, type Shape } from "./outline";
+import { outlinePath } from "./outline-path";
 
 export interface Rect {
   x: number;
@@ -25,6 +26,8 @@ export class Viewport {
   readonly picture: HTMLCanvasElement;
   readonly overlay: HTMLCanvasElement;
   header: PictureHeader | null = null;
+  /** Of the lumen, in pixels of the picture shown. */
+  outline: Path2D | null = null;
   #view: ViewName;
   #shape: Shape;
   #hostSize = { width: 0, height: 0 };
@@ -62,6 +65,7 @@ export class Viewport {
 
   clear(): void {
     this.header = null;
+    this.outline = null;
     this.picture.getContext("2d")?.clearRect(0, 0, this.picture.width, this.picture.height);
     this.#describe();
   }
@@ -82,6 +86,11 @@ export class Viewport {
     return { x: (width - side) / 2, y: (height - side) / 2, width: side, height: side };
   }
 
+  get middle(): ScreenPoint {
+    const { x, y, width, height } = this.frame;
+    return { x: x + width / 2, y: y + height / 2 };
+  }
+
   get size(): { width: number; height: number } {
     return this.#hostSize;
   }
@@ -95,10 +104,11 @@ export class Viewport {
     return Math.min(pixels.width, pixels.height) < MIN_SIDE_PX ? null : pixels;
   }
 
-  draw(header: PictureHeader, image: CanvasImageSource): void {
+  draw(header: PictureHeader, image: CanvasImageSource, outline: Uint8Array | null): void {
     const ink = this.picture.getContext("2d");
     if (ink === null) return;
     this.header = header;
+    this.outline = outline === null ? null : outlinePath(outline);
     const { width, height } = this.picture;
     const fit = fitInside(header, width, height);
     // A picture of other proportions only comes while a cell changes its size; the rest must not show an older one.

@@ -42,10 +42,12 @@ export class Wall {
     return null;
   }
 
-  draw(header: PictureHeader, image: CanvasImageSource): boolean {
+  draw(header: PictureHeader, image: CanvasImageSource, outline: Uint8Array | null): boolean {
     const viewport = this.find(header.stands_for ?? header.view);
     if (viewport === null) return false;
-    viewport.draw(header, image);
+    viewport.draw(header, image, outline);
+    // At once: the outline of one picture is never seen over another.
+    if (outline !== null) paint(viewport, this.#hooks.scene());
     this.touch();
     return true;
   }

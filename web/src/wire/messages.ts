@@ -136,6 +136,13 @@ export interface PlaceMessage {
   readonly lps: readonly [number, number, number];
 }
 
+/** Tip before a place of the airways, looking at it, and the crosshair on it; free mode afterwards. */
+export interface ShowPlaceMessage {
+  readonly type: "show_place";
+  readonly lps: readonly [number, number, number];
+  readonly branch_id: number | null;
+}
+
 /** Roll so that the operator's up is up. */
 export interface LevelHorizonMessage {
   readonly type: "level_horizon";
@@ -324,6 +331,7 @@ export interface AskBranchDetailMessage {
 export interface EditAddBranch {
   readonly kind: "add-branch";
   readonly lps: readonly [number, number, number];
+  readonly even_without_evidence?: boolean;
 }
 
 /** Take a branch away from a place along it, with all that hangs on it; 0 takes the whole branch. */
@@ -378,6 +386,20 @@ export interface EditRenameBranch {
 export interface EditTreeMessage {
   readonly type: "edit_tree";
   readonly edit: EditAddBranch | EditCutBranch | EditBridge | EditMoveRoot | EditMoveFork | EditPaintLumen | EditSmoothBranch | EditRenameBranch;
+}
+
+/** Ask what an edit at a place under the cursor would make; only the newest is answered, by `edit_preview`.
+
+    Either a point, or a place in an airway picture, as in `live_path`. A branch is named for `move-fork` alone. */
+export interface AskEditPreviewMessage {
+  readonly type: "preview_edit";
+  readonly request_id: number;
+  readonly tool: "add-branch" | "bridge" | "move-fork";
+  readonly branch_id: number | null;
+  readonly lps: readonly [number, number, number] | null;
+  readonly frame_id: number | null;
+  readonly column: number | null;
+  readonly row: number | null;
 }
 
 /** Take back the last change. */
@@ -454,10 +476,15 @@ export interface CalibrateMessage {
   readonly patient_lps: readonly (readonly [number, number, number])[];
 }
 
-/** What the pen's first button sets at the tip; null lets it change the way to move. */
+/** What the pen's first button sets, at the pen's own tip (`pen`); null lets it change the way to move. */
 export interface ArmPenMessage {
   readonly type: "arm_pen";
   readonly tool: "root" | "target" | null;
+}
+
+/** In absolute movement the tip comes to the registered pen at once, instead of easing over. */
+export interface JoinPenMessage {
+  readonly type: "join_pen";
 }
 
 /** Connect to a device of this machine: fastrak:PORT, handle:PORT, openigtlink:HOST:PORT. */
@@ -612,6 +639,13 @@ export interface StartMessage {
   readonly scopes: readonly Scope[];
 }
 
+/** One thing that a person should know about the case, with its stable code. */
+export interface CaseNote {
+  readonly code: string;
+  readonly words: string;
+  readonly badge: boolean;
+}
+
 /** Another series of the folder. */
 export interface OtherSeries {
   readonly key: string;
@@ -638,6 +672,7 @@ export interface CaseInfo {
   readonly lps_from_ijk: readonly number[];
   readonly value_range: readonly [number, number];
   readonly warnings: readonly string[];
+  readonly notes: readonly CaseNote[];
   readonly quality: readonly string[];
   readonly other_series: readonly OtherSeries[];
   readonly citation: string | null;
@@ -749,6 +784,7 @@ export interface StateMessage {
   readonly frame_rate_hz: number;
   readonly airways_from: "search" | "mask" | null;
   readonly mask_question: MaskQuestion | null;
+  readonly badges: readonly CaseNote[];
 }
 
 /** A branch of a `carina-tree` document. */
@@ -766,6 +802,7 @@ export interface TreeBranch {
   readonly name_confidence: number | null;
   readonly name_from: "anatomy" | "person" | null;
   readonly variant: string | null;
+  readonly doubtful_mm: number;
 }
 
 /** A `carina-tree` document, version 1. */
@@ -828,6 +865,7 @@ export interface RouteSpan {
   readonly generation: number;
   readonly from_mm: number;
   readonly to_mm: number;
+  readonly kind: "tracked" | "bridge" | "manual";
 }
 
 /** The way that is flown; lists are parallel, root to tip. */
@@ -845,6 +883,8 @@ export interface RouteInfo {
   readonly lookouts_mm: readonly number[];
   readonly spans: readonly RouteSpan[];
   readonly length_mm: number;
+  readonly drawn_mm: number;
+  readonly bridge_mm: number;
 }
 
 /** The route, when it changed. */
@@ -936,6 +976,40 @@ export interface BranchDetailMessage {
   readonly branch_id: number;
   readonly measures: BranchMeasures | null;
   readonly profile: BranchProfile | null;
+}
+
+/** A line that an edit would draw, or was asked to draw. */
+export interface EditLine {
+  readonly points_lps: readonly (readonly [number, number, number])[];
+  readonly doubtful: readonly boolean[];
+  readonly drawn: readonly boolean[];
+}
+
+/** Answer to `preview_edit`: the very lines that the edit would make, or why it cannot be made. */
+export interface EditPreviewMessage {
+  readonly type: "edit_preview";
+  readonly request_id: number;
+  readonly tool: "add-branch" | "bridge" | "move-fork";
+  readonly lps: readonly [number, number, number] | null;
+  readonly lines: readonly EditLine[];
+  readonly length_mm: number | null;
+  readonly doubtful_mm: number | null;
+  readonly has_evidence: boolean;
+  readonly problem: string | null;
+}
+
+/** An `add-branch` was not made, since the CT shows no wall round the whole way; in the place of an `error`.
+
+    The same edit with `even_without_evidence` draws this very way. */
+export interface NoEvidenceMessage {
+  readonly type: "no_evidence";
+  readonly job_id: string;
+  readonly code: "track.no-evidence";
+  readonly message: string;
+  readonly lps: readonly [number, number, number];
+  readonly line: EditLine;
+  readonly length_mm: number;
+  readonly doubtful_mm: number;
 }
 
 /** A job's progress; fraction and time left are null where they cannot be known. */
@@ -1033,6 +1107,16 @@ export interface DevicesMessage {
   readonly recording: string | null;
   readonly phone: PhoneInfo | null;
   readonly phone_problem: string | null;
+}
+
+/** The tracked pen that moves the tip, and the point that its button marks; whenever one of them changed. */
+export interface PenMessage {
+  readonly type: "pen";
+  readonly device: string | null;
+  readonly tracked: boolean;
+  readonly lps: readonly [number, number, number] | null;
+  readonly off_mm: number | null;
+  readonly off_deg: number | null;
 }
 
 /** One machine that renders with this one. */
@@ -1137,6 +1221,15 @@ export interface PictureLines {
   readonly mm_per_px: number;
 }
 
+/** The outline of the lumen in this picture: the last bytes of the message, after those of the picture.
+
+    Line after line: u16 number of its points, then column and row of each, u16 little-endian, in sixteenths of a pixel
+    of *this* picture (corner coordinates). A closed line ends where it begins. */
+export interface PictureOutline {
+  readonly num_bytes: number;
+  readonly complete: boolean;
+}
+
 /** Header of a binary message; the payload follows. */
 export interface PictureHeader {
   readonly frame_id: number;
@@ -1148,6 +1241,7 @@ export interface PictureHeader {
   readonly lens: PictureLens | null;
   readonly lps_from_pixel: readonly number[] | null;
   readonly lines: PictureLines | null;
+  readonly outline: PictureOutline | null;
   readonly width: number;
   readonly height: number;
   readonly step_vox: number | null;
@@ -1179,6 +1273,7 @@ export type ClientMessage =
   | NextForkMessage
   | PreviousForkMessage
   | PlaceMessage
+  | ShowPlaceMessage
   | LevelHorizonMessage
   | ResetLookMessage
   | SetOperatorMessage
@@ -1207,6 +1302,7 @@ export type ClientMessage =
   | AskLivePathMessage
   | AskBranchDetailMessage
   | EditTreeMessage
+  | AskEditPreviewMessage
   | UndoMessage
   | RedoMessage
   | AcceptNoticeMessage
@@ -1217,6 +1313,7 @@ export type ClientMessage =
   | SetControlsMessage
   | CalibrateMessage
   | ArmPenMessage
+  | JoinPenMessage
   | ConnectDeviceMessage
   | DisconnectDeviceMessage
   | PublishTipMessage
@@ -1241,12 +1338,15 @@ export type ServerMessage =
   | PickedMessage
   | LivePathMessage
   | BranchDetailMessage
+  | EditPreviewMessage
+  | NoEvidenceMessage
   | ProgressMessage
   | DoneMessage
   | ErrorMessage
   | NoticeMessage
   | StatusMessage
   | DevicesMessage
+  | PenMessage
   | ClusterMessage
   | KeysMessage;
 

@@ -186,6 +186,8 @@ const MAX_HEADER_BYTES = 65_536;
 export interface WirePicture {
   readonly header: PictureHeader;
   readonly payload: Uint8Array<ArrayBuffer>;
+  /** The lines of its outline, as the wire has them; null where it has none. */
+  readonly outline: Uint8Array<ArrayBuffer> | null;
 }
 
 /** Splits one binary message: u32 little-endian header length, JSON header, payload. */
@@ -203,8 +205,11 @@ export function parsePicture(data: ArrayBuffer): WirePicture {
   const header = parseJson(text);
   const found = problem(definition("PictureHeader"), header, "picture");
   if (found !== null) throw new WireError(found);
-  const picture: WirePicture = { header: header as PictureHeader, payload: new Uint8Array(data, 4 + headerBytes) };
-  const wrong = pictureProblem(picture.header, picture.payload);
+  const checked = header as PictureHeader;
+  const rest = new Uint8Array(data, 4 + headerBytes);
+  const wrong = pictureProblem(checked, rest);
   if (wrong !== null) throw new WireError(wrong);
-  return picture;
+  if (checked.outline === null) return { header: checked, payload: rest, outline: null };
+  const split = rest.length - checked.outline.num_bytes;
+  return { header: checked, payload: rest.subarray(0, split), outline: rest.subarray(split) };
 }

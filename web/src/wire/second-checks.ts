@@ -1,6 +1,6 @@
 /** What no schema can say: the "second checks" of `protocol/README.md`. */
 
-import type { ClientMessage, PictureHeader } from "./messages";
+import type { AskEditPreviewMessage, AskLivePathMessage, ClientMessage, PictureHeader } from "./messages";
 
 /** A key that stands twice in one object of a JSON text, or null. `JSON.parse` would silently keep the last. */
 export function doubledKey(text: string): string | null {
@@ -65,20 +65,41 @@ export function clientProblem(message: ClientMessage): string | null {
       return (message.preset === null) === (message.document === null)
         ? "set_transfer needs a preset or a document"
         : null;
-    case "live_path": {
-      const inPicture = [message.frame_id, message.column, message.row].filter((part) => part !== null).length;
-      return inPicture === (message.lps === null ? 3 : 0) ? null : "live_path needs a point or a place in a picture";
-    }
+    case "preview_edit":
+      if ((message.branch_id === null) === (message.tool === "move-fork")) {
+        return "preview_edit names a branch for move-fork, and for it alone";
+      }
+      return placeProblem(message);
+    case "live_path":
+      return placeProblem(message);
     default:
       return null;
   }
 }
 
+/** A point, or all of a place in a picture. */
+function placeProblem(message: AskLivePathMessage | AskEditPreviewMessage): string | null {
+  const inPicture = [message.frame_id, message.column, message.row].filter((part) => part !== null).length;
+  return inPicture === (message.lps === null ? 3 : 0) ? null : `${message.type} needs a point or a place in a picture`;
+}
+
 const PNG_MAGIC = [0x89, 0x50, 0x4e, 0x47];
 const JPEG_MAGIC = [0xff, 0xd8, 0xff];
 
-/** The payload must begin as its codec does. */
+/** The payload must begin as its codec does, and end with whole lines of the outline. */
 export function pictureProblem(header: PictureHeader, payload: Uint8Array): string | null {
   const magic = header.codec === "png" ? PNG_MAGIC : JPEG_MAGIC;
-  return magic.every((byte, index) => payload[index] === byte) ? null : `a picture's payload is no ${header.codec}`;
+  if (!magic.every((byte, index) => payload[index] === byte)) return `a picture's payload is no ${header.codec}`;
+  return header.outline === null ? null : outlineProblem(payload, header.outline.num_bytes);
+}
+
+function outlineProblem(payload: Uint8Array, numBytes: number): string | null {
+  if (numBytes >= payload.length) return "a picture's outline leaves no room for the picture";
+  let at = payload.length - numBytes;
+  while (at < payload.length) {
+    const count = (payload[at] ?? 0) + 256 * (payload[at + 1] ?? 0);
+    at += 2 + 4 * count;
+    if (count === 0 || at > payload.length) return "a picture's outline ends within a line";
+  }
+  return null;
 }

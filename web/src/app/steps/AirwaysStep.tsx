@@ -6,6 +6,7 @@ import { useApp, useStation } from "../context";
 import { Act, SwitchKey } from "../controls";
 import { EditTools, ToolInHand } from "../EditTools";
 import { MaskPicker } from "../MaskImport";
+import { PenWords } from "../ToolTag";
 import { Threshold } from "./Threshold";
 
 export function AirwaysStep() {
@@ -60,7 +61,7 @@ export function AirwaysStep() {
         label="Go on to the target"
         words="Next step"
         disabled={!found}
-        onPress={() => station.ui({ step: "target" })}
+        onPress={() => station.toStep("target")}
       />
     </>
   );
@@ -84,6 +85,7 @@ function Root() {
         on={armed}
         onChange={() => station.act("arm_root")}
       />
+      <PenWords />
       <Threshold />
     </div>
   );

@@ -1,6 +1,8 @@
 import { keyOf, WINDOWS } from "../../input/keymap";
 import { greyWindow } from "../../state/app-state";
+import { findingsOf } from "../../state/badges";
 import { sentence, windowWords } from "../../state/format";
+import type { CaseNote } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act, Choice } from "../controls";
 import { Icon } from "../icons";
@@ -21,16 +23,18 @@ const SLABS = [
   { value: "mean", label: "Mean", mm: 5, kind: "mean", words: "The mean over 5 mm: less noise" },
 ] as const;
 type SlabName = (typeof SLABS)[number]["value"];
+const NO_BADGES: readonly CaseNote[] = [];
 const THIN = { thickness_mm: 0, kind: "min" } as const;
 
 export function CheckStep() {
   const station = useStation();
   const info = useApp((state) => state.session?.case ?? null);
+  const badges = useApp((state) => state.session?.badges ?? NO_BADGES);
   const slab = useApp((state) => state.session?.slab ?? THIN);
   const width = useApp((state) => greyWindow(state).width_hu);
   const level = useApp((state) => greyWindow(state).level_hu);
   if (info === null) return null;
-  const findings = [...info.quality, ...info.warnings];
+  const findings = findingsOf(badges, info.quality, info.warnings);
   const reason = info.not_hu_reason ?? "the numbers of this volume are no Hounsfield units";
   const saidAbove = findings.some((words) => words.includes(reason));
   const chosen = PRESETS.find(({ value }) => WINDOWS[value].width_hu === width && WINDOWS[value].level_hu === level);
@@ -107,12 +111,7 @@ export function CheckStep() {
           </ul>
         </>
       )}
-      <Act
-        kind="primary"
-        label="Go on to the airways"
-        words="Next step"
-        onPress={() => station.ui({ step: "airways" })}
-      />
+      <Act kind="primary" label="Go on to the airways" words="Next step" onPress={() => station.toStep("airways")} />
     </>
   );
 }

@@ -1,4 +1,4 @@
-import { bridgeWords } from "../../state/branch-words";
+import { routeDoubts } from "../../state/branch-words";
 import { mm } from "../../state/format";
 import { narrowest } from "../../state/route";
 import { useApp, useStation } from "../context";
@@ -10,8 +10,7 @@ export function RouteStep() {
   const station = useStation();
   const route = useApp((state) => state.route);
   const targets = useApp((state) => state.session?.targets ?? null);
-  const tree = useApp((state) => state.tree);
-  const bridge = route === null ? null : bridgeWords(tree, route.spans);
+  const doubts = route === null ? null : routeDoubts(route.spans);
   const narrow = route === null ? null : narrowest(route);
   const generation = route?.spans.at(-1)?.generation ?? null;
   return (
@@ -23,9 +22,9 @@ export function RouteStep() {
           <p>
             To <strong>{route.title}</strong>
           </p>
-          {bridge === null ? null : (
-            <p className="warning-text" data-testid="route-bridge">
-              <Icon name="warning" /> {bridge}.
+          {doubts === null ? null : (
+            <p className="warning-text" data-testid="route-doubts">
+              <Icon name="warning" /> {doubts}
             </p>
           )}
           <dl className="facts">

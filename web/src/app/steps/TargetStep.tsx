@@ -7,6 +7,7 @@ import type { Target } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
 import { Icon } from "../icons";
+import { PenWords } from "../ToolTag";
 
 export function TargetStep() {
   const station = useStation();
@@ -23,6 +24,7 @@ export function TargetStep() {
         testId="arm-target"
         onPress={() => station.act("arm_target")}
       />
+      <PenWords />
       <Coordinates />
       {targets === null || targets.length === 0 ? (
         <p className="empty">Targets appear here with the way to them, or with the reason why there is none.</p>

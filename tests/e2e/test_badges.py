@@ -1,0 +1,53 @@
+"""A scan that opens with a doubt: the window keeps it in sight beside the title and says it first in the step Check."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+from playwright.sync_api import expect
+from server_process import Server, start_server, stop_server
+
+from carina.phantom import demo_phantom
+
+pytestmark = pytest.mark.browser
+
+WORDS = "5 voxels are not numbers (NaN or infinite)"
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory) -> Iterator[Server]:
+    """``carina open`` of the phantom as floats, with five voxels that hold no number."""
+    folder = tmp_path_factory.mktemp("doubted")
+    volume = demo_phantom().volume
+    values = volume.hu_zyx.astype(np.float32)
+    values[0, 0, :5] = np.nan
+    image = sitk.GetImageFromArray(values)
+    image.SetSpacing(volume.spacing_mm)
+    image.SetDirection((volume.lps_from_ijk[:3, :3] / volume.spacing_mm).ravel().tolist())
+    image.SetOrigin(volume.lps_from_ijk[:3, 3].tolist())
+    sitk.WriteImage(image, str(folder / "ct.nrrd"))
+    running = start_server(["open", str(folder / "ct.nrrd")], tmp_path_factory.mktemp("home"))
+    yield running
+    assert stop_server(running) == 0
+    assert running.errors() == []
+
+
+def test_a_doubt_stays_beside_the_title_and_leads_to_the_step_check(server, workstation):
+    workstation.open(server)
+    workstation.wait_ready()
+    page = workstation.page
+    badge = page.get_by_test_id("doubts")
+    expect(badge).to_have_text("1 doubt")
+    page.get_by_role("button", name="Rehearse").click()
+    expect(badge).to_be_visible()
+    badge.hover()
+    expect(page.get_by_role("tooltip")).to_contain_text(WORDS)
+    workstation.picture("doubt-tooltip")
+    badge.click()
+    expect(page.locator(".findings li").first).to_contain_text(WORDS)
+    expect(page.get_by_test_id("not-hu")).to_have_count(0)
+    assert workstation.faults == []
+    workstation.picture("doubt-check")

@@ -1,0 +1,348 @@
+"""One gesture, one deed: double clicks, tools and rows of the list, in every picture, by mouse, finger and pen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import expect
+from server_process import Server, start_server, stop_server
+from test_airway_tools import named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
+from workstation import PICTURE_MS
+
+pytestmark = pytest.mark.browser
+
+# What a tool would do is written down and kept from the server: the tree stays as it is, and every deed is seen.
+KEEP_DEEDS = """
+window.__deeds = [];
+window.WebSocket = class extends WebSocket {
+  send(data) {
+    const { type } = JSON.parse(data);
+    if (['edit_tree', 'add_target', 'set_root'].includes(type)) window.__deeds.push(data);
+    else super.send(data);
+  }
+};
+"""
+TOOLS = {
+    "target": "n",
+    "root": "b",
+    "add": "j",
+    "bridge": "l",
+    "cut": "k",
+    "fork": "y",
+    "smooth": "u",
+    "paint": "q",
+    "erase": "Shift+Q",
+    "reroot": "Shift+B",
+}
+POINT_TOOLS = ("target", "root", "add", "bridge", "reroot")
+# Each picture, and the cell that it lies in.
+PICTURES = {
+    "airway": "airway",
+    "axial": "axial",
+    "coronal": "coronal",
+    "sagittal": "sagittal",
+    "cut-plane": "cut-plane",
+    "straightened": "cut-plane",
+    "curved": "cut-plane",
+    "xray-coronal": "xray",
+    "drr": "xray",
+    "tree": "outside",
+    "tri-plane": "outside",
+}
+SWITCHED = {"straightened": "v", "curved": "v", "drr": "x", "tri-plane": "t"}
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory) -> Iterator[Server]:
+    """``carina demo phantom``."""
+    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
+    yield running
+    assert stop_server(running) == 0
+    assert running.errors() == []
+
+
+@pytest.fixture
+def ready(server, workstation):
+    """A page with the case open, slices in the middle of the left main bronchus, and deeds kept back."""
+    workstation.page.add_init_script(KEEP_DEEDS)
+    workstation.open(server)
+    workstation.wait_ready()
+    tree_is_shown(workstation)
+    wait_for(workstation, "() => ['axial', 'coronal', 'sagittal'].every((v) => window.__carina.state.frames[v])")
+    points = workstation.page.evaluate(
+        "(id) => window.__carina.state.tree.byId.get(id).branch.points", named(workstation, "LMB")
+    )
+    show_slices_at(workstation, points[len(points) // 2])
+    yield workstation
+    assert workstation.faults == []
+
+
+def wait_for(workstation, condition, arg=None):
+    workstation.page.wait_for_function(condition, arg=arg, timeout=PICTURE_MS)
+
+
+def show(workstation, view) -> None:
+    """Until the picture is on the screen, by the key that goes on to the next one of its cell."""
+    for _ in range(4):
+        if view in workstation.shown_views():
+            break
+        workstation.page.keyboard.press(SWITCHED[view])
+    wait_for(workstation, "(view) => window.__carina.state.frames[view] !== undefined", view)
+
+
+def middle_of(workstation, view) -> tuple[float, float]:
+    """Where the left main bronchus shows where that is known, else the picture's middle; in page coordinates."""
+    if view == "tree":
+        return tuple(place_on_tree(workstation, named(workstation, "LMB")))
+    if view in {"axial", "coronal", "sagittal"}:
+        return tuple(place_in_slice(workstation, view, workstation.state("session.crosshair_lps")))
+    box = workstation.page.locator(f"canvas[data-view={view}]").bounding_box()
+    return box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+
+
+def arm(workstation, tool) -> None:
+    workstation.page.keyboard.press(TOOLS[tool])
+    wait_for(workstation, "(tool) => window.__carina.state.ui.armed === tool", tool)
+
+
+def deeds(workstation) -> list[str]:
+    return workstation.page.evaluate("() => window.__deeds.splice(0)")
+
+
+def put_away(workstation) -> None:
+    while workstation.state("ui.armed") is not None:
+        workstation.page.keyboard.press("Escape")
+
+
+CHOSEN = """() => {
+    const { ui, route, picks, session, pose } = window.__carina.state;
+    return JSON.stringify([ui.selected, route.spans.at(-1).branch_id, picks.length, session.crosshair_lps,
+        pose.lps_from_camera, pose.mode, session.can_undo]);
+}"""
+
+
+@pytest.mark.parametrize("view", PICTURES)
+def test_a_double_click_without_a_tool_makes_the_picture_large_and_chooses_nothing(ready, view):
+    show(ready, view)
+    ready.settle()
+    before = ready.page.evaluate(CHOSEN)
+    x, y = middle_of(ready, view)
+    ready.page.mouse.dblclick(x, y)
+    wait_for(ready, "(cell) => window.__carina.state.ui.full === cell", PICTURES[view])
+    # Longer than a click waits for a second one: nothing comes after it either.
+    ready.page.wait_for_timeout(400)
+    ready.settle()
+    assert ready.page.evaluate(CHOSEN) == before
+    ready.page.mouse.dblclick(*middle_of(ready, view))
+    wait_for(ready, "() => window.__carina.state.ui.full === null")
+    ready.page.wait_for_timeout(400)
+    ready.settle()
+    assert ready.page.evaluate(CHOSEN) == before
+    assert deeds(ready) == []
+
+
+def does_it(view, tool) -> bool:
+    """Whether the tool certainly finds something where these tests click."""
+    if view in {"axial", "coronal", "sagittal"}:
+        return tool != "fork"
+    if view == "tree":
+        return tool in (*POINT_TOOLS, "cut", "smooth")
+    return view == "airway" and tool in POINT_TOOLS
+
+
+@pytest.mark.parametrize("view", PICTURES)
+def test_a_double_click_with_a_tool_does_it_once_and_the_picture_stays_as_large_as_it_is(ready, view):
+    show(ready, view)
+    x, y = middle_of(ready, view)
+    for tool in TOOLS:
+        arm(ready, tool)
+        ready.page.mouse.dblclick(x, y)
+        if does_it(view, tool):
+            # In the airway view the server is asked for the wall first.
+            wait_for(ready, "() => window.__deeds.length > 0")
+        ready.settle()
+        done = deeds(ready)
+        assert ready.state("ui.full") is None, tool
+        assert len(done) <= 1, (tool, done)
+        if tool == "fork" and view in {"axial", "tree"}:
+            assert done == []
+            assert ready.state("ui.forkHeld") is not None, "the second click must not put the fork down again"
+        if view.startswith("xray") or view == "drr":
+            assert done == [], "an X-ray knows no depth"
+        put_away(ready)
+
+
+def test_enter_in_a_slice_uses_the_tool_at_the_crosshair_also_on_the_branch_there(ready):
+    lmb = named(ready, "LMB")
+    picture = ready.page.get_by_role("img", name="Axial")
+    for tool, expected in (("cut", f'"branch_id":{lmb}'), ("bridge", '"kind":"bridge"')):
+        arm(ready, tool)
+        picture.focus()
+        # Held, so that it repeats: one gesture all the same.
+        for _ in range(3):
+            ready.page.keyboard.down("Enter")
+        ready.page.keyboard.up("Enter")
+        ready.settle()
+        (done,) = deeds(ready)
+        assert expected in done
+        assert ready.state("ui.full") is None
+        put_away(ready)
+
+
+@pytest.mark.parametrize("by", ["touch", "pen"])
+def test_a_double_tap_is_told_from_two_taps_by_finger_and_pen_too(ready, by):
+    client = ready.page.context.new_cdp_session(ready.page)
+
+    def tap(x, y):
+        if by == "touch":
+            client.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
+            client.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+            return
+        for kind in ("mousePressed", "mouseReleased"):
+            client.send(
+                "Input.dispatchMouseEvent",
+                {"type": kind, "x": x, "y": y, "button": "left", "clickCount": 1, "pointerType": "pen"},
+            )
+
+    x, y = middle_of(ready, "axial")
+    arm(ready, "add")
+    tap(x, y)
+    tap(x + 5, y)
+    ready.settle()
+    assert len(deeds(ready)) == 1
+    assert ready.state("ui.full") is None
+    # Elsewhere it is another click, however soon it comes.
+    tap(x + 60, y)
+    ready.settle()
+    assert len(deeds(ready)) == 1
+    put_away(ready)
+    before = ready.page.evaluate(CHOSEN)
+    tap(x, y)
+    tap(x, y + 5)
+    wait_for(ready, "() => window.__carina.state.ui.full === 'axial'")
+    ready.settle()
+    assert ready.page.evaluate(CHOSEN) == before
+    ready.page.keyboard.press("Escape")
+
+
+@pytest.mark.parametrize(("tool", "kind"), [("cut", "cut-branch"), ("smooth", "smooth-branch")])
+def test_with_a_tool_a_row_of_the_list_is_the_branch_that_it_acts_on(ready, tool, kind):
+    lmb = named(ready, "LMB")
+    row = ready.page.locator(f".branch-tree [data-branch='{lmb}']")
+    route = ready.state("route.spans.at(-1).branch_id")
+    tree_before, slice_before = ready.overlay("tree"), ready.overlay("coronal")
+    arm(ready, tool)
+    row.hover()
+    wait_for(ready, "(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
+    # What it would act on is drawn in the tree and in the slices before the click.
+    wait_for(
+        ready,
+        """([tree, slice]) => document.querySelector('[data-overlay=tree]').toDataURL() !== tree
+            && document.querySelector('[data-overlay=coronal]').toDataURL() !== slice""",
+        [tree_before, slice_before],
+    )
+    if tool == "cut":
+        colours = row.evaluate("(row) => [getComputedStyle(row).color, getComputedStyle(document.body).color]")
+        assert colours[0] != colours[1], "the row is amber"
+    ready.picture(f"list-{tool}")
+    row.dblclick()
+    ready.settle()
+    (done,) = deeds(ready)
+    assert f'"kind":"{kind}"' in done
+    assert f'"branch_id":{lmb}' in done
+    assert tool != "cut" or '"at_mm":0' in done, "a row means the whole branch"
+    assert ready.state("route.spans.at(-1).branch_id") == route, "it chooses no route"
+
+    # By keys as well: Enter on the row; and Esc there puts the tool away.
+    ready.page.get_by_role("row").filter(has=ready.page.locator(f"[data-branch='{lmb}']")).focus()
+    ready.page.keyboard.press("Enter")
+    ready.settle()
+    assert f'"branch_id":{lmb}' in deeds(ready)[0]
+    ready.page.keyboard.press("Escape")
+    assert ready.state("ui.armed") is None
+    # Without a tool a row is the route, as before.
+    row.click()
+    wait_for(ready, "(id) => window.__carina.state.route.spans.at(-1).branch_id === id", lmb)
+    assert deeds(ready) == []
+
+
+def test_with_move_fork_a_row_takes_hold_of_the_fork_where_its_branch_begins(ready):
+    lmb, trachea = named(ready, "LMB"), named(ready, "Trachea")
+    arm(ready, "fork")
+    ready.page.locator(f".branch-tree [data-branch='{lmb}']").click()
+    wait_for(ready, "(id) => window.__carina.state.ui.forkHeld === id", trachea)
+    # Esc lets go of the fork first, then of the tool.
+    ready.page.keyboard.press("Escape")
+    assert ready.state("ui.forkHeld") is None
+    assert ready.state("ui.armed") == "fork"
+    ready.page.keyboard.press("Escape")
+    assert ready.state("ui.armed") is None
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_a_tool_in_the_hand_is_seen_in_every_picture_and_its_hint_is_said(ready, tool):
+    arm(ready, tool)
+    page = ready.page
+    canvases = page.locator("canvas[data-view]")
+    tags = page.locator("[data-testid=tool-tag].corner")
+    expect(tags).to_have_count(canvases.count())
+    hint = page.locator("[data-testid=tool-hint]")
+    expect(hint).to_contain_text("Esc puts it away")
+    for view in ready.shown_views():
+        cursor = page.locator(f"canvas[data-view={view}]").evaluate("(c) => getComputedStyle(c.parentElement).cursor")
+        x_ray = view.startswith("xray")
+        brush = tool in {"paint", "erase"} and view in {"airway", "tree"}
+        assert ("not-allowed" in cursor) == (x_ray or brush), (view, cursor)
+        assert x_ray or brush or "svg" in cursor, (view, cursor)
+    ready.picture(f"armed-{tool}")
+    # In the full view as well, and Esc leaves the tool first.
+    page.locator("[data-cell=axial] header button").last.click()
+    wait_for(ready, "() => window.__carina.state.ui.full === 'axial'")
+    expect(page.locator("[data-cell=axial] [data-testid=tool-tag]")).to_be_visible()
+    expect(hint).to_be_visible()
+    ready.wait_picture("axial")
+    ready.picture(f"armed-{tool}-full")
+    page.keyboard.press("Escape")
+    assert (ready.state("ui.armed"), ready.state("ui.full")) == (None, "axial")
+    expect(tags).to_have_count(0)
+    page.keyboard.press("Escape")
+    assert ready.state("ui.full") is None
+
+
+def test_a_tool_is_put_away_from_the_list_the_search_a_right_click_its_tag_and_by_going_to_another_step(ready):
+    page = ready.page
+    arm(ready, "cut")
+    page.locator(".branch-tree [role=row]").first.focus()
+    page.keyboard.press("Escape")
+    assert ready.state("ui.armed") is None
+
+    arm(ready, "cut")
+    page.keyboard.press("/")
+    page.keyboard.type("lm")
+    page.keyboard.press("Escape")
+    assert ready.state("ui.armed") is None
+    assert page.locator(".branch-filter input").input_value() == "lm", "the tool first, then the field"
+    page.keyboard.press("Escape")
+    page.keyboard.press("Escape")
+
+    for view in ("axial", "airway", "tree", "xray-coronal"):
+        arm(ready, "bridge")
+        page.mouse.click(*middle_of(ready, view), button="right")
+        assert ready.state("ui.armed") is None, view
+
+    # A drag with the right button is the grey window, and keeps the tool.
+    arm(ready, "bridge")
+    x, y = middle_of(ready, "axial")
+    page.mouse.move(x, y)
+    page.mouse.down(button="right")
+    page.mouse.move(x + 20, y + 10, steps=3)
+    page.mouse.up(button="right")
+    assert ready.state("ui.armed") == "bridge"
+    page.locator("[data-cell=tree] [data-testid=tool-tag], [data-cell=outside] [data-testid=tool-tag]").click()
+    assert ready.state("ui.armed") is None
+
+    arm(ready, "add")
+    page.locator(".step").filter(has_text="Target").click()
+    assert ready.state("ui.armed") is None
+    assert deeds(ready) == []

@@ -1,0 +1,125 @@
+"""A tracked pen in a real browser: its own point is shown and marked, or the tool says that the scope's tip is."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import expect
+from server_process import Server, start_server, stop_server
+from test_airway_tools import named, show_slices_at, tree_is_shown
+from workstation import PICTURE_MS
+
+pytestmark = pytest.mark.browser
+
+# The page's own connection, for a pen that this script holds.
+SPEAK = """
+window.WebSocket = class extends WebSocket {
+  constructor(...options) { super(...options); window.__speak = (text) => super.send(text); }
+};
+"""
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory) -> Iterator[Server]:
+    """``carina demo phantom``."""
+    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
+    yield running
+    assert stop_server(running) == 0
+    assert running.errors() == []
+
+
+def wait_for(workstation, condition, arg=None):
+    workstation.page.wait_for_function(condition, arg=arg, timeout=PICTURE_MS)
+
+
+class HeldPen:
+    """A pen whose tracker stands 100 mm to the left of the patient."""
+
+    def __init__(self, workstation):
+        self.workstation, self.now_s = workstation, itertools.count(1)
+
+    def say(self, **message) -> None:
+        self.workstation.page.evaluate("(message) => window.__speak(JSON.stringify(message))", message)
+
+    def hold(self, lps, buttons=0) -> None:
+        self.say(
+            type="device_sample",
+            device="test pen",
+            time_s=0.05 * next(self.now_s),
+            position_mm=[lps[0] - 100.0, lps[1], lps[2]],
+            orientation_wxyz=[1.0, 0.0, 0.0, 0.0],
+            axes=None,
+            buttons=buttons,
+            handle=None,
+            advance=0.0,
+        )
+
+    def register(self, at) -> None:
+        patient = [[at[0] + x, at[1] + y, at[2] + z] for x, y, z in ((0, 0, 0), (50, 0, 0), (0, 50, 0))]
+        tracker = [[p[0] - 100.0, p[1], p[2]] for p in patient]
+        self.say(type="calibrate", device="test pen", tracker_mm=tracker, patient_lps=patient)
+        wait_for(self.workstation, "() => window.__carina.state.devices?.devices.some((d) => d.registered)")
+
+
+def test_the_pens_own_point_is_shown_with_its_way_and_marked_and_the_rest_to_the_tip_is_joined(server, workstation):
+    page = workstation.page
+    page.add_init_script(SPEAK)
+    workstation.open(server)
+    workstation.wait_ready()
+    tree_is_shown(workstation)
+    wait_for(workstation, "() => ['axial', 'coronal', 'sagittal'].every((v) => window.__carina.state.frames[v])")
+    points = page.evaluate("(id) => window.__carina.state.tree.byId.get(id).branch.points", named(workstation, "LMB"))
+    middle = points[len(points) // 2]
+    show_slices_at(workstation, middle)
+    pen = HeldPen(workstation)
+
+    # Not registered: it marks the scope's tip, and the tool says so, in the panel and at the foot.
+    pen.hold(middle)
+    page.keyboard.press("n")
+    words = page.locator("[data-testid=pen-words]")
+    expect(words).to_have_text("The pen is not registered: its button marks the scope tip.")
+    expect(page.locator("[data-testid=tool-hint]")).to_contain_text("its button marks the scope tip")
+    workstation.picture("pen-not-registered")
+
+    before = {view: workstation.overlay(view) for view in ("axial", "coronal", "sagittal", "tree")}
+    pen.register(middle)
+    expect(words).to_contain_text("own tip")
+    pen.hold(middle)
+    wait_for(workstation, "(x) => Math.abs(window.__carina.state.pen.lps[0] - x) < 0.01", middle[0])
+    # The way under the pen, also while a mouse lies still over a picture.
+    wait_for(workstation, "() => (window.__carina.state.livePath?.answer.length_mm ?? 0) > 100")
+    answer = workstation.state("livePath.answer")
+    assert max(abs(a - b) for a, b in zip(answer["lps"], middle, strict=True)) < 3.0
+    for view, drawn in before.items():
+        wait_for(
+            workstation,
+            "([view, drawn]) => document.querySelector(`[data-overlay=${view}]`).toDataURL() !== drawn",
+            [view, drawn],
+        )
+    workstation.picture("pen-registered")
+    pen.hold(middle, buttons=1)
+    pen.hold(middle)
+    wait_for(workstation, "() => window.__carina.state.session.targets.length === 1")
+    (target,) = workstation.state("session.targets")
+    assert max(abs(a - b) for a, b in zip(target["lps"], middle, strict=True)) < 0.1
+    # Used once it is put down, as after a click.
+    wait_for(workstation, "() => window.__carina.state.ui.armed === null")
+
+    # Absolute: what is left is shown until it is nothing, and a key joins both.
+    pen.say(type="set_control", control="absolute")
+    pen.hold([middle[0] + 1.0, middle[1], middle[2]])
+    left = page.locator("[data-testid=pen-offset]")
+    expect(left).to_contain_text("mm")
+    assert workstation.state("pen.off_mm") > 5.0
+    page.keyboard.press(";")
+    expect(page.locator("[data-testid=join-pen]")).to_be_visible()
+    workstation.picture("pen-away-from-the-tip")
+    page.keyboard.press("Shift+M")
+    expect(left).to_have_count(0)
+    expect(page.locator("[data-testid=join-pen]")).to_have_count(0)
+    tip = [workstation.state(f"pose.lps_from_camera[{n}]") for n in (3, 7, 11)]
+    assert max(abs(a - b) for a, b in zip(tip, [middle[0] + 1.0, *middle[1:]], strict=True)) < 0.1
+    workstation.picture("pen-joined")
+    assert workstation.faults == []

@@ -1,0 +1,94 @@
+/** The tool that is in the hand, seen wherever it acts: in every picture, at the list, in the line at the foot of the window. */
+
+import { Button } from "react-aria-components";
+import { marksByPen, penMarkWords } from "../state/pen";
+import { type Armed, shortOf, takesAway, wantsBranch, wordsOf, worksIn } from "../state/tools";
+import { INK } from "../views/ink";
+import type { ViewName } from "../wire/messages";
+import { useApp, useStation } from "./context";
+import { Icon, type IconName, outlineOfIcon } from "./icons";
+
+export const TOOL_ICONS: Readonly<Record<Armed, IconName>> = {
+  target: "target",
+  root: "target",
+  add: "addBranch",
+  bridge: "bridge",
+  cut: "cut",
+  fork: "fork",
+  smooth: "smooth",
+  paint: "paint",
+  erase: "erase",
+  reroot: "root",
+};
+
+/** In a corner of a picture: what a click would do there. It is a button too: a finger has no Esc. */
+export function ToolTag({ view }: { view: ViewName }) {
+  const armed = useApp((state) => state.ui.armed);
+  if (armed === null) return null;
+  return <Tag armed={armed} works={worksIn(armed, view)} where="picture" />;
+}
+
+/** At the list, while a row is what the tool acts on. */
+export function ListToolTag() {
+  const armed = useApp((state) => (wantsBranch(state.ui.armed, state.ui.forkHeld !== null) ? state.ui.armed : null));
+  return armed === null ? null : <Tag armed={armed} works where="list" />;
+}
+
+function Tag({ armed, works, where }: { armed: Armed; works: boolean; where: "picture" | "list" }) {
+  const station = useStation();
+  const { label } = wordsOf(armed, false);
+  return (
+    <Button
+      className={where === "picture" ? "tool-tag corner" : "tool-tag"}
+      data-testid="tool-tag"
+      data-works={works}
+      data-takes={takesAway(armed) || undefined}
+      aria-label={`Put the tool away: ${label} (Esc)`}
+      excludeFromTabOrder
+      onPress={() => station.disarm()}
+    >
+      <Icon name={TOOL_ICONS[armed]} />
+      {works ? shortOf(armed) : <s>{shortOf(armed)}</s>}
+      {works ? null : <span className="why">not here</span>}
+      <Icon name="close" />
+    </Button>
+  );
+}
+
+/** At the foot of the window, also in the full view: what to do, and how to put it away. */
+export function ToolHint() {
+  const armed = useApp((state) => state.ui.armed);
+  const forkHeld = useApp((state) => state.ui.forkHeld !== null);
+  const pen = useApp((state) => state.pen);
+  if (armed === null) return null;
+  const { label, hint } = wordsOf(armed, forkHeld);
+  const words = pen !== null && marksByPen(armed) ? penMarkWords(pen) : hint;
+  return (
+    <span className="tool-hint" role="status" data-testid="tool-hint">
+      <strong>{label}</strong> {words} <kbd>Esc</kbd> {forkHeld ? "lets go of the fork" : "puts it away"}
+    </span>
+  );
+}
+
+/** In the panel of a tool that a pen can use: what its button marks. */
+export function PenWords() {
+  const pen = useApp((state) => (marksByPen(state.ui.armed) ? state.pen : null));
+  if (pen === null) return null;
+  return (
+    <p className={pen.lps === null ? "warning-text" : "quiet"} role="status" data-testid="pen-words">
+      {penMarkWords(pen)}
+    </p>
+  );
+}
+
+/** A cross that leaves its middle free, with the tool beside it. */
+export function cursorOf(armed: Armed): string {
+  const colour = takesAway(armed) ? INK.warning : INK.text;
+  const cross = "M11 1v7M11 14v7M1 11h7M14 11h7";
+  const tool = outlineOfIcon(TOOL_ICONS[armed]);
+  const drawn = (stroke: string, width: number) =>
+    `<g fill="none" stroke="${stroke}" stroke-width="${width}" stroke-linecap="round" stroke-linejoin="round">` +
+    `<path d="${cross}"/><path transform="translate(16 16)" d="${tool}"/></g>`;
+  const svg = `<svg xmlns="http://www.w3.org/2000/svg" width="32" height="32">${drawn("#08090c", 4)}${drawn(colour, 1.6)}</svg>`;
+  return `url("data:image/svg+xml,${encodeURIComponent(svg)}") 11 11, crosshair`;
+}

@@ -1,0 +1,126 @@
+/** Zoom, pan and fit of slices and the cut-plane. */
+
+import type { PointerPlace } from "../input/pointer";
+import { type FlatAxes, type FlatPlace, panned, zoomedAbout } from "../state/flat-place";
+import { axesOf, type FlatGeometry, geometryOf, lpsFromPixel, mmPerPixel } from "../state/projection";
+import type { Vec3 } from "../state/vec";
+import { clampToVolume } from "../state/volume";
+import type { Viewport } from "../views/viewport";
+import type { ViewName } from "../wire/messages";
+import { ZOOM_PER_PX } from "./gesture-parts";
+import type { Workstation } from "./workstation";
+
+export type FlatView = "axial" | "coronal" | "sagittal" | "cut-plane";
+export const isFlatView = (view: ViewName): view is FlatView =>
+  view === "axial" || view === "coronal" || view === "sagittal" || view === "cut-plane";
+
+const MM_PER_PX = { least: 0.02, most: 10 } as const;
+/** The wire's bounds of the cut-plane's width, with room. */
+const EXTENT_MM = { least: 5, most: 500 } as const;
+/** One press of an arrow key, CSS px. */
+export const PAN_KEY_PX = 40;
+/** Turns of the wheel come faster than pictures: each builds on the one before, not on the picture still shown. */
+const MEMORY_MS = 400;
+
+export interface FlatPlacing {
+  /** About the cursor, so that what lies under it stays there; with keys about the middle. */
+  zoom(deltaPx: number, at: PointerPlace | null): void;
+  /** The picture goes with the hand. */
+  pan(moved: { dx: number; dy: number }): void;
+}
+
+export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlacing {
+  let last: { view: ViewName; place: FlatPlace; atMs: number } | null = null;
+
+  const geometry = (): FlatGeometry | null => {
+    const found = viewport.header === null ? null : geometryOf(viewport.header);
+    return found?.kind === "flat" ? found : null;
+  };
+  /** Where the picture lies, or will once the server has answered; and how many of its pixels a CSS px is. */
+  const now = (): { place: FlatPlace; axes: FlatAxes; pxPerCss: number; wantedWidth: number } | null => {
+    const { header, wantedPixels } = viewport;
+    const flat = geometry();
+    if (flat === null || header === null || wantedPixels === null) return null;
+    const fresh = last !== null && last.view === viewport.view && performance.now() - last.atMs < MEMORY_MS;
+    const shown = {
+      mmPerPx: (mmPerPixel(flat) * header.width) / wantedPixels.width,
+      middle: lpsFromPixel(flat, { column: header.width / 2, row: header.height / 2 }),
+    };
+    return {
+      place: fresh && last !== null ? last.place : shown,
+      axes: axesOf(flat),
+      pxPerCss: wantedPixels.width / header.width / viewport.magnification,
+      wantedWidth: wantedPixels.width,
+    };
+  };
+  const send = (place: FlatPlace, wantedWidth: number): void => {
+    const { view } = viewport;
+    if (!isFlatView(view)) return;
+    const grid = station.state.session?.case;
+    const middle = grid == null ? place.middle : clampToVolume(grid, place.middle);
+    last = { view, place: { ...place, middle }, atMs: performance.now() };
+    const isCut = view === "cut-plane";
+    station.sendSoon({
+      type: "set_zoom",
+      view,
+      mm_per_px: isCut ? null : place.mmPerPx,
+      extent_mm: isCut ? place.mmPerPx * wantedWidth : null,
+      center_lps: middle,
+    });
+  };
+  return {
+    zoom: (deltaPx, at) => {
+      const shown = now();
+      const { header } = viewport;
+      if (shown === null || header === null) return;
+      const { place, axes, wantedWidth } = shown;
+      const isCut = viewport.view === "cut-plane";
+      const least = isCut ? EXTENT_MM.least / wantedWidth : MM_PER_PX.least;
+      const most = isCut ? EXTENT_MM.most / wantedWidth : MM_PER_PX.most;
+      const mmPerPx = Math.min(Math.max(place.mmPerPx * Math.exp(deltaPx * ZOOM_PER_PX), least), most);
+      const pixel = at === null ? null : viewport.pixelAt(at);
+      const perPx = wantedWidth / header.width;
+      const about =
+        pixel === null
+          ? { right: 0, down: 0 }
+          : { right: (pixel.column - header.width / 2) * perPx, down: (pixel.row - header.height / 2) * perPx };
+      send(zoomedAbout(place, axes, mmPerPx, about), wantedWidth);
+    },
+    pan: ({ dx, dy }) => {
+      const shown = now();
+      if (shown === null) return;
+      const px = { right: dx * shown.pxPerCss, down: dy * shown.pxPerCss };
+      send(panned(shown.place, shown.axes, px), shown.wantedWidth);
+    },
+  };
+}
+
+/** So wide, on its shorter side, is a slice that shows a place: the airway with what lies round it. */
+const PLACE_MM = 40;
+
+/** Airway view and crosshair to a place of the airways, and all slices there, near enough to judge it. */
+export function showPlace(station: Workstation, lps: Vec3, branchId: number | null): void {
+  station.flight.stopAuto();
+  station.player.pause();
+  station.send({ type: "show_place", lps, branch_id: branchId });
+  for (const view of ["axial", "coronal", "sagittal", "cut-plane"] as const) {
+    const wanted = station.wall.find(view)?.wantedPixels ?? null;
+    if (wanted === null) continue;
+    const mmPerPx = PLACE_MM / Math.min(wanted.width, wanted.height);
+    const isCut = view === "cut-plane";
+    station.sendSoon({
+      type: "set_zoom",
+      view,
+      mm_per_px: isCut ? null : mmPerPx,
+      extent_mm: isCut ? mmPerPx * wanted.width : null,
+      center_lps: isCut ? null : lps,
+    });
+  }
+}
+
+/** The whole slice, or the usual width of the cut-plane. */
+export function fitPicture(station: Workstation, view: ViewName): void {
+  if (isFlatView(view)) {
+    station.sendSoon({ type: "set_zoom", view, mm_per_px: null, extent_mm: null, center_lps: null });
+  }
+}

@@ -1,0 +1,101 @@
+import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
+import type { Preview, PreviewQuestion } from "../state/edit-preview";
+import type { AskEditPreviewMessage, EditPreviewMessage } from "../wire/messages";
+import { Previewing, STALE_MS } from "./previewing";
+import type { Workstation } from "./workstation";
+
+const at = (x: number): PreviewQuestion => ({
+  tool: "add-branch",
+  branch_id: null,
+  lps: [x, 0, 0],
+  frame_id: null,
+  column: null,
+  row: null,
+});
+
+function answer(id: number, x: number): EditPreviewMessage {
+  return {
+    type: "edit_preview",
+    request_id: id,
+    tool: "add-branch",
+    lps: [x, 0, 0],
+    lines: [],
+    length_mm: 1,
+    doubtful_mm: 0,
+    has_evidence: true,
+    problem: null,
+  };
+}
+
+function station() {
+  const sent: AskEditPreviewMessage[] = [];
+  const state: { preview: Preview | null } = { preview: null };
+  const made = {
+    state,
+    send: (message: AskEditPreviewMessage) => sent.push(message) > 0,
+    store: { dispatch: (event: { preview: Preview | null }) => Object.assign(state, { preview: event.preview }) },
+  };
+  const previewing = new Previewing(made as unknown as Workstation);
+  return { previewing, sent, state, shows: () => state.preview?.answer?.lps?.[0] ?? null };
+}
+
+describe("the preview under the cursor", () => {
+  beforeEach(() => void vi.useFakeTimers());
+  afterEach(() => void vi.useRealTimers());
+
+  it("says that it is looking until the first answer is there", () => {
+    const { previewing, state, shows } = station();
+    previewing.ask(at(1));
+    expect(state.preview).toEqual({ answer: null, stale: true });
+    previewing.receive(answer(1, 1));
+    expect(shows()).toBe(1);
+    expect(state.preview?.stale).toBe(false);
+  });
+
+  it("does not keep the way to where the cursor was: it is faint at once, and soon gone", () => {
+    const { previewing, state, shows } = station();
+    previewing.ask(at(1));
+    previewing.receive(answer(1, 1));
+    previewing.ask(at(2));
+    expect(state.preview?.stale).toBe(true);
+    vi.advanceTimersByTime(STALE_MS + 1);
+    expect(state.preview).toEqual({ answer: null, stale: true });
+    previewing.receive(answer(2, 2));
+    expect(shows()).toBe(2);
+    vi.advanceTimersByTime(10 * STALE_MS);
+    expect(state.preview?.stale).toBe(false);
+  });
+
+  it("asks for the newest place only, and shows the answer to an older one as outdated", () => {
+    const { previewing, sent, state } = station();
+    for (const x of [1, 2, 3]) previewing.ask(at(x));
+    previewing.receive(answer(1, 1));
+    expect(state.preview?.stale).toBe(true);
+    expect(sent.map((message) => message.lps?.[0])).toEqual([1, 3]);
+    previewing.receive(answer(2, 3));
+    expect(state.preview).toMatchObject({ stale: false, answer: { lps: [3, 0, 0] } });
+  });
+
+  it("asks nothing anew for a cursor that rests, and asks again when the tree has changed", () => {
+    const { previewing, sent, state } = station();
+    previewing.ask(at(1));
+    previewing.receive(answer(1, 1));
+    previewing.ask(at(1));
+    expect(sent).toHaveLength(1);
+    expect(state.preview?.stale).toBe(false);
+    previewing.again();
+    expect(state.preview?.stale).toBe(true);
+    expect(sent).toHaveLength(2);
+  });
+
+  it("shows nothing once the tool is put away, whatever still comes", () => {
+    const { previewing, state } = station();
+    previewing.ask(at(1));
+    previewing.forget();
+    previewing.receive(answer(1, 1));
+    vi.advanceTimersByTime(10 * STALE_MS);
+    expect(state.preview).toBeNull();
+    previewing.again();
+    expect(state.preview).toBeNull();
+  });
+});

@@ -1,0 +1,96 @@
+/** Shows what a click would make while a tool for it is in the hand. */
+
+import type { PreviewQuestion } from "../state/edit-preview";
+import { NewestAsker } from "../state/newest-asker";
+import type { EditPreviewMessage } from "../wire/messages";
+import type { Workstation } from "./workstation";
+
+/**
+ * So long the answer to where the cursor was stays, faint, so that the line follows a hand that moves. Then it goes:
+ * another way than the click would make is not shown.
+ */
+export const STALE_MS = 120;
+
+export class Previewing {
+  readonly #station: Workstation;
+  readonly #asker: NewestAsker<PreviewQuestion, EditPreviewMessage>;
+  #last: PreviewQuestion | null = null;
+  #timer: ReturnType<typeof setTimeout> | null = null;
+
+  constructor(station: Workstation) {
+    this.#station = station;
+    this.#asker = new NewestAsker(
+      (id, question) => station.send({ type: "preview_edit", request_id: id, ...question }),
+      () => performance.now(),
+    );
+  }
+
+  ask(question: PreviewQuestion): void {
+    if (this.#last !== null && sameQuestion(this.#last, question)) return;
+    this.#last = question;
+    this.#outdated();
+    this.#asker.ask(question);
+  }
+
+  /** The tree has changed: what was shown would not be made any more. */
+  again(): void {
+    if (this.#last === null) return;
+    this.#outdated();
+    this.#asker.ask(this.#last);
+  }
+
+  /** Nothing is pointed at, or nothing is in the hand any more. */
+  forget(): void {
+    this.#last = null;
+    this.#asker.forget();
+    this.#stopTimer();
+    if (this.#station.state.preview !== null) this.#station.store.dispatch({ kind: "preview", preview: null });
+  }
+
+  /** A new connection. */
+  reset(): void {
+    this.forget();
+    this.#asker.reset();
+  }
+
+  receive(answer: EditPreviewMessage): void {
+    const fresh = this.#asker.receive(answer);
+    if (fresh === null) return;
+    this.#stopTimer();
+    this.#station.store.dispatch({ kind: "preview", preview: { answer: fresh.answer, stale: fresh.overtaken } });
+    if (fresh.overtaken) this.#dropLater();
+  }
+
+  #outdated(): void {
+    const { preview } = this.#station.state;
+    if (preview === null) this.#station.store.dispatch({ kind: "preview", preview: { answer: null, stale: true } });
+    else if (!preview.stale) {
+      this.#station.store.dispatch({ kind: "preview", preview: { ...preview, stale: true } });
+      this.#dropLater();
+    }
+  }
+
+  #dropLater(): void {
+    this.#stopTimer();
+    this.#timer = setTimeout(() => {
+      this.#station.store.dispatch({ kind: "preview", preview: { answer: null, stale: true } });
+    }, STALE_MS);
+  }
+
+  #stopTimer(): void {
+    if (this.#timer !== null) clearTimeout(this.#timer);
+    this.#timer = null;
+  }
+}
+
+function sameQuestion(a: PreviewQuestion, b: PreviewQuestion): boolean {
+  const samePoint = a.lps === b.lps || (a.lps !== null && b.lps !== null && a.lps.every((v, n) => v === b.lps?.[n]));
+  return (
+    samePoint &&
+    a.tool === b.tool &&
+    a.branch_id === b.branch_id &&
+    a.frame_id === b.frame_id &&
+    a.column === b.column &&
+    a.row === b.row
+  );
+}

@@ -1,0 +1,90 @@
+import { describe, expect, it } from "vitest";
+import type { EditPreviewMessage, NoEvidenceMessage } from "../wire/messages";
+import { doubtWords, previewTool, previewWords, runsOf } from "./edit-preview";
+
+const LINE = {
+  points_lps: [
+    [0, 0, 0],
+    [0, 0, -10],
+    [0, 0, -20],
+    [0, 0, -41],
+  ],
+  doubtful: [false, false, true],
+  drawn: [false, false, true],
+} as const;
+
+function answer(change: Partial<EditPreviewMessage> = {}): EditPreviewMessage {
+  return {
+    type: "edit_preview",
+    request_id: 1,
+    tool: "add-branch",
+    lps: [0, 0, -41],
+    lines: [LINE],
+    length_mm: 41,
+    doubtful_mm: 21,
+    has_evidence: false,
+    problem: null,
+    ...change,
+  };
+}
+
+const NBSP = "\u202f";
+
+describe("a preview of an edit", () => {
+  it("is shown by the tools that add, bridge and move a fork", () => {
+    expect(previewTool("add", false)).toBe("add-branch");
+    expect(previewTool("bridge", false)).toBe("bridge");
+    expect([previewTool("fork", false), previewTool("fork", true)]).toEqual([null, "move-fork"]);
+    expect(previewTool("cut", false)).toBeNull();
+    expect(previewTool(null, false)).toBeNull();
+  });
+
+  it("is drawn in runs with and without evidence that share a point, every point where the edit would put it", () => {
+    expect(runsOf([LINE])).toEqual([
+      { points: LINE.points_lps.slice(0, 3), drawn: false },
+      { points: LINE.points_lps.slice(2), drawn: true },
+    ]);
+    expect(runsOf([])).toEqual([]);
+    expect(runsOf([LINE, LINE]).length).toBe(4);
+  });
+
+  it("says how long it is, and along how much of it the CT shows no wall", () => {
+    expect(previewWords({ answer: answer(), stale: false })).toEqual({
+      lines: [`new branch, 41${NBSP}mm`, `no wall along 21${NBSP}mm`],
+      warns: true,
+    });
+    const seen = answer({ has_evidence: true, doubtful_mm: 0 });
+    expect(previewWords({ answer: seen, stale: false })).toEqual({ lines: [`new branch, 41${NBSP}mm`], warns: false });
+    expect(previewWords({ answer: answer({ tool: "bridge", doubtful_mm: 41 }), stale: false }).warns).toBe(true);
+  });
+
+  it("says that it is looked for, and why it cannot be made", () => {
+    expect(previewWords({ answer: null, stale: true }).lines).toEqual(["looking for the way\u2026"]);
+    const none = answer({ lines: [], length_mm: null, problem: "no airway leads from the tree to the point: tissue." });
+    expect(previewWords({ answer: none, stale: false })).toEqual({
+      lines: ["No airway leads from the tree to the point: tissue."],
+      warns: true,
+    });
+  });
+});
+
+describe("the question about a branch without evidence", () => {
+  const doubt = (change: Partial<NoEvidenceMessage> = {}): NoEvidenceMessage => ({
+    type: "no_evidence",
+    job_id: "job-1",
+    code: "track.no-evidence",
+    message: "",
+    lps: [0, 0, -41],
+    line: LINE,
+    length_mm: 41,
+    doubtful_mm: 21,
+    ...change,
+  });
+
+  it("says how much of the way is meant", () => {
+    expect(doubtWords(doubt())).toBe(`The CT shows no wall along the last 21${NBSP}mm of this way. Draw it anyway?`);
+    const middle = doubt({ line: { ...LINE, doubtful: [false, true, false] }, doubtful_mm: 10 });
+    expect(doubtWords(middle)).toContain(`along 10${NBSP}mm of this way.`);
+    expect(doubtWords(doubt({ length_mm: 21.3 }))).toContain("along this way.");
+  });
+});

@@ -1,0 +1,84 @@
+/** What a click would make, as it is shown before it: the lines, and the words beside the cursor. */
+
+import type { AskEditPreviewMessage, EditLine, EditPreviewMessage, NoEvidenceMessage } from "../wire/messages";
+import { mm, sentence } from "./format";
+import { firstSentences } from "./live-path";
+import type { Armed } from "./tools";
+import { asVec3, type Vec3 } from "./vec";
+
+export type PreviewTool = AskEditPreviewMessage["tool"];
+/** What is asked for: a tool, and a point or a place in an airway picture. */
+export type PreviewQuestion = Omit<AskEditPreviewMessage, "type" | "request_id">;
+
+export interface Preview {
+  /** Null while the first answer is still looked for. */
+  readonly answer: EditPreviewMessage | null;
+  /** The cursor is elsewhere by now: the next answer is on its way. */
+  readonly stale: boolean;
+}
+
+/** The tool that shows its deed under the cursor, as the wire calls it. */
+export function previewTool(armed: Armed | null, forkHeld: boolean): PreviewTool | null {
+  if (armed === "add") return "add-branch";
+  if (armed === "bridge") return "bridge";
+  return armed === "fork" && forkHeld ? "move-fork" : null;
+}
+
+/** A run of a line that is all an airway, or all drawn by hand. */
+export interface PreviewRun {
+  readonly points: readonly Vec3[];
+  readonly drawn: boolean;
+}
+
+/** The lines in runs that are drawn solid and runs that are dashed; neighbours share a point. */
+export function runsOf(lines: readonly EditLine[]): readonly PreviewRun[] {
+  const runs: { points: Vec3[]; drawn: boolean }[] = [];
+  for (const line of lines) {
+    let current: { points: Vec3[]; drawn: boolean } | null = null;
+    line.drawn.forEach((drawn, n) => {
+      const [from, to] = [line.points_lps[n], line.points_lps[n + 1]];
+      if (from === undefined || to === undefined) return;
+      if (current === null || current.drawn !== drawn) {
+        current = { points: [asVec3(from)], drawn };
+        runs.push(current);
+      }
+      current.points.push(asVec3(to));
+    });
+  }
+  return runs;
+}
+
+/** Lines beside the cursor; `warns` where the CT does not show it, or it cannot be made. */
+export function previewWords({ answer }: Preview): { lines: readonly string[]; warns: boolean } {
+  if (answer === null) return { lines: ["looking for the way\u2026"], warns: false };
+  if (answer.problem !== null || answer.length_mm === null) {
+    return { lines: [firstSentences(sentence(answer.problem ?? "nothing can be made here"))], warns: true };
+  }
+  const doubtful = answer.doubtful_mm ?? 0;
+  switch (answer.tool) {
+    case "add-branch":
+      return answer.has_evidence
+        ? { lines: [`new branch, ${mm(answer.length_mm, 0)}`], warns: false }
+        : {
+            lines: [`new branch, ${mm(answer.length_mm, 0)}`, `no wall along ${mm(doubtful, 0)}`],
+            warns: true,
+          };
+    case "bridge":
+      return { lines: [`bridge, ${mm(doubtful, 0)}`, "the CT shows no airway here"], warns: true };
+    case "move-fork":
+      return { lines: ["move the fork here"], warns: false };
+  }
+}
+
+/** The question whether to draw by hand what the CT does not show. */
+export function doubtWords({ line, doubtful_mm, length_mm }: NoEvidenceMessage): string {
+  const last = line.doubtful.indexOf(true);
+  const tail = last >= 0 && line.doubtful.slice(last).every((doubtful) => doubtful);
+  const all = length_mm - doubtful_mm < 1;
+  const where = all
+    ? "this way"
+    : tail
+      ? `the last ${mm(doubtful_mm, 0)} of this way`
+      : `${mm(doubtful_mm, 0)} of this way`;
+  return `The CT shows no wall along ${where}. Draw it anyway?`;
+}

@@ -1,0 +1,55 @@
+import { describe, expect, it } from "vitest";
+import type { PenMessage, StateMessage } from "../wire/messages";
+import { INITIAL_STATE, penPoint, reduce } from "./app-state";
+import { penMarkWords, penOffWords, wasUsedByPen } from "./pen";
+
+const pen = (change: Partial<PenMessage> = {}): PenMessage => ({
+  type: "pen",
+  device: "pen",
+  tracked: true,
+  lps: [1, 2, 3],
+  off_mm: null,
+  off_deg: null,
+  ...change,
+});
+
+describe("what a pen's button marks", () => {
+  it("is said: its own tip where it is registered, else the scope's, and why", () => {
+    expect(penMarkWords(pen())).toContain("own tip");
+    expect(penMarkWords(pen({ lps: null }))).toBe("The pen is not registered: its button marks the scope tip.");
+    expect(penMarkWords(pen({ lps: null, tracked: false }))).toContain("not tracked in position");
+  });
+
+  it("is the pen's point, and nothing while no pen moves the tip", () => {
+    const told = reduce(INITIAL_STATE, { kind: "server", message: pen(), nowMs: 0 });
+    expect(penPoint(told)).toEqual([1, 2, 3]);
+    const gone = reduce(told, { kind: "server", message: pen({ device: null, lps: null }), nowMs: 1 });
+    expect(gone.pen).toBeNull();
+    expect(penPoint(gone)).toBeNull();
+  });
+});
+
+describe("a tool that the pen's button has used", () => {
+  const told = (num: number, airways: StateMessage["airways"]) =>
+    ({ targets: Array.from({ length: num }), airways }) as unknown as StateMessage;
+
+  it("is put down, and no other tool, and not before", () => {
+    expect(wasUsedByPen("target", told(0, "found"), told(1, "found"))).toBe(true);
+    expect(wasUsedByPen("target", told(1, "found"), told(1, "found"))).toBe(false);
+    expect(wasUsedByPen("add", told(0, "found"), told(1, "found"))).toBe(false);
+    expect(wasUsedByPen("root", told(0, "found"), told(0, "finding"))).toBe(true);
+    expect(wasUsedByPen("root", told(0, "finding"), told(0, "finding"))).toBe(false);
+    expect(wasUsedByPen("target", null, told(1, "found"))).toBe(false);
+  });
+});
+
+describe("what is left between pen and tip", () => {
+  it("is said in absolute movement until it is nothing", () => {
+    expect(penOffWords(null)).toBeNull();
+    expect(penOffWords(pen())).toBeNull();
+    expect(penOffWords(pen({ off_mm: 56.21, off_deg: 12 }))).toMatch(/^56\.2.mm, 12\u00b0$/);
+    expect(penOffWords(pen({ off_mm: 0.2, off_deg: 0 }))).toMatch(/^0\.2.mm$/);
+    expect(penOffWords(pen({ off_mm: 0, off_deg: 3 }))).toMatch(/^0\.0.mm, 3\u00b0$/);
+    expect(penOffWords(pen({ off_mm: 0.04, off_deg: 0.4 }))).toBeNull();
+  });
+});

@@ -1,0 +1,35 @@
+/** What is said about a tracked pen: the point that its button marks, and what is left between it and the scope's tip. */
+
+import type { PenMessage, StateMessage } from "../wire/messages";
+import { fixed, mm } from "./format";
+import type { Armed } from "./tools";
+
+/** While one of these is in the hand, the pen's button marks a point. */
+export const marksByPen = (armed: Armed | null): armed is "root" | "target" => armed === "root" || armed === "target";
+
+export function penMarkWords(pen: PenMessage): string {
+  if (pen.lps !== null) return "The pen\u2019s button marks the pen\u2019s own tip.";
+  return pen.tracked
+    ? "The pen is not registered: its button marks the scope tip."
+    : "This device is not tracked in position: its button marks the scope tip.";
+}
+
+/** Below this nothing is left: half of what is shown. */
+const JOINED_MM = 0.05;
+const JOINED_DEG = 0.5;
+
+/** Null where the tip is at the pen, or does not follow its place. */
+export function penOffWords(pen: PenMessage | null): string | null {
+  if (pen === null || pen.off_mm === null) return null;
+  const deg = pen.off_deg ?? 0;
+  if (pen.off_mm < JOINED_MM && deg < JOINED_DEG) return null;
+  const turned = deg < JOINED_DEG ? "" : `, ${fixed(deg)}\u00b0`;
+  return `${mm(pen.off_mm)}${turned}`;
+}
+
+/** Whether the pen's button has just used the tool: it is put down then, as after a click. */
+export function wasUsedByPen(armed: Armed | null, before: StateMessage | null, now: StateMessage): boolean {
+  if (before === null) return false;
+  if (armed === "target") return now.targets.length > before.targets.length;
+  return armed === "root" && now.airways === "finding" && before.airways !== "finding";
+}

@@ -1,0 +1,24 @@
+/** A ball round each branch's centreline, found once: most branches are far from any one plane. */
+
+import type { BranchNode } from "./airways";
+import { add, asVec3, distance, scale, type Vec3 } from "./vec";
+
+export interface Sphere {
+  readonly center: Vec3;
+  readonly radiusMm: number;
+}
+
+const known = new WeakMap<BranchNode, Sphere>();
+
+/** Null for a branch without points. */
+export function sphereOf(node: BranchNode): Sphere | null {
+  const found = known.get(node);
+  if (found !== undefined) return found;
+  const points = node.branch.points.map((point) => asVec3(point));
+  const [first, last] = [points[0], points.at(-1)];
+  if (first === undefined || last === undefined) return null;
+  const center = scale(add(first, last), 0.5);
+  const sphere = { center, radiusMm: Math.max(...points.map((point) => distance(point, center))) };
+  known.set(node, sphere);
+  return sphere;
+}

@@ -1,0 +1,23 @@
+/** The tip of a tracked pen over the pictures, with the way's first words where the pen leads. */
+
+import { type Geometry, pixelFromLps } from "../state/projection";
+import { INK, type Ink, NamePlaces, penMark } from "./ink";
+import type { Scene } from "./scene";
+import type { Viewport } from "./viewport";
+
+export function paintPen(
+  ink: Ink,
+  viewport: Viewport,
+  geometry: Geometry,
+  scene: Scene,
+  inPlane: (depthMm: number) => boolean,
+): void {
+  if (scene.pen === null) return;
+  const seen = pixelFromLps(geometry, scene.pen.lps);
+  if (seen === null) return;
+  const at = viewport.screenAt(seen);
+  const near = inPlane(seen.depthMm);
+  penMark(ink, at, near);
+  const names = new NamePlaces();
+  if (near) scene.pen.words.some((words) => names.name(ink, words, { x: at.x, y: at.y + 8 }, INK.text, viewport.size));
+}
