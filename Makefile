@@ -52,9 +52,12 @@ $(CLUSTER_STAMP): requirements-cluster.lock $(STAMP)
 	$(UV) pip install -q --require-hashes -r requirements-cluster.lock
 	@touch $@
 
+# A worker is a process with servers and a browser of its own; beyond four they wait for memory, not for cores.
+WORKERS ?= $(shell $(PY) -c 'import os; print(min(os.cpu_count() or 1, 4))' 2>/dev/null || echo 2)
+
 test-python: $(STAMP) $(CLUSTER_STAMP)
 	$(PY) tools/find_browser.py --install
-	$(PY) -m pytest -m "not soak" -ra --durations=25
+	$(PY) -m pytest -m "not soak" -n $(WORKERS) --dist loadgroup -ra --durations=25
 
 # Not part of `make test`: wgpu is a large build, and most machines that test have no adapter. Here a missing one is a
 # failure, and the software one of Mesa (lavapipe) is enough. The Python tests take the wheel, as people get it.
@@ -75,7 +78,7 @@ soak: $(STAMP) $(CLUSTER_STAMP) ## what runs for minutes: 20,000 poses against t
 	cargo test --profile checked --workspace --exclude carina-bindings -- --include-ignored
 	$(PY) -m pytest -m soak -ra
 
-check: $(STAMP) web/node_modules/.package-lock.json ## formatting, lints, types, layers, lock file, spelling
+check: $(STAMP) web/node_modules/.package-lock.json ## formatting, lints, types, layers, lock file, spelling, licences, advisories
 	cargo fmt --all --check
 	cargo clippy --profile checked --workspace --exclude carina-bindings --all-targets -- -D warnings
 	cargo clippy --release -p carina-bindings -- -D warnings
@@ -86,6 +89,7 @@ check: $(STAMP) web/node_modules/.package-lock.json ## formatting, lints, types,
 	.venv/bin/typos
 	$(PY) tools/check_layers.py
 	$(PY) tools/check_repository.py
+	$(PY) tools/audit.py
 	cd web && npm run check
 	$(PY) tools/lock.py --check --uv $(UV)
 

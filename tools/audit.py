@@ -1,0 +1,352 @@
+"""Licences of all dependencies against an allow list, and known advisories where a database can be reached.
+
+Licences are read from what lies on this machine, always: Rust by ``cargo metadata``, npm by the lock file, Python by
+what is installed of the lock files. Advisories need ``cargo audit``, ``pip-audit`` and ``npm audit``, and the network.
+What could not be looked at is said in one line each, is never counted as good, and fails nothing: a check that a closed
+network makes red is switched off by people. Exceptions, each with a reason and an end, are in ``tools/audit.toml``.
+
+Run: ``python tools/audit.py`` (part of ``make check``).
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+WITHIN_S = 15.0
+"""For one database: a network that swallows packets must not hold up a check."""
+LOCKS = ("requirements.lock", "requirements-cluster.lock")
+
+CLASSIFIERS = {
+    "Apache Software License": "Apache-2.0",
+    "BSD License": "BSD-3-Clause",
+    "ISC License (ISCL)": "ISC",
+    "MIT License": "MIT",
+    "MIT No Attribution License (MIT-0)": "MIT-0",
+    "Mozilla Public License 2.0 (MPL 2.0)": "MPL-2.0",
+    "Python Software Foundation License": "PSF-2.0",
+    "The Unlicense (Unlicense)": "Unlicense",
+    "zlib/libpng License": "Zlib",
+}
+
+
+@dataclass(slots=True)
+class Result:
+    """What a look at one kind of dependencies gave."""
+
+    what: str
+    num_seen: int = 0
+    bad: list[str] = field(default_factory=list)
+    unseen: list[str] = field(default_factory=list)
+    """What could not be looked at, and why: one line each."""
+
+    def lines(self) -> list[str]:
+        """For people: what is bad, what was not looked at, and what was good."""
+        told = [f"{self.what}: {words}" for words in self.bad]
+        told += [f"{self.what}: NOT looked at: {words}" for words in self.unseen]
+        if self.num_seen and not self.bad:
+            told.append(f"{self.what}: {self.num_seen} looked at, {'these' if self.unseen else 'all'} good")
+        return told
+
+
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """The content of ``audit.toml``."""
+
+    licences: frozenset[str]
+    known: dict[str, str]
+    advisories: dict[str, datetime.date]
+
+
+def read_allowed(path: Path) -> Allowed:
+    """Read the allow list; an entry without a reason or an end is refused."""
+    document = tomllib.loads(path.read_text(encoding="utf-8"))
+    licences = document.get("licences", {})
+    known, advisories = {}, {}
+    for entry in licences.get("known", []):
+        if not entry.get("reason"):
+            raise SystemExit(f"{path.name}: the licence of {entry.get('package')} needs a reason")
+        known[str(entry["package"]).lower()] = str(entry["licence"])
+    for entry in document.get("advisories", []):
+        if not entry.get("reason") or not isinstance(entry.get("until"), datetime.date):
+            raise SystemExit(f"{path.name}: the advisory {entry.get('id')} needs a reason and a date (until)")
+        advisories[str(entry["id"]).upper()] = entry["until"]
+    return Allowed(frozenset(licences.get("allowed", [])), known, advisories)
+
+
+# ---------------------------------------------------------------- licences
+
+
+def licence_allowed(expression: str, allowed: Iterable[str]) -> bool:
+    """Whether an SPDX expression (AND, OR, WITH, brackets; ``A/B`` as old Cargo writes OR) can be kept.
+
+    Anything that is not understood is not allowed.
+    """
+    names = frozenset(name.lower() for name in allowed)
+    words = re.findall(r"[()]|[^\s()]+", expression.replace("/", " OR "))
+    at = 0
+
+    def either() -> bool:
+        nonlocal at
+        value = both()
+        while at < len(words) and words[at].upper() == "OR":
+            at += 1
+            # Not `value or both()`: the words must be read in any case.
+            right = both()
+            value = value or right
+        return value
+
+    def both() -> bool:
+        nonlocal at
+        value = one()
+        while at < len(words) and words[at].upper() == "AND":
+            at += 1
+            right = one()
+            value = value and right
+        return value
+
+    def one() -> bool:
+        nonlocal at
+        if at >= len(words) or words[at].upper() in {"AND", "OR", "WITH", ")"}:
+            raise ValueError(expression)
+        if words[at] == "(":
+            at += 1
+            value = either()
+            if at >= len(words) or words[at] != ")":
+                raise ValueError(expression)
+            at += 1
+            return value
+        name = words[at]
+        at += 1
+        if at + 1 < len(words) and words[at].upper() == "WITH":
+            name = f"{name} WITH {words[at + 1]}"
+            at += 2
+        return name.lower() in names
+
+    try:
+        value = either()
+    except ValueError:
+        return False
+    return value and at == len(words)
+
+
+def _judge(result: Result, name: str, licence: str | None, allowed: Allowed) -> None:
+    licence = allowed.known.get(name.lower(), licence)
+    result.num_seen += 1
+    if not licence:
+        result.bad.append(f"{name} names no licence; look into its sources and add it to audit.toml")
+    elif not licence_allowed(licence, allowed.licences):
+        result.bad.append(f"{name} is under {licence!r}, which is not in audit.toml")
+
+
+def rust_licences(root: Path, allowed: Allowed, run: Callable[..., Any] = subprocess.run) -> Result:
+    """All crates of the lock file whose sources are on this machine."""
+    result = Result("licences, Rust")
+    if shutil.which("cargo") is None:
+        result.unseen.append("all crates: cargo is not installed")
+        return result
+    seen: dict[tuple[str, str], str | None] = {}
+    for features in ([], ["--all-features"]):
+        command = ["cargo", "metadata", "--offline", "--locked", "--format-version", "1", *features]
+        done = run(command, cwd=root, capture_output=True, text=True, check=False)
+        if done.returncode == 0:
+            for package in json.loads(done.stdout)["packages"]:
+                if package.get("source"):
+                    seen[package["name"], package["version"]] = package.get("license")
+    for (name, _), licence in sorted(seen.items()):
+        _judge(result, name, licence, allowed)
+    locked = tomllib.loads((root / "Cargo.lock").read_text(encoding="utf-8"))["package"]
+    missing = sorted({p["name"] for p in locked if p.get("source")} - {name for name, _ in seen})
+    if missing:
+        shown = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
+        result.unseen.append(f"{len(missing)} crates that this build has not downloaded ({shown})")
+    return result
+
+
+def npm_licences(root: Path, allowed: Allowed) -> Result:
+    """All packages of the lock file, which names their licences."""
+    result = Result("licences, npm")
+    lock = json.loads((root / "web" / "package-lock.json").read_text(encoding="utf-8"))
+    for place, package in sorted(lock["packages"].items()):
+        if place:
+            licence = package.get("license")
+            _judge(result, place.rpartition("node_modules/")[2], licence if isinstance(licence, str) else None, allowed)
+    return result
+
+
+def locked_python(root: Path) -> dict[str, str]:
+    """Name and version of each Python package of the lock files."""
+    found = {}
+    for lock in LOCKS:
+        for line in (root / lock).read_text(encoding="utf-8").splitlines():
+            match = re.match(r"([A-Za-z0-9._-]+)(?:\[[^]]*\])?==([^\s;\\]+)", line)
+            if match:
+                found[match[1].lower()] = match[2]
+    return found
+
+
+def python_licence(about: Any) -> str | None:
+    """The SPDX expression of a package's metadata; from its classifiers where it has none."""
+    expression = about.get("License-Expression")
+    if expression:
+        return str(expression)
+    named = [c.rpartition(" :: ")[2] for c in about.get_all("Classifier", []) if c.startswith("License :: ")]
+    known = [CLASSIFIERS.get(name, name) for name in named if name != "OSI Approved"]
+    if known:
+        return " AND ".join(f"({name})" if " " in name else name for name in known)
+    text = str(about.get("License") or "").strip()
+    return text.splitlines()[0].removesuffix(" License") if text else None
+
+
+def python_licences(root: Path, allowed: Allowed, about: Callable[[str], Any] = metadata.metadata) -> Result:
+    """All packages of the lock files that are installed here."""
+    result = Result("licences, Python")
+    missing = []
+    for name in sorted(locked_python(root)):
+        try:
+            found = about(name)
+        except metadata.PackageNotFoundError:
+            missing.append(name)
+            continue
+        _judge(result, name, python_licence(found), allowed)
+    if missing:
+        shown = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
+        result.unseen.append(f"{len(missing)} packages that are not installed here ({shown})")
+    return result
+
+
+# ---------------------------------------------------------------- advisories
+
+
+def judge_advisories(
+    result: Result, found: Iterable[tuple[str, str, str]], allowed: Allowed, today: datetime.date
+) -> None:
+    """Advisories (id, package, words) that nobody has excepted, or whose exception has ended."""
+    for number, package, words in sorted(set(found)):
+        until = allowed.advisories.get(number.upper())
+        if until is None:
+            result.bad.append(f"{number} in {package}: {words}; update it, or except it in audit.toml with a reason")
+        elif until < today:
+            result.bad.append(f"{number} in {package}: its exception in audit.toml ended on {until}; look again")
+
+
+def _asked(result: Result, command: list[str], cwd: Path, run: Callable[..., Any]) -> Any:
+    """What a tool says as JSON; None where it could not be asked, with a line that says why."""
+    tool = command[0] if command[0] != "cargo" else "cargo-audit"
+    if shutil.which(tool) is None:
+        result.unseen.append(f"{tool} is not installed")
+        return None
+    try:
+        done = run(command, cwd=cwd, capture_output=True, text=True, check=False, timeout=WITHIN_S)
+    except subprocess.TimeoutExpired:
+        result.unseen.append(f"{tool} had no answer within {WITHIN_S:.0f} s")
+        return None
+    try:
+        return json.loads(done.stdout)
+    except ValueError:
+        lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+        result.unseen.append(f"{tool} gave no report: {lines[-1][:160] if lines else f'exit {done.returncode}'}")
+        return None
+
+
+def rust_advisories(
+    root: Path, allowed: Allowed, today: datetime.date, run: Callable[..., Any] = subprocess.run
+) -> Result:
+    """By ``cargo audit`` and RustSec's database."""
+    result = Result("advisories, Rust")
+    report = _asked(result, ["cargo", "audit", "--json"], root, run)
+    if report is None:
+        return result
+    database = report.get("database", {})
+    if not database.get("advisory-count"):
+        result.unseen.append("cargo-audit has no database")
+        return result
+    result.num_seen = int(report.get("lockfile", {}).get("dependency-count", 0))
+    found = report.get("vulnerabilities", {}).get("list", [])
+    rows = ((v["advisory"]["id"], v["package"]["name"], v["advisory"]["title"]) for v in found)
+    judge_advisories(result, rows, allowed, today)
+    return result
+
+
+def python_advisories(
+    root: Path, allowed: Allowed, today: datetime.date, run: Callable[..., Any] = subprocess.run
+) -> Result:
+    """By ``pip-audit``. It calls what it could not look up "skipped", and ends with 0: those are not good."""
+    result = Result("advisories, Python")
+    command = ["pip-audit", "--format", "json", "--progress-spinner", "off", "--no-deps", "--disable-pip"]
+    for lock in LOCKS:
+        command += ["--requirement", lock]
+    report = _asked(result, command, root, run)
+    if report is None:
+        return result
+    rows = report.get("dependencies", []) if isinstance(report, dict) else report
+    skipped = [row["name"] for row in rows if row.get("skip_reason")]
+    result.num_seen = len(rows) - len(skipped)
+    if skipped or not rows:
+        result.unseen.append(f"pip-audit could not look up {len(skipped)} of {len(rows)} packages")
+    found = (
+        (v["id"], row["name"], f"mended in {', '.join(v.get('fix_versions') or ['no version yet'])}")
+        for row in rows
+        for v in row.get("vulns", [])
+    )
+    judge_advisories(result, found, allowed, today)
+    return result
+
+
+def npm_advisories(
+    root: Path, allowed: Allowed, today: datetime.date, run: Callable[..., Any] = subprocess.run
+) -> Result:
+    """By ``npm audit`` and the registry."""
+    result = Result("advisories, npm")
+    report = _asked(result, ["npm", "audit", "--json", "--package-lock-only", "--fetch-retries=0"], root / "web", run)
+    if report is None:
+        return result
+    if "vulnerabilities" not in report or "metadata" not in report:
+        words = str(report.get("message") or report.get("error") or "no report")
+        result.unseen.append(f"npm audit: {words[:160]}")
+        return result
+    result.num_seen = int(report["metadata"].get("dependencies", {}).get("total", 0))
+    found = []
+    for name, entry in report["vulnerabilities"].items():
+        for via in entry.get("via", []):
+            # A text names another package of the report, through which this one is concerned.
+            if isinstance(via, dict):
+                number = str(via.get("url", "")).rpartition("/")[2] or str(via.get("source"))
+                found.append((number, name, str(via.get("title", ""))))
+    judge_advisories(result, found, allowed, today)
+    return result
+
+
+def main() -> int:
+    """Print what was found; 1 where a licence or an advisory is bad."""
+    allowed = read_allowed(ROOT / "tools" / "audit.toml")
+    today = datetime.datetime.now(tz=datetime.UTC).date()
+    with ThreadPoolExecutor() as pool:
+        looks = [
+            pool.submit(rust_licences, ROOT, allowed),
+            pool.submit(npm_licences, ROOT, allowed),
+            pool.submit(python_licences, ROOT, allowed),
+            pool.submit(rust_advisories, ROOT, allowed, today),
+            pool.submit(npm_advisories, ROOT, allowed, today),
+            pool.submit(python_advisories, ROOT, allowed, today),
+        ]
+        results = [look.result() for look in looks]
+    for result in results:
+        print("\n".join(result.lines()))
+    return 1 if any(result.bad for result in results) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
