@@ -1,0 +1,47 @@
+"""What the outline of the lumen costs a slice, beside rendering and encoding it, in one run."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+import carina
+from carina.render import CutPlaneView, Renderer, SliceView
+from carina.server.pump import encode_jpeg
+from carina.track import LumenOutline, find_airways
+
+SIZE = (768, 620)
+ROUNDS = 40
+
+
+def least_s(work, rounds=ROUNDS):
+    """The least of many times: what it takes when nothing else runs."""
+    took = []
+    for _ in range(rounds):
+        began = time.perf_counter()
+        work()
+        took.append(time.perf_counter() - began)
+    return min(took)
+
+
+@pytest.mark.slow
+def test_a_large_slice_with_its_outline_takes_at_most_a_tenth_longer():
+    volume = carina.demo_patient()
+    airways = find_airways(volume)
+    outline, renderer = LumenOutline(volume, airways), Renderer(volume)
+    branch = max((b for b in airways.tree.branches if b.generation > 2), key=lambda b: b.length_mm)
+    middle = len(branch.points) // 2
+    at = branch.points[middle]
+    pose = carina.Pose.looking(at, branch.points[middle + 2] - at)
+    size = {"width": SIZE[0], "height": SIZE[1]}
+    planes = [SliceView(plane, tuple(at), mm_per_px=mm, **size) for plane in ("axial", "coronal") for mm in (None, 0.1)]
+    views = [*planes, CutPlaneView(pose, **size), CutPlaneView(pose, extent_mm=15.0, **size)]
+    shares = []
+    for view in views:
+        picture = renderer.render(view)
+        plain_s = least_s(lambda view=view: encode_jpeg(renderer.render(view).rgb, full=False))
+        more_s = least_s(lambda picture=picture: outline.encoded(picture.lps_from_pixel, *SIZE))
+        shares.append(more_s / plain_s)
+        assert outline.encoded(picture.lps_from_pixel, *SIZE), "there is something to outline"
+    assert max(shares) < 0.1, [f"{share:.1%}" for share in shares]
