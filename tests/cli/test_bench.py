@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import importlib.util
+import json
+import os
+import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-from carina.cli.bench import machine
-from carina.cli.bench.clock import Times, median_ratio, take_turns
-from carina.cli.bench.command import SECTIONS
-from carina.cli.bench.gates import Gate
-from carina.cli.bench.pictures import difference, save
-from carina.cli.bench.scene import STEP_VOX, TRANSFER, opacity_table
-from carina.cli.bench.worker import run_section
+import carina.cli.bench as verb
 from carina.errors import CarinaError
+from carina_bench import machine
+from carina_bench.clock import Times, median_ratio, take_turns
+from carina_bench.command import SECTIONS
+from carina_bench.gates import Gate
+from carina_bench.pictures import difference, save
+from carina_bench.scene import STEP_VOX, TRANSFER, opacity_table
+from carina_bench.worker import run_section
 
 
 def test_without_the_extra_the_command_says_what_to_install_and_exits_1(carina, monkeypatch, tmp_path):
@@ -33,6 +37,24 @@ def test_an_unknown_section_exits_2_and_names_the_known_ones(carina, tmp_path):
     ended = carina("bench", "render", "--only", "everything", "--json", "-o", tmp_path / "out")
     assert ended.code == 2
     assert "frames" in ended.json()["error"]["message"]
+
+
+def test_in_a_wheel_the_verb_says_where_the_benchmarks_are(carina, monkeypatch, tmp_path):
+    monkeypatch.setattr(verb, "find_spec", lambda _name: None)
+    monkeypatch.setattr(verb.carina, "__file__", str(tmp_path / "site-packages" / "carina" / "__init__.py"))
+    ended = carina("bench", "render", "--quick", "--json")
+    assert ended.code == 1
+    assert ended.json()["error"]["code"] == "machine.benchmarks-missing"
+    assert "benchmarks/" in ended.err and "checkout" in ended.err
+
+
+def test_in_a_checkout_the_verb_finds_them_from_any_folder(tmp_path):
+    # A process of its own: the one of the tests has the folder in its path already.
+    command = [sys.executable, "-m", "carina.cli", "bench", "isoregion", "--only", "nothing", "--json"]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 2, ended.stderr
+    assert "map" in json.loads(ended.stdout)["error"]["message"]
 
 
 def test_functions_take_turns_and_the_first_round_does_not_count():

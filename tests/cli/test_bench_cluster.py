@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from carina.cli.bench import cluster
+from carina_bench import cluster
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carina.cli.bench import haptics
-from carina.cli.bench.haptics_pictures import full_pictures, moving_pictures, summed
-from carina.cli.bench.machine import stolen_s
 from carina.navigate import FlightPath
 from carina.render import Renderer
 from carina.scopes import picture_threads
+from carina_bench import haptics
+from carina_bench.haptics_pictures import full_pictures, moving_pictures, summed
+from carina_bench.machine import stolen_s
 from small_case import small_volume
 
 

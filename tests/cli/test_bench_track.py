@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 
-from carina.cli.bench import track, track_names
 from carina.errors import CarinaError
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, branch_side_and_lobe, name_tree
+from carina_bench import track, track_names
 
 ROW = {"what": "paths", "case": "phantom", "figure": 9.0, "limit": 8.0, "unit": "x", "median": 9.0, "min": 8.5}
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 import carina
 from carina._core import GraphTracker
-from carina.cli.bench.track_paper import deviation_mm
 from carina.errors import CancelledError, UsageError
 from carina.track.paper import BYTES_PER_VOXEL, COSTS, GRAPHS, search_box, track_on_graph
 from carina.volume.model import Volume
+from carina_bench.track_paper import deviation_mm
 
 PAIRS = list(itertools.product(COSTS, GRAPHS))
 

@@ -11,7 +11,6 @@ import typer
 
 import carina
 from carina.cli.app_airways import airways, export, track
-from carina.cli.app_bench import bench
 from carina.cli.app_cluster import cluster
 from carina.cli.arguments import check_output_folder, parse_point, parse_size
 from carina.cli.console import exit_codes, fail, print_json, progress_printer
@@ -460,7 +459,20 @@ def devices(
 
 
 app.add_typer(cluster, name="cluster")
-app.add_typer(bench, name="bench")
+
+
+# Its verbs, options and help are the benchmarks' own: everything after ``bench`` is handed on, ``--help`` too.
+@app.command(
+    "bench",
+    add_help_option=False,
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+)
+def bench(context: typer.Context) -> None:
+    """Figures beside installed peers, in the same run; in a checkout of Carina's source only."""
+    from carina.cli.bench import run_benchmarks
+
+    run_benchmarks(context.args)
+
 
 USAGE_ERROR: Any = typer.BadParameter.__base__
 """Root of what typer itself refuses: unknown options, missing arguments, values of the wrong type."""

@@ -17,6 +17,8 @@ bench = typer.Typer(
     help="Figures beside installed peers (VTK, numba, scipy, dijkstra3d), in the same run; render, isoregion and "
     "track need the extra `bench`.",
     no_args_is_help=True,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode=None,
 )
 
@@ -40,7 +42,7 @@ def _bench(
     as_json: bool,
 ) -> None:
     with exit_codes(as_json):
-        from carina.cli.bench.command import report
+        from carina_bench.command import report
 
         check_output_folder(output)
         code = report(
@@ -101,7 +103,7 @@ def bench_track(
     Example: carina bench track --only speed --quick
     """
     with exit_codes(as_json):
-        from carina.cli.bench.track import report
+        from carina_bench.track import report
 
         check_output_folder(output)
         raise SystemExit(report(folder=output, only=only or [], quick=quick, as_json=as_json))
@@ -121,7 +123,7 @@ def bench_stream(
     Example: carina bench stream --quick
     """
     with exit_codes(as_json):
-        from carina.cli.bench.stream import report
+        from carina_bench.stream import report
 
         check_output_folder(output)
         raise SystemExit(report(folder=output, case=case, quick=quick, as_json=as_json))
@@ -139,7 +141,7 @@ def bench_haptics(
     Example: carina bench haptics --quick
     """
     with exit_codes(as_json):
-        from carina.cli.bench.haptics import report
+        from carina_bench.haptics import report
 
         check_output_folder(output)
         raise SystemExit(report(folder=output, quick=quick, as_json=as_json))
@@ -160,7 +162,7 @@ def bench_cluster(
     Example: carina bench cluster --only simulation
     """
     with exit_codes(as_json):
-        from carina.cli.bench.cluster import report
+        from carina_bench.cluster import report
 
         check_output_folder(output)
         raise SystemExit(report(folder=output, only=only or [], quick=quick, as_json=as_json))

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.cli.bench.cases import Case, open_case
-from carina.cli.bench.clock import Times, median_ratio, take_turns
-from carina.cli.bench.pictures import difference, save
-from carina.cli.bench.scene import TRANSFER
 from carina.cli.console import progress_printer, say
 from carina.render import CutPlaneView, Renderer, build_isoregion_map, project_maximum, sample_plane
 from carina.scopes import Pose
+from carina_bench.cases import Case, open_case
+from carina_bench.clock import Times, median_ratio, take_turns
+from carina_bench.pictures import difference, save
+from carina_bench.scene import TRANSFER
 
 __all__ = ["maps", "planes", "prepared_maps", "projections"]
 
@@ -150,7 +150,7 @@ def projections(request: Request) -> list[dict[str, Any]]:
 
 def planes(request: Request) -> list[dict[str, Any]]:
     """An oblique slice of 256 x 256 beside ``vtkImageReslice``: one thread, CPU time."""
-    from carina.cli.bench.vtk_peer import vtk_reslice
+    from carina_bench.vtk_peer import vtk_reslice
 
     size = 256
     rows = []

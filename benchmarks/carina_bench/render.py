@@ -12,16 +12,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.cli.bench.cases import Case, open_case
-from carina.cli.bench.clock import Times, median_ratio, take_turns
-from carina.cli.bench.machine import load_average
-from carina.cli.bench.pictures import difference, save
-from carina.cli.bench.scene import FOV_DEG, STEP_VOX, STOP_TRANSPARENCY, TRANSFER, VTK_STOP_TRANSPARENCY
 from carina.cli.console import progress_printer, say
 from carina.errors import RenderError
 from carina.render import AirwayView, Picture, Renderer, TransferFunction, build_info
 from carina.scopes import Pose
 from carina.volume import Volume
+from carina_bench.cases import Case, open_case
+from carina_bench.clock import Times, median_ratio, take_turns
+from carina_bench.machine import load_average
+from carina_bench.pictures import difference, save
+from carina_bench.scene import FOV_DEG, STEP_VOX, STOP_TRANSPARENCY, TRANSFER, VTK_STOP_TRANSPARENCY
 
 __all__ = ["first_frame", "frames", "small_frames"]
 
@@ -61,8 +61,8 @@ def prepared(volume: Volume, transfer: TransferFunction, simd: str | None = None
 
 def frames(request: Request) -> list[dict[str, Any]]:
     """Whole frames of 512 x 512 beside VTK and the numba baseline: one thread, CPU time, in turn."""
-    from carina.cli.bench.numba_peer import numba_caster
-    from carina.cli.bench.vtk_peer import VtkCaster
+    from carina_bench.numba_peer import numba_caster
+    from carina_bench.vtk_peer import VtkCaster
 
     rows = []
     for name in request["cases"]:

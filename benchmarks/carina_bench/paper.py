@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 import carina
-from carina.cli.bench.clock import median_ratio, take_turns
-from carina.cli.bench.pictures import difference, save
-from carina.cli.bench.render import Request
 from carina.cli.console import say
 from carina.render import AirwayView, Renderer, TransferFunction
 from carina.scopes import Pose
 from carina.volume import Volume
+from carina_bench.clock import median_ratio, take_turns
+from carina_bench.pictures import difference, save
+from carina_bench.render import Request
 
 __all__ = ["FILES", "paper_mode"]
 

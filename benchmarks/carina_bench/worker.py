@@ -1,4 +1,4 @@
-"""One section of a benchmark in a process of its own: ``python -m carina.cli.bench.worker REQUEST``."""
+"""One section of a benchmark in a process of its own: ``python -m carina_bench.worker REQUEST``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,14 @@ from typing import Any
 from carina.disk import disk_trouble, write_whole
 from carina.errors import CarinaError
 
-__all__ = ["run_section"]
+__all__ = ["child_environment", "run_section"]
+
+
+def child_environment() -> dict[str, str]:
+    """The environment of a process that runs a module of this package, which is installed nowhere."""
+    found = str(Path(__file__).resolve().parent.parent)
+    others = os.environ.get("PYTHONPATH")
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([found, others] if others else [found])}
 
 
 def run_section(function: str, request: dict[str, Any], *, threads: int | None = None) -> Any:
@@ -37,10 +44,10 @@ def run_section(function: str, request: dict[str, Any], *, threads: int | None =
     with tempfile.TemporaryDirectory(prefix="carina-bench-") as scratch:
         result = Path(scratch) / "result.json"
         message = json.dumps({"function": function, "request": request, "result": str(result)})
-        environment = dict(os.environ)
+        environment = child_environment()
         if threads is not None:
             environment["RAYON_NUM_THREADS"] = str(threads)
-        command = [sys.executable, "-m", "carina.cli.bench.worker", message]
+        command = [sys.executable, "-m", "carina_bench.worker", message]
         # What libraries print is for people: stdout belongs to the report.
         done = subprocess.run(command, env=environment, stdout=sys.stderr, check=False)
         if done.returncode == CANCELLED:
@@ -62,7 +69,7 @@ def _main() -> int:
     message = json.loads(sys.argv[1])
     module, _, name = message["function"].partition(":")
     try:
-        rows = getattr(import_module(f"carina.cli.bench.{module}"), name)(message["request"])
+        rows = getattr(import_module(f"carina_bench.{module}"), name)(message["request"])
         document = {"rows": rows}
     except KeyboardInterrupt:
         return CANCELLED

@@ -77,7 +77,7 @@ class Truth:
 
 
 def run(quick: bool, say: Callable[[str], None]) -> list[Row]:
-    """The rows of this part (see ``carina.cli.bench.track``)."""
+    """The rows of this part (see ``carina_bench.track``)."""
     seeds, spacing = (QUICK_SEEDS, QUICK_SPACING_MM) if quick else (SEEDS, SPACING_MM)
     found: dict[str, list[Floats]] = {}
     seconds, edits, num_sections = [], [], 0

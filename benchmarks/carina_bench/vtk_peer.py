@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.cli.bench.scene import FOV_DEG
 from carina.render import TransferFunction
 from carina.scopes import Pose
 from carina.volume import Volume
+from carina_bench.scene import FOV_DEG
 
 __all__ = ["VtkCaster", "vtk_reslice"]
 

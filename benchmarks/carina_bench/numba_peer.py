@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.cli.bench.scene import FOV_DEG, STOP_TRANSPARENCY, opacity_table
 from carina.render import TransferFunction
 from carina.scopes import Pose
 from carina.volume import Volume
+from carina_bench.scene import FOV_DEG, STOP_TRANSPARENCY, opacity_table
 
 __all__ = ["numba_caster"]
 

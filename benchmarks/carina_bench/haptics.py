@@ -15,11 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from carina.cli.bench.cases import open_phantom
-from carina.cli.bench.gates import Gate
-from carina.cli.bench.haptics_pictures import PICTURES_HZ, Pictures, full_pictures, moving_pictures
-from carina.cli.bench.machine import load_average, machine_facts, stolen_s
-from carina.cli.bench.worker import run_section
 from carina.cli.console import print_json, progress_printer, say
 from carina.disk import make_folder, write_whole
 from carina.navigate import FlightPath
@@ -35,6 +30,11 @@ from carina.scopes import (
     picture_threads,
 )
 from carina.scopes.haptic_packets import decode_force, encode_sample
+from carina_bench.cases import open_phantom
+from carina_bench.gates import Gate
+from carina_bench.haptics_pictures import PICTURES_HZ, Pictures, full_pictures, moving_pictures
+from carina_bench.machine import load_average, machine_facts, stolen_s
+from carina_bench.worker import child_environment, run_section
 
 __all__ = ["bridge", "measure", "report"]
 
@@ -177,9 +177,9 @@ class _Watch:
 @contextmanager
 def _bridged(loop: ForceLoop, seconds: float, center: tuple[float, float, float]) -> Iterator[Any]:
     """A bridge in a process of its own; gives what waits for its figures."""
-    command = [sys.executable, "-m", "carina.cli.bench.haptics_bridge"]
+    command = [sys.executable, "-m", "carina_bench.haptics_bridge"]
     asked = json.dumps({"port": loop.port, "seconds": seconds, "center": center})
-    other = subprocess.Popen([*command, asked], stdout=subprocess.PIPE, text=True)
+    other = subprocess.Popen([*command, asked], stdout=subprocess.PIPE, text=True, env=child_environment())
     try:
         yield lambda: json.loads(other.communicate(timeout=60)[0])
     finally:

@@ -38,7 +38,7 @@ CLEAR_SHARE = 0.75
 
 
 def run(quick: bool, say: Callable[[str], None]) -> list[Row]:
-    """The rows of this part (see ``carina.cli.bench.track``)."""
+    """The rows of this part (see ``carina_bench.track``)."""
     seeds = QUICK_SEEDS if quick else SEEDS
     exact: Counter[str] = Counter()
     found: Counter[str] = Counter()

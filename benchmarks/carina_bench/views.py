@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from carina.cli.bench.cases import Case, open_case
-from carina.cli.bench.clock import median_ratio, take_turns
-from carina.cli.bench.machine import load_average
-from carina.cli.bench.pictures import difference, save
-from carina.cli.bench.render import Request, num_loads, prepared
-from carina.cli.bench.scene import STEP_VOX, TRANSFER
 from carina.cli.console import progress_printer, say
 from carina.render import AirwayView, Renderer, TransferFunction, transfer_preset
 from carina.scopes import Pose
 from carina.volume import Volume
+from carina_bench.cases import Case, open_case
+from carina_bench.clock import median_ratio, take_turns
+from carina_bench.machine import load_average
+from carina_bench.pictures import difference, save
+from carina_bench.render import Request, num_loads, prepared
+from carina_bench.scene import STEP_VOX, TRANSFER
 
 __all__ = ["never_slower"]
 

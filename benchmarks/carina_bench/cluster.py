@@ -17,8 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from carina.cli.bench.machine import load_average, machine_facts
-from carina.cli.bench.plot_svg import line_plot, timeline
 from carina.cli.console import print_json, say
 from carina.cluster import ClusterRenderer, ClusterSettings
 from carina.cluster.host import RendererHost
@@ -29,6 +27,8 @@ from carina.phantom import generate_phantom
 from carina.render import AirwayView, Renderer, View
 from carina.scopes import Pose
 from carina.volume import Volume
+from carina_bench.machine import load_average, machine_facts
+from carina_bench.plot_svg import line_plot, timeline
 
 __all__ = ["PAPER_TABLE_1", "PAPER_TABLE_2", "SECTIONS", "report"]
 
@@ -248,8 +248,8 @@ def _paper_row(row: dict[str, Any]) -> tuple[float, float, int, int] | None:
 
 
 def _sleeping(costs: dict[str, _Cost], quick: bool, folder: Path, lines: list[str]) -> dict[str, Any]:
-    from carina.cli.bench.cluster_real import real_head
-    from carina.cli.bench.cluster_sleep import sleeping_runs
+    from carina_bench.cluster_real import real_head
+    from carina_bench.cluster_sleep import sleeping_runs
 
     found: dict[str, Any] = {"table_1": [], "table_2": []}
     lines.append("A real Ray whose renderers sleep as long as the paper's machine took for the rows:")
@@ -319,7 +319,7 @@ def _table_line(row: dict[str, Any], paper: tuple[float, float, int, int] | None
 
 
 def _real(quick: bool, folder: Path, lines: list[str]) -> list[dict[str, Any]]:
-    from carina.cli.bench.cluster_real import fly, real_head, renderers_ready, wait_ready
+    from carina_bench.cluster_real import fly, real_head, renderers_ready, wait_ready
 
     rows = []
     most = min(4, os.cpu_count() or 1)
@@ -348,7 +348,7 @@ def _real(quick: bool, folder: Path, lines: list[str]) -> list[dict[str, Any]]:
 
 
 def _stand_ins(wanted: Sequence[str], quick: bool, folder: Path, lines: list[str]) -> dict[str, Any]:
-    from carina.cli.bench.cluster_real import lost_renderers, real_head, transport
+    from carina_bench.cluster_real import lost_renderers, real_head, transport
 
     found: dict[str, Any] = {}
     with real_head(8) as head:

@@ -15,9 +15,9 @@ from typing import Any
 import SimpleITK as sitk
 from websockets.sync.client import connect
 
-from carina.cli.bench.cases import open_case
 from carina.cli.console import progress_printer, say
 from carina.errors import CarinaError
+from carina_bench.cases import open_case
 
 __all__ = ["server_memory"]
 

@@ -10,7 +10,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from carina.cli.bench.cluster_real import (
+from carina.cluster import ClusterRenderer, ClusterSettings, Console
+from carina.cluster.node import Node
+from carina.cluster.ray_backend import RayLane
+from carina.cluster.stand_in import StandInHost
+from carina_bench.cluster_real import (
     SIDE,
     Flown,
     fly,
@@ -19,10 +23,6 @@ from carina.cli.bench.cluster_real import (
     stand_in_view,
     wait_ready,
 )
-from carina.cluster import ClusterRenderer, ClusterSettings, Console
-from carina.cluster.node import Node
-from carina.cluster.ray_backend import RayLane
-from carina.cluster.stand_in import StandInHost
 
 __all__ = ["SleepingRun", "sleeping_runs"]
 
