@@ -76,7 +76,7 @@ def test_a_picture_that_cannot_be_unpacked_is_told_as_no_answer(pickled):
     bare = pickle.dumps(_picture(), protocol=5)
     whole = pack_answer((1, 1, 0, 3, 0.0, "leap", COUNTS, _picture(), np.zeros((3, 8, 3), np.uint8)))
     assert bare in whole
-    with pytest.raises(ClusterError, match="no strip"):
+    with pytest.raises(ClusterError, match="invalid strip"):
         open_answer(whole.replace(bare, pickled.ljust(len(bare), b"\0")))
 
 
@@ -90,10 +90,10 @@ def test_what_is_in_a_pictures_place_and_is_none_is_told_as_such():
 def test_bytes_that_are_no_answer_are_told_as_such(data):
     whole = pack_answer((1, 1, 5, 3, 0.0, "leap", COUNTS, None, np.zeros((3, 8, 3), np.uint8)))
     cut = data.draw(st.integers(0, len(whole) - 1))
-    with pytest.raises(ClusterError, match="no strip"):
+    with pytest.raises(ClusterError, match="invalid strip"):
         open_answer(whole[:cut])
-    with pytest.raises(ClusterError, match="no strip"):
+    with pytest.raises(ClusterError, match="invalid strip"):
         open_answer(whole + b"x" * data.draw(st.integers(1, 9)))
     for nonsense in (None, (1, 2), "text"):
-        with pytest.raises(ClusterError, match="no strip"):
+        with pytest.raises(ClusterError, match="invalid strip"):
             open_answer(nonsense)

@@ -134,7 +134,7 @@ def test_content_that_is_none_is_counted_and_passed_over(content, kind):
     stream = IgtlStream()
     found = stream.feed(pack_message(kind, "x", content) + pack_transform("Pen", np.eye(4)))
     assert [m.name for m in found] == ["Pen"]
-    assert stream.num_bad == {"content that is none": 1}
+    assert stream.num_bad == {"malformed content": 1}
 
 
 def test_a_length_of_four_gibibytes_takes_no_memory_and_ends_the_stream():

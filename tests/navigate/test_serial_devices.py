@@ -96,7 +96,7 @@ def test_the_stylus_points_along_the_receivers_x():
 def test_binary_numbers_that_are_none_are_left_out():
     stream = FastrakStream(binary=True)
     assert stream.feed(binary_record(math.nan) + binary_record(1.0, (0.0, 0.0, 0.0, 0.0))) == []
-    assert stream.num_bad["numbers that are no place"] == 2
+    assert stream.num_bad["invalid position"] == 2
 
 
 def test_records_that_arrive_together_were_measured_one_after_the_other():

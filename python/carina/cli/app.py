@@ -401,7 +401,7 @@ def fly(
     series: SeriesOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """A flight as video: along the route to a branch or point, of a recording, or through key frames.
+    """Render a fly-through video: to a branch or point, from a recording, or through key frames.
 
     Example: carina fly scan/ --to RB9 -o flight.mp4 --speed 15
 

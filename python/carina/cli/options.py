@@ -9,7 +9,7 @@ import typer
 
 __all__ = ["JsonOption", "PathArgument", "SeriesOption", "TokenOption"]
 
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; words go to stderr.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; messages go to stderr.")]
 TokenOption = Annotated[
     Path | None, typer.Option("--token-file", help="The cluster's token; in Carina's folder of settings unless told.")
 ]

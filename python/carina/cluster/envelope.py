@@ -79,5 +79,5 @@ def open_answer(answer: bytes) -> Strip:
         rgb = np.frombuffer(answer, np.uint8, offset=at + num_bare).reshape(shape)
     except Exception as nonsense:
         # Whatever it is: bytes that are no pickle raise nearly everything.
-        raise ClusterError(f"an answer that is no strip: {nonsense}", code="cluster.fault") from nonsense
+        raise ClusterError(f"invalid strip answer: {nonsense}", code="cluster.fault") from nonsense
     return frame_id, content, first_row, num_rows, seconds, name, counts, picture, rgb

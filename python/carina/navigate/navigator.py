@@ -374,11 +374,11 @@ class Navigator:
             pose, operator = Pose(np.array(state["lps_from_camera"], dtype=np.float64)), state["operator"]
             mode = state["mode"]
         except (KeyError, TypeError, ValueError) as trouble:
-            raise UsageError(f"this is no state of a tip: {trouble}", code="navigate.recording") from trouble
+            raise UsageError(f"not a valid navigator state: {trouble}", code="navigate.recording") from trouble
         shapes = [array.shape for array in arrays.values()]
         finite = all(np.isfinite(array).all() for array in arrays.values()) and all(map(math.isfinite, numbers))
         if shapes != [(3, 3), (3, 3), (3,)] or not finite or mode not in {"free", "path"}:
-            raise UsageError(f"this is no state of a tip: {mode!r}, {shapes}", code="navigate.recording")
+            raise UsageError(f"not a valid navigator state: {mode!r}, {shapes}", code="navigate.recording")
         if mode == "path" and path is None:
             raise UsageError("a tip in mode path needs a path", code="navigate.recording")
         self._operator = _checked_operator(operator)

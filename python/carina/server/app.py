@@ -129,7 +129,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
         if not gate.authorised(websocket.headers):
-            reason = "this page belongs to an earlier start of Carina; open the link that it printed"
+            reason = "Carina was restarted since this page was opened; open the link that it printed"
             await close_socket(websocket, "protocol.not-authorised", reason)
             return
         await _serve_client(websocket, hub)

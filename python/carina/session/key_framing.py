@@ -245,7 +245,7 @@ class KeyFraming(Flying):
                 keys = Keys(frames, file.speed_mm_s, file.through)
                 self._change(case, "open key frames", replace(case.document, keys=keys))
                 if any(frame.time_s is not None for frame in file.frames):
-                    self._emit(Said("the file has times; here they are speeds"))
+                    self._emit(Said("the file stores times; they were converted to speeds"))
 
         return self._jobs.start("keys", "opening key frames", work)
 

@@ -75,7 +75,7 @@ def fold_airways(volume: Volume, airways: Airways) -> FoldedAirways:
         If the airways were not edited.
     """
     if airways.base is None:
-        raise UsageError("only edited airways are put away: from what would the others be made again?")
+        raise UsageError("only edited airways can be folded; unedited ones have no base to rebuild from")
     lumen = EditedLumen(volume, airways.tracker.core)
     first, shape = _box(airways.lumen_zyx)
     states = lumen_states(lumen.core, first, shape)

@@ -76,7 +76,8 @@ def find_uncertain(volume: Volume, tree: AirwayTree, leaks_lps: Points) -> tuple
         elif _is_near(leaks_lps, branch.tip_lps):
             kind = "leak"
             reason = (
-                f"stopped at {calibre_mm:.1f} mm: its wall is too thin here, the search would have run into the lung"
+                f"lost where the lumen is {calibre_mm:.1f} mm wide: its wall is too thin here, and the search would "
+                "have run into the lung"
             )
         else:
             kind = "blocked"
@@ -89,15 +90,15 @@ def find_uncertain(volume: Volume, tree: AirwayTree, leaks_lps: Points) -> tuple
         if branch.confidence is not None and branch.confidence < FAINT:
             middle = branch.points[len(branch.points) // 2]
             place = (float(middle[0]), float(middle[1]), float(middle[2]))
-            reason = f"its wall hardly stands out (confidence {branch.confidence:.2f}): it may be no airway"
+            reason = f"its wall hardly stands out (confidence {branch.confidence:.2f}): it may not be an airway"
             listed.append((_calibre_mm(branch), Uncertainty(place, "faint", reason, branch.id)))
     listed.sort(key=lambda entry: (-entry[0], entry[1].branch_id))
     found = [entry for _, entry in listed]
     if ends_mm:
         root = tree.root.points[0]
         reason = (
-            f"below {float(np.median(ends_mm)):.1f} mm of diameter (half of {len(ends_mm)} ends) this CT of "
-            f"{voxel_mm:.2f} mm voxels does not show airways reliably: there are more, and farther ones, than found"
+            f"below {float(np.median(ends_mm)):.1f} mm (the median of {len(ends_mm)} ends) this CT of "
+            f"{voxel_mm:.2f} mm voxels cannot show airways reliably: more and smaller ones exist"
         )
         found.append(Uncertainty((float(root[0]), float(root[1]), float(root[2])), "fine", reason, None))
     return tuple(found)

@@ -173,7 +173,7 @@ def badges_of(volume: Volume, airways: object | None = None) -> tuple[Note, ...]
     """
     badges = [note for note in volume.source.notes if note.badge]
     if not volume.is_hu:
-        reason = volume.not_hu_reason or "its numbers are no Hounsfield units"
+        reason = volume.not_hu_reason or "it is not in Hounsfield units"
         badges.insert(0, Note("import.not-hu", f"not HU: {reason}", badge=True))
     badges.extend(getattr(airways, "badges", ()))
     return tuple(dict.fromkeys(badges))

@@ -274,7 +274,7 @@ function TransferSelect() {
     presets === null ? [] : presets.includes(transfer) || transfer === "" ? presets : [transfer, ...presets];
   return (
     <Select
-      aria-label="Look of the walls"
+      aria-label="Wall style"
       className="select"
       selectedKey={transfer}
       onSelectionChange={(key) => {
@@ -441,7 +441,7 @@ function Readings() {
           <Act
             kind="quiet"
             icon={advancing ? "stop" : "play"}
-            label={advancing ? "Stop" : toFork ? "To the fork" : "To the end"}
+            label={advancing ? "Stop" : toFork ? "Fly to next fork" : "Fly to the end"}
             words={
               advancing
                 ? "Stop here"

@@ -71,7 +71,7 @@ export function BranchList() {
           <div className="mend">
             <Act
               icon="target"
-              label={arming ? "Click in a picture\u2026" : "Set the root"}
+              label={arming ? "Click in a picture\u2026" : "Mark the trachea"}
               words="The next click in a picture begins the airways there"
               keys={keyOf("arm_root")}
               onPress={() => station.act("arm_root")}
@@ -91,7 +91,7 @@ export function BranchList() {
       <RowStyles tree={tree} />
       {filtered !== null && filtered.hits.length === 0 ? (
         <p className="empty">
-          No branch is called so. Try a name, a lobe, {"\u201cg3\u201d"} or {"\u201c?\u201d"}.
+          No branch with this name. Try a name, a lobe, {"\u201cg3\u201d"} or {"\u201c?\u201d"}.
         </p>
       ) : (
         // biome-ignore lint/a11y/noStaticElementInteractions: hovering and focusing rows shows their branch, the tree inside is interactive
@@ -159,7 +159,7 @@ function BranchSearch({ value, onChange }: { value: string; onChange: (text: str
       }}
     >
       <Icon name="search" />
-      <Tip words="A name, a lobe, g3 for a generation, ? for all that is doubtful" keys={keyOf("find_branch")}>
+      <Tip words="Search: name, lobe, g3 = generation 3, ? = uncertain" keys={keyOf("find_branch")}>
         <Input placeholder="Search: RB1, g3, ?" spellCheck="false" autoComplete="off" />
       </Tip>
       {value === "" ? null : (

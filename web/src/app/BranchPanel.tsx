@@ -129,12 +129,7 @@ function NameField({ node }: { node: BranchNode }) {
         Enter keeps the name, Esc does not.
       </p>
       {node.branch.name_from === "person" ? (
-        <Act
-          kind="quiet"
-          label="Automatic name"
-          words="Give the name from the anatomy back"
-          onPress={() => done(null)}
-        />
+        <Act kind="quiet" label="Automatic name" words="Restore the automatic name" onPress={() => done(null)} />
       ) : null}
     </div>
   );

@@ -15,7 +15,7 @@ import { PhoneGroup } from "./PhoneGroup";
 
 const CONTROLS = [
   ["absolute", "Absolute", "The pen's place in the patient; needs a calibration"],
-  ["relative", "Relative", "What the hand does, the tip does"],
+  ["relative", "Relative", "The tip follows the hand's movement"],
   ["path", "Path", "Forward along the path; turns are a free look"],
 ] as const;
 const MIN_PAIRS = 3;
@@ -37,7 +37,7 @@ export function DevicePanel() {
           <>
             <Movement told={told} />
             {told.devices.length === 0 ? (
-              <p className="quiet">Nothing has moved yet. Push a stick, or connect a device below.</p>
+              <p className="quiet">Nothing has moved yet. Move a stick on the gamepad, or connect a device below.</p>
             ) : (
               told.devices.map((device) => <Device key={device.device} device={device} />)
             )}
@@ -78,14 +78,14 @@ function Movement({ told }: { told: DevicesMessage }) {
       <p className="numbers">
         filter {fixed(told.filter_latency_ms, 1)} ms
         <SwitchKey
-          words="Smooth the tremor of pens; its delay stands beside it"
+          words="Smooth hand tremor (adds the delay shown)"
           label={told.controls.filter_on ? "on" : "off"}
           on={told.controls.filter_on}
           onChange={() => change({ filter_on: !told.controls.filter_on })}
         />
       </p>
       <Figure
-        label="Steadier"
+        label="Smoothing"
         unit="Hz"
         value={told.controls.min_cutoff_hz}
         choices={[2, 5, 10, 20, 50]}
@@ -106,14 +106,14 @@ function Movement({ told }: { told: DevicesMessage }) {
         onChange={(speed) => (speed === null ? undefined : change({ speed_mm_s: speed }))}
       />
       <SwitchKey
-        words="Lever down moves the tip down, unlike on a real scope"
+        words="Inverted lever: down = tip down (a real scope is the opposite)"
         label="Invert lever"
         on={told.controls.lever_inverted}
         onChange={() => change({ lever_inverted: !told.controls.lever_inverted })}
       />
       <SwitchKey
         words="The hand moves the tip only while button 2 is held"
-        label="Clutch held"
+        label="Clutch: hold"
         on={told.controls.clutch === "hold"}
         onChange={() => change({ clutch: told.controls.clutch === "hold" ? "always" : "hold" })}
       />

@@ -25,7 +25,7 @@ export function EditTools() {
   const armed = useApp((state) => state.ui.armed);
   const shown = useApp(shownBranch);
   return (
-    <div className="edit-tools" role="toolbar" aria-label="Mend the tree">
+    <div className="edit-tools" role="toolbar" aria-label="Edit the tree">
       {TREE_TOOLS.map((tool) => (
         <SwitchKey
           key={tool}

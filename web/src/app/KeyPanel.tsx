@@ -177,14 +177,14 @@ function KeyTools({ frame, first, last }: { frame: KeyFrame; first: boolean; las
       <div className="row">
         <Act
           label="Update"
-          words="Take the present view in its place"
+          words="Replace with the current view"
           testId="key-update"
           onPress={() => station.send({ type: "edit_keys", edit: { kind: "update", key_id } })}
         />
         <Act
           kind="icon"
           icon="pencil"
-          words="Rename; no name calls it by its branch"
+          words="Rename. Leave empty to use the branch name."
           testId="key-name"
           onPress={() => setName(frame.own_name ? frame.name : "")}
         />
@@ -288,7 +288,7 @@ function Flight({ told }: { told: KeysMessage }) {
     <div className="group">
       <Figure
         label="Speed"
-        words="Along every way that names no speed of its own"
+        words="Speed for every leg without its own"
         unit="mm/s"
         value={told.speed_mm_s}
         choices={KEY_SPEEDS_MM_S}
@@ -341,7 +341,7 @@ function KeyFile({ told }: { told: KeysMessage }) {
       </div>
       {told.keys.length > 1 ? (
         <p className="quiet film">
-          A film of it: <code>carina fly SCAN --keys {KEYS_FILE} -o film.mp4</code>
+          Save as video: <code>carina fly SCAN --keys {KEYS_FILE} -o film.mp4</code>
         </p>
       ) : null}
     </div>

@@ -67,9 +67,9 @@ export function PathBar() {
         onPress={() => station.toFork("next")}
       />
       <Figure
-        label="Speed of the flight by itself"
+        label="Auto-flight speed"
         quiet
-        words="Speed of the flight by itself (Space); Shift flies slowly"
+        words="Auto-flight speed (Space). Hold Shift for slow."
         unit="mm/s"
         value={autoSpeed}
         choices={AUTO_SPEEDS_MM_S}

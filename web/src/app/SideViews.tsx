@@ -142,7 +142,7 @@ function Cell({ cell, view, title, reading, tools, empty }: CellProps) {
         <Act
           kind="icon"
           icon={isFull ? "leaveFull" : "full"}
-          words={isFull ? "Back to all pictures" : "Only this picture"}
+          words={isFull ? "Back to all pictures" : "Full view"}
           keys="double click"
           onPress={toggleFull}
         />

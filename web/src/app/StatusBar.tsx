@@ -101,7 +101,7 @@ function AskedRate() {
         if (key !== null && Number(key) !== rate) station.send({ type: "set_frame_rate", rate_hz: Number(key) });
       }}
     >
-      <Tip words="Airway pictures per second to ask for while moving: fewer are finer">
+      <Tip words="Target frame rate while moving (lower = sharper)">
         <Button className="plain-text">
           <SelectValue>{() => `of ${fixed(rate)}/s`}</SelectValue>
         </Button>
@@ -163,11 +163,9 @@ function PaceWords() {
         frame {fps === null ? "\u2013" : `${fps}/s`} <AskedRate />
       </span>
       {waitingMs > LATE_MS ? (
-        <span className="warning-text">picture {fixed(waitingMs / 1000, 1)} s behind</span>
+        <span className="warning-text">{"updating\u2026"}</span>
       ) : (
-        <span title="From a movement's answer to its picture on this screen">
-          age {ageMs === null ? "\u2013" : `${fixed(ageMs)} ms`}
-        </span>
+        <span title="Latency: movement to displayed image">age {ageMs === null ? "\u2013" : `${fixed(ageMs)} ms`}</span>
       )}
     </>
   );

@@ -24,7 +24,7 @@ export function TopBar() {
       <h1>Carina</h1>
       <p className="case-title">{title}</p>
       {isHu ? null : (
-        <Tip words={reason ?? "The numbers of this volume are no Hounsfield units."}>
+        <Tip words={reason ?? "This volume is not in Hounsfield units."}>
           <Button className="badge warning" onPress={() => station.ui({ step: "check" })} data-testid="not-hu">
             not HU
           </Button>

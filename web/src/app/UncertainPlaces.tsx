@@ -17,7 +17,7 @@ export function UncertainPlaces() {
   if (places.length === 0) return null;
   return (
     <details className="uncertain" data-testid="uncertain">
-      <summary>{plural(places.length, "place")} could not be followed</summary>
+      <summary>Airway lost at {plural(places.length, "place")}</summary>
       <div className="places">
         {groupsOf(places).map(({ why, places: members }) => (
           <section key={members[0]?.place.lps.join(" ")}>

@@ -566,7 +566,7 @@ export class Workstation {
     const fork = forkAhead(tree, route, at, cameraFromMatrix(pose.lps_from_camera));
     const way = fork === null ? null : neighbourWay(fork.ways, step);
     if (fork === null) this.notice("There is no fork ahead on this route.");
-    else if (way === null) this.notice(`This is the way furthest to the ${step < 0 ? "left" : "right"}.`);
+    else if (way === null) this.notice(`No branch further ${step < 0 ? "left" : "right"}.`);
     else this.chooseBranch(mainLeaf(way.node).branch.id);
   }
 

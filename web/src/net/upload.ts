@@ -74,7 +74,7 @@ export async function sendUpload(
   if (!begun.ok) throw await refusal(begun);
   const body: unknown = await begun.json();
   const id = (body as { upload_id?: unknown }).upload_id;
-  if (typeof id !== "string") throw new UploadError("upload.failed", "Carina gave no place for the files.", null);
+  if (typeof id !== "string") throw new UploadError("upload.failed", "The server did not accept the upload.", null);
   const address = `./api/upload/${encodeURIComponent(id)}`;
   const totalBytes = files.reduce((sum, entry) => sum + entry.file.size, 0);
   let sentBytes = 0;

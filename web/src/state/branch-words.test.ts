@@ -97,7 +97,7 @@ describe("a branch in words", () => {
   });
 
   it("says where its name comes from", () => {
-    expect(nameWords(node(tree, 1))).toBe("named by its anatomy, 42 % sure");
+    expect(nameWords(node(tree, 1))).toBe("automatic name, 42 % confidence");
     expect(nameWords(node(tree, 2))).toBe("named by a person");
     expect(nameWords(node(tree, 3))).toBeNull();
   });
@@ -105,7 +105,7 @@ describe("a branch in words", () => {
   it("has its long name, figures and doubts in the tooltip", () => {
     expect(tooltipOf(node(tree, 1))).toBe(
       `RB1, apical segment, RUL\ngeneration 1, 30${NBSP}mm long, lumen 6.1${NBSP}mm\n` +
-        "the name is only 42 % sure\nuncommon anatomy: RB1 and RB2 share a stem",
+        "the name has only 42 % confidence\nuncommon anatomy: RB1 and RB2 share a stem",
     );
     expect(tooltipOf(node(tree, 3))).toContain("Bridge over a blockage. The CT shows no airway here.");
   });

@@ -19,10 +19,10 @@ export function marksOf(node: BranchNode): readonly Mark[] {
   const { branch } = node;
   const marks: Mark[] = [];
   if (branch.name_confidence !== null && branch.name_confidence < DOUBTFUL.name) {
-    marks.push({ sign: "?", words: `the name is only ${percent(branch.name_confidence)} sure` });
+    marks.push({ sign: "?", words: `the name has only ${percent(branch.name_confidence)} confidence` });
   }
   if (branch.confidence !== null && branch.confidence < DOUBTFUL.airway) {
-    marks.push({ sign: "~", words: `only ${percent(branch.confidence)} sure that this is airway` });
+    marks.push({ sign: "~", words: `only ${percent(branch.confidence)} confidence that this is an airway` });
   }
   if (branch.variant !== null) marks.push({ sign: "v", words: `uncommon anatomy: ${branch.variant}` });
   return marks;
@@ -67,7 +67,7 @@ export function nameWords(node: BranchNode): string | null {
   const { name_from: from, name_confidence: sure } = node.branch;
   if (from === "person") return "named by a person";
   if (from === null) return null;
-  return sure === null ? "named by its anatomy" : `named by its anatomy, ${percent(sure)} sure`;
+  return sure === null ? "automatic name" : `automatic name, ${percent(sure)} confidence`;
 }
 
 const withError = (value: number | null, error: number | null, digits = 1): string | null =>

@@ -85,7 +85,11 @@ describe("the live path", () => {
 
 describe("what is said beside the cursor", () => {
   it("is length, narrowest place and certainty, and what is new or moved", () => {
-    expect(livePathLines(answer(1)).lines).toEqual(["10\u202fmm from the root", "narrowest 4.2\u202fmm", "86 % sure"]);
+    expect(livePathLines(answer(1)).lines).toEqual([
+      "10\u202fmm from the tracheal entry",
+      "narrowest 4.2\u202fmm",
+      "86 % sure",
+    ]);
     const more = livePathLines(answer(1, { new_mm: 12.5, snapped_mm: 1.25, confidence: null })).lines;
     expect(more.slice(2)).toEqual(["12.5\u202fmm beyond the tree", "moved 1.3\u202fmm into the lumen"]);
   });

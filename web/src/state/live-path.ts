@@ -24,7 +24,7 @@ export function livePathLines(answer: LivePathMessage): { lines: readonly string
   if (answer.problem !== null || answer.length_mm === null) {
     return { lines: [firstSentences(sentence(answer.problem ?? "no way through here"))], warns: true };
   }
-  const lines = [`${mm(answer.length_mm, 0)} from the root`];
+  const lines = [`${mm(answer.length_mm, 0)} from the tracheal entry`];
   if (answer.min_diameter_mm !== null) lines.push(`narrowest ${mm(answer.min_diameter_mm)}`);
   if (answer.confidence !== null) lines.push(`${fixed(100 * answer.confidence)} % sure`);
   if (answer.new_mm !== null && answer.new_mm > SMALL_MM) lines.push(`${mm(answer.new_mm)} beyond the tree`);

@@ -32,12 +32,12 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
   cut: {
     label: "Cut",
     short: "Cut",
-    words: "Click on a branch: it is taken away from there, with all that hangs on it",
+    words: "Removes the branch beyond this point and everything distal to it",
     hint: "Click a branch, in a picture or in the list. The amber part will be removed.",
   },
   fork: {
     label: "Move fork",
-    short: "Fork",
+    short: "Move fork",
     words: "Click near a fork, then where it should be",
     hint: "Click near the fork to move, or its branch in the list. The amber dot is the fork.",
   },
@@ -60,9 +60,9 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
     hint: "Draw in a slice where lumen is wrong.",
   },
   reroot: {
-    label: "Re-root",
-    short: "Root",
-    words: "Click where all ways should begin; the tree and what was mended stay",
+    label: "Set start",
+    short: "Start",
+    words: "Click where paths should start. The tree and your edits stay.",
     hint: "Click where paths should start (usually the trachea).",
   },
 };
@@ -71,8 +71,8 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
 const MARK_WORDS: Readonly<Record<"target" | "root", Pick<ToolWords, "label" | "hint">>> = {
   target: { label: "Mark target", hint: "Click the target in any picture. The line shows the way to it." },
   root: {
-    label: "Set root",
-    hint: "Click inside the trachea: the airways are found again from there, and edits are discarded (undo restores them).",
+    label: "Mark the trachea",
+    hint: "Click inside the trachea. The airways are segmented again from there; your edits are discarded (undo restores them).",
   },
 };
 
@@ -93,9 +93,9 @@ export function shortOf(armed: Armed): string {
     case "target":
       return "Target";
     case "root":
-      return "Set root";
+      return "Trachea";
     case "reroot":
-      return "Re-root";
+      return "Set start";
     default:
       return TOOL_WORDS[armed].short;
   }

@@ -8,7 +8,7 @@ describe("places that could not be followed", () => {
   it("say a common reason once", () => {
     const groups = groupsOf([
       place("the lumen ends at 4.1 mm: mucus, or a narrowed airway", 1),
-      place("stopped at 3.9 mm: its wall is too thin here", 2),
+      place("lost where the lumen is 3.9 mm wide: its wall is too thin here", 2),
       place("the lumen ends at 3.2 mm: mucus, or a narrowed airway", 3),
     ]);
     expect(groups.map(({ why }) => why)).toEqual(["mucus, or a narrowed airway", null]);
@@ -16,7 +16,7 @@ describe("places that could not be followed", () => {
       "the lumen ends at 4.1 mm",
       "the lumen ends at 3.2 mm",
     ]);
-    expect(groups[1]?.places[0]?.words).toBe("stopped at 3.9 mm: its wall is too thin here");
+    expect(groups[1]?.places[0]?.words).toBe("lost where the lumen is 3.9 mm wide: its wall is too thin here");
   });
 
   it("keep words without a reason, and lose none", () => {

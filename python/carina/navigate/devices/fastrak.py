@@ -121,7 +121,7 @@ class FastrakStream:
         length = math.sqrt(sum(v * v for v in numbers[3:])) if all(map(math.isfinite, numbers)) else 0.0
         if not 0.9 < length < 1.1:
             # Four decimals of a unit quaternion; anything else is damage that the frame let through.
-            self.num_bad["numbers that are no place"] += 1
+            self.num_bad["invalid position"] += 1
             return
         receiver = rotation_from_wxyz([v / length for v in numbers[3:]])
         x, y, z = (CM * v for v in numbers[:3])

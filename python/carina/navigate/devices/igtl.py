@@ -143,7 +143,7 @@ class IgtlStream:
             try:
                 found += _poses(kind, _text(name_bytes) or "", stamp / _SECOND, _content(version, body))
             except (struct.error, ValueError):
-                self.num_bad["content that is none"] += 1
+                self.num_bad["malformed content"] += 1
 
 
 def _text(data: bytes) -> str | None:

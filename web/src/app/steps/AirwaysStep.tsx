@@ -41,11 +41,11 @@ export function AirwaysStep() {
       )}
       {found ? (
         <>
-          <h3>Mend the tree</h3>
+          <h3>Edit the tree</h3>
           <EditTools />
           <BranchPanel />
           <details className="part">
-            <summary>Find them again, or take a mask</summary>
+            <summary>Segment again, or use another mask</summary>
             <Root />
             <MaskPicker />
           </details>
@@ -79,8 +79,8 @@ function Root() {
       </p>
       <SwitchKey
         icon="target"
-        label={armed ? "Click in a picture\u2026" : "Set the root"}
-        words="The next click begins the airways there; what was mended is lost (undo brings it back)"
+        label={armed ? "Click in a picture\u2026" : "Mark the trachea"}
+        words="Click a new start point. Your edits are discarded (undo restores them)."
         keys={keyOf("arm_root")}
         on={armed}
         onChange={() => station.act("arm_root")}

@@ -18,7 +18,7 @@ type PresetName = (typeof PRESETS)[number]["value"];
 
 const SLABS = [
   { value: "thin", label: "Thin", mm: 0, kind: "min", words: "Slices as thin as they are" },
-  { value: "min", label: "Min", mm: 10, kind: "min", words: "The least over 10 mm: airways" },
+  { value: "min", label: "Min", mm: 10, kind: "min", words: "Minimum over 10 mm (shows airways)" },
   { value: "max", label: "Max", mm: 10, kind: "max", words: "The most over 10 mm: vessels, nodules" },
   { value: "mean", label: "Mean", mm: 5, kind: "mean", words: "The mean over 5 mm: less noise" },
 ] as const;
@@ -35,7 +35,7 @@ export function CheckStep() {
   const level = useApp((state) => greyWindow(state).level_hu);
   if (info === null) return null;
   const findings = findingsOf(badges, info.quality, info.warnings);
-  const reason = info.not_hu_reason ?? "the numbers of this volume are no Hounsfield units";
+  const reason = info.not_hu_reason ?? "this volume is not in Hounsfield units";
   const saidAbove = findings.some((words) => words.includes(reason));
   const chosen = PRESETS.find(({ value }) => WINDOWS[value].width_hu === width && WINDOWS[value].level_hu === level);
   return (
@@ -67,7 +67,7 @@ export function CheckStep() {
           ))}
         </ul>
       )}
-      <h3>Grey window of the slices</h3>
+      <h3>Window / level</h3>
       {info.is_hu ? (
         <Choice<PresetName | "own">
           name="Grey window"

@@ -46,7 +46,7 @@ export function OpenStep() {
       <h3>Airways of another tool</h3>
       <MaskPicker />
       <h3>Another case</h3>
-      <p className="quiet">This one stays until the other has been read.</p>
+      <p className="quiet">The current case stays open until the new one has loaded.</p>
       <Pickers />
       <PathForm />
       <Act

@@ -1,6 +1,6 @@
 import { keyOf } from "../../input/keymap";
 import { comesFarthest, firstTooNarrow, thatPass } from "../../state/fit";
-import { fixed, mm, plural } from "../../state/format";
+import { fixed, mm } from "../../state/format";
 import type { HeldScope, RouteInfo, Scope } from "../../wire/messages";
 import { useApp, useStation } from "../context";
 import { Act, SwitchKey } from "../controls";
@@ -35,7 +35,7 @@ export function RehearseStep() {
         kind="primary"
         icon="play"
         label={held === null ? "Rehearse from the start" : "Begin again"}
-        words="Lay the scope in the trachea at the start of the route"
+        words="Insert the scope into the trachea at the start of the route"
         testId="rehearse"
         onPress={() => begin(0)}
       />
@@ -43,7 +43,7 @@ export function RehearseStep() {
         {held === null ? (
           <Act
             label="From here"
-            words="Lay the scope along the route to where the tip is"
+            words="Insert the scope along the route up to the current tip position"
             onPress={() => begin(null)}
           />
         ) : (
@@ -104,7 +104,7 @@ function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes:
           </div>
         )}
         <div>
-          <dt>Fits</dt>
+          <dt>Scope reaches</dt>
           <dd className="numbers" data-testid="fits">
             {stop === null ? "to the end" : `to ${fixed(stop.pathMm)} of ${mm(route.length_mm, 0)}`}
           </dd>
@@ -114,10 +114,10 @@ function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes:
         <p className="warning-text">
           <Icon name="warning" /> The lumen is {mm(stop.diameterMm)} wide there.{" "}
           {passing.length > 0
-            ? `To the end pass: ${passing.map((each) => `${each.title} (needs ${mm(each.fit_mm)})`).join("; ")}.`
+            ? `These scopes reach the end: ${passing.map((each) => `${each.title} (needs ${mm(each.fit_mm)})`).join("; ")}.`
             : farthest === null || farthest.scope.name === scope.name
-              ? "No instrument of the list comes farther."
-              : `None of the list passes to the end; ${farthest.scope.title} comes farthest, ${mm(farthest.pathMm, 0)}.`}
+              ? "No listed scope reaches farther."
+              : `No listed scope reaches the end. ${farthest.scope.title} gets farthest: ${mm(farthest.pathMm, 0)}.`}
         </p>
       )}
     </>
@@ -133,9 +133,9 @@ function Score({ held }: { held: HeldScope }) {
         <dd className="numbers">{mm(held.insertion_mm, 0)}</dd>
       </div>
       <div>
-        <dt>Touched</dt>
+        <dt>Wall contacts</dt>
         <dd className="numbers">
-          {plural(held.num_contacts, "time")}, {fixed(held.contact_s, 1)} s
+          {held.num_contacts} ({fixed(held.contact_s, 1)} s)
         </dd>
       </div>
     </dl>

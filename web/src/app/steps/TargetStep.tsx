@@ -51,7 +51,7 @@ export function TargetRow({ target }: { target: Target }) {
         <strong>{target.name}</strong>
         {target.problem === null ? (
           <span className="quiet numbers">
-            {target.length_mm === null ? "" : `${mm(target.length_mm, 0)} from the root`}
+            {target.length_mm === null ? "" : `${mm(target.length_mm, 0)} from the tracheal entry`}
             {target.snapped_mm === null || target.snapped_mm < 0.05
               ? ""
               : `, moved ${mm(target.snapped_mm)} into the lumen`}
