@@ -210,8 +210,7 @@ def render(
     view: Annotated[
         str,
         typer.Option(
-            help="airway, cut-plane, tri-plane, xray-axial, xray-coronal, xray-sagittal, drr, axial, coronal, "
-            "sagittal, straightened, curved, tree"
+            help="What to show: airway, cut-plane, axial, tree or another; a name that is none lists them all."
         ),
     ] = "airway",
     at: Annotated[str, typer.Option(help="Tip position x,y,z in mm (LPS), or auto: the top of the trachea.")] = "auto",

@@ -28,7 +28,7 @@ from carina.export import VIDEO_SUFFIXES, VideoWriter
 from carina.navigate import AutoFlight, KeyFile, KeyFrameFlight, Recording, open_keys, open_recording
 from carina.navigate.auto_flight import frame_times_s
 from carina.navigate.recording import ReplayedPose, case_key, sampled
-from carina.render import AirwayView, Backend, Renderer, TransferFunction, transfer_preset
+from carina.render import LEAD_VIEW, AirwayView, Backend, Renderer, TransferFunction, transfer_preset
 from carina.scopes import DEFAULT_SCOPE, ImageField, WallField, scope_preset
 from carina.session import RendererFactory
 from carina.track import edits_from_json, wall_field
@@ -78,7 +78,7 @@ def report(
     named = None if scope in {None, "none"} else scope_preset(str(scope)).name
     shown = _Shown(size, (DEFAULT_SCOPE if scope is None else named), step_vox)
     if to is not None:
-        check_destination(to, "airway")
+        check_destination(to, LEAD_VIEW)
         AutoFlight(carina.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=speed_mm_s, pause_s=pause_s)
     recorded = None if recording is None else open_recording(recording)
     key_file = None if keys is None else open_keys(keys)

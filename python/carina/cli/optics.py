@@ -7,6 +7,7 @@ from typing import Any
 
 from carina.cli.console import say
 from carina.errors import UsageError
+from carina.render import LEAD_VIEW
 from carina.scopes import MASKS, DepthOfField, ImageField, Lens, lens_from_file, scope_preset
 
 __all__ = ["SeenThrough"]
@@ -35,7 +36,7 @@ class SeenThrough:
             If a calibration file is refused.
         """
         given = {name: getattr(self, name) for name in self.__slots__ if getattr(self, name) is not None}
-        if given and view != "airway":
+        if given and view != LEAD_VIEW:
             raise UsageError(f"--{next(iter(given))}: only the airway view has one; found the view {view!r}")
         scope = None if self.scope in {None, "none"} else scope_preset(str(self.scope))
         if self.mask is not None and self.mask not in MASKS:

@@ -18,6 +18,8 @@ from carina.cli.optics import SeenThrough
 from carina.config import load_settings
 from carina.errors import CarinaError, UsageError, VolumeImportError
 from carina.render import (
+    LEAD_VIEW,
+    VIEWS,
     Backend,
     PathSpan,
     Picture,
@@ -29,6 +31,7 @@ from carina.render import (
     render_surface,
     render_view,
     transfer_preset,
+    view_row,
     view_spec,
 )
 from carina.scopes import PathFrames, Pose
@@ -38,12 +41,6 @@ from carina.track import kind_words
 __all__ = ["report"]
 
 MAX_TRANSFER_BYTES = 1_000_000
-# Planes through the tip: outside the volume they would be a picture of nothing.
-PLANE_VIEWS = {"cut-plane", "axial", "coronal", "sagittal"}
-VIEWS_INSIDE = {"cut-plane", "tri-plane", "axial", "coronal", "sagittal"}
-MARKED_VIEWS = {"xray-axial", "xray-coronal", "xray-sagittal", "drr", "axial", "coronal", "sagittal", "tree"}
-PATH_VIEWS = {"straightened", "curved"}
-LETTERED_VIEWS = {"drr", *PATH_VIEWS}
 # Stands for the path while the arguments are checked.
 _ANY_PATH = PathFrames(np.array([0.0, 1.0]), np.stack([np.eye(4)] * 2))
 
@@ -93,6 +90,10 @@ def _slab(text: str | None) -> Slab | None:
         ) from None
 
 
+def _along_paths() -> str:
+    return " and ".join(sorted(row.name for row in VIEWS.values() if "route" in row.needs))
+
+
 def _along(picture: Picture, way: ChosenRoute) -> Picture:
     spans = [
         PathSpan(
@@ -135,7 +136,7 @@ def report(
     check_output_file(output, ".png")
     if surface is not None:
         check_output_file(surface, ".npz", what="--surface")
-        if view != "airway":
+        if view != LEAD_VIEW:
             raise UsageError(f"--surface: only the airway view has one; found the view {view!r}")
     chosen = _transfer(transfer)
     options: dict[str, Any] = {
@@ -155,13 +156,14 @@ def report(
         "slab": _slab(slab),
         **seen.options(view),
     }
-    along_path = view in PATH_VIEWS
+    row = view_row(view)
+    along_path = "route" in row.needs
     if along_path:
         to = check_destination(to, view)
         options["path"] = _ANY_PATH
     elif to is not None or tree is not None:
-        raise UsageError(f"--to and --tree are for {' and '.join(sorted(PATH_VIEWS))}; found the view {view!r}")
-    if slab is not None and not (along_path or view in PLANE_VIEWS):
+        raise UsageError(f"--to and --tree are for {_along_paths()}; found the view {view!r}")
+    if slab is not None and row.slab is None:
         raise UsageError(f"--slab: only planes and views along a path can be thick; found the view {view!r}")
     direction = (0.0, 0.0, -1.0) if look is None else look
     # What is wrong with the arguments is said now, and not after minutes of reading and tracking.
@@ -170,25 +172,26 @@ def report(
     volume, badges = opened(path, series=series, progress=progress)
     if at is not None and not volume.contains_lps(at):
         words = "--at {:g},{:g},{:g} lies outside the volume".format(*at)
-        if view in VIEWS_INSIDE:
+        if row.inside:
             raise UsageError(f"{words}; `carina info` shows where it is")
         say(f"note: {words}")
     airways = None
     # The lumen closes thin walls in the endoscopic picture, is the tree view's surface, and gives the default pose.
-    wants_wall = view == "airway" and volume.is_hu and (chosen is None or chosen.wall)
+    wants_wall = view == LEAD_VIEW and volume.is_hu and (chosen is None or chosen.wall)
     # X-rays show the whole volume from wherever it is asked for.
-    wants_pose = at is None and not view.startswith("xray-") and view != "drr" and not along_path
+    wants_pose = at is None and row.wants_tip
     way = None
     if to is not None:
         way = way_to(volume, to, tree_file=tree, progress=progress, badges=badges)
         options["path"] = way.path.frames()
         say_drawn(way)
-    if wants_pose or view == "tree" or wants_wall:
+    wants_lumen = wants_pose or "airways" in row.needs
+    if wants_lumen or wants_wall:
         try:
             airways = carina.find_airways(volume, progress=progress)
             badges.add(getattr(airways, "badges", ()))
         except carina.NoResultError as error:
-            if wants_pose or view == "tree":
+            if wants_lumen:
                 raise
             say(f"note: {error}; thin walls are shown as the CT has them")
     if at is None and airways is not None:
@@ -199,13 +202,13 @@ def report(
     picture = interruptible(
         lambda: render_view(volume, pose=pose, transfer=chosen, lumen_zyx=lumen_zyx, backend=backend, **options)
     )
-    if view in MARKED_VIEWS and at is not None:
+    if row.marks_tip and at is not None:
         picture = mark_tip(picture, pose.position_lps)
     if way is not None:
         picture = _along(picture, way)
         if at is not None:
             picture = mark_tip(picture, at)
-    if view in LETTERED_VIEWS:
+    if row.lettered:
         picture = letter_edges(picture)
     picture.save(output, badges=badges.notes)
     say(f"wrote {output}")
@@ -225,7 +228,7 @@ def report(
         )
         walls.save(surface, badges=badges.notes)
         say(f"wrote {surface}")
-    camera = picture.lps_from_camera if view == "airway" else None
+    camera = picture.lps_from_camera if view == LEAD_VIEW else None
     if as_json:
         print_json(
             {

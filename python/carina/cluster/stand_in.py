@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from carina.cluster.host import RendererHost, Strip, bare_picture, counts_of
 from carina.errors import ClusterError
-from carina.render import Picture, RenderStats, View
+from carina.render import LEAD_VIEW, Picture, RenderStats, View
 
 __all__ = ["StandInHost", "stand_in_pixels"]
 
@@ -108,6 +108,6 @@ class StandInHost(RendererHost):
         if self._trouble == "frame":
             frame_id, rgb = frame_id - 1, 255 - rgb
         stats = RenderStats("stand-in", shown.width, len(rgb), rgb.size // 3, 0, 0, 0, 0, 0, 0, 0.0)
-        first = bare_picture(Picture(rgb=rgb, view="airway", stats=stats)) if rows is None or rows[0] == 0 else None
+        first = bare_picture(Picture(rgb=rgb, view=LEAD_VIEW, stats=stats)) if rows is None or rows[0] == 0 else None
         seconds, counts = time.perf_counter() - began_s, counts_of(stats)
         return frame_id, content, first_row, end_row - first_row, seconds, "stand-in", counts, first, rgb

@@ -7,12 +7,27 @@ from carina._core import CancelToken
 from carina.render.appearance import Appearance
 from carina.render.backend import Adapter, Backend, Verdict, find_adapters
 from carina.render.lettering import PathSpan, letter_edges, mark_path
-from carina.render.pictures import VIEW_NAMES, mark_tip, render_surface, render_view, view_spec
+from carina.render.pictures import mark_tip, render_surface, render_view, view_spec
 from carina.render.png_text import read_png_badges, read_png_pose
 from carina.render.renderer import Renderer, can_cut
 from carina.render.structures import build_isoregion_map, project_maximum, sample_plane
 from carina.render.surface import Hit, Surface
 from carina.render.transfer import PRESETS, Light, TransferFunction, transfer_from_histogram, transfer_preset
+from carina.render.view_settings import Orbit, ViewSettings
+from carina.render.view_table import (
+    CELLS,
+    FINDER_VIEW,
+    LEAD_VIEW,
+    VIEW_NAMES,
+    VIEWS,
+    Cell,
+    FlatViewName,
+    Need,
+    OrbitViewName,
+    ViewName,
+    ViewRow,
+    view_row,
+)
 from carina.render.views import (
     AirwayView,
     CutPlaneView,
@@ -30,17 +45,26 @@ from carina.render.views import (
 )
 
 __all__ = [
+    "CELLS",
+    "FINDER_VIEW",
+    "LEAD_VIEW",
     "PRESETS",
+    "VIEWS",
     "VIEW_NAMES",
     "Adapter",
     "AirwayView",
     "Appearance",
     "Backend",
     "CancelToken",
+    "Cell",
     "CutPlaneView",
     "DrrView",
+    "FlatViewName",
     "Hit",
     "Light",
+    "Need",
+    "Orbit",
+    "OrbitViewName",
     "PathSpan",
     "PathView",
     "Picture",
@@ -55,6 +79,9 @@ __all__ = [
     "TriPlaneView",
     "Verdict",
     "View",
+    "ViewName",
+    "ViewRow",
+    "ViewSettings",
     "XrayView",
     "build_info",
     "build_isoregion_map",
@@ -71,6 +98,7 @@ __all__ = [
     "sample_plane",
     "transfer_from_histogram",
     "transfer_preset",
+    "view_row",
     "view_spec",
 ]
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from carina.scopes import Pose
 from carina.volume import Volume
+from carina.volume.planes import PLANES, Plane
 
 __all__ = [
     "bounding_radius_mm",
@@ -22,16 +23,19 @@ __all__ = [
 
 Matrix = NDArray[np.float64]
 
-# Radiological display, (right, down) of the screen: patient right on screen left in axial (seen from the feet, anterior
-# up) and coronal (from the front, superior up); anterior on the left in sagittal.
-LEFT, POSTERIOR, INFERIOR = np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, -1.0])
-DISPLAY = {"axial": (LEFT, POSTERIOR), "coronal": (LEFT, INFERIOR), "sagittal": (POSTERIOR, INFERIOR)}
 
-
-def plane_axes(plane: str) -> tuple[Matrix, Matrix, Matrix]:
+def plane_axes(plane: Plane) -> tuple[Matrix, Matrix, Matrix]:
     """Unit directions right, down and into the screen of a slice's display."""
-    right, down = DISPLAY[plane]
+    display = PLANES[plane]
+    right, down = _direction(display.right), _direction(display.down)
     return right, down, np.cross(right, down)
+
+
+def _direction(axis: str) -> Matrix:
+    """A patient axis such as ``-z`` as a unit vector, LPS."""
+    direction = np.zeros(3)
+    direction["xyz".index(axis[-1])] = -1.0 if axis[0] == "-" else 1.0
+    return direction
 
 
 def plane_matrix(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.errors import UsageError
+from carina.render.view_table import VIEWS
 from carina.render.views import Picture, PictureLines
 
 __all__ = ["PathSpan", "letter_edges", "letters_of", "mark_path"]
@@ -146,7 +147,7 @@ def mark_path(
     for span in spans:
         if span.drawn:
             drawn |= (lines.path_mm[rows] >= span.from_mm) & (lines.path_mm[rows] <= span.to_mm)
-    if radius_mm is not None and picture.view == "straightened":
+    if radius_mm is not None and VIEWS[picture.view].straight:
         reach = np.interp(lines.path_mm[rows], radius_mm[0], radius_mm[1]) / lines.mm_per_px
         for side in (-1.0, 1.0):
             columns = (lines.path_column[rows] + side * reach).astype(int)

@@ -13,41 +13,14 @@ from carina.render.backend import Backend
 from carina.render.renderer import Renderer
 from carina.render.surface import Surface
 from carina.render.transfer import TransferFunction
-from carina.render.views import (
-    WINDOW_HU,
-    AirwayView,
-    CutPlaneView,
-    DrrView,
-    PathView,
-    Picture,
-    Plane,
-    Slab,
-    SliceView,
-    TreeView,
-    TriPlaneView,
-    View,
-    XrayView,
-)
+from carina.render.view_settings import Orbit, ViewSettings
+from carina.render.view_table import LEAD_VIEW, VIEWS, view_row
+from carina.render.views import AirwayView, Picture, Slab, View
 from carina.scopes import FULL_FRAME, DepthOfField, ImageField, Lens, Mask, PathFrames, Pose, ScopePreset, scope_preset
 from carina.volume import Volume
 
-__all__ = ["VIEW_NAMES", "mark_tip", "render_surface", "render_view", "view_spec"]
+__all__ = ["mark_tip", "render_surface", "render_view", "view_spec"]
 
-VIEW_NAMES = (
-    "airway",
-    "cut-plane",
-    "tri-plane",
-    "xray-axial",
-    "xray-coronal",
-    "xray-sagittal",
-    "drr",
-    "axial",
-    "coronal",
-    "sagittal",
-    "straightened",
-    "curved",
-    "tree",
-)
 MARK_RGB = (70, 220, 235)
 
 
@@ -88,8 +61,7 @@ def render_view(
     volume
         The volume.
     view
-        ``airway``, ``cut-plane``, ``tri-plane``, ``xray-axial``, ``xray-coronal``, ``xray-sagittal``, ``drr``,
-        ``axial``, ``coronal``, ``sagittal``, ``straightened``, ``curved`` or ``tree``.
+        One of :data:`carina.render.VIEW_NAMES`: ``airway``, ``axial``, ``tree``, ...
     pose
         The tip: camera of the airway view, centre of the planes.
     fov_deg
@@ -157,9 +129,9 @@ def render_view(
         depth_of_field=depth_of_field,
     )
     renderer = Renderer(volume, transfer=transfer, backend=backend)
-    if lumen_zyx is not None and view in {"airway", "tree"}:
+    if lumen_zyx is not None and VIEWS[view].by_transfer:
         renderer.set_lumen(lumen_zyx)
-    if view == "airway" and method == "leap":
+    if view == LEAD_VIEW and method == "leap":
         renderer.prepare()
     return renderer.render(spec)
 
@@ -221,8 +193,18 @@ def render_surface(
     >>> abs(float(surface.depth_mm[4, 4]) - 12) < 0.5
     True
     """
-    seen = _seen_through(scope, lens, mask, None)
-    view = _airway_view(pose, scope, fov_deg=fov_deg, **seen, width=width, height=height, step_vox=step_vox)
+    view = view_spec(
+        view=LEAD_VIEW,
+        pose=pose,
+        scope=scope,
+        fov_deg=fov_deg,
+        lens=lens,
+        mask=mask,
+        width=width,
+        height=height,
+        step_vox=step_vox,
+    )
+    assert isinstance(view, AirwayView)
     renderer = Renderer(volume, transfer=transfer)
     if lumen_zyx is not None:
         renderer.set_lumen(lumen_zyx)
@@ -257,73 +239,47 @@ def view_spec(
     depth_of_field: DepthOfField | None = None,
 ) -> View:
     """The view that :func:`render_view` renders, checked without a volume; parameters and errors are the same."""
-    size = {"width": width, "height": height}
     x, y, z = (float(v) for v in pose.position_lps)
     if orbit is not None and len(orbit) not in {2, 3}:
         raise UsageError(f"an orbit is azimuth, elevation and, if wished, distance; found {orbit}")
-    around: dict[str, Any] = dict(zip(("azimuth_deg", "elevation_deg", "distance_mm"), orbit or (), strict=False))
-    grey = WINDOW_HU if window_hu is None else window_hu
-    match view:
-        case "airway":
-            chosen = cast(Literal["leap", "brute"], method)
-            seen = _seen_through(scope, lens, mask, vignette)
-            more: dict[str, Any] = {"step_vox": step_vox, "shading": shading, "texture": texture, "method": chosen}
-            more["depth_of_field"] = depth_of_field
-            return _airway_view(pose, scope, fov_deg=fov_deg, **seen, **more, **size)
-        case "cut-plane":
-            return CutPlaneView(pose, extent_mm=extent_mm, window_hu=grey, slab=slab, width=width, height=height)
-        case "tri-plane":
-            return TriPlaneView((x, y, z), window_hu=grey, width=width, height=height, **around)
-        case "xray-axial" | "xray-coronal" | "xray-sagittal":
-            return XrayView(axis=cast(Plane, view.removeprefix("xray-")), window_hu=window_hu, **size)
-        case "axial" | "coronal" | "sagittal":
-            return SliceView(
-                plane=view,
-                center_lps=(x, y, z),
-                mm_per_px=mm_per_px,
-                window_hu=grey,
-                slab=slab,
-                width=width,
-                height=height,
-            )
-        case "drr":
-            return DrrView(*carm_deg, width, height, mm_per_px=mm_per_px, tone=cast(Any, tone), window_mm=window_hu)
-        case "straightened" | "curved":
-            if path is None:
-                raise UsageError(f"the {view} view needs a path to lie along", code="render.no-path")
-            return PathView(
-                view,
-                path,
-                turn_deg=turn_deg,
-                mm_per_px=mm_per_px,
-                window_hu=grey,
-                slab=slab,
-                width=width,
-                height=height,
-            )
-        case "tree":
-            return TreeView(width=width, height=height, **around)
-        case _:
-            raise UsageError(f"expected a view among {', '.join(VIEW_NAMES)}; found {view!r}")
+    row = view_row(view)
+    return row.spec(
+        ViewSettings(
+            pose=pose,
+            point_lps=(x, y, z),
+            width=width,
+            height=height,
+            scope=_preset(scope),
+            fov_deg=fov_deg,
+            lens=lens,
+            field=_field(scope, mask, vignette),
+            depth_of_field=depth_of_field,
+            step_vox=step_vox,
+            shading=shading,
+            texture=texture,
+            method=cast(Any, method),
+            window_hu=window_hu,
+            slab=slab,
+            mm_per_px=mm_per_px,
+            extent_mm=extent_mm,
+            orbit=None if orbit is None else Orbit(*orbit),
+            carm_deg=carm_deg,
+            tone=cast(Any, tone),
+            path=path,
+            turn_deg=turn_deg,
+        )
+    )
 
 
 def _preset(scope: ScopePreset | str | None) -> ScopePreset | None:
     return scope_preset(scope) if isinstance(scope, str) else scope
 
 
-def _seen_through(
-    scope: ScopePreset | str | None, lens: Lens | None, mask: Mask | None, vignette: float | None
-) -> dict[str, Any]:
-    """Lens and field of an airway view: what was asked for, else the scope's."""
+def _field(scope: ScopePreset | str | None, mask: Mask | None, vignette: float | None) -> ImageField:
+    """Outline and vignette of an airway view: what was asked for, else the scope's."""
     preset = _preset(scope)
     own = FULL_FRAME if preset is None else preset.field
-    field = ImageField(own.mask if mask is None else mask, vignette=own.vignette if vignette is None else vignette)
-    return {"field": field} if lens is None else {"field": field, "lens": lens}
-
-
-def _airway_view(pose: Pose, scope: ScopePreset | str | None, **settings: Any) -> AirwayView:
-    preset = _preset(scope)
-    return AirwayView(pose, **settings) if preset is None else AirwayView.of_scope(preset, pose, **settings)
+    return ImageField(own.mask if mask is None else mask, vignette=own.vignette if vignette is None else vignette)
 
 
 def mark_tip(picture: Picture, point_lps: NDArray[np.float64] | tuple[float, float, float]) -> Picture:

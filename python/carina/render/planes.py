@@ -11,6 +11,7 @@ from carina import _core
 from carina.render import geometry
 from carina.render.views import CutPlaneView, Picture, RenderStats, SliceView, TriPlaneView, XrayView
 from carina.volume import Volume
+from carina.volume.planes import PLANES
 
 __all__ = ["PlaneCaster"]
 
@@ -161,12 +162,11 @@ def _project(volume: Volume) -> dict[str, tuple[NDArray[np.int16], NDArray[np.fl
     array_axes = ((2, 1), (2, 0), (1, 0))
     shape_ijk = volume.shape_zyx[::-1]
     axes = dict(zip("xyz", geometry.grid_axes(volume), strict=True))
-    # Screen right and down, and the axis projected along, as patient axes with a sign.
-    display = {"axial": ("x", "y", "z"), "coronal": ("x", "-z", "y"), "sagittal": ("y", "-z", "-x")}
-    out = {}
-    for name, (right, down, depth) in display.items():
+    out: dict[str, tuple[NDArray[np.int16], NDArray[np.float64]]] = {}
+    for name, display in PLANES.items():
         (column_axis, column_sign), (row_axis, row_sign), (depth_axis, depth_sign) = (
-            (axes[a[-1]][0], -axes[a[-1]][1] if a[0] == "-" else axes[a[-1]][1]) for a in (right, down, depth)
+            (axes[a[-1]][0], -axes[a[-1]][1] if a[0] == "-" else axes[a[-1]][1])
+            for a in (display.right, display.down, display.into)
         )
         values = along[depth_axis]
         if array_axes[depth_axis] != (row_axis, column_axis):

@@ -18,6 +18,7 @@ from carina.render.appearance import check_guides
 from carina.render.png_text import BADGES_KEYWORD, KEYWORD, png_bytes
 from carina.scopes import FULL_FRAME, PINHOLE, DepthOfField, ImageField, Lens, Optics, PathFrames, Pose, ScopePreset
 from carina.volume import Note
+from carina.volume.planes import PLANES, Plane
 
 __all__ = [
     "AirwayView",
@@ -37,8 +38,6 @@ __all__ = [
 
 WINDOW_HU = (1500.0, -600.0)
 STOP_TRANSPARENCY = 1 / 512
-Plane = Literal["axial", "coronal", "sagittal"]
-PLANES = ("axial", "coronal", "sagittal")
 
 
 def _check(

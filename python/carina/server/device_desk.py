@@ -15,6 +15,7 @@ from carina.config import load_settings
 from carina.errors import CarinaError, UsageError
 from carina.navigate import AxesSample, Controls, DeviceState, FilterSettings, HandleSample, PenState, PoseSample
 from carina.navigate.devices import IgtlServer, Listener, Source, found_ports, open_source
+from carina.render import LEAD_VIEW
 from carina.server import messages as wire
 from carina.server.phone_page import PhonePage
 from carina.session import Session
@@ -201,7 +202,7 @@ class DeviceDesk:
     def _picture(self) -> Any:
         """The airway view for an OpenIGTLink peer that asks: rendered for it, since it asks rarely."""
         scene = self._session.scene()
-        return None if scene is None else scene.renderer.render(scene.spec("airway", PICTURE_PX, PICTURE_PX, 1.0)).rgb
+        return None if scene is None else scene.renderer.render(scene.spec(LEAD_VIEW, PICTURE_PX, PICTURE_PX, 1.0)).rgb
 
     # ------------------------------------------------------------ out
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 from carina.server.wire_codec import Length, Range
 from carina.server.wire_fields import (
@@ -11,6 +11,7 @@ from carina.server.wire_fields import (
     BranchId,
     Count,
     DemoName,
+    FlatView,
     Key,
     Mask,
     Method,
@@ -458,7 +459,7 @@ class SetZoom:
     """Scale of a slice (mm_per_px) or width of the cut-plane (extent_mm); null fits."""
 
     wire_type: ClassVar[str] = "set_zoom"
-    view: Literal["axial", "coronal", "sagittal", "cut-plane"]
+    view: FlatView
     mm_per_px: Annotated[float, Range(0.01, 20.0)] | None
     extent_mm: Annotated[float, Range(2.0, 1000.0)] | None
     center_lps: PointLps | None

@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from carina.server.wire_codec import Length, Range
 from carina.server.wire_fields import BranchId, Count, Key, PointLps, PointsLps, Words
+from carina.track.edit_kinds import BrushPlane
 
 __all__ = [
     "AskEditPreview",
@@ -79,7 +80,7 @@ class EditPaintLumen:
     kind: Literal["paint-lumen"]
     points_lps: Annotated[tuple[PointLps, ...], Length(1, 2000)]
     radius_mm: Annotated[float, Range(0.1, 30.0)]
-    plane: Literal["axial", "coronal", "sagittal", "ball"]
+    plane: BrushPlane
     erase: bool
 
 

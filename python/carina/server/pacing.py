@@ -12,6 +12,7 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from carina.render import LEAD_VIEW, VIEWS
 from carina.server.budget import AIRWAY_LEVELS, OVER, PLANAR_LEVELS, FrameBudget
 
 __all__ = ["DEFAULT_RATE_HZ", "MOVING", "FrameScheduler", "RenderOrder"]
@@ -34,15 +35,12 @@ OTHERS_MOVE_S = 0.5
 OTHERS_TARGET_S = 0.025
 """Time of one picture of another view while the airway view rests."""
 MAX_CREDIT_S = 0.25
-MAX_IN_FLIGHT = {"airway": 3}
+MAX_IN_FLIGHT: dict[str, int] = {LEAD_VIEW: 3}
 LOST_AFTER_S = 3.0
 """A picture that is not acknowledged for so long is taken as lost: a client that lost one must not stay without any."""
 
 FINDER, MOVING, PAUSED, FULL = 0, 1, 2, 3
 """Grades of a picture."""
-
-COSTLY_VIEWS = frozenset({"airway", "tri-plane", "tree", "drr"})
-"""Cast with perspective rays: the first picture is coarse, since it may take long. The others cost milliseconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +137,7 @@ class FrameScheduler:
             if view is None:
                 # What its pictures cost is still known from when it was last visible.
                 if name not in self._budgets:
-                    finder = name == "airway"
+                    finder = name == LEAD_VIEW
                     self._budgets[name] = FrameBudget(AIRWAY_LEVELS if finder else PLANAR_LEVELS, finder=finder)
                 view = _View(width, height, self._budgets[name])
             elif (view.width, view.height) != (width, height):
@@ -160,7 +158,7 @@ class FrameScheduler:
         for name, view in self._views.items():
             key = keys.get(name)
             if key != view.seen_key:
-                if key is not None and (view.seen_key is not None or name in COSTLY_VIEWS):
+                if key is not None and (view.seen_key is not None or VIEWS[name].costly):
                     view.was_still = view.was_still or not view.is_moving(now_s)
                     view.changed_s = now_s
                 view.seen_key = key
@@ -168,8 +166,8 @@ class FrameScheduler:
     def next_order(self, now_s: float) -> RenderOrder | None:
         """The next picture, or None: all is sent, waits to be acknowledged, to be still, or for its time."""
         ready = [n for n in self._turn if self._wanted(n, now_s) and self._held_until_s(n, now_s) <= now_s]
-        others = [name for name in ready if name != "airway"]
-        if "airway" in ready and not (others and self._credit_s > 0.0):
+        others = [name for name in ready if name != LEAD_VIEW]
+        if LEAD_VIEW in ready and not (others and self._credit_s > 0.0):
             return self._airway_order(now_s)
         if not others:
             return None
@@ -194,16 +192,16 @@ class FrameScheduler:
 
     def _held_until_s(self, name: str, now_s: float) -> float:
         """Until when a view that wants a picture is held back for the sake of the moving airway view's rate."""
-        airway = self._views.get("airway")
+        airway = self._views.get(LEAD_VIEW)
         if airway is None or not airway.is_moving(now_s):
             return now_s
-        if name == "airway":
+        if name == LEAD_VIEW:
             return max(self._due_s, now_s)
         expected_s = self._expected_s(name, now_s)
         if self._views[name].grade(now_s) > MOVING and expected_s > OVER * self._other_budget_s(now_s):
             # It would be given up at the next movement, again and again.
             return airway.still_s
-        waits_s = self._due_s - now_s if self._wanted("airway", now_s) else 0.0
+        waits_s = self._due_s - now_s if self._wanted(LEAD_VIEW, now_s) else 0.0
         # Beyond their share, the others only take the time that would be waited anyway.
         return self._due_s if waits_s > 0.0 >= self._credit_s and expected_s > waits_s else now_s
 
@@ -230,7 +228,7 @@ class FrameScheduler:
         self._account(order, seconds)
 
     def _account(self, order: RenderOrder, seconds: float) -> None:
-        if order.view != "airway":
+        if order.view != LEAD_VIEW:
             self._credit_s = max(-MAX_CREDIT_S, self._credit_s - seconds)
             return
         self._credit_s = min(MAX_CREDIT_S, self._credit_s + OTHERS_SHARE * seconds)
@@ -253,7 +251,7 @@ class FrameScheduler:
         if order.grade <= MOVING:
             # What is shown while moving is never given up: under a steady hand nothing would ever be ready.
             return False
-        if keys.get(order.view) != order.key or keys.get("airway") != self._seen("airway"):
+        if keys.get(order.view) != order.key or keys.get(LEAD_VIEW) != self._seen(LEAD_VIEW):
             return True
         # A long picture also gives way to what happens in the other views.
         others_wait = any(keys.get(name) != view.seen_key for name, view in self._views.items())
@@ -267,7 +265,7 @@ class FrameScheduler:
     @property
     def finding(self) -> bool:
         """The view finder stands in for the airway view while it moves."""
-        return "airway" in self._views and self._views["airway"].budget.finding
+        return LEAD_VIEW in self._views and self._views[LEAD_VIEW].budget.finding
 
     def num_in_flight(self, view: str) -> int:
         """Pictures of a view sent and not acknowledged."""
@@ -296,27 +294,27 @@ class FrameScheduler:
         return view.budget.predicted_s(level, view.pixels)
 
     def _others_move(self, now_s: float) -> bool:
-        return any(now_s < v.changed_s + OTHERS_MOVE_S for name, v in self._views.items() if name != "airway")
+        return any(now_s < v.changed_s + OTHERS_MOVE_S for name, v in self._views.items() if name != LEAD_VIEW)
 
     def _airway_budget_s(self, now_s: float) -> float:
         """Time of an airway picture while moving, so that one of it and the others' share fit in a period."""
         return self._period_s * (GAP / (1.0 + OTHERS_SHARE) if self._others_move(now_s) else ALONE_FITS)
 
     def _other_budget_s(self, now_s: float) -> float:
-        if "airway" not in self._views or not self._views["airway"].is_moving(now_s):
+        if LEAD_VIEW not in self._views or not self._views[LEAD_VIEW].is_moving(now_s):
             return OTHERS_TARGET_S
         # Where the airway picture takes longer than a period, the share grows with it.
         return max(self._period_s * OTHERS_SHARE / (1.0 + OTHERS_SHARE), self._airway_s * OTHERS_SHARE)
 
     def _airway_order(self, now_s: float) -> RenderOrder:
-        view = self._views["airway"]
+        view = self._views[LEAD_VIEW]
         if view.is_moving(now_s):
             gap_s = GAP * self._period_s
             # On a grid of times, so that a late picture is caught up with; never two in less than half a period.
             self._due_s = max(self._due_s + gap_s, now_s + gap_s / 2)
             if view.budget.probe_due(now_s):
-                return self._sized("airway", now_s, view.budget.probe_scale(view.pixels), "probe")
-        return self._order("airway", now_s)
+                return self._sized(LEAD_VIEW, now_s, view.budget.probe_scale(view.pixels), "probe")
+        return self._order(LEAD_VIEW, now_s)
 
     def _order(self, name: str, now_s: float) -> RenderOrder:
         view = self._views[name]
@@ -324,7 +322,7 @@ class FrameScheduler:
         if grade == FINDER:
             return self._sized(name, now_s, 1.0, "finder")
         if grade == MOVING:
-            limit_s = self._airway_budget_s(now_s) if name == "airway" else self._other_budget_s(now_s)
+            limit_s = self._airway_budget_s(now_s) if name == LEAD_VIEW else self._other_budget_s(now_s)
             level = view.budget.choose(limit_s, view.pixels, now_s, begins=view.was_still)
             view.was_still = False
         else:

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from carina.render import PictureLines
+from carina.render import VIEWS, PictureLines
 from carina.scopes import DEFAULT_SCOPE, scope_presets
 from carina.server import messages as wire
 from carina.session import ChosenRoute, KeysInfo, MaskQuestion, PoseInfo, RecentCase, Snapshot, WallPoint
@@ -138,7 +138,7 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
         carm=wire.Carm(carm.primary_deg, carm.secondary_deg, carm.mm_per_px, carm.tone),
         reformation=wire.Reformation(snapshot.reformation.turn_deg, snapshot.reformation.mm_per_px),
         slab=wire.Slab(0.0, "min") if slab is None else wire.Slab(slab.thickness_mm, slab.kind),
-        zoom=wire.Zoom(zoom.axial_mm_per_px, zoom.coronal_mm_per_px, zoom.sagittal_mm_per_px, zoom.cut_plane_extent_mm),
+        zoom=wire.Zoom(**{row.scale_field: zoom.of(row.name).scale for row in VIEWS.values() if row.scale_field}),
         frame_rate_hz=frame_rate_hz,
         airways_from=None if airways is None else "mask" if math.isnan(airways.threshold) else "search",
         mask_question=_mask_question(snapshot.mask_question),

@@ -15,7 +15,7 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from carina.errors import CancelledError, CarinaError, UsageError
-from carina.render import CancelToken
+from carina.render import FINDER_VIEW, LEAD_VIEW, CancelToken
 from carina.scopes import Optics
 from carina.server.budget import FULL_STEP_VOX
 from carina.server.messages import PictureHeader, PictureLens, PictureOutline, Status
@@ -226,7 +226,7 @@ class FramePump:
         return True
 
     def _render(self, scene: Scene, order: RenderOrder, stop: CancelToken, began_s: float) -> None:
-        shows = "cut-plane" if order.purpose == "finder" else order.view
+        shows = FINDER_VIEW if order.purpose == "finder" else order.view
         try:
             view = scene.spec(shows, order.width, order.height, order.step_vox, full_width=order.full_width)
             picture = scene.renderer.render(view, stop=stop)
@@ -247,11 +247,11 @@ class FramePump:
                 outline=None if outline is None else PictureOutline(len(outline.data), outline.complete),
                 width=int(picture.rgb.shape[1]),
                 height=int(picture.rgb.shape[0]),
-                step_vox=order.step_vox if shows == "airway" else None,
+                step_vox=order.step_vox if shows == LEAD_VIEW else None,
                 codec="jpeg",
                 quality=quality,
                 full=order.full and scene.can_be_final(shows),
-                empty=shows == "airway" and _is_empty(picture.rgb),
+                empty=shows == LEAD_VIEW and _is_empty(picture.rgb),
                 render_ms=round(rendered_s * 1e3, 2),
                 method=str(picture.stats.method),
             )
@@ -273,14 +273,14 @@ class FramePump:
         now_s = self._clock()
         with self._lock:
             wanted = self._scheduler.rendered(order, frame_id, now_s - began_s, now_s)
-            if wanted and shows == "airway":
+            if wanted and shows == LEAD_VIEW:
                 fine = scene.spec(shows, order.full_width, order.full_height, FULL_STEP_VOX)
                 self._shown[frame_id] = ShownPicture(scene.renderer, fine, header.width, header.height)
                 while len(self._shown) > MAX_SHOWN:
                     del self._shown[next(iter(self._shown))]
         if wanted:
             self._deliver(data)
-            if shows == "airway":
+            if shows == LEAD_VIEW:
                 self._note_status(now_s, scene, header)
 
     def _failed(self, order: RenderOrder, code: str, words: str) -> None:

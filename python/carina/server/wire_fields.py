@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+from carina.render import FlatViewName as FlatView
+from carina.render import OrbitViewName as OrbitView
+from carina.render import ViewName
 from carina.server.wire_codec import Length, Range
 
 __all__ = [
@@ -12,6 +15,7 @@ __all__ = [
     "Coordinate",
     "Count",
     "DemoName",
+    "FlatView",
     "Key",
     "Mask",
     "Matrix4",
@@ -47,25 +51,9 @@ Part = Annotated[float, Range(0.0, 1.0)]
 BranchId = Annotated[int, Range(0, 2**31)]
 Pixels = Annotated[int, Range(16, 4096)]
 Angle = Annotated[float, Range(-3600.0, 3600.0)]
-ViewName = Literal[
-    "airway",
-    "cut-plane",
-    "tri-plane",
-    "xray-axial",
-    "xray-coronal",
-    "xray-sagittal",
-    "drr",
-    "axial",
-    "coronal",
-    "sagittal",
-    "straightened",
-    "curved",
-    "tree",
-]
 Tone = Literal["radiograph", "fluoroscopy"]
 SlabKind = Literal["max", "min", "mean"]
 Mask = Literal["none", "round", "octagon"]
-OrbitView = Literal["tree", "tri-plane"]
 Mode = Literal["free", "path", "scope"]
 Operator = Literal["head", "facing"]
 Method = Literal["leap", "brute"]

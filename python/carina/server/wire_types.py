@@ -1,4 +1,4 @@
-"""Generate ``web/src/wire/messages.ts`` and ``protocol/schema.json`` from ``messages.py``.
+"""Generate ``web/src/wire/messages.ts``, ``views.ts`` and ``protocol/schema.json`` from their classes and tables.
 
 Run ``python -m carina.server.wire_types [REPOSITORY]``; ``--check`` only compares and exits with 1 on drift.
 """
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from carina.server import messages
+from carina.server.view_types import views_typescript
 from carina.server.wire_codec import Length, Range, field_types, optional_fields
 
 __all__ = ["generated_files", "json_schema", "main", "typescript"]
@@ -184,6 +185,7 @@ def generated_files() -> dict[str, str]:
     """Path in the repository -> text."""
     return {
         "web/src/wire/messages.ts": typescript(),
+        "web/src/wire/views.ts": views_typescript(),
         "protocol/schema.json": json.dumps(json_schema(), indent=1) + "\n",
     }
 

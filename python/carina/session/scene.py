@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, Protocol, cast
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
 from carina import render
+from carina.render import VIEWS, Orbit
 from carina.scopes import ImageField, Mask, PathFrames, Pose, ScopePreset
 
 if TYPE_CHECKING:
@@ -17,28 +18,7 @@ if TYPE_CHECKING:
     from carina.render import CancelToken, Hit, Picture, TransferFunction
     from carina.track import LumenOutline
 
-__all__ = ["VIEWS", "Carm", "Orbit", "Reformation", "Renderer", "Scene", "Zoom"]
-
-VIEWS = (
-    "airway",
-    "cut-plane",
-    "tri-plane",
-    "xray-axial",
-    "xray-coronal",
-    "xray-sagittal",
-    "drr",
-    "axial",
-    "coronal",
-    "sagittal",
-    "straightened",
-    "curved",
-    "tree",
-)
-NORMAL_AXIS = {"axial": 2, "coronal": 1, "sagittal": 0}
-PLANES = NORMAL_AXIS.keys()
-PATH_VIEWS = ("straightened", "curved")
-OUTLINED = {*PLANES, "cut-plane"}
-"""Views that carry the outline of the lumen."""
+__all__ = ["Carm", "FlatPlace", "Orbit", "Reformation", "Renderer", "Scene", "Zoom"]
 
 
 class Renderer(Protocol):
@@ -64,15 +44,6 @@ class Renderer(Protocol):
         """Build what makes pictures fast; until then they are slow and the same."""
 
 
-@dataclass(frozen=True, slots=True)
-class Orbit:
-    """Camera of an outside view; distance None fits."""
-
-    azimuth_deg: float
-    elevation_deg: float
-    distance_mm: float | None = None
-
-
 DEFAULT_ORBIT_TREE = Orbit(azimuth_deg=0.0, elevation_deg=0.0)
 DEFAULT_ORBIT_TRI_PLANE = Orbit(azimuth_deg=35.0, elevation_deg=25.0)
 
@@ -96,31 +67,41 @@ class Reformation:
 
 
 @dataclass(frozen=True, slots=True)
+class FlatPlace:
+    """Where a planar view was zoomed or panned to, until the tip moves."""
+
+    scale: float | None = None
+    """mm per pixel, or the extent in mm where the view has one; None fits."""
+    center_lps: tuple[float, float, float] | None = None
+    """None is the point that is shown, and of views that go with the tip the tip."""
+
+
+FITS = FlatPlace()
+
+
+@dataclass(frozen=True, slots=True)
 class Zoom:
-    """Scales of the planar views; None fits.
+    """Scales and centres of the planar views; those that are not among ``places`` fit."""
 
-    Centres are where pictures were zoomed or panned to, until the tip moves; None is the point that is shown, and of
-    the cut-plane the tip.
-    """
+    places: Mapping[str, FlatPlace] = field(default_factory=dict)
 
-    axial_mm_per_px: float | None = None
-    coronal_mm_per_px: float | None = None
-    sagittal_mm_per_px: float | None = None
-    cut_plane_extent_mm: float | None = None
-    axial_center_lps: tuple[float, float, float] | None = None
-    coronal_center_lps: tuple[float, float, float] | None = None
-    sagittal_center_lps: tuple[float, float, float] | None = None
-    cut_plane_center_lps: tuple[float, float, float] | None = None
+    def of(self, view: str) -> FlatPlace:
+        """A view's own."""
+        return self.places.get(view, FITS)
+
+    def placed(self, view: str, place: FlatPlace) -> Zoom:
+        """The same with one view elsewhere."""
+        return Zoom({**self.places, view: place})
 
     @property
     def following(self) -> Zoom:
         """The same scales, round the point that is shown."""
-        return replace(self.at_tip, axial_center_lps=None, coronal_center_lps=None, sagittal_center_lps=None)
+        return Zoom({view: FlatPlace(place.scale) for view, place in self.places.items()})
 
     @property
     def at_tip(self) -> Zoom:
-        """The same, with the tip in the middle of the cut-plane, which goes where the tip goes."""
-        return replace(self, cut_plane_center_lps=None)
+        """The same, with the tip in the middle of what goes where the tip goes."""
+        return Zoom({view: FlatPlace(p.scale) if VIEWS[view].at_tip else p for view, p in self.places.items()})
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,39 +164,26 @@ class Scene:
 
     def key(self, view: str) -> Hashable:
         """What this view's picture depends on; equal keys mean equal pictures. None where there is nothing to show."""
-        case: tuple[Hashable, ...] = (self.case_number, view)
-        if view in OUTLINED:
+        row = VIEWS[view]
+        if not self.has(row.needs):
+            return None
+        return (
+            self.case_number,
+            view,
+            self.content_number if row.by_transfer else None,
             # The object: a lumen is known by its identity, and this keeps it from being another's.
-            case = (*case, self.lumen)
-        if view == "airway":
-            seen = (None if self.scope is None else self.scope.name, self.mask, self.fov_deg)
-            return (*case, self.content_number, self.pose_id, *seen, self.shading, self.texture, self.method)
-        if view == "cut-plane":
-            return (*case, self.pose_id, self.window_hu, self.zoom.cut_plane_extent_mm, self.zoom.cut_plane_center_lps)
-        if view == "tri-plane":
-            return (*case, self._shown_key(), self.orbit_tri_plane, self.window_hu)
-        if view in PLANES:
-            if self._mm_per_px(view) is None:
-                # The whole slice fits: only its depth matters.
-                return (*case, self._shown_key()[NORMAL_AXIS[view]], self.window_hu, self.slab)
-            center = tuple(round(v, 2) for v in self._slice_center(view))
-            return (*case, center, self.window_hu, self._mm_per_px(view), self.slab)
-        if view == "drr":
-            # Like the other X-rays: the tip is only marked in it.
-            return (*case, self.carm)
-        if view in PATH_VIEWS:
-            if self.frames is None:
-                return None
-            # The frames themselves: a route is known by its identity, and this keeps it from being another's.
-            place = None if self.reformation.mm_per_px is None else round(self._path_place_mm(), 2)
-            return (*case, self.frames, self.reformation, place, self.window_hu, self.slab)
-        if view == "tree":
-            return (*case, self.content_number, self.orbit_tree) if self.has_lumen else None
-        return case
+            self.lumen if row.outlined else None,
+            *row.depends_on(self._settings(row)),
+        )
+
+    def has(self, needs: Iterable[render.Need]) -> bool:
+        """Whether all that a view needs is there."""
+        there = {"airways": self.has_lumen, "route": self.frames is not None}
+        return all(there[need] for need in needs)
 
     def outline_of(self, view: str, picture: Picture) -> Outline | None:
         """The outline of the lumen in a picture of this scene; None where the view has none, or no lumen is known."""
-        if view not in OUTLINED or self.lumen is None or picture.lps_from_pixel is None:
+        if not VIEWS[view].outlined or self.lumen is None or picture.lps_from_pixel is None:
             return None
         if not np.isfinite(picture.lps_from_pixel).all():
             # A fault of the renderer: whoever encodes the picture says so.
@@ -226,110 +194,46 @@ class Scene:
 
     def can_be_final(self, view: str) -> bool:
         """Whether a view's picture shows what was decided on, and will not be made again by itself."""
-        return self.content_is_newest or view not in {"airway", "tree"}
+        return self.content_is_newest or not VIEWS[view].by_transfer
 
     def spec(self, view: str, width: int, height: int, step_vox: float, *, full_width: int | None = None) -> Any:
         """The view as the renderer takes it. ``full_width`` keeps a zoomed slice's extent in a smaller picture."""
-        window_hu = self.window_hu
-        if view == "airway":
-            settings: dict[str, Any] = {
-                "fov_deg": self.fov_deg,
-                "width": width,
-                "height": height,
-                "step_vox": step_vox,
-                "shading": self.shading,
-                "texture": self.texture,
-                "method": "brute" if self.method == "brute" else "leap",
-            }
-            if self.scope is None:
-                return render.AirwayView(self.pose, field=ImageField(self.mask), **settings)
-            return render.AirwayView.of_scope(
-                self.scope,
-                self.pose,
-                picture_turned=self.picture_turned,
-                field=replace(self.scope.field, mask=self.mask),
-                **settings,
-            )
-        if view == "cut-plane":
-            extent_mm = self.zoom.cut_plane_extent_mm or 60.0
-            return render.CutPlaneView(
-                self.pose,
-                width=width,
-                height=height,
-                extent_mm=extent_mm,
-                window_hu=window_hu,
-                center_lps=self.zoom.cut_plane_center_lps,
-            )
-        if view == "tri-plane":
-            orbit = self.orbit_tri_plane
-            return render.TriPlaneView(
-                self.shown_lps,
-                azimuth_deg=orbit.azimuth_deg,
-                elevation_deg=orbit.elevation_deg,
-                distance_mm=orbit.distance_mm,
-                width=width,
-                height=height,
-                window_hu=window_hu,
-                # A plane that is dragged must not take the camera along.
-                look_at="volume",
-            )
-        if view in PLANES:
-            mm_per_px = _in_smaller_picture(self._mm_per_px(view), full_width, width)
-            return render.SliceView(
-                plane=cast(Any, view),
-                center_lps=self.shown_lps if mm_per_px is None else self._slice_center(view),
-                width=width,
-                height=height,
-                mm_per_px=mm_per_px,
-                window_hu=window_hu,
-                slab=self.slab,
-            )
-        if view == "drr":
-            return render.DrrView(
-                self.carm.primary_deg,
-                self.carm.secondary_deg,
-                width,
-                height,
-                mm_per_px=_in_smaller_picture(self.carm.mm_per_px, full_width, width),
-                tone=self.carm.tone,
-            )
-        if view in PATH_VIEWS:
-            assert self.frames is not None
-            return render.PathView(
-                cast(Any, view),
-                self.frames,
-                turn_deg=self.reformation.turn_deg,
-                width=width,
-                height=height,
-                mm_per_px=_in_smaller_picture(self.reformation.mm_per_px, full_width, width),
-                center_mm=self._path_place_mm(),
-                window_hu=window_hu,
-                slab=self.slab,
-            )
-        if view == "tree":
-            orbit = self.orbit_tree
-            return render.TreeView(
-                azimuth_deg=orbit.azimuth_deg,
-                elevation_deg=orbit.elevation_deg,
-                distance_mm=orbit.distance_mm,
-                width=width,
-                height=height,
-            )
-        return render.XrayView(axis=cast(Any, view.removeprefix("xray-")), width=width, height=height)
+        row = VIEWS[view]
+        settings = replace(self._settings(row), width=width, height=height, step_vox=step_vox)
+        if settings.mm_per_px is not None and full_width is not None:
+            settings = replace(settings, mm_per_px=settings.mm_per_px * full_width / width)
+        return row.spec(settings)
 
-    def _mm_per_px(self, view: str) -> float | None:
-        scale: float | None = getattr(self.zoom, f"{view}_mm_per_px")
-        return scale
-
-    def _slice_center(self, view: str) -> tuple[float, float, float]:
-        """The middle of a zoomed slice: where it was zoomed to, at the depth that is shown."""
-        shown = self.shown_lps
-        center: tuple[float, float, float] | None = getattr(self.zoom, f"{view}_center_lps")
-        if center is None:
-            return shown
-        axis = NORMAL_AXIS[view]
-        x, y, z = (shown[n] if n == axis else center[n] for n in range(3))
-        return x, y, z
+    def _settings(self, row: render.ViewRow) -> render.ViewSettings:
+        """What a view of this scene is looked at with, whatever its size."""
+        place = self.zoom.of(row.name)
+        field = ImageField(self.mask) if self.scope is None else replace(self.scope.field, mask=self.mask)
+        scales = {"slice": place.scale, "path": self.reformation.mm_per_px, "carm": self.carm.mm_per_px}
+        return render.ViewSettings(
+            pose=self.pose,
+            pose_id=self.pose_id,
+            point_lps=self.shown_lps,
+            scope=self.scope,
+            picture_turned=self.picture_turned,
+            fov_deg=self.fov_deg,
+            field=field,
+            shading=self.shading,
+            texture=self.texture,
+            method="brute" if self.method == "brute" else "leap",
+            window_hu=self.window_hu if row.windowed else None,
+            slab=self.slab if row.slab == "window" else None,
+            mm_per_px=scales.get(row.zoom or ""),
+            extent_mm=place.scale if row.zoom == "extent" else None,
+            center_lps=place.center_lps,
+            orbit=None if row.camera_field is None else getattr(self, row.camera_field),
+            # A plane that is dragged must not take the camera along.
+            look_at="volume",
+            carm_deg=(self.carm.primary_deg, self.carm.secondary_deg),
+            tone=self.carm.tone,
+            path=self.frames,
+            turn_deg=self.reformation.turn_deg,
+            path_mm=self._path_place_mm() if row.zoom == "path" and self.frames is not None else 0.0,
+        )
 
     def _path_place_mm(self) -> float:
         """The tip's place on the route, or the nearest."""
@@ -338,12 +242,3 @@ class Scene:
             return self.path_mm
         away = np.linalg.norm(self.frames.points_lps - self.pose.position_lps, axis=1)
         return float(self.frames.path_mm[int(np.argmin(away))])
-
-    def _shown_key(self) -> tuple[float, ...]:
-        # A hundredth of a millimetre is far below a pixel: turning on the spot asks for no new slices.
-        return tuple(round(v, 2) for v in self.shown_lps)
-
-
-def _in_smaller_picture(mm_per_px: float | None, full_width: int | None, width: int) -> float | None:
-    """A chosen scale, kept in mm across a picture of fewer pixels."""
-    return mm_per_px if mm_per_px is None or full_width is None else mm_per_px * full_width / width

@@ -9,12 +9,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from carina.errors import NoResultError, UsageError
-from carina.render import Slab
+from carina.render import VIEWS, OrbitViewName, Slab, view_row
 from carina.scopes import MASKS, Mask, scope_preset
 from carina.session.case import HISTOGRAM_PRESET, OpenCase, new_case
 from carina.session.core import ALL_TOPICS
@@ -26,7 +26,7 @@ from carina.session.key_framing import KeyFraming
 from carina.session.measuring import TreeMeasuring
 from carina.session.questions import AirwayQuestions
 from carina.session.routes import ChosenRoute, route_to_branch
-from carina.session.scene import Carm, Orbit, Reformation
+from carina.session.scene import Carm, FlatPlace, Orbit, Reformation
 from carina.session.snapshot import Said, WallPoint
 from carina.session.targets import tracked_target
 from carina.volume import Volume
@@ -269,9 +269,9 @@ class Session(AirwayFinding, KeyFraming, AirwayQuestions, TreeMeasuring, TreeEdi
         else:
             self._look(case, crosshair_lps=None, zoom=case.zoom.following)
 
-    def set_orbit(self, view: Literal["tree", "tri-plane"], orbit: Orbit) -> None:
+    def set_orbit(self, view: OrbitViewName, orbit: Orbit) -> None:
         """Camera of an outside view."""
-        self._look(self._needed_case(), **{"orbit_tree" if view == "tree" else "orbit_tri_plane": orbit})
+        self._look(self._needed_case(), **{f"orbit_{VIEWS[view].field}": orbit})
 
     def set_zoom(
         self,
@@ -283,13 +283,11 @@ class Session(AirwayFinding, KeyFraming, AirwayQuestions, TreeMeasuring, TreeEdi
     ) -> None:
         """Scale of a planar view; None fits. The picture stays round its centre until the tip moves."""
         case = self._needed_case()
-        if view == "cut-plane":
-            self._look(case, zoom=replace(case.zoom, cut_plane_extent_mm=extent_mm, cut_plane_center_lps=center_lps))
-        elif view in {"axial", "coronal", "sagittal"}:
-            changed: dict[str, Any] = {f"{view}_mm_per_px": mm_per_px, f"{view}_center_lps": center_lps}
-            self._look(case, zoom=replace(case.zoom, **changed))
-        else:
+        row = view_row(view)
+        if row.scale_field is None:
             raise UsageError(f"the view {view!r} has no zoom")
+        place = FlatPlace(extent_mm if row.zoom == "extent" else mm_per_px, center_lps)
+        self._look(case, zoom=case.zoom.placed(view, place))
 
     def set_carm(self, carm: Carm) -> None:
         """Where the radiograph's C-arm stands."""

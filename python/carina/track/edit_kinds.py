@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from carina.errors import TrackingError, UsageError
+from carina.volume.planes import Plane
 
 if TYPE_CHECKING:
     from carina.track.airways import Airways
@@ -38,7 +39,7 @@ MAX_STROKE_POINTS = 10_000
 MAX_NAME_LENGTH = 80
 
 Point = tuple[float, float, float]
-BrushPlane = Literal["axial", "coronal", "sagittal", "ball"]
+BrushPlane = Literal[Plane, "ball"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ from carina.track.edit_kinds import PaintLumen, Point
 from carina.track.levels import air_scale
 from carina.track.paths import Cancel
 from carina.volume.model import Volume
+from carina.volume.planes import PLANES
 
 __all__ = ["EditedLumen", "bridge_way", "by_faces", "grown_beyond", "painted_voxels", "tissue_there", "tube_round"]
 
@@ -133,12 +134,11 @@ def painted_voxels(volume: Volume, edit: PaintLumen) -> Voxels:
     UsageError
         If no point of the stroke lies in the volume.
     """
-    normals = {"sagittal": 0, "coronal": 1, "axial": 2}
     normal = np.zeros(3)
     half_mm = np.inf
     matrix = volume.lps_from_ijk[:3, :3]
     if edit.plane != "ball":
-        normal[normals[edit.plane]] = 1.0
+        normal[PLANES[edit.plane].normal_axis] = 1.0
         half_mm = 0.5 * float(np.abs(matrix.T @ normal).max())
     points = np.array(edit.points_lps)
     shape = np.array(volume.shape_zyx[::-1])

@@ -1,0 +1,445 @@
+"""The table of views: one row for each, with all that the rest of Carina asks about it.
+
+A new view is a row here and whatever renders it. Layout, key card, overlays, gestures, pacing, command line and the web
+client (``web/src/wire/views.ts`` is generated from this) take it from there; see
+docs/decisions/0042-views-and-keys-are-tables.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Literal
+
+from carina.errors import UsageError
+from carina.render.view_settings import ViewSettings
+from carina.render.views import (
+    WINDOW_HU,
+    AirwayView,
+    CutPlaneView,
+    DrrView,
+    PathView,
+    SliceView,
+    TreeView,
+    TriPlaneView,
+    View,
+    XrayView,
+)
+from carina.volume.planes import PLANES, Plane
+
+__all__ = [
+    "CELLS",
+    "FINDER_VIEW",
+    "LEAD_VIEW",
+    "VIEWS",
+    "VIEW_NAMES",
+    "Cell",
+    "CellName",
+    "FlatViewName",
+    "Need",
+    "OrbitViewName",
+    "ViewName",
+    "ViewRow",
+    "view_row",
+]
+
+ViewName = Literal[
+    "airway",
+    "cut-plane",
+    "tri-plane",
+    "xray-axial",
+    "xray-coronal",
+    "xray-sagittal",
+    "drr",
+    Plane,
+    "straightened",
+    "curved",
+    "tree",
+]
+FlatViewName = Literal[Plane, "cut-plane"]
+"""Views that are zoomed and panned in their own plane."""
+OrbitViewName = Literal["tree", "tri-plane"]
+"""Views whose camera goes round what they show."""
+LEAD_VIEW: Literal["airway"] = "airway"
+"""What the scope sees: it keeps its rate, and the others share what time is left."""
+FINDER_VIEW: Literal["cut-plane"] = "cut-plane"
+"""Stands in for :data:`LEAD_VIEW` where that cannot follow."""
+CellName = Literal["airway", Plane, "cut-plane", "xray", "outside"]
+Need = Literal["airways", "route"]
+ON_ITS_WAY = "This picture is on its way."
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A place of the window. Its views are those of the table that name it, in the table's order."""
+
+    name: CellName
+    chosen_by: Literal["none", "step", "list"] = "none"
+    """How another of its views is brought here: a button for the next one, or one button each."""
+    next_action: str = ""
+    """The action of the keys' table that brings the next one."""
+    list_name: str = ""
+
+
+CELLS: Mapping[CellName, Cell] = MappingProxyType(
+    {
+        cell.name: cell
+        for cell in (
+            Cell("airway"),
+            *(Cell(plane) for plane in PLANES),
+            Cell("cut-plane", "step", "next_cut"),
+            Cell("xray", "list", "next_xray", "Direction of the X-ray"),
+            Cell("outside", "step", "swap_outside"),
+        )
+    }
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ViewRow:
+    """One view."""
+
+    name: ViewName
+    title: str
+    """Over its picture."""
+    short: str = ""
+    """On the button of a cell that lists its views."""
+    words: str
+    """What is shown, in the middle of a sentence."""
+    empty: str = ON_ITS_WAY
+    """Said in its place while there is no picture; once what it needs is there, that the picture is on its way."""
+    cell: CellName
+    spec: Callable[[ViewSettings], View]
+    """What the renderer takes."""
+    depends_on: Callable[[ViewSettings], tuple[Hashable, ...]]
+    """What of the settings its picture depends on: equal values mean equal pictures."""
+    needs: frozenset[Need] = frozenset()
+    """Without these there is nothing to show."""
+    overlay: Literal["airway", "flat", "seen", "lines"]
+    """How things are drawn over it: by the lens, in a plane, by a camera from outside, along a path."""
+    pick: Literal["wall", "plane", "planes", "branch", "path"] | None = None
+    """What a click means: the wall, a point of the plane, of the plane under the cursor, of a branch, of the surface
+    through the path; None where the picture knows no depth. A brush needs a plane."""
+    zoom: Literal["tip", "slice", "extent", "path", "carm", "orbit"] | None = None
+    """What wheel, drag and keys move: the tip; the stack, with the scale in mm per pixel; the plane's extent; the
+    reformation; the C-arm; an outside camera."""
+    plane: Plane | None = None
+    """The anatomical plane that it lies in."""
+    slab: Literal["window", "call"] | None = None
+    """Whether it can be thick: with the window's setting, or only where a call asks for it."""
+    windowed: bool = False
+    """It is seen through the window of the slices."""
+    outlined: bool = False
+    """It carries the outline of the lumen."""
+    by_transfer: bool = False
+    """It shows the transfer function and the lumen that the renderer has."""
+    costly: bool = False
+    """Cast with perspective rays: the first picture is coarse. The others cost milliseconds."""
+    at_tip: bool = False
+    """It goes where the tip goes, also while the crosshair stays."""
+    inside: bool = False
+    """A plane through the tip: outside the volume it would be a picture of nothing."""
+    wants_tip: bool = True
+    """Without a place it is seen from the top of the trachea; else it shows the whole volume, or the path."""
+    marks_tip: bool = False
+    """Pictures of the command line have the tip marked in them."""
+    lettered: bool = False
+    """Pictures of the command line have letters at their edges."""
+    straight: bool = False
+    """The path is a straight line down, with the radius of the lumen to either side."""
+    max_px: int = 768
+    """Longer side of a picture in the window: beyond it a picture costs more to render than the eye gains."""
+
+    @property
+    def field(self) -> str:
+        """The name as part of a field's name: ``cut_plane`` of ``cut-plane``."""
+        return self.name.replace("-", "_")
+
+    @property
+    def scale_field(self) -> str | None:
+        """How the wire's zoom calls its scale; None where it has none of its own."""
+        unit = {"slice": "mm_per_px", "extent": "extent_mm"}.get(self.zoom or "")
+        return None if unit is None else f"{self.field}_{unit}"
+
+    @property
+    def camera_field(self) -> str | None:
+        """How session and wire call its outside camera; None where it has none."""
+        return f"orbit_{self.field}" if self.zoom == "orbit" else None
+
+
+def _grey(s: ViewSettings) -> tuple[float, float]:
+    return WINDOW_HU if s.window_hu is None else s.window_hu
+
+
+def _hundredths(point: tuple[float, float, float]) -> tuple[float, ...]:
+    # Far below a pixel: turning on the spot asks for no new slices.
+    return tuple(round(v, 2) for v in point)
+
+
+# ------------------------------------------------------------------ what the scope sees
+
+
+def _airway(s: ViewSettings) -> View:
+    settings: dict[str, Any] = {
+        "fov_deg": s.fov_deg,
+        "width": s.width,
+        "height": s.height,
+        "step_vox": s.step_vox,
+        "shading": s.shading,
+        "texture": s.texture,
+        "method": s.method,
+        "field": s.field,
+        "depth_of_field": s.depth_of_field,
+        **({} if s.lens is None else {"lens": s.lens}),
+    }
+    if s.scope is None:
+        return AirwayView(s.pose, **settings)
+    return AirwayView.of_scope(s.scope, s.pose, picture_turned=s.picture_turned, **settings)
+
+
+def _airway_depends(s: ViewSettings) -> tuple[Hashable, ...]:
+    scope = None if s.scope is None else s.scope.name
+    return (s.pose_id, scope, s.field.mask, s.fov_deg, s.shading, s.texture, s.method)
+
+
+# ------------------------------------------------------------------ planes
+
+
+def _cut_plane(s: ViewSettings) -> View:
+    return CutPlaneView(
+        s.pose,
+        width=s.width,
+        height=s.height,
+        extent_mm=60.0 if s.extent_mm is None else s.extent_mm,
+        window_hu=_grey(s),
+        slab=s.slab,
+        center_lps=s.center_lps,
+    )
+
+
+def _slice_row(plane: Plane) -> ViewRow:
+    axis = PLANES[plane].normal_axis
+
+    def center(s: ViewSettings) -> tuple[float, float, float]:
+        """Where it was zoomed to, at the depth that is shown."""
+        if s.mm_per_px is None or s.center_lps is None:
+            return s.point_lps
+        x, y, z = (s.point_lps[n] if n == axis else s.center_lps[n] for n in range(3))
+        return x, y, z
+
+    def depends(s: ViewSettings) -> tuple[Hashable, ...]:
+        if s.mm_per_px is None:
+            # The whole slice fits: only its depth matters.
+            return (_hundredths(s.point_lps)[axis], s.window_hu, s.slab)
+        return (_hundredths(center(s)), s.window_hu, s.mm_per_px, s.slab)
+
+    return ViewRow(
+        name=plane,
+        title=plane.capitalize(),
+        words=f"{plane} slice",
+        empty=f"The {plane} slice through the tip appears here when a CT is open.",
+        cell=plane,
+        spec=lambda s: SliceView(
+            plane=plane,
+            center_lps=center(s),
+            width=s.width,
+            height=s.height,
+            mm_per_px=s.mm_per_px,
+            window_hu=_grey(s),
+            slab=s.slab,
+        ),
+        depends_on=depends,
+        overlay="flat",
+        pick="plane",
+        zoom="slice",
+        plane=plane,
+        slab="window",
+        windowed=True,
+        outlined=True,
+        inside=True,
+        marks_tip=True,
+    )
+
+
+# ------------------------------------------------------------------ through the whole chest
+
+
+def _xray_row(name: ViewName, axis: Plane, short: str, words: str) -> ViewRow:
+    return ViewRow(
+        name=name,
+        title="X-ray",
+        short=short,
+        words=words,
+        empty="The X-ray view with the tip in it appears here when a CT is open.",
+        cell="xray",
+        spec=lambda s: XrayView(axis=axis, width=s.width, height=s.height, window_hu=s.window_hu),
+        depends_on=lambda _: (),
+        overlay="flat",
+        wants_tip=False,
+        marks_tip=True,
+    )
+
+
+def _drr(s: ViewSettings) -> View:
+    return DrrView(*s.carm_deg, s.width, s.height, mm_per_px=s.mm_per_px, tone=s.tone, window_mm=s.window_hu)
+
+
+# ------------------------------------------------------------------ along the route, and from outside
+
+
+def _path_row(kind: Literal["straightened", "curved"], title: str, words: str, *, straight: bool) -> ViewRow:
+    def spec(s: ViewSettings) -> View:
+        if s.path is None:
+            raise UsageError(f"the {kind} view needs a path to lie along", code="render.no-path")
+        return PathView(
+            kind,
+            s.path,
+            turn_deg=s.turn_deg,
+            width=s.width,
+            height=s.height,
+            mm_per_px=s.mm_per_px,
+            center_mm=s.path_mm,
+            window_hu=_grey(s),
+            slab=s.slab,
+        )
+
+    def depends(s: ViewSettings) -> tuple[Hashable, ...]:
+        # The frames themselves: a route is known by its identity, and this keeps it from being another's.
+        place = None if s.mm_per_px is None else round(s.path_mm, 2)
+        return (s.path, s.turn_deg, s.mm_per_px, place, s.window_hu, s.slab)
+
+    return ViewRow(
+        name=kind,
+        title=title,
+        words=words,
+        empty="There is no route yet. Choose a branch in the list, or mark a target: the airway along the way there "
+        "appears here.",
+        cell="cut-plane",
+        spec=spec,
+        depends_on=depends,
+        needs=frozenset({"route"}),
+        overlay="lines",
+        pick="path",
+        zoom="path",
+        slab="window",
+        windowed=True,
+        wants_tip=False,
+        lettered=True,
+        straight=straight,
+    )
+
+
+def _around(s: ViewSettings) -> dict[str, Any]:
+    orbit = {} if s.orbit is None else dataclasses.asdict(s.orbit)
+    return {**orbit, "width": s.width, "height": s.height}
+
+
+VIEWS: Mapping[str, ViewRow] = MappingProxyType(
+    {
+        row.name: row
+        for row in (
+            ViewRow(
+                name="airway",
+                title="Airway",
+                words="airway view",
+                cell="airway",
+                spec=_airway,
+                depends_on=_airway_depends,
+                overlay="airway",
+                pick="wall",
+                zoom="tip",
+                by_transfer=True,
+                costly=True,
+                at_tip=True,
+                max_px=1024,
+            ),
+            *(_slice_row(plane) for plane in PLANES),
+            ViewRow(
+                name="cut-plane",
+                title="Cut-plane",
+                words="cut-plane",
+                empty="The plane across the tip, at right angles to the scope, appears here when a CT is open.",
+                cell="cut-plane",
+                spec=_cut_plane,
+                depends_on=lambda s: (s.pose_id, s.window_hu, s.extent_mm, s.center_lps),
+                overlay="flat",
+                pick="plane",
+                zoom="extent",
+                slab="call",
+                windowed=True,
+                outlined=True,
+                at_tip=True,
+                inside=True,
+            ),
+            _path_row("straightened", "Straightened", "straightened airway", straight=True),
+            _path_row("curved", "Curved", "curved reformation", straight=False),
+            _xray_row("xray-coronal", "coronal", "AP", "X-ray from the front"),
+            _xray_row("xray-sagittal", "sagittal", "Lat", "X-ray from the side"),
+            _xray_row("xray-axial", "axial", "Ax", "X-ray from below"),
+            ViewRow(
+                name="drr",
+                title="X-ray",
+                short="DRR",
+                words="Radiograph from the C-arm: drag to turn it",
+                empty="The X-ray view with the tip in it appears here when a CT is open.",
+                cell="xray",
+                spec=_drr,
+                # Like the other X-rays: the tip is only marked in it.
+                depends_on=lambda s: (s.carm_deg, s.mm_per_px, s.tone),
+                overlay="seen",
+                zoom="carm",
+                costly=True,
+                wants_tip=False,
+                marks_tip=True,
+                lettered=True,
+            ),
+            ViewRow(
+                name="tree",
+                title="Airway tree",
+                words="airway tree",
+                empty="The airway tree from outside appears here once the airways are found.",
+                cell="outside",
+                spec=lambda s: TreeView(**_around(s)),
+                depends_on=lambda s: (s.orbit,),
+                needs=frozenset({"airways"}),
+                overlay="seen",
+                pick="branch",
+                zoom="orbit",
+                by_transfer=True,
+                costly=True,
+                marks_tip=True,
+            ),
+            ViewRow(
+                name="tri-plane",
+                title="Tri-plane",
+                words="tri-plane",
+                cell="outside",
+                spec=lambda s: TriPlaneView(s.point_lps, window_hu=_grey(s), look_at=s.look_at, **_around(s)),
+                depends_on=lambda s: (_hundredths(s.point_lps), s.orbit, s.window_hu),
+                overlay="seen",
+                pick="planes",
+                zoom="orbit",
+                windowed=True,
+                costly=True,
+                inside=True,
+            ),
+        )
+    }
+)
+VIEW_NAMES: tuple[ViewName, ...] = tuple(row.name for row in VIEWS.values())
+
+
+def view_row(name: str) -> ViewRow:
+    """The row of a view.
+
+    Raises
+    ------
+    UsageError
+        If there is no view of this name.
+    """
+    row = VIEWS.get(name)
+    if row is None:
+        raise UsageError(f"expected a view among {', '.join(VIEW_NAMES)}; found {name!r}")
+    return row
