@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from carina.cluster import ClusterRenderer, ClusterSettings, render_frames
+from carina.cluster import console as console_module
 from carina.cluster.host import RendererHost
 from carina.cluster.parcel import Parcels, open_parcel
 from carina.cluster.strips import cut_rows
@@ -333,6 +334,27 @@ def test_a_renderer_that_cannot_even_be_asked_to_load_ends_nothing(case, cluster
     assert np.array_equal(made.renderer.want(_airway(case))[1].result(timeout=WAIT_S).rgb, expected)
     monkeypatch.undo()
     made.lanes[0].trouble.raises = None
+    _wait_ready(made)
+
+
+def test_a_renderer_that_can_never_load_is_told_of_once_and_asked_again(case, cluster, monkeypatch):
+    monkeypatch.setattr(console_module, "RETRY_S", (0.001,))
+    made = cluster(settings=FAST)
+    _wait_ready(made)
+    asked, load = [], made.lanes[0].load
+
+    def refuses(parcel, done):
+        asked.append(parcel)
+        done(ConnectionError("the arrays do not come"))
+        return False
+
+    monkeypatch.setattr(made.lanes[0], "load", refuses)
+    made.renderer.set_transfer(transfer_preset("paper"))
+    made.renderer.prepare()
+    _wait(made, lambda: len(asked) > console_module.TELL_AFTER_LOADS + 2)
+    told = [notice for notice in made.console.status().notices if "cannot take the case" in notice]
+    assert told == ["the renderer lane-0 cannot take the case (ConnectionError); it is asked again until it can"]
+    monkeypatch.setattr(made.lanes[0], "load", load)
     _wait_ready(made)
 
 

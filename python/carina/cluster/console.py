@@ -28,6 +28,8 @@ logger = logging.getLogger(__name__)
 
 RETRY_S = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """A renderer that cannot be loaded is asked again after these times, then always after the last."""
+TELL_AFTER_LOADS = 5
+"""A renderer that could not be loaded so often is told of; after a restart it is asked once or twice for nothing."""
 TELL_AFTER_S = 0.5
 """A renderer that is late for so long is told of."""
 MAX_FAULTS = 5
@@ -102,6 +104,7 @@ class Console:
         self.address = "local"
         self.mixed = False
         self._closed = False
+        self._closing = threading.Lock()
         # The last resort, and the reason why a lost machine is no error.
         self.add_lane(LocalLane(), reserve=True)
         self._thread = threading.Thread(target=self._run, name="carina-console", daemon=True)
@@ -110,8 +113,12 @@ class Console:
     # --- called from anywhere --------------------------------------------------------------------------------------
 
     def add_lane(self, lane: Lane, *, reserve: bool = False) -> None:
-        """A renderer has come; it takes part once it has loaded what is shown."""
-        self._inbox.put(lambda: self._add(lane, reserve))
+        """A renderer has come; it takes part once it has loaded what is shown. Where all is closed it is let go."""
+        with self._closing:
+            if not self._closed:
+                self._inbox.put(lambda: self._add(lane, reserve))
+                return
+        lane.close()
 
     def remove_lane(self, name: str) -> None:
         """A renderer is gone for good."""
@@ -145,9 +152,10 @@ class Console:
     def status(self) -> ClusterStatus:
         """How the cluster does."""
         answer: Future[ClusterStatus] = Future()
-        if self._closed:
-            raise ClusterError("the cluster is closed", code="cluster.closed")
-        self._inbox.put(lambda: answer.set_result(self._make_status()))
+        with self._closing:
+            if self._closed:
+                raise ClusterError("the cluster is closed", code="cluster.closed")
+            self._inbox.put(lambda: answer.set_result(self._make_status()))
         return answer.result(timeout=10.0)
 
     @property
@@ -170,10 +178,12 @@ class Console:
 
     def close(self) -> None:
         """Give up what is under way and let the lanes go."""
-        if not self._closed:
+        with self._closing:
+            if self._closed:
+                return
             self._closed = True
             self._inbox.put(None)
-            self._thread.join(timeout=30.0)
+        self._thread.join(timeout=30.0)
 
     # --- the console's own thread ----------------------------------------------------------------------------------
 
@@ -300,6 +310,9 @@ class Console:
         logger.info("renderer %s: %s; it is asked again", name, type(trouble).__name__)
         wait_s = RETRY_S[min(member.attempts, len(RETRY_S) - 1)]
         member.attempts += 1
+        if member.attempts == TELL_AFTER_LOADS:
+            why = str(trouble) if isinstance(trouble, ClusterError) else type(trouble).__name__
+            self._tell(f"the renderer {name} cannot take the case ({why}); it is asked again until it can")
         self._later.append((self._clock() + wait_s, lambda: self._load(name)))
         self._note_alone()
 

@@ -6,11 +6,15 @@ the time of a picture: that is :class:`carina.cluster.scheduler.StripScheduler`.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +35,8 @@ POLL_S = 1.0
 CONNECT_S = 15.0
 """How long a head that does not answer is asked again."""
 WAIT_AFTER_FAILURE_S = 5.0
+SLOW_START_S = 30.0
+"""A renderer that has not started for so long is told of."""
 SPARE_BYTES = 256 * 1024 * 1024
 """Memory that a machine needs beside the volume."""
 
@@ -211,6 +217,17 @@ def _words(num_bytes: float) -> str:
     return f"{num_bytes / 2**30:.1f} GiB" if num_bytes >= 2**30 else f"{num_bytes / 2**20:.0f} MiB"
 
 
+@dataclass(slots=True, eq=False)
+class _Started:
+    """A renderer from the moment it was asked for until it is ended."""
+
+    node: str
+    store_bytes: float
+    handle: Any
+    began_s: float
+    has_answered: bool = False
+
+
 class RayCluster:
     """Keeps a console's lanes what the cluster's machines are: who joins renders, who leaves does not.
 
@@ -230,6 +247,8 @@ class RayCluster:
         This machine's address in the cluster, where it has several.
     limit
         Use no more renderers than these, for benchmarks.
+    clock
+        Seconds, monotonic.
 
     Raises
     ------
@@ -249,9 +268,11 @@ class RayCluster:
         ip: str | None = None,
         limit: int | None = None,
         poll_s: float = POLL_S,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.ray = _import_ray(token)
         self._console = console
+        self._clock = clock
         self._poll_s = poll_s
         self._limit = limit
         # Tests connect once for many clusters.
@@ -263,33 +284,39 @@ class RayCluster:
         self.loader = ThreadPoolExecutor(4, thread_name_prefix="carina-load")
         self._host_class = host_class
         self._host_options = {"mixed": mixed, **(host_options or {})}
-        self._lanes: dict[str, str] = {}
-        """Node of each renderer that has a lane or is starting."""
+        self._renderers: dict[str, _Started] = {}
+        """By name: whoever has a lane or is starting. Whoever takes one out of here ends it, for it takes its machine,
+        which has room for one, also where nobody waits for it any more."""
         self._not_before: dict[str, float] = {}
         self._refused: set[str] = set()
         self._lock = threading.Lock()
+        """Never held while Ray is asked anything: its own thread takes it, too."""
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="carina-membership", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """End all renderers and leave; the cluster goes on."""
-        if self._stopping.is_set():
-            return
-        self._stopping.set()
-        self._thread.join(timeout=30.0)
+        """End all renderers, also those that are only starting, and leave; the cluster goes on."""
         with self._lock:
-            names = list(self._lanes)
-        for name in names:
+            if self._stopping.is_set():
+                return
+            # From here on nothing that comes is added: see _start and _answered.
+            self._stopping.set()
+            renderers, self._renderers = self._renderers, {}
+        for name in renderers:
             self._console.remove_lane(name)
+        for renderer in renderers.values():
+            self.end(renderer.handle)
+        self._thread.join(timeout=30.0)
         # The lanes' ends are the console's: it answers in order.
-        self._console.status()
+        with contextlib.suppress(ClusterError):
+            self._console.status()
         self.loader.shutdown(wait=True, cancel_futures=True)
         if self._connected:
             self.ray.shutdown()
 
     def end(self, handle: Any) -> None:
-        """End one renderer for good."""
+        """End one renderer for good, also one that waits to be started; never from a thread of Ray's own."""
         try:
             self.ray.kill(handle, no_restart=True)
         except Exception:  # the cluster may be gone already
@@ -312,23 +339,32 @@ class RayCluster:
                 name = node["NodeManagerAddress"] + (f" #{n + 1}" if num > 1 else "")
                 places[name] = (node["NodeID"], float(node["Resources"].get("object_store_memory", 0)))
         with self._lock:
-            gone = [name for name, node in self._lanes.items() if places.get(name, ("", 0.0))[0] != node]
+            gone = {n: r for n, r in self._renderers.items() if places.get(n, ("", 0.0))[0] != r.node}
             for name in gone:
-                del self._lanes[name]
-        for name in gone:
+                del self._renderers[name]
+        for name, renderer in gone.items():
             self._console.notice(f"the machine {name} has left the cluster")
             self._console.remove_lane(name)
+            if not renderer.has_answered:
+                self.end(renderer.handle)
         for name, (node, store_bytes) in list(places.items())[: self._limit]:
-            now_s = time.monotonic()
-            if name in self._lanes or node in self._refused or self._not_before.get(name, 0.0) > now_s:
-                continue
-            with self._lock:
-                self._lanes[name] = node
-            self._start(name, node, store_bytes)
+            due = self._not_before.get(name, 0.0) <= self._clock()
+            if name not in self._renderers and node not in self._refused and due:
+                self._start(name, node, store_bytes)
+        self._tell_of_the_slow()
+
+    def _tell_of_the_slow(self) -> None:
+        now_s = self._clock()
+        with self._lock:
+            slow = [n for n, r in self._renderers.items() if not r.has_answered and now_s - r.began_s >= SLOW_START_S]
+        for name in slow:
+            self._console.notice(
+                f"the renderer on {name} has not started for {SLOW_START_S:g} s: another console may be using that "
+                "machine, or it is very busy (`carina cluster status` shows who is in use); it takes part once it "
+                "starts"
+            )
 
     def _start(self, name: str, node: str, store_bytes: float) -> None:
-        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
-
         remote = self.ray.remote(
             num_cpus=0,
             resources={"renderer": 1},
@@ -337,30 +373,53 @@ class RayCluster:
             max_task_retries=0,
             concurrency_groups={"control": 1},
         )
-        place = NodeAffinitySchedulingStrategy(node, soft=False)
+        place = self.ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node, soft=False)
         actor = remote(self._host_class).options(scheduling_strategy=place)
         handle = actor.remote(**self._host_options)
+        renderer = _Started(node, store_bytes, handle, self._clock())
+        with self._lock:
+            closed = self._stopping.is_set()
+            if not closed:
+                self._renderers[name] = renderer
+        if closed:
+            self.end(handle)
+            return
         ref = handle.ping.options(concurrency_group="control").remote()
+        ref.future().add_done_callback(partial(self._heard, name, renderer))
 
-        def known(future: Future[Any]) -> None:
-            trouble = future.exception()
+    def _heard(self, name: str, renderer: _Started, ping: Future[Any]) -> None:
+        """In Ray's own thread, which may not wait for Ray."""
+        with self._lock:
+            # Once it is closed nobody is left to do it, and nothing to be done: it was ended.
+            if self._renderers.get(name) is renderer:
+                self.loader.submit(self._answered, name, renderer, ping)
+
+    def _answered(self, name: str, renderer: _Started, ping: Future[Any]) -> None:
+        """A renderer has started, or could not be."""
+        trouble: BaseException | None = None
+        try:
+            said = ping.result()
+            words = version_words(carina.__version__, str(said["version"]), name)
+            lane = RayLane(name, renderer.handle, self, said, renderer.store_bytes) if words is None else None
+        except Exception as failure:
+            trouble, lane = failure, None
+            words = f"the renderer on {name} could not be started: {_first_line(_plain(failure))}"
+        with self._lock:
+            if self._renderers.get(name) is not renderer:
+                # It has left, or all was closed, and it was ended by whoever found that.
+                return
+            if lane is not None:
+                renderer.has_answered = True
+                # Under the lock: whoever ends it removes the lane after it was added.
+                self._console.add_lane(lane)
+                return
+            del self._renderers[name]
             if trouble is None:
-                ping = future.result()
-                words = version_words(carina.__version__, str(ping["version"]), name)
-                if words is None:
-                    self._console.add_lane(RayLane(name, handle, self, ping, store_bytes))
-                    return
-                self._refused.add(node)
+                self._refused.add(renderer.node)
             else:
-                words = f"the renderer on {name} could not be started: {_first_line(_plain(trouble))}"
-                self._not_before[name] = time.monotonic() + WAIT_AFTER_FAILURE_S
-            self._console.notice(words)
-            with self._lock:
-                if words and self._lanes.get(name) == node and node not in self._refused:
-                    del self._lanes[name]
-            self.loader.submit(self.end, handle)
-
-        ref.future().add_done_callback(known)
+                self._not_before[name] = self._clock() + WAIT_AFTER_FAILURE_S
+        self.end(renderer.handle)
+        self._console.notice(words or "")
 
 
 def look(address: str, token: Path, *, ip: str | None = None) -> list[dict[str, Any]]:

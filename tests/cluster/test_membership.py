@@ -1,0 +1,233 @@
+"""Who comes to a cluster gets a lane, and whoever goes gives the machine back: on a Ray that the tests play."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import pytest
+from ray_rig import wait_for
+
+import carina
+from carina.cluster import Console, ray_backend
+from carina.cluster.ray_backend import SLOW_START_S, RayCluster
+
+HELLO = {
+    "host": "machine",
+    "threads": 4,
+    "simd": "portable",
+    "version": carina.__version__,
+    "pid": 1,
+    "tokens": [],
+    "memory_bytes": None,
+}
+
+
+class Actor:
+    """A renderer that was asked for: it holds its machine until it is killed, and answers when the test says so."""
+
+    def __init__(self, node: str) -> None:
+        self.node = node
+        self.hello: Future = Future()
+        self.num_kills = 0
+        call = SimpleNamespace(remote=lambda: SimpleNamespace(future=lambda: self.hello))
+        self.ping = SimpleNamespace(options=lambda **_: call)
+
+    def says(self, **changes) -> None:
+        """Started: it answers its first question."""
+        self.hello.set_result(HELLO | changes)
+
+
+@dataclass
+class PlayedRay:
+    """As much of Ray as the membership needs."""
+
+    nodes_there: list[str] = field(default_factory=lambda: ["a"])
+    actors: list[Actor] = field(default_factory=list)
+    may_start: threading.Event = field(default_factory=threading.Event)
+    """Until then whoever asks for a renderer waits."""
+    num_asked: int = 0
+
+    def __post_init__(self) -> None:
+        self.may_start.set()
+        self.util = SimpleNamespace(
+            scheduling_strategies=SimpleNamespace(NodeAffinitySchedulingStrategy=lambda node, soft: node)
+        )
+
+    def is_initialized(self) -> bool:
+        return True
+
+    def nodes(self) -> list[dict]:
+        return [
+            {"Alive": True, "NodeID": name, "NodeManagerAddress": name, "Resources": {"renderer": 1.0}}
+            for name in list(self.nodes_there)
+        ]
+
+    def remote(self, **_):
+        return lambda _host_class: SimpleNamespace(
+            options=lambda scheduling_strategy: SimpleNamespace(remote=lambda **_: self._actor(scheduling_strategy))
+        )
+
+    def _actor(self, node: str) -> Actor:
+        self.num_asked += 1
+        assert self.may_start.wait(60.0)
+        self.actors.append(Actor(node))
+        return self.actors[-1]
+
+    def kill(self, actor: Actor, *, no_restart: bool) -> None:
+        assert no_restart
+        assert not threading.current_thread().name.startswith("ray's own"), "Ray would wait for itself"
+        actor.num_kills += 1
+
+    def all_given_back(self) -> bool:
+        return all(actor.num_kills for actor in self.actors)
+
+
+@pytest.fixture
+def ray(monkeypatch) -> PlayedRay:
+    played = PlayedRay()
+    monkeypatch.setattr(ray_backend, "_import_ray", lambda token: played)
+    return played
+
+
+@pytest.fixture
+def join(ray, consoles, tmp_path):
+    """A console in that cluster: ``console, cluster``."""
+    made = []
+
+    def joined(**options) -> tuple[Console, RayCluster]:
+        console = consoles()
+        made.append(RayCluster(console, "10.0.0.1:6379", tmp_path / "token", poll_s=0.005, **options))
+        return console, made[-1]
+
+    yield joined
+    for cluster in made:
+        cluster.close()
+
+
+def names(console) -> list[str]:
+    return [member.name for member in console.status().members if member.name != "console"]
+
+
+def in_rays_thread(what) -> None:
+    """As Ray calls back: in a thread that may not wait for Ray."""
+    thread = threading.Thread(target=what, name="ray's own")
+    thread.start()
+    thread.join(60.0)
+    assert not thread.is_alive()
+
+
+def test_a_renderer_that_starts_gets_a_lane_and_gives_its_machine_back_at_the_end(ray, join):
+    console, cluster = join()
+    [actor] = wait_for(lambda: list(ray.actors))
+    assert names(console) == []
+    in_rays_thread(actor.says)
+    wait_for(lambda: names(console) == ["a"])
+    cluster.close()
+    assert names(console) == []
+    assert ray.all_given_back()
+
+
+@pytest.mark.parametrize("version", [carina.__version__, "0.0.1"])
+def test_a_renderer_that_was_still_starting_when_all_was_closed_gives_its_machine_back(ray, join, version):
+    console, cluster = join()
+    [actor] = wait_for(lambda: list(ray.actors))
+    cluster.close()
+    assert ray.all_given_back(), "the machine is taken as long as anybody holds the renderer"
+    # What it says on its way out comes to nobody.
+    in_rays_thread(lambda: actor.says(version=version))
+    assert names(console) == []
+    assert console.status().notices == ()
+
+
+def test_a_renderer_that_is_asked_for_while_all_is_closed_is_ended(ray, join):
+    ray.may_start.clear()
+    _, cluster = join()
+    wait_for(lambda: ray.num_asked == 1)
+    closing = threading.Thread(target=cluster.close)
+    closing.start()
+    wait_for(cluster._stopping.is_set)
+    ray.may_start.set()
+    closing.join(60.0)
+    assert not closing.is_alive()
+    assert len(ray.actors) == 1 and ray.all_given_back()
+
+
+def test_a_machine_that_leaves_while_its_renderer_starts_gets_no_lane(ray, join):
+    console, _ = join()
+    [actor] = wait_for(lambda: list(ray.actors))
+    ray.nodes_there.remove("a")
+    wait_for(ray.all_given_back)
+    in_rays_thread(actor.says)
+    wait_for(lambda: "the machine a has left the cluster" in console.status().notices)
+    assert names(console) == []
+    # It comes back, and is asked anew.
+    ray.nodes_there.append("a")
+    wait_for(lambda: len(ray.actors) == 2)
+    in_rays_thread(ray.actors[1].says)
+    wait_for(lambda: names(console) == ["a"])
+
+
+def test_a_machine_of_another_version_is_told_once_and_given_back(ray, join):
+    console, _ = join()
+    [actor] = wait_for(lambda: list(ray.actors))
+    in_rays_thread(lambda: actor.says(version="0.0.1"))
+    [notice] = wait_for(lambda: console.status().notices)
+    assert "runs Carina 0.0.1" in notice
+    assert ray.all_given_back()
+    ray.nodes_there.append("b")
+    wait_for(lambda: len(ray.actors) == 2)
+    assert ray.actors[1].node == "b", "it is not asked again"
+
+
+@pytest.mark.parametrize("answer", ["fails", "makes no sense"])
+def test_a_renderer_that_cannot_start_is_told_ended_and_asked_for_again(ray, join, monkeypatch, answer):
+    monkeypatch.setattr(ray_backend, "WAIT_AFTER_FAILURE_S", 0.0)
+    console, _ = join()
+    [actor] = wait_for(lambda: list(ray.actors))
+    if answer == "fails":
+        in_rays_thread(lambda: actor.hello.set_exception(RuntimeError("no core")))
+    else:
+        in_rays_thread(lambda: actor.hello.set_result({"version": carina.__version__}))
+    [notice] = wait_for(lambda: console.status().notices)
+    assert "the renderer on a could not be started" in notice
+    wait_for(lambda: len(ray.actors) == 2)
+    assert actor.num_kills == 1
+    in_rays_thread(ray.actors[1].says)
+    wait_for(lambda: names(console) == ["a"])
+
+
+def test_a_renderer_that_does_not_start_is_told_of_and_still_welcome(ray, join):
+    now_s = [100.0]
+    console, _ = join(clock=lambda: now_s[0])
+    [actor] = wait_for(lambda: list(ray.actors))
+    now_s[0] += SLOW_START_S - 1.0
+    ray.nodes_there.append("b")
+    wait_for(lambda: len(ray.actors) == 2)
+    assert console.status().notices == ()
+    now_s[0] += 2.0
+    [notice] = wait_for(lambda: console.status().notices)
+    assert "the renderer on a has not started for 30 s: another console" in notice
+    ray.nodes_there.append("c")
+    wait_for(lambda: len(ray.actors) == 3)
+    assert console.status().notices == (notice,), "told once, and of nobody else"
+    in_rays_thread(actor.says)
+    wait_for(lambda: names(console) == ["a"])
+
+
+def test_a_console_that_was_closed_first_ends_nothing_twice_and_leaves_nothing(ray, join):
+    console, cluster = join()
+    wait_for(lambda: ray.actors)
+    console.close()
+    cluster.close()
+    assert ray.all_given_back()
+
+
+def test_a_renderer_that_comes_to_a_closed_console_gives_its_machine_back(ray, join):
+    console, _ = join()
+    [actor] = wait_for(lambda: list(ray.actors))
+    console.close()
+    in_rays_thread(actor.says)
+    wait_for(ray.all_given_back)
