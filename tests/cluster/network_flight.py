@@ -85,7 +85,7 @@ def main(folder: Path, prefix: str) -> dict[str, object]:
     joined = []
     try:
         node.wait_ready(120.0)
-        head = Head(node, token)
+        head = Head(node, token, folder)
         with flying(
             head, StandInHost, num=1, settings=ClusterSettings(), ip=ADDRESSES[0], row_seconds=0.02 / 170
         ) as flight:

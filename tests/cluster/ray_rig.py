@@ -44,6 +44,8 @@ class Head:
 
     node: Node
     token: Path
+    folder: Path
+    """What it keeps, its logs too."""
     seen: dict[int, str] = field(default_factory=dict)
     """All it has started, as far as somebody looked."""
     left: list[str] = field(default_factory=list)
@@ -83,7 +85,8 @@ def running_head(renderers: int) -> Iterator[Head]:
         temp_dir=folder / "ray",
         log=folder / "log",
     )
-    head = Head(node, token)
+    head = Head(node, token, folder)
+    _running.append(head)
     try:
         node.wait_ready()
         yield head
@@ -91,6 +94,7 @@ def running_head(renderers: int) -> Iterator[Head]:
         head.look()
         # Gives Ray's agents 5 s and then ends them; nobody is left to be ended by the rig.
         node.stop()
+        _running.remove(head)
         head.left = alive(head.seen)
         reap(head.seen)
         shutil.rmtree(folder, ignore_errors=True)
@@ -102,13 +106,53 @@ def small_volume(size: int = 16) -> Volume:
     return Volume(hu, np.eye(4))
 
 
+_running: list[Head] = []
+_flights: list[Flight] = []
+
+
 def wait_for(what, timeout_s: float = 240.0):
-    """Until something is true; says what it was if not."""
+    """Until something is true; says how the cluster was if not."""
     end_s = time.monotonic() + timeout_s
     while not (found := what()):
-        assert time.monotonic() < end_s, "nothing came of it"
+        assert time.monotonic() < end_s, how_it_is()
         time.sleep(0.02)
     return found
+
+
+def how_it_is() -> str:
+    """What consoles, renderers and Ray's own processes do now, for a test that waited in vain."""
+    words = ["nothing came of it"]
+    for flight in _flights:
+        with contextlib.suppress(Exception):
+            status = flight.console.status()
+            words += [f"member {member}" for member in status.members]
+            words += [f"notice: {notice}" for notice in status.notices]
+        with contextlib.suppress(Exception):
+            words += [f"asked for: {name} {renderer}" for name, renderer in flight.cluster._renderers.items()]
+    if _running and "ray" in sys.modules:
+        import ray
+        from ray._private import state
+
+        for title, ask in (
+            ("nodes", ray.nodes),
+            ("resources", ray.cluster_resources),
+            ("free", ray.available_resources),
+            ("actors", state.actors),
+        ):
+            try:
+                said = ask()
+            except Exception as trouble:
+                said = trouble
+            lines = [f"{key}: {value}" for key, value in said.items()] if isinstance(said, dict) else [str(said)]
+            words += [f"{title}: {line}" for line in lines]
+    for head in _running:
+        for name in ("raylet.out", "gcs_server.out"):
+            with contextlib.suppress(OSError):
+                path = head.folder / "ray" / "session_latest" / "logs" / name
+                lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+                words += [f"--- {name}", *[line for line in lines if "[state-dump]" not in line][-60:]]
+        words += [f"process {name}" for name in alive(descendants(head.node.process.pid))]
+    return "\n".join(words)
 
 
 @dataclass
@@ -159,9 +203,10 @@ def flying(
     volume: Volume | None = None,
     settings: ClusterSettings | None = None,
     ip: str = IP,
+    limit: int | None = None,
     **options,
 ) -> Iterator[Flight]:
-    """A console with ``num`` renderers ready; others leave before."""
+    """A console with ``num`` renderers ready, of at most ``limit``: each is a process that takes seconds to start."""
     from carina.cluster.ray_backend import RayCluster
 
     console = Console(settings, keep_jobs=True)
@@ -173,14 +218,17 @@ def flying(
         host_class=host_class,
         host_options=options,
         poll_s=0.2,
+        limit=limit,
     )
     try:
         renderer = ClusterRenderer(Renderer(volume or small_volume()), console, spread_all=True)
         renderer.prepare()
         flight = Flight(console, renderer, cluster)
+        _flights.append(flight)
         wait_for(lambda: len(flight.ready()) >= num)
         yield flight
     finally:
+        _flights[:] = [flight for flight in _flights if flight.cluster is not cluster]
         head.look()
         cluster.close()
         console.close()
