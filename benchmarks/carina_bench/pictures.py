@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.disk import write_whole
-from carina.render.png_text import png_bytes
+from carina.display.png import png_bytes
 
 __all__ = ["difference", "save"]
 
@@ -17,7 +17,7 @@ __all__ = ["difference", "save"]
 def save(folder: str | Path, name: str, rgb: NDArray[np.uint8]) -> str:
     """Write a PNG and return its name; a grey picture has two axes."""
     colours = np.repeat(rgb[..., None], 3, axis=2) if rgb.ndim == 2 else rgb
-    content = png_bytes(np.ascontiguousarray(colours), {})
+    content = png_bytes(np.ascontiguousarray(colours))
     return write_whole(Path(folder) / f"{name}.png", content, what="the picture").name
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import platformdirs
 
+from carina.display import one_line
 from carina.errors import UsageError
 
 __all__ = ["BACKENDS", "LOG_LEVELS", "Settings", "load_settings"]
@@ -22,6 +23,7 @@ LOG_LEVELS = ("TRACE", "DEBUG", "INFO", "WARNING", "ERROR")
 BACKENDS = ("cpu", "gpu", "auto")
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Settings:
     """What the environment and the machine decide. No folder is made here; whoever writes makes it."""

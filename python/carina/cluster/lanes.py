@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 
 from carina.cluster.host import Counts, Strip, bare_picture, counts_of
 from carina.cluster.parcel import Parcel
+from carina.display import one_line
 from carina.render import CancelToken, Picture, Renderer, View
 from carina.render.scene import Scene
 
 __all__ = ["Answered", "Lane", "LaneFacts", "Loaded", "LocalLane", "StripAnswer", "StripOrder"]
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class StripOrder:
     """Rows of a view of some content."""
@@ -41,6 +43,7 @@ class StripOrder:
     """and how it is given up."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class StripAnswer:
     """What came back; nothing in it is trusted before it is compared with the order."""
@@ -62,6 +65,7 @@ class StripAnswer:
         return cls(*strip)
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class LaneFacts:
     """What a person wants to know about a machine."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from carina.display import one_line
 from carina.errors import UsageError
 
 __all__ = ["ClusterSettings"]
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class ClusterSettings:
     """How frames are cut, issued and watched (paper 5; docs/decisions/0026-strips-on-ray.md)."""

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+from carina.display import one_line
+
 __all__ = ["ClusterStatus", "MemberStatus", "RateMeter"]
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class MemberStatus:
     """One renderer."""
@@ -26,6 +29,7 @@ class MemberStatus:
     num_strips: int
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class ClusterStatus:
     """All renderers, and what comes of them."""

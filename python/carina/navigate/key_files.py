@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from carina.display import one_line
 from carina.errors import VolumeImportError
 from carina.navigate.key_frames import KeyFrame, KeyFrameFlight
 from carina.navigate.key_legs import AirwayWay
@@ -26,6 +27,7 @@ MAX_BYTES = 50_000_000
 MAX_NAME = 200
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class KeyFile:
     """Key frames with all that a flight through them needs.

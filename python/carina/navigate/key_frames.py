@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.errors import UsageError
 from carina.navigate.auto_flight import check_duration
 from carina.navigate.key_legs import STAND_MM, AirwayWay, Leg, build_legs
@@ -24,6 +25,7 @@ RAMP_S = 0.5
 STAND_S = 0.1
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class KeyFrame:
     """A pose to fly through, and how to get there.

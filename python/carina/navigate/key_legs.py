@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.errors import UsageError
 from carina.navigate.flight_path import FlightPath
 from carina.navigate.rotation import orthonormal, rotation_from_vector, vector_from_rotation
@@ -37,6 +38,7 @@ CORNER_MM = 2.0
 LEVEL_LIMIT = 0.9
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class AirwayWay:
     """The airways' middle between the places of two key frames.

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
+from carina.display import one_line
 from carina.errors import UsageError
 from carina.navigate.one_euro import FilterSettings
 from carina.navigate.samples import AxesSample, HandleSample, PoseSample, Sample
@@ -167,6 +168,7 @@ CONTROL_RANGES: dict[str, tuple[float, float]] = {
 """Least and greatest of the numbers of :class:`Controls`; the wire takes the same."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Controls:
     """How a device's movement becomes that of the tip.

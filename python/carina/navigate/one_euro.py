@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.errors import UsageError
 from carina.navigate.rotation import rotation_from_vector, rotation_from_wxyz, vector_from_rotation, wxyz_from_rotation
 from carina.navigate.samples import HandleSample, PoseSample, Sample
@@ -20,6 +21,7 @@ MAX_GAP_S = 0.25
 HANDLE_MM = 50.0
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class FilterSettings:
     """How much a device's tremor is smoothed.

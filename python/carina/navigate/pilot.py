@@ -10,6 +10,7 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.errors import UsageError
 from carina.navigate import moves as m
 from carina.navigate.flight_path import FlightPath
@@ -40,6 +41,7 @@ HAND_MM_PER_RAD = 100.0
 MM3 = NDArray[np.float64]
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class DeviceState:
     """What is shown of a device."""
@@ -55,6 +57,7 @@ class DeviceState:
     registered: bool
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class PenState:
     """The tracked pen that moves the tip, and the point that its button marks."""

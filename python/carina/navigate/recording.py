@@ -19,6 +19,7 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.errors import VolumeImportError
 from carina.navigate import moves as m
 from carina.navigate.navigator import Navigator
@@ -189,6 +190,7 @@ class ReplayedPose:
     """See :attr:`carina.navigate.Navigator.picture_turned`."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
     """A recording that was read: what it was made with, and its lines.

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from carina.display import one_line
 from carina.errors import UsageError
 
 __all__ = ["Registration", "as_registration", "fit_registration"]
@@ -17,6 +18,7 @@ MIN_PAIRS = 3
 MIN_SPREAD_MM = 2.0
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
     """A rigid map from tracker space to the patient.

@@ -7,6 +7,8 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from carina.display import one_line
+
 __all__ = ["AxesSample", "HandleSample", "PoseSample", "Refusal", "Sample", "SampleGate"]
 
 Vec3 = tuple[float, float, float]
@@ -33,6 +35,7 @@ OTHERS = "other devices"
 REST = 1e-3
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class PoseSample:
     """Where a tracked pen is, in the tracker's own space.
@@ -59,6 +62,7 @@ class PoseSample:
     advance: float = 0.0
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class AxesSample:
     """How far sticks and caps are pushed.
@@ -78,6 +82,7 @@ class AxesSample:
     buttons: int = 0
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class HandleSample:
     """The three controls of a scope handle (``docs/scope-handle.md``).

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from carina.display import one_line
 from carina.errors import RenderError
 
 __all__ = ["Appearance", "check_guides"]
@@ -25,6 +26,7 @@ def check_guides(guides_mm: tuple[tuple[float, float, float], ...]) -> None:
         raise RenderError(f"light guides lie within 100 mm of the lens; found {guides_mm}")
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Appearance:
     """Light, gloss and texture that are laid on the first wall of each pixel after casting.

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from carina import _core
 from carina.config import BACKENDS
 from carina.disk import write_whole
+from carina.display import one_line
 from carina.errors import RenderError
 
 __all__ = ["RECORD_NAME", "Adapter", "Backend", "Verdict", "find_adapters"]
@@ -31,6 +32,7 @@ VERSION = 1
 MAX_PART_OFF = 1e-3
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Adapter:
     """A graphics adapter of this machine."""
@@ -58,6 +60,7 @@ def find_adapters() -> tuple[Adapter, ...] | None:
     return None if found is None else tuple(Adapter(n, *facts) for n, facts in enumerate(found))
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """What came of measuring an adapter beside the CPU, on one size of volume."""

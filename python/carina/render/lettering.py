@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.errors import UsageError
 from carina.render.view_table import VIEWS
 from carina.render.views import Picture, PictureLines
@@ -46,6 +47,7 @@ LOCAL_ROWS = 12
 _LETTERS = (("L", "R"), ("P", "A"), ("S", "I"))
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class PathSpan:
     """A branch along a path, with the name to print."""

@@ -86,6 +86,10 @@ class Renderer:
         self._airway = AirwayCaster(volume, simd=simd, backend=backend)
         self._planes = PlaneCaster(volume)
 
+    def __repr__(self) -> str:
+        ready = "prepared" if self.prepared else "not prepared"
+        return f"Renderer({self._volume!r}, transfer={self.transfer.name!r}, {ready})"
+
     @property
     def volume(self) -> Volume:
         """The volume."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.disk import drafted
+from carina.display import one_line
 from carina.errors import RenderError
 from carina.scopes import Pose
 from carina.volume import Note
@@ -19,6 +20,7 @@ from carina.volume import Note
 __all__ = ["Hit", "Surface"]
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Hit:
     """The wall at one pixel.
@@ -32,6 +34,7 @@ class Hit:
     normal_lps: NDArray[np.float64]
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
     """The first wall of every pixel of an airway view: where what shines through falls below one half.

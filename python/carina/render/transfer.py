@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.errors import RenderError, UsageError
 from carina.render.appearance import Appearance
 from carina.volume import Volume
@@ -21,6 +22,7 @@ VERSION = 1
 PAPER_BIN_HU = 16
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Light:
     """The light at the scope's tip; shares of full brightness."""
@@ -47,6 +49,7 @@ class Light:
         return self.ambient, self.diffuse, self.specular, self.shininess_log2, reach
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TransferFunction:
     """Colour and opacity by value, linear between points, and how the airway view uses them.

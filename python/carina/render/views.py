@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.disk import write_whole
+from carina.display import one_line
+from carina.display.png import png_bytes
 from carina.errors import RenderError
 from carina.render.appearance import check_guides
-from carina.render.png_text import BADGES_KEYWORD, KEYWORD, png_bytes
+from carina.render.png_text import BADGES_KEYWORD, KEYWORD
 from carina.scopes import FULL_FRAME, PINHOLE, DepthOfField, ImageField, Lens, Optics, PathFrames, Pose, ScopePreset
 from carina.volume import Note
 from carina.volume.planes import PLANES, Plane
@@ -68,6 +70,7 @@ def _check_plane(name: str) -> None:
         raise RenderError(f"expected one of {', '.join(PLANES)}; found {name!r}", code="render.setting")
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Slab:
     """A thick slice: the largest, smallest or mean value over ``thickness_mm`` (0 to 100); ``min`` shows airways."""
@@ -82,6 +85,7 @@ class Slab:
             raise RenderError(f"a slab shows max, min or mean; found {self.kind!r}", code="render.setting")
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class AirwayView:
     """What the scope's tip sees: direct volume rendering (paper 3.1).
@@ -152,6 +156,7 @@ class AirwayView:
         return cls(scope.camera_pose(tip, picture_turned=picture_turned), fov_deg=fov_deg, **seen)
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class CutPlaneView:
     """The plane through the tip, spanned by the camera's right and down; ``extent_mm`` wide (paper 3.1).
@@ -174,6 +179,7 @@ class CutPlaneView:
             _check_point("the middle of a cut plane", self.center_lps)
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TriPlaneView:
     """Sagittal, coronal and axial plane through a point, in occlusion order, from an orbit camera (paper 3.1).
@@ -204,6 +210,7 @@ class TriPlaneView:
             raise RenderError(f"the camera looks at point or volume; found {self.look_at!r}", code="render.setting")
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class XrayView:
     """Maximum intensity projection along the grid axis nearest to a patient axis (paper 3.1).
@@ -223,6 +230,7 @@ class XrayView:
         _check_plane(self.axis)
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class DrrView:
     """A digitally reconstructed radiograph: X-rays from a C-arm, attenuated by the volume.
@@ -271,6 +279,7 @@ class DrrView:
             raise RenderError(f"expected radiograph or fluoroscopy; found {self.tone!r}", code="render.setting")
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PathView:
     """The airway along a path, root at the top, in one picture; mm are equal across and down.
@@ -307,6 +316,7 @@ class PathView:
             raise RenderError("the turn and the place of a path view are finite numbers", code="render.setting")
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class SliceView:
     """A slice along patient axes, in radiological display: patient right on screen left, sagittal with anterior on the
@@ -331,6 +341,7 @@ class SliceView:
         _check_point("the slice's centre", self.center_lps)
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeView:
     """The lumen's surface from outside. The camera orbits the lumen's centre; azimuth 0 looks from anterior."""
@@ -350,6 +361,7 @@ class TreeView:
 View = AirwayView | CutPlaneView | TriPlaneView | XrayView | SliceView | TreeView | DrrView | PathView
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class RenderStats:
     """What a picture took.
@@ -374,6 +386,7 @@ class RenderStats:
     seconds: float
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureLines:
     """Where the rows of a picture lie whose surface is curved.
@@ -435,6 +448,14 @@ class Picture:
     fov_deg: float | None = None
     lines: PictureLines | None = None
     optics: Optics | None = None
+
+    def __repr__(self) -> str:
+        height, width = self.rgb.shape[:2]
+        return f"Picture({self.view!r}, {width}x{height}, {self.stats.method}, {self.stats.seconds:.3g} s)"
+
+    def _repr_png_(self) -> bytes:
+        """The picture in a notebook."""
+        return png_bytes(np.ascontiguousarray(self.rgb))
 
     def pixel_of(self, point_lps: NDArray[np.float64] | tuple[float, float, float]) -> tuple[float, float] | None:
         """Where a point appears, as (column, row) in corner coordinates; None if the camera cannot see it.

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from carina import _core
+from carina.display import one_line
 from carina.errors import UsageError
 from carina.scopes.library import ScopePreset, scope_preset
 from carina.scopes.pose import Pose
@@ -28,6 +29,7 @@ _FLEXION_DEG = (180.0, 130.0)
 _LENGTH_MM = 600.0
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Contact:
     """Where the tip touches the wall."""
@@ -40,6 +42,7 @@ class Contact:
     """How much farther the hand has pushed or bent the tip than the wall lets it."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class ContactRecord:
     """All that touched since the scope was placed."""
@@ -52,6 +55,7 @@ class ContactRecord:
     """The deepest `Contact.depth_mm`."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class ScopeState:
     """The scope after a sample."""

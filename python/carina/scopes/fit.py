@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from carina.display import one_line
+
 __all__ = ["FOV_DEG", "FittedOptics", "Residual", "fit_generic_optics"]
 
 FOV_DEG = 120.0
@@ -20,6 +22,7 @@ CENTRE_TO_EDGE = 1.39
 DISTORTION = -0.30
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Residual:
     """One published figure, what the fitted optics gives, and the difference as a part of the figure."""
@@ -34,6 +37,7 @@ class Residual:
         return self.fitted / self.published - 1.0
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class FittedOptics:
     """The two parameters of the model and how well they do.

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from carina import _core
+from carina.display import one_line
 from carina.errors import UsageError
 from carina.scopes.wall_field import WallField
 
@@ -41,6 +42,7 @@ Point = tuple[float, float, float]
 FORCE_LIMIT_N, FORCE_SLEW_N_PER_MS, MAX_STIFFNESS_N_PER_MM = _core.force_limits()
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class ForceLaw:
     """The numbers of the law; ranges are checked when a loop starts."""
@@ -74,6 +76,7 @@ class ForceLaw:
         )
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class HandForce:
     """What the hand feels."""
@@ -92,6 +95,7 @@ class HandForce:
     """The tip that it answers."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class ForceFigures:
     """How a loop kept time."""
@@ -126,6 +130,7 @@ class ForceFigures:
     """The largest change in a tick."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class LocalContact:
     """The wall near the tip as a plane.

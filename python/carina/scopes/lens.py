@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
+from carina.display import one_line
 from carina.errors import RenderError
 
 __all__ = ["FULL_FRAME", "MASKS", "PINHOLE", "Calibration", "DepthOfField", "ImageField", "Lens", "Mask", "Optics"]
@@ -29,6 +30,7 @@ DEFAULT_FOV_DEG = 90.0
 RAYS_IN_MEMORY_PX = 4_000_000
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Calibration:
     """Where a calibration puts the picture: focal lengths and principal point in pixels of pictures of ``size_px``.
@@ -41,6 +43,7 @@ class Calibration:
     size_px: tuple[int, int]
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Lens:
     """A lens, apart from the size of the picture.
@@ -114,6 +117,7 @@ class Lens:
 PINHOLE = Lens.pinhole()
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class ImageField:
     """The outline of the picture on the monitor, over the shorter side, and how it darkens towards the edge.
@@ -143,6 +147,7 @@ class ImageField:
 FULL_FRAME = ImageField()
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class DepthOfField:
     """The range that a scope of fixed focus shows sharp, mm from the tip.

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from carina.display import one_line
 from carina.errors import UsageError
 from carina.scopes.fit import FOV_DEG, fit_generic_optics
 from carina.scopes.lens import DepthOfField, ImageField, Lens, Mask
@@ -31,6 +32,7 @@ _LENS = Lens.fisheye(_FIT.k1)
 _VIGNETTE = 0.5
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class ScopePreset:
     """One instrument. Lengths in mm, angles in degrees; None where nothing is known."""

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.errors import UsageError
 
 __all__ = ["PathFrames"]
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PathFrames:
     """Places along a path and the plane across it at each.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from carina.display import as_words
 from carina.errors import UsageError
 
 __all__ = ["Pose", "upright"]
@@ -57,6 +58,10 @@ class Pose:
             )
         m.flags.writeable = False
         object.__setattr__(self, "lps_from_camera", m)
+
+    def __repr__(self) -> str:
+        at, look = (as_words(tuple(np.round(self.lps_from_camera[:3, n], 3).tolist())) for n in (3, 2))
+        return f"Pose(position_lps={at}, forward_lps={look})"
 
     @classmethod
     def looking(cls, at_lps: ArrayLike, look_lps: ArrayLike, up_lps: ArrayLike | None = None) -> Pose:

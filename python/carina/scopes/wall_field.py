@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from carina import _core
+from carina.display import one_line
 
 __all__ = ["WallField"]
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class WallField:
     """Signed distance to the wall in mm, positive in the lumen; `carina.track.wall_field` makes it from airways.

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import LumenTracker
+from carina.display import as_words, one_line
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.track.edit_kinds import TreeEdit
 from carina.track.evidence import EvidenceStore
@@ -63,6 +64,21 @@ class Airways:
     evidence: EvidenceStore = field(default_factory=EvidenceStore, repr=False, compare=False)
     """What the CT shows of airways beyond those found, for edits; found when first needed, the same after each edit."""
 
+    def __repr__(self) -> str:
+        edited = f", {len(self.edits)} edits" if self.edits else ""
+        return f"Airways({self.tree!r}, root_lps={as_words(self.root_lps)}, threshold={self.threshold:g}{edited})"
+
+    def _repr_html_(self) -> str:
+        """The tree, drawn and as a table, and what was found, in a notebook."""
+        badges = {note.words for note in self.badges}
+        more = [note for note in self.notes if note not in badges]
+        if self.edits:
+            more.append(f"{len(self.edits)} edits by a person")
+        if self.uncertain:
+            first = self.uncertain[0].reason
+            more.append(f"{len(self.uncertain)} places that could not be followed; the widest: {first}")
+        return self.tree.to_html(more)
+
     @property
     def badges(self) -> tuple[Note, ...]:
         """The lasting notes: a search that was stopped, a mask that is doubted. They go with the tree wherever it goes
@@ -75,6 +91,7 @@ class Airways:
         return self.notes
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetResult:
     """What became of one target."""
@@ -88,6 +105,7 @@ class TargetResult:
     """Why there is no path, in words."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackResult:
     """Paths to several targets, and their common tree."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.track.tree import AirwayTree, Branch
 
 __all__ = ["DrawnPart", "drawn_part", "drawn_tree", "kind_words"]
@@ -20,6 +21,7 @@ SHOWN_MM = 0.05
 """Less than this is rounding."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class DrawnPart:
     """How much of a way, or of a whole tree, rests on a person's hand and not on the CT."""

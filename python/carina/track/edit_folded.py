@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import lumen_states
+from carina.display import one_line
 from carina.errors import UsageError
 from carina.track.airways import Airways
 from carina.track.edit_kinds import TreeEdit
@@ -22,6 +23,7 @@ from carina.volume.model import Volume
 __all__ = ["FoldedAirways", "fold_airways"]
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class FoldedAirways:
     """What edited airways are made again from, bit for bit."""

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from carina.display import one_line
 from carina.errors import TrackingError, UsageError
 from carina.volume.planes import Plane
 
@@ -42,6 +43,7 @@ Point = tuple[float, float, float]
 BrushPlane = Literal[Plane, "ball"]
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class AddBranch:
     """A branch to a point: the least-cost path through the lumen, or the way with the best evidence beyond it."""
@@ -58,6 +60,7 @@ class AddBranch:
             raise UsageError(msg)
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class CutBranch:
     """Take a branch away with all that hangs on it, from a place along it."""
@@ -71,6 +74,7 @@ class CutBranch:
         object.__setattr__(self, "at_mm", _number("at_mm", self.at_mm, 0.0, math.inf))
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Bridge:
     """Go on beyond a blockage: from the nearest place of the tree through mucus or tumour to a point in an airway."""
@@ -82,6 +86,7 @@ class Bridge:
         object.__setattr__(self, "lps", _point("the point beyond the blockage", self.lps))
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class MoveRoot:
     """Begin all paths elsewhere; branches that are then flown the other way are turned round."""
@@ -93,6 +98,7 @@ class MoveRoot:
         object.__setattr__(self, "lps", _point("the root", self.lps))
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class MoveFork:
     """Move the point where a branch ends and its children begin; the adjoining centrelines follow."""
@@ -106,6 +112,7 @@ class MoveFork:
         object.__setattr__(self, "lps", _point("the fork", self.lps))
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class PaintLumen:
     """A stroke of a brush that makes voxels lumen, or takes lumen away."""
@@ -132,6 +139,7 @@ class PaintLumen:
             raise UsageError(msg)
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class SmoothBranch:
     """Make a branch's centreline smoother; its ends stay."""
@@ -142,6 +150,7 @@ class SmoothBranch:
         _whole("branch_id", self.branch_id)
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class RenameBranch:
     """Give a branch a name of one's own, or the automatic one back."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.errors import NoResultError, UsageError
 from carina.track.airways import Airways
 from carina.track.edit_kinds import AddBranch, Bridge, MoveFork
@@ -21,6 +22,7 @@ from carina.volume.model import Volume
 __all__ = ["EditPreview", "PreviewLine", "new_lines", "preview_edit"]
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class PreviewLine:
     """A line that an edit would draw."""
@@ -33,6 +35,7 @@ class PreviewLine:
     """(n-1,) for each segment, whether its branch will be one drawn by hand: all segments, if any is doubtful."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class EditPreview:
     """What an edit would make."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import reached, sees
+from carina.display import one_line
 from carina.errors import NoEvidenceError, NoResultError, UsageError
 from carina.track.airways import Airways
 from carina.track.caliber import with_walls
@@ -35,6 +36,7 @@ SMOOTH_MM, STEP_MM = 1.0, 1.0
 """A way's steps from voxel to voxel are smoothed over this (sigma), and drawn with points so far apart."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class BranchWay:
     """The way of the branch that :class:`carina.track.AddBranch` would make to a point, before it is asked for."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import FieldTracker, aimed_field_path
+from carina.display import one_line
 from carina.errors import GeometryError, NoResultError, UsageError
 from carina.track.paths import Cancel, as_point, words
 from carina.volume.model import Volume
@@ -20,6 +21,7 @@ Progress = Callable[[str, float | None], None]
 Box = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldPath:
     """A least-cost path through a volume of weights."""

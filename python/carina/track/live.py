@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.track.levels import AirScale
 from carina.volume.model import Volume
 
@@ -34,6 +35,7 @@ SEARCH_MM = 40.0
 WEAK_SHARE = 0.1
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class LivePath:
     """The path to the place under the pointer, before it is asked for."""

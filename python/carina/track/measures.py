@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import cast_sections
+from carina.display import one_line
 from carina.errors import CancelledError, UsageError
 from carina.track.levels import AirScale, air_scale
 from carina.track.measures_forks import (
@@ -47,6 +48,7 @@ OPEN_SHARE = 0.9
 """Where fewer rays than this meet a wall the lumen is open to another one: as at a fork."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class BranchMeasures:
     """The sections of one branch: one for every point of its centreline. NaN where there is no section.
@@ -121,6 +123,7 @@ class BranchMeasures:
         }
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeMeasures:
     """What a tree measures."""

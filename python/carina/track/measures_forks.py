@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.track.tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
@@ -26,6 +27,7 @@ BEFORE_FORK_RADII = 1.0
 """A lumen begins to widen about one radius before its axis meets those of its branches."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class ForkMeasures:
     """The end of a branch that divides."""

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
+
 __all__ = ["BranchSummary", "Stenosis", "healthy_neighbours_mm", "stenosis_of", "summed_up"]
 
 Floats = NDArray[np.float64]
@@ -25,6 +27,7 @@ NEIGHBOURS_ERROR = 0.15
 """Airways keep to Murray's law within about this share (one standard deviation)."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Stenosis:
     """The narrowest place of a branch against its healthy neighbourhood."""
@@ -49,6 +52,7 @@ class Stenosis:
         return {name: _rounded(value) for name, value in dataclasses.asdict(self).items()}
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class BranchSummary:
     """A branch in a few figures, from its sections away from forks and from the volume's faces; None without any."""

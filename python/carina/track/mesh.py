@@ -27,6 +27,9 @@ class Mesh:
     triangles: NDArray[np.uint32]
     """(m, 3) places in ``vertices_lps``, counterclockwise seen from outside."""
 
+    def __repr__(self) -> str:
+        return f"Mesh({len(self.vertices_lps)} vertices, {len(self.triangles)} triangles)"
+
     @property
     def volume_mm3(self) -> float:
         """Volume inside."""

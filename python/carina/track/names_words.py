@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from carina.display import one_line
+
 __all__ = ["NameWords", "bare_name", "name_words", "segment_of"]
 
 # Segment: (Jackson and Huber, lobe).
@@ -64,6 +66,7 @@ _NAME = re.compile(
 )
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class NameWords:
     """One name in words."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import LumenTracker, nodes_at
+from carina.display import one_line
 from carina.errors import NoResultError, UsageError
 from carina.track.levels import AirScale, air_scale
 from carina.track.live import LivePath, find_live_path, noise_hu
@@ -26,6 +27,7 @@ Cancel = Callable[[], bool]
 Point = tuple[float, float, float]
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedPath:
     """The least-cost path from the root to a target, smoothed inside the lumen."""

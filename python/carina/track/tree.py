@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import as_words, one_line
+from carina.display.html import caption, figure, table
+from carina.display.ways import DRAWN_COLOUR, Way, generation_colour, ways_svg
 from carina.errors import TrackingError, UsageError
 from carina.volume.model import Note
 
@@ -18,6 +21,9 @@ __all__ = ["AirwayTree", "Branch", "Route"]
 FORMAT = "carina-tree"
 VERSION = 1
 KINDS = ("tracked", "bridge", "manual")
+TREE_HEIGHT_PX = 320
+MAX_ROWS = 12
+"""Of a tree's table in a notebook."""
 NAME_SOURCES = ("anatomy", "person")
 
 Points = NDArray[np.float64]
@@ -57,6 +63,17 @@ class Branch:
     wall_mm: NDArray[np.float64] | None = field(default=None, repr=False)
     """(n,) distance to the wall, mm; None for a tree that was read from a file. See ``wall_distance``."""
 
+    def __repr__(self) -> str:
+        name = "" if self.name is None else f"{as_words(self.name)}, "
+        width = f"radius {np.median(self.radius):.3g} mm" if len(self.radius) else "no radius"
+        return f"Branch({self.id}, {name}generation {self.generation}, {self.length_mm:.3g} mm long, {width})"
+
+    def as_way(self) -> Way:
+        """The branch as a line of a drawing."""
+        colour = DRAWN_COLOUR if self.kind == "manual" else generation_colour(self.generation)
+        title = f"{self.name or f'branch {self.id}'}, generation {self.generation}, {self.length_mm:.0f} mm"
+        return Way(self.points, 2.0 * float(np.median(self.radius)), colour, title)
+
     @property
     def length_mm(self) -> float:
         """Length of the centreline."""
@@ -74,6 +91,7 @@ class Branch:
         return tip
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Route:
     """A smooth way from the root to a tip, for a flight.
@@ -127,6 +145,39 @@ class AirwayTree:
 
     def __len__(self) -> int:
         return len(self.branches)
+
+    def __repr__(self) -> str:
+        last = max(branch.generation for branch in self.branches)
+        return f"AirwayTree({len(self.branches)} branches, {len(self.tips())} tips, generations 0 to {last})"
+
+    def _repr_html_(self) -> str:
+        """The tree, drawn from the front and as a table, in a notebook."""
+        return self.to_html()
+
+    def to_html(self, more: Sequence[str] = ()) -> str:
+        """The tree drawn from the front, a table of its first branches, and words below: ``more`` stands at the end."""
+        inner_first = sorted(self.branches, key=lambda branch: (branch.generation, branch.id))
+        svg = ways_svg(
+            [branch.as_way() for branch in inner_first[::-1]], height_px=320, alt="airway tree, from the front"
+        )
+        rows = [
+            (b.name or f"branch {b.id}", b.generation, b.length_mm, 2.0 * float(np.median(b.radius)))
+            for b in inner_first[:MAX_ROWS]
+        ]
+        num_named = sum(branch.name is not None for branch in self.branches)
+        num_drawn = sum(branch.kind == "manual" for branch in self.branches)
+        lines = [
+            f"{len(self)} branches ({num_named} with a name), {len(self.tips())} tips, "
+            f"generations 0 to {inner_first[-1].generation}"
+            + (f"; the first {len(rows)} are listed" if len(self) > len(rows) else ""),
+            "from the front, patient right on the left; lines as wide as the lumen, coloured by generation",
+            *([f"{num_drawn} branches drawn by hand, in amber"] if num_drawn else []),
+            *more,
+            *(f"! {note.words}" for note in self.notes),
+        ]
+        shown = table(("branch", "generation", "length, mm", "diameter, mm"), rows)
+        body = f'<div style="display:flex;flex-wrap:wrap;align-items:flex-start">{svg}{shown}</div>'
+        return figure(body, caption(lines))
 
     @property
     def root(self) -> Branch:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.track.tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
@@ -30,6 +31,7 @@ NUM_SECTIONS = 12
 NUM_SIDES = 16
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
     """A place where the automatic airways stop short, or should be looked at."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.errors import CarinaError
 from carina.volume.dicom import choose_series
 from carina.volume.grid_headers import read_grid_header
@@ -22,6 +23,7 @@ from carina.volume.watch import Watch
 __all__ = ["Inspection", "inspect_path"]
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Inspection:
     """What a path holds, without its pixels, names or UIDs."""

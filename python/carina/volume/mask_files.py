@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.errors import VolumeImportError
 from carina.volume.dicom_headers import looks_like_dicom
 from carina.volume.dicom_segmentation import read_segmentation
@@ -27,6 +28,7 @@ _SAMPLED = 10_000
 _SAME_VOXEL = 0.05
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class Mask:
     """A structure on the grid of a CT."""
@@ -37,6 +39,7 @@ class Mask:
     """What was done to bring it there, and what is doubtful about its file, in words."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class MaskLabel:
     """One structure of a mask that holds several."""

@@ -8,14 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina import _core
+from carina.display import one_line
+from carina.display.html import caption, figure, picture
+from carina.display.slices import middle_slices
 from carina.errors import GeometryError
 
 __all__ = ["SPACING_MM", "Note", "SeriesInfo", "Volume", "VolumeSource", "badges_of"]
 
 SPACING_MM = (0.01, 100.0)
 """The least and the largest distance of voxels in any volume. No scanner is outside; a lost unit or a lie is."""
+LUNG_WINDOW_HU = (1500.0, -600.0)
+SLICE_HEIGHT_PX = 240
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Note:
     """One thing that a person should know about a case."""
@@ -32,6 +38,7 @@ class Note:
         return {"code": self.code, "words": self.words, "badge": self.badge}
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class SeriesInfo:
     """One series found in a folder. Holds no patient name."""
@@ -46,6 +53,7 @@ class SeriesInfo:
     """Why it cannot be opened, or None."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class VolumeSource:
     """Where a volume came from, in words fit for the screen (no patient name, no UID)."""
@@ -111,6 +119,23 @@ class Volume:
         unit = "HU" if self.is_hu else "not HU"
         sx, sy, sz = self.spacing_mm
         return f"Volume(shape_zyx={self.shape_zyx}, spacing_mm=({sx:.4g}, {sy:.4g}, {sz:.4g}), {unit})"
+
+    def _repr_html_(self) -> str:
+        """Three slices through the middle, in a notebook. No file name and no series text: they can name a patient."""
+        low, high = self.value_range
+        width, level = LUNG_WINDOW_HU if self.is_hu else (float(max(1, high - low)), (high + low) / 2.0)
+        slices = middle_slices(self.hu_zyx, self.lps_from_ijk, (width, level), height_px=SLICE_HEIGHT_PX)
+        (nz, ny, nx), (sx, sy, sz) = self.shape_zyx, self.spacing_mm
+        lines = [
+            f"{nx} × {ny} × {nz} voxels of {sx:.3g} × {sy:.3g} × {sz:.3g} mm, {'in HU' if self.is_hu else 'not in HU'}",
+            "axial, coronal and sagittal slice through the middle, patient right and anterior on the left; "
+            f"window {width:g}, level {level:g}{' HU' if self.is_hu else ''}",
+            *(f"! {note.words}" for note in badges_of(self)),
+        ]
+        if self.source.citation is not None:
+            lines.append(self.source.citation)
+        drawn = "".join(picture(rgb, f"{name} slice") for name, rgb in slices.items())
+        return figure(f"<div>{drawn}</div>", caption(lines))
 
     @property
     def shape_zyx(self) -> tuple[int, int, int]:

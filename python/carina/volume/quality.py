@@ -9,6 +9,7 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.volume.model import Volume
 
 __all__ = ["Finding", "Quality", "quality_gate", "trusted_generation"]
@@ -28,6 +29,7 @@ _PADDING_HU = -1100  # nothing in or around a patient is less dense than air, -1
 _FACES = {(0, 1): "left", (0, -1): "right", (1, 1): "back", (1, -1): "front", (2, 1): "top", (2, -1): "bottom"}
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One thing that limits what the volume is good for."""
@@ -38,6 +40,7 @@ class Finding:
     """A sentence part for the screen and for ``carina info``."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Quality:
     """What the quality gate says about a volume."""

@@ -1,0 +1,42 @@
+"""The three slices through the middle of a volume, for a notebook."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["middle_slices"]
+
+# Right and down of the picture as LPS axes with their signs, in radiological display: patient right on screen left, and
+# the sagittal slice with anterior on the left.
+PLANES = {"axial": ((0, 1), (1, 1)), "coronal": ((0, 1), (2, -1)), "sagittal": ((1, 1), (2, -1))}
+
+
+def middle_slices(
+    values_zyx: NDArray[np.int16], lps_from_ijk: NDArray[np.float64], window: tuple[float, float], *, height_px: int
+) -> dict[str, NDArray[np.uint8]]:
+    """Axial, coronal and sagittal slice through the middle, each (rows, columns, 3) uint8, all at one scale.
+
+    ``window`` is width and level in the volume's own unit. The largest picture is ``height_px`` high. Nearest voxels on
+    a grid along the patient's axes; black where there is no voxel.
+    """
+    nz, ny, nx = values_zyx.shape
+    ends = [(i, j, k, 1.0) for i in (-0.5, nx - 0.5) for j in (-0.5, ny - 0.5) for k in (-0.5, nz - 0.5)]
+    corners = (np.array(ends) @ lps_from_ijk.T)[:, :3]
+    size_mm = np.ptp(corners, axis=0)
+    mm_per_px = size_mm[1:].max() / height_px
+    ijk_from_lps = np.linalg.inv(lps_from_ijk)
+    width, level = window
+    pictures = {}
+    for name, ((across, across_sign), (down, down_sign)) in PLANES.items():
+        columns, rows = (max(1, int(np.ceil(size_mm[axis] / mm_per_px))) for axis in (across, down))
+        points = np.tile(corners.mean(axis=0), (rows, columns, 1))
+        points[:, :, across] += across_sign * (np.arange(columns) + 0.5 - columns / 2) * mm_per_px
+        points[:, :, down] += (down_sign * (np.arange(rows) + 0.5 - rows / 2) * mm_per_px)[:, None]
+        ijk = points @ ijk_from_lps[:3, :3].T + ijk_from_lps[:3, 3]
+        i, j, k = np.moveaxis(np.rint(ijk).astype(int), -1, 0)
+        inside = (i >= 0) & (i < nx) & (j >= 0) & (j < ny) & (k >= 0) & (k < nz)
+        values = values_zyx[np.clip(k, 0, nz - 1), np.clip(j, 0, ny - 1), np.clip(i, 0, nx - 1)]
+        grey = np.clip((values - (level - width / 2)) / width * 255.0, 0, 255)
+        pictures[name] = np.repeat(np.where(inside, grey, 0).astype(np.uint8)[:, :, None], 3, axis=2)
+    return pictures

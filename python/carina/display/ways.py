@@ -1,0 +1,67 @@
+"""Centrelines in space drawn from the front, as SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display.html import escaped
+
+__all__ = ["DRAWN_COLOUR", "Way", "generation_colour", "ways_svg"]
+
+MARGIN_PX = 22
+MAX_POINTS = 40
+"""Of a way in the drawing."""
+COLOURS = ("#e6e8ea", "#8fd3e8", "#7fc8a9", "#c9d77e", "#e8c07d", "#d99a8b")
+DRAWN_COLOUR = "#f4b44c"
+"""What a person drew stands out, as in the window."""
+
+
+def generation_colour(generation: int) -> str:
+    """Light in the trachea, then a colour for each of the next generations."""
+    return COLOURS[min(generation, len(COLOURS) - 1)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Way:
+    """One line of the drawing."""
+
+    points_lps: NDArray[np.float64]
+    """(n, 3) mm."""
+    width_mm: float
+    colour: str
+    title: str
+    """Shown when the cursor rests on it."""
+
+
+def ways_svg(ways: Sequence[Way], *, height_px: int, alt: str) -> str:
+    """Lines in the coronal plane, as wide as they are; patient right on the left, head up. Later ones lie on top."""
+    points = np.concatenate([way.points_lps for way in ways])
+    low, high = points.min(axis=0), points.max(axis=0)
+    # As high as the picture, and at most twice as wide.
+    px_per_mm = (height_px - 2 * MARGIN_PX) / max(high[2] - low[2], (high[0] - low[0]) / 2.0, 1.0)
+    width = int(np.ceil((high[0] - low[0]) * px_per_mm)) + 2 * MARGIN_PX
+    lines = []
+    for way in ways:
+        kept = way.points_lps[np.unique(np.linspace(0, len(way.points_lps) - 1, MAX_POINTS).astype(int))]
+        x = MARGIN_PX + (kept[:, 0] - low[0]) * px_per_mm
+        y = MARGIN_PX + (high[2] - kept[:, 2]) * px_per_mm
+        drawn = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
+        lines.append(
+            f'<polyline points="{drawn}" fill="none" stroke="{way.colour}" '
+            f'stroke-width="{max(1.0, way.width_mm * px_per_mm):.1f}" stroke-linecap="round" stroke-linejoin="round">'
+            f"<title>{escaped(way.title)}</title></polyline>"
+        )
+    letters = "".join(
+        f'<text x="{x}" y="{height_px // 2}" fill="#a9b1b8" font-family="sans-serif" font-size="14" '
+        f'text-anchor="middle">{letter}</text>'
+        for letter, x in (("R", 10), ("L", width - 10))
+    )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" role="img" aria-label="{escaped(alt)}" width="{width}" '
+        f'height="{height_px}" style="background:#101418;vertical-align:top;margin-right:12px">'
+        f"{''.join(lines)}{letters}</svg>"
+    )
