@@ -25,6 +25,7 @@ import { cameraFromMatrix, lookingUp } from "../state/vec";
 import { wallPointLines } from "../state/wall-point";
 import { clipPathOf, shapeOf } from "../views/outline";
 import type { HeldScope, StateMessage } from "../wire/messages";
+import { LEAD_VIEW } from "../wire/views";
 import { useApp, useStation } from "./context";
 import { Act, Choice, SwitchKey, Tip } from "./controls";
 import { Icon } from "./icons";
@@ -34,19 +35,19 @@ import { ToolTag } from "./ToolTag";
 
 export function AirwayStage() {
   const mask = useApp(maskOf);
-  const shown = useApp((state) => state.frames.airway !== undefined);
+  const shown = useApp((state) => state.frames[LEAD_VIEW] !== undefined);
   const armed = useApp((state) => state.ui.armed);
-  const markable = armed === null ? undefined : worksIn(armed, "airway") ? "yes" : "no";
+  const markable = armed === null ? undefined : worksIn(armed, LEAD_VIEW) ? "yes" : "no";
   const station = useStation();
   return (
     <section className="airway-stage" aria-label="Airway view">
       <AirwayTools />
       <div className="airway-picture" data-mask={mask} data-armed={markable}>
         <PictureView
-          view="airway"
+          view={LEAD_VIEW}
           shape={shapeOf(mask)}
           name="Airway view, seen from the tip"
-          onDoubleClick={() => station.ui({ full: station.state.ui.full === "airway" ? null : "airway" })}
+          onDoubleClick={() => station.ui({ full: station.state.ui.full === LEAD_VIEW ? null : LEAD_VIEW })}
         />
         {shown ? (
           <>
@@ -58,7 +59,7 @@ export function AirwayStage() {
         ) : (
           <p className="empty centre">The view from the tip appears here as soon as the CT is read.</p>
         )}
-        <ToolTag view="airway" />
+        <ToolTag view={LEAD_VIEW} />
       </div>
     </section>
   );
@@ -121,7 +122,7 @@ function scopeStop(scope: HeldScope): string | null {
 
 /** Says that the picture is not the airway view. */
 function FinderLabel() {
-  const standsIn = useApp((state) => state.frames.airway?.stands_for === "airway");
+  const standsIn = useApp((state) => state.frames[LEAD_VIEW]?.stands_for === LEAD_VIEW);
   if (!standsIn) return null;
   return (
     <p className="finder-label" role="status" data-testid="view-finder">
@@ -134,7 +135,7 @@ function FinderLabel() {
 /** Says that the picture is black because there is nothing in it: the tip looks out of the CT. */
 function EmptyLabel() {
   const station = useStation();
-  const empty = useApp((state) => state.frames.airway?.empty ?? false);
+  const empty = useApp((state) => state.frames[LEAD_VIEW]?.empty ?? false);
   const alongPath = useApp((state) => state.pose?.mode === "path");
   if (!empty) return null;
   return (

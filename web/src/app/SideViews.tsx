@@ -1,155 +1,97 @@
 /** The pictures at the right: three slices, the cut-plane, the X-ray and the view from outside. */
 
-import type { ReactNode } from "react";
 import { keyOf } from "../input/keymap";
-import type { CellName, XrayView } from "../state/app-state";
 import { fixed } from "../state/format";
 import { lettersOf } from "../state/letters";
 import { geometryOf, lpsFromPixel, normalOf } from "../state/projection";
 import { worksIn } from "../state/tools";
+import { type FlatView, isFlatView, nextIn, SIDE_CELLS, type SideCell, viewsOf } from "../state/view-table";
 import type { PictureHeader, ViewName } from "../wire/messages";
+import { CELLS, VIEWS } from "../wire/views";
 import { useApp, useStation } from "./context";
 import { Act, Choice, SwitchKey } from "./controls";
-import { type FlatView, fitPicture, isFlatView } from "./gestures-flat";
+import { fitPicture } from "./gestures-flat";
 import { PictureView } from "./PictureView";
 import { ToolTag } from "./ToolTag";
 
-const SLICES = [
-  { cell: "axial", title: "Axial" },
-  { cell: "coronal", title: "Coronal" },
-  { cell: "sagittal", title: "Sagittal" },
-] as const;
-
-const CUTS = {
-  "cut-plane": { title: "Cut-plane", next: "straightened airway" },
-  straightened: { title: "Straightened", next: "curved reformation" },
-  curved: { title: "Curved", next: "cut-plane" },
-} as const;
-
 export function SideViews() {
-  const station = useStation();
-  const xray = useApp((state) => state.ui.xray);
-  const cut = useApp((state) => state.ui.cut);
-  const outside = useApp((state) => state.ui.outside);
-  const hasRoute = useApp((state) => state.route !== null);
-  const hasTree = useApp((state) => state.tree !== null);
   return (
     <section className="side-views" aria-label="Slices and overviews">
-      {SLICES.map(({ cell, title }) => (
-        <Cell
-          key={cell}
-          cell={cell}
-          view={cell}
-          title={title}
-          reading={<SlicePlace view={cell} />}
-          empty={`The ${cell} slice through the tip appears here when a CT is open.`}
-        />
+      {SIDE_CELLS.map((cell) => (
+        <Cell key={cell} cell={cell} />
       ))}
-      <Cell
-        cell="cut-plane"
-        view={cut}
-        title={CUTS[cut].title}
-        tools={
-          <Act
-            kind="icon"
-            icon="swap"
-            words={`Show the ${CUTS[cut].next} here`}
-            keys={keyOf("next_cut")}
-            onPress={() => station.act("next_cut")}
-          />
-        }
-        empty={
-          cut === "cut-plane"
-            ? "The plane across the tip, at right angles to the scope, appears here when a CT is open."
-            : hasRoute
-              ? "This picture is on its way."
-              : "There is no route yet. Choose a branch in the list, or mark a target: the airway along the way there appears here."
-        }
-      />
-      <Cell
-        cell="xray"
-        view={xray}
-        title="X-ray"
-        tools={
-          <Choice<XrayView>
-            name="Direction of the X-ray"
-            value={xray}
-            choices={[
-              { value: "xray-coronal", label: "AP", words: "X-ray from the front", keys: keyOf("next_xray") },
-              { value: "xray-sagittal", label: "Lat", words: "X-ray from the side", keys: keyOf("next_xray") },
-              { value: "xray-axial", label: "Ax", words: "X-ray from below", keys: keyOf("next_xray") },
-              {
-                value: "drr",
-                label: "DRR",
-                words: "Radiograph from the C-arm: drag to turn it",
-                keys: keyOf("next_xray"),
-              },
-            ]}
-            onChange={(value) => station.ui({ xray: value })}
-          />
-        }
-        empty="The X-ray view with the tip in it appears here when a CT is open."
-      />
-      <Cell
-        cell="outside"
-        view={outside}
-        title={outside === "tree" ? "Airway tree" : "Tri-plane"}
-        tools={
-          <Act
-            kind="icon"
-            icon="swap"
-            words={outside === "tree" ? "Show the tri-plane here" : "Show the airway tree here"}
-            keys={keyOf("swap_outside")}
-            onPress={() => station.act("swap_outside")}
-          />
-        }
-        empty={
-          outside === "tree" && !hasTree
-            ? "The airway tree from outside appears here once the airways are found."
-            : "This picture is on its way."
-        }
-      />
     </section>
   );
 }
 
-interface CellProps {
-  cell: CellName;
-  view: ViewName;
-  title: string;
-  reading?: ReactNode;
-  tools?: ReactNode;
-  empty: string;
+/** How another of its views is brought to a place; nothing where it has but one. */
+function CellTools({ cell, view }: { cell: SideCell; view: ViewName }) {
+  const station = useStation();
+  const { chosen_by: chosenBy, next_action: action, list_name: name } = CELLS[cell];
+  if (chosenBy === "step") {
+    const next = VIEWS[nextIn(cell, station.state.ui.shown)];
+    return (
+      <Act
+        kind="icon"
+        icon="swap"
+        words={`Show the ${next.words} here`}
+        keys={keyOf(action)}
+        onPress={() => station.act(action)}
+      />
+    );
+  }
+  if (chosenBy === "none") return null;
+  const choices = viewsOf(cell).map((value) => ({
+    value,
+    label: VIEWS[value].short,
+    words: VIEWS[value].words,
+    keys: keyOf(action),
+  }));
+  return <Choice<ViewName> name={name} value={view} choices={choices} onChange={station.show} />;
 }
 
-function Cell({ cell, view, title, reading, tools, empty }: CellProps) {
+/** What stands in the place of a picture: what will be there, and how to get it. */
+function emptyWords(view: ViewName, there: Readonly<Record<Need, boolean>>): string {
+  const { needs, empty } = VIEWS[view];
+  return needs.length > 0 && needs.every((need) => there[need]) ? "This picture is on its way." : empty;
+}
+
+type Need = (typeof VIEWS)[ViewName]["needs"][number];
+
+function Cell({ cell }: { cell: SideCell }) {
   const station = useStation();
+  const view = useApp((state) => state.ui.shown[cell]);
   const isFull = useApp((state) => state.ui.full === cell);
   const shown = useApp((state) => state.frames[view] !== undefined);
   const armed = useApp((state) => state.ui.armed);
+  const route = useApp((state) => state.route !== null);
+  const airways = useApp((state) => state.tree !== null);
   const markable = armed === null ? undefined : worksIn(armed, view) ? "yes" : "no";
   const toggleFull = () => station.ui({ full: station.state.ui.full === cell ? null : cell });
+  const { title, plane, outlined } = VIEWS[view];
   return (
-    <section className="cell" data-cell={cell} data-armed={markable} aria-label={title}>
+    <section className="cell" data-cell={cell} data-full={isFull || undefined} data-armed={markable} aria-label={title}>
       <header>
-        <span className={`plane ${cell}`} aria-hidden="true" />
+        {plane === null ? null : (
+          <span className="plane" style={{ background: `var(--${plane})` }} aria-hidden="true" />
+        )}
         <h2>{title}</h2>
-        {reading}
+        {plane === null ? null : <SlicePlace view={view} />}
         <span className="space" />
-        {tools}
-        {isFlatView(view) ? <OutlineSwitch /> : null}
+        <CellTools cell={cell} view={view} />
+        {outlined ? <OutlineSwitch /> : null}
         {isFlatView(view) ? <Fit view={view} /> : null}
         <Act
           kind="icon"
           icon={isFull ? "leaveFull" : "full"}
-          words={isFull ? "Back to all pictures" : "Full view"}
+          words={isFull ? "Back to all pictures" : "Only this picture"}
           keys="double click"
           onPress={toggleFull}
         />
       </header>
       <div className="cell-picture">
         <PictureView view={view} shape="fill" name={title} onDoubleClick={toggleFull} />
-        {shown ? null : <p className="empty centre">{empty}</p>}
+        {shown ? null : <p className="empty centre">{emptyWords(view, { route, airways })}</p>}
         <ToolTag view={view} />
       </div>
     </section>
@@ -180,10 +122,10 @@ function Fit({ view }: { view: FlatView }) {
   const zoomed = useApp((state) => {
     const zoom = state.session?.zoom;
     if (zoom === undefined) return false;
-    return (view === "cut-plane" ? zoom.cut_plane_extent_mm : zoom[`${view}_mm_per_px`]) !== null;
+    return zoom[VIEWS[view].scale_field] !== null;
   });
   if (!zoomed) return null;
-  const words = view === "cut-plane" ? "Back to the tip, 60 mm wide" : "Fit the whole slice";
+  const words = VIEWS[view].zoom === "extent" ? "Back to the tip, 60 mm wide" : "Fit the whole slice";
   return (
     <Act
       kind="icon"

@@ -5,6 +5,7 @@ import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue } from "reac
 import { greyWindow } from "../state/app-state";
 import { coordinates, finenessWords, fixed, methodWords, plural, windowWords } from "../state/format";
 import { asVec3 } from "../state/vec";
+import { LEAD_VIEW } from "../wire/views";
 import { ClusterPanel } from "./ClusterPanel";
 import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
@@ -122,7 +123,7 @@ function AskedRate() {
 /** How the airway picture that is on the screen was made, and not how the next one will be. */
 function MethodWords() {
   const asked = useApp((state) => state.session?.method ?? "leap");
-  const made = useApp((state) => state.frames.airway?.method ?? null);
+  const made = useApp((state) => state.frames[LEAD_VIEW]?.method ?? null);
   const status = useApp((state) => state.status);
   const byCard = made?.startsWith("gpu-") === true;
   return (
@@ -137,10 +138,10 @@ function MethodWords() {
 /** How fine the airway picture on the screen is. */
 function FineWords() {
   const station = useStation();
-  const frame = useApp((state) => state.frames.airway ?? null);
+  const frame = useApp((state) => state.frames[LEAD_VIEW] ?? null);
   if (frame === null) return null;
   if (frame.stands_for !== null) return <span className="warning-text">view finder</span>;
-  const wanted = station.wall.find("airway")?.wantedPixels?.width ?? frame.width;
+  const wanted = station.wall.find(LEAD_VIEW)?.wantedPixels?.width ?? frame.width;
   const words = finenessWords(frame, wanted);
   return (
     <span

@@ -1,6 +1,7 @@
 /** The workstation: the airway large, the other pictures around it, the step's panel at its side. */
 
 import type { CSSProperties } from "react";
+import { LEAD_VIEW } from "../wire/views";
 import { AirwayStage } from "./AirwayStage";
 import { BranchList } from "./BranchList";
 import { useApp } from "./context";
@@ -24,7 +25,7 @@ export function WorkstationPage() {
     <div
       className="workstation"
       data-testid="workstation"
-      data-full={full ?? undefined}
+      data-full={full === null ? undefined : full === LEAD_VIEW ? "lead" : "side"}
       data-lost={lost || undefined}
       data-armed={armed ?? undefined}
       style={armed === null ? undefined : ({ "--tool-cursor": cursorOf(armed) } as CSSProperties)}

@@ -13,6 +13,7 @@ import { marksByPen } from "../state/pen";
 import type { Vec3 } from "../state/vec";
 import { type NewestPicture, PictureScreen, type XrLayer } from "../views/headset-screen";
 import type { ClientMessage } from "../wire/messages";
+import { LEAD_VIEW } from "../wire/views";
 import type { Workstation } from "./workstation";
 
 const BUMP = { strength: 0.6, ms: 120 } as const;
@@ -126,9 +127,9 @@ export class BrowserDevices {
 
   /** What the screen of this page shows in the airway's place. */
   #newestPicture(): NewestPicture | null {
-    const viewport = this.#station.wall.find("airway");
+    const viewport = this.#station.wall.find(LEAD_VIEW);
     if (viewport?.header == null) return null;
-    const round = maskOf(this.#station.state) === "round" && viewport.header.view === "airway";
+    const round = maskOf(this.#station.state) === "round" && viewport.header.view === LEAD_VIEW;
     return { image: viewport.picture, frameId: viewport.header.frame_id, round };
   }
 

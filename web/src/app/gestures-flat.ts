@@ -4,15 +4,13 @@ import type { PointerPlace } from "../input/pointer";
 import { type FlatAxes, type FlatPlace, panned, zoomedAbout } from "../state/flat-place";
 import { axesOf, type FlatGeometry, geometryOf, lpsFromPixel, mmPerPixel } from "../state/projection";
 import type { Vec3 } from "../state/vec";
+import { FLAT_VIEWS, isFlatView } from "../state/view-table";
 import { clampToVolume } from "../state/volume";
 import type { Viewport } from "../views/viewport";
 import type { ViewName } from "../wire/messages";
+import { VIEWS } from "../wire/views";
 import { ZOOM_PER_PX } from "./gesture-parts";
 import type { Workstation } from "./workstation";
-
-export type FlatView = "axial" | "coronal" | "sagittal" | "cut-plane";
-export const isFlatView = (view: ViewName): view is FlatView =>
-  view === "axial" || view === "coronal" || view === "sagittal" || view === "cut-plane";
 
 const MM_PER_PX = { least: 0.02, most: 10 } as const;
 /** The wire's bounds of the cut-plane's width, with room. */
@@ -59,12 +57,12 @@ export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlaci
     const grid = station.state.session?.case;
     const middle = grid == null ? place.middle : clampToVolume(grid, place.middle);
     last = { view, place: { ...place, middle }, atMs: performance.now() };
-    const isCut = view === "cut-plane";
+    const byExtent = VIEWS[view].zoom === "extent";
     station.sendSoon({
       type: "set_zoom",
       view,
-      mm_per_px: isCut ? null : place.mmPerPx,
-      extent_mm: isCut ? place.mmPerPx * wantedWidth : null,
+      mm_per_px: byExtent ? null : place.mmPerPx,
+      extent_mm: byExtent ? place.mmPerPx * wantedWidth : null,
       center_lps: middle,
     });
   };
@@ -74,9 +72,9 @@ export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlaci
       const { header } = viewport;
       if (shown === null || header === null) return;
       const { place, axes, wantedWidth } = shown;
-      const isCut = viewport.view === "cut-plane";
-      const least = isCut ? EXTENT_MM.least / wantedWidth : MM_PER_PX.least;
-      const most = isCut ? EXTENT_MM.most / wantedWidth : MM_PER_PX.most;
+      const byExtent = VIEWS[viewport.view].zoom === "extent";
+      const least = byExtent ? EXTENT_MM.least / wantedWidth : MM_PER_PX.least;
+      const most = byExtent ? EXTENT_MM.most / wantedWidth : MM_PER_PX.most;
       const mmPerPx = Math.min(Math.max(place.mmPerPx * Math.exp(deltaPx * ZOOM_PER_PX), least), most);
       const pixel = at === null ? null : viewport.pixelAt(at);
       const perPx = wantedWidth / header.width;
@@ -103,17 +101,17 @@ export function showPlace(station: Workstation, lps: Vec3, branchId: number | nu
   station.flight.stopAuto();
   station.player.pause();
   station.send({ type: "show_place", lps, branch_id: branchId });
-  for (const view of ["axial", "coronal", "sagittal", "cut-plane"] as const) {
+  for (const view of FLAT_VIEWS) {
     const wanted = station.wall.find(view)?.wantedPixels ?? null;
     if (wanted === null) continue;
     const mmPerPx = PLACE_MM / Math.min(wanted.width, wanted.height);
-    const isCut = view === "cut-plane";
+    const byExtent = VIEWS[view].zoom === "extent";
     station.sendSoon({
       type: "set_zoom",
       view,
-      mm_per_px: isCut ? null : mmPerPx,
-      extent_mm: isCut ? mmPerPx * wanted.width : null,
-      center_lps: isCut ? null : lps,
+      mm_per_px: byExtent ? null : mmPerPx,
+      extent_mm: byExtent ? mmPerPx * wanted.width : null,
+      center_lps: byExtent ? null : lps,
     });
   }
 }

@@ -5,10 +5,11 @@ import { WHEEL_MM_PER_PX } from "../input/flight";
 import { listenToPointer, type PointerPlace } from "../input/pointer";
 import { type FlatGeometry, geometryOf, lpsFromPixel, mmPerPixel, normalOf } from "../state/projection";
 import { add, asVec3, cameraFromMatrix, distance, dot, scale, sub, type Vec3 } from "../state/vec";
+import { isOrbitView, type OrbitView } from "../state/view-table";
 import { clampToVolume, middleOf } from "../state/volume";
 import { isInside } from "../views/outline";
 import type { Viewport } from "../views/viewport";
-import type { ViewName } from "../wire/messages";
+import { LEAD_VIEW, PLANES, type PlaneName, VIEWS } from "../wire/views";
 import { dragWindow, type Gestures, ORBIT_DEG_PER_PX, ORBIT_KEY_DEG, ZOOM_KEY_PX, ZOOM_PER_PX } from "./gesture-parts";
 import { carmGestures, pathGestures } from "./gestures-along";
 import { fitPicture, flatPlacing, PAN_KEY_PX } from "./gestures-flat";
@@ -25,31 +26,21 @@ const ARROWS: Readonly<Record<string, { x: number; y: number }>> = {
   ArrowDown: { x: 0, y: 1 },
 };
 
-type Slice = "axial" | "coronal" | "sagittal";
-const isSlice = (view: ViewName): view is Slice => view === "axial" || view === "coronal" || view === "sagittal";
-
 /** Returns how to stop. `doubleClick` makes the picture's cell full, and back. */
 export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick: () => void): () => void {
   const gestures = (): Gestures => {
-    switch (viewport.view) {
-      case "airway":
+    if (isOrbitView(viewport.view)) return orbitGestures(station, viewport, viewport.view);
+    switch (VIEWS[viewport.view].zoom) {
+      case "tip":
         return airwayGestures(station, viewport);
-      case "axial":
-      case "coronal":
-      case "sagittal":
-      case "cut-plane":
+      case "slice":
+      case "extent":
         return flatGestures(station, viewport);
-      case "straightened":
-      case "curved":
+      case "path":
         return pathGestures(station, viewport);
-      case "drr":
+      case "carm":
         return carmGestures(station, viewport);
-      case "tree":
-      case "tri-plane":
-        return orbitGestures(station, viewport, viewport.view);
-      case "xray-axial":
-      case "xray-coronal":
-      case "xray-sagittal":
+      case null:
         return { pointer: {} };
     }
   };
@@ -72,7 +63,7 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
     } else if (event.key === "Enter" && station.state.ui.armed !== null) {
       // The crosshair, or the middle of the airway picture, stands for the cursor.
       const centre = station.centre();
-      if (viewport.view === "airway") station.act("wall_point");
+      if (viewport.view === LEAD_VIEW) station.act("wall_point");
       else if (centre !== null) station.pointing.commitHere(centre);
     } else if (event.key === "Enter") doubleClick();
     else if (now().key?.(event.key, event.shiftKey, ctrl) !== true) return;
@@ -167,9 +158,9 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
     const geometry = flat();
     const centre = station.centre();
     if (geometry === null || centre === null) return;
-    const step = sliceStepMm(station, viewport.view);
-    // Down is the next picture of the stack: towards the feet in axial slices, deeper into the screen in the others.
-    const way = viewport.view === "axial" ? -step : step;
+    const { plane } = VIEWS[viewport.view];
+    // Down is the next picture of the stack.
+    const way = sliceStepMm(station, plane) * (plane === null ? 1 : PLANES[plane].next_slice);
     moveCrosshair(add(centre, scale(normalOf(geometry), slices * way)));
   };
   const moveBy = (right: number, down: number): void => {
@@ -214,7 +205,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
         if (shift && lps !== null) moveCrosshair(lps);
       },
       wheel: (delta, isZoom, at) => {
-        if (isZoom || !isSlice(viewport.view)) {
+        if (isZoom || VIEWS[viewport.view].zoom !== "slice") {
           placing.zoom(delta, at);
           return;
         }
@@ -240,20 +231,19 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
 }
 
 /** One slice of the scan across a plane: the spacing of the voxel axis that lies nearest to the plane's normal. */
-function sliceStepMm(station: Workstation, view: ViewName): number {
+function sliceStepMm(station: Workstation, plane: PlaneName | null): number {
   const spacing = station.state.session?.case?.spacing_mm;
-  const axis = view === "axial" ? 2 : view === "coronal" ? 1 : 0;
-  return Math.max(spacing?.[axis] ?? 1, 0.2);
+  return Math.max(spacing?.[plane === null ? 0 : PLANES[plane].axis] ?? 1, 0.2);
 }
 
-function orbitGestures(station: Workstation, viewport: Viewport, view: "tree" | "tri-plane"): Gestures {
-  const planes = view === "tri-plane" ? planeDrag(station, viewport) : null;
+function orbitGestures(station: Workstation, viewport: Viewport, view: OrbitView): Gestures {
+  const planes = VIEWS[view].pick === "planes" ? planeDrag(station, viewport) : null;
   /** What was sent last, ahead of the server's word while a drag runs. */
   let local: { azimuth_deg: number; elevation_deg: number; distance_mm: number | null } | null = null;
   let localUntilMs = 0;
   const orbit = () => {
     const { session } = station.state;
-    const server = view === "tree" ? session?.orbit_tree : session?.orbit_tri_plane;
+    const server = session?.[VIEWS[view].camera_field];
     const fresh = local !== null && performance.now() < localUntilMs;
     return (fresh ? local : server) ?? { azimuth_deg: 0, elevation_deg: 0, distance_mm: null };
   };
@@ -282,7 +272,7 @@ function orbitGestures(station: Workstation, viewport: Viewport, view: "tree" | 
         if (button === "main") {
           if (planes?.drag(at, moved) === true) return;
           turn(-moved.dx * ORBIT_DEG_PER_PX, moved.dy * ORBIT_DEG_PER_PX);
-        } else if (view === "tri-plane") dragWindow(station, moved);
+        } else if (VIEWS[view].windowed) dragWindow(station, moved);
       },
       release: () => planes?.release(),
       hover: (at) => planes?.hover(at),
@@ -304,11 +294,11 @@ function orbitGestures(station: Workstation, viewport: Viewport, view: "tree" | 
 }
 
 /** How far the outside camera is from what it looks at, while the server fits by itself. */
-function seenDistanceMm(station: Workstation, viewport: Viewport, view: "tree" | "tri-plane"): number | null {
+function seenDistanceMm(station: Workstation, viewport: Viewport, view: OrbitView): number | null {
   const matrix = viewport.header?.lps_from_camera ?? null;
   if (matrix === null) return null;
   const camera = cameraFromMatrix(matrix);
-  if (view === "tri-plane") {
+  if (VIEWS[view].pick === "planes") {
     const info = station.state.session?.case;
     return info == null ? null : distance(middleOf(info), camera.position);
   }

@@ -12,9 +12,11 @@ import { isBrush, strokePoints, wantsBranch, wantsPath, wordsOf, worksIn } from 
 import { branchAhead, placeFromOutside, placeInLumen, type TreePlace } from "../state/tree-index";
 import { planeUnder } from "../state/tri-plane";
 import { asVec3, distance, type Vec3 } from "../state/vec";
+import { isOrbitView } from "../state/view-table";
 import { isInside } from "../views/outline";
 import type { Viewport } from "../views/viewport";
-import type { EditTreeMessage, LivePathMessage, PictureHeader } from "../wire/messages";
+import type { EditTreeMessage, LivePathMessage, PictureHeader, ViewName } from "../wire/messages";
+import { VIEWS } from "../wire/views";
 import type { Workstation } from "./workstation";
 
 /** What lies under a place of a picture. */
@@ -30,7 +32,6 @@ interface Pointed {
 /** A mouse that lies still does not ask any more, wherever its cursor is. */
 const CURSOR_RESTS_MS = 1000;
 const SHAKES_PX = 3;
-const PLANES = ["axial", "coronal", "sagittal"] as const;
 
 export class Pointing {
   readonly #station: Workstation;
@@ -159,7 +160,7 @@ export class Pointing {
     if (armed === null) {
       if (pointed?.branchId == null) return false;
       const { branchId } = pointed;
-      if (viewport.view !== "tree") {
+      if (VIEWS[viewport.view].pick !== "branch") {
         station.ui({ selected: branchId });
         return false;
       }
@@ -167,7 +168,7 @@ export class Pointing {
       this.unlessDouble(() => station.chooseBranch(branchId));
       return true;
     }
-    if (pointed === null) return viewport.view === "tree" || viewport.view === "tri-plane";
+    if (pointed === null) return isOrbitView(viewport.view);
     if (isBrush(armed)) {
       this.stroke(viewport, at);
       this.endStroke();
@@ -280,13 +281,14 @@ export class Pointing {
     return true;
   }
 
-  #strokeView = "";
+  #strokeView: ViewName | null = null;
 
   endStroke(): void {
     const station = this.#station;
     const { armed, stroke, brushMm, brushIsBall } = station.state.ui;
     if (!isBrush(armed) || stroke.length === 0) return;
-    const plane = brushIsBall ? "ball" : (PLANES.find((name) => name === this.#strokeView) ?? "ball");
+    const drawnIn = brushIsBall || this.#strokeView === null ? null : VIEWS[this.#strokeView].plane;
+    const plane = drawnIn ?? "ball";
     this.#edit({
       kind: "paint-lumen",
       points_lps: strokePoints(stroke, brushMm),
@@ -340,21 +342,21 @@ export class Pointing {
     if (flat !== null) return inLumen(flat);
     const geometry = geometryOf(header);
     if (geometry === null || geometry.kind !== "seen") return null;
-    switch (header.view) {
-      case "tri-plane": {
+    switch (VIEWS[header.view].pick) {
+      case "planes": {
         const centre = this.#station.centre();
         const grid = session?.case;
         const hit = grid == null || centre === null ? null : planeUnder(geometry, grid, centre, pixel);
         return hit === null ? null : inLumen(hit.lps);
       }
-      case "tree": {
+      case "branch": {
         const place =
           tree === null
             ? null
             : placeFromOutside(tree.index, geometry, pixel, 1 / Math.max(viewport.magnification, 1e-6));
         return place === null ? null : ofTree(place, place.lps);
       }
-      case "airway": {
+      case "wall": {
         if (!isInside(viewport.shape, viewport.frame, at)) return null;
         const here = pose?.branch_id ?? null;
         const ahead = tree === null || here === null ? null : branchAhead(tree, here, geometry, pixel);
@@ -384,7 +386,7 @@ function questionOf(header: PictureHeader | null, pointed: Pointed): LiveQuestio
 function flatPoint(viewport: Viewport, at: PointerPlace): Vec3 | null {
   const { header } = viewport;
   const pixel = viewport.pixelAt(at);
-  if (header === null || pixel === null || header.view.startsWith("xray") || header.view === "drr") return null;
+  if (header === null || pixel === null || VIEWS[header.view].pick === null) return null;
   const lines = linesOf(header.lines);
   if (lines !== null) return lpsAt(lines, pixel);
   const geometry = geometryOf(header);

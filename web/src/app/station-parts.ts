@@ -4,9 +4,7 @@ import type { StreamStatus } from "../net/stream";
 import type { Connection } from "../state/app-state";
 import type { StateMessage } from "../wire/messages";
 
-/** What the keys for X-ray, cut and slab go through. */
-export const XRAYS = ["xray-coronal", "xray-sagittal", "xray-axial", "drr"] as const;
-export const CUTS = ["cut-plane", "straightened", "curved"] as const;
+/** What the key for the slab goes through. */
 export const SLABS = [
   { thickness_mm: 0, kind: "min" },
   { thickness_mm: 10, kind: "min" },

@@ -21,6 +21,7 @@ import { SpeedMeter, shownSpeed } from "../state/speed";
 import { Store } from "../state/store";
 import { type Armed, isBrush, nextBrush } from "../state/tools";
 import { asVec3, cameraFromMatrix, type Vec3 } from "../state/vec";
+import { nextIn, showing, viewZoomedBy } from "../state/view-table";
 import type { WallPoint } from "../state/wall-point";
 import { sceneOf } from "../views/scene";
 import { Wall } from "../views/wall";
@@ -32,11 +33,13 @@ import type {
   PictureHeader,
   PoseMessage,
   StateMessage,
+  ViewName,
 } from "../wire/messages";
+import { type CellName, LEAD_VIEW } from "../wire/views";
 import { BrowserDevices } from "./devices";
 import { Pointing } from "./pointing";
 import { Previewing } from "./previewing";
-import { asConnection, CUTS, caseKey, SLABS, saveAs, XRAYS } from "./station-parts";
+import { asConnection, caseKey, SLABS, saveAs } from "./station-parts";
 
 type Carm = StateMessage["carm"];
 export const FRONTAL: Carm = { primary_deg: 0, secondary_deg: 0, mm_per_px: null, tone: "radiograph" };
@@ -74,8 +77,8 @@ export class Workstation {
         // A view that has just left the screen is not remembered either: it would lie when it comes back.
         if (!this.wall.draw(header, image, outline)) return;
         // What stands in for the airway view says nothing about how quickly that one follows.
-        if (header.view === "airway") this.#pace.pictureDrawn(header.pose_id, performance.now());
-        else if (header.stands_for === "airway") this.#pace.standInDrawn(header.pose_id);
+        if (header.view === LEAD_VIEW) this.#pace.pictureDrawn(header.pose_id, performance.now());
+        else if (header.stands_for === LEAD_VIEW) this.#pace.standInDrawn(header.pose_id);
         this.store.dispatch({ kind: "picture", header });
         this.pointing.pictureDrawn(header.stands_for ?? header.view);
       },
@@ -433,12 +436,19 @@ export class Workstation {
     this.send({ type: "watch_devices", on: devicesOpen });
   }
 
+  /** Brings a view to its place in the window. */
+  show = (view: ViewName): void => this.ui({ shown: showing(view, this.state.ui.shown) });
+
+  #showNext(cell: CellName): void {
+    this.show(nextIn(cell, this.state.ui.shown));
+  }
+
   act = (action: Action): void => this.#actions[action]();
 
   #wallPointAhead(): void {
-    const viewport = this.wall.find("airway");
+    const viewport = this.wall.find(LEAD_VIEW);
     const header = viewport?.header ?? null;
-    if (viewport == null || header === null || header.view !== "airway") return;
+    if (viewport == null || header === null || header.view !== LEAD_VIEW) return;
     if (this.state.ui.armed === null) this.pickWall(header, { column: header.width / 2, row: header.height / 2 });
     else this.pointing.click(viewport, viewport.middle);
   }
@@ -465,13 +475,13 @@ export class Workstation {
       this.send({ type: "set_operator", position: this.state.session?.operator === "head" ? "facing" : "head" }),
     reset_look: () => this.send({ type: "reset_look" }),
     crosshair_to_tip: () => this.send({ type: "set_crosshair", lps: null }),
-    swap_outside: () => this.ui({ outside: this.state.ui.outside === "tree" ? "tri-plane" : "tree" }),
-    next_xray: () => this.ui({ xray: XRAYS[(XRAYS.indexOf(this.state.ui.xray) + 1) % XRAYS.length] ?? "xray-coronal" }),
-    next_cut: () => this.ui({ cut: CUTS[(CUTS.indexOf(this.state.ui.cut) + 1) % CUTS.length] ?? "cut-plane" }),
+    swap_outside: () => this.#showNext("outside"),
+    next_xray: () => this.#showNext("xray"),
+    next_cut: () => this.#showNext("cut-plane"),
     toggle_tone: () => {
       if (this.state.session === null) return;
       const carm = this.carm.now();
-      this.ui({ xray: "drr" });
+      this.show(viewZoomedBy("carm"));
       this.carm.set({ ...carm, tone: carm.tone === "radiograph" ? "fluoroscopy" : "radiograph" });
       this.sendSoon({ type: "set_carm", ...this.carm.now() });
     },

@@ -22,6 +22,7 @@ import type {
   ValueMessage,
   ViewName,
 } from "../wire/messages";
+import type { CellName, PlaneName } from "../wire/views";
 import { type BranchTree, buildTree } from "./airways";
 import type { Preview } from "./edit-preview";
 import type { LiveAnswer } from "./live-path";
@@ -32,15 +33,10 @@ import { AUTO_SPEED_MM_S } from "./speed";
 import type { Step } from "./steps";
 import { type Armed, FIRST_BRUSH_MM } from "./tools";
 import type { TreePlace } from "./tree-index";
-import type { PlaneName } from "./tri-plane";
 import { asVec3, distance, type Vec3 } from "./vec";
+import { FIRST_SHOWN, type ShownViews } from "./view-table";
 import { addPick, type WallPoint } from "./wall-point";
 
-export type CellName = "axial" | "coronal" | "sagittal" | "cut-plane" | "xray" | "outside";
-export type XrayView = "xray-coronal" | "xray-sagittal" | "xray-axial" | "drr";
-/** What the cell of the cut-plane shows: the plane across the tip, or the whole route. */
-export type CutView = "cut-plane" | "straightened" | "curved";
-export type OutsideView = "tree" | "tri-plane";
 /** A branch that the cursor is over, in whatever picture or list; the place on it where that is known. */
 export interface Hovered {
   readonly branchId: number;
@@ -78,10 +74,9 @@ export interface Upload {
 
 export interface Ui {
   readonly step: Step;
-  readonly full: CellName | "airway" | null;
-  readonly outside: OutsideView;
-  readonly xray: XrayView;
-  readonly cut: CutView;
+  readonly full: CellName | null;
+  /** Of the views that a place can show, the one that it shows. */
+  readonly shown: ShownViews;
   /** The plane of the tri-plane view that a drag would move. */
   readonly overPlane: PlaneName | null;
   readonly armed: Armed | null;
@@ -199,9 +194,7 @@ export const INITIAL_STATE: AppState = {
   ui: {
     step: "open",
     full: null,
-    outside: "tree",
-    xray: "xray-coronal",
-    cut: "cut-plane",
+    shown: FIRST_SHOWN,
     overPlane: null,
     armed: null,
     forkHeld: null,

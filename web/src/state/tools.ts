@@ -1,6 +1,7 @@
 /** What the next click does: marks a target or a root, or mends the airway tree. */
 
 import type { ViewName } from "../wire/messages";
+import { VIEWS } from "../wire/views";
 
 export const TREE_TOOLS = ["add", "bridge", "cut", "fork", "smooth", "paint", "erase", "reroot"] as const;
 export type TreeTool = (typeof TREE_TOOLS)[number];
@@ -103,11 +104,9 @@ export function shortOf(armed: Armed): string {
 
 /** Whether a click into this picture means something to the tool: an X-ray knows no depth, and a brush needs a plane. */
 export function worksIn(armed: Armed, view: ViewName): boolean {
-  if (view.startsWith("xray") || view === "drr") return false;
-  return isBrush(armed) ? BRUSH_VIEWS.includes(view) : true;
+  const { pick } = VIEWS[view];
+  return isBrush(armed) ? pick === "plane" : pick !== null;
 }
-
-const BRUSH_VIEWS: readonly ViewName[] = ["axial", "coronal", "sagittal", "cut-plane"];
 
 /** Tools that take something away. */
 export const takesAway = (armed: Armed): boolean => armed === "cut" || armed === "erase";

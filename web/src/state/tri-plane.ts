@@ -3,13 +3,11 @@
  * a drag moves one along its normal. The rule is the caster's: along a ray the nearest plane that is in the volume there.
  */
 
+import type { PlaneName } from "../wire/views";
 import { type PixelPoint, pixelFromLps, type SeenGeometry } from "./projection";
 import { add, column, cross, dot, scale, sub, unit, type Vec3 } from "./vec";
+import { planeAcross } from "./view-table";
 import type { Grid } from "./volume";
-
-export type PlaneName = "sagittal" | "coronal" | "axial";
-/** By the patient axis that a plane stands across. */
-export const PLANE_NAMES: readonly [PlaneName, PlaneName, PlaneName] = ["sagittal", "coronal", "axial"];
 
 const AXES: readonly [Vec3, Vec3, Vec3] = [
   [1, 0, 0],
@@ -66,7 +64,7 @@ export function planeUnder(geometry: SeenGeometry, grid: Grid, centre: Vec3, pix
     .sort((a, b) => a.t - b.t);
   for (const { axis, t } of hits) {
     const lps = add(origin, scale(dir, t));
-    if (isInside(grid, lps)) return { plane: PLANE_NAMES[axis], axis, lps };
+    if (isInside(grid, lps)) return { plane: planeAcross(axis), axis, lps };
   }
   return null;
 }

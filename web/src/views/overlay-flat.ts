@@ -11,7 +11,8 @@ import {
   scaleBar,
 } from "../state/projection";
 import { add, scale, type Vec3 } from "../state/vec";
-import type { ViewName } from "../wire/messages";
+import { planeAcross } from "../state/view-table";
+import { PLANES, type PlaneName, VIEWS } from "../wire/views";
 import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
 import { paintBrush, paintCursorNote, paintLivePath, paintPreview } from "./overlay-cursor";
 import { paintCentrelines, paintOutline } from "./overlay-outline";
@@ -25,29 +26,19 @@ import { paintWallMarks } from "./wall-marks";
 const IN_PLANE_MM = 2.5;
 const GAP_PX = 9;
 
-type SliceName = keyof typeof PLANE_COLOURS;
-
-/** Which plane each crosshair line of a slice stands for. */
-const LINES: Readonly<Record<SliceName, { vertical: SliceName; horizontal: SliceName }>> = {
-  axial: { vertical: "sagittal", horizontal: "coronal" },
-  coronal: { vertical: "sagittal", horizontal: "axial" },
-  sagittal: { vertical: "coronal", horizontal: "axial" },
-};
-
-const isSlice = (view: ViewName): view is SliceName => view in PLANE_COLOURS;
-
 export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { header } = viewport;
   if (header === null) return;
   const geometry = geometryOf(header);
   if (geometry === null || geometry.kind !== "flat") return;
-  const seesThrough = header.view.startsWith("xray");
+  const { pick, plane } = VIEWS[header.view];
+  const seesThrough = pick === null;
   const standsIn = header.stands_for !== null;
   ink.save();
   // In the place of a round airway view the picture is round, and nothing is drawn beyond it but the letters.
   if (standsIn) clipToPicture(ink, viewport);
   const inPlane = (depthMm: number) => seesThrough || Math.abs(depthMm) <= IN_PLANE_MM;
-  if (isSlice(header.view)) paintCrosshair(ink, viewport, geometry, scene, header.view);
+  if (plane !== null) paintCrosshair(ink, viewport, geometry, scene, plane);
   if (!seesThrough) {
     paintOutline(ink, viewport, scene);
     paintCentrelines(ink, viewport, geometry, scene);
@@ -83,7 +74,7 @@ export function paintFlat(ink: Ink, viewport: Viewport, scene: Scene): void {
   ink.restore();
   paintLetters(ink, viewport, axesOf(geometry));
   if (!standsIn) paintScale(ink, viewport, mmPerPixel(geometry));
-  if (isSlice(header.view)) paintSlab(ink, viewport, scene);
+  if (plane !== null) paintSlab(ink, viewport, scene);
   if (!seesThrough) {
     paintBrush(ink, viewport, scene, mmPerPixel(geometry) / viewport.magnification, (lps) => {
       const seen = pixelFromLps(geometry, lps);
@@ -106,14 +97,16 @@ function clipToPicture(ink: Ink, viewport: Viewport): void {
 
 const minus = (a: ScreenPoint, b: ScreenPoint): ScreenPoint => ({ x: a.x - b.x, y: a.y - b.y });
 
-function paintCrosshair(ink: Ink, viewport: Viewport, geometry: FlatGeometry, scene: Scene, view: SliceName): void {
+function paintCrosshair(ink: Ink, viewport: Viewport, geometry: FlatGeometry, scene: Scene, plane: PlaneName): void {
   if (scene.crosshair === null) return;
   const seen = pixelFromLps(geometry, scene.crosshair);
   if (seen === null) return;
   const at = viewport.screenAt(seen);
   const { width, height } = viewport.size;
   const alpha = scene.followsTip ? 0.55 : 0.9;
-  const { vertical, horizontal } = LINES[view];
+  // A line of the crosshair is where another plane cuts this one.
+  const vertical = planeAcross(PLANES[plane].right_axis);
+  const horizontal = planeAcross(PLANES[plane].down_axis);
   line(
     ink,
     [

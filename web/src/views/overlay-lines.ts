@@ -5,6 +5,7 @@ import { fixed } from "../state/format";
 import { axesAt, type LinesGeometry, linesOf, nearestPixel, pixelOfPath } from "../state/lines";
 import { radiusAt } from "../state/route";
 import type { RouteInfo } from "../wire/messages";
+import { VIEWS } from "../wire/views";
 import { INK, type Ink, label, line, NamePlaces, penMark, type ScreenPoint, targetMark, tipMark } from "./ink";
 import { paintCursorNote } from "./overlay-cursor";
 import { paintLetters, paintScale, paintSlab } from "./overlay-flat";
@@ -31,10 +32,10 @@ export function paintLines(ink: Ink, viewport: Viewport, scene: Scene): void {
   const { header } = viewport;
   const geometry = header === null ? null : linesOf(header.lines);
   if (header === null || geometry === null) return;
-  const sides = sidesOf(viewport, geometry, header.view === "straightened");
+  const sides = sidesOf(viewport, geometry, VIEWS[header.view].straight);
   const names = new NamePlaces();
   if (scene.route !== null) {
-    if (header.view === "straightened") paintLumen(ink, viewport, geometry, scene.route);
+    if (VIEWS[header.view].straight) paintLumen(ink, viewport, geometry, scene.route);
     else if (scene.routeLineVisible) paintPath(ink, viewport, geometry, scene.route);
     paintAxis(ink, viewport, geometry, scene.route, sides);
   }

@@ -5,6 +5,7 @@ import { isDoubtful } from "../state/branch-words";
 import { type FlatGeometry, mmPerPixel, normalOf, pixelFromLps } from "../state/projection";
 import { sphereOf } from "../state/spheres";
 import { asVec3, column, dot, sub, type Vec3 } from "../state/vec";
+import { VIEWS } from "../wire/views";
 import { INK, type Ink, label, type ScreenPoint } from "./ink";
 import { LOBE_COLOURS } from "./overlay-names";
 import type { Scene } from "./scene";
@@ -47,9 +48,9 @@ export function paintOutline(ink: Ink, viewport: Viewport, scene: Scene): void {
   ink.restore();
 }
 
-/** The slab is shown in slices, not in the cut-plane. */
-const isThick = (viewport: Viewport, scene: Scene): boolean =>
-  viewport.header?.view !== "cut-plane" && (scene.slab?.thickness_mm ?? 0) > 0;
+/** The slab is shown in slices, not in every plane. */
+const isThick = ({ header }: Viewport, scene: Scene): boolean =>
+  header !== null && VIEWS[header.view].slab === "window" && (scene.slab?.thickness_mm ?? 0) > 0;
 
 export function paintCentrelines(ink: Ink, viewport: Viewport, geometry: FlatGeometry, scene: Scene): void {
   if (!scene.outlineVisible || scene.tree === null) return;

@@ -2,8 +2,10 @@
 
 import { carmWords } from "../state/format";
 import { axesOf, geometryOf, pixelFromLps, projectLine, type SeenGeometry } from "../state/projection";
-import { outlineOf, PLANE_NAMES } from "../state/tri-plane";
+import { outlineOf } from "../state/tri-plane";
 import { add, scale } from "../state/vec";
+import { planeAcross } from "../state/view-table";
+import { VIEWS } from "../wire/views";
 import { INK, type Ink, label, line, NamePlaces, PLANE_COLOURS, type ScreenPoint, targetMark, tipMark } from "./ink";
 import { paintCursorNote, paintLivePath, paintPreview } from "./overlay-cursor";
 import { paintLetters } from "./overlay-flat";
@@ -22,9 +24,10 @@ export function paintSeen(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (header === null) return;
   const geometry = geometryOf(header);
   if (geometry === null) return;
-  if (header.view === "tri-plane" && geometry.kind === "seen") paintPlanes(ink, viewport, geometry, scene);
-  if (header.view === "drr") paintAngles(ink, scene);
-  const isTree = header.view === "tree" && geometry.kind === "seen";
+  const { pick, zoom } = VIEWS[header.view];
+  if (pick === "planes" && geometry.kind === "seen") paintPlanes(ink, viewport, geometry, scene);
+  if (zoom === "carm") paintAngles(ink, scene);
+  const isTree = pick === "branch" && geometry.kind === "seen";
   if (isTree) paintLobes(ink, viewport, geometry, scene);
   paintTree(ink, viewport, geometry, scene, () => true);
   if (scene.routeLineVisible) {
@@ -69,7 +72,7 @@ function paintPlanes(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene
   if (grid === null || crosshair === null) return;
   const names = new NamePlaces();
   for (const axis of [0, 1, 2] as const) {
-    const name = PLANE_NAMES[axis];
+    const name = planeAcross(axis);
     const over = scene.overPlane === name;
     const corners: ScreenPoint[] = [];
     for (const corner of outlineOf(grid, crosshair, axis)) {

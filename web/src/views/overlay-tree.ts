@@ -5,6 +5,7 @@ import { kindWords } from "../state/branch-words";
 import { type Geometry, pixelFromLps, projectLine, type SeenPoint } from "../state/projection";
 import { openingOf } from "../state/tree-index";
 import { asVec3, type Vec3 } from "../state/vec";
+import { LEAD_VIEW } from "../wire/views";
 import { INK, type Ink, label, line, NamePlaces, type ScreenPoint } from "./ink";
 import type { Scene } from "./scene";
 import type { Viewport } from "./viewport";
@@ -91,7 +92,7 @@ export function paintTreeAhead(ink: Ink, viewport: Viewport, geometry: Geometry,
     ink.stroke();
     ink.restore();
   }
-  if (scene.cursor?.view !== "airway") label(ink, node.label, { x: at.x, y: at.y - radius - 9 }, { size: 12 });
+  if (scene.cursor?.view !== LEAD_VIEW) label(ink, node.label, { x: at.x, y: at.y - radius - 9 }, { size: 12 });
 }
 
 export const pointsOf = (node: BranchNode): Vec3[] => node.branch.points.map((point) => asVec3(point));

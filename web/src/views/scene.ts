@@ -11,10 +11,10 @@ import { marksByPen } from "../state/pen";
 import { pointsBetween } from "../state/route";
 import { type Armed, isBrush, wantsPath } from "../state/tools";
 import { below, pointsFrom, type TreePlace } from "../state/tree-index";
-import type { PlaneName } from "../state/tri-plane";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
 import type { EditLine, RouteInfo, StateMessage, UncertainPlace } from "../wire/messages";
+import type { PlaneName } from "../wire/views";
 import { type Shape, shapeOf } from "./outline";
 
 export interface SceneTarget {

@@ -2,6 +2,7 @@
 
 import type { PixelPoint } from "../state/projection";
 import type { PictureHeader, ViewName } from "../wire/messages";
+import { VIEWS } from "../wire/views";
 import type { Ink, ScreenPoint } from "./ink";
 import { clipPathOf, type Shape } from "./outline";
 import { outlinePath } from "./outline-path";
@@ -13,9 +14,6 @@ export interface Rect {
   height: number;
 }
 
-/** Beyond this a picture costs more to render than the eye gains. */
-const MAX_PIXELS: Readonly<Record<string, number>> = { airway: 1024 };
-const MAX_PIXELS_OTHER = 768;
 /** The wire's smallest and largest picture side. */
 const MIN_SIDE_PX = 16;
 /** Room for the letters round a round picture, CSS px. */
@@ -98,8 +96,7 @@ export class Viewport {
   /** What to ask of the server, device pixels; null while there is no room for a picture. */
   get wantedPixels(): { width: number; height: number } | null {
     const { width, height } = this.frame;
-    const limit = MAX_PIXELS[this.#view] ?? MAX_PIXELS_OTHER;
-    const scale = Math.min(this.#ratio, limit / Math.max(width, height, 1));
+    const scale = Math.min(this.#ratio, VIEWS[this.#view].max_px / Math.max(width, height, 1));
     const pixels = { width: Math.round(width * scale), height: Math.round(height * scale) };
     return Math.min(pixels.width, pixels.height) < MIN_SIDE_PX ? null : pixels;
   }

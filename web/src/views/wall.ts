@@ -1,6 +1,7 @@
 /** All pictures on the screen: hands each its frames, repaints what is drawn over them, tells the server what is visible. */
 
 import type { PictureHeader, ViewName, ViewSize } from "../wire/messages";
+import { VIEWS } from "../wire/views";
 import type { Shape } from "./outline";
 import { paintAirway } from "./overlay-airway";
 import { paintFlat } from "./overlay-flat";
@@ -101,26 +102,7 @@ function paint(viewport: Viewport, scene: Scene): void {
   const ink = viewport.ink();
   if (ink === null) return;
   // What the picture shows decides, not the place that it is in: the view finder is a cut-plane in the airway's place.
-  switch (viewport.header?.view ?? viewport.view) {
-    case "airway":
-      paintAirway(ink, viewport, scene);
-      return;
-    case "tree":
-    case "tri-plane":
-    case "drr":
-      paintSeen(ink, viewport, scene);
-      return;
-    case "straightened":
-    case "curved":
-      paintLines(ink, viewport, scene);
-      return;
-    case "axial":
-    case "coronal":
-    case "sagittal":
-    case "cut-plane":
-    case "xray-axial":
-    case "xray-coronal":
-    case "xray-sagittal":
-      paintFlat(ink, viewport, scene);
-  }
+  PAINTERS[VIEWS[viewport.header?.view ?? viewport.view].overlay](ink, viewport, scene);
 }
+
+const PAINTERS = { airway: paintAirway, seen: paintSeen, lines: paintLines, flat: paintFlat } as const;
