@@ -72,7 +72,7 @@ export function BranchList() {
             <Act
               icon="target"
               label={arming ? "Click in a picture\u2026" : "Mark the trachea"}
-              words="The next click in a picture begins the airways there"
+              words="The next click in a picture starts the airways there"
               keys={keyOf("arm_root")}
               onPress={() => station.act("arm_root")}
             />

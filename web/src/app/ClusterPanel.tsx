@@ -1,4 +1,4 @@
-/** The machines that render with this one: a few words, and behind them who does how much and who is late. */
+/** Rendering machines with this one: a few words, and behind them who does how much and who is late. */
 
 import { Button, Dialog, DialogTrigger, Popover } from "react-aria-components";
 import { clusterWords, memberWords, needsLook } from "../state/cluster-words";
@@ -14,7 +14,7 @@ export function ClusterPanel() {
         {clusterWords(cluster)}
       </Button>
       <Popover className="popover cluster" placement="top start" offset={6}>
-        <Dialog aria-label="The machines that render">
+        <Dialog aria-label="Rendering machines">
           <p className="quiet">
             {cluster.address} · {fixed(cluster.fps)} pictures/s
             {cluster.frame_ms === null ? "" : `, ${fixed(cluster.frame_ms)} ms each`}

@@ -112,7 +112,7 @@ function Movement({ told }: { told: DevicesMessage }) {
         onChange={() => change({ lever_inverted: !told.controls.lever_inverted })}
       />
       <SwitchKey
-        words="The hand moves the tip only while button 2 is held"
+        words="The device moves the tip only while button 2 is held"
         label="Clutch: hold"
         on={told.controls.clutch === "hold"}
         onChange={() => change({ clutch: told.controls.clutch === "hold" ? "always" : "hold" })}
@@ -132,7 +132,7 @@ function PenOffset() {
       <Act
         kind="quiet"
         label="Join now"
-        words="Bring the tip to the pen at once"
+        words="Move the tip to the pen now"
         keys={keyOf("join_pen")}
         testId="join-pen"
         onPress={() => station.act("join_pen")}
@@ -241,7 +241,7 @@ function Calibration({ device }: { device: DeviceInfo }) {
         <Act label="Take pair" words="The pen is at the crosshair" testId="take-pair" onPress={take} />
         <Act
           label="Register"
-          words="Find the map from the tracker to the patient"
+          words="Register the tracker to the patient"
           disabled={pairs.length < MIN_PAIRS}
           testId="register"
           onPress={register}
@@ -249,7 +249,7 @@ function Calibration({ device }: { device: DeviceInfo }) {
         <Act
           kind="quiet"
           label="Forget"
-          words="Forget pairs and calibration"
+          words="Discard the point pairs and the calibration"
           onPress={() => {
             setPairs([]);
             station.send({ type: "calibrate", device: device.device, tracker_mm: [], patient_lps: [] });
@@ -292,13 +292,13 @@ function Connections({ told }: { told: DevicesMessage }) {
         <Act label="Connect" words="Connect to this device" disabled={address === ""} onPress={connect} />
         <Act
           label="SpaceMouse"
-          words="Choose a SpaceMouse; the browser asks which"
+          words="Connect a SpaceMouse (the browser asks which one)"
           disabled={!station.devices.hasHid}
           onPress={() => station.devices.askSpaceMouse()}
         />
         <Act
           label="Handle"
-          words="Choose a scope handle at USB (HID); the browser asks which"
+          words="Connect a USB scope handle (HID; the browser asks which one)"
           disabled={!station.devices.hasHid}
           testId="ask-handle"
           onPress={() => station.devices.askHandle()}
@@ -307,7 +307,7 @@ function Connections({ told }: { told: DevicesMessage }) {
       {told.serial_problem === null ? null : <p className="quiet">{told.serial_problem}</p>}
       {told.serial_ports.length === 0 ? null : <p className="quiet">Serial ports: {told.serial_ports.join(", ")}</p>}
       <SwitchKey
-        words="Publish the tip to 3D Slicer by OpenIGTLink on port 18944 of this machine"
+        words="Stream the tip's pose to 3D Slicer over OpenIGTLink (port 18944 of this machine)"
         label={told.published_port === null ? "Publish the tip" : `Published on port ${told.published_port}`}
         on={told.published_port !== null}
         onChange={() => station.send({ type: "publish_tip", port: told.published_port === null ? 18944 : null })}
@@ -322,7 +322,7 @@ function Recording({ told }: { told: DevicesMessage }) {
     <div className="group">
       <h3>Recording</h3>
       <SwitchKey
-        words="Record the flight to a file of this machine; carina fly makes a video of it"
+        words="Record the flight to a file on this machine. carina fly renders it as a video."
         label={told.recording === null ? "Record the flight" : "Stop"}
         on={told.recording !== null}
         testId="record"

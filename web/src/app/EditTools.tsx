@@ -41,7 +41,7 @@ export function EditTools() {
       <Act
         icon="pencil"
         label="Name"
-        words="Another name for the branch that is chosen"
+        words="Rename the selected branch"
         keys={keyOf("rename")}
         disabled={shown === null}
         onPress={() => station.act("rename")}

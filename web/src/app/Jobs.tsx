@@ -49,7 +49,7 @@ export function Jobs() {
     <div className="jobs" role="status">
       {upload === null ? null : (
         <ThinProgress
-          title="Taking the files"
+          title="Uploading the files"
           what={`${upload.numFiles} files`}
           fraction={upload.totalBytes > 0 ? upload.sentBytes / upload.totalBytes : null}
           secondsLeft={null}

@@ -31,7 +31,7 @@ export function KeyPanel() {
               kind="primary"
               icon="capture"
               label="Add key frame here"
-              words="This view becomes the last key frame"
+              words="Add the current view as the last key frame"
               keys={keyOf("add_key")}
               testId="add-key"
               onPress={() => station.addKey()}
@@ -256,7 +256,7 @@ function Player({ told }: { told: KeysMessage }) {
       </div>
       <Slider
         className={on ? "path-slider" : "path-slider off-flight"}
-        aria-label="Place in the flight, seconds"
+        aria-label="Time in the flight, seconds"
         minValue={0}
         maxValue={told.duration_s}
         step={0.01}
@@ -302,9 +302,9 @@ function Flight({ told }: { told: KeysMessage }) {
           {
             value: "airways",
             label: "Through the airways",
-            words: "Along the airways where two key frames lie in them, else straight",
+            words: "Along the airways where both key frames lie in them, otherwise straight",
           },
-          { value: "space", label: "Straight", words: "A smooth curve through space, also through tissue" },
+          { value: "space", label: "Straight", words: "A smooth curve through space; it may pass through tissue" },
         ]}
         onChange={(through) => station.send({ type: "set_key_flight", speed_mm_s: null, through })}
       />
@@ -320,7 +320,7 @@ function KeyFile({ told }: { told: KeysMessage }) {
         <Act
           icon="file"
           label="Save"
-          words="As a file: it opens again in this case, and carina fly makes a film of it"
+          words="Save to a file. It can be opened again in this case, and carina fly renders it as a video."
           disabled={told.keys.length === 0}
           testId="save-keys"
           onPress={() => void station.takeKeys()}
@@ -331,7 +331,7 @@ function KeyFile({ told }: { told: KeysMessage }) {
             if (list !== null && list.length > 0) void station.upload(filesOfPicker(list), "keys");
           }}
         >
-          <Tip words="Key frames that were saved in this case; undo brings these back">
+          <Tip words="Open key frames saved from this case. Undo restores the current ones.">
             <Button className="button" data-testid="open-keys">
               <Icon name="folder" />
               {"Open\u2026"}

@@ -31,7 +31,7 @@ export function MaskPicker() {
           if (list !== null && list.length > 0) void station.upload(filesOfPicker(list), "mask");
         }}
       >
-        <Tip words="NIfTI, NRRD, MetaImage or DICOM SEG on this scan; undo brings the present airways back">
+        <Tip words="A segmentation of this scan as NIfTI, NRRD, MetaImage or DICOM SEG. Undo restores the current airways.">
           <Button className="button" data-testid="choose-mask">
             <Icon name="file" />
             {"Choose a mask\u2026"}

@@ -39,7 +39,7 @@ export function PathBar() {
       <Act
         kind="icon"
         icon="previousFork"
-        words="Back to the fork before"
+        words="Back to the previous fork"
         keys={keyOf("previous_fork")}
         onPress={() => station.toFork("previous")}
       />
@@ -120,7 +120,7 @@ function Ruler({ route, at }: { route: RouteInfo; at: number | null }) {
       </div>
       <Slider
         className={at === null ? "path-slider off" : "path-slider"}
-        aria-label="Place on the route in mm"
+        aria-label="Position on the route in mm"
         minValue={0}
         maxValue={length}
         step={0.1}

@@ -95,7 +95,7 @@ function AskedRate() {
   const choices = RATES_HZ.some((known) => known === rate) ? RATES_HZ : [...RATES_HZ, rate];
   return (
     <Select
-      aria-label="Pictures per second to ask for while moving"
+      aria-label="Target frame rate while moving"
       className="select small"
       selectedKey={String(rate)}
       onSelectionChange={(key) => {
@@ -146,7 +146,7 @@ function FineWords() {
   return (
     <span
       className={frame.full ? "wide" : undefined}
-      title="Size and ray step of the airway picture on the screen: coarse while moving, full at rest"
+      title="Resolution and ray step of the airway view: coarse while moving, full at rest"
     >
       {words}
     </span>
@@ -160,7 +160,7 @@ function PaceWords() {
   const { fps, ageMs, waitingMs } = useApp((state) => state.pace);
   return (
     <>
-      <span className="pace" title="Airway pictures per second during the last movement">
+      <span className="pace" title="Frame rate of the airway view during the last movement">
         frame {fps === null ? "\u2013" : `${fps}/s`} <AskedRate />
       </span>
       {waitingMs > LATE_MS ? (

@@ -288,7 +288,7 @@ export class Workstation {
     if (at !== null) this.goTo(at + sign * STEP_MM);
   };
 
-  /** This view becomes the last key frame, in the list that is then on the screen. */
+  /** Add the current view as the last key frame, in the list that is then on the screen. */
   addKey(): void {
     this.send({ type: "edit_keys", edit: { kind: "add" } });
     this.#showKeys(true);

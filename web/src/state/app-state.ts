@@ -128,7 +128,7 @@ export interface AppState {
   readonly messages: readonly Message[];
   readonly nextMessageId: number;
   readonly status: StatusMessage | null;
-  /** The machines that render with this one; null where there are none. */
+  /** Rendering machines with this one; null where there are none. */
   readonly cluster: ClusterMessage | null;
   /** Points of the wall that were clicked in the airway view, newest last. */
   readonly picks: readonly WallPoint[];

@@ -1,7 +1,7 @@
 /** How quickly pictures follow, measured where they are seen: from a pose's arrival to the drawing of its picture. */
 
 export interface Pace {
-  /** Airway pictures per second during the last movement; null before the first one. */
+  /** Frame rate of the airway view during the last movement; null before the first one. */
   readonly fps: number | null;
   /** From the newest drawn pose's arrival to its picture; null before the first one. */
   readonly ageMs: number | null;

@@ -10,14 +10,14 @@ export interface StepWords {
 }
 
 export const STEP_WORDS: Readonly<Record<Step, StepWords>> = {
-  open: { title: "Open", words: "The case: what is open, and how to open another" },
-  check: { title: "Check", words: "Is this CT good enough? Findings, other series, grey window" },
-  airways: { title: "Airways", words: "The airway tree that was found, its root and threshold" },
+  open: { title: "Open", words: "The open case, and how to open another" },
+  check: { title: "Check", words: "Is this CT good enough? Findings, other series, window / level" },
+  airways: { title: "Airways", words: "The segmented airway tree, its start point and threshold" },
   target: { title: "Target", words: "Mark where you want to go" },
-  route: { title: "Route", words: "Choose the way, see its length and narrowest place" },
+  route: { title: "Route", words: "Choose a route; see its length and narrowest point" },
   rehearse: {
     title: "Rehearse",
-    words: "Practise the route with a real bronchoscope's width and bend, and see what it touches",
+    words: "Rehearse the route with a real bronchoscope's diameter and bend, and see where it touches",
   },
   share: {
     title: "Share",

@@ -21,7 +21,7 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
   add: {
     label: "Add branch",
     short: "Add",
-    words: "Click the end of an airway that is missing: the way to it becomes a branch",
+    words: "Click the far end of a missing airway to add it as a branch",
     hint: "Click the far end of the missing airway, in any picture. The line is the branch that a click makes: dashed where the CT shows no wall.",
   },
   bridge: {
@@ -51,13 +51,13 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
   paint: {
     label: "Paint",
     short: "Paint",
-    words: "Draw lumen in a slice",
+    words: "Paint lumen in a slice",
     hint: "Draw in a slice where lumen is missing.",
   },
   erase: {
     label: "Erase",
     short: "Erase",
-    words: "Take lumen away in a slice",
+    words: "Erase lumen in a slice",
     hint: "Draw in a slice where lumen is wrong.",
   },
   reroot: {

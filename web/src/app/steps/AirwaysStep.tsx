@@ -58,7 +58,7 @@ export function AirwaysStep() {
       )}
       <Act
         kind="primary"
-        label="Go on to the target"
+        label="Continue to the target"
         words="Next step"
         disabled={!found}
         onPress={() => station.toStep("target")}

@@ -17,10 +17,10 @@ const PRESETS = [
 type PresetName = (typeof PRESETS)[number]["value"];
 
 const SLABS = [
-  { value: "thin", label: "Thin", mm: 0, kind: "min", words: "Slices as thin as they are" },
+  { value: "thin", label: "Thin", mm: 0, kind: "min", words: "Single slices, no slab" },
   { value: "min", label: "Min", mm: 10, kind: "min", words: "Minimum over 10 mm (shows airways)" },
-  { value: "max", label: "Max", mm: 10, kind: "max", words: "The most over 10 mm: vessels, nodules" },
-  { value: "mean", label: "Mean", mm: 5, kind: "mean", words: "The mean over 5 mm: less noise" },
+  { value: "max", label: "Max", mm: 10, kind: "max", words: "Maximum over 10 mm (shows vessels and nodules)" },
+  { value: "mean", label: "Mean", mm: 5, kind: "mean", words: "Mean over 5 mm (less noise)" },
 ] as const;
 type SlabName = (typeof SLABS)[number]["value"];
 const NO_BADGES: readonly CaseNote[] = [];
@@ -111,7 +111,7 @@ export function CheckStep() {
           </ul>
         </>
       )}
-      <Act kind="primary" label="Go on to the airways" words="Next step" onPress={() => station.toStep("airways")} />
+      <Act kind="primary" label="Continue to the airways" words="Next step" onPress={() => station.toStep("airways")} />
     </>
   );
 }

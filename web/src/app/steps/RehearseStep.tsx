@@ -54,7 +54,7 @@ export function RehearseStep() {
           />
         )}
         <SwitchKey
-          words="Record to a file of this machine; it replays exactly, and carina fly makes a video of it"
+          words="Record to a file on this machine. It replays exactly; carina fly renders it as a video."
           label={recording === null ? "Record" : "Stop recording"}
           on={recording !== null}
           onChange={() => station.send({ type: recording === null ? "start_recording" : "stop_recording" })}

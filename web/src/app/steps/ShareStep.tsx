@@ -63,7 +63,7 @@ export function ShareStep() {
       <Act
         icon="capture"
         label="Key frames"
-        words="Views to fly through, smoothly, at a speed: for a film"
+        words="Key frames for a smooth flight at a set speed: for a video"
         keys={keyOf("key_frames")}
         testId="to-keys"
         onPress={() => station.act("key_frames")}

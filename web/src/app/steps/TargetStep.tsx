@@ -131,7 +131,7 @@ function Coordinates() {
         />
         <Act
           label="Fly there"
-          words="Put the tip there, moving freely"
+          words="Place the tip there (free movement)"
           disabled={point === null}
           onPress={() => use((lps) => station.send({ type: "place", lps }))}
         />

@@ -40,7 +40,7 @@ export function Threshold() {
         <Act
           kind="quiet"
           label="Let Carina choose"
-          words="Find the airways with a threshold taken from the volume itself"
+          words="Segment the airways with a threshold derived from the volume"
           onPress={() => station.send({ type: "set_lumen_threshold", value: null })}
         />
       )}
