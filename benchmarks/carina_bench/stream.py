@@ -140,7 +140,9 @@ class _Client:
         while now_s - began_s < seconds:
             forward = 1.0 if (n // 90) % 2 == 0 else -1.0
             if device:
-                self._send(wire.DeviceSample("bench", now_s, None, None, (forward, 0.0, 0.0, 0.0, 0.0, 0.0), 0))
+                self._send(
+                    wire.DeviceSample("bench", now_s, None, None, (forward, 0.0, 0.0, 0.0, 0.0, 0.0), 0, None, 0.0)
+                )
             else:
                 self._send(wire.Steer(0.4 * forward, 0.0, 0.0, 0.0))
             sent.append((time.monotonic(), self._pose_id))
@@ -161,7 +163,7 @@ class _Client:
                     sent = [(at, pose_id) for at, pose_id in sent if message.pose_id <= pose_id]
             now_s = time.monotonic()
         if device:
-            self._send(wire.DeviceSample("bench", now_s, None, None, (0.0,) * 6, 0))
+            self._send(wire.DeviceSample("bench", now_s, None, None, (0.0,) * 6, 0, None, 0.0))
             self._send(wire.DeviceGone("bench"))
         if len(latencies_ms) < 20:
             raise CarinaError("too few pictures came to be measured", code="machine")

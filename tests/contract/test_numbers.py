@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
-import types
 from pathlib import Path
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import inspect
 
 from carina.errors import CarinaError, ProtocolError
 from carina.export import read_tree
 from carina.navigate import open_keys, open_recording
 from carina.render import TransferFunction, transfer_preset
 from carina.server import messages as wire
-from carina.server.wire_codec import MAX_DEPTH, Range, field_types
+from carina.server.wire_codec import MAX_DEPTH
 from carina.track import AirwayTree, Branch, edits_from_json
 
 PROTOCOL = Path(__file__).resolve().parents[2] / "protocol"
@@ -52,21 +51,22 @@ EVIL = [
 ]
 
 
-def numbers_of(hint: Any, bounds: tuple[Any, ...] = ()):
+def numbers_of(kind: inspect.Type):
     """Each number in a field's type, and whether it has a range."""
-    if get_origin(hint) is Annotated:
-        inner, *metadata = get_args(hint)
-        yield from numbers_of(inner, tuple(metadata))
-    elif hint in (int, float):
-        yield any(isinstance(bound, Range) and np.isfinite([bound.low, bound.high]).all() for bound in bounds)
-    elif get_origin(hint) in (Union, types.UnionType):
-        for choice in get_args(hint):
-            yield from numbers_of(choice, bounds)
-    elif dataclasses.is_dataclass(hint):
-        for inner in field_types(hint).values():
-            yield from numbers_of(inner)
-    elif get_origin(hint) is tuple:
-        yield from numbers_of(get_args(hint)[0])
+    match kind:
+        case inspect.IntType() | inspect.FloatType():
+            yield kind.ge is not None and kind.le is not None and np.isfinite([kind.ge, kind.le]).all()
+        case inspect.UnionType():
+            for choice in kind.types:
+                yield from numbers_of(choice)
+        case inspect.StructType():
+            for field in kind.fields:
+                yield from numbers_of(field.type)
+        case inspect.TupleType():
+            for item in kind.item_types:
+                yield from numbers_of(item)
+        case inspect.VarTupleType():
+            yield from numbers_of(kind.item_type)
 
 
 INCOMING = [*wire.CLIENT_MESSAGES.values(), *wire.PHONE_MESSAGES.values(), *wire.FORCE_MESSAGES.values()]
@@ -74,8 +74,8 @@ INCOMING = [*wire.CLIENT_MESSAGES.values(), *wire.PHONE_MESSAGES.values(), *wire
 
 @pytest.mark.parametrize("cls", INCOMING, ids=lambda cls: cls.__name__)
 def test_every_number_that_a_client_sends_has_a_range(cls):
-    missing = [name for name, hint in field_types(cls).items() if not all(numbers_of(hint))]
-    assert missing == [], f"{cls.__name__}: give these a Range (wire_fields.py)"
+    missing = [field.name for field in inspect.type_info(cls).fields if not all(numbers_of(field.type))]
+    assert missing == [], f"{cls.__name__}: give these bounds (carina/commands/fields.py)"
 
 
 def evil_texts(document: Any):

@@ -38,11 +38,11 @@ FIRST_S = 0.1
 
 
 def stick(time_s: float, *axes: float) -> wire.DeviceSample:
-    return wire.DeviceSample("stick", time_s, None, None, (*axes, *(0.0,) * (6 - len(axes))), 0)
+    return wire.DeviceSample("stick", time_s, None, None, (*axes, *(0.0,) * (6 - len(axes))), 0, None, 0.0)
 
 
 def pen(time_s: float, at: tuple[float, float, float], buttons: int = 0) -> wire.DeviceSample:
-    return wire.DeviceSample("pen", time_s, at, (1.0, 0.0, 0.0, 0.0), None, buttons)
+    return wire.DeviceSample("pen", time_s, at, (1.0, 0.0, 0.0, 0.0), None, buttons, None, 0.0)
 
 
 @pytest.fixture
@@ -92,7 +92,7 @@ def test_what_a_device_says_wrongly_is_counted_and_said_once(desk):
     made, bench, _ = desk
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     for n in range(50):
-        made.handle(wire.DeviceSample("pen", 1.0 + n, (1e300, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), None, 0))
+        made.handle(wire.DeviceSample("pen", 1.0 + n, (1e300, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), None, 0, None, 0.0))
     message = made.message()
     assert message is not None
     (device,) = message.devices
@@ -198,7 +198,7 @@ def test_a_handle_that_rests_and_goes_on_speaking_makes_no_new_poses(desk):
 
     def say(n: int, insertion_mm: float) -> None:
         handle = (insertion_mm, 0.1, 0.2)
-        made.handle(wire.DeviceSample("handle", 0.01 * n, None, None, None, 0, handle))
+        made.handle(wire.DeviceSample("handle", 0.01 * n, None, None, None, 0, handle, 0.0))
         wait_for(lambda: not bench.session.device_woken.is_set())
 
     for n in range(100):
@@ -254,7 +254,7 @@ def test_controls_change_the_filters_delay_that_is_shown(desk):
 
 
 def vars_of(value) -> dict:
-    return {name: getattr(value, name) for name in value.__dataclass_fields__}
+    return {name: getattr(value, name) for name in value.__struct_fields__}
 
 
 def test_a_frame_that_fails_is_logged_once_and_the_next_ones_are_flown(desk, monkeypatch, caplog):

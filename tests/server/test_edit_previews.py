@@ -10,7 +10,7 @@ import pytest
 from edit_case import edit_case, in_plain_lung, open_ended_volume
 
 from carina.server import messages as wire
-from carina.server.pointing import Pointing, edit_from_wire, no_evidence_message
+from carina.server.pointing import Pointing, no_evidence_message
 from carina.server.tree_words import tree_message
 from carina.session import NotEvident
 from carina.track import edit_airways
@@ -50,7 +50,7 @@ def ask(pointing, request_id, tool="add-branch", **place):
 
 def edit(pointing, message):
     text = wire.encode_message(wire.EditTree(message))
-    pointing.session.edit_tree(edit_from_wire(wire.parse_client_message(text).edit))
+    pointing.session.edit_tree(wire.parse_client_message(text).edit)
     pointing.bench.background.run_all()
 
 
@@ -62,7 +62,7 @@ def test_the_points_of_a_preview_are_those_of_the_branch_in_the_next_tree(pointi
     (line,) = preview.lines
     assert len(line.doubtful) == len(line.points_lps) - 1
 
-    edit(pointing, wire.EditAddBranch("add-branch", lps))
+    edit(pointing, wire.AddBranch(lps))
     (asked,) = pointing.bench.of_type(NotEvident)
     question = wire.parse_server_message(wire.encode_message(no_evidence_message(asked)))
     assert (question.code, question.lps) == ("track.no-evidence", lps)
@@ -70,7 +70,7 @@ def test_the_points_of_a_preview_are_those_of_the_branch_in_the_next_tree(pointi
     assert question.doubtful_mm == preview.doubtful_mm > 2.0
     assert question.length_mm == preview.length_mm
 
-    edit(pointing, wire.EditAddBranch("add-branch", question.lps, even_without_evidence=True))
+    edit(pointing, wire.AddBranch(question.lps, even_without_evidence=True))
     airways = pointing.session.snapshot().document.airways
     tree = wire.parse_server_message(wire.encode_message(tree_message(airways))).tree
     drawn = [branch for branch in tree.branches if branch.kind == "manual"]
@@ -85,14 +85,14 @@ def test_a_bridge_and_a_fork_are_shown_as_they_would_be_made(pointing):
     hidden = tuple(float(v) for v in edit_case().hidden)
     bridge = ask(pointing, 1, "bridge", lps=hidden)
     assert any(all(line.doubtful) for line in bridge.lines)
-    edit(pointing, wire.EditBridge("bridge", hidden))
+    edit(pointing, wire.Bridge(hidden))
     made = next(b for b in pointing.session.snapshot().document.airways.tree.branches if b.kind == "bridge")
     assert tuple(map(tuple, made.points.tolist())) in {line.points_lps for line in bridge.lines}
 
     branch = next(b for b in pointing.session.snapshot().document.airways.tree.branches if b.parent and b.children)
     place = tuple(float(v) for v in branch.points[-1] + 0.3)
     fork = ask(pointing, 2, "move-fork", branch_id=branch.id, lps=place)
-    edit(pointing, wire.EditMoveFork("move-fork", branch.id, place))
+    edit(pointing, wire.MoveFork(branch.id, place))
     tree = pointing.session.snapshot().document.airways.tree
     assert {point for line in fork.lines for point in line.points_lps} <= {
         tuple(point) for branch in tree.branches for point in branch.points.tolist()

@@ -25,28 +25,28 @@ def test_key_frames_are_edited_flown_taken_away_and_opened_again(live):
         assert none.status_code == 409
         assert "no key frames" in none.json()["message"]
         window.send(wire.GoTo(1.0))
-        edit(window, wire.KeyAdd("add"))
+        edit(window, wire.KeyAdd())
         window.send(wire.GoTo(20.0))
-        edit(window, wire.KeyAdd("add"))
+        edit(window, wire.KeyAdd())
         keys = until(window, wire.Keys, lambda m: len(m.keys) == 2)
         first, second = keys.keys
         assert second.through_airways
         assert keys.duration_s == second.time_s > 0.0
-        edit(window, wire.KeyRename("rename", second.key_id, "here"))
-        edit(window, wire.KeySpeed("speed", second.key_id, 5.0))
-        edit(window, wire.KeyMove("move", first.key_id, 1))
-        edit(window, wire.KeyUpdate("update", first.key_id))
+        edit(window, wire.KeyRename(second.key_id, "here"))
+        edit(window, wire.KeySpeed(second.key_id, 5.0))
+        edit(window, wire.KeyMove(first.key_id, 1))
+        edit(window, wire.KeyUpdate(first.key_id))
         window.send(wire.SetKeyFlight(10.0, "space"))
         keys = until(window, wire.Keys, lambda m: m.through == "space")
         assert [(key.name, key.speed_mm_s) for key in keys.keys] == [("here", 5.0), ("Trachea", None)]
         window.send(wire.ShowKey(second.key_id))
         until(window, wire.Pose, lambda m: m.keys_s == 0.0)
-        edit(window, wire.KeyUpdate("update", "key-99"))
+        edit(window, wire.KeyUpdate("key-99"))
         assert "gone" in until(window, wire.Error).message
 
         window.send(wire.SetKeyFlight(None, "airways"))
         window.send(wire.GoTo(2.0))
-        edit(window, wire.KeyUpdate("update", first.key_id))
+        edit(window, wire.KeyUpdate(first.key_id))
         lasts = until(window, wire.Keys, lambda m: m.duration_s > 0.5).duration_s
         window.send(wire.FlyKeys(lasts / 2, False))
         until(window, wire.Pose, lambda m: m.keys_s == lasts / 2)
@@ -55,7 +55,7 @@ def test_key_frames_are_edited_flown_taken_away_and_opened_again(live):
         assert (answer.json()["format"], answer.json()["version"]) == ("carina-keys", 2)
 
         for key in keys.keys:
-            edit(window, wire.KeyRemove("remove", key.key_id))
+            edit(window, wire.KeyRemove(key.key_id))
         until(window, wire.Keys, lambda m: not m.keys)
         # The ways are found anew, in the airways that there are then.
         document = answer.json()

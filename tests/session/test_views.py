@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
 from carina import _core
 from carina.render import Renderer, Slab, XrayView
 from carina.server.presenter import picture_lines
-from carina.server.wire_codec import MAX_HEADER_BYTES, to_jsonable
+from carina.server.wire_codec import MAX_HEADER_BYTES, encode
 from carina.session import Carm, Reformation
 from small_case import small_bench, small_volume
 
@@ -159,4 +157,4 @@ def test_a_curved_picture_names_the_lines_of_its_rows():
     assert picture_lines(None) is None
     # The tallest picture that a client may ask for still fits a header.
     tall = Renderer(small_volume()).render(session.scene().spec("straightened", 16, 4096, 0.5))
-    assert len(json.dumps(to_jsonable(picture_lines(tall.lines)))) < MAX_HEADER_BYTES / 2
+    assert len(encode(picture_lines(tall.lines))) < MAX_HEADER_BYTES / 2

@@ -7,9 +7,10 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+from msgspec.structs import replace
 
 from carina.config import load_settings
 from carina.errors import CarinaError, UsageError

@@ -19,7 +19,7 @@ from carina.server.cluster_watch import ClusterWatch
 from carina.server.device_desk import DeviceDesk
 from carina.server.key_desk import handle_keys
 from carina.server.phone_page import PhonePage
-from carina.server.pointing import Pointing, edit_from_wire, no_evidence_message
+from carina.server.pointing import Pointing, no_evidence_message
 from carina.server.presenter import (
     keys_message,
     picked_message,
@@ -31,6 +31,7 @@ from carina.server.presenter import (
 from carina.server.pump import FramePump
 from carina.server.tree_words import tree_message
 from carina.server.uploads import Uploads
+from carina.server.wire_codec import type_name
 from carina.session import (
     Carm,
     Changed,
@@ -88,7 +89,7 @@ class Outbox:
         if isinstance(message, wire.Progress):
             self._newest[f"job {message.job_id}"] = wire.encode_message(message)
         elif isinstance(message, NEWEST_ONLY):
-            self._newest[message.wire_type] = wire.encode_message(message)
+            self._newest[str(type_name(type(message)))] = wire.encode_message(message)
         else:
             if isinstance(message, wire.Done):
                 self._newest.pop(f"job {message.job_id}", None)
@@ -485,7 +486,7 @@ class Hub:
             case wire.RemoveTarget():
                 session.remove_target(message.target_id)
             case wire.EditTree():
-                session.edit_tree(edit_from_wire(message.edit))
+                session.edit_tree(message.edit)
             case wire.ChooseRoute():
                 session.choose_route(target_id=message.target_id, branch_id=message.branch_id)
             case wire.SetWindow():

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
-from carina.server.wire_codec import Length, Range
-from carina.server.wire_fields import (
+from msgspec import Meta
+
+from carina.commands.fields import (
     BranchId,
     Count,
     DemoName,
@@ -26,59 +26,18 @@ from carina.server.wire_fields import (
     ViewName,
     Words,
 )
-
-__all__ = [
-    "Carm",
-    "CaseInfo",
-    "CaseNote",
-    "Cluster",
-    "ClusterMember",
-    "Demo",
-    "Done",
-    "Error",
-    "FeatureOff",
-    "GreyWindow",
-    "HeldScope",
-    "MaskLabel",
-    "MaskQuestion",
-    "Notice",
-    "Orbit",
-    "OtherSeries",
-    "Picked",
-    "PictureHeader",
-    "PictureLens",
-    "PictureLines",
-    "PictureOutline",
-    "Pose",
-    "Progress",
-    "RecentCase",
-    "Reformation",
-    "Route",
-    "RouteInfo",
-    "RouteSpan",
-    "Scope",
-    "ServerHello",
-    "Slab",
-    "Start",
-    "State",
-    "Status",
-    "Target",
-    "Value",
-    "Zoom",
-]
+from carina.commands.value import FrozenValue
+from carina.server.wire_codec import ServerMessage
 
 
-@dataclass(frozen=True, slots=True)
-class ServerHello:
+class ServerHello(ServerMessage, frozen=True, tag="hello"):
     """Answer to the client's hello."""
 
-    wire_type: ClassVar[str] = "hello"
-    wire_version: Annotated[int, Range(0, 2**31)]
+    wire_version: Annotated[int, Meta(ge=0, le=2**31)]
     carina_version: Words
 
 
-@dataclass(frozen=True, slots=True)
-class RecentCase:
+class RecentCase(FrozenValue, frozen=True):
     """A case opened before, without names."""
 
     recent_id: Key
@@ -87,8 +46,7 @@ class RecentCase:
     title: Words
 
 
-@dataclass(frozen=True, slots=True)
-class Demo:
+class Demo(FrozenValue, frozen=True):
     """A bundled case."""
 
     name: DemoName
@@ -97,8 +55,7 @@ class Demo:
     citation: Words | None
 
 
-@dataclass(frozen=True, slots=True)
-class Scope:
+class Scope(FrozenValue, frozen=True):
     """An instrument of the library; null where nothing is known."""
 
     name: Key
@@ -113,19 +70,16 @@ class Scope:
     """How far it looks up from its shaft."""
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
+class Start(ServerMessage, frozen=True):
     """What the start page shows, and what there is to choose from."""
 
-    wire_type: ClassVar[str] = "start"
     notice_accepted: bool
     recent: tuple[RecentCase, ...]
     demos: tuple[Demo, ...]
     scopes: tuple[Scope, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class OtherSeries:
+class OtherSeries(FrozenValue, frozen=True):
     """Another series of the folder."""
 
     key: Words
@@ -135,8 +89,7 @@ class OtherSeries:
     refused: Words | None
 
 
-@dataclass(frozen=True, slots=True)
-class CaseNote:
+class CaseNote(FrozenValue, frozen=True):
     """One thing that a person should know about the case, with its stable code."""
 
     code: Key
@@ -145,26 +98,24 @@ class CaseNote:
     """It stays in sight for as long as the case is open."""
 
 
-@dataclass(frozen=True, slots=True)
-class FeatureOff:
+class FeatureOff(FrozenValue, frozen=True):
     """What this volume cannot do, and why."""
 
     what: Words
     why: Words
 
 
-@dataclass(frozen=True, slots=True)
-class CaseInfo:
+class CaseInfo(FrozenValue, frozen=True):
     """The open volume."""
 
     title: Words
     format: Words
     is_hu: bool
     not_hu_reason: Words | None
-    shape_zyx: Annotated[tuple[Count, ...], Length(3, 3)]
-    spacing_mm: Annotated[tuple[float, ...], Length(3, 3)]
+    shape_zyx: tuple[Count, Count, Count]
+    spacing_mm: tuple[float, float, float]
     lps_from_ijk: Matrix4
-    value_range: Annotated[tuple[float, ...], Length(2, 2)]
+    value_range: tuple[float, float]
     warnings: tuple[Words, ...]
     """The words of all notes."""
     notes: tuple[CaseNote, ...]
@@ -174,16 +125,14 @@ class CaseInfo:
     off: tuple[FeatureOff, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class GreyWindow:
+class GreyWindow(FrozenValue, frozen=True):
     """Grey window of the slice views."""
 
     width_hu: float
     level_hu: float
 
 
-@dataclass(frozen=True, slots=True)
-class Orbit:
+class Orbit(FrozenValue, frozen=True):
     """Camera of an outside view; azimuth 0 is from anterior, distance null fits."""
 
     azimuth_deg: float
@@ -191,8 +140,7 @@ class Orbit:
     distance_mm: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class Zoom:
+class Zoom(FrozenValue, frozen=True):
     """Scales of the planar views; null fits."""
 
     axial_mm_per_px: float | None
@@ -201,8 +149,7 @@ class Zoom:
     cut_plane_extent_mm: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class Carm:
+class Carm(FrozenValue, frozen=True):
     """Where the radiograph's C-arm stands: LAO and cranial above 0; scale null fits."""
 
     primary_deg: float
@@ -211,24 +158,21 @@ class Carm:
     tone: Tone
 
 
-@dataclass(frozen=True, slots=True)
-class Reformation:
+class Reformation(FrozenValue, frozen=True):
     """Turn and scale of the views along the route; scale null fits."""
 
     turn_deg: float
     mm_per_px: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class Slab:
+class Slab(FrozenValue, frozen=True):
     """Thickness of slices and views along the route; 0 are thin slices."""
 
     thickness_mm: float
     kind: SlabKind
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
+class Target(FrozenValue, frozen=True):
     """A target as asked and as used; ``problem`` says in words why there is no path."""
 
     target_id: Key
@@ -240,17 +184,15 @@ class Target:
     problem: Words | None
 
 
-@dataclass(frozen=True, slots=True)
-class MaskLabel:
+class MaskLabel(FrozenValue, frozen=True):
     """One structure of a mask of another tool."""
 
-    number: Annotated[int, Range(-(2**53), 2**53)]
+    number: Annotated[int, Meta(ge=-(2**53), le=2**53)]
     name: Words | None
     volume_ml: float
 
 
-@dataclass(frozen=True, slots=True)
-class MaskQuestion:
+class MaskQuestion(FrozenValue, frozen=True):
     """What must be said of a mask before it can be taken as the airways; answered by ``answer_mask``."""
 
     title: Words
@@ -267,11 +209,9 @@ class MaskQuestion:
     """How much of the structure lies in the scan."""
 
 
-@dataclass(frozen=True, slots=True)
-class State:
+class State(ServerMessage, frozen=True):
     """All that is shown, but the pose, the tree and the route."""
 
-    wire_type: ClassVar[str] = "state"
     case: CaseInfo | None
     stage: Literal["empty", "opening", "ready"]
     """``opening``: pictures already come, the airways are being found."""
@@ -316,21 +256,19 @@ class State:
     """The lasting notes of the case and of its airways: in sight for as long as it is open."""
 
 
-@dataclass(frozen=True, slots=True)
-class RouteSpan:
+class RouteSpan(FrozenValue, frozen=True):
     """A branch along the route."""
 
     branch_id: BranchId
     name: Words | None
-    generation: Annotated[int, Range(0, 1000)]
+    generation: Annotated[int, Meta(ge=0, le=1000)]
     from_mm: float
     to_mm: float
     kind: Literal["tracked", "bridge", "manual"]
     """``manual`` was drawn by hand: the CT shows no airway there."""
 
 
-@dataclass(frozen=True, slots=True)
-class RouteInfo:
+class RouteInfo(FrozenValue, frozen=True):
     """The way that is flown; lists are parallel, root to tip."""
 
     route_id: Key
@@ -339,7 +277,7 @@ class RouteInfo:
     branch_id: BranchId | None
     points_lps: PointsLps
     cumulative_mm: Numbers
-    generation: Annotated[tuple[Annotated[int, Range(0, 1000)], ...], Length(0, 1_000_000)]
+    generation: Annotated[tuple[Annotated[int, Meta(ge=0, le=1000)], ...], Meta(max_length=1_000_000)]
     radius_mm: Numbers
     """Of the circle with the area of the branch's section."""
     wall_mm: Numbers
@@ -355,16 +293,13 @@ class RouteInfo:
     """Of it over blockages."""
 
 
-@dataclass(frozen=True, slots=True)
-class Route:
+class Route(ServerMessage, frozen=True):
     """The route, when it changed."""
 
-    wire_type: ClassVar[str] = "route"
     route: RouteInfo | None
 
 
-@dataclass(frozen=True, slots=True)
-class HeldScope:
+class HeldScope(FrozenValue, frozen=True):
     """A scope that is held by the lumen."""
 
     insertion_mm: float
@@ -386,18 +321,16 @@ class HeldScope:
     contact_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Pose:
+class Pose(ServerMessage, frozen=True):
     """The newest pose; pictures name the one they answer."""
 
-    wire_type: ClassVar[str] = "pose"
     pose_id: Count
     lps_from_camera: Matrix4
     mode: Mode
     path_mm: float | None
     branch_id: BranchId | None
     branch_name: Words | None
-    generation: Annotated[int, Range(0, 1000)] | None
+    generation: Annotated[int, Meta(ge=0, le=1000)] | None
     lumen_mm: float | None
     """Diameter of the lumen here."""
     inside: bool
@@ -410,11 +343,9 @@ class Pose:
     """An input device moved the tip last."""
 
 
-@dataclass(frozen=True, slots=True)
-class Progress:
+class Progress(ServerMessage, frozen=True):
     """A job's progress; fraction and time left are null where they cannot be known."""
 
-    wire_type: ClassVar[str] = "progress"
     job_id: Key
     title: Words
     what: Words
@@ -422,66 +353,54 @@ class Progress:
     seconds_left: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class Done:
+class Done(ServerMessage, frozen=True):
     """A job has ended; a failure comes as ``error`` too."""
 
-    wire_type: ClassVar[str] = "done"
     job_id: Key
     outcome: Literal["done", "cancelled", "failed"]
 
 
-@dataclass(frozen=True, slots=True)
-class Error:
+class Error(ServerMessage, frozen=True):
     """Something could not be done; stays until read."""
 
-    wire_type: ClassVar[str] = "error"
     code: Words
     message: Words
     action: Words | None
     """What to do next, or null where the message says it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Notice:
+class Notice(ServerMessage, frozen=True):
     """Something worth a line."""
 
-    wire_type: ClassVar[str] = "notice"
     message: Words
 
 
-@dataclass(frozen=True, slots=True)
-class Value:
+class Value(ServerMessage, frozen=True):
     """Answer to ``probe``; only the newest is sent."""
 
-    wire_type: ClassVar[str] = "value"
     lps: PointLps
     """The point that was asked for."""
-    voxel_value: Annotated[int, Range(-32_768, 32_767)] | None
+    voxel_value: Annotated[int, Meta(ge=-32_768, le=32_767)] | None
     """Of the voxel that it lies in: HU, or the file's numbers where the volume is not HU. Null outside the volume."""
 
 
-@dataclass(frozen=True, slots=True)
-class Picked:
+class Picked(ServerMessage, frozen=True):
     """Answer to ``pick``: the wall under a pixel of an airway picture. All null where the ray meets no wall."""
 
-    wire_type: ClassVar[str] = "picked"
     pick_id: Count
     lps: PointLps | None
     depth_mm: float | None
     """From the lens, along the ray."""
-    voxel_value: Annotated[int, Range(-32_768, 32_767)] | None
+    voxel_value: Annotated[int, Meta(ge=-32_768, le=32_767)] | None
     branch_id: BranchId | None
     """The branch whose centreline is nearest; null without a tree."""
     branch_name: Words | None
-    generation: Annotated[int, Range(0, 1000)] | None
+    generation: Annotated[int, Meta(ge=0, le=1000)] | None
 
 
-@dataclass(frozen=True, slots=True)
-class Status:
+class Status(ServerMessage, frozen=True):
     """How the stream runs; twice a second while pictures go."""
 
-    wire_type: ClassVar[str] = "status"
     fps: float
     """Airway pictures sent per second, over the last second of movement."""
     render_ms: float
@@ -492,8 +411,7 @@ class Status:
     simd: Words
 
 
-@dataclass(frozen=True, slots=True)
-class ClusterMember:
+class ClusterMember(FrozenValue, frozen=True):
     """One machine that renders with this one."""
 
     name: Words
@@ -502,7 +420,7 @@ class ClusterMember:
     simd: Words
     state: Literal["ready", "late", "away", "loading"]
     """``late``: its strips went to others, until it answers. ``loading``: it is being sent the volume."""
-    share: Annotated[float, Range(0.0, 1.0)]
+    share: Annotated[float, Meta(ge=0.0, le=1.0)]
     """Of a picture."""
     latency_ms: float | None
     """From the order of a strip to its answer, the median of the last; null before the first."""
@@ -510,11 +428,9 @@ class ClusterMember:
     num_strips: Count
 
 
-@dataclass(frozen=True, slots=True)
-class Cluster:
+class Cluster(ServerMessage, frozen=True):
     """The machines that render, once a second; only where there is a cluster."""
 
-    wire_type: ClassVar[str] = "cluster"
     address: Words
     members: tuple[ClusterMember, ...]
     """Without this machine's own renderer, which steps in where nobody else can."""
@@ -528,8 +444,7 @@ class Cluster:
     """From wanted to complete, the median of the last pictures; null before the first."""
 
 
-@dataclass(frozen=True, slots=True)
-class PictureLines:
+class PictureLines(FrozenValue, frozen=True):
     """Where the rows of a picture lie whose surface is curved: parallel lists over some of its rows, linear between.
 
     Pixel (column, row) is at ``start_lps + column * step_lps``, in corner coordinates of *this* picture.
@@ -546,8 +461,7 @@ class PictureLines:
     mm_per_px: float
 
 
-@dataclass(frozen=True, slots=True)
-class PictureLens:
+class PictureLens(FrozenValue, frozen=True):
     """A lens in front of this picture. A direction (x, y, z) in camera space falls on center + focal * (x', y').
 
     ``brown``, with k1 k2 p1 p2 k3 k4 k5 k6, distorts (x/z, y/z); ``fisheye``, with k1 to k4, puts the angle a from the
@@ -555,31 +469,29 @@ class PictureLens:
     """
 
     model: Literal["brown", "fisheye"]
-    coefficients: Annotated[tuple[float, ...], Length(4, 8)]
-    focal_px: Annotated[tuple[float, ...], Length(2, 2)]
-    center_px: Annotated[tuple[float, ...], Length(2, 2)]
-    limit_rad: Annotated[float, Range(0.0, 3.1416)]
+    coefficients: Annotated[tuple[float, ...], Meta(min_length=4, max_length=8)]
+    focal_px: tuple[float, float]
+    center_px: tuple[float, float]
+    limit_rad: Annotated[float, Meta(ge=0.0, le=3.1416)]
     """Directions farther from the axis have no place in the picture."""
 
 
 MAX_OUTLINE_BYTES = 4_194_304
 
 
-@dataclass(frozen=True, slots=True)
-class PictureOutline:
+class PictureOutline(FrozenValue, frozen=True):
     """The outline of the lumen in this picture: the last bytes of the message, after those of the picture.
 
     Line after line: u16 number of its points, then column and row of each, u16 little-endian, in sixteenths of a pixel
     of *this* picture (corner coordinates). A closed line ends where it begins.
     """
 
-    num_bytes: Annotated[int, Range(0, MAX_OUTLINE_BYTES)]
+    num_bytes: Annotated[int, Meta(ge=0, le=MAX_OUTLINE_BYTES)]
     complete: bool
     """False where the lumen is so ragged that it is left out."""
 
 
-@dataclass(frozen=True, slots=True)
-class PictureHeader:
+class PictureHeader(FrozenValue, frozen=True):
     """Header of a binary message; the payload follows."""
 
     frame_id: Count
@@ -605,7 +517,7 @@ class PictureHeader:
     """Ray step of an airway view, in units of the smallest spacing; coarser than 0.5 only where fewer pixels alone do
     not make the picture quick enough."""
     codec: Literal["jpeg", "png"]
-    quality: Annotated[int, Range(1, 100)]
+    quality: Annotated[int, Meta(ge=1, le=100)]
     full: bool
     """Final quality for this state; false while moving, and while another lumen or transfer function is on its way."""
     empty: bool

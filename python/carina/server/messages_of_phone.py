@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from carina.server.wire_codec import Length, Range
-from carina.server.wire_fields import Words
+from msgspec import Meta
 
-__all__ = ["PhoneAct", "PhoneHello", "PhoneSample", "PhoneState"]
+from carina.commands.fields import Wide, Words
+from carina.server.wire_codec import PhoneMessage, ToPhoneMessage
 
 # Wide, as of every device: what a phone says too much is ignored and counted, and does not end the connection.
-Wide = Annotated[float, Range(-1e300, 1e300)]
-Four = Annotated[tuple[Wide, ...], Length(4, 4)]
+Four = tuple[Wide, Wide, Wide, Wide]
 
 
-@dataclass(frozen=True, slots=True)
-class PhoneHello:
+class PhoneHello(PhoneMessage, frozen=True):
     """The first message of the page: the token of its link."""
 
-    wire_type: ClassVar[str] = "phone_hello"
-    wire_version: Annotated[int, Range(0, 2**31)]
-    token: Annotated[str, Length(1, 200)]
+    wire_version: Annotated[int, Meta(ge=0, le=2**31)]
+    token: Annotated[str, Meta(min_length=1, max_length=200)]
 
 
-@dataclass(frozen=True, slots=True)
-class PhoneSample:
+class PhoneSample(PhoneMessage, frozen=True):
     """How the phone is turned and what is held on it; sent while something is held, and once after."""
 
-    wire_type: ClassVar[str] = "phone_sample"
     time_s: Wide
     """The phone's clock."""
     orientation_wxyz: Four | None
@@ -39,19 +33,15 @@ class PhoneSample:
     """-1 (back) to 1 (forward)."""
 
 
-@dataclass(frozen=True, slots=True)
-class PhoneAct:
+class PhoneAct(PhoneMessage, frozen=True):
     """A button of the page: look along the path again, or the next way to move."""
 
-    wire_type: ClassVar[str] = "phone_act"
     action: Literal["recenter", "next_control"]
 
 
-@dataclass(frozen=True, slots=True)
-class PhoneState:
+class PhoneState(ToPhoneMessage, frozen=True):
     """What the page shows; when it changes. Nothing of the patient is in it."""
 
-    wire_type: ClassVar[str] = "phone_state"
     case_open: bool
     control: Literal["absolute", "relative", "path"]
     scope_held: bool

@@ -2,34 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from carina.server.wire_codec import Range
-from carina.server.wire_fields import BranchId, Count, MaybeNumbers, Numbers, Part, PointLps, PointsLps, Words
+from msgspec import Meta
 
-__all__ = [
-    "BranchDetail",
-    "BranchMeasures",
-    "BranchProfile",
-    "BranchTitle",
-    "LivePath",
-    "Tree",
-    "TreeBranch",
-    "TreeDocument",
-    "UncertainPlace",
-]
+from carina.commands.fields import BranchId, Count, MaybeNumbers, Numbers, Part, PointLps, PointsLps, Words
+from carina.commands.value import FrozenValue
+from carina.server.wire_codec import ServerMessage
 
 
-@dataclass(frozen=True, slots=True)
-class TreeBranch:
+class TreeBranch(FrozenValue, frozen=True, forbid_unknown_fields=False):
     """A branch of a ``carina-tree`` document."""
 
-    extra_keys_allowed: ClassVar[bool] = True
     id: BranchId
     parent: BranchId | None
     children: tuple[BranchId, ...]
-    generation: Annotated[int, Range(0, 1000)]
+    generation: Annotated[int, Meta(ge=0, le=1000)]
     name: Words | None
     kind: Literal["tracked", "bridge", "manual"]
     points: PointsLps
@@ -46,11 +34,9 @@ class TreeBranch:
     """Length along which the CT shows no wall; above 0 in branches of kind ``manual``, drawn by hand."""
 
 
-@dataclass(frozen=True, slots=True)
-class TreeDocument:
+class TreeDocument(FrozenValue, frozen=True, forbid_unknown_fields=False):
     """A ``carina-tree`` document, version 1."""
 
-    extra_keys_allowed: ClassVar[bool] = True
     format: Literal["carina-tree"]
     version: Literal[1]
     space: Literal["LPS"]
@@ -59,8 +45,7 @@ class TreeDocument:
     branches: tuple[TreeBranch, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class BranchMeasures:
+class BranchMeasures(FrozenValue, frozen=True):
     """What was measured on a branch, without its junctions. Lumens are diameters; errors hold in 95 of 100 cases."""
 
     branch_id: BranchId
@@ -87,8 +72,7 @@ class BranchMeasures:
     stenosis_at_mm: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class BranchTitle:
+class BranchTitle(FrozenValue, frozen=True):
     """What a branch is called in full, and the lobe that it leads to."""
 
     branch_id: BranchId
@@ -96,8 +80,7 @@ class BranchTitle:
     lobe: Literal["RUL", "RML", "RLL", "LUL", "LML", "LLL"] | None
 
 
-@dataclass(frozen=True, slots=True)
-class UncertainPlace:
+class UncertainPlace(FrozenValue, frozen=True):
     """What could not be followed."""
 
     lps: PointLps
@@ -105,11 +88,9 @@ class UncertainPlace:
     branch_id: BranchId | None
 
 
-@dataclass(frozen=True, slots=True)
-class Tree:
+class Tree(ServerMessage, frozen=True):
     """The airway tree, when it or its measures changed."""
 
-    wire_type: ClassVar[str] = "tree"
     tree: TreeDocument | None
     titles: tuple[BranchTitle, ...]
     """Of the branches that have any."""
@@ -118,11 +99,9 @@ class Tree:
     uncertain: tuple[UncertainPlace, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class LivePath:
+class LivePath(ServerMessage, frozen=True):
     """Answer to ``live_path``: the way from the root to the place under the cursor, or why there is none."""
 
-    wire_type: ClassVar[str] = "live_path"
     request_id: Count
     lps: PointLps | None
     """Where it ends: the point that was asked for, or the lumen in front of the wall; null where there is nothing."""
@@ -140,8 +119,7 @@ class LivePath:
     problem: Words | None
 
 
-@dataclass(frozen=True, slots=True)
-class BranchProfile:
+class BranchProfile(FrozenValue, frozen=True):
     """Sections across a branch, from its beginning to its end: parallel lists; null where nothing could be measured."""
 
     at_mm: Numbers
@@ -156,11 +134,9 @@ class BranchProfile:
     """The section cuts a fork, or the edge of the scan: what is measured there is no airway's width."""
 
 
-@dataclass(frozen=True, slots=True)
-class BranchDetail:
+class BranchDetail(ServerMessage, frozen=True):
     """Answer to ``branch_detail``; profile and measures are null until they are ready."""
 
-    wire_type: ClassVar[str] = "branch_detail"
     request_id: Count
     branch_id: BranchId
     measures: BranchMeasures | None

@@ -1,8 +1,7 @@
-"""Answers to what a person points at: the live path, what was measured along a branch; and edits as they come in."""
+"""Answers to what a person points at: the live path, what an edit would make, what was measured along a branch."""
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
     from carina.server.pump import ShownPicture
 
-__all__ = ["Pointing", "edit_from_wire", "edit_preview_message", "live_path_message", "no_evidence_message"]
+__all__ = ["Pointing", "edit_preview_message", "live_path_message", "no_evidence_message"]
 
 logger = logging.getLogger(__name__)
 
@@ -149,7 +148,7 @@ def live_path_message(request_id: int, lps: tuple[float, float, float], path: An
     return wire.LivePath(
         request_id=request_id,
         lps=lps,
-        points_lps=tuple(tuple(float(v) for v in p) for p in np.round(_thinned(points), 2)),
+        points_lps=tuple((float(x), float(y), float(z)) for x, y, z in np.round(_thinned(points), 2)),
         length_mm=_rounded(path.length_mm),
         min_diameter_mm=None if path.min_radius_mm is None else _rounded(2.0 * path.min_radius_mm),
         confidence=None if path.confidence is None else round(min(1.0, max(0.0, float(path.confidence))), 3),
@@ -214,7 +213,7 @@ def no_evidence_message(event: NotEvident) -> wire.NoEvidence:
 
 def _line(points_lps: NDArray[np.float64], doubtful: NDArray[np.bool_], drawn: NDArray[np.bool_]) -> wire.EditLine:
     # Not rounded: the branch that is made has these very points.
-    points = tuple(tuple(float(v) for v in p) for p in points_lps)
+    points = tuple((float(x), float(y), float(z)) for x, y, z in points_lps)
     return wire.EditLine(points, tuple(bool(d) for d in doubtful), tuple(bool(d) for d in drawn))
 
 
@@ -231,18 +230,3 @@ def _previewed(message: wire.AskEditPreview, lps: tuple[float, float, float]) ->
         case "move-fork":
             assert message.branch_id is not None
             return MoveFork(message.branch_id, lps)
-
-
-def edit_from_wire(edit: Any) -> Any:
-    """The edit of :mod:`carina.track.edits` that a message asks for.
-
-    Raises
-    ------
-    UsageError
-        If its numbers make no edit.
-    """
-    from carina.track import edits
-
-    kind = getattr(edits, type(edit).__name__.removeprefix("Edit"))
-    values = {field.name: getattr(edit, field.name) for field in dataclasses.fields(edit) if field.name != "kind"}
-    return kind(**values)

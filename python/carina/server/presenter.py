@@ -64,9 +64,9 @@ def picture_lines(lines: PictureLines | None) -> wire.PictureLines | None:
     places = np.interp(rows, known, lines.path_mm[known]) if known.size else np.zeros(rows.size)
     return wire.PictureLines(
         row=_floats(rows + 0.5),
-        start_lps=tuple(_floats(p) for p in np.round(lines.start_lps[rows], 3)),
+        start_lps=tuple(_point(p) for p in np.round(lines.start_lps[rows], 3)),
         # Times the width of a picture of 4096 px these still are good to a hundredth of a millimetre.
-        step_lps=tuple(_floats(p) for p in np.round(lines.step_lps[rows], 6)),
+        step_lps=tuple(_point(p) for p in np.round(lines.step_lps[rows], 6)),
         path_mm=_floats(np.round(places, 3)),
         path_column=_floats(np.round(lines.path_column[rows], 2)),
         mm_per_px=lines.mm_per_px,
@@ -131,7 +131,7 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
         route_id=None if document is None or document.route is None else document.route.route_id,
         can_undo=snapshot.undo_label,
         can_redo=snapshot.redo_label,
-        root_lps=None if airways is None else _floats(airways.root_lps),
+        root_lps=None if airways is None else _point(airways.root_lps),
         lumen_threshold=_threshold(document),
         orbit_tree=wire.Orbit(tree.azimuth_deg, tree.elevation_deg, tree.distance_mm),
         orbit_tri_plane=wire.Orbit(tri.azimuth_deg, tri.elevation_deg, tri.distance_mm),
@@ -198,7 +198,7 @@ def route_message(route: ChosenRoute | None) -> wire.Route:
         title=route.title,
         target_id=route.target_id,
         branch_id=route.branch_id,
-        points_lps=tuple(_floats(p) for p in np.round(route.points_lps, 3)),
+        points_lps=tuple(_point(p) for p in np.round(route.points_lps, 3)),
         cumulative_mm=_floats(np.round(route.cumulative_mm, 3)),
         generation=tuple(int(g) for g in route.generation),
         radius_mm=_floats(np.round(route.radius_mm, 3)),
@@ -298,3 +298,8 @@ def _flat(matrix: Any) -> tuple[float, ...]:
 
 def _floats(values: Any) -> tuple[float, ...]:
     return tuple(float(v) for v in values)
+
+
+def _point(values: Any) -> tuple[float, float, float]:
+    x, y, z = values
+    return float(x), float(y), float(z)

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from carina.server import messages as wire
-from carina.server.wire_codec import decode_fields
+from carina.server.wire_codec import read_fields
 from carina.track import branch_side_and_lobe, name_words
 
 __all__ = ["branch_detail_message", "branch_measures", "tree_message"]
@@ -31,7 +31,7 @@ def tree_message(airways: Any, measures: Any = None) -> wire.Tree:
     uncertain = tuple(
         wire.UncertainPlace(_point(place.lps), str(place.reason), place.branch_id) for place in airways.uncertain
     )
-    return wire.Tree(decode_fields(wire.TreeDocument, tree.to_json(), "tree"), _titles(tree), measured, uncertain)
+    return wire.Tree(read_fields(wire.TreeDocument, tree.to_json(), "tree"), _titles(tree), measured, uncertain)
 
 
 def _titles(tree: Any) -> tuple[wire.BranchTitle, ...]:

@@ -5,17 +5,17 @@ Run ``python -m carina.server.wire_types [REPOSITORY]``; ``--check`` only compar
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import sys
-import types
-import typing
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Any
 
+from msgspec import inspect
+
+from carina.commands.fields import Mask, ViewName
 from carina.server import messages
 from carina.server.view_types import views_typescript
-from carina.server.wire_codec import Length, Range, field_types, optional_fields
+from carina.server.wire_codec import type_name
 
 __all__ = ["generated_files", "json_schema", "main", "typescript"]
 
@@ -27,77 +27,86 @@ GROUPS = (
 )
 
 
-def _unwrap(hint: Any) -> tuple[Any, list[Any]]:
-    if get_origin(hint) is Annotated:
-        inner, *metadata = get_args(hint)
-        return inner, list(metadata)
-    return hint, []
-
-
-def _choices(hint: Any) -> list[Any] | None:
-    return list(get_args(hint)) if get_origin(hint) in (Union, types.UnionType) else None
-
-
-def _nested(classes: list[type[Any]]) -> list[type[Any]]:
-    """The classes and every dataclass their fields name, each once, inner ones first."""
-    found: list[type[Any]] = []
-
-    def visit(hint: Any) -> None:
-        hint, _ = _unwrap(hint)
-        if dataclasses.is_dataclass(hint):
-            cls = typing.cast(type[Any], hint)
-            if cls not in found:
-                for inner in field_types(cls).values():
-                    visit(inner)
-                found.append(cls)
-        else:
-            for inner in get_args(hint):
-                visit(inner)
-
-    for cls in classes:
-        visit(cls)
+def _struct(cls: type[Any]) -> inspect.StructType:
+    found = inspect.type_info(cls)
+    assert isinstance(found, inspect.StructType)
     return found
 
 
+def _inner(kind: inspect.Type) -> tuple[inspect.Type, ...]:
+    match kind:
+        case inspect.UnionType():
+            return kind.types
+        case inspect.TupleType():
+            return kind.item_types
+        case inspect.VarTupleType():
+            return (kind.item_type,)
+    return ()
+
+
 def _all_classes() -> list[type[Any]]:
-    return _nested([*(cls for _, classes in GROUPS for cls in classes.values()), messages.PictureHeader])
+    """Every class that a message is or holds, each once, inner ones first."""
+    found: dict[type[Any], None] = {}
+
+    def visit(kind: inspect.Type) -> None:
+        if not isinstance(kind, inspect.StructType):
+            for inner in _inner(kind):
+                visit(inner)
+        elif kind.cls not in found:
+            for field in kind.fields:
+                visit(field.type)
+            found[kind.cls] = None
+
+    whole: list[type[Any]] = [cls for _, classes in GROUPS for cls in classes.values()]
+    whole.append(messages.PictureHeader)
+    for cls in whole:
+        visit(_struct(cls))
+    return list(found)
 
 
 def _ts_name(cls: type[Any]) -> str:
-    return cls.__name__ + ("Message" if hasattr(cls, "wire_type") else "")
+    suffix = "Message" if type_name(cls) is not None else ""
+    return str(getattr(cls, "typescript_prefix", "")) + cls.__name__ + suffix
 
 
-def _ts_type(hint: Any) -> str:
-    hint, metadata = _unwrap(hint)
-    choices = _choices(hint)
-    if choices is not None:
-        return " | ".join("null" if c is type(None) else _ts_type(c) for c in choices)
-    origin = get_origin(hint)
-    if origin is Literal:
-        return " | ".join(json.dumps(value) for value in get_args(hint))
-    if origin is tuple:
-        item = _ts_type(get_args(hint)[0])
-        lengths = [m for m in metadata if isinstance(m, Length) and m.low == m.high <= 4]
-        if lengths:
-            return f"readonly [{', '.join([item] * lengths[0].low)}]"
-        return (
-            f"readonly ({item})[]"
-            if "|" in item
-            else f"readonly {item}[]"
-            if " " not in item
-            else f"readonly ({item})[]"
-        )
-    if origin is dict:
-        return "Record<string, unknown>"
-    if dataclasses.is_dataclass(hint):
-        return _ts_name(typing.cast(type[Any], hint))
-    return {bool: "boolean", int: "number", float: "number", str: "string"}[hint]
+def _ts_list(item: str) -> str:
+    return f"readonly ({item})[]" if " " in item else f"readonly {item}[]"
+
+
+def _ts_type(kind: inspect.Type) -> str:
+    match kind:
+        case inspect.UnionType():
+            return " | ".join(map(_ts_type, sorted(kind.types, key=lambda one: isinstance(one, inspect.NoneType))))
+        case inspect.LiteralType():
+            return " | ".join(json.dumps(value) for value in kind.values)
+        case inspect.TupleType():
+            return f"readonly [{', '.join(map(_ts_type, kind.item_types))}]"
+        case inspect.VarTupleType():
+            return _ts_list(_ts_type(kind.item_type))
+        case inspect.StructType():
+            return _ts_name(kind.cls)
+        case inspect.DictType():
+            return "Record<string, unknown>"
+        case inspect.NoneType():
+            return "null"
+        case inspect.BoolType():
+            return "boolean"
+        case inspect.IntType() | inspect.FloatType():
+            return "number"
+        case inspect.StrType():
+            return "string"
+    raise TypeError(f"no type of TypeScript for {kind!r}")
+
+
+def _tag(struct: inspect.StructType) -> tuple[str, str] | None:
+    return None if struct.tag_field is None else (struct.tag_field, str(struct.tag))
 
 
 def typescript() -> str:
     """The text of ``messages.ts``."""
     lines = [
-        "// Generated from python/carina/server/messages.py by `python -m carina.server.wire_types`. Do not edit.",
+        "// Generated from python/carina/commands and python/carina/server/messages.py by",
+        "// `python -m carina.server.wire_types`. Do not edit.",
         "",
         f"export const WIRE_VERSION = {messages.WIRE_VERSION};",
         "",
@@ -107,19 +116,19 @@ def typescript() -> str:
         "",
         "/** 4x4, row-major. */",
         "export type Matrix4 = readonly number[];",
-        f"export type ViewName = {_ts_type(messages.ViewName)};",
-        f"export type Mask = {_ts_type(messages.Mask)};",
+        f"export type ViewName = {_ts_type(inspect.type_info(ViewName))};",
+        f"export type Mask = {_ts_type(inspect.type_info(Mask))};",
         "",
     ]
     for cls in _all_classes():
+        struct = _struct(cls)
         documentation = (cls.__doc__ or "").strip().replace("``", "`")
         lines.append(f"/** {documentation} */")
         lines.append(f"export interface {_ts_name(cls)} {{")
-        if hasattr(cls, "wire_type"):
-            lines.append(f"  readonly type: {json.dumps(cls.wire_type)};")
-        optional = optional_fields(cls)
-        for name, hint in field_types(cls).items():
-            lines.append(f"  readonly {name}{'?' if name in optional else ''}: {_ts_type(hint)};")
+        if tag := _tag(struct):
+            lines.append(f"  readonly {tag[0]}: {json.dumps(tag[1])};")
+        for field in struct.fields:
+            lines.append(f"  readonly {field.name}{'' if field.required else '?'}: {_ts_type(field.type)};")
         lines += ["}", ""]
     for name, classes in GROUPS:
         lines += [f"export type {name} =", *(f"  | {_ts_name(cls)}" for cls in classes.values())]
@@ -128,47 +137,59 @@ def typescript() -> str:
     return "\n".join(lines)
 
 
-def _schema_of(hint: Any) -> dict[str, Any]:
-    hint, metadata = _unwrap(hint)
-    choices = _choices(hint)
-    if choices is not None:
-        return {"anyOf": [{"type": "null"} if c is type(None) else _schema_of(c) for c in choices]}
-    origin = get_origin(hint)
-    schema: dict[str, Any]
-    if origin is Literal:
-        return {"enum": list(get_args(hint))}
-    if origin is tuple:
-        schema = {"type": "array", "items": _schema_of(get_args(hint)[0])}
-        for bound in metadata:
-            if isinstance(bound, Length):
-                schema |= {"minItems": bound.low, "maxItems": bound.high}
-        return schema
-    if origin is dict:
-        return {"type": "object"}
-    if dataclasses.is_dataclass(hint):
-        return {"$ref": f"#/$defs/{_ts_name(typing.cast(type[Any], hint))}"}
-    schema = {"type": {bool: "boolean", int: "integer", float: "number", str: "string"}[hint]}
-    for bound in metadata:
-        if isinstance(bound, Range):
-            schema |= {"minimum": bound.low, "maximum": bound.high}
-        if isinstance(bound, Length):
-            schema |= {"minLength": bound.low, "maxLength": bound.high}
-    return schema
+def _schema_of(kind: inspect.Type) -> dict[str, Any]:
+    match kind:
+        case inspect.UnionType():
+            ordered = sorted(kind.types, key=lambda one: isinstance(one, inspect.NoneType))
+            return {"anyOf": [_schema_of(one) for one in ordered]}
+        case inspect.LiteralType():
+            return {"enum": list(kind.values)}
+        case inspect.TupleType():
+            length = len(kind.item_types)
+            return {"type": "array", "items": _schema_of(kind.item_types[0]), "minItems": length, "maxItems": length}
+        case inspect.VarTupleType():
+            return {"type": "array", "items": _schema_of(kind.item_type)} | _bounds(kind, "Items")
+        case inspect.StructType():
+            return {"$ref": f"#/$defs/{_ts_name(kind.cls)}"}
+        case inspect.DictType():
+            return {"type": "object"}
+        case inspect.NoneType():
+            return {"type": "null"}
+        case inspect.BoolType():
+            return {"type": "boolean"}
+        case inspect.IntType() | inspect.FloatType():
+            bounds = {"minimum": kind.ge, "maximum": kind.le}
+            number = "integer" if isinstance(kind, inspect.IntType) else "number"
+            return {"type": number} | {name: bound for name, bound in bounds.items() if bound is not None}
+        case inspect.StrType():
+            return {"type": "string"} | _bounds(kind, "Length")
+    raise TypeError(f"no schema for {kind!r}")
+
+
+def _bounds(kind: inspect.VarTupleType | inspect.StrType, what: str) -> dict[str, int]:
+    if kind.min_length is None and kind.max_length is None:
+        return {}
+    found = {f"min{what}": kind.min_length or 0}
+    return found if kind.max_length is None else found | {f"max{what}": kind.max_length}
 
 
 def json_schema() -> dict[str, Any]:
     """JSON Schema of both directions and of the picture header."""
     definitions: dict[str, Any] = {}
     for cls in _all_classes():
-        properties = {name: _schema_of(hint) for name, hint in field_types(cls).items()}
-        if hasattr(cls, "wire_type"):
-            properties = {"type": {"const": cls.wire_type}, **properties}
+        struct = _struct(cls)
+        properties = {field.name: _schema_of(field.type) for field in struct.fields}
+        required = [field.name for field in struct.fields if field.required]
+        if tag := _tag(struct):
+            constant = {"const": tag[1]} if tag[0] == "type" else {"enum": [tag[1]]}
+            properties = {tag[0]: constant, **properties}
+            required = [tag[0], *required]
         definitions[_ts_name(cls)] = {
             "description": (cls.__doc__ or "").strip(),
             "type": "object",
             "properties": properties,
-            "required": [name for name in properties if name not in optional_fields(cls)],
-            "additionalProperties": bool(getattr(cls, "extra_keys_allowed", False)),
+            "required": required,
+            "additionalProperties": not struct.forbid_unknown_fields,
         }
     for name, classes in GROUPS:
         definitions[name] = {"oneOf": [{"$ref": f"#/$defs/{_ts_name(cls)}"} for cls in classes.values()]}
@@ -205,7 +226,7 @@ def main(arguments: list[str]) -> int:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
     for name in drifted:
-        print(f"{name}: {'differs from messages.py; run python -m carina.server.wire_types' if check else 'written'}")
+        print(f"{name}: {'differs from its classes; run python -m carina.server.wire_types' if check else 'written'}")
     return 1 if check and drifted else 0
 
 

@@ -1,4 +1,5 @@
-// Generated from python/carina/server/messages.py by `python -m carina.server.wire_types`. Do not edit.
+// Generated from python/carina/commands and python/carina/server/messages.py by
+// `python -m carina.server.wire_types`. Do not edit.
 
 export const WIRE_VERSION = 1;
 
@@ -13,14 +14,8 @@ export const CLOSE_CODES = {
 
 /** 4x4, row-major. */
 export type Matrix4 = readonly number[];
-export type ViewName = "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "drr" | "axial" | "coronal" | "sagittal" | "straightened" | "curved" | "tree";
-export type Mask = "none" | "round" | "octagon";
-
-/** First message of a client. */
-export interface ClientHelloMessage {
-  readonly type: "hello";
-  readonly wire_version: number;
-}
+export type ViewName = "airway" | "axial" | "coronal" | "curved" | "cut-plane" | "drr" | "sagittal" | "straightened" | "tree" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal";
+export type Mask = "none" | "octagon" | "round";
 
 /** Open a file or folder of this machine. */
 export interface OpenPathMessage {
@@ -31,37 +26,13 @@ export interface OpenPathMessage {
 /** Open a bundled case. */
 export interface OpenDemoMessage {
   readonly type: "open_demo";
-  readonly name: "phantom" | "patient";
-}
-
-/** Open the files sent to `/api/upload`. */
-export interface OpenUploadMessage {
-  readonly type: "open_upload";
-  readonly upload_id: string;
+  readonly name: "patient" | "phantom";
 }
 
 /** Open a case of `start.recent`; its path never travels. */
 export interface OpenRecentMessage {
   readonly type: "open_recent";
   readonly recent_id: string;
-}
-
-/** Take the mask sent to `/api/upload` as the airways of the open case; undoable. */
-export interface ImportMaskMessage {
-  readonly type: "import_mask";
-  readonly upload_id: string;
-}
-
-/** Answer `state.mask_question`: which label is the airway; whether to resample. */
-export interface AnswerMaskMessage {
-  readonly type: "answer_mask";
-  readonly label: number | null;
-  readonly resample: boolean;
-}
-
-/** Forget the mask that `state.mask_question` asks about. */
-export interface DismissMaskMessage {
-  readonly type: "dismiss_mask";
 }
 
 /** Back to the start page. */
@@ -75,23 +46,74 @@ export interface CancelMessage {
   readonly job_id: string;
 }
 
-/** A visible view and its size in device pixels. */
-export interface ViewSize {
-  readonly view: "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "drr" | "axial" | "coronal" | "sagittal" | "straightened" | "curved" | "tree";
-  readonly width: number;
-  readonly height: number;
+/** Take back the last change. */
+export interface UndoMessage {
+  readonly type: "undo";
 }
 
-/** The views on screen; no others are rendered. */
-export interface LayoutMessage {
-  readonly type: "layout";
-  readonly views: readonly ViewSize[];
+/** Do it again. */
+export interface RedoMessage {
+  readonly type: "redo";
 }
 
-/** A picture was decoded; coalesced acks may be sent one after the other. */
-export interface AckMessage {
-  readonly type: "ack";
-  readonly frame_id: number;
+/** A device was unplugged. */
+export interface DeviceGoneMessage {
+  readonly type: "device_gone";
+  readonly device: string;
+}
+
+/** This device moves the tip from now on. */
+export interface TakeDeviceMessage {
+  readonly type: "take_device";
+  readonly device: string;
+}
+
+/** How a device moves the tip: its place (registered), what the hand does, or along the path. */
+export interface SetControlMessage {
+  readonly type: "set_control";
+  readonly control: "absolute" | "path" | "relative";
+}
+
+/** Gains, clutch, speeds and filter of devices. */
+export interface DeviceControls {
+  readonly gain_mm: number;
+  readonly gain_turn: number;
+  readonly clutch: "always" | "hold";
+  readonly speed_mm_s: number;
+  readonly turn_rad_s: number;
+  readonly lever_inverted: boolean;
+  readonly filter_on: boolean;
+  readonly min_cutoff_hz: number;
+}
+
+/** How a device's movement becomes that of the tip. */
+export interface SetControlsMessage {
+  readonly type: "set_controls";
+  readonly controls: DeviceControls;
+}
+
+/** Register a tracker to the patient by pairs of points (3 or more); no pairs forget it. */
+export interface CalibrateMessage {
+  readonly type: "calibrate";
+  readonly device: string;
+  readonly tracker_mm: readonly (readonly [number, number, number])[];
+  readonly patient_lps: readonly (readonly [number, number, number])[];
+}
+
+/** What the pen's first button sets, at the pen's own tip (`pen`); null lets it change the way to move. */
+export interface ArmPenMessage {
+  readonly type: "arm_pen";
+  readonly tool: "root" | "target" | null;
+}
+
+/** In absolute movement the tip comes to the registered pen at once, instead of easing over. */
+export interface JoinPenMessage {
+  readonly type: "join_pen";
+}
+
+/** End the recording. */
+export interface StopRecordingMessage {
+  readonly type: "stop_recording";
 }
 
 /** Movement since the last one, in the camera's axes: forward, to the right, up, clockwise as seen by the camera. */
@@ -156,375 +178,7 @@ export interface ResetLookMessage {
 /** Where the operator stands. */
 export interface SetOperatorMessage {
   readonly type: "set_operator";
-  readonly position: "head" | "facing";
-}
-
-/** Find the airways again from this point. */
-export interface SetRootMessage {
-  readonly type: "set_root";
-  readonly lps: readonly [number, number, number];
-}
-
-/** A target; snapped to the lumen within 5 mm, and said. */
-export interface AddTargetMessage {
-  readonly type: "add_target";
-  readonly lps: readonly [number, number, number];
-}
-
-/** Take a target away. */
-export interface RemoveTargetMessage {
-  readonly type: "remove_target";
-  readonly target_id: string;
-}
-
-/** Route to a target or to the end of a branch; exactly one of both is set, or none for no route. */
-export interface ChooseRouteMessage {
-  readonly type: "choose_route";
-  readonly target_id: string | null;
-  readonly branch_id: number | null;
-}
-
-/** The point that slices and tri-plane show; null follows the tip. */
-export interface SetCrosshairMessage {
-  readonly type: "set_crosshair";
-  readonly lps: readonly [number, number, number] | null;
-}
-
-/** Grey window of all slice views; numbers of the file where the volume is not HU. */
-export interface SetWindowMessage {
-  readonly type: "set_window";
-  readonly width_hu: number;
-  readonly level_hu: number;
-}
-
-/** Full angle of the airway view over the shorter side. */
-export interface SetFovMessage {
-  readonly type: "set_fov";
-  readonly fov_deg: number;
-}
-
-/** Look through an instrument of the library, with its field of view and outline; null is a pinhole. */
-export interface SetScopeMessage {
-  readonly type: "set_scope";
-  readonly scope: string | null;
-}
-
-/** Outline of the airway picture. */
-export interface SetMaskMessage {
-  readonly type: "set_mask";
-  readonly mask: "none" | "round" | "octagon";
-}
-
-/** A preset by name, or a `carina-transfer` document; exactly one. */
-export interface SetTransferMessage {
-  readonly type: "set_transfer";
-  readonly preset: string | null;
-  readonly document: Record<string, unknown> | null;
-}
-
-/** Light at the tip on or off. */
-export interface SetShadingMessage {
-  readonly type: "set_shading";
-  readonly on: boolean;
-}
-
-/** Fine texture of the mucosa, which is decoration and not the patient's, on or off. */
-export interface SetTextureMessage {
-  readonly type: "set_texture";
-  readonly on: boolean;
-}
-
-/** Leaping, or the brute-force reference; the picture is the same. */
-export interface SetMethodMessage {
-  readonly type: "set_method";
-  readonly method: "leap" | "brute";
-}
-
-/** Find the airways again with this threshold; null lets Carina choose. */
-export interface SetLumenThresholdMessage {
-  readonly type: "set_lumen_threshold";
-  readonly value: number | null;
-}
-
-/** Where an outside view is seen from; distance null fits. */
-export interface SetOrbitMessage {
-  readonly type: "set_orbit";
-  readonly view: "tree" | "tri-plane";
-  readonly azimuth_deg: number;
-  readonly elevation_deg: number;
-  readonly distance_mm: number | null;
-}
-
-/** Scale of a slice (mm_per_px) or width of the cut-plane (extent_mm); null fits. */
-export interface SetZoomMessage {
-  readonly type: "set_zoom";
-  readonly view: "axial" | "coronal" | "sagittal" | "cut-plane";
-  readonly mm_per_px: number | null;
-  readonly extent_mm: number | null;
-  readonly center_lps: readonly [number, number, number] | null;
-}
-
-/** Where the radiograph's C-arm stands: LAO and cranial above 0; mm_per_px counts at its centre, null fits. */
-export interface SetCarmMessage {
-  readonly type: "set_carm";
-  readonly primary_deg: number;
-  readonly secondary_deg: number;
-  readonly mm_per_px: number | null;
-  readonly tone: "radiograph" | "fluoroscopy";
-}
-
-/** Turn of the cutting plane of the views along the route, and their scale; null fits the route. */
-export interface SetReformationMessage {
-  readonly type: "set_reformation";
-  readonly turn_deg: number;
-  readonly mm_per_px: number | null;
-}
-
-/** Thickness of slices and views along the route, and what they show of it; 0 mm are thin slices. */
-export interface SetSlabMessage {
-  readonly type: "set_slab";
-  readonly thickness_mm: number;
-  readonly kind: "max" | "min" | "mean";
-}
-
-/** Ask for so many airway pictures per second while moving; resolution gives way to it, then the ray step. */
-export interface SetFrameRateMessage {
-  readonly type: "set_frame_rate";
-  readonly rate_hz: number;
-}
-
-/** Ask for the number of the voxel at a point; the answer is `value`. */
-export interface ProbeMessage {
-  readonly type: "probe";
-  readonly lps: readonly [number, number, number];
-}
-
-/** Ask for the wall under a place in an airway picture; the answer is `picked`. */
-export interface PickMessage {
-  readonly type: "pick";
-  readonly pick_id: number;
-  readonly frame_id: number;
-  readonly column: number;
-  readonly row: number;
-}
-
-/** Ask for the path from the root to a place under the cursor; only the newest is answered, by `live_path`.
-
-    Either a point, or a place in an airway picture, as in `pick`: then the lumen in front of the wall there is meant. */
-export interface AskLivePathMessage {
-  readonly type: "live_path";
-  readonly request_id: number;
-  readonly lps: readonly [number, number, number] | null;
-  readonly frame_id: number | null;
-  readonly column: number | null;
-  readonly row: number | null;
-}
-
-/** Ask for what was measured along a branch; only the newest is answered, by `branch_detail`. */
-export interface AskBranchDetailMessage {
-  readonly type: "branch_detail";
-  readonly request_id: number;
-  readonly branch_id: number;
-}
-
-/** A branch to a point. */
-export interface EditAddBranch {
-  readonly kind: "add-branch";
-  readonly lps: readonly [number, number, number];
-  readonly even_without_evidence?: boolean;
-}
-
-/** Take a branch away from a place along it, with all that hangs on it; 0 takes the whole branch. */
-export interface EditCutBranch {
-  readonly kind: "cut-branch";
-  readonly branch_id: number;
-  readonly at_mm: number;
-}
-
-/** Over a blockage to a point in an airway beyond. */
-export interface EditBridge {
-  readonly kind: "bridge";
-  readonly lps: readonly [number, number, number];
-}
-
-/** Begin all paths elsewhere. */
-export interface EditMoveRoot {
-  readonly kind: "move-root";
-  readonly lps: readonly [number, number, number];
-}
-
-/** Move the point where a branch ends and its children begin. */
-export interface EditMoveFork {
-  readonly kind: "move-fork";
-  readonly branch_id: number;
-  readonly lps: readonly [number, number, number];
-}
-
-/** A stroke of a brush that makes voxels lumen, or takes lumen away; `ball` paints in all directions. */
-export interface EditPaintLumen {
-  readonly kind: "paint-lumen";
-  readonly points_lps: readonly (readonly [number, number, number])[];
-  readonly radius_mm: number;
-  readonly plane: "axial" | "coronal" | "sagittal" | "ball";
-  readonly erase: boolean;
-}
-
-/** Make a centreline smoother. */
-export interface EditSmoothBranch {
-  readonly kind: "smooth-branch";
-  readonly branch_id: number;
-}
-
-/** A name of one's own; null gives the automatic one back. */
-export interface EditRenameBranch {
-  readonly kind: "rename-branch";
-  readonly branch_id: number;
-  readonly name: string | null;
-}
-
-/** One edit of the airway tree: a job, and one step of undo. */
-export interface EditTreeMessage {
-  readonly type: "edit_tree";
-  readonly edit: EditAddBranch | EditCutBranch | EditBridge | EditMoveRoot | EditMoveFork | EditPaintLumen | EditSmoothBranch | EditRenameBranch;
-}
-
-/** Ask what an edit at a place under the cursor would make; only the newest is answered, by `edit_preview`.
-
-    Either a point, or a place in an airway picture, as in `live_path`. A branch is named for `move-fork` alone. */
-export interface AskEditPreviewMessage {
-  readonly type: "preview_edit";
-  readonly request_id: number;
-  readonly tool: "add-branch" | "bridge" | "move-fork";
-  readonly branch_id: number | null;
-  readonly lps: readonly [number, number, number] | null;
-  readonly frame_id: number | null;
-  readonly column: number | null;
-  readonly row: number | null;
-}
-
-/** Take back the last change. */
-export interface UndoMessage {
-  readonly type: "undo";
-}
-
-/** Do it again. */
-export interface RedoMessage {
-  readonly type: "redo";
-}
-
-/** "Not a medical device" was read. */
-export interface AcceptNoticeMessage {
-  readonly type: "accept_notice";
-}
-
-/** What a device of the window says.
-
-    Second check: an orientation (with a position or without), axes, or a scope handle's controls. */
-export interface DeviceSampleMessage {
-  readonly type: "device_sample";
-  readonly device: string;
-  readonly time_s: number;
-  readonly position_mm: readonly [number, number, number] | null;
-  readonly orientation_wxyz: readonly [number, number, number, number] | null;
-  readonly axes: readonly number[] | null;
-  readonly buttons: number;
-  readonly handle: readonly [number, number, number] | null;
-  readonly advance: number;
-}
-
-/** A device of the window was unplugged. */
-export interface DeviceGoneMessage {
-  readonly type: "device_gone";
-  readonly device: string;
-}
-
-/** This device moves the tip from now on. */
-export interface TakeDeviceMessage {
-  readonly type: "take_device";
-  readonly device: string;
-}
-
-/** How a device moves the tip: its place (registered), what the hand does, or along the path. */
-export interface SetControlMessage {
-  readonly type: "set_control";
-  readonly control: "absolute" | "relative" | "path";
-}
-
-/** Gains, clutch, speeds and filter of devices. */
-export interface DeviceControls {
-  readonly gain_mm: number;
-  readonly gain_turn: number;
-  readonly clutch: "always" | "hold";
-  readonly speed_mm_s: number;
-  readonly turn_rad_s: number;
-  readonly lever_inverted: boolean;
-  readonly filter_on: boolean;
-  readonly min_cutoff_hz: number;
-}
-
-/** How a device's movement becomes that of the tip. */
-export interface SetControlsMessage {
-  readonly type: "set_controls";
-  readonly controls: DeviceControls;
-}
-
-/** Register a tracker to the patient by pairs of points (3 or more); no pairs forget it. */
-export interface CalibrateMessage {
-  readonly type: "calibrate";
-  readonly device: string;
-  readonly tracker_mm: readonly (readonly [number, number, number])[];
-  readonly patient_lps: readonly (readonly [number, number, number])[];
-}
-
-/** What the pen's first button sets, at the pen's own tip (`pen`); null lets it change the way to move. */
-export interface ArmPenMessage {
-  readonly type: "arm_pen";
-  readonly tool: "root" | "target" | null;
-}
-
-/** In absolute movement the tip comes to the registered pen at once, instead of easing over. */
-export interface JoinPenMessage {
-  readonly type: "join_pen";
-}
-
-/** Connect to a device of this machine: fastrak:PORT, handle:PORT, openigtlink:HOST:PORT. */
-export interface ConnectDeviceMessage {
-  readonly type: "connect_device";
-  readonly address: string;
-}
-
-/** End that connection. */
-export interface DisconnectDeviceMessage {
-  readonly type: "disconnect_device";
-  readonly address: string;
-}
-
-/** Publish the tip by OpenIGTLink on this port of this machine (0: a free one); null ends it. */
-export interface PublishTipMessage {
-  readonly type: "publish_tip";
-  readonly port: number | null;
-}
-
-/** Open the page for a phone to this machine's network, with a new certificate and link, or close it. */
-export interface SetPhoneMessage {
-  readonly type: "set_phone";
-  readonly on: boolean;
-}
-
-/** Send `devices` a few times a second, or only when something changes. */
-export interface WatchDevicesMessage {
-  readonly type: "watch_devices";
-  readonly on: boolean;
-}
-
-/** Record the flight to a file of this machine. */
-export interface StartRecordingMessage {
-  readonly type: "start_recording";
-}
-
-/** End the recording. */
-export interface StopRecordingMessage {
-  readonly type: "stop_recording";
+  readonly position: "facing" | "head";
 }
 
 /** The present pose becomes the last key frame. */
@@ -591,6 +245,353 @@ export interface FlyKeysMessage {
   readonly goes_on: boolean;
 }
 
+/** The point that slices and tri-plane show; null follows the tip. */
+export interface SetCrosshairMessage {
+  readonly type: "set_crosshair";
+  readonly lps: readonly [number, number, number] | null;
+}
+
+/** Grey window of all slice views; numbers of the file where the volume is not HU. */
+export interface SetWindowMessage {
+  readonly type: "set_window";
+  readonly width_hu: number;
+  readonly level_hu: number;
+}
+
+/** Full angle of the airway view over the shorter side. */
+export interface SetFovMessage {
+  readonly type: "set_fov";
+  readonly fov_deg: number;
+}
+
+/** Look through an instrument of the library, with its field of view and outline; null is a pinhole. */
+export interface SetScopeMessage {
+  readonly type: "set_scope";
+  readonly scope: string | null;
+}
+
+/** Outline of the airway picture. */
+export interface SetMaskMessage {
+  readonly type: "set_mask";
+  readonly mask: "none" | "octagon" | "round";
+}
+
+/** A preset by name, or a `carina-transfer` document; exactly one. */
+export interface SetTransferMessage {
+  readonly type: "set_transfer";
+  readonly preset: string | null;
+  readonly document: Record<string, unknown> | null;
+}
+
+/** Light at the tip on or off. */
+export interface SetShadingMessage {
+  readonly type: "set_shading";
+  readonly on: boolean;
+}
+
+/** Fine texture of the mucosa, which is decoration and not the patient's, on or off. */
+export interface SetTextureMessage {
+  readonly type: "set_texture";
+  readonly on: boolean;
+}
+
+/** Leaping, or the brute-force reference; the picture is the same. */
+export interface SetMethodMessage {
+  readonly type: "set_method";
+  readonly method: "brute" | "leap";
+}
+
+/** Where an outside view is seen from; distance null fits. */
+export interface SetOrbitMessage {
+  readonly type: "set_orbit";
+  readonly view: "tree" | "tri-plane";
+  readonly azimuth_deg: number;
+  readonly elevation_deg: number;
+  readonly distance_mm: number | null;
+}
+
+/** Scale of a slice (mm_per_px) or width of the cut-plane (extent_mm); null fits. */
+export interface SetZoomMessage {
+  readonly type: "set_zoom";
+  readonly view: "axial" | "coronal" | "cut-plane" | "sagittal";
+  readonly mm_per_px: number | null;
+  readonly extent_mm: number | null;
+  readonly center_lps: readonly [number, number, number] | null;
+}
+
+/** Where the radiograph's C-arm stands: LAO and cranial above 0; mm_per_px counts at its centre, null fits. */
+export interface SetCarmMessage {
+  readonly type: "set_carm";
+  readonly primary_deg: number;
+  readonly secondary_deg: number;
+  readonly mm_per_px: number | null;
+  readonly tone: "fluoroscopy" | "radiograph";
+}
+
+/** Turn of the cutting plane of the views along the route, and their scale; null fits the route. */
+export interface SetReformationMessage {
+  readonly type: "set_reformation";
+  readonly turn_deg: number;
+  readonly mm_per_px: number | null;
+}
+
+/** Thickness of slices and views along the route, and what they show of it; 0 mm are thin slices. */
+export interface SetSlabMessage {
+  readonly type: "set_slab";
+  readonly thickness_mm: number;
+  readonly kind: "max" | "mean" | "min";
+}
+
+/** Answer `state.mask_question`: which label is the airway; whether to resample. */
+export interface AnswerMaskMessage {
+  readonly type: "answer_mask";
+  readonly label: number | null;
+  readonly resample: boolean;
+}
+
+/** Forget the mask that `state.mask_question` asks about. */
+export interface DismissMaskMessage {
+  readonly type: "dismiss_mask";
+}
+
+/** Find the airways again from this point. */
+export interface SetRootMessage {
+  readonly type: "set_root";
+  readonly lps: readonly [number, number, number];
+}
+
+/** Find the airways again with this threshold; null lets Carina choose. */
+export interface SetLumenThresholdMessage {
+  readonly type: "set_lumen_threshold";
+  readonly value: number | null;
+}
+
+/** A target; snapped to the lumen within 5 mm, and said. */
+export interface AddTargetMessage {
+  readonly type: "add_target";
+  readonly lps: readonly [number, number, number];
+}
+
+/** Take a target away. */
+export interface RemoveTargetMessage {
+  readonly type: "remove_target";
+  readonly target_id: string;
+}
+
+/** Route to a target or to the end of a branch; exactly one of both is set, or none for no route. */
+export interface ChooseRouteMessage {
+  readonly type: "choose_route";
+  readonly target_id: string | null;
+  readonly branch_id: number | null;
+}
+
+/** A branch to a point: the least-cost path through the lumen, or the way with the best evidence beyond it. */
+export interface EditAddBranch {
+  readonly kind: "add-branch";
+  readonly lps: readonly [number, number, number];
+  readonly even_without_evidence?: boolean;
+}
+
+/** Take a branch away with all that hangs on it, from a place along it. */
+export interface EditCutBranch {
+  readonly kind: "cut-branch";
+  readonly branch_id: number;
+  readonly at_mm?: number;
+}
+
+/** Go on beyond a blockage: from the nearest place of the tree through mucus or tumour to a point in an airway. */
+export interface EditBridge {
+  readonly kind: "bridge";
+  readonly lps: readonly [number, number, number];
+}
+
+/** Begin all paths elsewhere; branches that are then flown the other way are turned round. */
+export interface EditMoveRoot {
+  readonly kind: "move-root";
+  readonly lps: readonly [number, number, number];
+}
+
+/** Move the point where a branch ends and its children begin; the adjoining centrelines follow. */
+export interface EditMoveFork {
+  readonly kind: "move-fork";
+  readonly branch_id: number;
+  readonly lps: readonly [number, number, number];
+}
+
+/** A stroke of a brush that makes voxels lumen, or takes lumen away. */
+export interface EditPaintLumen {
+  readonly kind: "paint-lumen";
+  readonly points_lps: readonly (readonly [number, number, number])[];
+  readonly radius_mm: number;
+  readonly plane?: "axial" | "ball" | "coronal" | "sagittal";
+  readonly erase?: boolean;
+}
+
+/** Make a branch's centreline smoother; its ends stay. */
+export interface EditSmoothBranch {
+  readonly kind: "smooth-branch";
+  readonly branch_id: number;
+}
+
+/** Give a branch a name of one's own, or the automatic one back. */
+export interface EditRenameBranch {
+  readonly kind: "rename-branch";
+  readonly branch_id: number;
+  readonly name: string | null;
+}
+
+/** One edit of the airway tree: a job, and one step of undo. */
+export interface EditTreeMessage {
+  readonly type: "edit_tree";
+  readonly edit: EditAddBranch | EditCutBranch | EditBridge | EditMoveRoot | EditMoveFork | EditPaintLumen | EditSmoothBranch | EditRenameBranch;
+}
+
+/** First message of a client. */
+export interface ClientHelloMessage {
+  readonly type: "hello";
+  readonly wire_version: number;
+}
+
+/** Open the files sent to `/api/upload`. */
+export interface OpenUploadMessage {
+  readonly type: "open_upload";
+  readonly upload_id: string;
+}
+
+/** Take the mask sent to `/api/upload` as the airways of the open case; undoable. */
+export interface ImportMaskMessage {
+  readonly type: "import_mask";
+  readonly upload_id: string;
+}
+
+/** A visible view and its size in device pixels. */
+export interface ViewSize {
+  readonly view: "airway" | "axial" | "coronal" | "curved" | "cut-plane" | "drr" | "sagittal" | "straightened" | "tree" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal";
+  readonly width: number;
+  readonly height: number;
+}
+
+/** The views on screen; no others are rendered. */
+export interface LayoutMessage {
+  readonly type: "layout";
+  readonly views: readonly ViewSize[];
+}
+
+/** A picture was decoded; coalesced acks may be sent one after the other. */
+export interface AckMessage {
+  readonly type: "ack";
+  readonly frame_id: number;
+}
+
+/** Ask for the number of the voxel at a point; the answer is `value`. */
+export interface ProbeMessage {
+  readonly type: "probe";
+  readonly lps: readonly [number, number, number];
+}
+
+/** Ask for the wall under a place in an airway picture; the answer is `picked`. */
+export interface PickMessage {
+  readonly type: "pick";
+  readonly pick_id: number;
+  readonly frame_id: number;
+  readonly column: number;
+  readonly row: number;
+}
+
+/** Ask for the path from the root to a place under the cursor; only the newest is answered, by `live_path`.
+
+    Either a point, or a place in an airway picture, as in `pick`: then the lumen in front of the wall there is meant. */
+export interface AskLivePathMessage {
+  readonly type: "live_path";
+  readonly request_id: number;
+  readonly lps: readonly [number, number, number] | null;
+  readonly frame_id: number | null;
+  readonly column: number | null;
+  readonly row: number | null;
+}
+
+/** Ask for what was measured along a branch; only the newest is answered, by `branch_detail`. */
+export interface AskBranchDetailMessage {
+  readonly type: "branch_detail";
+  readonly request_id: number;
+  readonly branch_id: number;
+}
+
+/** Ask for so many airway pictures per second while moving; resolution gives way to it, then the ray step. */
+export interface SetFrameRateMessage {
+  readonly type: "set_frame_rate";
+  readonly rate_hz: number;
+}
+
+/** "Not a medical device" was read. */
+export interface AcceptNoticeMessage {
+  readonly type: "accept_notice";
+}
+
+/** What a device of the window says.
+
+    Second check: an orientation (with a position or without), axes, or a scope handle's controls. */
+export interface DeviceSampleMessage {
+  readonly type: "device_sample";
+  readonly device: string;
+  readonly time_s: number;
+  readonly position_mm: readonly [number, number, number] | null;
+  readonly orientation_wxyz: readonly [number, number, number, number] | null;
+  readonly axes: readonly number[] | null;
+  readonly buttons: number;
+  readonly handle: readonly [number, number, number] | null;
+  readonly advance: number;
+}
+
+/** Connect to a device of this machine: fastrak:PORT, handle:PORT, openigtlink:HOST:PORT. */
+export interface ConnectDeviceMessage {
+  readonly type: "connect_device";
+  readonly address: string;
+}
+
+/** End that connection. */
+export interface DisconnectDeviceMessage {
+  readonly type: "disconnect_device";
+  readonly address: string;
+}
+
+/** Publish the tip by OpenIGTLink on this port of this machine (0: a free one); null ends it. */
+export interface PublishTipMessage {
+  readonly type: "publish_tip";
+  readonly port: number | null;
+}
+
+/** Open the page for a phone to this machine's network, with a new certificate and link, or close it. */
+export interface SetPhoneMessage {
+  readonly type: "set_phone";
+  readonly on: boolean;
+}
+
+/** Send `devices` a few times a second, or only when something changes. */
+export interface WatchDevicesMessage {
+  readonly type: "watch_devices";
+  readonly on: boolean;
+}
+
+/** Record the flight to a file of this machine. */
+export interface StartRecordingMessage {
+  readonly type: "start_recording";
+}
+
+/** Ask what an edit at a place under the cursor would make; only the newest is answered, by `edit_preview`.
+
+    Either a point, or a place in an airway picture, as in `live_path`. A branch is named for `move-fork` alone. */
+export interface AskEditPreviewMessage {
+  readonly type: "preview_edit";
+  readonly request_id: number;
+  readonly tool: "add-branch" | "bridge" | "move-fork";
+  readonly branch_id: number | null;
+  readonly lps: readonly [number, number, number] | null;
+  readonly frame_id: number | null;
+  readonly column: number | null;
+  readonly row: number | null;
+}
+
 /** Take the key frames of the file sent to `/api/upload`; undoable. */
 export interface OpenKeysMessage {
   readonly type: "open_keys";
@@ -613,7 +614,7 @@ export interface RecentCase {
 
 /** A bundled case. */
 export interface Demo {
-  readonly name: "phantom" | "patient";
+  readonly name: "patient" | "phantom";
   readonly title: string;
   readonly words: string;
   readonly citation: string | null;
@@ -716,7 +717,7 @@ export interface Carm {
   readonly primary_deg: number;
   readonly secondary_deg: number;
   readonly mm_per_px: number | null;
-  readonly tone: "radiograph" | "fluoroscopy";
+  readonly tone: "fluoroscopy" | "radiograph";
 }
 
 /** Turn and scale of the views along the route; scale null fits. */
@@ -728,7 +729,7 @@ export interface Reformation {
 /** Thickness of slices and views along the route; 0 are thin slices. */
 export interface Slab {
   readonly thickness_mm: number;
-  readonly kind: "max" | "min" | "mean";
+  readonly kind: "max" | "mean" | "min";
 }
 
 /** One structure of a mask of another tool. */
@@ -741,7 +742,7 @@ export interface MaskLabel {
 /** What must be said of a mask before it can be taken as the airways; answered by `answer_mask`. */
 export interface MaskQuestion {
   readonly title: string;
-  readonly problem: "label" | "grid";
+  readonly problem: "grid" | "label";
   readonly labels: readonly MaskLabel[];
   readonly suggested: number | null;
   readonly expected: string | null;
@@ -754,19 +755,19 @@ export interface StateMessage {
   readonly type: "state";
   readonly case: CaseInfo | null;
   readonly stage: "empty" | "opening" | "ready";
-  readonly airways: "none" | "waiting" | "finding" | "found" | "failed";
+  readonly airways: "failed" | "finding" | "found" | "none" | "waiting";
   readonly airways_words: string | null;
   readonly mode: "free" | "path" | "scope";
-  readonly operator: "head" | "facing";
+  readonly operator: "facing" | "head";
   readonly scope: string | null;
-  readonly mask: "none" | "round" | "octagon";
+  readonly mask: "none" | "octagon" | "round";
   readonly fov_deg: number;
   readonly transfer: string;
   readonly transfer_document: Record<string, unknown> | null;
   readonly transfer_presets: readonly string[];
   readonly shading: boolean;
   readonly texture: boolean;
-  readonly method: "leap" | "brute";
+  readonly method: "brute" | "leap";
   readonly window: GreyWindow;
   readonly crosshair_lps: readonly [number, number, number] | null;
   readonly targets: readonly Target[];
@@ -782,80 +783,9 @@ export interface StateMessage {
   readonly reformation: Reformation;
   readonly slab: Slab;
   readonly frame_rate_hz: number;
-  readonly airways_from: "search" | "mask" | null;
+  readonly airways_from: "mask" | "search" | null;
   readonly mask_question: MaskQuestion | null;
   readonly badges: readonly CaseNote[];
-}
-
-/** A branch of a `carina-tree` document. */
-export interface TreeBranch {
-  readonly id: number;
-  readonly parent: number | null;
-  readonly children: readonly number[];
-  readonly generation: number;
-  readonly name: string | null;
-  readonly kind: "tracked" | "bridge" | "manual";
-  readonly points: readonly (readonly [number, number, number])[];
-  readonly radius: readonly number[];
-  readonly cost: number | null;
-  readonly confidence: number | null;
-  readonly name_confidence: number | null;
-  readonly name_from: "anatomy" | "person" | null;
-  readonly variant: string | null;
-  readonly doubtful_mm: number;
-}
-
-/** A `carina-tree` document, version 1. */
-export interface TreeDocument {
-  readonly format: "carina-tree";
-  readonly version: 1;
-  readonly space: "LPS";
-  readonly unit: "mm";
-  readonly root: number;
-  readonly branches: readonly TreeBranch[];
-}
-
-/** What a branch is called in full, and the lobe that it leads to. */
-export interface BranchTitle {
-  readonly branch_id: number;
-  readonly long: string | null;
-  readonly lobe: "RUL" | "RML" | "RLL" | "LUL" | "LML" | "LLL" | null;
-}
-
-/** What was measured on a branch, without its junctions. Lumens are diameters; errors hold in 95 of 100 cases. */
-export interface BranchMeasures {
-  readonly branch_id: number;
-  readonly length_mm: number;
-  readonly lumen_mm: number | null;
-  readonly lumen_error_mm: number | null;
-  readonly min_lumen_mm: number | null;
-  readonly min_lumen_error_mm: number | null;
-  readonly min_at_mm: number | null;
-  readonly max_lumen_mm: number | null;
-  readonly max_lumen_error_mm: number | null;
-  readonly wall_mm: number | null;
-  readonly wall_error_mm: number | null;
-  readonly taper: number | null;
-  readonly angle_deg: number | null;
-  readonly stenosis_percent: number | null;
-  readonly stenosis_error_percent: number | null;
-  readonly stenosis_at_mm: number | null;
-}
-
-/** What could not be followed. */
-export interface UncertainPlace {
-  readonly lps: readonly [number, number, number];
-  readonly words: string;
-  readonly branch_id: number | null;
-}
-
-/** The airway tree, when it or its measures changed. */
-export interface TreeMessage {
-  readonly type: "tree";
-  readonly tree: TreeDocument | null;
-  readonly titles: readonly BranchTitle[];
-  readonly measures: readonly BranchMeasures[] | null;
-  readonly uncertain: readonly UncertainPlace[];
 }
 
 /** A branch along the route. */
@@ -865,7 +795,7 @@ export interface RouteSpan {
   readonly generation: number;
   readonly from_mm: number;
   readonly to_mm: number;
-  readonly kind: "tracked" | "bridge" | "manual";
+  readonly kind: "bridge" | "manual" | "tracked";
 }
 
 /** The way that is flown; lists are parallel, root to tip. */
@@ -899,7 +829,7 @@ export interface HeldScope {
   readonly roll_rad: number;
   readonly flexion_rad: number;
   readonly red_out: number;
-  readonly limit: "none" | "entry" | "wall" | "narrow" | "length" | "flexion";
+  readonly limit: "entry" | "flexion" | "length" | "narrow" | "none" | "wall";
   readonly needs_mm: number | null;
   readonly tip_mm: number | null;
   readonly contact_mm: number | null;
@@ -924,6 +854,37 @@ export interface PoseMessage {
   readonly by_device: boolean;
 }
 
+/** A job's progress; fraction and time left are null where they cannot be known. */
+export interface ProgressMessage {
+  readonly type: "progress";
+  readonly job_id: string;
+  readonly title: string;
+  readonly what: string;
+  readonly fraction: number | null;
+  readonly seconds_left: number | null;
+}
+
+/** A job has ended; a failure comes as `error` too. */
+export interface DoneMessage {
+  readonly type: "done";
+  readonly job_id: string;
+  readonly outcome: "cancelled" | "done" | "failed";
+}
+
+/** Something could not be done; stays until read. */
+export interface ErrorMessage {
+  readonly type: "error";
+  readonly code: string;
+  readonly message: string;
+  readonly action: string | null;
+}
+
+/** Something worth a line. */
+export interface NoticeMessage {
+  readonly type: "notice";
+  readonly message: string;
+}
+
 /** Answer to `probe`; only the newest is sent. */
 export interface ValueMessage {
   readonly type: "value";
@@ -943,106 +904,6 @@ export interface PickedMessage {
   readonly generation: number | null;
 }
 
-/** Answer to `live_path`: the way from the root to the place under the cursor, or why there is none. */
-export interface LivePathMessage {
-  readonly type: "live_path";
-  readonly request_id: number;
-  readonly lps: readonly [number, number, number] | null;
-  readonly points_lps: readonly (readonly [number, number, number])[];
-  readonly length_mm: number | null;
-  readonly min_diameter_mm: number | null;
-  readonly confidence: number | null;
-  readonly snapped_mm: number | null;
-  readonly new_mm: number | null;
-  readonly joins_branch_id: number | null;
-  readonly problem: string | null;
-}
-
-/** Sections across a branch, from its beginning to its end: parallel lists; null where nothing could be measured. */
-export interface BranchProfile {
-  readonly at_mm: readonly number[];
-  readonly lumen_mm: readonly (number | null)[];
-  readonly lumen_error_mm: readonly (number | null)[];
-  readonly min_mm: readonly (number | null)[];
-  readonly max_mm: readonly (number | null)[];
-  readonly wall_mm: readonly (number | null)[];
-  readonly at_junction: readonly boolean[];
-}
-
-/** Answer to `branch_detail`; profile and measures are null until they are ready. */
-export interface BranchDetailMessage {
-  readonly type: "branch_detail";
-  readonly request_id: number;
-  readonly branch_id: number;
-  readonly measures: BranchMeasures | null;
-  readonly profile: BranchProfile | null;
-}
-
-/** A line that an edit would draw, or was asked to draw. */
-export interface EditLine {
-  readonly points_lps: readonly (readonly [number, number, number])[];
-  readonly doubtful: readonly boolean[];
-  readonly drawn: readonly boolean[];
-}
-
-/** Answer to `preview_edit`: the very lines that the edit would make, or why it cannot be made. */
-export interface EditPreviewMessage {
-  readonly type: "edit_preview";
-  readonly request_id: number;
-  readonly tool: "add-branch" | "bridge" | "move-fork";
-  readonly lps: readonly [number, number, number] | null;
-  readonly lines: readonly EditLine[];
-  readonly length_mm: number | null;
-  readonly doubtful_mm: number | null;
-  readonly has_evidence: boolean;
-  readonly problem: string | null;
-}
-
-/** An `add-branch` was not made, since the CT shows no wall round the whole way; in the place of an `error`.
-
-    The same edit with `even_without_evidence` draws this very way. */
-export interface NoEvidenceMessage {
-  readonly type: "no_evidence";
-  readonly job_id: string;
-  readonly code: "track.no-evidence";
-  readonly message: string;
-  readonly lps: readonly [number, number, number];
-  readonly line: EditLine;
-  readonly length_mm: number;
-  readonly doubtful_mm: number;
-}
-
-/** A job's progress; fraction and time left are null where they cannot be known. */
-export interface ProgressMessage {
-  readonly type: "progress";
-  readonly job_id: string;
-  readonly title: string;
-  readonly what: string;
-  readonly fraction: number | null;
-  readonly seconds_left: number | null;
-}
-
-/** A job has ended; a failure comes as `error` too. */
-export interface DoneMessage {
-  readonly type: "done";
-  readonly job_id: string;
-  readonly outcome: "done" | "cancelled" | "failed";
-}
-
-/** Something could not be done; stays until read. */
-export interface ErrorMessage {
-  readonly type: "error";
-  readonly code: string;
-  readonly message: string;
-  readonly action: string | null;
-}
-
-/** Something worth a line. */
-export interface NoticeMessage {
-  readonly type: "notice";
-  readonly message: string;
-}
-
 /** How the stream runs; twice a second while pictures go. */
 export interface StatusMessage {
   readonly type: "status";
@@ -1052,6 +913,30 @@ export interface StatusMessage {
   readonly method: string;
   readonly threads: number;
   readonly simd: string;
+}
+
+/** One machine that renders with this one. */
+export interface ClusterMember {
+  readonly name: string;
+  readonly host: string;
+  readonly threads: number;
+  readonly simd: string;
+  readonly state: "away" | "late" | "loading" | "ready";
+  readonly share: number;
+  readonly latency_ms: number | null;
+  readonly num_late: number;
+  readonly num_strips: number;
+}
+
+/** The machines that render, once a second; only where there is a cluster. */
+export interface ClusterMessage {
+  readonly type: "cluster";
+  readonly address: string;
+  readonly members: readonly ClusterMember[];
+  readonly alone: boolean;
+  readonly mixed: boolean;
+  readonly fps: number;
+  readonly frame_ms: number | null;
 }
 
 /** A device that said something. */
@@ -1096,7 +981,7 @@ export interface PhoneInfo {
 /** Input devices, how they move the tip, and what is recorded. */
 export interface DevicesMessage {
   readonly type: "devices";
-  readonly control: "absolute" | "relative" | "path";
+  readonly control: "absolute" | "path" | "relative";
   readonly filter_latency_ms: number;
   readonly controls: DeviceControls;
   readonly devices: readonly DeviceInfo[];
@@ -1119,28 +1004,38 @@ export interface PenMessage {
   readonly off_deg: number | null;
 }
 
-/** One machine that renders with this one. */
-export interface ClusterMember {
-  readonly name: string;
-  readonly host: string;
-  readonly threads: number;
-  readonly simd: string;
-  readonly state: "ready" | "late" | "away" | "loading";
-  readonly share: number;
-  readonly latency_ms: number | null;
-  readonly num_late: number;
-  readonly num_strips: number;
+/** A line that an edit would draw, or was asked to draw. */
+export interface EditLine {
+  readonly points_lps: readonly (readonly [number, number, number])[];
+  readonly doubtful: readonly boolean[];
+  readonly drawn: readonly boolean[];
 }
 
-/** The machines that render, once a second; only where there is a cluster. */
-export interface ClusterMessage {
-  readonly type: "cluster";
-  readonly address: string;
-  readonly members: readonly ClusterMember[];
-  readonly alone: boolean;
-  readonly mixed: boolean;
-  readonly fps: number;
-  readonly frame_ms: number | null;
+/** Answer to `preview_edit`: the very lines that the edit would make, or why it cannot be made. */
+export interface EditPreviewMessage {
+  readonly type: "edit_preview";
+  readonly request_id: number;
+  readonly tool: "add-branch" | "bridge" | "move-fork";
+  readonly lps: readonly [number, number, number] | null;
+  readonly lines: readonly EditLine[];
+  readonly length_mm: number | null;
+  readonly doubtful_mm: number | null;
+  readonly has_evidence: boolean;
+  readonly problem: string | null;
+}
+
+/** An `add-branch` was not made, since the CT shows no wall round the whole way; in the place of an `error`.
+
+    The same edit with `even_without_evidence` draws this very way. */
+export interface NoEvidenceMessage {
+  readonly type: "no_evidence";
+  readonly job_id: string;
+  readonly code: "track.no-evidence";
+  readonly message: string;
+  readonly lps: readonly [number, number, number];
+  readonly line: EditLine;
+  readonly length_mm: number;
+  readonly doubtful_mm: number;
 }
 
 /** A pose to fly through. */
@@ -1165,6 +1060,112 @@ export interface KeysMessage {
   readonly problem: string | null;
 }
 
+/** A branch of a `carina-tree` document. */
+export interface TreeBranch {
+  readonly id: number;
+  readonly parent: number | null;
+  readonly children: readonly number[];
+  readonly generation: number;
+  readonly name: string | null;
+  readonly kind: "bridge" | "manual" | "tracked";
+  readonly points: readonly (readonly [number, number, number])[];
+  readonly radius: readonly number[];
+  readonly cost: number | null;
+  readonly confidence: number | null;
+  readonly name_confidence: number | null;
+  readonly name_from: "anatomy" | "person" | null;
+  readonly variant: string | null;
+  readonly doubtful_mm: number;
+}
+
+/** A `carina-tree` document, version 1. */
+export interface TreeDocument {
+  readonly format: "carina-tree";
+  readonly version: 1;
+  readonly space: "LPS";
+  readonly unit: "mm";
+  readonly root: number;
+  readonly branches: readonly TreeBranch[];
+}
+
+/** What a branch is called in full, and the lobe that it leads to. */
+export interface BranchTitle {
+  readonly branch_id: number;
+  readonly long: string | null;
+  readonly lobe: "LLL" | "LML" | "LUL" | "RLL" | "RML" | "RUL" | null;
+}
+
+/** What was measured on a branch, without its junctions. Lumens are diameters; errors hold in 95 of 100 cases. */
+export interface BranchMeasures {
+  readonly branch_id: number;
+  readonly length_mm: number;
+  readonly lumen_mm: number | null;
+  readonly lumen_error_mm: number | null;
+  readonly min_lumen_mm: number | null;
+  readonly min_lumen_error_mm: number | null;
+  readonly min_at_mm: number | null;
+  readonly max_lumen_mm: number | null;
+  readonly max_lumen_error_mm: number | null;
+  readonly wall_mm: number | null;
+  readonly wall_error_mm: number | null;
+  readonly taper: number | null;
+  readonly angle_deg: number | null;
+  readonly stenosis_percent: number | null;
+  readonly stenosis_error_percent: number | null;
+  readonly stenosis_at_mm: number | null;
+}
+
+/** What could not be followed. */
+export interface UncertainPlace {
+  readonly lps: readonly [number, number, number];
+  readonly words: string;
+  readonly branch_id: number | null;
+}
+
+/** The airway tree, when it or its measures changed. */
+export interface TreeMessage {
+  readonly type: "tree";
+  readonly tree: TreeDocument | null;
+  readonly titles: readonly BranchTitle[];
+  readonly measures: readonly BranchMeasures[] | null;
+  readonly uncertain: readonly UncertainPlace[];
+}
+
+/** Answer to `live_path`: the way from the root to the place under the cursor, or why there is none. */
+export interface LivePathMessage {
+  readonly type: "live_path";
+  readonly request_id: number;
+  readonly lps: readonly [number, number, number] | null;
+  readonly points_lps: readonly (readonly [number, number, number])[];
+  readonly length_mm: number | null;
+  readonly min_diameter_mm: number | null;
+  readonly confidence: number | null;
+  readonly snapped_mm: number | null;
+  readonly new_mm: number | null;
+  readonly joins_branch_id: number | null;
+  readonly problem: string | null;
+}
+
+/** Sections across a branch, from its beginning to its end: parallel lists; null where nothing could be measured. */
+export interface BranchProfile {
+  readonly at_mm: readonly number[];
+  readonly lumen_mm: readonly (number | null)[];
+  readonly lumen_error_mm: readonly (number | null)[];
+  readonly min_mm: readonly (number | null)[];
+  readonly max_mm: readonly (number | null)[];
+  readonly wall_mm: readonly (number | null)[];
+  readonly at_junction: readonly boolean[];
+}
+
+/** Answer to `branch_detail`; profile and measures are null until they are ready. */
+export interface BranchDetailMessage {
+  readonly type: "branch_detail";
+  readonly request_id: number;
+  readonly branch_id: number;
+  readonly measures: BranchMeasures | null;
+  readonly profile: BranchProfile | null;
+}
+
 /** The first message of the page: the token of its link. */
 export interface PhoneHelloMessage {
   readonly type: "phone_hello";
@@ -1184,14 +1185,14 @@ export interface PhoneSampleMessage {
 /** A button of the page: look along the path again, or the next way to move. */
 export interface PhoneActMessage {
   readonly type: "phone_act";
-  readonly action: "recenter" | "next_control";
+  readonly action: "next_control" | "recenter";
 }
 
 /** What the page shows; when it changes. Nothing of the patient is in it. */
 export interface PhoneStateMessage {
   readonly type: "phone_state";
   readonly case_open: boolean;
-  readonly control: "absolute" | "relative" | "path";
+  readonly control: "absolute" | "path" | "relative";
   readonly scope_held: boolean;
   readonly holds: boolean;
   readonly words: string;
@@ -1233,8 +1234,8 @@ export interface PictureOutline {
 /** Header of a binary message; the payload follows. */
 export interface PictureHeader {
   readonly frame_id: number;
-  readonly view: "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "drr" | "axial" | "coronal" | "sagittal" | "straightened" | "curved" | "tree";
-  readonly stands_for: "airway" | "cut-plane" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | "drr" | "axial" | "coronal" | "sagittal" | "straightened" | "curved" | "tree" | null;
+  readonly view: "airway" | "axial" | "coronal" | "curved" | "cut-plane" | "drr" | "sagittal" | "straightened" | "tree" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal";
+  readonly stands_for: "airway" | "axial" | "coronal" | "curved" | "cut-plane" | "drr" | "sagittal" | "straightened" | "tree" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal" | null;
   readonly pose_id: number;
   readonly lps_from_camera: readonly number[] | null;
   readonly fov_deg: number | null;
@@ -1254,18 +1255,21 @@ export interface PictureHeader {
 }
 
 export type ClientMessage =
-  | ClientHelloMessage
   | OpenPathMessage
   | OpenDemoMessage
-  | OpenUploadMessage
   | OpenRecentMessage
-  | ImportMaskMessage
-  | AnswerMaskMessage
-  | DismissMaskMessage
   | CloseCaseMessage
   | CancelMessage
-  | LayoutMessage
-  | AckMessage
+  | UndoMessage
+  | RedoMessage
+  | DeviceGoneMessage
+  | TakeDeviceMessage
+  | SetControlMessage
+  | SetControlsMessage
+  | CalibrateMessage
+  | ArmPenMessage
+  | JoinPenMessage
+  | StopRecordingMessage
   | SteerMessage
   | SetModeMessage
   | ToggleModeMessage
@@ -1277,10 +1281,10 @@ export type ClientMessage =
   | LevelHorizonMessage
   | ResetLookMessage
   | SetOperatorMessage
-  | SetRootMessage
-  | AddTargetMessage
-  | RemoveTargetMessage
-  | ChooseRouteMessage
+  | EditKeysMessage
+  | SetKeyFlightMessage
+  | ShowKeyMessage
+  | FlyKeysMessage
   | SetCrosshairMessage
   | SetWindowMessage
   | SetFovMessage
@@ -1290,65 +1294,62 @@ export type ClientMessage =
   | SetShadingMessage
   | SetTextureMessage
   | SetMethodMessage
-  | SetLumenThresholdMessage
   | SetOrbitMessage
   | SetZoomMessage
   | SetCarmMessage
   | SetReformationMessage
   | SetSlabMessage
-  | SetFrameRateMessage
+  | AnswerMaskMessage
+  | DismissMaskMessage
+  | SetRootMessage
+  | SetLumenThresholdMessage
+  | AddTargetMessage
+  | RemoveTargetMessage
+  | ChooseRouteMessage
+  | EditTreeMessage
+  | ClientHelloMessage
+  | OpenUploadMessage
+  | ImportMaskMessage
+  | LayoutMessage
+  | AckMessage
   | ProbeMessage
   | PickMessage
   | AskLivePathMessage
   | AskBranchDetailMessage
-  | EditTreeMessage
-  | AskEditPreviewMessage
-  | UndoMessage
-  | RedoMessage
+  | SetFrameRateMessage
   | AcceptNoticeMessage
   | DeviceSampleMessage
-  | DeviceGoneMessage
-  | TakeDeviceMessage
-  | SetControlMessage
-  | SetControlsMessage
-  | CalibrateMessage
-  | ArmPenMessage
-  | JoinPenMessage
   | ConnectDeviceMessage
   | DisconnectDeviceMessage
   | PublishTipMessage
   | SetPhoneMessage
   | WatchDevicesMessage
   | StartRecordingMessage
-  | StopRecordingMessage
-  | EditKeysMessage
-  | SetKeyFlightMessage
-  | ShowKeyMessage
-  | FlyKeysMessage
+  | AskEditPreviewMessage
   | OpenKeysMessage;
 
 export type ServerMessage =
   | ServerHelloMessage
   | StartMessage
   | StateMessage
-  | TreeMessage
   | RouteMessage
   | PoseMessage
-  | ValueMessage
-  | PickedMessage
-  | LivePathMessage
-  | BranchDetailMessage
-  | EditPreviewMessage
-  | NoEvidenceMessage
   | ProgressMessage
   | DoneMessage
   | ErrorMessage
   | NoticeMessage
+  | ValueMessage
+  | PickedMessage
   | StatusMessage
+  | ClusterMessage
   | DevicesMessage
   | PenMessage
-  | ClusterMessage
-  | KeysMessage;
+  | EditPreviewMessage
+  | NoEvidenceMessage
+  | KeysMessage
+  | TreeMessage
+  | LivePathMessage
+  | BranchDetailMessage;
 
 export type PhoneMessage =
   | PhoneHelloMessage

@@ -1,0 +1,57 @@
+"""Opening and closing a case, stopping jobs, and undo."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from carina.commands.fields import DemoName, Key, PathText
+from carina.commands.value import Command, LocalCommand
+
+
+class OpenPath(Command, frozen=True):
+    """Open a file or folder of this machine."""
+
+    path: PathText
+
+
+class OpenDemo(Command, frozen=True):
+    """Open a bundled case."""
+
+    name: DemoName
+
+
+class OpenRecent(Command, frozen=True):
+    """Open a case of ``start.recent``; its path never travels."""
+
+    recent_id: Key
+
+
+class OpenFiles(LocalCommand, frozen=True):
+    """Open files that are no case of this machine, such as dropped ones: not kept in the list of recent cases."""
+
+    path: str
+
+
+class OpenVolume(LocalCommand, frozen=True):
+    """Open a volume that is already in memory."""
+
+    volume: Any
+    """A :class:`carina.volume.Volume`."""
+
+
+class CloseCase(Command, frozen=True):
+    """Back to the start page."""
+
+
+class Cancel(Command, frozen=True):
+    """Stop a job of ``progress``."""
+
+    job_id: Key
+
+
+class Undo(Command, frozen=True):
+    """Take back the last change."""
+
+
+class Redo(Command, frozen=True):
+    """Do it again."""

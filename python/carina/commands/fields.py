@@ -1,0 +1,86 @@
+"""Kinds of fields that commands and messages share, with their bounds."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from carina.render import FlatViewName as FlatView
+from carina.render import OrbitViewName as OrbitView
+from carina.render import ViewName
+
+__all__ = [
+    "Angle",
+    "BranchId",
+    "Clutch",
+    "Control",
+    "Coordinate",
+    "Count",
+    "DemoName",
+    "DeviceName",
+    "FlatView",
+    "Key",
+    "Mask",
+    "Matrix4",
+    "MaybeNumbers",
+    "Method",
+    "MmPerPixel",
+    "Mode",
+    "Numbers",
+    "Operator",
+    "OrbitView",
+    "OwnName",
+    "Part",
+    "PathMm",
+    "PathText",
+    "Pixels",
+    "PointLps",
+    "PointsLps",
+    "SlabKind",
+    "Three",
+    "Through",
+    "Tone",
+    "ViewName",
+    "Wide",
+    "Words",
+]
+
+TEXT = r"\A[^\x00-\x08\x0b-\x1f\ud800-\udfff]*\Z"
+"""Without control characters, but line breaks and tabs, and without half a character."""
+
+Coordinate = Annotated[float, Meta(ge=-1e5, le=1e5)]
+PointLps = tuple[Coordinate, Coordinate, Coordinate]
+"""World, LPS mm."""
+Numbers = Annotated[tuple[float, ...], Meta(max_length=2_000_000)]
+MaybeNumbers = Annotated[tuple[float | None, ...], Meta(max_length=2_000_000)]
+PointsLps = Annotated[tuple[PointLps, ...], Meta(max_length=1_000_000)]
+Matrix4 = Annotated[tuple[float, ...], Meta(min_length=16, max_length=16)]
+"""4x4, row-major."""
+Key = Annotated[str, Meta(min_length=1, max_length=64, pattern=TEXT)]
+Words = Annotated[str, Meta(max_length=4000, pattern=TEXT)]
+OwnName = Annotated[str, Meta(min_length=1, max_length=80, pattern=TEXT)]
+"""What a person calls something."""
+PathText = Annotated[str, Meta(min_length=1, max_length=4096, pattern=TEXT)]
+DeviceName = Annotated[str, Meta(min_length=1, max_length=200, pattern=TEXT)]
+Count = Annotated[int, Meta(ge=0, le=2**53 - 1)]
+Part = Annotated[float, Meta(ge=0.0, le=1.0)]
+BranchId = Annotated[int, Meta(ge=0, le=2**31)]
+Pixels = Annotated[int, Meta(ge=16, le=4096)]
+Angle = Annotated[float, Meta(ge=-3600.0, le=3600.0)]
+PathMm = Annotated[float, Meta(ge=0.0, le=1e5)]
+"""A place along a path or a branch."""
+MmPerPixel = Annotated[float, Meta(ge=0.01, le=20.0)]
+# Wide: what a device says too much is ignored and counted, and does not end the connection.
+Wide = Annotated[float, Meta(ge=-1e300, le=1e300)]
+Three = tuple[Wide, Wide, Wide]
+Tone = Literal["radiograph", "fluoroscopy"]
+SlabKind = Literal["max", "min", "mean"]
+Mask = Literal["none", "round", "octagon"]
+Mode = Literal["free", "path", "scope"]
+Operator = Literal["head", "facing"]
+Method = Literal["leap", "brute"]
+Control = Literal["absolute", "relative", "path"]
+Clutch = Literal["always", "hold"]
+Through = Literal["airways", "space"]
+DemoName = Literal["phantom", "patient"]

@@ -1,0 +1,97 @@
+"""Key frames: the list, the flight through it, and its file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, TypeAlias
+
+from msgspec import Meta
+
+from carina.commands.fields import Key, OwnName, Through
+from carina.commands.value import Command, FrozenValue, LocalCommand
+
+MIN_SPEED_MM_S, MAX_SPEED_MM_S = 1.0, 200.0
+Speed = Annotated[float, Meta(ge=MIN_SPEED_MM_S, le=MAX_SPEED_MM_S)]
+Seconds = Annotated[float, Meta(ge=0.0, le=86_400.0)]
+
+
+def _kind(name: str) -> str:
+    """``KeyAdd`` as ``add``."""
+    return name.removeprefix("Key").lower()
+
+
+class KeyEdit(FrozenValue, frozen=True, tag_field="kind", tag=_kind):
+    """One change to the list of key frames."""
+
+
+class KeyAdd(KeyEdit, frozen=True):
+    """The present pose becomes the last key frame."""
+
+
+class KeyUpdate(KeyEdit, frozen=True):
+    """The present pose takes a key frame's place."""
+
+    key_id: Key
+
+
+class KeyMove(KeyEdit, frozen=True):
+    """Earlier (below 0) or later in the order."""
+
+    key_id: Key
+    by: Annotated[int, Meta(ge=-200, le=200)]
+
+
+class KeyRename(KeyEdit, frozen=True):
+    """A name of one's own; null calls it by its branch."""
+
+    key_id: Key
+    name: OwnName | None
+
+
+class KeySpeed(KeyEdit, frozen=True):
+    """The speed on the way to a key frame; null takes that of all."""
+
+    key_id: Key
+    speed_mm_s: Speed | None
+
+
+class KeyRemove(KeyEdit, frozen=True):
+    """Take a key frame away."""
+
+    key_id: Key
+
+
+AnyKeyEdit: TypeAlias = KeyAdd | KeyUpdate | KeyMove | KeyRename | KeySpeed | KeyRemove
+
+
+class EditKeys(Command, frozen=True):
+    """One change to the list of key frames, and one step of undo."""
+
+    edit: AnyKeyEdit
+
+
+class SetKeyFlight(Command, frozen=True):
+    """How the key frames are flown through; null keeps what there is. Undoable."""
+
+    speed_mm_s: Speed | None
+    through: Through | None
+
+
+class ShowKey(Command, frozen=True):
+    """Tip to a key frame; free mode afterwards."""
+
+    key_id: Key
+
+
+class FlyKeys(Command, frozen=True):
+    """Tip to a time of the flight through the key frames; free mode afterwards."""
+
+    time_s: Seconds
+    goes_on: bool
+    """A flight under way: ignored if anything else has moved the tip since the last of these."""
+
+
+class TakeKeyFile(LocalCommand, frozen=True):
+    """Take the key frames of a file in the place of these; undoable. Those of another case are refused."""
+
+    path: Any
+    """Text or :class:`pathlib.Path`."""

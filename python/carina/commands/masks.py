@@ -1,0 +1,32 @@
+"""Airways from a mask of another tool."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta
+
+from carina.commands.value import Command, LocalCommand
+
+
+class TakeMask(LocalCommand, frozen=True):
+    """Take a mask's file as the airway lumen of the open case; undoable.
+
+    Where it holds several structures or is on another grid, nothing is changed and ``Snapshot.mask_question`` asks.
+    """
+
+    path: str
+    """NIfTI, NRRD, MetaImage or DICOM SEG."""
+    label: int | None = None
+    resample: bool = False
+
+
+class AnswerMask(Command, frozen=True):
+    """Answer ``state.mask_question``: which label is the airway; whether to resample."""
+
+    label: Annotated[int, Meta(ge=-(2**53), le=2**53)] | None
+    resample: bool
+
+
+class DismissMask(Command, frozen=True):
+    """Forget the mask that ``state.mask_question`` asks about."""

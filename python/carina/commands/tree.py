@@ -1,0 +1,222 @@
+"""Airways: where they begin, the edits of their tree, targets and routes."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias, get_args
+
+from msgspec import Meta
+from msgspec.structs import force_setattr
+
+from carina.commands.fields import BranchId, Key, OwnName, PathMm, PointLps
+from carina.commands.value import Command, FrozenValue, snake_case
+from carina.errors import UsageError
+from carina.volume.planes import Plane
+
+MAX_BRUSH_MM = 30.0
+MAX_STROKE_POINTS = 10_000
+MAX_NAME_LENGTH = 80
+
+BrushPlane = Literal[Plane, "ball"]
+
+
+class SetRoot(Command, frozen=True):
+    """Find the airways again from this point."""
+
+    lps: PointLps
+
+
+class SetLumenThreshold(Command, frozen=True):
+    """Find the airways again with this threshold; null lets Carina choose."""
+
+    value: Annotated[float, Meta(ge=-32_768.0, le=32_767.0)] | None
+
+
+class AddTarget(Command, frozen=True):
+    """A target; snapped to the lumen within 5 mm, and said."""
+
+    lps: PointLps
+
+
+class RemoveTarget(Command, frozen=True):
+    """Take a target away."""
+
+    target_id: Key
+
+
+class ChooseRoute(Command, frozen=True):
+    """Route to a target or to the end of a branch; exactly one of both is set, or none for no route."""
+
+    target_id: Key | None
+    branch_id: BranchId | None
+
+    def choice_problem(self) -> str | None:
+        """One destination at most."""
+        if self.target_id is not None and self.branch_id is not None:
+            return "choose_route names a target and a branch; it may name one"
+        return None
+
+
+def _kind(name: str) -> str:
+    """``AddBranch`` as ``add-branch``."""
+    return snake_case(name).replace("_", "-")
+
+
+class TreeEdit(FrozenValue, frozen=True, tag_field="kind", tag=_kind):
+    """One edit of an airway tree. A case can be saved as a list of them, so that their constructors check, too."""
+
+    typescript_prefix: ClassVar[str] = "Edit"
+
+
+class AddBranch(TreeEdit, frozen=True):
+    """A branch to a point: the least-cost path through the lumen, or the way with the best evidence beyond it."""
+
+    lps: PointLps
+    """Where the branch ends, LPS mm."""
+    even_without_evidence: bool = False
+    """Whether to draw the branch where the CT shows no wall round the way; it is then ``manual``. Without it such an
+    edit ends with ``no_evidence``."""
+
+    def __post_init__(self) -> None:
+        """Three finite numbers, and a true or false."""
+        force_setattr(self, "lps", _point("the end of the branch", self.lps))
+        if not isinstance(self.even_without_evidence, bool):
+            msg = f"even_without_evidence: expected true or false, found {self.even_without_evidence!r}"
+            raise UsageError(msg)
+
+
+class CutBranch(TreeEdit, frozen=True):
+    """Take a branch away with all that hangs on it, from a place along it."""
+
+    branch_id: BranchId
+    at_mm: PathMm = 0.0
+    """How far along the branch, mm; 0 takes the whole branch."""
+
+    def __post_init__(self) -> None:
+        """A branch's number, and a place."""
+        _whole("branch_id", self.branch_id)
+        force_setattr(self, "at_mm", _number("at_mm", self.at_mm, 0.0, math.inf))
+
+
+class Bridge(TreeEdit, frozen=True):
+    """Go on beyond a blockage: from the nearest place of the tree through mucus or tumour to a point in an airway."""
+
+    lps: PointLps
+    """In the airway beyond, LPS mm."""
+
+    def __post_init__(self) -> None:
+        """Three finite numbers."""
+        force_setattr(self, "lps", _point("the point beyond the blockage", self.lps))
+
+
+class MoveRoot(TreeEdit, frozen=True):
+    """Begin all paths elsewhere; branches that are then flown the other way are turned round."""
+
+    lps: PointLps
+    """The new root, LPS mm."""
+
+    def __post_init__(self) -> None:
+        """Three finite numbers."""
+        force_setattr(self, "lps", _point("the root", self.lps))
+
+
+class MoveFork(TreeEdit, frozen=True):
+    """Move the point where a branch ends and its children begin; the adjoining centrelines follow."""
+
+    branch_id: BranchId
+    lps: PointLps
+    """Where the fork is to be, LPS mm."""
+
+    def __post_init__(self) -> None:
+        """A branch's number, and three finite numbers."""
+        _whole("branch_id", self.branch_id)
+        force_setattr(self, "lps", _point("the fork", self.lps))
+
+
+class PaintLumen(TreeEdit, frozen=True):
+    """A stroke of a brush that makes voxels lumen, or takes lumen away."""
+
+    points_lps: Annotated[tuple[PointLps, ...], Meta(min_length=1, max_length=2000)]
+    """The way of the brush's centre, LPS mm; straight between points."""
+    radius_mm: Annotated[float, Meta(ge=0.1, le=MAX_BRUSH_MM)]
+    plane: BrushPlane = "axial"
+    """The slice that the brush is a disc in, one voxel thick; ``ball`` paints in all directions."""
+    erase: bool = False
+
+    def __post_init__(self) -> None:
+        """Points, a radius, a plane."""
+        points = self.points_lps
+        if isinstance(points, str) or not 1 <= len(points) <= MAX_STROKE_POINTS:
+            msg = f"a stroke has 1 to {MAX_STROKE_POINTS} points, found {len(points)}"
+            raise UsageError(msg)
+        force_setattr(self, "points_lps", tuple(_point("a stroke", point) for point in points))
+        force_setattr(self, "radius_mm", _number("the brush's radius in mm", self.radius_mm, 0.0, MAX_BRUSH_MM))
+        if self.plane not in get_args(BrushPlane):
+            msg = f"a brush's plane is {', '.join(get_args(BrushPlane))}, found {self.plane!r}"
+            raise UsageError(msg)
+        if not isinstance(self.erase, bool):
+            msg = f"erase: expected true or false, found {self.erase!r}"
+            raise UsageError(msg)
+
+
+class SmoothBranch(TreeEdit, frozen=True):
+    """Make a branch's centreline smoother; its ends stay."""
+
+    branch_id: BranchId
+
+    def __post_init__(self) -> None:
+        """A branch's number."""
+        _whole("branch_id", self.branch_id)
+
+
+class RenameBranch(TreeEdit, frozen=True):
+    """Give a branch a name of one's own, or the automatic one back."""
+
+    branch_id: BranchId
+    name: OwnName | None
+    """None: the automatic name."""
+
+    def __post_init__(self) -> None:
+        """A branch's number, and a name with a letter in it."""
+        _whole("branch_id", self.branch_id)
+        if self.name is None:
+            return
+        if not isinstance(self.name, str) or not self.name.strip() or len(self.name) > MAX_NAME_LENGTH:
+            msg = f"a branch's name has 1 to {MAX_NAME_LENGTH} letters, found {self.name!r}"
+            raise UsageError(msg)
+        force_setattr(self, "name", " ".join(self.name.split()))
+
+
+AnyTreeEdit: TypeAlias = AddBranch | CutBranch | Bridge | MoveRoot | MoveFork | PaintLumen | SmoothBranch | RenameBranch
+
+
+class EditTree(Command, frozen=True):
+    """One edit of the airway tree: a job, and one step of undo."""
+
+    edit: AnyTreeEdit
+
+
+def _point(what: str, value: Any) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(item) for item in value)
+    except (TypeError, ValueError):
+        msg = f"{what}: expected a point x,y,z in LPS mm, found {value!r}"
+        raise UsageError(msg) from None
+    if not all(math.isfinite(item) for item in (x, y, z)):
+        msg = f"{what}: expected finite numbers, found {value!r}"
+        raise UsageError(msg)
+    return x, y, z
+
+
+def _whole(what: str, value: Any) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        msg = f"{what}: expected a whole number of at least 0, found {value!r}"
+        raise UsageError(msg)
+
+
+def _number(what: str, value: Any, low: float, high: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high or math.isinf(value):
+        limits = f"of at least {low:g}" if math.isinf(high) else f"between {low:g} and {high:g}"
+        msg = f"{what}: expected a number {limits}, found {value!r}"
+        raise UsageError(msg)
+    return float(value)

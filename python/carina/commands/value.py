@@ -1,0 +1,169 @@
+"""What commands, questions and messages are made of: frozen values whose bounds stand in their types.
+
+A constructor checks nothing, as everywhere in Python; :func:`checked` does, for whoever takes a value from somebody,
+and so does reading one from JSON. Both say what is wrong by the name of the field.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any, ClassVar, TypeVar
+
+import msgspec
+
+from carina.display import as_words, joined
+from carina.errors import UsageError
+
+__all__ = ["Command", "FrozenValue", "LocalCommand", "all_commands", "checked", "snake_case", "subclasses", "trouble"]
+
+
+class FrozenValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A value of named fields that never changes; in JSON it has these fields and no others."""
+
+    def __repr__(self) -> str:
+        """One line; fields that have their default are left out."""
+        names, defaults = self.__struct_fields__, self.__struct_defaults__
+        usual = dict(zip(names[len(names) - len(defaults) :], defaults, strict=True))
+        shown = {name: getattr(self, name) for name in names}
+        pieces = [f"{name}={as_words(value)}" for name, value in shown.items() if usual.get(name, self) != value]
+        return joined(type(self).__name__, pieces)
+
+    def choice_problem(self) -> str | None:
+        """What the types cannot say: which of the fields go together. None where they do."""
+        return None
+
+
+V = TypeVar("V", bound=FrozenValue)
+S = TypeVar("S")
+
+
+def snake_case(name: str) -> str:
+    """``SetTexture`` as ``set_texture``."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+
+
+class Command(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
+    """What a person, a program or a device asks of an open case: done by ``Case.do``, sent by the window as JSON.
+
+    Writing the class is registering it: the wire, its schema and the window's types know it from then on. What it does
+    stands in ``carina/session``, in the file of the same subject.
+    """
+
+    undo_label: ClassVar[str | None] = None
+    """What undo calls it; None where it is no step of undo, or where the step's words tell what it was done to."""
+
+
+class LocalCommand(Command, frozen=True):
+    """A command that names things of this process or of this machine: never sent."""
+
+
+def subclasses(base: type[S]) -> Iterator[type[S]]:
+    """All classes below one, in the order of their definition."""
+    for cls in base.__subclasses__():
+        yield cls
+        yield from subclasses(cls)
+
+
+def all_commands() -> tuple[type[Command], ...]:
+    """Every command that there is."""
+    return tuple(cls for cls in subclasses(Command) if cls is not LocalCommand)
+
+
+def checked(value: V) -> V:
+    """The value with its bounds looked at; lists and arrays become tuples.
+
+    Raises
+    ------
+    UsageError
+        ``command.bounds``: naming the field and what is expected.
+    """
+    if not isinstance(value, LocalCommand):
+        try:
+            plain = msgspec.to_builtins(value, enc_hook=_plain)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise UsageError(f"{_name(value)} holds what no command has: {error}", code="command.bounds") from error
+        try:
+            value = msgspec.convert(plain, type(value))
+        except msgspec.ValidationError as error:
+            raise UsageError(trouble(error, plain, _name(value))[1], code="command.bounds") from error
+    problem = value.choice_problem()
+    if problem is not None:
+        raise UsageError(problem, code="command.choice")
+    return value
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and arrays of NumPy."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is no number, text or list")
+
+
+def _name(value: FrozenValue) -> str:
+    return str(type(value).__struct_config__.tag or type(value).__name__)
+
+
+BOUND = re.compile(r"Expected `(?:int|float)` (>=|<=|>|<) ([^ ]+)")
+LENGTH = re.compile(r"Expected `(\w+)` of (?:at least |at most )?length (>=|<=)? ?(\d+)")
+PLACE = re.compile(r" - at `(?:key in )?\$(.*)`$")
+WORDS = {
+    "int": "a whole number", "float": "a number", "str": "text", "bool": "true or false", "array": "a list",
+    "object": "an object", "null": "null",
+}  # fmt: skip
+
+
+def trouble(error: msgspec.ValidationError, value: Any, where: str) -> tuple[str, str]:
+    """What is wrong with a value, as a kind (``field``, ``range`` or ``size``) and one sentence.
+
+    Parameters
+    ----------
+    error
+        Of the library, whose words are about its types.
+    value
+        What was read.
+    where
+        The value's name.
+    """
+    text = str(error)
+    place = PLACE.search(text)
+    path = place.group(1) if place else ""
+    where += path
+    if bound := BOUND.match(text):
+        side = "at least" if bound.group(1).startswith(">") else "at most"
+        return "range", f"{where} must be {side} {float(bound.group(2)):g}; found {_short(_at(value, path))}"
+    if text.startswith("Number out of range"):
+        return "range", f"{where} is too large"
+    if length := LENGTH.match(text):
+        kind, side, number = length.groups()
+        unit = "characters" if kind == "str" else "entries"
+        amount = {">=": "at least ", "<=": "at most ", None: ""}[side] + number
+        return "size", f"{where} must have {amount} {unit}; it has {len(_at(value, path))}"
+    if "matching regex" in text:
+        return "field", f"{where} holds characters that no text has"
+    if unknown := re.match(r"Object contains unknown field `(.*?)`", text):
+        return "field", f"{where} has a field that is not known: {unknown.group(1)[:40]!r}"
+    if missing := re.match(r"Object missing required field `(.*?)`", text):
+        return "field", f"{where} lacks the field {missing.group(1)!r}"
+    if text.startswith("Invalid"):
+        return "field", f"{where} cannot be {_short(_at(value, path))}"
+    if expected := re.match(r"Expected `(.+?)`, got `(\w+)`", text):
+        wanted = " or ".join(WORDS.get(one, one) for one in expected.group(1).split(" | "))
+        if expected.group(2) == "null":
+            return "field", f"{where} must not be null"
+        return "field", f"{where} must be {wanted}; found {WORDS.get(expected.group(2), expected.group(2))}"
+    return "field", f"{where}: {text.split(' - at ', maxsplit=1)[0]}"
+
+
+def _at(value: Any, path: str) -> Any:
+    """The part of a value that a path such as ``.views[3].width`` names."""
+    for name, number in re.findall(r"\.(\w+)|\[(\d+)\]", path):
+        value = value[name] if name else value[int(number)]
+    return value
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        # A huge integer has too many digits to be written.
+        return "more" if abs(value) > 1e15 else f"{value:g}"
+    return repr(value)[:40]
