@@ -215,6 +215,13 @@ def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[P
     -------
     list of Path
         The three files. NIfTI is RAS by convention; SimpleITK turns the LPS grid into it and back.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> [path.name for path in carina.write_phantom(phantom, "phantom")]
+    ['ct.nii.gz', 'lumen.nii.gz', 'truth.json']
     """
     folder = make_folder(directory, what="the phantom")
     matrix = phantom.volume.lps_from_ijk

@@ -93,6 +93,14 @@ def export_airways(
         If the suffix is another.
     CarinaError
         If it cannot be written; what was there before stays.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> carina.export_airways("lumen.stl", phantom.volume, airways).name
+    'lumen.stl'
     """
     lasting = tuple(dict.fromkeys([*badges_of(volume, airways), *badges]))
     if is_tree_file(path):

@@ -27,6 +27,14 @@ def write_tree(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = (
     ------
     DiskError
         If the folder is missing or not writable, or the disk is full; what was there before stays.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> carina.write_tree("airways.json", airways.tree).name
+    'airways.json'
     """
     document = dataclasses.replace(tree, notes=tuple(dict.fromkeys([*badges, *tree.notes]))).to_json()
     text = json.dumps(document, allow_nan=False) + "\n"
@@ -40,6 +48,15 @@ def read_tree(path: Path | str) -> AirwayTree:
     ------
     VolumeImportError
         If the file cannot be read or is not an airway tree; the message names it and says what is wrong.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> path = carina.write_tree("airways.json", airways.tree)
+    >>> len(carina.read_tree(path)) == len(airways.tree)
+    True
     """
     return _read(path)
 

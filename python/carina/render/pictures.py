@@ -102,6 +102,18 @@ def render_view(
         If there is no view or scope of this name, or ``orbit`` has not two or three values.
     RenderError
         If a setting is out of range, or a tree is asked for without a lumen.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> pose = carina.FlightPath(airways.tree.route_to(airways.tree.root.id).points_lps).pose_at(20.0)
+    >>> picture = carina.render_view(
+    ...     phantom.volume, view="airway", pose=pose, width=64, height=48, lumen_zyx=airways.lumen_zyx
+    ... )
+    >>> picture.rgb.shape
+    (48, 64, 3)
     """
     spec = view_spec(
         view=view,

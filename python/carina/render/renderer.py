@@ -69,6 +69,16 @@ class Renderer:
     backend
         Whether airway views may come from a graphics device; from the CPU unless told. Its pictures are the CPU's
         within one grey level on 99.9 % of the pixels, and ``Picture.stats.method`` begins with ``gpu-``.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> renderer = carina.Renderer(phantom.volume)
+    >>> renderer.set_lumen(airways.lumen_zyx)
+    >>> renderer.render(carina.render.TreeView(width=64, height=48)).view
+    'tree'
     """
 
     def __init__(

@@ -78,6 +78,13 @@ class TransferFunction:
     ------
     RenderError
         If a value is out of range.
+
+    Examples
+    --------
+    >>> import carina
+    >>> preset = carina.transfer_preset("endoscopic")
+    >>> carina.TransferFunction.from_json(preset.to_json()).name
+    'endoscopic'
     """
 
     points: NDArray[np.float64]
@@ -262,6 +269,12 @@ def transfer_preset(name: str) -> TransferFunction:
     ------
     UsageError
         If there is none of this name.
+
+    Examples
+    --------
+    >>> import carina
+    >>> carina.transfer_preset("ct-grey").unit
+    'HU'
     """
     try:
         return PRESETS[name]

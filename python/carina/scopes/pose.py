@@ -37,7 +37,14 @@ def upright(forward_lps: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """A rigid pose ``lps_from_camera`` (4x4 float64, row-major, mm): +x right, +y down, +z forward along the scope."""
+    """A rigid pose ``lps_from_camera`` (4x4 float64, row-major, mm): +x right, +y down, +z forward along the scope.
+
+    Examples
+    --------
+    >>> import carina
+    >>> carina.Pose.looking((10, 0, -20), (0, 0, -1))
+    Pose(position_lps=(10, 0, -20), forward_lps=(0, 0, -1))
+    """
 
     lps_from_camera: NDArray[np.float64]
 

@@ -20,6 +20,16 @@ class WallField:
     """Signed distance to the wall in mm, positive in the lumen; `carina.track.wall_field` makes it from airways.
 
     Distances end at -2.5 mm outside (also where nothing is known) and at 4.5 mm inside.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import carina
+    >>> k, j, i = np.indices((21, 21, 21)) - 10.0
+    >>> ball = 4.0 - np.sqrt(i * i + j * j + k * k)
+    >>> wall = carina.WallField.from_distances(ball.astype(np.float32), np.eye(4))
+    >>> round(float(wall.distance_mm(np.array([[10.0, 10.0, 8.0]]))[0]), 1)
+    2.0
     """
 
     core: _core.WallField

@@ -37,7 +37,16 @@ MIN_GRAMMAR_BRANCHES = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Airways:
-    """The airways of a volume."""
+    """The airways of a volume.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> airways.lumen_zyx.shape == phantom.volume.shape_zyx
+    True
+    """
 
     lumen_zyx: NDArray[np.uint8]
     """(nz, ny, nx), 1 inside the lumen, read-only."""
@@ -168,6 +177,14 @@ def find_airways(
     References
     ----------
     Paper 6; DESIGN section 4, "Airways".
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> airways.tree.root.name
+    'Trachea'
     """
     stage = Stages(progress, cancel)
     root = None if root_lps is None else as_point(root_lps)
@@ -287,6 +304,16 @@ def track_paths(
         If a target is not a point in the volume, there is none, or cost or graph is unknown.
     NoResultError
         If the airways cannot be found at all.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> tip = airways.tree.tips()[0]
+    >>> found = carina.track_paths(phantom.volume, targets=[tip.tip_lps], airways=airways)
+    >>> abs(found.targets[0].path.length_mm - airways.tree.route_to(tip.id).length_mm) < 5.0
+    True
     """
     from carina.track.paper import check_choice, track_on_graph
 

@@ -104,6 +104,16 @@ def edit_airways(
     References
     ----------
     Paper 6.3 (targets and root set by hand, Figure 14); docs/decisions/0018.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> tip = airways.tree.tips()[0]
+    >>> named = carina.edit_airways(phantom.volume, airways, carina.track.RenameBranch(tip.id, "biopsy"))
+    >>> named.tree.branch(tip.id).name, len(named.edits)
+    ('biopsy', 1)
     """
     edited = _edited(volume, airways, edit, progress, cancel, is_fresh=False)
     return name_edited(airways, edited) if name_branches else edited

@@ -217,7 +217,7 @@ def measure_tree(
     --------
     >>> from carina import generate_phantom
     >>> from carina.track import find_airways, measure_tree
-    >>> volume = generate_phantom(spacing_mm=1.5, generations=3, noise_hu=0).volume
+    >>> volume = generate_phantom(spacing_mm=2.5, generations=3, noise_hu=0).volume
     >>> measures = measure_tree(volume, find_airways(volume))
     >>> 15.0 < measures.of(0).summary.mean_mm < 21.0
     True

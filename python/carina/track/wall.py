@@ -42,6 +42,16 @@ def wall_field(
         If the lumen is empty.
     CancelledError
         If ``cancel()`` said so.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> wall = carina.wall_field(phantom.volume, airways)
+    >>> trachea = airways.tree.root.points
+    >>> bool(wall.distance_mm(trachea[len(trachea) // 2])[0] > 4.0)
+    True
     """
     mesh = lumen_mesh(volume, airways, progress=progress, cancel=cancel)
 

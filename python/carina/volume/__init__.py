@@ -1,12 +1,44 @@
-"""CT volumes: reading them, where their voxels are in the patient, and what they are good for."""
+"""CT volumes: reading them, where their voxels are in the patient, and what they are good for.
 
-from carina.volume.demo import demo_patient
-from carina.volume.grid_writing import GRID_SUFFIXES, write_grid, write_grid_to
-from carina.volume.inspection import Inspection, inspect_path
-from carina.volume.mask_files import Mask, MaskGridError, MaskLabel, MaskLabelError, open_mask
-from carina.volume.model import Note, SeriesInfo, Volume, VolumeSource, badges_of
-from carina.volume.opening import open_volume
-from carina.volume.quality import Finding, Quality, quality_gate
+Readers are loaded on first use: whoever needs only the types waits for no DICOM library.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from carina.volume.demo import demo_patient
+    from carina.volume.grid_writing import GRID_SUFFIXES, write_grid, write_grid_to
+    from carina.volume.inspection import Inspection, inspect_path
+    from carina.volume.mask_files import Mask, MaskGridError, MaskLabel, MaskLabelError, open_mask
+    from carina.volume.model import Note, SeriesInfo, Volume, VolumeSource, badges_of
+    from carina.volume.opening import open_volume
+    from carina.volume.quality import Finding, Quality, quality_gate
+
+_HOME = {
+    "Finding": "quality",
+    "GRID_SUFFIXES": "grid_writing",
+    "Inspection": "inspection",
+    "Mask": "mask_files",
+    "MaskGridError": "mask_files",
+    "MaskLabel": "mask_files",
+    "MaskLabelError": "mask_files",
+    "Note": "model",
+    "Quality": "quality",
+    "SeriesInfo": "model",
+    "Volume": "model",
+    "VolumeSource": "model",
+    "badges_of": "model",
+    "demo_patient": "demo",
+    "inspect_path": "inspection",
+    "open_mask": "mask_files",
+    "open_volume": "opening",
+    "quality_gate": "quality",
+    "write_grid": "grid_writing",
+    "write_grid_to": "grid_writing",
+}
 
 __all__ = [
     "GRID_SUFFIXES",
@@ -30,3 +62,15 @@ __all__ = [
     "write_grid",
     "write_grid_to",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    home = _HOME.get(name)
+    if home is None:
+        msg = f"module 'carina.volume' has no attribute {name!r}"
+        raise AttributeError(msg)
+    return getattr(importlib.import_module(f"carina.volume.{home}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from carina.disk import scratch_folder
@@ -59,6 +58,8 @@ def _with_known_suffix(path: Path, header: GridHeader) -> Iterator[Path]:
 
 def _library_grid(path: Path, header: GridHeader) -> NDArray[np.float64]:
     """Where the library places the voxels, LPS mm, from its own reading of the header."""
+    import SimpleITK as sitk  # slow to load, and the types of a volume do not need it
+
     reader = sitk.ImageFileReader()
     reader.SetImageIO(_ITK_READERS[header.format])
     shown = sitk.ProcessObject.GetGlobalWarningDisplay()

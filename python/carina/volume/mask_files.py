@@ -116,6 +116,15 @@ def open_mask(
         If the file is no mask or is empty, or if the mask lies outside the scan.
     CancelledError
         If ``cancel()`` returned true.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> ct, lumen, _ = carina.write_phantom(phantom, "phantom")
+    >>> mask = carina.open_mask(lumen, phantom.volume)
+    >>> bool((mask.inside_zyx == phantom.lumen_zyx).all())
+    True
     """
     watch = Watch(progress, cancel)
 

@@ -82,6 +82,13 @@ class Volume:
     ``hu_zyx`` is C-contiguous ``(nz, ny, nx)`` int16, read-only: HU where ``is_hu``, else the file's numbers.
     ``lps_from_ijk`` is 4x4 float64; voxel (0, 0, 0) is the *centre* of the first voxel; columns are the steps of one
     voxel along i, j, k in mm, each 0.01 to 100 mm long.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import carina
+    >>> carina.Volume(np.zeros((4, 5, 6), dtype=np.int16), np.diag([0.7, 0.7, 1.25, 1.0]))
+    Volume(shape_zyx=(4, 5, 6), spacing_mm=(0.7, 0.7, 1.25), HU)
     """
 
     hu_zyx: NDArray[np.int16]

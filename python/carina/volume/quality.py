@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from carina.display import one_line
@@ -137,6 +136,8 @@ def _find_lungs(volume: Volume) -> _Lungs:
     in it. It also reaches the edges where two faces of the grid meet. Touching a face alone says nothing, since crops
     cut the lungs too.
     """
+    import SimpleITK as sitk  # slow to load, and the types of a volume do not need it
+
     strides = [max(1, int(4.0 / spacing)) for spacing in volume.spacing_mm]
     coarse = _block_means(volume.hu_zyx, (strides[2], strides[1], strides[0]))
     dark = sitk.GetImageFromArray((coarse < _DARK_HU).astype(np.uint8))

@@ -1,0 +1,61 @@
+"""Every example in a docstring runs and prints what it says; every public name of ``carina`` has one."""
+
+from __future__ import annotations
+
+import doctest
+import functools
+import importlib
+import inspect
+import pkgutil
+from pathlib import Path
+
+import pytest
+
+import carina
+from carina.errors import CarinaError
+
+
+def with_examples() -> list[str]:
+    """Modules whose text has a prompt; found without importing them."""
+    root = Path(carina.__file__).parent
+    names = ["carina"]
+    names += [module.name for module in pkgutil.walk_packages([str(root)], "carina.") if "._core" not in module.name]
+    found = []
+    for name in names:
+        spec = importlib.util.find_spec(name)
+        if spec is not None and spec.origin and ">>> " in Path(spec.origin).read_text(encoding="utf-8"):
+            found.append(name)
+    return found
+
+
+@functools.cache
+def phantom_once(**arguments: object) -> object:
+    """Examples share their phantom: the same arguments give the same voxels."""
+    return importlib.import_module("carina.phantom").generate_phantom(**arguments)
+
+
+@functools.cache
+def airways_once(volume: carina.Volume) -> carina.Airways:
+    return importlib.import_module("carina.track").find_airways(volume)
+
+
+@pytest.mark.parametrize("name", with_examples())
+def test_examples_print_what_they_say(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(carina, "generate_phantom", phantom_once, raising=False)
+    monkeypatch.setattr(carina, "find_airways", airways_once, raising=False)
+    for part in ("track", "render", "scopes"):
+        importlib.import_module(f"carina.{part}")
+    failed, tried = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert tried
+    assert not failed, f"{failed} of {tried} examples of {name} print something else (see above)"
+
+
+def test_every_public_name_has_an_example() -> None:
+    lacking = []
+    for name in carina.__all__:
+        value = getattr(carina, name)
+        is_error = inspect.isclass(value) and issubclass(value, CarinaError)
+        if callable(value) and not is_error and ">>> " not in (value.__doc__ or ""):
+            lacking.append(name)
+    assert not lacking, f"no example in: {', '.join(lacking)}"
