@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -29,6 +30,7 @@ from carina.errors import CarinaError, ProtocolError
 from carina.server import messages as wire
 from carina.server.certificate import Certificate, make_certificate, phone_problem
 from carina.server.closing import close_socket
+from carina.server.ending import EndingServer
 from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.impatient import impatient
 from carina.server.listening import bind, lan_address
@@ -186,18 +188,17 @@ class PhonePage:
             timeout_graceful_shutdown=GRACE_S,
         )
 
-        class Server(uvicorn.Server):
-            async def startup(self, sockets: object = None) -> None:
+        class Server(EndingServer):
+            async def startup(self, sockets: list[socket.socket] | None = None) -> None:
                 loop = asyncio.get_running_loop()
-                strangers.watch(loop)
                 # The library has no setting for it: a stranger who never ends the handshake holds a descriptor.
                 loop.create_server = partial(  # type: ignore[method-assign]
                     loop.create_server, ssl_handshake_timeout=HANDSHAKE_WITHIN_S
                 )
-                await super().startup(sockets=sockets)  # type: ignore[arg-type]
+                await super().startup(sockets=sockets)
                 started.set()
 
-        server = Server(config)
+        server = Server(config, strangers)
         thread = threading.Thread(target=server.run, args=([sock],), name="carina-phone", daemon=True)
         thread.start()
         if not started.wait(STARTS_WITHIN_S):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import socket
 import sys
 import threading
@@ -18,6 +17,7 @@ from carina.config import load_settings
 from carina.disk import sweep_drafts, sweep_scratch
 from carina.errors import UsageError
 from carina.server.app import create_app, web_folder
+from carina.server.ending import EndingServer
 from carina.server.hub import Hub
 from carina.server.impatient import impatient
 from carina.server.listening import bind
@@ -42,16 +42,14 @@ def start_url(gate: Gate) -> str:
     return f"http://{shown}:{gate.port}/?token={gate.new_token()}"
 
 
-class _Server(uvicorn.Server):
+class _Server(EndingServer):
     """Says when it is ready to answer."""
 
     def __init__(self, config: uvicorn.Config, strangers: Strangers, on_started: Callable[[], None]) -> None:
-        super().__init__(config)
-        self._strangers = strangers
+        super().__init__(config, strangers)
         self._on_started = on_started
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        self._strangers.watch(asyncio.get_running_loop())
         await super().startup(sockets=sockets)
         for sock in sockets or ():
             # The library's one number is both: how many are taken at once, and how many may wait to be.

@@ -8,12 +8,15 @@ of file descriptors.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
+import socket
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 __all__ = ["ACCEPT_AT_ONCE", "WAITING_IN_LINE", "Strangers", "num_strangers_allowed", "quieten"]
 
@@ -71,6 +74,8 @@ class Strangers:
         self._num_untold = 0
         self._no_descriptors = False
         self._told_s = -TELL_EVERY_S
+        self._is_over = False
+        self._sockets: WeakKeyDictionary[asyncio.Transport, Any] = WeakKeyDictionary()
 
     @property
     def num(self) -> int:
@@ -80,12 +85,31 @@ class Strangers:
 
     def arrived(self, key: object, transport: asyncio.Transport, is_idle: Callable[[], bool]) -> None:
         """One more; if there are too many, one that is idle goes, the oldest first."""
+        if self._is_over:
+            transport.abort()
+            return
+        self._sockets[transport] = transport.get_extra_info("socket")
         self._forget_ended()
         if len(self._all) >= self.max_num:
             idle = (k for k, s in self._all.items() if s.is_idle())
             self._end(next(idle, next(iter(self._all))))
         loop = asyncio.get_running_loop()
         self._all[key] = _Stranger(transport, is_idle, loop.call_later(LIFE_S, self._end, key))
+
+    def turn_away(self) -> None:
+        """The server ends: whoever comes now came too late."""
+        self._is_over = True
+
+    def cut(self, transport: asyncio.Transport) -> None:
+        """End a connection, of a stranger or not, that may be closing already, without the other side's farewell.
+
+        An encrypted transport that was closed twice, as uvicorn does, takes no word any more; its socket does.
+        """
+        sock = self._sockets.get(transport)
+        if sock is not None:
+            with contextlib.suppress(OSError):
+                sock.shutdown(socket.SHUT_RDWR)
+        transport.abort()
 
     def left(self, key: object) -> None:
         """It has gone, or has shown that it may stay."""

@@ -1,0 +1,145 @@
+"""A server ends within its grace and without an error, whatever the other sides of its connections do."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import ssl
+
+import pytest
+from live_server import WAIT_S, running
+
+from carina.server import ending
+from carina.server.phone_page import PhonePage
+from small_case import small_bench
+
+REQUEST = b"GET / HTTP/1.1\r\nHost: %s\r\n\r\n"
+
+
+@pytest.fixture
+def said(caplog):
+    """What the library says of the end that a person would take for a fault."""
+    with caplog.at_level(logging.WARNING):
+        yield lambda: [record.getMessage() for record in caplog.records if record.name.startswith("uvicorn")]
+
+
+@pytest.fixture
+def page(tmp_path):
+    """The phone's page, open: the encrypted one."""
+    (tmp_path / "phone.html").write_text("<!doctype html><title>phone</title>" + "x" * 1000)
+    page = PhonePage(small_bench().session, web=tmp_path, address="127.0.0.1")
+    page.start()
+    yield page
+    page.stop()
+
+
+def dialled(page) -> ssl.SSLSocket:
+    """An encrypted connection to the page, as of a browser: it says and reads what the test lets it."""
+    context = ssl.create_default_context()
+    context.check_hostname = False
+    context.verify_mode = ssl.CERT_NONE
+    return context.wrap_socket(socket.create_connection(place(page), timeout=WAIT_S))
+
+
+def place(page) -> tuple[str, int]:
+    host, port = page.info().url.partition("#")[0][8:].rstrip("/").split(":")
+    return host, int(port)
+
+
+def answer(secure: ssl.SSLSocket, page) -> bytes:
+    """What a request brings, to its end; the connection stays open."""
+    secure.sendall(REQUEST % "{}:{}".format(*place(page)).encode())
+    got = b""
+    while not got.endswith(b"x" * 1000):
+        got += secure.recv(4096)
+    return got
+
+
+def has_ended(sock) -> bool:
+    """Whether the other side has ended a connection; waits for it."""
+    with contextlib.suppress(ConnectionError, ssl.SSLError):
+        while sock.recv(4096):
+            pass
+    return True
+
+
+def test_the_encrypted_page_ends_without_the_farewell_of_a_browser_that_is_asleep(page, said):
+    with dialled(page) as idle, dialled(page) as quiet:
+        assert answer(idle, page).startswith(b"HTTP/1.1 200")
+        page.stop()
+        # Neither has read or said anything since.
+        assert said() == []
+        assert has_ended(idle)
+        assert has_ended(quiet)
+
+
+def test_the_page_ends_with_a_phone_that_is_linked_and_asleep(page, said):
+    host = "{}:{}".format(*place(page)).encode()
+    with dialled(page) as phone:
+        phone.sendall(
+            b"GET /phone HTTP/1.1\r\nHost: %s\r\nOrigin: https://%s\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n" % (host, host)
+        )
+        assert phone.recv(4096).startswith(b"HTTP/1.1 101")
+        page.stop()
+        assert said() == []
+        assert has_ended(phone)
+
+
+def test_a_connection_that_is_still_being_encrypted_when_the_page_ends_holds_nothing_up(page, said):
+    with socket.create_connection(place(page), timeout=WAIT_S) as half:
+        half.sendall(b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03")
+        page.stop()
+        assert said() == []
+
+
+def test_the_workstation_ends_with_a_window_that_reads_nothing(tmp_path, said, monkeypatch):
+    ends = ending.EndingServer._end_connections
+    unread: list[int] = []
+
+    async def with_much_on_its_way(server) -> None:
+        for connection in server.server_state.connections:
+            connection.transport.write(bytes(20_000_000))
+            unread.append(connection.transport.get_write_buffer_size())
+        await ends(server)
+
+    monkeypatch.setattr(ending.EndingServer, "_end_connections", with_much_on_its_way)
+    with socket.socket() as deaf:
+        with running(tmp_path) as live:
+            deaf.connect(("127.0.0.1", live.gate.port))
+            deaf.sendall(
+                f"GET /ws HTTP/1.1\r\nHost: 127.0.0.1:{live.gate.port}\r\nOrigin: {live.origin}\r\n"
+                f"Cookie: {live.cookie}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+                "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode()
+            )
+            assert deaf.recv(12) == b"HTTP/1.1 101"
+        assert unread and unread[0] > 0
+        assert said() == []
+
+
+def test_who_comes_while_the_server_ends_is_turned_away(tmp_path, said, monkeypatch):
+    late: list[socket.socket] = []
+    ends = ending.EndingServer._end_connections
+
+    async def arrives(server) -> None:
+        # Taken by the system before the end, and by the server after it has looked at everyone.
+        await ends(server)
+        ours, theirs = socket.socketpair()
+        late.append(theirs)
+        config = server.config
+        await asyncio.get_running_loop().connect_accepted_socket(
+            lambda: config.http_protocol_class(
+                config=config, server_state=server.server_state, app_state=server.lifespan.state
+            ),
+            ours,
+        )
+
+    monkeypatch.setattr(ending.EndingServer, "_end_connections", arrives)
+    with running(tmp_path):
+        pass
+    assert said() == []
+    with late[0] as theirs:
+        theirs.settimeout(WAIT_S)
+        assert theirs.recv(1) == b""
