@@ -19,7 +19,9 @@ export default defineConfig({
       output: {
         // What both pages read lies in a file of its own, which the phone's server hands out too: by its name.
         manualChunks: (id: string) =>
-          /\/src\/(wire|net)\//.test(id) || id.endsWith("schema.json") ? "phone-wire" : undefined,
+          (/\/src\/(wire|net)\//.test(id) && !id.endsWith("/wire/views.ts")) || id.endsWith("schema.json")
+            ? "phone-wire"
+            : undefined,
       },
     },
   },

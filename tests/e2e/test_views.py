@@ -161,6 +161,18 @@ def test_a_plane_of_the_tri_plane_view_moves_with_a_drag_and_the_background_orbi
     workstation.page.locator(".picture-host:has(canvas[data-view=tri-plane])").focus()
     workstation.page.keyboard.press("PageDown")
     wait_for(workstation, f"window.__carina.state.session.crosshair_lps[2] < {crosshair[2] - 0.5}")
+    workstation.page.keyboard.press("Control+ArrowRight")
+    wait_for(workstation, f"window.__carina.state.session.crosshair_lps[0] > {crosshair[0] + 0.5}")
+    workstation.page.keyboard.press("Control+ArrowDown")
+    wait_for(workstation, f"window.__carina.state.session.crosshair_lps[1] < {crosshair[1] - 0.5}")
+    # A full stop is a key frame's here as everywhere, and moves no plane.
+    here = workstation.state("session.crosshair_lps")
+    workstation.page.keyboard.press(".")
+    wait_for(workstation, "window.__carina.state.keys.keys.length === 1")
+    assert workstation.state("session.crosshair_lps") == here
+    workstation.page.keyboard.press("Control+z")
+    wait_for(workstation, "window.__carina.state.keys.keys.length === 0")
+    workstation.page.locator(".picture-host:has(canvas[data-view=tri-plane])").focus()
     drag(workstation, "tri-plane", (0.03, 0.03), (0.3, 0.03))
     wait_for(workstation, f"window.__carina.state.session.orbit_tri_plane.azimuth_deg !== {before['azimuth_deg']}")
     workstation.page.keyboard.press("c")

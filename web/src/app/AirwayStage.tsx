@@ -450,7 +450,7 @@ function Readings() {
                   ? "Advance to the next fork and stop in front of it"
                   : "Advance to the end of the route"
             }
-            keys="Space"
+            keys={keyOf("auto_advance")}
             onPress={() => station.act("auto_advance")}
           />
         ) : pose.mode === "free" ? (

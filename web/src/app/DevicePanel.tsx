@@ -28,7 +28,13 @@ export function DevicePanel() {
     <section className="step-panel device-panel" aria-label="Devices" data-testid="device-panel">
       <div className="panel-head">
         <h2>Devices</h2>
-        <Act kind="quiet" label="Close" words="Back to the step" keys=";" onPress={() => station.act("devices")} />
+        <Act
+          kind="quiet"
+          label="Close"
+          words="Back to the step"
+          keys={keyOf("devices")}
+          onPress={() => station.act("devices")}
+        />
       </div>
       <div className="step-body">
         {told === null ? (

@@ -1,7 +1,8 @@
 /** The safety sentence at first start, and the card of keys. */
 
 import { Button, Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
-import { KEYMAP, type KeyGroup } from "../input/keymap";
+import { MOUSE } from "../input/key-table";
+import { keyOf, keySections } from "../input/keymap";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
 
@@ -37,47 +38,6 @@ export function NoticeDialog() {
   );
 }
 
-const GROUPS: readonly KeyGroup[] = ["Fly", "Look", "Plan", "Airways", "Pictures", "Help"];
-
-const MOUSE: readonly { where: string; what: readonly [string, string][] }[] = [
-  {
-    where: "Airway picture",
-    what: [
-      ["Drag", "look around"],
-      ["Wheel", "advance and withdraw"],
-      ["Click", "wall point; with a tool: the lumen there"],
-    ],
-  },
-  {
-    where: "Slices",
-    what: [
-      ["Click, drag, Shift + move", "move the crosshair"],
-      ["Wheel", "next slice"],
-      ["Ctrl + wheel", "zoom"],
-      ["Middle drag, Shift + drag", "pan"],
-      ["Right drag", "window: across width, up level"],
-    ],
-  },
-  {
-    where: "Tree and tri-plane",
-    what: [
-      ["Drag", "turn"],
-      ["Wheel", "nearer, farther"],
-      ["Click a branch", "make it the route"],
-    ],
-  },
-  {
-    where: "Any picture",
-    what: [
-      ["Double click, Enter", "full, and back"],
-      ["Shift + arrows", "move crosshair, turn"],
-      ["Page up, page down", "next slice"],
-      ["Ctrl + arrows", "pan a slice"],
-      ["+  \u2212  Home", "zoom, fit"],
-    ],
-  },
-];
-
 export function KeyCard() {
   const station = useStation();
   const open = useApp((state) => state.ui.keyCardOpen);
@@ -92,14 +52,20 @@ export function KeyCard() {
         <Dialog data-testid="key-card">
           <div className="dialog-head">
             <Heading slot="title">Keys and mouse</Heading>
-            <Act kind="icon" icon="close" words="Close" keys="Esc" onPress={() => station.ui({ keyCardOpen: false })} />
+            <Act
+              kind="icon"
+              icon="close"
+              words="Close"
+              keys={keyOf("leave")}
+              onPress={() => station.ui({ keyCardOpen: false })}
+            />
           </div>
           <div className="key-columns">
-            {GROUPS.map((group) => (
-              <section key={group}>
-                <h3>{group}</h3>
+            {keySections().map(({ title, rows }) => (
+              <section key={title}>
+                <h3>{title}</h3>
                 <dl>
-                  {KEYMAP.filter((binding) => binding.group === group).map((binding) => (
+                  {rows.map((binding) => (
                     <div key={binding.label}>
                       <dt>
                         <kbd>{binding.label}</kbd>

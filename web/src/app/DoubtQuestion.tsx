@@ -1,6 +1,7 @@
 /** At the tool: whether to draw by hand what the CT does not show. Enter draws it, Esc does not. */
 
 import { useEffect } from "react";
+import { keyOf } from "../input/keymap";
 import { doubtWords } from "../state/edit-preview";
 import { useApp, useStation } from "./context";
 import { Act } from "./controls";
@@ -41,7 +42,7 @@ export function DoubtQuestion() {
           kind="quiet"
           label="Cancel"
           words="Leaves the tree as it is"
-          keys="Esc"
+          keys={keyOf("leave")}
           testId="doubt-cancel"
           onPress={() => station.answerDoubt(false)}
         />

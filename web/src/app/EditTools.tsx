@@ -64,7 +64,13 @@ export function ToolInHand() {
     <div className="in-hand" role="status" data-testid="in-hand">
       <header>
         <strong>{label}</strong>
-        <Act kind="quiet" label="Done" words="Put the tool down" keys="Esc" onPress={() => station.disarm()} />
+        <Act
+          kind="quiet"
+          label="Done"
+          words="Put the tool down"
+          keys={keyOf("leave")}
+          onPress={() => station.disarm()}
+        />
       </header>
       {doubted ? <DoubtQuestion /> : <p>{hint}</p>}
       {isBrush(armed) ? (

@@ -20,7 +20,13 @@ export function KeyPanel() {
     <section className="step-panel key-panel" aria-label="Key frames" data-testid="key-panel">
       <div className="panel-head">
         <h2>Key frames</h2>
-        <Act kind="quiet" label="Close" words="Back to the step" keys="," onPress={() => station.act("key_frames")} />
+        <Act
+          kind="quiet"
+          label="Close"
+          words="Back to the step"
+          keys={keyOf("key_frames")}
+          onPress={() => station.act("key_frames")}
+        />
       </div>
       <div className="step-body">
         {told === null ? (

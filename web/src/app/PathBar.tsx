@@ -2,7 +2,7 @@
 
 import { useLayoutEffect, useRef, useState } from "react";
 import { Slider, SliderThumb, SliderTrack } from "react-aria-components";
-import { keyOf } from "../input/keymap";
+import { keyOf, keyOfHold } from "../input/keymap";
 import { pathMm, tipLps } from "../state/app-state";
 import { kindWords } from "../state/branch-words";
 import { fixed, mm } from "../state/format";
@@ -47,7 +47,7 @@ export function PathBar() {
         kind="icon"
         icon="back"
         words="Withdraw 2 mm"
-        keys="S"
+        keys={keyOfHold("advance", -1)}
         disabled={at === null || here <= 0}
         onPress={() => station.stepAlong(-1)}
       />
@@ -56,7 +56,7 @@ export function PathBar() {
         kind="icon"
         icon="forward"
         words="Advance 2 mm"
-        keys="W"
+        keys={keyOfHold("advance", 1)}
         disabled={at === null || here >= route.length_mm}
         onPress={() => station.stepAlong(1)}
       />

@@ -2,6 +2,7 @@
 
 import { useEffect, useState } from "react";
 import { Button, ListBox, ListBoxItem, Popover, Select, SelectValue } from "react-aria-components";
+import { keyOf } from "../input/keymap";
 import { greyWindow } from "../state/app-state";
 import { coordinates, finenessWords, fixed, methodWords, plural, windowWords } from "../state/format";
 import { asVec3 } from "../state/vec";
@@ -46,7 +47,7 @@ export function StatusBar() {
             icon="undo"
             label={`undo: ${undo}`}
             words={`Take back: ${undo}`}
-            keys="Ctrl+Z"
+            keys={keyOf("undo")}
             onPress={() => station.act("undo")}
           />
         )}
@@ -56,7 +57,7 @@ export function StatusBar() {
             icon="redo"
             label={`redo: ${redo}`}
             words={`Do again: ${redo}`}
-            keys="Ctrl+Shift+Z"
+            keys={keyOf("redo")}
             onPress={() => station.act("redo")}
           />
         )}

@@ -2,6 +2,7 @@
 
 import { Fragment } from "react";
 import { Button } from "react-aria-components";
+import { keyOf } from "../input/keymap";
 import { besideNotHu } from "../state/badges";
 import { sentence } from "../state/format";
 import { STEP_WORDS, STEPS } from "../state/steps";
@@ -73,11 +74,17 @@ export function TopBar() {
         kind="quiet"
         label="Devices"
         words="Gamepad, SpaceMouse, trackers, pens, scope handle; recording"
-        keys=";"
+        keys={keyOf("devices")}
         testId="open-devices"
         onPress={() => station.act("devices")}
       />
-      <Act kind="icon" label="?" words="Keys and mouse" keys="?" onPress={() => station.ui({ keyCardOpen: true })} />
+      <Act
+        kind="icon"
+        label="?"
+        words="Keys and mouse"
+        keys={keyOf("key_card")}
+        onPress={() => station.ui({ keyCardOpen: true })}
+      />
     </header>
   );
 }

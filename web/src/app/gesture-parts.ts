@@ -1,5 +1,6 @@
 /** What the gestures of all pictures share. */
 
+import type { PictureGesture } from "../input/keymap";
 import type { PointerHandlers } from "../input/pointer";
 import { greyWindow } from "../state/app-state";
 import type { Workstation } from "./workstation";
@@ -12,7 +13,8 @@ const WINDOW_HU_PER_PX = 3;
 
 export interface Gestures {
   pointer: PointerHandlers;
-  key?(key: string, shift: boolean, ctrl: boolean): boolean;
+  /** False where it means nothing here: then the key stays with the browser. */
+  key?(does: PictureGesture): boolean;
 }
 
 export function dragWindow(station: Workstation, moved: { dx: number; dy: number }): void {

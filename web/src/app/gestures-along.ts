@@ -62,15 +62,13 @@ export function pathGestures(station: Workstation, viewport: Viewport): Gestures
       },
       wheel: (delta) => zoom(delta),
     },
-    key: (name, shift) => {
-      if (name === "+" || name === "=") zoom(-ZOOM_KEY_PX);
-      else if (name === "-") zoom(ZOOM_KEY_PX);
-      else if (name === "Home") change(STRAIGHT);
-      else if (shift && name === "ArrowLeft") turn(-ORBIT_KEY_DEG);
-      else if (shift && name === "ArrowRight") turn(ORBIT_KEY_DEG);
-      else if (shift && (name === "ArrowUp" || name === "ArrowDown")) {
+    key: (does) => {
+      if (does.gesture === "zoom") zoom(-does.sign * ZOOM_KEY_PX);
+      else if (does.gesture === "fit") change(STRAIGHT);
+      else if (does.gesture === "move" && does.right !== 0) turn(does.right * ORBIT_KEY_DEG);
+      else if (does.gesture === "move") {
         const here = station.pathMm();
-        if (here !== null) station.goTo(here + (name === "ArrowUp" ? -STEP_MM : STEP_MM));
+        if (here !== null) station.goTo(here + does.down * STEP_MM);
       } else return false;
       return true;
     },
@@ -110,14 +108,10 @@ export function carmGestures(station: Workstation, viewport: Viewport): Gestures
       },
       wheel: (delta) => zoom(delta),
     },
-    key: (name, shift) => {
-      if (name === "+" || name === "=") zoom(-ZOOM_KEY_PX);
-      else if (name === "-") zoom(ZOOM_KEY_PX);
-      else if (name === "Home") change({ ...FRONTAL, tone: shown.now().tone });
-      else if (shift && name === "ArrowLeft") turn(ORBIT_KEY_DEG, 0);
-      else if (shift && name === "ArrowRight") turn(-ORBIT_KEY_DEG, 0);
-      else if (shift && name === "ArrowUp") turn(0, -ORBIT_KEY_DEG);
-      else if (shift && name === "ArrowDown") turn(0, ORBIT_KEY_DEG);
+    key: (does) => {
+      if (does.gesture === "zoom") zoom(-does.sign * ZOOM_KEY_PX);
+      else if (does.gesture === "fit") change({ ...FRONTAL, tone: shown.now().tone });
+      else if (does.gesture === "move") turn(-does.right * ORBIT_KEY_DEG, does.down * ORBIT_KEY_DEG);
       else return false;
       return true;
     },

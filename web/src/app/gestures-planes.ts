@@ -1,5 +1,6 @@
 /** Moving the planes of the tri-plane view: by a drag along their normal, or by keys. Elsewhere a drag orbits. */
 
+import type { PictureGesture } from "../input/keymap";
 import type { PointerPlace } from "../input/pointer";
 import { geometryOf, type SeenGeometry } from "../state/projection";
 import { dragMm, type PlaneHit, planeUnder } from "../state/tri-plane";
@@ -10,22 +11,19 @@ import type { Workstation } from "./workstation";
 
 const KEY_MM = 1;
 
-/** Keys that move a plane: the axial one up and down, the sagittal one left and right, the coronal one front and back. */
-const PLANE_KEYS: Readonly<Record<string, { axis: 0 | 1 | 2; sign: 1 | -1 }>> = {
-  PageUp: { axis: 2, sign: 1 },
-  PageDown: { axis: 2, sign: -1 },
-  "[": { axis: 0, sign: -1 },
-  "]": { axis: 0, sign: 1 },
-  ",": { axis: 1, sign: -1 },
-  ".": { axis: 1, sign: 1 },
-};
+/** The plane that a key moves: the axial one up and down, the sagittal one left and right, the coronal one front and back. */
+function movedBy(does: PictureGesture): { axis: 0 | 1 | 2; sign: number } | null {
+  if (does.gesture === "scroll") return { axis: 2, sign: does.sign };
+  if (does.gesture !== "pan") return null;
+  return does.right === 0 ? { axis: 1, sign: -does.down } : { axis: 0, sign: does.right };
+}
 
 export interface PlaneDrag {
   /** True where a plane took the drag. */
   drag(at: PointerPlace, moved: { dx: number; dy: number }): boolean;
   release(): void;
   hover(at: PointerPlace | null): void;
-  key(name: string): boolean;
+  key(does: PictureGesture): boolean;
 }
 
 export function planeDrag(station: Workstation, viewport: Viewport): PlaneDrag {
@@ -76,10 +74,10 @@ export function planeDrag(station: Workstation, viewport: Viewport): PlaneDrag {
       viewport.host.style.cursor = plane === null || station.state.ui.armed !== null ? "" : "move";
       if (station.state.ui.overPlane !== plane) station.ui({ overPlane: plane });
     },
-    key: (name) => {
-      const move = PLANE_KEYS[name];
+    key: (does) => {
+      const move = movedBy(does);
       const centre = station.centre();
-      if (move === undefined || centre === null) return false;
+      if (move === null || centre === null) return false;
       moveTo(moveBy(centre, move.axis, move.sign * KEY_MM));
       return true;
     },

@@ -2,6 +2,7 @@
 
 import { deedOf } from "../input/clicks";
 import { WHEEL_MM_PER_PX } from "../input/flight";
+import { bindingOf, placesOf } from "../input/keymap";
 import { listenToPointer, type PointerPlace } from "../input/pointer";
 import { type FlatGeometry, geometryOf, lpsFromPixel, mmPerPixel, normalOf } from "../state/projection";
 import { add, asVec3, cameraFromMatrix, distance, dot, scale, sub, type Vec3 } from "../state/vec";
@@ -19,12 +20,6 @@ import type { Workstation } from "./workstation";
 const CROSSHAIR_KEY_MM = 1;
 /** A wheel notch (100 px) scrolls one slice. */
 const SCROLL_SLICES_PER_PX = 0.01;
-const ARROWS: Readonly<Record<string, { x: number; y: number }>> = {
-  ArrowLeft: { x: -1, y: 0 },
-  ArrowRight: { x: 1, y: 0 },
-  ArrowUp: { x: 0, y: -1 },
-  ArrowDown: { x: 0, y: 1 },
-};
 
 /** Returns how to stop. `doubleClick` makes the picture's cell full, and back. */
 export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick: () => void): () => void {
@@ -54,19 +49,21 @@ export function gesturesOf(station: Workstation, viewport: Viewport, doubleClick
     }
     return current;
   };
+  const enter = () => {
+    if (station.state.ui.armed === null) return doubleClick();
+    // The crosshair, or the middle of the airway picture, stands for the cursor.
+    const centre = station.centre();
+    if (viewport.view === LEAD_VIEW) station.act("wall_point");
+    else if (centre !== null) station.pointing.commitHere(centre);
+  };
   const key = (event: KeyboardEvent) => {
-    // With Ctrl only the arrows are a picture's: the rest is the page's and the browser's.
-    const ctrl = event.ctrlKey || event.metaKey;
-    if ((ctrl && ARROWS[event.key] === undefined) || event.altKey || event.target !== viewport.host) return;
-    if (event.key === "Enter" && event.repeat) {
+    if (event.target !== viewport.host) return;
+    const command = bindingOf(event, placesOf(viewport.view))?.command;
+    if (command?.kind !== "picture") return;
+    if (command.does.gesture === "enter") {
       // A key that is held is one gesture.
-    } else if (event.key === "Enter" && station.state.ui.armed !== null) {
-      // The crosshair, or the middle of the airway picture, stands for the cursor.
-      const centre = station.centre();
-      if (viewport.view === LEAD_VIEW) station.act("wall_point");
-      else if (centre !== null) station.pointing.commitHere(centre);
-    } else if (event.key === "Enter") doubleClick();
-    else if (now().key?.(event.key, event.shiftKey, ctrl) !== true) return;
+      if (!event.repeat) enter();
+    } else if (now().key?.(command.does) !== true) return;
     event.preventDefault();
   };
   viewport.host.addEventListener("keydown", key);
@@ -215,15 +212,13 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
         if (slices !== 0) scroll(slices);
       },
     },
-    key: (name, shift, ctrl) => {
-      const arrow = ARROWS[name];
-      if (name === "PageUp" || name === "PageDown") scroll(name === "PageUp" ? -1 : 1);
+    key: (does) => {
+      if (does.gesture === "scroll") scroll(-does.sign);
       // The picture is looked at farther in the arrow's direction, so it goes the other way.
-      else if (ctrl && arrow !== undefined) placing.pan({ dx: -arrow.x * PAN_KEY_PX, dy: -arrow.y * PAN_KEY_PX });
-      else if (name === "+" || name === "=") placing.zoom(-ZOOM_KEY_PX, null);
-      else if (name === "-") placing.zoom(ZOOM_KEY_PX, null);
-      else if (name === "Home") fitPicture(station, viewport.view);
-      else if (shift && arrow !== undefined) moveBy(arrow.x * CROSSHAIR_KEY_MM, arrow.y * CROSSHAIR_KEY_MM);
+      else if (does.gesture === "pan") placing.pan({ dx: -does.right * PAN_KEY_PX, dy: -does.down * PAN_KEY_PX });
+      else if (does.gesture === "zoom") placing.zoom(-does.sign * ZOOM_KEY_PX, null);
+      else if (does.gesture === "fit") fitPicture(station, viewport.view);
+      else if (does.gesture === "move") moveBy(does.right * CROSSHAIR_KEY_MM, does.down * CROSSHAIR_KEY_MM);
       else return false;
       return true;
     },
@@ -278,16 +273,11 @@ function orbitGestures(station: Workstation, viewport: Viewport, view: OrbitView
       hover: (at) => planes?.hover(at),
       wheel: (delta) => zoom(delta),
     },
-    key: (name, shift) => {
-      if (name === "+" || name === "=") zoom(-ZOOM_KEY_PX);
-      else if (name === "-") zoom(ZOOM_KEY_PX);
-      else if (name === "Home") change({ azimuth_deg: 0, elevation_deg: 0, distance_mm: null });
-      else if (planes?.key(name) === true) return true;
-      else if (shift && name === "ArrowLeft") turn(ORBIT_KEY_DEG, 0);
-      else if (shift && name === "ArrowRight") turn(-ORBIT_KEY_DEG, 0);
-      else if (shift && name === "ArrowUp") turn(0, -ORBIT_KEY_DEG);
-      else if (shift && name === "ArrowDown") turn(0, ORBIT_KEY_DEG);
-      else return false;
+    key: (does) => {
+      if (does.gesture === "zoom") zoom(-does.sign * ZOOM_KEY_PX);
+      else if (does.gesture === "fit") change({ azimuth_deg: 0, elevation_deg: 0, distance_mm: null });
+      else if (does.gesture === "move") turn(-does.right * ORBIT_KEY_DEG, does.down * ORBIT_KEY_DEG);
+      else return planes?.key(does) === true;
       return true;
     },
   };

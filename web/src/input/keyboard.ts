@@ -61,15 +61,15 @@ export function listenToKeys(page: Window, handlers: KeyboardHandlers): () => vo
     const focus = focusKind(event.target);
     // Esc puts a tool down first, wherever the focus is: a field keeps its text, and the full view stays.
     const putsDown = event.key === "Escape" && handlers.holdsTool() && !closesFirst(event.target);
-    if (!takesKey(focus, event.key) && !putsDown) return;
-    // A focused picture moves its own crosshair or camera with Shift and the arrows.
-    if (event.shiftKey && event.key.startsWith("Arrow")) return;
+    if (!takesKey(focus, event) && !putsDown) return;
     if (binding.command.kind === "press" && !handlers.wants(binding.command.action)) return;
     event.preventDefault();
     event.stopPropagation();
     const { command } = binding;
     if (command.kind === "hold") {
       begin(event.code, command.axis, command.sign);
+    } else if (command.kind !== "press") {
+      return;
     } else if ((command.action === "way_left" || command.action === "way_right") && handlers.arrowsLook()) {
       begin(event.code, "yaw", command.action === "way_left" ? -1 : 1);
     } else if (!event.repeat) {

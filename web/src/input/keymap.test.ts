@@ -1,5 +1,6 @@
 import { describe, expect, it } from "vitest";
-import { bindingOf, KEYMAP, type KeyPress, keyOf, takesKey } from "./keymap";
+import { VIEW_NAMES } from "../state/view-table";
+import { bindingOf, clashes, KEYMAP, type KeyPress, keyOf, placesOf, takesKey } from "./keymap";
 
 const press = (key: string, change: Partial<KeyPress> = {}): KeyPress => ({
   key,
@@ -14,14 +15,54 @@ describe("the keys", () => {
   it("each find their own binding, with Shift or Caps Lock held too", () => {
     for (const binding of KEYMAP) {
       const event = press(binding.key, { ctrlKey: binding.ctrl ?? false, shiftKey: binding.shift ?? false });
-      expect(bindingOf(event)).toBe(binding);
+      expect(bindingOf(event, [binding.place])).toBe(binding);
     }
     expect(bindingOf(press("W", { shiftKey: true }))?.label).toBe("W");
   });
 
-  it("are bound once each", () => {
-    const seen = KEYMAP.map((binding) => `${binding.ctrl ?? false} ${binding.shift ?? "any"} ${binding.key}`);
-    expect(new Set(seen).size).toBe(seen.length);
+  it("never mean two things where both hold at once", () => {
+    const said = clashes(KEYMAP).map(([a, b]) => `${a.label}: ${a.place}, ${a.words}; ${b.place}, ${b.words}`);
+    expect(said).toEqual([]);
+  });
+
+  it("that clash are found: with Shift or without, in a kind of picture and in all, but not in two lists", () => {
+    const taken = KEYMAP.find((binding) => binding.label === ".");
+    if (taken === undefined) throw new Error("no key adds a key frame");
+    // As it was: on the tri-plane the full stop also moved a plane.
+    const found = clashes([taken, { ...taken, place: "tri-plane" }]);
+    expect(found).toHaveLength(1);
+    expect(
+      clashes([
+        { ...taken, place: "orbit", shift: true },
+        { ...taken, place: "tri-plane" },
+      ]),
+    ).toHaveLength(1);
+    expect(
+      clashes([
+        { ...taken, place: "brush" },
+        { ...taken, place: "tri-plane" },
+      ]),
+    ).toHaveLength(1);
+    expect(
+      clashes([
+        { ...taken, place: "plane" },
+        { ...taken, place: "path" },
+      ]),
+    ).toEqual([]);
+    expect(clashes([{ ...taken, place: "list" }, taken])).toEqual([]);
+    expect(
+      clashes([
+        { ...taken, shift: false },
+        { ...taken, shift: true },
+      ]),
+    ).toEqual([]);
+  });
+
+  it("hold in places that each picture is", () => {
+    expect(VIEW_NAMES.map((view) => placesOf(view).at(-1))).toEqual(VIEW_NAMES.map(() => "picture"));
+    const places = new Set(VIEW_NAMES.flatMap(placesOf));
+    const ofPictures = KEYMAP.filter((binding) => binding.command.kind === "picture").map((binding) => binding.place);
+    expect(new Set(ofPictures)).toEqual(places);
   });
 
   it("that are not Carina's stay with the browser", () => {
@@ -59,13 +100,14 @@ describe("the keys", () => {
 
 describe("focus", () => {
   it("keeps every key while typing", () => {
-    for (const binding of KEYMAP) expect(takesKey("typing", binding.key)).toBe(false);
+    for (const binding of KEYMAP) expect(takesKey("typing", press(binding.key))).toBe(false);
   });
 
   it("leaves the arrows to lists and sliders, and the space bar to buttons", () => {
-    expect(takesKey("arrows", "ArrowUp")).toBe(false);
-    expect(takesKey("arrows", "w")).toBe(true);
-    expect(takesKey("button", " ")).toBe(false);
-    expect(takesKey("button", "ArrowUp")).toBe(true);
+    expect(takesKey("arrows", press("ArrowUp"))).toBe(false);
+    expect(takesKey("arrows", press("w"))).toBe(true);
+    expect(takesKey("button", press(" "))).toBe(false);
+    expect(takesKey("button", press("ArrowUp"))).toBe(true);
+    expect(takesKey("button", press("Enter", { ctrlKey: true }))).toBe(true);
   });
 });

@@ -163,6 +163,8 @@ export class Viewport {
 
   #place(): void {
     const frame = this.frame;
+    // Behind a picture that is full: what it showed is kept, not shrunk to one pixel, until it is seen again.
+    if (frame.width < 1 || frame.height < 1) return;
     const { style } = this.picture;
     style.left = `${frame.x}px`;
     style.top = `${frame.y}px`;

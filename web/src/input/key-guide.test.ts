@@ -1,0 +1,44 @@
+import { readFileSync } from "node:fs";
+import { fileURLToPath } from "node:url";
+import { describe, expect, it } from "vitest";
+import { KEYMAP, MOUSE } from "./key-table";
+import { keySections } from "./keymap";
+
+const REPOSITORY = fileURLToPath(new URL("../../../", import.meta.url));
+
+function guide(): string {
+  const rows = (pairs: readonly (readonly [string, string])[]) => pairs.map(([key, words]) => `| ${key} | ${words} |`);
+  const code = (label: string) => `\`${label}\``;
+  const part = (title: string, lines: readonly string[]) => [`## ${title}`, "", "| | |", "|---|---|", ...lines, ""];
+  return [
+    "# Keys and mouse",
+    "",
+    "Made from the table of keys (`web/src/input/key-table.ts`) by `npx vitest run -u src/input/key-guide.test.ts` in `web/`; the key `?` shows the same. What",
+    "holds in a picture holds while it has the focus: a click or Tab gives it. With Cmd in place of Ctrl on a Mac.",
+    "",
+    ...keySections().flatMap(({ title, rows: keys }) =>
+      part(title, rows(keys.map((row) => [code(row.label), row.words]))),
+    ),
+    ...MOUSE.flatMap(({ where, what }) => part(`Mouse: ${where.toLowerCase()}`, rows(what))),
+  ]
+    .join("\n")
+    .trimEnd()
+    .concat("\n");
+}
+
+describe("what the documents say about keys", () => {
+  it("is the table, in the guide", async () => {
+    await expect(guide()).toMatchFileSnapshot(`${REPOSITORY}docs/keys.md`);
+  });
+
+  it.each([
+    ["README.md", /\b(W|S|Space|M|\?) (?:and S move|move|flies to the next fork|leaves and enters|shows all)/g],
+    ["docs/devices.md", /\((?:key |mouse lock \()?`([^`]{1,12})`\)/g],
+    ["docs/key-frames.md", /`([.,]|Ctrl\+Z)`/g],
+  ])("are keys of the table, in %s", (file, pattern) => {
+    const labels = new Set(KEYMAP.map((binding) => binding.label));
+    const named = [...readFileSync(`${REPOSITORY}${file}`, "utf8").matchAll(pattern)].map((found) => found[1]);
+    expect(named.length).toBeGreaterThan(1);
+    expect(named.filter((label) => label !== undefined && !labels.has(label))).toEqual([]);
+  });
+});

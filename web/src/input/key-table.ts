@@ -1,0 +1,584 @@
+/**
+ * The table of keys and of the mouse: what each does, where that holds, and in which words. The listeners, the key card,
+ * the tooltips and the guide's list (docs/keys.md) all read it; see docs/decisions/0042-views-and-keys-are-tables.md.
+ */
+
+export type HoldAxis = "advance" | "roll" | "pitch" | "yaw";
+
+export type Action =
+  | "auto_advance"
+  | "previous_fork"
+  | "way_left"
+  | "way_right"
+  | "toggle_mode"
+  | "join_pen"
+  | "level_horizon"
+  | "flip_operator"
+  | "reset_look"
+  | "crosshair_to_tip"
+  | "wall_point"
+  | "swap_outside"
+  | "next_xray"
+  | "next_cut"
+  | "toggle_tone"
+  | "next_slab"
+  | "toggle_shape"
+  | "toggle_outline"
+  | "toggle_route_line"
+  | "arm_target"
+  | "arm_root"
+  | "tool_add"
+  | "tool_bridge"
+  | "tool_cut"
+  | "tool_fork"
+  | "tool_smooth"
+  | "tool_paint"
+  | "tool_erase"
+  | "tool_reroot"
+  | "rename"
+  | "brush_smaller"
+  | "brush_larger"
+  | "find_branch"
+  | "window_airway"
+  | "window_lung"
+  | "window_mediastinum"
+  | "window_bone"
+  | "undo"
+  | "redo"
+  | "add_key"
+  | "key_frames"
+  | "lock_mouse"
+  | "devices"
+  | "key_card"
+  | "leave";
+
+/** What the keys of a focused picture do; each kind of picture makes of it what it can. */
+export type PictureGesture =
+  | { readonly gesture: "enter" }
+  | { readonly gesture: "fit" }
+  | { readonly gesture: "zoom" | "scroll"; readonly sign: 1 | -1 }
+  | { readonly gesture: "move" | "pan"; readonly right: number; readonly down: number };
+
+export type Command =
+  | { readonly kind: "hold"; readonly axis: HoldAxis; readonly sign: 1 | -1 }
+  | { readonly kind: "press"; readonly action: Action }
+  | { readonly kind: "picture"; readonly does: PictureGesture }
+  /** Whatever has the focus does it by itself: a list, a field, a dialog. */
+  | { readonly kind: "own" };
+
+/** Where a key holds. Several can hold at once: a brush in the hand, a slice that has the focus, and the page. */
+export const PLACES = {
+  page: { title: "Anywhere", within: null, over: [] },
+  brush: { title: "With a brush in the hand", within: null, over: [] },
+  picture: { title: "Any picture that has the focus", within: null, over: [] },
+  plane: { title: "Slices and cut-plane", within: "picture", over: [] },
+  path: { title: "Straightened and curved view", within: "picture", over: [] },
+  carm: { title: "X-ray from the C-arm", within: "picture", over: [] },
+  orbit: { title: "Airway tree and tri-plane", within: "picture", over: [] },
+  "tri-plane": { title: "Tri-plane", within: "orbit", over: [] },
+  question: { title: "While a question stands", within: null, over: ["picture"] },
+  list: { title: "Lists, sliders and tabs", within: null, over: ["page", "question"] },
+  button: { title: "Buttons", within: null, over: ["page", "question"] },
+  field: { title: "Fields for text", within: null, over: ["page", "brush", "question"] },
+  dialog: { title: "Dialogs", within: null, over: ["page", "brush", "question"] },
+} as const satisfies Record<string, { title: string; within: string | null; over: readonly string[] }>;
+export type KeyPlace = keyof typeof PLACES;
+
+export type KeyGroup = "Fly" | "Look" | "Plan" | "Airways" | "Pictures" | "Help";
+
+export interface Binding {
+  readonly place: KeyPlace;
+  /** `KeyboardEvent.key`, letters in lower case: the letter that is printed on the key, on any layout. */
+  readonly key: string;
+  readonly ctrl?: boolean;
+  /** Only told apart where it matters; Shift with a held key means slow. */
+  readonly shift?: boolean;
+  readonly label: string;
+  readonly words: string;
+  /** Of the keys that hold anywhere. */
+  readonly group?: KeyGroup;
+  readonly command: Command;
+}
+
+const hold = (axis: HoldAxis, sign: 1 | -1): Command => ({ kind: "hold", axis, sign });
+const press = (action: Action): Command => ({ kind: "press", action });
+const OWN: Command = { kind: "own" };
+
+/** Keys that do one thing, in different directions. */
+interface Keys {
+  readonly ctrl?: boolean;
+  readonly shift?: boolean;
+  readonly label: string;
+  readonly does: Readonly<Record<string, PictureGesture>>;
+}
+
+const arrows = (gesture: "move" | "pan"): Keys["does"] => ({
+  ArrowLeft: { gesture, right: -1, down: 0 },
+  ArrowRight: { gesture, right: 1, down: 0 },
+  ArrowUp: { gesture, right: 0, down: -1 },
+  ArrowDown: { gesture, right: 0, down: 1 },
+});
+
+/** Keys of the pictures, alike in all; what they do is said for each kind of picture. */
+const ENTER: Keys = { label: "Enter", ctrl: false, does: { Enter: { gesture: "enter" } } };
+const FIT: Keys = { label: "Home", ctrl: false, does: { Home: { gesture: "fit" } } };
+const ZOOM: Keys = {
+  label: "+  \u2212",
+  ctrl: false,
+  does: { "+": { gesture: "zoom", sign: 1 }, "=": { gesture: "zoom", sign: 1 }, "-": { gesture: "zoom", sign: -1 } },
+};
+const SCROLL: Keys = {
+  label: "PgUp  PgDn",
+  ctrl: false,
+  does: { PageUp: { gesture: "scroll", sign: 1 }, PageDown: { gesture: "scroll", sign: -1 } },
+};
+const MOVE: Keys = { label: "Shift+arrows", ctrl: false, shift: true, does: arrows("move") };
+const PAN: Keys = { label: "Ctrl+arrows", ctrl: true, does: arrows("pan") };
+
+function inPicture(place: KeyPlace, keys: Keys, words: string): Binding[] {
+  const { label, does, ...modifiers } = keys;
+  return Object.entries(does).map(([key, what]) => ({
+    place,
+    key,
+    ...modifiers,
+    label,
+    words,
+    command: { kind: "picture", does: what },
+  }));
+}
+
+const own = (place: KeyPlace, label: string, words: string, ...keys: readonly string[]): Binding[] =>
+  keys.map((key) => ({ place, key, label, words, command: OWN }));
+
+const PAGE: readonly Binding[] = [
+  {
+    place: "page",
+    key: "w",
+    label: "W",
+    words: "Advance (hold; with Shift slowly)",
+    group: "Fly",
+    command: hold("advance", 1),
+  },
+  { place: "page", key: "s", label: "S", words: "Withdraw", group: "Fly", command: hold("advance", -1) },
+  {
+    place: "page",
+    key: " ",
+    label: "Space",
+    words: "Advance to the next fork and stop there; again: stop",
+    group: "Fly",
+    command: press("auto_advance"),
+  },
+  {
+    place: "page",
+    key: "Backspace",
+    label: "Backspace",
+    words: "Back to the fork before",
+    group: "Fly",
+    command: press("previous_fork"),
+  },
+  {
+    place: "page",
+    key: "ArrowLeft",
+    shift: false,
+    label: "\u2190",
+    words: "Path: take the way further left. Free: look left",
+    group: "Fly",
+    command: press("way_left"),
+  },
+  {
+    place: "page",
+    key: "ArrowRight",
+    shift: false,
+    label: "\u2192",
+    words: "Path: take the way further right. Free: look right",
+    group: "Fly",
+    command: press("way_right"),
+  },
+  {
+    place: "page",
+    key: "m",
+    shift: false,
+    label: "M",
+    words: "Free, or along the path; with a device: absolute, relative, path",
+    group: "Fly",
+    command: press("toggle_mode"),
+  },
+  {
+    place: "page",
+    key: "m",
+    shift: true,
+    label: "Shift+M",
+    words: "Absolute: bring the tip to the pen at once",
+    group: "Fly",
+    command: press("join_pen"),
+  },
+  {
+    place: "page",
+    key: "Enter",
+    ctrl: true,
+    label: "Ctrl+Enter",
+    words: "Lock the mouse to the airway picture: it turns the tip (Esc frees it)",
+    group: "Fly",
+    command: press("lock_mouse"),
+  },
+  {
+    place: "page",
+    key: ".",
+    label: ".",
+    words: "Add a key frame: this view becomes a stop of the flight",
+    group: "Fly",
+    command: press("add_key"),
+  },
+  {
+    place: "page",
+    key: ",",
+    label: ",",
+    words: "Key frames: list, flight, speed, file",
+    group: "Fly",
+    command: press("key_frames"),
+  },
+  { place: "page", key: ";", label: ";", words: "Input devices", group: "Fly", command: press("devices") },
+  {
+    place: "page",
+    key: "ArrowUp",
+    shift: false,
+    label: "\u2191",
+    words: "Tip up",
+    group: "Look",
+    command: hold("pitch", 1),
+  },
+  {
+    place: "page",
+    key: "ArrowDown",
+    shift: false,
+    label: "\u2193",
+    words: "Tip down",
+    group: "Look",
+    command: hold("pitch", -1),
+  },
+  { place: "page", key: "a", label: "A", words: "Roll to the left", group: "Look", command: hold("roll", -1) },
+  { place: "page", key: "d", label: "D", words: "Roll to the right", group: "Look", command: hold("roll", 1) },
+  { place: "page", key: "h", label: "H", words: "Level the horizon", group: "Look", command: press("level_horizon") },
+  {
+    place: "page",
+    key: "f",
+    label: "F",
+    words: "Operator at the head end, or facing the patient",
+    group: "Look",
+    command: press("flip_operator"),
+  },
+  {
+    place: "page",
+    key: "r",
+    label: "R",
+    words: "Look straight along the path again",
+    group: "Look",
+    command: press("reset_look"),
+  },
+  {
+    place: "page",
+    key: "n",
+    label: "N",
+    words: "New target: the next click in a picture marks it",
+    group: "Plan",
+    command: press("arm_target"),
+  },
+  {
+    place: "page",
+    key: "b",
+    shift: false,
+    label: "B",
+    words: "Find the airways again from the next click",
+    group: "Airways",
+    command: press("arm_root"),
+  },
+  {
+    place: "page",
+    key: "j",
+    label: "J",
+    words: "Add a branch: the next clicks are ends of airways",
+    group: "Airways",
+    command: press("tool_add"),
+  },
+  { place: "page", key: "l", label: "L", words: "Bridge a blockage", group: "Airways", command: press("tool_bridge") },
+  { place: "page", key: "k", label: "K", words: "Cut a branch", group: "Airways", command: press("tool_cut") },
+  { place: "page", key: "y", label: "Y", words: "Move a fork", group: "Airways", command: press("tool_fork") },
+  { place: "page", key: "u", label: "U", words: "Smooth a branch", group: "Airways", command: press("tool_smooth") },
+  {
+    place: "page",
+    key: "q",
+    shift: false,
+    label: "Q",
+    words: "Paint lumen in a slice",
+    group: "Airways",
+    command: press("tool_paint"),
+  },
+  {
+    place: "page",
+    key: "q",
+    shift: true,
+    label: "Shift+Q",
+    words: "Erase lumen in a slice",
+    group: "Airways",
+    command: press("tool_erase"),
+  },
+  { place: "brush", key: "[", label: "[", words: "Smaller brush", command: press("brush_smaller") },
+  { place: "brush", key: "]", label: "]", words: "Larger brush", command: press("brush_larger") },
+  {
+    place: "page",
+    key: "b",
+    shift: true,
+    label: "Shift+B",
+    words: "Move the root, keep the tree",
+    group: "Airways",
+    command: press("tool_reroot"),
+  },
+  {
+    place: "page",
+    key: "F2",
+    label: "F2",
+    words: "Rename the chosen branch",
+    group: "Airways",
+    command: press("rename"),
+  },
+  {
+    place: "page",
+    key: "/",
+    label: "/",
+    words: "Search the list of branches",
+    group: "Airways",
+    command: press("find_branch"),
+  },
+  {
+    place: "page",
+    key: "z",
+    ctrl: true,
+    shift: false,
+    label: "Ctrl+Z",
+    words: "Undo",
+    group: "Plan",
+    command: press("undo"),
+  },
+  {
+    place: "page",
+    key: "z",
+    ctrl: true,
+    shift: true,
+    label: "Ctrl+Shift+Z",
+    words: "Redo",
+    group: "Plan",
+    command: press("redo"),
+  },
+  {
+    place: "page",
+    key: "c",
+    label: "C",
+    words: "Crosshair back to the tip",
+    group: "Pictures",
+    command: press("crosshair_to_tip"),
+  },
+  {
+    place: "page",
+    key: "e",
+    label: "E",
+    words: "Wall in the middle of the airway view: place, distance, HU (or click the wall; Esc takes the marks away)",
+    group: "Pictures",
+    command: press("wall_point"),
+  },
+  {
+    place: "page",
+    key: "t",
+    label: "T",
+    words: "Airway tree, or tri-plane",
+    group: "Pictures",
+    command: press("swap_outside"),
+  },
+  {
+    place: "page",
+    key: "x",
+    label: "X",
+    words: "X-ray from the next side, or from the C-arm",
+    group: "Pictures",
+    command: press("next_xray"),
+  },
+  {
+    place: "page",
+    key: "g",
+    label: "G",
+    words: "C-arm picture as radiograph, or as fluoroscopy",
+    group: "Pictures",
+    command: press("toggle_tone"),
+  },
+  {
+    place: "page",
+    key: "v",
+    label: "V",
+    words: "Cut-plane, straightened airway, or curved reformation",
+    group: "Pictures",
+    command: press("next_cut"),
+  },
+  {
+    place: "page",
+    key: "i",
+    label: "I",
+    words: "Slices thin, or thick: minimum (airways), maximum, mean",
+    group: "Pictures",
+    command: press("next_slab"),
+  },
+  {
+    place: "page",
+    key: "o",
+    shift: false,
+    label: "O",
+    words: "Airway picture round, or the full frame",
+    group: "Pictures",
+    command: press("toggle_shape"),
+  },
+  {
+    place: "page",
+    key: "o",
+    shift: true,
+    label: "Shift+O",
+    words: "Show or hide the outline of the lumen and the centrelines in slices",
+    group: "Pictures",
+    command: press("toggle_outline"),
+  },
+  {
+    place: "page",
+    key: "p",
+    label: "P",
+    words: "Show or hide the line of the route",
+    group: "Pictures",
+    command: press("toggle_route_line"),
+  },
+  {
+    place: "page",
+    key: "1",
+    label: "1",
+    words: "Lung window (W 1500 L \u2212600)",
+    group: "Pictures",
+    command: press("window_lung"),
+  },
+  {
+    place: "page",
+    key: "2",
+    label: "2",
+    words: "Mediastinum window (W 400 L 40)",
+    group: "Pictures",
+    command: press("window_mediastinum"),
+  },
+  {
+    place: "page",
+    key: "3",
+    label: "3",
+    words: "Bone window (W 2000 L 500)",
+    group: "Pictures",
+    command: press("window_bone"),
+  },
+  {
+    place: "page",
+    key: "0",
+    label: "0",
+    words: "Airway window (W 1000 L \u2212700)",
+    group: "Pictures",
+    command: press("window_airway"),
+  },
+  { place: "page", key: "?", label: "?", words: "This card", group: "Help", command: press("key_card") },
+  {
+    place: "page",
+    key: "Escape",
+    label: "Esc",
+    words: "Put the tool away; then leave the full view; then remove the wall marks",
+    group: "Help",
+    command: press("leave"),
+  },
+];
+
+const IN_PLACES: readonly Binding[] = [
+  ...inPicture("picture", ENTER, "Full, and back; with a tool in the hand: use it at the crosshair"),
+  ...inPicture("plane", SCROLL, "Slice before, slice after"),
+  ...inPicture("plane", MOVE, "Move the crosshair by 1 mm"),
+  ...inPicture("plane", PAN, "Pan"),
+  ...inPicture("plane", ZOOM, "Zoom"),
+  ...inPicture("plane", FIT, "Fit the slice; cut-plane: back to the tip"),
+  ...inPicture("path", MOVE, "Turn the plane about the path; along the path by 2 mm"),
+  ...inPicture("path", ZOOM, "Zoom"),
+  ...inPicture("path", FIT, "Fit the whole route"),
+  ...inPicture("carm", MOVE, "Turn the C-arm by 5\u00b0"),
+  ...inPicture("carm", ZOOM, "Zoom"),
+  ...inPicture("carm", FIT, "Back to the frontal picture"),
+  ...inPicture("orbit", MOVE, "Turn by 5\u00b0"),
+  ...inPicture("orbit", ZOOM, "Nearer, farther"),
+  ...inPicture("orbit", FIT, "Back to the view from the front"),
+  ...inPicture("tri-plane", SCROLL, "Axial plane up, down, by 1 mm"),
+  ...inPicture("tri-plane", PAN, "Sagittal plane left, right; coronal plane back, front, by 1 mm"),
+  ...own("question", "Enter", "Draw the branch by hand anyway (Esc: leave it)", "Enter"),
+  ...own("list", "Arrows", "Go through it; open and close a branch", "ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight"),
+  ...own("list", "Enter, Space", "Choose", "Enter", " "),
+  ...own("list", "Bksp, Esc", "Kept from the flight, so that nothing moves by mistake", "Backspace", "Escape"),
+  ...own("button", "Enter, Space", "Press it", "Enter", " "),
+  ...own("field", "Enter", "Take what is typed", "Enter"),
+  ...own("field", "Esc", "Leave it as it was", "Escape"),
+  ...own("dialog", "Esc", "Close it", "Escape"),
+];
+
+export const KEYMAP: readonly Binding[] = [...PAGE, ...IN_PLACES];
+
+/** What the mouse does, for the key card; the gestures of the pictures know it. */
+export const MOUSE: readonly { readonly where: string; readonly what: readonly (readonly [string, string])[] }[] = [
+  {
+    where: "Airway picture",
+    what: [
+      ["Drag", "look around"],
+      ["Wheel", "advance and withdraw"],
+      ["Click", "wall point; with a tool: the lumen there"],
+    ],
+  },
+  {
+    where: "Slices",
+    what: [
+      ["Click, drag, Shift + move", "move the crosshair"],
+      ["Wheel", "next slice; cut-plane: zoom"],
+      ["Ctrl + wheel", "zoom"],
+      ["Middle drag, Shift + drag", "pan"],
+      ["Right drag", "window: across width, up level"],
+    ],
+  },
+  {
+    where: "Straightened, curved",
+    what: [
+      ["Click", "go to that place of the route"],
+      ["Drag", "turn the plane about the path"],
+      ["Wheel", "zoom"],
+    ],
+  },
+  {
+    where: "X-ray from the C-arm",
+    what: [
+      ["Drag", "turn the C-arm"],
+      ["Wheel", "zoom"],
+    ],
+  },
+  {
+    where: "Tree and tri-plane",
+    what: [
+      ["Drag", "turn; on a plane: move the plane"],
+      ["Wheel", "nearer, farther"],
+      ["Click a branch", "make it the route"],
+    ],
+  },
+  {
+    where: "Any picture",
+    what: [
+      ["Double click", "full, and back"],
+      ["Right click", "put the tool away"],
+    ],
+  },
+];
+
+export const WINDOWS = {
+  window_airway: { width_hu: 1000, level_hu: -700 },
+  window_lung: { width_hu: 1500, level_hu: -600 },
+  window_mediastinum: { width_hu: 400, level_hu: 40 },
+  window_bone: { width_hu: 2000, level_hu: 500 },
+} as const;
