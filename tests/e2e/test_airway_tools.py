@@ -2,29 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
+from places import PREVIEWED, all_points, named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
 from playwright.sync_api import expect
-from server_process import Server, start_server, stop_server
-from workstation import PICTURE_MS
 
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory) -> Iterator[Server]:
-    """``carina demo phantom``."""
-    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
-    yield running
-    assert stop_server(running) == 0
-    assert running.errors() == []
-
-
-PREVIEWED = """() => {
-    const { preview } = window.__carina.state;
-    return preview !== null && !preview.stale && preview.answer?.problem === null;
-}"""
 DRAWN = "() => [...window.__carina.state.tree.byId.values()].some((node) => node.branch.kind === 'manual')"
 
 
@@ -67,77 +51,6 @@ def lung_point(workstation):
     )
 
 
-def wait_for(workstation, condition, arg=None):
-    workstation.page.wait_for_function(condition, arg=arg, timeout=PICTURE_MS)
-
-
-def place_on_tree(workstation, branch_id, part=0.5):
-    """Where a place of a branch shows in the picture of the tree from outside, in page coordinates."""
-    return workstation.page.evaluate(
-        """([id, part]) => {
-            const state = window.__carina.state;
-            const { points } = state.tree.byId.get(id).branch;
-            const p = points[Math.round(part * (points.length - 1))];
-            const { lps_from_camera: m, fov_deg, width, height } = state.frames.tree;
-            const d = [p[0] - m[3], p[1] - m[7], p[2] - m[11]];
-            const along = (c) => d[0] * m[c] + d[1] * m[4 + c] + d[2] * m[8 + c];
-            const focal = (0.5 * Math.min(width, height)) / Math.tan((fov_deg * Math.PI) / 360);
-            const column = width / 2 + (focal * along(0)) / along(2);
-            const row = height / 2 + (focal * along(1)) / along(2);
-            const box = document.querySelector('canvas[data-view=tree]').getBoundingClientRect();
-            return [box.x + (column / width) * box.width, box.y + (row / height) * box.height];
-        }""",
-        [branch_id, part],
-    )
-
-
-def named(workstation, name):
-    """The id of a branch of that name."""
-    return workstation.page.evaluate(
-        "(name) => [...window.__carina.state.tree.byId.values()].find((n) => n.branch.name === name).branch.id", name
-    )
-
-
-def show_slices_at(workstation, lps):
-    """Crosshair to a point that is typed, until the coronal slice shows it."""
-    workstation.page.keyboard.press("n")
-    workstation.page.keyboard.press("Escape")
-    field = workstation.page.locator("[data-testid=coordinates] input")
-    field.fill(", ".join(f"{v:.3f}" for v in lps))
-    workstation.page.locator(".coordinates").get_by_role("button", name="Show").click()
-    wait_for(
-        workstation,
-        """(y) => {
-            const { lps_from_pixel: m } = window.__carina.state.frames.coronal;
-            return Math.abs(m[7] - y) < 0.1;
-        }""",
-        lps[1],
-    )
-    field.fill("")
-    workstation.page.evaluate("() => document.activeElement.blur()")
-
-
-def place_in_slice(workstation, view, lps):
-    """Where a point shows in a slice, in page coordinates."""
-    return workstation.page.evaluate(
-        """([view, lps]) => {
-            const { lps_from_pixel: m, width, height } = window.__carina.state.frames[view];
-            const d = lps.map((v, i) => v - m[4 * i + 3]);
-            const along = (c) => {
-                const axis = [m[c], m[4 + c], m[8 + c]];
-                return axis.reduce((sum, v, i) => sum + v * d[i], 0) / axis.reduce((sum, v) => sum + v * v, 0);
-            };
-            const box = document.querySelector(`canvas[data-view=${view}]`).getBoundingClientRect();
-            return [box.x + (along(0) / width) * box.width, box.y + (along(1) / height) * box.height];
-        }""",
-        [view, lps],
-    )
-
-
-def tree_is_shown(workstation):
-    wait_for(workstation, "() => document.querySelector('canvas[data-view=tree]')?.dataset.full === 'true'")
-
-
 def test_the_way_to_the_cursor_is_drawn_with_its_length_and_a_click_makes_it_a_target(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
@@ -146,7 +59,7 @@ def test_the_way_to_the_cursor_is_drawn_with_its_length_and_a_click_makes_it_a_t
     workstation.page.keyboard.press("n")
     x, y = place_on_tree(workstation, named(workstation, "LMB"))
     workstation.page.mouse.move(x, y)
-    wait_for(workstation, "() => window.__carina.state.livePath?.answer.length_mm > 100")
+    workstation.wait_for("() => window.__carina.state.livePath?.answer.length_mm > 100")
     answer = workstation.state("livePath.answer")
     lmb = workstation.page.evaluate(
         "(id) => window.__carina.state.tree.byId.get(id).branch.points.at(-1)", named(workstation, "LMB")
@@ -159,13 +72,13 @@ def test_the_way_to_the_cursor_is_drawn_with_its_length_and_a_click_makes_it_a_t
     assert workstation.overlay("coronal") != before, "the way is drawn in the slices, too"
 
     workstation.page.mouse.click(x, y)
-    wait_for(workstation, "() => window.__carina.state.targets.length === 1")
+    workstation.wait_for("() => window.__carina.state.targets.length === 1")
     assert workstation.state("ui.armed") is None
     assert workstation.state("livePath") is None
     assert workstation.state("targets[0].problem") is None
     assert abs(workstation.state("targets[0].length_mm") - answer["length_mm"]) < 10.0
     workstation.page.keyboard.press("Control+z")
-    wait_for(workstation, "() => window.__carina.state.targets.length === 0")
+    workstation.wait_for("() => window.__carina.state.targets.length === 0")
     assert workstation.faults == []
 
 
@@ -177,11 +90,11 @@ def test_in_the_airway_view_the_way_leads_to_the_lumen_in_front_of_the_wall(serv
     workstation.page.keyboard.press("n")
     box = workstation.page.locator("canvas[data-view=airway]").bounding_box()
     workstation.page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 0.5 * box["height"])
-    wait_for(workstation, "() => (window.__carina.state.livePath?.answer.length_mm ?? 0) > 20")
+    workstation.wait_for("() => (window.__carina.state.livePath?.answer.length_mm ?? 0) > 20")
     assert workstation.state("livePath.answer.snapped_mm") < 1.0, "it is in the lumen, not in the wall"
     workstation.picture("live-path-in-the-airway-view")
     workstation.page.keyboard.press("Escape")
-    wait_for(workstation, "() => window.__carina.state.livePath === null")
+    workstation.wait_for("() => window.__carina.state.livePath === null")
     assert workstation.state("ui.armed") is None
     assert workstation.faults == []
 
@@ -197,28 +110,28 @@ def test_a_branch_is_cut_undone_cut_again_and_added_by_a_click(server, workstati
     workstation.page.keyboard.press("k")
     x, y = place_on_tree(workstation, lmb)
     workstation.page.mouse.move(x, y)
-    wait_for(workstation, "(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
+    workstation.wait_for("(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
     workstation.picture("before-the-cut")
     workstation.page.mouse.click(x, y)
-    wait_for(workstation, "(n) => window.__carina.state.tree.byId.size < 0.8 * n", whole)
+    workstation.wait_for("(n) => window.__carina.state.tree.byId.size < 0.8 * n", whole)
     cut = workstation.state("tree.byId.size")
     assert workstation.state("can_undo") == "shorten LMB"
     workstation.picture("after-the-cut")
     workstation.page.keyboard.press("Escape")
     workstation.page.keyboard.press("Control+z")
-    wait_for(workstation, "(n) => window.__carina.state.tree.byId.size === n", whole)
+    workstation.wait_for("(n) => window.__carina.state.tree.byId.size === n", whole)
     workstation.page.keyboard.press("Control+Shift+z")
-    wait_for(workstation, "(n) => window.__carina.state.tree.byId.size === n", cut)
+    workstation.wait_for("(n) => window.__carina.state.tree.byId.size === n", cut)
 
     show_slices_at(workstation, end)
     workstation.page.keyboard.press("j")
     x, y = place_in_slice(workstation, "coronal", end)
     workstation.page.mouse.move(x, y)
-    wait_for(workstation, PREVIEWED)
+    workstation.wait_for(PREVIEWED)
     (line,) = workstation.state("preview.answer.lines")
     workstation.picture("before-the-addition")
     workstation.page.mouse.click(x, y)
-    wait_for(workstation, "(n) => window.__carina.state.tree.byId.size > n", cut)
+    workstation.wait_for("(n) => window.__carina.state.tree.byId.size > n", cut)
     assert {str(p) for p in line["points_lps"]} <= all_points(workstation), "what was shown is what was made"
     assert workstation.state("can_undo").startswith("add a branch")
     reaches = workstation.page.evaluate(
@@ -230,16 +143,8 @@ def test_a_branch_is_cut_undone_cut_again_and_added_by_a_click(server, workstati
     workstation.page.keyboard.press("Escape")
     for _ in range(2):
         workstation.page.keyboard.press("Control+z")
-    wait_for(workstation, "(n) => window.__carina.state.tree.byId.size === n", whole)
+    workstation.wait_for("(n) => window.__carina.state.tree.byId.size === n", whole)
     assert workstation.faults == []
-
-
-def all_points(workstation):
-    """Every point of the tree, as text."""
-    points = workstation.page.evaluate(
-        "() => [...window.__carina.state.tree.byId.values()].flatMap((node) => node.branch.points)"
-    )
-    return {str(p) for p in points}
 
 
 def test_a_branch_without_evidence_is_shown_dashed_asked_about_and_drawn_by_hand(server, workstation):
@@ -253,14 +158,14 @@ def test_a_branch_without_evidence_is_shown_dashed_asked_about_and_drawn_by_hand
     workstation.page.keyboard.press("j")
     x, y = place_in_slice(workstation, "coronal", lps)
     workstation.page.mouse.move(x, y)
-    wait_for(workstation, PREVIEWED)
+    workstation.wait_for(PREVIEWED)
     shown = workstation.state("preview.answer")
     assert not shown["has_evidence"]
     assert any(shown["lines"][0]["drawn"])
     workstation.picture("without-evidence-before-the-click")
 
     workstation.page.mouse.click(x, y)
-    wait_for(workstation, "() => window.__carina.state.doubt !== null")
+    workstation.wait_for("() => window.__carina.state.doubt !== null")
     question = workstation.page.locator("[data-testid=doubt]")
     expect(question).to_contain_text("The CT shows no wall along")
     asked = workstation.state("doubt")
@@ -274,9 +179,9 @@ def test_a_branch_without_evidence_is_shown_dashed_asked_about_and_drawn_by_hand
     assert workstation.state("tree.byId.size") == whole
 
     workstation.page.mouse.click(x, y)
-    wait_for(workstation, "() => window.__carina.state.doubt !== null")
+    workstation.wait_for("() => window.__carina.state.doubt !== null")
     workstation.page.keyboard.press("Enter")
-    wait_for(workstation, DRAWN)
+    workstation.wait_for(DRAWN)
     assert {str(p) for p in asked["line"]["points_lps"]} <= all_points(workstation)
     drawn = workstation.page.evaluate(
         "() => [...window.__carina.state.tree.byId.values()].find((n) => n.branch.kind === 'manual').branch"
@@ -294,13 +199,13 @@ def test_a_branch_without_evidence_is_shown_dashed_asked_about_and_drawn_by_hand
     expect(workstation.page.locator("[data-testid=branch-drawn]")).to_contain_text(
         "Drawn by hand. The CT shows no wall"
     )
-    wait_for(workstation, "(id) => window.__carina.state.route?.branch_id === id", drawn["id"])
+    workstation.wait_for("(id) => window.__carina.state.route?.branch_id === id", drawn["id"])
     assert workstation.state("route.drawn_mm") > 1.0
     assert workstation.state("route.spans").pop()["kind"] == "manual"
     workstation.picture("without-evidence-drawn-by-hand")
     workstation.page.keyboard.press("Control+z")
     workstation.page.keyboard.press("Control+z")
-    wait_for(workstation, "(n) => window.__carina.state.tree.byId.size === n", whole)
+    workstation.wait_for("(n) => window.__carina.state.tree.byId.size === n", whole)
     assert workstation.faults == []
 
 
@@ -310,7 +215,7 @@ def test_where_there_is_no_way_the_reason_stands_at_the_cursor(server, workstati
     workstation.page.keyboard.press("n")
     box = workstation.page.locator("canvas[data-view=axial]").bounding_box()
     workstation.page.mouse.move(box["x"] + 0.2 * box["width"], box["y"] + 0.55 * box["height"])
-    wait_for(workstation, "() => window.__carina.state.livePath !== null")
+    workstation.wait_for("() => window.__carina.state.livePath !== null")
     assert workstation.state("livePath.answer.problem") is not None
     assert workstation.state("livePath.answer.points_lps") == []
     workstation.page.keyboard.press("Escape")
@@ -324,10 +229,9 @@ def test_a_branch_that_is_pointed_at_shows_in_the_list_and_in_all_pictures(serve
     lmb = named(workstation, "LMB")
     plain = {view: workstation.overlay(view) for view in ("tree", "coronal", "xray-coronal")}
     workstation.page.locator(f"[data-branch='{lmb}']").hover()
-    wait_for(workstation, "(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
+    workstation.wait_for("(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
     for view, before in plain.items():
-        wait_for(
-            workstation,
+        workstation.wait_for(
             "([view, before]) => document.querySelector(`[data-overlay=${view}]`).toDataURL() !== before",
             [view, before],
         )
@@ -337,7 +241,7 @@ def test_a_branch_that_is_pointed_at_shows_in_the_list_and_in_all_pictures(serve
     rmb = named(workstation, "RMB")
     x, y = place_on_tree(workstation, rmb)
     workstation.page.mouse.move(x, y)
-    wait_for(workstation, "(id) => window.__carina.state.ui.hovered?.branchId === id", rmb)
+    workstation.wait_for("(id) => window.__carina.state.ui.hovered?.branchId === id", rmb)
     row = workstation.page.get_by_role("row").filter(has=workstation.page.locator(f"[data-branch='{rmb}']")).last
     other = workstation.page.get_by_role("row").filter(has=workstation.page.locator(f"[data-branch='{lmb}']")).last
 
@@ -347,13 +251,13 @@ def test_a_branch_that_is_pointed_at_shows_in_the_list_and_in_all_pictures(serve
     assert background(row) != background(other)
     # A click there flies to it, as a click in the list does.
     workstation.page.mouse.click(x, y)
-    wait_for(workstation, "(id) => window.__carina.state.route?.spans.at(-1).branch_id === id", rmb)
+    workstation.wait_for("(id) => window.__carina.state.route?.spans.at(-1).branch_id === id", rmb)
 
     # A double click makes the picture large, and chooses nothing.
     undo = workstation.state("can_undo")
     workstation.page.mouse.dblclick(*place_on_tree(workstation, lmb))
-    wait_for(workstation, "() => window.__carina.state.ui.full === 'outside'")
-    workstation.page.wait_for_timeout(500)
+    workstation.wait_for("() => window.__carina.state.ui.full === 'outside'")
+    workstation.let_pass(500)
     assert workstation.state("route.spans.at(-1).branch_id") == rmb
     assert workstation.state("can_undo") == undo
     assert workstation.state("ui.selected") == rmb
@@ -373,15 +277,15 @@ def test_a_branch_is_renamed_in_place_and_the_name_is_undone(server, workstation
     field.fill("Upper left, odd one")
     workstation.picture("renaming")
     field.press("Enter")
-    wait_for(
-        workstation, "(id) => window.__carina.state.tree.byId.get(id)?.branch.name === 'Upper left, odd one'", tip["id"]
+    workstation.wait_for(
+        "(id) => window.__carina.state.tree.byId.get(id)?.branch.name === 'Upper left, odd one'", tip["id"]
     )
     assert title.inner_text() == "Upper left, odd one"
     assert workstation.state("can_undo").startswith("call ")
     assert workstation.page.locator("[data-testid=branch-panel]").get_by_text("named by a person").count() == 1
     workstation.page.keyboard.press("Control+z")
-    wait_for(
-        workstation, "(id) => window.__carina.state.tree.byId.get(id)?.branch.name !== 'Upper left, odd one'", tip["id"]
+    workstation.wait_for(
+        "(id) => window.__carina.state.tree.byId.get(id)?.branch.name !== 'Upper left, odd one'", tip["id"]
     )
     assert title.inner_text() != "Upper left, odd one"
 
@@ -390,7 +294,7 @@ def test_a_branch_is_renamed_in_place_and_the_name_is_undone(server, workstation
     field.press("Escape")
     expect(field).to_have_count(0)
     workstation.page.keyboard.press("m")
-    wait_for(workstation, "() => window.__carina.state.pose.mode === 'free'")
+    workstation.wait_for("() => window.__carina.state.pose.mode === 'free'")
     workstation.page.keyboard.press("m")
     assert workstation.faults == []
 
@@ -404,6 +308,6 @@ def test_the_list_is_searched(server, workstation):
     expect(rows).to_have_count(2)
     assert [row.split()[0] for row in rows.all_inner_texts()] == ["Trachea", "LMB"]
     workstation.page.keyboard.press("Escape")
-    wait_for(workstation, "() => document.querySelectorAll('.branch-tree [data-branch]').length > 2")
+    workstation.wait_for("() => document.querySelectorAll('.branch-tree [data-branch]').length > 2")
     workstation.page.keyboard.press("Escape")
     assert workstation.faults == []

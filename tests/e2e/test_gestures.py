@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from contextlib import ExitStack
 
 import pytest
+from places import named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
 from playwright.sync_api import expect
-from server_process import Server, start_server, stop_server
-from test_airway_tools import named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
-from workstation import PICTURE_MS
+from workstation import open_page
 
 pytestmark = pytest.mark.browser
 
@@ -53,42 +52,97 @@ PICTURES = {
 SWITCHED = {"straightened": "v", "curved": "v", "drr": "x", "tri-plane": "t"}
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory) -> Iterator[Server]:
-    """``carina demo phantom``."""
-    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
-    yield running
-    assert stop_server(running) == 0
-    assert running.errors() == []
-
-
-@pytest.fixture
-def ready(server, workstation):
-    """A page with the case open, slices in the middle of the left main bronchus, and deeds kept back."""
+def prepare(workstation, server) -> None:
+    """The case open, slices in the middle of the left main bronchus, and deeds kept back."""
     workstation.page.add_init_script(KEEP_DEEDS)
     workstation.open(server)
     workstation.wait_ready()
     tree_is_shown(workstation)
-    wait_for(workstation, "() => ['axial', 'coronal', 'sagittal'].every((v) => window.__carina.state.frames[v])")
     points = workstation.page.evaluate(
         "(id) => window.__carina.state.tree.byId.get(id).branch.points", named(workstation, "LMB")
     )
     show_slices_at(workstation, points[len(points) // 2])
+
+
+@pytest.fixture
+def ready(server, workstation):
+    """A page of its own."""
+    prepare(workstation, server)
     yield workstation
     assert workstation.faults == []
 
 
-def wait_for(workstation, condition, arg=None):
-    workstation.page.wait_for_function(condition, arg=arg, timeout=PICTURE_MS)
+class SharedPage:
+    """One page for tests that leave it as they found it: a test that did not, or failed, costs the next a new one."""
+
+    def __init__(self) -> None:
+        self._open = ExitStack()
+        self.workstation = None
+        self._first = None
+
+    def at_first(self, browser, host):
+        """The page as it was in the beginning."""
+        if self.workstation is None or not self._is_back():
+            self.close()
+            server = host.open(demo="phantom")
+            self._open.callback(self._end, host, server)
+            self.workstation = open_page(browser)
+            self._open.callback(self.workstation.page.context.close)
+            prepare(self.workstation, server)
+            self._first = self._seen()
+        return self.workstation
+
+    def _end(self, host, server) -> None:
+        host.close(server)
+        assert server.errors() == []
+
+    def _seen(self):
+        return self.workstation.shown_views(), self.workstation.page.evaluate(CHOSEN)
+
+    def _is_back(self) -> bool:
+        """Put away what may be in the hand, show the first pictures again, and look whether that was all."""
+        page, views = self.workstation.page, self._first[0]
+        put_away(self.workstation)
+        for view, key in (("cut-plane", "v"), ("xray-coronal", "x"), ("tree", "t")):
+            self.workstation.turn_to(view, key)
+        page.mouse.move(5, 300)
+        self.workstation.settle()
+        for view in views:
+            self.workstation.wait_picture(view)
+        return (
+            self.workstation.state("ui.full") is None and self._seen() == self._first and deeds(self.workstation) == []
+        )
+
+    def close(self) -> None:
+        self.workstation = None
+        self._open.close()
+
+
+@pytest.fixture(scope="module")
+def shared_page():
+    """Holds the page that the tests of ``undone`` share."""
+    holder = SharedPage()
+    yield holder
+    holder.close()
+
+
+@pytest.fixture
+def undone(shared_page, browser, host, request, has_failed):
+    """As ``ready``, for tests that change nothing that lasts."""
+    workstation = shared_page.at_first(browser, host)
+    yield workstation
+    faults = list(workstation.faults)
+    if faults or has_failed():
+        workstation.failed(request.node.name)
+        shared_page.close()
+    assert faults == []
 
 
 def show(workstation, view) -> None:
     """Until the picture is on the screen, by the key that goes on to the next one of its cell."""
-    for _ in range(4):
-        if view in workstation.shown_views():
-            break
-        workstation.page.keyboard.press(SWITCHED[view])
-    wait_for(workstation, "(view) => window.__carina.state.frames[view] !== undefined", view)
+    if view in SWITCHED:
+        workstation.turn_to(view, SWITCHED[view])
+    workstation.wait_for("(view) => window.__carina.state.frames[view] !== undefined", view)
 
 
 def middle_of(workstation, view) -> tuple[float, float]:
@@ -103,7 +157,7 @@ def middle_of(workstation, view) -> tuple[float, float]:
 
 def arm(workstation, tool) -> None:
     workstation.page.keyboard.press(TOOLS[tool])
-    wait_for(workstation, "(tool) => window.__carina.state.ui.armed === tool", tool)
+    workstation.wait_for("(tool) => window.__carina.state.ui.armed === tool", tool)
 
 
 def deeds(workstation) -> list[str]:
@@ -123,23 +177,23 @@ CHOSEN = """() => {
 
 
 @pytest.mark.parametrize("view", PICTURES)
-def test_a_double_click_without_a_tool_makes_the_picture_large_and_chooses_nothing(ready, view):
-    show(ready, view)
-    ready.settle()
-    before = ready.page.evaluate(CHOSEN)
-    x, y = middle_of(ready, view)
-    ready.page.mouse.dblclick(x, y)
-    wait_for(ready, "(cell) => window.__carina.state.ui.full === cell", PICTURES[view])
+def test_a_double_click_without_a_tool_makes_the_picture_large_and_chooses_nothing(undone, view):
+    show(undone, view)
+    undone.settle()
+    before = undone.page.evaluate(CHOSEN)
+    x, y = middle_of(undone, view)
+    undone.page.mouse.dblclick(x, y)
+    undone.wait_for("(cell) => window.__carina.state.ui.full === cell", PICTURES[view])
     # Longer than a click waits for a second one: nothing comes after it either.
-    ready.page.wait_for_timeout(400)
-    ready.settle()
-    assert ready.page.evaluate(CHOSEN) == before
-    ready.page.mouse.dblclick(*middle_of(ready, view))
-    wait_for(ready, "() => window.__carina.state.ui.full === null")
-    ready.page.wait_for_timeout(400)
-    ready.settle()
-    assert ready.page.evaluate(CHOSEN) == before
-    assert deeds(ready) == []
+    undone.let_pass(400)
+    undone.settle()
+    assert undone.page.evaluate(CHOSEN) == before
+    undone.page.mouse.dblclick(*middle_of(undone, view))
+    undone.wait_for("() => window.__carina.state.ui.full === null")
+    undone.let_pass(400)
+    undone.settle()
+    assert undone.page.evaluate(CHOSEN) == before
+    assert deeds(undone) == []
 
 
 def does_it(view, tool) -> bool:
@@ -152,25 +206,25 @@ def does_it(view, tool) -> bool:
 
 
 @pytest.mark.parametrize("view", PICTURES)
-def test_a_double_click_with_a_tool_does_it_once_and_the_picture_stays_as_large_as_it_is(ready, view):
-    show(ready, view)
-    x, y = middle_of(ready, view)
+def test_a_double_click_with_a_tool_does_it_once_and_the_picture_stays_as_large_as_it_is(undone, view):
+    show(undone, view)
+    x, y = middle_of(undone, view)
     for tool in TOOLS:
-        arm(ready, tool)
-        ready.page.mouse.dblclick(x, y)
+        arm(undone, tool)
+        undone.page.mouse.dblclick(x, y)
         if does_it(view, tool):
             # In the airway view the server is asked for the wall first.
-            wait_for(ready, "() => window.__deeds.length > 0")
-        ready.settle()
-        done = deeds(ready)
-        assert ready.state("ui.full") is None, tool
+            undone.wait_for("() => window.__deeds.length > 0")
+        undone.settle()
+        done = deeds(undone)
+        assert undone.state("ui.full") is None, tool
         assert len(done) <= 1, (tool, done)
         if tool == "fork" and view in {"axial", "tree"}:
             assert done == []
-            assert ready.state("ui.forkHeld") is not None, "the second click must not put the fork down again"
+            assert undone.state("ui.forkHeld") is not None, "the second click must not put the fork down again"
         if view.startswith("xray") or view == "drr":
             assert done == [], "an X-ray knows no depth"
-        put_away(ready)
+        put_away(undone)
 
 
 def test_enter_in_a_slice_uses_the_tool_at_the_crosshair_also_on_the_branch_there(ready):
@@ -220,7 +274,7 @@ def test_a_double_tap_is_told_from_two_taps_by_finger_and_pen_too(ready, by):
     before = ready.page.evaluate(CHOSEN)
     tap(x, y)
     tap(x, y + 5)
-    wait_for(ready, "() => window.__carina.state.ui.full === 'axial'")
+    ready.wait_for("() => window.__carina.state.ui.full === 'axial'")
     ready.settle()
     assert ready.page.evaluate(CHOSEN) == before
     ready.page.keyboard.press("Escape")
@@ -234,10 +288,9 @@ def test_with_a_tool_a_row_of_the_list_is_the_branch_that_it_acts_on(ready, tool
     tree_before, slice_before = ready.overlay("tree"), ready.overlay("coronal")
     arm(ready, tool)
     row.hover()
-    wait_for(ready, "(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
+    ready.wait_for("(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
     # What it would act on is drawn in the tree and in the slices before the click.
-    wait_for(
-        ready,
+    ready.wait_for(
         """([tree, slice]) => document.querySelector('[data-overlay=tree]').toDataURL() !== tree
             && document.querySelector('[data-overlay=coronal]').toDataURL() !== slice""",
         [tree_before, slice_before],
@@ -263,7 +316,7 @@ def test_with_a_tool_a_row_of_the_list_is_the_branch_that_it_acts_on(ready, tool
     assert ready.state("ui.armed") is None
     # Without a tool a row is the route, as before.
     row.click()
-    wait_for(ready, "(id) => window.__carina.state.route.spans.at(-1).branch_id === id", lmb)
+    ready.wait_for("(id) => window.__carina.state.route.spans.at(-1).branch_id === id", lmb)
     assert deeds(ready) == []
 
 
@@ -271,7 +324,7 @@ def test_with_move_fork_a_row_takes_hold_of_the_fork_where_its_branch_begins(rea
     lmb, trachea = named(ready, "LMB"), named(ready, "Trachea")
     arm(ready, "fork")
     ready.page.locator(f".branch-tree [data-branch='{lmb}']").click()
-    wait_for(ready, "(id) => window.__carina.state.ui.forkHeld === id", trachea)
+    ready.wait_for("(id) => window.__carina.state.ui.forkHeld === id", trachea)
     # Esc lets go of the fork first, then of the tool.
     ready.page.keyboard.press("Escape")
     assert ready.state("ui.forkHeld") is None
@@ -281,33 +334,33 @@ def test_with_move_fork_a_row_takes_hold_of_the_fork_where_its_branch_begins(rea
 
 
 @pytest.mark.parametrize("tool", TOOLS)
-def test_a_tool_in_the_hand_is_seen_in_every_picture_and_its_hint_is_said(ready, tool):
-    arm(ready, tool)
-    page = ready.page
+def test_a_tool_in_the_hand_is_seen_in_every_picture_and_its_hint_is_said(undone, tool):
+    arm(undone, tool)
+    page = undone.page
     canvases = page.locator("canvas[data-view]")
     tags = page.locator("[data-testid=tool-tag].corner")
     expect(tags).to_have_count(canvases.count())
     hint = page.locator("[data-testid=tool-hint]")
     expect(hint).to_contain_text("Esc puts it away")
-    for view in ready.shown_views():
+    for view in undone.shown_views():
         cursor = page.locator(f"canvas[data-view={view}]").evaluate("(c) => getComputedStyle(c.parentElement).cursor")
         x_ray = view.startswith("xray")
         brush = tool in {"paint", "erase"} and view in {"airway", "tree"}
         assert ("not-allowed" in cursor) == (x_ray or brush), (view, cursor)
         assert x_ray or brush or "svg" in cursor, (view, cursor)
-    ready.picture(f"armed-{tool}")
+    undone.picture(f"armed-{tool}")
     # In the full view as well, and Esc leaves the tool first.
     page.locator("[data-cell=axial] header button").last.click()
-    wait_for(ready, "() => window.__carina.state.ui.full === 'axial'")
+    undone.wait_for("() => window.__carina.state.ui.full === 'axial'")
     expect(page.locator("[data-cell=axial] [data-testid=tool-tag]")).to_be_visible()
     expect(hint).to_be_visible()
-    ready.wait_picture("axial")
-    ready.picture(f"armed-{tool}-full")
+    undone.wait_picture("axial")
+    undone.picture(f"armed-{tool}-full")
     page.keyboard.press("Escape")
-    assert (ready.state("ui.armed"), ready.state("ui.full")) == (None, "axial")
+    assert (undone.state("ui.armed"), undone.state("ui.full")) == (None, "axial")
     expect(tags).to_have_count(0)
     page.keyboard.press("Escape")
-    assert ready.state("ui.full") is None
+    assert undone.state("ui.full") is None
 
 
 def test_a_tool_is_put_away_from_the_list_the_search_a_right_click_its_tag_and_by_going_to_another_step(ready):

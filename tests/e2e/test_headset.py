@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from server_process import Server, start_server, stop_server
 
 pytestmark = pytest.mark.browser
 
@@ -22,15 +20,6 @@ SHOWN = """() => new Promise((done) => requestAnimationFrame(() => {
   ink.drawImage(document.querySelector('[data-webxr_runtime] canvas'), 0, 0, 16, 8);
   done([...ink.getImageData(0, 0, 16, 8).data]);
 }))"""
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory) -> Iterator[Server]:
-    """``carina demo phantom``, as a person starts it."""
-    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
-    yield running
-    assert stop_server(running) == 0
-    assert running.errors() == []
 
 
 @pytest.fixture
@@ -61,12 +50,12 @@ def stroke(workstation, until: str, *, ahead_mm: float = 0.0, yaw_rad: float = 0
     so long that a stroke counts for nothing."""
     for _ in range(30):
         controller(workstation)
-        workstation.page.wait_for_timeout(50)
+        workstation.refreshes(3)
         for n in range(13):
             controller(workstation, at_mm=(0, 0, -ahead_mm * n / 12), yaw_rad=yaw_rad * n / 12, trigger=True)
-            workstation.page.wait_for_timeout(50)
+            workstation.refreshes(2)
         controller(workstation, at_mm=(0, 0, -ahead_mm), yaw_rad=yaw_rad)
-        workstation.page.wait_for_timeout(100)
+        workstation.refreshes(3)
         workstation.settle()
         if workstation.page.evaluate(f"() => {until}"):
             return
@@ -100,7 +89,7 @@ def test_a_headset_shows_the_airway_and_its_controller_flies_is_lost_and_comes_b
     before = workstation.state("pose.lps_from_camera")
     at_mm = workstation.state("pose.path_mm")
     controller(workstation, at_mm=(0, 0, 40))
-    page.wait_for_timeout(200)
+    workstation.let_pass(200)
     assert workstation.state("pose.lps_from_camera") == before
     controller(workstation, trigger=True)
     page.wait_for_selector("[data-testid=device][data-holds]")

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
-from server_process import Server, start_server, stop_server
 from test_devices import MOCK, hold
 
 pytestmark = pytest.mark.browser
@@ -13,15 +10,6 @@ pytestmark = pytest.mark.browser
 # The wall's distances are computed once for a case, on two busy cores in a minute or so.
 WALL_MS = 900_000
 FLIGHT_MS = 300_000
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory) -> Iterator[Server]:
-    """``carina demo phantom``, as a person starts it."""
-    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
-    yield running
-    assert stop_server(running) == 0
-    assert running.errors() == []
 
 
 def test_a_scope_is_held_bends_meets_the_wall_and_is_let_go(server, workstation):

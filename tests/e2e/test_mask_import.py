@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 import SimpleITK as sitk
 from playwright.sync_api import expect
-from server_process import Server, start_server, stop_server
 
 from carina.phantom import demo_phantom
 
 pytestmark = pytest.mark.browser
-
-# The mask's tree: seconds, and many of them with others busy on the machine.
-WAIT_MS = 120_000
 
 
 @pytest.fixture(scope="module")
@@ -44,15 +38,6 @@ def masks(tmp_path_factory):
     }
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory) -> Iterator[Server]:
-    """``carina demo phantom``."""
-    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
-    yield running
-    assert stop_server(running) == 0
-    assert running.errors() == []
-
-
 @pytest.fixture
 def ready(server, workstation):
     """A page with the case open."""
@@ -60,10 +45,6 @@ def ready(server, workstation):
     workstation.wait_ready()
     yield workstation
     assert workstation.faults == []
-
-
-def wait_for(workstation, condition):
-    workstation.page.wait_for_function(f"() => {condition}", timeout=WAIT_MS)
 
 
 def drop(workstation, path, place):
@@ -92,45 +73,45 @@ def test_a_chosen_mask_is_asked_which_structure_is_the_airway_taken_and_undone(r
     with page.expect_file_chooser() as chooser:
         page.locator("[data-testid=choose-mask]").first.click()
     chooser.value.set_files(str(masks["several"]))
-    page.locator("[data-testid=mask-question]").wait_for(timeout=WAIT_MS)
+    page.locator("[data-testid=mask-question]").wait_for()
     expect(page.locator("[data-testid=mask-answer]")).to_be_disabled()
     page.get_by_text("Label 2", exact=True).click()
     ready.picture("mask-labels")
     page.locator("[data-testid=mask-answer]").click()
-    wait_for(ready, "window.__carina.state.airways_from === 'mask'")
+    ready.wait_for("window.__carina.state.airways_from === 'mask'")
     assert ready.state("can_undo") == "take the mask as airways"
     expect(page.locator("[data-testid=mask-question]")).to_have_count(0)
     # The phantom's true lumen: more of its smallest branches than were found.
-    wait_for(ready, f"window.__carina.state.tree.byId.size > {branches}")
+    ready.wait_for(f"window.__carina.state.tree.byId.size > {branches}")
     page.get_by_role("button", name="Airways", exact=True).click()
     page.locator("details.part > summary").first.click()
     expect(page.get_by_text("Taken from a mask")).to_be_visible()
     ready.picture("mask-taken")
     page.keyboard.press("Control+z")
-    wait_for(ready, "window.__carina.state.airways_from === 'search'")
-    wait_for(ready, f"window.__carina.state.tree.byId.size === {branches}")
+    ready.wait_for("window.__carina.state.airways_from === 'search'")
+    ready.wait_for(f"window.__carina.state.tree.byId.size === {branches}")
 
 
 def test_a_dropped_mask_on_another_grid_is_resampled_only_when_asked(ready, masks):
     page = ready.page
     drop(ready, masks["coarse"], "mask")
-    page.locator("[data-testid=mask-question]").wait_for(timeout=WAIT_MS)
+    page.locator("[data-testid=mask-question]").wait_for()
     ready.picture("mask-grid")
     assert ready.state("airways_from") == "search"
     page.get_by_role("button", name="Leave it").click()
-    wait_for(ready, "window.__carina.state.mask_question === null")
+    ready.wait_for("window.__carina.state.mask_question === null")
     assert (ready.state("airways_from"), ready.state("can_undo")) == ("search", None)
     drop(ready, masks["coarse"], "mask")
-    page.locator("[data-testid=mask-answer]").click(timeout=WAIT_MS)
-    wait_for(ready, "window.__carina.state.airways_from === 'mask'")
+    page.locator("[data-testid=mask-answer]").click()
+    ready.wait_for("window.__carina.state.airways_from === 'mask'")
     assert "was on another grid" in ready.state("airways_words")
     page.keyboard.press("Control+z")
-    wait_for(ready, "window.__carina.state.airways_from === 'search'")
+    ready.wait_for("window.__carina.state.airways_from === 'search'")
 
 
 def test_a_mask_of_another_place_is_refused_in_words(ready, masks):
     drop(ready, masks["elsewhere"], "mask")
-    ready.page.get_by_text("none of it lies in the scan").wait_for(timeout=WAIT_MS)
+    ready.page.get_by_text("none of it lies in the scan").wait_for()
     ready.picture("mask-refused")
     assert ready.state("mask_question") is None
     assert ready.state("airways_from") == "search"
@@ -159,9 +140,9 @@ def test_a_mask_is_not_taken_for_a_case_that_was_opened_while_it_was_sent(ready,
     page.get_by_role("button", name="Open", exact=True).first.click()
     page.get_by_placeholder("/data/ct/series").fill(str(tmp_path / "other.nrrd"))
     drop(ready, masks["coarse"], "mask")
-    wait_for(ready, "window.held")
+    ready.wait_for("window.held")
     page.locator(".path-form button[type=submit]").evaluate("button => button.click()")
-    wait_for(ready, "window.__carina.state.case?.title === 'other.nrrd'")
+    ready.wait_for("window.__carina.state.case?.title === 'other.nrrd'")
     page.evaluate("() => window.free()")
-    page.get_by_text("Another case was opened while the file was sent").wait_for(timeout=WAIT_MS)
+    page.get_by_text("Another case was opened while the file was sent").wait_for()
     assert ready.state("mask_question") is None

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 
 import pytest
+from places import named, show_slices_at, tree_is_shown
 from playwright.sync_api import expect
-from server_process import Server, start_server, stop_server
-from test_airway_tools import named, show_slices_at, tree_is_shown
-from workstation import PICTURE_MS
 
 pytestmark = pytest.mark.browser
 
@@ -19,19 +16,6 @@ window.WebSocket = class extends WebSocket {
   constructor(...options) { super(...options); window.__speak = (text) => super.send(text); }
 };
 """
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory) -> Iterator[Server]:
-    """``carina demo phantom``."""
-    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
-    yield running
-    assert stop_server(running) == 0
-    assert running.errors() == []
-
-
-def wait_for(workstation, condition, arg=None):
-    workstation.page.wait_for_function(condition, arg=arg, timeout=PICTURE_MS)
 
 
 class HeldPen:
@@ -60,7 +44,7 @@ class HeldPen:
         patient = [[at[0] + x, at[1] + y, at[2] + z] for x, y, z in ((0, 0, 0), (50, 0, 0), (0, 50, 0))]
         tracker = [[p[0] - 100.0, p[1], p[2]] for p in patient]
         self.say(type="calibrate", device="test pen", tracker_mm=tracker, patient_lps=patient)
-        wait_for(self.workstation, "() => window.__carina.state.devices?.devices.some((d) => d.registered)")
+        self.workstation.wait_for("() => window.__carina.state.devices?.devices.some((d) => d.registered)")
 
 
 def test_the_pens_own_point_is_shown_with_its_way_and_marked_and_the_rest_to_the_tip_is_joined(server, workstation):
@@ -69,7 +53,7 @@ def test_the_pens_own_point_is_shown_with_its_way_and_marked_and_the_rest_to_the
     workstation.open(server)
     workstation.wait_ready()
     tree_is_shown(workstation)
-    wait_for(workstation, "() => ['axial', 'coronal', 'sagittal'].every((v) => window.__carina.state.frames[v])")
+    workstation.wait_for("() => ['axial', 'coronal', 'sagittal'].every((v) => window.__carina.state.frames[v])")
     points = page.evaluate("(id) => window.__carina.state.tree.byId.get(id).branch.points", named(workstation, "LMB"))
     middle = points[len(points) // 2]
     show_slices_at(workstation, middle)
@@ -87,25 +71,24 @@ def test_the_pens_own_point_is_shown_with_its_way_and_marked_and_the_rest_to_the
     pen.register(middle)
     expect(words).to_contain_text("own tip")
     pen.hold(middle)
-    wait_for(workstation, "(x) => Math.abs(window.__carina.state.pen.lps[0] - x) < 0.01", middle[0])
+    workstation.wait_for("(x) => Math.abs(window.__carina.state.pen.lps[0] - x) < 0.01", middle[0])
     # The way under the pen, also while a mouse lies still over a picture.
-    wait_for(workstation, "() => (window.__carina.state.livePath?.answer.length_mm ?? 0) > 100")
+    workstation.wait_for("() => (window.__carina.state.livePath?.answer.length_mm ?? 0) > 100")
     answer = workstation.state("livePath.answer")
     assert max(abs(a - b) for a, b in zip(answer["lps"], middle, strict=True)) < 3.0
     for view, drawn in before.items():
-        wait_for(
-            workstation,
+        workstation.wait_for(
             "([view, drawn]) => document.querySelector(`[data-overlay=${view}]`).toDataURL() !== drawn",
             [view, drawn],
         )
     workstation.picture("pen-registered")
     pen.hold(middle, buttons=1)
     pen.hold(middle)
-    wait_for(workstation, "() => window.__carina.state.session.targets.length === 1")
+    workstation.wait_for("() => window.__carina.state.session.targets.length === 1")
     (target,) = workstation.state("session.targets")
     assert max(abs(a - b) for a, b in zip(target["lps"], middle, strict=True)) < 0.1
     # Used once it is put down, as after a click.
-    wait_for(workstation, "() => window.__carina.state.ui.armed === null")
+    workstation.wait_for("() => window.__carina.state.ui.armed === null")
 
     # Absolute: what is left is shown until it is nothing, and a key joins both.
     pen.say(type="set_control", control="absolute")

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 
 import pytest
-from server_process import Server, start_server, stop_server
-from workstation import PICTURE_MS
+from workstation import PICTURE_MS, pass_in, picture_of
 
 pytestmark = pytest.mark.browser
 pytest.importorskip("cryptography")
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory) -> Iterator[Server]:
-    """``carina demo phantom``; the phone's page is closed at first, and stays on this machine when it is opened."""
-    arguments = ["demo", "phantom", "--phone-address", "127.0.0.1"]
-    running = start_server(arguments, tmp_path_factory.mktemp("home"))
-    yield running
-    assert stop_server(running) == 0
-    assert running.errors() == []
+@pytest.fixture
+def opens():
+    """The phone's page is closed at first, and stays on this machine when it is opened."""
+    return {"demo": "phantom", "phone_address": "127.0.0.1"}
 
 
 class Phone:
@@ -51,7 +45,7 @@ class Phone:
 
     def says(self, words: str) -> None:
         self.page.wait_for_function(
-            "(words) => document.getElementById('state').textContent.includes(words)", arg=words, timeout=PICTURE_MS
+            "(words) => document.getElementById('state').textContent.includes(words)", arg=words
         )
 
     def press(self, what: str) -> None:
@@ -87,7 +81,7 @@ def switch_on(workstation) -> str:
     page.wait_for_function("() => window.__carina.state.devices !== null")
     assert workstation.state("devices.phone") is None, "off until a person switches it on"
     page.get_by_test_id("phone-switch").click()
-    page.wait_for_selector("[data-testid=phone-qr]", timeout=PICTURE_MS)
+    page.wait_for_selector("[data-testid=phone-qr]")
     return str(workstation.state("devices.phone.url"))
 
 
@@ -103,7 +97,7 @@ def test_a_phone_turns_and_advances_the_tip_is_lost_and_comes_back(server, works
 
     phone = phone_of(url)
     phone.says("Connected")
-    phone.page.screenshot(path=str(workstation.out / "phone-begin.png"))
+    picture_of(phone.page, "phone-begin")
     phone.page.locator("#use").tap()
     phone.page.wait_for_selector("#control:not([hidden])")
     workstation.page.wait_for_function("() => window.__carina.state.devices.phone.connected")
@@ -112,17 +106,17 @@ def test_a_phone_turns_and_advances_the_tip_is_lost_and_comes_back(server, works
     before = workstation.state("pose.lps_from_camera")
     for n in range(5):
         phone.turn(360.0 - 4.0 * n, 20.0, 0.0)
-        phone.page.wait_for_timeout(50)
+        pass_in(phone.page, 50)
     assert workstation.state("pose.lps_from_camera") == before
     # Held: the tip looks to the right with the phone's upper edge (alpha falls), and the picture follows.
     pixels = workstation.pixels("airway")
     phone.press("turn")
     for n in range(12):
         phone.turn(344.0 - 2.0 * n, 20.0, 0.0)
-        phone.page.wait_for_timeout(60)
+        pass_in(phone.page, 60)
     workstation.page.wait_for_selector("[data-testid=device][data-holds]")
     phone.says("moves the tip")
-    phone.page.screenshot(path=str(workstation.out / "phone-held.png"))
+    picture_of(phone.page, "phone-held")
     # Where the look goes, in the axes that it had.
     right = " + ".join(f"{before[4 * n]} * window.__carina.state.pose.lps_from_camera[{4 * n + 2}]" for n in range(3))
     workstation.page.wait_for_function(f"() => {right} > 0.2")
@@ -153,7 +147,7 @@ def test_a_phone_turns_and_advances_the_tip_is_lost_and_comes_back(server, works
     assert len(phone.links) == 2
     workstation.wait_still()
     stopped = workstation.state("pose.pose_id")
-    workstation.page.wait_for_timeout(300)
+    workstation.let_pass(300)
     assert workstation.state("pose.pose_id") == stopped
     phone.let_go()
     at_mm = workstation.state("pose.path_mm")
@@ -166,12 +160,12 @@ def test_a_phone_turns_and_advances_the_tip_is_lost_and_comes_back(server, works
 
     # Closed with its finger down, and opened again by the same link.
     phone.press("forward")
-    phone.page.wait_for_timeout(100)
+    pass_in(phone.page, 100)
     phone.page.close()
     workstation.page.wait_for_function("() => window.__carina.state.devices.phone.connected === false")
     workstation.wait_still()
     stopped = workstation.state("pose.pose_id")
-    workstation.page.wait_for_timeout(300)
+    workstation.let_pass(300)
     assert workstation.state("pose.pose_id") == stopped
     again = phone_of(url)
     again.says("Connected")
@@ -192,7 +186,7 @@ def test_a_page_with_a_wrong_link_is_refused_in_words_and_counted(server, workst
     url = switch_on(workstation)
     stranger = phone_of(url.partition("#")[0] + "#guessed")
     stranger.says("Scan the code")
-    stranger.page.screenshot(path=str(workstation.out / "phone-refused.png"))
+    picture_of(stranger.page, "phone-refused")
     workstation.page.wait_for_function("() => window.__carina.state.devices.phone.num_refused === 1")
     assert workstation.state("devices.phone.connected") is False
     workstation.page.get_by_test_id("phone-switch").click()

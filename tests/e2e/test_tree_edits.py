@@ -2,35 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
-from server_process import Server, start_server, stop_server
-from test_airway_tools import (
-    PREVIEWED,
-    all_points,
-    named,
-    place_in_slice,
-    place_on_tree,
-    show_slices_at,
-    tree_is_shown,
-)
-from workstation import PICTURE_MS
+from places import PREVIEWED, all_points, named, place_in_slice, place_on_tree, show_slices_at, tree_is_shown
 
 pytestmark = pytest.mark.browser
-
-
-def wait_for(workstation, condition, arg=None):
-    workstation.page.wait_for_function(condition, arg=arg, timeout=PICTURE_MS)
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory) -> Iterator[Server]:
-    """``carina demo phantom``."""
-    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
-    yield running
-    assert stop_server(running) == 0
-    assert running.errors() == []
 
 
 @pytest.fixture
@@ -53,16 +28,16 @@ TREE_TEXT = "() => JSON.stringify([...window.__carina.state.tree.byId.values()].
 
 def wait_for_edit(workstation, words, before):
     """Until the edit stands under Undo, is done, and the tree is another one than before."""
-    wait_for(workstation, "(words) => (window.__carina.state.can_undo ?? '').startsWith(words)", words)
-    wait_for(workstation, "() => !window.__carina.state.jobs.some((job) => job.job_id.startsWith('edit'))")
-    wait_for(workstation, f"(before) => ({TREE_TEXT})() !== before", before)
+    workstation.wait_for("(words) => (window.__carina.state.can_undo ?? '').startsWith(words)", words)
+    workstation.wait_for("() => !window.__carina.state.jobs.some((job) => job.job_id.startsWith('edit'))")
+    workstation.wait_for(f"(before) => ({TREE_TEXT})() !== before", before)
 
 
 def undo_to(workstation, before):
     """Ctrl+Z, until the tree is the one before."""
     workstation.page.keyboard.press("Escape")
     workstation.page.keyboard.press("Control+z")
-    wait_for(workstation, f"(before) => ({TREE_TEXT})() === before", before)
+    workstation.wait_for(f"(before) => ({TREE_TEXT})() === before", before)
 
 
 def points_of(workstation, branch_id):
@@ -101,11 +76,11 @@ def test_lumen_is_erased_with_the_brush_and_painted_again(ready):
     ready.page.mouse.up()
     wait_for_edit(ready, "paint", erased)
     # What hung on the bronchus is back.
-    wait_for(ready, "(num) => window.__carina.state.tree.byId.size >= num", num_before)
+    ready.wait_for("(num) => window.__carina.state.tree.byId.size >= num", num_before)
     ready.picture("after-painting")
     ready.page.keyboard.press("Escape")
     ready.page.keyboard.press("Control+z")
-    wait_for(ready, "() => (window.__carina.state.can_undo ?? '').startsWith('erase')")
+    ready.wait_for("() => (window.__carina.state.can_undo ?? '').startsWith('erase')")
     undo_to(ready, before)
 
 
@@ -116,7 +91,7 @@ def test_a_branch_is_smoothed(ready):
     ready.page.keyboard.press("u")
     x, y = place_on_tree(ready, lmb)
     ready.page.mouse.move(x, y)
-    wait_for(ready, "(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
+    ready.wait_for("(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
     ready.page.mouse.click(x, y)
     wait_for_edit(ready, "smooth", before)
     assert points_of(ready, lmb) != was
@@ -131,15 +106,15 @@ def test_a_fork_is_moved_in_two_clicks(ready):
     ready.page.keyboard.press("y")
     x, y = place_on_tree(ready, lmb, 0.95)
     ready.page.mouse.move(x, y)
-    wait_for(ready, "(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
+    ready.wait_for("(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
     ready.page.mouse.click(x, y)
-    wait_for(ready, "() => window.__carina.state.ui.forkHeld !== null")
+    ready.wait_for("() => window.__carina.state.ui.forkHeld !== null")
     assert "Now click where the fork should be" in ready.page.locator("[data-testid=in-hand]").inner_text()
     ready.picture("fork-in-the-hand")
     # A few millimetres back along the bronchus.
     x, y = place_on_tree(ready, lmb, 0.9)
     ready.page.mouse.move(x, y)
-    wait_for(ready, PREVIEWED)
+    ready.wait_for(PREVIEWED)
     lines = ready.state("preview.answer.lines")
     assert len(lines) >= 3, "the branch and those that begin at its fork"
     ready.page.mouse.click(x, y)
@@ -163,8 +138,7 @@ def test_all_ways_begin_elsewhere_and_back(ready):
     x, y = place_in_slice(ready, "coronal", lower)
     ready.page.mouse.move(x, y)
     ready.page.mouse.click(x, y)
-    wait_for(
-        ready,
+    ready.wait_for(
         """(root) => {
             const first = [...window.__carina.state.tree.byId.values()].find((n) => n.branch.parent === null);
             return Math.hypot(...first.branch.points[0].map((v, i) => v - root[i])) > 5;
@@ -181,7 +155,7 @@ def test_in_the_tri_plane_view_the_branch_under_the_cursor_is_named_and_the_way_
     middle = points[len(points) // 2]
     show_slices_at(ready, middle)
     ready.page.keyboard.press("t")
-    wait_for(ready, "() => document.querySelector('canvas[data-view=tri-plane]')?.dataset.full === 'true'")
+    ready.wait_for("() => document.querySelector('canvas[data-view=tri-plane]')?.dataset.full === 'true'")
     x, y = ready.page.evaluate(
         """(p) => {
             const { lps_from_camera: m, fov_deg, width, height } = window.__carina.state.frames['tri-plane'];
@@ -196,7 +170,7 @@ def test_in_the_tri_plane_view_the_branch_under_the_cursor_is_named_and_the_way_
     )
     ready.page.keyboard.press("n")
     ready.page.mouse.move(x, y)
-    wait_for(ready, "() => (window.__carina.state.livePath?.answer.length_mm ?? 0) > 50")
+    ready.wait_for("() => (window.__carina.state.livePath?.answer.length_mm ?? 0) > 50")
     pointed = ready.state("ui.pointedLps")
     assert max(abs(a - b) for a, b in zip(pointed, middle, strict=True)) < 3.0
     ready.picture("tri-plane-live-path")

@@ -2,56 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
-from server_process import Server, start_server, stop_server
-from workstation import PICTURE_MS
+from places import drag, extent_mm, host, middle_lps
 
 pytestmark = pytest.mark.browser
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory) -> Iterator[Server]:
-    """``carina demo phantom``, as a person starts it."""
-    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
-    yield running
-    code = stop_server(running)
-    assert code == 0
-    assert running.errors() == []
-
-
-def wait_for(workstation, condition):
-    workstation.page.wait_for_function(f"() => {condition}", timeout=PICTURE_MS)
-
-
-def extent_mm(workstation, view):
-    """Width of the picture that a view shows, mm."""
-    header = workstation.state(f"frames['{view}']")
-    matrix = np.reshape(header["lps_from_pixel"], (4, 4))
-    return float(np.linalg.norm(matrix[:3, 0])) * header["width"]
-
-
-def middle_lps(workstation, view):
-    """The point in the middle of the picture that a view shows."""
-    header = workstation.state(f"frames['{view}']")
-    matrix = np.reshape(header["lps_from_pixel"], (4, 4))
-    return (matrix @ (header["width"] / 2, header["height"] / 2, 0.0, 1.0))[:3]
-
-
-def host(workstation, view):
-    """Where a view's picture takes clicks, CSS px."""
-    return workstation.page.locator(f".picture-host:has(canvas[data-view={view}])").bounding_box()
-
-
-def drag(workstation, view, start, end, button="left"):
-    """Drag between two places of a view, given as parts of its sides."""
-    box, mouse = host(workstation, view), workstation.page.mouse
-    mouse.move(box["x"] + start[0] * box["width"], box["y"] + start[1] * box["height"])
-    mouse.down(button=button)
-    mouse.move(box["x"] + end[0] * box["width"], box["y"] + end[1] * box["height"], steps=6)
-    mouse.up(button=button)
 
 
 def test_the_c_arm_turns_with_a_drag_and_by_keys_and_only_the_marker_follows_the_tip(server, workstation):
@@ -64,24 +19,24 @@ def test_the_c_arm_turns_with_a_drag_and_by_keys_and_only_the_marker_follows_the
     assert 20 < workstation.brightness("drr") < 200
 
     drag(workstation, "drr", (0.5, 0.5), (0.2, 0.6))
-    wait_for(workstation, "window.__carina.state.session.carm.primary_deg > 10")
+    workstation.wait_for("window.__carina.state.session.carm.primary_deg > 10")
     assert workstation.state("session.carm.secondary_deg") > 3
     workstation.wait_picture("drr", unlike=frontal)
     workstation.picture("views-drr-turned")
 
     workstation.page.locator(".picture-host:has(canvas[data-view=drr])").focus()
     workstation.page.keyboard.press("Home")
-    wait_for(workstation, "window.__carina.state.session.carm.primary_deg === 0")
+    workstation.wait_for("window.__carina.state.session.carm.primary_deg === 0")
     workstation.page.keyboard.press("Shift+ArrowLeft")
-    wait_for(workstation, "window.__carina.state.session.carm.primary_deg === 5")
+    workstation.wait_for("window.__carina.state.session.carm.primary_deg === 5")
     workstation.page.keyboard.press("Home")
-    wait_for(workstation, "window.__carina.state.session.carm.primary_deg === 0")
+    workstation.wait_for("window.__carina.state.session.carm.primary_deg === 0")
     workstation.wait_picture("drr", like=frontal)
     workstation.page.keyboard.press("g")
-    wait_for(workstation, "window.__carina.state.session.carm.tone === 'fluoroscopy'")
+    workstation.wait_for("window.__carina.state.session.carm.tone === 'fluoroscopy'")
     workstation.wait_picture("drr", unlike=frontal)
     workstation.page.keyboard.press("g")
-    wait_for(workstation, "window.__carina.state.session.carm.tone === 'radiograph'")
+    workstation.wait_for("window.__carina.state.session.carm.tone === 'radiograph'")
     workstation.wait_picture("drr", like=frontal)
     frame, marks = workstation.frame("drr"), workstation.overlay("drr")
     workstation.go_to(60.0)
@@ -103,18 +58,18 @@ def test_the_straightened_airway_takes_the_tip_where_it_is_clicked(server, works
 
     box = host(workstation, "straightened")
     workstation.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    wait_for(workstation, "window.__carina.state.probed?.voxel_value < -500")
+    workstation.wait_for("window.__carina.state.probed?.voxel_value < -500")
     workstation.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     # The whole route fits, with 8 mm of room at both ends: the middle of the picture is the middle of the route.
-    wait_for(workstation, f"Math.abs(window.__carina.state.pose.path_mm - {length / 2}) < 3")
+    workstation.wait_for(f"Math.abs(window.__carina.state.pose.path_mm - {length / 2}) < 3")
 
     before = workstation.pixels("straightened")
     drag(workstation, "straightened", (0.3, 0.5), (0.8, 0.5))
-    wait_for(workstation, "window.__carina.state.session.reformation.turn_deg > 20")
+    workstation.wait_for("window.__carina.state.session.reformation.turn_deg > 20")
     workstation.wait_picture("straightened", unlike=before)
     turned = workstation.pixels("straightened")
     workstation.page.mouse.wheel(0, -600)
-    wait_for(workstation, "window.__carina.state.session.reformation.mm_per_px < 1")
+    workstation.wait_for("window.__carina.state.session.reformation.mm_per_px < 1")
     workstation.wait_picture("straightened", unlike=turned)
     workstation.wait_still()
     workstation.picture("views-straightened-zoomed")
@@ -123,7 +78,6 @@ def test_the_straightened_airway_takes_the_tip_where_it_is_clicked(server, works
     workstation.page.wait_for_function(
         "(id) => Number(document.querySelector('canvas[data-view=straightened]').dataset.frameId) > id",
         arg=frame,
-        timeout=PICTURE_MS,
     )
     workstation.page.locator(".picture-host:has(canvas[data-view=straightened])").focus()
     workstation.page.keyboard.press("Home")
@@ -147,7 +101,7 @@ def test_a_plane_of_the_tri_plane_view_moves_with_a_drag_and_the_background_orbi
     tip = [workstation.state(f"pose.lps_from_camera[{n}]") for n in (3, 7, 11)]
 
     drag(workstation, "tri-plane", (0.5, 0.62), (0.5, 0.5))
-    wait_for(workstation, "window.__carina.state.session.crosshair_lps !== null")
+    workstation.wait_for("window.__carina.state.session.crosshair_lps !== null")
     workstation.wait_still()
     crosshair = workstation.state("session.crosshair_lps")
     moved = np.abs(np.subtract(crosshair, tip))
@@ -160,23 +114,23 @@ def test_a_plane_of_the_tri_plane_view_moves_with_a_drag_and_the_background_orbi
 
     workstation.page.locator(".picture-host:has(canvas[data-view=tri-plane])").focus()
     workstation.page.keyboard.press("PageDown")
-    wait_for(workstation, f"window.__carina.state.session.crosshair_lps[2] < {crosshair[2] - 0.5}")
+    workstation.wait_for(f"window.__carina.state.session.crosshair_lps[2] < {crosshair[2] - 0.5}")
     workstation.page.keyboard.press("Control+ArrowRight")
-    wait_for(workstation, f"window.__carina.state.session.crosshair_lps[0] > {crosshair[0] + 0.5}")
+    workstation.wait_for(f"window.__carina.state.session.crosshair_lps[0] > {crosshair[0] + 0.5}")
     workstation.page.keyboard.press("Control+ArrowDown")
-    wait_for(workstation, f"window.__carina.state.session.crosshair_lps[1] < {crosshair[1] - 0.5}")
+    workstation.wait_for(f"window.__carina.state.session.crosshair_lps[1] < {crosshair[1] - 0.5}")
     # A full stop is a key frame's here as everywhere, and moves no plane.
     here = workstation.state("session.crosshair_lps")
     workstation.page.keyboard.press(".")
-    wait_for(workstation, "window.__carina.state.keys.keys.length === 1")
+    workstation.wait_for("window.__carina.state.keys.keys.length === 1")
     assert workstation.state("session.crosshair_lps") == here
     workstation.page.keyboard.press("Control+z")
-    wait_for(workstation, "window.__carina.state.keys.keys.length === 0")
+    workstation.wait_for("window.__carina.state.keys.keys.length === 0")
     workstation.page.locator(".picture-host:has(canvas[data-view=tri-plane])").focus()
     drag(workstation, "tri-plane", (0.03, 0.03), (0.3, 0.03))
-    wait_for(workstation, f"window.__carina.state.session.orbit_tri_plane.azimuth_deg !== {before['azimuth_deg']}")
+    workstation.wait_for(f"window.__carina.state.session.orbit_tri_plane.azimuth_deg !== {before['azimuth_deg']}")
     workstation.page.keyboard.press("c")
-    wait_for(workstation, "window.__carina.state.session.crosshair_lps === null")
+    workstation.wait_for("window.__carina.state.session.crosshair_lps === null")
     assert workstation.faults == []
 
 
@@ -188,17 +142,16 @@ def test_a_slice_zooms_about_the_cursor_and_says_when_it_is_thick(server, workst
     box = host(workstation, "axial")
     at = (box["x"] + 0.3 * box["width"], box["y"] + 0.4 * box["height"])
     workstation.page.mouse.move(*at)
-    wait_for(workstation, "window.__carina.state.probed !== null")
+    workstation.wait_for("window.__carina.state.probed !== null")
     here = workstation.state("ui.cursorLps")
     workstation.page.keyboard.down("Control")
     for _ in range(3):
         workstation.page.mouse.wheel(0, -150)
     workstation.page.keyboard.up("Control")
-    wait_for(workstation, "window.__carina.state.session.zoom.axial_mm_per_px !== null")
+    workstation.wait_for("window.__carina.state.session.zoom.axial_mm_per_px !== null")
     workstation.wait_still()
     workstation.wait_picture("axial", unlike=plain)
-    wait_for(
-        workstation,
+    workstation.wait_for(
         "((m) => Math.abs(Math.hypot(m[0], m[4], m[8]) - window.__carina.state.zoom.axial_mm_per_px) < 1e-3)"
         "(window.__carina.state.frames.axial.lps_from_pixel)",
     )
@@ -212,12 +165,12 @@ def test_a_slice_zooms_about_the_cursor_and_says_when_it_is_thick(server, workst
     thin = workstation.pixels("coronal")
     workstation.page.mouse.move(5, 400)
     workstation.page.keyboard.press("i")
-    wait_for(workstation, "window.__carina.state.session.slab.thickness_mm === 10")
+    workstation.wait_for("window.__carina.state.session.slab.thickness_mm === 10")
     workstation.wait_picture("coronal", unlike=thin)
     workstation.picture("views-slab")
     for _ in range(3):
         workstation.page.keyboard.press("i")
-    wait_for(workstation, "window.__carina.state.session.slab.thickness_mm === 0")
+    workstation.wait_for("window.__carina.state.session.slab.thickness_mm === 0")
     assert workstation.faults == []
 
 
@@ -238,8 +191,7 @@ def test_a_picture_is_panned_by_middle_and_shift_drag_and_by_keys_and_fits_again
     def settled_at(expected):
         """The picture in full quality round this point."""
         text = ",".join(str(float(v)) for v in expected)
-        wait_for(
-            workstation,
+        workstation.wait_for(
             f"""((h) => h.full && Math.hypot(...[{text}].map((v, n) =>
                 h.lps_from_pixel[4 * n] * h.width / 2 + h.lps_from_pixel[4 * n + 1] * h.height / 2
                 + h.lps_from_pixel[4 * n + 3] - v)) < 0.02 * {first_mm})(window.__carina.state.frames['{view}'])""",
@@ -264,7 +216,7 @@ def test_a_picture_is_panned_by_middle_and_shift_drag_and_by_keys_and_fits_again
     workstation.page.keyboard.press("Control+ArrowRight")
     settled_at(first + 40 * mm_per_css * right)
     workstation.page.keyboard.press("+")
-    wait_for(workstation, f"window.__carina.state.frames['{view}'].full")
+    workstation.wait_for(f"window.__carina.state.frames['{view}'].full")
     workstation.page.locator(f"[data-testid=fit-{view}]").click()
     workstation.page.locator(f"[data-testid=fit-{view}]").wait_for(state="detached")
     settled_at(first)

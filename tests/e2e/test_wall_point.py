@@ -4,21 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
 
 import pytest
-from server_process import Server, start_server, stop_server
 
 pytestmark = pytest.mark.browser
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory) -> Iterator[Server]:
-    """``carina demo phantom``."""
-    running = start_server(["demo", "phantom"], tmp_path_factory.mktemp("home"))
-    yield running
-    assert stop_server(running) == 0
-    assert running.errors() == []
 
 
 def wall_point(workstation, num_picks):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import re
 from pathlib import Path
 from typing import Any
 
+from playwright.sync_api import Error as PlaywrightError
 from playwright.sync_api import TimeoutError as PlaywrightTimeout
 from server_process import Server
 
@@ -61,6 +64,14 @@ window.__settled = async (limitMs) => {
   }
 };
 """
+# What a page that hangs is asked for.
+STATE = """() => {
+  const { stage, route, pose, session, frames, jobs, messages, ui, targets, can_undo, picks } = window.__carina.state;
+  return JSON.stringify({ stage, pose, session, frames, jobs, messages, ui, targets, can_undo, picks,
+    branch: route?.branch_id });
+}"""
+SHOWN_VIEWS = """() => [...document.querySelectorAll('canvas[data-view]')]
+    .filter((canvas) => canvas.offsetParent).map((canvas) => canvas.dataset.view)"""
 PIXELS = """
 window.__pixels = (view) => {
   const canvas = document.querySelector(`canvas[data-view=${view}]`);
@@ -73,12 +84,15 @@ window.__pixels = (view) => {
 """
 
 
+OUT = Path(__file__).resolve().parents[1] / "out" / "e2e"
+FUNCTION = re.compile(r"\(?[\[\w, \]]*\)? =>")
+
+
 class Workstation:
     """One open page of the workstation."""
 
-    def __init__(self, page: Any, out: Path) -> None:
+    def __init__(self, page: Any) -> None:
         self.page = page
-        self.out = out
         self.faults: list[str] = []
         page.add_init_script(SETTLE)
         page.add_init_script(PIXELS)
@@ -120,6 +134,12 @@ class Workstation:
             timeout=READY_MS,
         )
         self.wait_still()
+
+    def wait_for(self, condition: str, arg: Any = None) -> None:
+        """Wait until an expression of the page holds, or a function of ``arg``."""
+        # The page's policy lets no bare text be evaluated.
+        function = condition if FUNCTION.match(condition) else f"() => {condition}"
+        self.page.wait_for_function(function, arg=arg, timeout=PICTURE_MS)
 
     def state(self, expression: str) -> Any:
         """A value out of the client's state, such as ``pose.path_mm``."""
@@ -220,14 +240,35 @@ class Workstation:
 
     def shown_views(self) -> list[str]:
         """Views that have a canvas on the screen."""
-        return self.page.evaluate(
-            "() => [...document.querySelectorAll('canvas[data-view]')]"
-            ".filter(c => c.offsetParent).map(c => c.dataset.view)"
-        )
+        return self.page.evaluate(SHOWN_VIEWS)
+
+    def turn_to(self, view: str, key: str) -> None:
+        """Press the key that goes on to the next picture of a cell until this one is on the screen."""
+        for _ in range(4):
+            shown = self.shown_views()
+            if view in shown:
+                return
+            self.page.keyboard.press(key)
+            self.page.wait_for_function(f"(before) => ({SHOWN_VIEWS})().join() !== before", arg=",".join(shown))
+        raise AssertionError(f"{key} does not lead to {view}: {self.shown_views()}")
 
     def settle(self) -> None:
         """Wait until nothing that was done is on its way to the server or back any more."""
         self.page.evaluate("(limit) => window.__settled(limit)", PICTURE_MS)
+
+    def let_pass(self, milliseconds: int) -> None:
+        """Let time pass in the page, for what must not happen: its timers fire in the order in which they are due, so
+        that whatever it put off for less has been done, however busy the machine is."""
+        pass_in(self.page, milliseconds)
+
+    def refreshes(self, number: int) -> None:
+        """Let the page draw so many times: whoever looks once per refresh has looked."""
+        self.page.evaluate(
+            """async (number) => {
+                for (let n = 0; n < number; n += 1) await new Promise((done) => requestAnimationFrame(done));
+            }""",
+            number,
+        )
 
     def hold_until(self, key: str, condition: str, arg: Any = None) -> None:
         """Hold a key as a hand does, until a condition of the page holds."""
@@ -299,7 +340,7 @@ class Workstation:
 
     def go_to(self, path_mm: float) -> None:
         """Set the path slider, whose steps are 0.1 mm."""
-        slider = self.page.get_by_role("slider", name="Place on the route")
+        slider = self.page.get_by_role("slider", name="Position on the route in mm")
         slider.evaluate(
             """(input, value) => {
                 const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set;
@@ -317,12 +358,43 @@ class Workstation:
         """Hold a key as a hand does; how many seconds it was down by the page's clock."""
         began_ms = self.page.evaluate("() => performance.now()")
         self.page.keyboard.down(key)
-        self.page.wait_for_timeout(milliseconds)
+        self.let_pass(milliseconds)
         self.page.keyboard.up(key)
         return (self.page.evaluate("() => performance.now()") - began_ms) / 1e3
 
-    def picture(self, name: str) -> Path:
-        """Save a screenshot."""
-        path = self.out / f"{name}.png"
-        self.page.screenshot(path=str(path))
-        return path
+    def picture(self, name: str) -> None:
+        """Save a screenshot, where somebody wants to look at them."""
+        picture_of(self.page, name)
+
+    def failed(self, name: str) -> None:
+        """Leave what a person needs who asks why: the window as it is, what it logged, and where it stands."""
+        save_page(self.page, f"{name}-failed")
+        try:
+            told = self.page.evaluate(STATE)
+        except PlaywrightError as trouble:
+            told = str(trouble)
+        print("faults of the page:", self.faults, "state:", told, sep="\n")
+
+
+def open_page(browser: Any) -> Workstation:
+    """A page at the pinned size and pixel ratio, in a context of its own."""
+    context = browser.new_context(viewport={"width": 1440, "height": 900}, device_scale_factor=1)
+    context.set_default_timeout(PICTURE_MS)
+    return Workstation(context.new_page())
+
+
+def pass_in(page: Any, milliseconds: int) -> None:
+    """As ``Workstation.let_pass``, in any page."""
+    page.evaluate("(ms) => new Promise((done) => setTimeout(done, ms))", milliseconds)
+
+
+def picture_of(page: Any, name: str) -> None:
+    """A screenshot where ``CARINA_PICTURES`` is set: each costs half a second of a core."""
+    if os.environ.get("CARINA_PICTURES"):
+        save_page(page, name)
+
+
+def save_page(page: Any, name: str) -> None:
+    """A screenshot in ``tests/out/e2e``."""
+    OUT.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=str(OUT / f"{name}.png"))

@@ -1,0 +1,192 @@
+"""A process that opens and closes workstations as it is told, by lines of JSON: ``python workstation_host.py``.
+
+Each is a session, a server and a port of its own, as new as after ``carina demo``, over the real volumes, renderers and
+parts. Only what costs seconds and is the same every time is kept from one to the next: imports, the demo's volume, the
+airways that are found in it on opening, and their measures.
+
+``{"open": {"demo": "phantom"}}`` is answered by ``{"number": 1, "url": URL}``, ``{"close": 1}`` by ``{"closed": 1}``,
+and trouble by ``{"error": TEXT}``. The end of the input ends the process.
+"""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+import json
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from carina import render
+from carina.render import AirwayView
+from carina.server.app import web_folder
+from carina.server.phone_page import PhonePage
+from carina.server.security import Gate
+from carina.server.serve import bind, make_server, start_url
+from carina.session import LocalStore, Session
+from carina.session.parts import Parts, default_parts
+
+STARTS_S = 120.0
+OPENS_S = 600.0
+PER_PIXEL_S = 0.4 / (150 * 150)
+"""A slow airway view's coarsest picture in a cell of 600 pixels takes 0.4 s: too slow for 5 pictures a second."""
+
+# The package hands on a function of the module's name.
+serve_module: Any = importlib.import_module("carina.server.serve")
+
+
+class SlowRenderer(render.Renderer):
+    """Takes its time for every ray of an airway view for as long as a file exists, and can be stopped meanwhile."""
+
+    slow_file: Path
+
+    def render(self, view: Any, *, stop: Any = None, **options: Any) -> Any:
+        if isinstance(view, AirwayView) and self.slow_file.exists():
+            end_s = time.monotonic() + min(PER_PIXEL_S * view.width * view.height, 1.5)
+            while time.monotonic() < end_s and not (stop is not None and stop.cancelled):
+                time.sleep(0.002)
+        return super().render(view, stop=stop, **options)
+
+
+class Kept:
+    """The real parts of a session, which remember what they found for a demo."""
+
+    def __init__(self) -> None:
+        self._real = default_parts()
+        self._values: dict[tuple[object, ...], Any] = {}
+        self._lock = threading.Lock()
+        """Kept values stay alive, and so no other takes the place of their id."""
+
+    def _kept(self, key: tuple[object, ...], make: Callable[[], Any]) -> Any:
+        with self._lock:
+            if key in self._values:
+                return self._values[key]
+        # Not under the lock: another case may be opened meanwhile. What is stopped or fails is not kept.
+        made = make()
+        with self._lock:
+            return self._values.setdefault(key, made)
+
+    def _holds(self, value: Any) -> bool:
+        with self._lock:
+            return any(kept is value for kept in self._values.values())
+
+    def open_demo(self, name: str, progress: Any, cancel: Any) -> Any:
+        return self._kept(("demo", name), lambda: self._real.open_demo(name, progress, cancel))
+
+    def quality_words(self, volume: Any) -> Any:
+        if not self._holds(volume):
+            return self._real.quality_words(volume)
+        return self._kept(("quality", id(volume)), lambda: self._real.quality_words(volume))
+
+    def find_airways(self, volume: Any, *, root_lps: Any, lumen_threshold: Any, **options: Any) -> Any:
+        def find() -> Any:
+            return self._real.find_airways(volume, root_lps=root_lps, lumen_threshold=lumen_threshold, **options)
+
+        # As on opening; what a person asks for is found anew.
+        if root_lps is not None or lumen_threshold is not None or "lumen_zyx" in options or not self._holds(volume):
+            return find()
+        return self._kept(("airways", id(volume)), find)
+
+    def measure_tree(self, volume: Any, airways: Any, **options: Any) -> Any:
+        assert self._real.measure_tree is not None
+        measure = self._real.measure_tree
+        if not self._holds(airways):
+            return measure(volume, airways, **options)
+        return self._kept(("measures", id(airways)), lambda: measure(volume, airways, **options))
+
+    def parts(self) -> Parts:
+        """What a session takes."""
+        return replace(
+            self._real,
+            open_demo=self.open_demo,
+            quality_words=self.quality_words,
+            find_airways=self.find_airways,
+            measure_tree=self.measure_tree,
+        )
+
+
+def make_slow(slow_file: str) -> Any:
+    """A factory of renderers that are slow while a file exists."""
+
+    def make(volume: Any, transfer: Any) -> Any:
+        made = SlowRenderer(volume, transfer=transfer)
+        made.slow_file = Path(slow_file)
+        return made
+
+    return make
+
+
+def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, path: str | None, **told: Any) -> str:
+    """As ``carina.server.serve`` puts one together; its start URL. ``stack`` closes it."""
+    sock = stack.enter_context(bind("127.0.0.1", 0))
+    gate = Gate(host="127.0.0.1", port=sock.getsockname()[1])
+    slow_file = told.get("slow_file")
+    factory = serve_module._renderer_factory() if slow_file is None else make_slow(slow_file)
+    session = Session(factory, parts=kept.parts(), store=LocalStore(Path(home)))
+    stack.callback(session.close)
+    page = PhonePage(session, web=web_folder(), address=told.get("phone_address"))
+    stack.callback(page.stop)
+    started = threading.Event()
+    server = make_server(
+        session,
+        gate,
+        on_started=started.set,
+        web=web_folder(),
+        patient_citation=serve_module._patient_citation(),
+        build_info=serve_module._build_info(),
+        phone=page,
+    )
+    thread = threading.Thread(target=lambda: server.run(sockets=[sock]))
+    thread.start()
+
+    def stop() -> None:
+        server.should_exit = True
+        thread.join()
+
+    stack.callback(stop)
+    if not started.wait(STARTS_S):
+        raise TimeoutError("the server does not start")
+    changed = threading.Event()
+    unsubscribe = session.subscribe(lambda _event: changed.set())
+    if path is not None:
+        session.open_path(path)
+    elif demo is not None:
+        session.open_demo(demo)
+    # A page that is opened sooner is sent every picture several times, as the airways and their measures come.
+    while session.jobs.running or session.snapshot().airways not in {"found", "failed"}:
+        assert changed.wait(OPENS_S), "the case does not open"
+        changed.clear()
+    unsubscribe()
+    return start_url(gate)
+
+
+def main() -> None:
+    """Until the input ends."""
+    kept, numbers, opened = Kept(), itertools.count(1), {}
+    for line in sys.stdin:
+        order = json.loads(line)
+        answer: dict[str, Any]
+        try:
+            if "open" in order:
+                stack, number = ExitStack(), next(numbers)
+                opened[number] = stack
+                answer = {"number": number, "url": open_workstation(kept, stack, **order["open"])}
+            else:
+                opened.pop(order["close"]).close()
+                print(f"workstation {order['close']} is closed", file=sys.stderr, flush=True)
+                answer = {"closed": order["close"]}
+        except BaseException:
+            answer = {"error": traceback.format_exc()}
+        print(json.dumps(answer), flush=True)
+    for stack in opened.values():
+        stack.close()
+
+
+if __name__ == "__main__":
+    main()
