@@ -4,6 +4,14 @@ import { defineConfig } from "vitest/config";
 
 const page = (name: string) => fileURLToPath(new URL(name, import.meta.url));
 
+/** A running `carina`, to whom the pages served here are a program that shows its token, not a strange site. */
+const address = process.env.CARINA_ADDRESS ?? "http://127.0.0.1:8765";
+const real = {
+  target: address,
+  changeOrigin: true,
+  headers: { origin: address, authorization: `Bearer ${process.env.CARINA_TOKEN ?? ""}` },
+};
+
 export default defineConfig({
   // Relative addresses: the same build works behind any path a hospital's proxy may put it at.
   base: "./",
@@ -27,8 +35,8 @@ export default defineConfig({
   },
   server: {
     proxy: {
-      "/ws": { target: "ws://127.0.0.1:8765", ws: true },
-      "/api": "http://127.0.0.1:8765",
+      "/ws": { ...real, ws: true },
+      "/api": real,
     },
   },
   test: { environment: "node", include: ["src/**/*.test.{ts,tsx}"] },
