@@ -265,10 +265,9 @@ def _renderer_factory() -> Any:
 
 
 def _patient_citation() -> str:
-    from carina import volume
+    from carina.volume.demo import CITATION
 
-    citation: str = volume.demo.CITATION
-    return citation
+    return CITATION
 
 
 def _build_info() -> dict[str, Any]:
