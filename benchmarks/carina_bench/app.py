@@ -92,13 +92,21 @@ def bench_isoregion(
 def bench_track(
     output: BenchFolder = Path("carina-bench"),
     only: BenchOnly = None,
+    case: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--case",
+            help="With --only evidence: patient, QIN-LSC-0003, phantom-24, phantom-22 or phantom-29; may be given "
+            "several times.",
+        ),
+    ] = None,
     quick: BenchQuick = False,
     as_json: JsonOption = False,
 ) -> None:
     """The path tracker beside its peers, and the airway tree beside the truth.
 
-    Parts: speed, paper, quality, names, measures. A part that this version does not have, or whose peers or data are
-    missing, is named and left out. A missed limit is a result and no failure: the exit code is 0.
+    Parts: speed, paper, quality, names, measures, evidence. A part that this version does not have, or whose peers or
+    data are missing, is named and left out. A missed limit is a result and no failure: the exit code is 0.
 
     Example: carina bench track --only speed --quick
     """
@@ -106,7 +114,7 @@ def bench_track(
         from carina_bench.track import report
 
         check_output_folder(output)
-        raise SystemExit(report(folder=output, only=only or [], quick=quick, as_json=as_json))
+        raise SystemExit(report(folder=output, only=only or [], cases=case or [], quick=quick, as_json=as_json))
 
 
 @bench.command("stream")

@@ -12,7 +12,7 @@ from carina.track.edit_tree import along_mm
 from carina.track.tree import Branch
 from carina.volume.model import Volume
 
-__all__ = ["lung_points", "missed_points", "removed_branches", "taken"]
+__all__ = ["lung_points", "missed_points", "removed_branches", "shows_lumen", "taken"]
 
 Points = NDArray[np.float64]
 
@@ -21,6 +21,7 @@ CLEAR_MM = 5.0
 FARTHEST_MM = 40.0
 MISSED_MM = 3.0
 """A place of a true airway was missed where no lumen was found so near."""
+SIDES, SEEN_MM, OPEN_SHARE, SEEN_NOISE = 16, 3.0, 0.2, 3.0
 LUNG_HU, OUTSIDE_HU = -650.0, -988.0
 
 
@@ -103,7 +104,10 @@ def removed_branches(volume: Volume, airways: Airways, num: int, seed: int, *, w
 
 
 def missed_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8], num: int, seed: int) -> Points:
-    """At most (num, 3) places, LPS mm, in the middle of true airways where the search found no lumen within 3 mm."""
+    """At most (num, 3) places, LPS mm, in the middle of true airways where the search found no lumen within 3 mm.
+
+    A mask on thick slices runs over the edge of an oblique lumen by a slice or two: see :func:`shows_lumen`.
+    """
     rng = np.random.default_rng(seed)
     truth = truth_zyx != 0
     voxels = np.argwhere(truth & (airways.lumen_zyx == 0))[:, ::-1]
@@ -122,6 +126,32 @@ def missed_points(volume: Volume, airways: Airways, truth_zyx: NDArray[np.uint8]
     return np.array(found).reshape(-1, 3)
 
 
+def shows_lumen(volume: Volume, points: Points, noise_hu: float) -> NDArray[np.bool_]:
+    """(n,) whether the CT itself is darker at each (n, 3) place, LPS mm, than round it, as a person sees a lumen.
+
+    In one of 13 planes through the place the values rise by three times the noise within 3 mm on four fifths of 16
+    sides. Values are those of the CT, averaged over 2 mm across the plane; of random places of lung 2 to 3 % are so.
+
+    Parameters
+    ----------
+    noise_hu
+        Standard deviation in air.
+    """
+    angle = 2.0 * np.pi * np.arange(SIDES) / SIDES
+    found = np.full(len(points), -np.inf)
+    for axis in np.array(list(np.ndindex(3, 3, 3)))[14:] - 1.0:
+        normal = axis / np.linalg.norm(axis)
+        across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+        across /= np.linalg.norm(across)
+        sides = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(normal, across)
+        off = sides[:, None, :] * np.arange(0.0, SEEN_MM + 0.1, 0.5)[None, :, None]
+        places = points[:, None, None, :] + off
+        values = np.mean([_values_at(volume, places + shift * normal) for shift in (-1.0, 0.0, 1.0)], axis=0)
+        rise = np.quantile(values.max(axis=2), OPEN_SHARE, axis=1) - values[:, 0, 0]
+        found = np.maximum(found, rise)
+    return np.asarray(found >= SEEN_NOISE * noise_hu)
+
+
 def taken(volume: Volume, airways: Airways, points: Points) -> NDArray[np.int8]:
     """(n,) for each (n, 3) place what a click there does: 1 taken at once, 0 asked or refused, -1 the tree is there."""
     found = np.zeros(len(points), dtype=np.int8)
@@ -130,6 +160,20 @@ def taken(volume: Volume, airways: Airways, points: Points) -> NDArray[np.int8]:
         is_there = way.problem is not None and "there already" in way.problem
         found[number] = -1 if is_there else int(way.has_evidence)
     return found
+
+
+def _values_at(volume: Volume, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Trilinear values of the CT, edge-clamped."""
+    last = np.array(volume.shape_zyx[::-1]) - 1
+    ijk = np.clip(volume.to_ijk(places.reshape(-1, 3)), 0, last)
+    low = np.minimum(ijk.astype(np.int64), last - 1)
+    share = ijk - low
+    total = np.zeros(len(ijk))
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.where(np.array(corner) == 1, share, 1.0 - share).prod(axis=1)
+        i, j, k = (low + np.array(corner)).T
+        total += weight * volume.hu_zyx[k, j, i]
+    return total.reshape(places.shape[:-1])
 
 
 def _round(

@@ -1,14 +1,13 @@
 """Evidence that a way is an airway: wall round it along its whole length, against what the lung of this CT pretends.
 
 Across a way rays go out to 16 sides, and the values on them are averaged over 2.5 mm along it: an airway goes on,
-noise and the rims of vessels do not. How far four fifths of the sides rise above the middle is compared with what the
-same measure finds on the best ways through plain lung of the same CT. docs/decisions/0036.
+noise and the rims of vessels do not. How far the sides rise above the middle is compared with what the same measure
+finds on the best ways through plain lung of the same CT, and weighed (``evidence_verdict.py``). docs/decisions/0036.
 """
 
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from carina import _core
 from carina.errors import NoResultError
 from carina.track.edit_lumen import EditedLumen, Voxels, tissue_there
+from carina.track.evidence_verdict import STEP_MM, Lung, Sections, Start, along_mm, doubtful_sections, turns_back
 from carina.track.levels import air_scale
 from carina.volume.model import Volume
 
@@ -30,38 +30,24 @@ Points = NDArray[np.float64]
 
 # Sections.
 NUM_SIDES = 16
-STEP_MM = 0.5
-"""From one section to the next."""
 RING_MM = 0.35
 """From one sample of a ray to the next."""
 REACH_MM, FAR_MM = 3.2, 8.1
 """The wall of a small airway lies within the first, that of a lobe's bronchus within the second."""
 OPEN_SIDES = 0.2
 """Share of the sides on which there need be no wall: a fork takes more, and is shorter than what is averaged."""
+CLOSED_BUT = 1
+"""Sides that a closed ring may miss: one lies behind the next slice."""
+BEND_MM = 3.0
+"""A way's bend is that between the directions so far before and after."""
 HALF_SECTIONS = 2
 """Sections before and after one that are averaged with it."""
 TANGENT_MM = 1.5
 AROUND = 0.25
 """The lung round a section is as bright as this share of its farther samples."""
 
-# Verdict; all in units of what a tenth of the best ways through plain lung exceed.
-WINDOW_MM = 5.0
-LEAST_SCORE = 0.4
-MOST_SCORE, LOWEST_SCORE = 1.2, -0.5
-"""One bright wall must not pay for a long way without; what is brighter than all round it is a wall itself."""
-FAR_SCORE = 1.2
-"""From here on a wall that is far away counts: vessels stand round any place of the lung somewhere."""
-DROP_HU, WALL_DROP_HU = 60.0, 350.0
-"""A way that rises and falls by more than the first has probably stepped over a wall: what lies beyond needs twice the
-score. Beyond the second it has."""
-MOST_TURN_DEG = 130.0
-"""A branch that leaves the tree turns less than this against the direction of its parent."""
-TURN_OVER_MM = 5.0
-WIDER = 1.5
-"""An airway is at most so many times as wide as the branch that it leaves, and a voxel more."""
-
-MAX_MISSED_MM = 80.0
-"""Farther from the tree no way is looked for."""
+MAX_MISSED_MM = 120.0
+"""Farther from the tree no way is looked for: the lower lobe's bronchi reach so far from the intermediate bronchus."""
 
 # Comparison.
 NUM_RUNS = 96
@@ -76,38 +62,6 @@ NOISE_SHARE, FAR_SHARE = 1.25, 2.0
 PLAIN_HU = -850.0
 ENCLOSED, DARK_SHARE = 0.98, 0.1
 CLOSED_HU, BRIGHT_HU, LUNG_END_HU, WALL_HU = -400.0, -800.0, -600.0, -500.0
-NO_LUMEN_HU = -450.0
-"""A middle that is brighter over 2.5 mm is no lumen."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sections:
-    """What lies across a way, every half millimetre."""
-
-    at_mm: NDArray[np.float64]
-    """(n,) along the way."""
-    own: NDArray[np.float64]
-    """(n,) value in the middle."""
-    rise: NDArray[np.float64]
-    """(n,) how far four fifths of the sides rise above the middle within 3 mm."""
-    far_rise: NDArray[np.float64]
-    """(n,) the same within 8 mm."""
-    around: NDArray[np.float64]
-    """(n,) value of what lies farther out."""
-    radius_mm: NDArray[np.float64]
-    """(n,) median distance of the sides to half of their rise."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Start:
-    """Where a way leaves the tree."""
-
-    inside_mm: float
-    """How far its beginning lies in the lumen: a section there cuts both, and is not asked for a wall."""
-    radius_mm: float
-    """Of the branch that it leaves."""
-    direction: NDArray[np.float64]
-    """(3,) LPS, of that branch, from the root outwards."""
 
 
 class Evidence:
@@ -146,11 +100,9 @@ class Evidence:
             "bright": float(self._scale.level(BRIGHT_HU)),
             "closed": float(self._scale.level(CLOSED_HU)),
         }
-        self.usual = max(least, NOISE_SHARE * self.noise)
-        self.far_usual = FAR_SHARE * self.usual
-        """What a tenth of the sections on the best ways through plain lung exceed: near and far rise."""
-        self.lung = float(self._scale.level(PLAIN_HU))
-        """A bright quarter of plain lung is brighter than this."""
+        usual = max(least, NOISE_SHARE * self.noise)
+        self.compared_with = Lung(usual, FAR_SHARE * usual, float(self._scale.level(PLAIN_HU)))
+        """What a tenth of the sections on the best ways through plain lung exceed."""
         if enough:
             self._compare(lung[:: max(1, len(lung) // NUM_RUNS)][:NUM_RUNS])
 
@@ -163,9 +115,10 @@ class Evidence:
             return
         rise = np.concatenate([run.rise for run in found])
         far = np.concatenate([run.far_rise for run in found])
-        self.usual = max(self.usual, float(np.quantile(rise, BEST_RUNS)))
-        self.far_usual = max(FAR_SHARE * self.usual, float(np.quantile(far, BEST_RUNS)))
-        self.lung = float(np.quantile(np.concatenate([run.own for run in found]), 0.75))
+        usual = max(self.compared_with.rise, float(np.quantile(rise, BEST_RUNS)))
+        far_usual = max(FAR_SHARE * usual, float(np.quantile(far, BEST_RUNS)))
+        bright = float(np.quantile(np.concatenate([run.own for run in found]), 0.75))
+        self.compared_with = Lung(usual, far_usual, bright)
 
     def way(self, lumen: EditedLumen, voxel: NDArray[np.int64], toward: NDArray[np.int64]) -> Voxels:
         """(n, 3) voxels of the best way from the lumen to a voxel outside it; the first lies in the lumen.
@@ -183,9 +136,13 @@ class Evidence:
         tissue_there(lumen, voxel, self._scale.level(WALL_HU))
         start, goal = ((int(v[0]), int(v[1]), int(v[2])) for v in (voxel, toward))
         away_mm = float(np.linalg.norm(self._volume.lps_from_ijk[:3, :3] @ (voxel - toward)))
-        way = None
-        if away_mm <= MAX_MISSED_MM:
-            way = self.enclosures.way(lumen.core, start, goal, **self._levels, cancel=lumen.cancel)
+        if away_mm > MAX_MISSED_MM:
+            msg = (
+                f"the point is {away_mm:.0f} mm from the tree, and no way is looked for over more than "
+                f"{MAX_MISSED_MM:.0f} mm: add the branches between them first"
+            )
+            raise NoResultError(msg, code="track.no-path")
+        way = self.enclosures.way(lumen.core, start, goal, **self._levels, cancel=lumen.cancel)
         if way is None:
             msg = (
                 "no airway leads from the tree to the point: tissue lies between them. If the airway is blocked there, "
@@ -202,52 +159,15 @@ class Evidence:
         (n-1,) bool
         """
         sections = self.sections(points)
-        is_doubtful = self.verdict(sections, start)
-        along = _along_mm(points)
-        if start is not None and _turns_back(points, along, start):
+        is_doubtful = doubtful_sections(sections, self.compared_with, self._scale, start)
+        along = along_mm(points)
+        if start is not None and turns_back(points, along, start):
             is_doubtful = sections.at_mm >= start.inside_mm
         first = np.searchsorted(sections.at_mm, along[:-1] - 1e-9, side="left")
         last = np.searchsorted(sections.at_mm, along[1:] + 1e-9, side="right")
         num = np.concatenate([[0], np.cumsum(is_doubtful)])
         found: NDArray[np.bool_] = num[last] > num[first]
         return found
-
-    def verdict(self, sections: Sections, start: Start | None = None) -> NDArray[np.bool_]:
-        """(n,) for each section, whether it lies in a window of 5 mm without evidence.
-
-        Of a window that fails, what is evident before its end stays so.
-        """
-        found = np.zeros(len(sections.at_mm), dtype=bool)
-        inside_mm = 0.0 if start is None else start.inside_mm
-        mine = np.flatnonzero(sections.at_mm >= min(inside_mm, sections.at_mm[-1] - STEP_MM))
-        own = sections.own[mine]
-        drop = np.maximum.accumulate(own) - own
-        needed = np.where(drop > self._scale.span(DROP_HU), 2.0 * LEAST_SCORE, LEAST_SCORE)
-        gain = self.scores(sections)[mine] - needed
-        if start is not None:
-            widest_mm = WIDER * start.radius_mm + float(np.cbrt(np.prod(self._volume.spacing_mm)))
-            gain = np.where(sections.radius_mm[mine] > widest_mm, -LEAST_SCORE, gain)
-        gain = np.where(own > self._scale.level(NO_LUMEN_HU), -MOST_SCORE, gain)
-        num = min(round(WINDOW_MM / STEP_MM), len(mine))
-        means = np.convolve(gain, np.full(num, 1.0 / num), mode="valid")
-        for first in np.flatnonzero(means < 0.0):
-            found[mine[first : first + num]] = True
-        sure = np.logical_and.accumulate((gain >= LEAST_SCORE) | ~found[mine])
-        found[mine] &= ~sure
-        crossed = drop > self._scale.span(WALL_DROP_HU)
-        if crossed.any():
-            # Doubtful from the top of the wall.
-            found[mine[int(np.argmax(own[: int(np.argmax(crossed)) + 1])) :]] = True
-        return found
-
-    def scores(self, sections: Sections) -> NDArray[np.float64]:
-        """(n,) how far the wall rises, in units of what plain lung shows; -0.5 to 1.2."""
-        # A wall is brighter than the lung round it, not only than a dark middle.
-        around = np.minimum(sections.around, self.lung)
-        rise, far = (np.minimum(one, sections.own + one - around) for one in (sections.rise, sections.far_rise))
-        far_score = far / self.far_usual
-        score = np.maximum(rise / self.usual, np.where(far_score >= FAR_SCORE, far_score, LOWEST_SCORE))
-        return np.asarray(np.clip(score, LOWEST_SCORE, MOST_SCORE))
 
     def crosses_wall(self, points: Points, before: Points) -> bool:
         """Whether a line runs through brighter places than one before it did, and than half-way to tissue."""
@@ -256,7 +176,7 @@ class Evidence:
 
     def sections(self, points: Points) -> Sections:
         """What lies across a line of (n, 3) LPS points."""
-        along = _along_mm(points)
+        along = along_mm(points)
         at = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / STEP_MM)) + 1))
 
         def places(where: NDArray[np.float64]) -> Points:
@@ -279,13 +199,21 @@ class Evidence:
         peaks, far_peaks = profiles[:, :, near].max(axis=2), profiles.max(axis=2)
         half = 0.5 * (own[:, None] + peaks)
         first = (profiles[:, :, near] >= half[:, :, None]).argmax(axis=2)
+        back, on = places(at) - places(at - BEND_MM), places(at + BEND_MM) - places(at)
+        lengths = np.linalg.norm(back, axis=1) * np.linalg.norm(on, axis=1)
+        bend = 1.0 - (back * on).sum(axis=1) / np.maximum(lengths, 1e-6)
+        # Its ends have no direction.
+        bend[:HALF_SECTIONS] = bend[-HALF_SECTIONS:] = 0.0
         return Sections(
             at_mm=at,
             own=own,
             rise=np.quantile(peaks, OPEN_SIDES, axis=1) - own,
             far_rise=np.quantile(far_peaks, OPEN_SIDES, axis=1) - own,
+            closed=np.partition(peaks, CLOSED_BUT, axis=1)[:, CLOSED_BUT] - own,
+            far_closed=np.partition(far_peaks, CLOSED_BUT, axis=1)[:, CLOSED_BUT] - own,
             around=np.quantile(profiles[:, :, ~near].reshape(len(at), -1), AROUND, axis=1),
             radius_mm=RING_MM * np.median(first, axis=1),
+            bend=bend,
         )
 
 
@@ -334,18 +262,6 @@ def _beside(tree: AirwayTree) -> Points:
     ring = np.sqrt(1.0 - z * z)
     far = NEAREST_MM + (FARTHEST_MM - NEAREST_MM) * ((n * 0.6180339887498949) % 1.0)
     return np.asarray(chosen + far[:, None] * np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1))
-
-
-def _turns_back(points: Points, along: NDArray[np.float64], start: Start) -> bool:
-    """Whether a line, once it has left the lumen, runs back along the branch that it leaves."""
-    reach_mm = min(start.inside_mm + TURN_OVER_MM, float(along[-1]))
-    goes = points[min(int(np.searchsorted(along, reach_mm)), len(points) - 1)] - points[0]
-    length = float(np.linalg.norm(goes) * np.linalg.norm(start.direction))
-    return length > 0.0 and float(goes @ start.direction) < np.cos(np.radians(MOST_TURN_DEG)) * length
-
-
-def _along_mm(points: Points) -> NDArray[np.float64]:
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
 def _mean_along(values: NDArray[np.float64], half: int) -> NDArray[np.float64]:

@@ -1,0 +1,160 @@
+"""What a section of a way gains against a slow reading of the same rule, and what must hold for any."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carina.track import evidence_verdict as verdict
+from carina.track.evidence_verdict import Lung, Sections, Start, doubtful_sections, gains
+from carina.track.levels import AirScale
+
+HU = AirScale(air=-1000.0, tissue=0.0)
+LUNG = Lung(rise=40.0, far_rise=90.0, bright=-850.0)
+
+
+def made(seed, num):
+    rng = np.random.default_rng(seed)
+    rise = rng.uniform(0.0, 150.0, num)
+    return Sections(
+        at_mm=verdict.STEP_MM * np.arange(num),
+        own=rng.uniform(-1000.0, -430.0, num),
+        rise=rise,
+        far_rise=rise + rng.uniform(0.0, 200.0, num),
+        closed=rise * rng.uniform(0.0, 1.0, num),
+        far_closed=rise * rng.uniform(0.0, 1.5, num),
+        around=rng.uniform(-980.0, -600.0, num),
+        radius_mm=rng.uniform(0.3, 3.0, num),
+        bend=rng.uniform(0.0, 1.5, num),
+    )
+
+
+def tube(num=40, **changes):
+    """A clear airway of 1.5 mm radius."""
+    values = {
+        "own": -950.0,
+        "rise": 150.0,
+        "far_rise": 250.0,
+        "closed": 120.0,
+        "far_closed": 200.0,
+        "around": -850.0,
+        "radius_mm": 1.5,
+        "bend": 0.0,
+    }
+    fields = {name: np.full(num, value) for name, value in values.items()}
+    for name, value in changes.items():
+        fields[name] = np.asarray(value, dtype=float) * np.ones(num)
+    return Sections(at_mm=verdict.STEP_MM * np.arange(num), **fields)
+
+
+def one_by_one(sections, lung, start):
+    """The rule, section by section, in HU."""
+    found = []
+    for n, at in enumerate(sections.at_mm):
+        is_beyond = start is None or at >= min(start.inside_mm, sections.at_mm[-1] - verdict.STEP_MM)
+        first = next(
+            m
+            for m, mm in enumerate(sections.at_mm)
+            if start is None or mm >= min(start.inside_mm, sections.at_mm[-1] - verdict.STEP_MM)
+        )
+        own = sections.own[n]
+        if own > verdict.NO_LUMEN_HU:
+            found.append(verdict.NO_LUMEN)
+            continue
+        over = min(own - min(sections.around[n], lung.bright), 0.0)
+
+        def between(value, least, most):
+            return max(least, min(most, value))
+
+        gain = verdict.BASE
+        gain += verdict.RISE * between((sections.rise[n] + over) / lung.rise, *verdict.RISE_LIMITS)
+        gain += verdict.FAR_RISE * between((sections.far_rise[n] + over) / lung.far_rise, *verdict.FAR_LIMITS)
+        gain += verdict.CLOSED * between((sections.closed[n] + over) / lung.rise, *verdict.CLOSED_LIMITS)
+        gain += verdict.FAR_CLOSED * between((sections.far_closed[n] + over) / lung.far_rise, *verdict.CLOSED_LIMITS)
+        if is_beyond:
+            gain += verdict.DROP * between((max(sections.own[first : n + 1]) - own) / 100.0, 0.0, verdict.MOST_DROP)
+        if start is not None:
+            mouth = [
+                radius
+                for mm, radius in zip(sections.at_mm[:first], sections.radius_mm[:first], strict=True)
+                if mm > start.inside_mm - verdict.MOUTH_MM
+            ]
+            wide = max([start.radius_mm, *mouth])
+            gain += verdict.WIDER * between(sections.radius_mm[n] / wide - verdict.AS_WIDE, 0.0, verdict.MOST_WIDER)
+        gain += verdict.BEND * sections.bend[n]
+        gain += verdict.UNEVEN * np.std(sections.radius_mm[max(0, n - 5) : n + 6])
+        gain += verdict.GAP * between((sections.radius_mm[n] - 1.0) * (own + 980.0) / 100.0, 0.0, verdict.MOST_GAP)
+        found.append(gain)
+    return np.array(found)
+
+
+@given(seed=st.integers(0, 2**32 - 1), num=st.integers(2, 60), inside_mm=st.one_of(st.none(), st.floats(0.0, 20.0)))
+def test_what_each_section_gains_is_what_the_rule_says_one_by_one(seed, num, inside_mm):
+    sections = made(seed, num)
+    start = None if inside_mm is None else Start(inside_mm, 1.3, np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(gains(sections, LUNG, HU, start), one_by_one(sections, LUNG, start), atol=1e-9)
+
+
+@given(seed=st.integers(0, 2**32 - 1), num=st.integers(2, 60), raised=st.floats(0.0, 200.0))
+def test_more_wall_never_makes_a_section_more_doubtful(seed, num, raised):
+    sections = made(seed, num)
+    walls = ("rise", "far_rise", "closed", "far_closed")
+    fields = {name: getattr(sections, name) for name in Sections.__slots__}
+    more = Sections(**{name: value + raised * (name in walls) for name, value in fields.items()})
+    assert (gains(more, LUNG, HU) >= gains(sections, LUNG, HU) - 1e-9).all()
+    assert not (doubtful_sections(more, LUNG, HU) & ~doubtful_sections(sections, LUNG, HU)).any()
+
+
+def test_where_nothing_is_brighter_than_the_middle_there_is_no_evidence():
+    # Lung without noise: straight, even and not too wide, but without a wall.
+    plain = tube(own=-860.0, rise=0.0, far_rise=20.0, closed=0.0, far_closed=0.0, around=-860.0, radius_mm=0.35)
+    assert doubtful_sections(plain, LUNG, HU).all()
+
+
+def test_an_airway_with_a_wall_all_along_has_evidence():
+    start = Start(0.0, 1.8, np.array([0.0, 0.0, 1.0]))
+    assert not doubtful_sections(tube(), LUNG, HU, start).any()
+
+
+def test_one_bright_wall_does_not_pay_for_a_long_way_without():
+    bare = np.arange(40) >= 12
+    sections = tube(
+        rise=np.where(bare, 0.0, 1000.0),
+        far_rise=np.where(bare, 20.0, 1000.0),
+        closed=np.where(bare, 0.0, 1000.0),
+        far_closed=np.where(bare, 0.0, 1000.0),
+        own=np.where(bare, -860.0, -950.0),
+    )
+    found = doubtful_sections(sections, LUNG, HU)
+    assert found[14:].all()
+    assert not found[:8].any()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param({"own": -850.0, "radius_mm": 2.0, "closed": 10.0, "rise": 45.0, "far_closed": 50.0}, id="gap"),
+        pytest.param({"bend": 1.2, "closed": 10.0, "far_closed": 30.0}, id="bends"),
+        pytest.param({"radius_mm": np.tile([0.4, 2.8], 20), "closed": 10.0, "far_closed": 30.0}, id="uneven"),
+    ],
+)
+def test_what_lies_between_vessels_has_no_evidence_although_it_is_bright_on_most_sides(change):
+    start = Start(0.0, 1.0, np.array([0.0, 0.0, 1.0]))
+    usual = gains(tube(), LUNG, HU, start)
+    assert (gains(tube(**change), LUNG, HU, start) < usual - 2.0).all()
+
+
+def test_beyond_a_wall_that_was_stepped_over_all_is_doubtful_from_its_top():
+    own = np.full(40, -980.0)
+    own[10:14] = [-800.0, -600.0, -600.0, -800.0]
+    found = doubtful_sections(tube(own=own), LUNG, HU)
+    assert found[11:].all()
+
+
+def test_a_middle_as_bright_as_tissue_is_no_lumen():
+    own = np.full(40, -900.0)
+    own[20] = -440.0
+    found = doubtful_sections(tube(own=own), LUNG, HU)
+    assert found[20]
