@@ -2,7 +2,7 @@
 //! trouble is an error, never a wrong picture.
 #![cfg(feature = "wgpu")]
 
-#[path = "../../raycast/tests/scene/mod.rs"]
+#[path = "../../raycast/tests/all/scene.rs"]
 mod scene;
 
 use std::{

@@ -1,17 +1,15 @@
 //! The contract of the packets: on every instruction set of this machine, pictures and statistics of the scalar casters,
 //! bit for bit.
 
-mod scene;
-
 use std::ops::Range;
 
+use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView};
 use carina_isoregion::{SegmentTable, class_labels, radius_map, value_labels};
 use carina_raycast::{
     CastStats, ClassMap, Frame, InstructionSet, Method, cast_rows, cast_rows_scalar,
 };
 use proptest::prelude::*;
-use scene::{Scene, any_scene, options};
 
 /// Which caster, and how it reads samples.
 #[derive(Debug, Clone, Copy, PartialEq)]

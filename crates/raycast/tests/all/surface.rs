@@ -1,14 +1,12 @@
 //! First walls: on shapes whose walls are known exactly, the same from every caster, and one by one as all at once.
 
-mod scene;
-
+use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView, dot, length, unit};
 use carina_isoregion::{SegmentTable, class_labels, radius_map};
 use carina_raycast::{
     ClassMap, Frame, Hit, InstructionSet, Method, Transfer, TransferTable, cast_surface, pick,
 };
 use proptest::prelude::*;
-use scene::{Scene, any_scene, options};
 
 fn transparent_radius(scene: &Scene) -> Vec<u8> {
     let entries = scene.transfer(false).range(-1100, 3100);

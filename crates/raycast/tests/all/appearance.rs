@@ -1,8 +1,7 @@
 //! Lighting of first walls: the same bits from every caster, in strips and on every instruction set, and a texture that
 //! stays on the tissue.
 
-mod scene;
-
+use crate::scene::{Scene, any_scene, options};
 use carina_grid::{Affine, Camera, Grid, VolumeView, cross, unit};
 use carina_isoregion::{class_labels, radius_map};
 use carina_raycast::{
@@ -10,7 +9,6 @@ use carina_raycast::{
     TransferTable, cast_rows, cast_rows_scalar, cast_surface,
 };
 use proptest::prelude::*;
-use scene::{Scene, any_scene, options};
 
 const LOOK: Appearance = Appearance {
     guides_mm: [[-1.9, -0.5, 0.0], [1.9, -0.5, 0.3]],

@@ -4,12 +4,10 @@
 //! Volumes and transfer functions here are smooth, as in the product. What rounding may do where a transfer function jumps
 //! within one HU is bounded in `casters.rs`, ray by ray.
 
-mod anatomy;
-mod reference;
-
 use std::ops::AddAssign;
 
-use anatomy::{Chest, Dice, looks};
+use crate::anatomy::{Chest, Dice, looks};
+use crate::reference::{Matrix, Shares, View, World, to_8_bit};
 use carina_grid::{Affine, Camera, Grid, VolumeView};
 use carina_isoregion::{SegmentTable, class_labels, radius_map, value_labels};
 use carina_raycast::{
@@ -17,7 +15,6 @@ use carina_raycast::{
     Transfer, TransferTable, cast_rows, cast_rows_scalar,
 };
 use rayon::prelude::*;
-use reference::{Matrix, Shares, View, World, to_8_bit};
 
 const LO: i32 = -1100;
 const HI: i32 = 3100;

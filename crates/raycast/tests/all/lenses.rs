@@ -1,9 +1,8 @@
 //! Pictures through lenses: the same from every caster, and at each pixel what lies in its direction.
 
-mod scene;
-
 use std::sync::Arc;
 
+use crate::scene::{Scene, any_scene, options};
 use carina_grid::{
     Affine, Camera, Distortion, FieldShape, ImageField, Lens, LensRays, Optics, VolumeView, cross,
     unit,
@@ -11,7 +10,6 @@ use carina_grid::{
 use carina_isoregion::{class_labels, radius_map};
 use carina_raycast::{CastStats, Frame, InstructionSet, Method, cast_rows};
 use proptest::prelude::*;
-use scene::{Scene, any_scene, options};
 
 fn cast(
     scene: &Scene,

@@ -1,12 +1,10 @@
 //! A picture that is no longer wanted is given up; one that is wanted does not notice that it could be.
 
-mod scene;
-
 use std::sync::atomic::AtomicBool;
 
+use crate::scene::{Scene, options};
 use carina_grid::VolumeView;
 use carina_raycast::{CastStats, Frame, InstructionSet, Method, cast_rows, cast_rows_until};
-use scene::{Scene, options};
 
 fn cast(simd: InstructionSet, stop: Option<bool>) -> Option<(Vec<u8>, CastStats)> {
     let mut scene = Scene::fixed([1.0, -2.0, 0.5], [0.2, 0.9, 0.3]);

@@ -3,15 +3,13 @@
 //! derived ray by ray, of what rounding may do at such a jump. How near truth it is where the volume and the transfer
 //! function are those of a CT, `truth.rs` says: at most one grey level.
 
-mod scene;
-
+use crate::scene::{Scene, any_scene, options};
 use carina_grid::{VolumeView, clip_line_to_box};
 use carina_isoregion::{SegmentTable, class_labels, radius_map, value_labels};
 use carina_raycast::{
     CastStats, ClassMap, Frame, InstructionSet, Interpolation, Method, TransferTable, cast_rows,
 };
 use proptest::prelude::*;
-use scene::{Scene, any_scene, options};
 
 fn cast(scene: &Scene, shaded: bool, nearest: bool, method: Method<'_>) -> (Vec<u8>, CastStats) {
     let volume = VolumeView::new(&scene.hu, &scene.grid).unwrap();

@@ -1,0 +1,14 @@
+//! The contracts of the casters, in one program: each program of tests is compiled with the kernels and linked anew.
+
+mod anatomy;
+mod appearance;
+mod bad_input;
+mod casters;
+mod lenses;
+mod loads;
+mod packets;
+mod reference;
+mod scene;
+mod stop;
+mod surface;
+mod truth;
