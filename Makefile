@@ -10,7 +10,11 @@ RUST_SOURCES := $(shell find crates build_backend -name '*.rs' -o -name 'Cargo.t
 WEB_SOURCES := $(shell find web -path web/node_modules -prune -o -type f -print 2>/dev/null)
 CASE ?= phantom
 
-.PHONY: help run setup test test-rust test-web test-python test-gpu soak check fmt bench bench-setup golden lock wheel clean
+# Python keeps what it compiled. Where a machine forbids it, each of the processes that a test run starts compiles its
+# libraries anew: 10 s of the processor for pytest alone.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: help run setup test test-rust test-web test-python test-gpu soak check check-rust check-python check-web fmt bench bench-setup golden lock wheel clean
 
 help: ## print this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -20,7 +24,8 @@ help: ## print this list
 	.uv/bin/pip install -q --disable-pip-version-check uv
 
 # Locked, hashed dependencies first, then Carina itself (compiled, web UI built) in place.
-$(STAMP): requirements.lock pyproject.toml $(RUST_SOURCES) $(WEB_SOURCES) | $(if $(findstring .uv/,$(UV)),.uv/bin/uv)
+# The web's libraries before them, so that nobody installs those at the same time.
+$(STAMP): requirements.lock pyproject.toml $(RUST_SOURCES) $(WEB_SOURCES) | web/node_modules/.package-lock.json $(if $(findstring .uv/,$(UV)),.uv/bin/uv)
 	@test -x $(PY) || $(UV) venv -q .venv
 	$(UV) pip sync -q --require-hashes requirements.lock
 	$(UV) pip install -q --no-deps --reinstall-package carina -e .
@@ -52,8 +57,9 @@ $(CLUSTER_STAMP): requirements-cluster.lock $(STAMP)
 	$(UV) pip install -q --require-hashes -r requirements-cluster.lock
 	@touch $@
 
-# A worker is a process with servers and a browser of its own; beyond four they wait for memory, not for cores.
-WORKERS ?= $(shell $(PY) -c 'import os; print(min(os.cpu_count() or 1, 4))' 2>/dev/null || echo 2)
+# A worker is a process with servers and a browser of its own, and often waits for them: one more than there are cores.
+# Beyond four they wait for memory.
+WORKERS ?= $(shell $(PY) -c 'import os; print(min((os.cpu_count() or 1) + 1, 4))' 2>/dev/null || echo 3)
 
 test-python: $(STAMP) $(CLUSTER_STAMP)
 	$(PY) tools/find_browser.py --install
@@ -78,10 +84,17 @@ soak: $(STAMP) $(CLUSTER_STAMP) ## what runs for minutes: 20,000 poses against t
 	cargo test --profile checked --workspace --exclude carina-bindings -- --include-ignored
 	$(PY) -m pytest -m soak -ra
 
-check: $(STAMP) web/node_modules/.package-lock.json ## formatting, lints, types, layers, lock file, spelling, licences, advisories
+check: check-rust check-python check-web ## formatting, lints, types, layers, lock file, spelling, licences, advisories
+
+# One profile for all crates: a second one would compile every dependency again, and find nothing else.
+check-rust:
 	cargo fmt --all --check
-	cargo clippy --profile checked --workspace --exclude carina-bindings --all-targets -- -D warnings
-	cargo clippy --release -p carina-bindings -- -D warnings
+	cargo clippy --profile checked --workspace --all-targets -- -D warnings
+
+check-web: web/node_modules/.package-lock.json
+	cd web && npm run check
+
+check-python: $(STAMP)
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
 	.venv/bin/mypy
@@ -90,7 +103,6 @@ check: $(STAMP) web/node_modules/.package-lock.json ## formatting, lints, types,
 	$(PY) tools/check_layers.py
 	$(PY) tools/check_repository.py
 	$(PY) tools/audit.py
-	cd web && npm run check
 	$(PY) tools/lock.py --check --uv $(UV)
 
 fmt: $(STAMP) web/node_modules/.package-lock.json ## format everything
