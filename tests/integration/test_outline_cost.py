@@ -9,7 +9,8 @@ import pytest
 import carina
 from carina.render import CutPlaneView, Renderer, SliceView
 from carina.server.pump import encode_jpeg
-from carina.track import LumenOutline, find_airways
+from carina.track import LumenOutline
+from made import patient
 
 SIZE = (768, 620)
 ROUNDS = 40
@@ -25,10 +26,9 @@ def least_s(work, rounds=ROUNDS):
     return min(took)
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_a_large_slice_with_its_outline_takes_at_most_a_tenth_longer():
-    volume = carina.demo_patient()
-    airways = find_airways(volume)
+    volume, airways = patient()
     outline, renderer = LumenOutline(volume, airways), Renderer(volume)
     branch = max((b for b in airways.tree.branches if b.generation > 2), key=lambda b: b.length_mm)
     middle = len(branch.points) // 2

@@ -98,17 +98,16 @@ def test_a_message_that_cannot_be_done_at_all_ends_the_work_and_blocks_nobody():
     asyncio.run(run())
 
 
-def flooded(live, window, *, seconds, rate_hz=1000):
-    """Milliseconds, sorted, that others waited while a script steered; and how often it did."""
+def flooded(live, window, calls, *, num_sent, rate_hz=1000):
+    """How many movements were done, sorted, while each request of others waited for its answer, as a script steered."""
     stop = threading.Event()
-    sent = [0]
 
     def flood():
-        began = time.perf_counter()
-        while not stop.is_set():
-            for _ in range(int((time.perf_counter() - began) * rate_hz) - sent[0]):
+        began, sent = time.perf_counter(), 0
+        while sent < num_sent:
+            for _ in range(min(int((time.perf_counter() - began) * rate_hz), num_sent) - sent):
                 window.send(steer(roll_rad=1e-4))
-                sent[0] += 1
+                sent += 1
             stop.wait(0.002)
 
     def read():
@@ -118,22 +117,20 @@ def flooded(live, window, *, seconds, rate_hz=1000):
                 window.next()
 
     threads = [threading.Thread(target=flood), threading.Thread(target=read, daemon=True)]
-    took_ms = []
+    waited = []
     with live.http(authorization=f"Bearer {live.gate.secret}") as http:
         for thread in threads:
             thread.start()
-        until_s = time.perf_counter() + seconds
-        while time.perf_counter() < until_s:
-            began = time.perf_counter()
+        while threads[0].is_alive():
+            before = len(calls)
             assert http.get("/api/key-frames.json").status_code == 409
-            took_ms.append(1e3 * (time.perf_counter() - began))
+            waited.append(len(calls) - before)
         stop.set()
-        threads[0].join()
-    return sorted(took_ms), sent[0]
+    return sorted(waited)
 
 
-@pytest.mark.parametrize("seconds", [pytest.param(2.0), pytest.param(30.0, marks=pytest.mark.soak)])
-def test_others_do_not_wait_for_a_script_that_steers_a_thousand_times_a_second(live, monkeypatch, seconds):
+@pytest.mark.parametrize("num_sent", [pytest.param(2000), pytest.param(30_000, marks=pytest.mark.soak)])
+def test_others_do_not_wait_for_a_script_that_steers_a_thousand_times_a_second(live, monkeypatch, num_sent):
     plain, calls = Session.steer, []
 
     def slow(self, *amounts):
@@ -149,20 +146,19 @@ def test_others_do_not_wait_for_a_script_that_steers_a_thousand_times_a_second(l
         window.until_state(lambda s: s.mode == "free")
         monkeypatch.setattr(Session, "steer", slow)
         before = live.session.pose_info().pose.lps_from_camera[:3, :3]
-        took_ms, num_sent = flooded(live, window, seconds=seconds)
+        waited = flooded(live, window, calls, num_sent=num_sent)
         # Every movement has come in: the last of them is answered behind the others.
         total = num_sent * 1e-4
         deadline_s = time.monotonic() + 60.0
         while abs(sum(c[3] for c in calls) - total) > 1e-9 and time.monotonic() < deadline_s:
             threading.Event().wait(0.01)
-    p95_ms = took_ms[len(took_ms) * 95 // 100]
-    print(
-        f"{num_sent / seconds:.0f} steers/s, {len(calls)} done; others p95 {p95_ms:.1f} ms, worst {took_ms[-1]:.0f} ms"
-    )
+    p95 = waited[len(waited) * 95 // 100]
+    print(f"{num_sent} steers, {len(calls)} done; while others waited: p95 {p95}, worst {waited[-1]}")
     assert math.isclose(sum(c[3] for c in calls), total, rel_tol=1e-9)
     after = live.session.pose_info().pose.lps_from_camera[:3, :3]
     turned = math.acos(np.clip((np.trace(before.T @ after) - 1.0) / 2.0, -1.0, 1.0))
     assert turned == pytest.approx(math.acos(math.cos(total)), abs=1e-6)
     assert len(calls) < num_sent / 2
-    # It was 3 to 4 s without the inbox; 0.1 to 0.14 s were seen with it, beside a load of 10 too.
-    assert p95_ms < 500.0
+    # Counted in movements done meanwhile, 3 ms each, so that a busy machine tells nothing else: more than a thousand
+    # without the inbox, 30 to 45 with it.
+    assert p95 < 150

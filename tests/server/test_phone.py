@@ -372,17 +372,11 @@ def test_a_forward_that_is_never_let_go_ends_with_the_phone(phone):
     wait_for(lambda: not phone.page.info().connected)
     # Without another sample no device moves longer than a quarter of a second.
     end_mm = 25.0 * (time.monotonic() - began_s + 0.25 + 0.1)
-    rests = [phone.session.pose_info().path_mm]
-
-    def has_come_to_rest() -> bool:
-        time.sleep(0.1)
-        rests.append(phone.session.pose_info().path_mm)
-        return rests[-1] == rests[-2]
-
-    wait_for(has_come_to_rest)
-    assert rests[-1] < end_mm
+    wait_for(lambda: not phone.session.device_woken.is_set())
+    rest_mm = phone.session.pose_info().path_mm
+    assert rest_mm < end_mm
     time.sleep(0.2)
-    assert phone.session.pose_info().path_mm == rests[-1]
+    assert phone.session.pose_info().path_mm == rest_mm
 
 
 def test_nonsense_clocks_and_numbers_are_counted_and_the_tip_stays_finite(phone):
