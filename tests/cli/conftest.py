@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import pytest
 
 from carina.cli import main
-from carina.phantom import generate_phantom, write_phantom
+from carina.phantom import write_phantom
+from made import made_phantom
 
 
 @dataclass
@@ -50,7 +51,7 @@ def carina(monkeypatch, capfd, tmp_path):
 def phantom_folder(tmp_path_factory):
     """A chest at 2.5 mm: small enough to be opened in every test, fine enough for the main airways."""
     folder = tmp_path_factory.mktemp("phantom")
-    write_phantom(generate_phantom(spacing_mm=2.5, generations=4), folder)
+    write_phantom(made_phantom(spacing_mm=2.5, generations=4), folder)
     return folder
 
 

@@ -10,13 +10,14 @@ import SimpleITK as sitk
 from edit_case import edit_case, in_plain_lung, open_ended_volume
 
 from carina.export import write_mask
-from carina.phantom import generate_phantom, write_phantom
+from carina.phantom import write_phantom
+from made import made_phantom
 
 
 @pytest.fixture(scope="module")
 def case(tmp_path_factory):
     folder = tmp_path_factory.mktemp("phantom")
-    write_phantom(generate_phantom(seed=4, spacing_mm=1.5, generations=3), folder)
+    write_phantom(made_phantom(seed=4, spacing_mm=1.5, generations=3), folder)
     return folder
 
 

@@ -9,9 +9,9 @@ import pytest
 import SimpleITK as sitk
 
 from carina.errors import CarinaError
-from carina.phantom import generate_phantom
 from carina.track import AirwayTree, branch_side_and_lobe, name_tree
 from carina_bench import track, track_names
+from made import made_phantom
 
 ROW = {"what": "paths", "case": "phantom", "figure": 9.0, "limit": 8.0, "unit": "x", "median": 9.0, "min": 8.5}
 
@@ -70,7 +70,7 @@ def test_a_part_without_its_peer_is_left_out_unless_it_was_asked_for(carina, mon
 
 
 def test_lobes_are_judged_by_masks_one_of_which_is_a_nifti_named_gz(tmp_path):
-    phantom = generate_phantom(seed=1, spacing_mm=1.5, generations=4, noise_hu=0.0)
+    phantom = made_phantom(seed=1, spacing_mm=1.5, generations=4, noise_hu=0.0)
     lumen, truth = phantom.lumen_zyx, AirwayTree.from_json(phantom.truth)
     lobes = branch_side_and_lobe(name_tree(truth))
     points = np.concatenate([branch.points for branch in truth.branches])

@@ -14,6 +14,7 @@ import SimpleITK as sitk
 
 import carina
 from carina.render import AirwayView, Renderer
+from made import patient
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 IN_DOCS = EXAMPLES.parent / "docs" / "pictures" / "gallery"
@@ -110,8 +111,7 @@ def test_golden_gallery_pictures_are_what_the_docs_show(gallery, tmp_path):
 @pytest.mark.slow
 def test_a_gallery_picture_with_a_changed_look_is_not_taken_for_the_one_of_the_docs(tmp_path):
     gallery = load(EXAMPLES / "02_gallery" / "gallery.py")
-    volume = carina.demo_patient()
-    airways = carina.find_airways(volume)
+    volume, airways = patient()
     pose = gallery.places(*gallery.way(airways.tree))["carina"]
     endoscopic = carina.transfer_preset("endoscopic")
     shown = sitk.GetArrayFromImage(sitk.ReadImage(str(IN_DOCS / "carina.jpg")))

@@ -15,6 +15,7 @@ from carina.export import EXPORT_SUFFIXES, export_airways, export_tree, read_bad
 from carina.render import Picture, read_png_badges
 from carina.scopes import Pose
 from carina.volume import Note, Volume, VolumeSource, badges_of
+from made import made_airways, made_phantom
 
 CLIPPED = Note("import.clipped", "9 voxels lie outside; \u201cof\u201d\nthis scan", badge=True)
 PLAIN = Note("import.several-series", "another series was left out")
@@ -23,12 +24,12 @@ STOPPED = Note("track.search-stopped", "the search was stopped", badge=True)
 
 @pytest.fixture(scope="module")
 def case():
-    phantom = carina.generate_phantom(seed=4, spacing_mm=1.5, generations=3)
-    volume = phantom.volume
+    options = {"seed": 4, "spacing_mm": 1.5, "generations": 3}
+    volume = made_phantom(**options).volume
     doubted = Volume(
         volume.hu_zyx, volume.lps_from_ijk, source=VolumeSource(format="array", title="t", notes=(PLAIN, CLIPPED))
     )
-    return doubted, carina.find_airways(volume)
+    return doubted, made_airways(**options)
 
 
 def said(path) -> str:

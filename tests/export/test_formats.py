@@ -17,12 +17,12 @@ from carina.errors import GeometryError, UsageError
 from carina.export import export_airways, export_tree, write_mask, write_mesh
 from carina.track import AirwayTree, Branch, Mesh, lumen_mesh
 from carina.volume import Volume, open_mask
+from made import SMALL_CHEST, made_airways, made_phantom
 
 
 @pytest.fixture(scope="module")
 def case():
-    phantom = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=4)
-    return phantom.volume, carina.find_airways(phantom.volume)
+    return made_phantom(**SMALL_CHEST).volume, made_airways(**SMALL_CHEST)
 
 
 @pytest.fixture
@@ -135,8 +135,7 @@ def test_the_surface_is_closed_and_as_large_as_the_lumen(case):
 
 
 def test_the_surface_of_a_known_tube_has_its_volume():
-    phantom = carina.generate_phantom(seed=2, spacing_mm=0.8, generations=3)
-    airways = carina.find_airways(phantom.volume)
+    phantom, airways = made_phantom(**SMALL_CHEST), made_airways(**SMALL_CHEST)
     truth_mm3 = np.count_nonzero(phantom.lumen_zyx) * np.prod(phantom.volume.spacing_mm)
     assert lumen_mesh(phantom.volume, airways).volume_mm3 == pytest.approx(truth_mm3, rel=0.06)
 

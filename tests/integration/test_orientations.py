@@ -13,16 +13,16 @@ import pytest
 import SimpleITK as sitk
 
 import carina
-from carina.phantom import generate_phantom
 from carina.render import AirwayView, Renderer, SliceView, XrayView
 from carina.scopes import Pose
+from made import made_phantom
 
 SPACING_MM = (2.0, 2.0, 2.4)
 
 
 @pytest.fixture(scope="module")
 def phantom():
-    return generate_phantom(spacing_mm=SPACING_MM, generations=4)
+    return made_phantom(spacing_mm=SPACING_MM, generations=4)
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ import carina
 from carina.phantom import generate_phantom, lumen_distance_at
 from carina.scopes import WallField
 from carina.track import lumen_mesh
+from made import patient as the_patient
 
 SEED = 3
 LOW, HIGH = np.array([-70.0, -50.0, -90.0]), np.array([70.0, 50.0, 112.0])
@@ -76,8 +77,7 @@ def chest() -> Lumen:
 @pytest.fixture(scope="module")
 def patient() -> Lumen:
     """The bundled CT; the wall is its lumen's mesh, measured to triangle by triangle."""
-    volume = carina.demo_patient()
-    airways = carina.find_airways(volume)
+    volume, airways = the_patient()
     mesh = lumen_mesh(volume, airways)
     tree = airways.tree
     routes = [tree.route_to(tip.id).points_lps for tip in tree.tips()]

@@ -7,18 +7,17 @@ import dataclasses
 import numpy as np
 import pytest
 
-import carina
 from carina.session.routes import route_to_branch
 from carina.track import AirwayTree, DrawnPart, drawn_part, drawn_tree, measure_tree
+from made import SMALL_CHEST, made_airways, made_phantom
 
 
 @pytest.fixture(scope="module")
 def case():
     """A phantom, its airways, and a leaf far down."""
-    phantom = carina.generate_phantom(seed=4, spacing_mm=1.2, generations=4)
-    airways = carina.find_airways(phantom.volume)
+    airways = made_airways(**SMALL_CHEST)
     leaf = max(airways.tree.tips(), key=lambda branch: (branch.generation, branch.length_mm))
-    return phantom.volume, airways, leaf
+    return made_phantom(**SMALL_CHEST).volume, airways, leaf
 
 
 def of_kind(airways, branch_id: int, kind: str):

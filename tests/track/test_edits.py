@@ -477,7 +477,7 @@ class EditSequences(RuleBasedStateMachine):
 
 
 TestEditSequences = EditSequences.TestCase
-TestEditSequences.settings = settings(max_examples=200, stateful_step_count=8, deadline=None, derandomize=True)
+TestEditSequences.settings = settings(max_examples=80, stateful_step_count=8, deadline=None, derandomize=True)
 
 
 @pytest.mark.soak

@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 
 from carina.errors import NoResultError
-from carina.phantom import Phantom, generate_phantom
+from carina.phantom import Phantom
 from carina.track import find_airways
 from carina.volume.model import Volume
+from made import made_phantom
 
 SPACING_MM = 1.3
 
 
 @pytest.fixture(scope="module")
 def made() -> Phantom:
-    return generate_phantom(seed=5, spacing_mm=SPACING_MM, generations=4, noise_hu=20.0)
+    return made_phantom(seed=5, spacing_mm=SPACING_MM, generations=4, noise_hu=20.0)
 
 
 def places(volume: Volume):
@@ -185,7 +186,7 @@ def test_a_part_of_the_trachea_is_enough_and_a_chest_without_airways_is_refused(
 
 @pytest.fixture(scope="module", params=[1, 2, 3])
 def any_made(request) -> Phantom:
-    return generate_phantom(seed=request.param, spacing_mm=SPACING_MM, generations=4, noise_hu=20.0)
+    return made_phantom(seed=request.param, spacing_mm=SPACING_MM, generations=4, noise_hu=20.0)
 
 
 def cut_above(made: Phantom, height_mm: float) -> Volume:

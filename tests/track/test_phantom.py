@@ -8,14 +8,23 @@ import pytest
 from carina.errors import NoResultError
 from carina.phantom import generate_phantom
 from carina.track import AirwayTree, find_airways
+from made import MASKED_CHEST, OTHER_CHEST, made_airways, made_phantom
 
-pytestmark = pytest.mark.slow
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [MASKED_CHEST, OTHER_CHEST], ids=["1", "2"])
+def test_the_tree_of_a_phantom_has_the_true_branches(options):
+    same_as_its_truth(made_phantom(**options), made_airways(**options))
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_the_tree_of_a_phantom_has_the_true_branches(seed):
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(1, 9))
+def test_the_tree_of_a_fine_phantom_has_the_true_branches(seed):
     phantom = generate_phantom(seed=seed)
-    airways = find_airways(phantom.volume)
+    same_as_its_truth(phantom, find_airways(phantom.volume))
+
+
+def same_as_its_truth(phantom, airways):
     truth = AirwayTree.from_json(phantom.truth)
     found = np.bincount([branch.generation for branch in airways.tree.branches])
     true = np.bincount([branch.generation for branch in truth.branches])

@@ -18,14 +18,15 @@ from carina.track.kernel import edge_undershoot_hu
 from carina.track.levels import air_scale
 from carina.track.totals import doubt_of_totals
 from carina.track.tree import Branch
+from made import MASKED_CHEST, made_phantom
+from made import patient as the_patient
 
 CODE = "track.search-stopped"
 
 
 @pytest.fixture(scope="module")
 def patient():
-    volume = carina.demo_patient()
-    return volume, carina.find_airways(volume)
+    return the_patient()
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +136,7 @@ def spoilt(found, truth):
 
 @pytest.mark.slow
 def test_a_sharpened_phantom_is_not_flooded():
-    made = generate_phantom(seed=1, spacing_mm=1.3, noise_hu=20.0)
+    made = made_phantom(**MASKED_CHEST)
     airways = carina.find_airways(sharpened(made.volume, 0.8, 30.0))
     found, truth = airways.lumen_zyx != 0, made.lumen_zyx != 0
     assert spoilt(found, truth) < 0.05

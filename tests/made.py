@@ -1,0 +1,118 @@
+"""What is slow to make and the same for many tests: made once by whoever needs it first, then read by all workers.
+
+A phantom takes seconds to make and a moment to read. It lies in pytest's cache folder under a digest of its options, of
+the compiled core and of the sources that make it: what was made by other code is never read, and goes with the first
+phantom that is made by this one. What a test asks for twice in one process is the same object; all of it is read-only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import pickle
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import carina
+from carina import _core, phantom
+from carina.phantom import Phantom
+from carina.track import Airways
+from carina.volume import Volume, model
+
+ROOT = Path(__file__).resolve().parents[1]
+CACHE = ROOT / ".pytest_cache" / "d" / "made"
+"""Where pytest's own plugins keep theirs; ``pytest --cache-clear`` empties it."""
+
+
+# Chests that several files look at. All the generations there are, fine enough for the named segments.
+MASKED_CHEST: dict[str, Any] = {"seed": 1, "spacing_mm": 1.1, "noise_hu": 25.0}
+OTHER_CHEST: dict[str, Any] = {"seed": 2, "spacing_mm": 1.1}
+# The central airways alone.
+SMALL_CHEST: dict[str, Any] = {"seed": 4, "spacing_mm": 1.2, "generations": 4}
+
+
+@cache
+def digest_of_the_code() -> str:
+    """Of everything that has a say in a phantom's voxels, its place and its truth."""
+    found = hashlib.sha256(f"{sys.version} numpy {np.__version__}".encode())
+    for module in (_core, phantom, model, sys.modules[__name__]):
+        assert module.__file__ is not None
+        found.update(Path(module.__file__).read_bytes())
+    return found.hexdigest()[:16]
+
+
+def made_phantom(**options: Any) -> Phantom:
+    """:func:`carina.phantom.generate_phantom` with these options, read from the cache where it was made before."""
+    return _phantom(json.dumps(options, sort_keys=True))
+
+
+@lru_cache(maxsize=8)
+def _phantom(options: str) -> Phantom:
+    name = hashlib.sha256(options.encode()).hexdigest()[:16]
+    folder = CACHE / digest_of_the_code() / name
+    try:
+        with alone(name):
+            if not folder.exists():
+                keep(phantom.generate_phantom(**json.loads(options)), folder)
+    except OSError:  # a checkout that cannot be written: costs time only
+        return phantom.generate_phantom(**json.loads(options))
+    # Mapped, not read: the workers share the memory.
+    values, lumen = (np.asarray(np.load(folder / f"{part}.npy", mmap_mode="r")) for part in ("ct", "lumen"))
+    with (folder / "rest.pickle").open("rb") as file:
+        rest = pickle.load(file)
+    volume = Volume(values, rest["lps_from_ijk"], source=rest["source"])
+    return Phantom(volume=volume, lumen_zyx=lumen, truth=rest["truth"])
+
+
+def keep(made: Phantom, folder: Path) -> None:
+    """Write beside its place and rename, so that a run that is stopped leaves nothing half done."""
+    assert made.lumen_distance_mm is None
+    for other in CACHE.iterdir():
+        if other.is_dir() and other != folder.parent:
+            shutil.rmtree(other, ignore_errors=True)
+    folder.parent.mkdir(exist_ok=True)
+    draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix="draft-"))
+    np.save(draft / "ct.npy", made.volume.hu_zyx)
+    np.save(draft / "lumen.npy", made.lumen_zyx)
+    rest = {"lps_from_ijk": made.volume.lps_from_ijk, "source": made.volume.source, "truth": made.truth}
+    (draft / "rest.pickle").write_bytes(pickle.dumps(rest))
+    draft.rename(folder)
+
+
+@contextlib.contextmanager
+def alone(name: str) -> Iterator[None]:
+    """One process at a time makes what has this name; the others wait. Without locks of files they all make it."""
+    CACHE.mkdir(parents=True, exist_ok=True)
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    with (CACHE / f"{name}.lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+@lru_cache(maxsize=4)
+def _airways(options: str) -> Airways:
+    return carina.find_airways(_phantom(options).volume)
+
+
+def made_airways(**options: Any) -> Airways:
+    """The airways that are found in :func:`made_phantom`, searched once a process."""
+    return _airways(json.dumps(options, sort_keys=True))
+
+
+@cache
+def patient() -> tuple[Volume, Airways]:
+    """The bundled CT and its airways, searched once a process."""
+    volume = carina.demo_patient()
+    return volume, carina.find_airways(volume)
