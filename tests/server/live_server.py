@@ -89,6 +89,14 @@ class Window:
             if wanted(message):
                 return message
 
+    def had(self, wanted):
+        """The first message that is wanted, of those that have come or will come.
+
+        A tree is written beside the answers, and its route follows it: either may come before a state that follows from
+        it, or long after.
+        """
+        return next(filter(wanted, self.seen), None) or self.until(wanted)
+
     def until_state(self, wanted):
         return self.until(lambda m: isinstance(m, wire.State) and wanted(m))
 

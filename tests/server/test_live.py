@@ -171,9 +171,9 @@ def test_opening_a_case_brings_state_tree_route_pose_and_pictures_of_all_views(l
         assert state.case.title == "Thorax 1.5"
         assert state.case.other_series[0].refused == "too few slices"
         window.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "tree" and m.full)
-        trees = [m.tree for m in window.seen if isinstance(m, wire.Tree) and m.tree is not None]
-        assert [b.name for b in trees[-1].branches] == ["Trachea", "RMB", "LMB", None]
-        route = [m.route for m in window.seen if isinstance(m, wire.Route)].pop()
+        tree = window.had(lambda m: isinstance(m, wire.Tree) and m.tree is not None).tree
+        assert [b.name for b in tree.branches] == ["Trachea", "RMB", "LMB", None]
+        route = window.had(lambda m: isinstance(m, wire.Route) and m.route is not None).route
         assert route.branch_id == 3
         assert len(route.points_lps) == len(route.cumulative_mm) == len(route.generation) == len(route.radius_mm)
         assert {p.view for p in window.pictures} == {"airway", "axial", "tree"}
@@ -269,7 +269,7 @@ def test_targets_are_undone_and_done_again(live):
         window.send(wire.AddTarget(left))
         added = window.until_state(lambda s: len(s.targets) == 1)
         assert (added.can_undo, added.route_id) == ("add Target 1", "target-1")
-        window.until(lambda m: isinstance(m, wire.Route) and m.route is not None and m.route.target_id == "target-1")
+        window.had(lambda m: isinstance(m, wire.Route) and m.route is not None and m.route.target_id == "target-1")
         window.send(wire.Undo())
         undone = window.until_state(lambda s: not s.targets)
         assert (undone.can_redo, undone.route_id) == ("add Target 1", "branch-3")
@@ -281,17 +281,8 @@ def test_a_change_that_leaves_tree_and_route_alone_does_not_send_them_again(live
     with live.window() as window:
         open_case(window)
 
-        def is_route(message):
-            return isinstance(message, wire.Route) and message.route is not None
-
-        def is_tree(message):
-            return isinstance(message, wire.Tree) and message.tree is not None
-
-        # The tree is written beside the answers, and its route follows it: either may come before the state that says
-        # "found" or long after it, and comes once only.
-        for wanted in (is_tree, is_route):
-            if not any(map(wanted, window.seen)):
-                window.until(wanted)
+        window.had(lambda m: isinstance(m, wire.Tree) and m.tree is not None)
+        window.had(lambda m: isinstance(m, wire.Route) and m.route is not None)
         # The other answers come in order, so after this one nothing of the opening is still on its way.
         window.send(wire.SetFov(95.0))
         window.until_state(lambda s: s.fov_deg == 95.0)
@@ -334,9 +325,9 @@ def test_a_reload_gets_the_whole_state_and_fresh_pictures(live):
         pose = window.until(lambda m: isinstance(m, wire.Pose) and m.path_mm == 20.0)
     with live.window() as window:
         assert window.until_state(lambda s: True).case == before.case
-        assert window.until(lambda m: isinstance(m, wire.Tree)).tree is not None
-        assert window.until(lambda m: isinstance(m, wire.Route)).route is not None
-        assert window.until(lambda m: isinstance(m, wire.Pose)) == pose
+        assert window.had(lambda m: isinstance(m, wire.Tree) and m.tree is not None)
+        assert window.had(lambda m: isinstance(m, wire.Route) and m.route is not None)
+        assert window.had(lambda m: isinstance(m, wire.Pose)) == pose
         window.send(SHOWN)
         for view in ("airway", "axial", "tree"):
             if view not in {p.view for p in window.pictures}:
