@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-from typing import get_args
+import ast
+import functools
+import re
+from pathlib import Path
+from typing import get_args, get_type_hints
 
 import pytest
 
@@ -23,6 +26,8 @@ from carina.render.view_table import CellName, Need
 from carina.server import messages as wire
 from carina.volume.planes import PLANES, Plane
 
+REPOSITORY = Path(__file__).resolve().parents[2]
+
 
 def names(**wanted):
     return {
@@ -41,9 +46,9 @@ def test_the_wire_knows_the_scale_and_the_camera_of_each_view_that_has_one():
     assert set(get_args(FlatViewName)) == names(zoom={"slice", "extent"})
     assert set(get_args(OrbitViewName)) == names(zoom={"orbit"})
     scales = {row.scale_field for row in VIEWS.values()} - {None}
-    assert {field.name for field in dataclasses.fields(wire.Zoom)} == scales
+    assert set(get_type_hints(wire.Zoom)) == scales
     cameras = {f"orbit_{VIEWS[name].field}" for name in get_args(OrbitViewName)}
-    assert cameras <= {field.name for field in dataclasses.fields(wire.State)}
+    assert cameras <= set(get_type_hints(wire.State))
 
 
 def test_every_cell_has_a_view_and_a_way_to_bring_each_of_them():
@@ -70,3 +75,42 @@ def test_the_views_with_a_part_to_play_can_play_it():
 def test_an_unknown_view_is_refused_with_the_names_of_all():
     with pytest.raises(UsageError, match=r"airway, axial, .*tri-plane; found 'drone'"):
         view_row("drone")
+
+
+@functools.cache
+def named_strings(path: Path) -> set[str]:
+    """The strings of a file, without comments and docstrings."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix != ".py":
+        text = re.sub(r"/\*.*?\*/|(?<=\s)//[^\n]*", "", text, flags=re.DOTALL)
+        return {quoted or template for quoted, template in re.findall(r'"([^"\n]*)"|`([^`]*)`', text)}
+    tree = ast.parse(text)
+    said = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    constants = (node for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in said)
+    return {node.value for node in constants if isinstance(node.value, str)}
+
+
+PRODUCT = [
+    path
+    for folder, suffixes in (("python/carina", {".py"}), ("web/src", {".ts", ".tsx", ".css"}))
+    for path in sorted((REPOSITORY / folder).rglob("*"))
+    if path.suffix in suffixes and ".test." not in path.name and path.name not in {"views.ts", "messages.ts"}
+    if "_web" not in path.parts
+]
+TREE_MESSAGE = re.compile(r"server/|session/|cli/|app/workstation\.ts|state/app-state\.ts")
+"""The airway tree itself is a topic and a message of the same name."""
+
+
+@pytest.mark.parametrize("view", VIEW_NAMES)
+def test_at_most_four_files_name_a_view(view):
+    files = [path.relative_to(REPOSITORY).as_posix() for path in PRODUCT if view in named_strings(path)]
+    if view == "tree":
+        files = [name for name in files if not TREE_MESSAGE.search(name)]
+    assert "python/carina/render/view_table.py" in files or view in PLANES
+    assert len(files) <= 4, files
+
+
+def test_nothing_takes_a_view_s_name_apart():
+    for path in PRODUCT:
+        found = re.findall(r"(?:startsWith|startswith|removeprefix)\(\"(?:xray|cut|tri)\b[^)]*\)", path.read_text())
+        assert found == [], path
