@@ -18,7 +18,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from carina.errors import CarinaError, NoResultError, UsageError, VolumeImportError
-    from carina.export import export_airways, read_tree, write_tree
+    from carina.export import export_airways, read_tree, write_film, write_tree
     from carina.navigate import FlightPath, Navigator
     from carina.phantom import generate_phantom, write_phantom
     from carina.render import Renderer, TransferFunction, render_surface, render_view, transfer_preset
@@ -55,6 +55,7 @@ _HOME = {
     "track_paths": "track",
     "transfer_preset": "render",
     "wall_field": "track",
+    "write_film": "export",
     "write_phantom": "phantom",
     "write_tree": "export",
 }
@@ -89,6 +90,7 @@ __all__ = [
     "track_paths",
     "transfer_preset",
     "wall_field",
+    "write_film",
     "write_phantom",
     "write_tree",
 ]

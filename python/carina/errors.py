@@ -25,6 +25,7 @@ __all__ = [
     "TrackingError",
     "UsageError",
     "VolumeImportError",
+    "check_type",
 ]
 
 
@@ -143,3 +144,29 @@ class ProtocolError(CarinaError, ValueError):
 
     code = "protocol"
     exit_code = 1
+
+
+def check_type(where: str, name: str, value: object, kinds: type | tuple[type, ...], remedy: str) -> None:
+    """Refuse an argument of another type at a public door, in the words of all other refusals.
+
+    Parameters
+    ----------
+    where, name
+        The function and its argument.
+    value
+        What was passed.
+    kinds
+        What it must be.
+    remedy
+        How to get one; the end of the sentence.
+
+    Raises
+    ------
+    UsageError
+        ``usage.type``.
+    """
+    if not isinstance(value, kinds):
+        expected = " or ".join(kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,)))
+        raise UsageError(
+            f"{where}: {name}: expected {expected}; found {type(value).__name__}; {remedy}", code="usage.type"
+        )

@@ -29,7 +29,12 @@ def load(path: Path):
 
 
 def test_every_example_is_tested_here():
-    assert sorted(path.name for path in EXAMPLES.glob("*/*.py")) == ["first_airway.py", "gallery.py"]
+    assert sorted(path.name for path in EXAMPLES.glob("*/*.*")) == [
+        "first_airway.py",
+        "from_ct_to_film.ipynb",
+        "gallery.py",
+        "scope_handle.ino",
+    ]
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """File formats."""
 
 from carina.export.any_file import EXPORT_SUFFIXES, export_airways, export_tree, is_tree_file
+from carina.export.film import Film, write_film
 from carina.export.mask_file import write_mask
 from carina.export.mesh_file import write_mesh
 from carina.export.tree_file import read_badges, read_tree, write_tree
@@ -10,12 +11,14 @@ from carina.export.video import VIDEO_SUFFIXES, VideoWriter
 __all__ = [
     "EXPORT_SUFFIXES",
     "VIDEO_SUFFIXES",
+    "Film",
     "VideoWriter",
     "export_airways",
     "export_tree",
     "is_tree_file",
     "read_badges",
     "read_tree",
+    "write_film",
     "write_markups",
     "write_mask",
     "write_mesh",

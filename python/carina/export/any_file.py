@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from carina.errors import UsageError
+from carina.errors import UsageError, check_type
 from carina.export.mask_file import MASK_SUFFIXES, write_mask
 from carina.export.mesh_file import MESH_SUFFIXES, write_mesh
 from carina.export.tree_file import write_tree
@@ -102,6 +102,8 @@ def export_airways(
     >>> carina.export_airways("lumen.stl", phantom.volume, airways).name
     'lumen.stl'
     """
+    check_type("export_airways", "volume", volume, Volume, "open one with carina.open_volume")
+    check_type("export_airways", "airways", airways, Airways, "find them with carina.find_airways")
     lasting = tuple(dict.fromkeys([*badges_of(volume, airways), *badges]))
     if is_tree_file(path):
         return export_tree(path, airways.tree if tree is None else tree, badges=lasting)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from carina.disk import write_whole
-from carina.errors import TrackingError, VolumeImportError
+from carina.errors import TrackingError, VolumeImportError, check_type
 from carina.track.tree import AirwayTree
 from carina.volume import Note
 
@@ -36,6 +36,7 @@ def write_tree(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = (
     >>> carina.write_tree("airways.json", airways.tree).name
     'airways.json'
     """
+    check_type("write_tree", "tree", tree, AirwayTree, "it is the tree of carina.find_airways")
     document = dataclasses.replace(tree, notes=tuple(dict.fromkeys([*badges, *tree.notes]))).to_json()
     text = json.dumps(document, allow_nan=False) + "\n"
     return write_whole(path, text.encode(), what="the tree")

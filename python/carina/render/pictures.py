@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal, cast
+import inspect
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.errors import UsageError
+from carina.errors import UsageError, check_type
 from carina.render.backend import Backend
 from carina.render.renderer import Renderer
 from carina.render.surface import Surface
 from carina.render.transfer import TransferFunction
 from carina.render.view_settings import Orbit, ViewSettings
-from carina.render.view_table import LEAD_VIEW, VIEWS, view_row
-from carina.render.views import AirwayView, Picture, Slab, View
+from carina.render.view_table import LEAD_VIEW, view_row
+from carina.render.views import AirwayView, Picture, Slab, TreeView, View
 from carina.scopes import FULL_FRAME, DepthOfField, ImageField, Lens, Mask, PathFrames, Pose, ScopePreset, scope_preset
 from carina.volume import Volume
 
@@ -27,8 +28,8 @@ MARK_RGB = (70, 220, 235)
 def render_view(
     volume: Volume,
     *,
-    view: str,
-    pose: Pose,
+    view: str | View,
+    pose: Pose | None = None,
     fov_deg: float | None = None,
     width: int = 512,
     height: int = 512,
@@ -61,9 +62,10 @@ def render_view(
     volume
         The volume.
     view
-        One of :data:`carina.render.VIEW_NAMES`: ``airway``, ``axial``, ``tree``, ...
+        A value such as :class:`carina.render.AirwayView`, which says all that is to be seen; or a name, with the
+        parameters below: one of :data:`carina.render.VIEW_NAMES`: ``airway``, ``axial``, ``tree``, ...
     pose
-        The tip: camera of the airway view, centre of the planes.
+        The tip: camera of the airway view, centre of the planes. Needed with a view's name.
     fov_deg
         Full angle across the shorter side, of the airway view: unless told that of the scope, of the calibration, or
         90.
@@ -115,37 +117,54 @@ def render_view(
     >>> picture.rgb.shape
     (48, 64, 3)
     """
-    spec = view_spec(
-        view=view,
-        pose=pose,
-        fov_deg=fov_deg,
-        width=width,
-        height=height,
-        method=method,
-        step_vox=step_vox,
-        shading=shading,
-        texture=texture,
-        orbit=orbit,
-        window_hu=window_hu,
-        extent_mm=extent_mm,
-        mm_per_px=mm_per_px,
-        carm_deg=carm_deg,
-        tone=tone,
-        path=path,
-        turn_deg=turn_deg,
-        slab=slab,
-        scope=scope,
-        lens=lens,
-        mask=mask,
-        vignette=vignette,
-        depth_of_field=depth_of_field,
-    )
+    check_type("render_view", "volume", volume, Volume, "open one with carina.open_volume")
+    told: dict[str, Any] = {
+        "fov_deg": fov_deg,
+        "width": width,
+        "height": height,
+        "method": method,
+        "step_vox": step_vox,
+        "shading": shading,
+        "texture": texture,
+        "orbit": orbit,
+        "window_hu": window_hu,
+        "extent_mm": extent_mm,
+        "mm_per_px": mm_per_px,
+        "carm_deg": carm_deg,
+        "tone": tone,
+        "path": path,
+        "turn_deg": turn_deg,
+        "slab": slab,
+        "scope": scope,
+        "lens": lens,
+        "mask": mask,
+        "vignette": vignette,
+        "depth_of_field": depth_of_field,
+    }
+    if isinstance(view, str):
+        spec = view_spec(view=view, pose=_needed_pose("render_view", pose), **told)
+    else:
+        check_type("render_view", "view", view, get_args(View), "or name one of carina.render.VIEW_NAMES")
+        doubled = [name for name, value in {"pose": pose, **told}.items() if value != _DEFAULTS[name]]
+        if doubled:
+            names, kind = ", ".join(doubled), type(view).__name__
+            raise UsageError(f"render_view: {names}: expected inside the {kind}; found beside it; set it there")
+        spec = view
     renderer = Renderer(volume, transfer=transfer, backend=backend)
-    if lumen_zyx is not None and VIEWS[view].by_transfer:
+    if lumen_zyx is not None and isinstance(spec, AirwayView | TreeView):
         renderer.set_lumen(lumen_zyx)
-    if view == LEAD_VIEW and method == "leap":
+    if isinstance(spec, AirwayView) and spec.method == "leap":
         renderer.prepare()
     return renderer.render(spec)
+
+
+_DEFAULTS = {name: parameter.default for name, parameter in inspect.signature(render_view).parameters.items()}
+
+
+def _needed_pose(where: str, pose: object) -> Pose:
+    check_type(where, "pose", pose, Pose, "take one of a carina.FlightPath, or carina.Pose.looking")
+    assert isinstance(pose, Pose)
+    return pose
 
 
 def render_surface(
@@ -251,6 +270,7 @@ def view_spec(
     depth_of_field: DepthOfField | None = None,
 ) -> View:
     """The view that :func:`render_view` renders, checked without a volume; parameters and errors are the same."""
+    _needed_pose("view_spec", pose)
     x, y, z = (float(v) for v in pose.position_lps)
     if orbit is not None and len(orbit) not in {2, 3}:
         raise UsageError(f"an orbit is azimuth, elevation and, if wished, distance; found {orbit}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from carina.display import one_line
 from carina.render.views import Slab
 from carina.scopes import FULL_FRAME, DepthOfField, ImageField, Lens, PathFrames, Pose, ScopePreset
 
@@ -22,6 +23,7 @@ class Orbit:
     distance_mm: float | None = None
 
 
+@one_line
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewSettings:
     """What one view of a scene, or of a call, is rendered with."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Literal
 
+from carina.display import one_line
 from carina.errors import UsageError
 from carina.render.view_settings import ViewSettings
 from carina.render.views import (
@@ -71,6 +72,7 @@ Need = Literal["airways", "route"]
 ON_ITS_WAY = "This picture is on its way."
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Cell:
     """A place of the window. Its views are those of the table that name it, in the table's order."""
@@ -97,6 +99,7 @@ CELLS: Mapping[CellName, Cell] = MappingProxyType(
 )
 
 
+@one_line
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewRow:
     """One view."""

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from carina._core import LumenTracker
 from carina.display import as_words, one_line
-from carina.errors import CancelledError, NoResultError, UsageError
+from carina.display.progress import ProgressChoice, heard, shows_progress
+from carina.errors import CancelledError, NoResultError, UsageError, check_type
 from carina.track.edit_kinds import TreeEdit
 from carina.track.evidence import EvidenceStore
-from carina.track.growth import Progress, Stages, doubts_of_given, given_lumen, grow, trachea_in
+from carina.track.growth import Stages, doubts_of_given, given_lumen, grow, trachea_in
 from carina.track.levels import AirScale
 from carina.track.mask_doubts import unnamed_where_doubted, with_mask_doubts
 from carina.track.names import name_tree
@@ -126,6 +127,7 @@ class TrackResult:
     """The graph that was searched and what that took; None for the cost ``lumen`` on the voxel graph."""
 
 
+@shows_progress
 def find_airways(
     volume: Volume,
     *,
@@ -133,7 +135,7 @@ def find_airways(
     lumen_threshold: float | None = None,
     lumen_zyx: NDArray[np.uint8] | None = None,
     notes: Sequence[str] = (),
-    progress: Progress | None = None,
+    progress: ProgressChoice = None,
     cancel: Cancel | None = None,
 ) -> Airways:
     """Find the airway lumen and its tree.
@@ -155,7 +157,7 @@ def find_airways(
     notes
         What is known beforehand, such as where ``lumen_zyx`` is from; said first.
     progress, cancel
-        Told what is going on; asked whether to stop.
+        Told what is going on; a bar in a terminal or a notebook unless told, none with False. Asked whether to stop.
 
     Returns
     -------
@@ -186,7 +188,8 @@ def find_airways(
     >>> airways.tree.root.name
     'Trachea'
     """
-    stage = Stages(progress, cancel)
+    check_type("find_airways", "volume", volume, Volume, "open one with carina.open_volume")
+    stage = Stages(heard(progress), cancel)
     root = None if root_lps is None else as_point(root_lps)
     if root is not None and not volume.contains_lps(np.array(root)):
         msg = f"the root {words(root)} lies outside the volume"
@@ -262,6 +265,7 @@ def find_airways(
     )
 
 
+@shows_progress
 def track_paths(
     volume: Volume,
     *,
@@ -272,7 +276,7 @@ def track_paths(
     airways: Airways | None = None,
     lumen_threshold: float | None = None,
     snap_mm: float = SNAP_MM,
-    progress: Progress | None = None,
+    progress: ProgressChoice = None,
     cancel: Cancel | None = None,
 ) -> TrackResult:
     """Track the least-cost paths from the root to targets (the Intelligent Path Tracker).
@@ -317,6 +321,8 @@ def track_paths(
     """
     from carina.track.paper import check_choice, track_on_graph
 
+    check_type("track_paths", "volume", volume, Volume, "open one with carina.open_volume")
+    progress = heard(progress) or False
     check_choice(cost, graph)
     points = [as_point(target) for target in targets]
     if not points:
@@ -335,7 +341,7 @@ def track_paths(
         )
     if (cost, graph) != ("lumen", "voxel"):
         return track_on_graph(
-            volume, airways, points, cost=cost, graph=graph, snap_mm=snap_mm, progress=progress, cancel=cancel
+            volume, airways, points, cost=cost, graph=graph, snap_mm=snap_mm, progress=heard(progress), cancel=cancel
         )
     results: list[TargetResult] = []
     for point in points:

@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from carina.errors import CancelledError, NoResultError, UsageError
+from carina.errors import CancelledError, NoResultError, UsageError, check_type
 from carina.track.airways import Airways
 from carina.track.caliber import with_sections, with_walls
 from carina.track.edit_kinds import (
@@ -115,6 +115,8 @@ def edit_airways(
     >>> named.tree.branch(tip.id).name, len(named.edits)
     ('biopsy', 1)
     """
+    check_type("edit_airways", "volume", volume, Volume, "open one with carina.open_volume")
+    check_type("edit_airways", "airways", airways, Airways, "find them with carina.find_airways")
     edited = _edited(volume, airways, edit, progress, cancel, is_fresh=False)
     return name_edited(airways, edited) if name_branches else edited
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from carina.errors import check_type
 from carina.scopes import WallField
 from carina.track.airways import Airways
 from carina.track.growth import Progress
@@ -53,6 +54,8 @@ def wall_field(
     >>> bool(wall.distance_mm(trachea[len(trachea) // 2])[0] > 4.0)
     True
     """
+    check_type("wall_field", "volume", volume, Volume, "open one with carina.open_volume")
+    check_type("wall_field", "airways", airways, Airways, "find them with carina.find_airways")
     mesh = lumen_mesh(volume, airways, progress=progress, cancel=cancel)
 
     def share(fraction: float) -> None:

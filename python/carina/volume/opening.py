@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from carina.errors import CarinaError, GeometryError, UsageError, VolumeImportError
+from carina.display.progress import ProgressChoice, heard, shows_progress
+from carina.errors import CarinaError, GeometryError, UsageError, VolumeImportError, check_type
 from carina.volume.dicom import FoundSeries, choose_series, find_series, open_series
 from carina.volume.dicom_files import FolderContent, read_folder
 from carina.volume.dicom_headers import looks_like_dicom
@@ -23,11 +24,12 @@ _KINDS = "a DICOM folder, NIfTI (.nii, .nii.gz), NRRD (.nrrd) or MetaImage (.mha
 _GRID_SUFFIXES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 
 
+@shows_progress
 def open_volume(
     path: str | Path,
     *,
     series: str | None = None,
-    progress: Callable[[str, float | None], None] | None = None,
+    progress: ProgressChoice = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Volume:
     """Open a chest CT: a DICOM folder (or one of its files), a NIfTI, NRRD or MetaImage file.
@@ -41,7 +43,8 @@ def open_volume(
         Key of the DICOM series to open (``SeriesInfo.key``). Without it the largest chest CT is taken, and
         ``source.notes`` say which others there are.
     progress
-        Called as ``progress(what, fraction)``; the fraction is None where it is unknown.
+        Called as ``progress(what, fraction)``; the fraction is None where it is unknown. Unless told,
+        a bar in a terminal or a notebook; False shows none.
     cancel
         Asked often; when it returns true the import stops.
 
@@ -67,7 +70,8 @@ def open_volume(
     >>> demo_patient().is_hu
     True
     """
-    watch = Watch(progress, cancel)
+    check_type("open_volume", "path", path, (str, Path), "name a folder or a file")
+    watch = Watch(heard(progress), cancel)
     return guarded(Path(path).expanduser(), lambda where: _open(where, series, watch))
 
 

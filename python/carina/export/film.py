@@ -1,0 +1,142 @@
+"""A flight through the airways as a film, in one call."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.display.html import caption, escaped, figure
+from carina.display.progress import ProgressChoice, heard, shows_progress
+from carina.errors import CancelledError, check_type
+from carina.export.video import VideoWriter
+from carina.navigate import AutoFlight, FlightPath, KeyFrameFlight
+from carina.navigate.auto_flight import frame_times_s
+from carina.render import AirwayView, Renderer
+from carina.volume import Volume
+
+__all__ = ["Film", "write_film"]
+
+MAX_EMBEDDED_BYTES = 20_000_000
+"""A longer film is named and not put into the page."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Film:
+    """A film that was written."""
+
+    name: str
+    """Of the file, without its folder."""
+    num_frames: int
+    rate_hz: float
+    size_px: tuple[int, int]
+    """Width and height."""
+    path: Path = dataclasses.field(repr=False)
+
+    @property
+    def duration_s(self) -> float:
+        """How long it plays."""
+        return self.num_frames / self.rate_hz
+
+    def _repr_html_(self) -> str:
+        """The film itself, in a notebook."""
+        width, height = self.size_px
+        words = [
+            f"{self.num_frames} frames of {width} × {height}, {self.duration_s:.1f} s at {self.rate_hz:g} per second"
+        ]
+        if not self.path.is_file() or self.path.stat().st_size > MAX_EMBEDDED_BYTES:
+            return figure(f"<div>{escaped(self.name)}</div>", caption(words))
+        kind = "webm" if self.path.suffix.lower() == ".webm" else "mp4"
+        data = base64.b64encode(self.path.read_bytes()).decode("ascii")
+        video = (
+            f'<video controls="controls" loop="loop" muted="muted" width="{width}" height="{height}" '
+            f'src="data:video/{kind};base64,{data}"></video>'
+        )
+        return figure(video, caption(words))
+
+
+@shows_progress
+def write_film(
+    path: str | os.PathLike[str],
+    volume: Volume,
+    flight: FlightPath | AutoFlight | KeyFrameFlight,
+    *,
+    view: AirwayView | None = None,
+    lumen_zyx: NDArray[np.uint8] | None = None,
+    rate_hz: float = 25.0,
+    speed_mm_s: float = 20.0,
+    progress: ProgressChoice = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Film:
+    """Fly through the airways and write what the scope sees as a video.
+
+    Parameters
+    ----------
+    path
+        Where to; ends in ``.mp4`` or ``.webm``. A file of that name is replaced when all is written, or not at all.
+    volume
+        The CT.
+    flight
+        A path, which is flown at ``speed_mm_s``, or a flight with times of its own.
+    view
+        How frames are rendered: everything but the pose is taken from it; 640 x 480, 100 degrees unless told.
+    lumen_zyx
+        The airway lumen, for the closed wall.
+    rate_hz
+        Frames per second, 1 to 240.
+    speed_mm_s
+        Along a path, 0.1 to 500.
+    progress, cancel
+        Told what is going on, or False for no bar; asked before each frame whether to stop.
+
+    Returns
+    -------
+    Film
+        Where it is and how long it plays; a notebook plays it.
+
+    Raises
+    ------
+    UsageError
+        If the name, the rate or the speed is out of range.
+    CancelledError
+        If ``cancel()`` said so; nothing is written then.
+    CarinaError
+        ``export.video`` without PyAV (extra ``video``).
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> path = carina.FlightPath(airways.tree.route_to(airways.tree.root.id).points_lps)
+    >>> view = carina.render.AirwayView(path.pose_at(0.0), width=64, height=48)
+    >>> carina.write_film("trachea.mp4", phantom.volume, path, view=view, rate_hz=2.0, speed_mm_s=50.0, progress=False)
+    Film(name='trachea.mp4', num_frames=5, rate_hz=2, size_px=(64, 48))
+    """
+    check_type("write_film", "volume", volume, Volume, "open one with carina.open_volume")
+    told = heard(progress)
+    kinds = (FlightPath, AutoFlight, KeyFrameFlight)
+    check_type("write_film", "flight", flight, kinds, "make a carina.FlightPath of a route's points_lps")
+    flown = AutoFlight(flight, speed_mm_s=speed_mm_s, pause_s=0.0) if isinstance(flight, FlightPath) else flight
+    look = AirwayView(flown.pose_at(0.0), fov_deg=100.0, width=640, height=480) if view is None else view
+    check_type("write_film", "view", look, AirwayView, "a film shows the airway view")
+    times = frame_times_s(flown.duration_s, rate_hz)
+    with VideoWriter(path, look.width, look.height, rate_hz=rate_hz) as video:
+        renderer = Renderer(volume)
+        renderer.set_lumen(lumen_zyx)
+        renderer.prepare(told, cancel)
+        for number, time_s in enumerate(times):
+            if cancel is not None and cancel():
+                raise CancelledError("the film was stopped")
+            video.add(renderer.render(dataclasses.replace(look, pose=flown.pose_at(float(time_s)))).rgb)
+            if told is not None:
+                told("rendering frames", (number + 1) / len(times))
+    return Film(Path(path).name, len(times), rate_hz, (look.width, look.height), Path(path).resolve())
