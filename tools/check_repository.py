@@ -1,4 +1,5 @@
-"""Refuse what must never be committed (machine paths, hosts in lock files, big files) and dead paths in the docs."""
+"""Refuse what must never be committed (machine paths, hosts in lock files, big files), dead paths in the docs, and
+citing what is not here."""
 
 from __future__ import annotations
 
@@ -13,6 +14,8 @@ BIG_FILES = {"python/carina/_cases/"}  # the bundled CC BY case
 NAMED_PATH = re.compile(
     r"`((?:crates|python|web|tests|tools|docs|examples|benchmarks|protocol|build_backend)/[\w./*-]*)`"
 )
+ELSEWHERE = re.compile(r"\b(?:DESIGN|STYLE)(?:\.md| section| \d|:)|\bissue \d+")
+"""Names of papers that are not in the repository: what they say is in docs/."""
 GENERATED = ("benchmarks/results", "tests/out", "python/carina/_web")
 HOME_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users)/[A-Za-z0-9._-]+/")
 TEXT = {".py", ".rs", ".ts", ".tsx", ".md", ".toml", ".json", ".html", ".css", ".lock", ".txt", ".yml", ".sh", ""}
@@ -54,6 +57,9 @@ def main() -> int:
             body = path.read_bytes()
             if match := HOME_PATH.search(body):
                 found.append(f"{name}: holds a path of somebody's machine ({match.group().decode()})")
+            if path.suffix in {".py", ".rs", ".ts", ".tsx", ".md", ".toml"} and path != Path(__file__).resolve():
+                for match in ELSEWHERE.finditer(body.decode("utf-8", errors="replace")):
+                    found.append(f"{name}: cites {match.group()!r}, which is not in the repository; cite docs/")
             if path.name == "package-lock.json" and b'"resolved"' in body:
                 found.append(f"{name}: names registry hosts; run npm with web/.npmrc (omit-lockfile-registry-resolved)")
     for line in found:

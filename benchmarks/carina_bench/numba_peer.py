@@ -1,6 +1,6 @@
 """The baseline: every sample of every ray in plain loops, compiled by numba. Its picture must be Carina's.
 
-Written from the formulas (DESIGN section 4), with none of Carina's code: index arithmetic, interpolation, gradient,
+Written from the formulas (docs/algorithms.md), with none of Carina's code: index arithmetic, interpolation, gradient,
 table, light and rays are its own, in f64 but for the volume and the table.
 """
 

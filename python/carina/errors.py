@@ -1,7 +1,7 @@
 """Carina's errors: one root, a child per kind of trouble, each with a stable code.
 
 A message says what was being done, what was expected, what was found, and what to try. Codes are shared with the Rust
-crates and with the web client; ``exit_code`` is what the command line returns (DESIGN section 3).
+crates and with the web client; ``exit_code`` is what the command line returns (docs/contracts.md).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What other people's scripts rely on (DESIGN section 3): exit codes, one JSON object, nothing half written."""
+"""What other people's scripts rely on (docs/contracts.md): exit codes, one JSON object, nothing half written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random drives of every instrument, looked at by a geometry that is not the product's (issue 5).
+"""Random drives of every instrument, looked at by a geometry that is not the product's.
 
 `make soak` drives 1,000 times in the phantom and as often in the patient; `make test` drives a few of them. All of it
 needs numpy alone.

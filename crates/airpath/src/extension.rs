@@ -1,4 +1,4 @@
-//! From the lumen that the flood found on into the airways that it could not follow (DESIGN 4, "Airways").
+//! From the lumen that the flood found on into the airways that it could not follow (docs/algorithms.md).
 //!
 //! The flood ends where an airway's wall no longer holds a level. What lies beyond is looked for by shape, not by level:
 //! voxels that are enclosed by brighter wall ([`crate::tubeness`]) are followed from the lumen's surface, face to face.

@@ -1,4 +1,4 @@
-//! The automatic lumen: a flood that rises from the trachea, with a leak guard (DESIGN 4, "Airways").
+//! The automatic lumen: a flood that rises from the trachea, with a leak guard (docs/algorithms.md).
 //!
 //! The level rises one unit (HU) at a time. A voxel joins when it is at most at the level and touches the lumen by a face; what
 //! becomes reachable through it at the same level joins with it: the *basin* behind that voxel. In an airway basins are

@@ -1,4 +1,4 @@
-//! Airway lumen, voxel graph and the resumable least-cost path tracker (paper 6; DESIGN 4 "Path tracker", "Airways").
+//! Airway lumen, voxel graph and the resumable least-cost path tracker (paper 6; docs/algorithms.md).
 //!
 //! `trachea` finds where to begin, `flood` grows the lumen with a leak guard, `extension` follows what the flood could not by
 //! its shape (`tubeness`; `extension_reach` says what can be reached, `extension_ways` what is kept of it and

@@ -1,4 +1,4 @@
-//! The voxel graph of the airway lumen and the cost `lumen` (DESIGN 4, "Path tracker").
+//! The voxel graph of the airway lumen and the cost `lumen` (docs/algorithms.md).
 //!
 //! Nodes are lumen voxels only. Two of the 26 neighbours are linked by the straight line between their centres; a step
 //! along an axis always exists, a diagonal one only if the HU interpolated at 1/4, 1/2 and 3/4 of it is still inside: two

@@ -1,4 +1,4 @@
-//! Contracts of the tracker on random graphs (STYLE 10): equal to Dijkstra with a heap, resumed equals fresh, a path's
+//! Contracts of the tracker on random graphs: equal to Dijkstra with a heap, resumed equals fresh, a path's
 //! cost is the sum of its edges.
 
 use proptest::prelude::*;

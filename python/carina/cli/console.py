@@ -83,7 +83,7 @@ def interruptible(work: Callable[[], Result]) -> Result:
 
 @contextmanager
 def exit_codes(as_json: bool) -> Iterator[None]:
-    """Turn every end of a command into its exit code (DESIGN section 3) and one clear message.
+    """Turn every end of a command into its exit code (docs/contracts.md) and one clear message.
 
     With ``--json`` a failure is one object on stdout as well: ``{"error": {"code", "message"}}``.
     """

@@ -1,4 +1,4 @@
-"""``tree.json``: the airway tree as a file (DESIGN section 3)."""
+"""``tree.json``: the airway tree as a file (docs/contracts.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who may talk to the server: Host, Origin, the start token, the cookie, and the bearer secret (DESIGN section 6).
+"""Who may talk to the server: Host, Origin, the start token, the cookie, and the bearer secret (docs/contracts.md).
 
 The server holds a patient's images and listens on a port that every web page of the same browser can address. So: the
 Host header is checked on every request (DNS rebinding), Origin on everything that changes something (cross-site

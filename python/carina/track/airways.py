@@ -178,7 +178,7 @@ def find_airways(
 
     References
     ----------
-    Paper 6; DESIGN section 4, "Airways".
+    Paper 6; docs/algorithms.md.
 
     Examples
     --------

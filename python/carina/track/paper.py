@@ -189,7 +189,7 @@ def track_on_graph(
 
     References
     ----------
-    Paper 6.1 to 6.3; DESIGN section 4, "Path tracker".
+    Paper 6.1 to 6.3; docs/algorithms.md.
     """
     from carina.track.airways import TargetResult, TrackResult
 

@@ -244,7 +244,7 @@ class AirwayTree:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """The document ``carina-tree`` version 1 (DESIGN section 3)."""
+        """The document ``carina-tree`` version 1 (docs/contracts.md)."""
         document = {
             "format": FORMAT,
             "version": VERSION,

@@ -1,4 +1,4 @@
-//! A ray caster in f64, written from the formulas (DESIGN section 4, paper 4.3) and with none of the crates' code: its own
+//! A ray caster in f64, written from the formulas (docs/algorithms.md, paper 4.3) and with none of the crates' code: its own
 //! camera, box, interpolation, gradients, table and light. What the casters show may differ from it by rounding alone.
 
 /// Rows of a 3x4 matrix.
