@@ -14,7 +14,7 @@ CASE ?= phantom
 # libraries anew: 10 s of the processor for pytest alone.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run setup test test-rust test-web test-python test-gpu soak check check-rust check-python check-web fmt bench bench-setup golden lock wheel clean
+.PHONY: help run setup test test-rust test-web test-python test-gpu soak check check-rust check-python check-web fmt docs bench bench-setup golden lock wheel clean
 
 help: ## print this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -114,6 +114,16 @@ fmt: $(STAMP) web/node_modules/.package-lock.json ## format everything
 golden: $(STAMP) ## rewrite the golden images (look at them before you commit)
 	CARINA_GOLDEN=rewrite $(PY) -m pytest -m "" -q tests -k golden
 
+# A room of its own: what writes pages is no part of what tests or flies.
+DOCS_STAMP := .venv-docs/.carina-docs
+$(DOCS_STAMP): requirements-docs.lock | $(STAMP)
+	test -x .venv-docs/bin/python || $(UV) venv -q .venv-docs
+	$(UV) pip sync -q --python .venv-docs/bin/python --require-hashes requirements-docs.lock
+	@touch $@
+
+docs: $(DOCS_STAMP) $(STAMP) ## the documentation and the Python reference as pages, in build/docs
+	$(PY) tools/make_docs.py
+
 bench-setup: $(STAMP)
 	$(UV) pip install -q --python $(PY) "vtk>=9.4" "numba>=0.61" "scipy>=1.14" "dijkstra3d>=1.15" "scikit-image>=0.24"
 
@@ -129,5 +139,5 @@ wheel: $(if $(findstring .uv/,$(UV)),.uv/bin/uv) ## a wheel with the web UI and 
 	$(UV) build --wheel -o dist
 
 clean: ## remove what was built (not the caches of cases)
-	rm -rf .venv .venv-gpu target dist web/node_modules python/carina/_web
+	rm -rf .venv .venv-docs .venv-gpu target dist web/node_modules python/carina/_web
 	find python -name '*.so' -delete

@@ -2,6 +2,7 @@
 
 ``requirements.lock`` is what everybody needs; ``requirements-cluster.lock`` holds Ray and what belongs to it as well,
 for the tests of the cluster: 76 MB that nobody should download to look at a CT.
+``requirements-docs.lock`` is what writes the documentation (``make docs``) and nothing else.
 
 ``uv.lock`` itself is not committed: it names the registry's hosts. The export names none.
 """
@@ -16,25 +17,30 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+DOCS = "requirements-docs.lock"
 LOCKS: dict[str, tuple[str, ...]] = {
     "requirements.lock": (),
     "requirements-cluster.lock": ("--extra", "cluster"),
+    DOCS: ("--only-group", "docs"),
 }
 MARK = "# pyproject: "
 
 
-def _fingerprint() -> str:
-    """Hash of what decides the lock: the dependency tables of pyproject.toml."""
+def _fingerprint(name: str) -> str:
+    """Hash of what decides a lock: the dependency tables of pyproject.toml."""
     import tomllib
 
     data = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     project = data["project"]
+    groups = data["dependency-groups"]
     relevant = [
         project["requires-python"],
         sorted(project["dependencies"]),
-        sorted(data["dependency-groups"]["dev"]),
+        sorted(groups["dev"]),
         sorted(project["optional-dependencies"]["cluster"]),
     ]
+    if name == DOCS:
+        relevant = [project["requires-python"], sorted(groups["docs"])]
     return hashlib.sha256(repr(relevant).encode()).hexdigest()[:16]
 
 
@@ -48,7 +54,7 @@ def export(uv: str, name: str) -> str:
         subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
         body = out.read_text(encoding="utf-8")
     use = f"# Exported by tools/lock.py (make lock). Install with: uv pip sync --require-hashes {name}"
-    return f"{use}\n{MARK}{_fingerprint()}\n{body}"
+    return f"{use}\n{MARK}{_fingerprint(name)}\n{body}"
 
 
 def main() -> int:
@@ -64,7 +70,7 @@ def main() -> int:
     for name in LOCKS:
         path = ROOT / name
         text = path.read_text(encoding="utf-8") if path.exists() else ""
-        if f"{MARK}{_fingerprint()}\n" not in text:
+        if f"{MARK}{_fingerprint(name)}\n" not in text:
             print(f"{name} does not match the dependencies in pyproject.toml; run: make lock")
             return 1
         if "://" in text:

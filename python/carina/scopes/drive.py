@@ -115,7 +115,7 @@ class ScopeDrive:
 
     Examples
     --------
-    A tube of 6 mm radius along z::
+    A tube of 6 mm radius along z.
 
     >>> z, y, x = np.mgrid[0:60, -10:11, -10:11].astype(np.float32)
     >>> field = WallField.from_distances(6.0 - np.hypot(x, y), np.array(

@@ -1,0 +1,34 @@
+"""Write the documentation as pages: ``make docs``. Every warning is an error.
+
+Carina is imported from ``.venv`` for the Python reference, Sphinx comes from ``.venv-docs``, which holds nothing else.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+OUT = ROOT / "build" / "docs"
+
+
+def main() -> int:
+    """Run Sphinx; 1 where a page is not as it should be."""
+    found = sorted((ROOT / ".venv-docs").glob("lib/python3*/site-packages")) + sorted(
+        (ROOT / ".venv-docs").glob("Lib/site-packages")
+    )
+    if not found:
+        sys.exit("Sphinx is not installed; run: make docs")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", "docs", str(OUT)]
+    # Behind what Carina itself brings, so that the reference describes the package that is tested.
+    environment = {**os.environ, "PYTHONPATH": str(found[0])}
+    ran = subprocess.run(command, cwd=ROOT, env=environment, check=False)
+    if not ran.returncode:
+        print(f"docs: {OUT.relative_to(ROOT)}/index.html")
+    return ran.returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())
