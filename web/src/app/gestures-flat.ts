@@ -17,18 +17,27 @@ const MM_PER_PX = { least: 0.02, most: 10 } as const;
 const EXTENT_MM = { least: 5, most: 500 } as const;
 /** One press of an arrow key, CSS px. */
 export const PAN_KEY_PX = 40;
-/** Turns of the wheel come faster than pictures: each builds on the one before, not on the picture still shown. */
+/** Turns of the wheel come faster than pictures: each builds on the one before, not on a picture that was on its way. */
 const MEMORY_MS = 400;
 
 export interface FlatPlacing {
   /** About the cursor, so that what lies under it stays there; with keys about the middle. */
   zoom(deltaPx: number, at: PointerPlace | null): void;
-  /** The picture goes with the hand. */
-  pan(moved: { dx: number; dy: number }): void;
+  /** The picture goes with the hand; while that drags, whatever pictures come meanwhile. */
+  pan(moved: { dx: number; dy: number }, drags?: boolean): void;
+  /** The hand has let go. */
+  release(): void;
 }
 
 export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlacing {
-  let last: { view: ViewName; place: FlatPlace; atMs: number } | null = null;
+  /** Where the picture was sent to, and what was shown then. */
+  let last: { view: ViewName; place: FlatPlace; atMs: number; header: Viewport["header"] } | null = null;
+  let dragged = false;
+  /** Whether the picture still shown is older than where it was sent to. A busy server may take a second for the next. */
+  const isAhead = (): boolean =>
+    last !== null &&
+    last.view === viewport.view &&
+    (dragged || viewport.header === last.header || performance.now() - last.atMs < MEMORY_MS);
 
   const geometry = (): FlatGeometry | null => {
     const found = viewport.header === null ? null : geometryOf(viewport.header);
@@ -39,13 +48,12 @@ export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlaci
     const { header, wantedPixels } = viewport;
     const flat = geometry();
     if (flat === null || header === null || wantedPixels === null) return null;
-    const fresh = last !== null && last.view === viewport.view && performance.now() - last.atMs < MEMORY_MS;
     const shown = {
       mmPerPx: (mmPerPixel(flat) * header.width) / wantedPixels.width,
       middle: lpsFromPixel(flat, { column: header.width / 2, row: header.height / 2 }),
     };
     return {
-      place: fresh && last !== null ? last.place : shown,
+      place: isAhead() && last !== null ? last.place : shown,
       axes: axesOf(flat),
       pxPerCss: wantedPixels.width / header.width / viewport.magnification,
       wantedWidth: wantedPixels.width,
@@ -56,7 +64,7 @@ export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlaci
     if (!isFlatView(view)) return;
     const grid = station.state.session?.case;
     const middle = grid == null ? place.middle : clampToVolume(grid, place.middle);
-    last = { view, place: { ...place, middle }, atMs: performance.now() };
+    last = { view, place: { ...place, middle }, atMs: performance.now(), header: viewport.header };
     const byExtent = VIEWS[view].zoom === "extent";
     station.sendSoon({
       type: "set_zoom",
@@ -84,11 +92,15 @@ export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlaci
           : { right: (pixel.column - header.width / 2) * perPx, down: (pixel.row - header.height / 2) * perPx };
       send(zoomedAbout(place, axes, mmPerPx, about), wantedWidth);
     },
-    pan: ({ dx, dy }) => {
+    pan: ({ dx, dy }, drags = false) => {
       const shown = now();
       if (shown === null) return;
+      dragged = drags;
       const px = { right: dx * shown.pxPerCss, down: dy * shown.pxPerCss };
       send(panned(shown.place, shown.axes, px), shown.wantedWidth);
+    },
+    release: () => {
+      dragged = false;
     },
   };
 }

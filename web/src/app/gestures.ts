@@ -182,7 +182,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
           return;
         }
         if (button === "pan") {
-          placing.pan(moved);
+          placing.pan(moved, true);
           return;
         }
         if (station.pointing.stroke(viewport, at)) return;
@@ -193,6 +193,7 @@ function flatGestures(station: Workstation, viewport: Viewport): Gestures {
       },
       release: () => {
         held = null;
+        placing.release();
         station.pointing.endStroke();
       },
       hover: (at, shift) => {
