@@ -71,7 +71,7 @@ def tables() -> str:
     inputs = all_inputs()
     lines: list[str] = []
     for family in dict.fromkeys(entry.family for entry in inputs):
-        lines += ["", f"### {family}", "", "| input | answer | what to do |", "|---|---|---|"]
+        lines += ["", f"## {family}", "", "| input | answer | what to do |", "|---|---|---|"]
         lines += [f"| {e.name} | {_answer(e)} | {e.do or '-'} |" for e in inputs if e.family == family]
     return "\n".join(lines).strip()
 
