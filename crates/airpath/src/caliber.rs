@@ -7,11 +7,11 @@
 use carina_grid::{Grid, unit};
 use rayon::prelude::*;
 
-use crate::centre::{BEFORE_FORK_RADII, PAST_CARINA_RADII, Tube, View};
-use crate::cross_section::plane_axes;
+use crate::branch;
 use crate::lumen::LumenGraph;
+use crate::rays::plane_axes;
 use crate::smooth::Point;
-use crate::tree;
+use crate::tube::{BEFORE_FORK_RADII, PAST_CARINA_RADII, Tube, View};
 
 /// Radii of branches, mm: of sections, and distances to the wall.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,7 +50,7 @@ pub fn of_branches(
         .map(|(line, needed)| {
             line.iter()
                 .filter(|_| *needed)
-                .map(|p| tree::radius_mm(graph, grid, *p))
+                .map(|p| branch::radius_mm(graph, grid, *p))
                 .collect()
         })
         .collect();

@@ -6,114 +6,23 @@
 //! all of them (least squares; Antiga and Steinman 2004 place a bifurcation's origin likewise from where its tubes begin to
 //! be separate). The centreline bends from one tube's axis to the other's with as little curvature as it can.
 
-use carina_grid::{Grid, Ijk, Lps, dot, length, unit};
+use carina_grid::{Grid, Lps, dot, length};
 use rayon::prelude::*;
 
+use crate::branch::{self, Branch};
 use crate::caliber;
-use crate::cross_section::{NUM_RAYS, centroid, direction, filled, plane_axes, without_far};
 use crate::lumen::LumenGraph;
-use crate::smooth::{self, Point, cumulative_mm, point_at};
-use crate::tree::{self, Branch};
+use crate::smooth::{self, Point, cumulative_mm};
+use crate::tube::{BEFORE_FORK_RADII, CENTRED_PULL, PAST_CARINA_RADII, Tube, View, sub};
 
-/// Places along two branches are compared at this distance.
-const LOOK_MM: f64 = 0.25;
-/// A branch is a tube by itself this many radii past the carina, and up to as many before its own fork as the second says.
-pub(crate) const PAST_CARINA_RADII: f64 = 0.3;
-pub(crate) const BEFORE_FORK_RADII: f64 = 1.0;
 /// The lumen closes at a tip: its last part is no tube.
 const BEFORE_TIP_RADII: f64 = 0.5;
-/// An axis is the line through so many radii of tube.
-const AXIS_RADII: f64 = 2.0;
 /// How much the fork of the least-cost paths counts against an axis: it decides only where the axes are nearly parallel.
 const OLD_FORK_WEIGHT: f64 = 0.05;
 /// A fork is not moved farther than this multiple of its tube's radius.
 const FARTHEST_RADII: f64 = 2.5;
-/// Points that were centred hold their place so much better than those of a voxel path.
-const CENTRED_PULL: f64 = 4.0;
 /// Points near a fork hardly pull: they only say where the lumen is.
 const FORK_PULL: f64 = 1e-3;
-const ROUNDS: usize = 3;
-
-/// A branch with the part of it that is a tube by itself.
-pub(crate) struct Tube {
-    pub(crate) points: Vec<Point>,
-    pub(crate) along_mm: Vec<f64>,
-    /// Median distance to the wall.
-    pub(crate) radius_mm: f64,
-    /// The tube's part, mm along the branch.
-    from_mm: f64,
-    to_mm: f64,
-    /// Centred points of that part.
-    middle: Vec<Point>,
-}
-
-impl Tube {
-    pub(crate) fn length_mm(&self) -> f64 {
-        self.along_mm[self.along_mm.len() - 1]
-    }
-
-    fn at(&self, s: f64) -> Point {
-        if self.points.len() < 2 {
-            return self.points[0];
-        }
-        point_at(&self.points, &self.along_mm, s.clamp(0.0, self.length_mm()))
-    }
-
-    /// From one place along the branch to another.
-    pub(crate) fn chord(&self, from_mm: f64, to_mm: f64) -> Point {
-        sub(self.at(to_mm), self.at(from_mm))
-    }
-
-    /// The axis at one end of the tube's part: a point and a unit vector along the branch, and how well it is known.
-    fn axis(&self, at_end: bool) -> Option<(Point, Point, f64)> {
-        let n = self.middle.len();
-        let reach_mm = AXIS_RADII * self.radius_mm;
-        let along = cumulative_mm(&self.middle);
-        let total = along[n - 1];
-        let from = if at_end {
-            (total - reach_mm).max(0.0)
-        } else {
-            0.0
-        };
-        let to = if at_end { total } else { reach_mm.min(total) };
-        let part: Vec<Point> = (0..n)
-            .filter(|&m| along[m] >= from - 1e-9 && along[m] <= to + 1e-9)
-            .map(|m| self.middle[m])
-            .collect();
-        if part.len() < 3 {
-            // Too short for an axis of its own: the whole branch's direction, hardly trusted.
-            let chord = sub(self.at(self.length_mm()), self.at(0.0));
-            return Some((part.first().copied()?, unit(chord)?, 0.1));
-        }
-        let count = part.len() as f64;
-        let mean: Point = std::array::from_fn(|a| part.iter().map(|p| p[a]).sum::<f64>() / count);
-        // Least squares over the way: the slope of each coordinate.
-        let middle = (count - 1.0) / 2.0;
-        let slope: Point = std::array::from_fn(|a| {
-            (0..part.len())
-                .map(|m| (m as f64 - middle) * part[m][a])
-                .sum::<f64>()
-        });
-        let end = if at_end {
-            part[part.len() - 1]
-        } else {
-            part[0]
-        };
-        let dir = unit(slope)?;
-        // The point of the line that is nearest to the tube's end.
-        let off = dot(sub(end, mean), dir);
-        let on_line = std::array::from_fn(|a| mean[a] + off * dir[a]);
-        Some((
-            on_line,
-            dir,
-            (total.min(reach_mm) / reach_mm).clamp(0.1, 1.0),
-        ))
-    }
-}
-
-fn sub(a: Point, b: Point) -> Point {
-    std::array::from_fn(|i| a[i] - b[i])
-}
 
 /// Moves the drawn branches into the middle and their forks to where their axes meet.
 ///
@@ -201,125 +110,7 @@ pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], s
     }
 }
 
-pub(crate) struct View<'a> {
-    pub(crate) graph: &'a LumenGraph,
-    pub(crate) grid: &'a Grid,
-}
-
 impl View<'_> {
-    fn tube(&self, branch: &Branch) -> Tube {
-        let walls: Vec<f64> = branch
-            .points
-            .iter()
-            .map(|p| tree::radius_mm(self.graph, self.grid, *p))
-            .collect();
-        self.tube_of(&branch.points, &walls)
-    }
-
-    /// A line with its distances to the wall.
-    pub(crate) fn tube_of(&self, points: &[Point], walls_mm: &[f64]) -> Tube {
-        let mut radii = walls_mm.to_vec();
-        radii.sort_by(f64::total_cmp);
-        Tube {
-            along_mm: cumulative_mm(points),
-            points: points.to_vec(),
-            radius_mm: radii[radii.len() / 2].max(self.grid.min_spacing_mm()),
-            from_mm: 0.0,
-            to_mm: 0.0,
-            middle: Vec::new(),
-        }
-    }
-
-    fn holds(&self, p: Point) -> bool {
-        self.graph.holds(self.grid.to_ijk(Lps(p)).0)
-    }
-
-    /// How far from their common fork a wall comes between two branches.
-    pub(crate) fn parting_mm(&self, one: &Tube, other: &Tube) -> Option<f64> {
-        let shorter = one.length_mm().min(other.length_mm());
-        (1..=(shorter / LOOK_MM) as usize)
-            .map(|n| n as f64 * LOOK_MM)
-            .find(|&s| {
-                let [p, q] = [one.at(s), other.at(s)].map(|p| self.grid.to_ijk(Lps(p)).0);
-                !self.graph.sees(p, q)
-            })
-    }
-
-    /// The points of a tube's own part, each in the centre of its section.
-    fn centred(&self, tube: &Tube, step_mm: f64) -> Vec<Point> {
-        let num_steps = ((tube.to_mm - tube.from_mm) / step_mm).round().max(0.0) as usize;
-        let place = |n: usize| {
-            if num_steps == 0 {
-                return tube.from_mm;
-            }
-            tube.from_mm + (tube.to_mm - tube.from_mm) * n as f64 / num_steps as f64
-        };
-        let mut points: Vec<Point> = (0..=num_steps).map(|n| tube.at(place(n))).collect();
-        let reach = (tube.radius_mm / step_mm).round().max(1.0) as usize;
-        for _ in 0..ROUNDS {
-            let next: Vec<Point> = (0..points.len())
-                .map(|n| {
-                    let (a, b) = (n.saturating_sub(reach), (n + reach).min(points.len() - 1));
-                    let chord = if b - a >= 2 {
-                        sub(points[b], points[a])
-                    } else {
-                        // A short part has its branch's direction.
-                        let s = place(n);
-                        tube.chord(s - tube.radius_mm, s + tube.radius_mm)
-                    };
-                    unit(chord)
-                        .and_then(|normal| self.center(points[n], normal, tube.radius_mm))
-                        .unwrap_or(points[n])
-                })
-                .collect();
-            let pull = vec![CENTRED_PULL * smooth::pull_of(tube.radius_mm); points.len()];
-            points = smooth::smoothed_by(&next, &pull, |p| self.holds(p));
-        }
-        points
-    }
-
-    /// The lumen's edge in a plane, if it is closed there.
-    pub(crate) fn contour(
-        &self,
-        from: Point,
-        axes: (Point, Point),
-        radius_mm: f64,
-    ) -> Option<[f64; NUM_RAYS]> {
-        let reach_mm = 2.5 * radius_mm + 2.0 * self.grid.min_spacing_mm();
-        let met = std::array::from_fn(|n| self.ray_mm(from, direction(axes, n), reach_mm));
-        filled(&without_far(&met))
-    }
-
-    /// Centre of the lumen's area in a plane, if it is closed there and the centre lies in it.
-    fn center(&self, from: Point, normal: Point, radius_mm: f64) -> Option<Point> {
-        let axes = plane_axes(normal);
-        let [u, v] = centroid(&self.contour(from, axes, radius_mm)?);
-        let far_mm = u.hypot(v);
-        let share = (0.5 * radius_mm / far_mm.max(1e-9)).min(1.0);
-        let center = std::array::from_fn(|a| from[a] + share * (u * axes.0[a] + v * axes.1[a]));
-        self.holds(center).then_some(center)
-    }
-
-    /// Where a ray leaves the lumen: the last voxel on it, and how far that one's wall is. NaN beyond the reach.
-    fn ray_mm(&self, from: Point, dir: Point, reach_mm: f64) -> f64 {
-        let step_mm = 0.5 * self.grid.min_spacing_mm();
-        let first = self.grid.to_ijk(Lps(from)).0;
-        let step = self.grid.ijk_from_lps().vector(dir).map(|v| v * step_mm);
-        let mut last = None;
-        for n in 0..=(reach_mm / step_mm) as usize {
-            let voxel: [isize; 3] =
-                std::array::from_fn(|a| (first[a] + n as f64 * step[a] + 0.5).floor() as isize);
-            let Some(node) = self.graph.node_at_voxel(voxel) else {
-                return last.map_or(f64::NAN, |(voxel, node): ([isize; 3], u32)| {
-                    let center = self.grid.to_lps(Ijk(voxel.map(|v| v as f64))).0;
-                    dot(sub(center, from), dir) + self.graph.wall_mm(node)
-                });
-            };
-            last = Some((voxel, node));
-        }
-        f64::NAN
-    }
-
     /// The point nearest to the axes of a branch and of its children.
     fn fork(&self, tubes: &[Tube], parent: usize, children: &[usize]) -> Point {
         let tube = &tubes[parent];
@@ -401,7 +192,7 @@ impl View<'_> {
         pull[0] = smooth::FIXED;
         pull[last] = if forks { smooth::FIXED } else { 3.0 * own };
         for point in &mut points[1..last] {
-            *point = tree::pulled_inside(self.graph, self.grid, *point);
+            *point = branch::pulled_inside(self.graph, self.grid, *point);
         }
         let mut curve = smooth::smoothed_by(&points, &pull, |p| self.holds(p));
         curve[0] = start;

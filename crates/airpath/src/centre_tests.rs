@@ -3,10 +3,11 @@
 use carina_grid::{Affine, Grid, Ijk, Lps, VolumeView, dot, length};
 
 use crate::Unwatched;
+use crate::branch::Branch;
 use crate::lumen::{LumenCost, LumenGraph, WallLevels};
 use crate::smooth::Point;
 use crate::tracker::Tracker;
-use crate::tree::{Branch, BranchLimits, branches_to, find_branches};
+use crate::tree::{BranchLimits, branches_to, find_branches};
 
 const LEVELS: WallLevels = WallLevels {
     core: -900.0,

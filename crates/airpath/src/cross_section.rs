@@ -9,18 +9,18 @@
 //! Half-maximum edges of thin walls are biased, and [`crate::deblur`] takes the known part of that out. This file finds
 //! the raw edges and turns corrected ones into figures.
 
-use carina_grid::{Grid, Lps, VolumeView, cross, length, unit};
+use carina_grid::{Grid, Lps, VolumeView, length};
 use rayon::prelude::*;
 
 use crate::deblur::Blur;
-use crate::profile::{Edges, Profile, edges_of};
+use crate::profile::{Edges, Profile, SectionLevels, WALL_REACH_MM, edges_of};
+use crate::rays::{
+    Cast, NUM_RAYS, angle, centroid, direction, filled, median, plane_axes, share_of,
+    without_outliers,
+};
 use crate::smooth::Point;
 use crate::{TrackError, Watch};
 
-/// Rays of a section; also the number of its contour's points.
-pub const NUM_RAYS: usize = 64;
-/// With a smaller share of rays that meet a wall there is no section, only a hole in the wall.
-pub const LEAST_SHARE: f64 = 0.6;
 /// With a smaller share of rays whose wall has a far side its thickness is not told.
 pub const LEAST_WALL_SHARE: f64 = 0.3;
 /// What is thicker is not the wall alone: the far side found is that of what lies against it.
@@ -37,17 +37,6 @@ const HALF_95: f64 = 1.96;
 /// How far the correction for the blur may be off, as a share of it (one standard deviation).
 const TRUST: f64 = 0.35;
 
-/// What the values mean.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SectionLevels {
-    /// A wall rises at least this far above the lumen.
-    pub min_contrast: f32,
-    /// A wall is not brighter than this: cartilage with lime and vessels with contrast medium are cut down to it.
-    pub brightest_wall: f32,
-    /// Standard deviation of the noise.
-    pub noise: f32,
-}
-
 /// Where to cut.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plane {
@@ -57,17 +46,6 @@ pub struct Plane {
     pub normal: Point,
     /// About how far the wall is, mm: rays give up at [`reach_mm`].
     pub radius_mm: f64,
-}
-
-/// The rays of a plane and what they met.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Cast {
-    /// Where the rays began, LPS mm.
-    pub center: Point,
-    /// Unit vector along the airway.
-    pub normal: Point,
-    /// Counter-clockwise as seen against the normal, from the first axis of [`plane_axes`].
-    pub rays: [Edges; NUM_RAYS],
 }
 
 /// What a plane shows. Lengths in mm; NaN where there is none.
@@ -109,22 +87,6 @@ pub struct Section {
 #[must_use]
 pub fn reach_mm(radius_mm: f64, voxel_mm: f64) -> f64 {
     3.0 * radius_mm + 3.0 * voxel_mm
-}
-
-/// How far behind the lumen's edge the wall's far side is looked for, mm. Walls are 1 to 3 mm thick.
-pub(crate) const WALL_REACH_MM: f64 = 5.0;
-
-/// Two unit vectors that span the plane across `normal`; a right-handed frame with it.
-#[must_use]
-pub fn plane_axes(normal: Point) -> (Point, Point) {
-    // The LPS axis that is least along the normal: the same frame for the same normal, whatever came before.
-    let mut helper = [0.0; 3];
-    let least = (0..3)
-        .min_by(|&a, &b| normal[a].abs().total_cmp(&normal[b].abs()))
-        .unwrap_or(0);
-    helper[least] = 1.0;
-    let across = unit(cross(normal, helper)).unwrap_or([1.0, 0.0, 0.0]);
-    (across, cross(normal, across))
 }
 
 /// Size of a voxel along the rays of a plane, mm (root mean square over the rays).
@@ -209,93 +171,8 @@ fn cast(
     })
 }
 
-/// Unit vector of a ray.
-pub(crate) fn direction((across, up): (Point, Point), n: usize) -> Point {
-    let (s, c) = angle(n).sin_cos();
-    std::array::from_fn(|a| c * across[a] + s * up[a])
-}
-
-fn angle(n: usize) -> f64 {
-    std::f64::consts::TAU * n as f64 / NUM_RAYS as f64
-}
-
 fn share_met(rays: &[Edges; NUM_RAYS]) -> f64 {
     rays.iter().filter(|r| r.inner_mm.is_some()).count() as f64 / NUM_RAYS as f64
-}
-
-/// Edges of the lumen; NaN where there is none, or where it lies far from those of its neighbours and belongs to something
-/// else (the far wall of a branch that leaves here).
-pub(crate) fn without_outliers(rays: &[Edges; NUM_RAYS]) -> [f64; NUM_RAYS] {
-    without_far(&std::array::from_fn(|n| {
-        rays[n].inner_mm.unwrap_or(f64::NAN)
-    }))
-}
-
-/// Lengths along rays without those far from their neighbours'.
-pub(crate) fn without_far(lengths: &[f64; NUM_RAYS]) -> [f64; NUM_RAYS] {
-    const REACH: usize = 5;
-    std::array::from_fn(|n| {
-        let near = (0..=2 * REACH)
-            .map(|d| lengths[(n + NUM_RAYS + d - REACH) % NUM_RAYS])
-            .filter(|l| l.is_finite())
-            .collect();
-        let middle = median(near);
-        if (lengths[n] - middle).abs() <= 0.5 * middle + 0.5 {
-            lengths[n]
-        } else {
-            f64::NAN
-        }
-    })
-}
-
-/// A contour without gaps: they are filled from both sides. `None` with too many of them.
-pub(crate) fn filled(met: &[f64; NUM_RAYS]) -> Option<[f64; NUM_RAYS]> {
-    if share_of(met) < LEAST_SHARE {
-        return None;
-    }
-    Some(std::array::from_fn(|n| {
-        if met[n].is_finite() {
-            return met[n];
-        }
-        // The nearest found ray on each side, round the circle.
-        let side = |step: usize| {
-            (1..NUM_RAYS)
-                .map(|d| (d, (n + d * step) % NUM_RAYS))
-                .find(|(_, at)| met[*at].is_finite())
-        };
-        match (side(1), side(NUM_RAYS - 1)) {
-            (Some((d, after)), Some((e, before))) => {
-                (met[after] * e as f64 + met[before] * d as f64) / (d + e) as f64
-            }
-            _ => f64::NAN,
-        }
-    }))
-}
-
-fn share_of(lengths: &[f64; NUM_RAYS]) -> f64 {
-    lengths.iter().filter(|r| r.is_finite()).count() as f64 / NUM_RAYS as f64
-}
-
-/// The middle value; NaN of none.
-pub(crate) fn median(mut list: Vec<f64>) -> f64 {
-    list.sort_by(f64::total_cmp);
-    list.get(list.len() / 2).copied().unwrap_or(f64::NAN)
-}
-
-/// Centre of the area inside a contour, in the plane's axes.
-pub(crate) fn centroid(contour: &[f64; NUM_RAYS]) -> [f64; 2] {
-    let (mut u, mut v, mut area) = (0.0, 0.0, 0.0);
-    for (n, r) in contour.iter().enumerate() {
-        let (s, c) = angle(n).sin_cos();
-        u += r.powi(3) * c / 3.0;
-        v += r.powi(3) * s / 3.0;
-        area += r * r / 2.0;
-    }
-    if area > 0.0 {
-        [u / area, v / area]
-    } else {
-        [0.0; 2]
-    }
 }
 
 impl Section {

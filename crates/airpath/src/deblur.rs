@@ -14,7 +14,7 @@ use std::sync::LazyLock;
 
 use carina_grid::{Grid, dot, unit};
 
-use crate::cross_section::{Cast, NUM_RAYS, direction, median, plane_axes, without_outliers};
+use crate::rays::{Cast, NUM_RAYS, direction, median, plane_axes, without_outliers};
 use crate::smooth::Point;
 
 /// Edges that the blur is taken from, at least.

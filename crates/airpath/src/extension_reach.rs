@@ -6,7 +6,7 @@ use std::collections::{BinaryHeap, HashMap};
 use carina_grid::VolumeView;
 use rayon::prelude::*;
 
-use crate::extension::{ExtensionLimits, LUMEN, Levels, PENDING, REFUSED};
+use crate::extension_levels::{ExtensionLimits, LUMEN, Levels, PENDING, REFUSED};
 use crate::tubeness::Enclosure;
 use crate::{TrackError, Watch};
 

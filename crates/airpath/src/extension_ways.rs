@@ -5,7 +5,7 @@ use std::collections::{BinaryHeap, HashMap};
 
 use carina_grid::VolumeView;
 
-use crate::extension::{ExtensionLimits, Followed, LUMEN, Levels};
+use crate::extension_levels::{ExtensionLimits, Followed, LUMEN, Levels};
 use crate::extension_reach::{Faces, Node, places};
 use crate::extension_verdict::{Blur, looks_like_airway};
 use crate::tubeness::{REACH_MM, Section, section};

@@ -7,7 +7,7 @@
 use crate::buckets::Block;
 use crate::field::{HERE, StepCost};
 use crate::field_layout::prefetch;
-use crate::field_tracker::{FieldTracker, MOST_QUANTA};
+use crate::field_state::{FieldTracker, MOST_QUANTA, Touch};
 
 /// Entries of the queue between asking for the memory round one and settling it.
 const AHEAD: usize = 6;
@@ -15,13 +15,6 @@ const AHEAD: usize = 6;
 /// Marks the step to a node that was first touched from the front bucket.
 const TOUCHED: u8 = 1 << 7;
 
-/// A voxel that was touched first from its neighbour.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Touch {
-    node: u32,
-    value_at: u32,
-    cell: u8,
-}
 impl<C: StepCost> FieldTracker<C> {
     /// Settles a block of nodes of one cost where a step costs by voxel: whoever is touched first is touched by the least.
     pub(crate) fn touch(&mut self, values: &[f32], block: Block, cost: u64) -> usize {

@@ -12,8 +12,9 @@ use carina_grid::InstructionSet;
 
 use crate::buckets::Buckets;
 use crate::field::{HERE, Quanta, StepCost, VoxelField};
-use crate::field_front::Touch;
 use crate::field_layout::{Layout, fresh, open_bits};
+pub use crate::field_state::FieldTracker;
+use crate::field_state::{MOST_QUANTA, Touch};
 use crate::field_sweep::Sweep;
 use crate::field_tile::SweepBuffer;
 use crate::{TrackError, Watch};
@@ -21,35 +22,6 @@ use crate::{TrackError, Watch};
 /// Nodes settled between two looks at the watch, about.
 const NODES_PER_LOOK: usize = 1 << 16;
 
-/// Greatest cost in quanta that is kept beside a voxel: 31 bits.
-pub(crate) const MOST_QUANTA: i32 = i32::MAX;
-
-/// A least-cost tree in a [`VoxelField`] that grows as far as it is asked to.
-#[derive(Debug)]
-pub struct FieldTracker<C: StepCost> {
-    pub(crate) quanta: Quanta<C>,
-    pub(crate) layout: Layout,
-    pub(crate) root: u32,
-    /// Cell of the step that led here, plus 1; 0 where no path has come.
-    pub(crate) step_here: Vec<u8>,
-    /// One bit for each voxel and for a rim round the box, 1 where a path may still come: for the first time where the cost is
-    /// by voxel, a cheaper one where it is by both ends.
-    pub(crate) open: Vec<u8>,
-    /// By both ends: what is left of `MOST_QUANTA` after the least cost so far; 0 where no path has come, so that fresh
-    /// memory will do.
-    pub(crate) left: Vec<i32>,
-    pub(crate) queue: Buckets,
-    /// Scratch of [`touch`].
-    pub(crate) touched: Vec<Touch>,
-    /// Nodes first touched from the front bucket: closed when it is done with.
-    pub(crate) closing: Vec<u32>,
-    pub(crate) num_settled: usize,
-    /// Nothing is open any more.
-    pub(crate) done: bool,
-    /// Once everything was asked for: what is open is in its tiles, no longer in the queue.
-    pub(crate) sweep: Option<Sweep>,
-    pub(crate) simd: InstructionSet,
-}
 impl<C: StepCost> FieldTracker<C> {
     /// A tracker with one root and nothing settled.
     ///

@@ -10,6 +10,7 @@
 //! `field_sweep` every voxel's.
 
 pub mod box_graph;
+pub mod branch;
 mod buckets;
 pub mod caliber;
 mod centre;
@@ -20,6 +21,7 @@ pub mod distance;
 mod error;
 pub mod evidence;
 pub mod extension;
+mod extension_levels;
 mod extension_reach;
 mod extension_verdict;
 mod extension_ways;
@@ -28,6 +30,7 @@ pub mod field_aim;
 mod field_front;
 mod field_lanes;
 mod field_layout;
+mod field_state;
 mod field_sweep;
 mod field_tile;
 pub mod field_tracker;
@@ -42,12 +45,14 @@ pub mod mesh;
 pub mod outline;
 pub mod paper_cost;
 pub mod profile;
+pub mod rays;
 pub mod smooth;
 mod spots;
 pub mod trachea;
 pub mod tracker;
 pub mod tree;
 pub mod tree_edit;
+mod tube;
 pub mod tubeness;
 mod voxel_set;
 mod wall_sites;

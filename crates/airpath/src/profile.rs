@@ -2,10 +2,21 @@
 
 use carina_grid::VolumeView;
 
-use crate::cross_section::{SectionLevels, WALL_REACH_MM};
-
 /// A wall's far side is there when the values fall again by this share of their rise.
 const FALL: f32 = 0.3;
+/// How far behind the lumen's edge the wall's far side is looked for, mm. Walls are 1 to 3 mm thick.
+pub(crate) const WALL_REACH_MM: f64 = 5.0;
+
+/// What the values mean.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SectionLevels {
+    /// A wall rises at least this far above the lumen.
+    pub min_contrast: f32,
+    /// A wall is not brighter than this: cartilage with lime and vessels with contrast medium are cut down to it.
+    pub brightest_wall: f32,
+    /// Standard deviation of the noise.
+    pub noise: f32,
+}
 
 /// Values at even steps along a ray.
 #[derive(Debug, Clone, Default)]

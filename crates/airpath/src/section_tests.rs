@@ -4,12 +4,10 @@ use carina_grid::{Affine, Grid, Ijk, VolumeView, cross, dot, unit};
 use proptest::prelude::*;
 
 use crate::Unwatched;
-use crate::cross_section::{
-    Cast, NUM_RAYS, Plane, Section, SectionLevels, cast_plane, cast_planes, plane_axes,
-    voxel_in_plane_mm,
-};
+use crate::cross_section::{Plane, Section, cast_plane, cast_planes, voxel_in_plane_mm};
 use crate::deblur::{Blur, half_maximum_mm, true_thickness_mm};
-use crate::profile::value_at;
+use crate::profile::{SectionLevels, value_at};
+use crate::rays::{Cast, NUM_RAYS, plane_axes};
 use crate::smooth::Point;
 
 const LEVELS: SectionLevels = SectionLevels {

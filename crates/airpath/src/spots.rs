@@ -2,7 +2,16 @@
 
 use carina_grid::{Grid, Ijk, VolumeView, length};
 
-use crate::trachea::AirLevels;
+/// Levels that tell air from tissue.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AirLevels {
+    /// Values below are air.
+    pub air: i16,
+    /// A wall of soft tissue reaches at least this.
+    pub tissue: i16,
+    /// Lung lies between these; `None` where the values do not show it (a painted mask), then no lung is asked for.
+    pub lung: Option<(i16, i16)>,
+}
 
 /// One spot of air in one slice.
 #[derive(Debug, Clone)]

@@ -13,21 +13,11 @@ use carina_grid::{VolumeView, length};
 use rayon::prelude::*;
 
 use crate::lungs::{MIN_LUNG_MM2, lungs_beside};
+pub use crate::spots::AirLevels;
 use crate::spots::{
     Chain, Spot, across_mm, chain_length_mm, chains, spots_of_air, transverse_axis,
 };
 use crate::{TrackError, Watch};
-
-/// Levels that tell air from tissue.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct AirLevels {
-    /// Values below are air.
-    pub air: i16,
-    /// A wall of soft tissue reaches at least this.
-    pub tissue: i16,
-    /// Lung lies between these; `None` where the values do not show it (a painted mask), then no lung is asked for.
-    pub lung: Option<(i16, i16)>,
-}
 
 /// What the anatomy of a trachea misses here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

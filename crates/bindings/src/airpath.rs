@@ -6,6 +6,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use carina_airpath::branch::{self, Branch};
 use carina_airpath::caliber;
 use carina_airpath::flood::{FloodLimits, flood};
 use carina_airpath::graph::{Graph, NO_NODE};
@@ -13,7 +14,7 @@ use carina_airpath::lumen::{LumenCost, LumenGraph, WallLevels};
 use carina_airpath::smooth::Point;
 use carina_airpath::trachea::{AirLevels, Doubt, find_trachea};
 use carina_airpath::tracker::Tracker;
-use carina_airpath::tree::{self, Branch, BranchLimits};
+use carina_airpath::tree::{self, BranchLimits};
 use carina_airpath::{TrackError, Watch};
 use carina_grid::{Grid, Ijk, Lps, VolumeView};
 use numpy::ndarray::Array2;
@@ -26,7 +27,7 @@ use pyo3::types::{PyDict, PyList};
 
 use crate::arrays;
 use crate::errors::{IntoPy, carina_error};
-use crate::tree_edits::points;
+use crate::points::points;
 use crate::watch::PyWatch;
 
 impl IntoPy for TrackError {
@@ -300,7 +301,7 @@ impl LumenTracker {
         keep_end: bool,
     ) -> Bound<'py, PyArray2<f64>> {
         let (curve, _) = py.detach(|| {
-            tree::smooth_inside(&self.graph, &self.grid, &points_lps, step_mm, keep_end)
+            branch::smooth_inside(&self.graph, &self.grid, &points_lps, step_mm, keep_end)
         });
         points_array(py, &curve)
     }
@@ -512,7 +513,7 @@ impl LumenTracker {
     }
 
     fn radius_at(&self, lps: Point) -> f64 {
-        tree::radius_mm(&self.graph, &self.grid, lps)
+        branch::radius_mm(&self.graph, &self.grid, lps)
     }
 
     fn branch_list<'py>(

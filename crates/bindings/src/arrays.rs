@@ -2,7 +2,9 @@
 #![allow(dead_code, reason = "used as the parts' bindings land")]
 
 use carina_grid::{Affine, Grid, GridError};
-use numpy::{Element, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use numpy::{
+    Element, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
+};
 use pyo3::prelude::*;
 
 use crate::errors::IntoPy;
@@ -48,4 +50,13 @@ pub(crate) fn values<'a, T: Element>(
     array
         .as_slice()
         .map_err(|e| pyo3::exceptions::PyValueError::new_err(format!("{name}: {e}")))
+}
+
+/// A `[z, y, x]` array from its values.
+pub(crate) fn volume_array<T: numpy::Element>(
+    py: Python<'_>,
+    data: Vec<T>,
+    shape_zyx: [usize; 3],
+) -> PyResult<Bound<'_, PyArray3<T>>> {
+    numpy::PyArray1::from_vec(py, data).reshape(shape_zyx)
 }

@@ -4,10 +4,10 @@
     reason = "pyo3 hands arguments over by value"
 )]
 
-use carina_airpath::cross_section::{
-    Cast, NUM_RAYS, Plane, Section, SectionLevels, cast_planes, plane_axes, voxel_in_plane_mm,
-};
+use carina_airpath::cross_section::{Plane, Section, cast_planes, voxel_in_plane_mm};
 use carina_airpath::deblur::Blur;
+use carina_airpath::profile::SectionLevels;
+use carina_airpath::rays::{Cast, NUM_RAYS, plane_axes};
 use carina_airpath::{TrackError, smooth::Point};
 use carina_grid::{Grid, VolumeView, unit};
 use numpy::ndarray::{Array1, Array2};

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use crate::airpath::LumenTracker;
 use crate::arrays;
 use crate::errors::IntoPy;
-use crate::tree_edits::{points, voxels};
+use crate::points::{points, voxels};
 use crate::watch::PyWatch;
 
 /// A volume without its finest noise, and how enclosed its voxels are.

@@ -13,7 +13,7 @@ use pyo3::prelude::*;
 
 use crate::pool;
 use crate::{
-    arrays::values,
+    arrays::{values, volume_array},
     errors::{IntoPy, carina_error},
     raycast::{instruction_set, transfer},
     watch::PyWatch,
@@ -32,15 +32,6 @@ impl IntoPy for IsoRegionError {
 
 /// A class as Python sees it: first HU, last HU, voxels, fully transparent.
 type PyClass = (i32, i32, u64, bool);
-
-/// A `[z, y, x]` array from its values.
-pub(crate) fn volume_array<T: numpy::Element>(
-    py: Python<'_>,
-    data: Vec<T>,
-    shape_zyx: [usize; 3],
-) -> PyResult<Bound<'_, PyArray3<T>>> {
-    numpy::PyArray1::from_vec(py, data).reshape(shape_zyx)
-}
 
 fn shape_of<T: numpy::Element>(array: &PyReadonlyArray3<'_, T>) -> [usize; 3] {
     let shape = array.shape();

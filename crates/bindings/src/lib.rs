@@ -19,6 +19,7 @@ mod optics;
 mod outline;
 mod paper_tracker;
 mod phantom;
+mod points;
 mod pool;
 mod raycast;
 mod scope;

@@ -16,7 +16,7 @@ use numpy::{
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-use crate::{errors::IntoPy, isoregion::volume_array};
+use crate::{arrays::volume_array, errors::IntoPy};
 
 /// A lens in front of a picture of a size.
 #[pyclass(frozen, module = "carina._core")]

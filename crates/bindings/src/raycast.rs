@@ -24,10 +24,9 @@ use pyo3::prelude::*;
 
 use crate::pool;
 use crate::{
-    arrays::{affine, grid, values},
+    arrays::{affine, grid, values, volume_array},
     errors::{IntoPy, carina_error},
     gpu::GpuScene,
-    isoregion::volume_array,
     optics::{LensRays, camera},
 };
 

@@ -20,51 +20,12 @@ use pyo3::prelude::*;
 use crate::airpath::{LumenTracker, points_array};
 use crate::arrays;
 use crate::errors::IntoPy;
+use crate::points::{points, refused, voxels};
 use crate::watch::PyWatch;
 
 type Voxels<'py> = Bound<'py, PyArray2<u16>>;
 /// First voxel and shape, i, j, k.
 type Corners = ([usize; 3], [usize; 3]);
-
-fn refused(what: &'static str, expected: &str, found: String) -> PyErr {
-    TrackError::Argument {
-        what,
-        expected: expected.to_owned(),
-        found,
-    }
-    .into_py()
-}
-
-pub(crate) fn voxels(
-    what: &'static str,
-    array: &PyReadonlyArray2<'_, u16>,
-    shape_ijk: [usize; 3],
-) -> PyResult<Vec<[u16; 3]>> {
-    let view = array.as_array();
-    if view.ncols() != 3 {
-        return Err(refused(
-            what,
-            "(n, 3) voxels",
-            format!("{:?}", view.shape()),
-        ));
-    }
-    let found: Vec<[u16; 3]> = view
-        .rows()
-        .into_iter()
-        .map(|r| [r[0], r[1], r[2]])
-        .collect();
-    match found
-        .iter()
-        .find(|v| (0..3).any(|a| usize::from(v[a]) >= shape_ijk[a]))
-    {
-        None => Ok(found),
-        Some(voxel) => Err(refused(
-            what,
-            &format!("below {shape_ijk:?}"),
-            format!("{voxel:?}"),
-        )),
-    }
-}
 
 fn nodes(tracker: &LumenTracker, array: &PyReadonlyArray1<'_, u32>) -> PyResult<Vec<u32>> {
     let found: Vec<u32> = array.as_array().to_vec();
@@ -72,25 +33,6 @@ fn nodes(tracker: &LumenTracker, array: &PyReadonlyArray1<'_, u32>) -> PyResult<
         tracker.check(*node)?;
     }
     Ok(found)
-}
-
-pub(crate) fn points(
-    what: &'static str,
-    array: &PyReadonlyArray2<'_, f64>,
-) -> PyResult<Vec<[f64; 3]>> {
-    let view = array.as_array();
-    if view.ncols() != 3 {
-        return Err(refused(
-            what,
-            "(n, 3) points",
-            format!("{:?}", view.shape()),
-        ));
-    }
-    Ok(view
-        .rows()
-        .into_iter()
-        .map(|r| [r[0], r[1], r[2]])
-        .collect())
 }
 
 fn voxel_array<'py>(py: Python<'py>, voxels: &[[u16; 3]]) -> Voxels<'py> {

@@ -12,8 +12,7 @@ use std::{
 use crate::{
     AdapterFacts, GpuError, GpuMap,
     adapter::found,
-    rays::{Directions, TableOnDevice},
-    slot::Slot,
+    resources::{Directions, Slot, TableOnDevice},
 };
 
 /// Longer than any picture takes on a device that is worth using; then the device counts as lost.

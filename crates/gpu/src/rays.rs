@@ -2,48 +2,14 @@
 
 use std::{ops::Range, sync::Arc};
 
-use carina_grid::{Camera, LensRays};
+use carina_grid::Camera;
 use carina_raycast::FrameNumbers;
 
-use crate::{Gpu, device::lock};
-
-/// The unit directions of some rows of pixels in camera space, for one lens and one size of picture.
-#[derive(Debug)]
-pub(crate) struct Directions {
-    pub(crate) buffer: wgpu::Buffer,
-    key: DirectionsKey,
-}
-
-/// Whatever the directions depend on; the pose is not among it.
-#[derive(Debug, Clone)]
-struct DirectionsKey {
-    /// Kept alive, so that its address stays its own.
-    lens: Option<Arc<LensRays>>,
-    focal_px_bits: u64,
-    width: usize,
-    height: usize,
-    rows: Range<usize>,
-}
-
-impl PartialEq for DirectionsKey {
-    fn eq(&self, other: &Self) -> bool {
-        let lens = match (&self.lens, &other.lens) {
-            (None, None) => true,
-            (Some(a), Some(b)) => Arc::ptr_eq(a, b),
-            _ => false,
-        };
-        lens && self.focal_px_bits == other.focal_px_bits
-            && (self.width, self.height) == (other.width, other.height)
-            && self.rows == other.rows
-    }
-}
-
-/// A transfer table on the device.
-#[derive(Debug)]
-pub(crate) struct TableOnDevice {
-    pub(crate) buffer: wgpu::Buffer,
-    entries: Vec<[f32; 4]>,
-}
+use crate::{
+    Gpu,
+    device::lock,
+    resources::{Directions, DirectionsKey, TableOnDevice},
+};
 
 /// Kept of each: while a camera moves, the frame budget goes back and forth between a few sizes and steps.
 const KEPT: usize = 6;

@@ -1,18 +1,6 @@
 //! Buffers of a picture under way.
 
-use crate::{Gpu, device::lock, uniforms::Uniforms};
-
-/// Buffers of one band: kept and used again.
-#[derive(Debug)]
-pub(crate) struct Slot {
-    out_bytes: u64,
-    count_bytes: u64,
-    pub(crate) uniforms: wgpu::Buffer,
-    pub(crate) out: wgpu::Buffer,
-    pub(crate) counts: wgpu::Buffer,
-    /// Pixels and counts, as the CPU reads them.
-    pub(crate) staging: wgpu::Buffer,
-}
+use crate::{Gpu, device::lock, resources::Slot, uniforms::Uniforms};
 
 impl Gpu {
     /// Buffers of at least these sizes, from the ones that are free.

@@ -1,22 +1,6 @@
 //! Volumes and radius maps on the device, uploaded once.
 
-use crate::{Gpu, GpuError};
-
-/// An int16 volume on the device.
-#[derive(Debug)]
-pub struct GpuVolume {
-    pub(crate) view: wgpu::TextureView,
-    pub(crate) shape_zyx: [usize; 3],
-    pub(crate) owner: u64,
-}
-
-/// A radius map on the device.
-#[derive(Debug)]
-pub struct GpuMap {
-    pub(crate) view: wgpu::TextureView,
-    pub(crate) shape_zyx: [usize; 3],
-    pub(crate) owner: u64,
-}
+use crate::{Gpu, GpuError, GpuMap, GpuVolume};
 
 /// Bytes handed to the driver at a time: it keeps a copy of each until it is on the device.
 const UPLOAD_BYTES: usize = 32 << 20;

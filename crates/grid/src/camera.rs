@@ -1,11 +1,6 @@
 use std::sync::Arc;
 
-use crate::{Affine, Grid, GridError, LensRays};
-
-/// The narrowest field of view, 1 degree: a tele lens for looking at a landmark from outside.
-pub const MIN_FOV_RAD: f64 = core::f64::consts::PI / 180.0;
-/// The widest pinhole field of view, 170 degrees: at 180 the image plane is infinite.
-pub const MAX_FOV_RAD: f64 = 170.0 * core::f64::consts::PI / 180.0;
+use crate::{Affine, Grid, GridError, LensRays, MAX_FOV_RAD, MIN_FOV_RAD};
 
 /// A camera: pose, lens and viewport. Without a lens of its own it is a pinhole.
 ///

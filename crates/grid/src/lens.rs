@@ -5,7 +5,12 @@
 
 use core::f64::consts::PI;
 
-use crate::{Distortion, GridError, MAX_FOV_RAD, MIN_FOV_RAD};
+use crate::{Distortion, GridError};
+
+/// The narrowest field of view, 1 degree: a tele lens for looking at a landmark from outside.
+pub const MIN_FOV_RAD: f64 = core::f64::consts::PI / 180.0;
+/// The widest pinhole field of view, 170 degrees: at 180 the image plane is infinite.
+pub const MAX_FOV_RAD: f64 = 170.0 * core::f64::consts::PI / 180.0;
 
 /// A calibration may be scaled to a viewport whose sides differ from its own by this part, for rounding to whole pixels.
 const ASPECT_TOLERANCE: f64 = 0.01;

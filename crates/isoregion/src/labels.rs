@@ -1,6 +1,6 @@
 //! Label volumes: what an `IsoRegion` map compares.
 
-use crate::{IsoRegionError, map::num_threads};
+use crate::{IsoRegionError, threads::num_threads};
 
 /// Width of a bin of the paper's value labelling: 256 bins cover the 4096 HU of a 12-bit CT.
 pub const VALUE_BIN_HU: i32 = 16;

@@ -16,6 +16,7 @@ mod map;
 mod reference;
 mod segment_table;
 mod sweep;
+mod threads;
 mod uniform;
 
 pub use error::IsoRegionError;
@@ -24,8 +25,5 @@ pub use labels::{
     value_labels, value_range,
 };
 pub use map::{MapBuilder, radius_map};
-pub use reference::paper_radius_map;
+pub use reference::{MAX_RADIUS_VOX, paper_radius_map};
 pub use segment_table::{MAX_SEGMENT_SAMPLES, SegmentTable};
-
-/// The largest radius that is recorded. Larger cubes exist; recording them smaller costs speed, never correctness.
-pub const MAX_RADIUS_VOX: u8 = 255;

@@ -8,6 +8,7 @@ use crate::{
     error::check_length,
     labels::run_labels,
     sweep::{Push, Sweep},
+    threads::num_threads,
     uniform::Source,
 };
 
@@ -36,11 +37,6 @@ impl Default for MapBuilder<'_> {
             cancelled: None,
         }
     }
-}
-
-/// Threads that a map is built in unless told: as many as the pool has, but not its own (see `join`).
-pub(crate) fn num_threads() -> usize {
-    rayon::current_num_threads()
 }
 
 /// Radius of every voxel: the same map as [`crate::paper_radius_map`], built as [`MapBuilder`] does unless told.

@@ -1,6 +1,9 @@
 //! The paper's construction, kept readable: it defines truth for the fast one.
 
-use crate::{IsoRegionError, MAX_RADIUS_VOX, error::check_length};
+use crate::{IsoRegionError, error::check_length};
+
+/// The largest radius that is recorded. Larger cubes exist; recording them smaller costs speed, never correctness.
+pub const MAX_RADIUS_VOX: u8 = 255;
 
 /// Radius of every voxel by the paper's iteration (4.2).
 ///

@@ -3,6 +3,7 @@ use carina_grid::{Affine, Grid, length};
 use crate::PhantomError;
 use crate::airways::AirwayTree;
 use crate::body::{Body, lung_distance};
+use crate::nodule::Nodule;
 use crate::random::Random;
 use crate::shapes::{along, normals, sub, tilted};
 use crate::vessels::vessels;
@@ -47,19 +48,6 @@ impl Default for ChestOptions {
             with_distance: false,
         }
     }
-}
-
-/// A round lesion.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Nodule {
-    /// Centre, LPS mm.
-    pub center_lps: [f64; 3],
-    /// Radius.
-    pub radius_mm: f64,
-    /// The airway nearest to it.
-    pub branch_id: usize,
-    /// Distance of its centre from that airway's centreline.
-    pub distance_mm: f64,
 }
 
 /// A narrowing of one airway.

@@ -14,6 +14,7 @@ mod anatomy;
 mod body;
 mod chest;
 mod error;
+mod nodule;
 mod noise;
 mod random;
 mod shapes;
@@ -23,5 +24,6 @@ mod voxels;
 
 pub use airways::{AirwayTree, Branch};
 pub use analytic::{shells, tube, y_junction};
-pub use chest::{Chest, ChestOptions, Nodule, Stenosis};
+pub use chest::{Chest, ChestOptions, Stenosis};
 pub use error::PhantomError;
+pub use nodule::Nodule;

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::airways::AirwayTree;
 use crate::body::{Body, surfaces, with_solid};
-use crate::chest::Nodule;
+use crate::nodule::Nodule;
 use crate::shapes::{Piece, along, cover, direction, mix, smooth_max, smooth_min, sub};
 
 /// Blur of the scanner beside the voxel's own box: FWHM 0.8 mm.

@@ -3,7 +3,7 @@
 use crate::{
     composite::Gathered,
     frame::{Frame, Ray},
-    image::CastStats,
+    method::CastStats,
 };
 
 /// Paper 4.3, "ordinary ray casters": evenly spaced samples, front to back, until the ray is opaque.

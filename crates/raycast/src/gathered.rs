@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use crate::{
     CastStats, Frame, Gathered, InstructionSet, Method, RaycastError,
-    appearance::Lighting,
-    image::{check, share},
+    lighting::Lighting,
     packet::{BAND_ROWS, light_rows},
+    rows::{check, share},
 };
 
 /// Lights rows whose rays another caster has gathered, `[row, column]`, as [`cast_rows`] lights its own; `stats` are that

@@ -5,103 +5,17 @@ use std::{
     sync::atomic::{AtomicBool, Ordering},
 };
 
-use rayon::prelude::*;
-
 use crate::{
-    ClassMap, Frame, InstructionSet, Interpolation, RaycastError,
-    appearance::Lighting,
-    brute,
+    CastStats, Frame, InstructionSet, Interpolation, Method, RaycastError, brute,
     composite::Gathered,
     frame::Ray,
     leap::{self, Start},
+    lighting::Lighting,
     packet::{BAND_ROWS, Packets, light_rows},
+    rows::{check, share},
     surface::cast_walls_row,
     worth::if_it_pays,
 };
-
-/// Which caster.
-#[derive(Debug, Clone, Copy)]
-pub enum Method<'a> {
-    /// Every sample.
-    Brute,
-    /// Leaps over transparent classes; the radius map of these classes alone.
-    LeapTransparent(&'a [u8]),
-    /// Leaps over all classes by the step table; only without shading.
-    LeapClasses(ClassMap<'a>),
-}
-
-/// What a picture took.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct CastStats {
-    /// Rays cast.
-    pub num_rays: u64,
-    /// Samples read from the volume.
-    pub num_samples: u64,
-    /// Look-ups in the radius map.
-    pub num_lookups: u64,
-    /// Leaps taken.
-    pub num_leaps: u64,
-    /// Samples that leaps stood for.
-    pub num_skipped: u64,
-    /// Samples that were lit, for which a gradient was read.
-    pub num_shaded: u64,
-    /// Reads of the volume and of the maps: see [`CastStats::sample_loads`].
-    pub num_loads: u64,
-}
-
-impl CastStats {
-    /// Reads of a sample: the four rows of its cell, two voxels each; or the nearest voxel.
-    pub(crate) const fn sample_loads(nearest: bool) -> u32 {
-        if nearest { 1 } else { 4 }
-    }
-
-    /// Further reads of a lit sample: its gradient takes the eight rows beside its cell. (The cell's own are then read two
-    /// voxels longer.)
-    const GRADIENT_LOADS: u64 = 8;
-
-    /// Reads of a lit first wall: fourteen samples for its normal and one beneath it.
-    const LIGHTING_LOADS: u64 = 15 * 4;
-
-    /// Counts the reads, which follow from the other counts: of samples and their gradients, one radius for each look-up,
-    /// and one label for each leap over a class. Reads of the transfer and step tables are left out: they are small and
-    /// stay in the nearest cache, and a leap saves them as well.
-    #[must_use]
-    pub fn with_loads(self, frame: &Frame<'_>, method: Method<'_>) -> Self {
-        let nearest = frame.options.interpolation == Interpolation::Nearest;
-        let labels = match method {
-            Method::LeapClasses(_) => self.num_leaps,
-            Method::Brute | Method::LeapTransparent(_) => 0,
-        };
-        let samples = u64::from(Self::sample_loads(nearest)) * self.num_samples;
-        let gradients = Self::GRADIENT_LOADS * self.num_shaded;
-        Self {
-            num_loads: samples + gradients + self.num_lookups + labels,
-            ..self
-        }
-    }
-
-    /// Counts the lighting of first walls.
-    pub(crate) fn lit(self, walls: &[Gathered]) -> Self {
-        let num_lit = walls.iter().filter(|wall| wall.hit >= 0.0).count() as u64;
-        Self {
-            num_shaded: num_lit,
-            num_loads: self.num_loads + Self::LIGHTING_LOADS * num_lit,
-            ..self
-        }
-    }
-
-    fn plus(self, other: Self) -> Self {
-        Self {
-            num_rays: self.num_rays + other.num_rays,
-            num_samples: self.num_samples + other.num_samples,
-            num_lookups: self.num_lookups + other.num_lookups,
-            num_leaps: self.num_leaps + other.num_leaps,
-            num_skipped: self.num_skipped + other.num_skipped,
-            num_shaded: self.num_shaded + other.num_shaded,
-            num_loads: self.num_loads + other.num_loads,
-        }
-    }
-}
 
 /// Casts `rows` of the picture as 8-bit RGB, `[row, column, channel]`.
 ///
@@ -199,85 +113,6 @@ fn cast_lit(
     };
     light_rows(frame, light, simd, first_row, &walls, out);
     stats.with_loads(frame, method).lit(&walls)
-}
-
-/// Shares rows of `blank` items, `per_row` in each, among the threads, `num_rows` at a time; once `stop` is set, what is
-/// left stays blank.
-pub(crate) fn share<T: Copy + Send>(
-    rows: &Range<usize>,
-    (blank, per_row): (T, usize),
-    num_rows: usize,
-    stop: Option<&AtomicBool>,
-    cast: impl Fn(usize, &mut [T]) -> CastStats + Sync,
-) -> (Vec<T>, CastStats) {
-    let mut items = vec![blank; rows.len() * per_row];
-    let stats = items
-        .par_chunks_mut(per_row * num_rows)
-        .enumerate()
-        // Rows differ in cost by far (dark lumen, near wall): small shares let a thread that is done take more.
-        .with_max_len(4 / num_rows)
-        .map(|(n, out)| {
-            if stop.is_some_and(|stop| stop.load(Ordering::Relaxed)) {
-                return CastStats::default();
-            }
-            cast(rows.start + n * num_rows, out)
-        })
-        .reduce(CastStats::default, CastStats::plus);
-    (items, stats)
-}
-
-pub(crate) fn check(
-    frame: &Frame<'_>,
-    method: Method<'_>,
-    rows: &Range<usize>,
-    simd: InstructionSet,
-) -> Result<(), RaycastError> {
-    let height = frame.camera().height();
-    if rows.start > rows.end || rows.end > height {
-        return Err(RaycastError::Setting {
-            what: "rows",
-            expected: format!("a range within 0 to {height}"),
-            found: format!("{} to {}", rows.start, rows.end),
-        });
-    }
-    if !simd.is_available() {
-        return Err(RaycastError::Setting {
-            what: "instruction set",
-            expected: "one that this machine has".to_owned(),
-            found: simd.name().to_owned(),
-        });
-    }
-    check_maps(frame, method)
-}
-
-fn check_maps(frame: &Frame<'_>, method: Method<'_>) -> Result<(), RaycastError> {
-    let expected = frame.grid.num_voxels();
-    let check = |what: &'static str, found: usize| {
-        if found == expected {
-            return Ok(());
-        }
-        Err(RaycastError::Setting {
-            what,
-            expected: format!("{expected} voxels, as in the volume"),
-            found: format!("{found}"),
-        })
-    };
-    match method {
-        Method::Brute => Ok(()),
-        Method::LeapTransparent(radius) => check("radius map", radius.len()),
-        Method::LeapClasses(map) => {
-            check("radius map", map.radius.len())?;
-            check("label volume", map.labels.len())?;
-            if frame.options.light.is_some() {
-                return Err(RaycastError::Setting {
-                    what: "leaps over all classes",
-                    expected: "shading off, since shading varies inside a class".to_owned(),
-                    found: "shading on".to_owned(),
-                });
-            }
-            Ok(())
-        }
-    }
 }
 
 fn cast_row(

@@ -17,20 +17,9 @@ use carina_isoregion::{MAX_SEGMENT_SAMPLES, SegmentTable};
 use crate::{
     composite::Gathered,
     frame::{Frame, Ray},
-    image::{CastStats, Method},
+    method::{CastStats, ClassMap, Method},
     sampling::Lanes,
 };
-
-/// Labels, radii and step table for leaps over every class; only without shading.
-#[derive(Debug, Clone, Copy)]
-pub struct ClassMap<'a> {
-    /// `[z, y, x]`; 0 is never leaped.
-    pub labels: &'a [u8],
-    /// `[z, y, x]`, from the labels.
-    pub radius: &'a [u8],
-    /// For one ray step of this picture.
-    pub segments: &'a SegmentTable,
-}
 
 /// Steps per voxel along an axis on which a ray stands still: far and, unlike infinity, safe to multiply by 0.
 pub(crate) const FAR: f32 = 1e30;

@@ -6,46 +6,9 @@ use carina_grid::{Affine, VolumeView};
 use rayon::prelude::*;
 
 use crate::{
-    Field, InstructionSet, RaycastError,
+    Field, InstructionSet, RaycastError, Window,
     packet::{PlaneTiles, TILE_ROWS},
 };
-
-/// Window and level: which values become black and white.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Window {
-    lo: f32,
-    scale: f32,
-}
-
-impl Window {
-    /// Values from `level - width / 2` (black) to `level + width / 2` (white).
-    pub fn new(width_hu: f64, level_hu: f64) -> Result<Self, RaycastError> {
-        if !(width_hu.is_finite() && width_hu > 0.0 && level_hu.is_finite()) {
-            return Err(RaycastError::Setting {
-                what: "window",
-                expected: "a width above 0 and a finite level".to_owned(),
-                found: format!("width {width_hu}, level {level_hu}"),
-            });
-        }
-        Ok(Self {
-            lo: (level_hu - width_hu / 2.0) as f32,
-            scale: (255.0 / width_hu) as f32,
-        })
-    }
-
-    /// The grey level of a value.
-    #[inline(always)]
-    #[must_use]
-    pub fn grey(&self, value: f32) -> u8 {
-        // The cast saturates below 0 and above 255.
-        (value - self.lo).mul_add(self.scale, 0.5) as u8
-    }
-
-    /// The value that is black, and grey levels per value above it.
-    pub(crate) const fn ramp(self) -> (f32, f32) {
-        (self.lo, self.scale)
-    }
-}
 
 /// Grey levels of a plane, `[row, column]`; 0 outside the volume.
 #[derive(Debug, Clone, PartialEq, Eq)]

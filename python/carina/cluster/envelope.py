@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import pickle
 import struct
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carina.errors import ClusterError
 from carina.render import Picture
 
-if TYPE_CHECKING:
-    from carina.cluster.host import Strip
+__all__ = ["Counts", "Strip", "open_answer", "open_order", "pack_answer", "pack_order"]
 
-__all__ = ["open_answer", "open_order", "pack_answer", "pack_order"]
+Counts = tuple[int, int, int, int, int, int, int]
+"""Rays, samples, look-ups, leaps, skipped, shaded, loads."""
+Strip = tuple[int, int, int, int, float, str, Counts, Picture | None, NDArray[np.uint8]]
+"""Frame, content, first row and number of rows again, seconds, method, counts; with the first rows the picture without
+pixels; and the pixels."""
 
 # Frame, content, first row, row after the last; both rows -1 for the whole picture. The pickled view follows.
 _ORDER = struct.Struct("<qqii")

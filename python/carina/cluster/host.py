@@ -16,18 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import carina
-from carina.cluster.envelope import open_order, pack_answer
+from carina.cluster.envelope import Counts, Strip, open_order, pack_answer
 from carina.cluster.parcel import open_parcel
 from carina.errors import ClusterError
 from carina.render import Backend, Picture, Renderer, RenderStats, build_info
 
-__all__ = ["Counts", "RendererHost", "Strip", "available_bytes", "bare_picture", "counts_of"]
-
-Counts = tuple[int, int, int, int, int, int, int]
-"""Rays, samples, look-ups, leaps, skipped, shaded, loads."""
-Strip = tuple[int, int, int, int, float, str, Counts, Picture | None, NDArray[np.uint8]]
-"""Frame, content, first row and number of rows again, seconds, method, counts; with the first rows the picture without
-pixels; and the pixels."""
+__all__ = ["RendererHost", "available_bytes", "bare_picture", "counts_of"]
 
 
 def available_bytes() -> int | None:

@@ -13,7 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.cluster.host import Counts, Strip, bare_picture, counts_of
+from carina.cluster.envelope import Counts, Strip
+from carina.cluster.host import bare_picture, counts_of
 from carina.cluster.parcel import Parcel
 from carina.display import one_line
 from carina.render import CancelToken, Picture, Renderer, View

@@ -1,6 +1,6 @@
 """Airway lumen, least-cost paths and the airway tree (paper 6)."""
 
-from carina.track.airways import Airways, TargetResult, TrackResult, find_airways, track_paths
+from carina.track.airways import find_airways, track_paths
 from carina.track.between import way_between
 from carina.track.drawn import DrawnPart, drawn_part, drawn_tree, kind_words
 from carina.track.edit_folded import FoldedAirways, fold_airways
@@ -24,6 +24,7 @@ from carina.track.edits import (
     rebuild_airways,
 )
 from carina.track.field import FieldPath, FieldPaths, aimed_path
+from carina.track.found import Airways, TargetResult, TrackResult
 from carina.track.levels import lumen_threshold_from_histogram
 from carina.track.live import LivePath
 from carina.track.measures import BranchMeasures, BranchSummary, ForkMeasures, Stenosis, TreeMeasures, measure_tree

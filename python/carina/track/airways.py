@@ -4,127 +4,31 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import LumenTracker
-from carina.display import as_words, one_line
 from carina.display.progress import ProgressChoice, heard, shows_progress
 from carina.errors import CancelledError, NoResultError, UsageError, check_type
-from carina.track.edit_kinds import TreeEdit
-from carina.track.evidence import EvidenceStore
+from carina.track.found import Airways, TargetResult, TrackResult
 from carina.track.growth import Stages, doubts_of_given, given_lumen, grow, trachea_in
 from carina.track.levels import AirScale
 from carina.track.mask_doubts import unnamed_where_doubted, with_mask_doubts
 from carina.track.names import name_tree
-from carina.track.paths import SNAP_MM, Cancel, PathTracker, TrackedPath, as_point, branches_from_rows, words
+from carina.track.paper import check_choice, track_on_graph
+from carina.track.paths import SNAP_MM, Cancel, PathTracker, as_point, branches_from_rows, words
 from carina.track.root_checks import refuse_a_root_below_the_carina, refuse_a_root_of_one_lung
 from carina.track.totals import doubt_of_totals
 from carina.track.tree import AirwayTree, Branch
 from carina.track.uncertain import Uncertainty, find_uncertain, with_confidence
 from carina.volume.model import Note, Volume
 
-if TYPE_CHECKING:
-    from carina.track.paper import GraphSearch
-
 __all__ = ["Airways", "TargetResult", "TrackResult", "find_airways", "track_paths"]
 
 # Trachea, two main, five lobar and some segmental bronchi: with fewer there is too little to tell lobes apart.
 MIN_GRAMMAR_BRANCHES = 12
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Airways:
-    """The airways of a volume.
-
-    Examples
-    --------
-    >>> import carina
-    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
-    >>> airways = carina.find_airways(phantom.volume)
-    >>> airways.lumen_zyx.shape == phantom.volume.shape_zyx
-    True
-    """
-
-    lumen_zyx: NDArray[np.uint8]
-    """(nz, ny, nx), 1 inside the lumen, read-only."""
-    root_lps: NDArray[np.float64]
-    """Where all paths begin, LPS mm."""
-    tree: AirwayTree
-    tracker: PathTracker
-    threshold: float
-    """Value at which the lumen ends (HU where the volume is in HU)."""
-    notes: tuple[str, ...] = ()
-    """What was limited or moved, in words."""
-    wall_levels: tuple[float, float, float] | None = None
-    """Values that tell lumen from wall on diagonal steps (certain air, half-way, rise); None for a given lumen."""
-    edits: tuple[TreeEdit, ...] = ()
-    """What a person changed since they were found, in order."""
-    base: Airways | None = None
-    """What was found, before the edits; None where there are none."""
-    next_id: int | None = None
-    """The first id that no branch ever had; None before the first edit."""
-    uncertain: tuple[Uncertainty, ...] = ()
-    """What could not be followed and why, the widest first; last, where the CT stops being trustworthy."""
-    bridges: tuple[NDArray[np.float64], ...] = ()
-    """(n, 3) LPS mm each: ways of the bridges that a person made and did not cut; what leads there stays a bridge."""
-    evidence: EvidenceStore = field(default_factory=EvidenceStore, repr=False, compare=False)
-    """What the CT shows of airways beyond those found, for edits; found when first needed, the same after each edit."""
-
-    def __repr__(self) -> str:
-        edited = f", {len(self.edits)} edits" if self.edits else ""
-        return f"Airways({self.tree!r}, root_lps={as_words(self.root_lps)}, threshold={self.threshold:g}{edited})"
-
-    def _repr_html_(self) -> str:
-        """The tree, drawn and as a table, and what was found, in a notebook."""
-        badges = {note.words for note in self.badges}
-        more = [note for note in self.notes if note not in badges]
-        if self.edits:
-            more.append(f"{len(self.edits)} edits by a person")
-        if self.uncertain:
-            first = self.uncertain[0].reason
-            more.append(f"{len(self.uncertain)} places that could not be followed; the widest: {first}")
-        return self.tree.to_html(more)
-
-    @property
-    def badges(self) -> tuple[Note, ...]:
-        """The lasting notes: a search that was stopped, a mask that is doubted. They go with the tree wherever it goes
-        and stay through edits; their words are in ``notes`` too."""
-        return self.tree.notes
-
-    @property
-    def report(self) -> tuple[str, ...]:
-        """The notes."""
-        return self.notes
-
-
-@one_line
-@dataclass(frozen=True, slots=True, eq=False)
-class TargetResult:
-    """What became of one target."""
-
-    requested_lps: NDArray[np.float64]
-    used_lps: NDArray[np.float64] | None
-    """Where the path ends: the target, or the lumen voxel it was moved to."""
-    snapped_mm: float
-    path: TrackedPath | None
-    problem: str | None
-    """Why there is no path, in words."""
-
-
-@one_line
-@dataclass(frozen=True, slots=True, eq=False)
-class TrackResult:
-    """Paths to several targets, and their common tree."""
-
-    tree: AirwayTree
-    targets: tuple[TargetResult, ...]
-    airways: Airways
-    search: GraphSearch | None = None
-    """The graph that was searched and what that took; None for the cost ``lumen`` on the voxel graph."""
 
 
 @shows_progress
@@ -319,8 +223,6 @@ def track_paths(
     >>> abs(found.targets[0].path.length_mm - airways.tree.route_to(tip.id).length_mm) < 5.0
     True
     """
-    from carina.track.paper import check_choice, track_on_graph
-
     check_type("track_paths", "volume", volume, Volume, "open one with carina.open_volume")
     progress = heard(progress) or False
     check_choice(cost, graph)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import LumenTracker, time_lumen_paths
-from carina.track.airways import Airways
+from carina.track.found import Airways
 from carina.track.paths import SNAP_MM, PathTracker, as_point
 from carina.volume.model import Volume
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from carina._core import lumen_states
 from carina.display import one_line
 from carina.errors import UsageError
-from carina.track.airways import Airways
 from carina.track.edit_kinds import TreeEdit
 from carina.track.edit_lumen import EditedLumen, lumen_voxels
+from carina.track.found import Airways
 from carina.track.paths import PathTracker
 from carina.track.tree import AirwayTree, Branch
 from carina.track.uncertain import Uncertainty

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 from carina.commands.tree import (
     AddBranch,
@@ -19,10 +19,6 @@ from carina.commands.tree import (
 )
 from carina.errors import TrackingError
 
-if TYPE_CHECKING:
-    from carina.track.airways import Airways
-    from carina.track.tree import AirwayTree
-
 __all__ = [
     "AddBranch",
     "Bridge",
@@ -35,7 +31,6 @@ __all__ = [
     "SmoothBranch",
     "TreeEdit",
     "branch_title",
-    "edit_words",
     "edits_from_json",
     "edits_to_json",
 ]
@@ -100,49 +95,9 @@ def _edit_from_row(row: object, number: int) -> TreeEdit:
     return edit
 
 
-def edit_words(edit: TreeEdit, airways: Airways) -> str:
-    """An edit in words, for the list of what can be undone: ``cut RB3``.
-
-    Parameters
-    ----------
-    airways
-        What the edit is made to: it has the names.
-    """
-    tree = airways.tree
-    match edit:
-        case AddBranch(lps, even_without_evidence):
-            what = "draw" if even_without_evidence else "add"
-            return f"{what} a branch beyond {_nearest_title(tree, lps)}"
-        case CutBranch(branch_id, at_mm):
-            return f"cut {_title(tree, branch_id)}" if at_mm <= 0.0 else f"shorten {_title(tree, branch_id)}"
-        case Bridge(lps):
-            return f"bridge beyond {_nearest_title(tree, lps)}"
-        case MoveRoot():
-            return "move the root"
-        case MoveFork(branch_id):
-            return f"move the fork of {_title(tree, branch_id)}"
-        case PaintLumen(erase=erase):
-            return "erase lumen" if erase else "paint lumen"
-        case SmoothBranch(branch_id):
-            return f"smooth {_title(tree, branch_id)}"
-        case RenameBranch(branch_id, name):
-            title = _title(tree, branch_id)
-            return f"automatic name for {title}" if name is None else f"call {title} {name}"
-
-
 def branch_title(name: str | None, branch_id: int) -> str:
     """What a branch is called in a sentence."""
     return name or f"branch {branch_id}"
-
-
-def _title(tree: AirwayTree, branch_id: int) -> str:
-    name = next((branch.name for branch in tree.branches if branch.id == branch_id), None)
-    return branch_title(name, branch_id)
-
-
-def _nearest_title(tree: AirwayTree, lps: Point) -> str:
-    branch, _, _ = tree.nearest_branch(lps)
-    return branch_title(branch.name, branch.id)
 
 
 def _plain(value: Any) -> Any:

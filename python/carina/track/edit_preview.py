@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from carina.display import one_line
 from carina.errors import NoResultError, UsageError
-from carina.track.airways import Airways
 from carina.track.edit_kinds import AddBranch, Bridge, MoveFork
 from carina.track.edit_pieces import kind_of_added
 from carina.track.edit_tree import Points
 from carina.track.edit_way import branch_way
 from carina.track.edits import steps_of
+from carina.track.found import Airways
 from carina.track.paths import Cancel
 from carina.track.tree import Branch
 from carina.volume.model import Volume

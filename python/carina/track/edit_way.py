@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from carina._core import reached, sees
 from carina.display import one_line
 from carina.errors import NoEvidenceError, NoResultError, UsageError
-from carina.track.airways import Airways
 from carina.track.caliber import with_walls
 from carina.track.edit_kinds import Point, branch_title
 from carina.track.edit_lumen import EditedLumen, Voxels, by_faces, voxel_of
 from carina.track.edit_pieces import kind_of_added
 from carina.track.edit_tree import Place, Points, TreeDraft, along_mm
-from carina.track.evidence import Evidence, Start
+from carina.track.evidence import Evidence, Start, evidence_of
+from carina.track.found import Airways
 from carina.track.paths import as_point
 from carina.track.tree import AirwayTree, Branch
 from carina.volume.model import Volume
@@ -79,7 +79,7 @@ def branch_way(volume: Volume, airways: Airways, lps: Point | Sequence[float] | 
     lumen = EditedLumen(volume, airways.tracker.core)
     draft = TreeDraft(with_walls(airways.tree), airways.next_id or 1 + max(b.id for b in airways.tree.branches))
     try:
-        plan = planned_way(lumen, airways.tree, draft, airways.evidence.of(volume, airways), (x, y, z))
+        plan = planned_way(lumen, airways.tree, draft, evidence_of(volume, airways), (x, y, z))
     except (NoResultError, UsageError) as error:
         return BranchWay(np.empty((0, 3)), 0.0, np.empty(0, dtype=bool), 0.0, False, None, str(error))
     return BranchWay(

@@ -15,7 +15,6 @@ from functools import partial
 import numpy as np
 
 from carina.errors import CancelledError, NoResultError, UsageError, check_type
-from carina.track.airways import Airways
 from carina.track.caliber import with_sections, with_walls
 from carina.track.edit_kinds import (
     AddBranch,
@@ -27,13 +26,15 @@ from carina.track.edit_kinds import (
     RenameBranch,
     SmoothBranch,
     TreeEdit,
-    edit_words,
     edits_from_json,
     edits_to_json,
 )
+from carina.track.edit_labels import edit_words
 from carina.track.edit_lumen import EditedLumen, lumen_voxels
 from carina.track.edit_steps import EditSteps
 from carina.track.edit_tree import needed_branch
+from carina.track.evidence import evidence_of
+from carina.track.found import Airways
 from carina.track.growth import Progress
 from carina.track.names_drawn import carried_names, seen_part
 from carina.track.paths import Cancel, PathTracker
@@ -197,7 +198,7 @@ def _edited(
     changed = None if is_fresh else steps.changed_boxes
     branches = with_sections(volume, core, steps.draft.finished(), tree, changed)
     if steps.judged:
-        noise = airways.evidence.of(volume, airways).noise
+        noise = evidence_of(volume, airways).noise
         branches = tuple(judged(volume, b, noise) if b.id in steps.judged else b for b in branches)
     tracker = PathTracker(volume, core)
     tracker.follow_branches(branches)
@@ -225,7 +226,7 @@ def steps_of(volume: Volume, airways: Airways, *, is_fresh: bool = False, cancel
         airways.next_id or 1 + max(branch.id for branch in airways.tree.branches),
         (airways.base or airways).lumen_zyx,
         bridges=airways.bridges,
-        evidence=partial(airways.evidence.of, volume, airways),
+        evidence=partial(evidence_of, volume, airways),
     )
 
 

@@ -7,9 +7,6 @@ finds on the best ways through plain lung of the same CT, and weighed (``evidenc
 
 from __future__ import annotations
 
-import threading
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,14 +14,12 @@ from carina import _core
 from carina.errors import NoResultError
 from carina.track.edit_lumen import EditedLumen, Voxels, tissue_there
 from carina.track.evidence_verdict import STEP_MM, Lung, Sections, Start, along_mm, doubtful_sections, turns_back
+from carina.track.found import Airways
 from carina.track.levels import air_scale
+from carina.track.tree import AirwayTree
 from carina.volume.model import Volume
 
-if TYPE_CHECKING:
-    from carina.track.airways import Airways
-    from carina.track.tree import AirwayTree
-
-__all__ = ["Evidence", "EvidenceStore", "Sections", "Start"]
+__all__ = ["Evidence", "Sections", "Start", "evidence_of"]
 
 Points = NDArray[np.float64]
 
@@ -217,23 +212,10 @@ class Evidence:
         )
 
 
-class EvidenceStore:
-    """The evidence of one volume, found when first asked for; shared by the airways that edits make of each other."""
-
-    __slots__ = ("_evidence", "_lock", "_values")
-
-    def __init__(self) -> None:
-        self._evidence: Evidence | None = None
-        self._values: NDArray[np.int16] | None = None
-        self._lock = threading.Lock()
-
-    def of(self, volume: Volume, airways: Airways) -> Evidence:
-        """The evidence in a volume in which airways were found; of another volume it is never kept."""
-        with self._lock:
-            if self._evidence is None or self._values is not volume.hu_zyx:
-                self._evidence = Evidence(volume, airways.base or airways)
-                self._values = volume.hu_zyx
-            return self._evidence
+def evidence_of(volume: Volume, airways: Airways) -> Evidence:
+    """The evidence in a volume in which airways were found; found when first asked for, the same after each edit."""
+    found: Evidence = airways.evidence.of(volume, lambda: Evidence(volume, airways.base or airways))
+    return found
 
 
 def _plain_lung(volume: Volume, base: Airways, brightest: float) -> Voxels:

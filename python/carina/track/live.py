@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carina._core import LumenTracker
 from carina.display import one_line
 from carina.track.levels import AirScale
 from carina.volume.model import Volume
-
-if TYPE_CHECKING:
-    from carina.track.paths import PathTracker, Point
 
 __all__ = ["LivePath", "find_live_path", "noise_hu", "sampled", "wall_scores"]
 
@@ -33,6 +31,23 @@ LAST_MM = 10.0
 SEARCH_MM = 40.0
 # A chain is as strong as its weak parts; not the weakest sample, which noise chooses.
 WEAK_SHARE = 0.1
+
+
+Point = tuple[float, float, float]
+
+
+class LumenPaths(Protocol):
+    """What a live path asks of a tracker (:class:`carina.track.PathTracker`)."""
+
+    @property
+    def core(self) -> LumenTracker: ...
+    @property
+    def air_scale(self) -> AirScale: ...
+    @property
+    def noise_hu(self) -> float: ...
+    def snap(self, point: Point, *, snap_mm: float) -> tuple[int, float]: ...
+    def middle_to(self, node: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+    def new_share(self, node: int) -> tuple[float, int | None]: ...
 
 
 @one_line
@@ -58,7 +73,7 @@ class LivePath:
     """Why there is no path and what to do, in words."""
 
 
-def find_live_path(tracker: PathTracker, volume: Volume, point: Point, *, reach_mm: float) -> LivePath:
+def find_live_path(tracker: LumenPaths, volume: Volume, point: Point, *, reach_mm: float) -> LivePath:
     """The path to a point in the volume, or the words that say why there is none.
 
     The confidence is the product of three shares:
@@ -207,7 +222,7 @@ def _no_path(problem: str) -> LivePath:
     return LivePath(np.empty((0, 3)), 0.0, 0.0, None, 0.0, 0.0, None, problem)
 
 
-def _where(tracker: PathTracker, volume: Volume, point: Point, reach_mm: float) -> str:
+def _where(tracker: LumenPaths, volume: Volume, point: Point, reach_mm: float) -> str:
     """What is at a point outside the lumen, and what to do."""
     found = tracker.core.nearest(point, SEARCH_MM)
     far = f"more than {SEARCH_MM:g} mm" if found is None else f"{found[1]:.0f} mm"

@@ -28,7 +28,7 @@ from carina.volume.model import Volume
 
 if TYPE_CHECKING:
     from carina._core import SectionCasts
-    from carina.track.airways import Airways
+    from carina.track.found import Airways
 
 __all__ = ["BranchMeasures", "BranchSummary", "ForkMeasures", "Stenosis", "TreeMeasures", "measure_tree"]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carina import _core
 from carina.errors import CancelledError
-from carina.track.airways import Airways
+from carina.track.found import Airways
 from carina.track.growth import HALF_WALL_HU, STEP_RISE_HU, Progress
 from carina.track.levels import air_scale
 from carina.track.paths import Cancel

@@ -7,21 +7,19 @@ import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carina._core import GraphTracker
 from carina.errors import CancelledError, NoResultError, UsageError
+from carina.track.found import Airways, GraphSearch, TargetResult, TargetSearch, TrackResult
 from carina.track.paths import SNAP_MM, STEP_MM, TrackedPath, as_point, words
 from carina.track.tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
-if TYPE_CHECKING:
-    from carina.track.airways import Airways, TrackResult
-
-__all__ = ["COSTS", "GRAPHS", "GraphSearch", "TargetSearch", "check_choice", "search_box", "track_on_graph"]
+__all__ = ["COSTS", "GRAPHS", "check_choice", "search_box", "track_on_graph"]
 
 COSTS = ("lumen", "paper")
 GRAPHS = ("voxel", "isoregion")
@@ -37,54 +35,6 @@ MAX_BYTES = 1 << 30
 BYTES_PER_VOXEL = {"voxel": 22, "isoregion": 38}
 """Of the box that is searched: 5 for the cost, 17 for the tree; 16 for what was pruned, where nothing can be."""
 MARGINS_MM = (20.0, 10.0, 5.0, 2.0)
-
-
-@dataclass(frozen=True, slots=True)
-class TargetSearch:
-    """What the search for one target took, and where its path runs."""
-
-    cost: float
-    """Sum over the edges of length in mm times weight."""
-    search_s: float
-    """Seconds from the call to the least cost; what earlier targets settled is not searched again."""
-    num_settled: int
-    """Nodes settled for it."""
-    num_path_nodes: int
-    num_outside: int
-    """Nodes of the path outside the lumen that was found."""
-    outside_mm: float
-    """Length of the path outside that lumen, mm."""
-    to_node_mm: float
-    """From the target's voxel to the node that stands for it, mm; above 0 where the voxel was cut away."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GraphSearch:
-    """The graph that was searched, and what the search took."""
-
-    cost: str
-    graph: str
-    labels: str | None
-    """``bins`` of 16 HU, or the class of the ``lumen``; None on the voxel graph."""
-    num_nodes: int
-    num_edges: int
-    """Undirected; links between centres and boundaries included."""
-    num_centers: int
-    """Nodes in the middle of an IsoRegion."""
-    build_s: float
-    """Seconds that graph and cost took to build."""
-    quantum: float
-    """Integer unit of the costs."""
-    first_ijk: tuple[int, int, int]
-    shape_ijk: tuple[int, int, int]
-    """The box of voxels that was searched (for the cost ``lumen`` its lumen)."""
-    is_whole: bool
-    """True if that is the whole volume."""
-    branch_nodes_lps: Points
-    """(n, 3) places where paths part: nodes that two or more others point back to (paper, Figure 13)."""
-    targets: tuple[TargetSearch | None, ...]
-    """One for each target, None where there is no path."""
-    notes: tuple[str, ...] = ()
 
 
 def check_choice(cost: str, graph: str) -> None:
@@ -191,8 +141,6 @@ def track_on_graph(
     ----------
     Paper 6.1 to 6.3; docs/algorithms.md.
     """
-    from carina.track.airways import TargetResult, TrackResult
-
     check_choice(cost, graph)
     if labels not in (None, "bins", "lumen"):
         msg = f"labels: expected bins or lumen, found {labels!r}"

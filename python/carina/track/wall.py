@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from carina.errors import check_type
 from carina.scopes import WallField
-from carina.track.airways import Airways
+from carina.track.found import Airways
 from carina.track.growth import Progress
 from carina.track.mesh import lumen_mesh
 from carina.track.paths import Cancel

@@ -14,7 +14,8 @@ import type { Vec3 } from "../state/vec";
 import { type NewestPicture, PictureScreen, type XrLayer } from "../views/headset-screen";
 import type { ClientMessage } from "../wire/messages";
 import { LEAD_VIEW } from "../wire/views";
-import type { Workstation } from "./workstation";
+import type { Pointing } from "./pointing";
+import type { Station } from "./station";
 
 const BUMP = { strength: 0.6, ms: 120 } as const;
 
@@ -25,7 +26,8 @@ export interface CalibrationPair {
 }
 
 export class BrowserDevices {
-  readonly #station: Workstation;
+  readonly #station: Station;
+  readonly #pointing: Pointing;
   readonly #pads: Gamepads;
   readonly #lock: PointerLock;
   readonly #headset: Headset | null;
@@ -35,8 +37,9 @@ export class BrowserDevices {
   readonly #contact = new ContactSense();
   #armed: "root" | "target" | null = null;
 
-  constructor(station: Workstation) {
+  constructor(station: Station, pointing: Pointing) {
     this.#station = station;
+    this.#pointing = pointing;
     const nowS = () => performance.now() / 1000;
     this.#pads = new Gamepads({
       pads: () => ("getGamepads" in navigator ? (navigator.getGamepads() as readonly (Pad | null)[]) : []),
@@ -189,7 +192,7 @@ export class BrowserDevices {
     const { armed } = this.#station.state.ui;
     const tool = marksByPen(armed) ? armed : null;
     if (tool === this.#armed) {
-      if (tool !== null) this.#station.pointing.penAt();
+      if (tool !== null) this.#pointing.penAt();
       return;
     }
     this.#armed = tool;

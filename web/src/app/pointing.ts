@@ -17,7 +17,8 @@ import { isInside } from "../views/outline";
 import type { Viewport } from "../views/viewport";
 import type { EditTreeMessage, LivePathMessage, PictureHeader, ViewName } from "../wire/messages";
 import { VIEWS } from "../wire/views";
-import type { Workstation } from "./workstation";
+import type { Previewing } from "./previewing";
+import type { Station } from "./station";
 
 /** What lies under a place of a picture. */
 interface Pointed {
@@ -34,7 +35,8 @@ const CURSOR_RESTS_MS = 1000;
 const SHAKES_PX = 3;
 
 export class Pointing {
-  readonly #station: Workstation;
+  readonly #station: Station;
+  readonly #previewing: Previewing;
   readonly #live: LiveAsker;
   /** A click in the airway view whose point the server is asked for. */
   #commitOn: number | null = null;
@@ -49,8 +51,9 @@ export class Pointing {
   /** What was shown before a click that may turn out to be the first half of a double click. */
   #before: { crosshair: Vec3 | null; picks: AppState["picks"]; selected: number | null } | null = null;
 
-  constructor(station: Workstation) {
+  constructor(station: Station, previewing: Previewing) {
     this.#station = station;
+    this.#previewing = previewing;
     this.#live = new LiveAsker(
       (message) => {
         this.#lastAsked = message.request_id;
@@ -121,12 +124,12 @@ export class Pointing {
       if (wantsPath(ui.armed) || tool !== null) this.#forget();
     } else if (wantsPath(ui.armed)) this.#live.ask(question);
     else if (tool !== null && doubt === null) {
-      this.#station.previewing.ask({ tool, branch_id: tool === "move-fork" ? ui.forkHeld : null, ...question });
+      this.#previewing.ask({ tool, branch_id: tool === "move-fork" ? ui.forkHeld : null, ...question });
     }
   }
 
   #forget(): void {
-    this.#station.previewing.forget();
+    this.#previewing.forget();
     this.#live.forget();
     this.#station.store.dispatch({ kind: "live_path", livePath: null });
   }

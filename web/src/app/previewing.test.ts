@@ -2,7 +2,7 @@ import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
 import type { Preview, PreviewQuestion } from "../state/edit-preview";
 import type { AskEditPreviewMessage, EditPreviewMessage } from "../wire/messages";
 import { Previewing, STALE_MS } from "./previewing";
-import type { Workstation } from "./workstation";
+import type { Station } from "./station";
 
 const at = (x: number): PreviewQuestion => ({
   tool: "add-branch",
@@ -35,7 +35,7 @@ function station() {
     send: (message: AskEditPreviewMessage) => sent.push(message) > 0,
     store: { dispatch: (event: { preview: Preview | null }) => Object.assign(state, { preview: event.preview }) },
   };
-  const previewing = new Previewing(made as unknown as Workstation);
+  const previewing = new Previewing(made as unknown as Station);
   return { previewing, sent, state, shows: () => state.preview?.answer?.lps?.[0] ?? null };
 }
 

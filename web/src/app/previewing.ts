@@ -3,7 +3,7 @@
 import type { PreviewQuestion } from "../state/edit-preview";
 import { NewestAsker } from "../state/newest-asker";
 import type { EditPreviewMessage } from "../wire/messages";
-import type { Workstation } from "./workstation";
+import type { Station } from "./station";
 
 /**
  * So long the answer to where the cursor was stays, faint, so that the line follows a hand that moves. Then it goes:
@@ -12,12 +12,12 @@ import type { Workstation } from "./workstation";
 export const STALE_MS = 120;
 
 export class Previewing {
-  readonly #station: Workstation;
+  readonly #station: Station;
   readonly #asker: NewestAsker<PreviewQuestion, EditPreviewMessage>;
   #last: PreviewQuestion | null = null;
   #timer: ReturnType<typeof setTimeout> | null = null;
 
-  constructor(station: Workstation) {
+  constructor(station: Station) {
     this.#station = station;
     this.#asker = new NewestAsker(
       (id, question) => station.send({ type: "preview_edit", request_id: id, ...question }),

@@ -39,6 +39,7 @@ import { type CellName, LEAD_VIEW } from "../wire/views";
 import { BrowserDevices } from "./devices";
 import { Pointing } from "./pointing";
 import { Previewing } from "./previewing";
+import type { Station } from "./station";
 import { asConnection, caseKey, SLABS, saveAs } from "./station-parts";
 
 type Carm = StateMessage["carm"];
@@ -48,7 +49,7 @@ const STEP_MM = 2;
 const PACE_MS = 500;
 const SPEED_MS = 250;
 
-export class Workstation {
+export class Workstation implements Station {
   readonly store = new Store();
   readonly wall: Wall;
   readonly flight: Flight;
@@ -108,8 +109,8 @@ export class Workstation {
       changed: (playing) => this.store.dispatch({ kind: "playing", playing }),
     });
     this.previewing = new Previewing(this);
-    this.pointing = new Pointing(this);
-    this.devices = new BrowserDevices(this);
+    this.pointing = new Pointing(this, this.previewing);
+    this.devices = new BrowserDevices(this, this.pointing);
     this.#stream = new Stream(
       connect,
       {

@@ -1,6 +1,10 @@
 /** One gesture, one deed: which click of a series this is, and what it is for. */
 
-import type { PointerPlace } from "./pointer";
+export interface PointerPlace {
+  /** CSS pixels from the picture's top-left corner. */
+  x: number;
+  y: number;
+}
 
 /** What browsers wait for a second click, where nobody set it otherwise. */
 const SERIES_MS = 500;

@@ -1,12 +1,8 @@
 /** Clicks, drags and wheel turns on a picture, told apart once for all pictures. */
 
-import { ClickCounter } from "./clicks";
+import { ClickCounter, type PointerPlace } from "./clicks";
 
-export interface PointerPlace {
-  /** CSS pixels from the picture's top-left corner. */
-  x: number;
-  y: number;
-}
+export type { PointerPlace } from "./clicks";
 
 export type DragButton = "main" | "window" | "pan";
 

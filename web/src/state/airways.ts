@@ -8,40 +8,18 @@ import type {
   TreeDocument,
   UncertainPlace,
 } from "../wire/messages";
+import type { BranchNode, BranchTree, Side } from "./branch-tree";
 import { clockHour } from "./letters";
-import { indexOf, type TreeIndex } from "./tree-index";
+import { indexOf } from "./tree-index";
 import { asVec3, type Camera, distance, dot, sub, type Vec3 } from "./vec";
 
-export type Side = "right" | "left" | "middle";
-
-export interface BranchNode {
-  branch: TreeBranch;
-  label: string;
-  side: Side;
-  lengthMm: number;
-  /** Median diameter, mm. */
-  diameterMm: number;
-  children: BranchNode[];
-  /** Null until it was measured. */
-  measures: BranchMeasures | null;
-  /** The name in full, such as "apical segment, RUL". */
-  longName: string | null;
-  lobe: BranchTitle["lobe"];
-}
+export type { BranchNode, BranchTree, Side } from "./branch-tree";
 
 /** What comes with a tree. */
 export interface TreeExtras {
   readonly titles?: readonly BranchTitle[];
   readonly measures?: readonly BranchMeasures[] | null;
   readonly uncertain?: readonly UncertainPlace[];
-}
-
-export interface BranchTree {
-  root: BranchNode;
-  byId: ReadonlyMap<number, BranchNode>;
-  index: TreeIndex;
-  /** What could not be followed. */
-  uncertain: readonly UncertainPlace[];
 }
 
 function lengthOf(branch: TreeBranch): number {

@@ -1,8 +1,10 @@
 /** Which branch lies under a cursor: in a slice, from outside, and in the airway view. All from the tree's centrelines. */
 
-import type { BranchNode, BranchTree } from "./airways";
+import type { BranchNode, BranchTree, TreeIndex } from "./branch-tree";
 import { type Geometry, type PixelPoint, pixelFromLps, type SeenGeometry } from "./projection";
 import { add, type Camera, distance, dot, scale, sub, unit, type Vec3 } from "./vec";
+
+export type { TreeIndex } from "./branch-tree";
 
 /** A place on the tree. */
 export interface TreePlace {
@@ -14,16 +16,6 @@ export interface TreePlace {
   readonly radiusMm: number;
   /** From the point that was asked about to the centreline. */
   readonly distanceMm: number;
-}
-
-/** All centreline points in flat lists, for questions that come with each movement of the mouse. */
-export interface TreeIndex {
-  readonly x: Float64Array;
-  readonly y: Float64Array;
-  readonly z: Float64Array;
-  readonly radius: Float64Array;
-  readonly along: Float64Array;
-  readonly branch: Int32Array;
 }
 
 export function indexOf(nodes: Iterable<BranchNode>): TreeIndex {

@@ -23,6 +23,13 @@ export interface ScreenPoint {
   y: number;
 }
 
+export interface Rect {
+  x: number;
+  y: number;
+  width: number;
+  height: number;
+}
+
 /** Text that can be read on any picture: light on a dark edge. */
 export function label(
   ink: Ink,

@@ -1,8 +1,7 @@
 /** The outline of a picture on the screen: the whole frame, or what a bronchoscope's monitor shows. */
 
 import type { Mask } from "../wire/messages";
-import type { Ink, ScreenPoint } from "./ink";
-import type { Rect } from "./viewport";
+import type { Ink, Rect, ScreenPoint } from "./ink";
 
 export type Shape = "fill" | "round" | "octagon";
 

@@ -3,16 +3,9 @@
 import type { PixelPoint } from "../state/projection";
 import type { PictureHeader, ViewName } from "../wire/messages";
 import { VIEWS } from "../wire/views";
-import type { Ink, ScreenPoint } from "./ink";
+import type { Ink, Rect, ScreenPoint } from "./ink";
 import { clipPathOf, type Shape } from "./outline";
 import { outlinePath } from "./outline-path";
-
-export interface Rect {
-  x: number;
-  y: number;
-  width: number;
-  height: number;
-}
 
 /** The wire's smallest and largest picture side. */
 const MIN_SIDE_PX = 16;

@@ -2,7 +2,11 @@
 
 use carina_isoregion::MAX_SEGMENT_SAMPLES;
 
-use super::{kernel::Scene, lanes::Lanes, out::each_lane, pool::Packet};
+use super::{
+    lanes::{Lanes, each_lane},
+    pool::Packet,
+    scene::Scene,
+};
 use crate::leap::{FAR, LEAST_PATIENCE, MAX_STEPS, MOST_PATIENCE, Price};
 
 /// Steps per voxel on each axis, with the sign of the direction and without it; as in `leap::Pace`.

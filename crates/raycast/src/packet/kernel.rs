@@ -3,45 +3,17 @@
 //! *Search*: rays leap and take samples that are surely clear. *Shade*: rays take samples that may be visible, one after
 //! the other, until one is clear or the ray ends. A lane whose ray has left takes another ray.
 
-use carina_isoregion::SegmentTable;
-
 use super::{
     ask::Pace,
     lanes::Lanes,
     out::Out,
     pool::{Packet, Pool, Source},
-    voxels::Voxels,
+    scene::{BRUTE, CLASSES, Scene, TRANSPARENT},
 };
-use crate::{
-    CastStats, Frame,
-    leap::{Price, Start},
-};
-
-/// No leaps.
-pub(super) const BRUTE: u8 = 0;
-/// Leaps over transparent classes.
-pub(super) const TRANSPARENT: u8 = 1;
-/// Leaps over all classes by the step table.
-pub(super) const CLASSES: u8 = 2;
+use crate::CastStats;
 
 /// Rays that wait for shading before it starts: a change of stage saves and loads all lanes.
 const SHADE_FROM: usize = 96;
-
-/// What all packets of a picture share.
-#[derive(Clone, Copy)]
-pub(super) struct Scene<'a> {
-    pub frame: &'a Frame<'a>,
-    pub voxels: Voxels<'a>,
-    /// Empty for brute force.
-    pub radius: &'a [u8],
-    /// Empty unless all classes are leaped, like the step table.
-    pub labels: &'a [u8],
-    pub segments: &'a SegmentTable,
-    /// What a leap may reach beyond the radius.
-    pub margin: f32,
-    pub start: Start,
-    pub price: Price,
-}
 
 /// The state of a band.
 struct Band<L: Lanes, O: Out> {

@@ -113,3 +113,12 @@ pub(super) trait Lanes: Copy {
     /// In every lane the entry must lie in the table.
     unsafe fn entries(self, table: *const [f32; 4], index: Self::I) -> [Self::F; 4];
 }
+
+/// The numbers of the lanes in a mask.
+#[inline(always)]
+pub(super) fn each_lane(mut lanes: u32, mut take: impl FnMut(usize)) {
+    while lanes != 0 {
+        take(lanes.trailing_zeros() as usize % MAX_LANES);
+        lanes &= lanes - 1;
+    }
+}

@@ -15,9 +15,9 @@ use super::{
 };
 use crate::{
     Field, Frame, InstructionSet,
-    appearance::Lighting,
     composite::Gathered,
-    surface::{AXIS_AT, AXIS_WEIGHT, CORNER_AT, CORNER_WEIGHT},
+    lighting::Lighting,
+    normals::{AXIS_AT, AXIS_WEIGHT, CORNER_AT, CORNER_WEIGHT},
 };
 
 /// Squared radius of a light guide's end, mm2: the inverse square does not run away where a wall touches it.

@@ -21,6 +21,7 @@ mod plane;
 mod pool;
 mod portable;
 mod sample;
+mod scene;
 mod setup;
 mod texture;
 mod vectors;
@@ -35,12 +36,12 @@ use crate::{
 };
 #[cfg(target_arch = "x86_64")]
 use gathers::gathers_pay;
-use kernel::{BRUTE, CLASSES, Scene, TRANSPARENT};
 use lanes::Lanes;
 use out::{Out, Rgb8, Walls};
 use pair::Pair;
 pub(crate) use plane::{PlaneTiles, TILE_ROWS};
 use pool::Source;
+use scene::{BRUTE, CLASSES, Scene, TRANSPARENT};
 use voxels::Voxels;
 
 pub(crate) use lighting::{brightness, light_rows};

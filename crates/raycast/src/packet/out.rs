@@ -1,7 +1,7 @@
 //! Where packets write what their rays have gathered.
 
 use super::{
-    lanes::{Lanes, MAX_LANES},
+    lanes::{Lanes, MAX_LANES, each_lane},
     pool::Packet,
 };
 use crate::composite::Gathered;
@@ -16,15 +16,6 @@ pub(super) trait Out {
 
     /// Notes where the rays of some lanes meet the first wall; once in a ray's life.
     fn note_hits<L: Lanes>(&mut self, l: L, packet: &Packet<L>, lanes: u32, hit: L::F);
-}
-
-/// The numbers of the lanes in a mask.
-#[inline(always)]
-pub(super) fn each_lane(mut lanes: u32, mut take: impl FnMut(usize)) {
-    while lanes != 0 {
-        take(lanes.trailing_zeros() as usize % MAX_LANES);
-        lanes &= lanes - 1;
-    }
 }
 
 /// 8-bit colours over a background.

@@ -1,8 +1,7 @@
 //! Rays between the lanes: those that search and those that wait for shading.
 
 use super::{
-    lanes::{Array, Lanes, MAX_LANES},
-    out::each_lane,
+    lanes::{Array, Lanes, MAX_LANES, each_lane},
     setup::rays_of,
 };
 use crate::{Frame, leap::Start};

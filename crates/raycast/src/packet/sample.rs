@@ -1,6 +1,6 @@
 //! Samples of a packet: read, classified, lit and added; the operations of `Frame::add_sample`, lane by lane.
 
-use super::{kernel::Scene, lanes::Lanes, out::Out, pool::Packet};
+use super::{lanes::Lanes, out::Out, pool::Packet, scene::Scene};
 
 impl Scene<'_> {
     /// Takes samples `k` and goes on to the next ones. Gives the lanes where a sample added something and those whose ray

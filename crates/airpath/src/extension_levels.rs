@@ -1,0 +1,117 @@
+//! What the extension may do, what it calls an airway in this volume's lung, and the marks that it leaves on voxels.
+
+use rayon::prelude::*;
+
+use crate::tubeness::Enclosure;
+
+/// What the extension may do.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExtensionLimits {
+    /// Air in the trachea.
+    pub air: f64,
+    /// Values of lung, the calibration's sample.
+    pub lung: (i16, i16),
+    /// Brighter than this is no lumen.
+    pub brightest: i16,
+    /// Least rise from a lumen to its wall, whatever the lung shows.
+    pub least_rise: f64,
+    /// Voxels that are less enclosed are crossed on at most this way, mm.
+    pub gap_mm: f64,
+    /// A path must lead at least this far out of the lumen that is known, mm.
+    pub min_length_mm: f64,
+    /// A voxel must be so many times as enclosed as this volume's lung asks for; 1 as a rule.
+    pub raised: f64,
+    /// The search is given up once it has reached more than this share of the lung.
+    pub most_reached: f64,
+}
+
+/// One airway that was followed beyond the flood's end.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Followed {
+    /// Voxels of its middle, from the lumen outwards.
+    pub voxels: Vec<u32>,
+    /// Length, mm.
+    pub length_mm: f64,
+    /// Mean rise to the wall over what the lung pretends (1 is no better than the darkest fiftieth of lung).
+    pub contrast: f64,
+}
+
+pub(crate) const LUMEN: u8 = 1;
+/// Value of voxels that the extension adds to the lumen.
+pub const EXTENDED: u8 = 2;
+pub(crate) const PENDING: u8 = 3;
+pub(crate) const REFUSED: u8 = 4;
+
+/// Share of the lung that is less enclosed than what is followed, and than what a path must be on average.
+const FOLLOWED_SHARE: f64 = 0.98;
+const KEPT_SHARE: f64 = 0.995;
+
+/// Along an airway the values rise, as its lumen narrows and takes on more of the blur of its wall. A way that rises and falls
+/// again by more than this, in thresholds, has stepped over a wall into the lung; less than this share of the way from air
+/// to half a wall is none, however little noise there is.
+const DROP: f64 = 8.0;
+const LEAST_DROP: f64 = 0.4;
+
+/// A gap's voxels are at least this share as enclosed.
+const GAP_SHARE: f64 = 0.3;
+
+/// Lung voxels looked at for the calibration, and how many it needs.
+const NUM_SAMPLES: usize = 20_000;
+const MIN_SAMPLES: usize = 2_000;
+
+/// How enclosed voxels must be.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Levels {
+    pub(crate) followed: i16,
+    pub(crate) kept: f64,
+    pub(crate) gap: i16,
+    /// A way that rises and falls again by more than this has stepped over a wall.
+    pub(crate) drop: f64,
+    /// Voxels; airways beyond the flood are a small part of the lung.
+    pub(crate) most_reached: usize,
+}
+
+impl Levels {
+    pub(crate) fn of_lung(
+        smooth: &[i16],
+        lumen: &[u8],
+        enclosure: &Enclosure,
+        limits: &ExtensionLimits,
+    ) -> Self {
+        let (low, high) = limits.lung;
+        let is_lung = |at: usize| lumen[at] == 0 && (low..=high).contains(&smooth[at]);
+        // A stride without a factor in common with rows and slices walks through all of the volume evenly.
+        let stride = 1009;
+        let sample: Vec<usize> = (0..smooth.len())
+            .step_by(stride)
+            .filter(|at| is_lung(*at))
+            .collect();
+        let every = (sample.len() / NUM_SAMPLES).max(1);
+        let mut rises: Vec<i16> = sample
+            .par_iter()
+            .step_by(every)
+            .map(|at| enclosure.at(smooth, *at))
+            .collect();
+        rises.sort_unstable();
+        let share = |share: f64| {
+            if rises.len() < MIN_SAMPLES {
+                0.0
+            } else {
+                f64::from(rises[((rises.len() - 1) as f64 * share) as usize])
+            }
+        };
+        let pretended = share(FOLLOWED_SHARE).max(limits.least_rise);
+        let followed = limits.raised * pretended;
+        Self {
+            drop: (DROP * pretended).max(LEAST_DROP * (f64::from(limits.brightest) - limits.air)),
+            most_reached: if sample.len() < MIN_SAMPLES {
+                usize::MAX
+            } else {
+                (limits.most_reached * sample.len() as f64 * stride as f64) as usize
+            },
+            followed: followed.ceil() as i16,
+            kept: share(KEPT_SHARE).max(1.2 * followed),
+            gap: (GAP_SHARE * followed) as i16,
+        }
+    }
+}

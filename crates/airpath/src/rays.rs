@@ -1,0 +1,121 @@
+//! The rays of a section and its contour: lengths at even angles round a point, in the plane across an airway.
+
+use carina_grid::{cross, unit};
+
+use crate::profile::Edges;
+use crate::smooth::Point;
+
+/// Rays of a section; also the number of its contour's points.
+pub const NUM_RAYS: usize = 64;
+
+/// With a smaller share of rays that meet a wall there is no section, only a hole in the wall.
+pub const LEAST_SHARE: f64 = 0.6;
+
+/// The rays of a plane and what they met.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cast {
+    /// Where the rays began, LPS mm.
+    pub center: Point,
+    /// Unit vector along the airway.
+    pub normal: Point,
+    /// Counter-clockwise as seen against the normal, from the first axis of [`plane_axes`].
+    pub rays: [Edges; NUM_RAYS],
+}
+
+/// Two unit vectors that span the plane across `normal`; a right-handed frame with it.
+#[must_use]
+pub fn plane_axes(normal: Point) -> (Point, Point) {
+    // The LPS axis that is least along the normal: the same frame for the same normal, whatever came before.
+    let mut helper = [0.0; 3];
+    let least = (0..3)
+        .min_by(|&a, &b| normal[a].abs().total_cmp(&normal[b].abs()))
+        .unwrap_or(0);
+    helper[least] = 1.0;
+    let across = unit(cross(normal, helper)).unwrap_or([1.0, 0.0, 0.0]);
+    (across, cross(normal, across))
+}
+
+/// Unit vector of a ray.
+pub(crate) fn direction((across, up): (Point, Point), n: usize) -> Point {
+    let (s, c) = angle(n).sin_cos();
+    std::array::from_fn(|a| c * across[a] + s * up[a])
+}
+
+pub(crate) fn angle(n: usize) -> f64 {
+    std::f64::consts::TAU * n as f64 / NUM_RAYS as f64
+}
+
+/// Edges of the lumen; NaN where there is none, or where it lies far from those of its neighbours and belongs to something
+/// else (the far wall of a branch that leaves here).
+pub(crate) fn without_outliers(rays: &[Edges; NUM_RAYS]) -> [f64; NUM_RAYS] {
+    without_far(&std::array::from_fn(|n| {
+        rays[n].inner_mm.unwrap_or(f64::NAN)
+    }))
+}
+
+/// Lengths along rays without those far from their neighbours'.
+pub(crate) fn without_far(lengths: &[f64; NUM_RAYS]) -> [f64; NUM_RAYS] {
+    const REACH: usize = 5;
+    std::array::from_fn(|n| {
+        let near = (0..=2 * REACH)
+            .map(|d| lengths[(n + NUM_RAYS + d - REACH) % NUM_RAYS])
+            .filter(|l| l.is_finite())
+            .collect();
+        let middle = median(near);
+        if (lengths[n] - middle).abs() <= 0.5 * middle + 0.5 {
+            lengths[n]
+        } else {
+            f64::NAN
+        }
+    })
+}
+
+/// A contour without gaps: they are filled from both sides. `None` with too many of them.
+pub(crate) fn filled(met: &[f64; NUM_RAYS]) -> Option<[f64; NUM_RAYS]> {
+    if share_of(met) < LEAST_SHARE {
+        return None;
+    }
+    Some(std::array::from_fn(|n| {
+        if met[n].is_finite() {
+            return met[n];
+        }
+        // The nearest found ray on each side, round the circle.
+        let side = |step: usize| {
+            (1..NUM_RAYS)
+                .map(|d| (d, (n + d * step) % NUM_RAYS))
+                .find(|(_, at)| met[*at].is_finite())
+        };
+        match (side(1), side(NUM_RAYS - 1)) {
+            (Some((d, after)), Some((e, before))) => {
+                (met[after] * e as f64 + met[before] * d as f64) / (d + e) as f64
+            }
+            _ => f64::NAN,
+        }
+    }))
+}
+
+pub(crate) fn share_of(lengths: &[f64; NUM_RAYS]) -> f64 {
+    lengths.iter().filter(|r| r.is_finite()).count() as f64 / NUM_RAYS as f64
+}
+
+/// The middle value; NaN of none.
+pub(crate) fn median(mut list: Vec<f64>) -> f64 {
+    list.sort_by(f64::total_cmp);
+    list.get(list.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+/// Centre of the area inside a contour, in the plane's axes.
+pub(crate) fn centroid(contour: &[f64; NUM_RAYS]) -> [f64; 2] {
+    let (mut u, mut v, mut area) = (0.0, 0.0, 0.0);
+    for (n, r) in contour.iter().enumerate() {
+        let (s, c) = angle(n).sin_cos();
+        u += r.powi(3) * c / 3.0;
+        v += r.powi(3) * s / 3.0;
+        area += r * r / 2.0;
+    }
+    if area > 0.0 {
+        [u / area, v / area]
+    } else {
+        [0.0; 2]
+    }
+}

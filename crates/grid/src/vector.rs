@@ -1,0 +1,30 @@
+//! Products and lengths of vectors of three numbers.
+
+/// Dot product.
+#[must_use]
+pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// Cross product.
+#[must_use]
+pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+/// Euclidean length.
+#[must_use]
+pub fn length(a: [f64; 3]) -> f64 {
+    dot(a, a).sqrt()
+}
+
+/// The vector scaled to length 1, or `None` where it is shorter than 1e-12.
+#[must_use]
+pub fn unit(a: [f64; 3]) -> Option<[f64; 3]> {
+    let len = length(a);
+    (len > 1e-12).then(|| a.map(|v| v / len))
+}

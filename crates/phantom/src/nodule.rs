@@ -1,0 +1,14 @@
+//! A nodule in the lung.
+
+/// A round lesion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Nodule {
+    /// Centre, LPS mm.
+    pub center_lps: [f64; 3],
+    /// Radius.
+    pub radius_mm: f64,
+    /// The airway nearest to it.
+    pub branch_id: usize,
+    /// Distance of its centre from that airway's centreline.
+    pub distance_mm: f64,
+}

@@ -1,0 +1,50 @@
+//! What the lighting of first walls needs of a frame.
+
+use crate::{Appearance, Frame, normals::Normals};
+
+/// What the lighting of a frame needs, set up once in f64.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Lighting {
+    pub look: Appearance,
+    pub normals: Normals,
+    pub origin_ijk: [f32; 3],
+    pub camera_lps: [f32; 3],
+    pub step_mm: f32,
+    pub lps_from_ijk: [[f32; 3]; 3],
+    pub ijk_from_lps: [[f32; 3]; 3],
+    /// Light guides from the camera's centre, LPS mm.
+    pub guides: [[f32; 3]; 2],
+    /// Width of a pixel seen from 1 mm, in the middle of the picture.
+    pub pixel_mm: f32,
+    pub background: [f32; 3],
+    /// Light of the guides, found or given.
+    pub exposure: f32,
+}
+
+impl Lighting {
+    /// The lighting of a frame whose options have an appearance; its exposure is to be found.
+    pub(crate) fn of(frame: &Frame<'_>) -> Option<Self> {
+        let look = frame.options.appearance?;
+        let camera = frame.camera();
+        let rows = |m: &carina_grid::Affine| {
+            m.rows()
+                .map(|row| [row[0] as f32, row[1] as f32, row[2] as f32])
+        };
+        Some(Self {
+            look,
+            normals: Normals::of(frame),
+            origin_ijk: frame.origin3(),
+            camera_lps: camera.origin_lps().map(|v| v as f32),
+            step_mm: frame.step_mm,
+            lps_from_ijk: rows(frame.grid.lps_from_ijk()),
+            ijk_from_lps: rows(frame.grid.ijk_from_lps()),
+            guides: look.guides_mm.map(|guide| {
+                let lps = camera.lps_from_camera().vector(guide.map(f64::from));
+                lps.map(|v| v as f32)
+            }),
+            pixel_mm: (1.0 / camera.focal_px()) as f32,
+            background: frame.options.background,
+            exposure: look.exposure.unwrap_or(1.0),
+        })
+    }
+}

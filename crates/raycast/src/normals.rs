@@ -1,0 +1,108 @@
+//! The normals of walls.
+
+use crate::{Frame, TransferTable, frame::Ray, sampling::Lanes};
+
+/// The samples that a wall's normal is taken from lie about this far from it: noise of a CT has this grain, cartilage
+/// rings are several times as wide.
+const NORMAL_REACH_MM: f64 = 0.9;
+/// And at least this many voxels: within one, a value is linear and has no noise that could be smoothed away.
+const NORMAL_REACH_VOX: f64 = 0.8;
+/// Six samples along the axes and eight at the corners of a box: their places in units of the reach, and the weight of
+/// those along the axes. Chosen by trial: on a plane edge blurred by 0.7 voxels the normal is off by 0.2 degrees (0.6 at
+/// most), where the corners alone miss by 4 and the axes alone by 2.4.
+pub(crate) const AXIS_AT: f32 = 1.2;
+pub(crate) const AXIS_WEIGHT: f32 = 0.96;
+pub(crate) const CORNER_AT: f32 = 0.7;
+pub(crate) const CORNER_WEIGHT: f32 = 0.7;
+/// Contrast of air and tissue is twice this.
+const HALF_CONTRAST_HU: f32 = 500.0;
+
+/// How normals of walls are found: by a gradient over [`NORMAL_REACH_MM`], which keeps noise from looking like gravel.
+///
+/// Values are held near the wall's own: what lies far behind it or before it (vessels, bone, noise of the air) has no say
+/// in how the wall is inclined.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Normals {
+    /// Voxels.
+    pub reach: [f32; 3],
+    /// Values are held between these.
+    pub held: [f32; 2],
+    /// `inward = rows . rise`, in LPS: the transposed inverse of the voxel axes, divided by the reach.
+    pub rows: [[f32; 3]; 3],
+}
+
+impl Normals {
+    pub(crate) fn of(frame: &Frame<'_>) -> Self {
+        let lps_from_ijk = frame.grid.lps_from_ijk();
+        let reach: [f64; 3] = std::array::from_fn(|a| {
+            let spacing = carina_grid::length(lps_from_ijk.column(a));
+            (NORMAL_REACH_MM / spacing).max(NORMAL_REACH_VOX)
+        });
+        let ijk_from_lps = frame.grid.ijk_from_lps();
+        let rows = ijk_from_lps.rows();
+        Self {
+            reach: reach.map(|v| v as f32),
+            held: held_between(frame.table),
+            rows: std::array::from_fn(|x| std::array::from_fn(|a| (rows[a][x] / reach[a]) as f32)),
+        }
+    }
+
+    /// The unit normal at a hit, on the camera's side.
+    pub(crate) fn at(&self, frame: &Frame<'_>, ray: &Ray, hit: f32) -> [f32; 3] {
+        let p: Lanes = std::array::from_fn(|a| hit.mul_add(ray.delta[a], ray.origin[a]));
+        let [low, high] = self.held;
+        let value = |p: Lanes| frame.field.value_in(&frame.field.cell(p));
+        let held = |p: Lanes| value(p).max(low).min(high);
+        let mut rise = [0.0f32; 3];
+        for a in 0..3 {
+            let (mut before, mut after) = (p, p);
+            before[a] = (-AXIS_AT).mul_add(self.reach[a], p[a]);
+            after[a] = AXIS_AT.mul_add(self.reach[a], p[a]);
+            rise[a] = AXIS_WEIGHT * (held(after) - held(before));
+        }
+        for corner in 0..4 {
+            // A corner and the one across.
+            let side = [1.0, [1.0f32, -1.0][corner & 1], [1.0f32, -1.0][corner >> 1]];
+            let (mut before, mut after) = (p, p);
+            for a in 0..3 {
+                let off = side[a] * CORNER_AT;
+                before[a] = (-off).mul_add(self.reach[a], p[a]);
+                after[a] = off.mul_add(self.reach[a], p[a]);
+            }
+            let across = CORNER_WEIGHT * (held(after) - held(before));
+            for a in 0..3 {
+                rise[a] = side[a].mul_add(across, rise[a]);
+            }
+        }
+        let inward: [f32; 3] = std::array::from_fn(|x| dot(rise, self.rows[x]));
+        let lps_from_ijk = frame.grid.lps_from_ijk();
+        let along = lps_from_ijk
+            .vector([0, 1, 2].map(|a| f64::from(ray.delta[a])))
+            .map(|v| v as f32 / frame.step_mm);
+        let length = dot(inward, inward).sqrt();
+        // A rise of 1e-3 HU over the box is rounding.
+        if length <= 1e-3 {
+            return along.map(|v| -v);
+        }
+        let outward = if dot(inward, along) < 0.0 { 1.0 } else { -1.0 } / length;
+        inward.map(|v| outward * v)
+    }
+}
+
+pub(crate) fn dot(u: [f32; 3], v: [f32; 3]) -> f32 {
+    u[2].mul_add(v[2], u[1].mul_add(v[1], u[0] * v[0]))
+}
+
+/// Values that tell how a wall is inclined: the transfer function's ramp and about half the contrast of an airway to each
+/// side of its middle, as far as the volume has so much.
+fn held_between(table: &TransferTable) -> [f32; 2] {
+    let most = table.entries.iter().map(|e| e[3]).fold(0.0, f32::max);
+    let opaque = table.entries.iter().position(|e| e[3] >= 0.9 * most);
+    let (clear, opaque) = (table.first_visible, opaque.unwrap_or(0) as i32);
+    let middle = table.lo_hu as f32 + 0.5 * (clear + opaque) as f32;
+    let window = (0.8 * (opaque - clear) as f32)
+        .max(HALF_CONTRAST_HU)
+        .min(table.last as f32 / 2.0)
+        .max(1.0);
+    [middle - window, middle + window]
+}
