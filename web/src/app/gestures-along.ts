@@ -2,7 +2,7 @@
 
 import type { PointerPlace } from "../input/pointer";
 import { linesOf, lpsAt, pathMmAt } from "../state/lines";
-import { ownWord } from "../state/own-word";
+import { held } from "../state/optimistic";
 import { geometryOf } from "../state/projection";
 import { distance, type Vec3 } from "../state/vec";
 import { middleOf } from "../state/volume";
@@ -23,7 +23,10 @@ const halfTurn = (deg: number): number => ((((deg + 180) % 360) + 360) % 360) - 
 const STRAIGHT: Reformation = { turn_deg: 0, mm_per_px: null };
 
 export function pathGestures(station: Workstation, viewport: Viewport): Gestures {
-  const shown = ownWord<Reformation>(() => station.state.session?.reformation ?? STRAIGHT);
+  const shown = held<Reformation>(
+    () => station.state.session?.reformation ?? STRAIGHT,
+    () => performance.now(),
+  );
   const change = (next: Reformation) => {
     shown.set(next);
     station.sendSoon({ type: "set_reformation", ...next });

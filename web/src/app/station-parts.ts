@@ -2,7 +2,6 @@
 
 import type { StreamStatus } from "../net/stream";
 import type { Connection } from "../state/app-state";
-import type { StateMessage } from "../wire/messages";
 
 /** What the key for the slab goes through. */
 export const SLABS = [
@@ -20,12 +19,6 @@ export function saveAs(name: string, blob: Blob): void {
   link.click();
   // The browser has taken the file by the next turn.
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-}
-
-/** Tells one open case from another; reopening the same one changes nothing on the screen. */
-export function caseKey(session: StateMessage | null): string {
-  const open = session?.case ?? null;
-  return open === null ? "" : JSON.stringify([open.title, open.shape_zyx, open.lps_from_ijk]);
 }
 
 export function asConnection(status: StreamStatus): Connection {

@@ -11,8 +11,9 @@ import { sendUpload, UploadError, type UploadFile } from "../net/upload";
 import { mainLeaf, neighbourWay } from "../state/airways";
 import { type AppState, crosshairLps, maskOf, pathMm, shownBranch, tipLps, type Ui } from "../state/app-state";
 import { routeDoubts } from "../state/branch-words";
+import { caseKey } from "../state/case-key";
 import { forkAhead } from "../state/fork";
-import { ownWord } from "../state/own-word";
+import { held } from "../state/optimistic";
 import { PaceMeter } from "../state/pace";
 import { wasUsedByPen } from "../state/pen";
 import type { PixelPoint } from "../state/projection";
@@ -40,7 +41,7 @@ import { BrowserDevices } from "./devices";
 import { Pointing } from "./pointing";
 import { Previewing } from "./previewing";
 import type { Station } from "./station";
-import { asConnection, caseKey, SLABS, saveAs } from "./station-parts";
+import { asConnection, SLABS, saveAs } from "./station-parts";
 
 type Carm = StateMessage["carm"];
 export const FRONTAL: Carm = { primary_deg: 0, secondary_deg: 0, mm_per_px: null, tone: "radiograph" };
@@ -61,8 +62,14 @@ export class Workstation implements Station {
   readonly #board: PictureBoard<ImageBitmap>;
   /** Newest wish of a kind that only its newest value matters for, sent at the next refresh. */
   readonly #soon = new Map<string, ClientMessage>();
-  readonly carm = ownWord<Carm>(() => this.state.session?.carm ?? FRONTAL);
-  readonly slab = ownWord<StateMessage["slab"]>(() => this.state.session?.slab ?? SLABS[0]);
+  readonly carm = held<Carm>(
+    () => this.state.session?.carm ?? FRONTAL,
+    () => performance.now(),
+  );
+  readonly slab = held<StateMessage["slab"]>(
+    () => this.state.session?.slab ?? SLABS[0],
+    () => performance.now(),
+  );
   #uploadStop: AbortController | null = null;
   #autoWanted = false;
   #pickId = 0;

@@ -130,6 +130,14 @@ describe("what a person moves", () => {
     expect(crosshairLps(state)).toEqual([2, 0, 0]);
   });
 
+  it("forgets what was chosen when another case of the same name opens, and nothing when the same one opens again", () => {
+    const [open] = [OPEN.case];
+    if (open === null) throw new Error("no case");
+    const held = following(INITIAL_STATE, from(OPEN), { kind: "ui", change: { selected: 3 } });
+    expect(following(held, from({ ...OPEN, case: { ...open, warnings: ["one"] } })).ui.selected).toBe(3);
+    expect(following(held, from({ ...OPEN, case: { ...open, shape_zyx: [14, 51, 52] } })).ui.selected).toBeNull();
+  });
+
   it("gives way to the server where it does not agree for long", () => {
     const sent: AppEvent = { kind: "sent", message: { type: "set_crosshair", lps: [9, 9, 9] }, nowMs: 0 };
     const state = following(INITIAL_STATE, from(OPEN), sent, from({ ...OPEN, crosshair_lps: null }, OPTIMISTIC_MS + 1));

@@ -24,6 +24,7 @@ import type {
 } from "../wire/messages";
 import type { CellName, PlaneName } from "../wire/views";
 import { type BranchTree, buildTree } from "./airways";
+import { caseKey } from "./case-key";
 import type { Preview } from "./edit-preview";
 import type { LiveAnswer } from "./live-path";
 import { type Optimistic, shown } from "./optimistic";
@@ -364,7 +365,7 @@ function sessionChanged(state: AppState, session: StateMessage, nowMs: number): 
       ...next,
       ui: { ...next.ui, ...NOTHING_HELD, full: null, advancing: false, keysOpen: false, step: "open" },
     };
-  } else if (now !== null && (before === null || before.title !== now.title)) {
+  } else if (now !== null && caseKey(state.session) !== caseKey(session)) {
     const hasFindings = now.quality.length + now.warnings.length > 0 || !now.is_hu;
     const ui: Ui = { ...next.ui, ...NOTHING_HELD, step: hasFindings ? "check" : "airways" };
     next = { ...next, ...NOTHING_SHOWN, picks: [], local: NOTHING_LOCAL, ui };
