@@ -2,13 +2,13 @@
 
 use carina_grid::{Affine, Grid, Ijk, Lps, VolumeView, dot, length};
 
-use crate::Unwatched;
-use crate::flood::{FloodLimits, flood};
-use crate::graph::Graph;
-use crate::lumen::{LumenCost, LumenGraph, WallLevels};
-use crate::trachea::{AirLevels, Doubt, find_trachea};
-use crate::tracker::Tracker;
-use crate::tree::{self, BranchLimits, find_branches};
+use crate::find::flood::{FloodLimits, flood};
+use crate::find::trachea::{AirLevels, Doubt, find_trachea};
+use crate::tree::branches::{self, BranchLimits, find_branches};
+use carina_leastcost::Unwatched;
+use carina_leastcost::graph::Graph;
+use carina_leastcost::lumen::{LumenCost, LumenGraph, WallLevels};
+use carina_leastcost::tracker::Tracker;
 
 const LEVELS: WallLevels = WallLevels {
     core: -900.0,
@@ -429,7 +429,7 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
         assert!((free - tube.2).abs() < 0.8, "{radius} {off} {}", tube.2);
     }
     // Every lumen voxel belongs to a branch, and those near a tip to that tip's branch.
-    let of_node = tree::branch_of_nodes(&graph, &branches);
+    let of_node = branches::branch_of_nodes(&graph, &branches);
     assert!(of_node.iter().all(|b| (*b as usize) < branches.len()));
     for (b, branch) in branches.iter().enumerate() {
         let tip = branch.nodes[branch.nodes.len() - 1];
@@ -442,7 +442,7 @@ fn the_tree_has_the_drawn_branches_and_children_begin_where_their_parent_ends() 
         .map(|b| b.nodes[b.nodes.len() - 1])
         .collect();
     assert_eq!(tips.len(), 2);
-    let part = tree::branches_to(&graph, &tracker, &grid, &limits, &tips, &branches);
+    let part = branches::branches_to(&graph, &tracker, &grid, &limits, &tips, &branches);
     let generations: Vec<u32> = part.iter().map(|b| b.generation).collect();
     assert_eq!(generations.iter().max(), Some(&2), "{generations:?}");
     assert_eq!(part.len(), 4, "{generations:?}");

@@ -10,9 +10,9 @@ use std::sync::OnceLock;
 
 use carina_grid::{Ijk, VolumeView};
 
-use crate::lumen::WallLevels;
-use crate::smooth::Point;
-use crate::{TrackError, Watch};
+use crate::tree::smooth::Point;
+use carina_leastcost::lumen::WallLevels;
+use carina_leastcost::{TrackError, Watch};
 
 /// A closed mesh of triangles, seen counterclockwise from outside the lumen.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -376,8 +376,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::{Mesh, lumen_mesh};
-    use crate::Unwatched;
-    use crate::lumen::WallLevels;
+    use carina_leastcost::Unwatched;
+    use carina_leastcost::lumen::WallLevels;
 
     const LEVELS: WallLevels = WallLevels {
         core: -900.0,

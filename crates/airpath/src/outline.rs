@@ -14,8 +14,8 @@ use std::sync::OnceLock;
 use carina_grid::{Affine, VolumeView};
 use rayon::prelude::*;
 
-use crate::lumen::WallLevels;
 use crate::mesh::{CellRing, EDGES, MARGIN, Reach, cell_rings};
+use carina_leastcost::lumen::WallLevels;
 
 /// Cells along each side of a brick. With 8, three quarters of the triangles that are looked at lie off the plane; with 2
 /// there are too many bricks.

@@ -3,9 +3,9 @@ use std::f64::consts::TAU;
 use carina_grid::{Affine, Grid, Ijk, VolumeView};
 use proptest::prelude::*;
 
-use crate::lumen::WallLevels;
 use crate::mesh::cell_rings;
 use crate::outline::{LumenSurface, PARTS_PER_PX, PicturePoint, TooRagged, encoded};
+use carina_leastcost::lumen::WallLevels;
 
 const LEVELS: WallLevels = WallLevels {
     core: -900.0,

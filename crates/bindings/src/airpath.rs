@@ -6,17 +6,17 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use carina_airpath::branch::{self, Branch};
-use carina_airpath::caliber;
-use carina_airpath::flood::{FloodLimits, flood};
-use carina_airpath::graph::{Graph, NO_NODE};
-use carina_airpath::lumen::{LumenCost, LumenGraph, WallLevels};
-use carina_airpath::smooth::Point;
-use carina_airpath::trachea::{AirLevels, Doubt, find_trachea};
-use carina_airpath::tracker::Tracker;
-use carina_airpath::tree::{self, BranchLimits};
-use carina_airpath::{TrackError, Watch};
+use carina_airpath::find::flood::{FloodLimits, flood};
+use carina_airpath::find::trachea::{AirLevels, Doubt, find_trachea};
+use carina_airpath::tree::branch::{self, Branch};
+use carina_airpath::tree::branches::{self, BranchLimits};
+use carina_airpath::tree::caliber;
+use carina_airpath::tree::smooth::Point;
 use carina_grid::{Grid, Ijk, Lps, VolumeView};
+use carina_leastcost::graph::{Graph, NO_NODE};
+use carina_leastcost::lumen::{LumenCost, LumenGraph, WallLevels};
+use carina_leastcost::tracker::Tracker;
+use carina_leastcost::{TrackError, Watch};
 use numpy::ndarray::Array2;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray2, PyReadonlyArray3,
@@ -376,7 +376,9 @@ impl LumenTracker {
         let watch = PyWatch::new(cancel, progress);
         let limits = BranchLimits::for_grid(&self.grid);
         let branches = py
-            .detach(|| tree::find_branches(&self.graph, &self.lock(), &self.grid, &limits, &watch))
+            .detach(|| {
+                branches::find_branches(&self.graph, &self.lock(), &self.grid, &limits, &watch)
+            })
             .map_err(|e| watch.error(e))?;
         self.branch_list(py, &branches)
     }
@@ -395,7 +397,7 @@ impl LumenTracker {
         let automatic = self.as_branches(branch_nodes, parents)?;
         let limits = BranchLimits::for_grid(&self.grid);
         let branches = py.detach(|| {
-            tree::branches_to(
+            branches::branches_to(
                 &self.graph,
                 &self.lock(),
                 &self.grid,
@@ -415,7 +417,7 @@ impl LumenTracker {
         parents: Vec<Option<usize>>,
     ) -> PyResult<Bound<'py, PyArray1<i32>>> {
         let branches = self.as_branches(branch_nodes, parents)?;
-        let found = py.detach(|| tree::branch_of_nodes(&self.graph, &branches));
+        let found = py.detach(|| branches::branch_of_nodes(&self.graph, &branches));
         let signed: Vec<i32> = found
             .into_iter()
             .map(|b| if b == NO_NODE { -1 } else { b as i32 })

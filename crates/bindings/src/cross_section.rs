@@ -4,12 +4,13 @@
     reason = "pyo3 hands arguments over by value"
 )]
 
-use carina_airpath::cross_section::{Plane, Section, cast_planes, voxel_in_plane_mm};
-use carina_airpath::deblur::Blur;
-use carina_airpath::profile::SectionLevels;
-use carina_airpath::rays::{Cast, NUM_RAYS, plane_axes};
-use carina_airpath::{TrackError, smooth::Point};
+use carina_airpath::section::cross_section::{Plane, Section, cast_planes, voxel_in_plane_mm};
+use carina_airpath::section::deblur::Blur;
+use carina_airpath::section::profile::SectionLevels;
+use carina_airpath::section::rays::{Cast, NUM_RAYS, plane_axes};
+use carina_airpath::tree::smooth::Point;
 use carina_grid::{Grid, VolumeView, unit};
+use carina_leastcost::TrackError;
 use numpy::ndarray::{Array1, Array2};
 use numpy::{IntoPyArray, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;

@@ -4,9 +4,9 @@
     reason = "pyo3 hands arguments over by value"
 )]
 
-use carina_airpath::evidence::{Enclosures as Core, SeenWay, WayLevels};
-use carina_airpath::{TrackError, Unwatched};
+use carina_airpath::find::evidence::{Enclosures as Core, SeenWay, WayLevels};
 use carina_grid::{Lps, VolumeView};
+use carina_leastcost::{TrackError, Unwatched};
 use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;

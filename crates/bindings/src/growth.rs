@@ -4,9 +4,9 @@
     reason = "pyo3 hands arguments over by value"
 )]
 
-use carina_airpath::TrackError;
-use carina_airpath::extension::{ExtensionLimits, extend};
+use carina_airpath::find::extension::{ExtensionLimits, extend};
 use carina_grid::{Ijk, VolumeView};
+use carina_leastcost::TrackError;
 use numpy::ndarray::Array2;
 use numpy::{
     IntoPyArray, PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods,

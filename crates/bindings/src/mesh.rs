@@ -4,9 +4,9 @@
     reason = "pyo3 hands arguments over by value"
 )]
 
-use carina_airpath::lumen::WallLevels;
 use carina_airpath::mesh;
 use carina_grid::VolumeView;
+use carina_leastcost::lumen::WallLevels;
 use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;

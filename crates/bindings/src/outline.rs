@@ -4,9 +4,9 @@
     reason = "pyo3 hands arguments over by value"
 )]
 
-use carina_airpath::lumen::WallLevels;
 use carina_airpath::outline::{self, PicturePoint};
 use carina_grid::{Grid, GridError, VolumeView};
+use carina_leastcost::lumen::WallLevels;
 use numpy::ndarray::Array2;
 use numpy::{
     IntoPyArray, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,

@@ -7,11 +7,11 @@
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-use carina_airpath::TrackError;
-use carina_airpath::distance::VoxelBox;
-use carina_airpath::graph_tracker::{GraphTracker as Inner, Labels, Terrain};
-use carina_airpath::lumen::WallLevels;
 use carina_grid::{Grid, Ijk, Lps, VolumeView};
+use carina_leastcost::TrackError;
+use carina_leastcost::distance::VoxelBox;
+use carina_leastcost::graph_tracker::{GraphTracker as Inner, Labels, Terrain};
+use carina_leastcost::lumen::WallLevels;
 use numpy::ndarray::Array2;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,

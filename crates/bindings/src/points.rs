@@ -1,6 +1,6 @@
 //! Points and voxels of an airway as Python hands them over.
 
-use carina_airpath::TrackError;
+use carina_leastcost::TrackError;
 use numpy::PyReadonlyArray2;
 use pyo3::prelude::*;
 

@@ -7,11 +7,11 @@
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-use carina_airpath::TrackError;
-use carina_airpath::field::{EnterCost, MeanCost, VoxelField};
-use carina_airpath::field_aim::least_path;
-use carina_airpath::field_tracker::FieldTracker as Tracker;
 use carina_grid::Grid;
+use carina_leastcost::TrackError;
+use carina_leastcost::field::{EnterCost, MeanCost, VoxelField};
+use carina_leastcost::field_aim::least_path;
+use carina_leastcost::field_tracker::FieldTracker as Tracker;
 use numpy::ndarray::Array2;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,

@@ -6,10 +6,11 @@
 
 use std::sync::Arc;
 
-use carina_airpath::graph::Graph;
-use carina_airpath::lumen::LumenGraph;
-use carina_airpath::{TrackError, lumen_edit, tree_edit};
+use carina_airpath::tree::tree_edit;
 use carina_grid::{Ijk, Lps, VolumeView};
+use carina_leastcost::graph::Graph;
+use carina_leastcost::lumen::LumenGraph;
+use carina_leastcost::{TrackError, cheapest_way as cheapest, lumen_edit};
 use numpy::ndarray::Array2;
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
@@ -357,9 +358,7 @@ fn cheapest_way<'py>(
     }
     let watch = PyWatch::new(cancel, None);
     let way = py
-        .detach(|| {
-            tree_edit::cheapest_way(shape_ijk, spacing_mm, weights, goals, start_ijk, &watch)
-        })
+        .detach(|| cheapest::cheapest_way(shape_ijk, spacing_mm, weights, goals, start_ijk, &watch))
         .map_err(|e| watch.error(e))?;
     Ok(way.map(|way| {
         let found: Vec<[u16; 3]> = way.voxels.iter().map(|v| v.map(|x| x as u16)).collect();

@@ -4,10 +4,10 @@
 
 use std::time::Instant;
 
-use carina_airpath::Unwatched;
-use carina_airpath::field::{EnterCost, MeanCost, StepCost, VoxelField};
-use carina_airpath::field_tracker::FieldTracker;
 use carina_grid::{Affine, Grid};
+use carina_leastcost::Unwatched;
+use carina_leastcost::field::{EnterCost, MeanCost, StepCost, VoxelField};
+use carina_leastcost::field_tracker::FieldTracker;
 
 /// Seconds that this thread has had a core, where the system says so (Linux): machines are shared.
 fn cpu_s(since: Instant) -> f64 {

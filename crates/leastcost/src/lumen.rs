@@ -397,7 +397,8 @@ fn line_is_inside(
 }
 
 /// Trilinear value at a point, edge-clamped.
-pub(crate) fn interpolated(values: VolumeView<'_, i16>, ijk: [f64; 3]) -> f32 {
+#[must_use]
+pub fn interpolated(values: VolumeView<'_, i16>, ijk: [f64; 3]) -> f32 {
     let base = ijk.map(|v| v.floor() as isize);
     let share: [f32; 3] = std::array::from_fn(|a| (ijk[a] - base[a] as f64) as f32);
     let mut sum = 0.0;

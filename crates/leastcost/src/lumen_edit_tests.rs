@@ -4,11 +4,11 @@ use carina_grid::{Affine, Grid, VolumeView};
 use proptest::prelude::*;
 
 use crate::Unwatched;
+use crate::cheapest_way::cheapest_way;
 use crate::graph::Graph;
 use crate::lumen::{LumenCost, LumenGraph, WallLevels};
 use crate::lumen_edit::{as_bytes, edited, followed, newly_reached, solved};
 use crate::tracker::Tracker;
-use crate::tree_edit::cheapest_way;
 
 const SHAPE_IJK: [usize; 3] = [14, 12, 16];
 

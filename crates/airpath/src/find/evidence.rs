@@ -1,6 +1,6 @@
 //! The way from a place in the lung to the lumen along which the CT shows most of a wall (docs/decisions/0036).
 //!
-//! What counts as wall is what the extension follows ([`crate::tubeness`]): how far the values rise on all but a fifth of
+//! What counts as wall is what the extension follows ([`crate::find::tubeness`]): how far the values rise on all but a fifth of
 //! the rays from a voxel. A step is cheap where that is high, or where the values are as dark as the air of a wide airway, which
 //! rays of 3 mm do not cross; it is dear in plain lung and dearer towards tissue. How enclosed a voxel is does
 //! not depend on where a search began, so it is kept: a pointer that moves asks for much the same voxels again.
@@ -12,8 +12,8 @@ use std::sync::{Mutex, PoisonError};
 use carina_grid::{Grid, VolumeView};
 use rayon::prelude::*;
 
-use crate::tubeness::{Enclosure, REACH_MM, smoothed};
-use crate::{TrackError, Watch};
+use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
+use carina_leastcost::{TrackError, Watch};
 
 /// What makes a step cheap or dear, in the volume's numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -89,7 +89,7 @@ impl Enclosures {
     /// Trilinear value without the finest noise, edge-clamped.
     #[must_use]
     pub fn value_at(&self, ijk: [f64; 3]) -> f32 {
-        crate::lumen::interpolated(self.smooth(), ijk)
+        carina_leastcost::lumen::interpolated(self.smooth(), ijk)
     }
 
     /// How far the values rise on all but a fifth of the rays from a voxel.
@@ -453,7 +453,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::Unwatched;
+    use carina_leastcost::Unwatched;
 
     /// The least cost to reach any goal, by relaxing every step until nothing changes.
     fn least_cost(

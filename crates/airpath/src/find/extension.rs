@@ -1,7 +1,7 @@
 //! From the lumen that the flood found on into the airways that it could not follow (docs/algorithms.md).
 //!
 //! The flood ends where an airway's wall no longer holds a level. What lies beyond is looked for by shape, not by level:
-//! voxels that are enclosed by brighter wall ([`crate::tubeness`]) are followed from the lumen's surface, face to face.
+//! voxels that are enclosed by brighter wall ([`crate::find::tubeness`]) are followed from the lumen's surface, face to face.
 //! How enclosed a voxel must be is read off the volume itself: lung away from the airways shows what noise, texture and vessels
 //! pretend. At most a fiftieth of it passes, far below the share (31 % of a cubic lattice joined by faces) at which
 //! passing voxels would join into ways of any length if they lay about by chance. An edge-enhancing kernel arranges them in
@@ -14,12 +14,12 @@
 use carina_grid::VolumeView;
 use rayon::prelude::*;
 
-use crate::extension_levels::Levels;
-pub use crate::extension_levels::{EXTENDED, ExtensionLimits, Followed};
-use crate::extension_reach::{open_from, reach};
-use crate::extension_ways::Search;
-use crate::tubeness::{Enclosure, REACH_MM, smoothed};
-use crate::{TrackError, Watch};
+use crate::find::extension_levels::Levels;
+pub use crate::find::extension_levels::{EXTENDED, ExtensionLimits, Followed};
+use crate::find::extension_reach::{open_from, reach};
+use crate::find::extension_ways::Search;
+use crate::find::tubeness::{Enclosure, REACH_MM, smoothed};
+use carina_leastcost::{TrackError, Watch};
 
 /// What the extension found.
 #[derive(Debug, Clone, PartialEq)]

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::tubeness::Enclosure;
+use crate::find::tubeness::Enclosure;
 
 /// What the extension may do.
 #[derive(Debug, Clone, Copy, PartialEq)]

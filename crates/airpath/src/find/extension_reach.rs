@@ -6,9 +6,9 @@ use std::collections::{BinaryHeap, HashMap};
 use carina_grid::VolumeView;
 use rayon::prelude::*;
 
-use crate::extension_levels::{ExtensionLimits, LUMEN, Levels, PENDING, REFUSED};
-use crate::tubeness::Enclosure;
-use crate::{TrackError, Watch};
+use crate::find::extension_levels::{ExtensionLimits, LUMEN, Levels, PENDING, REFUSED};
+use crate::find::tubeness::Enclosure;
+use carina_leastcost::{TrackError, Watch};
 
 /// A voxel that was reached.
 #[derive(Debug, Clone, Copy)]

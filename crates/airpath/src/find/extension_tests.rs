@@ -2,8 +2,8 @@
 
 use carina_grid::{Affine, Grid, VolumeView, length};
 
-use crate::Unwatched;
-use crate::extension::{EXTENDED, Extension, ExtensionLimits, extend};
+use crate::find::extension::{EXTENDED, Extension, ExtensionLimits, extend};
+use carina_leastcost::Unwatched;
 
 const LIMITS: ExtensionLimits = ExtensionLimits {
     air: -1000.0,
@@ -206,9 +206,9 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
 #[test]
 fn stopping_leaves_an_error_and_a_lumen_without_marks_is_asked_for() {
     struct Never;
-    impl crate::Watch for Never {
-        fn go_on(&self, _share: f64) -> Result<(), crate::TrackError> {
-            Err(crate::TrackError::Cancelled)
+    impl carina_leastcost::Watch for Never {
+        fn go_on(&self, _share: f64) -> Result<(), carina_leastcost::TrackError> {
+            Err(carina_leastcost::TrackError::Cancelled)
         }
     }
     let chest = drawn(0.0, 20.0, 30.0, |_| 1.0);
@@ -216,6 +216,6 @@ fn stopping_leaves_an_error_and_a_lumen_without_marks_is_asked_for() {
     let mut lumen = chest.lumen.clone();
     assert_eq!(
         extend(view, &mut lumen, &LIMITS, &Never),
-        Err(crate::TrackError::Cancelled)
+        Err(carina_leastcost::TrackError::Cancelled)
     );
 }

@@ -2,7 +2,7 @@
 
 use carina_grid::Grid;
 
-use crate::tubeness::Section;
+use crate::find::tubeness::Section;
 
 /// Blur of a scanner with a smooth kernel (sigma): 1.4 mm full width.
 const SCANNER_BLUR_MM: f64 = 0.6;

@@ -5,11 +5,11 @@ use std::collections::{BinaryHeap, HashMap};
 
 use carina_grid::VolumeView;
 
-use crate::extension_levels::{ExtensionLimits, Followed, LUMEN, Levels};
-use crate::extension_reach::{Faces, Node, places};
-use crate::extension_verdict::{Blur, looks_like_airway};
-use crate::tubeness::{REACH_MM, Section, section};
-use crate::{TrackError, Watch};
+use crate::find::extension_levels::{ExtensionLimits, Followed, LUMEN, Levels};
+use crate::find::extension_reach::{Faces, Node, places};
+use crate::find::extension_verdict::{Blur, looks_like_airway};
+use crate::find::tubeness::{REACH_MM, Section, section};
+use carina_leastcost::{TrackError, Watch};
 
 const NONE: u32 = u32::MAX;
 /// How far a tube's side lies from its middle, through enclosed voxels, mm.

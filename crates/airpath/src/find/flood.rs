@@ -12,7 +12,7 @@
 
 use carina_grid::{Grid, VolumeView};
 
-use crate::{TrackError, Watch};
+use carina_leastcost::{TrackError, Watch};
 
 /// Limits of the flood.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,7 +2,7 @@
 
 use carina_grid::{Ijk, VolumeView, length};
 
-use crate::spots::{AirLevels, transverse_axis};
+use crate::find::spots::{AirLevels, transverse_axis};
 
 /// Lung that must be seen on each side of the carina, mm2 in one slice. Chest CTs at hand show 7000 and more, a belly's bowel 330.
 pub(crate) const MIN_LUNG_MM2: f64 = 800.0;

@@ -12,12 +12,12 @@
 use carina_grid::{VolumeView, length};
 use rayon::prelude::*;
 
-use crate::lungs::{MIN_LUNG_MM2, lungs_beside};
-pub use crate::spots::AirLevels;
-use crate::spots::{
+use crate::find::lungs::{MIN_LUNG_MM2, lungs_beside};
+pub use crate::find::spots::AirLevels;
+use crate::find::spots::{
     Chain, Spot, across_mm, chain_length_mm, chains, spots_of_air, transverse_axis,
 };
-use crate::{TrackError, Watch};
+use carina_leastcost::{TrackError, Watch};
 
 /// What the anatomy of a trachea misses here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -202,7 +202,7 @@ pub fn section(
             let at = std::array::from_fn(|a| {
                 voxel[a] as f64 + off * (cos * across[a] + sin * up[a]) / spacing[a]
             });
-            *value = f64::from(crate::lumen::interpolated(smooth, at));
+            *value = f64::from(carina_leastcost::lumen::interpolated(smooth, at));
         }
         // Up to the first wall: what rises behind it is none of this tube's.
         let mut peak = 0;

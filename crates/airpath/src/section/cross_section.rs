@@ -6,20 +6,20 @@
 //! the lowest value behind it; a ray whose wall has no far side (a vessel or the mediastinum lies against it) has no say in
 //! the wall's thickness. The plane's centre then moves to the centre of the lumen found, and the rays are cast again.
 //!
-//! Half-maximum edges of thin walls are biased, and [`crate::deblur`] takes the known part of that out. This file finds
+//! Half-maximum edges of thin walls are biased, and [`crate::section::deblur`] takes the known part of that out. This file finds
 //! the raw edges and turns corrected ones into figures.
 
 use carina_grid::{Grid, Lps, VolumeView, length};
 use rayon::prelude::*;
 
-use crate::deblur::Blur;
-use crate::profile::{Edges, Profile, SectionLevels, WALL_REACH_MM, edges_of};
-use crate::rays::{
+use crate::section::deblur::Blur;
+use crate::section::profile::{Edges, Profile, SectionLevels, WALL_REACH_MM, edges_of};
+use crate::section::rays::{
     Cast, NUM_RAYS, angle, centroid, direction, filled, median, plane_axes, share_of,
     without_outliers,
 };
-use crate::smooth::Point;
-use crate::{TrackError, Watch};
+use crate::tree::smooth::Point;
+use carina_leastcost::{TrackError, Watch};
 
 /// With a smaller share of rays whose wall has a far side its thickness is not told.
 pub const LEAST_WALL_SHARE: f64 = 0.3;

@@ -14,8 +14,8 @@ use std::sync::LazyLock;
 
 use carina_grid::{Grid, dot, unit};
 
-use crate::rays::{Cast, NUM_RAYS, direction, median, plane_axes, without_outliers};
-use crate::smooth::Point;
+use crate::section::rays::{Cast, NUM_RAYS, direction, median, plane_axes, without_outliers};
+use crate::tree::smooth::Point;
 
 /// Edges that the blur is taken from, at least.
 const LEAST_EDGES: usize = 200;

@@ -2,8 +2,8 @@
 
 use carina_grid::{cross, unit};
 
-use crate::profile::Edges;
-use crate::smooth::Point;
+use crate::section::profile::Edges;
+use crate::tree::smooth::Point;
 
 /// Rays of a section; also the number of its contour's points.
 pub const NUM_RAYS: usize = 64;

@@ -3,12 +3,12 @@
 use carina_grid::{Affine, Grid, Ijk, VolumeView, cross, dot, unit};
 use proptest::prelude::*;
 
-use crate::Unwatched;
-use crate::cross_section::{Plane, Section, cast_plane, cast_planes, voxel_in_plane_mm};
-use crate::deblur::{Blur, half_maximum_mm, true_thickness_mm};
-use crate::profile::{SectionLevels, value_at};
-use crate::rays::{Cast, NUM_RAYS, plane_axes};
-use crate::smooth::Point;
+use crate::section::cross_section::{Plane, Section, cast_plane, cast_planes, voxel_in_plane_mm};
+use crate::section::deblur::{Blur, half_maximum_mm, true_thickness_mm};
+use crate::section::profile::{SectionLevels, value_at};
+use crate::section::rays::{Cast, NUM_RAYS, plane_axes};
+use crate::tree::smooth::Point;
+use carina_leastcost::Unwatched;
 
 const LEVELS: SectionLevels = SectionLevels {
     min_contrast: 100.0,

@@ -2,8 +2,8 @@
 
 use carina_grid::{Grid, Ijk, length};
 
-use crate::lumen::LumenGraph;
-use crate::smooth::{self, Point};
+use crate::tree::smooth::{self, Point};
+use carina_leastcost::lumen::LumenGraph;
 
 /// A piece of airway between two forks, or between a fork and a tip.
 #[derive(Debug, Clone, PartialEq)]

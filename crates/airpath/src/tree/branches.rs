@@ -9,13 +9,13 @@ use std::collections::{BTreeMap, BinaryHeap};
 
 use carina_grid::{Grid, Ijk, length};
 
-use crate::branch::{Branch, pulled_inside, radius_mm, smooth_inside};
-use crate::centre;
-use crate::graph::{Graph, NO_NODE};
-use crate::lumen::LumenGraph;
-use crate::smooth::{self, Point};
-use crate::tracker::Tracker;
-use crate::{TrackError, Watch};
+use crate::tree::branch::{Branch, pulled_inside, radius_mm, smooth_inside};
+use crate::tree::centre;
+use crate::tree::smooth::{self, Point};
+use carina_leastcost::graph::{Graph, NO_NODE};
+use carina_leastcost::lumen::LumenGraph;
+use carina_leastcost::tracker::Tracker;
+use carina_leastcost::{TrackError, Watch};
 
 /// When a side path is a branch.
 #[derive(Debug, Clone, Copy, PartialEq)]

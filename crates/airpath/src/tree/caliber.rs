@@ -7,11 +7,11 @@
 use carina_grid::{Grid, unit};
 use rayon::prelude::*;
 
-use crate::branch;
-use crate::lumen::LumenGraph;
-use crate::rays::plane_axes;
-use crate::smooth::Point;
-use crate::tube::{BEFORE_FORK_RADII, PAST_CARINA_RADII, Tube, View};
+use crate::section::rays::plane_axes;
+use crate::tree::branch;
+use crate::tree::smooth::Point;
+use crate::tree::tube::{BEFORE_FORK_RADII, PAST_CARINA_RADII, Tube, View};
+use carina_leastcost::lumen::LumenGraph;
 
 /// Radii of branches, mm: of sections, and distances to the wall.
 #[derive(Debug, Clone, PartialEq)]

@@ -2,9 +2,9 @@
 
 use carina_grid::{Affine, Grid, Ijk, VolumeView};
 
-use crate::caliber::of_branches;
-use crate::lumen::{LumenGraph, WallLevels};
-use crate::smooth::Point;
+use crate::tree::caliber::of_branches;
+use crate::tree::smooth::Point;
+use carina_leastcost::lumen::{LumenGraph, WallLevels};
 
 const LEVELS: WallLevels = WallLevels {
     core: -900.0,

@@ -9,11 +9,11 @@
 use carina_grid::{Grid, Lps, dot, length};
 use rayon::prelude::*;
 
-use crate::branch::{self, Branch};
-use crate::caliber;
-use crate::lumen::LumenGraph;
-use crate::smooth::{self, Point, cumulative_mm};
-use crate::tube::{BEFORE_FORK_RADII, CENTRED_PULL, PAST_CARINA_RADII, Tube, View, sub};
+use crate::tree::branch::{self, Branch};
+use crate::tree::caliber;
+use crate::tree::smooth::{self, Point, cumulative_mm};
+use crate::tree::tube::{BEFORE_FORK_RADII, CENTRED_PULL, PAST_CARINA_RADII, Tube, View, sub};
+use carina_leastcost::lumen::LumenGraph;
 
 /// The lumen closes at a tip: its last part is no tube.
 const BEFORE_TIP_RADII: f64 = 0.5;

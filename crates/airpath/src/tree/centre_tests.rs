@@ -2,12 +2,12 @@
 
 use carina_grid::{Affine, Grid, Ijk, Lps, VolumeView, dot, length};
 
-use crate::Unwatched;
-use crate::branch::Branch;
-use crate::lumen::{LumenCost, LumenGraph, WallLevels};
-use crate::smooth::Point;
-use crate::tracker::Tracker;
-use crate::tree::{BranchLimits, branches_to, find_branches};
+use crate::tree::branch::Branch;
+use crate::tree::branches::{BranchLimits, branches_to, find_branches};
+use crate::tree::smooth::Point;
+use carina_leastcost::Unwatched;
+use carina_leastcost::lumen::{LumenCost, LumenGraph, WallLevels};
+use carina_leastcost::tracker::Tracker;
 
 const LEVELS: WallLevels = WallLevels {
     core: -900.0,

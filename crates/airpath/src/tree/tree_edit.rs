@@ -1,23 +1,22 @@
-//! What edits ask of the lumen's graph: which voxels a cut takes, which tips a new piece of lumen has, and the cheapest way
-//! through voxels that are no lumen.
+//! What edits ask of the tree in the lumen's graph: which voxels a cut takes, which tips a new piece of lumen has.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use carina_grid::{Grid, length};
 
-use crate::graph::{Graph, NO_NODE};
-use crate::lumen::LumenGraph;
-use crate::tracker::Tracker;
-use crate::tree::{BranchLimits, Cover, WIDEST_TUBE_MM, ordered};
-use crate::{TrackError, Watch};
+use crate::tree::branches::{BranchLimits, Cover, WIDEST_TUBE_MM, ordered};
+use carina_leastcost::graph::Graph;
+use carina_leastcost::lumen::LumenGraph;
+use carina_leastcost::tracker::Tracker;
+use carina_leastcost::{TrackError, Watch};
 
 /// How far from a cut piece's centreline its own lumen can reach, mm.
 const CUT_REACH_MM: f64 = 25.0;
 
 /// The nodes that lie in the tubes of `cut` rather than of `kept`: both are nodes on centrelines.
 ///
-/// Near is measured inside the lumen from the tubes' surfaces, as in [`crate::tree::branch_of_nodes`]; a node that is as near to
+/// Near is measured inside the lumen from the tubes' surfaces, as in [`crate::tree::branches::branch_of_nodes`]; a node that is as near to
 /// both stays. Looks in the box round `cut` alone.
 #[must_use]
 pub fn cut_nodes(graph: &LumenGraph, grid: &Grid, cut: &[u32], kept: &[u32]) -> Vec<u32> {
@@ -71,7 +70,7 @@ pub fn cut_nodes(graph: &LumenGraph, grid: &Grid, cut: &[u32], kept: &[u32]) -> 
 
 /// Tips of branches that `candidates` hold and a tree with `tree_nodes` on its centrelines does not, longest path first.
 ///
-/// As the automatic tree is found (see [`crate::tree::find_branches`]), with the tree that is there already covering what is
+/// As the automatic tree is found (see [`crate::tree::branches::find_branches`]), with the tree that is there already covering what is
 /// near it.
 pub fn more_tips(
     graph: &LumenGraph,
@@ -132,104 +131,4 @@ pub fn more_tips(
         cover.add(&chain);
     }
     Ok(tips)
-}
-
-/// A way through a box of voxels.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Way {
-    /// Voxels of the box, from a goal to the start; neighbours share a face, an edge or a corner.
-    pub voxels: Vec<[usize; 3]>,
-    /// Sum of length in mm times weight over its steps.
-    pub cost: f64,
-}
-
-/// The cheapest way from `start` to the nearest voxel where `is_goal` holds; `None` if there is none.
-///
-/// A step costs its length in mm times the mean weight of its two voxels; a voxel of weight 0 is closed. All arrays run x fastest. Of
-/// equally cheap ways the one that comes first in array order is taken.
-pub fn cheapest_way(
-    shape_ijk: [usize; 3],
-    spacing_mm: [f64; 3],
-    weights: &[f32],
-    is_goal: &[u8],
-    start: [usize; 3],
-    watch: &impl Watch,
-) -> Result<Option<Way>, TrackError> {
-    let [nx, ny, nz] = shape_ijk;
-    let index = |v: [usize; 3]| (v[2] * ny + v[1]) * nx + v[0];
-    let voxel = |at: usize| [at % nx, at / nx % ny, at / nx / ny];
-    let steps: Vec<([isize; 3], f64)> = (0..27isize)
-        .filter(|n| *n != 13)
-        .map(|n| {
-            let offset = [n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1];
-            let mm = std::array::from_fn(|a| offset[a] as f64 * spacing_mm[a]);
-            (offset, length(mm))
-        })
-        .collect();
-    let mut least = vec![f64::INFINITY; nx * ny * nz];
-    let mut before = vec![NO_NODE; nx * ny * nz];
-    let mut open = BinaryHeap::new();
-    least[index(start)] = 0.0;
-    open.push(Reverse((Ordered(0.0), index(start) as u32)));
-    let mut num_popped = 0usize;
-    while let Some(Reverse((Ordered(here), at))) = open.pop() {
-        let at = at as usize;
-        if here > least[at] {
-            continue;
-        }
-        num_popped += 1;
-        if num_popped.is_multiple_of(1 << 14) {
-            watch.go_on(0.5)?;
-        }
-        if is_goal[at] != 0 {
-            let mut voxels = vec![voxel(at)];
-            let mut next = before[at];
-            while next != NO_NODE {
-                voxels.push(voxel(next as usize));
-                next = before[next as usize];
-            }
-            return Ok(Some(Way { voxels, cost: here }));
-        }
-        let from = voxel(at).map(|v| v as isize);
-        for (offset, step_mm) in &steps {
-            let to: [isize; 3] = std::array::from_fn(|a| from[a] + offset[a]);
-            if to[0] < 0 || to[1] < 0 || to[2] < 0 {
-                continue;
-            }
-            let to = to.map(|v| v as usize);
-            if to[0] >= nx || to[1] >= ny || to[2] >= nz {
-                continue;
-            }
-            let next = index(to);
-            if weights[next] <= 0.0 {
-                continue;
-            }
-            let weight = 0.5 * (f64::from(weights[at]) + f64::from(weights[next]));
-            let through = here + step_mm * weight;
-            if through < least[next] {
-                least[next] = through;
-                before[next] = at as u32;
-                open.push(Reverse((Ordered(through), next as u32)));
-            }
-        }
-    }
-    Ok(None)
-}
-
-/// Finite costs in order.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Ordered(f64);
-
-impl Eq for Ordered {}
-
-impl PartialOrd for Ordered {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Ordered {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        self.0.total_cmp(&other.0)
-    }
 }

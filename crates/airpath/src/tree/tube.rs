@@ -2,10 +2,10 @@
 
 use carina_grid::{Grid, Ijk, Lps, dot, unit};
 
-use crate::branch::{self, Branch};
-use crate::lumen::LumenGraph;
-use crate::rays::{NUM_RAYS, centroid, direction, filled, plane_axes, without_far};
-use crate::smooth::{self, Point, cumulative_mm, point_at};
+use crate::section::rays::{NUM_RAYS, centroid, direction, filled, plane_axes, without_far};
+use crate::tree::branch::{self, Branch};
+use crate::tree::smooth::{self, Point, cumulative_mm, point_at};
+use carina_leastcost::lumen::LumenGraph;
 
 /// Places along two branches are compared at this distance.
 const LOOK_MM: f64 = 0.25;

@@ -1,0 +1,9 @@
+//! Cross-sections of an airway.
+
+pub mod cross_section;
+pub mod deblur;
+pub mod profile;
+pub mod rays;
+
+#[cfg(test)]
+mod section_tests;

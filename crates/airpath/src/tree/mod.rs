@@ -1,0 +1,14 @@
+//! The airway tree.
+
+pub mod branch;
+pub mod branches;
+pub mod caliber;
+mod centre;
+pub mod smooth;
+pub mod tree_edit;
+mod tube;
+
+#[cfg(test)]
+mod caliber_tests;
+#[cfg(test)]
+mod centre_tests;

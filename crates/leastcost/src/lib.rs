@@ -1,0 +1,47 @@
+//! Least-cost paths through voxels (paper 6): graphs, edge costs, and trackers that can be resumed for every new target.
+//!
+//! `lumen` turns an airway's lumen into a graph with the cost that keeps to its middle, `lumen_edit` lets that graph follow an
+//! edit, and `tracker` grows the tree of least-cost paths from one root. `box_graph`, `paper_cost` and `isoregion_graph` are
+//! the graph and the cost as the paper prints them, for the same tracker; `graph_tracker` joins every cost with every
+//! graph. `field_tracker` does the same as `tracker` in a whole volume of weights, without a graph in memory; `field_aim`
+//! finds one path there, `field_sweep` every voxel's. `cheapest_way` is the small one: a box of weights, no tree.
+//!
+//! Nothing here knows what a trachea is: `carina-airpath` stands on this crate.
+
+pub mod box_graph;
+mod buckets;
+pub mod cheapest_way;
+pub mod dijkstra;
+pub mod distance;
+mod error;
+pub mod field;
+pub mod field_aim;
+mod field_front;
+mod field_lanes;
+mod field_layout;
+mod field_state;
+mod field_sweep;
+mod field_tile;
+pub mod field_tracker;
+pub mod graph;
+pub mod graph_tracker;
+pub mod isoregion_graph;
+pub mod lumen;
+pub mod lumen_edit;
+pub mod paper_cost;
+pub mod tracker;
+mod voxel_set;
+mod wall_sites;
+
+pub use error::{TrackError, Unwatched, Watch};
+
+#[cfg(test)]
+mod field_tests;
+#[cfg(test)]
+mod isoregion_graph_tests;
+#[cfg(test)]
+mod lumen_edit_tests;
+#[cfg(test)]
+mod paper_cost_tests;
+#[cfg(test)]
+mod tracker_tests;
