@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from carina.commands import OpenPath
 from carina.errors import CancelledError, NoResultError, VolumeImportError
 from carina.session import Parts, Session
 from carina.track import AirwayTree, Branch, TrackedPath
@@ -304,7 +305,7 @@ class Bench:
     renderers: list[SmallRenderer]
 
     def open(self, path: str = "case") -> None:
-        self.session.open_path(path)
+        self.session.do(OpenPath(path))
         self.background.run_all()
 
     def of_type(self, kind: type) -> list[Any]:

@@ -10,11 +10,13 @@ import pytest
 
 import carina as api
 from carina.cli.along import way_to
+from carina.commands import GoTo, OpenVolume, RecordFlight, SetMode, SetScope, Steer, StopRecording
 from carina.navigate import AirwayWay, AutoFlight, KeyFile, KeyFrame, case_key
 from carina.navigate.recording import ReplayedPose, sampled
 from carina.navigate.rotation import rotation_from_vector
 from carina.render import AirwayView, read_png_pose
 from carina.scopes import DEFAULT_SCOPE, ImageField
+from carina.session.flying import place_move
 from small_case import small_bench
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
@@ -143,9 +145,9 @@ def test_key_frames_of_the_window_are_flown_at_their_speed_as_they_were_seen(car
 def test_a_recording_of_another_case_is_refused_and_writes_nothing(carina, ct, tmp_path):
     bench = small_bench()
     bench.open()
-    bench.session.start_recording(tmp_path / "r.jsonl")
-    bench.session.steer(1.0, 0.0, 0.0, 0.0)
-    bench.session.stop_recording()
+    bench.session.do(RecordFlight(tmp_path / "r.jsonl"))
+    bench.session.do(Steer(1.0, 0.0, 0.0, 0.0))
+    bench.session.do(StopRecording())
     ended = carina("fly", ct, "--recording", tmp_path / "r.jsonl", "-o", tmp_path / "r.mp4")
     assert ended.code == 3
     assert "another case" in ended.err
@@ -155,17 +157,17 @@ def test_a_recording_of_another_case_is_refused_and_writes_nothing(carina, ct, t
 def test_a_recording_of_this_case_becomes_a_video_of_its_length(carina, ct, tmp_path):
     bench = small_bench()
     volume = api.open_volume(ct)
-    bench.session.open_volume(volume)
+    bench.session.do(OpenVolume(volume))
     bench.background.run_next()
     root = json.loads((ct.parent / "truth.json").read_text())["branches"][0]["points"]
     began = api.Pose.looking(root[0], np.subtract(root[-1], root[0]))
-    bench.session.place_pose(began)
-    bench.session._case.history.amend_current(lambda d: d.__class__(transfer=api.transfer_preset("endoscopic")))
-    bench.session.start_recording(tmp_path / "r.jsonl")
+    bench.session.do(place_move(began))
+    bench.session._core.case.history.amend_current(lambda d: d.__class__(transfer=api.transfer_preset("endoscopic")))
+    bench.session.do(RecordFlight(tmp_path / "r.jsonl"))
     for _ in range(25):
         bench.clock.advance(0.1)
-        bench.session.steer(1.0, 0.0, 0.0, 0.02)
-    bench.session.stop_recording()
+        bench.session.do(Steer(1.0, 0.0, 0.0, 0.02))
+    bench.session.do(StopRecording())
     output = tmp_path / "r.webm"
     ended = carina(
         "fly", ct, "--recording", tmp_path / "r.jsonl", "-o", output, "--size", "72x72", "--rate", "8",
@@ -196,21 +198,21 @@ def test_a_recording_of_a_held_scope_is_flown_with_its_wall(carina, ct, tmp_path
 
     bench = small_bench(find_airways=find_airways)
     session = bench.session
-    session.open_volume(api.open_volume(ct))
+    session.do(OpenVolume(api.open_volume(ct)))
     bench.background.run_all()
-    session._case.history.amend_current(lambda d: replace(d, transfer=api.transfer_preset("endoscopic")))
-    session.set_scope("ultrathin")
-    session.go_to(30.0)
-    session.set_mode("scope")
+    session._core.case.history.amend_current(lambda d: replace(d, transfer=api.transfer_preset("endoscopic")))
+    session.do(SetScope("ultrathin"))
+    session.do(GoTo(30.0))
+    session.do(SetMode("scope"))
     bench.background.run_all()
     assert session.snapshot().mode == "scope"
     began = session.pose_info().pose
-    session.start_recording(tmp_path / "r.jsonl")
+    session.do(RecordFlight(tmp_path / "r.jsonl"))
     for _ in range(10):
         bench.clock.advance(0.1)
-        session.steer(2.0, 0.0, 0.2, 0.1)
+        session.do(Steer(2.0, 0.0, 0.2, 0.1))
     assert session.pose_info().scope.contact is not None, "the wall holds it"
-    session.stop_recording()
+    session.do(StopRecording())
     session.close()
     output = tmp_path / "r.mp4"
     ended = carina(

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from carina import render
+from carina.commands import OpenDemo, OpenPath
 from carina.render import AirwayView
 from carina.server.app import web_folder
 from carina.server.phone_page import PhonePage
@@ -155,9 +156,9 @@ def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, 
     changed = threading.Event()
     unsubscribe = session.subscribe(lambda _event: changed.set())
     if path is not None:
-        session.open_path(path)
+        session.do(OpenPath(path))
     elif demo is not None:
-        session.open_demo(demo)
+        session.do(OpenDemo(demo))
     # A page that is opened sooner is sent every picture several times, as the airways and their measures come.
     while session.jobs.running or session.snapshot().airways not in {"found", "failed"}:
         assert changed.wait(OPENS_S), "the case does not open"

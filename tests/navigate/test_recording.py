@@ -14,6 +14,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carina.commands import (
+    Calibrate,
+    CloseCase,
+    DeviceGone,
+    GoTo,
+    LevelHorizon,
+    RecordFlight,
+    SetAllControls,
+    SetFov,
+    SetMode,
+    SetOperator,
+    Steer,
+    StopRecording,
+)
 from carina.errors import CarinaError, UsageError, VolumeImportError
 from carina.navigate import (
     AutoFlight,
@@ -48,46 +62,47 @@ def flown():
 def fly(session: Session, clock: Clock, *, seed: int = 1) -> None:
     """A pen, a stick and keys, with two ways to move, forks, a change of the view, NaN and a device that goes."""
     rng = random.Random(seed)
-    session.calibrate("pen", [(0, 0, 0), (50, 0, 0), (0, 50, 0)], [(1, 2, 3), (51, 2, 3), (1, 52, 3)])
+    session.do(Calibrate("pen", [(0, 0, 0), (50, 0, 0), (0, 50, 0)], [(1, 2, 3), (51, 2, 3), (1, 52, 3)]))
     turn = np.eye(3)
     at = np.zeros(3)
     for n in range(400):
         clock.advance(rng.choice([0.0, 0.001, 0.004, 0.008, 0.03]))
         turn = turn @ rotation_from_vector(np.array([rng.gauss(0, 0.02) for _ in range(3)]))
         at = at + [rng.gauss(0, 0.5) for _ in range(3)]
-        session.device_said("pen", PoseSample(clock(), tuple(at.tolist()), wxyz_from_rotation(turn), int(n % 97 == 0)))
+        session.devices.said("pen", PoseSample(clock(), tuple(at.tolist()), wxyz_from_rotation(turn), int(n % 97 == 0)))
         if n % 3:
-            session.device_frame()
+            session.devices.frame()
         if n == 50:
-            session.device_said("pen", PoseSample(math.nan, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
-            session.device_said("pen", PoseSample(clock() - 5.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
+            session.devices.said("pen", PoseSample(math.nan, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
+            session.devices.said("pen", PoseSample(clock() - 5.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
         if n == 120:
-            session.set_controls(Controls(gain_mm=2.0, filter=FilterSettings(min_cutoff_hz=3.0)))
+            session.do(SetAllControls(Controls(gain_mm=2.0, filter=FilterSettings(min_cutoff_hz=3.0))))
         if n == 160:
-            session.go_to(5.0)
+            session.do(GoTo(5.0))
         if n == 200:
-            session.set_fov(100.0)
-            session.device_gone("pen")
+            session.do(SetFov(100.0))
+            session.do(DeviceGone("pen"))
         if n % 50 == 0:
-            session.steer(0.4, 0.1, -0.05, 0.02)
+            session.do(Steer(0.4, 0.1, -0.05, 0.02))
     clock.advance(1.0)
-    session.set_mode("path")
+    session.do(SetMode("path"))
     for _ in range(300):
         clock.advance(0.02)
-        session.device_said("stick", AxesSample(clock(), (1.0, 0.0, 0.0, rng.choice([-1.0, 1.0]), 0.0, 0.0)))
-        session.device_frame()
-    session.set_operator("facing")
-    session.level_horizon()
+        session.devices.said("stick", AxesSample(clock(), (1.0, 0.0, 0.0, rng.choice([-1.0, 1.0]), 0.0, 0.0)))
+        session.devices.frame()
+    session.do(SetOperator("facing"))
+    session.do(LevelHorizon())
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_replay_gives_the_recorded_poses_bit_for_bit(flown, tmp_path, seed):
     session, clock = flown
     fly(session, clock, seed=seed + 10)  # what went before must not matter
-    session.start_recording(tmp_path / "a.jsonl")
+    session.do(RecordFlight(tmp_path / "a.jsonl"))
     fly(session, clock, seed=seed)
     before = session.pose_info().pose
-    assert session.stop_recording() == tmp_path / "a.jsonl"
+    assert session.devices.recording_path == tmp_path / "a.jsonl"
+    session.do(StopRecording())
     recording = open_recording(tmp_path / "a.jsonl")
     recording.check(VOLUME, carina="0.1.0")
     replayed = list(recording.replay(VOLUME))
@@ -101,10 +116,10 @@ def test_a_replay_gives_the_recorded_poses_bit_for_bit(flown, tmp_path, seed):
 
 def test_another_volume_or_version_is_refused(flown, tmp_path):
     session, clock = flown
-    session.start_recording(tmp_path / "a.jsonl")
+    session.do(RecordFlight(tmp_path / "a.jsonl"))
     clock.advance(1.0)
-    session.steer(1.0, 0.0, 0.0, 0.0)
-    session.stop_recording()
+    session.do(Steer(1.0, 0.0, 0.0, 0.0))
+    session.do(StopRecording())
     recording = open_recording(tmp_path / "a.jsonl")
     other = small_volume()
     values = other.hu_zyx.copy()
@@ -117,11 +132,11 @@ def test_another_volume_or_version_is_refused(flown, tmp_path):
 
 def test_a_recording_that_was_cut_off_is_read_as_far_as_it_goes(flown, tmp_path):
     session, clock = flown
-    session.start_recording(tmp_path / "a.jsonl")
+    session.do(RecordFlight(tmp_path / "a.jsonl"))
     for _ in range(10):
         clock.advance(0.1)
-        session.steer(0.5, 0.0, 0.0, 0.0)
-    session.stop_recording()
+        session.do(Steer(0.5, 0.0, 0.0, 0.0))
+    session.do(StopRecording())
     text = (tmp_path / "a.jsonl").read_text()
     cut = tmp_path / "cut.jsonl"
     cut.write_text(text[: text.rindex('"move"') + 20])
@@ -144,11 +159,11 @@ NO_MOVES = ['{"t":9,"move":[1]}', '{"t":9,"move":"SetScope"}', '{"t":9,"view":3}
 @pytest.mark.parametrize("line", ["[]", "{}", '{"t":-1}', '{"t":NaN}', "{" * 100_000, '{"t":0,"t":', "\x00", *NO_MOVES])
 def test_broken_lines_are_refused_with_their_number(flown, tmp_path, line):
     session, clock = flown
-    session.start_recording(tmp_path / "a.jsonl")
+    session.do(RecordFlight(tmp_path / "a.jsonl"))
     for _ in range(4):
         clock.advance(0.1)
-        session.steer(0.5, 0.0, 0.0, 0.0)
-    session.stop_recording()
+        session.do(Steer(0.5, 0.0, 0.0, 0.0))
+    session.do(StopRecording())
     lines = (tmp_path / "a.jsonl").read_text().splitlines()
     (tmp_path / "b.jsonl").write_text(bad(lines, 3, line))
     with pytest.raises(VolumeImportError, match="line 4") as refused:
@@ -168,8 +183,8 @@ def test_what_is_no_recording_is_refused(tmp_path, text):
 
 def test_a_move_that_is_none_ends_the_replay_with_words(flown, tmp_path):
     session, _ = flown
-    session.start_recording(tmp_path / "a.jsonl")
-    session.stop_recording()
+    session.do(RecordFlight(tmp_path / "a.jsonl"))
+    session.do(StopRecording())
     lines = (tmp_path / "a.jsonl").read_text().splitlines()
     (tmp_path / "b.jsonl").write_text(bad(lines, 2, json.dumps({"t": 0.0, "move": {"move": "Jump"}})))
     with pytest.raises(VolumeImportError, match="Jump"):
@@ -178,19 +193,19 @@ def test_a_move_that_is_none_ends_the_replay_with_words(flown, tmp_path):
 
 def test_only_one_recording_is_made_at_a_time_and_it_ends_with_the_case(flown, tmp_path):
     session, _ = flown
-    session.start_recording(tmp_path / "a.jsonl")
+    session.do(RecordFlight(tmp_path / "a.jsonl"))
     with pytest.raises(UsageError, match="already"):
-        session.start_recording(tmp_path / "b.jsonl")
-    session.close_case()
-    assert session.recording_path is None
+        session.do(RecordFlight(tmp_path / "b.jsonl"))
+    session.do(CloseCase())
+    assert session.devices.recording_path is None
     assert open_recording(tmp_path / "a.jsonl").complete
 
 
 def test_the_recorder_keeps_no_patient_data(flown, tmp_path):
     session, clock = flown
-    session.start_recording(tmp_path / "a.jsonl")
+    session.do(RecordFlight(tmp_path / "a.jsonl"))
     fly(session, clock)
-    session.stop_recording()
+    session.do(StopRecording())
     text = (tmp_path / "a.jsonl").read_text()
     assert len(text.splitlines()) > 500
     assert VOLUME.source.title not in text
@@ -223,9 +238,9 @@ def full_disk():
 
 
 def recorded_to(session: Session, path: Path, file) -> None:
-    session.start_recording(path)
-    session._recorder._file.close()
-    session._recorder._file = file
+    session.do(RecordFlight(path))
+    session._recording._recorder._file.close()
+    session._recording._recorder._file = file
 
 
 def troubles(session: Session) -> list[Trouble]:
@@ -248,23 +263,23 @@ def test_a_full_disk_ends_the_recording_with_one_sentence_and_the_flight_goes_on
     assert trouble.code == "disk.full"
     assert "the recording ended" in trouble.message
     assert "the disk is full" in trouble.message
-    assert session.recording_path is None
+    assert session.devices.recording_path is None
     assert file.closed
     # And another one can be made.
-    session.start_recording(tmp_path / "b.jsonl")
-    session.stop_recording()
+    session.do(RecordFlight(tmp_path / "b.jsonl"))
+    session.do(StopRecording())
     assert open_recording(tmp_path / "b.jsonl").complete
     assert len(said) == 1
 
 
-@pytest.mark.parametrize("end", ["stop_recording", "close_case"])
+@pytest.mark.parametrize("end", [StopRecording(), CloseCase()])
 def test_a_disk_that_is_full_at_the_end_of_a_recording_is_said_and_stops_nothing(flown, tmp_path, end):
     session, _ = flown
     said = troubles(session)
     recorded_to(session, tmp_path / "a.jsonl", full_disk())
-    getattr(session, end)()
+    session.do(end)
     assert ["the recording ended" in trouble.message for trouble in said] == [True]
-    assert session.recording_path is None
+    assert session.devices.recording_path is None
 
 
 def test_a_case_is_opened_though_the_recording_of_the_last_cannot_be_ended(tmp_path):
@@ -287,11 +302,11 @@ def test_a_recording_that_cannot_begin_is_refused_and_leaves_no_file(flown, tmp_
 
     monkeypatch.setattr(Path, "open", opened)
     with pytest.raises(CarinaError, match="the disk is full"):
-        session.start_recording(tmp_path / "a.jsonl")
-    assert session.recording_path is None
+        session.do(RecordFlight(tmp_path / "a.jsonl"))
+    assert session.devices.recording_path is None
     assert file.closed
     assert not (tmp_path / "a.jsonl").exists()
-    session.steer(1.0, 0.0, 0.0, 0.0)
+    session.do(Steer(1.0, 0.0, 0.0, 0.0))
 
 
 # ------------------------------------------------------------ flights that nobody steers

@@ -10,11 +10,13 @@ import time
 import numpy as np
 import pytest
 
+from carina.commands import GoTo
 from carina.errors import UsageError
 from carina.navigate.devices.igtl import IgtlPose, IgtlStream, pose_matrix
 from carina.navigate.devices.scope_handle import format_line
 from carina.server import messages as wire
 from carina.server.device_desk import DeviceDesk
+from carina.session import Said
 from simulated_serial import WAIT_S, PseudoPort, sending, wait_for
 from small_case import small_bench
 
@@ -49,7 +51,7 @@ def pen(time_s: float, at: tuple[float, float, float], buttons: int = 0) -> wire
 def desk(tmp_path):
     """A desk over the small case, with its session and what it sent."""
     bench = small_bench()
-    bench.session._clock = time.monotonic  # the desk's thread keeps the real time
+    bench.session._core.clock = time.monotonic  # the desk's thread keeps the real time
     bench.open()
     sent: list[object] = []
     made = DeviceDesk(bench.session, sent.append, recordings=tmp_path / "recordings")
@@ -70,7 +72,7 @@ def test_a_stick_flies_while_it_is_held_and_stops_with_it(desk):
 
     wait_for(pushed)
     made.handle(stick(time.monotonic(), 0.0))
-    wait_for(lambda: not bench.session.device_woken.is_set())
+    wait_for(lambda: not bench.session.devices.woken.is_set())
     at = bench.session.pose_info().path_mm
     assert at < 25.0 * (time.monotonic() - began + FIRST_S), "25 mm/s"
     time.sleep(0.1)
@@ -103,11 +105,11 @@ def test_what_a_device_says_wrongly_is_counted_and_said_once(desk):
 
 
 def test_calibration_is_answered_with_its_residual_and_bad_pairs_are_refused(desk):
-    made, bench, sent = desk
+    made, bench, _ = desk
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     points = ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (0.0, 50.0, 0.0))
     made.handle(wire.Calibrate("pen", points, points))
-    assert any(isinstance(m, wire.Notice) and "0.0 mm" in m.message for m in sent)
+    assert any("0.0 mm" in said.message for said in bench.of_type(Said))
     made.handle(wire.SetControl("absolute"))
     assert made.message().control == "absolute"
     with pytest.raises(UsageError, match="line"):
@@ -120,7 +122,7 @@ def test_calibration_is_answered_with_its_residual_and_bad_pairs_are_refused(des
 
 def test_the_pens_button_sets_a_target_where_the_tip_is(desk):
     made, bench, _ = desk
-    bench.session.go_to(20.0)
+    bench.session.do(GoTo(20.0))
     made.handle(wire.ArmPen("target"))
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     made.handle(pen(1.1, (0.0, 0.0, 0.0), buttons=1))
@@ -134,7 +136,7 @@ def test_the_stick_chooses_the_way_at_a_fork_and_the_route_follows(desk):
     made, bench, _ = desk
     session = bench.session
     (trachea, *_) = session.snapshot().document.route.spans
-    session.go_to(trachea.to_mm - 3.0)
+    session.do(GoTo(trachea.to_mm - 3.0))
     assert session.snapshot().document.route.branch_id == 3
 
     def has_turned() -> bool:
@@ -199,7 +201,7 @@ def test_a_handle_that_rests_and_goes_on_speaking_makes_no_new_poses(desk):
     def say(n: int, insertion_mm: float) -> None:
         handle = (insertion_mm, 0.1, 0.2)
         made.handle(wire.DeviceSample("handle", 0.01 * n, None, None, None, 0, handle, 0.0))
-        wait_for(lambda: not bench.session.device_woken.is_set())
+        wait_for(lambda: not bench.session.devices.woken.is_set())
 
     for n in range(100):
         say(n, 0.1 * n)
@@ -229,7 +231,7 @@ def published(port: int) -> IgtlPose:
 
 def test_the_tip_is_published_and_recordings_are_made(desk, tmp_path):
     made, bench, _ = desk
-    bench.session.go_to(20.0)
+    bench.session.do(GoTo(20.0))
     made.handle(wire.PublishTip(0))
     port = made.message().published_port
     assert port
@@ -259,19 +261,19 @@ def vars_of(value) -> dict:
 
 def test_a_frame_that_fails_is_logged_once_and_the_next_ones_are_flown(desk, monkeypatch, caplog):
     made, bench, _ = desk
-    frame, num_failed = bench.session.device_frame, 0
+    frame, num_failed = bench.session.devices.frame, 0
 
     def failing():
         nonlocal num_failed
-        bench.session.device_woken.clear()
+        bench.session.devices.woken.clear()
         num_failed += 1
         raise RuntimeError("a fault of ours")
 
-    monkeypatch.setattr(bench.session, "device_frame", failing)
+    monkeypatch.setattr(bench.session.devices, "frame", failing)
     for n in range(1, 4):
-        bench.session.device_woken.set()
+        bench.session.devices.woken.set()
         wait_for(lambda n=n: num_failed >= n)
-    monkeypatch.setattr(bench.session, "device_frame", frame)
+    monkeypatch.setattr(bench.session.devices, "frame", frame)
     before = bench.session.pose_info().pose
     made.handle(stick(time.monotonic(), 1.0))
     wait_for(lambda: bench.session.pose_info().pose is not before)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from edit_case import edit_case, in_plain_lung, open_ended_volume
 
+from carina.commands import EditTree
 from carina.server import messages as wire
 from carina.server.pointing import Pointing, no_evidence_message
 from carina.server.tree_words import tree_message
@@ -50,7 +51,7 @@ def ask(pointing, request_id, tool="add-branch", **place):
 
 def edit(pointing, message):
     text = wire.encode_message(wire.EditTree(message))
-    pointing.session.edit_tree(wire.parse_client_message(text).edit)
+    pointing.session.do(EditTree(wire.parse_client_message(text).edit))
     pointing.bench.background.run_all()
 
 
@@ -124,7 +125,7 @@ def test_a_place_where_nothing_can_be_made_says_so(pointing, place, words):
 
 
 def test_a_fault_is_answered_and_the_next_question_too(pointing, monkeypatch):
-    monkeypatch.setattr(pointing.session, "preview_edit", lambda _edit: 1 / 0)
+    monkeypatch.setattr(pointing.session, "ask", lambda _question: 1 / 0)
     assert "fault of Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
     monkeypatch.undo()
     assert ask(pointing, 2, lps=in_plain_lung()).problem is None

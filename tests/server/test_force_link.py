@@ -12,6 +12,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from carina.commands import CloseCase, OpenPath, WallNear
 from carina.scopes import WallField, picture_threads
 from carina.server import messages as wire
 from carina.server.force_link import MAX_BRIDGES
@@ -83,7 +84,7 @@ def live(tmp_path):
         thread.start()
         try:
             assert started.wait(WAIT_S)
-            session.open_path("case")
+            session.do(OpenPath("case"))
             assert session.jobs.wait_idle(WAIT_S)
             yield SimpleNamespace(gate=gate, session=session, origin=f"http://127.0.0.1:{gate.port}")
         finally:
@@ -130,7 +131,7 @@ def test_far_from_the_wall_and_without_a_case_there_is_no_plane(live):
         hand.until_ready(root)
         own = hand.ask(None)
         assert own.lps == pytest.approx(tuple(live.session.pose_info().pose.position_lps))
-        live.session.close_case()
+        live.session.do(CloseCase())
         answer = hand.ask(root)
         assert (answer.state, answer.plane) == ("none", None)
 
@@ -140,13 +141,14 @@ def test_a_flood_of_questions_is_answered_by_the_newest(live, monkeypatch):
         hand = Bridge(socket)
         hand.until_ready((0.0, 0.0, 0.0))
         # The first answer takes until all questions are on the way.
-        flooded, answer = threading.Event(), live.session.local_contact
+        flooded, answer = threading.Event(), live.session.ask
 
-        def local_contact(lps):
-            assert flooded.wait(WAIT_S)
-            return answer(lps)
+        def ask(question):
+            if isinstance(question, WallNear):
+                assert flooded.wait(WAIT_S)
+            return answer(question)
 
-        monkeypatch.setattr(live.session, "local_contact", local_contact)
+        monkeypatch.setattr(live.session, "ask", ask)
         for number in range(1000, 1400):
             hand.send(wire.AskContact(number, (0.0, 0.0, 0.0)))
         flooded.set()
@@ -177,7 +179,7 @@ def test_a_fault_ends_the_bridges_connection_and_not_only_its_answers(live, monk
     with bridge(live) as socket:
         hand = Bridge(socket)
         hand.until_ready((0.0, 0.0, 0.0))
-        monkeypatch.setattr(live.session, "local_contact", lambda lps: 1 / 0)
+        monkeypatch.setattr(live.session, "ask", lambda _question: 1 / 0)
         hand.send(wire.AskContact(7, (0.0, 0.0, 0.0)))
         with pytest.raises(ConnectionClosed) as closed:
             hand.receive()

@@ -18,6 +18,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from carina.commands import CloseCase, SetMode, Steer
 from carina.errors import CarinaError
 from carina.navigate import PoseSample
 from carina.navigate.pilot import CLUTCH_BUTTON
@@ -175,7 +176,7 @@ def web(tmp_path):
 def phone(web):
     """An open page over the small case, as the workstation has it."""
     bench = small_bench()
-    bench.session._clock = time.monotonic  # the desk's thread keeps the real time
+    bench.session._core.clock = time.monotonic  # the desk's thread keeps the real time
     bench.open()
     page = PhonePage(bench.session, web=web, address="127.0.0.1")
     sent: list[object] = []
@@ -288,7 +289,7 @@ def test_a_wrong_token_no_token_and_silence_are_refused_and_counted(phone, monke
         assert ended(link)[0] == wire.CLOSE_CODES["protocol.order"]
     info = phone.page.info()
     assert (info.num_refused, info.connected) == (1, False)
-    assert phone.session.devices_info().devices == (), "nothing of them reached the tip"
+    assert phone.session.devices.info().devices == (), "nothing of them reached the tip"
 
 
 def test_connections_that_say_nothing_keep_no_phone_out_and_end(phone, monkeypatch):
@@ -317,7 +318,7 @@ def test_the_patience_with_a_phone_that_has_gone_ends_in_silence(phone, monkeypa
 
 
 def test_a_phone_turns_the_tip_while_its_button_is_held_and_goes_forward(phone):
-    phone.session.set_mode("free")
+    phone.session.do(SetMode("free"))
     start = phone.session.pose_info().pose
     with dialled(phone) as link:
         assert state(link).case_open
@@ -344,7 +345,7 @@ def test_a_phone_turns_the_tip_while_its_button_is_held_and_goes_forward(phone):
             link.send(sample(100.0 + next(clock) / 60, wxyz(1, turn - 0.02 * n), held=False))
             time.sleep(1 / 60)
         assert angle(now, phone.session.pose_info().pose) < 0.05
-        phone.session.set_mode("path")
+        phone.session.do(SetMode("path"))
         at_mm, began_s = phone.session.pose_info().path_mm, time.monotonic()
 
         def has_advanced() -> bool:
@@ -372,7 +373,7 @@ def test_a_forward_that_is_never_let_go_ends_with_the_phone(phone):
     wait_for(lambda: not phone.page.info().connected)
     # Without another sample no device moves longer than a quarter of a second.
     end_mm = 25.0 * (time.monotonic() - began_s + 0.25 + 0.1)
-    wait_for(lambda: not phone.session.device_woken.is_set())
+    wait_for(lambda: not phone.session.devices.woken.is_set())
     rest_mm = phone.session.pose_info().path_mm
     assert rest_mm < end_mm
     time.sleep(0.2)
@@ -394,7 +395,7 @@ def test_nonsense_clocks_and_numbers_are_counted_and_the_tip_stays_finite(phone)
         ignored = {}
 
         def count():
-            (device,) = phone.session.devices_info().devices
+            (device,) = phone.session.devices.info().devices
             ignored.update(device.num_ignored)
             return sum(ignored.values()) >= 3
 
@@ -427,14 +428,14 @@ def test_a_state_that_cannot_be_told_lets_the_phone_go(phone, monkeypatch):
         monkeypatch.setattr(phone.page, "_state", lambda: 1 / 0)
         assert ended(link)[0] == 1011
     wait_for(lambda: not phone.page.info().connected)
-    devices = phone.session.devices_info().devices
+    devices = phone.session.devices.info().devices
     assert not any(device.device == "phone" for device in devices)
 
 
 def test_its_buttons_recenter_and_change_the_way_to_move(phone):
     with dialled(phone) as link:
         assert state(link).control == "path"
-        phone.session.steer(0.0, 0.5, 0.0, 0.0)
+        phone.session.do(Steer(0.0, 0.5, 0.0, 0.0))
         turned = phone.session.pose_info().pose
         link.send(wire.encode_message(wire.PhoneAct("recenter")))
         wait_for(lambda: angle(turned, phone.session.pose_info().pose) > 0.4)
@@ -442,11 +443,11 @@ def test_its_buttons_recenter_and_change_the_way_to_move(phone):
         assert state(link).control == "relative"
         assert phone.session.pose_info().mode == "free"
         # Where there is no path it levels the horizon.
-        phone.session.steer(0.0, 0.0, 0.0, 0.5)
+        phone.session.do(Steer(0.0, 0.0, 0.0, 0.5))
         rolled = phone.session.pose_info().pose
         link.send(wire.encode_message(wire.PhoneAct("recenter")))
         wait_for(lambda: angle(rolled, phone.session.pose_info().pose) > 0.4)
-        phone.session.close_case()
+        phone.session.do(CloseCase())
         wait_for(lambda: not state(link).case_open)
         for action in ("next_control", "recenter"):
             link.send(wire.encode_message(wire.PhoneAct(action)))

@@ -10,6 +10,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 import pytest
 
+from carina.commands import OpenPath
 from carina.server import messages as wire
 from carina.server.newest import NewestOnly
 from carina.server.pointing import Pointing, live_path_message
@@ -100,7 +101,7 @@ def test_without_airways_the_answer_says_what_to_wait_for():
     made.start()
     made.ask_live_path(wire.AskLivePath(1, (0.0, 0.0, 0.0), None, None, None))
     assert answers.get(timeout=WAIT_S).problem == "no case is open"
-    bench.session.open_path("case")
+    bench.session.do(OpenPath("case"))
     bench.background.run_next()
     made.ask_live_path(wire.AskLivePath(2, (0.0, 0.0, 0.0), None, None, None))
     assert "not found yet" in answers.get(timeout=WAIT_S).problem
@@ -108,7 +109,7 @@ def test_without_airways_the_answer_says_what_to_wait_for():
 
 
 def test_a_fault_is_answered_and_the_next_question_too(pointing, monkeypatch):
-    monkeypatch.setattr(pointing.session, "live_path", lambda _lps: 1 / 0)
+    monkeypatch.setattr(pointing.session, "ask", lambda _question: 1 / 0)
     assert "fault of Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
     monkeypatch.undo()
     assert ask(pointing, 2, lps=small_lps((16.0, 14.0, 30.0))).problem is None
@@ -116,9 +117,9 @@ def test_a_fault_is_answered_and_the_next_question_too(pointing, monkeypatch):
 
 def test_what_the_first_question_would_wait_for_is_done_before_it_comes(pointing, monkeypatch):
     asked = queue.Queue()
-    monkeypatch.setattr(pointing.session, "live_path", asked.put)
+    monkeypatch.setattr(pointing.session, "ask", asked.put)
     pointing.pointing.warm()
-    assert asked.get(timeout=WAIT_S) == pytest.approx(small_lps((16.0, 14.0, 37.0)))
+    assert asked.get(timeout=WAIT_S).lps == pytest.approx(small_lps((16.0, 14.0, 37.0)))
     # Once for the same airways, and without an answer.
     pointing.pointing.warm()
     monkeypatch.undo()

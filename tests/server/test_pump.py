@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import simplejpeg
 
+from carina.commands import Cancel, SetCrosshair, SetFov, SetTransfer, Steer
 from carina.errors import RenderError, UsageError
 from carina.render import AirwayView, SliceView
 from carina.server.messages import Status, parse_picture
@@ -31,7 +32,7 @@ class Screen:
     def steer(self, **changes):
         """Move the tip a little, a sixtieth of a second after the last time."""
         self.bench.clock.advance(1 / 60)
-        self.bench.session.steer(*(changes.get(n, d) for n, d in (("advance", 0.5), ("yaw", 0.0))), 0.0, 0.0)
+        self.bench.session.do(Steer(changes.get("advance", 0.5), changes.get("yaw", 0.0), 0.0, 0.0))
 
     def drain(self, *, acknowledge=True):
         while self.pump.step():
@@ -104,8 +105,8 @@ def test_no_picture_is_final_while_another_transfer_function_is_on_its_way(scree
     def fail(_transfer):
         raise MemoryError
 
-    session.set_transfer(preset="ct-grey")
-    session.set_fov(100.0)  # Another picture, still of what the renderer has.
+    session.do(SetTransfer(preset="ct-grey"))
+    session.do(SetFov(100.0))  # Another picture, still of what the renderer has.
     assert not final_airway(screen)
     assert [h.full for h in screen.headers if h.view == "axial"][-1], "a slice does not depend on it"
     if ends == "taken back":
@@ -113,7 +114,7 @@ def test_no_picture_is_final_while_another_transfer_function_is_on_its_way(scree
         session.undo()
     elif ends == "stopped":
         (job,) = session.jobs.running
-        session.cancel(job.job_id)
+        session.do(Cancel(job.job_id))
     elif ends == "failed":
         renderer.set_transfer = fail
     screen.bench.background.run_all()
@@ -191,7 +192,7 @@ def test_neither_a_panic_nor_a_picture_that_cannot_be_encoded_ends_the_thread(sc
     assert {words.partition(" could")[0] for _, words in screen.told} == {"the airway view", "the axial view"}
     renderer.render = whole
     screen.bench.clock.advance(1 / 60)
-    screen.bench.session.set_fov(101.0)
+    screen.bench.session.do(SetFov(101.0))
     screen.drain()
     assert {h.view for h in screen.headers} >= {"airway"}
 
@@ -220,7 +221,7 @@ def test_a_full_picture_under_way_is_given_up_when_the_tip_moves_on(screen):
     def move_on(view):
         if isinstance(view, AirwayView) and view.width == 320:
             renderer.on_render = lambda _view: None
-            screen.bench.session.steer(1.0, 0.0, 0.0, 0.0)
+            screen.bench.session.do(Steer(1.0, 0.0, 0.0, 0.0))
 
     renderer.on_render = move_on
     assert screen.pump.step()
@@ -239,7 +240,7 @@ def test_a_full_picture_is_not_given_up_for_what_it_does_not_show(screen):
     screen.drain()
     screen.bench.clock.advance(screen.pump.wait_s())
     x, y, z = screen.bench.session.pose_info().pose.position_lps
-    screen.bench.renderers[-1].on_render = lambda _view: screen.bench.session.set_crosshair((x, y + 1.0, z))
+    screen.bench.renderers[-1].on_render = lambda _view: screen.bench.session.do(SetCrosshair((x, y + 1.0, z)))
     assert screen.pump.step()
     assert (screen.headers[-1].view, screen.headers[-1].full) == ("airway", True)
 
@@ -252,7 +253,7 @@ def test_a_change_before_a_full_picture_has_begun_is_not_missed(screen):
     def moves_after_the_first_look():
         scenes.append(scene())
         if len(scenes) == 1:
-            screen.bench.session.steer(1.0, 0.0, 0.0, 0.0)
+            screen.bench.session.do(Steer(1.0, 0.0, 0.0, 0.0))
         return scenes[-1]
 
     screen.pump._scene = moves_after_the_first_look
@@ -358,7 +359,7 @@ def test_order_holds_over_a_bad_line_and_the_newest_pose_arrives(screen, seed):
     )
     for _ in range(400):
         if rng.random() < 0.7:
-            screen.bench.session.steer(float(rng.normal(0.0, 0.3)), 0.01, 0.0, 0.0)
+            screen.bench.session.do(Steer(float(rng.normal(0.0, 0.3)), 0.01, 0.0, 0.0))
         if rng.random() < 0.01:
             network.reconnect()
         clock.advance(float(rng.exponential(0.01)))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from carina import _core, render
+from carina.commands import Cancel, OpenVolume, SetTransfer
 from carina.errors import TrackingError
 from carina.server.pump import FramePump
 from carina.session import JobEnded, Session
@@ -26,7 +27,7 @@ def test_a_burst_of_changes_is_one_job_and_one_map_of_the_newest():
     renderer = bench.renderers[-1]
     before = renderer.prepared
     for n in range(20):
-        bench.session.set_transfer(document={"n": n})
+        bench.session.do(SetTransfer(document={"n": n}))
     newest = bench.session.snapshot().document.transfer
     assert len(bench.background.waiting) == 1
     bench.background.run_all()
@@ -44,10 +45,10 @@ def test_a_change_while_a_map_is_built_ends_that_build_and_the_same_job_begins_a
 
     def change():
         if next(changes, None) is not None:
-            bench.session.set_transfer(document={})
+            bench.session.do(SetTransfer(document={}))
 
     renderer.on_prepare = change
-    bench.session.set_transfer(preset="ct-grey")
+    bench.session.do(SetTransfer(preset="ct-grey"))
     bench.background.run_all()
     assert renderer.transfer is bench.session.snapshot().document.transfer
     assert renderer.prepared == before + 1, "three builds were stale when they looked up"
@@ -59,14 +60,14 @@ def test_a_change_after_a_person_stopped_the_preparation_is_followed():
     bench = small_bench()
     bench.open()
     renderer = bench.renderers[-1]
-    bench.session.set_transfer(preset="ct-grey")
+    bench.session.do(SetTransfer(preset="ct-grey"))
     (job,) = bench.session.jobs.running
-    bench.session.cancel(job.job_id)
+    bench.session.do(Cancel(job.job_id))
     # The change comes when the job has been stopped and has not yet ended.
-    bench.session.set_transfer(document={})
+    bench.session.do(SetTransfer(document={}))
     bench.background.run_all()
     assert renderer.transfer is bench.session.snapshot().document.transfer
-    bench.session.set_transfer(preset="endoscopic")
+    bench.session.do(SetTransfer(preset="endoscopic"))
     bench.background.run_all()
     assert renderer.transfer is bench.session.snapshot().document.transfer
 
@@ -80,10 +81,10 @@ def test_a_renderer_that_fails_is_told_of_the_next_change():
         raise MemoryError
 
     renderer.on_prepare = fail
-    bench.session.set_transfer(preset="ct-grey")
+    bench.session.do(SetTransfer(preset="ct-grey"))
     bench.background.run_all()
     renderer.on_prepare = lambda: None
-    bench.session.set_transfer(preset="endoscopic")
+    bench.session.do(SetTransfer(preset="endoscopic"))
     bench.background.run_all()
     assert renderer.transfer is bench.session.snapshot().document.transfer
 
@@ -116,11 +117,11 @@ def test_pictures_of_a_new_preset_come_while_its_map_is_built(monkeypatch, lumen
     delivered: list[bytes] = []
     pump = FramePump(session.scene, delivered.append, lambda _said: None, clock=lambda: 0.0)
     try:
-        session.open_volume(volume)
+        session.do(OpenVolume(volume))
         assert session.jobs.wait_idle(60)
         monkeypatch.setattr(_core, "build_run_map", slowly)
         everything = render.TransferFunction(points=np.array([[-2000.0, 1, 1, 1, 0.2], [-400.0, 1, 1, 1, 0.9]]))
-        session.set_transfer(document=everything.to_json())
+        session.do(SetTransfer(document=everything.to_json()))
         assert building.wait(60)
         pump.set_layout({"airway": (64, 48), "axial": (32, 32)})
         while pump.step():

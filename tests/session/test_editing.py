@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from edit_case import assert_same, edit_case, in_plain_lung, open_ended_volume
 
+from carina.commands import AddTarget, Cancel, ChooseRoute, CloseCase, EditTree, GoTo, OpenPath, PreviewOf
 from carina.errors import NoEvidenceError, NoResultError, UsageError
 from carina.session import JobEnded, NotEvident, Said, Trouble
 from carina.session.editing import NUM_EDITS_WHOLE
@@ -49,7 +50,7 @@ def bench(case):
 
 def edit(bench, *edits):
     for one in edits:
-        bench.session.edit_tree(one)
+        bench.session.do(EditTree(one))
         bench.background.run_all()
 
 
@@ -73,7 +74,7 @@ def test_an_edit_is_one_step_with_a_label_in_words_that_undo_and_redo_move(bench
 
 def test_a_route_to_a_branch_that_is_cut_goes_away_with_words_and_comes_back_with_undo(bench, case):
     gone = case.airways.tree.branch(2)
-    bench.session.choose_route(branch_id=2)
+    bench.session.do(ChooseRoute(branch_id=2))
     edit(bench, CutBranch(2))
     assert document(bench).route is None
     words = [e.message for e in bench.of_type(Said)]
@@ -83,8 +84,8 @@ def test_a_route_to_a_branch_that_is_cut_goes_away_with_words_and_comes_back_wit
 
 
 def test_targets_are_tracked_again_in_the_edited_tree(bench, case):
-    bench.session.add_target(point(case.airways.tree.branch(2).points[-2]))
-    bench.session.add_target(point(case.airways.tree.branch(5).points[-2]))
+    bench.session.do(AddTarget(point(case.airways.tree.branch(2).points[-2])))
+    bench.session.do(AddTarget(point(case.airways.tree.branch(5).points[-2])))
     bench.background.run_all()
     assert all(target.route is not None for target in document(bench).targets)
     edit(bench, CutBranch(2))
@@ -98,8 +99,8 @@ def test_targets_are_tracked_again_in_the_edited_tree(bench, case):
 
 
 def test_a_route_that_an_edit_does_not_touch_is_flown_on(bench):
-    bench.session.choose_route(branch_id=5)
-    bench.session.go_to(9.0)
+    bench.session.do(ChooseRoute(branch_id=5))
+    bench.session.do(GoTo(9.0))
     before = document(bench).route
     edit(bench, RenameBranch(5, "LB6"))
     after = document(bench).route
@@ -122,7 +123,7 @@ def test_an_edit_that_leaves_the_lumen_alone_does_not_prepare_the_pictures_again
 def test_edits_that_cannot_be_made_change_nothing_and_say_why(bench, case):
     before = document(bench)
     with pytest.raises(UsageError, match="lies outside the scan"):
-        bench.session.edit_tree(AddBranch((900.0, 0.0, 0.0)))
+        bench.session.do(EditTree(AddBranch((900.0, 0.0, 0.0))))
     edit(bench, CutBranch(0), CutBranch(77), Bridge(point(case.plug)))
     assert document(bench) is before
     assert [e.outcome for e in bench.of_type(JobEnded)] == ["failed"] * 3
@@ -136,17 +137,17 @@ def test_edits_that_cannot_be_made_change_nothing_and_say_why(bench, case):
 def test_without_airways_there_is_nothing_to_edit():
     bench = small_bench()
     with pytest.raises(UsageError, match="no case is open"):
-        bench.session.edit_tree(CutBranch(1))
-    bench.session.open_path("case")
+        bench.session.do(EditTree(CutBranch(1)))
+    bench.session.do(OpenPath("case"))
     bench.background.run_next()
     with pytest.raises(NoResultError, match="no airway tree to edit yet"):
-        bench.session.edit_tree(CutBranch(1))
+        bench.session.do(EditTree(CutBranch(1)))
 
 
 def test_a_stopped_edit_changes_nothing(bench):
     before = document(bench)
-    job_id = bench.session.edit_tree(CutBranch(2))
-    bench.session.cancel(job_id)
+    job_id = bench.session.do(EditTree(CutBranch(2)))
+    bench.session.do(Cancel(job_id))
     bench.background.run_all()
     assert document(bench) is before
     assert [e.outcome for e in bench.of_type(JobEnded)] == ["cancelled"]
@@ -154,7 +155,7 @@ def test_a_stopped_edit_changes_nothing(bench):
 
 def test_an_edit_asked_for_before_an_undo_is_made_to_what_is_there_then(bench):
     edit(bench, CutBranch(2))
-    bench.session.edit_tree(SmoothBranch(5))
+    bench.session.do(EditTree(SmoothBranch(5)))
     bench.session.undo()
     bench.background.run_all()
     assert [type(e) for e in document(bench).airways.edits] == [SmoothBranch]
@@ -164,7 +165,7 @@ def test_a_long_row_of_edits_can_be_undone_to_the_beginning_and_done_again_bit_f
     trunk = case.airways.tree.root.points
     edits = [PaintLumen((point(trunk[3 + n // 2]),), 3.6 + 0.2 * n, "ball") for n in range(NUM_EDITS_WHOLE + 4)]
     edit(bench, *edits)
-    history: History = bench.session._case.history
+    history: History = bench.session._core.case.history
     kept = [d.airways for d in history._documents()]
     assert sum(isinstance(a, FoldedAirways) for a in kept) > 0
     assert len({id(a) for a in kept if isinstance(a, Airways) and a.edits}) <= NUM_EDITS_WHOLE
@@ -231,22 +232,22 @@ def test_a_branch_without_evidence_is_asked_about_and_changes_nothing_until_it_i
 def test_a_route_over_a_drawn_branch_counts_it_as_drawn(lung_bench):
     edit(lung_bench, AddBranch(in_plain_lung(), even_without_evidence=True))
     drawn = next(b for b in document(lung_bench).airways.tree.branches if b.kind == "manual")
-    lung_bench.session.choose_route(branch_id=drawn.id)
+    lung_bench.session.do(ChooseRoute(branch_id=drawn.id))
     route = document(lung_bench).route
     assert route.drawn.drawn_mm == pytest.approx(drawn.length_mm, rel=0.1)
     assert route.drawn.words.endswith("mm drawn by hand")
 
 
 def test_the_preview_of_an_edit_is_the_edit(lung_bench):
-    preview = lung_bench.session.preview_edit(AddBranch(in_plain_lung()))
+    preview = lung_bench.session.ask(PreviewOf(AddBranch(in_plain_lung())))
     assert not preview.has_evidence
     edit(lung_bench, AddBranch(in_plain_lung()))
     (asked,) = lung_bench.of_type(NotEvident)
     (line,) = preview.lines
     assert line.points_lps.tobytes() == asked.error.way_lps.tobytes()
-    lung_bench.session.close_case()
+    lung_bench.session.do(CloseCase())
     with pytest.raises(UsageError):
-        lung_bench.session.preview_edit(AddBranch(in_plain_lung()))
+        lung_bench.session.ask(PreviewOf(AddBranch(in_plain_lung())))
 
 
 def test_a_bridge_without_an_airway_beyond_it_is_said_and_not_asked_about():

@@ -7,10 +7,36 @@ import json
 import numpy as np
 import pytest
 
+from carina.commands import (
+    ChooseRoute,
+    EditKeys,
+    FlyKeys,
+    GoTo,
+    KeyAdd,
+    KeyMove,
+    KeyRemove,
+    KeyRename,
+    KeySpeed,
+    KeysToTakeAway,
+    KeyUpdate,
+    LevelHorizon,
+    NextFork,
+    RecordFlight,
+    SetKeyFlight,
+    SetLumenThreshold,
+    SetMode,
+    SetOperator,
+    ShowKey,
+    Steer,
+    StopRecording,
+    TakeKeyFile,
+    Undo,
+)
 from carina.errors import NoResultError, UsageError
 from carina.navigate import KeyFile, KeyFrame, open_keys
 from carina.scopes import Pose
 from carina.session import Changed, Trouble
+from carina.session.flying import place_move
 from small_case import BRANCHES_IJK, small_bench, small_volume
 
 
@@ -37,8 +63,8 @@ def bench():
 def three(bench):
     """Key frames at the top, in the left and in the right bronchus."""
     for at in (TOP, LEFT, RIGHT):
-        bench.session.place_pose(looking_down(at))
-        bench.session.add_key()
+        bench.session.do(place_move(looking_down(at)))
+        bench.session.do(EditKeys(KeyAdd()))
     return bench
 
 
@@ -54,13 +80,13 @@ def test_key_frames_are_called_by_their_branch_until_a_person_names_them(three):
     assert names(three) == ["Trachea", "LMB", "generation 2"]
     assert [key.branch_id for key in three.session.keys_info().keys] == [0, 2, 3]
     second = three.session.keys_info().keys[1].key_id
-    three.session.rename_key(second, "  the tumour  ")
+    three.session.do(EditKeys(KeyRename(second, "  the tumour  ")))
     assert names(three)[1] == "the tumour"
     assert three.session.keys_info().keys[1].own_name
-    three.session.rename_key(second, None)
+    three.session.do(EditKeys(KeyRename(second, None)))
     assert names(three)[1] == "LMB"
-    three.session.place_pose(looking_down(OUTSIDE_LUMEN))
-    three.session.add_key()
+    three.session.do(place_move(looking_down(OUTSIDE_LUMEN)))
+    three.session.do(EditKeys(KeyAdd()))
     assert names(three)[3] == "outside the airways"
 
 
@@ -68,14 +94,17 @@ def test_every_change_of_the_list_is_one_step_of_undo(three):
     session = three.session
     ids = [key.key_id for key in session.keys_info().keys]
     steps = [
-        ("rename key frame 1", lambda: session.rename_key(ids[0], "start")),
-        ("speed to key frame 2", lambda: session.set_key_speed(ids[1], 5.0)),
-        ("move key frame 3 to 2", lambda: session.move_key(ids[2], -1)),
-        ("update key frame 1", lambda: (session.place_pose(looking_down(LEFT)), session.update_key(ids[0]))),
-        ("remove key frame 3", lambda: session.remove_key(ids[1])),
-        ("way through the key frames", lambda: session.set_key_flight(through="space")),
-        ("speed through the key frames", lambda: session.set_key_flight(speed_mm_s=44.0)),
-        ("add key frame 3", session.add_key),
+        ("rename key frame 1", lambda: session.do(EditKeys(KeyRename(ids[0], "start")))),
+        ("speed to key frame 2", lambda: session.do(EditKeys(KeySpeed(ids[1], 5.0)))),
+        ("move key frame 3 to 2", lambda: session.do(EditKeys(KeyMove(ids[2], -1)))),
+        (
+            "update key frame 1",
+            lambda: (session.do(place_move(looking_down(LEFT))), session.do(EditKeys(KeyUpdate(ids[0])))),
+        ),
+        ("remove key frame 3", lambda: session.do(EditKeys(KeyRemove(ids[1])))),
+        ("way through the key frames", lambda: session.do(SetKeyFlight(through="space"))),
+        ("speed through the key frames", lambda: session.do(SetKeyFlight(speed_mm_s=44.0))),
+        ("add key frame 3", lambda: session.do(EditKeys(KeyAdd()))),
     ]
     states = [session.keys_info()]
     for label, change in steps:
@@ -94,10 +123,10 @@ def test_every_change_of_the_list_is_one_step_of_undo(three):
 def test_changes_that_change_nothing_are_no_steps(three):
     first = three.session.keys_info().keys[0].key_id
     before = three.session.snapshot().undo_label
-    three.session.move_key(first, -1)
-    three.session.rename_key(first, None)
-    three.session.set_key_speed(first, None)
-    three.session.set_key_flight(speed_mm_s=20.0, through="airways")
+    three.session.do(EditKeys(KeyMove(first, -1)))
+    three.session.do(EditKeys(KeyRename(first, None)))
+    three.session.do(EditKeys(KeySpeed(first, None)))
+    three.session.do(SetKeyFlight(speed_mm_s=20.0, through="airways"))
     assert three.session.snapshot().undo_label == before
 
 
@@ -109,7 +138,7 @@ def test_the_flight_follows_the_airways_between_key_frames_that_lie_in_them(thre
     way_mm = branches[2].length_mm + branches[1].length_mm + branches[3].length_mm
     assert info.keys[2].leg_mm == pytest.approx(way_mm, rel=0.05)
     assert info.keys[2].leg_mm > 1.2 * np.linalg.norm(LEFT - RIGHT)
-    three.session.set_key_flight(through="space")
+    three.session.do(SetKeyFlight(through="space"))
     straight = three.session.keys_info()
     assert [key.through_airways for key in straight.keys] == [False, False, False]
     assert straight.duration_s < info.duration_s
@@ -117,8 +146,8 @@ def test_the_flight_follows_the_airways_between_key_frames_that_lie_in_them(thre
 
 def test_without_airways_and_outside_them_the_flight_is_through_space(bench):
     for at in (TOP, OUTSIDE_LUMEN):
-        bench.session.place_pose(looking_down(at))
-        bench.session.add_key()
+        bench.session.do(place_move(looking_down(at)))
+        bench.session.do(EditKeys(KeyAdd()))
     assert [key.through_airways for key in bench.session.keys_info().keys] == [False, False]
 
 
@@ -126,38 +155,38 @@ def test_flying_moves_the_tip_and_says_the_time_until_anything_else_moves_it(thr
     session = three.session
     info = session.keys_info()
     for key, at in zip(info.keys, (TOP, LEFT, RIGHT), strict=True):
-        session.fly_keys(key.time_s)
+        session.do(FlyKeys(key.time_s))
         np.testing.assert_array_equal(pose(three), looking_down(at).lps_from_camera)
         assert session.pose_info().keys_s == key.time_s
     three.events.clear()
-    session.fly_keys(info.duration_s / 2, goes_on=True)
+    session.do(FlyKeys(info.duration_s / 2, goes_on=True))
     assert session.pose_info().keys_s == info.duration_s / 2
     assert {"pose", "views"} <= set().union(*(e.topics for e in three.of_type(Changed)))
-    session.steer(1.0, 0.0, 0.0, 0.0)
+    session.do(Steer(1.0, 0.0, 0.0, 0.0))
     assert session.pose_info().keys_s is None
     held = pose(three)
-    session.fly_keys(1.0, goes_on=True)
+    session.do(FlyKeys(1.0, goes_on=True))
     np.testing.assert_array_equal(pose(three), held)
-    session.fly_keys(1.0)
+    session.do(FlyKeys(1.0))
     assert session.pose_info().keys_s == 1.0
 
 
 @pytest.mark.parametrize(
     "take_over",
     [
-        lambda s: s.go_to(5.0),
-        lambda s: s.next_fork(),
-        lambda s: s.level_horizon(),
-        lambda s: s.set_operator("facing"),
-        lambda s: s.choose_route(branch_id=2),
-        lambda s: s.undo(),
+        GoTo(5.0),
+        NextFork(),
+        LevelHorizon(),
+        SetOperator("facing"),
+        ChooseRoute(branch_id=2),
+        Undo(),
     ],
 )
 def test_whatever_moves_the_tip_or_changes_the_flight_takes_over(three, take_over):
-    three.session.set_mode("path")
-    three.session.fly_keys(1.0)
-    take_over(three.session)
-    three.session.fly_keys(1.1, goes_on=True)
+    three.session.do(SetMode("path"))
+    three.session.do(FlyKeys(1.0))
+    three.session.do(take_over)
+    three.session.do(FlyKeys(1.1, goes_on=True))
     assert three.session.pose_info().keys_s is None
 
 
@@ -165,56 +194,56 @@ def test_a_device_takes_over_and_that_is_said(three):
     from carina.navigate import AxesSample
 
     session = three.session
-    session.fly_keys(1.0)
-    session.device_said("pad", AxesSample(0.0, (1.0, 0, 0, 0, 0, 0), 0))
+    session.do(FlyKeys(1.0))
+    session.devices.said("pad", AxesSample(0.0, (1.0, 0, 0, 0, 0, 0), 0))
     three.clock.advance(0.02)
-    session.device_frame()
+    session.devices.frame()
     three.clock.advance(0.02)
-    session.device_frame()
+    session.devices.frame()
     info = session.pose_info()
     assert (info.keys_s, info.by_device) == (None, True)
-    session.steer(1.0, 0.0, 0.0, 0.0)
+    session.do(Steer(1.0, 0.0, 0.0, 0.0))
     assert not session.pose_info().by_device
 
 
 def test_going_to_a_key_frame_is_exact_also_while_there_is_only_one(bench):
-    bench.session.place_pose(looking_down(LEFT))
-    key = bench.session.add_key()
-    bench.session.place_pose(looking_down(RIGHT))
-    bench.session.show_key(key)
+    bench.session.do(place_move(looking_down(LEFT)))
+    key = bench.session.do(EditKeys(KeyAdd()))
+    bench.session.do(place_move(looking_down(RIGHT)))
+    bench.session.do(ShowKey(key))
     np.testing.assert_array_equal(pose(bench), looking_down(LEFT).lps_from_camera)
     with pytest.raises(NoResultError, match="two key frames or more"):
-        bench.session.fly_keys(0.0)
+        bench.session.do(FlyKeys(0.0))
 
 
 def test_commands_about_a_key_frame_that_is_gone_are_refused(three):
     session = three.session
-    for command in (session.update_key, session.remove_key, session.show_key):
+    for command in (EditKeys(KeyUpdate("key-99")), EditKeys(KeyRemove("key-99")), ShowKey("key-99")):
         with pytest.raises(UsageError, match="this key frame is gone"):
-            command("key-99")
-    with pytest.raises(UsageError, match="mm/s"):
-        session.set_key_speed(session.keys_info().keys[0].key_id, 0.0)
-    with pytest.raises(UsageError, match="mm/s"):
-        session.set_key_flight(speed_mm_s=1e4)
+            session.do(command)
+    with pytest.raises(UsageError, match=r"speed_mm_s must be at least 0\.1; found 0"):
+        session.do(EditKeys(KeySpeed(session.keys_info().keys[0].key_id, 0.0)))
+    with pytest.raises(UsageError, match="speed_mm_s must be at most 500; found 10000"):
+        session.do(SetKeyFlight(speed_mm_s=1e4))
 
 
 def test_a_flight_that_nobody_means_is_told_and_not_flown(bench):
     for n in range(200):
-        bench.session.place_pose(looking_down(LEFT if n % 2 else RIGHT))
-        bench.session.add_key()
+        bench.session.do(place_move(looking_down(LEFT if n % 2 else RIGHT)))
+        bench.session.do(EditKeys(KeyAdd()))
     with pytest.raises(UsageError, match="at most 200 key frames"):
-        bench.session.add_key()
-    bench.session.set_key_flight(speed_mm_s=0.1)
+        bench.session.do(EditKeys(KeyAdd()))
+    bench.session.do(SetKeyFlight(speed_mm_s=0.1))
     info = bench.session.keys_info()
     assert "24 hours" in info.problem
     assert info.duration_s == 0.0
     with pytest.raises(NoResultError, match="24 hours"):
-        bench.session.fly_keys(1.0)
+        bench.session.do(FlyKeys(1.0))
 
 
 def test_new_airways_give_new_ways(three):
     before = three.session.keys_info()
-    three.session.set_lumen_threshold(-850.0)
+    three.session.do(SetLumenThreshold(-850.0))
     three.background.run_all()
     assert three.session.keys_info().keys == before.keys
     assert three.session.snapshot().document.keys.frames
@@ -222,19 +251,19 @@ def test_new_airways_give_new_ways(three):
 
 def test_a_saved_flight_is_the_same_and_comes_back_as_one_step(three, tmp_path):
     session = three.session
-    session.set_key_speed(session.keys_info().keys[2].key_id, 7.5)
-    session.rename_key(session.keys_info().keys[0].key_id, "start")
+    session.do(EditKeys(KeySpeed(session.keys_info().keys[2].key_id, 7.5)))
+    session.do(EditKeys(KeyRename(session.keys_info().keys[0].key_id, "start")))
     info = session.keys_info()
     path = tmp_path / "k.json"
-    path.write_text(json.dumps(session.keys_to_take_away().to_json(), allow_nan=False))
+    path.write_text(json.dumps(session.ask(KeysToTakeAway()).to_json(), allow_nan=False))
     flight = open_keys(path).flight()
     for t in np.linspace(0.0, info.duration_s, 40):
-        session.fly_keys(float(t))
+        session.do(FlyKeys(float(t)))
         np.testing.assert_array_equal(pose(three), flight.pose_at(float(t)).lps_from_camera)
     for _ in range(5):
         session.undo()
     assert session.keys_info().keys == ()
-    session.open_keys(path)
+    session.do(TakeKeyFile(path))
     three.background.run_all()
     opened = session.keys_info()
     for key, old in zip(opened.keys, info.keys, strict=True):
@@ -247,10 +276,10 @@ def test_a_saved_flight_is_the_same_and_comes_back_as_one_step(three, tmp_path):
 
 def test_key_frames_of_another_case_are_refused_and_change_nothing(three, tmp_path):
     path = tmp_path / "k.json"
-    path.write_text(json.dumps(three.session.keys_to_take_away().to_json()))
+    path.write_text(json.dumps(three.session.ask(KeysToTakeAway()).to_json()))
     other = small_bench()
     other.open("raw")
-    other.session.open_keys(path)
+    other.session.do(TakeKeyFile(path))
     other.background.run_all()
     (trouble,) = other.of_type(Trouble)
     assert "another case" in trouble.message
@@ -263,7 +292,7 @@ def test_times_of_a_file_become_speeds(bench, tmp_path):
         {"time_s": t, "lps_from_camera": looking_down(at).lps_from_camera.tolist()} for t, at in ((0, TOP), (4, LEFT))
     ]
     path.write_text(json.dumps({"format": "carina-keys", "version": 1, "keys": keys}))
-    bench.session.open_keys(path)
+    bench.session.do(TakeKeyFile(path))
     bench.background.run_all()
     info = bench.session.keys_info()
     assert info.through == "space"
@@ -272,11 +301,11 @@ def test_times_of_a_file_become_speeds(bench, tmp_path):
 
 def test_nothing_is_taken_away_without_key_frames_and_no_more_than_a_flight_holds(bench, tmp_path):
     with pytest.raises(NoResultError, match="no key frames"):
-        bench.session.keys_to_take_away()
+        bench.session.ask(KeysToTakeAway())
     frames = tuple(KeyFrame(None, looking_down(TOP - np.array([0, 0, 0.05 * n]))) for n in range(201))
     path = tmp_path / "k.json"
     path.write_text(json.dumps(KeyFile(frames).to_json()))
-    bench.session.open_keys(path)
+    bench.session.do(TakeKeyFile(path))
     bench.background.run_all()
     assert [t.message for t in bench.of_type(Trouble)] == ["the file has 201 key frames; 200 can be taken"]
 
@@ -285,11 +314,11 @@ def test_a_recording_of_the_flight_replays_it(three, tmp_path):
     from carina.navigate import open_recording
 
     session = three.session
-    session.start_recording(tmp_path / "r.jsonl")
+    session.do(RecordFlight(tmp_path / "r.jsonl"))
     for t in np.linspace(0.0, 2.0, 9):
-        session.fly_keys(float(t))
+        session.do(FlyKeys(float(t)))
         three.clock.advance(0.25)
-    session.stop_recording()
+    session.do(StopRecording())
     replayed = list(open_recording(tmp_path / "r.jsonl").replay(small_volume()))
     assert all(same for _, same in replayed)
     np.testing.assert_array_equal(replayed[-1][0].pose.lps_from_camera, pose(three))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from carina.commands import AnswerMask, Cancel, CloseCase, DismissMask, MaskFileNeeded, OpenPath, SetRoot, TakeMask
 from carina.errors import NoResultError, UsageError, VolumeImportError
 from carina.session import JobEnded, Trouble
 from carina.volume import Mask, MaskGridError, MaskLabel, MaskLabelError
@@ -54,7 +55,7 @@ def bench(tool):
 
 
 def take(bench, path, **options):
-    bench.session.import_mask(path, **options)
+    bench.session.do(TakeMask(path, **options))
     bench.background.run_all()
     return bench.session.snapshot()
 
@@ -85,13 +86,13 @@ def test_of_several_structures_one_is_asked_for_and_the_one_called_airway_propos
     assert asked.document is before.document
     assert asked.airways == "found"
     assert bench.of_type(Trouble) == []
-    assert bench.session.needs_mask_file
-    bench.session.answer_mask(label=4)
+    assert bench.session.ask(MaskFileNeeded())
+    bench.session.do(AnswerMask(label=4))
     bench.background.run_all()
     assert bench.session.snapshot().mask_question is None
     assert bench.session.snapshot().undo_label == "take the mask as airways"
     assert tool.read[-1] == ("/masks/several.nrrd", 4, False)
-    assert not bench.session.needs_mask_file
+    assert not bench.session.ask(MaskFileNeeded())
 
 
 @pytest.mark.parametrize(
@@ -112,12 +113,12 @@ def test_a_structure_is_proposed_only_where_its_name_alone_is_the_airways(bench,
 
 def test_another_grid_is_told_and_the_label_said_before_holds_when_it_is_resampled(bench, tool):
     take(bench, "/masks/several-other.nrrd")
-    bench.session.answer_mask(label=4)
+    bench.session.do(AnswerMask(label=4))
     bench.background.run_all()
     question = bench.session.snapshot().mask_question
     assert (question.problem, question.expected, question.found) == ("grid", "10 voxels", "12 voxels")
     assert question.share_inside == 0.75
-    bench.session.answer_mask(resample=True)
+    bench.session.do(AnswerMask(resample=True))
     bench.background.run_all()
     assert tool.read[-1] == ("/masks/several-other.nrrd", 4, True)
     assert bench.session.snapshot().undo_label == "take the mask as airways"
@@ -126,25 +127,25 @@ def test_another_grid_is_told_and_the_label_said_before_holds_when_it_is_resampl
 def test_a_dismissed_mask_leaves_everything_as_it_was(bench):
     before = bench.session.snapshot()
     take(bench, "/masks/other.nrrd")
-    bench.session.dismiss_mask()
+    bench.session.do(DismissMask())
     after = bench.session.snapshot()
     assert after.mask_question is None
     assert after.document is before.document
     assert after.undo_label is None
-    assert not bench.session.needs_mask_file
+    assert not bench.session.ask(MaskFileNeeded())
     with pytest.raises(UsageError, match="no mask waits"):
-        bench.session.answer_mask(label=1)
+        bench.session.do(AnswerMask(label=1))
 
 
 def test_a_mask_that_is_dismissed_while_it_is_read_is_not_taken(bench, tool):
     before = bench.session.snapshot()
-    job_id = bench.session.import_mask("/masks/airway.nii.gz")
-    assert bench.session.needs_mask_file
-    bench.session.dismiss_mask()
+    job_id = bench.session.do(TakeMask("/masks/airway.nii.gz"))
+    assert bench.session.ask(MaskFileNeeded())
+    bench.session.do(DismissMask())
     bench.background.run_all()
     assert [e.outcome for e in bench.of_type(JobEnded) if e.job_id == job_id] == ["cancelled"]
     assert bench.session.snapshot().document is before.document
-    assert not bench.session.needs_mask_file
+    assert not bench.session.ask(MaskFileNeeded())
 
 
 def test_a_file_that_is_no_mask_is_refused_in_words_and_nothing_changes(bench):
@@ -205,8 +206,8 @@ def test_a_search_that_a_newer_one_replaced_says_nothing(tool):
     bench = small_bench(open_mask=tool.open_mask, find_airways=find_airways)
     bench.open()
     root = tuple(float(v) for v in small_airways(bench.session.snapshot().case.volume).root_lps)
-    bench.session.set_root(root)
-    bench.session.set_root(root)
+    bench.session.do(SetRoot(root))
+    bench.session.do(SetRoot(root))
     bench.background.run_next()
     assert bench.session.snapshot().airways == "finding"
     bench.background.run_all()
@@ -215,10 +216,10 @@ def test_a_search_that_a_newer_one_replaced_says_nothing(tool):
 
 def test_reading_a_mask_can_be_stopped_and_does_not_stop_the_search(tool):
     bench = small_bench(open_mask=tool.open_mask, find_airways=tool.find_airways)
-    bench.session.open_path("case")
+    bench.session.do(OpenPath("case"))
     bench.background.run_next()
-    job_id = bench.session.import_mask("/masks/airway.nii.gz")
-    bench.session.cancel(job_id)
+    job_id = bench.session.do(TakeMask("/masks/airway.nii.gz"))
+    bench.session.do(Cancel(job_id))
     bench.background.run_all()
     assert [e.outcome for e in bench.of_type(JobEnded) if e.job_id == job_id] == ["cancelled"]
     assert bench.session.snapshot().airways == "found"
@@ -227,7 +228,7 @@ def test_reading_a_mask_can_be_stopped_and_does_not_stop_the_search(tool):
 
 def test_a_mask_needs_an_open_case_and_a_question_dies_with_it(bench):
     take(bench, "/masks/other.nrrd")
-    bench.session.close_case()
-    assert not bench.session.needs_mask_file
+    bench.session.do(CloseCase())
+    assert not bench.session.ask(MaskFileNeeded())
     with pytest.raises(UsageError, match="no case is open"):
-        bench.session.import_mask("/masks/airway.nii.gz")
+        bench.session.do(TakeMask("/masks/airway.nii.gz"))

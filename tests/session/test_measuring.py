@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+from carina.commands import EditTree, OpenPath
 from carina.errors import CancelledError
 from carina.session import Changed
 from carina.track import CutBranch
@@ -24,7 +25,7 @@ def measure(volume, airways, *, previous, progress, cancel):
 
 def test_measures_follow_the_airways_and_are_told_as_a_change_of_the_tree():
     bench = small_bench(measure_tree=measure)
-    bench.session.open_path("case")
+    bench.session.do(OpenPath("case"))
     bench.background.run_next()
     assert bench.session.snapshot().measures is None
     bench.background.run_all()
@@ -41,7 +42,7 @@ def test_an_edit_is_measured_from_what_was_known_and_undo_never_shows_the_wrong_
     bench = small_bench(measure_tree=measure, edit_airways=edit_airways)
     bench.open()
     first = bench.session.snapshot()
-    bench.session.edit_tree(CutBranch(first.document.airways.tree.tips()[0].id))
+    bench.session.do(EditTree(CutBranch(first.document.airways.tree.tips()[0].id)))
     bench.background.run_next()
     edited = bench.session.snapshot()
     assert edited.document.airways is not first.document.airways

@@ -7,10 +7,12 @@ import pytest
 import simplejpeg
 from edit_case import edit_case
 
+from carina.commands import EditTree, ShowPlace, Steer
 from carina.render import Renderer
 from carina.scopes import Pose
 from carina.server.messages import parse_picture, split_outline
 from carina.server.pump import FramePump
+from carina.session.flying import place_move
 from carina.track import LumenOutline, PaintLumen, RenameBranch, edit_airways
 from small_case import small_bench
 
@@ -76,7 +78,7 @@ def test_after_an_edit_its_undo_and_its_redo_slices_are_asked_for_again_with_the
         keys.append({view: session.scene().key(view) for view in PLANES})
         outlines.append({view: lines_of(session, view, case) for view in PLANES})
 
-    session.edit_tree(painted_at_tip(session))
+    session.do(EditTree(painted_at_tip(session)))
     # The edit itself runs, but not what brings the renderer's wall up to it: the outline does not wait for that.
     while session.snapshot().document.airways is case.airways:
         bench.background.run_next()
@@ -96,7 +98,7 @@ def test_an_edit_that_leaves_the_lumen_asks_for_no_new_slices(bench, case):
     before = {view: session.scene().key(view) for view in slices}
     lumen = session.scene().lumen
     leaf = case.airways.tree.tips()[-1].id
-    session.edit_tree(RenameBranch(leaf, "mine"))
+    session.do(EditTree(RenameBranch(leaf, "mine")))
     bench.background.run_all()
     assert session.snapshot().document.airways is not case.airways
     assert session.scene().lumen is lumen
@@ -112,7 +114,7 @@ def test_a_picture_brings_the_outline_that_was_cut_with_its_own_matrix(bench, ca
     pump.set_layout({"axial": (120, 100), "cut-plane": (110, 90), "xray-axial": (80, 80)})
     # Steps of a flight, with whatever sizes the pump chooses while it moves.
     for _ in range(4):
-        session.steer(1.0, 0.05, 0.0, 0.1)
+        session.do(Steer(1.0, 0.05, 0.0, 0.1))
         bench.clock.advance(1 / 60)
         while pump.step():
             pump.acknowledge(parse_picture(sent[-1])[0].frame_id)
@@ -135,7 +137,7 @@ def test_a_place_is_looked_at_from_the_lumen_before_it(bench, case):
     session = bench.session
     leaf = max(case.airways.tree.tips(), key=lambda branch: branch.length_mm)
     place = tuple(float(v) for v in leaf.tip_lps)
-    session.show_place(place, leaf.id)
+    session.do(ShowPlace(place, leaf.id))
     scene, info = session.scene(), session.pose_info()
     assert scene.crosshair_lps == place
     assert session.snapshot().mode == "free"
@@ -149,6 +151,6 @@ def test_a_place_is_looked_at_from_the_lumen_before_it(bench, case):
     # Every slice shows it: the crosshair is what they pass through.
     assert scene.shown_lps == place
     # A branch that is gone since: the nearest one is meant.
-    session.place_pose(Pose.looking(info.pose.position_lps, (0.0, 0.0, -1.0)))
-    session.show_place(place, 10_000)
+    session.do(place_move(Pose.looking(info.pose.position_lps, (0.0, 0.0, -1.0))))
+    session.do(ShowPlace(place, 10_000))
     np.testing.assert_allclose(session.pose_info().pose.position_lps, info.pose.position_lps, atol=1e-9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from carina.commands import AddTarget, ChooseRoute, GoTo, NextFork, PreviousFork, RemoveTarget, SetLumenThreshold
 from carina.errors import NoResultError, UsageError
 from carina.session import Said
 from carina.session.routes import RouteSpan, lookouts_mm, route_to_branch
@@ -21,7 +22,7 @@ def test_adding_a_target_can_be_undone_and_done_again_with_its_route():
     bench = small_bench()
     bench.open()
     default_route = bench.session.snapshot().document.route
-    bench.session.add_target(LEFT_TIP)
+    bench.session.do(AddTarget(LEFT_TIP))
     bench.background.run_all()
     snapshot = bench.session.snapshot()
     (target,) = snapshot.document.targets
@@ -45,7 +46,7 @@ def test_a_target_beside_the_lumen_is_snapped_and_that_is_said():
     bench = small_bench()
     bench.open()
     beside = (LEFT_TIP[0], LEFT_TIP[1] + 2.0, LEFT_TIP[2])
-    bench.session.add_target(beside)
+    bench.session.do(AddTarget(beside))
     bench.background.run_all()
     (target,) = bench.session.snapshot().document.targets
     assert target.snapped_mm == pytest.approx(2.0)
@@ -57,7 +58,7 @@ def test_a_target_far_from_the_lumen_is_kept_with_its_reason_and_without_a_path(
     bench = small_bench()
     bench.open()
     route = bench.session.snapshot().document.route
-    bench.session.add_target(OUTSIDE_LUMEN)
+    bench.session.do(AddTarget(OUTSIDE_LUMEN))
     bench.background.run_all()
     document = bench.session.snapshot().document
     (target,) = document.targets
@@ -66,22 +67,22 @@ def test_a_target_far_from_the_lumen_is_kept_with_its_reason_and_without_a_path(
     assert target.used_lps is None
     assert document.route is route
     with pytest.raises(NoResultError, match="no path to Target 1"):
-        bench.session.choose_route(target_id=target.target_id)
+        bench.session.do(ChooseRoute(target_id=target.target_id))
 
 
 def test_a_target_outside_the_volume_is_refused():
     bench = small_bench()
     bench.open()
     with pytest.raises(UsageError, match=r"the point L 5000\.0 P 0\.0 S 0\.0 mm lies outside the scan"):
-        bench.session.add_target((5000.0, 0.0, 0.0))
+        bench.session.do(AddTarget((5000.0, 0.0, 0.0)))
 
 
 def test_removing_a_target_takes_its_route_away_and_undo_brings_both_back():
     bench = small_bench()
     bench.open()
-    bench.session.add_target(LEFT_TIP)
+    bench.session.do(AddTarget(LEFT_TIP))
     bench.background.run_all()
-    bench.session.remove_target("target-1")
+    bench.session.do(RemoveTarget("target-1"))
     document = bench.session.snapshot().document
     assert (document.targets, document.route) == ((), None)
     assert bench.session.snapshot().mode == "free"
@@ -92,22 +93,22 @@ def test_removing_a_target_takes_its_route_away_and_undo_brings_both_back():
 def test_choosing_a_branch_flies_to_it_and_an_unknown_one_is_refused():
     bench = small_bench()
     bench.open()
-    bench.session.choose_route(branch_id=2)
+    bench.session.do(ChooseRoute(branch_id=2))
     route = bench.session.snapshot().document.route
     assert route.title == "LMB"
-    bench.session.go_to(route.length_mm)
+    bench.session.do(GoTo(route.length_mm))
     np.testing.assert_allclose(bench.session.pose_info().pose.position_lps, LEFT_TIP, atol=0.6)
     with pytest.raises(UsageError, match="no branch 77"):
-        bench.session.choose_route(branch_id=77)
+        bench.session.do(ChooseRoute(branch_id=77))
 
 
 def test_new_airways_track_the_targets_again():
     bench = small_bench()
     bench.open()
-    bench.session.add_target(LEFT_TIP)
+    bench.session.do(AddTarget(LEFT_TIP))
     bench.background.run_all()
     old = bench.session.snapshot().document.targets[0]
-    bench.session.set_lumen_threshold(-850.0)
+    bench.session.do(SetLumenThreshold(-850.0))
     bench.background.run_all()
     document = bench.session.snapshot().document
     assert document.lumen_threshold == -850.0
@@ -130,11 +131,11 @@ def test_the_flight_stops_in_front_of_each_fork_and_goes_back_likewise():
     assert route.lookouts_mm[0] == pytest.approx(route.forks_mm[0] - 12.0)
     stops = []
     for _ in range(3):
-        bench.session.next_fork()
+        bench.session.do(NextFork())
         stops.append(bench.session.pose_info().path_mm)
     assert stops == pytest.approx([*route.lookouts_mm, route.length_mm])
-    bench.session.previous_fork()
-    bench.session.previous_fork()
+    bench.session.do(PreviousFork())
+    bench.session.do(PreviousFork())
     assert bench.session.pose_info().path_mm == pytest.approx(route.lookouts_mm[0])
 
 

@@ -5,6 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from carina.commands import (
+    Cancel,
+    ChooseRoute,
+    GoTo,
+    LevelHorizon,
+    RecordFlight,
+    SetMode,
+    SetOperator,
+    SetRoot,
+    SetScope,
+    Steer,
+    StopRecording,
+    ToggleMode,
+    WallNear,
+)
 from carina.errors import NoResultError
 from carina.navigate import HandleSample, open_recording
 from carina.render.lettering import letters_of
@@ -32,63 +47,63 @@ def wall_field(volume, airways, *, progress, cancel):
 def bench():
     made = small_bench(wall_field=wall_field)
     made.open()
-    made.session.set_scope("ultrathin")
+    made.session.do(SetScope("ultrathin"))
     yield made
     made.session.close()
 
 
 def enter(bench) -> None:
-    bench.session.set_mode("scope")
+    bench.session.do(SetMode("scope"))
     bench.background.run_all()
     assert bench.session.snapshot().mode == "scope"
 
 
 def test_the_scope_is_laid_where_the_tip_was_and_keys_drive_its_three_controls(bench):
     session = bench.session
-    session.go_to(20.0)
+    session.do(GoTo(20.0))
     before = session.pose_info().pose
     enter(bench)
     info = session.pose_info()
     assert info.scope is not None
     assert info.scope.insertion_mm == pytest.approx(20.0, abs=0.5)
     assert np.linalg.norm(info.pose.position_lps - before.position_lps) < 2.0
-    session.steer(3.0, 0.0, 0.0, 0.0)
+    session.do(Steer(3.0, 0.0, 0.0, 0.0))
     assert session.pose_info().scope.insertion_mm == pytest.approx(23.0, abs=0.5)
     forward = session.pose_info().pose.forward_lps
-    session.steer(0.0, 0.0, 0.4, 0.0)
+    session.do(Steer(0.0, 0.0, 0.4, 0.0))
     state = session.pose_info().scope
     assert state.flexion_rad == pytest.approx(0.4)
     assert session.pose_info().pose.forward_lps[1] < forward[1], "up is anterior"
-    session.steer(0.0, 0.0, 0.0, 0.3)
+    session.do(Steer(0.0, 0.0, 0.0, 0.3))
     assert session.pose_info().scope.roll_rad == pytest.approx(state.roll_rad + 0.3)
-    session.steer(0.0, 0.2, 0.0, 0.0)
+    session.do(Steer(0.0, 0.2, 0.0, 0.0))
     assert session.pose_info().scope.roll_rad == pytest.approx(state.roll_rad + 0.5), "sideways is a roll"
 
 
 def test_the_lumen_holds_the_tip_and_contact_is_counted(bench):
     session = bench.session
-    session.go_to(15.0)
+    session.do(GoTo(15.0))
     enter(bench)
-    session.steer(0.0, 0.0, 1.5, 0.0)
+    session.do(Steer(0.0, 0.0, 1.5, 0.0))
     for _ in range(60):
         bench.clock.advance(0.05)
-        session.steer(1.0, 0.0, 0.0, 0.0)
+        session.do(Steer(1.0, 0.0, 0.0, 0.0))
     info = session.pose_info()
     assert info.scope.record.count >= 1
     assert info.scope.record.time_s > 0.1
     assert info.scope.contact is not None or info.scope.limit != "none"
-    wall = bench.session._case.pilot.wall
+    wall = bench.session._core.case.pilot.wall
     # Its face may lie flat on the wall: then its middle is at the wall.
     assert wall.distance_mm([info.pose.position_lps])[0] > -0.1
 
 
 def test_a_scope_too_thick_says_what_would_pass(bench):
     session = bench.session
-    session.set_scope("therapeutic")
-    session.go_to(5.0)
+    session.do(SetScope("therapeutic"))
+    session.do(GoTo(5.0))
     enter(bench)
     for _ in range(120):
-        session.steer(1.0, 0.0, 0.0, 0.0)
+        session.do(Steer(1.0, 0.0, 0.0, 0.0))
     state = session.pose_info().scope
     assert state.limit == "narrow"
     assert 0.0 < state.passable_mm < session.pose_info().scope_tip_mm
@@ -96,13 +111,13 @@ def test_a_scope_too_thick_says_what_would_pass(bench):
 
 def test_a_handle_is_the_scopes_own_and_its_lever_says_the_flexion(bench):
     session = bench.session
-    session.go_to(15.0)
+    session.do(GoTo(15.0))
     enter(bench)
     insertion = session.pose_info().scope.insertion_mm
     for n in range(40):
         bench.clock.advance(0.01)
-        session.device_said("handle", HandleSample(n * 0.01, 100.0 + 0.1 * n, 0.0, 0.25))
-        session.device_frame()
+        session.devices.said("handle", HandleSample(n * 0.01, 100.0 + 0.1 * n, 0.0, 0.25))
+        session.devices.frame()
     state = session.pose_info().scope
     assert state.insertion_mm == pytest.approx(insertion + 3.9, abs=0.5)
     assert state.flexion_rad > 0.5
@@ -110,16 +125,16 @@ def test_a_handle_is_the_scopes_own_and_its_lever_says_the_flexion(bench):
 
 def test_other_scopes_lumens_and_modes_end_or_change_it(bench):
     session = bench.session
-    session.go_to(20.0)
+    session.do(GoTo(20.0))
     enter(bench)
-    session.set_scope("standard")
+    session.do(SetScope("standard"))
     assert session.snapshot().mode == "scope"
     assert session.pose_info().scope_tip_mm == pytest.approx(4.9)
     pose = session.pose_info().pose
-    session.set_mode("free")
+    session.do(SetMode("free"))
     np.testing.assert_array_equal(session.pose_info().pose.lps_from_camera, pose.lps_from_camera)
     enter(bench)
-    session.toggle_mode()
+    session.do(ToggleMode())
     assert session.snapshot().mode == "path"
 
 
@@ -131,14 +146,14 @@ def letters(matrix) -> tuple[str, str]:
 @pytest.mark.parametrize("scope", ["ultrathin", "ebus"])
 def test_an_operator_who_faces_turns_the_picture_and_never_the_instrument(bench, scope):
     session = bench.session
-    session.set_scope(scope)
-    session.go_to(20.0)
+    session.do(SetScope(scope))
+    session.do(GoTo(20.0))
     enter(bench)
     straight = session.pose_info().pose.lps_from_camera
-    session.steer(0.0, 0.0, 0.5, 0.3)
+    session.do(Steer(0.0, 0.0, 0.5, 0.3))
     before = session.pose_info()
     looked = session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera
-    session.set_operator("facing")
+    session.do(SetOperator("facing"))
     after = session.pose_info()
     tip, turned = before.pose.lps_from_camera, after.pose.lps_from_camera
     np.testing.assert_array_equal(turned[:3, 2:], tip[:3, 2:], "place and direction")
@@ -151,12 +166,12 @@ def test_an_operator_who_faces_turns_the_picture_and_never_the_instrument(bench,
     np.testing.assert_allclose(seen[:3, 2:], looked[:3, 2:], atol=1e-12)
     np.testing.assert_allclose(seen[:3, :2], -looked[:3, :2], atol=1e-12)
     # Up is the picture's up.
-    session.steer(0.0, 0.0, 0.2, 0.0)
+    session.do(Steer(0.0, 0.0, 0.2, 0.0))
     raised = session.pose_info()
     assert raised.scope.flexion_rad == pytest.approx(held.flexion_rad - 0.2)
     # The wall takes part of the 11 degrees.
     assert raised.pose.forward_lps @ -turned[:3, 1] > 0.02
-    session.steer(0.0, 0.0, -0.2, 0.0)
+    session.do(Steer(0.0, 0.0, -0.2, 0.0))
     before_undo = session.pose_info().pose.lps_from_camera
     session.undo()
     undone = session.pose_info().pose.lps_from_camera
@@ -169,9 +184,9 @@ def test_a_scope_laid_for_an_operator_who_faces_lies_as_for_one_at_the_head(benc
     session = bench.session
     seen = {}
     for operator in ("head", "facing"):
-        session.set_mode("free")
-        session.set_operator(operator)
-        session.go_to(20.0)
+        session.do(SetMode("free"))
+        session.do(SetOperator(operator))
+        session.do(GoTo(20.0))
         enter(bench)
         seen[operator] = session.pose_info()
     head, facing = (seen[operator].pose.lps_from_camera for operator in ("head", "facing"))
@@ -181,79 +196,79 @@ def test_a_scope_laid_for_an_operator_who_faces_lies_as_for_one_at_the_head(benc
     # From the head the patient's right is on the right and anterior on top; for who faces, the other way round.
     assert letters(head) == ("R", "A")
     assert letters(facing) == ("L", "P")
-    session.level_horizon()
+    session.do(LevelHorizon())
     np.testing.assert_allclose(session.pose_info().pose.lps_from_camera, facing, atol=1e-6)
-    session.set_mode("free")
+    session.do(SetMode("free"))
     np.testing.assert_allclose(session.pose_info().pose.lps_from_camera, facing, atol=1e-6)
 
 
 def test_a_wall_that_nobody_stopped_is_measured_when_its_airways_are_back(bench):
     session = bench.session
-    session.set_root(tuple(float(v) for v in session.snapshot().document.airways.root_lps))
+    session.do(SetRoot(tuple(float(v) for v in session.snapshot().document.airways.root_lps)))
     bench.background.run_all()
-    assert session.local_contact().state == "finding"
+    assert session.ask(WallNear()).state == "finding"
     session.undo()
     # The other airways' wall now: its job takes the place of the first one.
-    assert session.local_contact().state == "finding"
+    assert session.ask(WallNear()).state == "finding"
     bench.background.run_all()
-    assert session.local_contact().state == "ready"
+    assert session.ask(WallNear()).state == "ready"
     session.redo()
-    assert session.local_contact().state == "finding"
+    assert session.ask(WallNear()).state == "finding"
     bench.background.run_all()
-    assert session.local_contact().state == "ready"
+    assert session.ask(WallNear()).state == "ready"
 
 
 def test_a_wall_that_is_wanted_once_more_while_its_first_job_ends_is_measured_once(bench):
     session = bench.session
-    session.set_root(tuple(float(v) for v in session.snapshot().document.airways.root_lps))
+    session.do(SetRoot(tuple(float(v) for v in session.snapshot().document.airways.root_lps)))
     bench.background.run_all()
     for step in (session.undo, session.redo):
-        assert session.local_contact().state == "finding"
+        assert session.ask(WallNear()).state == "finding"
         step()
-    assert session.local_contact().state == "finding"
+    assert session.ask(WallNear()).state == "finding"
     running = len(session.jobs.running)
     bench.background.run_next()
     # The first job has ended; the third, of the same airways, goes on.
-    assert session.local_contact().state == "finding"
+    assert session.ask(WallNear()).state == "finding"
     assert len(session.jobs.running) == running - 1
     bench.background.run_all()
-    assert session.local_contact().state == "ready"
+    assert session.ask(WallNear()).state == "ready"
 
 
 def test_a_wall_that_a_person_stopped_stays_unmeasured_until_it_is_wanted_again(bench):
     session = bench.session
-    assert session.local_contact().state == "finding"
+    assert session.ask(WallNear()).state == "finding"
     (job,) = session.jobs.running
-    session.cancel(job.job_id)
+    session.do(Cancel(job.job_id))
     bench.background.run_all()
-    assert session.local_contact().state == "none"
-    session.want_wall_again()
-    assert session.local_contact().state == "finding"
+    assert session.ask(WallNear()).state == "none"
+    session.devices.want_wall_again()
+    assert session.ask(WallNear()).state == "finding"
 
 
 def test_without_a_route_no_scope_is_laid(bench):
-    bench.session.choose_route()
+    bench.session.do(ChooseRoute())
     with pytest.raises(NoResultError, match="along a route"):
-        bench.session.set_mode("scope")
+        bench.session.do(SetMode("scope"))
 
 
 def test_a_recording_of_a_held_scope_replays_bit_for_bit(bench, tmp_path):
     session = bench.session
-    session.go_to(12.0)
+    session.do(GoTo(12.0))
     enter(bench)
-    session.steer(4.0, 0.0, 0.6, 0.2)
-    session.start_recording(tmp_path / "s.jsonl")
+    session.do(Steer(4.0, 0.0, 0.6, 0.2))
+    session.do(RecordFlight(tmp_path / "s.jsonl"))
     rng = np.random.default_rng(5)
     for n in range(80):
         bench.clock.advance(0.02)
-        session.steer(float(rng.uniform(-0.3, 1.0)), 0.0, float(rng.normal(0, 0.1)), float(rng.normal(0, 0.1)))
-        session.device_said("handle", HandleSample(0.02 * n, 0.05 * n, 0.01 * n, float(np.sin(n / 9.0))))
-        session.device_frame()
+        session.do(Steer(float(rng.uniform(-0.3, 1.0)), 0.0, float(rng.normal(0, 0.1)), float(rng.normal(0, 0.1))))
+        session.devices.said("handle", HandleSample(0.02 * n, 0.05 * n, 0.01 * n, float(np.sin(n / 9.0))))
+        session.devices.frame()
         if n in {20, 50, 60}:
-            session.set_operator("facing" if n != 50 else "head")
-    session.set_scope("single-use-slim")
-    session.steer(1.0, 0.0, 0.0, 0.0)
-    session.stop_recording()
+            session.do(SetOperator("facing" if n != 50 else "head"))
+    session.do(SetScope("single-use-slim"))
+    session.do(Steer(1.0, 0.0, 0.0, 0.0))
+    session.do(StopRecording())
     recording = open_recording(tmp_path / "s.jsonl")
     assert recording.needs_wall
     volume = session.snapshot().case.volume
@@ -268,22 +283,22 @@ def test_a_recording_of_a_held_scope_replays_bit_for_bit(bench, tmp_path):
 @pytest.mark.parametrize("mode", ["free", "path"])
 def test_a_lens_that_looks_up_sees_the_same_when_who_faces_lets_the_scope_go(bench, mode):
     session = bench.session
-    session.set_scope("ebus")
-    session.set_operator("facing")
-    session.go_to(20.0)
+    session.do(SetScope("ebus"))
+    session.do(SetOperator("facing"))
+    session.do(GoTo(20.0))
     enter(bench)
     held = session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera
-    session.set_mode(mode)
+    session.do(SetMode(mode))
     np.testing.assert_allclose(session.scene().spec("airway", 32, 32, 1.0).pose.lps_from_camera, held, atol=1e-9)
 
 
 def test_a_recording_keeps_what_its_wall_was_made_from(bench, tmp_path):
     session = bench.session
-    session.go_to(12.0)
+    session.do(GoTo(12.0))
     enter(bench)
-    session.start_recording(tmp_path / "w.jsonl")
-    session.steer(2.0, 0.0, 0.3, 0.1)
-    session.stop_recording()
+    session.do(RecordFlight(tmp_path / "w.jsonl"))
+    session.do(Steer(2.0, 0.0, 0.3, 0.1))
+    session.do(StopRecording())
     recording = open_recording(tmp_path / "w.jsonl")
     volume = session.snapshot().case.volume
     asked = []

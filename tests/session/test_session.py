@@ -5,13 +5,38 @@ from __future__ import annotations
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from carina.commands import (
+    AddTarget,
+    Cancel,
+    CloseCase,
+    GoTo,
+    OpenPath,
+    OpenRecent,
+    Place,
+    SetCrosshair,
+    SetFov,
+    SetLumenThreshold,
+    SetMask,
+    SetOperator,
+    SetOrbit,
+    SetRoot,
+    SetScope,
+    SetTexture,
+    SetTransfer,
+    SetWindow,
+    SetZoom,
+    Steer,
+    VoxelAt,
+    WallAt,
+)
 from carina.errors import CancelledError, NoResultError, UsageError
 from carina.scopes import PINHOLE, scope_preset
-from carina.session import Changed, JobEnded, JobProgress, LocalStore, Orbit, Said, Trouble
+from carina.session import Changed, JobEnded, JobProgress, LocalStore, Said, Trouble
 from carina.session.jobs import JobRunner
 from small_case import (
     BRANCHES_IJK,
@@ -26,7 +51,7 @@ from small_case import (
 
 def test_pictures_can_be_made_before_the_airways_are_found():
     bench = small_bench()
-    bench.session.open_path("case")
+    bench.session.do(OpenPath("case"))
     assert bench.session.scene() is None
     bench.background.run_next()
     snapshot = bench.session.snapshot()
@@ -61,9 +86,9 @@ def test_opening_ends_with_a_route_to_the_deepest_tip_on_the_right_and_the_tip_a
 
 def test_airways_that_are_found_do_not_move_a_tip_that_a_person_has_moved():
     bench = small_bench()
-    bench.session.open_path("case")
+    bench.session.do(OpenPath("case"))
     bench.background.run_next()
-    bench.session.place(OUTSIDE_LUMEN)
+    bench.session.do(Place(OUTSIDE_LUMEN))
     bench.background.run_all()
     np.testing.assert_allclose(bench.session.pose_info().pose.position_lps, OUTSIDE_LUMEN, atol=1e-9)
 
@@ -71,7 +96,7 @@ def test_airways_that_are_found_do_not_move_a_tip_that_a_person_has_moved():
 def test_a_refused_file_leaves_the_session_untouched_and_says_the_same_words():
     bench = small_bench()
     bench.open("case")
-    bench.session.add_target(LEFT_TIP)
+    bench.session.do(AddTarget(LEFT_TIP))
     bench.background.run_all()
     before = (bench.session.snapshot(), bench.session.pose_info().pose_id)
     bench.events.clear()
@@ -88,8 +113,8 @@ def test_a_cancelled_opening_leaves_the_session_untouched():
     bench.open("case")
     before = bench.session.snapshot()
     bench.events.clear()
-    job_id = bench.session.open_path("other")
-    bench.session.cancel(job_id)
+    job_id = bench.session.do(OpenPath("other"))
+    bench.session.do(Cancel(job_id))
     bench.background.run_all()
     assert bench.session.snapshot() == before
     assert [(e.job_id, e.outcome) for e in bench.of_type(JobEnded)] == [(job_id, "cancelled")]
@@ -98,8 +123,8 @@ def test_a_cancelled_opening_leaves_the_session_untouched():
 
 def test_a_second_opening_stops_the_first():
     bench = small_bench()
-    bench.session.open_path("case")
-    bench.session.open_path("other")
+    bench.session.do(OpenPath("case"))
+    bench.session.do(OpenPath("other"))
     bench.background.run_all()
     assert bench.session.snapshot().case.volume.source.title == "Other"
     assert [e.outcome for e in bench.of_type(JobEnded)][:2] == ["cancelled", "done"]
@@ -107,7 +132,7 @@ def test_a_second_opening_stops_the_first():
 
 def test_opening_another_case_stops_the_search_in_the_old_one():
     bench = small_bench()
-    bench.session.open_path("case")
+    bench.session.do(OpenPath("case"))
     bench.background.run_next()
     _prepare, search = bench.background.waiting
     bench.background.waiting.clear()
@@ -119,9 +144,9 @@ def test_opening_another_case_stops_the_search_in_the_old_one():
 
 def test_undoing_an_earlier_change_does_not_take_found_airways_away():
     bench = small_bench()
-    bench.session.open_path("case")
+    bench.session.do(OpenPath("case"))
     bench.background.run_next()
-    bench.session.set_window(800.0, -500.0)
+    bench.session.do(SetWindow(800.0, -500.0))
     bench.background.run_all()
     bench.session.undo()
     document = bench.session.snapshot().document
@@ -133,10 +158,10 @@ def test_a_drag_of_the_window_is_one_step_and_a_later_drag_another():
     bench = small_bench()
     bench.open()
     for width in (1400.0, 1300.0, 1200.0):
-        bench.session.set_window(width, -600.0)
+        bench.session.do(SetWindow(width, -600.0))
         bench.clock.advance(0.05)
     bench.clock.advance(5.0)
-    bench.session.set_window(400.0, 40.0)
+    bench.session.do(SetWindow(400.0, 40.0))
     bench.session.undo()
     assert bench.session.snapshot().document.window_width_hu == 1200.0
     bench.session.undo()
@@ -148,7 +173,7 @@ def test_setting_the_root_is_undone_without_searching_again():
     bench = small_bench()
     bench.open()
     first = bench.session.snapshot().document.airways
-    bench.session.set_root(small_lps((16.0, 14.0, 35.0)))
+    bench.session.do(SetRoot(small_lps((16.0, 14.0, 35.0))))
     bench.background.run_all()
     second = bench.session.snapshot().document.airways
     assert second is not first
@@ -163,7 +188,7 @@ def test_a_root_without_airways_changes_nothing_and_says_why():
     bench = small_bench()
     bench.open()
     before = bench.session.snapshot()
-    bench.session.set_root(small_lps((16.0, 14.0, 1.0)))
+    bench.session.do(SetRoot(small_lps((16.0, 14.0, 1.0))))
     assert bench.session.snapshot().airways == "finding"
     bench.background.run_all()
     assert bench.session.snapshot() == before
@@ -182,9 +207,9 @@ def test_no_airways_is_a_state_with_words_and_the_case_stays_usable():
         "no trachea was found. Click in the trachea on a slice and choose it as the root."
     )
     assert bench.renderers[-1].prepared == 1
-    bench.session.steer(1.0, 0.0, 0.0, 0.0)
+    bench.session.do(Steer(1.0, 0.0, 0.0, 0.0))
     with pytest.raises(UsageError, match="no path to fly on"):
-        bench.session.go_to(3.0)
+        bench.session.do(GoTo(3.0))
 
 
 def test_a_threshold_that_found_nothing_is_kept_for_the_root_that_is_set_next_and_nothing_is_said_twice():
@@ -196,9 +221,9 @@ def test_a_threshold_that_found_nothing_is_kept_for_the_root_that_is_set_next_an
 
     bench = small_bench(find_airways=find_nothing)
     bench.open()
-    bench.session.set_lumen_threshold(-850.0)
+    bench.session.do(SetLumenThreshold(-850.0))
     bench.background.run_all()
-    bench.session.set_root(small_lps((16.0, 14.0, 35.0)))
+    bench.session.do(SetRoot(small_lps((16.0, 14.0, 35.0))))
     bench.background.run_all()
     assert asked == [(False, None), (False, -850.0), (True, -850.0)]
     assert bench.session.snapshot().airways_words is not None
@@ -207,13 +232,13 @@ def test_a_threshold_that_found_nothing_is_kept_for_the_root_that_is_set_next_an
 
 def test_a_stopped_search_says_so_and_a_root_starts_another():
     bench = small_bench()
-    bench.session.open_path("case")
+    bench.session.do(OpenPath("case"))
     bench.background.run_next()
     (search,) = [job for job in bench.session.jobs.running if job.kind == "airways"]
-    bench.session.cancel(search.job_id)
+    bench.session.do(Cancel(search.job_id))
     bench.background.run_all()
     assert bench.session.snapshot().airways == "failed"
-    bench.session.set_root(small_lps((16.0, 14.0, 35.0)))
+    bench.session.do(SetRoot(small_lps((16.0, 14.0, 35.0))))
     bench.background.run_all()
     assert bench.session.snapshot().airways == "found"
 
@@ -234,11 +259,11 @@ def test_a_volume_without_hu_gets_a_transfer_function_and_threshold_from_its_his
     assert thresholds == [105.0]
     assert all("8-bit" in off.why for off in snapshot.case.off)
     with pytest.raises(UsageError, match="'endoscopic' for this volume"):
-        bench.session.set_transfer(preset="endoscopic")
+        bench.session.do(SetTransfer(preset="endoscopic"))
     with pytest.raises(UsageError, match="in HU"):
-        bench.session.set_transfer(document={"unit": "HU"})
-    bench.session.set_lumen_threshold(90.0)
-    bench.session.set_lumen_threshold(None)
+        bench.session.do(SetTransfer(document={"unit": "HU"}))
+    bench.session.do(SetLumenThreshold(90.0))
+    bench.session.do(SetLumenThreshold(None))
     bench.background.run_all()
     assert thresholds == [105.0, 105.0]  # the search for 90 was stopped by the next one before it began
 
@@ -246,9 +271,9 @@ def test_a_volume_without_hu_gets_a_transfer_function_and_threshold_from_its_his
 def test_the_operator_position_is_undone_and_poses_are_not():
     bench = small_bench()
     bench.open()
-    bench.session.steer(4.0, 0.0, 0.0, 0.0)
+    bench.session.do(Steer(4.0, 0.0, 0.0, 0.0))
     up = bench.session.pose_info().pose.down_lps
-    bench.session.set_operator("facing")
+    bench.session.do(SetOperator("facing"))
     np.testing.assert_allclose(bench.session.pose_info().pose.down_lps, -up, atol=1e-9)
     bench.session.undo()
     np.testing.assert_allclose(bench.session.pose_info().pose.down_lps, up, atol=1e-9)
@@ -263,7 +288,7 @@ def test_every_movement_has_a_new_pose_number():
     bench.open()
     numbers = [bench.session.pose_info().pose_id]
     for _ in range(3):
-        bench.session.steer(1.0, 0.0, 0.1, 0.0)
+        bench.session.do(Steer(1.0, 0.0, 0.1, 0.0))
         numbers.append(bench.session.pose_info().pose_id)
     assert numbers == sorted(set(numbers))
 
@@ -277,24 +302,24 @@ def test_a_scope_brings_its_field_of_view_and_outline_and_can_be_taken_back():
         return document.scope, document.fov_deg, document.mask
 
     assert seen() == ("generic", 120.0, "round")
-    bench.session.set_scope("single-use-slim")
+    bench.session.do(SetScope("single-use-slim"))
     assert seen() == ("single-use-slim", 85.0, "octagon")
-    bench.session.set_fov(100.0)
+    bench.session.do(SetFov(100.0))
     assert seen() == ("single-use-slim", 100.0, "octagon")
-    bench.session.set_mask("none")
-    bench.session.set_scope("ebus")
+    bench.session.do(SetMask("none"))
+    bench.session.do(SetScope("ebus"))
     # A full frame was chosen by a person, and stays.
     assert seen() == ("ebus", 80.0, "none")
-    bench.session.set_scope(None)
+    bench.session.do(SetScope(None))
     assert seen() == (None, 90.0, "none")
     assert bench.session.snapshot().undo_label == "no scope"
     for _ in range(5):
         bench.session.undo()
     assert seen() == ("generic", 120.0, "round")
     with pytest.raises(UsageError, match=r"expected a scope among"):
-        bench.session.set_scope("BF-1000")
+        bench.session.do(SetScope("BF-1000"))
     with pytest.raises(UsageError, match="round"):
-        bench.session.set_mask("square")
+        bench.session.do(SetMask("square"))
 
 
 def test_the_airway_picture_is_what_the_scope_shows():
@@ -304,11 +329,11 @@ def test_the_airway_picture_is_what_the_scope_shows():
     generic = scope_preset("generic")
     assert (view.lens, view.field, view.fov_deg) == (generic.lens, generic.field, 120.0)
     assert view.depth_of_field is None
-    bench.session.set_scope("ebus")
+    bench.session.do(SetScope("ebus"))
     oblique = bench.session.scene().spec("airway", 64, 48, 0.5)
     assert float(oblique.pose.forward_lps @ view.pose.forward_lps) == pytest.approx(0.8192, abs=1e-4)
-    bench.session.set_scope(None)
-    bench.session.set_mask("none")
+    bench.session.do(SetScope(None))
+    bench.session.do(SetMask("none"))
     plain = bench.session.scene().spec("airway", 64, 48, 0.5)
     assert (plain.lens, plain.field.mask, plain.field.vignette, plain.fov_deg) == (PINHOLE, "none", 0.0, 90.0)
 
@@ -321,10 +346,10 @@ def test_the_fine_texture_is_a_switch_that_can_be_taken_back():
         return bench.session.scene().spec("airway", 64, 48, 0.5).texture
 
     assert texture()
-    bench.session.set_texture(False)
+    bench.session.do(SetTexture(False))
     assert not texture()
     assert bench.session.snapshot().undo_label == "fine texture"
-    bench.session.set_scope(None)
+    bench.session.do(SetScope(None))
     assert not texture(), "without a scope too"
     bench.session.undo()
     bench.session.undo()
@@ -344,17 +369,17 @@ def test_views_depend_on_what_they_show_and_on_nothing_else():
         act()
         return {view for view, key in keys().items() if key != before[view]}
 
-    assert changed(lambda: bench.session.steer(3.0, 0, 0, 0)) == {"airway", "axial", "tri-plane", "cut-plane"}
-    assert changed(lambda: bench.session.steer(0.0, 0.2, 0, 0)) == {"airway", "cut-plane"}
-    assert changed(lambda: bench.session.set_crosshair(LEFT_TIP)) == {"axial", "tri-plane"}
-    assert changed(lambda: bench.session.steer(3.0, 0, 0, 0)) == {"airway", "cut-plane"}
-    assert changed(lambda: bench.session.set_orbit("tree", Orbit(10.0, 5.0))) == {"tree"}
-    assert changed(lambda: bench.session.set_fov(110.0)) == {"airway"}
-    assert changed(lambda: bench.session.set_scope("ultrathin")) == {"airway"}
-    assert changed(lambda: bench.session.set_mask("octagon")) == {"airway"}
-    assert changed(lambda: bench.session.set_texture(False)) == {"airway"}
-    assert changed(lambda: bench.session.set_zoom("cut-plane", extent_mm=30.0)) == {"cut-plane"}
-    window = changed(lambda: bench.session.set_window(400.0, 40.0))
+    assert changed(lambda: bench.session.do(Steer(3.0, 0, 0, 0))) == {"airway", "axial", "tri-plane", "cut-plane"}
+    assert changed(lambda: bench.session.do(Steer(0.0, 0.2, 0, 0))) == {"airway", "cut-plane"}
+    assert changed(lambda: bench.session.do(SetCrosshair(LEFT_TIP))) == {"axial", "tri-plane"}
+    assert changed(lambda: bench.session.do(Steer(3.0, 0, 0, 0))) == {"airway", "cut-plane"}
+    assert changed(lambda: bench.session.do(SetOrbit("tree", 10.0, 5.0, None))) == {"tree"}
+    assert changed(lambda: bench.session.do(SetFov(110.0))) == {"airway"}
+    assert changed(lambda: bench.session.do(SetScope("ultrathin"))) == {"airway"}
+    assert changed(lambda: bench.session.do(SetMask("octagon"))) == {"airway"}
+    assert changed(lambda: bench.session.do(SetTexture(False))) == {"airway"}
+    assert changed(lambda: bench.session.do(SetZoom("cut-plane", extent_mm=30.0))) == {"cut-plane"}
+    window = changed(lambda: bench.session.do(SetWindow(400.0, 40.0)))
     assert window == {"axial", "tri-plane", "cut-plane"}
 
 
@@ -362,7 +387,7 @@ def test_a_transfer_function_reaches_the_renderer_and_the_pictures():
     bench = small_bench()
     bench.open()
     before = bench.session.scene().key("airway")
-    bench.session.set_transfer(preset="ct-grey")
+    bench.session.do(SetTransfer(preset="ct-grey"))
     assert bench.session.scene().key("airway") == before  # the renderer still shows the old one
     bench.background.run_all()
     assert bench.renderers[-1].transfer.name == "ct-grey"
@@ -375,11 +400,11 @@ def test_a_transfer_function_reaches_the_renderer_and_the_pictures():
 def test_closing_the_case_goes_back_to_the_start():
     bench = small_bench()
     bench.open()
-    bench.session.close_case()
+    bench.session.do(CloseCase())
     assert bench.session.snapshot().stage == "empty"
     assert bench.session.scene() is None
     with pytest.raises(UsageError, match="no case is open"):
-        bench.session.steer(1.0, 0.0, 0.0, 0.0)
+        bench.session.do(Steer(1.0, 0.0, 0.0, 0.0))
 
 
 def test_recent_cases_keep_the_path_in_the_local_file_and_open_by_id(tmp_path):
@@ -390,11 +415,11 @@ def test_recent_cases_keep_the_path_in_the_local_file_and_open_by_id(tmp_path):
     bench.open(str(tmp_path / "bad"))
     bench.open(str(tmp_path / "case"))
     assert [(c.title, c.date) for c in store.recent()] == [("Thorax 1.5", "2026-01-31"), ("Other", "2026-01-31")]
-    bench.session.open_recent(store.recent()[1].recent_id)
+    bench.session.do(OpenRecent(store.recent()[1].recent_id))
     bench.background.run_all()
     assert bench.session.snapshot().case.volume.source.title == "Other"
     with pytest.raises(UsageError, match="no longer in the list"):
-        bench.session.open_recent("nothing")
+        bench.session.do(OpenRecent("nothing"))
 
 
 def test_an_unreadable_list_of_recent_cases_is_an_empty_one(tmp_path):
@@ -420,9 +445,8 @@ def test_progress_tells_the_time_left():
         seen.extend(e for e in bench.events if isinstance(e, JobProgress) and e.what == "growing")
         return small_airways(volume)
 
-    bench.session._parts = bench.session._parts.__class__(
-        **{f: getattr(bench.session._parts, f) for f in bench.session._parts.__slots__} | {"find_airways": find_airways}
-    )
+    core = bench.session._core
+    core.parts = replace(core.parts, find_airways=find_airways)
     bench.open()
     assert [(e.fraction, e.seconds_left) for e in seen] == [(0.0, None), (0.25, pytest.approx(9.0))]
 
@@ -431,7 +455,7 @@ def test_undo_keeps_a_few_airways_and_not_all_of_them():
     bench = small_bench()
     bench.open()
     for value in range(-900, -890):
-        bench.session.set_lumen_threshold(value)
+        bench.session.do(SetLumenThreshold(value))
         bench.background.run_all()
     seen = {id(bench.session.snapshot().document.airways)}
     while bench.session.snapshot().undo_label is not None:
@@ -484,36 +508,36 @@ def test_listeners_hear_of_changes_until_they_stop():
     bench.open()
     heard = []
     stop = bench.session.subscribe(heard.append)
-    bench.session.steer(1.0, 0.0, 0.0, 0.0)
+    bench.session.do(Steer(1.0, 0.0, 0.0, 0.0))
     assert heard == [Changed(frozenset({"pose", "views"}))]
     stop()
-    bench.session.steer(1.0, 0.0, 0.0, 0.0)
+    bench.session.do(Steer(1.0, 0.0, 0.0, 0.0))
     assert len(heard) == 1
 
 
 def test_the_voxel_under_a_point_is_told_and_nothing_outside_the_volume():
     bench = small_bench()
     bench.open()
-    assert bench.session.value_at(LEFT_TIP) == -980
-    assert bench.session.value_at(OUTSIDE_LUMEN) == 40
+    assert bench.session.ask(VoxelAt(LEFT_TIP)) == -980
+    assert bench.session.ask(VoxelAt(OUTSIDE_LUMEN)) == 40
     # On the outer face of the first voxel; rounding alone would look for the voxel before it.
-    assert bench.session.value_at(small_lps((-0.4999, 0.0, 0.0))) == 40
-    assert bench.session.value_at(small_lps((-0.6, 0.0, 0.0))) is None
+    assert bench.session.ask(VoxelAt(small_lps((-0.4999, 0.0, 0.0)))) == 40
+    assert bench.session.ask(VoxelAt(small_lps((-0.6, 0.0, 0.0)))) is None
 
 
 def test_a_wall_point_is_told_with_its_voxel_and_the_nearest_branch():
     bench = small_bench()
-    bench.session.open_path("case")
+    bench.session.do(OpenPath("case"))
     bench.background.run_next()
     lumen = tuple(float(v) for v in small_volume().to_lps((16.0, 14.0, 30.0)))
-    before = bench.session.wall_point(lumen)
+    before = bench.session.ask(WallAt(lumen))
     assert (before.lps, before.voxel_value, before.branch_id, before.branch_name) == (lumen, -980, None, None)
     bench.background.run_all()
     left = tuple(float(v) for v in small_volume().to_lps((25.0, 16.5, 13.0)))
-    found = bench.session.wall_point(left)
+    found = bench.session.ask(WallAt(left))
     assert (found.voxel_value, found.branch_id, found.branch_name, found.generation) == (40, 2, "LMB", 1)
     outside = tuple(float(v) for v in small_volume().to_lps((-5.0, 0.0, 0.0)))
-    assert bench.session.wall_point(outside).voxel_value is None
+    assert bench.session.ask(WallAt(outside)).voxel_value is None
 
 
 def test_a_job_that_leaves_its_rest_to_another_one_ends_quietly_while_carina_closes():

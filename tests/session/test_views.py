@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from carina import _core
+from carina.commands import ChooseRoute, GoTo, SetCarm, SetCrosshair, SetMode, SetReformation, SetSlab, SetZoom, Steer
 from carina.render import Renderer, Slab, XrayView
 from carina.server.presenter import picture_lines
 from carina.server.wire_codec import MAX_HEADER_BYTES, encode
-from carina.session import Carm, Reformation
+from carina.session import Carm
 from small_case import small_bench, small_volume
 
 OVERVIEWS = ("xray-axial", "xray-coronal", "xray-sagittal", "drr", "straightened", "curved")
@@ -30,10 +31,10 @@ def test_overviews_are_not_rendered_again_when_the_tip_moves():
     session = opened()
     before = keys(session, OVERVIEWS)
     assert None not in before.values()
-    session.go_to(4.0)
-    session.steer(1.0, 0.1, 0.1, 0.2)
-    session.set_mode("free")
-    session.steer(2.0, 0.3, 0.0, 0.0)
+    session.do(GoTo(4.0))
+    session.do(Steer(1.0, 0.1, 0.1, 0.2))
+    session.do(SetMode("free"))
+    session.do(Steer(2.0, 0.3, 0.0, 0.0))
     assert keys(session, OVERVIEWS) == before
 
 
@@ -50,7 +51,7 @@ def test_projections_are_made_once_for_a_volume(monkeypatch):
 def test_a_c_arm_that_turns_asks_for_the_radiograph_alone():
     session = opened()
     before = keys(session, OVERVIEWS)
-    session.set_carm(Carm(-30.0, 15.0, 0.5, "fluoroscopy"))
+    session.do(SetCarm(-30.0, 15.0, 0.5, "fluoroscopy"))
     after = keys(session, OVERVIEWS)
     assert [view for view in OVERVIEWS if after[view] != before[view]] == ["drr"]
     view = session.scene().spec("drr", 100, 80, 0.5, full_width=200)
@@ -62,22 +63,22 @@ def test_a_c_arm_that_turns_asks_for_the_radiograph_alone():
 def test_views_along_the_route_need_a_route_and_change_with_it():
     session = opened()
     before = keys(session, ("straightened", "curved"))
-    session.choose_route(branch_id=2)
+    session.do(ChooseRoute(branch_id=2))
     assert all(session.scene().key(view) not in {None, before[view]} for view in before)
-    session.choose_route()
+    session.do(ChooseRoute())
     assert keys(session, before) == {"straightened": None, "curved": None}
 
 
 def test_a_zoomed_view_along_the_route_follows_the_tip_on_it_and_beside_it():
     session = opened()
-    session.set_reformation(Reformation(40.0, 0.25))
-    session.go_to(5.0)
+    session.do(SetReformation(40.0, 0.25))
+    session.do(GoTo(5.0))
     scene = session.scene()
     before = scene.key("straightened")
     view = scene.spec("straightened", 60, 90, 0.5, full_width=120)
     assert (view.turn_deg, view.mm_per_px, view.center_mm) == (40.0, 0.5, 5.0)
-    session.set_mode("free")
-    session.steer(3.0, 0.0, 0.0, 0.0)
+    session.do(SetMode("free"))
+    session.do(Steer(3.0, 0.0, 0.0, 0.0))
     scene = session.scene()
     assert scene.key("straightened") != before
     assert scene.spec("straightened", 60, 90, 0.5).center_mm == pytest.approx(8.0, abs=0.5)
@@ -87,21 +88,21 @@ def test_a_slice_stays_where_it_was_zoomed_until_the_tip_moves():
     session = opened()
     tip = session.pose_info().pose.position_lps
     center = (float(tip[0]) + 9.0, float(tip[1]) - 4.0, 0.0)
-    session.set_zoom("axial", mm_per_px=0.3, center_lps=center)
+    session.do(SetZoom("axial", mm_per_px=0.3, center_lps=center))
     view = session.scene().spec("axial", 60, 50, 0.5)
     # Beside the tip, at the depth that is shown.
     assert view.center_lps == pytest.approx((center[0], center[1], tip[2]))
     assert view.mm_per_px == 0.3
-    session.go_to(3.0)
+    session.do(GoTo(3.0))
     followed = session.scene().spec("axial", 60, 50, 0.5)
     assert followed.center_lps == pytest.approx(tuple(session.pose_info().pose.position_lps))
     assert followed.mm_per_px == 0.3
     # A crosshair stays, and the slices with it, wherever the tip goes.
-    session.set_crosshair(tuple(float(v) for v in tip))
-    session.set_zoom("axial", mm_per_px=0.3, center_lps=center)
-    session.go_to(6.0)
+    session.do(SetCrosshair(tuple(float(v) for v in tip)))
+    session.do(SetZoom("axial", mm_per_px=0.3, center_lps=center))
+    session.do(GoTo(6.0))
     assert session.scene().spec("axial", 60, 50, 0.5).center_lps[:2] == pytest.approx(center[:2])
-    session.set_crosshair(None)
+    session.do(SetCrosshair(None))
     assert session.scene().spec("axial", 60, 50, 0.5).center_lps[:2] != pytest.approx(center[:2])
 
 
@@ -112,15 +113,15 @@ def test_a_panned_cut_plane_stays_in_its_plane_until_the_tip_moves():
     before = session.scene().key("cut-plane")
     # A point beside the tip, and a little off the plane.
     aside = pose.position_lps + 3.0 * right - 2.0 * down + 1.5 * forward
-    session.set_zoom("cut-plane", extent_mm=12.0, center_lps=tuple(float(v) for v in aside))
+    session.do(SetZoom("cut-plane", extent_mm=12.0, center_lps=tuple(float(v) for v in aside)))
     scene = session.scene()
     assert scene.key("cut-plane") != before
     picture = Renderer(small_volume()).render(scene.spec("cut-plane", 60, 40, 0.5))
     middle = picture.lps_from_pixel @ (30.0, 20.0, 0.0, 1.0)
     np.testing.assert_allclose(middle[:3], pose.position_lps + 3.0 * right - 2.0 * down, atol=1e-9)
     # The plane goes with the tip, also where a crosshair holds the slices.
-    session.set_crosshair(tuple(float(v) for v in pose.position_lps))
-    session.go_to(6.0)
+    session.do(SetCrosshair(tuple(float(v) for v in pose.position_lps)))
+    session.do(GoTo(6.0))
     view = session.scene().spec("cut-plane", 60, 40, 0.5)
     assert (view.center_lps, view.extent_mm) == (None, 12.0)
 
@@ -129,12 +130,12 @@ def test_slabs_change_slices_and_views_along_the_route_and_nothing_else():
     session = opened()
     views = ("airway", "cut-plane", "tri-plane", "axial", "coronal", "sagittal", "tree", *OVERVIEWS)
     before = keys(session, views)
-    session.set_slab(Slab(10.0, "min"))
+    session.do(SetSlab(10.0, "min"))
     after = keys(session, views)
     changed = {view for view in views if after[view] != before[view]}
     assert changed == {"axial", "coronal", "sagittal", "straightened", "curved"}
     assert session.scene().spec("coronal", 40, 40, 0.5).slab == Slab(10.0, "min")
-    session.set_slab(None)
+    session.do(SetSlab(0.0))
     assert keys(session, views) == before
 
 

@@ -17,6 +17,7 @@ from carina.commands.flying import *  # noqa: F403
 from carina.commands.keys import *  # noqa: F403
 from carina.commands.look import *  # noqa: F403
 from carina.commands.masks import *  # noqa: F403
+from carina.commands.questions import *  # noqa: F403
 from carina.commands.tree import *  # noqa: F403
 from carina.commands.value import Command as Command
 from carina.commands.value import FrozenValue, subclasses

@@ -66,6 +66,13 @@ class SetControls(Command, frozen=True):
     controls: DeviceControls
 
 
+class SetAllControls(LocalCommand, frozen=True):
+    """The same with what the window does not show."""
+
+    controls: Any
+    """A :class:`carina.navigate.Controls`."""
+
+
 class Calibrate(Command, frozen=True):
     """Register a tracker to the patient by pairs of points (3 or more); no pairs forget it."""
 

@@ -9,6 +9,7 @@ from msgspec import Meta
 from carina.render import FlatViewName as FlatView
 from carina.render import OrbitViewName as OrbitView
 from carina.render import ViewName
+from carina.scopes import Mask
 
 __all__ = [
     "Angle",
@@ -76,7 +77,6 @@ Wide = Annotated[float, Meta(ge=-1e300, le=1e300)]
 Three = tuple[Wide, Wide, Wide]
 Tone = Literal["radiograph", "fluoroscopy"]
 SlabKind = Literal["max", "min", "mean"]
-Mask = Literal["none", "round", "octagon"]
 Mode = Literal["free", "path", "scope"]
 Operator = Literal["head", "facing"]
 Method = Literal["leap", "brute"]

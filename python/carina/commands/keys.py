@@ -9,7 +9,7 @@ from msgspec import Meta
 from carina.commands.fields import Key, OwnName, Through
 from carina.commands.value import Command, FrozenValue, LocalCommand
 
-MIN_SPEED_MM_S, MAX_SPEED_MM_S = 1.0, 200.0
+MIN_SPEED_MM_S, MAX_SPEED_MM_S = 0.1, 500.0
 Speed = Annotated[float, Meta(ge=MIN_SPEED_MM_S, le=MAX_SPEED_MM_S)]
 Seconds = Annotated[float, Meta(ge=0.0, le=86_400.0)]
 
@@ -72,8 +72,8 @@ class EditKeys(Command, frozen=True):
 class SetKeyFlight(Command, frozen=True):
     """How the key frames are flown through; null keeps what there is. Undoable."""
 
-    speed_mm_s: Speed | None
-    through: Through | None
+    speed_mm_s: Speed | None = None
+    through: Through | None = None
 
 
 class ShowKey(Command, frozen=True):
@@ -86,7 +86,7 @@ class FlyKeys(Command, frozen=True):
     """Tip to a time of the flight through the key frames; free mode afterwards."""
 
     time_s: Seconds
-    goes_on: bool
+    goes_on: bool = False
     """A flight under way: ignored if anything else has moved the tip since the last of these."""
 
 

@@ -59,8 +59,8 @@ class SetTransfer(Command, frozen=True):
     """A preset by name, or a ``carina-transfer`` document; exactly one."""
 
     undo_label = "transfer function"
-    preset: Key | None
-    document: dict[str, Any] | None
+    preset: Key | None = None
+    document: dict[str, Any] | None = None
 
     def choice_problem(self) -> str | None:
         """Exactly one."""
@@ -103,9 +103,9 @@ class SetZoom(Command, frozen=True):
     """Scale of a slice (mm_per_px) or width of the cut-plane (extent_mm); null fits."""
 
     view: FlatView
-    mm_per_px: MmPerPixel | None
-    extent_mm: Annotated[float, Meta(ge=2.0, le=1000.0)] | None
-    center_lps: PointLps | None
+    mm_per_px: MmPerPixel | None = None
+    extent_mm: Annotated[float, Meta(ge=2.0, le=1000.0)] | None = None
+    center_lps: PointLps | None = None
     """Middle of a zoomed picture until the tip moves; null is the point that is shown, and in the cut-plane the tip."""
 
 

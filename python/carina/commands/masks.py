@@ -24,8 +24,8 @@ class TakeMask(LocalCommand, frozen=True):
 class AnswerMask(Command, frozen=True):
     """Answer ``state.mask_question``: which label is the airway; whether to resample."""
 
-    label: Annotated[int, Meta(ge=-(2**53), le=2**53)] | None
-    resample: bool
+    label: Annotated[int, Meta(ge=-(2**53), le=2**53)] | None = None
+    resample: bool = False
 
 
 class DismissMask(Command, frozen=True):

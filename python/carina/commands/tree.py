@@ -47,8 +47,8 @@ class RemoveTarget(Command, frozen=True):
 class ChooseRoute(Command, frozen=True):
     """Route to a target or to the end of a branch; exactly one of both is set, or none for no route."""
 
-    target_id: Key | None
-    branch_id: BranchId | None
+    target_id: Key | None = None
+    branch_id: BranchId | None = None
 
     def choice_problem(self) -> str | None:
         """One destination at most."""

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import Any, ClassVar, TypeVar
 
 import msgspec
+import msgspec.inspect
 
 from carina.display import as_words, joined
 from carina.errors import UsageError
@@ -86,7 +87,7 @@ def checked(value: V) -> V:
         try:
             value = msgspec.convert(plain, type(value))
         except msgspec.ValidationError as error:
-            raise UsageError(trouble(error, plain, _name(value))[1], code="command.bounds") from error
+            raise UsageError(trouble(error, plain, _name(value), type(value))[1], code="command.bounds") from error
     problem = value.choice_problem()
     if problem is not None:
         raise UsageError(problem, code="command.choice")
@@ -113,7 +114,7 @@ WORDS = {
 }  # fmt: skip
 
 
-def trouble(error: msgspec.ValidationError, value: Any, where: str) -> tuple[str, str]:
+def trouble(error: msgspec.ValidationError, value: Any, where: str, cls: type[Any]) -> tuple[str, str]:
     """What is wrong with a value, as a kind (``field``, ``range`` or ``size``) and one sentence.
 
     Parameters
@@ -124,6 +125,8 @@ def trouble(error: msgspec.ValidationError, value: Any, where: str) -> tuple[str
         What was read.
     where
         The value's name.
+    cls
+        What it was read as.
     """
     text = str(error)
     place = PLACE.search(text)
@@ -146,7 +149,11 @@ def trouble(error: msgspec.ValidationError, value: Any, where: str) -> tuple[str
     if missing := re.match(r"Object missing required field `(.*?)`", text):
         return "field", f"{where} lacks the field {missing.group(1)!r}"
     if text.startswith("Invalid"):
-        return "field", f"{where} cannot be {_short(_at(value, path))}"
+        found = _short(_at(value, path))
+        choices = sorted(_choices(msgspec.inspect.type_info(cls), re.findall(r"\.(\w+)", path)))
+        return "field", f"{where} must be {', '.join(choices[:-1])} or {choices[-1]}; found {found}" if choices else (
+            f"{where} cannot be {found}"
+        )
     if expected := re.match(r"Expected `(.+?)`, got `(\w+)`", text):
         wanted = " or ".join(WORDS.get(one, one) for one in expected.group(1).split(" | "))
         if expected.group(2) == "null":
@@ -160,6 +167,23 @@ def _at(value: Any, path: str) -> Any:
     for name, number in re.findall(r"\.(\w+)|\[(\d+)\]", path):
         value = value[name] if name else value[int(number)]
     return value
+
+
+def _choices(kind: msgspec.inspect.Type, names: list[str]) -> set[str]:
+    """What the field with these names may be, where it is one of a few words."""
+    match kind:
+        case msgspec.inspect.LiteralType() if not names:
+            return {str(value) for value in kind.values}
+        case msgspec.inspect.UnionType():
+            return set().union(*(_choices(one, names) for one in kind.types))
+        case msgspec.inspect.VarTupleType():
+            return _choices(kind.item_type, names)
+        case msgspec.inspect.StructType() if names == [kind.tag_field]:
+            return {str(kind.tag)}
+        case msgspec.inspect.StructType() if names:
+            fields = {field.name: field.type for field in kind.fields}
+            return _choices(fields[names[0]], names[1:]) if names[0] in fields else set()
+    return set()
 
 
 def _short(value: Any) -> str:

@@ -6,10 +6,11 @@ import json
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from carina.commands.fields import Through
 from carina.display import one_line
 from carina.errors import VolumeImportError
 from carina.navigate.key_frames import KeyFrame, KeyFrameFlight
@@ -20,7 +21,6 @@ from carina.volume import Volume
 
 __all__ = ["KeyFile", "Through", "open_keys"]
 
-Through = Literal["airways", "space"]
 
 FORMAT, VERSION = "carina-keys", 2
 MAX_BYTES = 50_000_000

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.commands.keys import MAX_SPEED_MM_S, MIN_SPEED_MM_S
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.navigate.auto_flight import check_duration
@@ -17,7 +18,6 @@ from carina.scopes import Pose
 
 __all__ = ["MAX_SPEED_MM_S", "MIN_SPEED_MM_S", "KeyFrame", "KeyFrameFlight"]
 
-MIN_SPEED_MM_S, MAX_SPEED_MM_S = 0.1, 500.0
 # A look around takes its time, however short the way: 40 degrees a second on average.
 TURN_RAD_S = math.radians(40.0)
 # From rest to full speed.

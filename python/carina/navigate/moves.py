@@ -11,6 +11,26 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
+from carina.commands import (
+    Command,
+    CycleControl,
+    DeviceGone,
+    GoTo,
+    JoinPen,
+    LevelHorizon,
+    NextFork,
+    Place,
+    PlacePose,
+    PreviousFork,
+    ResetLook,
+    SetControl,
+    SetMode,
+    SetOperator,
+    TakeDevice,
+    ToggleMode,
+)
+from carina.commands.devices import CONTROL_RANGES
+from carina.commands.fields import Control
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.navigate.one_euro import FilterSettings
@@ -21,6 +41,7 @@ __all__ = [
     "MOVES",
     "ArmPen",
     "Calibrate",
+    "Control",
     "Controls",
     "CycleControl",
     "DeviceGone",
@@ -33,7 +54,7 @@ __all__ = [
     "NextFork",
     "PathFork",
     "PathWay",
-    "PlaceAt",
+    "Place",
     "PlacePose",
     "PreviousFork",
     "ResetLook",
@@ -50,7 +71,6 @@ __all__ = [
     "move_to_json",
 ]
 
-Control = Literal["absolute", "relative", "path"]
 Vec3 = tuple[float, float, float]
 Sixteen = tuple[float, ...]
 
@@ -65,66 +85,6 @@ class Steer:
     roll_rad: float
     dt_s: float = 0.0
     """Since the move before, for the time of contact in mode *scope*."""
-
-
-@dataclass(frozen=True, slots=True)
-class GoTo:
-    """To a place of the path."""
-
-    path_mm: float
-
-
-@dataclass(frozen=True, slots=True)
-class NextFork:
-    """To the look-out in front of the next fork."""
-
-
-@dataclass(frozen=True, slots=True)
-class PreviousFork:
-    """Back to the last fork."""
-
-
-@dataclass(frozen=True, slots=True)
-class PlaceAt:
-    """Tip to a point, keeping the look."""
-
-    lps: Vec3
-
-
-@dataclass(frozen=True, slots=True)
-class PlacePose:
-    """Tip to a pose, 16 numbers row by row."""
-
-    lps_from_camera: Sixteen
-
-
-@dataclass(frozen=True, slots=True)
-class LevelHorizon:
-    """Roll until the operator's up is up."""
-
-
-@dataclass(frozen=True, slots=True)
-class ResetLook:
-    """Look along the path again."""
-
-
-@dataclass(frozen=True, slots=True)
-class SetMode:
-    """Free, along the path, or (once laid by :class:`SetScope`) the scope."""
-
-    mode: Literal["free", "path", "scope"]
-
-
-@dataclass(frozen=True, slots=True)
-class ToggleMode:
-    """The other of free and path."""
-
-
-@dataclass(frozen=True, slots=True)
-class SetOperator:
-    """Where the operator stands."""
-
-    position: Literal["head", "facing"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,15 +117,6 @@ class SetPath:
 
 
 # What devices do.
-
-CONTROL_RANGES: dict[str, tuple[float, float]] = {
-    "gain_mm": (0.01, 100.0),
-    "gain_turn": (0.01, 100.0),
-    "speed_mm_s": (0.1, 500.0),
-    "turn_rad_s": (0.01, 10.0),
-    "lever_rad": (0.01, 2.0 * math.pi),
-}
-"""Least and greatest of the numbers of :class:`Controls`; the wire takes the same."""
 
 
 @one_line
@@ -235,37 +186,11 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True)
-class DeviceGone:
-    """A device was unplugged."""
-
-    device: str
-
-
-@dataclass(frozen=True, slots=True)
-class TakeDevice:
-    """The device that moves the tip from now on, until it falls silent."""
-
-    device: str
-
-
-@dataclass(frozen=True, slots=True)
 class Calibrate:
     """Where a tracker's space lies in the patient, 16 numbers row by row; none forgets it."""
 
     device: str
     lps_from_tracker: Sixteen
-
-
-@dataclass(frozen=True, slots=True)
-class SetControl:
-    """How the device moves the tip."""
-
-    control: Control
-
-
-@dataclass(frozen=True, slots=True)
-class CycleControl:
-    """The next way to move the tip that there is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,11 +223,6 @@ class ArmPen:
 
 
 @dataclass(frozen=True, slots=True)
-class JoinPen:
-    """In *absolute* the tip comes to the pen at once, instead of easing over while the hand moves."""
-
-
-@dataclass(frozen=True, slots=True)
 class SetControls:
     """Gains, clutch, speeds and filter."""
 
@@ -314,7 +234,7 @@ Move = (
     | GoTo
     | NextFork
     | PreviousFork
-    | PlaceAt
+    | Place
     | PlacePose
     | LevelHorizon
     | ResetLook
@@ -334,14 +254,16 @@ Move = (
     | SetScope
     | SetControls
 )
-MOVES: dict[str, type[Any]] = {cls.__name__: cls for cls in get_args(Move)}
+MOVES: dict[str, type[Any]] = {"PlaceAt" if cls is Place else cls.__name__: cls for cls in get_args(Move)}
+"""By the names that recordings have for them."""
+NAMES = {cls: name for name, cls in MOVES.items()}
 _SAMPLES: dict[str, type[Any]] = {"pose": PoseSample, "axes": AxesSample, "handle": HandleSample}
 
 
 def move_to_json(move: Move) -> dict[str, Any]:
     """The move as JSON values. Floats keep every bit: JSON's shortest digits read back as the same number."""
-    fields = {f.name: _plain(getattr(move, f.name)) for f in dataclasses.fields(move)}
-    return {"move": type(move).__name__, **fields}
+    fields = move.__struct_fields__ if isinstance(move, Command) else [f.name for f in dataclasses.fields(move)]
+    return {"move": NAMES[type(move)], **{name: _plain(getattr(move, name)) for name in fields}}
 
 
 def move_from_json(value: dict[str, Any]) -> Move:

@@ -295,7 +295,7 @@ class Pilot:
                 tip.next_fork()
             case m.PreviousFork():
                 tip.previous_fork()
-            case m.PlaceAt():
+            case m.Place():
                 tip.place_at(move.lps)
             case m.PlacePose():
                 tip.place(Pose(np.asarray(move.lps_from_camera, dtype=np.float64).reshape(4, 4)))

@@ -12,9 +12,11 @@ from typing import Any
 
 from msgspec.structs import replace
 
+from carina import commands
+from carina.commands import Command
 from carina.config import load_settings
 from carina.errors import CarinaError, UsageError
-from carina.navigate import AxesSample, Controls, DeviceState, FilterSettings, HandleSample, PenState, PoseSample
+from carina.navigate import AxesSample, DeviceState, HandleSample, PenState, PoseSample
 from carina.navigate.devices import IgtlServer, Listener, Source, found_ports, open_source
 from carina.render import LEAD_VIEW
 from carina.server import messages as wire
@@ -81,7 +83,7 @@ class DeviceDesk:
     def stop(self) -> None:
         """End all connections."""
         self._ended.set()
-        self._session.device_woken.set()
+        self._session.devices.woken.set()
         for source in self._sources.values():
             source.stop()
         self._sources.clear()
@@ -100,36 +102,19 @@ class DeviceDesk:
         session = self._session
         match message:
             case wire.DeviceSample():
-                session.device_said(message.device, _sample(message))
+                session.devices.said(message.device, _sample(message))
                 return True
-            case wire.DeviceGone():
-                session.device_gone(message.device)
-            case wire.TakeDevice():
-                session.take_device(message.device)
-            case wire.SetControl():
-                session.set_control(message.control)
-            case wire.SetControls():
-                session.set_controls(_controls(message.controls))
-            case wire.Calibrate():
-                rms_mm = session.calibrate(
-                    message.device,
-                    [_three(p) for p in message.tracker_mm],
-                    [_three(p) for p in message.patient_lps],
-                )
-                if message.tracker_mm:
-                    words = f"{message.device} is registered; its points are off by {rms_mm:.1f} mm (RMS)"
-                    self._push(wire.Notice(words))
-            case wire.ArmPen():
-                session.arm_pen(message.tool)
-            case wire.JoinPen():
-                session.join_pen()
+            case Command():
+                if type(message).__module__ != commands.devices.__name__:
+                    return False
+                session.do(message)
             case wire.ConnectDevice():
                 self._connect(message.address)
             case wire.DisconnectDevice():
                 source = self._sources.pop(message.address, None)
                 if source is not None:
                     source.stop()
-                    session.device_gone(message.address)
+                    session.do(commands.DeviceGone(message.address))
             case wire.PublishTip():
                 self._publish(message.port)
             case wire.SetPhone():
@@ -142,12 +127,10 @@ class DeviceDesk:
                 self._watched = message.on
                 if message.on:
                     self._ports = _ports()
-                session.device_woken.set()
+                session.devices.woken.set()
             case wire.StartRecording():
                 folder = self._recordings or load_settings().state_dir / "recordings"
-                session.start_recording(folder / time.strftime("flight-%Y%m%d-%H%M%S.jsonl"))
-            case wire.StopRecording():
-                session.stop_recording()
+                session.do(commands.RecordFlight(folder / time.strftime("flight-%Y%m%d-%H%M%S.jsonl")))
             case _:
                 return False
         self._show()
@@ -157,10 +140,13 @@ class DeviceDesk:
         """Another window took over: it says itself whether it wants to see devices."""
         self._watched = False
         self._pen_told = None
-        self._session.device_woken.set()
+        self._session.devices.woken.set()
+
+    def _gone(self, device: str) -> None:
+        self._session.do(commands.DeviceGone(device))
 
     def _connect(self, address: str) -> None:
-        source = open_source(address, Listener(self._session.device_said, self._session.device_gone))
+        source = open_source(address, Listener(self._session.devices.said, self._gone))
         # By its own name, which is shown: what was typed may leave out a port, or say more than the name.
         if source.address in self._sources:
             raise UsageError(f"{source.address} is connected already", code="devices.address")
@@ -209,11 +195,11 @@ class DeviceDesk:
 
     def message(self) -> wire.Devices | None:
         """What is shown; None without a case."""
-        info = self._session.devices_info()
+        info = self._session.devices.info()
         if info is None:
             return None
         controls = info.controls
-        recording = self._session.recording_path
+        recording = self._session.devices.recording_path
         return wire.Devices(
             control=info.control,
             filter_latency_ms=round(controls.filter.latency_ms, 2),
@@ -245,7 +231,7 @@ class DeviceDesk:
 
     def _show_pen(self) -> None:
         """Where the pen is, when that is news."""
-        state = self._session.pen_state()
+        state = self._session.devices.pen()
         message, told = _pen(state), self._pen_told or NO_PEN
         if state is not None and not state.is_armed and state.off_mm is None and told.lps is not None:
             # Nobody looks at its place: it is told when somebody does.
@@ -255,7 +241,7 @@ class DeviceDesk:
             self._push(message)
 
     def _run(self) -> None:
-        woken, moving = self._session.device_woken, False
+        woken, moving = self._session.devices.woken, False
         while not self._ended.is_set():
             # While nobody says anything and nobody looks, it sleeps.
             woken.wait(1.0 / 60.0 if moving else SHOWN_EVERY_S if self._watched else None)
@@ -263,7 +249,7 @@ class DeviceDesk:
                 return
             began_s = time.monotonic()
             try:
-                moving = self._session.device_frame()
+                moving = self._session.devices.frame()
                 self._show_pen()
                 if self._watched and began_s - self._shown_s >= SHOWN_EVERY_S:
                     self._shown_s = began_s
@@ -294,18 +280,6 @@ def _sample(message: wire.DeviceSample) -> PoseSample | AxesSample | HandleSampl
     assert message.axes is not None
     forward, right, up, yaw, pitch, roll = message.axes
     return AxesSample(message.time_s, (forward, right, up, yaw, pitch, roll), message.buttons)
-
-
-def _controls(message: wire.DeviceControls) -> Controls:
-    return Controls(
-        gain_mm=message.gain_mm,
-        gain_turn=message.gain_turn,
-        clutch=message.clutch,
-        speed_mm_s=message.speed_mm_s,
-        turn_rad_s=message.turn_rad_s,
-        lever_inverted=message.lever_inverted,
-        filter=FilterSettings(min_cutoff_hz=message.min_cutoff_hz, on=message.filter_on),
-    )
 
 
 def _device(state: DeviceState) -> wire.DeviceInfo:

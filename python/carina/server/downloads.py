@@ -12,6 +12,7 @@ from typing import Any
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.types import Receive, Scope, Send
 
+from carina.commands import AirwaysToTakeAway, KeysToTakeAway
 from carina.disk import ScratchFolder, disk_trouble
 from carina.errors import CarinaError
 from carina.export import EXPORT_SUFFIXES, export_airways
@@ -51,7 +52,7 @@ class Downloads:
         if suffix not in EXPORT_SUFFIXES:
             msg = f"Carina writes {', '.join(EXPORT_SUFFIXES)}; asked for {suffix!r}"
             raise CarinaError(msg, code="export.suffix")
-        volume, airways = self._session.airways_to_take_away()
+        volume, airways = self._session.ask(AirwaysToTakeAway())
         async with self._one_at_a_time:
             folder = _new_folder()
             given_up = threading.Event()
@@ -72,7 +73,7 @@ class Downloads:
         CarinaError
             If there are none.
         """
-        document = await asyncio.to_thread(lambda: self._session.keys_to_take_away().to_json())
+        document = await asyncio.to_thread(lambda: self._session.ask(KeysToTakeAway()).to_json())
         disposition = f'attachment; filename="{KEYS_NAME}"'
         return JSONResponse(document, headers={"cache-control": "no-store", "content-disposition": disposition})
 

@@ -12,6 +12,7 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 import carina
+from carina.commands import WallNear
 from carina.errors import CarinaError, ProtocolError
 from carina.scopes import LeftThread
 from carina.server import messages as wire
@@ -69,7 +70,7 @@ class ForceLink:
             raise ProtocolError(words, code="protocol.version")
         await socket.send_text(wire.encode_message(wire.ServerHello(wire.WIRE_VERSION, carina.__version__)))
         # A bridge that comes back may ask again for a wall whose measuring was stopped.
-        self._session.want_wall_again()
+        self._session.devices.want_wall_again()
         asked: asyncio.Queue[wire.AskContact] = asyncio.Queue(maxsize=1)
         answering = start_sender(socket, "a bridge", self._answer(socket, asked))
         try:
@@ -93,7 +94,7 @@ class ForceLink:
 
     def _contact(self, question: wire.AskContact) -> wire.LocalContact:
         try:
-            found = self._session.local_contact(None if question.lps is None else _three(question.lps))
+            found = self._session.ask(WallNear(question.lps))
         except CarinaError:
             # A bridge cannot read words: it lets go.
             return wire.LocalContact(question.number, "none", None, None)

@@ -11,13 +11,12 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, assert_never
 
+from carina.commands import Command, MaskFileNeeded, OpenFiles, TakeKeyFile, TakeMask, VoxelAt, WallAt
 from carina.disk import disk_trouble, is_disk_trouble
 from carina.errors import CarinaError, UsageError
-from carina.render import Slab
 from carina.server import messages as wire
 from carina.server.cluster_watch import ClusterWatch
 from carina.server.device_desk import DeviceDesk
-from carina.server.key_desk import handle_keys
 from carina.server.phone_page import PhonePage
 from carina.server.pointing import Pointing, no_evidence_message
 from carina.server.presenter import (
@@ -33,14 +32,11 @@ from carina.server.tree_words import tree_message
 from carina.server.uploads import Uploads
 from carina.server.wire_codec import type_name
 from carina.session import (
-    Carm,
     Changed,
     Event,
     JobEnded,
     JobProgress,
     NotEvident,
-    Orbit,
-    Reformation,
     Said,
     Session,
     Trouble,
@@ -340,7 +336,7 @@ class Hub:
             upload_id = self._upload_of_job.pop(event.job_id, None)
             if upload_id is not None:
                 self._uploads.discard(upload_id)
-        if self._mask_upload is not None and not self.session.needs_mask_file:
+        if self._mask_upload is not None and not self.session.ask(MaskFileNeeded()):
             self._uploads.discard(self._mask_upload)
             self._mask_upload = None
         outbox = self._outbox
@@ -380,40 +376,17 @@ class Hub:
             self._push(wire.Error("carina.fault", words, None))
 
     def _do(self, message: Any) -> None:
-        session = self.session
+        """A command is the session's; the rest is about the connection, its questions and its files."""
         match message:
-            case wire.Steer():
-                session.steer(message.advance_mm, message.yaw_rad, message.pitch_rad, message.roll_rad)
-            case wire.DeviceSample():
-                self.devices.handle(message)
+            case Command():
+                if not self.devices.handle(message):
+                    self.session.do(message)
             case wire.Ack():
                 self.pump.acknowledge(message.frame_id)
             case wire.Layout():
                 self.pump.set_layout({v.view: (v.width, v.height) for v in message.views})
-            case wire.GoTo():
-                session.go_to(message.path_mm)
-            case wire.SetMode():
-                session.set_mode(message.mode)
-            case wire.ToggleMode():
-                session.toggle_mode()
-            case wire.NextFork():
-                session.next_fork()
-            case wire.PreviousFork():
-                session.previous_fork()
-            case wire.Place():
-                session.place(_three(message.lps))
-            case wire.LevelHorizon():
-                session.level_horizon()
-            case wire.ResetLook():
-                session.reset_look()
-            case wire.FlyKeys():
-                session.fly_keys(message.time_s, goes_on=message.goes_on)
-            case wire.SetCrosshair():
-                session.set_crosshair(None if message.lps is None else _three(message.lps))
-            case wire.ShowPlace():
-                session.show_place(_three(message.lps), message.branch_id)
             case wire.Probe():
-                self._push(wire.Value(message.lps, session.value_at(_three(message.lps))))
+                self._push(wire.Value(message.lps, self.session.ask(VoxelAt(message.lps))))
             case wire.Pick():
                 self._pick(message)
             case wire.AskLivePath():
@@ -422,24 +395,33 @@ class Hub:
                 self._pointing.ask_edit_preview(message)
             case wire.AskBranchDetail():
                 self._pointing.ask_branch_detail(message)
-            case wire.SetOrbit():
-                orbit = Orbit(message.azimuth_deg, message.elevation_deg, message.distance_mm)
-                session.set_orbit(message.view, orbit)
-            case wire.SetZoom():
-                session.set_zoom(
-                    message.view,
-                    mm_per_px=message.mm_per_px,
-                    extent_mm=message.extent_mm,
-                    center_lps=None if message.center_lps is None else _three(message.center_lps),
-                )
-            case wire.SetCarm():
-                session.set_carm(Carm(message.primary_deg, message.secondary_deg, message.mm_per_px, message.tone))
-            case wire.SetReformation():
-                session.set_reformation(Reformation(message.turn_deg, message.mm_per_px))
-            case wire.SetSlab():
-                session.set_slab(Slab(message.thickness_mm, message.kind) if message.thickness_mm > 0.0 else None)
+            case wire.OpenUpload():
+                self._keep_for(OpenFiles(str(self._uploads.place(message.upload_id))), message.upload_id)
+            case wire.OpenKeys():
+                self._keep_for(TakeKeyFile(self._uploads.place(message.upload_id)), message.upload_id)
+            case wire.ImportMask():
+                self._import_mask(message.upload_id)
+            case wire.SetFrameRate():
+                self.pump.set_rate(message.rate_hz)
+                if self._outbox is not None:
+                    self._outbox.mark("state")
+            case wire.AcceptNotice():
+                if self.session.store is not None:
+                    self.session.store.accept_notice()
+                if self._outbox is not None:
+                    self._outbox.mark("start")
+            case _ if self.devices.handle(message):
+                pass
             case _:
-                self._do_rare(message)
+                raise UsageError(
+                    f"{type(message).__name__} cannot be sent after the first message", code="protocol.order"
+                )
+
+    def _keep_for(self, command: Command, upload_id: str) -> None:
+        """The dropped files stay until the job that reads them has ended."""
+        job_id = self.session.do(command)
+        assert job_id is not None
+        self._upload_of_job[job_id] = upload_id
 
     def _pick(self, message: wire.Pick) -> None:
         """The wall under a click, in the picture that was clicked in and not in a newer one."""
@@ -447,92 +429,16 @@ class Hub:
         if shown is None:
             raise UsageError("this picture is gone; click again in the one on the screen", code="session.pick")
         hit = shown.wall_at(message.column, message.row)
-        wall = None if hit is None else self.session.wall_point(_three(hit.position_lps))
+        wall = None if hit is None else self.session.ask(WallAt(_three(hit.position_lps)))
         depth_mm = None if hit is None else round(float(hit.depth_mm), 2)
         self._push(picked_message(message.pick_id, wall, depth_mm))
-
-    def _do_rare(self, message: Any) -> None:
-        session = self.session
-        match message:
-            case wire.OpenPath():
-                session.open_path(message.path)
-            case wire.OpenDemo():
-                session.open_demo(message.name)
-            case wire.OpenRecent():
-                session.open_recent(message.recent_id)
-            case wire.OpenUpload():
-                place = self._uploads.place(message.upload_id)
-                job_id = session.open_path(str(place), remember=False)
-                self._upload_of_job[job_id] = message.upload_id
-            case wire.ImportMask():
-                self._import_mask(message.upload_id)
-            case wire.AnswerMask():
-                session.answer_mask(label=message.label, resample=message.resample)
-            case wire.DismissMask():
-                session.dismiss_mask()
-            case wire.OpenKeys():
-                job_id = session.open_keys(self._uploads.place(message.upload_id))
-                self._upload_of_job[job_id] = message.upload_id
-            case wire.CloseCase():
-                session.close_case()
-            case wire.Cancel():
-                session.cancel(message.job_id)
-            case wire.SetRoot():
-                session.set_root(_three(message.lps))
-            case wire.SetLumenThreshold():
-                session.set_lumen_threshold(message.value)
-            case wire.AddTarget():
-                session.add_target(_three(message.lps))
-            case wire.RemoveTarget():
-                session.remove_target(message.target_id)
-            case wire.EditTree():
-                session.edit_tree(message.edit)
-            case wire.ChooseRoute():
-                session.choose_route(target_id=message.target_id, branch_id=message.branch_id)
-            case wire.SetWindow():
-                session.set_window(message.width_hu, message.level_hu)
-            case wire.SetFov():
-                session.set_fov(message.fov_deg)
-            case wire.SetScope():
-                session.set_scope(message.scope)
-            case wire.SetMask():
-                session.set_mask(message.mask)
-            case wire.SetTransfer():
-                session.set_transfer(preset=message.preset, document=message.document)
-            case wire.SetShading():
-                session.set_shading(message.on)
-            case wire.SetTexture():
-                session.set_texture(message.on)
-            case wire.SetFrameRate():
-                self.pump.set_rate(message.rate_hz)
-                if self._outbox is not None:
-                    self._outbox.mark("state")
-            case wire.SetMethod():
-                session.set_method(message.method)
-            case wire.SetOperator():
-                session.set_operator(message.position)
-            case wire.Undo():
-                session.undo()
-            case wire.Redo():
-                session.redo()
-            case wire.AcceptNotice():
-                if session.store is not None:
-                    session.store.accept_notice()
-                if self._outbox is not None:
-                    self._outbox.mark("start")
-            case _ if self.devices.handle(message) or handle_keys(session, message):
-                pass
-            case _:
-                raise UsageError(
-                    f"{type(message).__name__} cannot be sent after the first message", code="protocol.order"
-                )
 
     def _import_mask(self, upload_id: str) -> None:
         """The file is kept until the mask is read, which may take an answer."""
         place = self._uploads.place(upload_id)
         before, self._mask_upload = self._mask_upload, None
         try:
-            self.session.import_mask(str(place))
+            self.session.do(TakeMask(str(place)))
         except CarinaError:
             self._uploads.discard(upload_id)
             raise

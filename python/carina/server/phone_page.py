@@ -26,6 +26,7 @@ from starlette.responses import FileResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from carina.commands import CycleControl, DeviceGone, LevelHorizon, ResetLook
 from carina.errors import CarinaError, ProtocolError
 from carina.server import messages as wire
 from carina.server.certificate import Certificate, make_certificate, phone_problem
@@ -275,14 +276,14 @@ class PhonePage:
                     await teller
             if self._socket is websocket:
                 self._socket = None
-                self._session.device_gone(DEVICE)
+                self._session.do(DeviceGone(DEVICE))
                 self.changed()
 
     async def _take_over(self, websocket: WebSocket, link: PhoneLink) -> None:
         """The newest phone moves the tip: one that lost its network comes back before its old connection is missed."""
         before, self._socket, self._link, self._words = self._socket, websocket, link, ""
         if before is not None:
-            self._session.device_gone(DEVICE)
+            self._session.do(DeviceGone(DEVICE))
             await close_socket(
                 before, "protocol.taken-over", "another phone, or another page of this one, has taken over"
             )
@@ -299,7 +300,7 @@ class PhonePage:
             await asyncio.sleep(STATE_EVERY_S)
 
     def _state(self) -> wire.PhoneState:
-        devices = self._session.devices_info()
+        devices = self._session.devices.info()
         words = self._words
         if devices is None:
             return wire.PhoneState(False, "relative", False, False, words)
@@ -310,10 +311,10 @@ class PhonePage:
     # ------------------------------------------------------------ what it does
 
     def _heard(self, sample: object) -> None:
-        self._session.device_said(DEVICE, sample)  # type: ignore[arg-type]
+        self._session.devices.said(DEVICE, sample)  # type: ignore[arg-type]
 
     def _clutch_held_moves(self) -> bool:
-        devices = self._session.devices_info()
+        devices = self._session.devices.info()
         return devices is not None and devices.controls.clutch == "hold"
 
     def _act(self, action: str) -> None:
@@ -321,12 +322,12 @@ class PhonePage:
         try:
             pose = self._session.pose_info()
             if action == "next_control":
-                self._session.cycle_control()
+                self._session.do(CycleControl())
             elif pose is not None and pose.mode != "path":
                 # Away from a path, ahead is where the tip looks, and up is what can be set right.
-                self._session.level_horizon()
+                self._session.do(LevelHorizon())
             else:
-                self._session.reset_look()
+                self._session.do(ResetLook())
         except CarinaError as trouble:
             self._words = str(trouble)
 

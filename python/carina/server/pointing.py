@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from carina.commands import LivePathTo, LumenBeforeWall, MeasuresOf, PreviewOf
 from carina.errors import CarinaError, UsageError
 from carina.server import messages as wire
 from carina.server.newest import NewestOnly
@@ -77,7 +78,7 @@ class Pointing:
         self._warmed = document.airways
         x, y, z = (float(v) for v in document.airways.root_lps)
         try:
-            self._session.live_path((x, y, z))
+            self._session.ask(LivePathTo((x, y, z)))
         except CarinaError as trouble:
             logger.debug("no path to the root: %s", trouble)
         except Exception as trouble:
@@ -90,7 +91,7 @@ class Pointing:
     def _answer_live_path(self, message: wire.AskLivePath) -> None:
         try:
             lps = self._place(message)
-            path = self._session.live_path(lps)
+            path = self._session.ask(LivePathTo(lps))
             answer = live_path_message(message.request_id, lps, path)
         except CarinaError as trouble:
             answer = _no_path(message.request_id, str(trouble))
@@ -103,7 +104,7 @@ class Pointing:
         lps = None
         try:
             lps = self._place(message)
-            answer = edit_preview_message(message, lps, self._session.preview_edit(_previewed(message, lps)))
+            answer = edit_preview_message(message, lps, self._session.ask(PreviewOf(_previewed(message, lps))))
         except CarinaError as trouble:
             answer = _no_preview(message, lps, str(trouble))
         except Exception as trouble:
@@ -126,12 +127,12 @@ class Pointing:
             raise UsageError("there is no wall under this place", code="session.pick")
         x, y, z = (float(v) for v in hit.position_lps)
         lens = shown.view.pose.position_lps
-        return self._session.lumen_before_wall((x, y, z), (float(lens[0]), float(lens[1]), float(lens[2])))
+        return self._session.ask(LumenBeforeWall((x, y, z), (float(lens[0]), float(lens[1]), float(lens[2]))))
 
     def _answer_branch_detail(self, message: wire.AskBranchDetail) -> None:
         measures = None
         try:
-            measures = self._session.branch_measures(message.branch_id)
+            measures = self._session.ask(MeasuresOf(message.branch_id))
         except CarinaError as trouble:
             # The tree has changed since: a newer one is on its way, and asks again.
             logger.debug("no measures: %s", trouble)

@@ -9,10 +9,11 @@ import time
 import webbrowser
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import uvicorn
 
+from carina.commands import OpenDemo, OpenPath
 from carina.config import load_settings
 from carina.disk import sweep_drafts, sweep_scratch
 from carina.errors import UsageError
@@ -175,9 +176,9 @@ def serve(
 
         def ready() -> None:
             if path is not None:
-                session.open_path(str(Path(path).absolute()))
+                session.do(OpenPath(str(Path(path).absolute())))
             elif demo is not None:
-                session.open_demo(demo)
+                session.do(OpenDemo(cast(Any, demo)))
             if on_ready is not None:
                 on_ready(start_url(gate), gate.secret)
             if open_browser:

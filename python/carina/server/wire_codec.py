@@ -167,7 +167,7 @@ def read_fields(cls: type[V], fields: dict[str, Any], where: str) -> V:
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, CarinaError):
             raise error.__cause__ from None
-        _refuse(*trouble(error, fields, where))
+        _refuse(*trouble(error, fields, where, cls))
     except RecursionError:
         _refuse("size", f"{where} is nested too deeply")
 

@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 from carina.errors import CancelledError, CarinaError, NoEvidenceError, UsageError
+from carina.navigate import Move
 from carina.navigate.moves import SetOperator
 from carina.scopes import scope_preset
 from carina.session.case import OpenCase, pose_info
@@ -31,7 +32,7 @@ ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "keys", "pose", "view
 
 
 class SessionCore:
-    """What every command of :class:`carina.session.Session` stands on."""
+    """What every subject of a :class:`carina.session.Session` stands on."""
 
     def __init__(
         self,
@@ -43,18 +44,23 @@ class SessionCore:
         clock: Callable[[], float] = time.monotonic,
         today: Callable[[], str] = lambda: time.strftime("%Y-%m-%d"),
     ) -> None:
-        self._renderer_factory = renderer_factory
-        self._parts = parts or default_parts()
-        self._store = store
-        self._clock = clock
-        self._today = today
-        self._lock = threading.RLock()
+        self.renderer_factory = renderer_factory
+        self.parts = parts or default_parts()
+        self.store = store
+        self.clock = clock
+        self.today = today
+        self.lock = threading.RLock()
         self._pool = None if submit else ThreadPoolExecutor(4, thread_name_prefix="carina-job")
-        self._jobs = JobRunner(submit or self._submit_to_pool, self._emit, clock)
+        self.jobs = JobRunner(submit or self._submit_to_pool, self.emit, clock)
         self._listeners: list[Callable[[Event], None]] = []
-        self._case: OpenCase | None = None
-        self._case_numbers = itertools.count(1)
-        self._device_woken = threading.Event()
+        self.case: OpenCase | None = None
+        self.case_numbers = itertools.count(1)
+        self.device_woken = threading.Event()
+        self.before_move: Callable[[], None] = lambda: None
+        self.before_document: list[Callable[[OpenCase], None]] = []
+        """Done when the document has changed, before tip, index and renderer follow it, with the session locked..."""
+        self.after_document: list[Callable[[OpenCase], None]] = []
+        """... and after that."""
         self._pose_id = 0
         self._pose_s = clock()
 
@@ -62,33 +68,19 @@ class SessionCore:
 
     def subscribe(self, listener: Callable[[Event], None]) -> Callable[[], None]:
         """Be told of every event; returns the function that ends it."""
-        with self._lock:
+        with self.lock:
             self._listeners.append(listener)
 
         def unsubscribe() -> None:
-            with self._lock:
+            with self.lock:
                 if listener in self._listeners:
                     self._listeners.remove(listener)
 
         return unsubscribe
 
-    @property
-    def jobs(self) -> JobRunner:
-        """Running jobs."""
-        return self._jobs
-
-    @property
-    def store(self) -> LocalStore | None:
-        """Recent cases and the safety notice."""
-        return self._store
-
-    def cancel(self, job_id: str) -> None:
-        """Stop a job; nothing if it has ended."""
-        self._jobs.cancel(job_id)
-
     def close(self) -> None:
         """Stop all jobs and give the threads back."""
-        self._jobs.close()
+        self.jobs.close()
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
@@ -96,18 +88,18 @@ class SessionCore:
         assert self._pool is not None
         self._pool.submit(work)
 
-    def _emit(self, event: Event) -> None:
-        with self._lock:
+    def emit(self, event: Event) -> None:
+        with self.lock:
             for listener in tuple(self._listeners):
                 if isinstance(event, JobEnded) and event.error is not None and not _is_asked(event.error):
                     listener(Trouble(event.error.code, str(event.error)))
                 listener(event)
 
-    def _changed(self, *topics: Topic) -> None:
-        self._emit(Changed(frozenset(topics)))
+    def changed(self, *topics: Topic) -> None:
+        self.emit(Changed(frozenset(topics)))
 
-    def _needed_case(self) -> OpenCase:
-        case = self._case
+    def needed_case(self) -> OpenCase:
+        case = self.case
         if case is None:
             raise UsageError("no case is open", code="session.no-case")
         return case
@@ -122,43 +114,63 @@ class SessionCore:
         """Do the last change taken back again."""
         self._step(lambda history: history.redo(), "done again")
 
+    def history(self) -> tuple[str, ...]:
+        """Labels of the steps that can be taken back, the oldest first."""
+        with self.lock:
+            return self.needed_case().history.labels
+
     def _step(self, move: Callable[[History[Document]], str | None], words: str) -> None:
-        case = self._needed_case()
-        with self._lock:
+        case = self.needed_case()
+        with self.lock:
             label = move(case.history)
             if label is None:
-                self._emit(Said("there is nothing to be " + words))
+                self.emit(Said("there is nothing to be " + words))
                 return
-            self._follow_document(case)
-            self._emit(Said(f"{words}: {label}"))
-            self._changed(*ALL_TOPICS)
+            self.follow(case)
+            self.emit(Said(f"{words}: {label}"))
+            self.changed(*ALL_TOPICS)
 
-    def _change(self, case: OpenCase, label: str, document: Document, *, gesture: Hashable = None) -> None:
+    def change(self, case: OpenCase, label: str, document: Document, *, gesture: Hashable = None) -> None:
         """A change by a person, with the session locked."""
-        case.history.change(label, document, now_s=self._clock(), gesture=gesture)
-        self._follow_document(case)
-        self._changed(*ALL_TOPICS)
+        case.history.change(label, document, now_s=self.clock(), gesture=gesture)
+        self.follow(case)
+        self.changed(*ALL_TOPICS)
 
-    def _edit(self, label: str, gesture: Hashable, **values: Any) -> None:
+    def look(self, case: OpenCase, **values: Any) -> None:
+        """Change how the case is looked at, which is no step of undo."""
+        with self.lock:
+            for name, value in values.items():
+                setattr(case, name, value)
+            self.changed("state", "views")
+
+    def edit(self, label: str | None, gesture: Hashable, **values: Any) -> None:
         """Change fields of the document; nothing where they are so already."""
-        case = self._needed_case()
-        with self._lock:
+        case = self.needed_case()
+        with self.lock:
             if any(getattr(case.document, name) != value for name, value in values.items()):
-                self._change(case, label, replace(case.document, **values), gesture=gesture)
+                self.change(case, label or "change", replace(case.document, **values), gesture=gesture)
 
     # ------------------------------------------------------------ following the document
 
+    def follow(self, case: OpenCase) -> None:
+        """Bring all that depends on the document to where it is; with the session locked."""
+        for step in self.before_document:
+            step(case)
+        self._follow_document(case)
+        for step in self.after_document:
+            step(case)
+
     def _follow_document(self, case: OpenCase) -> None:
-        """Bring tip, index and renderer to where the document is; with the session locked."""
+        """Bring tip, index and renderer to where the document is."""
         document = case.document
         airways = document.airways
         if case.flown_route is not document.route:
             case.flown_route = document.route
             case.pilot.apply(path_move(None if airways is None else airways.tree, document.route))
-            self._moved()
+            self.moved()
         if case.navigator.operator != document.operator:
             case.pilot.apply(SetOperator(document.operator))
-            self._moved()
+            self.moved()
         new_airways = airways is not case.shown_airways
         if new_airways:
             case.index = None if airways is None else AirwayIndex(airways.tree)
@@ -167,19 +179,19 @@ class SessionCore:
                 case.shown_airways, new_airways = airways, False
         if new_airways or document.transfer is not case.shown_transfer:
             case.content_wanted += 1
-            self._sync_display(case)
+            self.sync_display(case)
 
-    def _sync_display(self, case: OpenCase) -> None:
+    def sync_display(self, case: OpenCase) -> None:
         """Give the renderer the document's transfer function and lumen, then make it fast.
 
         One job follows the document, however many changes come: a change while it works makes what it builds stale, and
         it begins again with the newest.
         """
-        with self._lock:
+        with self.lock:
             case.display_wanted += 1
             if not case.display_followed:
                 case.display_followed = True
-                self._jobs.start(
+                self.jobs.start(
                     "display", "preparing fast pictures", partial(self._follow_display, case, case.display_wanted)
                 )
 
@@ -187,23 +199,23 @@ class SessionCore:
         try:
             while True:
                 job.check()
-                with self._lock:
+                with self.lock:
                     wanted = case.display_wanted
                 try:
                     self._show_document(case, job, partial(self._is_stale, case, job, wanted))
                 except CancelledError:
                     # Stopped by a person or by another case, unless it was only the newer change.
                     job.check()
-                with self._lock:
+                with self.lock:
                     if case.display_wanted == wanted:
                         case.display_followed = False
                         return
         except BaseException:
-            with self._lock:
+            with self.lock:
                 case.display_followed = False
-                if case.display_wanted != wanted and self._case is case:
+                if case.display_wanted != wanted and self.case is case:
                     # What came after the change that this job was stopped at, or failed with.
-                    self._sync_display(case)
+                    self.sync_display(case)
                 elif case.content_shown != case.content_wanted:
                     # Nothing brings the renderer further: what it shows is final.
                     self._content_shown(case, case.content_wanted)
@@ -214,7 +226,7 @@ class SessionCore:
         return job.cancel() or case.display_wanted != wanted
 
     def _show_document(self, case: OpenCase, job: Job, stale: Callable[[], bool]) -> None:
-        with self._lock:
+        with self.lock:
             document, wanted = case.document, case.content_wanted
             new_transfer = document.transfer is not case.shown_transfer
             new_lumen = document.airways is not case.shown_airways
@@ -223,7 +235,7 @@ class SessionCore:
             case.renderer.set_transfer(document.transfer)
         if new_lumen:
             case.renderer.set_lumen(None if document.airways is None else document.airways.lumen_zyx)
-        with self._lock:
+        with self.lock:
             if new_transfer or new_lumen or case.content_shown != wanted:
                 case.has_lumen = document.airways is not None
                 self._content_shown(case, wanted)
@@ -234,21 +246,45 @@ class SessionCore:
         case.content_shown = wanted
         # Also where it was taken back meanwhile: no picture since was sent as final.
         case.content_number += 1
-        self._changed("views")
+        self.changed("views")
 
-    def _moved(self) -> None:
+    def moved(self) -> None:
         self._pose_id += 1
-        self._pose_s = self._clock()
-        if self._case is not None:
+        self._pose_s = self.clock()
+        if self.case is not None:
             # Whoever flies by themselves says so afterwards.
-            self._case.keys_s, self._case.by_device = None, False
+            self.case.keys_s, self.case.by_device = None, False
+
+    # ------------------------------------------------------------ moving the tip
+
+    def fly(self, move: Move) -> None:
+        """A move of the tip, asked for by a person or a program."""
+        case = self.needed_case()
+        with self.lock:
+            mode = case.navigator.mode
+            self.before_move()
+            case.pilot.apply(move)
+            self.after_move(case, mode)
+
+    def after_move(self, case: OpenCase, mode: str) -> None:
+        """The pose is news; with the session locked."""
+        case.person_moved = True
+        following = case.zoom.following if case.crosshair_lps is None else case.zoom.at_tip
+        if case.zoom != following:
+            # Slices follow the tip again; the cut-plane does in any case.
+            case.zoom = following
+        self.moved()
+        if case.navigator.mode != mode:
+            self.changed("state", "pose", "views")
+        else:
+            self.changed("pose", "views")
 
     # ------------------------------------------------------------ what others read
 
     def snapshot(self) -> Snapshot:
         """All but the pose."""
-        with self._lock:
-            case = self._case
+        with self.lock:
+            case = self.case
             if case is None:
                 return Snapshot()
             return Snapshot(
@@ -276,13 +312,13 @@ class SessionCore:
 
     def pose_info(self) -> PoseInfo | None:
         """The newest pose and where it is; None without a case."""
-        with self._lock:
-            return None if self._case is None else pose_info(self._case, self._pose_id)
+        with self.lock:
+            return None if self.case is None else pose_info(self.case, self._pose_id)
 
     def scene(self) -> Scene | None:
         """What the views show now, for the render thread; None without a case."""
-        with self._lock:
-            case = self._case
+        with self.lock:
+            case = self.case
             if case is None:
                 return None
             document = case.document

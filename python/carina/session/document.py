@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from carina.navigate import Through
+from carina.commands.fields import Method, Operator, Through
 from carina.scopes import DEFAULT_SCOPE, Mask, Pose, scope_preset
 
 if TYPE_CHECKING:
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Document", "Key", "Keys", "Target"]
 
-Method = Literal["leap", "brute"]
-Operator = Literal["head", "facing"]
 Point = tuple[float, float, float]
 DEFAULT_FOV_DEG = scope_preset(DEFAULT_SCOPE).usual_fov_deg
 

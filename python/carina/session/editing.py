@@ -7,12 +7,14 @@ import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from carina import commands as c
 from carina.errors import NoEvidenceError, NoResultError
 from carina.session.case import OpenCase
 from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.document import Document, Target
 from carina.session.jobs import Job
 from carina.session.snapshot import NotEvident, Said
+from carina.session.subject import Subject, does
 from carina.session.targets import followed_route, renamed_route, tracked_target
 from carina.track import AddBranch, FoldedAirways, edit_words, fold_airways, name_edited
 
@@ -29,34 +31,25 @@ LOOK_S = 0.05
 """How often an edit that waits for the one before it looks whether it was stopped."""
 
 
-class TreeEditing(SessionCore):
+class TreeEditing(Subject):
     """The commands that change the airway tree."""
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
+    def __init__(self, core: SessionCore) -> None:
+        super().__init__(core)
         self._edit_numbers = itertools.count(1)
         self._one_edit = threading.Lock()
 
-    def edit_tree(self, edit: TreeEdit) -> str:
-        """Make one edit to the airway tree, as a job; undoable with a label in words (``cut RB3``).
+    @does(c.EditTree)
+    def edit_tree(self, command: c.EditTree) -> str:
+        """Make one edit as a job; undoable with a label in words (``cut RB3``).
 
         Targets are tracked again, and a route to what the edit took away goes with it, which is said. Edits that are
-        asked for while another one is made follow it.
-
-        Returns
-        -------
-        str
-            The job's id. The job fails in words where the edit cannot be made; nothing is changed then. Where a branch
-            is to be added and the CT shows no wall along its way, :class:`carina.session.NotEvident` asks.
-
-        Raises
-        ------
-        NoResultError
-            If the case has no airways yet.
-        UsageError
-            If no case is open, a point lies outside the scan, or the branch is not in the tree.
+        asked for while another one is made follow it. The job fails in words where the edit cannot be made; nothing is
+        changed then. Where a branch is to be added and the CT shows no wall along its way,
+        :class:`carina.session.NotEvident` asks.
         """
-        case = self._needed_case()
+        edit = command.edit
+        case = self.core.needed_case()
         for point in _points_of(edit):
             case.check_inside(point)
         words = self._words(case, edit)
@@ -71,19 +64,22 @@ class TreeEditing(SessionCore):
                 if not isinstance(edit, AddBranch):
                     # Nothing can be drawn in its place: no question, but an answer.
                     raise NoResultError(str(doubt), code=doubt.code) from doubt
-                self._emit(NotEvident(job.job_id, edit.lps, doubt))
+                self.core.emit(NotEvident(job.job_id, edit.lps, doubt))
                 raise
             finally:
                 self._one_edit.release()
 
-        return self._jobs.start(f"edit {number}", words, work)
+        return self.core.jobs.start(f"edit {number}", words, work)
 
-    def _follow_document(self, case: OpenCase) -> None:
+    def unfold(self, case: OpenCase) -> None:
+        """Airways that undo came back to are built again, with the session locked."""
         airways: Any = case.document.airways
         if isinstance(airways, FoldedAirways):
             whole = airways.unfold(case.info.volume)
             case.history.amend(lambda d: replace(d, airways=whole) if d.airways is airways else d)
-        super()._follow_document(case)
+
+    def fold(self, case: OpenCase) -> None:
+        """Airways of steps far away are kept small, with the session locked."""
         volume = case.info.volume
         folded: dict[int, Any] = {}
 
@@ -98,22 +94,22 @@ class TreeEditing(SessionCore):
         case.history.fold_far(lambda d: d.airways, NUM_EDITS_WHOLE, fold)
 
     def _words(self, case: OpenCase, edit: TreeEdit) -> str:
-        with self._lock:
+        with self.core.lock:
             return edit_words(edit, _needed_airways(case.document))
 
     def _edit_now(self, case: OpenCase, edit: TreeEdit, job: Job) -> None:
         while True:
-            with self._lock:
+            with self.core.lock:
                 job.check()
                 before = case.document
             airways = _needed_airways(before)
             label = edit_words(edit, airways)
-            edited = self._parts.edit_airways(
+            edited = self.core.parts.edit_airways(
                 case.info.volume, airways, edit, name_branches=False, progress=job.progress, cancel=job.cancel
             )
             targets = tuple(tracked_target(edited, target) for target in before.targets)
             route = followed_route(edited, before.route, targets)
-            with self._lock:
+            with self.core.lock:
                 job.check()
                 # Undo, a new target or another route may have come meanwhile: the edit is made to what is there now.
                 now = case.document
@@ -122,23 +118,23 @@ class TreeEditing(SessionCore):
                     break
         named = name_edited(_needed_airways(before), edited)
         if named is not edited:
-            with self._lock:
+            with self.core.lock:
                 self._put_names(case, edited, named)
 
     def _put_names(self, case: OpenCase, edited: Any, named: Any) -> None:
         """Names follow the edit: part of its step, wherever undo has taken the document meanwhile."""
         case.history.amend(lambda document: _with_names(document, edited, named))
-        if self._case is case:
-            self._follow_document(case)
-            self._changed(*ALL_TOPICS)
+        if self.core.case is case:
+            self.core.follow(case)
+            self.core.changed(*ALL_TOPICS)
 
     def _put_edit(self, case: OpenCase, label: str, document: Document) -> None:
         before = case.document
         case.airways_words = airway_words(document.airways)
-        self._change(case, label, document)
+        self.core.change(case, label, document)
         case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
         for line in _lost(before, document):
-            self._emit(Said(line))
+            self.core.emit(Said(line))
 
 
 def _with_names(document: Document, edited: Any, named: Any) -> Document:

@@ -8,10 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from carina import commands as c
 from carina.errors import CarinaError, NoResultError, TrackingError, UsageError
 from carina.navigate import moves
 from carina.session.case import AskedMask, OpenCase, as_point
-from carina.session.core import ALL_TOPICS, SessionCore
+from carina.session.core import ALL_TOPICS
 from carina.session.document import Document, Point, Target
 from carina.session.editing import MAX_AIRWAYS_KEPT, airway_words, found_airways
 from carina.session.flying import place_move
@@ -19,6 +20,7 @@ from carina.session.jobs import Job
 from carina.session.routes import ChosenRoute, default_branch_id, route_to_branch
 from carina.session.snapshot import MaskQuestion
 from carina.session.start_pose import pose_at_root
+from carina.session.subject import Subject, answers, does
 from carina.session.targets import tracked_target
 from carina.volume import Mask, MaskGridError, MaskLabel, MaskLabelError
 
@@ -28,106 +30,93 @@ SET_THE_ROOT = "Click in the trachea on a slice and choose it as the root."
 AIRWAY_NAMES = re.compile(r"airway|bronch|trache|lumen|luftweg|luftröhre|voies a", re.IGNORECASE)
 
 
-class AirwayFinding(SessionCore):
+class AirwayFinding(Subject):
     """The commands that put other airways in the place of the present ones."""
 
     # ------------------------------------------------------------ in the CT
 
-    def set_root(self, root_lps: Point) -> str:
-        """Find the airways again from a point, as a job; undoable once found. Returns the job's id."""
-        case = self._needed_case()
+    @does(c.SetRoot)
+    def set_root(self, command: c.SetRoot) -> str:
+        """As a job; undoable once found."""
+        root_lps = command.lps
+        case = self.core.needed_case()
         case.check_inside(root_lps)
-        return self._start_airways(case, root_lps, case.document.lumen_threshold, label="set the root")
+        return self.start(case, root_lps, case.document.lumen_threshold, label="set the root")
 
-    def set_lumen_threshold(self, value: float | None) -> str:
-        """Find the airways again with another threshold (None: the tracker's choice), as a job. Returns its id."""
-        case = self._needed_case()
+    @does(c.SetLumenThreshold)
+    def set_lumen_threshold(self, command: c.SetLumenThreshold) -> str:
+        """As a job; None is the tracker's choice."""
+        value = command.value
+        case = self.core.needed_case()
         airways = case.document.airways
         root = None if airways is None else as_point(airways.root_lps)
         wanted = case.threshold_from_histogram if value is None else value
         if airways is None:
             # Kept even if nothing is found with it: a root that is clicked next must search with this threshold.
-            with self._lock:
+            with self.core.lock:
                 case.history.amend_current(lambda d: replace(d, lumen_threshold=wanted))
-                self._changed("state")
-        return self._start_airways(case, root, wanted, label="set the lumen threshold")
+                self.core.changed("state")
+        return self.start(case, root, wanted, label="set the lumen threshold")
 
     # ------------------------------------------------------------ from another tool
 
-    @property
-    def needs_mask_file(self) -> bool:
-        """Whether a mask's file is being read, or will be once its question is answered."""
-        with self._lock:
-            asked = self._case is not None and self._case.asked_mask is not None
-            return asked or any(job.kind == "mask" for job in self._jobs.running)
+    @answers(c.MaskFileNeeded)
+    def mask_file_needed(self, _question: c.MaskFileNeeded) -> bool:
+        """While a job reads it, or a question is open."""
+        with self.core.lock:
+            asked = self.core.case is not None and self.core.case.asked_mask is not None
+            return asked or any(job.kind == "mask" for job in self.core.jobs.running)
 
-    def import_mask(self, path: str, *, label: int | None = None, resample: bool = False) -> str:
-        """Take a mask of another tool as the airway lumen, as jobs: read and placed first, then its tree; undoable.
-
-        Where it holds several structures or is on another grid, nothing is changed and ``Snapshot.mask_question``
-        asks.
-
-        Parameters
-        ----------
-        path
-            NIfTI, NRRD, MetaImage or DICOM SEG.
-        label, resample
-            As of :func:`carina.open_mask`.
-
-        Returns
-        -------
-        str
-            The id of the job that reads it. It fails in words where the file is no mask or does not fit the scan.
-        """
-        case = self._needed_case()
-        with self._lock:
+    @does(c.TakeMask)
+    def take_mask(self, command: c.TakeMask) -> str:
+        """Read and placed first, then its tree, as jobs. They fail in words where the file is no mask of the scan."""
+        path, label, resample = command.path, command.label, command.resample
+        case = self.core.needed_case()
+        with self.core.lock:
             self._ask_about_mask(case, None)
 
         def work(job: Job) -> None:
             job.check()
             try:
-                mask = self._parts.open_mask(
+                mask = self.core.parts.open_mask(
                     path, case.info.volume, label=label, resample=resample, progress=job.progress, cancel=job.cancel
                 )
             except (MaskLabelError, MaskGridError) as trouble:
-                with self._lock:
+                with self.core.lock:
                     job.check()
                     self._ask_about_mask(case, AskedMask(path, label, _question(Path(path).name, trouble)))
                 return
-            with self._lock:
+            with self.core.lock:
                 job.check()
-                if self._case is case:
+                if self.core.case is case:
                     self._start_airways_of(case, Path(path).name, mask)
 
-        return self._jobs.start("mask", "reading the mask", work)
+        return self.core.jobs.start("mask", "reading the mask", work)
 
-    def answer_mask(self, *, label: int | None = None, resample: bool = False) -> str:
-        """Answer ``Snapshot.mask_question`` and go on. Returns the job's id.
-
-        Raises
-        ------
-        UsageError
-            If nothing is asked.
-        """
-        asked = self._needed_case().asked_mask
+    @does(c.AnswerMask)
+    def answer_mask(self, command: c.AnswerMask) -> str:
+        """What was said before holds on; UsageError if nothing is asked."""
+        asked = self.core.needed_case().asked_mask
         if asked is None:
             raise UsageError("no mask waits for an answer; choose its file again", code="session.mask")
-        return self.import_mask(asked.path, label=asked.label if label is None else label, resample=resample)
+        label = asked.label if command.label is None else command.label
+        return self.take_mask(c.TakeMask(asked.path, label, command.resample))
 
-    def dismiss_mask(self) -> None:
-        """Forget the mask that waits for an answer; the airways stay as they are."""
-        case = self._needed_case()
-        with self._lock:
-            self._jobs.cancel_kinds("mask")
+    @does(c.DismissMask)
+    def dismiss_mask(self, _command: c.DismissMask) -> None:
+        """The airways stay as they are."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            self.core.jobs.cancel_kinds("mask")
             self._ask_about_mask(case, None)
 
     def _ask_about_mask(self, case: OpenCase, asked: AskedMask | None) -> None:
         if case.asked_mask is not asked:
             case.asked_mask = asked
-            self._changed("state")
+            self.core.changed("state")
 
-    def _follow_document(self, case: OpenCase) -> None:
-        super()._follow_document(case)
+    def follow(self, case: OpenCase) -> None:
+        """The panel of the airways after a change, with the session locked."""
         # Undo may lead to other airways, or to none. A search under way says for itself how it ends.
         airways = case.document.airways
         if airways is not None and case.airways_status == "found":
@@ -148,22 +137,20 @@ class AirwayFinding(SessionCore):
             options = {"lumen_zyx": mask.inside_zyx, "notes": told, "progress": job.progress, "cancel": job.cancel}
             volume = case.info.volume
             try:
-                return self._parts.find_airways(volume, root_lps=None, lumen_threshold=None, **options)
+                return self.core.parts.find_airways(volume, root_lps=None, lumen_threshold=None, **options)
             except NoResultError:
                 if known is None:
                     raise
                 root = as_point(known.root_lps)
-                return self._parts.find_airways(volume, root_lps=root, lumen_threshold=None, **options)
+                return self.core.parts.find_airways(volume, root_lps=root, lumen_threshold=None, **options)
 
         self._start(case, find, case.document.lumen_threshold, "take the mask as airways", "drawing the mask's tree")
 
-    def _start_airways(
-        self, case: OpenCase, root_lps: Point | None, threshold: float | None, *, label: str | None
-    ) -> str:
-        """``label`` None: nobody asked, it is part of opening."""
+    def start(self, case: OpenCase, root_lps: Point | None, threshold: float | None, *, label: str | None) -> str:
+        """Look for them as a job. ``label`` None: nobody asked, it is part of opening."""
 
         def find(job: Job) -> Any:
-            return self._parts.find_airways(
+            return self.core.parts.find_airways(
                 case.info.volume,
                 root_lps=root_lps,
                 lumen_threshold=threshold,
@@ -188,23 +175,23 @@ class AirwayFinding(SessionCore):
                     raise
                 # The panel of the airways says it; an error on top would say the same thing twice.
 
-        with self._lock:
+        with self.core.lock:
             case.airways_status, case.airways_words = "finding", None
-            self._changed("state")
-            return self._jobs.start("airways", title, work)
+            self.core.changed("state")
+            return self.core.jobs.start("airways", title, work)
 
     def _keep_airways(self, case: OpenCase, trouble: BaseException, job: Job) -> None:
         """After a search that found nothing: what was there stays, else the panel says why there is nothing."""
-        with self._lock:
-            if any(other.kind == "airways" and other is not job for other in self._jobs.running):
+        with self.core.lock:
+            if any(other.kind == "airways" and other is not job for other in self.core.jobs.running):
                 return  # A newer search runs in its place.
             if case.document.airways is not None:
                 case.airways_status, case.airways_words = "found", airway_words(case.document.airways)
             else:
                 words = str(trouble) if isinstance(trouble, CarinaError) else "finding the airways failed"
                 case.airways_status, case.airways_words = "failed", f"{words}. {SET_THE_ROOT}"
-            if self._case is case:
-                self._changed("state")
+            if self.core.case is case:
+                self.core.changed("state")
 
     def _take_airways(self, case: OpenCase, airways: Any, threshold: float | None, label: str | None, job: Job) -> None:
         """Put found airways in place, with paths to the targets; ``label`` makes it a change that can be undone."""
@@ -213,7 +200,7 @@ class AirwayFinding(SessionCore):
         targets: tuple[Target, ...] = ()
         asked: tuple[Target, ...] | None = None
         while True:
-            with self._lock:
+            with self.core.lock:
                 job.check()
                 if asked == case.document.targets:
                     found = replace(case.document, airways=airways, lumen_threshold=threshold, targets=targets)
@@ -236,18 +223,18 @@ class AirwayFinding(SessionCore):
             case.history.amend(lambda d: replace(d, airways=airways, lumen_threshold=threshold, route=default_route))
             case.history.amend_current(lambda _: found)
         else:
-            case.history.change(label, found, now_s=self._clock())
+            case.history.change(label, found, now_s=self.core.clock())
             case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
         case.airways_status = "found"
         case.airways_words = airway_words(airways)
-        self._follow_document(case)
+        self.core.follow(case)
         if not case.person_moved:
             if route is not None:
                 case.pilot.apply(moves.GoTo(0.0))
             elif airways is not None:
                 case.pilot.apply(place_move(pose_at_root(airways)))
-            self._moved()
-        self._changed(*ALL_TOPICS)
+            self.core.moved()
+        self.core.changed(*ALL_TOPICS)
 
 
 def _question(name: str, trouble: MaskLabelError | MaskGridError) -> MaskQuestion:

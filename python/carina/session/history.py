@@ -39,6 +39,11 @@ class History(Generic[D]):
         return self._current
 
     @property
+    def labels(self) -> tuple[str, ...]:
+        """Of the steps that can be taken back, the oldest first."""
+        return tuple(step.label for step in self._undo)
+
+    @property
     def undo_label(self) -> str | None:
         """What :meth:`undo` would take back, in words."""
         return self._undo[-1].label if self._undo else None

@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from carina import commands as c
 from carina.errors import NoResultError, UsageError
 from carina.navigate import (
     MAX_SPEED_MM_S,
@@ -18,36 +18,55 @@ from carina.navigate import (
     KeyFile,
     KeyFrame,
     KeyFrameFlight,
-    Through,
     case_key,
     open_keys,
 )
 from carina.session.case import OpenCase, in_lumen
+from carina.session.core import SessionCore
 from carina.session.document import Key, Keys
-from carina.session.flying import Flying, place_move, view_words
+from carina.session.flying import place_move, view_words
 from carina.session.jobs import Job
 from carina.session.snapshot import KeyInfo, KeysInfo, Said
+from carina.session.subject import Subject, answers, does
 from carina.track import way_between
 
 __all__ = ["MAX_KEYS", "KeyFraming", "key_frames"]
 
 MAX_KEYS = 200
-MAX_NAME = 80
 
 
-class KeyFraming(Flying):
+class KeyFraming(Subject):
     """Key frames are part of the document: every change of them is a step of undo."""
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
+    def __init__(self, core: SessionCore) -> None:
+        super().__init__(core)
         self._key_numbers = itertools.count(1)
 
     # ------------------------------------------------------------ the list
 
-    def add_key(self) -> str:
-        """Put the present pose at the end of the list; returns its id."""
-        case = self._needed_case()
-        with self._lock:
+    @does(c.EditKeys)
+    def edit_keys(self, command: c.EditKeys) -> str | None:
+        """One step of undo; the id of a key frame that is new."""
+        edit = command.edit
+        match edit:
+            case c.KeyAdd():
+                return self._add()
+            case c.KeyUpdate():
+                self._change_key(edit.key_id, "update", pose=self.core.needed_case().navigator.pose)
+            case c.KeyMove():
+                self._move(edit.key_id, edit.by)
+            case c.KeyRename():
+                own = None if edit.name is None else edit.name.strip() or None
+                self._change_key(edit.key_id, "rename", name=own)
+            case c.KeySpeed():
+                self._change_key(edit.key_id, "speed to", speed_mm_s=edit.speed_mm_s)
+            case c.KeyRemove():
+                self._remove(edit.key_id)
+        return None
+
+    def _add(self) -> str:
+        case = self.core.needed_case()
+        with self.core.lock:
             keys = case.document.keys
             if len(keys.frames) >= MAX_KEYS:
                 raise UsageError(f"a flight has at most {MAX_KEYS} key frames; remove some first", code="session.keys")
@@ -55,25 +74,10 @@ class KeyFraming(Flying):
             self._set_keys(case, f"add key frame {len(keys.frames) + 1}", (*keys.frames, key))
             return key.key_id
 
-    def update_key(self, key_id: str) -> None:
-        """Take the present pose for a key frame."""
-        self._change_key(key_id, "update", pose=self._needed_case().navigator.pose)
-
-    def rename_key(self, key_id: str, name: str | None) -> None:
-        """Call a key frame by a name of one's own; None calls it by its branch again."""
-        own = None if name is None else name.strip()[:MAX_NAME] or None
-        self._change_key(key_id, "rename", name=own)
-
-    def set_key_speed(self, key_id: str, speed_mm_s: float | None) -> None:
-        """The speed on the way to a key frame; None takes that of all."""
-        if speed_mm_s is not None:
-            _check_speed(speed_mm_s)
-        self._change_key(key_id, "speed to", speed_mm_s=speed_mm_s)
-
-    def move_key(self, key_id: str, by: int) -> None:
+    def _move(self, key_id: str, by: int) -> None:
         """Earlier (below 0) or later in the order; nothing beyond its ends."""
-        case = self._needed_case()
-        with self._lock:
+        case = self.core.needed_case()
+        with self.core.lock:
             frames = list(case.document.keys.frames)
             at = _place(frames, key_id)
             to = min(max(at + by, 0), len(frames) - 1)
@@ -81,33 +85,30 @@ class KeyFraming(Flying):
                 frames.insert(to, frames.pop(at))
                 self._set_keys(case, f"move key frame {at + 1} to {to + 1}", tuple(frames))
 
-    def remove_key(self, key_id: str) -> None:
-        """Take a key frame away."""
-        case = self._needed_case()
-        with self._lock:
+    def _remove(self, key_id: str) -> None:
+        case = self.core.needed_case()
+        with self.core.lock:
             frames = list(case.document.keys.frames)
             at = _place(frames, key_id)
             del frames[at]
             self._set_keys(case, f"remove key frame {at + 1}", tuple(frames))
 
-    def set_key_flight(self, *, speed_mm_s: float | None = None, through: Through | None = None) -> None:
+    @does(c.SetKeyFlight)
+    def set_key_flight(self, command: c.SetKeyFlight) -> None:
         """The speed of all legs that name none, and whether the flight follows the airways; None keeps either."""
-        if speed_mm_s is not None:
-            _check_speed(speed_mm_s)
-        if through not in {"airways", "space", None}:
-            raise UsageError(f"key frames are flown through airways or space; found {through!r}")
-        case = self._needed_case()
-        with self._lock:
+        speed_mm_s, through = command.speed_mm_s, command.through
+        case = self.core.needed_case()
+        with self.core.lock:
             keys = case.document.keys
             if speed_mm_s is not None and speed_mm_s != keys.speed_mm_s:
-                self._edit("speed through the key frames", "keys speed", keys=replace(keys, speed_mm_s=speed_mm_s))
+                self.core.edit("speed through the key frames", "keys speed", keys=replace(keys, speed_mm_s=speed_mm_s))
             keys = case.document.keys
             if through is not None and through != keys.through:
-                self._edit("way through the key frames", None, keys=replace(keys, through=through))
+                self.core.edit("way through the key frames", None, keys=replace(keys, through=through))
 
     def _change_key(self, key_id: str, verb: str, **values: Any) -> None:
-        case = self._needed_case()
-        with self._lock:
+        case = self.core.needed_case()
+        with self.core.lock:
             frames = list(case.document.keys.frames)
             at = _place(frames, key_id)
             changed = replace(frames[at], **values)
@@ -116,56 +117,46 @@ class KeyFraming(Flying):
                 self._set_keys(case, f"{verb} key frame {at + 1}", tuple(frames))
 
     def _set_keys(self, case: OpenCase, label: str, frames: tuple[Key, ...]) -> None:
-        self._change(case, label, replace(case.document, keys=replace(case.document.keys, frames=frames)))
+        self.core.change(case, label, replace(case.document, keys=replace(case.document.keys, frames=frames)))
 
     # ------------------------------------------------------------ the flight
 
-    def _follow_document(self, case: OpenCase) -> None:
-        super()._follow_document(case)
+    def follow(self, case: OpenCase) -> None:
+        """Forget the flight through other key frames or airways, with the session locked."""
         known = case.key_flight
         if known is not None and (known[0] is not case.document.keys or known[1] is not case.document.airways):
             # Another flight, at whose times the tip is not.
             case.key_flight = case.keys_s = None
 
-    def show_key(self, key_id: str) -> None:
-        """Go to a key frame; free movement afterwards."""
-        case = self._needed_case()
-        with self._lock:
-            at = _place(case.document.keys.frames, key_id)
+    @does(c.ShowKey)
+    def show_key(self, command: c.ShowKey) -> None:
+        """Its pose, and its time in the flight."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            at = _place(case.document.keys.frames, command.key_id)
             flight, _ = self._key_flight(case)
-            self._fly(place_move(case.document.keys.frames[at].pose))
+            self.core.fly(place_move(case.document.keys.frames[at].pose))
             case.keys_s = 0.0 if flight is None else flight.key_times_s[at]
 
-    def fly_keys(self, time_s: float, *, goes_on: bool = False) -> None:
-        """Where the flight through the key frames is at a time.
-
-        Parameters
-        ----------
-        time_s
-            After the first key frame; clamped to the flight.
-        goes_on
-            A flight under way: nothing happens if anything else has moved the tip since.
-
-        Raises
-        ------
-        NoResultError
-            ``session.keys``: if there are fewer than two key frames.
-        """
-        case = self._needed_case()
-        with self._lock:
+    @does(c.FlyKeys)
+    def fly_keys(self, command: c.FlyKeys) -> None:
+        """Clamped to the flight; NoResultError (``session.keys``) if there are fewer than two key frames."""
+        time_s, goes_on = command.time_s, command.goes_on
+        case = self.core.needed_case()
+        with self.core.lock:
             if goes_on and case.keys_s is None:
                 return
             flight, problem = self._key_flight(case)
             if flight is None:
                 raise NoResultError(problem or "a flight needs two key frames or more", code="session.keys")
             place_s = min(max(time_s, 0.0), flight.duration_s)
-            self._fly(place_move(flight.pose_at(place_s)))
+            self.core.fly(place_move(flight.pose_at(place_s)))
             case.keys_s = place_s
 
-    def keys_info(self) -> KeysInfo:
+    def info(self) -> KeysInfo:
         """The key frames as they are shown."""
-        with self._lock:
-            case = self._case
+        with self.core.lock:
+            case = self.core.case
             if case is None:
                 return KeysInfo()
             keys = case.document.keys
@@ -205,16 +196,11 @@ class KeyFraming(Flying):
 
     # ------------------------------------------------------------ its file
 
-    def keys_to_take_away(self) -> KeyFile:
-        """The key frames with their ways, the view and the case, for a file that ``carina fly`` renders.
-
-        Raises
-        ------
-        NoResultError
-            ``session.keys``: if there are none.
-        """
-        case = self._needed_case()
-        with self._lock:
+    @answers(c.KeysToTakeAway)
+    def keys_to_take_away(self, _question: c.KeysToTakeAway) -> KeyFile:
+        """For a file that ``carina fly`` renders."""
+        case = self.core.needed_case()
+        with self.core.lock:
             document = case.document
         if not document.keys.frames:
             raise NoResultError("there are no key frames yet", code="session.keys")
@@ -222,15 +208,13 @@ class KeyFraming(Flying):
         frames = key_frames(keys, case.info.volume, document.airways)
         return KeyFile(frames, keys.speed_mm_s, keys.through, case_key(case.info.volume), view_words(document))
 
-    def open_keys(self, path: str | Path) -> str:
-        """Take the key frames of a file in the place of these, as a job; undoable. Returns the job's id.
-
-        The ways between them are found anew in the present airways. Those of another case are refused.
-        """
-        case = self._needed_case()
+    @does(c.TakeKeyFile)
+    def take_key_file(self, command: c.TakeKeyFile) -> str:
+        """As a job. The ways between them are found anew in the present airways."""
+        case = self.core.needed_case()
 
         def work(job: Job) -> None:
-            file = open_keys(path)
+            file = open_keys(command.path)
             job.check()
             file.check(case.info.volume)
             if len(file.frames) > MAX_KEYS:
@@ -240,14 +224,14 @@ class KeyFraming(Flying):
                 Key(f"key-{next(self._key_numbers)}", frame.pose, frame.name or None, speed)
                 for frame, speed in zip(file.frames, speeds, strict=True)
             )
-            with self._lock:
+            with self.core.lock:
                 job.check()
                 keys = Keys(frames, file.speed_mm_s, file.through)
-                self._change(case, "open key frames", replace(case.document, keys=keys))
+                self.core.change(case, "open key frames", replace(case.document, keys=keys))
                 if any(frame.time_s is not None for frame in file.frames):
-                    self._emit(Said("the file stores times; they were converted to speeds"))
+                    self.core.emit(Said("the file stores times; they were converted to speeds"))
 
-        return self._jobs.start("keys", "opening key frames", work)
+        return self.core.jobs.start("keys", "opening key frames", work)
 
 
 def key_frames(keys: Keys, volume: Any, airways: Any) -> tuple[KeyFrame, ...]:
@@ -298,13 +282,6 @@ def _speeds(file: KeyFile) -> list[float | None]:
     legs = zip(file.flight().leg_mm, itertools.pairwise(t for t in times if t is not None), strict=True)
     found = [min(max(mm / (after - before), MIN_SPEED_MM_S), MAX_SPEED_MM_S) for mm, (before, after) in legs]
     return [None, *found]
-
-
-def _check_speed(speed_mm_s: float) -> None:
-    if not MIN_SPEED_MM_S <= speed_mm_s <= MAX_SPEED_MM_S:
-        raise UsageError(
-            f"a speed is {MIN_SPEED_MM_S:g} to {MAX_SPEED_MM_S:g} mm/s; found {speed_mm_s:g}", code="navigate.keys"
-        )
 
 
 def _place(frames: Sequence[Key], key_id: str) -> int:

@@ -1,4 +1,4 @@
-"""What is asked about the airways while a person points at something: answered at once, and nothing changes."""
+"""What is asked about the case while a person points at something: answered at once, and nothing changes."""
 
 from __future__ import annotations
 
@@ -6,103 +6,85 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from carina import commands as c
 from carina.errors import NoResultError, UsageError
-from carina.session.core import SessionCore
-from carina.session.document import Point
+from carina.session.snapshot import WallPoint
+from carina.session.subject import Subject, answers
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carina.track import AddBranch, Bridge, EditPreview, MoveFork
-
-__all__ = ["AirwayQuestions", "lumen_before_wall"]
+__all__ = ["CaseQuestions", "lumen_before_wall"]
 
 NO_AIRWAYS = "the airways are not found yet: wait for them, or set the root"
 
 
-class AirwayQuestions(SessionCore):
-    """The questions of :class:`carina.session.Session`."""
+class CaseQuestions(Subject):
+    """The scan and its airways."""
 
-    def live_path(self, lps: Point) -> Any:
-        """The way from the root to a point under the cursor (paper 6.3), from what the tracker has solved already.
+    @answers(c.VoxelAt)
+    def voxel_at(self, question: c.VoxelAt) -> int | None:
+        """Its number."""
+        volume = self.core.needed_case().info.volume
+        point = np.asarray(question.lps, dtype=np.float64)
+        if not volume.contains_lps(point):
+            return None
+        nz, ny, nx = volume.shape_zyx
+        # Clipped: a point on the volume's outermost face rounds to the voxel beyond it.
+        i, j, k = np.clip(np.rint(volume.to_ijk(point)).astype(int), 0, (nx - 1, ny - 1, nz - 1))
+        return int(volume.hu_zyx[k, j, i])
 
-        Returns
-        -------
-        carina.track.LivePath
-            With the reason in words in ``problem`` where no way leads there.
+    @answers(c.WallAt)
+    def wall_at(self, question: c.WallAt) -> WallPoint:
+        """Its voxel and the nearest branch."""
+        lps = question.lps
+        value = self.voxel_at(c.VoxelAt(lps))
+        with self.core.lock:
+            index = self.core.needed_case().index
+        if index is None:
+            return WallPoint(lps, value, None, None, None)
+        branch_id, _, _ = index.nearest(np.asarray(lps, dtype=np.float64))
+        return WallPoint(lps, value, branch_id, index.name(branch_id), index.generation(branch_id))
 
-        Raises
-        ------
-        NoResultError
-            If the case has no airways.
-        """
-        return self._airways().tracker.live_path(lps)
+    @answers(c.LivePathTo)
+    def live_path(self, question: c.LivePathTo) -> Any:
+        """From what the tracker has solved already."""
+        return self._airways().tracker.live_path(question.lps)
 
-    def preview_edit(self, edit: AddBranch | Bridge | MoveFork) -> EditPreview:
-        """The very lines that an edit would make, at once and without making it.
+    @answers(c.PreviewOf)
+    def preview_of(self, question: c.PreviewOf) -> Any:
+        """The edit's own lines."""
+        with self.core.lock:
+            volume, airways = self.core.needed_case().info.volume, self._airways()
+        return self.core.parts.preview_edit(volume, airways, question.edit)
 
-        Returns
-        -------
-        carina.track.EditPreview
-            With the reason in words in ``problem`` where it cannot be made.
+    @answers(c.AirwaysToTakeAway)
+    def airways_to_take_away(self, _question: c.AirwaysToTakeAway) -> tuple[Any, Any]:
+        """Both immutable."""
+        with self.core.lock:
+            return self.core.needed_case().info.volume, self._airways()
 
-        Raises
-        ------
-        NoResultError
-            If the case has no airways.
-        """
-        with self._lock:
-            volume, airways = self._needed_case().info.volume, self._airways()
-        return self._parts.preview_edit(volume, airways, edit)
-
-    def airways_to_take_away(self) -> tuple[Any, Any]:
-        """The volume and its airways as they are now (both immutable), for a file.
-
-        Returns
-        -------
-        tuple
-            :class:`carina.volume.Volume` and :class:`carina.track.Airways`.
-
-        Raises
-        ------
-        NoResultError
-            If the case has no airways.
-        """
-        with self._lock:
-            return self._needed_case().info.volume, self._airways()
-
-    def lumen_before_wall(self, wall_lps: Point, lens_lps: Point) -> Point:
-        """The point that a click on a wall means: the lumen in front of it (paper 6.3, Figure 14).
-
-        Raises
-        ------
-        NoResultError
-            If the case has no airways.
-        """
+    @answers(c.LumenBeforeWall)
+    def lumen_before_wall(self, question: c.LumenBeforeWall) -> tuple[float, float, float]:
+        """In steps of half a voxel."""
         airways = self._airways()
-        step_mm = 0.5 * float(min(self._needed_case().info.volume.spacing_mm))
-        x, y, z = lumen_before_wall(airways.tracker, np.array(wall_lps), np.array(lens_lps), step_mm)
+        step_mm = 0.5 * float(min(self.core.needed_case().info.volume.spacing_mm))
+        wall, lens = np.array(question.wall_lps), np.array(question.lens_lps)
+        x, y, z = lumen_before_wall(airways.tracker, wall, lens, step_mm)
         return float(x), float(y), float(z)
 
-    def branch_measures(self, branch_id: int) -> Any:
-        """What was measured along a branch (:class:`carina.track.BranchMeasures`); None until it is ready.
-
-        Raises
-        ------
-        NoResultError
-            If the case has no airways.
-        UsageError
-            If the tree has no such branch.
-        """
+    @answers(c.MeasuresOf)
+    def measures_of(self, question: c.MeasuresOf) -> Any:
+        """Of the newest measures, if they are of this tree."""
         airways = self._airways()
-        if all(branch.id != branch_id for branch in airways.tree.branches):
-            raise UsageError(f"the tree has no branch {branch_id}", code="session.branch")
-        measures = getattr(self.snapshot(), "measures", None)
-        return None if measures is None else measures.of(branch_id)
+        if all(branch.id != question.branch_id for branch in airways.tree.branches):
+            raise UsageError(f"the tree has no branch {question.branch_id}", code="session.branch")
+        measures = self.core.snapshot().measures
+        return None if measures is None else measures.of(question.branch_id)
 
     def _airways(self) -> Any:
-        with self._lock:
-            airways = self._needed_case().document.airways
+        with self.core.lock:
+            airways = self.core.needed_case().document.airways
         if airways is None:
             raise NoResultError(NO_AIRWAYS, code="track.no-airways")
         return airways

@@ -228,8 +228,8 @@ export interface EditKeysMessage {
 /** How the key frames are flown through; null keeps what there is. Undoable. */
 export interface SetKeyFlightMessage {
   readonly type: "set_key_flight";
-  readonly speed_mm_s: number | null;
-  readonly through: "airways" | "space" | null;
+  readonly speed_mm_s?: number | null;
+  readonly through?: "airways" | "space" | null;
 }
 
 /** Tip to a key frame; free mode afterwards. */
@@ -242,7 +242,7 @@ export interface ShowKeyMessage {
 export interface FlyKeysMessage {
   readonly type: "fly_keys";
   readonly time_s: number;
-  readonly goes_on: boolean;
+  readonly goes_on?: boolean;
 }
 
 /** The point that slices and tri-plane show; null follows the tip. */
@@ -279,8 +279,8 @@ export interface SetMaskMessage {
 /** A preset by name, or a `carina-transfer` document; exactly one. */
 export interface SetTransferMessage {
   readonly type: "set_transfer";
-  readonly preset: string | null;
-  readonly document: Record<string, unknown> | null;
+  readonly preset?: string | null;
+  readonly document?: Record<string, unknown> | null;
 }
 
 /** Light at the tip on or off. */
@@ -314,9 +314,9 @@ export interface SetOrbitMessage {
 export interface SetZoomMessage {
   readonly type: "set_zoom";
   readonly view: "axial" | "coronal" | "cut-plane" | "sagittal";
-  readonly mm_per_px: number | null;
-  readonly extent_mm: number | null;
-  readonly center_lps: readonly [number, number, number] | null;
+  readonly mm_per_px?: number | null;
+  readonly extent_mm?: number | null;
+  readonly center_lps?: readonly [number, number, number] | null;
 }
 
 /** Where the radiograph's C-arm stands: LAO and cranial above 0; mm_per_px counts at its centre, null fits. */
@@ -345,8 +345,8 @@ export interface SetSlabMessage {
 /** Answer `state.mask_question`: which label is the airway; whether to resample. */
 export interface AnswerMaskMessage {
   readonly type: "answer_mask";
-  readonly label: number | null;
-  readonly resample: boolean;
+  readonly label?: number | null;
+  readonly resample?: boolean;
 }
 
 /** Forget the mask that `state.mask_question` asks about. */
@@ -381,8 +381,8 @@ export interface RemoveTargetMessage {
 /** Route to a target or to the end of a branch; exactly one of both is set, or none for no route. */
 export interface ChooseRouteMessage {
   readonly type: "choose_route";
-  readonly target_id: string | null;
-  readonly branch_id: number | null;
+  readonly target_id?: string | null;
+  readonly branch_id?: number | null;
 }
 
 /** A branch to a point: the least-cost path through the lumen, or the way with the best evidence beyond it. */

@@ -1,0 +1,113 @@
+"""Opening and closing a case."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from carina import commands as c
+from carina.errors import UsageError
+from carina.session.case import new_case
+from carina.session.core import ALL_TOPICS, SessionCore
+from carina.session.finding import AirwayFinding
+from carina.session.jobs import Job
+from carina.session.recording import FlightRecording
+from carina.session.subject import Subject, does
+from carina.volume import Volume
+
+__all__ = ["Opening"]
+
+
+class Opening(Subject):
+    """A case is opened by a job; the one on screen stays until the new one has been read."""
+
+    def __init__(self, core: SessionCore, finding: AirwayFinding, recording: FlightRecording) -> None:
+        super().__init__(core)
+        self._finding = finding
+        self._recording = recording
+
+    @does(c.OpenPath)
+    def open_path(self, command: c.OpenPath) -> str:
+        """Read a file or folder and remember it."""
+        return self._open_path(command.path, command.path)
+
+    @does(c.OpenFiles)
+    def open_files(self, command: c.OpenFiles) -> str:
+        """Read files that nobody will find there again."""
+        return self._open_path(command.path, None)
+
+    def _open_path(self, path: str, remembered: str | None) -> str:
+        def read(job: Job) -> Volume:
+            return self.core.parts.open_volume(path, job.progress, job.cancel)
+
+        return self._open("opening the case", read, remembered)
+
+    @does(c.OpenDemo)
+    def open_demo(self, command: c.OpenDemo) -> str:
+        """Read or make a bundled case."""
+
+        def read(job: Job) -> Volume:
+            return self.core.parts.open_demo(command.name, job.progress, job.cancel)
+
+        return self._open("opening the demo", read, None)
+
+    @does(c.OpenVolume)
+    def open_volume(self, command: c.OpenVolume) -> str:
+        """Take a volume as it is."""
+        volume: Volume = command.volume
+        return self._open("opening the volume", lambda _job: volume, None)
+
+    @does(c.OpenRecent)
+    def open_recent(self, command: c.OpenRecent) -> str:
+        """Open a case of the list; UsageError if it has no such case."""
+        for case in self.core.store.recent() if self.core.store else ():
+            if case.recent_id == command.recent_id:
+                return self._open_path(case.path, case.path)
+        raise UsageError("this case is no longer in the list; open its folder again", code="session.recent")
+
+    @does(c.CloseCase)
+    def close_case(self, _command: c.CloseCase) -> None:
+        """End all that belongs to it."""
+        with self.core.lock:
+            self._recording.stop()
+            self.core.jobs.cancel_kinds()
+            self.core.case = None
+            self.core.changed(*ALL_TOPICS, "start")
+
+    @does(c.Cancel)
+    def cancel(self, command: c.Cancel) -> None:
+        """Nothing if the job has ended."""
+        self.core.jobs.cancel(command.job_id)
+
+    @does(c.Undo)
+    def undo(self, _command: c.Undo) -> None:
+        """Say so where there is nothing."""
+        self.core.undo()
+
+    @does(c.Redo)
+    def redo(self, _command: c.Redo) -> None:
+        """Say so where there is nothing."""
+        self.core.redo()
+
+    def _open(self, title: str, read: Callable[[Job], Volume], path: str | None) -> str:
+        def work(job: Job) -> None:
+            job.check()
+            volume = read(job)
+            job.progress("checking the quality", None)
+            case = new_case(
+                volume, next(self.core.case_numbers), parts=self.core.parts, renderer_factory=self.core.renderer_factory
+            )
+            if path is not None and self.core.store is not None:
+                self.core.store.remember(path, volume.source.title, self.core.today())
+            with self.core.lock:
+                # Here, and not before: a refused or stopped opening leaves the case on screen as it was.
+                job.check()
+                self._recording.stop()
+                self.core.jobs.cancel_kinds("airways", "display", "mask", "target", "measures")
+                self.core.case = case
+                self.core.moved()
+                self.core.changed(*ALL_TOPICS, "start")
+            # A tenth of a second, and pictures come several times faster; the airways take many.
+            self.core.sync_display(case)
+            self._finding.start(case, None, case.threshold_from_histogram, label=None)
+
+        return self.core.jobs.start("open", title, work)

@@ -1,0 +1,116 @@
+"""Recording a flight."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+from carina import commands as c
+from carina.disk import disk_trouble, make_folder
+from carina.errors import UsageError
+from carina.navigate import Recorder, case_key
+from carina.session.case import OpenCase
+from carina.session.core import SessionCore
+from carina.session.flying import view_words
+from carina.session.holding import ScopeHolding
+from carina.session.snapshot import Said, Trouble
+from carina.session.subject import Subject, does
+
+__all__ = ["FlightRecording"]
+
+
+class FlightRecording(Subject):
+    """Every move of the tip, until it is stopped or the case is closed."""
+
+    def __init__(self, core: SessionCore, holding: ScopeHolding) -> None:
+        super().__init__(core)
+        self._holding = holding
+        self._recorder: Recorder | None = None
+        self._path: Path | None = None
+        self._recorded_case: OpenCase | None = None
+        core.before_move = self.tick
+
+    @property
+    def path(self) -> Path | None:
+        """The file that is being recorded to."""
+        return self._path if self._recorder is not None else None
+
+    @does(c.RecordFlight)
+    def start(self, command: c.RecordFlight) -> None:
+        """Begin, in the mode that the tip is in.
+
+        Raises
+        ------
+        UsageError
+            ``session.recording``: if one is being made.
+        CarinaError
+            ``machine``: if the file cannot be written.
+        """
+        import carina
+
+        path = Path(command.path)
+        case = self.core.needed_case()
+        if self._recorder is not None:
+            raise UsageError("a recording is being made already; stop it first", code="session.recording")
+        key = case_key(case.info.volume)
+        try:
+            make_folder(path.parent, what="the recording")
+            file = path.open("x", encoding="utf-8")
+        except OSError as trouble:
+            raise disk_trouble(trouble, "cannot write the recording", path) from trouble
+        with self.core.lock:
+            try:
+                self._recorder = Recorder(
+                    case.pilot,
+                    file,
+                    case=key,
+                    carina=carina.__version__,
+                    now_s=self.core.clock(),
+                    view=view_words(case.document),
+                    on_end=self._ended,
+                )
+            except OSError as trouble:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+                raise disk_trouble(trouble, "cannot write the recording", path) from trouble
+            self._path, self._recorded_case = path, case
+            if case.navigator.scope_state is not None:
+                # A replay begins with the scope laid anew, so that it can begin at all.
+                self._holding.lay(case, case.navigator.scope_state.insertion_mm)
+            self.core.changed("state")
+
+    @does(c.StopRecording)
+    def stop_command(self, _command: c.StopRecording) -> None:
+        """Nothing where there is none."""
+        self.stop()
+
+    def stop(self) -> Path | None:
+        """End the recording; returns where it is, None where there is none."""
+        with self.core.lock:
+            recorder, self._recorder = self._recorder, None
+            if recorder is None:
+                return None
+            recorder.tick(self.core.clock())
+            recorder.close()
+            if recorder.trouble is None:
+                self.core.emit(Said(f"{recorder.length_s:.0f} s were recorded to {self._path}"))
+                self.core.changed("state")
+            return self._path
+
+    def _ended(self, trouble: OSError) -> None:
+        """The file cannot be written any more, with the session locked; the flight goes on."""
+        self._recorder = None
+        kept = f"what was recorded before is in {self._path}"
+        told = disk_trouble(trouble, "the recording ended: cannot write", self._path, unchanged=kept)
+        self.core.emit(Trouble(told.code, str(told)))
+        self.core.changed("state")
+
+    def tick(self, _case: OpenCase | None = None) -> None:
+        """Before a move, with the session locked: the time of what follows."""
+        if self._recorder is not None:
+            self._recorder.tick(self.core.clock())
+
+    def note_view(self, case: OpenCase) -> None:
+        """After a change of the document, with the session locked."""
+        if self._recorder is not None and self._recorded_case is case:
+            self._recorder.note_view(view_words(case.document), self.core.clock())

@@ -1,0 +1,101 @@
+"""Targets and routes."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+from carina import commands as c
+from carina.errors import NoResultError, UsageError
+from carina.session.core import SessionCore
+from carina.session.document import Document, Target
+from carina.session.jobs import Job
+from carina.session.routes import ChosenRoute, route_to_branch
+from carina.session.snapshot import Said
+from carina.session.subject import Subject, does
+from carina.session.targets import tracked_target
+
+__all__ = ["Routing"]
+
+
+class Routing(Subject):
+    """Where the flight leads to."""
+
+    def __init__(self, core: SessionCore) -> None:
+        super().__init__(core)
+        self._target_numbers = itertools.count(1)
+
+    @does(c.AddTarget)
+    def add_target(self, command: c.AddTarget) -> str:
+        """Track to a point, as a job, and take it as the route.
+
+        The point is moved to the lumen where that is within 5 mm, which is said; else the target is kept with the
+        reason why there is no path.
+        """
+        case = self.core.needed_case()
+        case.check_inside(command.lps)
+        number = next(self._target_numbers)
+        target = Target(target_id=f"target-{number}", name=f"Target {number}", lps=command.lps)
+
+        def work(job: Job) -> None:
+            tracked, tracked_in = target, None
+            while True:
+                with self.core.lock:
+                    job.check()
+                    document = case.document
+                    if document.airways is None:
+                        msg = f"there is no path to {target.name} without airways; wait for them, or set the root"
+                        raise NoResultError(msg)
+                    if tracked_in is document.airways:
+                        route = tracked.route or document.route
+                        changed = replace(document, targets=(*document.targets, tracked), route=route)
+                        self.core.change(case, f"add {target.name}", changed)
+                        if tracked.snapped_mm is not None and tracked.snapped_mm > 0.05:
+                            words = f"{target.name} was moved {tracked.snapped_mm:.1f} mm to the nearest lumen"
+                            self.core.emit(Said(words))
+                        return
+                    tracked_in = document.airways
+                tracked = tracked_target(tracked_in, target)
+
+        return self.core.jobs.start(f"target {number}", f"finding the path to {target.name}", work)
+
+    @does(c.RemoveTarget)
+    def remove_target(self, command: c.RemoveTarget) -> None:
+        """A route to it goes with it."""
+        target_id = command.target_id
+        case = self.core.needed_case()
+        with self.core.lock:
+            document = case.document
+            target = _needed_target(document, target_id)
+            left = tuple(t for t in document.targets if t.target_id != target_id)
+            route = document.route
+            if route is not None and route.target_id == target_id:
+                route = None
+            self.core.change(case, f"remove {target.name}", replace(document, targets=left, route=route))
+
+    @does(c.ChooseRoute)
+    def choose_route(self, command: c.ChooseRoute) -> None:
+        """The way to a target or to the end of a branch, or none."""
+        target_id, branch_id = command.target_id, command.branch_id
+        case = self.core.needed_case()
+        with self.core.lock:
+            document = case.document
+            route: ChosenRoute | None = None
+            if target_id is not None:
+                target = _needed_target(document, target_id)
+                if target.route is None:
+                    raise NoResultError(f"no path to {target.name}: {target.problem}")
+                route = target.route
+            elif branch_id is not None:
+                if document.airways is None or all(b.id != branch_id for b in document.airways.tree.branches):
+                    raise UsageError(f"the tree has no branch {branch_id}", code="session.branch")
+                route = route_to_branch(document.airways.tree, branch_id)
+            label = "take away the route" if route is None else f"route to {route.title}"
+            self.core.change(case, label, replace(document, route=route))
+
+
+def _needed_target(document: Document, target_id: str) -> Target:
+    for target in document.targets:
+        if target.target_id == target_id:
+            return target
+    raise UsageError("this target is gone", code="session.target")

@@ -1,0 +1,78 @@
+"""Every command has a handler, and its bounds hold for values that were built in Python."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carina import commands as c
+from carina.commands.value import subclasses
+from carina.errors import UsageError
+from carina.session import Session
+from small_case import small_bench
+
+
+def test_every_command_is_done_and_every_question_answered_by_one_method():
+    handlers = small_bench().session._handlers
+    assert set(handlers) == {*c.all_commands(), *subclasses(c.Question)}
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (c.SetFov(30.0), "set_fov.fov_deg must be at least 60; found 30"),
+        (c.SetFov(float("nan")), "fov_deg must be"),
+        (c.SetMask("square"), "set_mask.mask must be none, octagon or round; found 'square'"),
+        (c.Place((1.0, 2.0)), "place.lps must have 3 entries; it has 2"),
+        (c.SetTexture("yes"), "set_texture.on must be true or false; found text"),
+        (c.ChooseRoute("target-1", 3), "names a target and a branch"),
+        (c.EditTree(c.PaintLumen(((0.0, 0.0, 0.0),), 0.01)), "edit_tree.edit.radius_mm must be at least 0.1"),
+        (c.OpenPath(object()), "open_path holds what no command has"),
+    ],
+)
+def test_a_command_out_of_bounds_is_refused_by_the_name_of_its_field_and_changes_nothing(command, words):
+    bench = small_bench()
+    bench.open()
+    before = bench.session.snapshot()
+    with pytest.raises(UsageError) as refused:
+        bench.session.do(command)
+    assert words in str(refused.value)
+    assert bench.session.snapshot() == before
+
+
+def test_numbers_and_points_of_numpy_are_numbers_and_points():
+    bench = small_bench()
+    bench.open()
+    bench.session.do(c.SetFov(np.float32(75.0)))
+    bench.session.do(c.SetCrosshair(bench.session.pose_info().pose.position_lps))
+    assert bench.session.snapshot().document.fov_deg == 75.0
+    assert isinstance(bench.session.snapshot().crosshair_lps, tuple)
+
+
+def test_what_is_no_command_is_refused():
+    bench = small_bench()
+    for other in (c.VoxelAt((0.0, 0.0, 0.0)), "undo", None, c.KeyAdd()):
+        with pytest.raises(UsageError, match="does commands"):
+            bench.session.do(other)
+    with pytest.raises(UsageError, match="answers questions"):
+        bench.session.ask(c.Undo())
+
+
+def test_a_command_shows_itself_in_a_line():
+    assert (
+        repr(c.SetOrbit("tree", 10.0, 5.0, None))
+        == "SetOrbit(view='tree', azimuth_deg=10, elevation_deg=5, distance_mm=None)"
+    )
+    assert repr(c.Undo()) == "Undo()"
+
+
+def test_a_session_has_few_doors():
+    assert len([name for name in vars(Session) if not name.startswith("_")]) <= 15
+
+
+def test_what_can_be_undone_is_listed():
+    bench = small_bench()
+    bench.open()
+    bench.session.do(c.SetShading(on=False))
+    bench.session.do(c.SetTexture(on=False))
+    assert bench.session.history()[-2:] == ("shading", "fine texture")
