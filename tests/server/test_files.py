@@ -84,9 +84,7 @@ def test_a_file_does_not_stay_when_the_server_ends_while_it_is_made(tmp_path, mo
         return path
 
     async def ends_meanwhile():
-        answering = asyncio.create_task(
-            Downloads(SimpleNamespace(airways_to_take_away=lambda: (1, 2)), export).answer(".stl")
-        )
+        answering = asyncio.create_task(Downloads(SimpleNamespace(ask=lambda _question: (1, 2)), export).answer(".stl"))
         await asyncio.to_thread(begun.wait, WAIT_S)
         answering.cancel()
         with pytest.raises(asyncio.CancelledError):
