@@ -14,7 +14,9 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from carina.version import VERSION
+
+__version__ = VERSION
 
 if TYPE_CHECKING:
     from carina.errors import CarinaError, NoResultError, UsageError, VolumeImportError
@@ -23,12 +25,14 @@ if TYPE_CHECKING:
     from carina.phantom import generate_phantom, write_phantom
     from carina.render import Renderer, TransferFunction, render_surface, render_view, transfer_preset
     from carina.scopes import Pose, ScopeDrive, WallField
+    from carina.session import Case
     from carina.track import Airways, AirwayTree, edit_airways, find_airways, track_paths, wall_field
     from carina.volume import Volume, demo_patient, inspect_path, open_mask, open_volume
 
 _HOME = {
     "AirwayTree": "track",
     "Airways": "track",
+    "Case": "session",
     "CarinaError": "errors",
     "FlightPath": "navigate",
     "Navigator": "navigate",
@@ -64,6 +68,7 @@ __all__ = [
     "AirwayTree",
     "Airways",
     "CarinaError",
+    "Case",
     "FlightPath",
     "Navigator",
     "NoResultError",

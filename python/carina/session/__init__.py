@@ -3,6 +3,7 @@
 from carina.session.core import Event
 from carina.session.jobs import JobEnded, JobProgress, log_fault
 from carina.session.parts import Parts, RendererFactory, default_parts
+from carina.session.public import Case
 from carina.session.recent import LocalStore, RecentCase
 from carina.session.routes import ChosenRoute
 from carina.session.scene import Carm, Orbit, Reformation, Renderer, Scene, Zoom
@@ -21,6 +22,7 @@ from carina.session.snapshot import (
 
 __all__ = [
     "Carm",
+    "Case",
     "Changed",
     "ChosenRoute",
     "Event",

@@ -192,8 +192,8 @@ class JobRunner:
             if not kinds or job.kind in kinds:
                 job.stop()
 
-    def wait_idle(self, timeout_s: float) -> bool:
-        """Wait until no job runs; False after ``timeout_s``."""
+    def wait_idle(self, timeout_s: float | None) -> bool:
+        """Wait until no job runs; False after ``timeout_s``, None waits as long as it takes."""
         with self._idle:
             return self._idle.wait_for(lambda: not self._jobs, timeout_s)
 

@@ -15,6 +15,7 @@ from carina.session.flying import view_words
 from carina.session.holding import ScopeHolding
 from carina.session.snapshot import Said, Trouble
 from carina.session.subject import Subject, does
+from carina.version import VERSION
 
 __all__ = ["FlightRecording"]
 
@@ -46,7 +47,6 @@ class FlightRecording(Subject):
         CarinaError
             ``machine``: if the file cannot be written.
         """
-        import carina
 
         path = Path(command.path)
         case = self.core.needed_case()
@@ -64,7 +64,7 @@ class FlightRecording(Subject):
                     case.pilot,
                     file,
                     case=key,
-                    carina=carina.__version__,
+                    carina=VERSION,
                     now_s=self.core.clock(),
                     view=view_words(case.document),
                     on_end=self._ended,

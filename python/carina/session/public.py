@@ -1,0 +1,194 @@
+"""The public door to a case: open it, do commands, undo them, look at it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, TypeVar
+
+from carina.commands import Command, OpenPath, OpenVolume, Question
+from carina.errors import CarinaError, NoResultError, UsageError
+from carina.session.jobs import JobEnded
+from carina.session.session import Session
+from carina.session.snapshot import Snapshot
+from carina.volume import Volume
+
+if TYPE_CHECKING:
+    from carina.render import Picture
+    from carina.scopes import Pose
+    from carina.session.core import Event
+    from carina.track import Airways
+
+__all__ = ["Case"]
+
+A = TypeVar("A")
+
+
+class Case:
+    """An open chest CT with its airways: what a person decided about it can be undone, and pictures show it.
+
+    What can be done are the commands of :mod:`carina.commands`, the same that the window sends;
+    ``help(carina.commands)`` lists them. Each is done before :meth:`do` returns, also where it takes a while.
+
+    Examples
+    --------
+    >>> import carina
+    >>> from carina.commands import ChooseRoute, GoTo, SetTexture
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> with carina.Case.open(phantom.volume) as case:
+    ...     case.do(SetTexture(on=False))
+    ...     case.do(ChooseRoute(branch_id=case.airways.tree.tips()[0].id))
+    ...     case.do(GoTo(path_mm=40.0))
+    ...     case.history()[0], case.render(width=64, height=48).rgb.shape
+    ('fine texture', (48, 64, 3))
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._failed: list[CarinaError] = []
+        self._unsubscribe = session.subscribe(self._note)
+
+    @classmethod
+    def open(cls, source: str | Path | Volume) -> Case:
+        """Open a CT and find its airways.
+
+        Parameters
+        ----------
+        source
+            A file, a folder, or a volume that is open already.
+
+        Raises
+        ------
+        VolumeImportError
+            If the CT is refused.
+        """
+        from carina.render import Renderer
+
+        if not isinstance(source, str | Path | Volume):
+            found = type(source).__name__
+            raise UsageError(f"Case.open: source: expected str, Path or Volume; found {found}; name a folder or a file")
+        case = cls(Session(lambda volume, transfer: Renderer(volume, transfer=transfer)))
+        try:
+            case.do(OpenVolume(source) if isinstance(source, Volume) else OpenPath(str(source)))
+        except BaseException:
+            case.close()
+            raise
+        return case
+
+    def __enter__(self) -> Case:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        snapshot = self._session.snapshot()
+        if snapshot.case is None:
+            return "Case(closed)"
+        return f"Case({snapshot.case.volume.source.title!r}, airways {snapshot.airways}, {len(self.history())} changes)"
+
+    # ------------------------------------------------------------ doing
+
+    def do(self, command: Command) -> None:
+        """Do a command, and wait for what goes on with it.
+
+        Raises
+        ------
+        UsageError
+            If a field is out of its bounds, or what it names is not there. Nothing is changed then.
+        CarinaError
+            As what goes on with it ends: ``NoResultError`` where there is no path, and so on.
+        """
+        self._failed.clear()
+        self._session.do(command)
+        self._session.jobs.wait_idle(None)
+        if self._failed:
+            raise self._failed[0]
+
+    def ask(self, question: Question[A]) -> A:
+        """Answer a question of :mod:`carina.commands.questions`; nothing changes."""
+        return self._session.ask(question)
+
+    def undo(self) -> None:
+        """Take back the last change; nothing where there is none."""
+        self._session.undo()
+        self._session.jobs.wait_idle(None)
+
+    def redo(self) -> None:
+        """Do the last change taken back again; nothing where there is none."""
+        self._session.redo()
+        self._session.jobs.wait_idle(None)
+
+    def history(self) -> tuple[str, ...]:
+        """What can be taken back, in words, the oldest first."""
+        return self._session.history()
+
+    def close(self) -> None:
+        """Stop what runs and give the memory back."""
+        self._unsubscribe()
+        self._session.close()
+
+    # ------------------------------------------------------------ looking
+
+    @property
+    def state(self) -> Snapshot:
+        """All that was decided and is shown, but the pose; it does not change any more."""
+        return self._session.snapshot()
+
+    @property
+    def volume(self) -> Volume:
+        """The CT."""
+        case = self._session.snapshot().case
+        if case is None:
+            raise UsageError("no case is open", code="session.no-case")
+        return case.volume
+
+    @property
+    def airways(self) -> Airways:
+        """The airways as they are now; NoResultError where none were found."""
+        document = self._session.snapshot().document
+        if document is None or document.airways is None:
+            raise NoResultError("this case has no airways: set the root, or take a mask", code="track.no-airways")
+        return document.airways
+
+    @property
+    def pose(self) -> Pose:
+        """Where the tip is."""
+        info = self._session.pose_info()
+        if info is None:
+            raise UsageError("no case is open", code="session.no-case")
+        return info.pose
+
+    def render(self, view: str = "airway", *, width: int = 512, height: int = 512) -> Picture:
+        """A picture of a view as the window shows it.
+
+        Parameters
+        ----------
+        view
+            Such as ``airway``, ``axial`` or ``tree``.
+        width, height
+            Of the picture, in pixels.
+
+        Raises
+        ------
+        UsageError
+            If no view is called so.
+        NoResultError
+            If the view needs airways or a route, and there are none.
+        """
+        from carina.render import view_row
+
+        row = view_row(view)
+        scene = self._session.scene()
+        if scene is None:
+            raise UsageError("no case is open", code="session.no-case")
+        if not scene.has(row.needs):
+            raise NoResultError(f"the view {view} needs {' and '.join(row.needs)}, which this case has not yet")
+        picture: Picture = scene.renderer.render(scene.spec(row.name, width, height, 0.5))
+        return picture
+
+    def _note(self, event: Event) -> None:
+        if isinstance(event, JobEnded) and event.error is not None:
+            self._failed.append(event.error)
