@@ -135,7 +135,7 @@ def test_slabs_change_slices_and_views_along_the_route_and_nothing_else():
     changed = {view for view in views if after[view] != before[view]}
     assert changed == {"axial", "coronal", "sagittal", "straightened", "curved"}
     assert session.scene().spec("coronal", 40, 40, 0.5).slab == Slab(10.0, "min")
-    session.do(SetSlab(0.0))
+    session.do(SetSlab(0.0, "min"))
     assert keys(session, views) == before
 
 
