@@ -1,0 +1,250 @@
+"""Make the pictures of the window that the README shows, and the start page's, in a real browser.
+
+Run after a visible change: ``.venv/bin/python tools/make_pictures.py``, then look at every picture before a commit.
+Each picture of the window carries a stamp, in a comment that no viewer shows: what stands where in the window, in which
+colours. ``tests/e2e/test_pictures.py`` compares it with the window of today. Pictures show the bundled CC BY case or
+the phantom only, never another patient. (The gallery's pictures are golden images of ``examples/02_gallery``, and those
+of ``docs/cluster.md`` come from ``carina bench cluster``.)
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+import sys
+import tempfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [path for path in (str(ROOT / "tests" / "e2e"), str(ROOT / "tools")) if path not in sys.path]
+
+from playwright.sync_api import sync_playwright  # noqa: E402
+from server_process import Host  # noqa: E402
+from workstation import FLAGS, Workstation, open_page  # noqa: E402
+
+from find_browser import find_browser  # noqa: E402
+
+COMMAND = ".venv/bin/python tools/make_pictures.py"
+MAX_BYTES = 400_000
+QUALITY = 90
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A picture of the whole window."""
+
+    path: str
+    """Below the repository."""
+    case: str
+    ahead_mm: float
+    """How far before the route's first fork the tip stands."""
+
+
+SHOTS = (Shot("docs/pictures/workstation-patient.jpg", "patient", 25.0),)
+
+# The start page shows each bundled case as the tip sees its carina.
+DEMOS = ("phantom", "patient")
+DEMO_SIZE = (392, 294)
+DEMO_MAX_BYTES = 60_000
+# The middle of the airway view's picture, inside its round edge, scaled into the card.
+CARD = """([width, height]) => {
+    const from = document.querySelector('canvas[data-view=airway]');
+    const card = document.createElement('canvas');
+    card.width = width;
+    card.height = height;
+    const w = 0.72 * from.width, h = w * height / width;
+    const context = card.getContext('2d');
+    context.imageSmoothingQuality = 'high';
+    context.drawImage(from, (from.width - w) / 2, (from.height - h) / 2, w, h, 0, 0, width, height);
+    return card.toDataURL('image/jpeg', 0.86).split(',')[1];
+}"""
+
+# Everything in sight that a person reads or presses. Numbers that stand alone (not RB10) are left out: they are
+# measured, and their last digit may differ from one processor to the next. So is the status bar, which tells of this
+# machine.
+PARTS = """() => {
+    const withoutNumbers = (words) => words.replace(/(?<![A-Za-z\\d+.])\\d+(\\.\\d+)?/g, '#');
+    const inSight = (element) => {
+        const box = element.getBoundingClientRect();
+        let [left, top, right, bottom] = [box.left, box.top, box.right, box.bottom];
+        for (let outer = element.parentElement; outer !== null; outer = outer.parentElement) {
+            if (getComputedStyle(outer).overflow === 'visible') continue;
+            const clip = outer.getBoundingClientRect();
+            [left, top] = [Math.max(left, clip.left), Math.max(top, clip.top)];
+            [right, bottom] = [Math.min(right, clip.right), Math.min(bottom, clip.bottom)];
+        }
+        // Half of it: a row that is cut at the list's end may be so by one pixel more or less.
+        return right - left > box.width / 2 && bottom - top > box.height / 2 && box.width > 1 && box.height > 1;
+    };
+    const parts = [];
+    for (const element of document.querySelectorAll('body *')) {
+        const icon = element instanceof SVGSVGElement;
+        if (!icon && !(element instanceof HTMLElement)) continue;
+        const own = [...element.childNodes].filter((node) => node.nodeType === Node.TEXT_NODE);
+        const text = icon ? '' : withoutNumbers(own.map((node) => node.data).join(' ').trim());
+        const kind = icon ? 'icon' : element.dataset.view ?? element.getAttribute('role') ?? element.localName;
+        const speaks = text !== '' || icon || ['canvas', 'button', 'input', 'select'].includes(element.localName);
+        if (!speaks || element.closest('.status-bar') || element.dataset.overlay) continue;
+        if (!element.checkVisibility({opacityProperty: true, visibilityProperty: true}) || !inSight(element)) continue;
+        const { x, y, width, height } = element.getBoundingClientRect();
+        const { color, backgroundColor, fontSize, fontWeight } = getComputedStyle(element);
+        const drawn = icon ? element.innerHTML.length : 0;
+        const label = withoutNumbers(element.getAttribute('aria-label') ?? '');
+        parts.push({
+            what: [kind, text || label, drawn || ''].join(' ').trim(),
+            look: [color, backgroundColor, fontSize, fontWeight].join(' '),
+            box: [x, y, width, height].map(Math.round),
+        });
+    }
+    return parts;
+}"""
+# Which fonts a machine has decides how wide its words are.
+FONT = """() => {
+    const context = document.createElement('canvas').getContext('2d');
+    context.font = `100px ${getComputedStyle(document.body).fontFamily}`;
+    return Math.round(context.measureText('Left lower lobe 0123456789').width);
+}"""
+# A box may be wider by a digit, a colour of a picture's sixteenth by rounding.
+BOX_TOLERANCE_PX = 12
+COLOUR_TOLERANCE = 10
+
+
+def at_rest(station: Workstation, shot: Shot) -> None:
+    """Lead a fresh window of the shot's case to what the picture shows, and wait for its last picture."""
+    station.wait_ready()
+    station.go_to(station.state("route.spans[0].to_mm") - shot.ahead_mm)
+    wait_pictures(station)
+
+
+def wait_pictures(station: Workstation) -> None:
+    """Wait until every view is at rest, the small ones, which follow the tip later, too."""
+    station.wait_still()
+    before = None
+    while True:
+        for view in station.shown_views():
+            station.wait_picture(view)
+        frames = [station.frame(view)["frame_id"] for view in station.shown_views()]
+        if frames == before:
+            return
+        before = frames
+        station.settle()
+
+
+def stamp_of(station: Workstation) -> dict[str, Any]:
+    """What the window shows now: its parts, and each view's colours on a grid of 4 x 4."""
+    page = station.page
+    colours = {view: coarse(station.pixels(view)) for view in station.shown_views()}
+    return {"font": page.evaluate(FONT), "parts": page.evaluate(PARTS), "colours": colours}
+
+
+def coarse(pixels: list[int]) -> list[int]:
+    """Means of red, green and blue over 8 x 8 pixels of a 32 x 32 RGBA picture."""
+    cells = [(row, column) for row in range(4) for column in range(4)]
+    inner = [(y, x) for y in range(8) for x in range(8)]
+    return [
+        round(sum(pixels[4 * (32 * (8 * row + y) + 8 * column + x) + channel] for y, x in inner) / 64)
+        for row, column in cells
+        for channel in range(3)
+    ]
+
+
+def changes(then: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """What a person would see changed between two stamps, a line for each; empty where the picture still holds."""
+    lines = []
+    old, new = ([(part["what"], part["look"]) for part in stamp["parts"]] for stamp in (then, now))
+    if old != new:
+        lines += [f"gone: {what} ({look})" for what, look in old if (what, look) not in new]
+        lines += [f"new: {what} ({look})" for what, look in new if (what, look) not in old]
+        return lines or ["the parts of the window stand in another order or number"]
+    if then["font"] == now["font"]:
+        for was, part in zip(then["parts"], now["parts"], strict=True):
+            if max(abs(a - b) for a, b in zip(was["box"], part["box"], strict=True)) > BOX_TOLERANCE_PX:
+                lines.append(f"moved: {part['what']}, from {was['box']} to {part['box']}")
+    if set(then["colours"]) != set(now["colours"]):
+        return [*lines, f"views: {sorted(then['colours'])} before, {sorted(now['colours'])} now"]
+    for view, seen in now["colours"].items():
+        most = max(abs(a - b) for a, b in zip(then["colours"][view], seen, strict=True))
+        if most > COLOUR_TOLERANCE:
+            lines.append(f"the picture of the view {view!r} differs by {most} of 255 in places")
+    return lines
+
+
+# A JPEG begins with segments: 0xFF, a kind, a length that counts itself, data (ITU-T T.81, B.1.1.4; comments B.2.4.5).
+START_OF_SCAN, COMMENT = 0xDA, 0xFE
+KEYWORD = b"Carina window\0"
+
+
+def segments(jpeg: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Kind, place and data of each segment before the pixels."""
+    at = 2
+    while jpeg[at + 1] != START_OF_SCAN:
+        (size,) = struct.unpack_from(">H", jpeg, at + 2)
+        yield jpeg[at + 1], at, jpeg[at + 4 : at + 2 + size]
+        at += 2 + size
+
+
+def with_stamp(jpeg: bytes, stamp: dict[str, Any]) -> bytes:
+    """The picture with its stamp as a comment, behind the header (JFIF wants to be first)."""
+    data = KEYWORD + zlib.compress(json.dumps(stamp, separators=(",", ":")).encode(), 9)
+    _, at, header = next(segments(jpeg))
+    end = at + 4 + len(header)
+    return jpeg[:end] + struct.pack(">BBH", 0xFF, COMMENT, len(data) + 2) + data + jpeg[end:]
+
+
+def stamp_in(jpeg: bytes) -> dict[str, Any] | None:
+    """The stamp of a picture; None where it has none."""
+    for kind, _, data in segments(jpeg):
+        if kind == COMMENT and data.startswith(KEYWORD):
+            stamp: dict[str, Any] = json.loads(zlib.decompress(data[len(KEYWORD) :]))
+            return stamp
+    return None
+
+
+def save(path: Path, data: bytes, max_bytes: int) -> None:
+    """Write a picture that is not too heavy for a page."""
+    if len(data) > max_bytes:
+        sys.exit(f"{path} would take {len(data)} bytes, more than {max_bytes}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
+    print(path.relative_to(ROOT), len(data))
+
+
+def main() -> int:
+    """Write the pictures of ``SHOTS`` and ``web/public/demo-*.jpg``."""
+    browser_path = find_browser()
+    if browser_path is None:
+        sys.exit("no Chromium or Chrome found")
+    with sync_playwright() as playwright, tempfile.TemporaryDirectory() as home:
+        browser = playwright.chromium.launch(executable_path=browser_path, args=FLAGS)
+        host = Host(Path(home))
+        for shot in SHOTS:
+            server = host.open(demo=shot.case)
+            station = open_page(browser)
+            station.open(server)
+            at_rest(station, shot)
+            jpeg = station.page.screenshot(type="jpeg", quality=QUALITY)
+            save(ROOT / shot.path, with_stamp(jpeg, stamp_of(station)), MAX_BYTES)
+            station.page.context.close()
+            host.close(server)
+        for case in DEMOS:
+            server = host.open(demo=case)
+            station = open_page(browser)
+            station.open(server)
+            station.wait_ready()
+            station.go_to(station.state("route.lookouts_mm[0]"))
+            station.wait_still()
+            card = base64.b64decode(station.page.evaluate(CARD, DEMO_SIZE))
+            save(ROOT / "web" / "public" / f"demo-{case}.jpg", card, DEMO_MAX_BYTES)
+            station.page.context.close()
+            host.close(server)
+        browser.close()
+        return host.end()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
