@@ -63,7 +63,7 @@ WORKERS ?= $(shell $(PY) -c 'import os; print(min((os.cpu_count() or 1) + 1, 4))
 
 test-python: $(STAMP) $(CLUSTER_STAMP)
 	$(PY) tools/find_browser.py --install
-	$(PY) -m pytest -m "not soak" -n $(WORKERS) --dist loadgroup -ra --durations=25
+	$(PY) -m pytest -m "not soak" -n $(WORKERS) --dist loadscope --no-loadscope-reorder -ra --durations=25
 
 # Not part of `make test`: wgpu is a large build, and most machines that test have no adapter. Here a missing one is a
 # failure, and the software one of Mesa (lavapipe) is enough. The Python tests take the wheel, as people get it.
