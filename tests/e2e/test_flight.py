@@ -169,6 +169,7 @@ def test_a_long_refusal_can_be_read_to_its_end(server, workstation):
 def test_the_airways_are_taken_away_as_a_file(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
+    workstation.wait_for("() => window.__carina.state.tree !== null")
     page = workstation.page
     page.get_by_role("button", name="Share", exact=True).click()
     with page.expect_download() as waiting:

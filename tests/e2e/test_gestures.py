@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import ExitStack
 
 import pytest
@@ -248,32 +249,35 @@ def test_enter_in_a_slice_uses_the_tool_at_the_crosshair_also_on_the_branch_ther
 def test_a_double_tap_is_told_from_two_taps_by_finger_and_pen_too(ready, by):
     client = ready.page.context.new_cdp_session(ready.page)
 
-    def tap(x, y):
+    def tap(x, y, at_s):
+        # Stamped: between two calls a busy machine may take longer than a hand between two taps.
         if by == "touch":
-            client.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
-            client.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+            points = [{"x": x, "y": y}]
+            client.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": points, "timestamp": at_s})
+            client.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": [], "timestamp": at_s + 0.02})
             return
-        for kind in ("mousePressed", "mouseReleased"):
-            client.send(
-                "Input.dispatchMouseEvent",
-                {"type": kind, "x": x, "y": y, "button": "left", "clickCount": 1, "pointerType": "pen"},
-            )
+        for kind, after_s in (("mousePressed", 0.0), ("mouseReleased", 0.02)):
+            event = {"type": kind, "x": x, "y": y, "button": "left", "clickCount": 1, "pointerType": "pen"}
+            client.send("Input.dispatchMouseEvent", {**event, "timestamp": at_s + after_s})
+
+    def tap_twice(first, second):
+        at_s = time.time()
+        tap(*first, at_s)
+        tap(*second, at_s + 0.1)
 
     x, y = middle_of(ready, "axial")
     arm(ready, "add")
-    tap(x, y)
-    tap(x + 5, y)
+    tap_twice((x, y), (x + 5, y))
     ready.settle()
     assert len(deeds(ready)) == 1
     assert ready.state("ui.full") is None
     # Elsewhere it is another click, however soon it comes.
-    tap(x + 60, y)
+    tap(x + 60, y, time.time())
     ready.settle()
     assert len(deeds(ready)) == 1
     put_away(ready)
     before = ready.page.evaluate(CHOSEN)
-    tap(x, y)
-    tap(x, y + 5)
+    tap_twice((x, y), (x, y + 5))
     ready.wait_for("() => window.__carina.state.ui.full === 'axial'")
     ready.settle()
     assert ready.page.evaluate(CHOSEN) == before
