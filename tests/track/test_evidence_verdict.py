@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from carina.track import evidence_verdict as verdict
@@ -52,6 +52,12 @@ def tube(num=40, **changes):
 def one_by_one(sections, lung, start):
     """The rule, section by section, in HU."""
     found = []
+    radii = [
+        max(radius, 3.0) if rise < lung.rise and closed > lung.far_rise and own < -930.0 else radius
+        for radius, rise, closed, own in zip(
+            sections.radius_mm, sections.rise, sections.far_closed, sections.own, strict=True
+        )
+    ]
     for n, at in enumerate(sections.at_mm):
         is_beyond = start is None or at >= min(start.inside_mm, sections.at_mm[-1] - verdict.STEP_MM)
         first = next(
@@ -78,14 +84,14 @@ def one_by_one(sections, lung, start):
         if start is not None:
             mouth = [
                 radius
-                for mm, radius in zip(sections.at_mm[:first], sections.radius_mm[:first], strict=True)
+                for mm, radius in zip(sections.at_mm[:first], radii[:first], strict=True)
                 if mm > start.inside_mm - verdict.MOUTH_MM
             ]
             wide = max([start.radius_mm, *mouth])
-            gain += verdict.WIDER * between(sections.radius_mm[n] / wide - verdict.AS_WIDE, 0.0, verdict.MOST_WIDER)
+            gain += verdict.WIDER * between(radii[n] / wide - verdict.AS_WIDE, 0.0, verdict.MOST_WIDER)
         gain += verdict.BEND * sections.bend[n]
-        gain += verdict.UNEVEN * np.std(sections.radius_mm[max(0, n - 5) : n + 6])
-        gain += verdict.GAP * between((sections.radius_mm[n] - 1.0) * (own + 980.0) / 100.0, 0.0, verdict.MOST_GAP)
+        gain += verdict.UNEVEN * np.std(radii[max(0, n - 5) : n + 6])
+        gain += verdict.GAP * between((radii[n] - 1.0) * (own + 980.0) / 100.0, 0.0, verdict.MOST_GAP)
         found.append(gain)
     return np.array(found)
 
@@ -103,6 +109,8 @@ def test_more_wall_never_makes_a_section_more_doubtful(seed, num, raised):
     walls = ("rise", "far_rise", "closed", "far_closed")
     fields = {name: getattr(sections, name) for name in Sections.__slots__}
     more = Sections(**{name: value + raised * (name in walls) for name, value in fields.items()})
+    # A lumen that is wide has no radius to be measured; one that is not has.
+    assume(np.array_equal(verdict._radii(sections, LUNG, HU), verdict._radii(more, LUNG, HU)))
     assert (gains(more, LUNG, HU) >= gains(sections, LUNG, HU) - 1e-9).all()
     assert not (doubtful_sections(more, LUNG, HU) & ~doubtful_sections(sections, LUNG, HU)).any()
 
@@ -151,6 +159,19 @@ def test_beyond_a_wall_that_was_stepped_over_all_is_doubtful_from_its_top():
     own[10:14] = [-800.0, -600.0, -600.0, -800.0]
     found = doubtful_sections(tube(own=own), LUNG, HU)
     assert found[11:].all()
+
+
+def test_a_main_bronchus_is_evident_although_its_walls_lie_beyond_the_reach_of_the_radius():
+    noise = np.random.default_rng(3)
+    wide = tube(
+        own=-985.0 + noise.normal(0.0, 5.0, 40),
+        rise=np.abs(noise.normal(0.0, 3.0, 40)),
+        closed=0.0,
+        far_rise=900.0,
+        far_closed=850.0,
+        radius_mm=noise.choice([0.0, 3.15], 40),
+    )
+    assert not doubtful_sections(wide, LUNG, HU, Start(0.0, 5.5, np.array([0.0, 0.0, 1.0]))).any()
 
 
 def test_a_middle_as_bright_as_tissue_is_no_lumen():

@@ -49,6 +49,11 @@ GAP, THREAD_MM, AIR_HU, GAP_HU, MOST_GAP = -1.1, 1.0, -980.0, 100.0, 3.0
 
 WALL_DROP_HU = 350.0
 """A way that rises and falls by more has stepped over a wall: whatever lies beyond, it is not connected so."""
+NEAR_MM = 3.0
+"""How far the nearer walls are looked for, and the radius with them."""
+WIDE_HU = -930.0
+"""A middle darker than this, with walls all round but none so near, is a lumen too wide for that: what rises within
+``NEAR_MM`` is noise, and so would a radius be that is measured from it."""
 NO_LUMEN_HU, NO_LUMEN = -450.0, -100.0
 """A middle that is brighter over 2.5 mm is no lumen, whatever lies before and after."""
 MOUTH_MM = 4.0
@@ -77,7 +82,7 @@ class Sections:
     around: Values
     """(n,) value of what lies farther out."""
     radius_mm: Values
-    """(n,) median distance of the sides to half of their rise."""
+    """(n,) median distance of the sides to half of their rise within 3 mm."""
     bend: Values
     """(n,) 1 less the cosine between the directions of the 3 mm before and after."""
 
@@ -132,17 +137,18 @@ def gains(sections: Sections, lung: Lung, scale: AirScale, start: Start | None =
     """(n,) how much each section speaks for an airway: above 0 for, below against; log odds, moved by ``BASE``."""
     gain = BASE + _walls(sections, lung)
     mine = _beyond(sections, start)
+    radius_mm = _radii(sections, lung, scale)
     own = np.where(mine, sections.own, -np.inf)
     drop = np.where(mine, np.maximum.accumulate(own) - sections.own, 0.0)
     gain += DROP * np.clip(drop / scale.span(DROP_HU), 0.0, MOST_DROP)
     if start is not None:
         mouth = ~mine & (sections.at_mm > start.inside_mm - MOUTH_MM)
-        left_mm = max(start.radius_mm, float(sections.radius_mm[mouth].max(initial=0.0)), STEP_MM)
-        gain += WIDER * np.clip(sections.radius_mm / left_mm - AS_WIDE, 0.0, MOST_WIDER)
+        left_mm = max(start.radius_mm, float(radius_mm[mouth].max(initial=0.0)), STEP_MM)
+        gain += WIDER * np.clip(radius_mm / left_mm - AS_WIDE, 0.0, MOST_WIDER)
     gain += BEND * sections.bend
-    gain += UNEVEN * _spread(sections.radius_mm, UNEVEN_OVER)
+    gain += UNEVEN * _spread(radius_mm, UNEVEN_OVER)
     too_bright = (sections.own - scale.level(AIR_HU)) / scale.span(GAP_HU)
-    gain += GAP * np.clip((sections.radius_mm - THREAD_MM) * too_bright, 0.0, MOST_GAP)
+    gain += GAP * np.clip((radius_mm - THREAD_MM) * too_bright, 0.0, MOST_GAP)
     return np.asarray(np.where(sections.own > scale.level(NO_LUMEN_HU), NO_LUMEN, gain))
 
 
@@ -168,6 +174,12 @@ def _walls(sections: Sections, lung: Lung) -> Values:
     gain += CLOSED * np.clip((sections.closed + over) / lung.rise, *CLOSED_LIMITS)
     gain += FAR_CLOSED * np.clip((sections.far_closed + over) / lung.far_rise, *CLOSED_LIMITS)
     return np.asarray(gain)
+
+
+def _radii(sections: Sections, lung: Lung, scale: AirScale) -> Values:
+    """(n,) the radius of each section, ``NEAR_MM`` where the lumen is wider."""
+    wide = (sections.rise < lung.rise) & (sections.far_closed > lung.far_rise) & (sections.own < scale.level(WIDE_HU))
+    return np.where(wide, np.maximum(sections.radius_mm, NEAR_MM), sections.radius_mm)
 
 
 def _beyond(sections: Sections, start: Start | None) -> NDArray[np.bool_]:
