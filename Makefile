@@ -86,10 +86,12 @@ soak: $(STAMP) $(CLUSTER_STAMP) ## what runs for minutes: 20,000 poses against t
 
 check: check-rust check-python check-web ## formatting, lints, types, layers, lock file, spelling, licences, advisories
 
-# One profile for all crates: a second one would compile every dependency again, and find nothing else.
+# One profile for all crates: a second one would compile every dependency again, and find nothing else. GPU support is
+# in the wheel alone: linted here, since no other build would notice that it is broken.
 check-rust:
 	cargo fmt --all --check
 	cargo clippy --profile checked --workspace --all-targets -- -D warnings
+	cargo clippy --profile checked -p carina-bindings -p carina-gpu --features carina-bindings/gpu,carina-gpu/wgpu -- -D warnings
 
 check-web: web/node_modules/.package-lock.json
 	cd web && npm run check

@@ -9,7 +9,7 @@ use carina_raycast::{
 use crate::{
     Gpu, GpuError, GpuMap, GpuVolume,
     device::{PATIENCE, Variant, lock},
-    slot::Slot,
+    resources::Slot,
     uniforms::Uniforms,
 };
 
