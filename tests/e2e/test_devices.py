@@ -129,9 +129,17 @@ def test_a_spacemouse_and_a_handle_at_usb_fly_are_pulled_out_and_come_back(serve
     page.wait_for_function("() => window.testHid.mouse.opened")
 
     def push_the_cap() -> None:
+        # As a real one, it reports for as long as it is pushed: one that is silent for 250 ms has let go.
         before = workstation.state("pose.pose_id")
-        hid_report(workstation, "mouse", 1, struct.pack("<3h", 0, 350, 0))
-        page.wait_for_function(f"() => window.__carina.state.pose.pose_id > {before + 5}")
+        page.evaluate(
+            """async ([pushed, last]) => {
+                while (window.__carina.state.pose.pose_id <= last) {
+                    window.testHid.mouse.report(1, pushed);
+                    await new Promise((done) => setTimeout(done, 20));
+                }
+            }""",
+            [list(struct.pack("<3h", 0, 350, 0)), before + 5],
+        )
         hid_report(workstation, "mouse", 1, struct.pack("<3h", 0, 0, 0))
         workstation.wait_still()
 
