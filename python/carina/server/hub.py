@@ -267,11 +267,13 @@ class Hub:
             self._writing_tree = asyncio.get_running_loop().create_task(self._write_tree())
 
     async def _write_tree(self) -> None:
+        is_written = False
         try:
             # What is marked meanwhile may be of a newer tree.
             known = None
             while known != (known := await asyncio.to_thread(self._tree_text)):
                 pass
+            is_written = True
         except Exception as trouble:
             log_fault(logger, "the airway tree could not be written for the window", trouble)
             words = f"the airway tree cannot be shown, by a fault of Carina ({type(trouble).__name__})"
@@ -279,7 +281,10 @@ class Hub:
         finally:
             self._writing_tree = None
             waits, self._after_tree = self._after_tree, set()
-            if self._outbox is not None:
+            if self._outbox is not None and is_written:
+                # A tree may have come since the last look: it is written, too, before a route through it goes.
+                self._mark(self._outbox, *waits)
+            elif self._outbox is not None:
                 self._outbox.mark(*waits)
 
     def _cached(self, topic: str, message: Callable[[], Any], *values: object) -> str:
