@@ -7,13 +7,14 @@ Run: ``python tools/check_layers.py`` (part of ``make check``).
 from __future__ import annotations
 
 import ast
+import graphlib
 import re
 import sys
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
-from file_graph import all_imports, circles, in_words
+from file_graph import Import, all_imports, circles, in_words
 
 ROOT = Path(__file__).resolve().parent.parent
 # A clock as well: state is given the time.
@@ -33,10 +34,12 @@ class Rules:
     """Python parts that may import the compiled module."""
     everywhere: frozenset[str]
     """Python parts that all may import."""
+    rooms: dict[str, dict[str, frozenset[str]]]
+    """Of a Python part whose folders have an order of their own: who may import whom inside it."""
 
 
 def read_rules(text: str) -> Rules:
-    """Read the three fenced ``layers`` blocks of ARCHITECTURE.md."""
+    """Read the fenced ``layers`` blocks of ARCHITECTURE.md: three of the parts, and one for each part with rooms."""
     blocks = dict(re.findall(r"```layers (\w+)\n(.*?)```", text, flags=re.DOTALL))
     missing = {"rust", "python", "web"} - blocks.keys()
     if missing:
@@ -56,6 +59,7 @@ def read_rules(text: str) -> Rules:
         web=table(blocks["web"]),
         compiled=python["(compiled module)"],
         everywhere=python["(everywhere)"],
+        rooms={part: table(block) for part, block in blocks.items() if part not in {"rust", "python", "web"}},
     )
 
 
@@ -124,6 +128,32 @@ def check_python(rules: Rules) -> list[str]:
     return found
 
 
+def check_rooms(rooms: dict[str, dict[str, frozenset[str]]], imports: list[Import]) -> list[str]:
+    """Imports between the rooms of a Python part: its folders, and the files beside them."""
+    found = []
+    for part, rules in rooms.items():
+        try:
+            graphlib.TopologicalSorter(rules).prepare()
+        except graphlib.CycleError as circle:
+            found.append(f"ARCHITECTURE.md: the rooms of {part} form a circle: {' -> '.join(circle.args[1])}")
+        folder = ROOT / "python" / "carina" / part
+        # The door of the part hands on what its rooms hold.
+        names = {path.stem for path in folder.glob("*.py")} | {path.parent.name for path in folder.glob("*/*.py")}
+        names -= {"__init__", "__main__"}
+        found += [f"python/carina/{part}/{name}: not in ARCHITECTURE.md; add its row" for name in names - rules.keys()]
+        found += [f"ARCHITECTURE.md: python/carina/{part} has no {name}" for name in rules.keys() - names]
+        for one in imports:
+            if not (one.source.is_relative_to(folder) and one.target.is_relative_to(folder)):
+                continue
+            own, used = (path.relative_to(folder).parts[0].removesuffix(".py") for path in (one.source, one.target))
+            if own in {used, "__init__", "__main__"} or used in rules.get(own, frozenset()):
+                continue
+            where = f"{one.source.relative_to(ROOT)}:{one.line}"
+            allowed = sorted(rules.get(own, ()))
+            found.append(f"{where}: {part}.{own} imports {part}.{used}; it may import {allowed or 'no other room'}")
+    return sorted(set(found))
+
+
 def check_web(rules: dict[str, frozenset[str]]) -> list[str]:
     """Imports between the folders of web/src, and no DOM in the pure state."""
     found = []
@@ -155,9 +185,15 @@ def check_web(rules: dict[str, frozenset[str]]) -> list[str]:
 def main() -> int:
     """Print every violation; 1 if there is one."""
     rules = read_rules((ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"))
-    found = [*check_rust(rules.rust), *check_python(rules), *check_web(rules.web)]
+    imports = all_imports()
+    found = [
+        *check_rust(rules.rust),
+        *check_python(rules),
+        *check_rooms(rules.rooms, imports),
+        *check_web(rules.web),
+    ]
     # Files of one part may import each other, but not in a circle: what they share belongs into a file below them.
-    found += [f"circle: {in_words(circle)}" for circle in circles(all_imports())]
+    found += [f"circle: {in_words(circle)}" for circle in circles(imports)]
     for line in found:
         print(line)
     print(

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.track import Airways, branch_way, find_airways
-from carina.track.edit_tree import along_mm
-from carina.track.tree import Branch
+from carina.track.edit.tree import along_mm
+from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume
 
 __all__ = ["lung_points", "missed_points", "removed_branches", "shows_lumen", "taken"]

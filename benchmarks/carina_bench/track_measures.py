@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from carina.phantom import Phantom, generate_phantom
 from carina.track import AirwayTree, Branch, TreeMeasures, find_airways, measure_tree
-from carina.track.measures_forks import angle_deg, run_mm
+from carina.track.measures.forks import angle_deg, run_mm
 
 __all__ = ["Truth", "compared", "run"]
 

@@ -9,7 +9,7 @@ import pytest
 
 from carina.errors import CancelledError, GeometryError, NoResultError, UsageError
 from carina.track import find_airways, lumen_threshold_from_histogram, track_paths
-from carina.track.root_checks import refuse_a_root_below_the_carina
+from carina.track.find.root_checks import refuse_a_root_below_the_carina
 from carina.volume.model import Volume
 
 STORED = [

@@ -10,7 +10,7 @@ from edit_case import edit_case, open_ended_volume
 
 from carina.errors import NoEvidenceError
 from carina.track import AddBranch, Bridge, CutBranch, MoveFork, edit_airways, preview_edit
-from carina.track.edit_preview import new_lines
+from carina.track.edit.preview import new_lines
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ from carina.track import (
     edits_to_json,
     rebuild_airways,
 )
-from carina.track.uncertain import find_uncertain
+from carina.track.tree.uncertain import find_uncertain
 
 
 @pytest.fixture
@@ -220,7 +220,7 @@ def test_bridges_that_cannot_be_are_refused_in_words(case):
 
 
 def test_a_bridge_that_would_be_too_long_is_refused_with_its_length(case, monkeypatch):
-    monkeypatch.setattr("carina.track.edit_lumen.MAX_BRIDGE_MM", 2.0)
+    monkeypatch.setattr("carina.track.edit.lumen.MAX_BRIDGE_MM", 2.0)
     with pytest.raises(NoResultError, match=r"the bridge would be (more than )?\d+ mm long, at most 2 mm are bridged"):
         edited(case, Bridge(point(case.hidden)))
 
@@ -297,7 +297,7 @@ def test_forks_that_cannot_be_moved_are_refused_in_words(case):
 
 @pytest.mark.parametrize(("plane", "axis"), [("axial", 2), ("coronal", 1), ("sagittal", 0)])
 def test_a_disc_is_one_voxel_thick_in_its_plane(case, plane, axis):
-    from carina.track.edit_lumen import painted_voxels
+    from carina.track.edit.lumen import painted_voxels
 
     center = case.volume.to_lps(np.array([16.0, 12.0, 16.0]))
     voxels = painted_voxels(case.volume, PaintLumen((point(center),), 5.0, plane)).astype(np.float64)
@@ -483,7 +483,7 @@ TestEditSequences.settings = settings(max_examples=80, stateful_step_count=8, de
 @pytest.mark.soak
 def test_ten_thousand_random_sequences_equal_the_trees_built_from_scratch(monkeypatch):
     # Names are a function of the tree alone, and would take half of the time.
-    monkeypatch.setattr("carina.track.edits.named_anew", lambda tree: tree)
+    monkeypatch.setattr("carina.track.edit.edits.named_anew", lambda tree: tree)
     for seed in range(10_000):
         editing = run_sequence(seed)
         editing.check(editing.airways)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from carina.track import evidence_verdict as verdict
-from carina.track.evidence_verdict import Lung, Sections, Start, doubtful_sections, gains
+from carina.track.edit import evidence_verdict as verdict
+from carina.track.edit.evidence_verdict import Lung, Sections, Start, doubtful_sections, gains
 from carina.track.levels import AirScale
 
 HU = AirScale(air=-1000.0, tissue=0.0)

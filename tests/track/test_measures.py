@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from carina._core import cast_sections, section_axes
 from carina.errors import CancelledError, UsageError
 from carina.track import AirwayTree, Branch, find_airways, measure_tree
-from carina.track.measures_forks import angle_deg, directions
-from carina.track.measures_summary import healthy_neighbours_mm, stenosis_of
+from carina.track.measures.forks import angle_deg, directions
+from carina.track.measures.summary import healthy_neighbours_mm, stenosis_of
 from carina.volume.model import Volume
 
 
@@ -79,7 +79,7 @@ def test_only_what_changed_is_measured_again(chest, measured, monkeypatch):
         counts.append(len(centers))
         return cast_sections(hu, matrix, centers, *rest, **options)
 
-    monkeypatch.setattr("carina.track.measures.cast_sections", counted)
+    monkeypatch.setattr("carina.track.measures.tree.cast_sections", counted)
     again = measure_tree(chest.volume, airways, previous=measures)
     assert counts == [0]
     assert again.to_json() == measures.to_json()

@@ -14,10 +14,10 @@ from carina.errors import NoResultError
 from carina.export import read_tree, write_tree
 from carina.phantom import generate_phantom
 from carina.track import CutBranch, RenameBranch, edit_airways, fold_airways, track_paths
-from carina.track.kernel import edge_undershoot_hu
+from carina.track.find.kernel import edge_undershoot_hu
+from carina.track.find.totals import doubt_of_totals
 from carina.track.levels import air_scale
-from carina.track.totals import doubt_of_totals
-from carina.track.tree import Branch
+from carina.track.tree.airway_tree import Branch
 from made import MASKED_CHEST, made_phantom
 from made import patient as the_patient
 

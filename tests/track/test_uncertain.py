@@ -9,7 +9,7 @@ import pytest
 
 from carina.errors import NoResultError
 from carina.track import AirwayTree, Branch, find_airways
-from carina.track.uncertain import find_uncertain, with_confidence
+from carina.track.tree.uncertain import find_uncertain, with_confidence
 from carina.volume.model import Volume
 
 

@@ -16,7 +16,7 @@ import carina.volume
 CODE = re.compile(r"import(\.[a-z0-9]+(-[a-z0-9]+)*)+")
 ROW = re.compile(r"^\| `(?P<code>[\w.-]+)` \| (?P<kind>[^|]+) \| (?P<means>[^|]+) \| (?P<do>[^|]+) \|$", re.MULTILINE)
 SOURCES = [*sorted(Path(carina.volume.__file__).parent.glob("*.py")), Path(carina.cli.badges.__file__)]
-SEARCH = sorted(Path(carina.track.__file__).parent.glob("*.py"))
+SEARCH = sorted(Path(carina.track.__file__).parent.rglob("*.py"))
 
 
 def rows() -> list[dict[str, str]]:

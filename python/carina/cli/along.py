@@ -13,7 +13,7 @@ from carina.errors import UsageError
 from carina.export import read_tree
 from carina.session.routes import ChosenRoute, route_to_branch, route_to_point, route_to_target
 from carina.track import AirwayTree
-from carina.track.growth import Progress
+from carina.track.stages import Progress
 from carina.volume import Volume
 
 __all__ = ["check_destination", "say_drawn", "way_to"]

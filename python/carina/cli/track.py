@@ -16,8 +16,8 @@ from carina.cli.console import print_json, progress_printer, say
 from carina.errors import NoResultError
 from carina.export import write_tree
 from carina.track import drawn_part
-from carina.track.found import GraphSearch
-from carina.track.paper import check_choice, track_on_graph
+from carina.track.targets.paper import check_choice, track_on_graph
+from carina.track.targets.results import GraphSearch
 
 __all__ = ["report"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from carina.track.tree import AirwayTree
+from carina.track.tree.airway_tree import AirwayTree
 from carina.volume import Note
 
 __all__ = ["badge_lines", "lasting"]

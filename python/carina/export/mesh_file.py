@@ -19,7 +19,7 @@ import numpy as np
 from carina.disk import write_whole
 from carina.errors import UsageError
 from carina.export.badges import badge_lines
-from carina.track.mesh import Mesh
+from carina.track.surface.mesh import Mesh
 from carina.volume import Note
 
 __all__ = ["MESH_SUFFIXES", "write_mesh"]

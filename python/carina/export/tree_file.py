@@ -9,7 +9,7 @@ from pathlib import Path
 
 from carina.disk import write_whole
 from carina.errors import TrackingError, VolumeImportError, check_type
-from carina.track.tree import AirwayTree
+from carina.track.tree.airway_tree import AirwayTree
 from carina.volume import Note
 
 __all__ = ["read_badges", "read_tree", "write_tree"]

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from carina.disk import write_whole
 from carina.export.badges import badge_lines, lasting
 from carina.track import drawn_tree, kind_words
-from carina.track.tree import AirwayTree, Branch
+from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume import Note
 
 __all__ = ["write_markups", "write_swc", "write_vtp"]

@@ -1,12 +1,6 @@
 """Airway lumen, least-cost paths and the airway tree (paper 6)."""
 
-from carina.track.airways import find_airways, track_paths
-from carina.track.between import way_between
-from carina.track.drawn import DrawnPart, drawn_part, drawn_tree, kind_words
-from carina.track.edit_folded import FoldedAirways, fold_airways
-from carina.track.edit_preview import EditPreview, PreviewLine, preview_edit
-from carina.track.edit_way import BranchWay, branch_way
-from carina.track.edits import (
+from carina.track.edit.edits import (
     AddBranch,
     Bridge,
     CutBranch,
@@ -23,18 +17,26 @@ from carina.track.edits import (
     name_edited,
     rebuild_airways,
 )
-from carina.track.field import FieldPath, FieldPaths, aimed_path
-from carina.track.found import Airways, TargetResult, TrackResult
+from carina.track.edit.folded import FoldedAirways, fold_airways
+from carina.track.edit.preview import EditPreview, PreviewLine, preview_edit
+from carina.track.edit.way import BranchWay, branch_way
+from carina.track.find.airways import find_airways
+from carina.track.find.found import Airways
 from carina.track.levels import lumen_threshold_from_histogram
-from carina.track.live import LivePath
-from carina.track.measures import BranchMeasures, BranchSummary, ForkMeasures, Stenosis, TreeMeasures, measure_tree
-from carina.track.mesh import Mesh, lumen_mesh
-from carina.track.names import LetterRule, NameWords, branch_side_and_lobe, name_tree, name_words
-from carina.track.outline import LumenOutline
-from carina.track.paths import PathTracker, TrackedPath
-from carina.track.tree import AirwayTree, Branch, Route
-from carina.track.uncertain import Uncertainty
-from carina.track.wall import wall_field
+from carina.track.measures.tree import BranchMeasures, BranchSummary, ForkMeasures, Stenosis, TreeMeasures, measure_tree
+from carina.track.names.naming import LetterRule, NameWords, branch_side_and_lobe, name_tree, name_words
+from carina.track.paths.field import FieldPath, FieldPaths, aimed_path
+from carina.track.paths.live import LivePath
+from carina.track.paths.tracker import PathTracker, TrackedPath
+from carina.track.surface.mesh import Mesh, lumen_mesh
+from carina.track.surface.outline import LumenOutline
+from carina.track.surface.wall import wall_field
+from carina.track.targets.results import TargetResult, TrackResult
+from carina.track.targets.tracking import track_paths
+from carina.track.tree.airway_tree import AirwayTree, Branch, Route
+from carina.track.tree.between import way_between
+from carina.track.tree.drawn import DrawnPart, drawn_part, drawn_tree, kind_words
+from carina.track.tree.uncertain import Uncertainty
 
 __all__ = [
     "AddBranch",

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from carina.errors import CancelledError
 
-__all__ = ["Progress", "Stages"]
+__all__ = ["Cancel", "Progress", "Stages"]
 
 Progress = Callable[[str, float | None], None]
 Cancel = Callable[[], bool]

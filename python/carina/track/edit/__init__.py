@@ -1,0 +1,1 @@
+"""Mending an airway tree by hand, and what in the CT speaks for it."""

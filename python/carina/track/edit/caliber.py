@@ -1,0 +1,94 @@
+"""How wide edited branches are: sections are measured again where the lumen, the line or a neighbour changed."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import LumenTracker
+from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.volume.model import Volume
+
+__all__ = ["Box", "with_sections", "with_walls"]
+
+Box = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""First and last voxel, i, j, k."""
+
+REACH_RADII = 3.5
+"""A section looks 2.5 median distances to the wall far, and each of these depends on the wall that is nearest."""
+REACH_VOXELS = 6.0
+
+
+def with_walls(tree: AirwayTree) -> AirwayTree:
+    """The tree with distances to the wall for radii: what edits go by, since a path must fit in."""
+    branches = tuple(dataclasses.replace(branch, radius=branch.wall_distance) for branch in tree.branches)
+    return dataclasses.replace(tree, branches=branches)
+
+
+def with_sections(
+    volume: Volume,
+    core: LumenTracker,
+    branches: Sequence[Branch],
+    before: AirwayTree,
+    changed: Sequence[Box] | None,
+) -> tuple[Branch, ...]:
+    """Branches whose radii are distances to the wall, with those of sections beside them.
+
+    Parameters
+    ----------
+    branches
+        The edited tree, parents first.
+    before
+        The tree before the edit: what the edit cannot have changed is taken over from it.
+    changed
+        Boxes of voxels in which the lumen or a distance to the wall changed; None: anywhere.
+
+    Returns
+    -------
+    tuple of Branch
+        The same, bit for bit, as with ``changed`` None.
+    """
+    place_of = {branch.id: place for place, branch in enumerate(branches)}
+    parents = [None if branch.parent is None else place_of[branch.parent] for branch in branches]
+    old = {branch.id: branch for branch in before.branches}
+    moved = np.array([changed is None or _is_new(branch, old) for branch in branches])
+    if changed:
+        moved |= [_near(volume, branch, old.get(branch.id), changed) for branch in branches]
+    by_id = {branch.id: branch for branch in branches}
+    wanted = [
+        bool(moved[place])
+        or _family(branch, by_id) != _family(old[branch.id], old)
+        or any(moved[place_of[sibling]] for sibling in _family(branch, by_id)[0])
+        for place, branch in enumerate(branches)
+    ]
+    found = core.section_radii([branch.points for branch in branches], parents, wanted)
+    return tuple(
+        dataclasses.replace(branch, wall_mm=branch.radius, radius=old[branch.id].radius if radius is None else radius)
+        for branch, radius in zip(branches, found, strict=True)
+    )
+
+
+def _is_new(branch: Branch, old: dict[int, Branch]) -> bool:
+    """Whether a branch is another line than before, or has another wall."""
+    was = old.get(branch.id)
+    return was is None or not (
+        np.array_equal(was.points, branch.points) and np.array_equal(was.wall_distance, branch.radius)
+    )
+
+
+def _family(branch: Branch, by_id: dict[int, Branch]) -> tuple[tuple[int, ...], bool]:
+    """The branches that leave the same fork, and whether the branch ends in one."""
+    siblings = () if branch.parent is None else by_id[branch.parent].children
+    return siblings, len(branch.children) > 1
+
+
+def _near(volume: Volume, branch: Branch, was: Branch | None, changed: Sequence[Box]) -> bool:
+    """Whether a section of a branch reaches into one of the boxes."""
+    widest = max(float(branch.radius.max()), 0.0 if was is None else float(was.wall_distance.max()))
+    reach = REACH_RADII * widest / np.array(volume.spacing_mm) + REACH_VOXELS
+    ijk = volume.to_ijk(branch.points)
+    low, high = ijk.min(axis=0) - reach, ijk.max(axis=0) + reach
+    return any(bool(((low <= box[1]) & (high >= box[0])).all()) for box in changed)

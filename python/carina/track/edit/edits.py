@@ -1,0 +1,251 @@
+"""Mending the airway tree by hand: each edit gives new airways, and the old ones stay as they are.
+
+The edits themselves are values (:mod:`carina.track.edit.kinds`). Applying them one after the other to the airways that
+were found gives, bit for bit, the tree that :func:`rebuild_airways` finds with the lumen's graph, distances and least
+costs computed from scratch after each of them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from carina.errors import CancelledError, NoResultError, UsageError, check_type
+from carina.track.edit.caliber import with_sections, with_walls
+from carina.track.edit.evidence import evidence_of
+from carina.track.edit.kinds import (
+    AddBranch,
+    Bridge,
+    CutBranch,
+    MoveFork,
+    MoveRoot,
+    PaintLumen,
+    RenameBranch,
+    SmoothBranch,
+    TreeEdit,
+    edits_from_json,
+    edits_to_json,
+)
+from carina.track.edit.labels import edit_words
+from carina.track.edit.lumen import EditedLumen, lumen_voxels
+from carina.track.edit.steps import EditSteps
+from carina.track.edit.tree import needed_branch
+from carina.track.find.found import Airways
+from carina.track.names.drawn import carried_names, seen_part
+from carina.track.names.naming import name_tree
+from carina.track.paths.tracker import PathTracker
+from carina.track.stages import Cancel, Progress
+from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.track.tree.uncertain import Uncertainty, find_uncertain, judged
+from carina.volume.model import Volume
+
+__all__ = [
+    "AddBranch",
+    "Bridge",
+    "CutBranch",
+    "MoveFork",
+    "MoveRoot",
+    "PaintLumen",
+    "RenameBranch",
+    "SmoothBranch",
+    "TreeEdit",
+    "edit_airways",
+    "edit_words",
+    "edits_from_json",
+    "edits_to_json",
+    "name_edited",
+    "rebuild_airways",
+    "steps_of",
+]
+
+
+def edit_airways(
+    volume: Volume,
+    airways: Airways,
+    edit: TreeEdit,
+    *,
+    name_branches: bool = True,
+    progress: Progress | None = None,
+    cancel: Cancel | None = None,
+) -> Airways:
+    """The airways after one edit; only what depends on it is computed again.
+
+    Parameters
+    ----------
+    volume
+        The CT that ``airways`` were found in.
+    airways
+        Not changed: undo is going back to them.
+    edit
+        What to do.
+    name_branches
+        False leaves the names from anatomy as they were, for :func:`name_edited` to find them again: in a tree of some
+        hundred branches that takes longer than the edit.
+    progress, cancel
+        Told what is going on; asked whether to stop.
+
+    Returns
+    -------
+    Airways
+        With ``edits`` one longer. Branches that the edit does not touch keep their id, points and radii; new ones get
+        ids never used before.
+
+    Raises
+    ------
+    UsageError
+        If the edit does not fit: no such branch, a point outside the volume, the root cut off.
+    NoResultError
+        If there is no way to do it: no airway at the point, a bridge too long; the message says what to do.
+    CancelledError
+        If ``cancel()`` said so.
+
+    References
+    ----------
+    Paper 6.3 (targets and root set by hand, Figure 14); docs/decisions/0018.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> tip = airways.tree.tips()[0]
+    >>> named = carina.edit_airways(phantom.volume, airways, carina.track.RenameBranch(tip.id, "biopsy"))
+    >>> named.tree.branch(tip.id).name, len(named.edits)
+    ('biopsy', 1)
+    """
+    check_type("edit_airways", "volume", volume, Volume, "open one with carina.open_volume")
+    check_type("edit_airways", "airways", airways, Airways, "find them with carina.find_airways")
+    edited = _edited(volume, airways, edit, progress, cancel, is_fresh=False)
+    return name_edited(airways, edited) if name_branches else edited
+
+
+def rebuild_airways(
+    volume: Volume,
+    base: Airways,
+    edits: Sequence[TreeEdit],
+    *,
+    progress: Progress | None = None,
+    cancel: Cancel | None = None,
+) -> Airways:
+    """The airways after all edits, with everything computed from scratch: the truth for :func:`edit_airways`.
+
+    Parameters
+    ----------
+    base
+        What the first edit was made to: airways without edits, or with those before.
+
+    Raises
+    ------
+    UsageError, NoResultError
+        As :func:`edit_airways`; the message begins with the edit's number in the list, from 1.
+    CancelledError
+        If ``cancel()`` said so.
+    """
+    airways = base
+    for number, edit in enumerate(edits, start=1):
+        try:
+            edited = _edited(volume, airways, edit, progress, cancel, is_fresh=True)
+        except (NoResultError, UsageError) as error:
+            error.args = (f"edit {number} of {len(edits)}: {error}", *error.args[1:])
+            raise
+        airways = name_edited(airways, edited)
+    return airways
+
+
+def name_edited(before: Airways, edited: Airways) -> Airways:
+    """Edited airways with the names that anatomy gives their branches now; ``edited`` itself where they stay.
+
+    A branch that is drawn otherwise is still the same bronchus: names change where branches come, go or hang elsewhere,
+    and where a person gives a name or takes it back.
+    """
+    (was, _), (seen, place_of) = seen_part(before.tree), seen_part(edited.tree)
+    ways = [[(b.id, b.parent, b.name_from == "person", b.name) for b in tree.branches] for tree in (was, seen)]
+    if ways[0] == ways[1]:
+        # What was drawn without evidence renames nobody: its neighbours keep name and confidence to the last digit.
+        if seen is edited.tree:
+            return edited
+        return dataclasses.replace(edited, tree=carried_names(edited.tree, seen, place_of))
+    return dataclasses.replace(edited, tree=named_anew(edited.tree))
+
+
+def _edited(
+    volume: Volume,
+    airways: Airways,
+    edit: TreeEdit,
+    progress: Progress | None,
+    cancel: Cancel | None,
+    *,
+    is_fresh: bool,
+) -> Airways:
+    if cancel is not None and cancel():
+        raise CancelledError("editing the airways was stopped")
+    if progress is not None:
+        progress("editing the airways", None)
+    tree, edits = airways.tree, (*airways.edits, edit)
+    next_id = airways.next_id or 1 + max(branch.id for branch in tree.branches)
+    if isinstance(edit, RenameBranch):
+        # Paths know branches by their ids: nothing else changes.
+        branches = tuple(_named_by_person(b, edit.name) if b.id == edit.branch_id else b for b in tree.branches)
+        needed_branch(tree, edit.branch_id)
+        renamed = dataclasses.replace(tree, branches=branches)
+        return dataclasses.replace(airways, tree=renamed, edits=edits, base=airways.base or airways, next_id=next_id)
+    steps = steps_of(volume, airways, is_fresh=is_fresh, cancel=cancel)
+    steps.make(edit)
+    core = steps.lumen.core
+    changed = None if is_fresh else steps.changed_boxes
+    branches = with_sections(volume, core, steps.draft.finished(), tree, changed)
+    if steps.judged:
+        noise = evidence_of(volume, airways).noise
+        branches = tuple(judged(volume, b, noise) if b.id in steps.judged else b for b in branches)
+    tracker = PathTracker(volume, core)
+    tracker.follow_branches(branches)
+    edited_tree = AirwayTree(branches, _smooth=tracker.smooth, notes=tree.notes)
+    return dataclasses.replace(
+        airways,
+        lumen_zyx=airways.lumen_zyx if not steps.lumen_changed else lumen_voxels(core),
+        root_lps=branches[0].points[0].copy(),
+        tree=edited_tree,
+        tracker=tracker,
+        edits=edits,
+        base=airways.base or airways,
+        next_id=steps.draft.next_id,
+        uncertain=_uncertain_after(volume, airways, edited_tree),
+        bridges=steps.bridges,
+    )
+
+
+def steps_of(volume: Volume, airways: Airways, *, is_fresh: bool = False, cancel: Cancel | None = None) -> EditSteps:
+    """The steps of an edit to these airways, which stay as they are: to make it, or to show what it would make."""
+    before = EditedLumen(volume, airways.tracker.core, is_fresh, cancel)
+    return EditSteps(
+        before,
+        with_walls(airways.tree),
+        airways.next_id or 1 + max(branch.id for branch in airways.tree.branches),
+        (airways.base or airways).lumen_zyx,
+        bridges=airways.bridges,
+        evidence=partial(evidence_of, volume, airways),
+    )
+
+
+def _uncertain_after(volume: Volume, airways: Airways, tree: AirwayTree) -> tuple[Uncertainty, ...]:
+    """What is uncertain in an edited tree; nothing where nothing was judged (a mask from elsewhere)."""
+    found = (airways.base or airways).uncertain
+    if not found:
+        return ()
+    # Where the search would have run into the lung it still would.
+    leaks = np.array([one.lps for one in found if one.kind == "leak"]).reshape(-1, 3)
+    return find_uncertain(volume, tree, leaks)
+
+
+def named_anew(tree: AirwayTree) -> AirwayTree:
+    """The tree with the names that anatomy gives it now; a person's names stay."""
+    return name_tree(tree)
+
+
+def _named_by_person(branch: Branch, name: str | None) -> Branch:
+    if name is None:
+        return dataclasses.replace(branch, name=None, name_confidence=None, name_from=None, variant=None)
+    return dataclasses.replace(branch, name=name, name_confidence=None, name_from="person")

@@ -1,0 +1,267 @@
+"""Evidence that a way is an airway: wall round it along its whole length, against what the lung of this CT pretends.
+
+Across a way rays go out to 16 sides, and the values on them are averaged over 2.5 mm along it: an airway goes on,
+noise and the rims of vessels do not. How far the sides rise above the middle is compared with what the same measure
+finds on the best ways through plain lung of the same CT, and weighed (``evidence_verdict.py``). docs/decisions/0036.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina import _core
+from carina.errors import NoResultError
+from carina.track.edit.evidence_verdict import STEP_MM, Lung, Sections, Start, along_mm, doubtful_sections, turns_back
+from carina.track.edit.lumen import EditedLumen, Voxels, tissue_there
+from carina.track.find.found import Airways
+from carina.track.levels import air_scale
+from carina.track.tree.airway_tree import AirwayTree
+from carina.volume.model import Volume
+
+__all__ = ["Evidence", "Sections", "Start", "evidence_of"]
+
+Points = NDArray[np.float64]
+
+# Sections.
+NUM_SIDES = 16
+RING_MM = 0.35
+"""From one sample of a ray to the next."""
+REACH_MM, FAR_MM = 3.2, 8.1
+"""The wall of a small airway lies within the first, that of a lobe's bronchus within the second."""
+OPEN_SIDES = 0.2
+"""Share of the sides on which there need be no wall: a fork takes more, and is shorter than what is averaged."""
+CLOSED_BUT = 1
+"""Sides that a closed ring may miss: one lies behind the next slice."""
+BEND_MM = 3.0
+"""A way's bend is that between the directions so far before and after."""
+HALF_SECTIONS = 2
+"""Sections before and after one that are averaged with it."""
+TANGENT_MM = 1.5
+AROUND = 0.25
+"""The lung round a section is as bright as this share of its farther samples."""
+
+MAX_MISSED_MM = 120.0
+"""Farther from the tree no way is looked for: the lower lobe's bronchi reach so far from the intermediate bronchus."""
+
+# Comparison.
+NUM_RUNS = 96
+RUN_MM = 10.0
+NEAREST_MM, FARTHEST_MM = 8.0, 25.0
+"""Plain lung lies so far from the branches of the tree."""
+MIN_RUNS = 12
+BEST_RUNS = 0.9
+LEAST_RISE_HU = 15.0
+NOISE_SHARE, FAR_SHARE = 1.25, 2.0
+"""Whatever the runs say: of the noise for what is near, and of that for what is far."""
+PLAIN_HU = -850.0
+ENCLOSED, DARK_SHARE = 0.98, 0.1
+CLOSED_HU, BRIGHT_HU, LUNG_END_HU, WALL_HU = -400.0, -800.0, -600.0, -500.0
+
+
+class Evidence:
+    """What one volume shows of airways beyond the lumen that was found in it.
+
+    Parameters
+    ----------
+    volume, base
+        The CT, and its airways before any edit: what evidence there is does not depend on edits.
+    """
+
+    def __init__(self, volume: Volume, base: Airways) -> None:
+        self._volume = volume
+        self._scale = air_scale(volume)
+        self.noise = self._scale.span(base.tracker.noise_hu)
+        """Standard deviation of the values in air, in the volume's numbers."""
+        self.found_zyx = base.lumen_zyx
+        """(nz, ny, nx) the lumen that was found, or came with a mask."""
+        self.enclosures = _core.Enclosures(volume.hu_zyx, volume.lps_from_ijk)
+        least = self._scale.span(LEAST_RISE_HU)
+        lung = _plain_lung(volume, base, self._scale.level(LUNG_END_HU))
+        enough = len(lung) >= MIN_RUNS
+        rises = self.enclosures.at(lung) if enough else np.zeros(1)
+        values = self.enclosures.values_at(volume.to_lps(lung.astype(np.float64))) if enough else np.zeros(1)
+        air = self._scale.level(-1000.0)
+        # As dark as the air of a wide airway, and darker than what is dark in this lung: emphysema is no airway, and
+        # neither is the darker half of what is noise.
+        dark = (
+            min(air + max(2.0 * self.noise, self._scale.span(40.0)), float(np.quantile(values, DARK_SHARE)))
+            if enough
+            else air
+        )
+        self._levels = {
+            "enclosed": max(float(np.quantile(rises, ENCLOSED)), least),
+            "dark": float(dark),
+            "bright": float(self._scale.level(BRIGHT_HU)),
+            "closed": float(self._scale.level(CLOSED_HU)),
+        }
+        usual = max(least, NOISE_SHARE * self.noise)
+        self.compared_with = Lung(usual, FAR_SHARE * usual, float(self._scale.level(PLAIN_HU)))
+        """What a tenth of the sections on the best ways through plain lung exceed."""
+        if enough:
+            self._compare(lung[:: max(1, len(lung) // NUM_RUNS)][:NUM_RUNS])
+
+    def _compare(self, starts: Voxels) -> None:
+        found = []
+        for run in self.enclosures.runs(starts, away_mm=RUN_MM, **self._levels):
+            if run is not None and len(run) > 2:
+                found.append(self.sections(_even(self._volume.to_lps(run.astype(np.float64)))))
+        if len(found) < MIN_RUNS:
+            return
+        rise = np.concatenate([run.rise for run in found])
+        far = np.concatenate([run.far_rise for run in found])
+        usual = max(self.compared_with.rise, float(np.quantile(rise, BEST_RUNS)))
+        far_usual = max(FAR_SHARE * usual, float(np.quantile(far, BEST_RUNS)))
+        bright = float(np.quantile(np.concatenate([run.own for run in found]), 0.75))
+        self.compared_with = Lung(usual, far_usual, bright)
+
+    def way(self, lumen: EditedLumen, voxel: NDArray[np.int64], toward: NDArray[np.int64]) -> Voxels:
+        """(n, 3) voxels of the best way from the lumen to a voxel outside it; the first lies in the lumen.
+
+        Parameters
+        ----------
+        toward
+            A voxel of the tree, for where no airway leads to the voxel.
+
+        Raises
+        ------
+        NoResultError
+            If the voxel is tissue, or only tissue leads to it.
+        """
+        tissue_there(lumen, voxel, self._scale.level(WALL_HU))
+        start, goal = ((int(v[0]), int(v[1]), int(v[2])) for v in (voxel, toward))
+        away_mm = float(np.linalg.norm(self._volume.lps_from_ijk[:3, :3] @ (voxel - toward)))
+        if away_mm > MAX_MISSED_MM:
+            msg = (
+                f"the point is {away_mm:.0f} mm from the tree, and no way is looked for over more than "
+                f"{MAX_MISSED_MM:.0f} mm: add the branches between them first"
+            )
+            raise NoResultError(msg, code="track.no-path")
+        way = self.enclosures.way(lumen.core, start, goal, **self._levels, cancel=lumen.cancel)
+        if way is None:
+            msg = (
+                "no airway leads from the tree to the point: tissue lies between them. If the airway is blocked there, "
+                "bridge the blockage; if it is a thin wall or noise, paint the lumen first"
+            )
+            raise NoResultError(msg, code="track.no-path")
+        return way
+
+    def doubtful(self, points: Points, start: Start | None = None) -> NDArray[np.bool_]:
+        """For each segment of a line of (n, 3) LPS points, whether the CT shows no airway there.
+
+        Returns
+        -------
+        (n-1,) bool
+        """
+        sections = self.sections(points)
+        is_doubtful = doubtful_sections(sections, self.compared_with, self._scale, start)
+        along = along_mm(points)
+        if start is not None and turns_back(points, along, start):
+            is_doubtful = sections.at_mm >= start.inside_mm
+        first = np.searchsorted(sections.at_mm, along[:-1] - 1e-9, side="left")
+        last = np.searchsorted(sections.at_mm, along[1:] + 1e-9, side="right")
+        num = np.concatenate([[0], np.cumsum(is_doubtful)])
+        found: NDArray[np.bool_] = num[last] > num[first]
+        return found
+
+    def crosses_wall(self, points: Points, before: Points) -> bool:
+        """Whether a line runs through brighter places than one before it did, and than half-way to tissue."""
+        new, old = (float(self.enclosures.values_at(_fine(line)).max()) for line in (points, before))
+        return new > max(old, self._scale.level(WALL_HU)) + 3.0 * self.noise
+
+    def sections(self, points: Points) -> Sections:
+        """What lies across a line of (n, 3) LPS points."""
+        along = along_mm(points)
+        at = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / STEP_MM)) + 1))
+
+        def places(where: NDArray[np.float64]) -> Points:
+            return np.stack([np.interp(where, along, points[:, axis]) for axis in range(3)], axis=1)
+
+        tangent = places(at + TANGENT_MM) - places(at - TANGENT_MM)
+        tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+        helper = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
+        across = np.cross(tangent, helper)
+        across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+        up = np.cross(tangent, across)
+        angle = 2.0 * np.pi * np.arange(NUM_SIDES) / NUM_SIDES
+        sides = np.cos(angle)[None, :, None] * across[:, None, :] + np.sin(angle)[None, :, None] * up[:, None, :]
+        off = np.arange(0.0, FAR_MM, RING_MM)
+        samples = places(at)[:, None, None, :] + sides[:, :, None, :] * off[None, None, :, None]
+        values = self.enclosures.values_at(samples.reshape(-1, 3)).reshape(len(at), NUM_SIDES, len(off))
+        profiles = _mean_along(values.astype(np.float64), HALF_SECTIONS)
+        own = profiles[:, :, 0].mean(axis=1)
+        near = off <= REACH_MM
+        peaks, far_peaks = profiles[:, :, near].max(axis=2), profiles.max(axis=2)
+        half = 0.5 * (own[:, None] + peaks)
+        first = (profiles[:, :, near] >= half[:, :, None]).argmax(axis=2)
+        back, on = places(at) - places(at - BEND_MM), places(at + BEND_MM) - places(at)
+        lengths = np.linalg.norm(back, axis=1) * np.linalg.norm(on, axis=1)
+        bend = 1.0 - (back * on).sum(axis=1) / np.maximum(lengths, 1e-6)
+        # Its ends have no direction.
+        bend[:HALF_SECTIONS] = bend[-HALF_SECTIONS:] = 0.0
+        return Sections(
+            at_mm=at,
+            own=own,
+            rise=np.quantile(peaks, OPEN_SIDES, axis=1) - own,
+            far_rise=np.quantile(far_peaks, OPEN_SIDES, axis=1) - own,
+            closed=np.partition(peaks, CLOSED_BUT, axis=1)[:, CLOSED_BUT] - own,
+            far_closed=np.partition(far_peaks, CLOSED_BUT, axis=1)[:, CLOSED_BUT] - own,
+            around=np.quantile(profiles[:, :, ~near].reshape(len(at), -1), AROUND, axis=1),
+            radius_mm=RING_MM * np.median(first, axis=1),
+            bend=bend,
+        )
+
+
+def evidence_of(volume: Volume, airways: Airways) -> Evidence:
+    """The evidence in a volume in which airways were found; found when first asked for, the same after each edit."""
+    found: Evidence = airways.evidence.of(volume, lambda: Evidence(volume, airways.base or airways))
+    return found
+
+
+def _plain_lung(volume: Volume, base: Airways, brightest: float) -> Voxels:
+    """(n, 3) voxels 8 to 25 mm beside the branches of a tree that are neither lumen near by nor tissue."""
+    places = _beside(base.tree)
+    shape = np.array(volume.shape_zyx[::-1])
+    ijk = np.floor(volume.to_ijk(places) + 0.5).astype(np.int64)
+    ijk = ijk[((ijk >= 0) & (ijk < shape)).all(axis=1)]
+    ijk = ijk[volume.hu_zyx[ijk[:, 2], ijk[:, 1], ijk[:, 0]] <= brightest]
+    centers = volume.to_lps(ijk.astype(np.float64))
+    core = base.tracker.core
+    away = np.array([core.nearest((x, y, z), NEAREST_MM) is None for x, y, z in centers.tolist()], dtype=bool)
+    found: Voxels = ijk[away].astype(np.uint16)
+    return found
+
+
+def _beside(tree: AirwayTree) -> Points:
+    """Places round the branches beyond the main bronchi, spread evenly in direction and distance; always the same."""
+    branches = [branch for branch in tree.branches if branch.generation >= 2] or list(tree.branches)
+    points = np.concatenate([branch.points for branch in branches])
+    num = 12 * NUM_RUNS
+    chosen = points[np.linspace(0, len(points) - 1, num).round().astype(int)]
+    n = np.arange(num)
+    z = 1.0 - 2.0 * ((n * 0.7548776662466927) % 1.0)
+    turn = 2.0 * np.pi * ((n * 0.5698402909980532) % 1.0)
+    ring = np.sqrt(1.0 - z * z)
+    far = NEAREST_MM + (FARTHEST_MM - NEAREST_MM) * ((n * 0.6180339887498949) % 1.0)
+    return np.asarray(chosen + far[:, None] * np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1))
+
+
+def _mean_along(values: NDArray[np.float64], half: int) -> NDArray[np.float64]:
+    """Means over so many entries before and after on the first axis, edge-clamped."""
+    padded = np.concatenate([values[:1]] * half + [values] + [values[-1:]] * half)
+    total = np.cumsum(np.concatenate([np.zeros_like(padded[:1]), padded]), axis=0)
+    num = 2 * half + 1
+    return np.asarray((total[num:] - total[:-num]) / num)
+
+
+def _even(points: Points) -> Points:
+    """A line of voxel centres without its corners, its ends as they are."""
+    padded = np.concatenate([points[:1]] * 2 + [points] + [points[-1:]] * 2)
+    mean = np.mean([padded[n : n + len(points)] for n in range(5)], axis=0)
+    return np.asarray(np.concatenate([points[:1], mean[1:-1], points[-1:]]))
+
+
+def _fine(points: Points) -> Points:
+    """A line with three points between each two."""
+    share = np.linspace(0.0, 1.0, 4, endpoint=False)[:, None, None]
+    return np.asarray((points[:-1] + share * (points[1:] - points[:-1])).reshape(-1, 3))

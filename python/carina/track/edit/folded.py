@@ -1,0 +1,107 @@
+"""Edited airways put away for undo: some hundred kilobytes instead of a lumen and its tracker."""
+
+from __future__ import annotations
+
+import dataclasses
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import lumen_states
+from carina.display import one_line
+from carina.errors import UsageError
+from carina.track.edit.kinds import TreeEdit
+from carina.track.edit.lumen import EditedLumen, lumen_voxels
+from carina.track.find.found import Airways
+from carina.track.paths.tracker import PathTracker
+from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.track.tree.uncertain import Uncertainty
+from carina.volume.model import Volume
+
+__all__ = ["FoldedAirways", "fold_airways"]
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class FoldedAirways:
+    """What edited airways are made again from, bit for bit."""
+
+    base: Airways
+    """What the edits were made to; it knows where the wall begins."""
+    branches: tuple[Branch, ...]
+    edits: tuple[TreeEdit, ...]
+    next_id: int | None
+    notes: tuple[str, ...]
+    root_ijk: tuple[int, int, int]
+    first_ijk: tuple[int, int, int]
+    shape_zyx: tuple[int, int, int]
+    uncertain: tuple[Uncertainty, ...]
+    bridges: tuple[NDArray[np.float64], ...]
+    packed: bytes
+    """The lumen's box, one bit per voxel, deflated."""
+
+    def unfold(self, volume: Volume) -> Airways:
+        """The airways again; takes as long as building a lumen's graph."""
+        count = int(np.prod(self.shape_zyx))
+        bits = np.frombuffer(zlib.decompress(self.packed), dtype=np.uint8)
+        i, j, k = self.first_ijk
+        nz, ny, nx = self.shape_zyx
+        lumen = np.zeros(volume.shape_zyx, dtype=np.uint8)
+        lumen[k : k + nz, j : j + ny, i : i + nx] = np.unpackbits(bits, count=count).reshape(self.shape_zyx)
+        core = EditedLumen(volume, self.base.tracker.core).built(lumen, self.root_ijk).core
+        tracker = PathTracker(volume, core)
+        tracker.follow_branches(self.branches)
+        return dataclasses.replace(
+            self.base,
+            lumen_zyx=lumen_voxels(core),
+            root_lps=self.branches[0].points[0].copy(),
+            tree=AirwayTree(self.branches, _smooth=tracker.smooth, notes=self.base.tree.notes),
+            tracker=tracker,
+            notes=self.notes,
+            base=self.base,
+            edits=self.edits,
+            next_id=self.next_id,
+            uncertain=self.uncertain,
+            bridges=self.bridges,
+        )
+
+
+def fold_airways(volume: Volume, airways: Airways) -> FoldedAirways:
+    """Put edited airways away; what they were made from is kept as it is.
+
+    Raises
+    ------
+    UsageError
+        If the airways were not edited.
+    """
+    if airways.base is None:
+        raise UsageError("only edited airways can be folded; unedited ones have no base to rebuild from")
+    lumen = EditedLumen(volume, airways.tracker.core)
+    first, shape = _box(airways.lumen_zyx)
+    states = lumen_states(lumen.core, first, shape)
+    return FoldedAirways(
+        base=airways.base,
+        branches=airways.tree.branches,
+        edits=airways.edits,
+        next_id=airways.next_id,
+        notes=airways.notes,
+        uncertain=airways.uncertain,
+        bridges=airways.bridges,
+        root_ijk=lumen.root_ijk,
+        first_ijk=first,
+        shape_zyx=(shape[2], shape[1], shape[0]),
+        packed=zlib.compress(np.packbits(states != 0).tobytes(), 1),
+    )
+
+
+def _box(lumen_zyx: NDArray[np.uint8]) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+    """First voxel and shape (i, j, k) of the box round what is not 0."""
+    first, shape = [], []
+    for axis in (2, 1, 0):
+        others = tuple(a for a in range(3) if a != axis)
+        at = np.flatnonzero(lumen_zyx.any(axis=others))
+        first.append(int(at[0]))
+        shape.append(int(at[-1] - at[0] + 1))
+    return (first[0], first[1], first[2]), (shape[0], shape[1], shape[2])

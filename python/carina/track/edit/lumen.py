@@ -1,0 +1,417 @@
+"""Voxels that an edit adds to the lumen or takes away: strokes of a brush, bridges, airways that the search missed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import (
+    LumenTracker,
+    cheapest_way,
+    edit_lumen,
+    flood_lumen,
+    fresh_lumen,
+    lumen_array,
+    lumen_states,
+    reroot_lumen,
+    voxels_of,
+)
+from carina.errors import NoResultError, UsageError
+from carina.track.edit.kinds import PaintLumen, Point
+from carina.track.levels import air_scale
+from carina.track.stages import Cancel
+from carina.volume.model import Volume
+from carina.volume.planes import PLANES
+
+__all__ = ["EditedLumen", "bridge_way", "by_faces", "grown_beyond", "painted_voxels", "tissue_there", "tube_round"]
+
+Voxels = NDArray[np.uint16]
+"""(n, 3) i, j, k."""
+
+MAX_BRIDGE_MM = 60.0
+"""A lobe's bronchus and its first division are shorter; what is farther is not bridged but guessed."""
+BRIDGE_RADIUS_MM = 1.0
+MAX_MISSED_RADIUS_MM = 4.0
+AIR_REACH_MM = 2.0
+"""A click beside an airway is taken for the darkest voxel this near."""
+GROWTH_REACH_MM = (60.0, 60.0, 100.0)
+"""Along LPS x, y, z: what hangs on a blocked bronchus of a lobe."""
+GROWTH_LEAK_MM3 = 20_000.0
+GROWTH_SMALL_LEAK_MM3 = 3_000.0
+CLOSED_RADIUS_MM = 10.0
+MIN_WALL_CONTRAST_HU = 60.0
+
+LUMEN_END_HU, WALL_HU, SOFT_HU, DENSE_HU = -800.0, -500.0, -100.0, 200.0
+CORE_HU = -950.0
+
+
+@dataclass(frozen=True, slots=True)
+class EditedLumen:
+    """The compiled tracker of a lumen, and how to change it."""
+
+    volume: Volume
+    core: LumenTracker
+    is_fresh: bool = False
+    """Everything from scratch at each change: slow, and the truth that the quick way must equal."""
+    cancel: Cancel | None = None
+    changed_box: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
+    """First and last voxel of what the last change reached; None: it may be anywhere."""
+
+    def changed(self, added: Voxels, removed: Voxels) -> EditedLumen:
+        """The lumen with voxels added and taken away."""
+        hu = self.volume.hu_zyx
+        if self.is_fresh:
+            lumen = lumen_array(self.core)
+            lumen[removed[:, 2], removed[:, 1], removed[:, 0]] = 0
+            lumen[added[:, 2], added[:, 1], added[:, 0]] = 1
+            return self.built(lumen, self.root_ijk)
+        core, box = edit_lumen(self.core, hu, added, removed, cancel=self.cancel)
+        first, shape = (np.zeros(3, np.int64),) * 2 if box is None else (np.array(box[0]), np.array(box[1]))
+        return EditedLumen(self.volume, core, False, self.cancel, (first, first + shape - 1))
+
+    def rerooted(self, root_ijk: tuple[int, int, int]) -> EditedLumen:
+        """The same lumen with its paths from another voxel."""
+        if self.is_fresh:
+            return self.built(lumen_array(self.core), root_ijk)
+        core = reroot_lumen(self.core, root_ijk, cancel=self.cancel)
+        return EditedLumen(self.volume, core, False, self.cancel)
+
+    def built(self, lumen_zyx: NDArray[np.uint8], root_ijk: tuple[int, int, int]) -> EditedLumen:
+        """Another lumen of the same search from scratch."""
+        core = fresh_lumen(self.core, self.volume.hu_zyx, lumen_zyx, root_ijk, cancel=self.cancel)
+        return EditedLumen(self.volume, core, self.is_fresh, self.cancel)
+
+    @property
+    def root_ijk(self) -> tuple[int, int, int]:
+        """The root's voxel."""
+        found = self.core.path(self.core.root)
+        assert found is not None
+        return _triple(np.rint(self.volume.to_ijk(found[0][0])))
+
+    def voxel_of_node(self, node: int) -> tuple[int, int, int]:
+        """The voxel of a node of the tracker."""
+        return _triple(voxels_of(self.core, np.array([node], dtype=np.uint32))[0])
+
+    def state_at(self, voxel: NDArray[np.int64]) -> int:
+        """0 outside the lumen, 1 in lumen that no path reaches, 2 in the lumen."""
+        return int(lumen_states(self.core, _triple(voxel), (1, 1, 1))[0, 0, 0])
+
+
+def lumen_voxels(core: LumenTracker) -> NDArray[np.uint8]:
+    """(nz, ny, nx) 1 inside a tracker's lumen, read-only; pages of memory without lumen are never touched."""
+    lumen = lumen_array(core)
+    lumen.flags.writeable = False
+    return lumen
+
+
+def voxel_of(volume: Volume, lps: Point) -> NDArray[np.int64]:
+    """The voxel that holds a point.
+
+    Raises
+    ------
+    UsageError
+        If it lies outside the volume.
+    """
+    if not volume.contains_lps(np.array(lps)):
+        x, y, z = lps
+        msg = f"the point ({x:.1f}, {y:.1f}, {z:.1f}) lies outside the scan; click inside the pictures"
+        raise UsageError(msg, code="track.outside-volume")
+    shape = np.array(volume.shape_zyx[::-1])
+    found: NDArray[np.int64] = np.clip(np.floor(volume.to_ijk(np.array(lps)) + 0.5), 0, shape - 1).astype(np.int64)
+    return found
+
+
+def painted_voxels(volume: Volume, edit: PaintLumen) -> Voxels:
+    """The voxels under a stroke of the brush.
+
+    A disc is one voxel thick: it takes the voxels whose centres lie within half the spacing of the axis that runs most
+    along the slice's normal. The voxel under the brush's centre is always taken.
+
+    Raises
+    ------
+    UsageError
+        If no point of the stroke lies in the volume.
+    """
+    normal = np.zeros(3)
+    half_mm = np.inf
+    matrix = volume.lps_from_ijk[:3, :3]
+    if edit.plane != "ball":
+        normal[PLANES[edit.plane].normal_axis] = 1.0
+        half_mm = 0.5 * float(np.abs(matrix.T @ normal).max())
+    points = np.array(edit.points_lps)
+    shape = np.array(volume.shape_zyx[::-1])
+    found = []
+    for a, b in zip(points, points[1:] if len(points) > 1 else points, strict=False):
+        reach = (edit.radius_mm + 1.0) / np.array(volume.spacing_mm) + 1.0
+        ends = volume.to_ijk(np.stack([a, b]))
+        low = np.clip(np.floor(ends.min(axis=0) - reach), 0, shape - 1).astype(np.int64)
+        high = np.clip(np.ceil(ends.max(axis=0) + reach), 0, shape - 1).astype(np.int64)
+        voxels = _box_voxels(low, high)
+        off = volume.to_lps(voxels.astype(np.float64)) - a
+        way = b - a
+        length2 = float(way @ way)
+        share = np.clip(off @ way / length2, 0.0, 1.0) if length2 > 0.0 else np.zeros(len(off))
+        off -= share[:, None] * way
+        height = off @ normal
+        beside = np.linalg.norm(off - height[:, None] * normal, axis=1)
+        # Half open, so that a plane between two slices takes one of them.
+        inside = (beside <= edit.radius_mm) & (height > -half_mm) & (height <= half_mm)
+        found.append(voxels[inside])
+    centers = np.floor(volume.to_ijk(points) + 0.5).astype(np.int64)
+    is_in = ((centers >= 0) & (centers < shape)).all(axis=1)
+    if not is_in.any():
+        raise UsageError("the stroke lies outside the scan; paint inside the pictures", code="track.outside-volume")
+    return _unique(np.concatenate([*found, centers[is_in]]))
+
+
+def bridge_way(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
+    """The voxels of the shortest way from the reachable lumen through anything to a voxel; face neighbours.
+
+    Dense tissue (bone, contrast) costs more, so that the way goes round it.
+
+    Raises
+    ------
+    NoResultError
+        If it would be longer than a bridge may be, with how far it is.
+    """
+    volume = lumen.volume
+    scale = air_scale(volume)
+    away_mm = _away_mm(lumen, start, MAX_BRIDGE_MM)
+    if away_mm is not None:
+        low, high = _box_round(volume, start, (1.3 * away_mm + 10.0,) * 3)
+        values = _crop(volume.hu_zyx, low, high)
+        weights = np.full(values.shape, 3.0, dtype=np.float32)
+        weights[values <= scale.level(LUMEN_END_HU)] = 1.0
+        weights[values >= scale.level(DENSE_HU)] = 12.0
+        way = _way(lumen, low, high, weights, start)
+        if way is not None and (length_mm := _length_mm(volume, way)) <= MAX_BRIDGE_MM:
+            return by_faces(way)
+        if way is not None:
+            away_mm = length_mm
+    far = f"more than {MAX_BRIDGE_MM:g} mm" if away_mm is None else f"{away_mm:.0f} mm"
+    msg = (
+        f"the bridge would be {far} long, at most {MAX_BRIDGE_MM:g} mm are bridged: click nearer to the blockage, or "
+        "bridge in two steps"
+    )
+    raise NoResultError(msg, code="track.bridge-too-long")
+
+
+def tissue_there(lumen: EditedLumen, start: NDArray[np.int64], wall: float) -> None:
+    """Refuse a voxel that is brighter than half-way to tissue.
+
+    Raises
+    ------
+    NoResultError
+        With what to do.
+    """
+    value = int(lumen.volume.hu_zyx[start[2], start[1], start[0]])
+    if value > wall:
+        unit = " HU" if lumen.volume.is_hu else ""
+        msg = (
+            f"there is tissue at the point ({value}{unit}), no airway: click in the dark middle of the branch, or "
+            "bridge to the airway beyond"
+        )
+        raise NoResultError(msg, code="track.outside-lumen")
+
+
+def air_voxel(lumen: EditedLumen, start: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The voxel itself where it is dark as lumen, else the darkest within 2 mm.
+
+    Raises
+    ------
+    NoResultError
+        If there is no air.
+    """
+    volume = lumen.volume
+    end = air_scale(volume).level(LUMEN_END_HU)
+    low, high = _box_round(volume, start, (AIR_REACH_MM,) * 3)
+    voxels = _box_voxels(low, high)
+    center = volume.to_lps(start.astype(np.float64))
+    off = np.linalg.norm(volume.to_lps(voxels.astype(np.float64)) - center, axis=1)
+    voxels, off = voxels[off <= AIR_REACH_MM], off[off <= AIR_REACH_MM]
+    values = volume.hu_zyx[voxels[:, 2], voxels[:, 1], voxels[:, 0]]
+    here = int(volume.hu_zyx[start[2], start[1], start[0]])
+    if here <= end:
+        return start
+    if int(values.min()) > end:
+        unit = " HU" if volume.is_hu else ""
+        msg = (
+            f"there is no air at the point ({here}{unit}): click in the dark middle of the airway beyond the blockage, "
+            "or paint its lumen first"
+        )
+        raise NoResultError(msg, code="track.outside-lumen")
+    order = np.lexsort((off, values))
+    found: NDArray[np.int64] = voxels[order[0]]
+    return found
+
+
+def grown_beyond(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
+    """The lumen round a voxel of air, grown as the automatic one is, with the same guard against leaks."""
+    volume = lumen.volume
+    scale = air_scale(volume)
+    low, high = _box_round(volume, start, GROWTH_REACH_MM)
+    values = _crop(volume.hu_zyx, low, high)
+    matrix = volume.lps_from_ijk.copy()
+    matrix[:3, 3] = volume.to_lps(low.astype(np.float64))
+    at = start - low
+    here = int(values[at[2], at[1], at[0]])
+    core, end = scale.level(CORE_HU), scale.level(LUMEN_END_HU)
+    grown, _ = flood_lumen(
+        values,
+        matrix,
+        [_triple(at)],
+        first_level=min(here, end),
+        core_level=min(core, end),
+        last_level=end,
+        leak_mm3=GROWTH_LEAK_MM3,
+        small_leak_mm3=GROWTH_SMALL_LEAK_MM3,
+        closed_radius_mm=CLOSED_RADIUS_MM,
+        min_contrast=scale.span(MIN_WALL_CONTRAST_HU),
+        cancel=lumen.cancel,
+    )
+    voxels = np.argwhere(grown)[:, ::-1] + low
+    return _unique(np.concatenate([voxels, start[None]]))
+
+
+def tube_round(volume: Volume, points: NDArray[np.float64], radius_mm: float | NDArray[np.float64]) -> Voxels:
+    """The voxels whose centres lie within a radius, mm, of one of (n, 3) LPS points."""
+    radii = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), (len(points),))
+    ijk = volume.to_ijk(points)
+    centers = np.floor(ijk + 0.5)
+    reach = np.ceil(radii.max() / np.array(volume.spacing_mm) + 0.5).astype(np.int64)
+    offsets = _box_voxels(-reach, reach)
+    shape = np.array(volume.shape_zyx[::-1])
+    found = [np.zeros((0, 3), dtype=np.int64)]
+    for point, center, radius in zip(ijk, centers.astype(np.int64), radii, strict=True):
+        ball = center + offsets
+        off_mm = np.linalg.norm((ball - point) @ volume.lps_from_ijk[:3, :3].T, axis=1)
+        ball = ball[off_mm <= radius + 1e-6]
+        found.append(ball[((ball >= 0) & (ball < shape)).all(axis=1)])
+    return _unique(np.concatenate(found))
+
+
+def voxels_along(volume: Volume, points: NDArray[np.float64]) -> Voxels:
+    """The voxels that a line of (n, 3) LPS points runs through, looked at every tenth of a voxel."""
+    ijk = volume.to_ijk(points)
+    counts = np.maximum(np.ceil(10.0 * np.abs(np.diff(ijk, axis=0)).max(axis=1)), 1).astype(np.int64)
+    pieces = [a + np.arange(n)[:, None] / n * (b - a) for a, b, n in zip(ijk[:-1], ijk[1:], counts, strict=True)]
+    shape = np.array(volume.shape_zyx[::-1])
+    voxels = np.floor(np.concatenate([*pieces, ijk[-1:]]) + 0.5).astype(np.int64)
+    return _unique(np.clip(voxels, 0, shape - 1))
+
+
+def missed_radii(volume: Volume, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Radius of the airway round each of (n, 3) LPS points of a way, mm: half-way up to the wall on 26 rays.
+
+    The shorter rays count (two fifths), since those along the airway meet no wall; the median of five neighbours takes
+    out single mistakes. At most 4 mm, at least half a voxel.
+    """
+    directions = _box_voxels(np.full(3, -1), np.full(3, 1)).astype(np.float64)
+    directions = directions[np.any(directions != 0.0, axis=1)] @ volume.lps_from_ijk[:3, :3].T
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    step_mm = 0.5 * min(volume.spacing_mm)
+    steps = np.arange(0.0, MAX_MISSED_RADIUS_MM + 2.0, step_mm)
+    places = points[:, None, None] + steps[None, None, :, None] * directions[None, :, None, :]
+    values = _interpolated(volume, places.reshape(-1, 3)).reshape(len(points), len(directions), len(steps))
+    inner = values[:, :, 0].min(axis=1)
+    half = 0.5 * (inner[:, None] + values.max(axis=2))
+    is_wall = values >= half[:, :, None]
+    first = np.maximum(is_wall.argmax(axis=2), 1)[:, :, None]
+    before, at = (np.take_along_axis(values, first + n, axis=2)[:, :, 0] for n in (-1, 0))
+    share = np.clip((half - before) / np.maximum(at - before, 1e-9), 0.0, 1.0)
+    rays = np.where(is_wall.any(axis=2), step_mm * (first[:, :, 0] - 1 + share), steps[-1])
+    radius = np.quantile(rays, 0.4, axis=1)
+    padded = np.pad(radius, 2, mode="edge")
+    radius = np.median(np.stack([padded[n : n + len(radius)] for n in range(5)]), axis=0)
+    clipped: NDArray[np.float64] = np.clip(radius, 0.5 * min(volume.spacing_mm), MAX_MISSED_RADIUS_MM)
+    return clipped
+
+
+def _interpolated(volume: Volume, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    shape = np.array(volume.shape_zyx[::-1])
+    ijk = np.clip(volume.to_ijk(points), 0, shape - 1)
+    base = np.minimum(np.floor(ijk).astype(np.int64), np.maximum(shape - 2, 0))
+    share = ijk - base
+    total = np.zeros(len(points))
+    for corner in range(8):
+        bits = np.array([corner & 1, corner >> 1 & 1, corner >> 2])
+        at = np.minimum(base + bits, shape - 1)
+        weight = np.prod(np.where(bits == 1, share, 1.0 - share), axis=1)
+        total += weight * volume.hu_zyx[at[:, 2], at[:, 1], at[:, 0]]
+    return total
+
+
+def _away_mm(lumen: EditedLumen, start: NDArray[np.int64], reach_mm: float) -> float | None:
+    """Distance to the nearest lumen that a path reaches; looked for in growing boxes, at most ``reach_mm``."""
+    volume = lumen.volume
+    center = volume.to_lps(start.astype(np.float64))
+    for reach in (10.0, 25.0, reach_mm):
+        low, high = _box_round(volume, start, (reach,) * 3)
+        states = lumen_states(lumen.core, _triple(low), _triple(high - low + 1))
+        voxels = np.argwhere(states == 2)[:, ::-1] + low
+        if len(voxels):
+            away = float(np.linalg.norm(volume.to_lps(voxels.astype(np.float64)) - center, axis=1).min())
+            if away <= reach:
+                return away
+    return None
+
+
+def _way(
+    lumen: EditedLumen,
+    low: NDArray[np.int64],
+    high: NDArray[np.int64],
+    weights: NDArray[np.float32],
+    start: NDArray[np.int64],
+) -> Voxels | None:
+    goals = (lumen_states(lumen.core, _triple(low), _triple(high - low + 1)) == 2).astype(np.uint8)
+    weights = np.where(goals != 0, np.float32(1.0), weights)
+    way = cheapest_way(weights, goals, lumen.volume.spacing_mm, _triple(start - low), cancel=lumen.cancel)
+    return None if way is None else (way + low).astype(np.uint16)
+
+
+def by_faces(way: Voxels) -> Voxels:
+    """The same way with voxels put in where two meet at an edge or a corner: such a step may be closed."""
+    found = [way[0].astype(np.int64)]
+    for voxel in way[1:].astype(np.int64):
+        for axis in range(3):
+            if found[-1][axis] != voxel[axis]:
+                between = found[-1].copy()
+                between[axis] = voxel[axis]
+                found.append(between)
+    return np.array(found, dtype=np.uint16)
+
+
+def _length_mm(volume: Volume, way: Voxels) -> float:
+    points = volume.to_lps(way.astype(np.float64))
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def _box_round(
+    volume: Volume, voxel: NDArray[np.int64], reach_mm: tuple[float, ...]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First and last voxel of the box that reaches so far along LPS x, y, z."""
+    inverse = np.abs(np.linalg.inv(volume.lps_from_ijk[:3, :3]))
+    reach = np.ceil(inverse @ np.array(reach_mm)).astype(np.int64)
+    shape = np.array(volume.shape_zyx[::-1])
+    return np.maximum(voxel - reach, 0), np.minimum(voxel + reach, shape - 1)
+
+
+def _box_voxels(low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.int64]:
+    shape = high - low + 1
+    k, j, i = np.indices(tuple(shape[::-1])).reshape(3, -1)
+    return np.stack([i, j, k], axis=1) + low
+
+
+def _crop(values: NDArray[np.int16], low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.int16]:
+    return np.ascontiguousarray(values[low[2] : high[2] + 1, low[1] : high[1] + 1, low[0] : high[0] + 1])
+
+
+def _unique(voxels: NDArray[np.int64]) -> Voxels:
+    return np.unique(voxels, axis=0).astype(np.uint16)
+
+
+def _triple(values: NDArray[np.generic]) -> tuple[int, int, int]:
+    i, j, k = (int(v) for v in values)
+    return i, j, k

@@ -1,0 +1,296 @@
+"""The way of a branch that a person adds: what is previewed under the pointer is what the click makes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import reached, sees
+from carina.display import one_line
+from carina.errors import NoEvidenceError, NoResultError, UsageError
+from carina.track.edit.caliber import with_walls
+from carina.track.edit.evidence import Evidence, Start, evidence_of
+from carina.track.edit.kinds import Point, branch_title
+from carina.track.edit.lumen import EditedLumen, Voxels, by_faces, voxel_of
+from carina.track.edit.pieces import kind_of_added
+from carina.track.edit.tree import Place, Points, TreeDraft, along_mm
+from carina.track.find.found import Airways
+from carina.track.paths.tracker import as_point
+from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.volume.model import Volume
+
+__all__ = ["BranchWay", "PlannedWay", "branch_way", "join_of", "lumen_node", "no_evidence", "planned_way", "together"]
+
+MIN_ADDED_MM = 1.0
+"""A branch that ends nearer than this to where it leaves the tree is there already."""
+FORK_RADII = 1.0
+"""A path has left a tube when it is farther from its middle than this multiple of its radius (as when found)."""
+LEAST_LEFT_MM = 3.0
+"""What would be left of a tip behind a new fork and is shorter than this, or 1.5 slices, goes."""
+LEAST_TOLD_MM = 5.0
+"""A shorter piece with evidence is not worth a click of its own: the message does not speak of it."""
+SMOOTH_MM, STEP_MM = 1.0, 1.0
+"""A way's steps from voxel to voxel are smoothed over this (sigma), and drawn with points so far apart."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class BranchWay:
+    """The way of the branch that :class:`carina.track.AddBranch` would make to a point, before it is asked for."""
+
+    points_lps: NDArray[np.float64]
+    """(n, 3) LPS mm from the tree to the point; (0, 3) where there is a problem."""
+    length_mm: float
+    doubtful: NDArray[np.bool_]
+    """(n-1,) for each segment, whether the CT shows no wall round it."""
+    doubtful_mm: float
+    """Length of the doubtful segments."""
+    has_evidence: bool
+    """Whether a click takes it at once; False where it must be asked for again, or where there is a problem."""
+    parent_id: int | None
+    """The branch that it leaves; None where there is a problem."""
+    problem: str | None
+    """Why no branch can be added at all, and what to do."""
+
+
+def branch_way(volume: Volume, airways: Airways, lps: Point | Sequence[float] | NDArray[np.float64]) -> BranchWay:
+    """The very way that ``AddBranch(lps)`` makes, without making it: fast enough to follow a pointer.
+
+    What is computed once per volume (how enclosed its lung looks, for comparison) is computed at the first call.
+
+    Parameters
+    ----------
+    volume
+        The CT that ``airways`` were found in.
+    airways
+        Not changed.
+    lps
+        Where the branch is to end, LPS mm.
+
+    Returns
+    -------
+    BranchWay
+        Also where nothing can be added: see ``problem``.
+    """
+    x, y, z = (float(value) for value in lps)
+    lumen = EditedLumen(volume, airways.tracker.core)
+    draft = TreeDraft(with_walls(airways.tree), airways.next_id or 1 + max(b.id for b in airways.tree.branches))
+    try:
+        plan = planned_way(lumen, airways.tree, draft, evidence_of(volume, airways), (x, y, z))
+    except (NoResultError, UsageError) as error:
+        return BranchWay(np.empty((0, 3)), 0.0, np.empty(0, dtype=bool), 0.0, False, None, str(error))
+    return BranchWay(
+        points_lps=plan.points,
+        length_mm=float(along_mm(plan.points)[-1]),
+        doubtful=plan.doubtful,
+        doubtful_mm=plan.doubtful_mm,
+        has_evidence=not plan.doubtful.any(),
+        parent_id=plan.leaves_id,
+        problem=None,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedWay:
+    """A branch that is about to be added to a draft of the tree."""
+
+    points: Points
+    """(n, 3) as it will be drawn; the first is the end of ``parent_id``."""
+    doubtful: NDArray[np.bool_]
+    """(n-1,) per segment."""
+    voxels: Voxels
+    """(m, 3) the way outside the lumen, from the lumen to the point, by faces; (0, 3) where it lies inside."""
+    parent_id: int
+    """The branch of the draft at whose end it begins, which may have been split for that."""
+    leaves_id: int
+    """The branch of the tree before the edit that it leaves."""
+
+    @property
+    def doubtful_mm(self) -> float:
+        """Length of the doubtful segments."""
+        return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1)[self.doubtful].sum())
+
+
+def planned_way(lumen: EditedLumen, tree: AirwayTree, draft: TreeDraft, evidence: Evidence, lps: Point) -> PlannedWay:
+    """The way to a point; the draft is split where it leaves the tree.
+
+    Raises
+    ------
+    UsageError
+        If the point lies outside the volume.
+    NoResultError
+        If the tree is there already, the point is tissue, or no way leads to it.
+    """
+    voxel = voxel_of(lumen.volume, lps)
+    way = np.zeros((0, 3), dtype=np.uint16)
+    if lumen.state_at(voxel) == 2:
+        path = path_to(lumen, lumen_node(lumen, voxel))
+    else:
+        branch, at, _ = tree.nearest_branch(lps)
+        found = evidence.way(lumen, voxel, voxel_of(lumen.volume, as_point(branch.points[at])))
+        path = path_to(lumen, lumen_node(lumen, found[0].astype(np.int64)))
+        way = by_faces(found)[1:]
+    place, left = join_of(lumen, draft.ordered(), path)
+    beyond = np.concatenate([path[left:], lumen.volume.to_lps(way.astype(np.float64))])
+    if not len(beyond) or along_mm(np.concatenate([path[left - 1 : left], beyond]))[-1] < MIN_ADDED_MM:
+        branch, _, away_mm = tree.nearest_branch(lps)
+        title = branch_title(branch.name, branch.id)
+        msg = (
+            f"the tree is there already: the point lies in {title}, {away_mm:.1f} mm from its middle. Click where "
+            "the missing branch ends"
+        )
+        raise NoResultError(msg, code="track.edit-nothing")
+    left_before = draft[place.branch_id]
+    parent_id = draft.parent_at(place, max(LEAST_LEFT_MM, 1.5 * max(lumen.volume.spacing_mm)))
+    points = _line(lumen, draft[parent_id], beyond, is_inside=not len(way))
+    doubtful = _doubtful(lumen, evidence, points, draft[parent_id])
+    is_shorter = not draft[parent_id].children and len(draft[parent_id].points) < len(left_before.points)
+    if is_shorter and kind_of_added(doubtful) == "manual":
+        # What is drawn by hand takes nothing away: it begins where the branch ends.
+        draft.change(
+            parent_id,
+            points=left_before.points,
+            radius=left_before.radius,
+            cost=left_before.cost,
+            doubtful_mm=left_before.doubtful_mm,
+        )
+        points = _line(lumen, left_before, beyond, is_inside=not len(way))
+        doubtful = _doubtful(lumen, evidence, points, left_before)
+    return PlannedWay(points, doubtful, way, parent_id, place.branch_id)
+
+
+def _line(lumen: EditedLumen, parent: Branch, beyond: Points, *, is_inside: bool) -> Points:
+    chain = np.concatenate([parent.points[-1:], beyond])
+    return _ended(lumen.core.smooth(chain, step_mm=STEP_MM, keep_end=True), chain) if is_inside else drawn(chain)
+
+
+def _doubtful(lumen: EditedLumen, evidence: Evidence, points: Points, parent: Branch) -> NDArray[np.bool_]:
+    inside = lumen.core.inside(points)
+    if inside.all():
+        # In lumen already: found by the search, or painted, which is no evidence.
+        i, j, k = np.floor(lumen.volume.to_ijk(points) + 0.5).astype(int).T
+        was_found = evidence.found_zyx[k, j, i] != 0
+        return np.asarray(evidence.doubtful(points) & ~(was_found[1:] & was_found[:-1]))
+    first = int(np.argmin(inside))
+    back = parent.points[-1] - parent.points[max(len(parent.points) - 6, 0)]
+    radius_mm = float(np.median(parent.radius[-6:]))
+    return evidence.doubtful(points, Start(float(along_mm(points)[first]), radius_mm, back))
+
+
+def no_evidence(plan: PlannedWay) -> NoEvidenceError:
+    """The refusal of a way, which says where the evidence ends and what to do."""
+    along = along_mm(plan.points)
+    first_mm = float(along[int(np.argmax(plan.doubtful))])
+    total_mm, doubtful_mm = float(along[-1]), plan.doubtful_mm
+    do = (
+        "Click where the wall is still visible; if the airway is blocked, bridge the blockage; or add the branch "
+        "without evidence: it is then labelled as drawn by hand and gets no anatomical name"
+    )
+    if first_mm < LEAST_TOLD_MM:
+        msg = f"the CT shows no airway wall along this way: {doubtful_mm:.0f} of {total_mm:.0f} mm are doubtful. {do}"
+    else:
+        msg = (
+            f"the CT shows an airway wall for the first {first_mm:.0f} mm of this way; {doubtful_mm:.0f} of the "
+            f"{total_mm - first_mm:.0f} mm beyond are doubtful. {do}"
+        )
+    return NoEvidenceError(msg, doubtful_mm=doubtful_mm, way_lps=plan.points, doubtful=plan.doubtful)
+
+
+def drawn(chain: Points) -> Points:
+    """A smooth line with a point every mm along voxel centres; both ends stay."""
+    along = along_mm(chain)
+    fine = np.linspace(0.0, along[-1], max(2, int(np.ceil(4.0 * along[-1])) + 1))
+    line = np.stack([np.interp(fine, along, chain[:, axis]) for axis in range(3)], axis=1)
+    step_mm = along[-1] / (len(fine) - 1) if along[-1] > 0.0 else 1.0
+    reach = int(np.ceil(3.0 * SMOOTH_MM / step_mm))
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step_mm / SMOOTH_MM) ** 2)
+    # Mirrored through its ends, a line keeps them.
+    before, after = 2.0 * line[:1] - line[1 : reach + 1][::-1], 2.0 * line[-1:] - line[-reach - 1 : -1][::-1]
+    padded = np.concatenate([before, line, after])
+    if len(padded) == len(line) + 2 * reach:
+        weights /= weights.sum()
+        line = np.stack([np.convolve(padded[:, axis], weights, mode="valid") for axis in range(3)], axis=1)
+    along = along_mm(line)
+    places = np.linspace(0.0, along[-1], max(2, round(along[-1] / STEP_MM) + 1))
+    points = np.stack([np.interp(places, along, line[:, axis]) for axis in range(3)], axis=1)
+    return _ended(points, chain)
+
+
+def _ended(points: Points, ends: Points) -> Points:
+    """Exactly with the ends asked for: others begin there."""
+    points[0], points[-1] = ends[0], ends[-1]
+    return points
+
+
+def lumen_node(lumen: EditedLumen, voxel: NDArray[np.int64], reach_mm: float = 0.0) -> int:
+    """The node of a voxel, or the nearest one within ``reach_mm``, that a path leads to.
+
+    Raises
+    ------
+    NoResultError
+        If there is none.
+    """
+    volume = lumen.volume
+    x, y, z = (float(value) for value in volume.to_lps(voxel.astype(np.float64)))
+    found = lumen.core.nearest((x, y, z), max(reach_mm, 0.1 * min(volume.spacing_mm)))
+    if found is None or not reached(lumen.core, np.array([found[0]], np.uint32))[0]:
+        msg = (
+            f"no airway of the tree is within {reach_mm:g} mm of the point: click inside an airway"
+            if found is None
+            else "the lumen at the point is not connected to the tree: bridge to it, or add a branch to it first"
+        )
+        raise NoResultError(msg, code="track.outside-lumen")
+    return found[0]
+
+
+def path_to(lumen: EditedLumen, node: int) -> Points:
+    """Voxel centres from the root to a node."""
+    found = lumen.core.path(node)
+    assert found is not None
+    return found[0]
+
+
+def together(branches: list[Branch]) -> tuple[Points, NDArray[np.int64]]:
+    """The points of all branches in one array, and where each branch begins in it."""
+    points = np.concatenate([branch.points for branch in branches])
+    starts = np.cumsum([0, *(len(branch.points) for branch in branches[:-1])])
+    return points, starts
+
+
+def join_of(lumen: EditedLumen, branches: list[Branch], path: Points) -> tuple[Place, int]:
+    """Where a path leaves the tree, and the first of its points that lies beyond.
+
+    A point of the path still belongs to a tube while some point of its centreline is within its radius and in
+    sight.
+    """
+    tree_points, starts = together(branches)
+    radius = np.concatenate([branch.radius for branch in branches])
+    # Half a voxel more: the middle of a tube of one voxel is that voxel.
+    reach = FORK_RADII * radius + 0.5 * min(lumen.volume.spacing_mm)
+    low, high = path.min(axis=0) - reach.max(), path.max(axis=0) + reach.max()
+    near = np.flatnonzero(((tree_points >= low) & (tree_points <= high)).all(axis=1))
+    owner = np.searchsorted(starts, near, side="right") - 1
+    index = near - starts[owner]
+    owner = np.array([branch.id for branch in branches])[owner]
+    tree_points, reach = tree_points[near], reach[near]
+    leaves, place = 0, 0
+    for first in range(0, len(path), 64):
+        part = path[first : first + 64]
+        off = np.sqrt(sum(np.square(part[:, None, a] - tree_points[None, :, a]) for a in range(3)))
+        over = np.where(off <= reach[None], off, np.inf)
+        for n in range(len(part)):
+            order = np.flatnonzero(np.isfinite(over[n]))
+            order = order[np.argsort(over[n][order], kind="stable")[:4]]
+            if len(order):
+                same = np.repeat(part[n : n + 1], len(order), axis=0)
+                order = order[sees(lumen.core, same, tree_points[order])]
+            if not len(order):
+                if first + n == 0:
+                    # The root itself: the trunk begins there.
+                    continue
+                return Place(int(owner[place]), int(index[place])), leaves + 1
+            leaves, place = first + n, int(order[0])
+    return Place(int(owner[place]), int(index[place])), leaves + 1

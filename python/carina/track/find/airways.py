@@ -1,0 +1,198 @@
+"""From a volume to its airways."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import LumenTracker
+from carina.display.progress import ProgressChoice, heard, shows_progress
+from carina.errors import UsageError, check_type
+from carina.track.find.found import Airways
+from carina.track.find.growth import doubts_of_given, given_lumen, grow, trachea_in
+from carina.track.find.mask_doubts import unnamed_where_doubted, with_mask_doubts
+from carina.track.find.root_checks import refuse_a_root_below_the_carina, refuse_a_root_of_one_lung
+from carina.track.find.totals import doubt_of_totals
+from carina.track.levels import AirScale
+from carina.track.names.naming import name_tree
+from carina.track.paths.tracker import SNAP_MM, PathTracker, as_point, branches_from_rows, words
+from carina.track.stages import Cancel, Stages
+from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.track.tree.uncertain import Uncertainty, find_uncertain, with_confidence
+from carina.volume.model import Note, Volume
+
+__all__ = ["Airways", "find_airways"]
+
+# Trachea, two main, five lobar and some segmental bronchi: with fewer there is too little to tell lobes apart.
+MIN_GRAMMAR_BRANCHES = 12
+
+
+@shows_progress
+def find_airways(
+    volume: Volume,
+    *,
+    root_lps: Sequence[float] | NDArray[np.float64] | None = None,
+    lumen_threshold: float | None = None,
+    lumen_zyx: NDArray[np.uint8] | None = None,
+    notes: Sequence[str] = (),
+    progress: ProgressChoice = None,
+    cancel: Cancel | None = None,
+) -> Airways:
+    """Find the airway lumen and its tree.
+
+    Parameters
+    ----------
+    volume
+        A chest CT, in HU or not.
+    root_lps
+        Where the paths begin, LPS mm; the top of the trachea unless told. A point outside the lumen is moved to the
+        nearest lumen voxel within 5 mm. Needed where the trachea is not in view.
+    lumen_threshold
+        Value at which the lumen ends, in the volume's own numbers; -800 HU unless told, or from the histogram where the
+        volume is not in HU. Where it is told, the lumen is not followed beyond it by its shape.
+    lumen_zyx
+        A lumen from another tool, (nz, ny, nx), not 0 inside, on the volume's grid: used instead of the automatic one.
+        Of several pieces the one with the root counts; a note says how much is not connected to it, and how much of it
+        is no air in this CT.
+    notes
+        What is known beforehand, such as where ``lumen_zyx`` is from; said first.
+    progress, cancel
+        Told what is going on; a bar in a terminal or a notebook unless told, none with False. Asked whether to stop.
+
+    Returns
+    -------
+    Airways
+        Lumen, root, tree with generations, names and confidence, tracker, notes on what was limited, and what could not
+        be followed.
+
+    Raises
+    ------
+    NoResultError
+        If there is no trachea, no lumen at the root, or the lumen is empty; the message says which.
+    UsageError
+        If the root is not in the volume, or the threshold leaves no lumen.
+    GeometryError
+        If ``lumen_zyx`` is not on the volume's grid.
+    CancelledError
+        If ``cancel()`` said so.
+
+    References
+    ----------
+    Paper 6; docs/algorithms.md.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> airways.tree.root.name
+    'Trachea'
+    """
+    check_type("find_airways", "volume", volume, Volume, "open one with carina.open_volume")
+    stage = Stages(heard(progress), cancel)
+    root = None if root_lps is None else as_point(root_lps)
+    if root is not None and not volume.contains_lps(np.array(root)):
+        msg = f"the root {words(root)} lies outside the volume"
+        raise UsageError(msg)
+    found_notes = list(notes)
+    badges: list[Note] = []
+    # None: a lumen from another tool need not agree with what this CT shows, and is not judged by it.
+    noise: float | None = None
+    leaks = np.empty((0, 3))
+    # None: the root was not found by a split into two main bronchi.
+    trachea_mm: float | None = None
+    if lumen_zyx is not None:
+        lumen, levels, end = given_lumen(volume, lumen_zyx), None, float("nan")
+        badges += doubts_of_given(volume, lumen)
+        if root is None:
+            drawn = np.where(lumen != 0, -1000, 40).astype(np.int16)
+            trachea = trachea_in(drawn, volume, AirScale(-1000.0, 0.0), stage, painted=True)
+            root = trachea.top
+            found_notes += trachea.notes
+    else:
+        grown = grow(volume, root, lumen_threshold, stage)
+        lumen, levels, end, root = grown.lumen, grown.levels, grown.end, grown.root
+        noise, leaks, trachea_mm = grown.noise, grown.leaks_lps, grown.trachea_mm
+        badges += grown.badges
+        found_notes += grown.notes
+    stage.begin("measuring the lumen")
+    assert root is not None
+    core = LumenTracker(volume.hu_zyx, volume.lps_from_ijk, lumen, levels=levels, root_lps=root, reach_mm=SNAP_MM)
+    tracker = PathTracker(volume, core)
+    stage.begin("solving the paths")
+    core.solve_all(cancel=cancel, progress=stage.share)
+    stage.begin("finding the branches")
+    rows = core.branches(cancel=cancel, progress=stage.share)
+    branches = branches_from_rows(rows)
+    if root_lps is None:
+        refuse_a_root_below_the_carina(volume, branches)
+        if trachea_mm is not None:
+            refuse_a_root_of_one_lung(volume, branches, trachea_mm)
+    tree = AirwayTree(branches, _smooth=tracker.smooth)
+    uncertain: tuple[Uncertainty, ...] = ()
+    if noise is not None:
+        stage.begin("judging the branches")
+        tree = with_confidence(volume, tree, noise)
+        uncertain = find_uncertain(volume, tree, leaks)
+        total = doubt_of_totals(branches, splits=trachea_mm is not None)
+        badges += [] if total is None else [total]
+    elif volume.is_hu:
+        stage.begin("comparing the mask with the CT")
+        tree, doubt = with_mask_doubts(volume, tree, tracker.noise_hu, tracker.air_scale)
+        badges += [] if doubt is None else [doubt]
+    if len(tree) >= MIN_GRAMMAR_BRANCHES:
+        tree = name_tree(tree)
+    else:
+        tree = dataclasses.replace(tree, branches=_named(tree.branches))
+    if lumen_zyx is not None:
+        tree = unnamed_where_doubted(tree)
+    tree = dataclasses.replace(tree, notes=tuple(badges))
+    tracker.set_branches(tree.branches, [row["nodes"] for row in rows])
+    if core.num_settled < core.num_nodes:
+        found_notes.append(f"{core.num_nodes - core.num_settled} lumen voxels are not connected to the root")
+    lumen.flags.writeable = False
+    root_at = branches[0].points[0].copy()
+    stage.begin("airways found", 1.0)
+    return Airways(
+        lumen_zyx=lumen,
+        root_lps=root_at,
+        tree=tree,
+        tracker=tracker,
+        threshold=end,
+        notes=(*found_notes, *(badge.words for badge in badges)),
+        wall_levels=levels,
+        uncertain=uncertain,
+    )
+
+
+def _named(branches: tuple[Branch, ...]) -> tuple[Branch, ...]:
+    """Names that are beyond doubt in a tree too small for more: trachea and main bronchi.
+
+    The trunk is the trachea where it runs down for at least 20 mm and splits in two; of the two the one that leads to
+    the patient's right (-x in LPS) is the right main bronchus.
+    """
+    trunk = branches[0]
+    if len(trunk.children) != 2 or trunk.points[0][2] - trunk.points[-1][2] < 20.0:
+        return branches
+    one, two = (branches[child] for child in trunk.children)
+
+    def side_mm(branch: Branch) -> float:
+        # Mean place of all that hangs on it: a main bronchus is short, its lung is not.
+        below = [branch]
+        for member in below:
+            below.extend(branches[child] for child in member.children)
+        points = np.concatenate([member.points for member in below])
+        return float(points[:, 0].mean() - trunk.points[-1][0])
+
+    sides = {branch.id: side_mm(branch) for branch in (one, two)}
+    right, left = sorted((one, two), key=lambda branch: sides[branch.id])
+    if not sides[right.id] < -10.0 < 10.0 < sides[left.id] or min(len(right.children), len(left.children)) < 2:
+        return branches
+    names = {trunk.id: "Trachea", right.id: "RMB", left.id: "LMB"}
+    return tuple(
+        dataclasses.replace(branch, name=names[branch.id], name_from="anatomy") if branch.id in names else branch
+        for branch in branches
+    )

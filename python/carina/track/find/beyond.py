@@ -1,0 +1,119 @@
+"""What lies beyond the flooded lumen, followed as far as it can be trusted: a search that runs out says so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import extend_lumen
+from carina.track.find.kernel import edge_undershoot_hu
+from carina.track.find.root_checks import LUNG_HU
+from carina.track.levels import AirScale
+from carina.track.stages import Stages
+from carina.volume.model import Note, Volume
+
+__all__ = ["STOPPED", "Beyond", "follow_beyond"]
+
+STOPPED = "track.search-stopped"
+"""Code of the lasting note of a search that ran out of the airways."""
+
+# Beyond the flood's end airways are followed by their shape (docs/decisions/0015). The least rise to a wall; how long a
+# drop of mucus or a beat of the heart may blot it out; how far a branch must lead to be one. Slices thicker than the
+# smallest lumen show its wall only mixed with what lies beside it: so many more of them must agree.
+LEAST_RISE_HU = 15.0
+GAP_MM = 2.0
+MIN_FOLLOWED_MM = 2.0
+THIN_SLICE_MM = 1.0
+THICK_SECTIONS = 5.0
+HALF_WALL_HU = -500.0
+
+# What tells a search that runs out (docs/decisions/0040). Rims darker than this beside every edge look like airways; a
+# soft kernel leaves none. Where there is noise, edges are found where it makes them steep: that pretends a part of it.
+SHARP_HU = 6.0
+NOISE_SHARE = 0.15
+# What a rim of that depth pretends: a way must be so many times as enclosed.
+SHARP_BAR = 1.5
+# A search that ran out is made again, with ways that must be so many times as enclosed as the lung asks for.
+BARS = (1.0, 2.0, 4.0)
+SHARP_BARS = (3.0, 5.0)
+# Healthy searches reach 0.02 to 0.4 % of the lung and follow at most 0.35 m (eight CTs).
+MOST_REACHED = 0.02
+MOST_FOLLOWED_MM = 2500.0
+SHARP_FOLLOWED_MM = 400.0
+
+SOFT_KERNEL = "Open a reconstruction with a soft kernel, if there is one"
+
+
+@dataclass(frozen=True, slots=True)
+class Beyond:
+    """What was followed beyond the flood."""
+
+    notes: tuple[str, ...]
+    badge: Note | None
+    """That the search ran out and what was done about it; None where it did not."""
+
+
+def follow_beyond(
+    volume: Volume, lumen: NDArray[np.uint8], scale: AirScale, stage: Stages, *, air: float, noise: float
+) -> Beyond:
+    """Follow the airways beyond the flooded ``lumen`` (1 inside, changed in place); the bar rises till it holds."""
+    stage.begin("following the small airways")
+    undershoot_hu = edge_undershoot_hu(volume, scale)
+    is_sharp = undershoot_hu is not None and undershoot_hu > SHARP_HU + NOISE_SHARE * noise / scale.span(1.0)
+    least_rise = scale.span(LEAST_RISE_HU)
+    if undershoot_hu is not None and is_sharp:
+        least_rise = max(least_rise, scale.span(SHARP_BAR * undershoot_hu))
+
+    def extended(raised: float) -> dict[str, Any]:
+        return extend_lumen(
+            volume.hu_zyx,
+            volume.lps_from_ijk,
+            lumen,
+            air=air,
+            lung=(scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1])),
+            brightest=scale.level(HALF_WALL_HU),
+            least_rise=least_rise,
+            gap_mm=GAP_MM,
+            min_length_mm=MIN_FOLLOWED_MM + THICK_SECTIONS * max(max(volume.spacing_mm) - THIN_SLICE_MM, 0.0),
+            raised=raised,
+            most_reached=MOST_REACHED,
+            cancel=stage.cancel,
+            progress=stage.share,
+        )
+
+    followed: list[dict[str, Any]] = []
+    ran_out = False
+    for raised in SHARP_BARS if is_sharp else BARS:
+        found = extended(raised)
+        if not found["ran_out"] and _length_mm(found["followed"]) <= (
+            SHARP_FOLLOWED_MM if is_sharp else MOST_FOLLOWED_MM
+        ):
+            followed = found["followed"]
+            break
+        ran_out = True
+        lumen[lumen > 1] = 0
+    notes = []
+    if followed:
+        notes.append(
+            f"{_length_mm(followed):.0f} mm of small airways, in {len(followed)} pieces, were followed by "
+            "the shape of their walls, beyond where these hold the air"
+        )
+    np.minimum(lumen, 1, out=lumen)
+    if not (is_sharp or ran_out):
+        return Beyond(tuple(notes), None)
+    what = (
+        f"this CT's sharp kernel draws dark rims ({undershoot_hu:.0f} HU) beside vessels, which look like airways"
+        if is_sharp
+        else "it ran out of the airways into the lung"
+    )
+    kept = "only what stands out was kept" if followed else "nothing of it was kept"
+    words = f"the search for small airways was held back: {what}; {kept}, and small airways are missing. {SOFT_KERNEL}"
+    return Beyond(tuple(notes), Note(STOPPED, words, badge=True))
+
+
+def _length_mm(followed: Sequence[dict[str, Any]]) -> float:
+    return float(sum(path["length_mm"] for path in followed))

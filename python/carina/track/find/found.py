@@ -1,0 +1,84 @@
+"""What a search gives: the airways of a volume."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.commands.tree import AnyTreeEdit as TreeEdit
+from carina.display import as_words
+from carina.track.find.kept import KeptForVolume
+from carina.track.paths.tracker import PathTracker
+from carina.track.tree.airway_tree import AirwayTree
+from carina.track.tree.uncertain import Uncertainty
+from carina.volume.model import Note
+
+__all__ = ["Airways"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Airways:
+    """The airways of a volume.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> airways.lumen_zyx.shape == phantom.volume.shape_zyx
+    True
+    """
+
+    lumen_zyx: NDArray[np.uint8]
+    """(nz, ny, nx), 1 inside the lumen, read-only."""
+    root_lps: NDArray[np.float64]
+    """Where all paths begin, LPS mm."""
+    tree: AirwayTree
+    tracker: PathTracker
+    threshold: float
+    """Value at which the lumen ends (HU where the volume is in HU)."""
+    notes: tuple[str, ...] = ()
+    """What was limited or moved, in words."""
+    wall_levels: tuple[float, float, float] | None = None
+    """Values that tell lumen from wall on diagonal steps (certain air, half-way, rise); None for a given lumen."""
+    edits: tuple[TreeEdit, ...] = ()
+    """What a person changed since they were found, in order."""
+    base: Airways | None = None
+    """What was found, before the edits; None where there are none."""
+    next_id: int | None = None
+    """The first id that no branch ever had; None before the first edit."""
+    uncertain: tuple[Uncertainty, ...] = ()
+    """What could not be followed and why, the widest first; last, where the CT stops being trustworthy."""
+    bridges: tuple[NDArray[np.float64], ...] = ()
+    """(n, 3) LPS mm each: ways of the bridges that a person made and did not cut; what leads there stays a bridge."""
+    evidence: KeptForVolume[Any] = field(default_factory=KeptForVolume, repr=False, compare=False)
+    """What the CT shows of airways beyond those found, for edits; found when first needed, the same after each edit."""
+
+    def __repr__(self) -> str:
+        edited = f", {len(self.edits)} edits" if self.edits else ""
+        return f"Airways({self.tree!r}, root_lps={as_words(self.root_lps)}, threshold={self.threshold:g}{edited})"
+
+    def _repr_html_(self) -> str:
+        """The tree, drawn and as a table, and what was found, in a notebook."""
+        badges = {note.words for note in self.badges}
+        more = [note for note in self.notes if note not in badges]
+        if self.edits:
+            more.append(f"{len(self.edits)} edits by a person")
+        if self.uncertain:
+            first = self.uncertain[0].reason
+            more.append(f"{len(self.uncertain)} places that could not be followed; the widest: {first}")
+        return self.tree.to_html(more)
+
+    @property
+    def badges(self) -> tuple[Note, ...]:
+        """The lasting notes: a search that was stopped, a mask that is doubted. They go with the tree wherever it goes
+        and stay through edits; their words are in ``notes`` too."""
+        return self.tree.notes
+
+    @property
+    def report(self) -> tuple[str, ...]:
+        """The notes."""
+        return self.notes

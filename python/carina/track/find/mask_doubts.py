@@ -1,0 +1,135 @@
+"""Whether a lumen from another tool is that of this CT: looked at branch by branch, along its whole length."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.track.levels import AirScale
+from carina.track.paths.live import sampled
+from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.volume.model import Note, Volume
+
+__all__ = ["DOUBTED", "mask_evidence", "unnamed_where_doubted", "with_mask_doubts"]
+
+DOUBTED = "track.mask-doubted"
+"""Code of the lasting note of a mask that does not fit its CT."""
+
+Points = NDArray[np.float64]
+
+STEP_MM = 1.0
+NUM_SIDES = 16
+NUM_STEPS = 14
+# The middle of the lumen is what lies within this share of its radius; its wall is looked for up to so far beyond it.
+MIDDLE = 0.35
+WALL_REACH_MM = 2.0
+# A wall rises above the lumen by this many deviations of the noise, and by at least so much; most sides have one.
+RISE_SIGMA, LEAST_RISE_HU = 4.0, 80.0
+MIN_WALLED = 0.6
+# Brighter than half-way to soft tissue is no air.
+AIR_HU = -500.0
+# A branch is in doubt where less of its length than this has evidence; a mask, where so much of its length is.
+MIN_EVIDENCE = 0.4
+MOST_DOUBTED = 0.2
+# Wide airways stay dark under a mask that is some mm off: the small ones tell.
+MOST_RADIUS_MM = 7.0
+
+
+def mask_evidence(volume: Volume, branches: tuple[Branch, ...], noise_hu: float, scale: AirScale) -> list[Points]:
+    """For each branch, (n,) at places 1 mm apart: the share of its sides with wall where its middle is dark, else 0."""
+    places, across_u, across_v, radii, counts = [], [], [], [], []
+    for branch in branches:
+        at, along, radius = _places(branch)
+        helper = np.eye(3)[np.argmin(np.abs(along), axis=1)]
+        u = np.cross(along, helper)
+        u /= np.maximum(np.linalg.norm(u, axis=1, keepdims=True), 1e-9)
+        places.append(at)
+        across_u.append(u)
+        across_v.append(np.cross(along, u))
+        radii.append(radius)
+        counts.append(len(at))
+    at, u, v, radius = (np.concatenate(parts) for parts in (places, across_u, across_v, radii))
+    angle = 2.0 * np.pi * np.arange(NUM_SIDES) / NUM_SIDES
+    sides = np.cos(angle)[None, :, None] * u[:, None, :] + np.sin(angle)[None, :, None] * v[:, None, :]
+    voxel_mm = float(np.prod(volume.spacing_mm)) ** (1 / 3)
+    reach = radius + WALL_REACH_MM + voxel_mm
+    off = np.linspace(0.0, 1.0, NUM_STEPS)[None, :] * reach[:, None]
+    points = at[:, None, None, :] + sides[:, :, None, :] * off[:, None, :, None]
+    values = sampled(volume, points.reshape(-1, 3)).reshape(points.shape[:3])
+    is_middle = off <= np.maximum(MIDDLE * radius, 1e-6)[:, None]
+    middle = (values.mean(axis=1) * is_middle).sum(axis=1) / is_middle.sum(axis=1)
+    rise = values.max(axis=2) - middle[:, None]
+    least = max(RISE_SIGMA * scale.span(noise_hu), scale.span(LEAST_RISE_HU))
+    walled = (rise > least).mean(axis=1)
+    walled[middle > scale.level(AIR_HU)] = 0.0
+    return list(np.split(walled, np.cumsum(counts)[:-1]))
+
+
+def _places(branch: Branch) -> tuple[Points, Points, NDArray[np.float64]]:
+    """Places of a branch beyond the fork that it comes from, the way it runs there, and its radius."""
+    steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    first = min(float(branch.radius[0]), 0.5 * along[-1])
+    last = max(along[-1] - min(STEP_MM, 0.2 * along[-1]), first)
+    at = np.linspace(first, last, max(int((last - first) / STEP_MM) + 1, 2))
+
+    def on(mm: NDArray[np.float64]) -> Points:
+        return np.stack([np.interp(mm, along, branch.points[:, axis]) for axis in range(3)], axis=1)
+
+    ahead = on(at + 1.5) - on(at - 1.5)
+    length = np.linalg.norm(ahead, axis=1, keepdims=True)
+    ahead = np.where(length > 0.0, ahead / np.maximum(length, 1e-9), np.array([0.0, 0.0, 1.0]))
+    return on(at), ahead, np.interp(at, along, branch.radius)
+
+
+def with_mask_doubts(
+    volume: Volume, tree: AirwayTree, noise_hu: float, scale: AirScale
+) -> tuple[AirwayTree, Note | None]:
+    """The tree of a mask with the confidence of its doubtful branches, and the lasting note of one that does not fit.
+
+    A branch whose middle is dark, with wall on most sides, along its whole length has a share of 1; one that lies in
+    tissue or in lung without wall 0. A mask drawn at the outer side of the walls fits as well: middles stay dark, walls
+    are near. The share is the confidence of branches that lack evidence, and of all where the mask does not fit.
+
+    Parameters
+    ----------
+    noise_hu
+        Standard deviation of the values in the widest airway, HU.
+    """
+    found = mask_evidence(volume, tree.branches, noise_hu, scale)
+    shares = [float((walled >= MIN_WALLED).mean()) for walled in found]
+    told = [
+        (branch.length_mm, share)
+        for branch, share in zip(tree.branches, shares, strict=True)
+        if float(np.median(branch.radius)) <= MOST_RADIUS_MM
+    ]
+    total_mm = sum(length for length, _ in told)
+    doubted = [length for length, share in told if share < MIN_EVIDENCE]
+    note = None
+    if sum(doubted) > MOST_DOUBTED * total_mm:
+        words = (
+            f"the mask does not fit this CT: {len(doubted)} of its {len(told)} smaller airways, "
+            f"{100.0 * sum(doubted) / total_mm:.0f} % of their length, lie in tissue or in lung without a wall round "
+            "them. It may belong to another scan or patient, or be shifted or mirrored"
+        )
+        note = Note(DOUBTED, words, badge=True)
+    branches = tuple(
+        # What another tool found is taken as it is where nothing speaks against it.
+        dataclasses.replace(branch, confidence=round(share, 3)) if note is not None or share < MIN_EVIDENCE else branch
+        for branch, share in zip(tree.branches, shares, strict=True)
+    )
+    return dataclasses.replace(tree, branches=branches), note
+
+
+def unnamed_where_doubted(tree: AirwayTree) -> AirwayTree:
+    """A tree whose names go no farther than its evidence: the name of a branch is no surer than the branch."""
+    return dataclasses.replace(tree, branches=tuple(_less_sure(branch) for branch in tree.branches))
+
+
+def _less_sure(branch: Branch) -> Branch:
+    sure, name_sure = branch.confidence, branch.name_confidence
+    if sure is None or name_sure is None or name_sure <= sure:
+        return branch
+    return dataclasses.replace(branch, name_confidence=sure)

@@ -1,0 +1,129 @@
+"""Whether the root that was found is the top of the trachea: what the tree grown from it says."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.errors import NoResultError
+from carina.track.levels import AirScale, air_scale
+from carina.track.paths.tracker import as_point, words
+from carina.track.tree.airway_tree import Branch
+from carina.volume.model import Volume
+
+__all__ = ["LUNG_HU", "UP_FIRST_MM", "refuse_a_root_below_the_carina", "refuse_a_root_of_one_lung"]
+
+# Inspiration to expiration, emphysema in part: there must be some of it on both sides of the trachea's split.
+LUNG_HU = (-950.0, -600.0)
+# A path that rises this much before it falls as much goes up first.
+UP_FIRST_MM = 10.0
+# A tube as long as this above its split is the trachea: the longest other one, the left main bronchus, has 40 to 55 mm.
+SURE_TRACHEA_MM = 60.0
+# Ends this near to the middle between the lungs belong to neither side.
+MIDDLE_MM = 10.0
+# Of the ends that lie to a side, the least share on the side that has fewer: an upper lobe without its bronchi is more.
+LEAST_SIDE = 0.05
+# Lung is told from the air outside on blocks of about this size: noise and the skin's blurred edge go under.
+BLOCK_MM = 4.0
+
+
+def refuse_a_root_below_the_carina(volume: Volume, branches: tuple[Branch, ...]) -> None:
+    """Refuse a root from which branches in the lung are reached by going up first: a lower bronchus, not the trachea.
+
+    Throat, nose and oesophagus above the root end in soft tissue.
+
+    Raises
+    ------
+    NoResultError
+        If that is so.
+    """
+    root_z = float(branches[0].points[0][2])
+    upward: list[bool | None] = []
+    tips = []
+    # Parents come before their children.
+    for branch in branches:
+        first = None if branch.parent is None else upward[branch.parent]
+        if first is None:
+            rise = branch.points[:, 2] - root_z
+            off = np.flatnonzero(np.abs(rise) > UP_FIRST_MM)
+            first = bool(rise[off[0]] > 0.0) if len(off) else None
+        upward.append(first)
+        if first and not branch.children:
+            tips.append(branch.points[-1])
+    scale = air_scale(volume) if tips else None
+    num_in_lung = sum(scale is not None and _is_in_lung(volume, tip, scale) for tip in tips)
+    if num_in_lung >= 3:
+        msg = (
+            f"no trachea was found: the tube of air at {words(as_point(branches[0].points[0]))} is a lower bronchus, "
+            "the airway goes on above it; give a point in the trachea (root)"
+        )
+        raise NoResultError(msg)
+
+
+def refuse_a_root_of_one_lung(volume: Volume, branches: tuple[Branch, ...], trachea_mm: float) -> None:
+    """Refuse a root that splits in two but leads into one lung only: a bronchus, not the trachea.
+
+    A main or lower bronchus splits as the trachea does, and has lung on both sides of it. What hangs on it stays on
+    its side of the middle between the lungs. A trachea longer than any bronchus is believed without this, whatever has
+    become of a lung.
+
+    Parameters
+    ----------
+    branches
+        The tree grown from the root.
+    trachea_mm
+        Length of the tube above its split.
+
+    Raises
+    ------
+    NoResultError
+        If that is so.
+    """
+    if trachea_mm >= SURE_TRACHEA_MM:
+        return
+    middle = _middle_between_the_lungs(volume)
+    if middle is None:
+        return
+    ends = np.array([branch.points[-1][0] for branch in branches if not branch.children])
+    # +x is the patient's left.
+    right, left = int((ends < middle - MIDDLE_MM).sum()), int((ends > middle + MIDDLE_MM).sum())
+    if min(right, left) <= LEAST_SIDE * (right + left):
+        side = "right" if right > left else "left"
+        place = words(as_point(branches[0].points[0]))
+        msg = (
+            f"no trachea was found: the tube of air at {place} splits in two, but leads "
+            f"into the {side} lung only, so it is a main or lower bronchus; is the volume cropped below the carina? "
+            "Take one with the trachea in view, or give a point in the airway (root)"
+        )
+        raise NoResultError(msg)
+
+
+def _middle_between_the_lungs(volume: Volume) -> float | None:
+    """x in LPS half-way between the outer parts of the lungs; None where there is no lung."""
+    size = np.maximum(np.rint(BLOCK_MM / np.array(volume.spacing_mm)), 1).astype(int)
+    counts = np.array(volume.shape_zyx[::-1]) // size
+    if not counts.all():
+        return None
+    scale = air_scale(volume)
+    low, high = scale.level(LUNG_HU[0]), scale.level(LUNG_HU[1])
+    (ni, nj, nk), (si, sj, sk) = counts.tolist(), size.tolist()
+    found: list[NDArray[np.float64]] = []
+    for k in range(nk):
+        slab = volume.hu_zyx[k * sk : (k + 1) * sk, : nj * sj, : ni * si]
+        means = slab.reshape(sk, nj, sj, ni, si).mean(axis=(0, 2, 4))
+        j, i = np.nonzero((means >= low) & (means <= high))
+        ijk = np.stack([i, j, np.full(len(i), k)], axis=1) * size + 0.5 * (size - 1)
+        found.append(volume.to_lps(ijk)[:, 0])
+    x = np.concatenate(found)
+    return float(np.quantile(x, [0.1, 0.9]).mean()) if len(x) else None
+
+
+def _is_in_lung(volume: Volume, point: NDArray[np.float64], scale: AirScale) -> bool:
+    """Lung is the most common thing within 8 mm."""
+    center = volume.to_ijk(point)
+    reach = np.ceil(8.0 / np.array(volume.spacing_mm))
+    shape = np.array(volume.shape_zyx[::-1])
+    low = np.clip(np.floor(center - reach), 0, shape - 1).astype(int)
+    high = np.clip(np.ceil(center + reach), 0, shape - 1).astype(int)
+    block = volume.hu_zyx[low[2] : high[2] + 1, low[1] : high[1] + 1, low[0] : high[0] + 1]
+    return bool(((block >= scale.level(LUNG_HU[0])) & (block <= scale.level(LUNG_HU[1]))).mean() > 0.5)

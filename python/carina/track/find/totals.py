@@ -1,0 +1,42 @@
+"""Whether an airway tree can be one at all: totals that no chest has, or a trachea that leads nowhere."""
+
+from __future__ import annotations
+
+from carina.track.find.beyond import SOFT_KERNEL, STOPPED
+from carina.track.tree.airway_tree import Branch
+from carina.volume.model import Note
+
+__all__ = ["doubt_of_totals"]
+
+# All airways that CTs show are 1 to 4 m long, in 100 to 600 branches of up to 10 to 16 generations.
+MOST_LENGTH_MM = 12_000.0
+MOST_BRANCHES = 2_500
+MOST_GENERATION = 40
+# Both main bronchi with their lobar bronchi are longer than this, beyond a trachea that splits.
+LEAST_BEYOND_MM = 150.0
+
+
+def doubt_of_totals(branches: tuple[Branch, ...], *, splits: bool) -> Note | None:
+    """The lasting note of a tree that holds more than a chest does, or hardly anything beyond a trachea that splits.
+
+    Parameters
+    ----------
+    splits
+        The trachea was found by its split into two main bronchi, with lung on both sides.
+    """
+    length_mm = float(sum(branch.length_mm for branch in branches))
+    deepest = max(branch.generation for branch in branches)
+    if length_mm > MOST_LENGTH_MM or len(branches) > MOST_BRANCHES or deepest > MOST_GENERATION:
+        words = (
+            f"the search ran out of the airways: {length_mm / 1000.0:.0f} m in {len(branches)} branches of {deepest} "
+            f"generations are more than a chest holds; much of it is lung. {SOFT_KERNEL}"
+        )
+        return Note(STOPPED, words, badge=True)
+    beyond_mm = length_mm - branches[0].length_mm
+    if splits and beyond_mm < LEAST_BEYOND_MM:
+        words = (
+            f"the search was stopped near the trachea: only {beyond_mm:.0f} mm of airway were found beyond it, though "
+            f"both lungs are in view. Nearly all airways are missing. {SOFT_KERNEL}"
+        )
+        return Note(STOPPED, words, badge=True)
+    return None

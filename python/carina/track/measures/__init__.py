@@ -1,0 +1,1 @@
+"""What airways measure: sections, branches, forks."""

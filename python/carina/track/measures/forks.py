@@ -1,0 +1,217 @@
+"""Where branches part: the carina between two of them, their angles, and which sections belong to the fork."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.volume.model import Volume
+
+__all__ = ["ForkMeasures", "angle_deg", "directions", "find_forks", "junction_flags", "point_at", "run_mm"]
+
+Points = NDArray[np.float64]
+
+CHORD_DIAMETERS = 2.0
+"""An angle is taken between the chords of this many diameters on both sides of the fork."""
+LOOK_MM = 0.25
+"""Two branches are compared at places this far apart."""
+BEYOND_CARINA_RADII = 0.5
+"""The lumen is a tube again this many radii beyond the carina: its edge is an arch, not a knife."""
+BEFORE_FORK_RADII = 1.0
+"""A lumen begins to widen about one radius before its axis meets those of its branches."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class ForkMeasures:
+    """The end of a branch that divides."""
+
+    branch_id: int
+    """The branch that ends there."""
+    children: tuple[int, ...]
+    fork_lps: tuple[float, float, float]
+    """Where the centrelines part: the meeting point of the tubes' axes."""
+    carina_lps: tuple[float, float, float] | None
+    """The ridge of the wall between the first two children that part; None where no wall comes between them."""
+    fork_to_carina_mm: float | None
+    angle_between_deg: float | None
+    """Between the chords of the two widest children; None where one has no length."""
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {
+            "branch": self.branch_id,
+            "children": list(self.children),
+            "fork_lps": list(self.fork_lps),
+            "carina_lps": None if self.carina_lps is None else list(self.carina_lps),
+            "fork_to_carina_mm": self.fork_to_carina_mm,
+            "angle_between_deg": self.angle_between_deg,
+        }
+
+
+def run_mm(points: Points) -> NDArray[np.float64]:
+    """(n,) way along points, mm."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
+def point_at(points: Points, at_mm: NDArray[np.float64] | float) -> Points:
+    """(..., 3) places along a polyline; its ends beyond them."""
+    along = run_mm(points)
+    return np.stack([np.interp(at_mm, along, points[:, axis]) for axis in range(3)], axis=-1)
+
+
+def directions(points: Points, radius_mm: NDArray[np.float64], before: Points | None = None) -> Points:
+    """(n, 3) unit tangents at the points of a branch, each over about a diameter.
+
+    ``before`` is the point before the first one, on the parent: a branch that is a single point has its direction from
+    it. Zeros where there is none.
+    """
+    along = run_mm(points)
+    reach = np.clip(radius_mm, 1.0, 4.0)
+    ends = point_at(points, along + reach) - point_at(points, along - reach)
+    if before is not None and along[-1] == 0.0:
+        ends = points - before
+    lengths = np.linalg.norm(ends, axis=1, keepdims=True)
+    tangents: Points = np.divide(ends, lengths, out=np.zeros_like(ends), where=lengths > 1e-9)
+    return tangents
+
+
+def angle_deg(parent: Branch, child: Branch) -> float | None:
+    """Angle between a branch and its parent, 0 where it goes straight on.
+
+    Between the chord of the parent's last two diameters and that of the child's first two, diameters by the median
+    distance to the wall; shorter where a branch is shorter. None where one has no length.
+    """
+    one = _chord(parent, at_end=True)
+    other = _chord(child, at_end=False)
+    return None if one is None or other is None else _between_deg(one, other)
+
+
+def _chord(branch: Branch, *, at_end: bool) -> Points | None:
+    length = branch.length_mm
+    if length <= 0.0:
+        return None
+    reach = min(CHORD_DIAMETERS * 2.0 * float(np.median(branch.radius)), length)
+    first, last = (length - reach, length) if at_end else (0.0, reach)
+    chord = point_at(branch.points, last) - point_at(branch.points, first)
+    size = float(np.linalg.norm(chord))
+    return chord / size if size > 0.0 else None
+
+
+def _between_deg(one: Points, other: Points) -> float:
+    return math.degrees(math.acos(float(np.clip(one @ other, -1.0, 1.0))))
+
+
+def find_forks(volume: Volume, lumen_zyx: NDArray[np.uint8], tree: AirwayTree) -> tuple[ForkMeasures, ...]:
+    """Every fork of a tree, in the order of its branches."""
+    by_id = {branch.id: branch for branch in tree.branches}
+    forks = []
+    for branch in tree.branches:
+        if not branch.children:
+            continue
+        children = [by_id[child] for child in branch.children]
+        ridge = None
+        for number, one in enumerate(children):
+            for other in children[number + 1 :]:
+                found = _carina(volume, lumen_zyx, one, other)
+                if found is not None and (ridge is None or found[0] < ridge[0]):
+                    ridge = found
+        wide = sorted(children, key=lambda child: (-float(np.median(child.radius)), child.id))
+        chords = [_chord(child, at_end=False) for child in wide[:2]]
+        between = None
+        if len(chords) == 2 and chords[0] is not None and chords[1] is not None:
+            between = _between_deg(chords[0], chords[1])
+        fork = branch.points[-1]
+        forks.append(
+            ForkMeasures(
+                branch_id=branch.id,
+                children=branch.children,
+                fork_lps=_as_tuple(fork),
+                carina_lps=None if ridge is None else _as_tuple(ridge[1]),
+                fork_to_carina_mm=None if ridge is None else float(np.linalg.norm(ridge[1] - fork)),
+                angle_between_deg=between,
+            )
+        )
+    return tuple(forks)
+
+
+def _as_tuple(point: Points) -> tuple[float, float, float]:
+    return float(point[0]), float(point[1]), float(point[2])
+
+
+def _carina(volume: Volume, lumen_zyx: NDArray[np.uint8], one: Branch, other: Branch) -> tuple[float, Points] | None:
+    """How far from the fork the wall comes between two branches, and where it begins.
+
+    Points as far from the fork on both are joined by straight lines; the first that leaves the lumen crosses the ridge.
+    """
+    length = min(one.length_mm, other.length_mm)
+    if length <= 0.0:
+        return None
+    at: NDArray[np.float64] = np.arange(1.0, int(length / LOOK_MM) + 1.0) * LOOK_MM
+    a, b = point_at(one.points, at), point_at(other.points, at)
+    share = np.linspace(0.0, 1.0, 41)
+    lines = a[:, None] + share[None, :, None] * (b - a)[:, None]
+    inside = _lumen_at(volume, lumen_zyx, lines)
+    # The points themselves lie in the lumen, in their voxels if not between them.
+    walls = inside[:, 1:-1].min(axis=1) < 0.5
+    if not walls.any():
+        return None
+    first = int(np.argmax(walls))
+    outside = np.flatnonzero(inside[first, 1:-1] < 0.5) + 1
+    middle = int(outside[len(outside) // 2])
+    ridge: Points = lines[first, middle]
+    return float(at[first]), ridge
+
+
+def _lumen_at(volume: Volume, lumen_zyx: NDArray[np.uint8], points: Points) -> NDArray[np.float64]:
+    """How much of the lumen is round each (..., 3) point, 0 to 1: linear between voxels, 0 outside the volume."""
+    ijk = volume.to_ijk(points)
+    base = np.floor(ijk).astype(np.int64)
+    share = ijk - base
+    nz, ny, nx = lumen_zyx.shape
+    found = np.zeros(points.shape[:-1])
+    for corner in range(8):
+        offset = np.array([corner & 1, corner >> 1 & 1, corner >> 2])
+        at = base + offset
+        weight = np.prod(np.where(offset == 1, share, 1.0 - share), axis=-1)
+        there = ((at >= 0) & (at < np.array([nx, ny, nz]))).all(axis=-1)
+        i, j, k = np.moveaxis(np.where(there[..., None], at, 0), -1, 0)
+        found += np.where(there, weight * (lumen_zyx[k, j, i] != 0), 0.0)
+    return found
+
+
+def junction_flags(
+    branch: Branch,
+    tangents: Points,
+    fork_before: ForkMeasures | None,
+    fork_after: ForkMeasures | None,
+    parent_radius_mm: float | None,
+) -> NDArray[np.bool_]:
+    """(n,) sections of a branch that cut through a fork: their lumen is not the branch's alone.
+
+    At the branch's beginning those whose plane has not passed the carina by half a radius yet (without a carina: within
+    a parent's radius of the fork); at its end those within a radius of the fork.
+    """
+    points = branch.points
+    along = run_mm(points)
+    radius = float(np.median(branch.radius))
+    flags = np.zeros(len(points), dtype=np.bool_)
+    if fork_before is not None:
+        if fork_before.carina_lps is None:
+            reach = parent_radius_mm if parent_radius_mm is not None else radius
+            flags |= along < reach
+        else:
+            # The plane has passed the carina where the carina lies behind it.
+            passed = ((points - np.array(fork_before.carina_lps)) * tangents).sum(axis=1)
+            beyond = passed >= BEYOND_CARINA_RADII * radius
+            first = int(np.argmax(beyond)) if beyond.any() else len(points)
+            flags[:first] = True
+    if fork_after is not None:
+        flags |= along > along[-1] - BEFORE_FORK_RADII * radius
+    return flags

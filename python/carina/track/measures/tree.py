@@ -1,0 +1,425 @@
+"""What the airways measure: a section across every point of every centreline, and what sums them up."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import cast_sections
+from carina.display import one_line
+from carina.errors import CancelledError, UsageError
+from carina.track.levels import AirScale, air_scale
+from carina.track.measures.forks import (
+    ForkMeasures,
+    angle_deg,
+    directions,
+    find_forks,
+    junction_flags,
+    run_mm,
+)
+from carina.track.measures.summary import BranchSummary, Stenosis, healthy_neighbours_mm, stenosis_of, summed_up
+from carina.track.stages import Cancel, Progress
+from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.volume.model import Volume
+
+if TYPE_CHECKING:
+    from carina._core import SectionCasts
+    from carina.track.find.found import Airways
+
+__all__ = ["BranchMeasures", "BranchSummary", "ForkMeasures", "Stenosis", "TreeMeasures", "measure_tree"]
+
+Floats = NDArray[np.float64]
+
+FORMAT = "carina-measures"
+VERSION = 1
+
+MIN_CONTRAST_HU = 100.0
+"""A wall rises at least this far above its lumen; 4 standard deviations of the noise where that is more."""
+BRIGHTEST_WALL_HU = 100.0
+"""Cartilage with lime and vessels with contrast medium count as so much: else the half-way level would be theirs."""
+USUAL_NOISE_HU = 25.0
+OPEN_SHARE = 0.9
+"""Where fewer rays than this meet a wall the lumen is open to another one: as at a fork."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class BranchMeasures:
+    """The sections of one branch: one for every point of its centreline. NaN where there is no section.
+
+    Errors are half of an interval meant to hold the truth in 95 of 100 cases.
+    """
+
+    branch_id: int
+    at_mm: Floats
+    """(n,) way along the branch."""
+    center_lps: Floats
+    """(n, 3) centre of the lumen found, in the plane across the centreline."""
+    normal_lps: Floats
+    """(n, 3) unit vector along the branch."""
+    area_mm2: Floats
+    equivalent_mm: Floats
+    """(n,) diameter of the circle with the lumen's area."""
+    min_mm: Floats
+    """(n,) least width through the centre."""
+    max_mm: Floats
+    wall_mm: Floats
+    """(n,) thickness of the wall where it has a far side: not where a vessel or the mediastinum lies against it."""
+    at_junction: NDArray[np.bool_]
+    """(n,) the section cuts through a fork; left out of the summary."""
+    at_edge: NDArray[np.bool_]
+    """(n,) rays left the volume before they met a wall: what is measured is a part. Left out of the summary."""
+    area_error_mm2: Floats
+    equivalent_error_mm: Floats
+    min_error_mm: Floats
+    max_error_mm: Floats
+    wall_error_mm: Floats
+    shift_mm: Floats
+    """(n,) how far the edges lie outside the half-maximum ones: the correction for the scanner's blur."""
+    edge_mm: Floats
+    """(n, 64) distance of the lumen's edge from the centre along rays at even angles from ``section_axes(normal)``."""
+    outer_mm: Floats
+    """(n, 64) the same for the wall's far side."""
+    share: Floats
+    """(n,) rays that met a wall, 0 to 1."""
+    summary: BranchSummary
+
+    @property
+    def is_usable(self) -> NDArray[np.bool_]:
+        """(n,) sections that count in the summary."""
+        usable: NDArray[np.bool_] = np.isfinite(self.equivalent_mm) & ~self.at_junction & ~self.at_edge
+        return usable
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values; None where there is no figure. Without the rays."""
+        columns = [
+            "at_mm",
+            "area_mm2",
+            "equivalent_mm",
+            "min_mm",
+            "max_mm",
+            "wall_mm",
+            "area_error_mm2",
+            "equivalent_error_mm",
+            "min_error_mm",
+            "max_error_mm",
+            "wall_error_mm",
+            "shift_mm",
+        ]
+        return {
+            "branch": self.branch_id,
+            "summary": self.summary.to_json(),
+            "center_lps": np.round(self.center_lps, 3).tolist(),
+            "normal_lps": np.round(self.normal_lps, 5).tolist(),
+            **{name: _as_list(getattr(self, name)) for name in columns},
+            "at_junction": self.at_junction.tolist(),
+            "at_edge": self.at_edge.tolist(),
+        }
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class TreeMeasures:
+    """What a tree measures."""
+
+    branches: tuple[BranchMeasures, ...]
+    """In the order of the tree's branches."""
+    forks: tuple[ForkMeasures, ...]
+    blur_mm: tuple[float, float] | None
+    """The scan's blur within and across its slices, standard deviations; None where it could not be told. Then edges
+    are the half-maximum ones, and small lumens come out too small."""
+    noise: float
+    """Standard deviation of the values in the trachea, in the volume's own numbers."""
+    notes: tuple[str, ...] = ()
+    _keys: tuple[bytes, ...] = dataclasses.field(default=(), repr=False)
+    """What each branch was measured from: see :func:`measure_tree`."""
+
+    def of(self, branch_id: int) -> BranchMeasures:
+        """The measures of a branch.
+
+        Raises
+        ------
+        UsageError
+            If there is no such branch.
+        """
+        for branch in self.branches:
+            if branch.branch_id == branch_id:
+                return branch
+        msg = f"no branch has the id {branch_id}; {len(self.branches)} branches were measured"
+        raise UsageError(msg)
+
+    def fork_of(self, branch_id: int) -> ForkMeasures | None:
+        """The fork at the end of a branch; None at a tip."""
+        return next((fork for fork in self.forks if fork.branch_id == branch_id), None)
+
+    def to_json(self) -> dict[str, Any]:
+        """The document ``carina-measures`` version 1: LPS, mm, degrees; errors are half of a 95 % interval."""
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "space": "LPS",
+            "unit": "mm",
+            "blur_mm": None if self.blur_mm is None else list(self.blur_mm),
+            "noise": self.noise,
+            "notes": list(self.notes),
+            "branches": [branch.to_json() for branch in self.branches],
+            "forks": [fork.to_json() for fork in self.forks],
+        }
+
+
+def measure_tree(
+    volume: Volume,
+    airways: Airways,
+    *,
+    previous: TreeMeasures | None = None,
+    progress: Progress | None = None,
+    cancel: Cancel | None = None,
+) -> TreeMeasures:
+    """Measure every branch of the airways in sections across its centreline.
+
+    Parameters
+    ----------
+    volume
+        The CT that the airways were found in. Sections are measured in its values, also where the lumen is an imported
+        mask.
+    airways
+        Lumen and tree.
+    previous
+        Measures of these airways before an edit: branches whose points are the same are taken over, with the blur and
+        the noise of the scan. Forks and summaries are always made anew.
+    progress, cancel
+        Told what is going on; asked whether to stop.
+
+    Returns
+    -------
+    TreeMeasures
+        Sections (area, equivalent, least and greatest diameter, wall), forks and summaries. Branches that the CT does
+        not show (drawn by hand, bridges) have a length and no other figure.
+
+    Raises
+    ------
+    CancelledError
+        If ``cancel()`` said so.
+
+    Notes
+    -----
+    Edges lie half-way between the lumen's lowest value and the wall's peak along each of 64 rays, and are then
+    corrected for the scan's own blur (``docs/decisions/0016-measures.md``). A wall thinner than about half the blur
+    cannot be told from one of that thickness.
+
+    Examples
+    --------
+    >>> from carina import generate_phantom
+    >>> from carina.track import find_airways, measure_tree
+    >>> volume = generate_phantom(spacing_mm=2.5, generations=3, noise_hu=0).volume
+    >>> measures = measure_tree(volume, find_airways(volume))
+    >>> 15.0 < measures.of(0).summary.mean_mm < 21.0
+    True
+    """
+    tree = airways.tree
+    if progress is not None:
+        progress("measuring the airways", 0.0)
+    _go_on(cancel)
+    scale = air_scale(volume)
+    noise = _noise_in_trunk(volume, tree.root, scale) if previous is None else previous.noise
+    keys = tuple(_key(branch, tree) for branch in tree.branches)
+    known = {} if previous is None else dict(zip(previous._keys, previous.branches, strict=True))
+    fresh = [number for number, key in enumerate(keys) if key not in known]
+    normals = [_normals(branch, tree) for branch in tree.branches]
+    casts = _cast(
+        volume,
+        [tree.branches[number] for number in fresh],
+        [normals[number] for number in fresh],
+        scale=scale,
+        noise=noise,
+        progress=progress,
+        cancel=cancel,
+    )
+    blur = casts.blur() if previous is None else previous.blur_mm
+    rows = casts.measure(blur)
+    _go_on(cancel)
+    forks = find_forks(volume, airways.lumen_zyx, tree)
+    fork_of = {fork.branch_id: fork for fork in forks}
+    begins = np.cumsum([0, *(len(tree.branches[number].points) for number in fresh)])
+    sections: list[dict[str, Any]] = []
+    for number, branch in enumerate(tree.branches):
+        if keys[number] in known:
+            old = known[keys[number]]
+            columns = {name: getattr(old, name) for name in _COLUMNS}
+        else:
+            first = begins[fresh.index(number)]
+            columns = _columns(rows, slice(first, first + len(branch.points)), normals[number])
+        if branch.kind != "tracked":
+            # A calibre of what nobody sees would be an invention, and a narrowing beside it another.
+            columns = {name: np.full_like(v, np.nan) if name in _FIGURES else v for name, v in columns.items()}
+        parent = None if branch.parent is None else tree.branch(branch.parent)
+        flags = junction_flags(
+            branch,
+            normals[number],
+            None if parent is None else fork_of.get(parent.id),
+            fork_of.get(branch.id),
+            None if parent is None else float(np.median(parent.radius)),
+        )
+        flags |= columns["share"] < OPEN_SHARE
+        sections.append({**columns, "at_mm": run_mm(branch.points), "at_junction": flags})
+    measured = _summed_up(tree, sections)
+    notes = []
+    if blur is None:
+        notes.append("the scan's blur could not be told: edges are half-maximum ones, small lumens come out too small")
+    if progress is not None:
+        progress("airways measured", 1.0)
+    return TreeMeasures(measured, forks, blur, noise, tuple(notes), keys)
+
+
+_COLUMNS = [
+    "center_lps",
+    "normal_lps",
+    "area_mm2",
+    "equivalent_mm",
+    "min_mm",
+    "max_mm",
+    "wall_mm",
+    "at_edge",
+    "area_error_mm2",
+    "equivalent_error_mm",
+    "min_error_mm",
+    "max_error_mm",
+    "wall_error_mm",
+    "shift_mm",
+    "edge_mm",
+    "outer_mm",
+    "share",
+]
+_FIGURES = {name for name in _COLUMNS if name.endswith(("_mm", "_mm2"))}
+
+
+def _go_on(cancel: Cancel | None) -> None:
+    if cancel is not None and cancel():
+        raise CancelledError("measuring the airways was stopped")
+
+
+def _key(branch: Branch, tree: AirwayTree) -> bytes:
+    """What a branch's sections depend on: its kind and points, and for a single point where it comes from."""
+    before = b""
+    if len(branch.points) == 1 and branch.parent is not None:
+        before = tree.branch(branch.parent).points[-2:].tobytes()
+    return np.int64(branch.id).tobytes() + branch.kind.encode() + branch.points.tobytes() + before
+
+
+def _normals(branch: Branch, tree: AirwayTree) -> Floats:
+    before = None
+    if branch.parent is not None:
+        points = tree.branch(branch.parent).points
+        before = points[-2] if len(points) > 1 else None
+    normals = directions(branch.points, branch.radius, before)
+    # A branch without a direction is cut across the slices; it has no length that could be wrong.
+    normals[np.linalg.norm(normals, axis=1) < 0.5] = [0.0, 0.0, 1.0]
+    return normals
+
+
+def _cast(
+    volume: Volume,
+    branches: list[Branch],
+    normals: list[Floats],
+    *,
+    scale: AirScale,
+    noise: float,
+    progress: Progress | None,
+    cancel: Cancel | None,
+) -> SectionCasts:
+    def share(fraction: float) -> None:
+        if progress is not None:
+            progress("measuring the airways", 0.95 * fraction)
+
+    none = np.zeros((0, 3))
+    # The widest of a branch's own middle and the place itself: beside a fork the distance to the wall is no width.
+    radius = [np.minimum(np.maximum(branch.radius, np.median(branch.radius)), 30.0) for branch in branches]
+    return cast_sections(
+        volume.hu_zyx,
+        volume.lps_from_ijk,
+        np.concatenate([none, *(branch.points for branch in branches)]),
+        np.concatenate([none, *normals]),
+        np.concatenate([np.zeros(0), *radius]),
+        min_contrast=scale.span(MIN_CONTRAST_HU),
+        brightest_wall=scale.level(BRIGHTEST_WALL_HU),
+        noise=noise,
+        cancel=cancel,
+        progress=share,
+    )
+
+
+def _noise_in_trunk(volume: Volume, trunk: Branch, scale: AirScale) -> float:
+    """Standard deviation of the values well inside the trunk, by the median deviation: mucus does not count."""
+    rest = []
+    shape = np.array(volume.shape_zyx[::-1])
+    for point, radius in zip(trunk.points, trunk.radius, strict=True):
+        center = volume.to_ijk(point)
+        reach = 0.5 * radius / np.array(volume.spacing_mm)
+        low = np.clip(np.ceil(center - reach), 0, shape).astype(int)
+        high = np.clip(np.floor(center + reach) + 1, 0, shape).astype(int)
+        block = volume.hu_zyx[low[2] : high[2], low[1] : high[1], low[0] : high[0]].astype(np.float64)
+        if block.size >= 8:
+            rest.append((block - np.median(block)).ravel())
+    if not rest:
+        return scale.span(USUAL_NOISE_HU)
+    return max(1.4826 * float(np.median(np.abs(np.concatenate(rest)))), scale.span(1.0))
+
+
+def _columns(rows: dict[str, Any], which: slice, normals: Floats) -> dict[str, Any]:
+    part = {name: values[which] for name, values in rows.items()}
+    part["normal_lps"] = normals
+    part["at_edge"] = part.pop("left_share") > 0.0
+    width = part.pop("width_error_mm")
+    part["min_error_mm"] = part["max_error_mm"] = width
+    # d(pi d^2 / 4) = pi d / 2 dd.
+    part["area_error_mm2"] = 0.5 * np.pi * part["equivalent_mm"] * part["equivalent_error_mm"]
+    del part["wall_share"]
+    return part
+
+
+def _summed_up(tree: AirwayTree, sections: list[dict[str, Any]]) -> tuple[BranchMeasures, ...]:
+    nothing = BranchSummary()
+    plain = [
+        BranchMeasures(branch_id=branch.id, summary=nothing, **columns)
+        for branch, columns in zip(tree.branches, sections, strict=True)
+    ]
+    by_id = {branch.branch_id: branch for branch in plain}
+    means = {branch.branch_id: _mean(branch) for branch in plain}
+    drawn = {branch.id for branch in tree.branches if branch.kind != "tracked"}
+    found = []
+    for branch in tree.branches:
+        own = by_id[branch.id]
+        parent = None if branch.parent is None else tree.branch(branch.parent)
+        siblings = [] if parent is None else [child for child in parent.children if child != branch.id]
+        # What a person drew takes no air: its neighbours are judged as if it were not there.
+        siblings, children = ([n for n in ids if n not in drawn] for ids in (siblings, branch.children))
+        neighbours = healthy_neighbours_mm(
+            None if parent is None else means[parent.id],
+            [means[sibling] for sibling in siblings],
+            [means[child] for child in children],
+        )
+        summary = summed_up(
+            own.at_mm,
+            (own.equivalent_mm, own.equivalent_error_mm),
+            (own.wall_mm, own.wall_error_mm),
+            own.is_usable,
+            angle_deg=None if parent is None else angle_deg(parent, branch),
+            stenosis=stenosis_of(
+                own.at_mm, own.equivalent_mm, own.equivalent_error_mm, own.is_usable, neighbours_mm=neighbours
+            ),
+        )
+        found.append(dataclasses.replace(own, summary=summary))
+    return tuple(found)
+
+
+def _mean(branch: BranchMeasures) -> float | None:
+    usable = branch.equivalent_mm[branch.is_usable]
+    return float(np.median(usable)) if len(usable) else None
+
+
+def _as_list(values: Floats) -> list[float | None]:
+    return [round(float(value), 4) if np.isfinite(value) else None for value in values]

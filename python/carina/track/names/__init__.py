@@ -1,0 +1,1 @@
+"""Anatomical names of the branches of a tree."""

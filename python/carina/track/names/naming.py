@@ -1,0 +1,480 @@
+"""Anatomical names for an airway tree: trachea to subsegments, with confidence and variants.
+
+No weights and no scans: a grammar of anatomy (``model``), the shape of the tree (``shape``), and the sum
+over all ways to read one as the other (``solve``). docs/decisions/0017.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.track.names.drawn import carried_names, seen_part
+from carina.track.names.letters import LetterRule, letter_order
+from carina.track.names.model import LOBES, Grammar, grammar
+from carina.track.names.shape import Bronchus, body_frame, bronchi_of, find_lungs, refined_frame
+from carina.track.names.solve import Solution, Solver
+from carina.track.names.words import NameWords, bare_name, name_words, segment_of
+from carina.track.tree.airway_tree import AirwayTree
+
+__all__ = ["LetterRule", "NameWords", "branch_side_and_lobe", "name_tree", "name_words"]
+
+SURE_ENOUGH = 0.5
+"""A name is given where its reading holds at least this share of all; the lobe alone is told of the rest."""
+UNFIT = -40.0
+"""Log odds of a reading that a person's name contradicts."""
+MIRRORED = math.log(1e-3)
+"""Log odds of a mirrored chest: situs inversus is one in 10,000, files with left and right exchanged are more."""
+TURN_SPREAD_RAD = math.radians(15.0)
+"""How far patients lie turned and tilted on the table."""
+MIN_BRANCHES = 12
+"""Trachea, two main, five lobar and some segmental bronchi: with fewer there is too little to tell lobes apart."""
+COARSE_FORKS = 5
+"""Frame and side are chosen on the central airways."""
+LETTERS, ROMAN = "abcdefgh", ("i", "ii", "iii", "iv", "v", "vi", "vii", "viii")
+
+_VARIANT_STEMS = {
+    "RB1+2": "RB1 and RB2 share a stem",
+    "RB2+3": "RB2 and RB3 share a stem",
+    "RB1+3": "RB1 and RB3 share a stem",
+    "RB7+8": "RB7 and RB8 share a stem",
+    "RB8+9": "RB8 and RB9 share a stem",
+    "RB7+10": "RB7 and RB10 share a stem",
+    "LB8+9": "LB8 and LB9 share a stem",
+    "LB1+3": "LB1 and LB3 share a stem, LB2 leaves alone",
+    "LB2+3": "LB2 and LB3 share a stem, LB1 leaves alone",
+    "LB3+4+5": "LB3 leaves with the lingula",
+    "RB*": "a subsuperior bronchus, in one patient of six",
+    "LB*": "a subsuperior bronchus, in one patient of six",
+}
+_SWAP = str.maketrans("RL", "LR")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Named:
+    """One tree, read."""
+
+    bronchi: list[Bronchus]
+    solution: Solution
+    grammar: Grammar
+    frame: NDArray[np.float64]
+    mirrored: bool
+
+
+def name_tree(tree: AirwayTree, *, letter_rule: LetterRule = LetterRule.TOP_LATERAL_BACK) -> AirwayTree:
+    """Name the branches of an airway tree.
+
+    Laterality comes from LPS coordinates alone (-x is the patient's right). A chest whose pattern is mirrored is
+    called so in the root's ``variant``; its sides are still the patient's, as a surgeon would say them: the
+    three-lobed lung on the patient's left gets LB1 to LB10 and a lobe LML.
+
+    Parameters
+    ----------
+    tree
+        From :func:`find_airways` or any other source; also parts of a tree, or one that begins below the trachea.
+    letter_rule
+        Which subsegment is a, which b.
+
+    Returns
+    -------
+    AirwayTree
+        The same branches, ids and geometry. ``name``, ``name_confidence`` and ``name_from`` ("anatomy") are new, but
+        for branches that a person named: those are kept, and what they say holds for the rest. Where the confidence
+        would be below 0.5 the name is None. Branches between which only a twig leaves share a name. ``variant`` says
+        what is uncommon at a branch. What was drawn without evidence (kind ``manual``), and what hangs on it, gets no
+        name, and the others have those that they would have without it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from carina.track import Branch
+    >>> trunk = Branch(0, None, (), 0, None, "tracked", np.array([[0.0, 0, 0], [0, 4, -30]]), np.array([8.0, 8]))
+    >>> name_tree(AirwayTree((trunk,))).branches[0].name is None
+    True
+
+    References
+    ----------
+    Nomenclature, shares of variants: shared reference, features 5.4. Labelling by a grammar with sums over derivations:
+    docs/decisions/0017.
+    """
+    seen, place_of = seen_part(tree)
+    named = _named_all(seen, letter_rule)
+    return named if seen is tree else carried_names(tree, named, place_of)
+
+
+def _named_all(tree: AirwayTree, letter_rule: LetterRule) -> AirwayTree:
+    read = _read(tree)
+    names, notes = _names_of(read, letter_rule)
+    given = {bare_name(b.name) for b in tree.branches if b.name_from == "person" and b.name is not None}
+    made = []
+    for number, branch in enumerate(tree.branches):
+        if branch.name_from == "person":
+            made.append(dataclasses.replace(branch, variant=notes.get(number)))
+            continue
+        name, sure = names.get(number, (None, 0.0))
+        if name in given:
+            name = None
+        made.append(
+            dataclasses.replace(
+                branch,
+                name=name,
+                name_confidence=None if name is None else round(sure, 3),
+                name_from=None if name is None else "anatomy",
+                variant=notes.get(number),
+            )
+        )
+    return dataclasses.replace(tree, branches=tuple(made))
+
+
+def branch_side_and_lobe(tree: AirwayTree) -> dict[int, str | None]:
+    """The lobe of each branch, by id: RUL, RML, RLL, LUL, LLL; None for trunks of several lobes and the unknown.
+
+    A lobe's own bronchus belongs to it. Persons' names in the tree hold. In a mirrored chest (see :func:`name_tree`)
+    the lobes of the three-lobed lung are LUL, LML and LLL.
+    """
+    whole = tree
+    tree, place_of = seen_part(tree)
+    read = _read(tree)
+    found: dict[int, str | None] = dict.fromkeys((branch.id for branch in tree.branches), None)
+    by_place = _lobes_of(read)
+    for number, branch in enumerate(tree.branches):
+        lobe = by_place.get(number)
+        if branch.name_from == "person" and branch.name is not None:
+            words = name_words(branch.name)
+            if words is not None:
+                lobe = words.lobe
+        found[branch.id] = lobe
+    return {branch.id: found.get(place_of.get(branch.id, -1)) for branch in whole.branches}
+
+
+# Reading.
+
+
+def _read(tree: AirwayTree) -> _Named:
+    rules = grammar()
+    given = {
+        number: bare_name(branch.name)
+        for number, branch in enumerate(tree.branches)
+        if branch.name_from == "person" and branch.name is not None
+    }
+    bronchi = bronchi_of(tree, frozenset(given))
+    lungs = find_lungs(bronchi)
+    wishes, held = _constraints(rules, bronchi, given)
+
+    def attempt(frame: NDArray[np.float64], *, mirrored: bool = False) -> tuple[float, Solver]:
+        solver = Solver(
+            rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held, max_forks=COARSE_FORKS
+        )
+        turn = math.acos(max(-1.0, min(1.0, (float(np.trace(frame)) - 1.0) / 2.0)))
+        return solver.log_evidence - 0.5 * (turn / TURN_SPREAD_RAD) ** 2 + (MIRRORED if mirrored else 0.0), solver
+
+    frame = np.eye(3)
+    score, best = attempt(frame)
+    guess = body_frame(bronchi, lungs)
+    if float(np.trace(guess)) < 1.0 + 2.0 * math.cos(math.radians(6.0)):
+        other, solver = attempt(guess)
+        if other > score:
+            score, best, frame = other, solver, guess
+    mirrored = False
+    if lungs:
+        other, solver = attempt(frame, mirrored=True)
+        if other > score:
+            score, best, mirrored = other, solver, True
+    solution = best.solution()
+    for _ in range(2):
+        closer = _closer_frame(rules, bronchi, solution, frame, mirrored=mirrored)
+        if closer is None:
+            break
+        other, solver = attempt(closer, mirrored=mirrored)
+        if other <= score + 0.5:
+            break
+        score, solution, frame = other, solver.solution(), closer
+    solution = Solver(rules, bronchi, lungs, frame, mirrored=mirrored, wishes=wishes, held=held).solution()
+    return _Named(bronchi, solution, rules, frame, mirrored)
+
+
+def _closer_frame(
+    rules: Grammar, bronchi: list[Bronchus], solution: Solution, frame: NDArray[np.float64], *, mirrored: bool
+) -> NDArray[np.float64] | None:
+    seen, expected, weights = [], [], []
+    flip = np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
+    for bronchus, reading in zip(bronchi, solution.readings, strict=True):
+        if reading.state is not None and reading.confidence > 0.5 and not reading.again:
+            seen.append(bronchus.direction)
+            expected.append(rules.direction[reading.state] * flip)
+            weights.append(reading.confidence)
+    if len(seen) < 6:
+        return None
+    return refined_frame(frame, np.array(seen), np.array(expected), np.array(weights))
+
+
+def _constraints(
+    rules: Grammar, bronchi: list[Bronchus], given: dict[int, str]
+) -> tuple[dict[int, NDArray[np.float64]], dict[int, tuple[NDArray[np.float64], float]]]:
+    """What persons' names say of the readings of their bronchus and of those before it."""
+    wishes: dict[int, NDArray[np.float64]] = {}
+    held: dict[int, tuple[NDArray[np.float64], float]] = {}
+    known = {number: name for number, name in given.items() if name_words(name) is not None}
+    for number, bronchus in enumerate(bronchi):
+        own = [known[piece] for piece in bronchus.pieces if piece in known]
+        if own:
+            wishes[number] = sum((_fits(rules, name) for name in own), np.zeros(len(rules)))
+        inner = [known[branch] for branch in bronchus.below if branch in known]
+        if own or inner:
+            inside = sum((_holds(rules, name) for name in inner), np.zeros(len(rules)))
+            held[number] = (inside, UNFIT * len(own + inner))
+    return wishes, held
+
+
+def _fits(rules: Grammar, name: str) -> NDArray[np.float64]:
+    """0 for states that a branch of that name may have."""
+    segment = segment_of(name)
+    fits = np.zeros(len(rules), dtype=bool)
+    for k in range(len(rules)):
+        keys = rules.segments[k]
+        if segment is not None and segment == bare_name(name):
+            parts = {"LB1+2": {"LB1", "LB2"}}.get(segment, {segment})
+            fits[k] = rules.kind[k] == "segment" and keys <= parts
+        elif segment is not None:
+            continue  # A subsegment: it lies inside its segment, so the branch itself is no state at all.
+        elif name in LOBES:
+            fits[k] = rules.lobe[k] == name
+        elif name in {"Right basal trunk", "Left basal trunk"}:
+            lower = "RLL" if name.startswith("R") else "LLL"
+            fits[k] = rules.lobe[k] == lower and f"{lower[0]}B6" not in keys and len(keys) >= 2
+        else:
+            fits[k] = rules.names[k] == name
+    return np.where(fits, 0.0, UNFIT)
+
+
+def _holds(rules: Grammar, name: str) -> NDArray[np.float64]:
+    """0 for segments that a branch of that name may lie in."""
+    segment = segment_of(name)
+    if segment is None:
+        return np.full(len(rules), UNFIT)
+    parts = {"LB1+2": {"LB1", "LB2"}}.get(segment, {segment})
+    return np.array([0.0 if keys <= parts else UNFIT for keys in rules.segments])
+
+
+# Naming.
+
+
+def _names_of(read: _Named, rule: LetterRule) -> tuple[dict[int, tuple[str | None, float]], dict[int, str]]:
+    bronchi, rules, readings = read.bronchi, read.grammar, read.solution.readings
+    words: list[str | None] = [None] * len(bronchi)
+    sure = np.zeros(len(bronchi))
+    carried = {number for number, r in enumerate(readings) if r.state is not None}
+    seen = {
+        key
+        for r in readings
+        if r.state is not None and rules.kind[r.state] == "segment"
+        for key in rules.segments[r.state]
+    }
+    for number, (bronchus, reading) in enumerate(zip(bronchi, readings, strict=True)):
+        parent = bronchus.parent
+        if reading.state is None:
+            continue
+        sure[number] = reading.confidence
+        if reading.again and parent is not None:
+            words[number] = words[parent]
+            sure[number] = min(reading.confidence, sure[parent]) if words[parent] else 0.0
+            continue
+        words[number] = _word(rules, reading.state, seen)
+    _halves(read, words, rule)
+    _letters(read, words, sure, rule)
+    names: dict[int, tuple[str | None, float]] = {}
+    for number, bronchus in enumerate(bronchi):
+        word = words[number]
+        if word is None or sure[number] < SURE_ENOUGH:
+            continue
+        for piece in bronchus.pieces:
+            names[piece] = (_told(word, mirrored=read.mirrored), float(sure[number]))
+        settled = readings[number].settled
+        if len(bronchus.pieces) > 1 and settled is not None and segment_of(word) is None and rules.terminal[settled]:
+            # A lobe of which one segment is left, with a twig on its way: beyond the twig it is the segment.
+            last = _told(_word(rules, settled, seen), mirrored=read.mirrored)
+            names[bronchus.pieces[-1]] = (last, float(sure[number]))
+    if len(bronchi[0].pieces) + len(bronchi[0].below) < MIN_BRANCHES:
+        certain = {"Trachea", "RMB", "LMB"} if len(bronchi) > 1 else set()
+        names = {number: (name, share) for number, (name, share) in names.items() if name in certain}
+    _name_stubs(read, words, sure, names)
+    notes = _variants(read, words, sure, carried)
+    if read.mirrored:
+        notes = {number: _told_note(note) for number, note in notes.items()}
+        notes[0] = (
+            "mirrored: the three-lobed lung is on the patient's left. Situs inversus, or left and right of this "
+            "volume are exchanged: check"
+        )
+    return names, notes
+
+
+def _word(rules: Grammar, state: int, seen: set[str]) -> str:
+    name, keys = rules.names[state], rules.segments[state]
+    if keys in ({"LB1"}, {"LB2"}) and not {"LB1", "LB2"} <= seen:
+        return "LB1+2"
+    if rules.kind[state] != "set":
+        return name
+    lobe = rules.lobe[state]
+    if lobe in {"RLL", "LLL"}:
+        basal = {key for key in LOBES[lobe] if not key.endswith(("*", "B6"))}
+        if f"{lobe[0]}B6" not in keys and len(basal & keys) >= 2 and basal & seen <= keys:
+            return "Right basal trunk" if lobe == "RLL" else "Left basal trunk"
+    return name
+
+
+def _halves(read: _Named, words: list[str | None], rule: LetterRule) -> None:
+    """LB1+2 that leaves in two bronchi, beside LB3: letters, unless one of them shares a stem with LB3."""
+    halves = [number for number, word in enumerate(words) if word in {"LB1", "LB2"}]
+    if len(halves) == 2 and not {"LB1+3", "LB2+3"} & set(words):
+        lateral = np.array([-1.0 if read.mirrored else 1.0, 1.0, 1.0])
+        order, _ = letter_order([read.frame @ read.bronchi[n].middle * lateral for n in halves], rule)
+        for sign, which in zip(LETTERS, order, strict=False):
+            words[halves[which]] = "LB1+2" + sign
+
+
+def _letters(read: _Named, words: list[str | None], sure: NDArray[np.float64], rule: LetterRule) -> None:
+    """Subsegments, from each segment's first fork on."""
+    bronchi, rules, readings = read.bronchi, read.grammar, read.solution.readings
+    level = [0] * len(bronchi)
+    for number, bronchus in enumerate(bronchi):
+        inside = [c for c in bronchus.children if readings[c].inside is not None]
+        if not inside:
+            continue
+        twins = [c for c in inside if readings[c].twin]
+        groups = {readings[c].inside for c in twins}
+        sets = [[c for c in twins if readings[c].inside == g] for g in sorted(g for g in groups if g is not None)]
+        sets.append([c for c in inside if not readings[c].twin])
+        for group in sets:
+            if not group:
+                continue
+            state = readings[group[0]].inside
+            assert state is not None
+            if readings[group[0]].twin:
+                base, depth, trust = rules.names[state], 0, readings[group[0]].confidence
+            else:
+                base_word, depth, trust = words[number], level[number], float(sure[number])
+                settled = readings[number].settled
+                if base_word is not None and segment_of(base_word) is None and settled is not None:
+                    base_word = rules.names[settled]
+                if base_word is None or segment_of(base_word) is None:
+                    continue
+                base = base_word
+            if len(group) == 1:
+                words[group[0]], sure[group[0]], level[group[0]] = base, trust, depth
+                continue
+            if depth >= 2:
+                continue
+            side = -1.0 if (base.startswith("R") != read.mirrored) else 1.0
+            lateral = np.array([side, 1.0, 1.0])
+            order, order_sure = letter_order([read.frame @ bronchi[c].middle * lateral for c in group], rule)
+            signs = LETTERS if depth == 0 else ROMAN
+            for sign, which in zip(signs, order, strict=False):
+                child = group[which]
+                words[child] = base + sign
+                sure[child] = trust * order_sure
+                level[child] = depth + 1
+
+
+def _told(word: str, *, mirrored: bool) -> str:
+    """A name on the side on which it lies: in a mirrored chest, the model's right is the patient's left."""
+    if not mirrored:
+        return word
+    fixed = {"BI": "BI", "Trachea": "Trachea", "RML": "LML", "Accessory cardiac bronchus": "Accessory cardiac bronchus"}
+    if word in fixed:
+        return fixed[word]
+    if word.startswith(("Right", "Left")):
+        return word.replace("Right", "_").replace("Left", "Right").replace("_", "Left")
+    if word in {"Upper division", "Lingula"}:
+        return word
+    return word[0].translate(_SWAP) + word[1:]
+
+
+def _told_note(note: str) -> str:
+    return note.replace("RB", "_B").replace("LB", "RB").replace("_B", "LB")
+
+
+def _name_stubs(
+    read: _Named,
+    words: list[str | None],
+    sure: NDArray[np.float64],
+    names: dict[int, tuple[str | None, float]],
+) -> None:
+    """A short piece between two forks that were read as one: the piece goes on with the name before it."""
+    for number, bronchus in enumerate(read.bronchi):
+        word = words[number]
+        for stub in bronchus.stubs:
+            if word is not None and segment_of(word) is None and sure[number] >= SURE_ENOUGH and stub not in names:
+                names[stub] = (_told(word, mirrored=read.mirrored), float(sure[number]))
+
+
+def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], carried: set[int]) -> dict[int, str]:
+    """What is uncommon, at the branch where it is seen."""
+    bronchi, readings = read.bronchi, read.solution.readings
+    notes: dict[int, str] = {}
+
+    def note(number: int, text: str) -> None:
+        first = bronchi[number].pieces[0]
+        notes[first] = f"{notes[first]}; {text}" if first in notes else text
+
+    found = {word for number, word in enumerate(words) if word is not None and sure[number] >= SURE_ENOUGH}
+    for number, bronchus in enumerate(bronchi):
+        word, parent = words[number], bronchus.parent
+        if word is None or sure[number] < SURE_ENOUGH or readings[number].again:
+            continue
+        above = None if parent is None else words[parent]
+        if word in _VARIANT_STEMS:
+            note(number, _VARIANT_STEMS[word])
+        if above == "Trachea" and word in {"RB1", "RUL"}:
+            note(number, "a tracheal bronchus: it leaves the trachea, above the carina")
+        if above == "RMB" and word == "RB1":
+            note(number, "RB1 leaves the right main bronchus on its own")
+        if above == "BI" and word == "RB6":
+            note(number, "RB6 leaves the bronchus intermedius, no lower than the middle lobe")
+        if word == "Right basal trunk" and "RB7" not in found and {"RB8", "RB10"} <= found:
+            note(number, "no RB7 was found")
+        if word in {"Right basal trunk", "Left basal trunk"}:
+            side = word[0]
+            if f"{side}B9" not in found and {f"{side}B8", f"{side}B10"} <= found:
+                note(number, f"no {side}B9 was found: absent, or a branch of its neighbours")
+        if word == "BI" and "RML" not in found and "RB4" not in found and "RB5" not in found and "RLL" in found:
+            note(number, "no middle lobe bronchus was found")
+    for number, bronchus in enumerate(bronchi):
+        # A third bronchus that carries no number.
+        if number in carried or readings[number].inside is not None or bronchus.parent is None:
+            continue
+        above = words[bronchus.parent]
+        if above is None or sure[bronchus.parent] < SURE_ENOUGH:
+            continue
+        if bronchus.length_mm < 2.0 * bronchi[bronchus.parent].radius_mm and not bronchus.children:
+            continue
+        down = read.frame @ bronchus.direction
+        if above == "Trachea" and bronchus.children:
+            note(number, "a bronchus that leaves the trachea: perhaps a tracheal bronchus")
+        elif above in {"BI", "RMB"} and down[2] < -0.2 and down[0] * (-1.0 if read.mirrored else 1.0) > -0.1:
+            note(number, "perhaps an accessory cardiac bronchus")
+        elif above in {*LOBES, "Lingula", "Upper division", "Right basal trunk", "Left basal trunk"}:
+            note(number, f"an accessory bronchus of {above}")
+    return notes
+
+
+def _lobes_of(read: _Named) -> dict[int, str | None]:
+    """Lobe by place in the tree's branches."""
+    rules = read.grammar
+    found: dict[int, str | None] = {}
+    own: list[str | None] = [None] * len(read.bronchi)
+    for number, (bronchus, reading) in enumerate(zip(read.bronchi, read.solution.readings, strict=True)):
+        state = reading.state if reading.state is not None else reading.inside
+        if state is not None:
+            own[number] = rules.lobe[state]
+        elif bronchus.parent is not None:
+            own[number] = own[bronchus.parent]
+        lobe = own[number]
+        told = None if lobe is None else _told(lobe, mirrored=read.mirrored)
+        # Twigs and stubs beyond go with it; bronchi beyond come later and say it better.
+        for piece in (*bronchus.pieces, *bronchus.below):
+            found[piece] = told
+    return found

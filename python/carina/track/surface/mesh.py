@@ -1,0 +1,94 @@
+"""The lumen as a closed surface, its vertices on the sub-voxel wall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina import _core
+from carina.errors import CancelledError
+from carina.track.find.found import Airways
+from carina.track.find.growth import HALF_WALL_HU, STEP_RISE_HU
+from carina.track.levels import air_scale
+from carina.track.stages import Cancel, Progress
+from carina.volume.model import Volume
+
+__all__ = ["Mesh", "lumen_mesh"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """A closed mesh of triangles."""
+
+    vertices_lps: NDArray[np.float64]
+    """(n, 3) LPS mm."""
+    triangles: NDArray[np.uint32]
+    """(m, 3) places in ``vertices_lps``, counterclockwise seen from outside."""
+
+    def __repr__(self) -> str:
+        return f"Mesh({len(self.vertices_lps)} vertices, {len(self.triangles)} triangles)"
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume inside."""
+        # About a point nearby: far from the origin of the scanner the terms would cancel badly.
+        corners = (self.vertices_lps - self.vertices_lps.mean(axis=0))[self.triangles]
+        return float(np.einsum("na,na->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0)
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of all triangles."""
+        corners = self.vertices_lps[self.triangles]
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return float(np.linalg.norm(across, axis=1).sum() / 2.0)
+
+
+def lumen_mesh(
+    volume: Volume, airways: Airways, *, progress: Progress | None = None, cancel: Cancel | None = None
+) -> Mesh:
+    """The inner wall of the airways as a mesh.
+
+    Parameters
+    ----------
+    volume
+        The CT in which the airways were found.
+    airways
+        Their lumen. Where it was found in the CT, vertices lie on the half-maximum between air and wall; a lumen from
+        another tool is drawn half-way between its voxels and their neighbours.
+    progress, cancel
+        Told what is going on; asked whether to stop.
+
+    Returns
+    -------
+    Mesh
+        Closed, without holes or doubled edges; it may have several pieces.
+
+    Raises
+    ------
+    NoResultError
+        If the lumen is empty.
+    CancelledError
+        If ``cancel()`` said so.
+
+    References
+    ----------
+    Lorensen and Cline 1987 (marching cubes).
+    """
+    if cancel is not None and cancel():
+        raise CancelledError("drawing the surface was stopped")
+    levels = None
+    if np.isfinite(airways.threshold):
+        scale = air_scale(volume)
+        wall = max(float(scale.level(HALF_WALL_HU)), airways.threshold)
+        levels = (airways.threshold, wall, scale.span(STEP_RISE_HU))
+
+    def share(fraction: float) -> None:
+        if progress is not None:
+            progress("drawing the surface", fraction)
+
+    vertices, triangles = _core.lumen_mesh(
+        volume.hu_zyx, volume.lps_from_ijk, airways.lumen_zyx, levels=levels, cancel=cancel, progress=share
+    )
+    return Mesh(vertices, triangles)

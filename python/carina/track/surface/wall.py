@@ -1,0 +1,64 @@
+"""The wall of found airways as a signed distance, for the scope that moves in them."""
+
+from __future__ import annotations
+
+from carina.errors import check_type
+from carina.scopes import WallField
+from carina.track.find.found import Airways
+from carina.track.stages import Cancel, Progress
+from carina.track.surface.mesh import lumen_mesh
+from carina.volume.model import Volume
+
+__all__ = ["wall_field"]
+
+
+def wall_field(
+    volume: Volume,
+    airways: Airways,
+    *,
+    spacing_mm: float = 0.4,
+    progress: Progress | None = None,
+    cancel: Cancel | None = None,
+) -> WallField:
+    """The signed distance to the airways' sub-voxel wall: the lumen mesh's, exact at samples.
+
+    Parameters
+    ----------
+    volume, airways
+        The CT and the airways in it, as for `lumen_mesh`.
+    spacing_mm
+        Distance of the samples.
+    progress, cancel
+        Told what is going on; asked whether to stop.
+
+    Returns
+    -------
+    WallField
+        Positive in the lumen.
+
+    Raises
+    ------
+    NoResultError
+        If the lumen is empty.
+    CancelledError
+        If ``cancel()`` said so.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> wall = carina.wall_field(phantom.volume, airways)
+    >>> trachea = airways.tree.root.points
+    >>> bool(wall.distance_mm(trachea[len(trachea) // 2])[0] > 4.0)
+    True
+    """
+    check_type("wall_field", "volume", volume, Volume, "open one with carina.open_volume")
+    check_type("wall_field", "airways", airways, Airways, "find them with carina.find_airways")
+    mesh = lumen_mesh(volume, airways, progress=progress, cancel=cancel)
+
+    def share(fraction: float) -> None:
+        if progress is not None:
+            progress("measuring the distance to the wall", fraction)
+
+    return WallField.from_mesh(mesh.vertices_lps, mesh.triangles, spacing_mm=spacing_mm, progress=share, cancel=cancel)

@@ -1,0 +1,373 @@
+"""The path tracker of the paper: its cost, its graph, and every pair of the costs and graphs (paper 6)."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina._core import GraphTracker
+from carina.errors import CancelledError, NoResultError, UsageError
+from carina.track.find.found import Airways
+from carina.track.paths.tracker import SNAP_MM, STEP_MM, TrackedPath, as_point, words
+from carina.track.stages import Cancel, Progress
+from carina.track.targets.results import GraphSearch, TargetResult, TargetSearch, TrackResult
+from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.volume.model import Volume
+
+__all__ = ["COSTS", "GRAPHS", "check_choice", "search_box", "track_on_graph"]
+
+COSTS = ("lumen", "paper")
+GRAPHS = ("voxel", "isoregion")
+
+Points = NDArray[np.float64]
+Labels = Literal["bins", "lumen"]
+Box = tuple[tuple[int, int, int], tuple[int, int, int]]
+
+MAX_BYTES = 1 << 30
+"""Memory that a search with the cost ``paper`` may take, its queue aside."""
+BYTES_PER_VOXEL = {"voxel": 22, "isoregion": 38}
+"""Of the box that is searched: 5 for the cost, 17 for the tree; 16 for what was pruned, where nothing can be."""
+MARGINS_MM = (20.0, 10.0, 5.0, 2.0)
+
+
+def check_choice(cost: str, graph: str) -> None:
+    """Refuse costs and graphs that do not exist.
+
+    Raises
+    ------
+    UsageError
+        If that is so.
+    """
+    for what, value, allowed in (("cost", cost, COSTS), ("graph", graph, GRAPHS)):
+        if value not in allowed:
+            msg = f"{what}: expected {' or '.join(allowed)}, found {value!r}"
+            raise UsageError(msg)
+
+
+def search_box(
+    volume: Volume, points_lps: Sequence[Sequence[float] | Points], *, graph: str = "voxel", max_bytes: int = MAX_BYTES
+) -> Box:
+    """The box of voxels in which the cost ``paper`` is searched: the whole volume where it fits in the memory.
+
+    Else the box round root and targets with a margin of 20 mm, or the largest of 10, 5 and 2 mm that fits.
+
+    Returns
+    -------
+    tuple
+        First voxel and shape, (i, j, k).
+
+    Raises
+    ------
+    UsageError
+        If not even the smallest fits.
+    """
+    shape = np.array(volume.shape_zyx[::-1])
+    most = max_bytes // BYTES_PER_VOXEL[graph]
+    first, last = np.zeros(3, dtype=int), shape - 1
+    if int(np.prod(shape)) > most:
+        ijk = volume.to_ijk(np.array([as_point(point) for point in points_lps]))
+        for margin in MARGINS_MM:
+            reach = margin / np.array(volume.spacing_mm)
+            first = np.clip(np.floor(ijk.min(axis=0) - reach), 0, shape - 1).astype(int)
+            last = np.clip(np.ceil(ijk.max(axis=0) + reach), 0, shape - 1).astype(int)
+            if int(np.prod(last - first + 1)) <= most:
+                break
+        else:
+            num = int(np.prod(last - first + 1))
+            msg = (
+                f"cost paper: the box round root and targets has {num / 1e6:.0f} million voxels, expected at most "
+                f"{most / 1e6:.0f} million ({max_bytes >> 20} MiB). Track fewer or nearer targets at a time, begin "
+                "at a root nearer to them, or use the cost lumen"
+            )
+            raise UsageError(msg)
+    i, j, k = (int(v) for v in first)
+    ni, nj, nk = (int(v) for v in last - first + 1)
+    return (i, j, k), (ni, nj, nk)
+
+
+def track_on_graph(
+    volume: Volume,
+    airways: Airways,
+    targets: Sequence[Sequence[float] | Points],
+    *,
+    cost: str,
+    graph: str,
+    labels: Labels | None = None,
+    box_ijk: Box | None = None,
+    snap_mm: float = SNAP_MM,
+    progress: Progress | None = None,
+    cancel: Cancel | None = None,
+) -> TrackResult:
+    """Least-cost paths from the airways' root to targets, on any pair of a cost and a graph.
+
+    One search from the root stops at each target and goes on for the next (Algorithm 1). The lumen is only looked at to
+    say where a path of the cost ``paper`` leaves it.
+
+    Parameters
+    ----------
+    targets
+        LPS mm, in the volume. Cost ``lumen``: moved to the nearest lumen voxel within ``snap_mm``. Cost ``paper``: any
+        voxel.
+    cost, graph
+        ``lumen`` or ``paper``; ``voxel`` or ``isoregion``.
+    labels
+        What an IsoRegion's voxels have in common: ``bins`` of 16 HU (unless told, for the cost ``paper``) or the class
+        of the ``lumen`` (for the cost ``lumen``).
+    box_ijk
+        First voxel and shape of the box in which the cost ``paper`` is searched; :func:`search_box` unless told. It
+        must hold the root; a target outside it has no path.
+
+    Returns
+    -------
+    TrackResult
+        Paths, their tree, and ``search`` with what it took. Nodes of the tree's branches are voxel centres: nothing is
+        smoothed.
+
+    Raises
+    ------
+    UsageError
+        If cost, graph or labels do not exist, or the search would take too much memory.
+    CancelledError
+        If ``cancel()`` said so.
+
+    References
+    ----------
+    Paper 6.1 to 6.3; docs/algorithms.md.
+    """
+    check_choice(cost, graph)
+    if labels not in (None, "bins", "lumen"):
+        msg = f"labels: expected bins or lumen, found {labels!r}"
+        raise UsageError(msg)
+    which = None if graph == "voxel" else labels or ("bins" if cost == "paper" else "lumen")
+    root = as_point(airways.root_lps)
+    points = [as_point(target) for target in targets]
+    notes: list[str] = []
+    shape = volume.shape_zyx[::-1]
+    box: Box = ((0, 0, 0), (shape[0], shape[1], shape[2]))
+    if cost == "paper":
+        box = box_ijk or search_box(volume, [root, *points], graph=graph)
+        if box[1] != shape:
+            notes.append(
+                "the search was kept to a box round root and targets; a cheaper way outside the box would not be found"
+            )
+
+    def stage(what: str) -> Callable[[float], None]:
+        if progress is not None:
+            progress(what, None)
+        return lambda share: None if progress is None else progress(what, share)
+
+    core = GraphTracker(
+        volume.hu_zyx,
+        volume.lps_from_ijk,
+        cost=cost,
+        labels=which,
+        box_ijk=box,
+        lumen_zyx=airways.lumen_zyx,
+        levels=airways.wall_levels,
+        root_lps=root,
+        reach_mm=SNAP_MM,
+        cancel=cancel,
+        progress=stage("building the graph"),
+    )
+    share = stage("searching the paths")
+    results: list[TargetResult] = []
+    searches: list[TargetSearch | None] = []
+    ways: list[_Way] = []
+    for point in points:
+        if cancel is not None and cancel():
+            raise CancelledError("tracking was stopped")
+        requested = np.array(point)
+        try:
+            if cost == "lumen":
+                airways.tracker.snap(point, snap_mm=snap_mm)
+            place = core.place(point, snap_mm)
+            settled, started = core.num_settled, time.perf_counter()
+            if place is None:
+                msg = f"no path: {words(point)} lies outside the box that is searched"
+                raise NoResultError(msg, code="track.no-path")
+            if not core.solve_to(place[0], cancel=cancel, progress=share):
+                msg = f"no path: {words(point)} is not connected to the root in this graph"
+                raise NoResultError(msg, code="track.no-path")
+        except NoResultError as error:
+            results.append(TargetResult(requested, None, 0.0, None, str(error)))
+            searches.append(None)
+            continue
+        seconds = time.perf_counter() - started
+        node, center, to_node_mm = place
+        found = core.path(node)
+        path_cost = core.cost(node)
+        assert found is not None
+        assert path_cost is not None
+        way = _Way(found[0], found[1], np.array(center) if to_node_mm > 0.0 else None)
+        snapped = 0.0
+        if cost == "lumen" and not bool(airways.tracker.inside(requested[None])[0]):
+            snapped = float(np.linalg.norm(np.array(center) - requested))
+        path = _as_path(way, airways, path_cost, snapped, smooth=cost == "lumen", volume=volume)
+        num_outside, outside_mm = _outside(way, airways, volume)
+        used = np.array(center) if snapped > 0.0 else requested
+        results.append(TargetResult(requested, used, snapped, path, None))
+        searches.append(
+            TargetSearch(
+                cost=path_cost,
+                search_s=seconds,
+                num_settled=core.num_settled - settled,
+                num_path_nodes=len(way.nodes),
+                num_outside=num_outside,
+                outside_mm=outside_mm,
+                to_node_mm=to_node_mm,
+            )
+        )
+        ways.append(way)
+    tree, branch_nodes = airways.tree, np.zeros((0, 3))
+    if ways:
+        branches, branch_nodes = _tree_of(ways, airways, core.cost)
+        tree = AirwayTree(branches, notes=airways.badges)
+    search = GraphSearch(
+        cost=cost,
+        graph=graph,
+        labels=which,
+        num_nodes=core.num_nodes,
+        num_edges=core.num_edges(),
+        num_centers=core.num_centers,
+        build_s=core.build_s,
+        quantum=core.quantum,
+        first_ijk=box[0],
+        shape_ijk=box[1],
+        is_whole=box[1] == shape,
+        branch_nodes_lps=branch_nodes,
+        targets=tuple(searches),
+        notes=tuple(notes),
+    )
+    return TrackResult(tree, tuple(results), airways, search)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Way:
+    """Nodes from the root to a target."""
+
+    points: Points
+    nodes: NDArray[np.uint32]
+    end: Points | None
+    """The target's voxel, where another node stands for it."""
+
+    @property
+    def whole(self) -> Points:
+        """The nodes' places and the end."""
+        return self.points if self.end is None else np.concatenate([self.points, self.end[None]])
+
+
+def _densely(points: Points, step_mm: float) -> Points:
+    """Even points along a polyline, at most ``step_mm`` apart, its ends included."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    count = max(int(np.ceil(along[-1] / step_mm)), 1) + 1 if along[-1] > 0.0 else 1
+    places = np.linspace(0.0, along[-1], count)
+    return np.stack([np.interp(places, along, points[:, axis]) for axis in range(3)], axis=1)
+
+
+def _outside(way: _Way, airways: Airways, volume: Volume) -> tuple[int, float]:
+    """Nodes of a way outside the lumen, and the length of it that is."""
+    num = int((~airways.tracker.inside(way.points)).sum())
+    whole = way.whole
+    if len(whole) < 2:
+        return num, 0.0
+    dense = _densely(whole, 0.25 * min(volume.spacing_mm))
+    pieces = np.linalg.norm(np.diff(dense, axis=0), axis=1)
+    return num, float(pieces[~airways.tracker.inside((dense[:-1] + dense[1:]) / 2)].sum())
+
+
+def _as_path(
+    way: _Way, airways: Airways, cost: float, snapped_mm: float, *, smooth: bool, volume: Volume
+) -> TrackedPath:
+    if smooth:
+        # A link may be many voxels long: as dense as the voxel graph's paths are.
+        dense = _densely(way.whole, min(volume.spacing_mm))
+        points = airways.tracker.core.smooth(dense, step_mm=STEP_MM, keep_end=True)
+    else:
+        points = _densely(way.whole, STEP_MM)
+    branch_ids, generation = _along_branches(points, airways.tree)
+    return TrackedPath(
+        points_lps=points,
+        radius_mm=airways.tracker.calibers(points, branch_ids),
+        wall_mm=airways.tracker.core.radius_mm(points),
+        length_mm=float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()),
+        cost=cost,
+        generation=generation,
+        branch_ids=branch_ids,
+        voxel_path_lps=way.points,
+        target_node=int(way.nodes[-1]),
+        snapped_mm=snapped_mm,
+    )
+
+
+def _along_branches(points: Points, tree: AirwayTree) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Branch and generation of each point: of the branches on the way to the last point the nearest, in order."""
+    lineage = tree.lineage(tree.nearest_branch(points[-1])[0].id)
+    distance = np.stack(
+        [
+            np.array([np.linalg.norm(branch.points - point, axis=1).min() for point in points], dtype=np.float64)
+            for branch in lineage
+        ]
+    )
+    places = np.maximum.accumulate(np.argmin(distance, axis=0))
+    ids = np.array([branch.id for branch in lineage], dtype=np.int32)[places]
+    return ids, np.array([branch.generation for branch in lineage], dtype=np.int32)[places]
+
+
+def _tree_of(
+    ways: Sequence[_Way], airways: Airways, cost_of: Callable[[int], float | None]
+) -> tuple[tuple[Branch, ...], Points]:
+    """Branches of the union of all ways, cut at branch nodes (paper, Figure 13), and those nodes' places."""
+    place_of: dict[int, Points] = {}
+    follows: dict[int, list[int]] = {}
+    end_of: dict[int, Points] = {}
+    for way in ways:
+        nodes = [int(node) for node in way.nodes]
+        for node, place in zip(nodes, way.points, strict=True):
+            place_of[node] = place
+            follows.setdefault(node, [])
+        for before, after in itertools.pairwise(nodes):
+            if after not in follows[before]:
+                follows[before].append(after)
+        if way.end is not None:
+            end_of[nodes[-1]] = way.end
+    root = int(ways[0].nodes[0])
+    branches: list[Branch] = []
+    # First node of a branch after the node that it leaves, that branch, and its generation.
+    waiting: list[tuple[int | None, int, int | None, int]] = [(None, root, None, 0)]
+    while waiting:
+        leaves, node, parent, generation = waiting.pop(0)
+        nodes = ([] if leaves is None else [leaves]) + [node]
+        while len(follows[nodes[-1]]) == 1:
+            nodes.append(follows[nodes[-1]][0])
+        points = np.array([place_of[n] for n in nodes])
+        if not follows[nodes[-1]] and nodes[-1] in end_of:
+            points = np.concatenate([points, end_of[nodes[-1]][None]])
+        first, last = cost_of(nodes[0]), cost_of(nodes[-1])
+        number = len(branches)
+        branches.append(
+            Branch(
+                id=number,
+                parent=parent,
+                children=(),
+                generation=generation,
+                name=None,
+                kind="tracked",
+                points=points,
+                radius=airways.tracker.core.radius_mm(points),
+                cost=None if first is None or last is None else last - first,
+            )
+        )
+        if parent is not None:
+            above = branches[parent]
+            branches[parent] = dataclasses.replace(above, children=(*above.children, number))
+        waiting.extend((nodes[-1], after, number, generation + 1) for after in follows[nodes[-1]])
+    forks = [place_of[node] for node, after in follows.items() if len(after) > 1]
+    return tuple(branches), np.array(forks).reshape(-1, 3)

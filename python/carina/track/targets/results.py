@@ -1,0 +1,91 @@
+"""What became of targets: the path to each, their common tree, and what the search took."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.track.find.found import Airways
+from carina.track.paths.tracker import TrackedPath
+from carina.track.tree.airway_tree import AirwayTree
+
+__all__ = ["GraphSearch", "TargetResult", "TargetSearch", "TrackResult"]
+
+Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class TargetSearch:
+    """What the search for one target took, and where its path runs."""
+
+    cost: float
+    """Sum over the edges of length in mm times weight."""
+    search_s: float
+    """Seconds from the call to the least cost; what earlier targets settled is not searched again."""
+    num_settled: int
+    """Nodes settled for it."""
+    num_path_nodes: int
+    num_outside: int
+    """Nodes of the path outside the lumen that was found."""
+    outside_mm: float
+    """Length of the path outside that lumen, mm."""
+    to_node_mm: float
+    """From the target's voxel to the node that stands for it, mm; above 0 where the voxel was cut away."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GraphSearch:
+    """The graph that was searched, and what the search took."""
+
+    cost: str
+    graph: str
+    labels: str | None
+    """``bins`` of 16 HU, or the class of the ``lumen``; None on the voxel graph."""
+    num_nodes: int
+    num_edges: int
+    """Undirected; links between centres and boundaries included."""
+    num_centers: int
+    """Nodes in the middle of an IsoRegion."""
+    build_s: float
+    """Seconds that graph and cost took to build."""
+    quantum: float
+    """Integer unit of the costs."""
+    first_ijk: tuple[int, int, int]
+    shape_ijk: tuple[int, int, int]
+    """The box of voxels that was searched (for the cost ``lumen`` its lumen)."""
+    is_whole: bool
+    """True if that is the whole volume."""
+    branch_nodes_lps: Points
+    """(n, 3) places where paths part: nodes that two or more others point back to (paper, Figure 13)."""
+    targets: tuple[TargetSearch | None, ...]
+    """One for each target, None where there is no path."""
+    notes: tuple[str, ...] = ()
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetResult:
+    """What became of one target."""
+
+    requested_lps: NDArray[np.float64]
+    used_lps: NDArray[np.float64] | None
+    """Where the path ends: the target, or the lumen voxel it was moved to."""
+    snapped_mm: float
+    path: TrackedPath | None
+    problem: str | None
+    """Why there is no path, in words."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackResult:
+    """Paths to several targets, and their common tree."""
+
+    tree: AirwayTree
+    targets: tuple[TargetResult, ...]
+    airways: Airways
+    search: GraphSearch | None = None
+    """The graph that was searched and what that took; None for the cost ``lumen`` on the voxel graph."""

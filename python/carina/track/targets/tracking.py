@@ -1,0 +1,116 @@
+"""Paths from the root to targets, over the lumen or on another graph."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display.progress import ProgressChoice, heard, shows_progress
+from carina.errors import CancelledError, NoResultError, UsageError, check_type
+from carina.track.find.airways import Airways, find_airways
+from carina.track.paths.tracker import SNAP_MM, as_point, words
+from carina.track.stages import Cancel
+from carina.track.targets.paper import check_choice, track_on_graph
+from carina.track.targets.results import TargetResult, TrackResult
+from carina.volume.model import Volume
+
+__all__ = ["track_paths"]
+
+
+@shows_progress
+def track_paths(
+    volume: Volume,
+    *,
+    root: Literal["auto"] | Sequence[float] | NDArray[np.float64] = "auto",
+    targets: Sequence[Sequence[float] | NDArray[np.float64]],
+    cost: str = "lumen",
+    graph: str = "voxel",
+    airways: Airways | None = None,
+    lumen_threshold: float | None = None,
+    snap_mm: float = SNAP_MM,
+    progress: ProgressChoice = None,
+    cancel: Cancel | None = None,
+) -> TrackResult:
+    """Track the least-cost paths from the root to targets (the Intelligent Path Tracker).
+
+    Parameters
+    ----------
+    root
+        LPS mm, or "auto" for the top of the trachea.
+    targets
+        Points, LPS mm. One outside the lumen is moved to the nearest lumen voxel within ``snap_mm``, and the result
+        says so.
+    cost
+        ``lumen``: keep to the middle of the airway. ``paper``: the paper's formula (6.2) on all voxels; it follows
+        edges and may leave the lumen, ``search`` says where. Its targets are not moved.
+    graph
+        ``voxel``, or ``isoregion``: pruned as in paper 6.1.
+    airways
+        Airways found before; they keep their root unless ``root`` is given.
+
+    Returns
+    -------
+    TrackResult
+        One entry per target, in order: a path, or the reason why there is none. Where no target has a path the tree is
+        the automatic one.
+
+    Raises
+    ------
+    UsageError
+        If a target is not a point in the volume, there is none, or cost or graph is unknown.
+    NoResultError
+        If the airways cannot be found at all.
+
+    Examples
+    --------
+    >>> import carina
+    >>> phantom = carina.generate_phantom(spacing_mm=3.0, generations=3)
+    >>> airways = carina.find_airways(phantom.volume)
+    >>> tip = airways.tree.tips()[0]
+    >>> found = carina.track_paths(phantom.volume, targets=[tip.tip_lps], airways=airways)
+    >>> abs(found.targets[0].path.length_mm - airways.tree.route_to(tip.id).length_mm) < 5.0
+    True
+    """
+    check_type("track_paths", "volume", volume, Volume, "open one with carina.open_volume")
+    progress = heard(progress) or False
+    check_choice(cost, graph)
+    points = [as_point(target) for target in targets]
+    if not points:
+        raise UsageError("give at least one target")
+    for point in points:
+        if not volume.contains_lps(np.array(point)):
+            msg = f"the target {words(point)} lies outside the volume"
+            raise UsageError(msg)
+    start = None if isinstance(root, str) else root
+    if isinstance(root, str) and root != "auto":
+        msg = f"root: expected 'auto' or a point, found {root!r}"
+        raise UsageError(msg)
+    if airways is None or (start is not None and not np.array_equal(as_point(start), airways.root_lps)):
+        airways = find_airways(
+            volume, root_lps=start, lumen_threshold=lumen_threshold, progress=progress, cancel=cancel
+        )
+    if (cost, graph) != ("lumen", "voxel"):
+        return track_on_graph(
+            volume, airways, points, cost=cost, graph=graph, snap_mm=snap_mm, progress=heard(progress), cancel=cancel
+        )
+    results: list[TargetResult] = []
+    for point in points:
+        if cancel is not None and cancel():
+            raise CancelledError("tracking was stopped")
+        requested = np.array(point)
+        try:
+            path = airways.tracker.path_to(point, snap_mm=snap_mm, cancel=cancel)
+        except NoResultError as error:
+            results.append(TargetResult(requested, None, 0.0, None, str(error)))
+        else:
+            used = path.voxel_path_lps[-1] if path.snapped_mm > 0.0 else requested
+            results.append(TargetResult(requested, used, path.snapped_mm, path, None))
+    found = [result.path for result in results if result.path is not None]
+    tree = airways.tree
+    if found:
+        tree = dataclasses.replace(airways.tracker.tree_to(found), notes=airways.badges)
+    return TrackResult(tree, tuple(results), airways)

@@ -1,0 +1,63 @@
+"""The way through the airways from one place to another: up to where they part, and down again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.track.tree.airway_tree import AirwayTree, Branch
+
+__all__ = ["way_between"]
+
+Points = NDArray[np.float64]
+
+
+def way_between(
+    tree: AirwayTree, start_lps: Sequence[float] | Points, end_lps: Sequence[float] | Points
+) -> tuple[Points, int] | None:
+    """Follow the centrelines between the places nearest to two points.
+
+    Parameters
+    ----------
+    tree
+        Whose centrelines.
+    start_lps, end_lps
+        LPS mm, anywhere; the nearest points of the tree are taken.
+
+    Returns
+    -------
+    tuple or None
+        Points ``(n, 3)``, LPS mm, from start to end, and the index of the one nearest to the root: before it the way
+        leads towards the root, after it away. None where both are nearest to the same point.
+    """
+    branch_a, index_a, _ = tree.nearest_branch(start_lps)
+    branch_b, index_b, _ = tree.nearest_branch(end_lps)
+    down_to_a, down_to_b = tree.lineage(branch_a.id), tree.lineage(branch_b.id)
+    shared = sum(one.id == other.id for one, other in zip(down_to_a, down_to_b, strict=False))
+    trunk = down_to_a[shared - 1]
+    leave = _place(trunk, branch_a, index_a)
+    join = _place(trunk, branch_b, index_b)
+    # Along the branch that both share the way leads up or down; on either side of it lies what only one of them has.
+    step = 1 if join >= leave else -1
+    middle = trunk.points[np.arange(leave, join + step, step)]
+    up = _below(down_to_a[shared:], index_a)[::-1]
+    down = _below(down_to_b[shared:], index_b)
+    points = np.concatenate([up, middle, down])
+    apex = len(up) + (len(middle) - 1 if step < 0 else 0)
+    new = np.concatenate([[True], np.any(np.diff(points, axis=0) != 0.0, axis=1)])
+    kept = points[new]
+    return None if len(kept) < 2 else (kept, int(np.count_nonzero(new[: apex + 1])) - 1)
+
+
+def _place(trunk: Branch, branch: Branch, index: int) -> int:
+    """Where on the trunk a place lies, or its branch leaves."""
+    return index if branch.id == trunk.id else len(trunk.points) - 1
+
+
+def _below(branches: Sequence[Branch], index: int) -> Points:
+    """The centrelines from a fork down to a place on the last of these branches."""
+    if not branches:
+        return np.empty((0, 3))
+    return np.concatenate([*(branch.points for branch in branches[:-1]), branches[-1].points[: index + 1]])

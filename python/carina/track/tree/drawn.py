@@ -1,0 +1,86 @@
+"""What of a tree or of a way the CT does not show: drawn by hand, or a bridge over a blockage.
+
+One place for it, so that routes, files, films and sheets all count alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.track.tree.airway_tree import AirwayTree, Branch
+
+__all__ = ["DrawnPart", "drawn_part", "drawn_tree", "kind_words"]
+
+SHOWN_MM = 0.05
+"""Less than this is rounding."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class DrawnPart:
+    """How much of a way, or of a whole tree, rests on a person's hand and not on the CT."""
+
+    length_mm: float
+    """Of the whole."""
+    drawn_mm: float = 0.0
+    """Of it along branches that a person drew (kind ``manual``)."""
+    bridge_mm: float = 0.0
+    """Of it over blockages (kind ``bridge``)."""
+
+    @property
+    def words(self) -> str | None:
+        """In a sentence's part, such as ``21 of 180 mm drawn by hand``; None where the CT shows all of it."""
+        parts = []
+        if self.drawn_mm > SHOWN_MM:
+            parts.append(f"{self.drawn_mm:.0f} of {self.length_mm:.0f} mm drawn by hand")
+        if self.bridge_mm > SHOWN_MM:
+            parts.append(f"{self.bridge_mm:.0f} of {self.length_mm:.0f} mm bridged over a blockage")
+        return "; ".join(parts) or None
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values: ``drawn_mm`` and ``bridge_mm``, mm."""
+        return {"drawn_mm": round(self.drawn_mm, 2), "bridge_mm": round(self.bridge_mm, 2)}
+
+
+def drawn_part(
+    branches: AirwayTree | Mapping[int, Branch], branch_ids: NDArray[Any], cumulative_mm: NDArray[np.float64]
+) -> DrawnPart:
+    """How much of a way lies in branches that the CT does not show.
+
+    Parameters
+    ----------
+    branches
+        The tree, or its branches by id. Ids that are not in it (lumen beyond the tree) count as shown.
+    branch_ids
+        (n,) branch at each point of the way; at a fork the one that ends there, as in :class:`carina.track.Route`.
+    cumulative_mm
+        (n,) place of each point along the way, mm, ascending.
+    """
+    by_id = {b.id: b for b in branches.branches} if isinstance(branches, AirwayTree) else branches
+    if len(cumulative_mm) < 2:
+        return DrawnPart(0.0)
+    steps_mm = np.diff(cumulative_mm)
+    ids = np.asarray(branch_ids)[1:]
+
+    def along(kind: str) -> float:
+        return float(steps_mm[np.isin(ids, [b.id for b in by_id.values() if b.kind == kind])].sum())
+
+    return DrawnPart(float(steps_mm.sum()), along("manual"), along("bridge"))
+
+
+def drawn_tree(tree: AirwayTree) -> DrawnPart:
+    """The same of all branches of a tree."""
+    drawn = sum(branch.length_mm for branch in tree.branches if branch.kind == "manual")
+    bridge = sum(branch.length_mm for branch in tree.branches if branch.kind == "bridge")
+    return DrawnPart(sum(branch.length_mm for branch in tree.branches), drawn, bridge)
+
+
+def kind_words(kind: str) -> str | None:
+    """What a branch of a kind is called behind its name: ``drawn by hand``, ``bridge``; None for one that was found."""
+    return {"manual": "drawn by hand", "bridge": "bridge"}.get(kind)

@@ -1,0 +1,190 @@
+"""What the automatic airways could not follow, and how sure each branch is."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.display import one_line
+from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.volume.model import Volume
+
+__all__ = ["Uncertainty", "find_uncertain", "with_confidence"]
+
+Points = NDArray[np.float64]
+
+FAINT = 0.5
+"""A branch whose confidence is lower is listed as uncertain."""
+# Airways thinner than this are at the end of what a CT shows; one that ends wider has been lost on the way.
+FINE_MM = 2.5
+FINE_VOX = 3.0
+# The ball that the flood closes round a breach.
+NEAR_LEAK_MM = 10.0
+# The last stretch of a branch runs into its blind end: its calibre is read before it.
+BLUNT_MM = 2.0
+CALIBRE_MM = 8.0
+NUM_SECTIONS = 12
+NUM_SIDES = 16
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """A place where the automatic airways stop short, or should be looked at."""
+
+    lps: tuple[float, float, float]
+    """LPS mm."""
+    kind: str
+    """``blocked`` (the lumen ends though its calibre says that it goes on), ``leak`` (following it would have run out
+    into the lung), ``volume`` (the volume ends there), ``faint`` (the branch may be no airway), ``fine`` (from here on
+    the CT is too coarse; once for the whole tree)."""
+    reason: str
+    """In words."""
+    branch_id: int | None
+    """The branch that ends there, or is meant; None for the whole tree."""
+
+
+def find_uncertain(volume: Volume, tree: AirwayTree, leaks_lps: Points) -> tuple[Uncertainty, ...]:
+    """Say of each end of the tree why it ends there, unless it is as thin as the CT can show.
+
+    Parameters
+    ----------
+    leaks_lps
+        (n, 3) LPS mm, where the growth was stopped because it would have run out into the lung.
+
+    Returns
+    -------
+    tuple of Uncertainty
+        The widest first; last, where the CT stops being trustworthy.
+    """
+    voxel_mm = float(np.cbrt(np.prod(volume.spacing_mm)))
+    fine_mm = max(FINE_MM, FINE_VOX * voxel_mm)
+    listed: list[tuple[float, Uncertainty]] = []
+    ends_mm = []
+    for branch in tree.tips():
+        calibre_mm = _calibre_mm(branch)
+        place = (float(branch.tip_lps[0]), float(branch.tip_lps[1]), float(branch.tip_lps[2]))
+        if branch.parent is None:
+            continue
+        if _leaves_volume(volume, branch, calibre_mm):
+            kind, reason = "volume", f"the volume ends here, the airway ({calibre_mm:.1f} mm wide) goes on"
+        elif calibre_mm < fine_mm:
+            ends_mm.append(calibre_mm)
+            continue
+        elif _is_near(leaks_lps, branch.tip_lps):
+            kind = "leak"
+            reason = (
+                f"lost where the lumen is {calibre_mm:.1f} mm wide: its wall is too thin here, and the search would "
+                "have run into the lung"
+            )
+        else:
+            kind = "blocked"
+            reason = (
+                f"the lumen ends at {calibre_mm:.1f} mm: mucus, a collapsed or narrowed airway, or a wall that the CT "
+                "does not show"
+            )
+        listed.append((calibre_mm, Uncertainty(place, kind, reason, branch.id)))
+    for branch in tree.branches:
+        if branch.confidence is not None and branch.confidence < FAINT:
+            middle = branch.points[len(branch.points) // 2]
+            place = (float(middle[0]), float(middle[1]), float(middle[2]))
+            reason = f"its wall hardly stands out (confidence {branch.confidence:.2f}): it may not be an airway"
+            listed.append((_calibre_mm(branch), Uncertainty(place, "faint", reason, branch.id)))
+    listed.sort(key=lambda entry: (-entry[0], entry[1].branch_id))
+    found = [entry for _, entry in listed]
+    if ends_mm:
+        root = tree.root.points[0]
+        reason = (
+            f"below {float(np.median(ends_mm)):.1f} mm (the median of {len(ends_mm)} ends) this CT of "
+            f"{voxel_mm:.2f} mm voxels cannot show airways reliably: more and smaller ones exist"
+        )
+        found.append(Uncertainty((float(root[0]), float(root[1]), float(root[2])), "fine", reason, None))
+    return tuple(found)
+
+
+def with_confidence(volume: Volume, tree: AirwayTree, noise: float) -> AirwayTree:
+    """Fill each branch's confidence that it is airway, from what the CT shows across it.
+
+    Three things count, each from 0 to 1: the share of sides with wall; how far the wall rises above the lumen, over the
+    noise (``1 - exp(-rise / 3 noise)``); and the diameter in voxels (a lumen below 2 voxels is a blur: half of it is
+    taken on trust). They are multiplied; a branch has the median of its sections.
+
+    Parameters
+    ----------
+    noise
+        Standard deviation of the values in the air of the trachea.
+    """
+    return dataclasses.replace(tree, branches=tuple(judged(volume, branch, noise) for branch in tree.branches))
+
+
+def judged(volume: Volume, branch: Branch, noise: float) -> Branch:
+    """One branch with its confidence, see :func:`with_confidence`."""
+    return dataclasses.replace(branch, confidence=_confidence(volume, branch, noise))
+
+
+def _confidence(volume: Volume, branch: Branch, noise: float) -> float:
+    steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    # Not at the forks, where a side is open.
+    from_mm = min(float(branch.radius[0]), 0.3 * along[-1])
+    at = np.linspace(from_mm, max(along[-1] - min(BLUNT_MM, 0.2 * along[-1]), from_mm), NUM_SECTIONS)
+    place = np.stack([np.interp(at, along, branch.points[:, axis]) for axis in range(3)], axis=1)
+    ahead = np.stack([np.interp(at + 1.0, along, branch.points[:, axis]) for axis in range(3)], axis=1)
+    behind = np.stack([np.interp(at - 1.0, along, branch.points[:, axis]) for axis in range(3)], axis=1)
+    tangent = ahead - behind
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    helper = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
+    across = np.cross(tangent, helper)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    up = np.cross(tangent, across)
+    angle = 2.0 * np.pi * np.arange(NUM_SIDES) / NUM_SIDES
+    sides = np.cos(angle)[None, :, None] * across[:, None, :] + np.sin(angle)[None, :, None] * up[:, None, :]
+    radius = np.interp(at, along, branch.radius)
+    spacing = np.array(volume.spacing_mm)
+    step_mm = 0.5 * float(spacing.min())
+    # The wall of an airway is thinner than its radius; blur and slices add to it.
+    reach_mm = 2.0 * radius.max() + 1.5 + float(spacing.max())
+    off = np.arange(0.0, reach_mm, step_mm)
+    points = place[:, None, None, :] + sides[:, :, None, :] * off[None, None, :, None]
+    values = _values_at(volume, points.reshape(-1, 3)).reshape(NUM_SECTIONS, NUM_SIDES, len(off))
+    # Three sections together, and neighbouring steps: a single noisy voxel is no wall.
+    values = (values + np.roll(values, 1, axis=0) + np.roll(values, -1, axis=0)) / 3.0
+    lumen = values[:, :, 0].mean(axis=1)
+    rise = values.max(axis=2) - lumen[:, None]
+    walled = (rise > 3.0 * noise).mean(axis=1)
+    contrast = 1.0 - np.exp(-np.maximum(np.median(rise, axis=1), 0.0) / (3.0 * max(noise, 1e-6)))
+    calibre = np.clip(0.5 + 0.25 * 2.0 * radius / float(np.cbrt(np.prod(spacing))), 0.5, 1.0)
+    return round(float(np.clip(np.median(walled * contrast * calibre), 0.0, 1.0)), 3)
+
+
+def _values_at(volume: Volume, points: Points) -> Points:
+    """Nearest voxel's value at (n, 3) LPS points, the edge's beyond it."""
+    shape = np.array(volume.shape_zyx[::-1])
+    i, j, k = np.clip(np.floor(volume.to_ijk(points) + 0.5).astype(int), 0, shape - 1).T
+    values: Points = volume.hu_zyx[k, j, i].astype(np.float64)
+    return values
+
+
+def _calibre_mm(branch: Branch) -> float:
+    """Diameter of the last stretch of a branch before its blind end."""
+    steps = np.linalg.norm(np.diff(branch.points, axis=0), axis=1)
+    to_tip = float(steps.sum()) - np.concatenate([[0.0], np.cumsum(steps)])
+    stretch = (to_tip >= min(BLUNT_MM, 0.5 * to_tip[0])) & (to_tip <= CALIBRE_MM)
+    chosen: Sequence[float] | NDArray[np.float64] = branch.radius[stretch] if stretch.any() else branch.radius
+    return 2.0 * float(np.median(chosen))
+
+
+def _leaves_volume(volume: Volume, branch: Branch, calibre_mm: float) -> bool:
+    """The tip is nearer to a face of the volume than its own radius and a voxel."""
+    ijk = volume.to_ijk(branch.tip_lps)
+    last = np.array(volume.shape_zyx[::-1]) - 1
+    spacing = np.array(volume.spacing_mm)
+    return bool((np.minimum(ijk, last - ijk) * spacing <= 0.5 * calibre_mm + spacing).any())
+
+
+def _is_near(leaks_lps: Points, tip: Points) -> bool:
+    return len(leaks_lps) > 0 and bool((np.linalg.norm(leaks_lps - tip, axis=1) <= NEAR_LEAK_MM).any())
