@@ -14,7 +14,18 @@ import SimpleITK as sitk
 
 import carina
 from carina.errors import GeometryError, UsageError
-from carina.export import export_airways, export_tree, write_mask, write_mesh
+from carina.export import (
+    EXPORT_FORMATS,
+    EXPORT_SUFFIXES,
+    EXPORT_TITLES,
+    export_airways,
+    export_format,
+    export_tree,
+    write_mask,
+    write_mesh,
+)
+from carina.export.mask_file import MASK_SUFFIXES
+from carina.export.mesh_file import MESH_SUFFIXES
 from carina.track import AirwayTree, Branch, Mesh, lumen_mesh
 from carina.volume import Volume, open_mask
 from made import SMALL_CHEST, made_airways, made_phantom
@@ -228,6 +239,14 @@ def test_a_sheared_grid_cannot_be_a_mask_file(tmp_path):
     volume = Volume(np.zeros((3, 3, 3), np.int16), matrix)
     with pytest.raises(GeometryError, match="right angles"):
         write_mask(tmp_path / "m.nrrd", np.ones((3, 3, 3), np.uint8), volume)
+
+
+def test_the_table_has_a_row_for_each_writer_of_surfaces_and_masks_and_asks_for_the_longest_suffix():
+    assert {row.suffix for row in EXPORT_FORMATS if row.kind == "surface"} == set(MESH_SUFFIXES)
+    assert {row.suffix for row in EXPORT_FORMATS if row.kind == "lumen"} == set(MASK_SUFFIXES)
+    assert len(set(EXPORT_SUFFIXES)) == len(EXPORT_SUFFIXES)
+    assert {row.kind for row in EXPORT_FORMATS} == set(EXPORT_TITLES)
+    assert [export_format(f"T{suffix.upper()}").suffix for suffix in EXPORT_SUFFIXES] == list(EXPORT_SUFFIXES)
 
 
 def test_unknown_suffixes_are_refused(tree, case, tmp_path):

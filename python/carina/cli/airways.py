@@ -15,7 +15,16 @@ from carina.cli.arguments import check_output_file
 from carina.cli.badges import opened
 from carina.cli.console import print_json, progress_printer, say
 from carina.errors import UsageError
-from carina.export import export_airways, export_tree, is_tree_file, read_tree, write_mask, write_tree
+from carina.export import (
+    EXPORT_FORMATS,
+    EXPORT_TITLES,
+    export_airways,
+    export_tree,
+    is_tree_file,
+    read_tree,
+    write_mask,
+    write_tree,
+)
 from carina.track import Airways, drawn_tree, kind_words
 from carina.volume import Volume, open_mask
 
@@ -94,6 +103,15 @@ def find(
         wide = f"{row['lumen_mm']:4.1f} mm wide" if kind is None else f"{kind}: the CT shows no airway here"
         print(f"{'  ' * row['generation']}{row['id']:>4} {name:<18} {row['length_mm']:6.1f} mm long, {wide}")
     return exit_code
+
+
+def print_formats() -> None:
+    """What ``carina export`` writes, and who reads it."""
+    for kind, title in EXPORT_TITLES.items():
+        print(title)
+        for row in EXPORT_FORMATS:
+            if row.kind == kind:
+                print(f"  {row.suffix:<10} {row.words}")
 
 
 def write(

@@ -85,15 +85,19 @@ def airways(
         )
 
 
+def _list_formats(wanted: bool) -> None:
+    if wanted:
+        from carina.cli.airways import print_formats
+
+        print_formats()
+        raise typer.Exit
+
+
 def export(
     path: PathArgument,
     output: Annotated[
         Path,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Tree: .json .vtp .swc .mrk.json; lumen: .nii.gz .nii .nrrd .mha; its surface: .stl .ply .obj .glb",
-        ),
+        typer.Option("-o", "--output", help="The file to write. Its ending says what; --formats lists the endings."),
     ],
     tree: Annotated[
         Path | None, typer.Option("--tree", help="A tree that carina wrote; found in the scan unless given.")
@@ -104,6 +108,9 @@ def export(
     series: SeriesOption = None,
     strict: StrictOption = False,
     as_json: JsonOption = False,
+    formats: Annotated[
+        bool, typer.Option("--formats", callback=_list_formats, is_eager=True, help="List the endings, and leave.")
+    ] = False,
 ) -> None:
     """The airways as a file for another program, in LPS millimetres.
 

@@ -5,25 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from carina.errors import UsageError, check_type
-from carina.export.mask_file import MASK_SUFFIXES, write_mask
-from carina.export.mesh_file import MESH_SUFFIXES, write_mesh
-from carina.export.tree_file import write_tree
-from carina.export.tree_formats import write_markups, write_swc, write_vtp
+from carina.errors import check_type
+from carina.export.format_table import export_format
 from carina.track import Airways, AirwayTree, drawn_tree, lumen_mesh
 from carina.volume import Note, Volume, badges_of
 
-__all__ = ["EXPORT_SUFFIXES", "export_airways", "export_tree", "is_tree_file"]
-
-# ".mrk.json" before ".json".
-_TREE_WRITERS: dict[str, Callable[..., Path]] = {
-    ".mrk.json": write_markups,
-    ".json": write_tree,
-    ".vtp": write_vtp,
-    ".swc": write_swc,
-}
-EXPORT_SUFFIXES = (*_TREE_WRITERS, *MASK_SUFFIXES, *MESH_SUFFIXES)
-"""Suffixes that :func:`export_airways` knows."""
+__all__ = ["export_airways", "export_tree", "is_tree_file"]
 
 
 def is_tree_file(path: Path | str) -> bool:
@@ -34,11 +21,7 @@ def is_tree_file(path: Path | str) -> bool:
     UsageError
         If the suffix is none that Carina writes.
     """
-    name = Path(path).name.lower()
-    if not name.endswith(EXPORT_SUFFIXES):
-        msg = f"expected a file name that ends in {', '.join(EXPORT_SUFFIXES)}; found {Path(path).name!r}"
-        raise UsageError(msg)
-    return name.endswith(tuple(_TREE_WRITERS))
+    return export_format(path).kind == "tree"
 
 
 def export_tree(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()) -> Path:
@@ -53,12 +36,7 @@ def export_tree(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = 
     CarinaError
         If it cannot be written; what was there before stays.
     """
-    name = Path(path).name.lower()
-    for suffix, writer in _TREE_WRITERS.items():
-        if name.endswith(suffix):
-            return writer(Path(path), tree, badges=badges)
-    msg = f"a tree is written as {', '.join(_TREE_WRITERS)}; found {Path(path).name!r}"
-    raise UsageError(msg)
+    return export_format(path, kind="tree").write(Path(path), tree, badges=badges)
 
 
 def export_airways(
@@ -105,12 +83,13 @@ def export_airways(
     check_type("export_airways", "volume", volume, Volume, "open one with carina.open_volume")
     check_type("export_airways", "airways", airways, Airways, "find them with carina.find_airways")
     lasting = tuple(dict.fromkeys([*badges_of(volume, airways), *badges]))
-    if is_tree_file(path):
+    to = export_format(path)
+    if to.kind == "tree":
         return export_tree(path, airways.tree if tree is None else tree, badges=lasting)
     # The lumen's own tree, whatever tree was given beside it.
     words = drawn_tree(airways.tree).words
     note = None if words is None else f"{words}: not from the CT"
-    if Path(path).name.lower().endswith(MESH_SUFFIXES):
+    if to.kind == "surface":
         mesh = lumen_mesh(volume, airways, progress=progress, cancel=cancel)
-        return write_mesh(path, mesh, note=note, badges=lasting)
-    return write_mask(path, airways.lumen_zyx, volume, note=note, badges=lasting)
+        return to.write(path, mesh, note=note, badges=lasting)
+    return to.write(path, airways.lumen_zyx, volume, note=note, badges=lasting)

@@ -14,6 +14,7 @@ from msgspec import inspect
 
 from carina.commands.fields import Mask, ViewName
 from carina.server import messages
+from carina.server.export_types import exports_typescript
 from carina.server.view_types import views_typescript
 from carina.server.wire_codec import type_name
 
@@ -207,6 +208,7 @@ def generated_files() -> dict[str, str]:
     return {
         "web/src/wire/messages.ts": typescript(),
         "web/src/wire/views.ts": views_typescript(),
+        "web/src/wire/exports.ts": exports_typescript(),
         "protocol/schema.json": json.dumps(json_schema(), indent=1) + "\n",
     }
 

@@ -1,36 +1,7 @@
 import { keyOf } from "../../input/keymap";
+import { EXPORTS } from "../../wire/exports";
 import { useApp, useStation } from "../context";
 import { Act } from "../controls";
-
-/** What a person calls it, the file it becomes, and who reads that. */
-const FILES: readonly (readonly [title: string, files: readonly (readonly [suffix: string, words: string])[]])[] = [
-  [
-    "Surface of the airways",
-    [
-      [".stl", "For 3D printing and most programs"],
-      [".ply", "For MeshLab and Blender"],
-      [".obj", "For drawing programs"],
-      [".glb", "For viewers on the web and on phones"],
-    ],
-  ],
-  [
-    "Lumen on the CT's grid",
-    [
-      [".nii.gz", "NIfTI: 3D Slicer, ITK-SNAP, Python"],
-      [".nrrd", "NRRD: 3D Slicer"],
-      [".mha", "MetaImage: ITK"],
-    ],
-  ],
-  [
-    "Branches and centrelines",
-    [
-      [".json", "All that Carina knows of the tree: names, radii, confidence"],
-      [".vtp", "For ParaView and VTK"],
-      [".mrk.json", "Curves for 3D Slicer"],
-      [".swc", "For programs of tree shapes"],
-    ],
-  ],
-];
 
 export function ShareStep() {
   const station = useStation();
@@ -39,11 +10,11 @@ export function ShareStep() {
   return (
     <>
       <p>{found ? "Files of the airways, as they are now." : "Files of the airways, once they are found."}</p>
-      {FILES.map(([title, files]) => (
+      {EXPORTS.map(({ title, files }) => (
         <div key={title} className="group">
           <h3>{title}</h3>
           <div className="row">
-            {files.map(([suffix, words]) => (
+            {files.map(({ suffix, words }) => (
               <Act
                 key={suffix}
                 label={making === suffix ? "Making it\u2026" : suffix.replace(/^\./, "")}

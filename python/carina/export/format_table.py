@@ -1,0 +1,89 @@
+"""The table of file formats for airways: one row for each, with what holds it and who reads it.
+
+A new format is a row here and the function that writes it. The command line, the window's list
+(``web/src/wire/exports.ts`` is generated from this) and the refusals of other suffixes take it from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from carina.display import one_line
+from carina.errors import UsageError
+from carina.export.mask_file import write_mask
+from carina.export.mesh_file import write_mesh
+from carina.export.tree_file import write_tree
+from carina.export.tree_formats import write_markups, write_swc, write_vtp
+
+__all__ = ["EXPORT_FORMATS", "EXPORT_SUFFIXES", "EXPORT_TITLES", "ExportFormat", "ExportKind", "export_format"]
+
+ExportKind = Literal["surface", "lumen", "tree"]
+
+EXPORT_TITLES: dict[ExportKind, str] = {
+    "surface": "Surface of the airways",
+    "lumen": "Lumen on the CT's grid",
+    "tree": "Branches and centrelines",
+}
+"""What a person calls it, in the order of the window."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class ExportFormat:
+    """A kind of file that the airways can be written to."""
+
+    suffix: str
+    """In lower case, with its dots."""
+    kind: ExportKind
+    """What of the airways it holds."""
+    words: str
+    """Who reads it, for a person who chooses."""
+    write: Callable[..., Path]
+    """Called with the path, then a mesh, a mask and its volume, or a tree, as its kind is."""
+
+
+EXPORT_FORMATS: tuple[ExportFormat, ...] = (
+    ExportFormat(".stl", "surface", "For 3D printing and most programs", write_mesh),
+    ExportFormat(".ply", "surface", "For MeshLab and Blender", write_mesh),
+    ExportFormat(".obj", "surface", "For drawing programs", write_mesh),
+    ExportFormat(".glb", "surface", "For viewers on the web and on phones", write_mesh),
+    ExportFormat(".nii.gz", "lumen", "NIfTI: 3D Slicer, ITK-SNAP, Python", write_mask),
+    ExportFormat(".nii", "lumen", "NIfTI, not compressed", write_mask),
+    ExportFormat(".nrrd", "lumen", "NRRD: 3D Slicer", write_mask),
+    ExportFormat(".mha", "lumen", "MetaImage: ITK", write_mask),
+    # ".mrk.json" is asked for before ".json", which it ends in: the longest suffix counts.
+    ExportFormat(".json", "tree", "All that Carina knows of the tree: names, radii, confidence", write_tree),
+    ExportFormat(".vtp", "tree", "For ParaView and VTK", write_vtp),
+    ExportFormat(".mrk.json", "tree", "Curves for 3D Slicer", write_markups),
+    ExportFormat(".swc", "tree", "For programs of tree shapes", write_swc),
+)
+EXPORT_SUFFIXES = tuple(row.suffix for row in EXPORT_FORMATS)
+"""Suffixes that :func:`carina.export_airways` knows."""
+
+
+def export_format(path: Path | str, *, kind: ExportKind | None = None) -> ExportFormat:
+    """The format that a file's name asks for.
+
+    Parameters
+    ----------
+    path
+        Whose end counts, whether in capitals or not.
+    kind
+        Only formats that hold this.
+
+    Raises
+    ------
+    UsageError
+        If there is none.
+    """
+    name = Path(path).name.lower()
+    rows = [row for row in EXPORT_FORMATS if kind in {None, row.kind}]
+    found = [row for row in rows if name.endswith(row.suffix)]
+    if not found:
+        what = {None: "airways are", "surface": "a surface is", "lumen": "a mask is", "tree": "a tree is"}[kind]
+        known = ", ".join(row.suffix for row in rows)
+        raise UsageError(f"{what} written as {known}; found {Path(path).name!r}")
+    return max(found, key=lambda row: len(row.suffix))

@@ -1,0 +1,32 @@
+// Generated from python/carina/export/format_table.py by `python -m carina.server.wire_types`. Do not edit.
+
+/** What a person calls it, the files that hold it, and who reads those. */
+export const EXPORTS = [
+  {
+    title: "Surface of the airways",
+    files: [
+      { suffix: ".stl", words: "For 3D printing and most programs" },
+      { suffix: ".ply", words: "For MeshLab and Blender" },
+      { suffix: ".obj", words: "For drawing programs" },
+      { suffix: ".glb", words: "For viewers on the web and on phones" },
+    ],
+  },
+  {
+    title: "Lumen on the CT's grid",
+    files: [
+      { suffix: ".nii.gz", words: "NIfTI: 3D Slicer, ITK-SNAP, Python" },
+      { suffix: ".nii", words: "NIfTI, not compressed" },
+      { suffix: ".nrrd", words: "NRRD: 3D Slicer" },
+      { suffix: ".mha", words: "MetaImage: ITK" },
+    ],
+  },
+  {
+    title: "Branches and centrelines",
+    files: [
+      { suffix: ".json", words: "All that Carina knows of the tree: names, radii, confidence" },
+      { suffix: ".vtp", words: "For ParaView and VTK" },
+      { suffix: ".mrk.json", words: "Curves for 3D Slicer" },
+      { suffix: ".swc", words: "For programs of tree shapes" },
+    ],
+  },
+] as const;
