@@ -17,6 +17,7 @@ from websockets.sync.client import connect
 
 from carina.cli.console import progress_printer, say
 from carina.errors import CarinaError
+from carina.server.messages import WIRE_VERSION
 from carina_bench.cases import open_case
 
 __all__ = ["server_memory"]
@@ -115,7 +116,7 @@ def _look_at_everything(access: dict[str, str]) -> set[str]:
         def send(message: dict[str, Any]) -> None:
             socket.send(json.dumps(message))
 
-        send({"type": "hello", "wire_version": 1})
+        send({"type": "hello", "wire_version": WIRE_VERSION})
         views = [{"view": view, "width": 512, "height": 512} for view in VIEWS]
         send({"type": "layout", "views": views})
         while time.monotonic() < end:

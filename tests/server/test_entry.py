@@ -11,6 +11,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from carina.errors import CarinaError
+from carina.server import messages as wire
 from carina.server.serve import bind, start_url
 
 
@@ -122,7 +123,7 @@ def test_a_program_comes_in_with_the_secret_and_without_an_origin(live):
         additional_headers={"Authorization": f"Bearer {live.gate.secret}"},
         open_timeout=WAIT_S,
     ) as socket:
-        socket.send('{"type": "hello", "wire_version": 1}')
+        socket.send(wire.encode_message(wire.ClientHello(wire.WIRE_VERSION)))
         assert json.loads(socket.recv(timeout=WAIT_S))["type"] == "hello"
 
 

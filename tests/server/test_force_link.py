@@ -41,7 +41,7 @@ class Bridge:
     def __init__(self, socket):
         self.socket = socket
         self.number = 0
-        self.send(wire.ClientHello(wire.WIRE_VERSION))
+        self.send(wire.ClientHello(wire.FORCE_VERSION))
         assert isinstance(self.receive(), wire.ServerHello)
 
     def send(self, message):
@@ -222,7 +222,7 @@ def test_no_more_bridges_than_can_be_served_and_a_place_that_is_left_is_given_an
 @pytest.mark.parametrize(
     ("first", "code"),
     [
-        (wire.ClientHello(wire.WIRE_VERSION + 1), "protocol.version"),
+        (wire.ClientHello(wire.FORCE_VERSION + 1), "protocol.version"),
         (wire.AskContact(1, None), "protocol.order"),
     ],
 )

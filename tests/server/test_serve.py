@@ -13,6 +13,7 @@ import pytest
 from websockets.sync.client import connect
 
 from carina.errors import CarinaError, UsageError, VolumeImportError
+from carina.server import messages as wire
 from carina.server import serve
 from carina.server.serve import bind
 
@@ -62,7 +63,7 @@ def test_a_program_outside_comes_in_with_the_printed_token_as_often_as_it_likes(
             for _ in range(2):
                 assert httpx.post(f"{base}/api/upload", headers=bearer, timeout=WAIT_S).status_code == 201
                 with connect(f"ws{base[4:]}/ws", additional_headers=bearer, open_timeout=WAIT_S) as socket:
-                    socket.send('{"type": "hello", "wire_version": 1}')
+                    socket.send(wire.encode_message(wire.ClientHello(wire.WIRE_VERSION)))
                     assert json.loads(socket.recv(timeout=WAIT_S))["type"] == "hello"
             # The token for programs is no start token, and the start token no bearer.
             assert httpx.get(f"{base}/?token={told['token']}", timeout=WAIT_S).status_code == 403

@@ -80,7 +80,16 @@ def test_the_tree_comes_without_measures_first_and_with_them_when_they_are_ready
 def test_places_that_could_not_be_followed_are_sent(branch_id):
     airways = small_airways(small_volume())
     airways.uncertain = (
-        Uncertainty(lps=(1.0, 2.0, 3.0), kind="blocked", reason="lumen ends at 1.8 mm", branch_id=branch_id),
+        Uncertainty(
+            lps=(1.0, 2.0, 3.0),
+            kind="blocked",
+            branch_id=branch_id,
+            width_mm=1.8,
+            confidence=None,
+            num_ends=None,
+            voxel_mm=None,
+        ),
     )
-    (place,) = tree_message(airways).uncertain
-    assert place == wire.UncertainPlace((1.0, 2.0, 3.0), "lumen ends at 1.8 mm", branch_id)
+    message = tree_message(airways)
+    assert message.uncertain == airways.uncertain
+    assert wire.parse_server_message(wire.encode_message(message)) == message

@@ -65,10 +65,10 @@ class ForceLink:
             hello = await _receive(socket)
         if not isinstance(hello, wire.ClientHello):
             raise ProtocolError("the first message must be hello", code="protocol.order")
-        if hello.wire_version != wire.WIRE_VERSION:
-            words = f"this bridge speaks version {hello.wire_version} and Carina version {wire.WIRE_VERSION}"
+        if hello.wire_version != wire.FORCE_VERSION:
+            words = f"this bridge speaks version {hello.wire_version} and Carina version {wire.FORCE_VERSION}"
             raise ProtocolError(words, code="protocol.version")
-        await socket.send_text(wire.encode_message(wire.ServerHello(wire.WIRE_VERSION, carina.__version__)))
+        await socket.send_text(wire.encode_message(wire.ServerHello(wire.FORCE_VERSION, carina.__version__)))
         # A bridge that comes back may ask again for a wall whose measuring was stopped.
         self._session.devices.want_wall_again()
         asked: asyncio.Queue[wire.AskContact] = asyncio.Queue(maxsize=1)

@@ -41,7 +41,9 @@ from carina.server.wire_codec import (
     split_picture,
 )
 
-WIRE_VERSION = 1
+WIRE_VERSION = 2
+FORCE_VERSION = 1
+"""Of what bridges to force devices say on ``/force``, which has a version of its own."""
 
 CLOSE_CODES: dict[str, int] = {
     "protocol.malformed": 4400,

@@ -9,6 +9,7 @@ from msgspec import Meta
 from carina.commands.fields import BranchId, Count, MaybeNumbers, Numbers, Part, PointLps, PointsLps, Words
 from carina.commands.value import FrozenValue
 from carina.server.wire_codec import ServerMessage
+from carina.track import Uncertainty
 
 
 class TreeBranch(FrozenValue, frozen=True, forbid_unknown_fields=False):
@@ -80,14 +81,6 @@ class BranchTitle(FrozenValue, frozen=True):
     lobe: Literal["RUL", "RML", "RLL", "LUL", "LML", "LLL"] | None
 
 
-class UncertainPlace(FrozenValue, frozen=True):
-    """What could not be followed."""
-
-    lps: PointLps
-    words: Words
-    branch_id: BranchId | None
-
-
 class Tree(ServerMessage, frozen=True):
     """The airway tree, when it or its measures changed."""
 
@@ -96,7 +89,8 @@ class Tree(ServerMessage, frozen=True):
     """Of the branches that have any."""
     measures: tuple[BranchMeasures, ...] | None
     """Null until they are ready."""
-    uncertain: tuple[UncertainPlace, ...]
+    uncertain: tuple[Uncertainty, ...]
+    """What could not be followed, the widest first; what holds for the whole tree last."""
 
 
 class LivePath(ServerMessage, frozen=True):

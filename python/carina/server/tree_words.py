@@ -28,10 +28,8 @@ def tree_message(airways: Any, measures: Any = None) -> wire.Tree:
         return wire.Tree(None, (), None, ())
     tree = airways.tree
     measured = None if measures is None else tuple(branch_measures(measures.of(b.id)) for b in tree.branches)
-    uncertain = tuple(
-        wire.UncertainPlace(_point(place.lps), str(place.reason), place.branch_id) for place in airways.uncertain
-    )
-    return wire.Tree(read_fields(wire.TreeDocument, tree.to_json(), "tree"), _titles(tree), measured, uncertain)
+    document = read_fields(wire.TreeDocument, tree.to_json(), "tree")
+    return wire.Tree(document, _titles(tree), measured, tuple(airways.uncertain))
 
 
 def _titles(tree: Any) -> tuple[wire.BranchTitle, ...]:
@@ -94,8 +92,3 @@ def _number(value: Any, digits: int = 3) -> float | None:
 
 def _numbers(values: Any) -> tuple[float | None, ...]:
     return tuple(_number(v) for v in values)
-
-
-def _point(values: Any) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in values)
-    return x, y, z

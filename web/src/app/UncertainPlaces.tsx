@@ -4,11 +4,11 @@ import { Button } from "react-aria-components";
 import { plural, sentence } from "../state/format";
 import { groupsOf } from "../state/uncertain";
 import { asVec3 } from "../state/vec";
-import type { UncertainPlace } from "../wire/messages";
+import type { Uncertainty } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { showPlace } from "./gestures-flat";
 
-const NONE: readonly UncertainPlace[] = [];
+const NONE: readonly Uncertainty[] = [];
 
 export function UncertainPlaces() {
   const station = useStation();

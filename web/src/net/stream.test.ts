@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { CLOSE_CODES } from "../wire/messages";
+import { CLOSE_CODES, WIRE_VERSION } from "../wire/messages";
 import { retryDelayMs, type Socket, Stream, type StreamStatus } from "./stream";
 
 class FakeSocket implements Socket {
@@ -58,14 +58,14 @@ function stream() {
   return { made, sockets, statuses, faults, messages, due };
 }
 
-const HELLO = JSON.stringify({ type: "hello", wire_version: 1, carina_version: "0.1.0" });
+const HELLO = JSON.stringify({ type: "hello", wire_version: WIRE_VERSION, carina_version: "0.1.0" });
 
 describe("the stream", () => {
   it("says hello first and is open when the server answers", () => {
     const { made, sockets, statuses } = stream();
     made.open();
     sockets[0]?.open();
-    expect(JSON.parse(sockets[0]?.sent[0] ?? "")).toEqual({ type: "hello", wire_version: 1 });
+    expect(JSON.parse(sockets[0]?.sent[0] ?? "")).toEqual({ type: "hello", wire_version: WIRE_VERSION });
     expect(statuses.map((entry) => entry.status)).toEqual(["connecting"]);
     sockets[0]?.say(HELLO);
     expect(statuses.at(-1)?.status).toBe("open");

@@ -1,13 +1,6 @@
 /** The airway tree as a person reads it: rows of a list, sides, and the ways on at a fork. */
 
-import type {
-  BranchMeasures,
-  BranchTitle,
-  RouteInfo,
-  TreeBranch,
-  TreeDocument,
-  UncertainPlace,
-} from "../wire/messages";
+import type { BranchMeasures, BranchTitle, RouteInfo, TreeBranch, TreeDocument, Uncertainty } from "../wire/messages";
 import type { BranchNode, BranchTree, Side } from "./branch-tree";
 import { clockHour } from "./letters";
 import { indexOf } from "./tree-index";
@@ -19,7 +12,7 @@ export type { BranchNode, BranchTree, Side } from "./branch-tree";
 export interface TreeExtras {
   readonly titles?: readonly BranchTitle[];
   readonly measures?: readonly BranchMeasures[] | null;
-  readonly uncertain?: readonly UncertainPlace[];
+  readonly uncertain?: readonly Uncertainty[];
 }
 
 function lengthOf(branch: TreeBranch): number {

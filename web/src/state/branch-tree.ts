@@ -1,6 +1,6 @@
 /** The airway tree as values: branches with what is said of them, and their centrelines in flat lists. */
 
-import type { BranchMeasures, BranchTitle, TreeBranch, UncertainPlace } from "../wire/messages";
+import type { BranchMeasures, BranchTitle, TreeBranch, Uncertainty } from "../wire/messages";
 
 export type Side = "right" | "left" | "middle";
 
@@ -34,5 +34,5 @@ export interface BranchTree {
   byId: ReadonlyMap<number, BranchNode>;
   index: TreeIndex;
   /** What could not be followed. */
-  uncertain: readonly UncertainPlace[];
+  uncertain: readonly Uncertainty[];
 }

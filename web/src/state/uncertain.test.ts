@@ -1,27 +1,49 @@
 import { describe, expect, it } from "vitest";
-import type { UncertainPlace } from "../wire/messages";
+import type { Uncertainty } from "../wire/messages";
 import { groupsOf } from "./uncertain";
 
-const place = (words: string, branch_id: number | null = 1): UncertainPlace => ({ lps: [0, 0, 0], words, branch_id });
+const place = (kind: Uncertainty["kind"], width_mm: number, more: Partial<Uncertainty> = {}): Uncertainty => ({
+  lps: [0, 0, 0],
+  kind,
+  branch_id: 1,
+  width_mm,
+  confidence: null,
+  num_ends: null,
+  voxel_mm: null,
+  ...more,
+});
+
+const plain = (words: string): string => words.replaceAll("\u202f", " ");
 
 describe("places that could not be followed", () => {
-  it("say a common reason once", () => {
-    const groups = groupsOf([
-      place("the lumen ends at 4.1 mm: mucus, or a narrowed airway", 1),
-      place("lost where the lumen is 3.9 mm wide: its wall is too thin here", 2),
-      place("the lumen ends at 3.2 mm: mucus, or a narrowed airway", 3),
+  it("say once what all of a kind have in common", () => {
+    const groups = groupsOf([place("blocked", 4.1), place("leak", 3.9), place("blocked", 3.2)]);
+    expect(groups.map(({ why }) => why)).toEqual([
+      "mucus, a collapsed or narrowed airway, or a wall that the CT does not show",
+      null,
     ]);
-    expect(groups.map(({ why }) => why)).toEqual(["mucus, or a narrowed airway", null]);
-    expect(groups[0]?.places.map(({ words }) => words)).toEqual([
+    expect(groups[0]?.places.map(({ words }) => plain(words))).toEqual([
       "the lumen ends at 4.1 mm",
       "the lumen ends at 3.2 mm",
     ]);
-    expect(groups[1]?.places[0]?.words).toBe("lost where the lumen is 3.9 mm wide: its wall is too thin here");
+    expect(plain(groups[1]?.places[0]?.words ?? "")).toBe(
+      "lost where the lumen is 3.9 mm wide: its wall is too thin here, and the search would have run into the lung",
+    );
   });
 
-  it("keep words without a reason, and lose none", () => {
-    const words = ["the volume ends here, the airway (6.0 mm wide) goes on", "below 2.1 mm: there are more", "a: b: c"];
-    const groups = groupsOf(words.map((w) => place(w, null)));
-    expect(groups.flatMap(({ places }) => places.map((p) => p.words))).toEqual(words);
+  it("say it each by itself where they have nothing in common but their kind", () => {
+    const groups = groupsOf([
+      place("volume", 6),
+      place("volume", 5),
+      place("faint", 1.9, { confidence: 0.31 }),
+      place("fine", 2.1, { branch_id: null, num_ends: 41, voxel_mm: 0.9 }),
+    ]);
+    expect(groups.map(({ why }) => why)).toEqual([null, null, null]);
+    expect(groups.flatMap(({ places }) => places.map(({ words }) => plain(words)))).toEqual([
+      "the volume ends here, the airway (6.0 mm wide) goes on",
+      "the volume ends here, the airway (5.0 mm wide) goes on",
+      "its wall hardly stands out (confidence 0.31): it may not be an airway",
+      "below 2.1 mm (the median of 41 ends) this CT of 0.90 mm voxels cannot show airways reliably: more and smaller ones exist",
+    ]);
   });
 });

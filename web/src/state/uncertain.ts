@@ -1,25 +1,58 @@
-/** Places that could not be followed, said once for all that have the same reason. */
+/** Places that could not be followed in words: what all of a kind have in common is said once. */
 
-import type { UncertainPlace } from "../wire/messages";
+import type { Uncertainty } from "../wire/messages";
+import { fixed, mm, plural } from "./format";
 
 export interface UncertainGroup {
   /** Why, for all of them; null where each says it by itself. */
   readonly why: string | null;
-  readonly places: readonly { readonly place: UncertainPlace; readonly words: string }[];
+  readonly places: readonly { readonly place: Uncertainty; readonly words: string }[];
 }
 
-/** Grouped by what follows the first colon of their words, in the order in which the groups begin. */
-export function groupsOf(places: readonly UncertainPlace[]): UncertainGroup[] {
-  const groups = new Map<string, { place: UncertainPlace; words: string }[]>();
-  for (const place of places) {
-    const at = place.words.indexOf(": ");
-    const why = at < 0 ? place.words : place.words.slice(at + 2);
-    const words = at < 0 ? place.words : place.words.slice(0, at);
-    groups.set(why, [...(groups.get(why) ?? []), { place, words }]);
+/** What is found at a place, and why where all of its kind have that in common. */
+function wordsOf(place: Uncertainty): { what: string; why: string | null } {
+  const width = mm(place.width_mm);
+  switch (place.kind) {
+    case "volume":
+      return { what: `the volume ends here, the airway (${width} wide) goes on`, why: null };
+    case "leak":
+      return {
+        what: `lost where the lumen is ${width} wide`,
+        why: "its wall is too thin here, and the search would have run into the lung",
+      };
+    case "blocked":
+      return {
+        what: `the lumen ends at ${width}`,
+        why: "mucus, a collapsed or narrowed airway, or a wall that the CT does not show",
+      };
+    case "faint":
+      return {
+        what: `its wall hardly stands out (confidence ${fixed(place.confidence ?? 0, 2)})`,
+        why: "it may not be an airway",
+      };
+    case "fine":
+      return {
+        what:
+          `below ${width} (the median of ${plural(place.num_ends ?? 0, "end")}) this CT of ` +
+          `${mm(place.voxel_mm ?? 0, 2)} voxels cannot show airways reliably: more and smaller ones exist`,
+        why: null,
+      };
   }
-  return [...groups].map(([why, members]) =>
-    members.length > 1
-      ? { why, places: members }
-      : { why: null, places: members.map(({ place }) => ({ place, words: place.words })) },
-  );
+}
+
+/** Grouped by kind, in the order in which the kinds begin. */
+export function groupsOf(places: readonly Uncertainty[]): UncertainGroup[] {
+  const kinds = new Map<Uncertainty["kind"], Uncertainty[]>();
+  for (const place of places) kinds.set(place.kind, [...(kinds.get(place.kind) ?? []), place]);
+  return [...kinds.values()].map((members) => {
+    const said = members.map((place) => ({ place, ...wordsOf(place) }));
+    const why = members.length > 1 ? (said[0]?.why ?? null) : null;
+    return {
+      why,
+      places: said.map(({ place, what, why: own }) => ({
+        place,
+        words: why === null && own !== null ? `${what}: ${own}` : what,
+      })),
+    };
+  });
 }

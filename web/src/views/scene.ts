@@ -13,7 +13,7 @@ import { type Armed, isBrush, wantsPath } from "../state/tools";
 import { below, pointsFrom, type TreePlace } from "../state/tree-index";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
-import type { EditLine, RouteInfo, StateMessage, UncertainPlace } from "../wire/messages";
+import type { EditLine, RouteInfo, StateMessage, Uncertainty } from "../wire/messages";
 import type { PlaneName } from "../wire/views";
 import { type Shape, shapeOf } from "./outline";
 
@@ -55,7 +55,7 @@ export interface Scene {
   named: readonly BranchNode[];
   /** Branches with an anatomical name or a person's, large ones first. */
   titled: readonly BranchNode[];
-  uncertain: readonly UncertainPlace[];
+  uncertain: readonly Uncertainty[];
   /** The branch that is pointed at. */
   hovered: { node: BranchNode; place: TreePlace | null } | null;
   selected: BranchNode | null;

@@ -1,7 +1,7 @@
 // Generated from python/carina/commands and python/carina/server/messages.py by
 // `python -m carina.server.wire_types`. Do not edit.
 
-export const WIRE_VERSION = 1;
+export const WIRE_VERSION = 2;
 
 export const CLOSE_CODES = {
   "protocol.malformed": 4400,
@@ -1115,11 +1115,15 @@ export interface BranchMeasures {
   readonly stenosis_at_mm: number | null;
 }
 
-/** What could not be followed. */
-export interface UncertainPlace {
+/** A place where the automatic airways stop short, or should be looked at; the window is sent it as it is. */
+export interface Uncertainty {
   readonly lps: readonly [number, number, number];
-  readonly words: string;
+  readonly kind: "blocked" | "faint" | "fine" | "leak" | "volume";
   readonly branch_id: number | null;
+  readonly width_mm: number;
+  readonly confidence: number | null;
+  readonly num_ends: number | null;
+  readonly voxel_mm: number | null;
 }
 
 /** The airway tree, when it or its measures changed. */
@@ -1128,7 +1132,7 @@ export interface TreeMessage {
   readonly tree: TreeDocument | null;
   readonly titles: readonly BranchTitle[];
   readonly measures: readonly BranchMeasures[] | null;
-  readonly uncertain: readonly UncertainPlace[];
+  readonly uncertain: readonly Uncertainty[];
 }
 
 /** Answer to `live_path`: the way from the root to the place under the cursor, or why there is none. */

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.display import one_line
+from carina.commands.fields import BranchId, Count, Part, PointLps
+from carina.commands.value import FrozenValue
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
-__all__ = ["Uncertainty", "find_uncertain", "with_confidence"]
+__all__ = ["Uncertainty", "UncertaintyKind", "find_uncertain", "with_confidence"]
 
+UncertaintyKind = Literal["blocked", "leak", "volume", "faint", "fine"]
 Points = NDArray[np.float64]
 
 FAINT = 0.5
@@ -31,21 +33,70 @@ NUM_SECTIONS = 12
 NUM_SIDES = 16
 
 
-@one_line
-@dataclass(frozen=True, slots=True)
-class Uncertainty:
-    """A place where the automatic airways stop short, or should be looked at."""
+class Uncertainty(FrozenValue, frozen=True, kw_only=True):
+    """A place where the automatic airways stop short, or should be looked at; the window is sent it as it is."""
 
-    lps: tuple[float, float, float]
+    lps: PointLps
     """LPS mm."""
-    kind: str
+    kind: UncertaintyKind
     """``blocked`` (the lumen ends though its calibre says that it goes on), ``leak`` (following it would have run out
     into the lung), ``volume`` (the volume ends there), ``faint`` (the branch may be no airway), ``fine`` (from here on
     the CT is too coarse; once for the whole tree)."""
-    reason: str
-    """In words."""
-    branch_id: int | None
+    branch_id: BranchId | None
     """The branch that ends there, or is meant; None for the whole tree."""
+    width_mm: float
+    """Diameter of the airway where it was last seen; of ``fine`` the median of the ends that are that thin."""
+    confidence: Part | None
+    """Of the branch, where it is ``faint``."""
+    num_ends: Count | None
+    """How many ends are that thin, where it is ``fine``."""
+    voxel_mm: float | None
+    """Mean edge of a voxel, where it is ``fine``."""
+
+    @property
+    def reason(self) -> str:
+        """Why, in words."""
+        match self.kind:
+            case "volume":
+                return f"the volume ends here, the airway ({self.width_mm:.1f} mm wide) goes on"
+            case "leak":
+                return (
+                    f"lost where the lumen is {self.width_mm:.1f} mm wide: its wall is too thin here, and the search "
+                    "would have run into the lung"
+                )
+            case "blocked":
+                return (
+                    f"the lumen ends at {self.width_mm:.1f} mm: mucus, a collapsed or narrowed airway, or a wall that "
+                    "the CT does not show"
+                )
+            case "faint":
+                return f"its wall hardly stands out (confidence {self.confidence:.2f}): it may not be an airway"
+            case "fine":
+                return (
+                    f"below {self.width_mm:.1f} mm (the median of {self.num_ends} ends) this CT of "
+                    f"{self.voxel_mm:.2f} mm voxels cannot show airways reliably: more and smaller ones exist"
+                )
+
+
+def _uncertain(
+    at: Points,
+    kind: UncertaintyKind,
+    branch_id: int | None,
+    width_mm: float,
+    *,
+    confidence: float | None = None,
+    num_ends: int | None = None,
+    voxel_mm: float | None = None,
+) -> Uncertainty:
+    return Uncertainty(
+        lps=(float(at[0]), float(at[1]), float(at[2])),
+        kind=kind,
+        branch_id=branch_id,
+        width_mm=width_mm,
+        confidence=confidence,
+        num_ends=num_ends,
+        voxel_mm=voxel_mm,
+    )
 
 
 def find_uncertain(volume: Volume, tree: AirwayTree, leaks_lps: Points) -> tuple[Uncertainty, ...]:
@@ -67,42 +118,31 @@ def find_uncertain(volume: Volume, tree: AirwayTree, leaks_lps: Points) -> tuple
     ends_mm = []
     for branch in tree.tips():
         calibre_mm = _calibre_mm(branch)
-        place = (float(branch.tip_lps[0]), float(branch.tip_lps[1]), float(branch.tip_lps[2]))
         if branch.parent is None:
             continue
+        kind: UncertaintyKind
         if _leaves_volume(volume, branch, calibre_mm):
-            kind, reason = "volume", f"the volume ends here, the airway ({calibre_mm:.1f} mm wide) goes on"
+            kind = "volume"
         elif calibre_mm < fine_mm:
             ends_mm.append(calibre_mm)
             continue
         elif _is_near(leaks_lps, branch.tip_lps):
             kind = "leak"
-            reason = (
-                f"lost where the lumen is {calibre_mm:.1f} mm wide: its wall is too thin here, and the search would "
-                "have run into the lung"
-            )
         else:
             kind = "blocked"
-            reason = (
-                f"the lumen ends at {calibre_mm:.1f} mm: mucus, a collapsed or narrowed airway, or a wall that the CT "
-                "does not show"
-            )
-        listed.append((calibre_mm, Uncertainty(place, kind, reason, branch.id)))
+        listed.append((calibre_mm, _uncertain(branch.tip_lps, kind, branch.id, calibre_mm)))
     for branch in tree.branches:
         if branch.confidence is not None and branch.confidence < FAINT:
             middle = branch.points[len(branch.points) // 2]
-            place = (float(middle[0]), float(middle[1]), float(middle[2]))
-            reason = f"its wall hardly stands out (confidence {branch.confidence:.2f}): it may not be an airway"
-            listed.append((_calibre_mm(branch), Uncertainty(place, "faint", reason, branch.id)))
+            calibre_mm = _calibre_mm(branch)
+            faint = _uncertain(middle, "faint", branch.id, calibre_mm, confidence=branch.confidence)
+            listed.append((calibre_mm, faint))
     listed.sort(key=lambda entry: (-entry[0], entry[1].branch_id))
     found = [entry for _, entry in listed]
     if ends_mm:
-        root = tree.root.points[0]
-        reason = (
-            f"below {float(np.median(ends_mm)):.1f} mm (the median of {len(ends_mm)} ends) this CT of "
-            f"{voxel_mm:.2f} mm voxels cannot show airways reliably: more and smaller ones exist"
-        )
-        found.append(Uncertainty((float(root[0]), float(root[1]), float(root[2])), "fine", reason, None))
+        median_mm = float(np.median(ends_mm))
+        at = tree.root.points[0]
+        found.append(_uncertain(at, "fine", None, median_mm, num_ends=len(ends_mm), voxel_mm=voxel_mm))
     return tuple(found)
 
 
