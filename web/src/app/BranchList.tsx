@@ -204,7 +204,9 @@ function bringIntoList(list: HTMLElement, branchId: number): void {
   if (row === undefined || box === null) return;
   const { top, bottom } = box.getBoundingClientRect();
   if (row.top < top) box.scrollTop -= top - row.top;
-  else if (row.bottom > bottom) box.scrollTop += row.bottom - bottom;
+  // By whole rows: none is left half at the top.
+  else if (row.bottom > bottom)
+    box.scrollTop = Math.ceil((box.scrollTop + row.bottom - bottom) / row.height) * row.height;
 }
 
 function branchOf(target: EventTarget): number | null {
