@@ -1,0 +1,350 @@
+"""Change one thing in the code, see whether a test notices: mutants of the session, the server and the tracker.
+
+A mutant is one of: a comparison turned (``<`` to ``>=``), a bound moved by one (``n > 3`` to ``n > 4``), ``and`` and
+``or`` turned, a sign turned. Which ones are made is drawn with a seed from the tree as it stands; the checkout itself
+is never changed, since each mutant lives in a copy of the package that the tests are led to::
+
+    python tools/mutants.py                  # 40 mutants, seed 1
+    python tools/mutants.py --list           # what would be made
+    python tools/mutants.py --only 7 --only 12
+    python tools/mutants.py --seed 2 --parts server
+
+A mutant meets the test files that name its module, then those of the parts around it; with ``--thorough`` what is left
+meets all the others, browser tests included. A mutant that lives is a missing test, or says the same in other words:
+somebody must look.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import bisect
+import io
+import itertools
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import tokenize
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "python" / "carina"
+TESTS = ROOT / "tests"
+# Where the tests of a part are, the nearest first.
+NEAR = {
+    "session": ("session", "server", "contract", "navigate"),
+    "server": ("server", "contract", "session"),
+    "track": ("track", "session", "export", "phantom"),
+}
+QUICK = "not soak and not ray and not browser and not data and not gpu"
+THOROUGH = "not soak and not gpu"
+
+COMPARISONS = {
+    "<": ">=",
+    "<=": ">",
+    ">": "<=",
+    ">=": "<",
+    "==": "!=",
+    "!=": "==",
+    "in": "not in",
+    "not in": "in",
+    "is": "is not",
+    "is not": "is",
+}
+BOUNDING = {"min", "max", "minimum", "maximum", "clip", "range"}
+# Comparisons and bounds are what cases and limits are made of.
+TURNS = ("comparison", "bound", "comparison", "bound", "and-or", "comparison", "bound", "sign")
+Position = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """One change of one line; columns are characters from 0, lines count from 1."""
+
+    kind: str
+    path: Path
+    line: int
+    column: int
+    before: str
+    after: str
+
+    @property
+    def place(self) -> str:
+        """As an editor finds it."""
+        return f"{self.path.relative_to(ROOT)}:{self.line}:{self.column + 1}"
+
+    def text(self) -> str:
+        """The file with the change in it."""
+        lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
+        line = lines[self.line - 1]
+        assert line[self.column :].startswith(self.before), self
+        lines[self.line - 1] = line[: self.column] + self.after + line[self.column + len(self.before) :]
+        return "".join(lines)
+
+    def told(self) -> str:
+        """Place, change and line, for a person."""
+        line = self.path.read_text(encoding="utf-8").splitlines()[self.line - 1].strip()
+        return f"{self.place}: {self.before!r} to {self.after!r} in: {line}"
+
+
+class Source:
+    """A file's tokens and syntax tree, whose places are brought together."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        text = path.read_text(encoding="utf-8")
+        self.tree = ast.parse(text)
+        self._lines = text.splitlines()
+        skipped = {tokenize.NL, tokenize.NEWLINE, tokenize.COMMENT, tokenize.INDENT, tokenize.DEDENT}
+        self._tokens = [t for t in tokenize.generate_tokens(io.StringIO(text).readline) if t.type not in skipped]
+
+    def _at(self, line: int, byte: int) -> Position:
+        """The syntax tree counts bytes, the tokens characters."""
+        return line, len(self._lines[line - 1].encode()[:byte].decode())
+
+    def start(self, node: ast.expr) -> Position:
+        """Where it begins."""
+        return self._at(node.lineno, node.col_offset)
+
+    def end(self, node: ast.expr) -> Position:
+        """Behind its last character."""
+        assert node.end_lineno is not None
+        assert node.end_col_offset is not None
+        return self._at(node.end_lineno, node.end_col_offset)
+
+    def text(self, node: ast.expr) -> str:
+        """As it is written; it stands on one line."""
+        (line, first), (_, last) = self.start(node), self.end(node)
+        return self._lines[line - 1][first:last]
+
+    def operator(self, left: ast.expr, right: ast.expr) -> tuple[Position, str] | None:
+        """What stands between two operands; None where it runs over two lines."""
+        first, last = self.end(left), self.start(right)
+        begins = bisect.bisect_left(self._tokens, first, key=lambda token: token.start)
+        ends = bisect.bisect_left(self._tokens, last, key=lambda token: token.start)
+        between = [token for token in self._tokens[begins:ends] if token.string not in "()"]
+        if not between or between[0].start[0] != between[-1].end[0]:
+            return None
+        return between[0].start, " ".join(t.string for t in between)
+
+
+def mutants_of(path: Path) -> Iterator[Mutant]:
+    """Every mutant that can be made of a file."""
+    source = Source(path)
+
+    def change(kind: str, at: Position, before: str, after: str) -> Mutant:
+        return Mutant(kind, path, *at, before, after)
+
+    for node in code_of(source.tree):
+        bounds: list[ast.expr] = []
+        if isinstance(node, ast.Compare):
+            operands = [node.left, *node.comparators]
+            for left, right in itertools.pairwise(operands):
+                found = source.operator(left, right)
+                if found is not None and found[1] in COMPARISONS:
+                    yield change("comparison", *found, COMPARISONS[found[1]])
+            bounds += operands
+        elif isinstance(node, ast.Call) and name_of(node.func) in BOUNDING:
+            bounds += node.args
+        elif isinstance(node, ast.BoolOp):
+            after = "or" if isinstance(node.op, ast.And) else "and"
+            for left, right in itertools.pairwise(node.values):
+                found = source.operator(left, right)
+                if found is not None and found[1] in {"and", "or"}:
+                    yield change("and-or", *found, after)
+        elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub):
+            found = source.operator(node.left, node.right)
+            if found is not None and not is_joined(node.left) and not is_joined(node.right):
+                yield change("sign", *found, "-" if found[1] == "+" else "+")
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            yield change("sign", source.start(node), "-", "+")
+        for bound in bounds:
+            if isinstance(bound, ast.Constant) and type(bound.value) in {int, float}:
+                number = source.text(bound)
+                yield change("bound", source.start(bound), number, moved(number))
+
+
+def name_of(function: ast.expr) -> str:
+    """Without what it belongs to: ``clip`` of ``np.clip``."""
+    return (
+        function.attr if isinstance(function, ast.Attribute) else function.id if isinstance(function, ast.Name) else ""
+    )
+
+
+def is_joined(side: ast.expr) -> bool:
+    """Whether it is a text or a list: those are joined, not added."""
+    return isinstance(side, ast.JoinedStr | ast.List | ast.Tuple) or (
+        isinstance(side, ast.Constant) and isinstance(side.value, str)
+    )
+
+
+def moved(number: str) -> str:
+    """A number and one, in its last digit: 500 to 501, 3.0 to 4.0, 0.05 to 0.06, 1e-9 to 2e-9."""
+    found = re.fullmatch(r"([\d_]+)(?:\.([\d_]*))?(e[+-]?\d+)?", number)
+    if found is None:
+        return f"{number} + 1"
+    whole, part, power = found.group(1), found.group(2), found.group(3) or ""
+    if part is None:
+        return f"{int(whole) + 1}{power}"
+    places = len(part.rstrip("0"))
+    return f"{float(f'{whole}.{part}') + 10.0**-places:.{max(places, 1)}f}{power}"
+
+
+def code_of(tree: ast.Module) -> Iterator[ast.AST]:
+    """What decides: without annotations, assertions, and what only a type checker reads."""
+    waiting: list[ast.AST] = [tree]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Assert) or (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)):
+            continue
+        yield node
+        for name, value in ast.iter_fields(node):
+            if name not in {"annotation", "returns", "type_params"}:
+                waiting += [v for v in (value if isinstance(value, list) else [value]) if isinstance(v, ast.AST)]
+
+
+def draw(parts: list[str], seed: int, number: int) -> list[Mutant]:
+    """So many mutants of all that can be made, the same ones for a seed and a tree."""
+    paths = sorted(path for part in parts for path in (PACKAGE / part).rglob("*.py"))
+    every = sorted((m for path in paths for m in mutants_of(path)), key=lambda m: (m.path, m.line, m.column, m.after))
+    random.Random(seed).shuffle(every)
+    of_kind = {kind: [m for m in every if m.kind == kind] for kind in sorted(set(TURNS))}
+    drawn: list[Mutant] = []
+    for kind in itertools.islice(itertools.cycle(TURNS), number):
+        drawn += of_kind[kind][:1]
+        del of_kind[kind][:1]
+    return drawn
+
+
+def part_of(path: Path) -> str:
+    """The folder of the package."""
+    return path.relative_to(PACKAGE).parts[0]
+
+
+def test_steps(path: Path, *, thorough: bool) -> list[tuple[str, list[str]]]:
+    """Markers and files that a mutant of this module meets, one after the other."""
+    near = [file for folder in NEAR[part_of(path)] for file in sorted((TESTS / folder).glob("test_*.py"))]
+    named = re.compile(rf"\b{re.escape(path.stem)}\b") if path.stem != "__init__" else None
+    words = {file: file.read_text(encoding="utf-8") for file in near}
+    close = [file for file in near if named is not None and (named.search(words[file]) or path.stem in file.stem)]
+    steps = [(QUICK, close), (QUICK, [file for file in near if file not in close])]
+    if thorough:
+        steps.append((THOROUGH, [TESTS]))
+    return [(marks, [str(file) for file in files]) for marks, files in steps if files]
+
+
+class Bench:
+    """A copy of the package, in which one mutant at a time lives."""
+
+    def __init__(self, folder: Path, workers: int, limit_s: float) -> None:
+        self._python = folder / "python"
+        self._workers, self._limit_s = workers, limit_s
+        big = shutil.ignore_patterns("__pycache__", "_web", "*.so", "*.pyd")
+        shutil.copytree(PACKAGE, self._python / "carina", ignore=big)
+        for path in [PACKAGE / "_web", *PACKAGE.glob("_core*")]:
+            copy = self._python / "carina" / path.name
+            if not copy.exists():
+                copy.symlink_to(path)
+
+    def kills(self, mutant: Mutant, *, thorough: bool) -> str | None:
+        """Which test noticed it, or None."""
+        copy = self._python / mutant.path.relative_to(PACKAGE.parent)
+        for text, done in ((mutant.text(), False), (mutant.path.read_text(encoding="utf-8"), True)):
+            # Two texts of one length within a second look alike to Python's cache.
+            for cached in (copy.parent / "__pycache__").glob(f"{copy.stem}.*"):
+                cached.unlink()
+            copy.write_text(text, encoding="utf-8")
+            if not done:
+                try:
+                    killer = self._first_failure(test_steps(mutant.path, thorough=thorough))
+                except BaseException:
+                    copy.write_text(mutant.path.read_text(encoding="utf-8"), encoding="utf-8")
+                    raise
+        return killer
+
+    def _first_failure(self, steps: list[tuple[str, list[str]]]) -> str | None:
+        for marks, files in steps:
+            killer = self.run(marks, files)
+            if killer is not None:
+                return killer
+        return None
+
+    def run(self, marks: str, files: list[str]) -> str | None:
+        """The first failure of these tests, or None."""
+        command = [sys.executable, "-m", "pytest", "-q", "-x", "--no-header", "--tb=no", "-p", "no:cacheprovider"]
+        command += ["-m", marks, "-n", str(self._workers), "--dist", "loadscope", "--no-loadscope-reorder", *files]
+        environment = {**os.environ, "PYTHONPATH": str(self._python)}
+        with tempfile.TemporaryFile("w+", encoding="utf-8") as output:
+            process = subprocess.Popen(
+                command, cwd=ROOT, env=environment, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
+            )
+            try:
+                code = process.wait(self._limit_s)
+            except BaseException as trouble:
+                # With the workers and what they started: a mutant that hangs holds on to them.
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+                if isinstance(trouble, subprocess.TimeoutExpired):
+                    return f"nothing: it hangs for {self._limit_s:g} s"
+                raise
+            output.seek(0)
+            said = output.read()
+        if code in {0, 5}:  # passed; none collected under these markers
+            return None
+        failed = re.search(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", said, re.MULTILINE)
+        return failed.group(1) if failed else "the run itself: " + " ".join(said.split())[-300:]
+
+
+def main() -> int:
+    """Make the mutants, tell which died; 1 where one lives."""
+    words = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    words.add_argument("--seed", type=int, default=1)
+    words.add_argument("--number", type=int, default=40, help="how many are drawn")
+    words.add_argument("--parts", nargs="+", choices=sorted(NEAR), default=sorted(NEAR))
+    words.add_argument("--only", type=int, action="append", metavar="N", help="this one of the draw; may be repeated")
+    words.add_argument("--list", action="store_true", help="tell what is drawn, and run nothing")
+    words.add_argument("--thorough", action="store_true", help="what is left meets all tests")
+    words.add_argument("--trust", action="store_true", help="do not run the tests without a mutant first")
+    words.add_argument("--workers", type=int, default=2)
+    words.add_argument(
+        "--limit", type=float, default=1200.0, metavar="S", help="seconds before a run counts as hanging"
+    )
+    told = words.parse_args()
+
+    drawn = list(enumerate(draw(told.parts, told.seed, told.number), start=1))
+    chosen = [(n, mutant) for n, mutant in drawn if told.only is None or n in told.only]
+    if told.list:
+        for n, mutant in chosen:
+            print(f"{n:3d} {mutant.told()}")
+        return 0
+    lives: list[str] = []
+    with tempfile.TemporaryDirectory(prefix="carina-mutants-") as folder:
+        bench = Bench(Path(folder), told.workers, told.limit)
+        for part in [] if told.trust else sorted({part_of(mutant.path) for _, mutant in chosen}):
+            files = [str(TESTS / folder) for folder in NEAR[part]]
+            broken = bench.run(QUICK, files)
+            if broken is not None:
+                sys.exit(f"the tests of {part} are red without a mutant: {broken}")
+        for n, mutant in chosen:
+            began_s = time.monotonic()
+            killer = bench.kills(mutant, thorough=told.thorough)
+            took = f"{time.monotonic() - began_s:.0f} s"
+            print(f"{n:3d} {'LIVES' if killer is None else 'died '} {took:>6} {mutant.told()}", flush=True)
+            if killer is None:
+                lives.append(mutant.place)
+            else:
+                print(f"    by {killer}", flush=True)
+    print(f"{len(chosen) - len(lives)} of {len(chosen)} died" + "".join(f"\nlives: {place}" for place in lives))
+    return 1 if lives else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
