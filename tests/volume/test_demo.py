@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from carina.volume import demo_patient
-from carina.volume.demo import CASE_PATH
+from carina.volume.demo import CASE_PATH, CITATION
 
 
 def test_the_bundled_patient_opens_with_its_citation():
@@ -12,8 +12,16 @@ def test_the_bundled_patient_opens_with_its_citation():
     assert volume.shape_zyx == (97, 268, 432)
     assert volume.source.citation is not None
     for words in ("10.7937/K9/TCIA.2015.NPGZYZBZ", "CC BY 3.0", "cropped"):
-        assert words in volume.source.citation
+        assert words in str(volume.source.citation)
     assert CASE_PATH.stat().st_size <= 15_000_000
+
+
+def test_its_citation_as_text_is_one_line():
+    assert str(CITATION) == (
+        "Goldgof D, Hall L, Hawkins S, Schabath M, Stringfield O, Garcia A, et al. (2015). Data From QIN_LUNG_CT. The "
+        "Cancer Imaging Archive. https://doi.org/10.7937/K9/TCIA.2015.NPGZYZBZ. Licence: CC BY 3.0. Changed: cropped "
+        "around the airways; voxel values unchanged."
+    )
 
 
 def test_the_bundled_patient_carries_its_citation_as_a_file():

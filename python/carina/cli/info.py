@@ -33,7 +33,7 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool) -> in
                 "warnings": list(volume.source.warnings),
                 "notes": [note.to_json() for note in volume.source.notes],
                 "badges": [note.to_json() for note in badges],
-                "citation": volume.source.citation,
+                "citation": None if volume.source.citation is None else str(volume.source.citation),
                 "inspection": inspection.to_json(),
                 "quality": quality.to_json(),
             }

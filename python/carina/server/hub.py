@@ -42,6 +42,7 @@ from carina.session import (
     Trouble,
     log_fault,
 )
+from carina.volume import Citation
 
 __all__ = ["Hub", "Outbox"]
 
@@ -135,7 +136,7 @@ class Hub:
         clock: Callable[[], float] = time.monotonic,
         threads: int = 1,
         simd: str = "",
-        patient_citation: str | None = None,
+        patient_citation: Citation | None = None,
         recordings: Path | None = None,
         phone: PhonePage | None = None,
         cluster_status: Callable[[], dict[str, Any]] | None = None,

@@ -28,6 +28,7 @@ from carina.commands.fields import (
 )
 from carina.commands.value import FrozenValue
 from carina.server.wire_codec import ServerMessage
+from carina.volume import Citation
 
 
 class ServerHello(ServerMessage, frozen=True, tag="hello"):
@@ -52,7 +53,7 @@ class Demo(FrozenValue, frozen=True):
     name: DemoName
     title: Words
     words: Words
-    citation: Words | None
+    citation: Citation | None
 
 
 class Scope(FrozenValue, frozen=True):
@@ -121,7 +122,7 @@ class CaseInfo(FrozenValue, frozen=True):
     notes: tuple[CaseNote, ...]
     quality: tuple[Words, ...]
     other_series: tuple[OtherSeries, ...]
-    citation: Words | None
+    citation: Citation | None
     off: tuple[FeatureOff, ...]
 
 

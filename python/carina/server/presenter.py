@@ -13,7 +13,7 @@ from carina.scopes import DEFAULT_SCOPE, scope_presets
 from carina.server import messages as wire
 from carina.session import ChosenRoute, KeysInfo, MaskQuestion, PoseInfo, RecentCase, Snapshot, WallPoint
 from carina.session.document import DEFAULT_FOV_DEG, Document
-from carina.volume import Note, badges_of
+from carina.volume import Citation, Note, badges_of
 
 __all__ = [
     "demos",
@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 
-def demos(patient_citation: str | None) -> tuple[wire.Demo, ...]:
+def demos(patient_citation: Citation | None) -> tuple[wire.Demo, ...]:
     """The bundled cases."""
     return (
         wire.Demo("phantom", "Phantom", "A synthetic chest CT with known airways, made on this machine.", None),
@@ -35,7 +35,9 @@ def demos(patient_citation: str | None) -> tuple[wire.Demo, ...]:
     )
 
 
-def start_message(*, notice_accepted: bool, recent: tuple[RecentCase, ...], patient_citation: str | None) -> wire.Start:
+def start_message(
+    *, notice_accepted: bool, recent: tuple[RecentCase, ...], patient_citation: Citation | None
+) -> wire.Start:
     """What the start page shows; paths stay on the server's side."""
     cases = tuple(wire.RecentCase(c.recent_id, c.date, c.title) for c in recent)
     scopes = tuple(

@@ -28,6 +28,7 @@ from carina.server.strangers import ACCEPT_AT_ONCE, WAITING_IN_LINE, Strangers, 
 from carina.server.uploads import Uploads
 from carina.server.wire_codec import MAX_TEXT_BYTES
 from carina.session import LocalStore, RendererFactory, Session
+from carina.volume import Citation
 
 __all__ = ["bind", "make_server", "serve", "start_url"]
 
@@ -66,7 +67,7 @@ def make_server(
     on_started: Callable[[], None],
     web: Path | None = None,
     uploads: Uploads | None = None,
-    patient_citation: str | None = None,
+    patient_citation: Citation | None = None,
     build_info: dict[str, Any] | None = None,
     phone: PhonePage | None = None,
     cluster_status: Callable[[], dict[str, Any]] | None = None,
@@ -265,7 +266,7 @@ def _renderer_factory() -> Any:
     return make
 
 
-def _patient_citation() -> str:
+def _patient_citation() -> Citation:
     from carina.volume.demo import CITATION
 
     return CITATION

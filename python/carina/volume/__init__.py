@@ -9,6 +9,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from carina.volume.citation import Citation
     from carina.volume.demo import demo_patient
     from carina.volume.grid_writing import GRID_SUFFIXES, write_grid, write_grid_to
     from carina.volume.inspection import Inspection, inspect_path
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from carina.volume.quality import Finding, Quality, quality_gate
 
 _HOME = {
+    "Citation": "citation",
     "Finding": "quality",
     "GRID_SUFFIXES": "grid_writing",
     "Inspection": "inspection",
@@ -42,6 +44,7 @@ _HOME = {
 
 __all__ = [
     "GRID_SUFFIXES",
+    "Citation",
     "Finding",
     "Inspection",
     "Mask",

@@ -12,6 +12,7 @@ from carina.display import one_line
 from carina.display.html import caption, figure, picture
 from carina.display.slices import middle_slices
 from carina.errors import GeometryError
+from carina.volume.citation import Citation
 
 __all__ = ["SPACING_MM", "Note", "SeriesInfo", "Volume", "VolumeSource", "badges_of"]
 
@@ -66,8 +67,8 @@ class VolumeSource:
     other_series: tuple[SeriesInfo, ...] = ()
     notes: tuple[Note, ...] = ()
     """Things a person should know: clipped values, a series beside it, ..."""
-    citation: str | None = None
-    """Citation and licence that must be shown with the data, for the bundled case."""
+    citation: Citation | None = None
+    """Source and licence that must be shown with the data, for the bundled case."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -140,7 +141,7 @@ class Volume:
             *(f"! {note.words}" for note in badges_of(self)),
         ]
         if self.source.citation is not None:
-            lines.append(self.source.citation)
+            lines.append(str(self.source.citation))
         drawn = "".join(picture(rgb, f"{name} slice") for name, rgb in slices.items())
         return figure(f"<div>{drawn}</div>", caption(lines))
 

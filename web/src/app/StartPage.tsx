@@ -165,7 +165,7 @@ function Demos() {
               onPress={() => station.openDemo(demo.name)}
             />
           </div>
-          {demo.citation === null ? null : <Citation text={demo.citation} />}
+          {demo.citation === null ? null : <Citation from={demo.citation} />}
         </article>
       ))}
     </div>

@@ -20,7 +20,7 @@ export function StepPanel() {
       <Jobs />
       <h2>{STEP_WORDS[step].title}</h2>
       <div className="step-body">{body(step)}</div>
-      {citation === null ? null : <Citation text={citation} />}
+      {citation === null ? null : <Citation from={citation} />}
     </section>
   );
 }

@@ -1,15 +1,7 @@
-/** A citation in two short lines; the whole text is always one press away. */
+/** A citation as one line, as it is printed under a picture. */
 
-export interface ShortCitation {
-  /** Collection and licence. */
-  source: string;
-  doi: string | null;
-}
+import type { Citation } from "../wire/messages";
 
-export function shortCitation(text: string): ShortCitation {
-  const collection = /Data From ([\w -]+)\./.exec(text)?.[1]?.replaceAll("_", " ");
-  const licence = /CC BY(?:-[A-Z]+)* \d\.\d/.exec(text)?.[0];
-  const doi = /doi\.org\/(\S+?)[.,;]?(?:\s|$)/.exec(text)?.[1] ?? null;
-  const known = [collection, licence].filter((part) => part !== undefined);
-  return { source: known.length === 0 ? "Source and licence" : known.join(", "), doi };
-}
+export const citationLine = (from: Citation): string =>
+  `${from.authors} (${from.year}). ${from.title}. ${from.publisher}. https://doi.org/${from.doi}. ` +
+  `Licence: ${from.licence}. Changed: ${from.changes}.`;

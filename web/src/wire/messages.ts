@@ -612,12 +612,24 @@ export interface RecentCase {
   readonly title: string;
 }
 
+/** Source and licence of a case; the window is sent it as it is. As text it is one line. */
+export interface Citation {
+  readonly authors: string;
+  readonly year: number;
+  readonly title: string;
+  readonly publisher: string;
+  readonly doi: string;
+  readonly licence: string;
+  readonly changes: string;
+  readonly collection: string;
+}
+
 /** A bundled case. */
 export interface Demo {
   readonly name: "patient" | "phantom";
   readonly title: string;
   readonly words: string;
-  readonly citation: string | null;
+  readonly citation: Citation | null;
 }
 
 /** An instrument of the library; null where nothing is known. */
@@ -676,7 +688,7 @@ export interface CaseInfo {
   readonly notes: readonly CaseNote[];
   readonly quality: readonly string[];
   readonly other_series: readonly OtherSeries[];
-  readonly citation: string | null;
+  readonly citation: Citation | null;
   readonly off: readonly FeatureOff[];
 }
 
