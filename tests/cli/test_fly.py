@@ -16,7 +16,7 @@ from carina.navigate.recording import ReplayedPose, sampled
 from carina.navigate.rotation import rotation_from_vector
 from carina.render import AirwayView, read_png_pose
 from carina.scopes import DEFAULT_SCOPE, ImageField
-from carina.session.flying import place_move
+from carina.session.flying import place_pose
 from small_case import small_bench
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
@@ -161,7 +161,7 @@ def test_a_recording_of_this_case_becomes_a_video_of_its_length(carina, ct, tmp_
     bench.background.run_next()
     root = json.loads((ct.parent / "truth.json").read_text())["branches"][0]["points"]
     began = api.Pose.looking(root[0], np.subtract(root[-1], root[0]))
-    bench.session.do(place_move(began))
+    bench.session.do(place_pose(began))
     bench.session._core.case.history.amend_current(lambda d: d.__class__(transfer=api.transfer_preset("endoscopic")))
     bench.session.do(RecordFlight(tmp_path / "r.jsonl"))
     for _ in range(25):

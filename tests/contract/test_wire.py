@@ -74,6 +74,13 @@ def test_a_program_that_knows_no_evidence_adds_branches_as_before():
     assert message.edit == wire.AddBranch((1.0, 2.0, 3.0), even_without_evidence=False)
 
 
+def test_a_program_that_knows_eight_numbers_of_the_controls_sets_them_as_before():
+    known = {"gain_mm": 2, "gain_turn": 1, "clutch": "hold", "speed_mm_s": 25, "turn_rad_s": 1}
+    controls = {**known, "lever_inverted": False, "filter_on": True, "min_cutoff_hz": 20}
+    message = wire.parse_client_message(json.dumps({"type": "set_controls", "controls": controls}))
+    assert message.controls == wire.DeviceControls(gain_mm=2.0, clutch="hold")
+
+
 @pytest.mark.parametrize("path", [p for p in samples("valid") if p.suffix == ".bin"], ids=label)
 def test_reading_and_writing_a_picture_gives_it_back(path):
     header, payload = wire.parse_picture(path.read_bytes())

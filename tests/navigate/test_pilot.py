@@ -11,13 +11,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from carina import commands as c
+from carina.commands import DeviceControls
 from carina.errors import UsageError
-from carina.navigate import AxesSample, Controls, FilterSettings, HandleSample, Navigator, Pilot, PoseSample
+from carina.navigate import AxesSample, HandleSample, Navigator, Pilot, PoseSample
 from carina.navigate import moves as m
 from carina.navigate.rotation import rotation_from_vector, wxyz_from_rotation
 from carina.scopes import Pose
 
-PLAIN = Controls(filter=FilterSettings(on=False))
+PLAIN = DeviceControls(filter_on=False)
 # A trachea down 60 mm, then on to the right; the other way leads left.
 DOWN = [(0.0, 0.0, -float(z)) for z in range(61)]
 RIGHT = (-math.sin(0.7), 0.0, -math.cos(0.7))
@@ -33,9 +35,9 @@ PATH = m.SetPath(
 class Hand:
     """A pilot, and a device that says something 100 times a second."""
 
-    def __init__(self, *, path: bool = False, controls: Controls = PLAIN) -> None:
+    def __init__(self, *, path: bool = False, controls: DeviceControls = PLAIN) -> None:
         self.pilot = Pilot(Navigator(Pose.looking([0.0, 0.0, -5.0], [0.0, 0.0, -1.0])))
-        self.pilot.apply(m.SetControls(controls))
+        self.pilot.apply(c.SetControls(controls))
         if path:
             self.pilot.apply(PATH)
         self.now = 0.0
@@ -46,7 +48,7 @@ class Hand:
 
     def say(self, sample, device: str = "pen") -> None:
         self.now += 0.01
-        sample = type(sample)(self.now, *[getattr(sample, f) for f in list(sample.__dataclass_fields__)[1:]])
+        sample = type(sample)(self.now, *[getattr(sample, f) for f in sample.__struct_fields__[1:]])
         self.pilot.apply(m.DeviceSaid(device, sample, self.now))
         self.pilot.apply(m.Frame(self.now))
 
@@ -74,7 +76,7 @@ def test_in_relative_the_tip_does_what_the_hand_does_from_where_it_is():
 
 
 def test_gain_scales_and_the_clutch_lifts_the_hand():
-    hand = Hand(controls=Controls(gain_mm=2.0, filter=FilterSettings(on=False)))
+    hand = Hand(controls=DeviceControls(gain_mm=2.0, filter_on=False))
     hand.pen()
     hand.pen((0.0, 0.0, 3.0))
     np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -11.0], atol=1e-9)
@@ -89,10 +91,10 @@ def test_absolute_needs_a_registration_and_does_not_jump_but_comes_to_where_the_
     hand = Hand()
     hand.pen((10.0, 0.0, 0.0))
     with pytest.raises(UsageError, match="calibrate"):
-        hand.pilot.apply(m.SetControl("absolute"))
-    hand.pilot.apply(m.Calibrate("pen", tuple(np.eye(4).ravel())))
+        hand.pilot.apply(c.SetControl("absolute"))
+    hand.pilot.apply(m.Register("pen", tuple(np.eye(4).ravel())))
     before = hand.pose
-    hand.pilot.apply(m.SetControl("absolute"))
+    hand.pilot.apply(c.SetControl("absolute"))
     hand.pen((10.0, 0.0, 0.0))
     np.testing.assert_array_equal(hand.pose.lps_from_camera, before.lps_from_camera)
     steps = []
@@ -110,7 +112,7 @@ def test_absolute_needs_a_registration_and_does_not_jump_but_comes_to_where_the_
 
 def test_one_button_cycles_the_three_ways_without_a_jump_in_the_picture():
     hand = Hand(path=True)
-    hand.pilot.apply(m.Calibrate("pen", tuple(np.eye(4).ravel())))
+    hand.pilot.apply(m.Register("pen", tuple(np.eye(4).ravel())))
     hand.pen((3.0, 1.0, -4.0))
     seen = []
     for n in range(7):
@@ -129,7 +131,7 @@ def test_one_button_cycles_the_three_ways_without_a_jump_in_the_picture():
 
 def test_on_the_path_only_forward_counts_and_turns_are_a_free_look():
     hand = Hand(path=True)
-    hand.pilot.apply(m.SetControl("path"))
+    hand.pilot.apply(c.SetControl("path"))
     hand.pen()
     hand.pen((5.0, -5.0, 10.0), (0.0, 0.4, 0.0))
     assert hand.pilot.navigator.path_mm == pytest.approx(15.0)
@@ -140,8 +142,8 @@ def test_at_a_fork_the_way_that_the_stick_is_held_to_is_asked_for():
     # The camera looks down the trachea, anterior up: the patient's right is on the right of the picture.
     for yaw, wanted in ((1.0, None), (0.0, None), (-1.0, 2)):
         hand = Hand(path=True)
-        hand.pilot.apply(m.SetControl("path"))
-        hand.pilot.apply(m.GoTo(59.0))
+        hand.pilot.apply(c.SetControl("path"))
+        hand.pilot.apply(c.GoTo(59.0))
         asked = []
         for _ in range(12):
             hand.stick(1.0, yaw)
@@ -152,8 +154,8 @@ def test_at_a_fork_the_way_that_the_stick_is_held_to_is_asked_for():
             assert at > 0, "it is asked at the fork and not before"
     # The tip waits at the fork for the one frame in which the route may change.
     hand = Hand(path=True)
-    hand.pilot.apply(m.SetControl("path"))
-    hand.pilot.apply(m.GoTo(59.95))
+    hand.pilot.apply(c.SetControl("path"))
+    hand.pilot.apply(c.GoTo(59.95))
     hand.stick(1.0, -1.0)
     hand.stick(1.0, -1.0)
     assert hand.pilot.take_wanted_way() == 2
@@ -193,7 +195,7 @@ def test_a_pen_unplugged_and_back_at_another_place_makes_no_jump():
     hand.pen()
     hand.pen((0.0, 0.0, 1.0))
     before = hand.pose
-    hand.pilot.apply(m.DeviceGone("pen"))
+    hand.pilot.apply(c.DeviceGone("pen"))
     hand.pen((400.0, -20.0, 7.0), (1.0, 1.0, 1.0))
     np.testing.assert_array_equal(hand.pose.lps_from_camera, before.lps_from_camera)
     hand.pen((400.0, -20.0, 7.5), (1.0, 1.0, 1.0))
@@ -207,7 +209,7 @@ def test_the_handle_advances_rolls_and_lever_down_lifts_the_tip():
     np.testing.assert_allclose(hand.pose.position_lps, [0.0, 0.0, -9.0], atol=1e-9)
     hand.say(HandleSample(0.0, 104.0, 0.0, 0.5), "handle")
     assert hand.pose.forward_lps[1] < -0.4, "up is anterior"
-    inverted = Hand(controls=Controls(lever_inverted=True, filter=FilterSettings(on=False)))
+    inverted = Hand(controls=DeviceControls(lever_inverted=True, filter_on=False))
     inverted.say(HandleSample(0.0, 0.0, 0.0, 0.0), "handle")
     inverted.say(HandleSample(0.0, 0.0, 0.0, 0.5), "handle")
     assert inverted.pose.forward_lps[1] > 0.4
@@ -215,20 +217,20 @@ def test_the_handle_advances_rolls_and_lever_down_lifts_the_tip():
 
 def test_an_armed_pen_marks_and_does_not_change_the_way_to_move():
     hand = Hand(path=True)
-    hand.pilot.apply(m.ArmPen(True))
+    hand.pilot.apply(c.ArmPen("target"))
     hand.pen(buttons=0)
     hand.pen(buttons=1)
     hand.pen(buttons=1)
     hand.pen(buttons=0)
     assert hand.pilot.control == "relative"
-    assert hand.pilot.take_marks() == ("pen",)
+    assert hand.pilot.take_marks() == (("pen", "target"),)
     assert hand.pilot.take_marks() == ()
 
 
 def test_keys_and_a_device_move_one_tip_and_neither_makes_the_other_jump():
     hand = Hand()
     hand.pen((0.0, 0.0, 0.0))
-    hand.pilot.apply(m.Steer(10.0, 0.0, 0.0, 0.0))
+    hand.pilot.apply(c.Steer(10.0, 0.0, 0.0, 0.0))
     before = hand.pose
     hand.pen((0.0, 0.0, 0.2))
     assert moved(hand.pose, before) <= 0.2
@@ -252,8 +254,8 @@ SAMPLE = st.one_of(
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(["a", "b"]), SAMPLE), max_size=40))
 def test_whatever_devices_say_the_pose_stays_a_pose(said):
-    hand = Hand(path=True, controls=Controls())
-    hand.pilot.apply(m.Calibrate("a", tuple(np.eye(4).ravel())))
+    hand = Hand(path=True, controls=DeviceControls())
+    hand.pilot.apply(m.Register("a", tuple(np.eye(4).ravel())))
     for n, (device, sample) in enumerate(said):
         hand.pilot.apply(m.DeviceSaid(device, sample, n * 0.1))
         hand.pilot.apply(m.Frame(n * 0.1))
@@ -264,17 +266,18 @@ def test_whatever_devices_say_the_pose_stays_a_pose(said):
 @given(st.lists(st.tuples(*[st.floats(-1, 1)] * 6), min_size=1, max_size=30), st.integers(0, 2))
 def test_moves_read_back_from_json_give_the_same_poses_bit_for_bit(pushes, presses):
     made: list[str] = []
-    first = Hand(path=True, controls=Controls())
+    first = Hand(path=True, controls=DeviceControls())
     state = first.pilot.navigator.state()
-    first.pilot.on_move = lambda move: made.append(json.dumps(m.move_to_json(move), allow_nan=False))
-    first.pilot.apply(m.SetControls(Controls(gain_mm=1.7)))
+    first.pilot.on_move = lambda move, dt_s: made.append(json.dumps(m.move_to_json(move, dt_s), allow_nan=False))
+    first.pilot.apply(c.SetControls(DeviceControls(gain_mm=1.7)))
     for n, push in enumerate(pushes):
         first.pen(np.cumsum(push[:3]), push[3:], buttons=int(n < presses))
         first.stick(*push)
-    second = Hand(path=True, controls=Controls())
+    second = Hand(path=True, controls=DeviceControls())
     second.pilot.navigator.restore(state, second.pilot.navigator.path)
     for line in made:
-        second.pilot.apply(m.move_from_json(json.loads(line)))
+        move, dt_s = m.move_from_json(json.loads(line))
+        second.pilot.apply(move, dt_s=dt_s)
     np.testing.assert_array_equal(second.pose.lps_from_camera, first.pose.lps_from_camera)
     assert second.pilot.control == first.pilot.control
 
@@ -325,8 +328,8 @@ def test_a_device_that_starts_again_elsewhere_does_not_throw_the_tip(made):
 def test_a_pen_that_comes_back_after_a_gap_does_not_throw_the_tip():
     hand = Hand()
     for control in ("relative", "absolute"):
-        hand.pilot.apply(m.Calibrate("pen", tuple(np.eye(4).ravel())))
-        hand.pilot.apply(m.SetControl(control))
+        hand.pilot.apply(m.Register("pen", tuple(np.eye(4).ravel())))
+        hand.pilot.apply(c.SetControl(control))
         hand.pen()
         hand.pen((0.0, 0.0, 1.0))
         at = hand.pose
@@ -349,13 +352,13 @@ def test_frames_that_see_a_sample_twice_or_late_follow_it_once():
 
 def test_devices_without_end_are_no_more_than_are_told_apart():
     hand = Hand()
-    hand.pilot.apply(m.Calibrate("registered", tuple(np.eye(4).ravel())))
+    hand.pilot.apply(m.Register("registered", tuple(np.eye(4).ravel())))
     sample = PoseSample(0.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     for n in range(1000):
         hand.now += 1.0
         hand.say(sample, f"pen {n}")
     for n in range(1000):
-        hand.pilot.apply(m.TakeDevice(f"stick {n}"))
+        hand.pilot.apply(c.TakeDevice(f"stick {n}"))
     assert len(hand.pilot.devices()) <= 65
     hand.say(sample, "pen")
     hand.now += 1.0
@@ -363,10 +366,10 @@ def test_devices_without_end_are_no_more_than_are_told_apart():
     assert {"registered", "pen"} <= {device.device for device in hand.pilot.devices()}
     numbers = tuple(np.eye(4).ravel())
     for n in range(127 - len(hand.pilot.devices())):
-        hand.pilot.apply(m.Calibrate(f"tracker {n}", numbers))
-    hand.pilot.apply(m.Calibrate("the last", numbers))
+        hand.pilot.apply(m.Register(f"tracker {n}", numbers))
+    hand.pilot.apply(m.Register("the last", numbers))
     with pytest.raises(UsageError, match="registration"):
-        hand.pilot.apply(m.Calibrate("one too many", numbers))
+        hand.pilot.apply(m.Register("one too many", numbers))
 
 
 @pytest.mark.parametrize("path", [True, False])
@@ -400,9 +403,9 @@ STANDS[:3, :3] = rotation_from_vector(np.array([0.4, -0.9, 0.2]))
 STANDS[:3, 3] = (120.0, -45.0, 300.0)
 
 
-def registered(*, path: bool = False, controls: Controls = PLAIN) -> Hand:
+def registered(*, path: bool = False, controls: DeviceControls = PLAIN) -> Hand:
     hand = Hand(path=path, controls=controls)
-    hand.pilot.apply(m.Calibrate("pen", tuple(STANDS.ravel())))
+    hand.pilot.apply(m.Register("pen", tuple(STANDS.ravel())))
     return hand
 
 
@@ -411,9 +414,9 @@ def in_tracker(lps) -> tuple[float, ...]:
 
 
 def test_a_registered_pens_own_point_is_known_in_every_way_to_move_also_while_the_hand_hurries():
-    hand = registered(path=True, controls=Controls())
+    hand = registered(path=True, controls=DeviceControls())
     for n, control in enumerate(("path", "relative", "absolute", "path", "absolute")):
-        hand.pilot.apply(m.SetControl(control))
+        hand.pilot.apply(c.SetControl(control))
         for step in range(10):
             at = (20.0 * step, -30.0 + 7.0 * n, 40.0 - 25.0 * step)
             hand.pen(in_tracker(at))
@@ -427,11 +430,11 @@ def test_a_pen_that_is_not_registered_or_has_no_position_has_no_point_of_its_own
     assert hand.pilot.pen() is None
     hand.pen((1.0, 2.0, 3.0))
     assert (hand.pilot.pen_lps("pen"), hand.pilot.pen().lps, hand.pilot.pen().is_tracked) == (None, None, True)
-    hand.pilot.apply(m.Calibrate("pen", tuple(STANDS.ravel())))
+    hand.pilot.apply(m.Register("pen", tuple(STANDS.ravel())))
     assert hand.pilot.pen().lps is not None
     hand.say(PoseSample(0.0, None, (1.0, 0.0, 0.0, 0.0)), "pen")
     assert (hand.pilot.pen_lps("pen"), hand.pilot.pen().is_tracked) == (None, False)
-    hand.pilot.apply(m.DeviceGone("pen"))
+    hand.pilot.apply(c.DeviceGone("pen"))
     assert hand.pilot.pen() is None
 
 
@@ -439,7 +442,7 @@ def test_what_is_left_between_pen_and_tip_is_told_in_absolute_until_it_is_gone()
     hand = registered(path=True)
     hand.pen(in_tracker((30.0, 0.0, -20.0)))
     assert hand.pilot.pen().off_mm is None, "elsewhere the pen says no place of the tip"
-    hand.pilot.apply(m.SetControl("absolute"))
+    hand.pilot.apply(c.SetControl("absolute"))
     assert hand.pilot.pen().off_mm == pytest.approx(moved(hand.pose, hand.pilot.pen_pose("pen")))
     assert hand.pilot.pen().off_mm > 30.0
     left = []
@@ -454,29 +457,29 @@ def test_the_tip_joins_the_pen_at_once_and_goes_on_with_it_exactly():
     hand = registered(path=True)
     hand.pen(in_tracker((30.0, 10.0, -20.0)), (0.3, -0.2, 0.5))
     with pytest.raises(UsageError, match="absolute") as refused:
-        hand.pilot.apply(m.JoinPen())
+        hand.pilot.apply(c.JoinPen())
     assert refused.value.code == "navigate.not-absolute"
-    hand.pilot.apply(m.SetControl("absolute"))
+    hand.pilot.apply(c.SetControl("absolute"))
     hand.pen(in_tracker((30.0, 10.0, -20.0)), (0.3, -0.2, 0.5))
     assert hand.pilot.pen().off_mm > 30.0
-    hand.pilot.apply(m.JoinPen())
+    hand.pilot.apply(c.JoinPen())
     assert hand.pilot.pen().off_mm == pytest.approx(0.0, abs=1e-9)
     assert hand.pilot.pen().off_rad == pytest.approx(0.0, abs=1e-6)
     for n in range(20):
         at = (30.0 + 0.3 * n, 10.0, -20.0 - 0.2 * n)
         hand.pen(in_tracker(at), (0.3, -0.2 + 0.01 * n, 0.5))
         np.testing.assert_allclose(hand.pose.position_lps, at, atol=1e-9)
-    assert m.move_from_json(m.move_to_json(m.JoinPen())) == m.JoinPen()
+    assert m.move_from_json(m.move_to_json(c.JoinPen())) == (c.JoinPen(), 0.0)
 
 
 def test_joining_leaves_nothing_of_the_filters_delay_either():
-    hand = registered(controls=Controls())
-    hand.pilot.apply(m.SetControl("absolute"))
+    hand = registered(controls=DeviceControls())
+    hand.pilot.apply(c.SetControl("absolute"))
     for n in range(10):
         at = (30.0 + 2.0 * n, 10.0, -20.0)
         hand.pen(in_tracker(at))
     assert moved(hand.pilot.pen_pose("pen"), Pose.looking(at, [0.0, 0.0, -1.0])) > 0.1, "the filter lags behind"
-    hand.pilot.apply(m.JoinPen())
+    hand.pilot.apply(c.JoinPen())
     np.testing.assert_allclose(hand.pose.position_lps, at, atol=1e-9)
     hand.pen(in_tracker(at))
     np.testing.assert_allclose(hand.pose.position_lps, at, atol=1e-9)

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
+from msgspec import structs
 
+from carina.commands import DeviceControls
 from carina.errors import UsageError
 from carina.navigate import (
     AxesSample,
-    FilterSettings,
     HandleSample,
     PoseSample,
     SampleFilter,
     SampleGate,
+    filter_latency_ms,
     fit_registration,
 )
 from carina.navigate.rotation import rotation_from_vector, rotation_from_wxyz, wxyz_from_rotation
@@ -152,8 +153,8 @@ def test_an_unplugged_device_comes_back_with_another_clock():
 
 
 def test_the_filter_is_late_by_at_most_ten_milliseconds_as_it_says():
-    settings = FilterSettings()
-    assert settings.latency_ms <= 10.0
+    settings = DeviceControls()
+    assert filter_latency_ms(settings) <= 10.0
     # A hand at 20 mm/s, sampled at 120 Hz: in the steady state the lag is a distance, and so a time.
     smooth, speed, rate = SampleFilter(settings), 20.0, 120.0
     for n in range(600):
@@ -161,29 +162,29 @@ def test_the_filter_is_late_by_at_most_ten_milliseconds_as_it_says():
     assert isinstance(out, PoseSample)
     assert out.position_mm is not None
     lag_ms = 1000.0 * (speed * 599 / rate - out.position_mm[0]) / speed
-    assert lag_ms <= settings.latency_ms
+    assert lag_ms <= filter_latency_ms(settings)
     # The lag of a ramp is the time constant at the speed reached; the orientation rests and is later.
     assert lag_ms == pytest.approx(1000.0 / (2 * math.pi * (20.0 + 0.1 * speed)), rel=1e-3)
-    assert smooth.latency_ms == pytest.approx(settings.latency_ms)
+    assert smooth.latency_ms == pytest.approx(filter_latency_ms(settings))
 
 
 def test_the_filter_smooths_tremor_more_the_lower_its_cutoff():
     rng = np.random.default_rng(7)
     noise = rng.normal(0.0, 0.5, 2000)
 
-    def left(settings: FilterSettings) -> float:
+    def left(settings: DeviceControls) -> float:
         smooth = SampleFilter(settings)
         out = [smooth.apply(pen(n / 120.0, float(x))).position_mm[0] for n, x in enumerate(noise)]
         return float(np.std(out[200:]))
 
-    steady = left(FilterSettings(min_cutoff_hz=1.0, beta_per_mm=0.0))
-    usual = left(FilterSettings())
+    steady = left(DeviceControls(min_cutoff_hz=1.0, beta_per_mm=0.0))
+    usual = left(DeviceControls())
     assert steady < 0.15 < usual < 0.5
-    assert left(FilterSettings(on=False)) == float(np.std(noise[200:]))
+    assert left(DeviceControls(filter_on=False)) == float(np.std(noise[200:]))
 
 
 def test_turns_are_smoothed_on_the_shortest_way_and_stay_rotations():
-    smooth = SampleFilter(FilterSettings(min_cutoff_hz=3.0))
+    smooth = SampleFilter(DeviceControls(min_cutoff_hz=3.0))
     for n in range(400):
         turn = rotation_from_vector(np.array([0.0, 0.0, 0.05 * n]))
         wxyz = wxyz_from_rotation(turn)
@@ -195,15 +196,21 @@ def test_turns_are_smoothed_on_the_shortest_way_and_stay_rotations():
 
 
 def test_after_a_gap_the_filter_begins_anew():
-    smooth = SampleFilter(FilterSettings(min_cutoff_hz=1.0, beta_per_mm=0.0))
+    smooth = SampleFilter(DeviceControls(min_cutoff_hz=1.0, beta_per_mm=0.0))
     smooth.apply(pen(0.0))
     assert smooth.apply(pen(0.01, 10.0)).position_mm[0] < 5.0
     assert smooth.apply(pen(5.0, 80.0)).position_mm[0] == 80.0
 
 
 def test_filter_settings_out_of_range_are_refused():
-    with pytest.raises(UsageError, match="cut-off"):
-        FilterSettings(min_cutoff_hz=math.nan)
+    for bad in (
+        {"min_cutoff_hz": math.nan},
+        {"min_cutoff_hz": 0.01},
+        {"beta_per_mm": -1.0},
+        {"derivative_cutoff_hz": 2e3},
+    ):
+        with pytest.raises(UsageError, match=next(iter(bad))):
+            SampleFilter(DeviceControls(**bad))
 
 
 def test_registration_finds_a_turn_and_a_shift_and_says_what_is_left():
@@ -235,4 +242,4 @@ def test_too_few_points_points_on_a_line_and_no_numbers_are_refused(points):
 
 
 def test_samples_are_values():
-    assert dataclasses.replace(pen(1.0), buttons=2) == pen(1.0, buttons=2)
+    assert structs.replace(pen(1.0), buttons=2) == pen(1.0, buttons=2)

@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from carina.commands import GoTo
+from carina.commands import Command, DeviceControls, GoTo
 from carina.errors import UsageError
 from carina.navigate.devices.igtl import IgtlPose, IgtlStream, pose_matrix
 from carina.navigate.devices.scope_handle import format_line
@@ -23,18 +23,6 @@ from small_case import small_bench
 if sys.platform == "win32":
     pytest.skip("there are no pseudo-terminals on Windows", allow_module_level=True)
 
-CONTROLS = wire.DeviceControls(
-    gain_mm=1.0,
-    gain_turn=1.0,
-    clutch="always",
-    speed_mm_s=25.0,
-    turn_rad_s=1.0,
-    lever_inverted=False,
-    filter_on=True,
-    min_cutoff_hz=20.0,
-)
-
-
 # What the first frame after a rest may take as passed.
 FIRST_S = 0.1
 
@@ -45,6 +33,12 @@ def stick(time_s: float, *axes: float) -> wire.DeviceSample:
 
 def pen(time_s: float, at: tuple[float, float, float], buttons: int = 0) -> wire.DeviceSample:
     return wire.DeviceSample("pen", time_s, at, (1.0, 0.0, 0.0, 0.0), None, buttons, None, 0.0)
+
+
+def do(made: DeviceDesk, command: Command) -> None:
+    """As the hub does."""
+    made._session.do(command)
+    made.done(command)
 
 
 @pytest.fixture
@@ -108,14 +102,14 @@ def test_calibration_is_answered_with_its_residual_and_bad_pairs_are_refused(des
     made, bench, _ = desk
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     points = ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (0.0, 50.0, 0.0))
-    made.handle(wire.Calibrate("pen", points, points))
+    do(made, wire.Calibrate("pen", points, points))
     assert any("0.0 mm" in said.message for said in bench.of_type(Said))
-    made.handle(wire.SetControl("absolute"))
+    do(made, wire.SetControl("absolute"))
     assert made.message().control == "absolute"
     with pytest.raises(UsageError, match="line"):
-        made.handle(wire.Calibrate("pen", points[:1] * 3, points))
+        do(made, wire.Calibrate("pen", points[:1] * 3, points))
     assert made.message().devices[0].registered
-    made.handle(wire.Calibrate("pen", (), ()))
+    do(made, wire.Calibrate("pen", (), ()))
     assert made.message().control == "relative"
     assert bench.session.pose_info() is not None
 
@@ -123,13 +117,13 @@ def test_calibration_is_answered_with_its_residual_and_bad_pairs_are_refused(des
 def test_the_pens_button_sets_a_target_where_the_tip_is(desk):
     made, bench, _ = desk
     bench.session.do(GoTo(20.0))
-    made.handle(wire.ArmPen("target"))
+    do(made, wire.ArmPen("target"))
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     made.handle(pen(1.1, (0.0, 0.0, 0.0), buttons=1))
     bench.background.run_all()
     (target,) = bench.session.snapshot().document.targets
     np.testing.assert_allclose(target.lps, bench.session.pose_info().pose.position_lps, atol=1e-9)
-    made.handle(wire.ArmPen(None))
+    do(made, wire.ArmPen(None))
 
 
 def test_the_stick_chooses_the_way_at_a_fork_and_the_route_follows(desk):
@@ -242,7 +236,7 @@ def test_the_tip_is_published_and_recordings_are_made(desk, tmp_path):
     assert made.message().published_port is None
     made.handle(wire.StartRecording())
     assert made.message().recording is not None
-    made.handle(wire.StopRecording())
+    do(made, wire.StopRecording())
     assert made.message().recording is None
     assert len(list((tmp_path / "recordings").glob("*.jsonl"))) == 1
 
@@ -250,13 +244,9 @@ def test_the_tip_is_published_and_recordings_are_made(desk, tmp_path):
 def test_controls_change_the_filters_delay_that_is_shown(desk):
     made, _, _ = desk
     assert made.message().filter_latency_ms <= 10.0
-    made.handle(wire.SetControls(wire.DeviceControls(**{**vars_of(CONTROLS), "min_cutoff_hz": 5.0})))
+    do(made, wire.SetControls(DeviceControls(min_cutoff_hz=5.0)))
     assert made.message().filter_latency_ms == pytest.approx(1000 / (2 * math.pi * 5.0), abs=0.01)
     assert made.handle(wire.Undo()) is False
-
-
-def vars_of(value) -> dict:
-    return {name: getattr(value, name) for name in value.__struct_fields__}
 
 
 def test_a_frame_that_fails_is_logged_once_and_the_next_ones_are_flown(desk, monkeypatch, caplog):

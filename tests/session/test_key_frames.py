@@ -36,7 +36,7 @@ from carina.errors import NoResultError, UsageError
 from carina.navigate import KeyFile, KeyFrame, open_keys
 from carina.scopes import Pose
 from carina.session import Changed, Trouble
-from carina.session.flying import place_move
+from carina.session.flying import place_pose
 from small_case import BRANCHES_IJK, small_bench, small_volume
 
 
@@ -63,7 +63,7 @@ def bench():
 def three(bench):
     """Key frames at the top, in the left and in the right bronchus."""
     for at in (TOP, LEFT, RIGHT):
-        bench.session.do(place_move(looking_down(at)))
+        bench.session.do(place_pose(looking_down(at)))
         bench.session.do(EditKeys(KeyAdd()))
     return bench
 
@@ -85,7 +85,7 @@ def test_key_frames_are_called_by_their_branch_until_a_person_names_them(three):
     assert three.session.keys_info().keys[1].own_name
     three.session.do(EditKeys(KeyRename(second, None)))
     assert names(three)[1] == "LMB"
-    three.session.do(place_move(looking_down(OUTSIDE_LUMEN)))
+    three.session.do(place_pose(looking_down(OUTSIDE_LUMEN)))
     three.session.do(EditKeys(KeyAdd()))
     assert names(three)[3] == "outside the airways"
 
@@ -99,7 +99,7 @@ def test_every_change_of_the_list_is_one_step_of_undo(three):
         ("move key frame 3 to 2", lambda: session.do(EditKeys(KeyMove(ids[2], -1)))),
         (
             "update key frame 1",
-            lambda: (session.do(place_move(looking_down(LEFT))), session.do(EditKeys(KeyUpdate(ids[0])))),
+            lambda: (session.do(place_pose(looking_down(LEFT))), session.do(EditKeys(KeyUpdate(ids[0])))),
         ),
         ("remove key frame 3", lambda: session.do(EditKeys(KeyRemove(ids[1])))),
         ("way through the key frames", lambda: session.do(SetKeyFlight(through="space"))),
@@ -146,7 +146,7 @@ def test_the_flight_follows_the_airways_between_key_frames_that_lie_in_them(thre
 
 def test_without_airways_and_outside_them_the_flight_is_through_space(bench):
     for at in (TOP, OUTSIDE_LUMEN):
-        bench.session.do(place_move(looking_down(at)))
+        bench.session.do(place_pose(looking_down(at)))
         bench.session.do(EditKeys(KeyAdd()))
     assert [key.through_airways for key in bench.session.keys_info().keys] == [False, False]
 
@@ -207,9 +207,9 @@ def test_a_device_takes_over_and_that_is_said(three):
 
 
 def test_going_to_a_key_frame_is_exact_also_while_there_is_only_one(bench):
-    bench.session.do(place_move(looking_down(LEFT)))
+    bench.session.do(place_pose(looking_down(LEFT)))
     key = bench.session.do(EditKeys(KeyAdd()))
-    bench.session.do(place_move(looking_down(RIGHT)))
+    bench.session.do(place_pose(looking_down(RIGHT)))
     bench.session.do(ShowKey(key))
     np.testing.assert_array_equal(pose(bench), looking_down(LEFT).lps_from_camera)
     with pytest.raises(NoResultError, match="two key frames or more"):
@@ -229,7 +229,7 @@ def test_commands_about_a_key_frame_that_is_gone_are_refused(three):
 
 def test_a_flight_that_nobody_means_is_told_and_not_flown(bench):
     for n in range(200):
-        bench.session.do(place_move(looking_down(LEFT if n % 2 else RIGHT)))
+        bench.session.do(place_pose(looking_down(LEFT if n % 2 else RIGHT)))
         bench.session.do(EditKeys(KeyAdd()))
     with pytest.raises(UsageError, match="at most 200 key frames"):
         bench.session.do(EditKeys(KeyAdd()))

@@ -12,7 +12,7 @@ from carina.render import Renderer
 from carina.scopes import Pose
 from carina.server.messages import parse_picture, split_outline
 from carina.server.pump import FramePump
-from carina.session.flying import place_move
+from carina.session.flying import place_pose
 from carina.track import LumenOutline, PaintLumen, RenameBranch, edit_airways
 from small_case import small_bench
 
@@ -151,6 +151,6 @@ def test_a_place_is_looked_at_from_the_lumen_before_it(bench, case):
     # Every slice shows it: the crosshair is what they pass through.
     assert scene.shown_lps == place
     # A branch that is gone since: the nearest one is meant.
-    session.do(place_move(Pose.looking(info.pose.position_lps, (0.0, 0.0, -1.0))))
+    session.do(place_pose(Pose.looking(info.pose.position_lps, (0.0, 0.0, -1.0))))
     session.do(ShowPlace(place, 10_000))
     np.testing.assert_allclose(session.pose_info().pose.position_lps, info.pose.position_lps, atol=1e-9)

@@ -7,9 +7,12 @@ import threading
 import time
 from typing import Any
 
+from msgspec import structs
+
 from carina.cli.console import print_json, say
+from carina.commands import DeviceControls
 from carina.errors import UsageError
-from carina.navigate import FilterSettings, HandleSample, PoseSample, Sample, SampleFilter
+from carina.navigate import HandleSample, PoseSample, Sample, SampleFilter, filter_latency_ms
 from carina.navigate.devices import Listener, SourceStatus, found_ports, open_source
 
 __all__ = ["report"]
@@ -52,7 +55,7 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
                 "serial_ports": ports,
                 "serial_problem": trouble,
                 "window": IN_THE_WINDOW,
-                "filter_latency_ms": FilterSettings().latency_ms,
+                "filter_latency_ms": filter_latency_ms(DeviceControls()),
                 "devices": [
                     {**dataclasses.asdict(status), "samples": live.samples(status.address)} for status in statuses
                 ],
@@ -100,14 +103,16 @@ class _Live:
         self.listener = Listener(self._said, lambda _device: None)
 
     def _said(self, device: str, sample: Sample) -> None:
-        self._newest[device] = self._filters.setdefault(device, SampleFilter(FilterSettings())).apply(sample)
+        if device not in self._filters:
+            self._filters[device] = SampleFilter(DeviceControls())
+        self._newest[device] = self._filters[device].apply(sample)
 
     def newest(self, address: str) -> tuple[str, Sample] | None:
         return next(((d, s) for d, s in sorted(self._newest.items()) if d.startswith(address)), None)
 
     def samples(self, address: str) -> list[dict[str, Any]]:
         return [
-            {"device": device, "kind": type(sample).__name__, **dataclasses.asdict(sample)}
+            {"device": device, "kind": type(sample).__name__, **structs.asdict(sample)}
             for device, sample in sorted(self._newest.items())
             if device.startswith(address)
         ]

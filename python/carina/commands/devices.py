@@ -10,19 +10,9 @@ from msgspec import Meta
 from carina.commands.fields import Clutch, Control, DeviceName, PointLps, Three
 from carina.commands.value import Command, FrozenValue, LocalCommand
 
-CONTROL_RANGES: dict[str, tuple[float, float]] = {
-    "gain_mm": (0.01, 100.0),
-    "gain_turn": (0.01, 100.0),
-    "speed_mm_s": (0.1, 500.0),
-    "turn_rad_s": (0.01, 10.0),
-    "lever_rad": (0.01, 2.0 * math.pi),
-}
-"""Least and greatest of the numbers that say how a device's movement becomes that of the tip."""
-
-
-def _range(name: str) -> Meta:
-    low, high = CONTROL_RANGES[name]
-    return Meta(ge=low, le=high)
+Cutoff = Annotated[float, Meta(ge=0.1, le=1000.0)]
+Beta = Annotated[float, Meta(ge=0.0, le=100.0)]
+Gain = Annotated[float, Meta(ge=0.01, le=100.0)]
 
 
 class DeviceGone(Command, frozen=True):
@@ -48,29 +38,44 @@ class CycleControl(LocalCommand, frozen=True):
 
 
 class DeviceControls(FrozenValue, frozen=True):
-    """Gains, clutch, speeds and filter of devices."""
+    """How a device's movement becomes that of the tip.
 
-    gain_mm: Annotated[float, _range("gain_mm")]
-    gain_turn: Annotated[float, _range("gain_turn")]
-    clutch: Clutch
-    speed_mm_s: Annotated[float, _range("speed_mm_s")]
-    turn_rad_s: Annotated[float, _range("turn_rad_s")]
-    lever_inverted: bool
-    filter_on: bool
-    min_cutoff_hz: Annotated[float, Meta(ge=0.1, le=1000.0)]
+    Examples
+    --------
+    >>> DeviceControls(gain_mm=0.5, clutch="hold")
+    DeviceControls(gain_mm=0.5, clutch='hold')
+    """
+
+    gain_mm: Gain = 1.0
+    """What the tip moves per movement of the hand; *relative* and *path* only."""
+    gain_turn: Gain = 1.0
+    """The same of its turns."""
+    clutch: Clutch = "always"
+    """``always``: the hand moves the tip, unless button 1 is held (to lift it back). ``hold``: only while it is."""
+    speed_mm_s: Annotated[float, Meta(ge=0.1, le=500.0)] = 25.0
+    """Of a stick pushed all the way."""
+    turn_rad_s: Annotated[float, Meta(ge=0.01, le=10.0)] = 1.0
+    """Of a stick pushed all the way."""
+    lever_inverted: bool = False
+    """False follows a real lever: lever down bends the tip up."""
+    lever_rad: Annotated[float, Meta(ge=0.01, le=2.0 * math.pi)] = math.pi / 3.0
+    """What the tip looks up at with the lever all the way down, without kinematics."""
+    filter_on: bool = True
+    """Whether the hand's tremor is smoothed (:class:`carina.navigate.SampleFilter`)."""
+    min_cutoff_hz: Cutoff = 20.0
+    """Cut-off frequency at rest. Lower is steadier and later."""
+    beta_per_mm: Beta = 0.1
+    """How the cut-off frequency grows with speed: Hz per mm/s."""
+    beta_per_rad: Beta = 4.0
+    """And Hz per rad/s."""
+    derivative_cutoff_hz: Cutoff = 10.0
+    """Cut-off frequency of the speed itself."""
 
 
 class SetControls(Command, frozen=True):
-    """How a device's movement becomes that of the tip."""
+    """Gains, clutch, speeds and filter of devices."""
 
     controls: DeviceControls
-
-
-class SetAllControls(LocalCommand, frozen=True):
-    """The same with what the window does not show."""
-
-    controls: Any
-    """A :class:`carina.navigate.Controls`."""
 
 
 class Calibrate(Command, frozen=True):

@@ -16,7 +16,17 @@ import msgspec.inspect
 from carina.display import as_words, joined
 from carina.errors import UsageError
 
-__all__ = ["Command", "FrozenValue", "LocalCommand", "all_commands", "checked", "snake_case", "subclasses", "trouble"]
+__all__ = [
+    "Command",
+    "FrozenValue",
+    "LocalCommand",
+    "all_commands",
+    "as_plain",
+    "checked",
+    "snake_case",
+    "subclasses",
+    "trouble",
+]
 
 
 class FrozenValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -81,7 +91,7 @@ def checked(value: V) -> V:
     """
     if not isinstance(value, LocalCommand):
         try:
-            plain = msgspec.to_builtins(value, enc_hook=_plain)
+            plain = msgspec.to_builtins(value, enc_hook=as_plain)
         except (TypeError, ValueError, RecursionError) as error:
             raise UsageError(f"{_name(value)} holds what no command has: {error}", code="command.bounds") from error
         try:
@@ -94,8 +104,8 @@ def checked(value: V) -> V:
     return value
 
 
-def _plain(value: Any) -> Any:
-    """Numbers and arrays of NumPy."""
+def as_plain(value: Any) -> Any:
+    """Numbers and arrays of NumPy, for whoever writes a value."""
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} is no number, text or list")

@@ -5,24 +5,21 @@ from carina.navigate.flight_path import FlightPath
 from carina.navigate.key_files import KeyFile, Through, open_keys
 from carina.navigate.key_frames import MAX_SPEED_MM_S, MIN_SPEED_MM_S, KeyFrame, KeyFrameFlight
 from carina.navigate.key_legs import AirwayWay
-from carina.navigate.moves import CONTROL_RANGES, Controls, Move
+from carina.navigate.moves import Move
 from carina.navigate.navigator import Navigator
-from carina.navigate.one_euro import FilterSettings, SampleFilter
+from carina.navigate.one_euro import SampleFilter, filter_latency_ms
 from carina.navigate.pilot import DeviceState, PenState, Pilot
 from carina.navigate.recording import Recorder, Recording, case_key, open_recording
 from carina.navigate.registration import Registration, fit_registration
 from carina.navigate.samples import AxesSample, HandleSample, PoseSample, Sample, SampleGate
 
 __all__ = [
-    "CONTROL_RANGES",
     "MAX_SPEED_MM_S",
     "MIN_SPEED_MM_S",
     "AirwayWay",
     "AutoFlight",
     "AxesSample",
-    "Controls",
     "DeviceState",
-    "FilterSettings",
     "FlightPath",
     "HandleSample",
     "KeyFile",
@@ -41,6 +38,7 @@ __all__ = [
     "SampleGate",
     "Through",
     "case_key",
+    "filter_latency_ms",
     "fit_registration",
     "open_keys",
     "open_recording",

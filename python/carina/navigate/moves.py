@@ -1,4 +1,4 @@
-"""All that can move the tip, as values: what is asked for by a hand, a key, a device or a program.
+"""All that can move the tip, as values: commands (:mod:`carina.commands`), and what only a pilot knows.
 
 One kind of value for every source makes one owner of the pose possible, and recordings: a session's moves, fed to a
 :class:`carina.navigate.Pilot` again, give its poses again.
@@ -6,12 +6,12 @@ One kind of value for every source makes one owner of the pose possible, and rec
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, TypeAlias, get_args
+
+import msgspec
 
 from carina.commands import (
+    ArmPen,
     Command,
     CycleControl,
     DeviceGone,
@@ -24,49 +24,26 @@ from carina.commands import (
     PreviousFork,
     ResetLook,
     SetControl,
+    SetControls,
     SetMode,
     SetOperator,
+    Steer,
     TakeDevice,
     ToggleMode,
 )
-from carina.commands.devices import CONTROL_RANGES
-from carina.commands.fields import Control
-from carina.display import one_line
+from carina.commands.value import FrozenValue, as_plain
 from carina.errors import UsageError
-from carina.navigate.one_euro import FilterSettings
-from carina.navigate.samples import AxesSample, HandleSample, PoseSample, Sample
+from carina.navigate.samples import Sample
 
 __all__ = [
-    "CONTROL_RANGES",
-    "MOVES",
-    "ArmPen",
-    "Calibrate",
-    "Control",
-    "Controls",
-    "CycleControl",
-    "DeviceGone",
     "DeviceSaid",
     "Frame",
-    "GoTo",
-    "JoinPen",
-    "LevelHorizon",
+    "LayScope",
     "Move",
-    "NextFork",
     "PathFork",
     "PathWay",
-    "Place",
-    "PlacePose",
-    "PreviousFork",
-    "ResetLook",
-    "SetControl",
-    "SetControls",
-    "SetMode",
-    "SetOperator",
+    "Register",
     "SetPath",
-    "SetScope",
-    "Steer",
-    "TakeDevice",
-    "ToggleMode",
     "move_from_json",
     "move_to_json",
 ]
@@ -75,28 +52,18 @@ Vec3 = tuple[float, float, float]
 Sixteen = tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Steer:
-    """Turn, then advance; see :meth:`carina.navigate.Navigator.steer`."""
-
-    advance_mm: float
-    yaw_rad: float
-    pitch_rad: float
-    roll_rad: float
-    dt_s: float = 0.0
-    """Since the move before, for the time of contact in mode *scope*."""
+class PilotMove(FrozenValue, frozen=True, tag_field="move", tag=True):
+    """A move that nobody asks a case for by itself: it follows from a command, from a device or from the clock."""
 
 
-@dataclass(frozen=True, slots=True)
-class PathWay:
+class PathWay(FrozenValue, frozen=True):
     """A way on from a fork: an id of the giver's, and where it leads (unit vector, LPS)."""
 
     way_id: int
     dir_lps: Vec3
 
 
-@dataclass(frozen=True, slots=True)
-class PathFork:
+class PathFork(FrozenValue, frozen=True):
     """A fork of the path: its place, the ways on from it, and which of them the path takes."""
 
     path_mm: float
@@ -104,8 +71,7 @@ class PathFork:
     taken: int
 
 
-@dataclass(frozen=True, slots=True)
-class SetPath:
+class SetPath(PilotMove, frozen=True):
     """Another path to fly on, as the arguments of :class:`carina.navigate.FlightPath`; no points mean none."""
 
     points_lps: tuple[Vec3, ...]
@@ -116,61 +82,7 @@ class SetPath:
     ways: tuple[PathFork, ...] = ()
 
 
-# What devices do.
-
-
-@one_line
-@dataclass(frozen=True, slots=True)
-class Controls:
-    """How a device's movement becomes that of the tip.
-
-    Parameters
-    ----------
-    gain_mm, gain_turn
-        What the tip moves per movement of the hand, mm and angle; *relative* and *path* only.
-    clutch
-        ``"always"``: the hand moves the tip, unless button 1 is held (to lift the hand back). ``"hold"``: only while
-        it is.
-    speed_mm_s, turn_rad_s
-        Of a stick pushed all the way.
-    lever_inverted
-        False follows a real lever: lever down bends the tip up.
-    lever_rad
-        What the tip looks up at with the lever all the way down, without kinematics.
-    filter
-        See :class:`FilterSettings`.
-
-    Raises
-    ------
-    UsageError
-        ``navigate.controls``: if a number is out of :data:`CONTROL_RANGES`.
-    """
-
-    gain_mm: float = 1.0
-    gain_turn: float = 1.0
-    clutch: Literal["always", "hold"] = "always"
-    speed_mm_s: float = 25.0
-    turn_rad_s: float = 1.0
-    lever_inverted: bool = False
-    lever_rad: float = math.pi / 3.0
-    filter: FilterSettings = dataclasses.field(default_factory=FilterSettings)
-
-    def __post_init__(self) -> None:
-        for name, (low, high) in CONTROL_RANGES.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise UsageError(
-                    f"controls: {name} is expected between {low:g} and {high:g}; found {value!r}",
-                    code="navigate.controls",
-                )
-        if self.clutch not in {"always", "hold"}:
-            raise UsageError(
-                f"controls: clutch is expected to be always or hold; found {self.clutch!r}", code="navigate.controls"
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class DeviceSaid:
+class DeviceSaid(PilotMove, frozen=True):
     """A sample of a device, and when it arrived (s, monotonic)."""
 
     device: str
@@ -178,23 +90,23 @@ class DeviceSaid:
     now_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(PilotMove, frozen=True):
     """Time for the tip to follow the newest sample (s, monotonic)."""
 
     now_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Calibrate:
-    """Where a tracker's space lies in the patient, 16 numbers row by row; none forgets it."""
+class Register(PilotMove, frozen=True, tag="Calibrate"):
+    """Where a tracker's space lies in the patient, 16 numbers row by row; none forgets it.
+
+    The result of :class:`carina.commands.Calibrate`, whose fit may differ in the last bits on another machine.
+    """
 
     device: str
     lps_from_tracker: Sixteen
 
 
-@dataclass(frozen=True, slots=True)
-class SetScope:
+class LayScope(PilotMove, frozen=True, tag="SetScope"):
     """Lay a scope in the lumen along a path and hold it (mode *scope*); the pilot knows the wall.
 
     Parameters
@@ -215,21 +127,7 @@ class SetScope:
     up_lps: Vec3 | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ArmPen:
-    """The pen's first button marks a point (``Pilot.pen_lps``) instead of cycling the ways to move, or no longer."""
-
-    armed: bool
-
-
-@dataclass(frozen=True, slots=True)
-class SetControls:
-    """Gains, clutch, speeds and filter."""
-
-    controls: Controls
-
-
-Move = (
+Move: TypeAlias = (
     Steer
     | GoTo
     | NextFork
@@ -246,28 +144,53 @@ Move = (
     | Frame
     | DeviceGone
     | TakeDevice
-    | Calibrate
+    | Register
     | SetControl
     | CycleControl
     | ArmPen
     | JoinPen
-    | SetScope
+    | LayScope
     | SetControls
 )
-MOVES: dict[str, type[Any]] = {"PlaceAt" if cls is Place else cls.__name__: cls for cls in get_args(Move)}
-"""By the names that recordings have for them."""
-NAMES = {cls: name for name, cls in MOVES.items()}
-_SAMPLES: dict[str, type[Any]] = {"pose": PoseSample, "axes": AxesSample, "handle": HandleSample}
 
 
-def move_to_json(move: Move) -> dict[str, Any]:
-    """The move as JSON values. Floats keep every bit: JSON's shortest digits read back as the same number."""
-    fields = move.__struct_fields__ if isinstance(move, Command) else [f.name for f in dataclasses.fields(move)]
-    return {"move": NAMES[type(move)], **{name: _plain(getattr(move, name)) for name in fields}}
+def _name(cls: type[Any]) -> str:
+    if issubclass(cls, PilotMove):
+        return str(cls.__struct_config__.tag)
+    return "PlaceAt" if cls is Place else cls.__name__
 
 
-def move_from_json(value: dict[str, Any]) -> Move:
-    """The move again.
+# What a recording calls each move: a word that files have does not change with the name of a class.
+NAMES: dict[type[Any], str] = {cls: _name(cls) for cls in get_args(Move)}
+MOVES = {name: cls for cls, name in NAMES.items()}
+FILTER = ("min_cutoff_hz", "beta_per_mm", "beta_per_rad", "derivative_cutoff_hz")
+
+
+def move_to_json(move: Move, dt_s: float = 0.0) -> dict[str, Any]:
+    """The move as a recording keeps it. Floats keep every bit: JSON's shortest digits read back as the same number.
+
+    Parameters
+    ----------
+    move
+        What was applied.
+    dt_s
+        Time since the hand moved before, kept with :class:`carina.commands.Steer`.
+    """
+    fields = msgspec.to_builtins(move, enc_hook=as_plain)
+    if isinstance(move, Command):
+        del fields["type"]
+    if isinstance(move, Steer):
+        fields["dt_s"] = dt_s
+    elif isinstance(move, ArmPen):
+        fields = {"armed": move.tool is not None}
+    elif isinstance(move, SetControls):
+        controls = fields["controls"]
+        controls["filter"] = {name: controls.pop(name) for name in FILTER} | {"on": controls.pop("filter_on")}
+    return {"move": NAMES[type(move)], **fields}
+
+
+def move_from_json(value: dict[str, Any]) -> tuple[Move, float]:
+    """The move again, and the time since the hand moved before (s).
 
     Raises
     ------
@@ -275,43 +198,21 @@ def move_from_json(value: dict[str, Any]) -> Move:
         ``navigate.recording``: if it is none.
     """
     fields = dict(value)
-    name = fields.pop("move", None)
+    name, dt_s = fields.pop("move", None), 0.0
     cls = MOVES.get(name) if isinstance(name, str) else None
     if cls is None:
         raise UsageError(f"no move is called {name!r}", code="navigate.recording")
     try:
-        if cls is DeviceSaid:
-            kind = dict(fields["sample"])
-            fields["sample"] = _SAMPLES[kind.pop("kind")](**{k: _tuples(v) for k, v in kind.items()})
+        if cls is Steer:
+            dt_s = float(fields.pop("dt_s"))
+        elif cls is ArmPen:
+            # Which point its button marks moves nothing.
+            fields["tool"] = "target" if fields.pop("armed") else None
         elif cls is SetControls:
             controls = dict(fields["controls"])
-            fields["controls"] = Controls(**{**controls, "filter": FilterSettings(**controls["filter"])})
-        elif cls is SetPath:
-            fields["ways"] = tuple(
-                PathFork(
-                    fork["path_mm"],
-                    tuple(PathWay(way["way_id"], _tuples(way["dir_lps"])) for way in fork["ways"]),
-                    fork["taken"],
-                )
-                for fork in fields["ways"]
-            )
-        # Names of fields are checked by the constructors; numbers by whoever applies the move.
-        move: Move = cls(**{k: _tuples(v) for k, v in fields.items()})
+            smoothing = dict(controls.pop("filter"))
+            fields["controls"] = {**controls, "filter_on": smoothing.pop("on"), **smoothing}
+        move: Move = msgspec.convert(fields, cls)
     except (TypeError, KeyError, AttributeError, ValueError) as trouble:
         raise UsageError(f"the move {name} cannot be read: {trouble}", code="navigate.recording") from trouble
-    return move
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return [_plain(v) for v in value]
-    for kind, cls in _SAMPLES.items():
-        if isinstance(value, cls):
-            return {"kind": kind, **{f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}}
-    if dataclasses.is_dataclass(value):
-        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-    return value
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(v) for v in value) if isinstance(value, list) else value
+    return move, dt_s

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from carina.display import one_line
-from carina.errors import UsageError
+from carina.commands import DeviceControls, checked
 from carina.navigate.rotation import rotation_from_vector, rotation_from_wxyz, vector_from_rotation, wxyz_from_rotation
 from carina.navigate.samples import HandleSample, PoseSample, Sample
 
-__all__ = ["FilterSettings", "SampleFilter"]
+__all__ = ["SampleFilter", "filter_latency_ms"]
 
 # A gap longer than this is a new beginning, not a movement.
 MAX_GAP_S = 0.25
@@ -21,60 +20,18 @@ MAX_GAP_S = 0.25
 HANDLE_MM = 50.0
 
 
-@one_line
-@dataclass(frozen=True, slots=True)
-class FilterSettings:
-    """How much a device's tremor is smoothed.
+def filter_latency_ms(controls: DeviceControls) -> float:
+    """What the filter delays at rest, the most that it ever does.
 
-    A low-pass of cut-off frequency fc delays slow movements by 1 / (2 pi fc): at the default 20 Hz by 8 ms at rest, and
-    by less while the hand moves, since fc grows with speed.
-
-    Parameters
-    ----------
-    min_cutoff_hz
-        fc at rest, 0.1 to 1000. Lower is steadier and later.
-    beta_per_mm, beta_per_rad
-        How fc grows with speed: Hz per mm/s, Hz per rad/s.
-    derivative_cutoff_hz
-        fc of the speed itself.
-    on
-        False hands samples on as they are.
-
-    Raises
-    ------
-    UsageError
-        If a number is out of range.
-
-    References
-    ----------
-    Casiez, Roussel, Vogel, "1 euro filter: a simple speed-based low-pass filter for noisy input", CHI 2012.
+    A low-pass of cut-off frequency fc delays slow movements by 1 / (2 pi fc), and by less while the hand moves, since
+    fc grows with speed.
 
     Examples
     --------
-    >>> round(FilterSettings().latency_ms, 1)
+    >>> round(filter_latency_ms(DeviceControls()), 1)
     8.0
     """
-
-    min_cutoff_hz: float = 20.0
-    beta_per_mm: float = 0.1
-    beta_per_rad: float = 4.0
-    derivative_cutoff_hz: float = 10.0
-    on: bool = True
-
-    def __post_init__(self) -> None:
-        cutoffs = (self.min_cutoff_hz, self.derivative_cutoff_hz)
-        betas = (self.beta_per_mm, self.beta_per_rad)
-        if not (all(0.1 <= v <= 1000.0 for v in cutoffs) and all(0.0 <= v <= 100.0 for v in betas)):
-            raise UsageError(
-                "the filter's cut-off frequencies lie between 0.1 and 1000 Hz and its betas between 0 and 100; found "
-                f"{cutoffs} and {betas}",
-                code="navigate.filter",
-            )
-
-    @property
-    def latency_ms(self) -> float:
-        """What the filter delays at rest, the most that it ever does."""
-        return 1000.0 * _time_constant_s(self.min_cutoff_hz) if self.on else 0.0
+    return 1000.0 * _time_constant_s(controls.min_cutoff_hz) if controls.filter_on else 0.0
 
 
 class SampleFilter:
@@ -83,11 +40,20 @@ class SampleFilter:
     Parameters
     ----------
     settings
-        See :class:`FilterSettings`.
+        Its cut-off frequencies and betas; without ``filter_on`` samples are handed on as they are.
+
+    Raises
+    ------
+    UsageError
+        ``command.bounds``: if a number is out of range.
+
+    References
+    ----------
+    Casiez, Roussel, Vogel, "1 euro filter: a simple speed-based low-pass filter for noisy input", CHI 2012.
     """
 
-    def __init__(self, settings: FilterSettings) -> None:
-        self._settings = settings
+    def __init__(self, settings: DeviceControls) -> None:
+        self._settings = checked(settings)
         self._last: Sample | None = None
         self._raw: NDArray[np.float64] = np.zeros(0)
         self._raw_turn = np.eye(3)
@@ -106,7 +72,7 @@ class SampleFilter:
         """The smoothed sample; the first one, and the first after a gap, is handed on as it is."""
         last, self._last = self._last, sample
         values = _values(sample)
-        if not self._settings.on or values is None:
+        if not self._settings.filter_on or values is None:
             self._latency_s = 0.0
             return sample
         turn = rotation_from_wxyz(sample.orientation_wxyz) if isinstance(sample, PoseSample) else None

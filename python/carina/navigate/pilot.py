@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, assert_never
+from typing import Any, Literal, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carina import commands as c
+from carina.commands import DeviceControls, checked
+from carina.commands.fields import Control
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.navigate import moves as m
@@ -39,6 +42,7 @@ FORK_MARGIN_RAD = math.radians(10.0)
 # A turn of the hand counts as this movement when an offset is eased away: the length of a pen.
 HAND_MM_PER_RAD = 100.0
 MM3 = NDArray[np.float64]
+Tool = Literal["root", "target"]
 
 
 @one_line
@@ -93,7 +97,7 @@ class Pilot:
     A device's samples come as they come (:class:`moves.DeviceSaid`); the tip follows the newest one when a frame is due
     (:class:`moves.Frame`). So a device that floods costs no pictures, and one that stalls stops none.
 
-    Three ways to move by a device (paper 3.2), cycled by button 0 or :class:`moves.CycleControl`:
+    Three ways to move by a device (paper 3.2), cycled by button 0 or :class:`carina.commands.CycleControl`:
 
     *absolute*: the pen's place in the patient, by the registration of its tracker. *relative*: what the hand does, the
     tip does, times a gain, from where it is; a clutch lets the hand go back. *path*: forward along the path, the turns
@@ -109,28 +113,28 @@ class Pilot:
     Examples
     --------
     >>> pilot = Pilot(Navigator(Pose.looking([0, 0, 0], [0, 0, -1])))
-    >>> pilot.apply(m.Steer(5.0, 0.0, 0.0, 0.0))
+    >>> pilot.apply(c.Steer(5.0, 0.0, 0.0, 0.0))
     >>> pilot.navigator.pose.position_lps.tolist()
     [0.0, 0.0, -5.0]
     """
 
     def __init__(self, navigator: Navigator) -> None:
         self.navigator = navigator
-        self.on_move: Callable[[m.Move], None] | None = None
-        """Told of every move after it was applied, for recordings."""
+        self.on_move: Callable[[m.Move, float], None] | None = None
+        """Told of every move after it was applied, and of the time since the one before (s), for recordings."""
         self.wall: WallField | None = None
         """What holds a scope in the lumen."""
         self.wall_made_from: dict[str, Any] | None = None
         """What a replay makes that wall from again, as JSON values; kept with each scope that is laid."""
         self._gate = SampleGate()
         self._devices: dict[str, _Device] = {}
-        self._controls = m.Controls()
-        self._free: m.Control = "relative"
+        self._controls = DeviceControls()
+        self._free: Control = "relative"
         self._forks: tuple[m.PathFork, ...] = ()
         self._path_move = m.SetPath(())
         self._wanted_way: int | None = None
-        self._pen_armed = False
-        self._marks: list[str] = []
+        self._pen_tool: Tool | None = None
+        self._marks: list[tuple[str, Tool]] = []
         self._frame_s: float | None = None
         self._passed_s = 0.0
         # What the tip followed in the last frame; None begins anew, so that nothing jumps.
@@ -142,14 +146,14 @@ class Pilot:
     # ------------------------------------------------------------ what others read
 
     @property
-    def control(self) -> m.Control:
+    def control(self) -> Control:
         """How a device moves the tip now."""
         mode = self.navigator.mode
         # A scope goes where the wall lets it: no pen says its place.
         return "path" if mode == "path" else "relative" if mode == "scope" else self._free
 
     @property
-    def controls(self) -> m.Controls:
+    def controls(self) -> DeviceControls:
         """Gains, clutch, speeds, filter."""
         return self._controls
 
@@ -221,7 +225,7 @@ class Pilot:
             off_rad = float(np.linalg.norm(vector_from_rotation(orthonormal(turn))))
         place = None if lps is None else (float(lps[0]), float(lps[1]), float(lps[2]))
         is_tracked = device.measured.position_mm is not None
-        return PenState(holder, is_tracked, place, off_mm, off_rad, self._pen_armed)
+        return PenState(holder, is_tracked, place, off_mm, off_rad, self._pen_tool is not None)
 
     def take_message(self, now_s: float) -> str | None:
         """One sentence about samples that were ignored, now and then."""
@@ -232,8 +236,8 @@ class Pilot:
         wanted, self._wanted_way = self._wanted_way, None
         return wanted
 
-    def take_marks(self) -> tuple[str, ...]:
-        """The devices whose first button was pressed while a pen was armed, since the last call; one for each press."""
+    def take_marks(self) -> tuple[tuple[str, Tool], ...]:
+        """Since the last call: the devices whose first button was pressed while a pen was armed, and what it sets."""
         marks, self._marks = tuple(self._marks), []
         return marks
 
@@ -251,77 +255,84 @@ class Pilot:
     def setting_up(self) -> list[m.Move]:
         """The moves that bring a new pilot where this one is, but for the tip and what devices said."""
         registered = [
-            m.Calibrate(name, tuple(float(v) for v in device.registration.lps_from_tracker.ravel()))
+            m.Register(name, tuple(float(v) for v in device.registration.lps_from_tracker.ravel()))
             for name, device in self._devices.items()
             if device.registration is not None
         ]
-        found: list[m.Move] = [m.SetControls(self._controls), m.ArmPen(self._pen_armed), *registered, self._path_move]
+        found: list[m.Move] = [c.SetControls(self._controls), c.ArmPen(self._pen_tool), *registered, self._path_move]
         if self._free == "absolute":
-            found.append(m.SetControl("absolute"))
+            found.append(c.SetControl("absolute"))
         return found
 
     # ------------------------------------------------------------ moves
 
-    def apply(self, move: m.Move) -> None:
+    def apply(self, move: m.Move, *, dt_s: float = 0.0) -> None:
         """Do it.
+
+        Parameters
+        ----------
+        move
+            What is asked for.
+        dt_s
+            Since the hand steered before, for the time of contact in mode *scope*.
 
         Raises
         ------
         UsageError
             If a number is not finite, or it cannot be done (no path, no registration). Then nothing moved.
         """
-        self._do(move)
+        self._do(move, dt_s)
         if self.on_move is not None:
-            self.on_move(move)
+            self.on_move(move, dt_s)
 
     def set_registration(self, device: str, registration: Registration) -> None:
-        """As :class:`moves.Calibrate`, keeping the residuals."""
+        """As :class:`moves.Register`, keeping the residuals."""
         numbers = tuple(float(v) for v in registration.lps_from_tracker.ravel())
-        self.apply(m.Calibrate(device, numbers))
+        self.apply(m.Register(device, numbers))
         self._device(device).registration = registration
 
-    def _do(self, move: m.Move) -> None:
+    def _do(self, move: m.Move, dt_s: float) -> None:
         tip = self.navigator
         match move:
             case m.Frame():
                 self._step(move.now_s)
             case m.DeviceSaid():
                 self._hear(move.device, move.sample, move.now_s)
-            case m.Steer():
-                tip.steer(move.advance_mm, move.yaw_rad, move.pitch_rad, move.roll_rad, dt_s=move.dt_s)
-            case m.GoTo():
+            case c.Steer():
+                tip.steer(move.advance_mm, move.yaw_rad, move.pitch_rad, move.roll_rad, dt_s=dt_s)
+            case c.GoTo():
                 tip.go_to(move.path_mm)
-            case m.NextFork():
+            case c.NextFork():
                 tip.next_fork()
-            case m.PreviousFork():
+            case c.PreviousFork():
                 tip.previous_fork()
-            case m.Place():
+            case c.Place():
                 tip.place_at(move.lps)
-            case m.PlacePose():
+            case c.PlacePose():
                 tip.place(Pose(np.asarray(move.lps_from_camera, dtype=np.float64).reshape(4, 4)))
-            case m.LevelHorizon():
+            case c.LevelHorizon():
                 tip.level_horizon()
-            case m.ResetLook():
+            case c.ResetLook():
                 tip.reset_look()
-            case m.SetMode():
+            case c.SetMode():
                 tip.set_mode(move.mode)
-            case m.ToggleMode():
+            case c.ToggleMode():
                 tip.toggle_mode()
-            case m.SetOperator():
+            case c.SetOperator():
                 tip.set_operator(move.position)
             case m.SetPath():
                 self._forks, self._path_move = move.ways, move
                 tip.set_path(_flight_path(move))
-            case m.DeviceGone():
+            case c.DeviceGone():
                 self._gate.gone(move.device)
                 if move.device in self._devices:
                     kept = self._devices.pop(move.device).registration
                     if kept is not None:
                         # A tracker that is plugged in again stands where it stood.
                         self._device(move.device).registration = kept
-            case m.TakeDevice():
+            case c.TakeDevice():
                 self._gate.take(move.device)
-            case m.Calibrate():
+            case m.Register():
                 if move.device not in self._devices and len(self._devices) >= 2 * MAX_DEVICES:
                     raise UsageError(
                         f"at most {2 * MAX_DEVICES} devices are known at once; forget a registration first",
@@ -331,27 +342,27 @@ class Pilot:
                 device.registration = as_registration(move.lps_from_tracker) if move.lps_from_tracker else None
                 if device.registration is None and self._free == "absolute":
                     self._free = "relative"
-            case m.SetControl():
+            case c.SetControl():
                 self._set_control(move.control)
-            case m.CycleControl():
+            case c.CycleControl():
                 self._cycle()
-            case m.SetScope():
+            case m.LayScope():
                 self._lay_scope(move)
-            case m.ArmPen():
-                self._pen_armed = move.armed
-            case m.JoinPen():
+            case c.ArmPen():
+                self._pen_tool = move.tool
+            case c.JoinPen():
                 self._join_pen()
-            case m.SetControls():
-                self._controls = move.controls
+            case c.SetControls():
+                self._controls = checked(move.controls)
                 for device in self._devices.values():
-                    device.filter = SampleFilter(move.controls.filter)
+                    device.filter = SampleFilter(self._controls)
             case _:
                 assert_never(move)
-        if not isinstance(move, m.Frame | m.DeviceSaid | m.ArmPen | m.JoinPen):
+        if not isinstance(move, m.Frame | m.DeviceSaid | c.ArmPen | c.JoinPen):
             # Whatever else moved the tip: the hand goes on from there.
             self._followed = None
 
-    def _lay_scope(self, move: m.SetScope) -> None:
+    def _lay_scope(self, move: m.LayScope) -> None:
         if self.wall is None:
             raise UsageError("a scope needs the airways' wall, and there is none yet", code="navigate.no-scope")
         drive = ScopeDrive(self.wall, move.scope, move.points_lps, up_lps=move.up_lps)
@@ -366,7 +377,7 @@ class Pilot:
             lost = [d for d, kept in self._devices.items() if kept.registration is None and not self._gate.knows(d)]
             for other in lost:
                 del self._devices[other]
-        return self._devices.setdefault(name, _Device(SampleFilter(self._controls.filter)))
+        return self._devices.setdefault(name, _Device(SampleFilter(self._controls)))
 
     def _hear(self, name: str, sample: Sample, now_s: float) -> None:
         admitted = self._gate.admit(name, sample, now_s)
@@ -383,8 +394,8 @@ class Pilot:
     def _press(self, name: str, number: int) -> None:
         if number != CYCLE_BUTTON:
             return
-        if self._pen_armed:
-            self._marks.append(name)
+        if self._pen_tool is not None:
+            self._marks.append((name, self._pen_tool))
         else:
             self._cycle()
             self._followed = None
@@ -394,7 +405,7 @@ class Pilot:
         return self._devices[holder].newest if holder in self._devices else None
 
     def _cycle(self) -> None:
-        order: tuple[m.Control, ...] = ("absolute", "relative", "path")
+        order: tuple[Control, ...] = ("absolute", "relative", "path")
         at = order.index(self.control)
         for n in (1, 2):
             wanted = order[(at + n) % 3]
@@ -411,7 +422,7 @@ class Pilot:
         asked = self._devices.values() if holder is None else [self._device(holder)]
         return any(device.registration is not None for device in asked)
 
-    def _set_control(self, control: m.Control) -> None:
+    def _set_control(self, control: Control) -> None:
         if control == "absolute" and not self._can_be_absolute():
             raise UsageError(
                 "absolute movement needs a tracked pen that is registered to the patient: calibrate it first",
@@ -434,7 +445,7 @@ class Pilot:
         device = self._devices[holder]
         # To the pen as it was measured: what the filter still lags behind is left out, too.
         assert device.measured is not None
-        device.filter = SampleFilter(self._controls.filter)
+        device.filter = SampleFilter(self._controls)
         device.newest = newest = device.filter.apply(device.measured)
         pen = self.pen_pose(holder)
         assert pen is not None

@@ -140,15 +140,15 @@ class Recorder:
             except OSError as trouble:
                 self._end(trouble)
 
-    def _moved(self, move: m.Move) -> None:
+    def _moved(self, move: m.Move, dt_s: float) -> None:
         if isinstance(move, m.DeviceSaid | m.Frame):
             self.tick(move.now_s)
         try:
-            line: dict[str, Any] = {"t": self._time(self._at_s), "move": m.move_to_json(move)}
+            line: dict[str, Any] = {"t": self._time(self._at_s), "move": m.move_to_json(move, dt_s)}
             json.dumps(line, allow_nan=False)
         except ValueError:
             return  # a sample with NaN, which the gate refused: it moves nothing
-        if isinstance(move, m.SetScope) and self._pilot.wall_made_from is not None:
+        if isinstance(move, m.LayScope) and self._pilot.wall_made_from is not None:
             line["wall"] = self._pilot.wall_made_from
         pose = self._pilot.navigator.pose
         if pose is not self._pose:
@@ -263,7 +263,8 @@ class Recording:
             pilot = Pilot(Navigator(Pose(np.asarray(self.header["tip"]["lps_from_camera"])), volume=volume))
             pilot.wall = wall if isinstance(wall, WallField) else None
             for value in self.header["begin"]:
-                pilot.apply(m.move_from_json(value))
+                move, dt_s = m.move_from_json(value)
+                pilot.apply(move, dt_s=dt_s)
             pilot.navigator.restore(self.header["tip"], pilot.navigator.path)
             view: dict[str, Any] = {}
             tip = pilot.navigator
@@ -275,7 +276,8 @@ class Recording:
                 elif "move" in line:
                     if line["move"].get("move") == "SetScope" and wall is not None and not isinstance(wall, WallField):
                         pilot.wall = wall(dict(line.get("wall") or {}))
-                    pilot.apply(m.move_from_json(line["move"]))
+                    move, dt_s = m.move_from_json(line["move"])
+                    pilot.apply(move, dt_s=dt_s)
                     if "pose" in line:
                         same = tip.pose.lps_from_camera.ravel().tolist() == line["pose"]
                         yield ReplayedPose(float(line["t"]), tip.pose, view, tip.picture_turned), same

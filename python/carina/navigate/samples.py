@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
 
-from carina.display import one_line
+from msgspec.structs import replace
+
+from carina.commands.value import FrozenValue
 
 __all__ = ["AxesSample", "HandleSample", "PoseSample", "Refusal", "Sample", "SampleGate"]
 
@@ -35,15 +37,23 @@ OTHERS = "other devices"
 REST = 1e-3
 
 
-@one_line
-@dataclass(frozen=True, slots=True)
-class PoseSample:
-    """Where a tracked pen is, in the tracker's own space.
+class DeviceSample(FrozenValue, frozen=True, tag_field="kind"):
+    """What a device says at a moment.
 
     Parameters
     ----------
     time_s
         The device's clock, or the moment of arrival where it has none; monotonic.
+    """
+
+    time_s: float
+
+
+class PoseSample(DeviceSample, frozen=True, tag="pose"):
+    """Where a tracked pen is, in the tracker's own space.
+
+    Parameters
+    ----------
     position_mm
         mm in tracker space; None for a device that knows only how it is turned (a phone).
     orientation_wxyz
@@ -55,42 +65,32 @@ class PoseSample:
         along an airway, such as a phone.
     """
 
-    time_s: float
     position_mm: Vec3 | None
     orientation_wxyz: Wxyz
     buttons: int = 0
     advance: float = 0.0
 
 
-@one_line
-@dataclass(frozen=True, slots=True)
-class AxesSample:
+class AxesSample(DeviceSample, frozen=True, tag="axes"):
     """How far sticks and caps are pushed.
 
     Parameters
     ----------
-    time_s
-        As in :class:`PoseSample`.
     axes
         Forward, to the right, up, then yaw to the right, pitch up, roll clockwise; each -1 to 1 of full speed.
     buttons
         Bit n is button n.
     """
 
-    time_s: float
     axes: Six
     buttons: int = 0
 
 
-@one_line
-@dataclass(frozen=True, slots=True)
-class HandleSample:
+class HandleSample(DeviceSample, frozen=True, tag="handle"):
     """The three controls of a scope handle (``docs/scope-handle.md``).
 
     Parameters
     ----------
-    time_s
-        As in :class:`PoseSample`.
     insertion_mm
         How far the shaft is in, from an origin of the device's own.
     roll_rad
@@ -101,14 +101,13 @@ class HandleSample:
         Bit n is button n.
     """
 
-    time_s: float
     insertion_mm: float
     roll_rad: float
     lever: float
     buttons: int = 0
 
 
-Sample = PoseSample | AxesSample | HandleSample
+Sample: TypeAlias = PoseSample | AxesSample | HandleSample
 
 
 def _numbers(sample: Sample) -> tuple[float, ...]:

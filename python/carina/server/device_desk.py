@@ -16,7 +16,7 @@ from carina import commands
 from carina.commands import Command
 from carina.config import load_settings
 from carina.errors import CarinaError, UsageError
-from carina.navigate import AxesSample, DeviceState, HandleSample, PenState, PoseSample
+from carina.navigate import AxesSample, DeviceState, HandleSample, PenState, PoseSample, filter_latency_ms
 from carina.navigate.devices import IgtlServer, Listener, Source, found_ports, open_source
 from carina.render import LEAD_VIEW
 from carina.server import messages as wire
@@ -98,16 +98,12 @@ class DeviceDesk:
     # ------------------------------------------------------------ in
 
     def handle(self, message: Any) -> bool:
-        """Do what a client asks; False if it is not about devices."""
+        """Do what a client asks of connections; False if it is not about devices."""
         session = self._session
         match message:
             case wire.DeviceSample():
                 session.devices.said(message.device, _sample(message))
                 return True
-            case Command():
-                if type(message).__module__ != commands.devices.__name__:
-                    return False
-                session.do(message)
             case wire.ConnectDevice():
                 self._connect(message.address)
             case wire.DisconnectDevice():
@@ -135,6 +131,11 @@ class DeviceDesk:
                 return False
         self._show()
         return True
+
+    def done(self, command: Command) -> None:
+        """After a command was done: what it changed is shown, if it was about devices."""
+        if type(command).__module__ == commands.devices.__name__:
+            self._show()
 
     def forget_client(self) -> None:
         """Another window took over: it says itself whether it wants to see devices."""
@@ -202,17 +203,8 @@ class DeviceDesk:
         recording = self._session.devices.recording_path
         return wire.Devices(
             control=info.control,
-            filter_latency_ms=round(controls.filter.latency_ms, 2),
-            controls=wire.DeviceControls(
-                gain_mm=controls.gain_mm,
-                gain_turn=controls.gain_turn,
-                clutch=controls.clutch,
-                speed_mm_s=controls.speed_mm_s,
-                turn_rad_s=controls.turn_rad_s,
-                lever_inverted=controls.lever_inverted,
-                filter_on=controls.filter.on,
-                min_cutoff_hz=controls.filter.min_cutoff_hz,
-            ),
+            filter_latency_ms=round(filter_latency_ms(controls), 2),
+            controls=controls,
             devices=tuple(_device(state) for state in info.devices)[:200],
             sources=tuple(_source(source) for source in self._sources.copy().values()),
             serial_ports=self._ports[0],

@@ -385,8 +385,8 @@ class Hub:
         """A command is the session's; the rest is about the connection, its questions and its files."""
         match message:
             case Command():
-                if not self.devices.handle(message):
-                    self.session.do(message)
+                self.session.do(message)
+                self.devices.done(message)
             case wire.Ack():
                 self.pump.acknowledge(message.frame_id)
             case wire.Layout():

@@ -85,8 +85,8 @@ class PhoneLink:
     act
         Gets the name of a button that was pressed.
     clutch_held_moves
-        Whether a pen moves the tip while its clutch is held (``Controls.clutch`` is "hold") or while it is not: a phone
-        moves it only while its own button is held, whatever is set for pens.
+        Whether a pen moves the tip while its clutch is held (``DeviceControls.clutch`` is "hold") or while it is not: a
+        phone moves it only while its own button is held, whatever is set for pens.
     """
 
     def __init__(

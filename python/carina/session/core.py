@@ -11,9 +11,9 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from carina.commands import SetOperator, Steer
 from carina.errors import CancelledError, CarinaError, NoEvidenceError, UsageError
 from carina.navigate import Move
-from carina.navigate.moves import SetOperator
 from carina.scopes import scope_preset
 from carina.session.case import OpenCase, pose_info
 from carina.session.document import Document
@@ -28,6 +28,8 @@ from carina.session.snapshot import Changed, NotEvident, PoseInfo, Said, Snapsho
 __all__ = ["Event", "SessionCore"]
 
 Event = Changed | Trouble | NotEvident | Said | JobProgress | JobEnded
+# A hand that rests at the wall is counted so long, until it moves again.
+MAX_CONTACT_S = 10.0
 ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "keys", "pose", "views")
 
 
@@ -63,6 +65,7 @@ class SessionCore:
         """... and after that."""
         self._pose_id = 0
         self._pose_s = clock()
+        self._steered_s = 0.0
 
     # ------------------------------------------------------------ listeners, jobs, life
 
@@ -263,8 +266,13 @@ class SessionCore:
         with self.lock:
             mode = case.navigator.mode
             self.before_move()
-            case.pilot.apply(move)
+            case.pilot.apply(move, dt_s=self._since_steered_s() if isinstance(move, Steer) else 0.0)
             self.after_move(case, mode)
+
+    def _since_steered_s(self) -> float:
+        now_s = self.clock()
+        dt_s, self._steered_s = min(max(now_s - self._steered_s, 0.0), MAX_CONTACT_S), now_s
+        return dt_s
 
     def after_move(self, case: OpenCase, mode: str) -> None:
         """The pose is news; with the session locked."""

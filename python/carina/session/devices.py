@@ -10,7 +10,7 @@ import numpy as np
 
 from carina import commands as c
 from carina.errors import CarinaError
-from carina.navigate import Controls, FilterSettings, PenState, Sample, fit_registration, moves
+from carina.navigate import PenState, Sample, fit_registration, moves
 from carina.session.case import OpenCase, as_point
 from carina.session.core import SessionCore
 from carina.session.holding import ScopeHolding
@@ -42,7 +42,6 @@ class Devices(Subject):
         self._holding = holding
         self._recording = recording
         self._do = do
-        self._pen_tool: str | None = None
 
     @property
     def woken(self) -> threading.Event:
@@ -67,8 +66,8 @@ class Devices(Subject):
             before = case.pilot.control
             now_s = self.core.clock()
             case.pilot.apply(moves.DeviceSaid(device, sample, now_s))
-            for pen in case.pilot.take_marks():
-                self._mark(case, pen)
+            for pen, tool in case.pilot.take_marks():
+                self._mark(case, pen, tool)
             words = case.pilot.take_message(now_s)
             if words is not None:
                 self.core.emit(Said(words))
@@ -103,53 +102,13 @@ class Devices(Subject):
                 self._take_way(case, way)
             return case.pilot.is_moving
 
-    @does(c.TakeDevice)
-    def take(self, command: c.TakeDevice) -> None:
-        """It flies from now on."""
-        self.core.fly(command)
-
-    @does(c.SetControl)
-    def set_control(self, command: c.SetControl) -> None:
-        """Absolute needs a registration."""
-        self.core.fly(command)
-
-    @does(c.CycleControl)
-    def cycle_control(self, command: c.CycleControl) -> None:
-        """The next that there is."""
-        self.core.fly(command)
-
-    @does(c.SetControls)
-    def set_controls(self, command: c.SetControls) -> None:
-        """What the window does not set keeps its default."""
-        wanted = command.controls
-        controls = Controls(
-            gain_mm=wanted.gain_mm,
-            gain_turn=wanted.gain_turn,
-            clutch=wanted.clutch,
-            speed_mm_s=wanted.speed_mm_s,
-            turn_rad_s=wanted.turn_rad_s,
-            lever_inverted=wanted.lever_inverted,
-            filter=FilterSettings(min_cutoff_hz=wanted.min_cutoff_hz, on=wanted.filter_on),
-        )
-        self.core.fly(moves.SetControls(controls))
-
-    @does(c.SetAllControls)
-    def set_all_controls(self, command: c.SetAllControls) -> None:
-        """As they are."""
-        self.core.fly(moves.SetControls(command.controls))
-
-    @does(c.JoinPen)
-    def join_pen(self, command: c.JoinPen) -> None:
-        """Refused where no registered pen moves the tip."""
-        self.core.fly(command)
-
     @does(c.Calibrate)
     def calibrate(self, command: c.Calibrate) -> None:
         """By pairs of points, whose residual is said; no pairs forget it."""
         device, tracker_mm, patient_lps = command.device, command.tracker_mm, command.patient_lps
         case = self.core.needed_case()
         if not tracker_mm and not patient_lps:
-            self.core.fly(moves.Calibrate(device, ()))
+            self.core.fly(moves.Register(device, ()))
             return
         fit = fit_registration(tracker_mm, patient_lps)
         with self.core.lock:
@@ -164,11 +123,9 @@ class Devices(Subject):
         It is set at the pen's own tip where the pen is registered to the patient, in whatever way it moves the scope;
         at the tip of the scope where it is not.
         """
-        tool = command.tool
         case = self.core.needed_case()
         with self.core.lock:
-            self._pen_tool = tool
-            case.pilot.apply(moves.ArmPen(tool is not None))
+            case.pilot.apply(command)
 
     def info(self) -> DevicesInfo | None:
         """Devices that said something and how they move the tip; None without a case."""
@@ -183,12 +140,12 @@ class Devices(Subject):
         with self.core.lock:
             return None if self.core.case is None else self.core.case.pilot.pen()
 
-    def _mark(self, case: OpenCase, pen: str) -> None:
+    def _mark(self, case: OpenCase, pen: str, tool: str) -> None:
         """The armed pen's button, with the session locked."""
         own = case.pilot.pen_lps(pen)
         place = as_point(case.navigator.pose.position_lps if own is None else own)
         try:
-            if self._pen_tool == "root":
+            if tool == "root":
                 self._do(c.SetRoot(place))
             else:
                 self._do(c.AddTarget(place))

@@ -10,12 +10,11 @@ from typing import Any
 
 from carina import commands as c
 from carina.errors import CarinaError, NoResultError, TrackingError, UsageError
-from carina.navigate import moves
 from carina.session.case import AskedMask, OpenCase, as_point
 from carina.session.core import ALL_TOPICS
 from carina.session.document import Document, Point, Target
 from carina.session.editing import MAX_AIRWAYS_KEPT, airway_words, found_airways
-from carina.session.flying import place_move
+from carina.session.flying import place_pose
 from carina.session.jobs import Job
 from carina.session.routes import ChosenRoute, default_branch_id, route_to_branch
 from carina.session.snapshot import MaskQuestion
@@ -230,9 +229,9 @@ class AirwayFinding(Subject):
         self.core.follow(case)
         if not case.person_moved:
             if route is not None:
-                case.pilot.apply(moves.GoTo(0.0))
+                case.pilot.apply(c.GoTo(0.0))
             elif airways is not None:
-                case.pilot.apply(place_move(pose_at_root(airways)))
+                case.pilot.apply(place_pose(pose_at_root(airways)))
             self.core.moved()
         self.core.changed(*ALL_TOPICS)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from carina import commands as c
-from carina.navigate import moves
 from carina.scopes import Pose
 from carina.session.core import SessionCore
 from carina.session.document import Document
@@ -13,15 +12,18 @@ from carina.session.holding import ScopeHolding
 from carina.session.start_pose import pose_before_place
 from carina.session.subject import Subject, does
 
-# A hand that rests at the wall is counted so long, until it moves again.
-MAX_CONTACT_S = 10.0
+__all__ = ["STRAIGHT_TO_THE_PILOT", "Flying", "place_pose", "view_words"]
 
-__all__ = ["Flying", "place_move", "view_words"]
+STRAIGHT_TO_THE_PILOT = (
+    c.Steer, c.GoTo, c.NextFork, c.PreviousFork, c.PlacePose, c.LevelHorizon, c.ResetLook,
+    c.TakeDevice, c.SetControl, c.CycleControl, c.SetControls, c.JoinPen,
+)  # fmt: skip
+"""Commands that are moves as they are: :meth:`carina.session.core.SessionCore.fly` does them."""
 
 
-def place_move(pose: Pose) -> moves.PlacePose:
-    """The move to a pose."""
-    return moves.PlacePose(tuple(float(v) for v in pose.lps_from_camera.ravel()))
+def place_pose(pose: Pose) -> c.PlacePose:
+    """The command that brings the tip to a pose."""
+    return c.PlacePose(tuple(float(v) for v in pose.lps_from_camera.ravel()))
 
 
 def view_words(document: Document) -> dict[str, Any]:
@@ -38,34 +40,11 @@ def view_words(document: Document) -> dict[str, Any]:
 
 
 class Flying(Subject):
-    """Keys, clicks and programs."""
+    """Commands that need more than the pilot: a case's airways, its wall, its box."""
 
     def __init__(self, core: SessionCore, holding: ScopeHolding) -> None:
         super().__init__(core)
         self._holding = holding
-        self._steered_s = 0.0
-
-    @does(c.Steer)
-    def steer(self, command: c.Steer) -> None:
-        """See :meth:`carina.navigate.Navigator.steer`."""
-        now_s = self.core.clock()
-        dt_s, self._steered_s = min(max(now_s - self._steered_s, 0.0), MAX_CONTACT_S), now_s
-        self.core.fly(moves.Steer(command.advance_mm, command.yaw_rad, command.pitch_rad, command.roll_rad, dt_s))
-
-    @does(c.GoTo)
-    def go_to(self, command: c.GoTo) -> None:
-        """Enters path mode."""
-        self.core.fly(command)
-
-    @does(c.NextFork)
-    def next_fork(self, command: c.NextFork) -> None:
-        """To the look-out in front of it."""
-        self.core.fly(command)
-
-    @does(c.PreviousFork)
-    def previous_fork(self, command: c.PreviousFork) -> None:
-        """To the look-out before."""
-        self.core.fly(command)
 
     @does(c.SetMode)
     def set_mode(self, command: c.SetMode) -> None:
@@ -88,11 +67,6 @@ class Flying(Subject):
         self.core.needed_case().check_inside(command.lps)
         self.core.fly(command)
 
-    @does(c.PlacePose)
-    def place_pose(self, command: c.PlacePose) -> None:
-        """Anywhere."""
-        self.core.fly(command)
-
     @does(c.ShowPlace)
     def show_place(self, command: c.ShowPlace) -> None:
         """Without airways only the crosshair moves."""
@@ -102,17 +76,7 @@ class Flying(Subject):
         airways = case.document.airways
         pose = None if airways is None else pose_before_place(airways, case.info.volume, lps, command.branch_id)
         if pose is not None:
-            self.core.fly(place_move(pose))
+            self.core.fly(place_pose(pose))
             # As the operator stands.
             self.core.fly(c.LevelHorizon())
         self.core.look(case, crosshair_lps=lps)
-
-    @does(c.LevelHorizon)
-    def level_horizon(self, command: c.LevelHorizon) -> None:
-        """Roll only."""
-        self.core.fly(command)
-
-    @does(c.ResetLook)
-    def reset_look(self, command: c.ResetLook) -> None:
-        """The place stays."""
-        self.core.fly(command)

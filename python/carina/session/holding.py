@@ -7,7 +7,7 @@ from typing import Any
 
 from carina import commands as c
 from carina.errors import NoResultError
-from carina.navigate import moves
+from carina.navigate.moves import LayScope
 from carina.scopes import DEFAULT_SCOPE, ForceLaw, WallField, local_contact, scope_preset
 from carina.session.case import OpenCase, as_point
 from carina.session.jobs import Job
@@ -100,7 +100,7 @@ class ScopeHolding(Subject):
             insertion_mm = route.path.nearest_mm(case.navigator.pose.position_lps)
         name = case.document.scope or DEFAULT_SCOPE
         points = tuple(as_point(point) for point in route.points_lps)
-        self.core.fly(moves.SetScope(name, points, float(insertion_mm)))
+        self.core.fly(LayScope(name, points, float(insertion_mm)))
         case.laid_scope = name
 
     def follow(self, case: OpenCase) -> None:
@@ -109,7 +109,7 @@ class ScopeHolding(Subject):
         if state is None:
             return
         if case.wall_of is not case.document.airways:
-            self.core.fly(moves.SetMode("free"))
+            self.core.fly(c.SetMode("free"))
             self.core.emit(Said("the airways have changed: hold the scope again to feel the new wall"))
         elif (case.document.scope or DEFAULT_SCOPE) != case.laid_scope:
             self.lay(case, state.insertion_mm)

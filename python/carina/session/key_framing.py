@@ -24,7 +24,7 @@ from carina.navigate import (
 from carina.session.case import OpenCase, in_lumen
 from carina.session.core import SessionCore
 from carina.session.document import Key, Keys
-from carina.session.flying import place_move, view_words
+from carina.session.flying import place_pose, view_words
 from carina.session.jobs import Job
 from carina.session.snapshot import KeyInfo, KeysInfo, Said
 from carina.session.subject import Subject, answers, does
@@ -135,7 +135,7 @@ class KeyFraming(Subject):
         with self.core.lock:
             at = _place(case.document.keys.frames, command.key_id)
             flight, _ = self._key_flight(case)
-            self.core.fly(place_move(case.document.keys.frames[at].pose))
+            self.core.fly(place_pose(case.document.keys.frames[at].pose))
             case.keys_s = 0.0 if flight is None else flight.key_times_s[at]
 
     @does(c.FlyKeys)
@@ -150,7 +150,7 @@ class KeyFraming(Subject):
             if flight is None:
                 raise NoResultError(problem or "a flight needs two key frames or more", code="session.keys")
             place_s = min(max(time_s, 0.0), flight.duration_s)
-            self.core.fly(place_move(flight.pose_at(place_s)))
+            self.core.fly(place_pose(flight.pose_at(place_s)))
             case.keys_s = place_s
 
     def info(self) -> KeysInfo:

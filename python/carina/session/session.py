@@ -16,7 +16,7 @@ from carina.session.core import Event, SessionCore
 from carina.session.devices import Devices
 from carina.session.editing import TreeEditing
 from carina.session.finding import AirwayFinding
-from carina.session.flying import Flying
+from carina.session.flying import STRAIGHT_TO_THE_PILOT, Flying
 from carina.session.holding import ScopeHolding
 from carina.session.jobs import JobRunner
 from carina.session.key_framing import KeyFraming
@@ -91,6 +91,7 @@ class Session:
         self._handlers: dict[type[Any], Callable[[Any], Any]] = {}
         for subject in subjects:
             self._handlers.update(handlers_of(subject))
+        self._handlers.update(dict.fromkeys(STRAIGHT_TO_THE_PILOT, core.fly))
 
     # ------------------------------------------------------------ the two doors
 

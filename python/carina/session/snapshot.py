@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
+from carina.commands import DeviceControls
 from carina.errors import NoEvidenceError
-from carina.navigate import Controls, DeviceState
+from carina.navigate import DeviceState
 from carina.render import Slab
 from carina.scopes import LocalContact, Pose, ScopeState
 from carina.session.document import Document
@@ -142,7 +143,7 @@ class DevicesInfo:
     """Input devices, and how they move the tip."""
 
     control: Literal["absolute", "relative", "path"]
-    controls: Controls
+    controls: DeviceControls
     devices: tuple[DeviceState, ...]
 
 

@@ -64,8 +64,10 @@ export function DevicePanel() {
 
 function Movement({ told }: { told: DevicesMessage }) {
   const station = useStation();
-  const change = (changed: Partial<DeviceControls>) =>
-    station.send({ type: "set_controls", controls: { ...told.controls, ...changed } });
+  // The server writes every field, also those that a client may leave out.
+  const controls = told.controls as Required<DeviceControls>;
+  const change = (changed: DeviceControls) =>
+    station.send({ type: "set_controls", controls: { ...controls, ...changed } });
   return (
     <div className="group">
       <fieldset className="choices" aria-label="How a device moves the tip">
@@ -85,43 +87,43 @@ function Movement({ told }: { told: DevicesMessage }) {
         filter {fixed(told.filter_latency_ms, 1)} ms
         <SwitchKey
           words="Smooth hand tremor (adds the delay shown)"
-          label={told.controls.filter_on ? "on" : "off"}
-          on={told.controls.filter_on}
-          onChange={() => change({ filter_on: !told.controls.filter_on })}
+          label={controls.filter_on ? "on" : "off"}
+          on={controls.filter_on}
+          onChange={() => change({ filter_on: !controls.filter_on })}
         />
       </p>
       <Figure
         label="Smoothing"
         unit="Hz"
-        value={told.controls.min_cutoff_hz}
+        value={controls.min_cutoff_hz}
         choices={[2, 5, 10, 20, 50]}
         onChange={(hz) => (hz === null ? undefined : change({ min_cutoff_hz: hz }))}
       />
       <Figure
         label="Gain"
         unit="x"
-        value={told.controls.gain_mm}
+        value={controls.gain_mm}
         choices={[0.25, 0.5, 1, 2, 4]}
         onChange={(gain) => (gain === null ? undefined : change({ gain_mm: gain }))}
       />
       <Figure
         label="Speed"
         unit="mm/s"
-        value={told.controls.speed_mm_s}
+        value={controls.speed_mm_s}
         choices={[5, 10, 25, 50]}
         onChange={(speed) => (speed === null ? undefined : change({ speed_mm_s: speed }))}
       />
       <SwitchKey
         words="Inverted lever: down = tip down (a real scope is the opposite)"
         label="Invert lever"
-        on={told.controls.lever_inverted}
-        onChange={() => change({ lever_inverted: !told.controls.lever_inverted })}
+        on={controls.lever_inverted}
+        onChange={() => change({ lever_inverted: !controls.lever_inverted })}
       />
       <SwitchKey
         words="The device moves the tip only while button 2 is held"
         label="Clutch: hold"
-        on={told.controls.clutch === "hold"}
-        onChange={() => change({ clutch: told.controls.clutch === "hold" ? "always" : "hold" })}
+        on={controls.clutch === "hold"}
+        onChange={() => change({ clutch: controls.clutch === "hold" ? "always" : "hold" })}
       />
     </div>
   );

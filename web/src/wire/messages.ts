@@ -74,19 +74,28 @@ export interface SetControlMessage {
   readonly control: "absolute" | "path" | "relative";
 }
 
-/** Gains, clutch, speeds and filter of devices. */
+/** How a device's movement becomes that of the tip.
+
+    Examples
+    --------
+    >>> DeviceControls(gain_mm=0.5, clutch="hold")
+    DeviceControls(gain_mm=0.5, clutch='hold') */
 export interface DeviceControls {
-  readonly gain_mm: number;
-  readonly gain_turn: number;
-  readonly clutch: "always" | "hold";
-  readonly speed_mm_s: number;
-  readonly turn_rad_s: number;
-  readonly lever_inverted: boolean;
-  readonly filter_on: boolean;
-  readonly min_cutoff_hz: number;
+  readonly gain_mm?: number;
+  readonly gain_turn?: number;
+  readonly clutch?: "always" | "hold";
+  readonly speed_mm_s?: number;
+  readonly turn_rad_s?: number;
+  readonly lever_inverted?: boolean;
+  readonly lever_rad?: number;
+  readonly filter_on?: boolean;
+  readonly min_cutoff_hz?: number;
+  readonly beta_per_mm?: number;
+  readonly beta_per_rad?: number;
+  readonly derivative_cutoff_hz?: number;
 }
 
-/** How a device's movement becomes that of the tip. */
+/** Gains, clutch, speeds and filter of devices. */
 export interface SetControlsMessage {
   readonly type: "set_controls";
   readonly controls: DeviceControls;

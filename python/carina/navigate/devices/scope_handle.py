@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from dataclasses import dataclass
 
 from carina.navigate.devices.crc import crc8
+from carina.navigate.samples import HandleSample
 
-__all__ = ["HandleLine", "HandleStream", "format_line"]
+__all__ = ["HandleStream", "format_line"]
 
 MAX_LINE = 80
 _LINE = re.compile(
@@ -17,18 +17,6 @@ _LINE = re.compile(
 )
 _CLOCK = 1 << 32
 _NUMBERS = 1 << 16
-
-
-@dataclass(frozen=True, slots=True)
-class HandleLine:
-    """One line: the handle's clock in s (unwrapped), insertion in mm, roll in rad, lever -1 to 1, buttons as bits."""
-
-    number: int
-    time_s: float
-    insertion_mm: float
-    roll_rad: float
-    lever: float
-    buttons: int
 
 
 def format_line(
@@ -43,7 +31,7 @@ def format_line(
 
 
 class HandleStream:
-    """Bytes in, lines out; damaged and lost ones are counted."""
+    """Bytes in, samples out; damaged and lost lines are counted. Times are the handle's clock in s, unwrapped."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
@@ -52,8 +40,8 @@ class HandleStream:
         self._wraps = 0
         self.num_bad: Counter[str] = Counter()
 
-    def feed(self, data: bytes) -> list[HandleLine]:
-        """The lines that are complete now."""
+    def feed(self, data: bytes) -> list[HandleSample]:
+        """Of the lines that are complete now."""
         self._buffer += data
         found = []
         while (end := self._buffer.find(b"\n")) >= 0:
@@ -71,7 +59,7 @@ class HandleStream:
             self.num_bad["damaged lines"] += 1
         return found
 
-    def _line(self, line: bytes) -> HandleLine | None:
+    def _line(self, line: bytes) -> HandleSample | None:
         match = _LINE.fullmatch(line)
         if match is None or crc8(line[: line.rindex(b"*")]) != int(match[7], 16):
             return None
@@ -85,8 +73,7 @@ class HandleStream:
         if self._clock_ms is not None and self._clock_ms - clock_ms > _CLOCK // 2:
             self._wraps += 1
         self._number, self._clock_ms = number, clock_ms
-        return HandleLine(
-            number,
+        return HandleSample(
             (clock_ms + self._wraps * _CLOCK) / 1000.0,
             insertion / 100.0,
             math.radians(roll / 100.0),

@@ -10,7 +10,7 @@ from carina.errors import CarinaError
 from carina.navigate.devices.fastrak import RATE_HZ, FastrakStream, setup_commands
 from carina.navigate.devices.scope_handle import HandleStream
 from carina.navigate.devices.source import Listener, Source, StampSpreader
-from carina.navigate.samples import HandleSample, PoseSample
+from carina.navigate.samples import PoseSample
 
 __all__ = ["FastrakSource", "HandleSource", "found_ports", "serial_ports"]
 
@@ -162,7 +162,6 @@ class HandleSource(_SerialSource):
         self._stream.num_bad = self.num_bad
 
     def _heard(self, data: bytes) -> None:
-        for line in self._stream.feed(data):
+        for sample in self._stream.feed(data):
             self._live()
-            sample = HandleSample(line.time_s, line.insertion_mm, line.roll_rad, line.lever, line.buttons)
             self._say(self.address, sample)
