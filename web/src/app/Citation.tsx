@@ -10,9 +10,7 @@ export function Citation({ from }: { from: CitationFields }) {
     <DialogTrigger>
       <Tip words="Source and licence in full">
         <Button className="citation" data-testid="citation">
-          <strong>
-            {from.collection}, {from.licence}, doi:
-          </strong>
+          <strong>{`${from.collection}, ${from.licence}, doi:`}</strong>
           <span>{from.doi}</span>
         </Button>
       </Tip>
