@@ -9,12 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from carina.commands import Look
 from carina.navigate import FlightPath
-from carina.render import AirwayView, Renderer
+from carina.render import AirwayView, Renderer, Sight
 from carina.server.messages import PictureHeader, parse_picture
 from carina.server.pump import FramePump
-from carina.session import Scene, Zoom
-from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE
+from carina.session import Scene
 
 __all__ = ["Pictures", "full_pictures", "moving_pictures", "summed"]
 
@@ -132,17 +132,8 @@ class _Tip:
             pose=self._path.pose_at(10.0 + min(turn, 40.0 - turn)),
             pose_id=self._num,
             pose_s=time.monotonic(),
-            scope=None,
-            mask="none",
-            fov_deg=90.0,
-            shading=True,
-            texture=True,
-            method="auto",
-            window_hu=(-600.0, 1500.0),
-            crosshair_lps=None,
-            orbit_tree=DEFAULT_ORBIT_TREE,
-            orbit_tri_plane=DEFAULT_ORBIT_TRI_PLANE,
-            zoom=Zoom(),
+            look=Look(scope=None, mask="none", fov_deg=90.0),
+            sight=Sight(),
             has_lumen=False,
         )
 

@@ -48,7 +48,7 @@ def test_what_comes_between_movements_stays_between_them():
 
 def test_of_wishes_the_newest_counts_for_each_view_and_others_all_count():
     def orbit(view, azimuth_deg):
-        return wire.SetOrbit(view, azimuth_deg, 0.0, None)
+        return wire.SetOrbit(view=view, azimuth_deg=azimuth_deg, elevation_deg=0.0)
 
     messages = [orbit("tree", 1.0), orbit("tree", 2.0), orbit("tri-plane", 3.0), wire.Undo(), wire.Undo(), wire.Undo()]
     assert done(*messages) == messages[1:]

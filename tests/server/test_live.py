@@ -155,13 +155,16 @@ def test_a_transfer_function_that_is_none_is_refused_in_words_and_the_old_one_st
         assert window.until_state(lambda s: s.shading is not before.shading).transfer == before.transfer
 
 
-def test_the_fine_texture_is_switched_off_and_undone_over_the_wire(live):
+def test_the_outline_is_undone_over_the_wire_and_the_fine_texture_is_no_step_between(live):
     with live.window() as window:
         assert open_case(window).texture
+        window.send(wire.SetMask("octagon"))
+        assert window.until_state(lambda s: s.mask == "octagon").can_undo == "outline of the picture"
         window.send(wire.SetTexture(on=False))
-        assert window.until_state(lambda s: not s.texture).can_undo == "fine texture"
+        assert window.until_state(lambda s: not s.texture).can_undo == "outline of the picture"
         window.send(wire.Undo())
-        window.until_state(lambda s: s.texture)
+        undone = window.until_state(lambda s: s.mask == "round")
+        assert (undone.can_undo, undone.can_redo, undone.texture) == (None, "outline of the picture", False)
 
 
 def test_opening_a_case_brings_state_tree_route_pose_and_pictures_of_all_views(live):

@@ -8,6 +8,7 @@ import pytest
 from carina import commands as c
 from carina.commands.value import subclasses
 from carina.errors import UsageError
+from carina.render import Sight
 from carina.session import Session
 from small_case import small_bench
 
@@ -45,8 +46,8 @@ def test_numbers_and_points_of_numpy_are_numbers_and_points():
     bench.open()
     bench.session.do(c.SetFov(np.float32(75.0)))
     bench.session.do(c.SetCrosshair(bench.session.pose_info().pose.position_lps))
-    assert bench.session.snapshot().document.fov_deg == 75.0
-    assert isinstance(bench.session.snapshot().crosshair_lps, tuple)
+    assert bench.session.snapshot().document.look.fov_deg == 75.0
+    assert isinstance(bench.session.snapshot().sight.crosshair_lps, tuple)
 
 
 def test_what_is_no_command_is_refused():
@@ -60,8 +61,8 @@ def test_what_is_no_command_is_refused():
 
 def test_a_command_shows_itself_in_a_line():
     assert (
-        repr(c.SetOrbit("tree", 10.0, 5.0, None))
-        == "SetOrbit(view='tree', azimuth_deg=10, elevation_deg=5, distance_mm=None)"
+        repr(c.SetOrbit(view="tree", azimuth_deg=10.0, elevation_deg=5.0))
+        == "SetOrbit(azimuth_deg=10, elevation_deg=5, view='tree')"
     )
     assert repr(c.Undo()) == "Undo()"
 
@@ -73,6 +74,14 @@ def test_a_session_has_few_doors():
 def test_what_can_be_undone_is_listed():
     bench = small_bench()
     bench.open()
-    bench.session.do(c.SetShading(on=False))
-    bench.session.do(c.SetTexture(on=False))
-    assert bench.session.history()[-2:] == ("shading", "fine texture")
+    bench.session.do(c.SetMask("octagon"))
+    bench.session.do(c.SetFov(100.0))
+    assert bench.session.history()[-2:] == ("outline of the picture", "field of view")
+
+
+def test_what_only_sets_a_field_names_one_that_there_is_and_is_undone_where_that_is_of_the_look():
+    sets = [cls for cls in c.all_commands() if cls.sets is not None]
+    assert sets
+    for cls in sets:
+        assert (cls.sets in c.Look.__struct_fields__) != (cls.sets in Sight.__struct_fields__), cls
+        assert (cls.undo_label is not None) == (cls.sets in c.Look.__struct_fields__), cls

@@ -139,7 +139,7 @@ def test_a_place_is_looked_at_from_the_lumen_before_it(bench, case):
     place = tuple(float(v) for v in leaf.tip_lps)
     session.do(ShowPlace(place, leaf.id))
     scene, info = session.scene(), session.pose_info()
-    assert scene.crosshair_lps == place
+    assert scene.sight.crosshair_lps == place
     assert session.snapshot().mode == "free"
     to_place = np.asarray(place) - info.pose.position_lps
     away = float(np.linalg.norm(to_place))

@@ -18,14 +18,19 @@ from carina.commands import (
     OpenPath,
     OpenRecent,
     Place,
+    SetCarm,
     SetCrosshair,
     SetFov,
     SetLumenThreshold,
     SetMask,
+    SetMethod,
     SetOperator,
     SetOrbit,
+    SetReformation,
     SetRoot,
     SetScope,
+    SetShading,
+    SetSlab,
     SetTexture,
     SetTransfer,
     SetWindow,
@@ -35,6 +40,7 @@ from carina.commands import (
     WallAt,
 )
 from carina.errors import CancelledError, NoResultError, UsageError
+from carina.render import GreyWindow
 from carina.scopes import PINHOLE, scope_preset
 from carina.session import Changed, JobEnded, JobProgress, LocalStore, Said, Trouble
 from carina.session.jobs import JobRunner
@@ -146,27 +152,57 @@ def test_undoing_an_earlier_change_does_not_take_found_airways_away():
     bench = small_bench()
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
-    bench.session.do(SetWindow(800.0, -500.0))
+    bench.session.do(SetFov(100.0))
     bench.background.run_all()
     bench.session.undo()
     document = bench.session.snapshot().document
-    assert document.window_width_hu == 1500.0
+    assert document.look.fov_deg == 120.0
     assert document.airways is not None
 
 
-def test_a_drag_of_the_window_is_one_step_and_a_later_drag_another():
+def test_a_drag_of_the_field_of_view_is_one_step_and_a_later_drag_another():
     bench = small_bench()
     bench.open()
-    for width in (1400.0, 1300.0, 1200.0):
-        bench.session.do(SetWindow(width, -600.0))
+    for fov_deg in (118.0, 116.0, 114.0):
+        bench.session.do(SetFov(fov_deg))
         bench.clock.advance(0.05)
     bench.clock.advance(5.0)
-    bench.session.do(SetWindow(400.0, 40.0))
+    bench.session.do(SetFov(90.0))
     bench.session.undo()
-    assert bench.session.snapshot().document.window_width_hu == 1200.0
+    assert bench.session.snapshot().document.look.fov_deg == 114.0
     bench.session.undo()
-    assert bench.session.snapshot().document.window_width_hu == 1500.0
+    assert bench.session.snapshot().document.look.fov_deg == 120.0
     assert bench.session.snapshot().undo_label is None
+
+
+def test_ways_of_looking_are_no_steps_between_what_a_person_made():
+    bench = small_bench()
+    bench.open()
+    bench.session.do(SetMask("octagon"))
+    steps = bench.session.history()
+    before = bench.session.snapshot().sight
+    for command in (
+        SetWindow(400.0, 40.0),
+        SetShading(False),
+        SetTexture(False),
+        SetMethod("brute"),
+        SetSlab(10.0, "min"),
+        SetCarm(10.0, 5.0, None, "fluoroscopy"),
+        SetReformation(40.0, 0.5),
+        SetCrosshair(LEFT_TIP),
+        SetZoom(view="axial", mm_per_px=0.5),
+        SetOrbit(view="tree", azimuth_deg=10.0, elevation_deg=5.0),
+    ):
+        bench.session.do(command)
+        after = bench.session.snapshot().sight
+        assert after != before, command
+        before = after
+    assert bench.session.history() == steps
+    bench.session.undo()
+    assert bench.session.snapshot().document.look.mask == "round"
+    assert bench.session.snapshot().sight == before
+    bench.session.redo()
+    assert bench.session.snapshot().document.look.mask == "octagon"
 
 
 def test_setting_the_root_is_undone_without_searching_again():
@@ -255,7 +291,7 @@ def test_a_volume_without_hu_gets_a_transfer_function_and_threshold_from_its_his
     snapshot = bench.session.snapshot()
     assert snapshot.document.transfer.name == "from histogram"
     assert snapshot.transfer_presets == ("from histogram",)
-    assert (snapshot.document.window_width_hu, snapshot.document.window_level_hu) == (190.0, 105.0)
+    assert snapshot.sight.window == GreyWindow(190.0, 105.0)
     assert thresholds == [105.0]
     assert all("8-bit" in off.why for off in snapshot.case.off)
     with pytest.raises(UsageError, match="'endoscopic' for this volume"):
@@ -298,8 +334,8 @@ def test_a_scope_brings_its_field_of_view_and_outline_and_can_be_taken_back():
     bench.open()
 
     def seen():
-        document = bench.session.snapshot().document
-        return document.scope, document.fov_deg, document.mask
+        look = bench.session.snapshot().document.look
+        return look.scope, look.fov_deg, look.mask
 
     assert seen() == ("generic", 120.0, "round")
     bench.session.do(SetScope("single-use-slim"))
@@ -338,7 +374,7 @@ def test_the_airway_picture_is_what_the_scope_shows():
     assert (plain.lens, plain.field.mask, plain.field.vignette, plain.fov_deg) == (PINHOLE, "none", 0.0, 90.0)
 
 
-def test_the_fine_texture_is_a_switch_that_can_be_taken_back():
+def test_the_fine_texture_is_a_switch():
     bench = small_bench()
     bench.open()
 
@@ -348,11 +384,9 @@ def test_the_fine_texture_is_a_switch_that_can_be_taken_back():
     assert texture()
     bench.session.do(SetTexture(False))
     assert not texture()
-    assert bench.session.snapshot().undo_label == "fine texture"
     bench.session.do(SetScope(None))
     assert not texture(), "without a scope too"
-    bench.session.undo()
-    bench.session.undo()
+    bench.session.do(SetTexture(True))
     assert texture()
 
 
@@ -373,12 +407,12 @@ def test_views_depend_on_what_they_show_and_on_nothing_else():
     assert changed(lambda: bench.session.do(Steer(0.0, 0.2, 0, 0))) == {"airway", "cut-plane"}
     assert changed(lambda: bench.session.do(SetCrosshair(LEFT_TIP))) == {"axial", "tri-plane"}
     assert changed(lambda: bench.session.do(Steer(3.0, 0, 0, 0))) == {"airway", "cut-plane"}
-    assert changed(lambda: bench.session.do(SetOrbit("tree", 10.0, 5.0, None))) == {"tree"}
+    assert changed(lambda: bench.session.do(SetOrbit(view="tree", azimuth_deg=10.0, elevation_deg=5.0))) == {"tree"}
     assert changed(lambda: bench.session.do(SetFov(110.0))) == {"airway"}
     assert changed(lambda: bench.session.do(SetScope("ultrathin"))) == {"airway"}
     assert changed(lambda: bench.session.do(SetMask("octagon"))) == {"airway"}
     assert changed(lambda: bench.session.do(SetTexture(False))) == {"airway"}
-    assert changed(lambda: bench.session.do(SetZoom("cut-plane", extent_mm=30.0))) == {"cut-plane"}
+    assert changed(lambda: bench.session.do(SetZoom(view="cut-plane", extent_mm=30.0))) == {"cut-plane"}
     window = changed(lambda: bench.session.do(SetWindow(400.0, 40.0)))
     assert window == {"axial", "tri-plane", "cut-plane"}
 

@@ -7,10 +7,9 @@ import pytest
 
 from carina import _core
 from carina.commands import ChooseRoute, GoTo, SetCarm, SetCrosshair, SetMode, SetReformation, SetSlab, SetZoom, Steer
-from carina.render import Renderer, Slab, XrayView
+from carina.render import Carm, Renderer, Slab, XrayView
 from carina.server.presenter import picture_lines
 from carina.server.wire_codec import MAX_HEADER_BYTES, encode
-from carina.session import Carm
 from small_case import small_bench, small_volume
 
 OVERVIEWS = ("xray-axial", "xray-coronal", "xray-sagittal", "drr", "straightened", "curved")
@@ -56,7 +55,7 @@ def test_a_c_arm_that_turns_asks_for_the_radiograph_alone():
     assert [view for view in OVERVIEWS if after[view] != before[view]] == ["drr"]
     view = session.scene().spec("drr", 100, 80, 0.5, full_width=200)
     assert (view.primary_deg, view.secondary_deg, view.tone, view.mm_per_px) == (-30.0, 15.0, "fluoroscopy", 1.0)
-    assert session.snapshot().carm == Carm(-30.0, 15.0, 0.5, "fluoroscopy")
+    assert session.snapshot().sight.carm == Carm(-30.0, 15.0, 0.5, "fluoroscopy")
     assert session.snapshot().undo_label is None
 
 
@@ -88,7 +87,7 @@ def test_a_slice_stays_where_it_was_zoomed_until_the_tip_moves():
     session = opened()
     tip = session.pose_info().pose.position_lps
     center = (float(tip[0]) + 9.0, float(tip[1]) - 4.0, 0.0)
-    session.do(SetZoom("axial", mm_per_px=0.3, center_lps=center))
+    session.do(SetZoom(view="axial", mm_per_px=0.3, center_lps=center))
     view = session.scene().spec("axial", 60, 50, 0.5)
     # Beside the tip, at the depth that is shown.
     assert view.center_lps == pytest.approx((center[0], center[1], tip[2]))
@@ -99,7 +98,7 @@ def test_a_slice_stays_where_it_was_zoomed_until_the_tip_moves():
     assert followed.mm_per_px == 0.3
     # A crosshair stays, and the slices with it, wherever the tip goes.
     session.do(SetCrosshair(tuple(float(v) for v in tip)))
-    session.do(SetZoom("axial", mm_per_px=0.3, center_lps=center))
+    session.do(SetZoom(view="axial", mm_per_px=0.3, center_lps=center))
     session.do(GoTo(6.0))
     assert session.scene().spec("axial", 60, 50, 0.5).center_lps[:2] == pytest.approx(center[:2])
     session.do(SetCrosshair(None))
@@ -113,7 +112,7 @@ def test_a_panned_cut_plane_stays_in_its_plane_until_the_tip_moves():
     before = session.scene().key("cut-plane")
     # A point beside the tip, and a little off the plane.
     aside = pose.position_lps + 3.0 * right - 2.0 * down + 1.5 * forward
-    session.do(SetZoom("cut-plane", extent_mm=12.0, center_lps=tuple(float(v) for v in aside)))
+    session.do(SetZoom(view="cut-plane", extent_mm=12.0, center_lps=tuple(float(v) for v in aside)))
     scene = session.scene()
     assert scene.key("cut-plane") != before
     picture = Renderer(small_volume()).render(scene.spec("cut-plane", 60, 40, 0.5))

@@ -10,9 +10,9 @@ from carina.render import FlatViewName as FlatView
 from carina.render import OrbitViewName as OrbitView
 from carina.render import ViewName
 from carina.scopes import Mask
+from carina.value import Coordinate, PointLps
 
 __all__ = [
-    "Angle",
     "BranchId",
     "Clutch",
     "Control",
@@ -25,8 +25,6 @@ __all__ = [
     "Mask",
     "Matrix4",
     "MaybeNumbers",
-    "Method",
-    "MmPerPixel",
     "Mode",
     "Numbers",
     "Operator",
@@ -38,10 +36,8 @@ __all__ = [
     "Pixels",
     "PointLps",
     "PointsLps",
-    "SlabKind",
     "Three",
     "Through",
-    "Tone",
     "ViewName",
     "Wide",
     "Words",
@@ -50,9 +46,6 @@ __all__ = [
 TEXT = r"\A[^\x00-\x08\x0b-\x1f\ud800-\udfff]*\Z"
 """Without control characters, but line breaks and tabs, and without half a character."""
 
-Coordinate = Annotated[float, Meta(ge=-1e5, le=1e5)]
-PointLps = tuple[Coordinate, Coordinate, Coordinate]
-"""World, LPS mm."""
 Numbers = Annotated[tuple[float, ...], Meta(max_length=2_000_000)]
 MaybeNumbers = Annotated[tuple[float | None, ...], Meta(max_length=2_000_000)]
 PointsLps = Annotated[tuple[PointLps, ...], Meta(max_length=1_000_000)]
@@ -68,18 +61,13 @@ Count = Annotated[int, Meta(ge=0, le=2**53 - 1)]
 Part = Annotated[float, Meta(ge=0.0, le=1.0)]
 BranchId = Annotated[int, Meta(ge=0, le=2**31)]
 Pixels = Annotated[int, Meta(ge=16, le=4096)]
-Angle = Annotated[float, Meta(ge=-3600.0, le=3600.0)]
 PathMm = Annotated[float, Meta(ge=0.0, le=1e5)]
 """A place along a path or a branch."""
-MmPerPixel = Annotated[float, Meta(ge=0.01, le=20.0)]
 # Wide: what a device says too much is ignored and counted, and does not end the connection.
 Wide = Annotated[float, Meta(ge=-1e300, le=1e300)]
 Three = tuple[Wide, Wide, Wide]
-Tone = Literal["radiograph", "fluoroscopy"]
-SlabKind = Literal["max", "min", "mean"]
 Mode = Literal["free", "path", "scope"]
 Operator = Literal["head", "facing"]
-Method = Literal["leap", "brute"]
 Control = Literal["absolute", "relative", "path"]
 Clutch = Literal["always", "hold"]
 Through = Literal["airways", "space"]

@@ -76,5 +76,6 @@ class ResetLook(Command, frozen=True):
 class SetOperator(Command, frozen=True):
     """Where the operator stands."""
 
+    sets = "operator"
     undo_label = "operator position"
     position: Operator

@@ -13,8 +13,8 @@ from typing import Any, ClassVar, TypeVar
 import msgspec
 import msgspec.inspect
 
-from carina.display import as_words, joined
 from carina.errors import UsageError
+from carina.value import FrozenValue
 
 __all__ = [
     "Command",
@@ -27,22 +27,6 @@ __all__ = [
     "subclasses",
     "trouble",
 ]
-
-
-class FrozenValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A value of named fields that never changes; in JSON it has these fields and no others."""
-
-    def __repr__(self) -> str:
-        """One line; fields that have their default are left out."""
-        names, defaults = self.__struct_fields__, self.__struct_defaults__
-        usual = dict(zip(names[len(names) - len(defaults) :], defaults, strict=True))
-        shown = {name: getattr(self, name) for name in names}
-        pieces = [f"{name}={as_words(value)}" for name, value in shown.items() if usual.get(name, self) != value]
-        return joined(type(self).__name__, pieces)
-
-    def choice_problem(self) -> str | None:
-        """What the types cannot say: which of the fields go together. None where they do."""
-        return None
 
 
 V = TypeVar("V", bound=FrozenValue)
@@ -63,6 +47,21 @@ class Command(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
 
     undo_label: ClassVar[str | None] = None
     """What undo calls it; None where it is no step of undo, or where the step's words tell what it was done to."""
+    sets: ClassVar[str | None] = None
+    """The field of the look or of the sight that becomes what the command says, where that is all that it does."""
+
+    def setting(self) -> tuple[str | None, Any]:
+        """What the field that it sets becomes, and the view that this is for where the field has a value for each.
+
+        That is the value that the command is besides (a ``SetCarm`` is a ``Carm``), or that of its only field.
+        """
+        fields = {name: getattr(self, name) for name in self.__struct_fields__}
+        view = fields.pop("view", None)
+        value_class = next((base for base in type(self).__bases__ if not issubclass(base, Command)), None)
+        if value_class is not None:
+            return view, value_class(**fields)
+        (value,) = fields.values()
+        return view, value
 
 
 class LocalCommand(Command, frozen=True):

@@ -10,10 +10,11 @@ from carina.render.lettering import PathSpan, letter_edges, mark_path
 from carina.render.pictures import mark_tip, render_surface, render_view, view_spec
 from carina.render.png_text import read_png_badges, read_png_pose
 from carina.render.renderer import Renderer, can_cut
+from carina.render.sight import Carm, FlatPlace, GreyWindow, Orbit, Reformation, Sight, Slab
 from carina.render.structures import build_isoregion_map, project_maximum, sample_plane
 from carina.render.surface import Hit, Surface
 from carina.render.transfer import PRESETS, Light, TransferFunction, transfer_from_histogram, transfer_preset
-from carina.render.view_settings import Orbit, ViewSettings
+from carina.render.view_settings import ViewSettings
 from carina.render.view_table import (
     CELLS,
     FINDER_VIEW,
@@ -36,7 +37,6 @@ from carina.render.views import (
     Picture,
     PictureLines,
     RenderStats,
-    Slab,
     SliceView,
     TreeView,
     TriPlaneView,
@@ -56,10 +56,13 @@ __all__ = [
     "Appearance",
     "Backend",
     "CancelToken",
+    "Carm",
     "Cell",
     "CutPlaneView",
     "DrrView",
+    "FlatPlace",
     "FlatViewName",
+    "GreyWindow",
     "Hit",
     "Light",
     "Need",
@@ -69,8 +72,10 @@ __all__ = [
     "PathView",
     "Picture",
     "PictureLines",
+    "Reformation",
     "RenderStats",
     "Renderer",
+    "Sight",
     "Slab",
     "SliceView",
     "Surface",

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from carina.errors import UsageError, check_type
 from carina.render.backend import Backend
 from carina.render.renderer import Renderer
+from carina.render.sight import THIN, Carm, FlatPlace, GreyWindow, Orbit, Reformation, Sight, Slab
 from carina.render.surface import Surface
 from carina.render.transfer import TransferFunction
-from carina.render.view_settings import Orbit, ViewSettings
+from carina.render.view_settings import ViewSettings
 from carina.render.view_table import LEAD_VIEW, view_row
-from carina.render.views import AirwayView, Picture, Slab, TreeView, View
+from carina.render.views import AirwayView, Picture, TreeView, View
 from carina.scopes import FULL_FRAME, DepthOfField, ImageField, Lens, Mask, PathFrames, Pose, ScopePreset, scope_preset
 from carina.volume import Volume
 
@@ -275,6 +276,17 @@ def view_spec(
     if orbit is not None and len(orbit) not in {2, 3}:
         raise UsageError(f"an orbit is azimuth, elevation and, if wished, distance; found {orbit}")
     row = view_row(view)
+    sight = Sight(
+        window=None if window_hu is None else GreyWindow(*window_hu),
+        slab=THIN if slab is None else slab,
+        zoom={view: FlatPlace(mm_per_px, extent_mm)},
+        orbits={} if orbit is None else {view: Orbit(*orbit)},
+        carm=Carm(*carm_deg, mm_per_px, cast(Any, tone)),
+        reformation=Reformation(turn_deg, mm_per_px),
+        shading=shading,
+        texture=texture,
+        method=cast(Any, method),
+    )
     return row.spec(
         ViewSettings(
             pose=pose,
@@ -287,18 +299,8 @@ def view_spec(
             field=_field(scope, mask, vignette),
             depth_of_field=depth_of_field,
             step_vox=step_vox,
-            shading=shading,
-            texture=texture,
-            method=cast(Any, method),
-            window_hu=window_hu,
-            slab=slab,
-            mm_per_px=mm_per_px,
-            extent_mm=extent_mm,
-            orbit=None if orbit is None else Orbit(*orbit),
-            carm_deg=carm_deg,
-            tone=cast(Any, tone),
+            sight=sight,
             path=path,
-            turn_deg=turn_deg,
         )
     )
 

@@ -6,21 +6,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from carina.display import one_line
-from carina.render.views import Slab
+from carina.render.sight import Sight, Slab
 from carina.scopes import FULL_FRAME, DepthOfField, ImageField, Lens, PathFrames, Pose, ScopePreset
+from carina.value import PointLps
 
-__all__ = ["Orbit", "ViewSettings"]
-
-Point = tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Orbit:
-    """Camera of an outside view; distance None fits."""
-
-    azimuth_deg: float
-    elevation_deg: float
-    distance_mm: float | None = None
+__all__ = ["ViewSettings"]
 
 
 @one_line
@@ -30,10 +20,13 @@ class ViewSettings:
 
     pose: Pose
     """The tip."""
-    point_lps: Point
+    point_lps: PointLps
     """Where slices and the tri-plane meet."""
+    sight: Sight = Sight()
     width: int = 512
     height: int = 512
+    full_width: int | None = None
+    """Of the picture that the scales of the sight are of: a smaller one shows as much."""
     pose_id: int = 0
     """Known by its number, so that equal poses need no comparison."""
     # What the scope sees.
@@ -44,26 +37,26 @@ class ViewSettings:
     field: ImageField = FULL_FRAME
     depth_of_field: DepthOfField | None = None
     step_vox: float = 0.5
-    shading: bool = True
-    texture: bool = True
-    method: Literal["leap", "brute"] = "leap"
-    # Planes and projections.
-    window_hu: tuple[float, float] | None = None
-    """None is the view's own: that of the lung, or one fitted to the values."""
-    slab: Slab | None = None
-    mm_per_px: float | None = None
-    """None fits."""
-    extent_mm: float | None = None
-    center_lps: Point | None = None
-    """Where the picture was panned or zoomed to."""
-    # Cameras.
-    orbit: Orbit | None = None
-    """None is where the view begins."""
+    # From outside.
     look_at: Literal["point", "volume"] = "point"
-    carm_deg: tuple[float, float] = (0.0, 0.0)
-    tone: Literal["radiograph", "fluoroscopy"] = "radiograph"
     # Along the route.
     path: PathFrames | None = None
-    turn_deg: float = 0.0
     path_mm: float = 0.0
     """The place on the path that is in the middle of a zoomed view."""
+
+    @property
+    def window_hu(self) -> tuple[float, float] | None:
+        """Width and level; None is the view's own: that of the lung, or one fitted to the values."""
+        window = self.sight.window
+        return None if window is None else (window.width_hu, window.level_hu)
+
+    @property
+    def slab(self) -> Slab | None:
+        """None for thin slices."""
+        return self.sight.slab if self.sight.slab.thickness_mm > 0.0 else None
+
+    def pixel_mm(self, mm_per_px: float | None) -> float | None:
+        """A scale of the sight, in this picture's pixels."""
+        if mm_per_px is None or self.full_width is None:
+            return mm_per_px
+        return mm_per_px * self.full_width / self.width

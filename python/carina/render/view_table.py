@@ -7,14 +7,16 @@ docs/decisions/0042-views-and-keys-are-tables.md.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Literal
 
+import msgspec
+
 from carina.display import one_line
 from carina.errors import UsageError
+from carina.render.sight import Orbit
 from carina.render.view_settings import ViewSettings
 from carina.render.views import (
     WINDOW_HU,
@@ -152,6 +154,8 @@ class ViewRow:
     """Pictures of the command line have letters at their edges."""
     straight: bool = False
     """The path is a straight line down, with the radius of the lumen to either side."""
+    orbit: Orbit | None = None
+    """Where its outside camera begins."""
     max_px: int = 768
     """Longer side of a picture in the window: beyond it a picture costs more to render than the eye gains."""
 
@@ -190,9 +194,9 @@ def _airway(s: ViewSettings) -> View:
         "width": s.width,
         "height": s.height,
         "step_vox": s.step_vox,
-        "shading": s.shading,
-        "texture": s.texture,
-        "method": s.method,
+        "shading": s.sight.shading,
+        "texture": s.sight.texture,
+        "method": s.sight.method,
         "field": s.field,
         "depth_of_field": s.depth_of_field,
         **({} if s.lens is None else {"lens": s.lens}),
@@ -204,21 +208,22 @@ def _airway(s: ViewSettings) -> View:
 
 def _airway_depends(s: ViewSettings) -> tuple[Hashable, ...]:
     scope = None if s.scope is None else s.scope.name
-    return (s.pose_id, scope, s.field.mask, s.fov_deg, s.shading, s.texture, s.method)
+    return (s.pose_id, scope, s.field.mask, s.fov_deg, s.sight.shading, s.sight.texture, s.sight.method)
 
 
 # ------------------------------------------------------------------ planes
 
 
 def _cut_plane(s: ViewSettings) -> View:
+    place = s.sight.place("cut-plane")
     return CutPlaneView(
         s.pose,
         width=s.width,
         height=s.height,
-        extent_mm=60.0 if s.extent_mm is None else s.extent_mm,
+        extent_mm=60.0 if place.extent_mm is None else place.extent_mm,
         window_hu=_grey(s),
         slab=s.slab,
-        center_lps=s.center_lps,
+        center_lps=place.center_lps,
     )
 
 
@@ -227,16 +232,18 @@ def _slice_row(plane: Plane) -> ViewRow:
 
     def center(s: ViewSettings) -> tuple[float, float, float]:
         """Where it was zoomed to, at the depth that is shown."""
-        if s.mm_per_px is None or s.center_lps is None:
+        place = s.sight.place(plane)
+        if place.mm_per_px is None or place.center_lps is None:
             return s.point_lps
-        x, y, z = (s.point_lps[n] if n == axis else s.center_lps[n] for n in range(3))
+        x, y, z = (s.point_lps[n] if n == axis else place.center_lps[n] for n in range(3))
         return x, y, z
 
     def depends(s: ViewSettings) -> tuple[Hashable, ...]:
-        if s.mm_per_px is None:
+        mm_per_px = s.sight.place(plane).mm_per_px
+        if mm_per_px is None:
             # The whole slice fits: only its depth matters.
             return (_hundredths(s.point_lps)[axis], s.window_hu, s.slab)
-        return (_hundredths(center(s)), s.window_hu, s.mm_per_px, s.slab)
+        return (_hundredths(center(s)), s.window_hu, mm_per_px, s.slab)
 
     return ViewRow(
         name=plane,
@@ -249,7 +256,7 @@ def _slice_row(plane: Plane) -> ViewRow:
             center_lps=center(s),
             width=s.width,
             height=s.height,
-            mm_per_px=s.mm_per_px,
+            mm_per_px=s.pixel_mm(s.sight.place(plane).mm_per_px),
             window_hu=_grey(s),
             slab=s.slab,
         ),
@@ -286,7 +293,10 @@ def _xray_row(name: ViewName, axis: Plane, short: str, words: str) -> ViewRow:
 
 
 def _drr(s: ViewSettings) -> View:
-    return DrrView(*s.carm_deg, s.width, s.height, mm_per_px=s.mm_per_px, tone=s.tone, window_mm=s.window_hu)
+    arm = s.sight.carm
+    size = (s.width, s.height)
+    scale = s.pixel_mm(arm.mm_per_px)
+    return DrrView(arm.primary_deg, arm.secondary_deg, *size, mm_per_px=scale, tone=arm.tone, window_mm=s.window_hu)
 
 
 # ------------------------------------------------------------------ along the route, and from outside
@@ -299,10 +309,10 @@ def _path_row(kind: Literal["straightened", "curved"], title: str, words: str, *
         return PathView(
             kind,
             s.path,
-            turn_deg=s.turn_deg,
+            turn_deg=s.sight.reformation.turn_deg,
             width=s.width,
             height=s.height,
-            mm_per_px=s.mm_per_px,
+            mm_per_px=s.pixel_mm(s.sight.reformation.mm_per_px),
             center_mm=s.path_mm,
             window_hu=_grey(s),
             slab=s.slab,
@@ -310,8 +320,9 @@ def _path_row(kind: Literal["straightened", "curved"], title: str, words: str, *
 
     def depends(s: ViewSettings) -> tuple[Hashable, ...]:
         # The frames themselves: a route is known by its identity, and this keeps it from being another's.
-        place = None if s.mm_per_px is None else round(s.path_mm, 2)
-        return (s.path, s.turn_deg, s.mm_per_px, place, s.window_hu, s.slab)
+        reformation = s.sight.reformation
+        place = None if reformation.mm_per_px is None else round(s.path_mm, 2)
+        return (s.path, reformation, place, s.window_hu, s.slab)
 
     return ViewRow(
         name=kind,
@@ -334,9 +345,10 @@ def _path_row(kind: Literal["straightened", "curved"], title: str, words: str, *
     )
 
 
-def _around(s: ViewSettings) -> dict[str, Any]:
-    orbit = {} if s.orbit is None else dataclasses.asdict(s.orbit)
-    return {**orbit, "width": s.width, "height": s.height}
+def _around(s: ViewSettings, view: OrbitViewName) -> dict[str, Any]:
+    orbit = s.sight.orbits.get(view, VIEWS[view].orbit)
+    assert orbit is not None
+    return {**msgspec.structs.asdict(orbit), "width": s.width, "height": s.height}
 
 
 VIEWS: Mapping[str, ViewRow] = MappingProxyType(
@@ -366,7 +378,7 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 empty="The plane across the tip, at right angles to the scope, appears here when a CT is open.",
                 cell="cut-plane",
                 spec=_cut_plane,
-                depends_on=lambda s: (s.pose_id, s.window_hu, s.extent_mm, s.center_lps),
+                depends_on=lambda s: (s.pose_id, s.window_hu, s.sight.place("cut-plane")),
                 overlay="flat",
                 pick="plane",
                 zoom="extent",
@@ -390,7 +402,7 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 cell="xray",
                 spec=_drr,
                 # Like the other X-rays: the tip is only marked in it.
-                depends_on=lambda s: (s.carm_deg, s.mm_per_px, s.tone),
+                depends_on=lambda s: (s.sight.carm,),
                 overlay="seen",
                 zoom="carm",
                 costly=True,
@@ -404,12 +416,13 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 words="airway tree",
                 empty="The airway tree from outside appears here once the airways are found.",
                 cell="outside",
-                spec=lambda s: TreeView(**_around(s)),
-                depends_on=lambda s: (s.orbit,),
+                spec=lambda s: TreeView(**_around(s, "tree")),
+                depends_on=lambda s: (s.sight.orbits.get("tree"),),
                 needs=frozenset({"airways"}),
                 overlay="seen",
                 pick="branch",
                 zoom="orbit",
+                orbit=Orbit(0.0, 0.0),
                 by_transfer=True,
                 costly=True,
                 marks_tip=True,
@@ -419,11 +432,14 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 title="Tri-plane",
                 words="tri-plane",
                 cell="outside",
-                spec=lambda s: TriPlaneView(s.point_lps, window_hu=_grey(s), look_at=s.look_at, **_around(s)),
-                depends_on=lambda s: (_hundredths(s.point_lps), s.orbit, s.window_hu),
+                spec=lambda s: TriPlaneView(
+                    s.point_lps, window_hu=_grey(s), look_at=s.look_at, **_around(s, "tri-plane")
+                ),
+                depends_on=lambda s: (_hundredths(s.point_lps), s.sight.orbits.get("tri-plane"), s.window_hu),
                 overlay="seen",
                 pick="planes",
                 zoom="orbit",
+                orbit=Orbit(35.0, 25.0),
                 windowed=True,
                 costly=True,
                 inside=True,

@@ -18,6 +18,7 @@ from carina.display.png import png_bytes
 from carina.errors import RenderError
 from carina.render.appearance import check_guides
 from carina.render.png_text import BADGES_KEYWORD, KEYWORD
+from carina.render.sight import Slab
 from carina.scopes import FULL_FRAME, PINHOLE, DepthOfField, ImageField, Lens, Optics, PathFrames, Pose, ScopePreset
 from carina.volume import Note
 from carina.volume.planes import PLANES, Plane
@@ -68,21 +69,6 @@ def _check_point(what: str, point: tuple[float, float, float] | NDArray[np.float
 def _check_plane(name: str) -> None:
     if name not in PLANES:
         raise RenderError(f"expected one of {', '.join(PLANES)}; found {name!r}", code="render.setting")
-
-
-@one_line
-@dataclass(frozen=True, slots=True)
-class Slab:
-    """A thick slice: the largest, smallest or mean value over ``thickness_mm`` (0 to 100); ``min`` shows airways."""
-
-    thickness_mm: float
-    kind: Literal["max", "min", "mean"]
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.thickness_mm <= 100.0:
-            raise RenderError(f"a slab is 0 to 100 mm thick; found {self.thickness_mm}", code="render.setting")
-        if self.kind not in {"max", "min", "mean"}:
-            raise RenderError(f"a slab shows max, min or mean; found {self.kind!r}", code="render.setting")
 
 
 @one_line

@@ -13,7 +13,6 @@ from carina.commands.fields import (
     Key,
     Mask,
     Matrix4,
-    Method,
     Mode,
     Numbers,
     Operator,
@@ -21,13 +20,12 @@ from carina.commands.fields import (
     Pixels,
     PointLps,
     PointsLps,
-    SlabKind,
-    Tone,
     ViewName,
     Words,
 )
-from carina.commands.value import FrozenValue
+from carina.render.sight import GreyWindow, Method, Orbit, SlabKind, Tone
 from carina.server.wire_codec import ServerMessage
+from carina.value import FrozenValue
 from carina.volume import Citation
 
 
@@ -124,21 +122,6 @@ class CaseInfo(FrozenValue, frozen=True):
     other_series: tuple[OtherSeries, ...]
     citation: Citation | None
     off: tuple[FeatureOff, ...]
-
-
-class GreyWindow(FrozenValue, frozen=True):
-    """Grey window of the slice views."""
-
-    width_hu: float
-    level_hu: float
-
-
-class Orbit(FrozenValue, frozen=True):
-    """Camera of an outside view; azimuth 0 is from anterior, distance null fits."""
-
-    azimuth_deg: float
-    elevation_deg: float
-    distance_mm: float | None
 
 
 class Zoom(FrozenValue, frozen=True):

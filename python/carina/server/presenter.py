@@ -8,11 +8,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from carina.render import VIEWS, PictureLines
-from carina.scopes import DEFAULT_SCOPE, scope_presets
+from carina.commands import Look
+from carina.render import VIEWS, FlatPlace, GreyWindow, PictureLines, Sight
+from carina.scopes import scope_presets
 from carina.server import messages as wire
 from carina.session import ChosenRoute, KeysInfo, MaskQuestion, PoseInfo, RecentCase, Snapshot, WallPoint
-from carina.session.document import DEFAULT_FOV_DEG, Document
+from carina.session.document import Document
 from carina.volume import Citation, Note, badges_of
 
 __all__ = [
@@ -109,38 +110,38 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
     """All that is shown, but the pose, the tree and the route."""
     document = snapshot.document
     airways = None if document is None else document.airways
-    carm, slab = snapshot.carm, snapshot.slab
-    tree, tri, zoom = snapshot.orbit_tree, snapshot.orbit_tri_plane, snapshot.zoom
+    sight, look = snapshot.sight, Look() if document is None else document.look
+    carm = sight.carm
+    cameras = {row.camera_field: sight.orbits.get(row.name, row.orbit) for row in VIEWS.values() if row.orbit}
     return wire.State(
         case=_case(snapshot),
         stage=snapshot.stage,
         airways=snapshot.airways,
         airways_words=snapshot.airways_words,
         mode=snapshot.mode,
-        operator="head" if document is None else document.operator,
-        scope=DEFAULT_SCOPE if document is None else document.scope,
-        mask="round" if document is None else document.mask,
-        fov_deg=DEFAULT_FOV_DEG if document is None else document.fov_deg,
+        operator=look.operator,
+        scope=look.scope,
+        mask=look.mask,
+        fov_deg=look.fov_deg,
         transfer="" if document is None else document.transfer.name,
         transfer_document=None if document is None else document.transfer.to_json(),
         transfer_presets=snapshot.transfer_presets,
-        shading=True if document is None else document.shading,
-        texture=True if document is None else document.texture,
-        method="leap" if document is None else document.method,
-        window=_window(document),
-        crosshair_lps=snapshot.crosshair_lps,
+        shading=sight.shading,
+        texture=sight.texture,
+        method=sight.method,
+        window=GreyWindow(1500.0, -600.0) if sight.window is None else sight.window,
+        crosshair_lps=sight.crosshair_lps,
         targets=() if document is None else tuple(_target(t) for t in document.targets),
         route_id=None if document is None or document.route is None else document.route.route_id,
         can_undo=snapshot.undo_label,
         can_redo=snapshot.redo_label,
         root_lps=None if airways is None else _point(airways.root_lps),
         lumen_threshold=_threshold(document),
-        orbit_tree=wire.Orbit(tree.azimuth_deg, tree.elevation_deg, tree.distance_mm),
-        orbit_tri_plane=wire.Orbit(tri.azimuth_deg, tri.elevation_deg, tri.distance_mm),
+        **cast(Any, cameras),
         carm=wire.Carm(carm.primary_deg, carm.secondary_deg, carm.mm_per_px, carm.tone),
-        reformation=wire.Reformation(snapshot.reformation.turn_deg, snapshot.reformation.mm_per_px),
-        slab=wire.Slab(0.0, "min") if slab is None else wire.Slab(slab.thickness_mm, slab.kind),
-        zoom=wire.Zoom(**{row.scale_field: zoom.of(row.name).scale for row in VIEWS.values() if row.scale_field}),
+        reformation=wire.Reformation(sight.reformation.turn_deg, sight.reformation.mm_per_px),
+        slab=wire.Slab(sight.slab.thickness_mm, sight.slab.kind),
+        zoom=_zoom(sight),
         frame_rate_hz=frame_rate_hz,
         airways_from=None if airways is None else "mask" if math.isnan(airways.threshold) else "search",
         mask_question=_mask_question(snapshot.mask_question),
@@ -162,10 +163,13 @@ def _mask_question(question: MaskQuestion | None) -> wire.MaskQuestion | None:
     )
 
 
-def _window(document: Document | None) -> wire.GreyWindow:
-    if document is None:
-        return wire.GreyWindow(1500.0, -600.0)
-    return wire.GreyWindow(document.window_width_hu, document.window_level_hu)
+def _zoom(sight: Sight) -> wire.Zoom:
+    rows = (row for row in VIEWS.values() if row.scale_field)
+    return wire.Zoom(**{str(row.scale_field): _scale(sight.place(row.name)) for row in rows})
+
+
+def _scale(place: FlatPlace) -> float | None:
+    return place.mm_per_px if place.extent_mm is None else place.extent_mm
 
 
 def _target(target: Any) -> wire.Target:

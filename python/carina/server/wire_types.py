@@ -5,8 +5,10 @@ Run ``python -m carina.server.wire_types [REPOSITORY]``; ``--check`` only compar
 
 from __future__ import annotations
 
+import functools
 import json
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +47,8 @@ def _inner(kind: inspect.Type) -> tuple[inspect.Type, ...]:
     return ()
 
 
-def _all_classes() -> list[type[Any]]:
-    """Every class that a message is or holds, each once, inner ones first."""
+def _classes_in(whole: Iterable[type[Any]]) -> dict[type[Any], None]:
+    """Every class that these are or hold, each once, inner ones first."""
     found: dict[type[Any], None] = {}
 
     def visit(kind: inspect.Type) -> None:
@@ -58,11 +60,25 @@ def _all_classes() -> list[type[Any]]:
                 visit(field.type)
             found[kind.cls] = None
 
-    whole: list[type[Any]] = [cls for _, classes in GROUPS for cls in classes.values()]
-    whole.append(messages.PictureHeader)
     for cls in whole:
         visit(_struct(cls))
-    return list(found)
+    return found
+
+
+def _all_classes() -> list[type[Any]]:
+    """Every class that a message is or holds, each once, inner ones first."""
+    return list(_classes_in([*(cls for _, classes in GROUPS for cls in classes.values()), messages.PictureHeader]))
+
+
+@functools.cache
+def _written() -> set[type[Any]]:
+    """What only the server says: it writes every field, those with a default, too."""
+    said = _classes_in([*messages.SERVER_MESSAGES.values(), *messages.TO_PHONE_MESSAGES.values()])
+    return set(said) - set(_classes_in([*messages.CLIENT_MESSAGES.values(), *messages.PHONE_MESSAGES.values()]))
+
+
+def _is_required(cls: type[Any], field: inspect.Field) -> bool:
+    return field.required or cls in _written()
 
 
 def _ts_name(cls: type[Any]) -> str:
@@ -129,7 +145,7 @@ def typescript() -> str:
         if tag := _tag(struct):
             lines.append(f"  readonly {tag[0]}: {json.dumps(tag[1])};")
         for field in struct.fields:
-            lines.append(f"  readonly {field.name}{'' if field.required else '?'}: {_ts_type(field.type)};")
+            lines.append(f"  readonly {field.name}{'' if _is_required(cls, field) else '?'}: {_ts_type(field.type)};")
         lines += ["}", ""]
     for name, classes in GROUPS:
         lines += [f"export type {name} =", *(f"  | {_ts_name(cls)}" for cls in classes.values())]
@@ -180,7 +196,7 @@ def json_schema() -> dict[str, Any]:
     for cls in _all_classes():
         struct = _struct(cls)
         properties = {field.name: _schema_of(field.type) for field in struct.fields}
-        required = [field.name for field in struct.fields if field.required]
+        required = [field.name for field in struct.fields if _is_required(cls, field)]
         if tag := _tag(struct):
             constant = {"const": tag[1]} if tag[0] == "type" else {"enum": [tag[1]]}
             properties = {tag[0]: constant, **properties}

@@ -6,7 +6,7 @@ from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.public import Case
 from carina.session.recent import LocalStore, RecentCase
 from carina.session.routes import ChosenRoute
-from carina.session.scene import Carm, Orbit, Reformation, Renderer, Scene, Zoom
+from carina.session.scene import Renderer, Scene
 from carina.session.session import Session
 from carina.session.snapshot import (
     Changed,
@@ -21,7 +21,6 @@ from carina.session.snapshot import (
 )
 
 __all__ = [
-    "Carm",
     "Case",
     "Changed",
     "ChosenRoute",
@@ -32,11 +31,9 @@ __all__ = [
     "LocalStore",
     "MaskQuestion",
     "NotEvident",
-    "Orbit",
     "Parts",
     "PoseInfo",
     "RecentCase",
-    "Reformation",
     "Renderer",
     "RendererFactory",
     "Said",
@@ -45,7 +42,6 @@ __all__ = [
     "Snapshot",
     "Trouble",
     "WallPoint",
-    "Zoom",
     "default_parts",
     "log_fault",
 ]

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from carina.errors import UsageError
 from carina.navigate import KeyFrameFlight, Navigator, Pilot
-from carina.render import Slab
+from carina.render import GreyWindow, Sight
 from carina.session.document import Document, Keys, Point
 from carina.session.history import History
 from carina.session.parts import Parts, RendererFactory
 from carina.session.routes import AirwayIndex, ChosenRoute
-from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Carm, Orbit, Reformation, Renderer, Zoom
+from carina.session.scene import Renderer
 from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, MaskQuestion, PoseInfo
 from carina.session.start_pose import pose_before_airways
 from carina.track import LumenOutline
@@ -23,7 +23,7 @@ from carina.volume import Volume
 
 __all__ = ["HISTOGRAM_PRESET", "AskedMask", "OpenCase", "as_point", "in_lumen", "new_case", "pose_info"]
 
-LUNG_WINDOW_HU = (1500.0, -600.0)
+LUNG_WINDOW = GreyWindow(1500.0, -600.0)
 HISTOGRAM_PRESET = "from histogram"
 
 
@@ -53,13 +53,7 @@ class OpenCase:
     index: AirwayIndex | None = None
     person_moved: bool = False
     """Once a person has moved, found airways do not move the tip to their root."""
-    crosshair_lps: Point | None = None
-    orbit_tree: Orbit = DEFAULT_ORBIT_TREE
-    orbit_tri_plane: Orbit = DEFAULT_ORBIT_TRI_PLANE
-    zoom: Zoom = field(default_factory=Zoom)
-    carm: Carm = field(default_factory=Carm)
-    reformation: Reformation = field(default_factory=Reformation)
-    slab: Slab | None = None
+    sight: Sight = Sight()
     wall_of: Any = None
     """The airways whose wall the pilot knows."""
     walling_of: Any = None
@@ -147,14 +141,14 @@ def new_case(volume: Volume, number: int, *, parts: Parts, renderer_factory: Ren
     """A case that shows a volume, before anything was found in it."""
     off: tuple[FeatureOff, ...] = ()
     threshold: float | None = None
-    window = LUNG_WINDOW_HU
+    window = LUNG_WINDOW
     presets = parts.presets
     low, high = volume.value_range
     if volume.is_hu:
         transfer = parts.transfer_preset("endoscopic")
     else:
         transfer, threshold = parts.transfer_from_histogram(volume)
-        window = (float(max(1, high - low)), (high + low) / 2.0)
+        window = GreyWindow(float(max(1, high - low)), (high + low) / 2.0)
         presets = (HISTOGRAM_PRESET,)
         why = volume.not_hu_reason or "the numbers of this volume are not HU"
         off = (
@@ -162,9 +156,7 @@ def new_case(volume: Volume, number: int, *, parts: Parts, renderer_factory: Ren
             FeatureOff("the quality check of the lungs", why),
             FeatureOff("a lumen threshold in HU (the one above is in the file's own numbers)", why),
         )
-    document = Document(
-        transfer=transfer, window_width_hu=window[0], window_level_hu=window[1], lumen_threshold=threshold
-    )
+    document = Document(transfer=transfer, lumen_threshold=threshold)
     return OpenCase(
         number=number,
         info=CaseSnapshot(volume, parts.quality_words(volume), off, (low, high)),
@@ -174,6 +166,7 @@ def new_case(volume: Volume, number: int, *, parts: Parts, renderer_factory: Ren
         presets=presets,
         threshold_from_histogram=threshold,
         shown_transfer=transfer,
+        sight=Sight(window=window),
     )
 
 

@@ -11,10 +11,12 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import msgspec
+
 from carina.commands import SetOperator, Steer
 from carina.errors import CancelledError, CarinaError, NoEvidenceError, UsageError
 from carina.navigate import Move
-from carina.scopes import scope_preset
+from carina.render import VIEWS
 from carina.session.case import OpenCase, pose_info
 from carina.session.document import Document
 from carina.session.history import History
@@ -63,6 +65,8 @@ class SessionCore:
         """Done when the document has changed, before tip, index and renderer follow it, with the session locked..."""
         self.after_document: list[Callable[[OpenCase], None]] = []
         """... and after that."""
+        self.after_sight: list[Callable[[OpenCase], None]] = []
+        """Done when the sight has changed, with the session locked."""
         self._pose_id = 0
         self._pose_s = clock()
         self._steered_s = 0.0
@@ -139,11 +143,12 @@ class SessionCore:
         self.follow(case)
         self.changed(*ALL_TOPICS)
 
-    def look(self, case: OpenCase, **values: Any) -> None:
-        """Change how the case is looked at, which is no step of undo."""
+    def see(self, case: OpenCase, **values: Any) -> None:
+        """Change fields of the sight, which is no step of undo."""
         with self.lock:
-            for name, value in values.items():
-                setattr(case, name, value)
+            case.sight = msgspec.structs.replace(case.sight, **values)
+            for step in self.after_sight:
+                step(case)
             self.changed("state", "views")
 
     def edit(self, label: str | None, gesture: Hashable, **values: Any) -> None:
@@ -171,8 +176,8 @@ class SessionCore:
             case.flown_route = document.route
             case.pilot.apply(path_move(None if airways is None else airways.tree, document.route))
             self.moved()
-        if case.navigator.operator != document.operator:
-            case.pilot.apply(SetOperator(document.operator))
+        if case.navigator.operator != document.look.operator:
+            case.pilot.apply(SetOperator(document.look.operator))
             self.moved()
         new_airways = airways is not case.shown_airways
         if new_airways:
@@ -277,12 +282,11 @@ class SessionCore:
     def after_move(self, case: OpenCase, mode: str) -> None:
         """The pose is news; with the session locked."""
         case.person_moved = True
-        following = case.zoom.following if case.crosshair_lps is None else case.zoom.at_tip
-        if case.zoom != following:
-            # Slices follow the tip again; the cut-plane does in any case.
-            case.zoom = following
+        # Slices follow the tip again; the cut-plane does in any case.
+        following = [view for view in case.sight.zoom if case.sight.crosshair_lps is None or VIEWS[view].at_tip]
+        before, case.sight = case.sight, case.sight.centred(following)
         self.moved()
-        if case.navigator.mode != mode:
+        if case.navigator.mode != mode or case.sight is not before:
             self.changed("state", "pose", "views")
         else:
             self.changed("pose", "views")
@@ -304,13 +308,7 @@ class SessionCore:
                 airways_words=case.airways_words,
                 document=case.document,
                 mode=case.navigator.mode,
-                crosshair_lps=case.crosshair_lps,
-                orbit_tree=case.orbit_tree,
-                orbit_tri_plane=case.orbit_tri_plane,
-                zoom=case.zoom,
-                carm=case.carm,
-                reformation=case.reformation,
-                slab=case.slab,
+                sight=case.sight,
                 undo_label=case.history.undo_label,
                 redo_label=case.history.redo_label,
                 transfer_presets=case.presets,
@@ -338,21 +336,9 @@ class SessionCore:
                 pose=case.navigator.pose,
                 pose_id=self._pose_id,
                 pose_s=self._pose_s,
-                scope=None if document.scope is None else scope_preset(document.scope),
-                mask=document.mask,
-                fov_deg=document.fov_deg,
-                shading=document.shading,
-                texture=document.texture,
-                method=document.method,
-                window_hu=(document.window_width_hu, document.window_level_hu),
-                crosshair_lps=case.crosshair_lps,
-                orbit_tree=case.orbit_tree,
-                orbit_tri_plane=case.orbit_tri_plane,
-                zoom=case.zoom,
+                look=document.look,
+                sight=case.sight,
                 has_lumen=case.has_lumen,
-                carm=case.carm,
-                reformation=case.reformation,
-                slab=case.slab,
                 frames=None if document.route is None else document.route.frames,
                 path_mm=case.navigator.path_mm,
                 picture_turned=case.navigator.picture_turned,

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from carina.commands.fields import Method, Operator, Through
-from carina.scopes import DEFAULT_SCOPE, Mask, Pose, scope_preset
+from carina.commands.fields import Through
+from carina.commands.look import Look
+from carina.scopes import Pose
 
 if TYPE_CHECKING:
     from carina.render import TransferFunction
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 __all__ = ["Document", "Key", "Keys", "Target"]
 
 Point = tuple[float, float, float]
-DEFAULT_FOV_DEG = scope_preset(DEFAULT_SCOPE).usual_fov_deg
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,21 +58,10 @@ class Keys:
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """All that undo and redo move between; poses, mode, crosshair, orbits and zooms are not in it."""
+    """All that undo and redo move between; poses, mode and :class:`carina.render.Sight` are not in it."""
 
     transfer: TransferFunction
-    window_width_hu: float = 1500.0
-    window_level_hu: float = -600.0
-    scope: str | None = DEFAULT_SCOPE
-    """The instrument that the airway view is seen through, by name; None for a pinhole."""
-    mask: Mask = "round"
-    fov_deg: float = DEFAULT_FOV_DEG
-    """The scope's, unless a person chose another."""
-    shading: bool = True
-    texture: bool = True
-    """Mottling and micro relief laid on the mucosa, which are not the patient's."""
-    method: Method = "leap"
-    operator: Operator = "head"
+    look: Look = Look()
     airways: Airways | None = None
     lumen_threshold: float | None = None
     """As asked; None lets the tracker choose."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from carina import commands as c
+from carina.render import Sight
 from carina.scopes import Pose
 from carina.session.core import SessionCore
 from carina.session.document import Document
@@ -26,15 +27,16 @@ def place_pose(pose: Pose) -> c.PlacePose:
     return c.PlacePose(tuple(float(v) for v in pose.lps_from_camera.ravel()))
 
 
-def view_words(document: Document) -> dict[str, Any]:
+def view_words(document: Document, sight: Sight) -> dict[str, Any]:
     """How the airway view is shown, as a recording keeps it."""
+    look = document.look
     return {
-        "scope": document.scope,
-        "mask": document.mask,
-        "fov_deg": float(document.fov_deg),
-        "shading": document.shading,
-        "texture": document.texture,
-        "operator": document.operator,
+        "scope": look.scope,
+        "mask": look.mask,
+        "fov_deg": float(look.fov_deg),
+        "shading": sight.shading,
+        "texture": sight.texture,
+        "operator": look.operator,
         "transfer": document.transfer.to_json(),
     }
 
@@ -79,4 +81,4 @@ class Flying(Subject):
             self.core.fly(place_pose(pose))
             # As the operator stands.
             self.core.fly(c.LevelHorizon())
-        self.core.look(case, crosshair_lps=lps)
+        self.core.see(case, crosshair_lps=lps)

@@ -86,7 +86,7 @@ class ScopeHolding(Subject):
                 self._find_wall(case)
                 return NearWall("finding")
             at = as_point(case.navigator.pose.position_lps) if lps is None else lps
-            tip_mm = scope_preset(case.document.scope or DEFAULT_SCOPE).tip_mm
+            tip_mm = scope_preset(case.document.look.scope or DEFAULT_SCOPE).tip_mm
         return NearWall("ready", at, local_contact(wall, at, ForceLaw(tip_radius_mm=tip_mm / 2.0)))
 
     def lay(self, case: OpenCase, insertion_mm: float | None = None) -> None:
@@ -98,7 +98,7 @@ class ScopeHolding(Subject):
             insertion_mm = case.navigator.path_mm
         if insertion_mm is None:
             insertion_mm = route.path.nearest_mm(case.navigator.pose.position_lps)
-        name = case.document.scope or DEFAULT_SCOPE
+        name = case.document.look.scope or DEFAULT_SCOPE
         points = tuple(as_point(point) for point in route.points_lps)
         self.core.fly(LayScope(name, points, float(insertion_mm)))
         case.laid_scope = name
@@ -111,7 +111,7 @@ class ScopeHolding(Subject):
         if case.wall_of is not case.document.airways:
             self.core.fly(c.SetMode("free"))
             self.core.emit(Said("the airways have changed: hold the scope again to feel the new wall"))
-        elif (case.document.scope or DEFAULT_SCOPE) != case.laid_scope:
+        elif (case.document.look.scope or DEFAULT_SCOPE) != case.laid_scope:
             self.lay(case, state.insertion_mm)
 
 

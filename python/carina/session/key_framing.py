@@ -201,12 +201,12 @@ class KeyFraming(Subject):
         """For a file that ``carina fly`` renders."""
         case = self.core.needed_case()
         with self.core.lock:
-            document = case.document
+            document, sight = case.document, case.sight
         if not document.keys.frames:
             raise NoResultError("there are no key frames yet", code="session.keys")
         keys = document.keys
         frames = key_frames(keys, case.info.volume, document.airways)
-        return KeyFile(frames, keys.speed_mm_s, keys.through, case_key(case.info.volume), view_words(document))
+        return KeyFile(frames, keys.speed_mm_s, keys.through, case_key(case.info.volume), view_words(document, sight))
 
     @does(c.TakeKeyFile)
     def take_key_file(self, command: c.TakeKeyFile) -> str:

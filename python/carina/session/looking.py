@@ -1,15 +1,16 @@
-"""How the case is shown: what undo takes back, and ways of looking, which it does not."""
+"""How the case is shown: look, which undo takes back, and sight, which it does not."""
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from typing import Any
+
+import msgspec
 
 from carina import commands as c
 from carina.errors import UsageError
-from carina.render import VIEWS, Slab, view_row
 from carina.scopes import scope_preset
-from carina.session.case import HISTOGRAM_PRESET
-from carina.session.scene import Carm, FlatPlace, Orbit, Reformation
+from carina.session.case import HISTOGRAM_PRESET, OpenCase
 from carina.session.subject import Subject, does
 
 __all__ = ["Looking"]
@@ -18,56 +19,40 @@ PINHOLE_FOV_DEG = 90.0
 
 
 class Looking(Subject):
-    """Lens, transfer function, light and windows; orbits, zooms and the crosshair."""
+    """Lens, transfer function, light and windows; orbits, zooms and the crosshair.
 
-    # ------------------------------------------------------------ with a step of undo
+    Most commands only set a field of one of the two: :meth:`set_field` does all of these.
+    """
 
-    @does(c.SetWindow)
-    def set_window(self, command: c.SetWindow) -> None:
-        """A drag is one step."""
-        window = {"window_width_hu": command.width_hu, "window_level_hu": command.level_hu}
-        self.core.edit(command.undo_label, "window", **window)
+    def set_field(self, command: c.Command) -> None:
+        """What only sets a field of look or sight. A number that is dragged is one step of undo."""
+        case = self.core.needed_case()
+        assert command.sets is not None
+        view, value = command.setting()
+        with self.core.lock:
+            if command.sets in c.Look.__struct_fields__:
+                gesture = command.sets if isinstance(value, float) else None
+                self._change_look(case, command.undo_label, gesture, **{command.sets: value})
+                return
+            if view is not None:
+                value = {**getattr(case.sight, command.sets), view: value}
+            self.core.see(case, **{command.sets: value})
 
-    @does(c.SetFov)
-    def set_fov(self, command: c.SetFov) -> None:
-        """A drag is one step."""
-        self.core.edit(command.undo_label, "fov", fov_deg=command.fov_deg)
+    def _change_look(self, case: OpenCase, label: str | None, gesture: Hashable, **values: Any) -> None:
+        self.core.edit(label, gesture, look=msgspec.structs.replace(case.document.look, **values))
 
     @does(c.SetScope)
     def set_scope(self, command: c.SetScope) -> None:
         """With its field of view and outline. A full frame stays full, since a person chose it."""
-        mask = self.core.needed_case().document.mask
+        case = self.core.needed_case()
         if command.scope is None:
-            self.core.edit("no scope", None, scope=None, fov_deg=PINHOLE_FOV_DEG)
+            self._change_look(case, "no scope", None, scope=None, fov_deg=PINHOLE_FOV_DEG)
             return
         scope = scope_preset(command.scope)
-        changed: dict[str, Any] = {"fov_deg": scope.usual_fov_deg, "mask": "none" if mask == "none" else scope.mask}
-        self.core.edit(f"scope: {scope.title}", None, scope=command.scope, **changed)
-
-    @does(c.SetMask)
-    def set_mask(self, command: c.SetMask) -> None:
-        """Round, octagonal or the full frame."""
-        self.core.edit(command.undo_label, None, mask=command.mask)
-
-    @does(c.SetShading)
-    def set_shading(self, command: c.SetShading) -> None:
-        """On or off."""
-        self.core.edit(command.undo_label, None, shading=command.on)
-
-    @does(c.SetTexture)
-    def set_texture(self, command: c.SetTexture) -> None:
-        """On or off."""
-        self.core.edit(command.undo_label, None, texture=command.on)
-
-    @does(c.SetMethod)
-    def set_method(self, command: c.SetMethod) -> None:
-        """The picture is the same."""
-        self.core.edit(command.undo_label, None, method=command.method)
-
-    @does(c.SetOperator)
-    def set_operator(self, command: c.SetOperator) -> None:
-        """The tip follows the document."""
-        self.core.edit(command.undo_label, None, operator=command.position)
+        mask = "none" if case.document.look.mask == "none" else scope.mask
+        self._change_look(
+            case, f"scope: {scope.title}", None, scope=command.scope, fov_deg=scope.usual_fov_deg, mask=mask
+        )
 
     @does(c.SetTransfer)
     def set_transfer(self, command: c.SetTransfer) -> None:
@@ -90,45 +75,12 @@ class Looking(Subject):
                 raise UsageError(f"this transfer function is in {transfer.unit}; the volume needs {unit}")
         self.core.edit(command.undo_label, "transfer", transfer=transfer)
 
-    # ------------------------------------------------------------ without
-
     @does(c.SetCrosshair)
     def set_crosshair(self, command: c.SetCrosshair) -> None:
         """None follows the tip."""
         case = self.core.needed_case()
         if command.lps is not None:
             case.check_inside(command.lps)
-            self.core.look(case, crosshair_lps=command.lps)
+            self.core.see(case, crosshair_lps=command.lps)
         else:
-            self.core.look(case, crosshair_lps=None, zoom=case.zoom.following)
-
-    @does(c.SetOrbit)
-    def set_orbit(self, command: c.SetOrbit) -> None:
-        """Camera of an outside view."""
-        orbit = Orbit(command.azimuth_deg, command.elevation_deg, command.distance_mm)
-        self.core.look(self.core.needed_case(), **{f"orbit_{VIEWS[command.view].field}": orbit})
-
-    @does(c.SetZoom)
-    def set_zoom(self, command: c.SetZoom) -> None:
-        """The picture stays round its centre until the tip moves."""
-        case = self.core.needed_case()
-        row = view_row(command.view)
-        place = FlatPlace(command.extent_mm if row.zoom == "extent" else command.mm_per_px, command.center_lps)
-        self.core.look(case, zoom=case.zoom.placed(command.view, place))
-
-    @does(c.SetCarm)
-    def set_carm(self, command: c.SetCarm) -> None:
-        """Where the C-arm stands."""
-        carm = Carm(command.primary_deg, command.secondary_deg, command.mm_per_px, command.tone)
-        self.core.look(self.core.needed_case(), carm=carm)
-
-    @does(c.SetReformation)
-    def set_reformation(self, command: c.SetReformation) -> None:
-        """Turn and scale."""
-        self.core.look(self.core.needed_case(), reformation=Reformation(command.turn_deg, command.mm_per_px))
-
-    @does(c.SetSlab)
-    def set_slab(self, command: c.SetSlab) -> None:
-        """Thin slices have none."""
-        slab = Slab(command.thickness_mm, command.kind) if command.thickness_mm > 0.0 else None
-        self.core.look(self.core.needed_case(), slab=slab)
+            self.core.see(case, crosshair_lps=None, zoom=case.sight.centred(case.sight.zoom).zoom)

@@ -40,7 +40,7 @@ class Case:
     ...     case.do(ChooseRoute(branch_id=case.airways.tree.tips()[0].id))
     ...     case.do(GoTo(path_mm=40.0))
     ...     case.history()[0], case.render(width=64, height=48).rgb.shape
-    ('fine texture', (48, 64, 3))
+    ('route to LB9', (48, 64, 3))
     """
 
     def __init__(self, session: Session) -> None:

@@ -66,7 +66,7 @@ class FlightRecording(Subject):
                     case=key,
                     carina=VERSION,
                     now_s=self.core.clock(),
-                    view=view_words(case.document),
+                    view=view_words(case.document, case.sight),
                     on_end=self._ended,
                 )
             except OSError as trouble:
@@ -111,6 +111,6 @@ class FlightRecording(Subject):
             self._recorder.tick(self.core.clock())
 
     def note_view(self, case: OpenCase) -> None:
-        """After a change of the document, with the session locked."""
+        """After a change of document or sight, with the session locked."""
         if self._recorder is not None and self._recorded_case is case:
-            self._recorder.note_view(view_words(case.document), self.core.clock())
+            self._recorder.note_view(view_words(case.document, case.sight), self.core.clock())

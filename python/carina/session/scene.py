@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from collections.abc import Callable, Hashable, Iterable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Protocol
 
+import msgspec
 import numpy as np
 
 from carina import render
-from carina.render import VIEWS, Orbit
-from carina.scopes import ImageField, Mask, PathFrames, Pose, ScopePreset
+from carina.commands import Look
+from carina.render import VIEWS, Sight
+from carina.render.sight import THIN
+from carina.scopes import ImageField, PathFrames, Pose, scope_preset
+from carina.value import PointLps
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -18,7 +22,7 @@ if TYPE_CHECKING:
     from carina.render import CancelToken, Hit, Picture, TransferFunction
     from carina.track import LumenOutline
 
-__all__ = ["Carm", "FlatPlace", "Orbit", "Reformation", "Renderer", "Scene", "Zoom"]
+__all__ = ["Renderer", "Scene"]
 
 
 class Renderer(Protocol):
@@ -44,66 +48,6 @@ class Renderer(Protocol):
         """Build what makes pictures fast; until then they are slow and the same."""
 
 
-DEFAULT_ORBIT_TREE = Orbit(azimuth_deg=0.0, elevation_deg=0.0)
-DEFAULT_ORBIT_TRI_PLANE = Orbit(azimuth_deg=35.0, elevation_deg=25.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Carm:
-    """Angles, scale and tone of the radiograph; see :class:`carina.render.DrrView`."""
-
-    primary_deg: float = 0.0
-    secondary_deg: float = 0.0
-    mm_per_px: float | None = None
-    tone: Literal["radiograph", "fluoroscopy"] = "radiograph"
-
-
-@dataclass(frozen=True, slots=True)
-class Reformation:
-    """Turn and scale of the views along the route; a scale of None fits the route, else the tip is in the middle."""
-
-    turn_deg: float = 0.0
-    mm_per_px: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class FlatPlace:
-    """Where a planar view was zoomed or panned to, until the tip moves."""
-
-    scale: float | None = None
-    """mm per pixel, or the extent in mm where the view has one; None fits."""
-    center_lps: tuple[float, float, float] | None = None
-    """None is the point that is shown, and of views that go with the tip the tip."""
-
-
-FITS = FlatPlace()
-
-
-@dataclass(frozen=True, slots=True)
-class Zoom:
-    """Scales and centres of the planar views; those that are not among ``places`` fit."""
-
-    places: Mapping[str, FlatPlace] = field(default_factory=dict)
-
-    def of(self, view: str) -> FlatPlace:
-        """A view's own."""
-        return self.places.get(view, FITS)
-
-    def placed(self, view: str, place: FlatPlace) -> Zoom:
-        """The same with one view elsewhere."""
-        return Zoom({**self.places, view: place})
-
-    @property
-    def following(self) -> Zoom:
-        """The same scales, round the point that is shown."""
-        return Zoom({view: FlatPlace(place.scale) for view, place in self.places.items()})
-
-    @property
-    def at_tip(self) -> Zoom:
-        """The same, with the tip in the middle of what goes where the tip goes."""
-        return Zoom({view: FlatPlace(p.scale) if VIEWS[view].at_tip else p for view, p in self.places.items()})
-
-
 @dataclass(frozen=True, slots=True)
 class Outline:
     """The lumen's outline in one picture."""
@@ -127,22 +71,9 @@ class Scene:
     pose_id: int
     pose_s: float
     """When this pose came to be, on the session's clock."""
-    scope: ScopePreset | None
-    mask: Mask
-    fov_deg: float
-    shading: bool
-    texture: bool
-    method: str
-    window_hu: tuple[float, float]
-    crosshair_lps: tuple[float, float, float] | None
-    orbit_tree: Orbit
-    orbit_tri_plane: Orbit
-    zoom: Zoom
+    look: Look
+    sight: Sight
     has_lumen: bool
-    carm: Carm = Carm()
-    reformation: Reformation = Reformation()
-    slab: render.Slab | None = None
-    """Thick slices and views along the route."""
     frames: PathFrames | None = None
     """The route, as the views along it want it."""
     path_mm: float | None = None
@@ -155,10 +86,10 @@ class Scene:
     """The lumen that was decided on, for the outlines in planes: they never wait for the renderer."""
 
     @property
-    def shown_lps(self) -> tuple[float, float, float]:
+    def shown_lps(self) -> PointLps:
         """The point that slices and tri-plane show: the crosshair, or the tip."""
-        if self.crosshair_lps is not None:
-            return self.crosshair_lps
+        if self.sight.crosshair_lps is not None:
+            return self.sight.crosshair_lps
         x, y, z = self.pose.position_lps
         return float(x), float(y), float(z)
 
@@ -199,39 +130,28 @@ class Scene:
     def spec(self, view: str, width: int, height: int, step_vox: float, *, full_width: int | None = None) -> Any:
         """The view as the renderer takes it. ``full_width`` keeps a zoomed slice's extent in a smaller picture."""
         row = VIEWS[view]
-        settings = replace(self._settings(row), width=width, height=height, step_vox=step_vox)
-        if settings.mm_per_px is not None and full_width is not None:
-            settings = replace(settings, mm_per_px=settings.mm_per_px * full_width / width)
-        return row.spec(settings)
+        settings = self._settings(row)
+        return row.spec(replace(settings, width=width, height=height, full_width=full_width, step_vox=step_vox))
 
     def _settings(self, row: render.ViewRow) -> render.ViewSettings:
         """What a view of this scene is looked at with, whatever its size."""
-        place = self.zoom.of(row.name)
-        field = ImageField(self.mask) if self.scope is None else replace(self.scope.field, mask=self.mask)
-        scales = {"slice": place.scale, "path": self.reformation.mm_per_px, "carm": self.carm.mm_per_px}
+        scope = None if self.look.scope is None else scope_preset(self.look.scope)
+        mask = self.look.mask
+        # Views of their own window and thickness keep them.
+        own: dict[str, Any] = {} if row.windowed else {"window": None}
+        own |= {} if row.slab == "window" else {"slab": THIN}
         return render.ViewSettings(
             pose=self.pose,
             pose_id=self.pose_id,
             point_lps=self.shown_lps,
-            scope=self.scope,
+            sight=msgspec.structs.replace(self.sight, **own) if own else self.sight,
+            scope=scope,
             picture_turned=self.picture_turned,
-            fov_deg=self.fov_deg,
-            field=field,
-            shading=self.shading,
-            texture=self.texture,
-            method="brute" if self.method == "brute" else "leap",
-            window_hu=self.window_hu if row.windowed else None,
-            slab=self.slab if row.slab == "window" else None,
-            mm_per_px=scales.get(row.zoom or ""),
-            extent_mm=place.scale if row.zoom == "extent" else None,
-            center_lps=place.center_lps,
-            orbit=None if row.camera_field is None else getattr(self, row.camera_field),
+            fov_deg=self.look.fov_deg,
+            field=ImageField(mask) if scope is None else replace(scope.field, mask=mask),
             # A plane that is dragged must not take the camera along.
             look_at="volume",
-            carm_deg=(self.carm.primary_deg, self.carm.secondary_deg),
-            tone=self.carm.tone,
             path=self.frames,
-            turn_deg=self.reformation.turn_deg,
             path_mm=self._path_place_mm() if row.zoom == "path" and self.frames is not None else 0.0,
         )
 

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-from carina.commands import Command, Question, checked
+from carina.commands import Command, Question, all_commands, checked
 from carina.errors import UsageError
 from carina.session.core import Event, SessionCore
 from carina.session.devices import Devices
@@ -84,11 +84,15 @@ class Session:
         core.after_document += [
             editing.fold, measuring.follow, recording.note_view, holding.follow, keys.follow, finding.follow,
         ]  # fmt: skip
+        core.after_sight += [recording.note_view]
+        looking = Looking(core)
         subjects = (
-            opening, Flying(core, holding), Looking(core), Routing(core), finding, editing, keys, recording,
+            opening, Flying(core, holding), looking, Routing(core), finding, editing, keys, recording,
             self._devices, holding, CaseQuestions(core),
         )  # fmt: skip
-        self._handlers: dict[type[Any], Callable[[Any], Any]] = {}
+        self._handlers: dict[type[Any], Callable[[Any], Any]] = {
+            cls: looking.set_field for cls in all_commands() if cls.sets is not None
+        }
         for subject in subjects:
             self._handlers.update(handlers_of(subject))
         self._handlers.update(dict.fromkeys(STRAIGHT_TO_THE_PILOT, core.fly))

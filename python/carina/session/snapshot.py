@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from carina.commands import DeviceControls
 from carina.errors import NoEvidenceError
 from carina.navigate import DeviceState
-from carina.render import Slab
+from carina.render import Sight
 from carina.scopes import LocalContact, Pose, ScopeState
 from carina.session.document import Document
-from carina.session.scene import DEFAULT_ORBIT_TREE, DEFAULT_ORBIT_TRI_PLANE, Carm, Orbit, Reformation, Zoom
 
 if TYPE_CHECKING:
     from carina.track import TreeMeasures
@@ -123,13 +122,7 @@ class Snapshot:
     airways_words: str | None = None
     document: Document | None = None
     mode: Literal["free", "path", "scope"] = "free"
-    crosshair_lps: tuple[float, float, float] | None = None
-    orbit_tree: Orbit = DEFAULT_ORBIT_TREE
-    orbit_tri_plane: Orbit = DEFAULT_ORBIT_TRI_PLANE
-    zoom: Zoom = field(default_factory=Zoom)
-    carm: Carm = field(default_factory=Carm)
-    reformation: Reformation = field(default_factory=Reformation)
-    slab: Slab | None = None
+    sight: Sight = Sight()
     undo_label: str | None = None
     redo_label: str | None = None
     transfer_presets: tuple[str, ...] = ()

@@ -254,6 +254,31 @@ export interface FlyKeysMessage {
   readonly goes_on?: boolean;
 }
 
+/** Full angle of the airway view over the shorter side. */
+export interface SetFovMessage {
+  readonly type: "set_fov";
+  readonly fov_deg: number;
+}
+
+/** Outline of the airway picture: round, octagonal or the full frame. */
+export interface SetMaskMessage {
+  readonly type: "set_mask";
+  readonly mask: "none" | "octagon" | "round";
+}
+
+/** Look through an instrument of the library, with its field of view and outline; null is a pinhole. */
+export interface SetScopeMessage {
+  readonly type: "set_scope";
+  readonly scope: string | null;
+}
+
+/** A preset by name, or a `carina-transfer` document; exactly one. */
+export interface SetTransferMessage {
+  readonly type: "set_transfer";
+  readonly preset?: string | null;
+  readonly document?: Record<string, unknown> | null;
+}
+
 /** The point that slices and tri-plane show; null follows the tip. */
 export interface SetCrosshairMessage {
   readonly type: "set_crosshair";
@@ -267,65 +292,29 @@ export interface SetWindowMessage {
   readonly level_hu: number;
 }
 
-/** Full angle of the airway view over the shorter side. */
-export interface SetFovMessage {
-  readonly type: "set_fov";
-  readonly fov_deg: number;
-}
-
-/** Look through an instrument of the library, with its field of view and outline; null is a pinhole. */
-export interface SetScopeMessage {
-  readonly type: "set_scope";
-  readonly scope: string | null;
-}
-
-/** Outline of the airway picture. */
-export interface SetMaskMessage {
-  readonly type: "set_mask";
-  readonly mask: "none" | "octagon" | "round";
-}
-
-/** A preset by name, or a `carina-transfer` document; exactly one. */
-export interface SetTransferMessage {
-  readonly type: "set_transfer";
-  readonly preset?: string | null;
-  readonly document?: Record<string, unknown> | null;
-}
-
-/** Light at the tip on or off. */
-export interface SetShadingMessage {
-  readonly type: "set_shading";
-  readonly on: boolean;
-}
-
-/** Fine texture of the mucosa, which is decoration and not the patient's, on or off. */
-export interface SetTextureMessage {
-  readonly type: "set_texture";
-  readonly on: boolean;
-}
-
-/** Leaping, or the brute-force reference; the picture is the same. */
-export interface SetMethodMessage {
-  readonly type: "set_method";
-  readonly method: "brute" | "leap";
-}
-
-/** Where an outside view is seen from; distance null fits. */
-export interface SetOrbitMessage {
-  readonly type: "set_orbit";
-  readonly view: "tree" | "tri-plane";
-  readonly azimuth_deg: number;
-  readonly elevation_deg: number;
-  readonly distance_mm: number | null;
+/** Thickness of slices and views along the route, and what they show of it; 0 mm are thin slices. */
+export interface SetSlabMessage {
+  readonly type: "set_slab";
+  readonly thickness_mm: number;
+  readonly kind: "max" | "mean" | "min";
 }
 
 /** Scale of a slice (mm_per_px) or width of the cut-plane (extent_mm); null fits. */
 export interface SetZoomMessage {
   readonly type: "set_zoom";
-  readonly view: "axial" | "coronal" | "cut-plane" | "sagittal";
   readonly mm_per_px?: number | null;
   readonly extent_mm?: number | null;
   readonly center_lps?: readonly [number, number, number] | null;
+  readonly view: "axial" | "coronal" | "cut-plane" | "sagittal";
+}
+
+/** Where an outside view is seen from; distance null fits. */
+export interface SetOrbitMessage {
+  readonly type: "set_orbit";
+  readonly azimuth_deg: number;
+  readonly elevation_deg: number;
+  readonly distance_mm?: number | null;
+  readonly view: "tree" | "tri-plane";
 }
 
 /** Where the radiograph's C-arm stands: LAO and cranial above 0; mm_per_px counts at its centre, null fits. */
@@ -344,11 +333,22 @@ export interface SetReformationMessage {
   readonly mm_per_px: number | null;
 }
 
-/** Thickness of slices and views along the route, and what they show of it; 0 mm are thin slices. */
-export interface SetSlabMessage {
-  readonly type: "set_slab";
-  readonly thickness_mm: number;
-  readonly kind: "max" | "mean" | "min";
+/** Light at the tip on or off. */
+export interface SetShadingMessage {
+  readonly type: "set_shading";
+  readonly on: boolean;
+}
+
+/** Fine texture of the mucosa, which is decoration and not the patient's, on or off. */
+export interface SetTextureMessage {
+  readonly type: "set_texture";
+  readonly on: boolean;
+}
+
+/** Leaping, or the brute-force reference; the picture is the same. */
+export interface SetMethodMessage {
+  readonly type: "set_method";
+  readonly method: "brute" | "leap";
 }
 
 /** Answer `state.mask_question`: which label is the airway; whether to resample. */
@@ -701,7 +701,7 @@ export interface CaseInfo {
   readonly off: readonly FeatureOff[];
 }
 
-/** Grey window of the slice views. */
+/** Grey window of all slice views; numbers of the file where the volume is not HU. */
 export interface GreyWindow {
   readonly width_hu: number;
   readonly level_hu: number;
@@ -718,7 +718,7 @@ export interface Target {
   readonly problem: string | null;
 }
 
-/** Camera of an outside view; azimuth 0 is from anterior, distance null fits. */
+/** Camera of an outside view: azimuth 0 is from anterior, distance null fits. */
 export interface Orbit {
   readonly azimuth_deg: number;
   readonly elevation_deg: number;
@@ -1310,20 +1310,20 @@ export type ClientMessage =
   | SetKeyFlightMessage
   | ShowKeyMessage
   | FlyKeysMessage
+  | SetFovMessage
+  | SetMaskMessage
+  | SetScopeMessage
+  | SetTransferMessage
   | SetCrosshairMessage
   | SetWindowMessage
-  | SetFovMessage
-  | SetScopeMessage
-  | SetMaskMessage
-  | SetTransferMessage
+  | SetSlabMessage
+  | SetZoomMessage
+  | SetOrbitMessage
+  | SetCarmMessage
+  | SetReformationMessage
   | SetShadingMessage
   | SetTextureMessage
   | SetMethodMessage
-  | SetOrbitMessage
-  | SetZoomMessage
-  | SetCarmMessage
-  | SetReformationMessage
-  | SetSlabMessage
   | AnswerMaskMessage
   | DismissMaskMessage
   | SetRootMessage
