@@ -10,9 +10,10 @@ from carina.render import FlatViewName as FlatView
 from carina.render import OrbitViewName as OrbitView
 from carina.render import ViewName
 from carina.scopes import Mask
-from carina.value import Coordinate, PointLps
+from carina.value import Coordinate, FrozenValue, PointLps
 
 __all__ = [
+    "AirwayPlace",
     "BranchId",
     "Clutch",
     "Control",
@@ -72,3 +73,12 @@ Control = Literal["absolute", "relative", "path"]
 Clutch = Literal["always", "hold"]
 Through = Literal["airways", "space"]
 DemoName = Literal["phantom", "patient"]
+
+
+class AirwayPlace(FrozenValue, frozen=True):
+    """A place of the airways."""
+
+    lps: PointLps
+    """LPS mm."""
+    branch_id: BranchId | None
+    """The branch that it belongs to."""

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from carina.commands.fields import BranchId, Matrix4, Mode, Operator, PathMm, PointLps
+from carina.commands.fields import AirwayPlace, Matrix4, Mode, Operator, PathMm, PointLps
 from carina.commands.value import Command, LocalCommand
 
 Turn = Annotated[float, Meta(ge=-7.0, le=7.0)]
@@ -57,12 +57,11 @@ class PlacePose(LocalCommand, frozen=True):
     lps_from_camera: Matrix4
 
 
-class ShowPlace(Command, frozen=True):
-    """Tip before a place of the airways, looking at it, and the crosshair on it; free mode afterwards."""
+class ShowPlace(AirwayPlace, Command, frozen=True):
+    """Tip before a place of the airways, looking at it, and the crosshair on it; free mode afterwards.
 
-    lps: PointLps
-    branch_id: BranchId | None
-    """The branch that the place belongs to; null is the nearest."""
+    Without a branch the nearest counts.
+    """
 
 
 class LevelHorizon(Command, frozen=True):

@@ -15,7 +15,7 @@ from carina import _core
 from carina.errors import CancelledError, GeometryError
 from carina.render.mapcache import CachedMap, MapCache, MapName
 from carina.render.transfer import TransferFunction, transfer_from_histogram, transfer_preset
-from carina.render.tree import TreeField, build_tree_field
+from carina.render.tree import LeapedValues, TreeField, build_tree_field
 from carina.render.wall import wall_levels, with_wall
 from carina.volume import Volume
 
@@ -25,23 +25,19 @@ Progress = Callable[[str, float | None], None]
 Cancel = Callable[[], bool]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Maps:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Maps(LeapedValues):
     """What leaping needs for one set of values and one transfer function."""
 
-    values: NDArray[np.int16]
     runs: tuple[tuple[int, int], ...]
-    radius: NDArray[np.uint8]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ClassMaps:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ClassMaps(LeapedValues):
     """Labels of all classes, their radii, and one value of each class; for leaps by the step table."""
 
-    values: NDArray[np.int16]
     points: NDArray[np.float64]
     labels: NDArray[np.uint8]
-    radius: NDArray[np.uint8]
     class_values: list[int]
 
 
@@ -160,7 +156,7 @@ class SceneKeeper:
             MapName(scene.values, ("transparent", runs)),
             lambda: CachedMap((_core.build_run_map(scene.values, runs, cancel=cancel),)),
         )
-        return Maps(scene.values, runs, found.arrays[0])
+        return Maps(values=scene.values, radius=found.arrays[0], runs=runs)
 
     def _build_class_maps(self, scene: Scene, cancel: Cancel | None) -> ClassMaps:
         transfer = scene.transfer
@@ -177,7 +173,9 @@ class SceneKeeper:
         classes = ("values",) if by_value else ("classes", transfer.points.tolist(), transfer.reference_mm)
         found = self._get_or_build(MapName(scene.values, classes), build)
         labels, radius = found.arrays
-        return ClassMaps(scene.values, transfer.points, labels, radius, found.meaning)
+        return ClassMaps(
+            values=scene.values, radius=radius, points=transfer.points, labels=labels, class_values=found.meaning
+        )
 
     def wait_stored(self) -> None:
         """Wait until the cache has written what it keeps."""

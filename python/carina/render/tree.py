@@ -13,7 +13,7 @@ from carina.render.transfer import Light
 from carina.render.views import Picture, RenderStats, TreeView
 from carina.render.wall import bounding_box
 
-__all__ = ["TreeField", "build_tree_field", "cast_tree"]
+__all__ = ["LeapedValues", "TreeField", "build_tree_field", "cast_tree"]
 
 # The field is 1024 deep inside. A surface at 512 would be the mask's own but lose branches one voxel thick, which keep
 # 256.
@@ -22,13 +22,20 @@ LIGHT = Light(ambient=0.18, diffuse=0.82, specular=0.15, shininess_log2=4)
 BACKGROUND = (0.055, 0.06, 0.07)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TreeField:
-    """The smooth field of a lumen, cut to its box, and the map of what is empty."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LeapedValues:
+    """Values, and how far a ray may leap at each voxel."""
 
     values: NDArray[np.int16]
-    lps_from_ijk: NDArray[np.float64]
     radius: NDArray[np.uint8]
+    """Of the IsoRegion round each voxel, chessboard distance."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class TreeField(LeapedValues):
+    """The smooth field of a lumen, cut to its box, and the map of what is empty."""
+
+    lps_from_ijk: NDArray[np.float64]
     center_lps: NDArray[np.float64]
     radius_mm: float
     step_mm: float

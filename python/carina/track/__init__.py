@@ -18,7 +18,8 @@ from carina.track.edit.edits import (
     rebuild_airways,
 )
 from carina.track.edit.folded import FoldedAirways, fold_airways
-from carina.track.edit.preview import EditPreview, PreviewLine, preview_edit
+from carina.track.edit.preview import preview_edit
+from carina.track.edit.previewed import EditPreview, PreviewLine
 from carina.track.edit.way import BranchWay, branch_way
 from carina.track.find.airways import find_airways
 from carina.track.find.found import Airways

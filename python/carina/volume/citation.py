@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import msgspec
+from carina.value import FrozenValue
 
 __all__ = ["Citation"]
 
 
-class Citation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Citation(FrozenValue, frozen=True):
     """Source and licence of a case; the window is sent it as it is. As text it is one line."""
 
     authors: str

@@ -20,6 +20,7 @@ from carina.disk import scratch_folder
 from carina.errors import VolumeImportError
 from carina.volume.dicom_headers import SliceHeader, read_pixel_bytes
 from carina.volume.dicom_streams import Stream, decoder_words, fragments, read_stream, rle_problem
+from carina.volume.model import Remark
 
 __all__ = ["Doubt", "SlicePixels", "decode_slice", "is_compressed", "read_slice"]
 
@@ -33,11 +34,8 @@ _PLAIN = {_IMPLICIT_LITTLE, _EXPLICIT_LITTLE, _DEFLATED_LITTLE, _EXPLICIT_BIG, "
 
 
 @dataclass(frozen=True, slots=True)
-class Doubt:
+class Doubt(Remark):
     """Why the pixels of a slice may be wrong although they could be read."""
-
-    code: str
-    words: str
 
 
 @dataclass(frozen=True, slots=True)

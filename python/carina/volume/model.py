@@ -14,7 +14,7 @@ from carina.display.slices import middle_slices
 from carina.errors import GeometryError
 from carina.volume.citation import Citation
 
-__all__ = ["SPACING_MM", "Note", "SeriesInfo", "Volume", "VolumeSource", "badges_of"]
+__all__ = ["SPACING_MM", "Note", "Remark", "SeriesInfo", "Volume", "VolumeSource", "badges_of"]
 
 SPACING_MM = (0.01, 100.0)
 """The least and the largest distance of voxels in any volume. No scanner is outside; a lost unit or a lie is."""
@@ -24,13 +24,20 @@ SLICE_HEIGHT_PX = 240
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class Note:
-    """One thing that a person should know about a case."""
+class Remark:
+    """Something to be said, for programs and for people."""
 
     code: str
     """Stable, for programs: ``import.clipped``, ... The list is in ``docs/import-answers.md``."""
     words: str
     """A sentence part for the screen and the terminal, without a patient's name or a UID."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class Note(Remark):
+    """One thing that a person should know about a case."""
+
     badge: bool = False
     """True where it puts the values or the geometry in doubt: it goes with the case wherever the case goes."""
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.display import one_line
-from carina.volume.model import Volume
+from carina.volume.model import Remark, Volume
 
 __all__ = ["Finding", "Quality", "quality_gate", "trusted_generation"]
 
@@ -30,13 +30,11 @@ _FACES = {(0, 1): "left", (0, -1): "right", (1, 1): "back", (1, -1): "front", (2
 
 @one_line
 @dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that limits what the volume is good for."""
+class Finding(Remark):
+    """One thing that limits what the volume is good for.
 
-    code: str
-    """``spacing``, ``uneven``, ``no-lungs``, ``cut``, ``padding``, ``mask`` or ``not-hu``."""
-    words: str
-    """A sentence part for the screen and for ``carina info``."""
+    Its code is ``spacing``, ``uneven``, ``no-lungs``, ``cut``, ``padding``, ``mask`` or ``not-hu``.
+    """
 
 
 @one_line

@@ -167,7 +167,9 @@ export interface PlaceMessage {
   readonly lps: readonly [number, number, number];
 }
 
-/** Tip before a place of the airways, looking at it, and the crosshair on it; free mode afterwards. */
+/** Tip before a place of the airways, looking at it, and the crosshair on it; free mode afterwards.
+
+    Without a branch the nearest counts. */
 export interface ShowPlaceMessage {
   readonly type: "show_place";
   readonly lps: readonly [number, number, number];
@@ -1136,11 +1138,13 @@ export interface BranchMeasures {
   readonly stenosis_at_mm: number | null;
 }
 
-/** A place where the automatic airways stop short, or should be looked at; the window is sent it as it is. */
+/** A place where the automatic airways stop short, or should be looked at; the window is sent it as it is.
+
+    Its branch is the one that ends there, or is meant; None for the whole tree. */
 export interface Uncertainty {
   readonly lps: readonly [number, number, number];
-  readonly kind: "blocked" | "faint" | "fine" | "leak" | "volume";
   readonly branch_id: number | null;
+  readonly kind: "blocked" | "faint" | "fine" | "leak" | "volume";
   readonly width_mm: number;
   readonly confidence: number | null;
   readonly num_ends: number | null;

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.display import one_line
 from carina.errors import NoResultError, UsageError
 from carina.track.edit.edits import steps_of
 from carina.track.edit.kinds import AddBranch, Bridge, MoveFork
-from carina.track.edit.pieces import kind_of_added
-from carina.track.edit.tree import Points
+from carina.track.edit.previewed import EditPreview, PreviewLine
 from carina.track.edit.way import branch_way
 from carina.track.find.found import Airways
 from carina.track.stages import Cancel
@@ -20,42 +16,6 @@ from carina.track.tree.airway_tree import Branch
 from carina.volume.model import Volume
 
 __all__ = ["EditPreview", "PreviewLine", "new_lines", "preview_edit"]
-
-
-@one_line
-@dataclass(frozen=True, slots=True, eq=False)
-class PreviewLine:
-    """A line that an edit would draw."""
-
-    points_lps: NDArray[np.float64]
-    """(n, 3) LPS mm; bit for bit the points of the branch that the edit makes there."""
-    doubtful: NDArray[np.bool_]
-    """(n-1,) for each segment, whether the CT shows no airway there."""
-    drawn: NDArray[np.bool_]
-    """(n-1,) for each segment, whether its branch will be one drawn by hand: all segments, if any is doubtful."""
-
-
-@one_line
-@dataclass(frozen=True, slots=True, eq=False)
-class EditPreview:
-    """What an edit would make."""
-
-    lines: tuple[PreviewLine, ...]
-    """What would be new or elsewhere in the tree; none where there is a problem."""
-    has_evidence: bool
-    """Whether it is made at once; False where it must be asked for again, or where there is a problem."""
-    problem: str | None
-    """Why it cannot be made, and what to do."""
-
-    @property
-    def length_mm(self) -> float:
-        """Length of all lines."""
-        return sum(float(_steps_mm(line.points_lps).sum()) for line in self.lines)
-
-    @property
-    def doubtful_mm(self) -> float:
-        """Length of what the CT does not show."""
-        return sum(float(_steps_mm(line.points_lps)[line.doubtful].sum()) for line in self.lines)
 
 
 def preview_edit(
@@ -86,11 +46,7 @@ def preview_edit(
         If ``cancel()`` said so.
     """
     if isinstance(edit, AddBranch):
-        way = branch_way(volume, airways, edit.lps)
-        if way.problem is not None:
-            return EditPreview((), False, way.problem)
-        drawn = np.full(len(way.doubtful), kind_of_added(way.doubtful) == "manual")
-        return EditPreview((PreviewLine(way.points_lps, way.doubtful, drawn),), way.has_evidence, None)
+        return branch_way(volume, airways, edit.lps)
     try:
         steps = steps_of(volume, airways, cancel=cancel)
         steps.make(edit)
@@ -116,8 +72,3 @@ def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """First and one past the last place of each run of true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
     return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
-
-
-def _steps_mm(points: Points) -> NDArray[np.float64]:
-    steps: NDArray[np.float64] = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return steps

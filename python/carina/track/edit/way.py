@@ -16,6 +16,7 @@ from carina.track.edit.evidence import Evidence, Start, evidence_of
 from carina.track.edit.kinds import Point, branch_title
 from carina.track.edit.lumen import EditedLumen, Voxels, by_faces, voxel_of
 from carina.track.edit.pieces import kind_of_added
+from carina.track.edit.previewed import EditPreview, PreviewLine
 from carina.track.edit.tree import Place, Points, TreeDraft, along_mm
 from carina.track.find.found import Airways
 from carina.track.paths.tracker import as_point
@@ -38,22 +39,21 @@ SMOOTH_MM, STEP_MM = 1.0, 1.0
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
-class BranchWay:
+class BranchWay(EditPreview):
     """The way of the branch that :class:`carina.track.AddBranch` would make to a point, before it is asked for."""
 
-    points_lps: NDArray[np.float64]
-    """(n, 3) LPS mm from the tree to the point; (0, 3) where there is a problem."""
-    length_mm: float
-    doubtful: NDArray[np.bool_]
-    """(n-1,) for each segment, whether the CT shows no wall round it."""
-    doubtful_mm: float
-    """Length of the doubtful segments."""
-    has_evidence: bool
-    """Whether a click takes it at once; False where it must be asked for again, or where there is a problem."""
     parent_id: int | None
     """The branch that it leaves; None where there is a problem."""
-    problem: str | None
-    """Why no branch can be added at all, and what to do."""
+
+    @property
+    def points_lps(self) -> NDArray[np.float64]:
+        """(n, 3) LPS mm from the tree to the point; (0, 3) where there is a problem."""
+        return self.lines[0].points_lps if self.lines else np.empty((0, 3))
+
+    @property
+    def doubtful(self) -> NDArray[np.bool_]:
+        """(n-1,) for each segment, whether the CT shows no wall round it."""
+        return self.lines[0].doubtful if self.lines else np.empty(0, dtype=bool)
 
 
 def branch_way(volume: Volume, airways: Airways, lps: Point | Sequence[float] | NDArray[np.float64]) -> BranchWay:
@@ -81,15 +81,13 @@ def branch_way(volume: Volume, airways: Airways, lps: Point | Sequence[float] | 
     try:
         plan = planned_way(lumen, airways.tree, draft, evidence_of(volume, airways), (x, y, z))
     except (NoResultError, UsageError) as error:
-        return BranchWay(np.empty((0, 3)), 0.0, np.empty(0, dtype=bool), 0.0, False, None, str(error))
+        return BranchWay(lines=(), has_evidence=False, problem=str(error), parent_id=None)
+    drawn = np.full(len(plan.doubtful), kind_of_added(plan.doubtful) == "manual")
     return BranchWay(
-        points_lps=plan.points,
-        length_mm=float(along_mm(plan.points)[-1]),
-        doubtful=plan.doubtful,
-        doubtful_mm=plan.doubtful_mm,
+        lines=(PreviewLine(plan.points, plan.doubtful, drawn),),
         has_evidence=not plan.doubtful.any(),
-        parent_id=plan.leaves_id,
         problem=None,
+        parent_id=plan.leaves_id,
     )
 
 

@@ -9,8 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.commands.fields import BranchId, Count, Part, PointLps
-from carina.commands.value import FrozenValue
+from carina.commands.fields import AirwayPlace, Count, Part
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.volume.model import Volume
 
@@ -33,17 +32,16 @@ NUM_SECTIONS = 12
 NUM_SIDES = 16
 
 
-class Uncertainty(FrozenValue, frozen=True, kw_only=True):
-    """A place where the automatic airways stop short, or should be looked at; the window is sent it as it is."""
+class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
+    """A place where the automatic airways stop short, or should be looked at; the window is sent it as it is.
 
-    lps: PointLps
-    """LPS mm."""
+    Its branch is the one that ends there, or is meant; None for the whole tree.
+    """
+
     kind: UncertaintyKind
     """``blocked`` (the lumen ends though its calibre says that it goes on), ``leak`` (following it would have run out
     into the lung), ``volume`` (the volume ends there), ``faint`` (the branch may be no airway), ``fine`` (from here on
     the CT is too coarse; once for the whole tree)."""
-    branch_id: BranchId | None
-    """The branch that ends there, or is meant; None for the whole tree."""
     width_mm: float
     """Diameter of the airway where it was last seen; of ``fine`` the median of the ends that are that thin."""
     confidence: Part | None
