@@ -24,6 +24,7 @@ from carina.errors import NoResultError
 from carina.navigate import HandleSample, open_recording
 from carina.render.lettering import letters_of
 from carina.scopes import WallField
+from carina.session import JobEnded
 from small_case import SHAPE_ZYX, small_airways, small_bench
 
 RADIUS_MM = 5.0
@@ -218,21 +219,39 @@ def test_a_wall_that_nobody_stopped_is_measured_when_its_airways_are_back(bench)
     assert session.ask(WallNear()).state == "ready"
 
 
-def test_a_wall_that_is_wanted_once_more_while_its_first_job_ends_is_measured_once(bench):
+@pytest.mark.parametrize("begun", [False, True])
+def test_a_wall_whose_airways_go_and_come_back_while_its_job_runs_is_measured_once(begun):
+    """One job follows the airways, whether it has begun or waits for a thread; what was begun is given up."""
+    measured, steps = [], []
+
+    def measure(volume, airways, **options):
+        measured.append(airways)
+        while steps:
+            steps.pop(0)()
+            assert bench.session.ask(WallNear()).state == "finding"
+        return wall_field(volume, airways, **options)
+
+    bench = small_bench(wall_field=measure)
+    bench.open()
     session = bench.session
     session.do(SetRoot(tuple(float(v) for v in session.snapshot().document.airways.root_lps)))
     bench.background.run_all()
+    newest = session.snapshot().document.airways
+    assert session.ask(WallNear()).state == "finding"
+    (job,) = session.jobs.running
     for step in (session.undo, session.redo):
-        assert session.ask(WallNear()).state == "finding"
-        step()
-    assert session.ask(WallNear()).state == "finding"
-    running = len(session.jobs.running)
-    bench.background.run_next()
-    # The first job has ended; the third, of the same airways, goes on.
-    assert session.ask(WallNear()).state == "finding"
-    assert len(session.jobs.running) == running - 1
+        if begun:
+            steps.append(step)
+        else:
+            step()
+            assert session.ask(WallNear()).state == "finding"
+    bench.events.clear()
     bench.background.run_all()
     assert session.ask(WallNear()).state == "ready"
+    assert [airways is newest for airways in measured] == [True]
+    ends = [(e.job_id, e.outcome) for e in bench.of_type(JobEnded) if e.title == job.title]
+    assert ends == [(job.job_id, "done")]
+    session.close()
 
 
 def test_a_wall_that_a_person_stopped_stays_unmeasured_until_it_is_wanted_again(bench):

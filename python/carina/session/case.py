@@ -2,26 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from carina.errors import UsageError
-from carina.navigate import KeyFrameFlight, Navigator, Pilot
+from carina.navigate import Navigator, Pilot
 from carina.render import GreyWindow, Sight
+from carina.session.airway_values import LumenWall, derived_measures, derived_wall
+from carina.session.content import ShownContent
+from carina.session.derived import Cached, Derived
 from carina.session.document import Document, Keys, Point
 from carina.session.history import History
+from carina.session.inside import in_lumen
+from carina.session.jobs import JobRunner
+from carina.session.key_flight import KeyFlight, key_flight
 from carina.session.parts import Parts, RendererFactory
 from carina.session.routes import AirwayIndex, ChosenRoute
-from carina.session.scene import Renderer
 from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, MaskQuestion, PoseInfo
 from carina.session.start_pose import pose_before_airways
 from carina.track import LumenOutline
 from carina.volume import Volume
 
-__all__ = ["HISTOGRAM_PRESET", "AskedMask", "OpenCase", "as_point", "in_lumen", "new_case", "pose_info"]
+if TYPE_CHECKING:
+    from carina.track import Airways, AirwayTree, TreeMeasures
+
+__all__ = [
+    "HISTOGRAM_PRESET",
+    "AirwaySearch",
+    "AskedMask",
+    "LastMove",
+    "OpenCase",
+    "as_point",
+    "new_case",
+    "pose_info",
+]
 
 LUNG_WINDOW = GreyWindow(1500.0, -600.0)
 HISTOGRAM_PRESET = "from histogram"
@@ -37,77 +56,71 @@ class AskedMask:
     question: MaskQuestion
 
 
+@dataclass(frozen=True, slots=True)
+class AirwaySearch:
+    """How the search for the airways stands, for their panel."""
+
+    status: AirwayStatus = "waiting"
+    words: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LastMove:
+    """What moved the tip last."""
+
+    by: Literal["program", "hand", "device", "keys"] = "program"
+    """A *hand* is a person's at mouse or keyboard; *keys* is the flight through the key frames."""
+    keys_s: float | None = None
+    """The tip's time in that flight."""
+    person_moved: bool = False
+    """A person has moved the tip, now or before: airways that are found do not move it to their root."""
+
+
 @dataclass(slots=True)
 class OpenCase:
     """All of it is guarded by the session's lock."""
 
     number: int
     info: CaseSnapshot
-    renderer: Renderer
+    content: ShownContent
     pilot: Pilot
     history: History[Document]
     presets: tuple[str, ...]
     threshold_from_histogram: float | None
-    airways_status: AirwayStatus = "waiting"
-    airways_words: str | None = None
-    index: AirwayIndex | None = None
-    person_moved: bool = False
-    """Once a person has moved, found airways do not move the tip to their root."""
+    wall: Derived[Airways, LumenWall]
+    """Of airways that a scope was to be held in, or whose wall a bridge asked for."""
+    measures: Derived[Airways, TreeMeasures]
+    """Of the document's airways."""
+    outlined: Cached[Airways, LumenOutline]
+    """The outline of the newest lumen that was looked at."""
+    indexed: Cached[AirwayTree, AirwayIndex]
+    key_flight: Cached[tuple[Keys, Airways | None], KeyFlight]
+    """The flight through the newest key frames that were asked for."""
+    search: AirwaySearch = AirwaySearch()
+    last_move: LastMove = LastMove()
     sight: Sight = Sight()
-    wall_of: Any = None
-    """The airways whose wall the pilot knows."""
-    walling_of: Any = None
-    """The airways whose wall a job measures now."""
-    walling_job: str = ""
-    """The newest such job."""
-    unwalled: Any = None
-    """The airways whose wall a person stopped, or that have none: no bridge starts it again by asking."""
-    lays_scope: bool = False
-    """A scope is laid once the wall is known."""
     laid_scope: str | None = None
     """The scope that was last laid in the lumen."""
-    flown_route: Any = None
+    flown_route: ChosenRoute | None = None
     """The route whose path the pilot was last given."""
-    shown_transfer: Any = None
-    """What the renderer was last given; the document may be ahead of it."""
-    shown_airways: Any = None
-    measures: Any = None
-    """The newest :class:`carina.track.TreeMeasures`, of these airways:"""
-    measures_of: Any = None
-    wanted_measures_of: Any = None
-    """The airways that a job measures or has measured."""
-    display_wanted: int = 0
-    """Grows with each change that the renderer must follow."""
-    display_followed: bool = False
-    """A job brings the renderer to the newest."""
     asked_mask: AskedMask | None = None
-    has_lumen: bool = False
-    """The renderer has been given a lumen."""
-    content_number: int = 0
-    keys_s: float | None = None
-    """The tip's time in the flight through key frames; None once anything else has moved it."""
-    by_device: bool = False
-    """A device moved the tip last."""
-    key_flight: tuple[Keys, Any, KeyFrameFlight | None, str | None] | None = None
-    """The flight, or why there is none, and the key frames and airways that it is of."""
-    content_wanted: int = 0
-    """Grows when a person or a job decides on another transfer function or lumen..."""
-    content_shown: int = 0
-    """... and the one of these that the renderer has come to."""
-
-    outlined: LumenOutline | None = None
-    """The outline of the newest lumen that was looked at."""
 
     @property
     def outline(self) -> LumenOutline | None:
         """The outline of the lumen that the document has now; None where it has none."""
         airways = self.document.airways
-        if airways is None:
-            return None
-        # Edits that leave the lumen as it is (a name, a smoother centreline) keep its outline.
-        if self.outlined is None or self.outlined.lumen_zyx is not airways.lumen_zyx:
-            self.outlined = LumenOutline(self.info.volume, airways)
-        return self.outlined
+        return None if airways is None else self.outlined.of(airways)
+
+    @property
+    def index(self) -> AirwayIndex | None:
+        """The centreline points of the document's tree; None where it has none."""
+        airways = self.document.airways
+        return None if airways is None else self.indexed.of(airways.tree)
+
+    def discard(self) -> None:
+        """Make nothing more for it, and keep nothing large: another case is open, or none."""
+        for derived in (self.content, self.wall, self.measures):
+            derived.discard()
 
     @property
     def navigator(self) -> Navigator:
@@ -137,8 +150,17 @@ class OpenCase:
             raise UsageError(f"the point {place} mm lies outside the scan", code="session.outside")
 
 
-def new_case(volume: Volume, number: int, *, parts: Parts, renderer_factory: RendererFactory) -> OpenCase:
-    """A case that shows a volume, before anything was found in it."""
+def new_case(
+    volume: Volume,
+    number: int,
+    *,
+    parts: Parts,
+    renderer_factory: RendererFactory,
+    jobs: JobRunner,
+    lock: AbstractContextManager[Any],
+    changed: Callable[..., None],
+) -> OpenCase:
+    """A case that shows a volume, before anything was found in it; ``changed`` is told topics by its jobs."""
     off: tuple[FeatureOff, ...] = ()
     threshold: float | None = None
     window = LUNG_WINDOW
@@ -160,12 +182,19 @@ def new_case(volume: Volume, number: int, *, parts: Parts, renderer_factory: Ren
     return OpenCase(
         number=number,
         info=CaseSnapshot(volume, parts.quality_words(volume), off, (low, high)),
-        renderer=renderer_factory(volume, transfer),
+        content=ShownContent(
+            renderer_factory(volume, transfer), transfer, jobs=jobs, lock=lock, changed=partial(changed, "views")
+        ),
         pilot=Pilot(Navigator(pose_before_airways(volume), volume=volume)),
         history=History(document),
         presets=presets,
         threshold_from_histogram=threshold,
-        shown_transfer=transfer,
+        wall=derived_wall(volume, parts, jobs=jobs, lock=lock),
+        measures=derived_measures(volume, parts, jobs=jobs, lock=lock, changed=partial(changed, "state", "tree")),
+        # Edits that leave the lumen as it is (a name, a smoother centreline) keep its outline.
+        outlined=Cached(partial(LumenOutline, volume), same=lambda a, b: a.lumen_zyx is b.lumen_zyx),
+        indexed=Cached(AirwayIndex),
+        key_flight=Cached(lambda keys_and_airways: key_flight(volume, *keys_and_airways)),
         sight=Sight(window=window),
     )
 
@@ -198,8 +227,8 @@ def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
         inside=inside,
         scope=tip.scope_state,
         scope_tip_mm=tip.scope_tip_mm,
-        keys_s=case.keys_s,
-        by_device=case.by_device,
+        keys_s=case.last_move.keys_s,
+        by_device=case.last_move.by == "device",
     )
 
 
@@ -207,10 +236,3 @@ def as_point(values: Iterable[Any]) -> Point:
     """Three plain floats."""
     x, y, z = (float(v) for v in values)
     return x, y, z
-
-
-def in_lumen(volume: Volume, lumen_zyx: Any, point_lps: Any) -> bool:
-    """Whether the voxel that a point lies in is lumen."""
-    i, j, k = np.rint(volume.to_ijk(point_lps)).astype(int)
-    nz, ny, nx = volume.shape_zyx
-    return 0 <= i < nx and 0 <= j < ny and 0 <= k < nz and bool(lumen_zyx[k, j, i])

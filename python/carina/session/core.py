@@ -8,22 +8,21 @@ import time
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import msgspec
 
 from carina.commands import SetOperator, Steer
-from carina.errors import CancelledError, CarinaError, NoEvidenceError, UsageError
+from carina.errors import CarinaError, NoEvidenceError, UsageError
 from carina.navigate import Move
 from carina.render import VIEWS
-from carina.session.case import OpenCase, pose_info
+from carina.session.case import LastMove, OpenCase, pose_info
 from carina.session.document import Document
 from carina.session.history import History
-from carina.session.jobs import Job, JobEnded, JobProgress, JobRunner
+from carina.session.jobs import JobEnded, JobProgress, JobRunner
 from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.recent import LocalStore
-from carina.session.routes import AirwayIndex, path_move
+from carina.session.routes import path_move
 from carina.session.scene import Scene
 from carina.session.snapshot import Changed, NotEvident, PoseInfo, Said, Snapshot, Topic, Trouble
 
@@ -62,7 +61,7 @@ class SessionCore:
         self.device_woken = threading.Event()
         self.before_move: Callable[[], None] = lambda: None
         self.before_document: list[Callable[[OpenCase], None]] = []
-        """Done when the document has changed, before tip, index and renderer follow it, with the session locked..."""
+        """Done when the document has changed, before tip and renderer follow it, with the session locked..."""
         self.after_document: list[Callable[[OpenCase], None]] = []
         """... and after that."""
         self.after_sight: list[Callable[[OpenCase], None]] = []
@@ -169,7 +168,7 @@ class SessionCore:
             step(case)
 
     def _follow_document(self, case: OpenCase) -> None:
-        """Bring tip, index and renderer to where the document is."""
+        """Bring tip and renderer to where the document is."""
         document = case.document
         airways = document.airways
         if case.flown_route is not document.route:
@@ -179,89 +178,14 @@ class SessionCore:
         if case.navigator.operator != document.look.operator:
             case.pilot.apply(SetOperator(document.look.operator))
             self.moved()
-        new_airways = airways is not case.shown_airways
-        if new_airways:
-            case.index = None if airways is None else AirwayIndex(airways.tree)
-            if _lumen(airways) is _lumen(case.shown_airways):
-                # Another tree or other names in the same lumen: the renderer shows it already.
-                case.shown_airways, new_airways = airways, False
-        if new_airways or document.transfer is not case.shown_transfer:
-            case.content_wanted += 1
-            self.sync_display(case)
-
-    def sync_display(self, case: OpenCase) -> None:
-        """Give the renderer the document's transfer function and lumen, then make it fast.
-
-        One job follows the document, however many changes come: a change while it works makes what it builds stale, and
-        it begins again with the newest.
-        """
-        with self.lock:
-            case.display_wanted += 1
-            if not case.display_followed:
-                case.display_followed = True
-                self.jobs.start(
-                    "display", "preparing fast pictures", partial(self._follow_display, case, case.display_wanted)
-                )
-
-    def _follow_display(self, case: OpenCase, wanted: int, job: Job) -> None:
-        try:
-            while True:
-                job.check()
-                with self.lock:
-                    wanted = case.display_wanted
-                try:
-                    self._show_document(case, job, partial(self._is_stale, case, job, wanted))
-                except CancelledError:
-                    # Stopped by a person or by another case, unless it was only the newer change.
-                    job.check()
-                with self.lock:
-                    if case.display_wanted == wanted:
-                        case.display_followed = False
-                        return
-        except BaseException:
-            with self.lock:
-                case.display_followed = False
-                if case.display_wanted != wanted and self.case is case:
-                    # What came after the change that this job was stopped at, or failed with.
-                    self.sync_display(case)
-                elif case.content_shown != case.content_wanted:
-                    # Nothing brings the renderer further: what it shows is final.
-                    self._content_shown(case, case.content_wanted)
-            raise
-
-    @staticmethod
-    def _is_stale(case: OpenCase, job: Job, wanted: int) -> bool:
-        return job.cancel() or case.display_wanted != wanted
-
-    def _show_document(self, case: OpenCase, job: Job, stale: Callable[[], bool]) -> None:
-        with self.lock:
-            document, wanted = case.document, case.content_wanted
-            new_transfer = document.transfer is not case.shown_transfer
-            new_lumen = document.airways is not case.shown_airways
-            case.shown_transfer, case.shown_airways = document.transfer, document.airways
-        if new_transfer:
-            case.renderer.set_transfer(document.transfer)
-        if new_lumen:
-            case.renderer.set_lumen(None if document.airways is None else document.airways.lumen_zyx)
-        with self.lock:
-            if new_transfer or new_lumen or case.content_shown != wanted:
-                case.has_lumen = document.airways is not None
-                self._content_shown(case, wanted)
-        case.renderer.prepare(job.progress, stale)
-
-    def _content_shown(self, case: OpenCase, wanted: int) -> None:
-        """The renderer has come to a change of content; with the session locked."""
-        case.content_shown = wanted
-        # Also where it was taken back meanwhile: no picture since was sent as final.
-        case.content_number += 1
-        self.changed("views")
+        case.content.follow(document)
 
     def moved(self) -> None:
         self._pose_id += 1
         self._pose_s = self.clock()
         if self.case is not None:
             # Whoever flies by themselves says so afterwards.
-            self.case.keys_s, self.case.by_device = None, False
+            self.case.last_move = LastMove(person_moved=self.case.last_move.person_moved)
 
     # ------------------------------------------------------------ moving the tip
 
@@ -281,11 +205,11 @@ class SessionCore:
 
     def after_move(self, case: OpenCase, mode: str) -> None:
         """The pose is news; with the session locked."""
-        case.person_moved = True
         # Slices follow the tip again; the cut-plane does in any case.
         following = [view for view in case.sight.zoom if case.sight.crosshair_lps is None or VIEWS[view].at_tip]
         before, case.sight = case.sight, case.sight.centred(following)
         self.moved()
+        case.last_move = LastMove("hand", person_moved=True)
         if case.navigator.mode != mode or case.sight is not before:
             self.changed("state", "pose", "views")
         else:
@@ -302,17 +226,17 @@ class SessionCore:
             return Snapshot(
                 case=case.info,
                 stage="opening"
-                if case.airways_status in {"waiting", "finding"} and not case.document.airways
+                if case.search.status in {"waiting", "finding"} and not case.document.airways
                 else "ready",
-                airways=case.airways_status,
-                airways_words=case.airways_words,
+                airways=case.search.status,
+                airways_words=case.search.words,
                 document=case.document,
                 mode=case.navigator.mode,
                 sight=case.sight,
                 undo_label=case.history.undo_label,
                 redo_label=case.history.redo_label,
                 transfer_presets=case.presets,
-                measures=case.measures if case.measures_of is case.document.airways else None,
+                measures=case.measures.of(case.document.airways),
                 mask_question=None if case.asked_mask is None else case.asked_mask.question,
             )
 
@@ -330,24 +254,20 @@ class SessionCore:
             document = case.document
             return Scene(
                 case_number=case.number,
-                content_number=case.content_number,
-                content_is_newest=case.content_shown == case.content_wanted,
-                renderer=case.renderer,
+                content_number=case.content.number,
+                content_is_newest=case.content.is_newest,
+                renderer=case.content.renderer,
                 pose=case.navigator.pose,
                 pose_id=self._pose_id,
                 pose_s=self._pose_s,
                 look=document.look,
                 sight=case.sight,
-                has_lumen=case.has_lumen,
+                has_lumen=case.content.has_lumen,
                 frames=None if document.route is None else document.route.frames,
                 path_mm=case.navigator.path_mm,
                 picture_turned=case.navigator.picture_turned,
                 lumen=case.outline,
             )
-
-
-def _lumen(airways: Any) -> Any:
-    return None if airways is None else airways.lumen_zyx
 
 
 def _is_asked(error: CarinaError) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -96,7 +97,7 @@ class Devices(Subject):
                 case.navigator.pose.lps_from_camera, before.lps_from_camera
             ):
                 self.core.after_move(case, mode)
-                case.by_device = True
+                case.last_move = replace(case.last_move, by="device")
             way = case.pilot.take_wanted_way()
             if way is not None:
                 self._take_way(case, way)

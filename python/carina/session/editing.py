@@ -130,7 +130,7 @@ class TreeEditing(Subject):
 
     def _put_edit(self, case: OpenCase, label: str, document: Document) -> None:
         before = case.document
-        case.airways_words = airway_words(document.airways)
+        case.search = replace(case.search, words=airway_words(document.airways))
         self.core.change(case, label, document)
         case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
         for line in _lost(before, document):

@@ -10,7 +10,7 @@ from typing import Any
 
 from carina import commands as c
 from carina.errors import CarinaError, NoResultError, TrackingError, UsageError
-from carina.session.case import AskedMask, OpenCase, as_point
+from carina.session.case import AirwaySearch, AskedMask, OpenCase, as_point
 from carina.session.core import ALL_TOPICS
 from carina.session.document import Document, Point, Target
 from carina.session.editing import MAX_AIRWAYS_KEPT, airway_words, found_airways
@@ -118,12 +118,10 @@ class AirwayFinding(Subject):
         """The panel of the airways after a change, with the session locked."""
         # Undo may lead to other airways, or to none. A search under way says for itself how it ends.
         airways = case.document.airways
-        if airways is not None and case.airways_status == "found":
-            case.airways_words = airway_words(airways)
-        elif airways is None and case.airways_status == "found":
-            case.airways_status, case.airways_words = "failed", f"there are no airways at this step. {SET_THE_ROOT}"
-        elif airways is not None and case.airways_status == "failed":
-            case.airways_status, case.airways_words = "found", airway_words(airways)
+        if airways is not None and case.search.status in {"found", "failed"}:
+            case.search = AirwaySearch("found", airway_words(airways))
+        elif airways is None and case.search.status == "found":
+            case.search = AirwaySearch("failed", f"there are no airways at this step. {SET_THE_ROOT}")
 
     # ------------------------------------------------------------ both
 
@@ -175,7 +173,7 @@ class AirwayFinding(Subject):
                 # The panel of the airways says it; an error on top would say the same thing twice.
 
         with self.core.lock:
-            case.airways_status, case.airways_words = "finding", None
+            case.search = AirwaySearch("finding")
             self.core.changed("state")
             return self.core.jobs.start("airways", title, work)
 
@@ -185,10 +183,10 @@ class AirwayFinding(Subject):
             if any(other.kind == "airways" and other is not job for other in self.core.jobs.running):
                 return  # A newer search runs in its place.
             if case.document.airways is not None:
-                case.airways_status, case.airways_words = "found", airway_words(case.document.airways)
+                case.search = AirwaySearch("found", airway_words(case.document.airways))
             else:
                 words = str(trouble) if isinstance(trouble, CarinaError) else "finding the airways failed"
-                case.airways_status, case.airways_words = "failed", f"{words}. {SET_THE_ROOT}"
+                case.search = AirwaySearch("failed", f"{words}. {SET_THE_ROOT}")
             if self.core.case is case:
                 self.core.changed("state")
 
@@ -224,10 +222,9 @@ class AirwayFinding(Subject):
         else:
             case.history.change(label, found, now_s=self.core.clock())
             case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
-        case.airways_status = "found"
-        case.airways_words = airway_words(airways)
+        case.search = AirwaySearch("found", airway_words(airways))
         self.core.follow(case)
-        if not case.person_moved:
+        if not case.last_move.person_moved:
             if route is not None:
                 case.pilot.apply(c.GoTo(0.0))
             elif airways is not None:

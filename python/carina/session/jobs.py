@@ -99,6 +99,10 @@ class Job:
         if self.cancel():
             raise CancelledError(f"{self.title}: stopped")
 
+    def begin_again(self) -> None:
+        """What comes begins anew: time left is not guessed from what was done before."""
+        self._stage = ""
+
     def progress(self, what: str, fraction: float | None) -> None:
         """Note how far it is; told to listeners at most ten times a second."""
         self.check()
@@ -185,6 +189,12 @@ class JobRunner:
         if job is not None:
             job.stop()
         return job is not None
+
+    def is_stopping(self, job_id: str) -> bool:
+        """Whether a job was asked to stop and has not ended."""
+        with self._lock:
+            job = self._jobs.get(job_id)
+        return job is not None and job.cancel()
 
     def cancel_kinds(self, *kinds: str) -> None:
         """Stop the jobs of these kinds, or all without one."""

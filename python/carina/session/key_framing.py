@@ -14,23 +14,21 @@ from carina.errors import NoResultError, UsageError
 from carina.navigate import (
     MAX_SPEED_MM_S,
     MIN_SPEED_MM_S,
-    AirwayWay,
     KeyFile,
-    KeyFrame,
-    KeyFrameFlight,
     case_key,
     open_keys,
 )
-from carina.session.case import OpenCase, in_lumen
+from carina.session.case import OpenCase
 from carina.session.core import SessionCore
 from carina.session.document import Key, Keys
 from carina.session.flying import place_pose, view_words
+from carina.session.inside import in_airways
 from carina.session.jobs import Job
+from carina.session.key_flight import KeyFlight, key_frames
 from carina.session.snapshot import KeyInfo, KeysInfo, Said
 from carina.session.subject import Subject, answers, does
-from carina.track import way_between
 
-__all__ = ["MAX_KEYS", "KeyFraming", "key_frames"]
+__all__ = ["MAX_KEYS", "KeyFraming"]
 
 MAX_KEYS = 200
 
@@ -123,10 +121,10 @@ class KeyFraming(Subject):
 
     def follow(self, case: OpenCase) -> None:
         """Forget the flight through other key frames or airways, with the session locked."""
-        known = case.key_flight
-        if known is not None and (known[0] is not case.document.keys or known[1] is not case.document.airways):
+        if case.key_flight.is_of_others((case.document.keys, case.document.airways)):
             # Another flight, at whose times the tip is not.
-            case.key_flight = case.keys_s = None
+            case.key_flight.forget()
+            case.last_move = replace(case.last_move, keys_s=None)
 
     @does(c.ShowKey)
     def show_key(self, command: c.ShowKey) -> None:
@@ -134,9 +132,9 @@ class KeyFraming(Subject):
         case = self.core.needed_case()
         with self.core.lock:
             at = _place(case.document.keys.frames, command.key_id)
-            flight, _ = self._key_flight(case)
+            flight = self._key_flight(case).flight
             self.core.fly(place_pose(case.document.keys.frames[at].pose))
-            case.keys_s = 0.0 if flight is None else flight.key_times_s[at]
+            self._flown(case, 0.0 if flight is None else flight.key_times_s[at])
 
     @does(c.FlyKeys)
     def fly_keys(self, command: c.FlyKeys) -> None:
@@ -144,14 +142,18 @@ class KeyFraming(Subject):
         time_s, goes_on = command.time_s, command.goes_on
         case = self.core.needed_case()
         with self.core.lock:
-            if goes_on and case.keys_s is None:
+            if goes_on and case.last_move.keys_s is None:
                 return
-            flight, problem = self._key_flight(case)
+            found = self._key_flight(case)
+            flight = found.flight
             if flight is None:
-                raise NoResultError(problem or "a flight needs two key frames or more", code="session.keys")
+                raise NoResultError(found.problem or "a flight needs two key frames or more", code="session.keys")
             place_s = min(max(time_s, 0.0), flight.duration_s)
             self.core.fly(place_pose(flight.pose_at(place_s)))
-            case.keys_s = place_s
+            self._flown(case, place_s)
+
+    def _flown(self, case: OpenCase, keys_s: float) -> None:
+        case.last_move = replace(case.last_move, by="keys", keys_s=keys_s)
 
     def info(self) -> KeysInfo:
         """The key frames as they are shown."""
@@ -160,7 +162,8 @@ class KeyFraming(Subject):
             if case is None:
                 return KeysInfo()
             keys = case.document.keys
-            flight, problem = self._key_flight(case)
+            found = self._key_flight(case)
+            flight = found.flight
             shown = []
             for n, key in enumerate(keys.frames):
                 leg = None if flight is None or n == 0 else n - 1
@@ -178,21 +181,11 @@ class KeyFraming(Subject):
                     )
                 )
             duration_s = 0.0 if flight is None else flight.duration_s
-            return KeysInfo(tuple(shown), keys.speed_mm_s, keys.through, duration_s, problem)
+            return KeysInfo(tuple(shown), keys.speed_mm_s, keys.through, duration_s, found.problem)
 
-    def _key_flight(self, case: OpenCase) -> tuple[KeyFrameFlight | None, str | None]:
+    def _key_flight(self, case: OpenCase) -> KeyFlight:
         """The flight, or why there is none; with the session locked."""
-        keys, airways = case.document.keys, case.document.airways
-        known = case.key_flight
-        if known is None or known[0] is not keys or known[1] is not airways:
-            flight, problem = None, None
-            if len(keys.frames) > 1:
-                try:
-                    flight = KeyFrameFlight(key_frames(keys, case.info.volume, airways), speed_mm_s=keys.speed_mm_s)
-                except UsageError as trouble:
-                    problem = str(trouble)
-            known = case.key_flight = (keys, airways, flight, problem)
-        return known[2], known[3]
+        return case.key_flight.of((case.document.keys, case.document.airways))
 
     # ------------------------------------------------------------ its file
 
@@ -234,41 +227,12 @@ class KeyFraming(Subject):
         return self.core.jobs.start("keys", "opening key frames", work)
 
 
-def key_frames(keys: Keys, volume: Any, airways: Any) -> tuple[KeyFrame, ...]:
-    """The key frames as they are flown: through the airways between two that both lie in them, if that is asked for."""
-    found: list[KeyFrame] = []
-    before: Key | None = None
-    for key in keys.frames:
-        way = None
-        if before is not None and keys.through == "airways" and airways is not None:
-            way = _way(volume, airways, before, key)
-        found.append(KeyFrame(None, key.pose, key.name or "", key.speed_mm_s, way))
-        before = key
-    return tuple(found)
-
-
-def _way(volume: Any, airways: Any, start: Key, end: Key) -> AirwayWay | None:
-    if not (_is_inside(volume, airways, start) and _is_inside(volume, airways, end)):
-        return None
-    between = way_between(airways.tree, start.pose.position_lps, end.pose.position_lps)
-    return None if between is None else AirwayWay(*between)
-
-
-def _is_inside(volume: Any, airways: Any, key: Key) -> bool:
-    """In the lumen, or so near to a branch's middle as its wall: a lens that lies on the wall is half in it."""
-    at = key.pose.position_lps
-    if in_lumen(volume, airways.lumen_zyx, at):
-        return True
-    branch, index, away_mm = airways.tree.nearest_branch(at)
-    return bool(away_mm <= branch.radius[index])
-
-
 def _branch_words(case: OpenCase, key: Key) -> tuple[str, int | None]:
     """What a key frame is called that has no name, and its branch."""
     airways, index = case.document.airways, case.index
     if airways is None or index is None:
         return "in the volume", None
-    if not _is_inside(case.info.volume, airways, key):
+    if not in_airways(case.info.volume, airways, key.pose.position_lps):
         return "outside the airways", None
     branch_id, _, _ = index.nearest(np.asarray(key.pose.position_lps))
     return index.name(branch_id) or f"generation {index.generation(branch_id)}", branch_id

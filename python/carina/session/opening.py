@@ -70,6 +70,7 @@ class Opening(Subject):
         with self.core.lock:
             self._recording.stop()
             self.core.jobs.cancel_kinds()
+            self._discard_case()
             self.core.case = None
             self.core.changed(*ALL_TOPICS, "start")
 
@@ -88,13 +89,24 @@ class Opening(Subject):
         """Say so where there is nothing."""
         self.core.redo()
 
+    def _discard_case(self) -> None:
+        """Nothing goes on for the case on screen; with the session locked."""
+        if self.core.case is not None:
+            self.core.case.discard()
+
     def _open(self, title: str, read: Callable[[Job], Volume], path: str | None) -> str:
         def work(job: Job) -> None:
             job.check()
             volume = read(job)
             job.progress("checking the quality", None)
             case = new_case(
-                volume, next(self.core.case_numbers), parts=self.core.parts, renderer_factory=self.core.renderer_factory
+                volume,
+                next(self.core.case_numbers),
+                parts=self.core.parts,
+                renderer_factory=self.core.renderer_factory,
+                jobs=self.core.jobs,
+                lock=self.core.lock,
+                changed=self.core.changed,
             )
             if path is not None and self.core.store is not None:
                 self.core.store.remember(path, volume.source.title, self.core.today())
@@ -102,12 +114,13 @@ class Opening(Subject):
                 # Here, and not before: a refused or stopped opening leaves the case on screen as it was.
                 job.check()
                 self._recording.stop()
-                self.core.jobs.cancel_kinds("airways", "display", "mask", "target", "measures")
+                self.core.jobs.cancel_kinds("airways", "mask", "target")
+                self._discard_case()
                 self.core.case = case
                 self.core.moved()
                 self.core.changed(*ALL_TOPICS, "start")
             # A tenth of a second, and pictures come several times faster; the airways take many.
-            self.core.sync_display(case)
+            case.content.prepare()
             self._finding.start(case, None, case.threshold_from_histogram, label=None)
 
         return self.core.jobs.start("open", title, work)

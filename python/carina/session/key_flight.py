@@ -1,0 +1,56 @@
+"""The flight through key frames, or why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from carina.errors import UsageError
+from carina.navigate import AirwayWay, KeyFrame, KeyFrameFlight
+from carina.session.document import Key, Keys
+from carina.session.inside import in_airways
+from carina.track import way_between
+
+if TYPE_CHECKING:
+    from carina.track import Airways
+    from carina.volume import Volume
+
+__all__ = ["KeyFlight", "key_flight", "key_frames"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyFlight:
+    """Neither where there are fewer than two key frames."""
+
+    flight: KeyFrameFlight | None = None
+    problem: str | None = None
+
+
+def key_flight(volume: Volume, keys: Keys, airways: Airways | None) -> KeyFlight:
+    """Through all key frames."""
+    if len(keys.frames) < 2:
+        return KeyFlight()
+    try:
+        return KeyFlight(KeyFrameFlight(key_frames(keys, volume, airways), speed_mm_s=keys.speed_mm_s))
+    except UsageError as trouble:
+        return KeyFlight(problem=str(trouble))
+
+
+def key_frames(keys: Keys, volume: Volume, airways: Airways | None) -> tuple[KeyFrame, ...]:
+    """The key frames as they are flown: through the airways between two that both lie in them, if that is asked for."""
+    found: list[KeyFrame] = []
+    before: Key | None = None
+    for key in keys.frames:
+        way = None
+        if before is not None and keys.through == "airways" and airways is not None:
+            way = _way(volume, airways, before, key)
+        found.append(KeyFrame(None, key.pose, key.name or "", key.speed_mm_s, way))
+        before = key
+    return tuple(found)
+
+
+def _way(volume: Volume, airways: Airways, start: Key, end: Key) -> AirwayWay | None:
+    if not all(in_airways(volume, airways, key.pose.position_lps) for key in (start, end)):
+        return None
+    between = way_between(airways.tree, start.pose.position_lps, end.pose.position_lps)
+    return None if between is None else AirwayWay(*between)
