@@ -132,7 +132,7 @@ class _Tip:
             pose=self._path.pose_at(10.0 + min(turn, 40.0 - turn)),
             pose_id=self._num,
             pose_s=time.monotonic(),
-            look=Look(scope=None, mask="none", fov_deg=90.0),
+            look=Look(scope=None, outline="none", fov_deg=90.0),
             sight=Sight(),
             has_lumen=False,
         )

@@ -67,6 +67,7 @@ def store(path, values, spacing=(1.0, 1.0, 1.0)):
         ["render", "CT", "-o", "x.png", "--lens", "fisheye"],
         ["render", "CT", "-o", "x.png", "--lens", "lens.txt"],
         ["render", "CT", "-o", "x.png", "--scope", "BF-1000"],
+        ["render", "CT", "-o", "x.png", "--outline", "square"],
         ["render", "CT", "-o", "x.png", "--mask", "square"],
         ["render", "CT", "-o", "x.png", "--vignette", "2"],
         ["render", "CT", "-o", "x.png", "--vignette", "nan"],
@@ -259,7 +260,7 @@ def test_a_picture_through_a_scope_and_through_a_calibration(carina, ct, tmp_pat
     lens.write_text('{"image_size": [96, 72], "K": [[60, 0, 47.5], [0, 60, 35.5], [0, 0, 1]], "D": [-0.1, 0, 0, 0]}')
     for name, options in {
         "scope": ["--scope", "ebus", "--size", "64x64", "--focus", "scope"],
-        "calibration": ["--lens", lens, "--size", "96x72", "--mask", "octagon"],
+        "calibration": ["--lens", lens, "--size", "96x72", "--outline", "octagon"],
     }.items():
         at = ["--at", "0,0,20", "--look", "0,0,-1", "--transfer", "ct-grey"]
         ended = carina("render", ct, *at, *options, "-o", tmp_path / f"{name}.png", "--json")

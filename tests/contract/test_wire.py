@@ -10,7 +10,7 @@ import simplejpeg
 
 from carina.errors import ProtocolError
 from carina.server import messages as wire
-from carina.server.wire_codec import encode_picture
+from carina.server.wire_codec import OLD_WORDS, encode_picture
 from carina.server.wire_types import generated_files
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -47,6 +47,19 @@ def test_invalid_samples_are_refused_with_a_code_and_a_sentence(path):
         PARSERS[path.parent.name](path.read_bytes())
     assert refusal.value.code.startswith("protocol.")
     assert len(str(refusal.value)) > 15
+
+
+@pytest.mark.parametrize("path", samples("valid-1"), ids=label)
+def test_commands_in_the_words_of_version_1_are_those_of_now(path):
+    old = json.loads(path.read_bytes())
+    now = json.loads(wire.encode_message(PARSERS[path.parent.name](path.read_bytes())))
+    name, words = OLD_WORDS[old["type"]]
+    assert now == {words.get(field, field): value for field, value in old.items()} | {"type": name}
+
+
+def test_an_old_word_beside_its_new_one_is_refused():
+    with pytest.raises(ProtocolError, match="not known: 'mask'"):
+        wire.parse_client_message('{"type": "set_mask", "mask": "round", "outline": "octagon"}')
 
 
 def test_every_message_has_a_valid_sample():

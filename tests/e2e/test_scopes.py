@@ -46,7 +46,7 @@ def test_a_scope_is_chosen_seen_through_and_taken_back(server, workstation):
     workstation.wait_ready()
     workstation.wait_still()
     workstation.picture("scope-generic")
-    assert (workstation.state("scope"), workstation.state("mask"), workstation.state("fov_deg")) == (
+    assert (workstation.state("scope"), workstation.state("outline"), workstation.state("fov_deg")) == (
         "generic",
         "round",
         120,
@@ -63,7 +63,7 @@ def test_a_scope_is_chosen_seen_through_and_taken_back(server, workstation):
     choose_scope(workstation, "Single-use, slim")
     assert workstation.state("scope") == "single-use-slim"
     workstation.picture("scope-single-use")
-    assert (workstation.state("mask"), workstation.state("fov_deg")) == ("octagon", 85)
+    assert (workstation.state("outline"), workstation.state("fov_deg")) == ("octagon", 85)
     assert workstation.pixels("airway") != before
 
     choose_scope(workstation, "EBUS")
@@ -76,14 +76,14 @@ def test_a_scope_is_chosen_seen_through_and_taken_back(server, workstation):
     assert math.degrees(math.acos(cosine)) == pytest.approx(35.0, abs=0.01)
 
     press(workstation, "o")
-    assert workstation.state("mask") == "none"
+    assert workstation.state("outline") == "none"
     workstation.picture("scope-full-frame")
     press(workstation, "o")
-    assert workstation.state("mask") == "round"
+    assert workstation.state("outline") == "round"
 
     for _ in range(4):
         press(workstation, "Control+z")
-    assert [workstation.state(name) for name in ("scope", "mask", "fov_deg")] == ["generic", "round", 120]
+    assert [workstation.state(name) for name in ("scope", "outline", "fov_deg")] == ["generic", "round", 120]
     off = [abs(a - b) for a, b in zip(workstation.pixels("airway"), before, strict=True)]
     # JPEGs of the same picture, the last perhaps of the size before the canvas changed.
     assert sum(off) / len(off) < 1.0

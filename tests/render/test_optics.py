@@ -71,9 +71,9 @@ def test_points_appear_where_the_picture_says(balls, name):
 
 
 @pytest.mark.parametrize("name", LENSES)
-@pytest.mark.parametrize("mask", ["none", "round", "octagon"])
-def test_leap_brute_and_strips_are_one_picture_through_every_lens(airway, renderer, name, mask):
-    view = AirwayView(airway.pose, fov_deg=110.0, lens=LENSES[name], field=ImageField(mask, vignette=0.6), **SIZE)
+@pytest.mark.parametrize("outline", ["none", "round", "octagon"])
+def test_leap_brute_and_strips_are_one_picture_through_every_lens(airway, renderer, name, outline):
+    view = AirwayView(airway.pose, fov_deg=110.0, lens=LENSES[name], field=ImageField(outline, vignette=0.6), **SIZE)
     whole = renderer.render(view)
     assert whole.stats.method == "leap"
     assert np.array_equal(whole.rgb, renderer.render(dataclasses.replace(view, method="brute")).rgb)
@@ -140,7 +140,7 @@ def test_depth_of_field_blurs_what_is_near_and_leaves_the_rest(airway):
         return np.abs(np.diff(rgb[..., 0], n=2, axis=1))[near].mean()
 
     assert roughness(blurred) < 0.7 * roughness(plain)
-    # Outside the mask it stays black, and the mask's edge does not bleed in.
+    # Outside the outline it stays black, and the outline's edge does not bleed in.
     assert not blurred[np.hypot(columns - 60, rows - 48) > 48].any()
     with pytest.raises(RenderError, match="whole picture"):
         renderer.render(dataclasses.replace(view, depth_of_field=DepthOfField(3.0, 60.0)), rows=(0, 10))

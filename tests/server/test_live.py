@@ -158,12 +158,12 @@ def test_a_transfer_function_that_is_none_is_refused_in_words_and_the_old_one_st
 def test_the_outline_is_undone_over_the_wire_and_the_fine_texture_is_no_step_between(live):
     with live.window() as window:
         assert open_case(window).texture
-        window.send(wire.SetMask("octagon"))
-        assert window.until_state(lambda s: s.mask == "octagon").can_undo == "outline of the picture"
+        window.send(wire.SetOutline("octagon"))
+        assert window.until_state(lambda s: s.outline == "octagon").can_undo == "outline of the picture"
         window.send(wire.SetTexture(on=False))
         assert window.until_state(lambda s: not s.texture).can_undo == "outline of the picture"
         window.send(wire.Undo())
-        undone = window.until_state(lambda s: s.mask == "round")
+        undone = window.until_state(lambda s: s.outline == "round")
         assert (undone.can_undo, undone.can_redo, undone.texture) == (None, "outline of the picture", False)
 
 

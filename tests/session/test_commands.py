@@ -23,7 +23,7 @@ def test_every_command_is_done_and_every_question_answered_by_one_method():
     [
         (c.SetFov(30.0), "set_fov.fov_deg must be at least 60; found 30"),
         (c.SetFov(float("nan")), "fov_deg must be"),
-        (c.SetMask("square"), "set_mask.mask must be none, octagon or round; found 'square'"),
+        (c.SetOutline("square"), "set_outline.outline must be none, octagon or round; found 'square'"),
         (c.Place((1.0, 2.0)), "place.lps must have 3 entries; it has 2"),
         (c.SetTexture("yes"), "set_texture.on must be true or false; found text"),
         (c.ChooseRoute("target-1", 3), "names a target and a branch"),
@@ -74,7 +74,7 @@ def test_a_session_has_few_doors():
 def test_what_can_be_undone_is_listed():
     bench = small_bench()
     bench.open()
-    bench.session.do(c.SetMask("octagon"))
+    bench.session.do(c.SetOutline("octagon"))
     bench.session.do(c.SetFov(100.0))
     assert bench.session.history()[-2:] == ("outline of the picture", "field of view")
 

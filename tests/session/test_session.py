@@ -22,10 +22,10 @@ from carina.commands import (
     SetCrosshair,
     SetFov,
     SetLumenThreshold,
-    SetMask,
     SetMethod,
     SetOperator,
     SetOrbit,
+    SetOutline,
     SetReformation,
     SetRoot,
     SetScope,
@@ -178,7 +178,7 @@ def test_a_drag_of_the_field_of_view_is_one_step_and_a_later_drag_another():
 def test_ways_of_looking_are_no_steps_between_what_a_person_made():
     bench = small_bench()
     bench.open()
-    bench.session.do(SetMask("octagon"))
+    bench.session.do(SetOutline("octagon"))
     steps = bench.session.history()
     before = bench.session.snapshot().sight
     for command in (
@@ -199,10 +199,10 @@ def test_ways_of_looking_are_no_steps_between_what_a_person_made():
         before = after
     assert bench.session.history() == steps
     bench.session.undo()
-    assert bench.session.snapshot().document.look.mask == "round"
+    assert bench.session.snapshot().document.look.outline == "round"
     assert bench.session.snapshot().sight == before
     bench.session.redo()
-    assert bench.session.snapshot().document.look.mask == "octagon"
+    assert bench.session.snapshot().document.look.outline == "octagon"
 
 
 def test_setting_the_root_is_undone_without_searching_again():
@@ -335,14 +335,14 @@ def test_a_scope_brings_its_field_of_view_and_outline_and_can_be_taken_back():
 
     def seen():
         look = bench.session.snapshot().document.look
-        return look.scope, look.fov_deg, look.mask
+        return look.scope, look.fov_deg, look.outline
 
     assert seen() == ("generic", 120.0, "round")
     bench.session.do(SetScope("single-use-slim"))
     assert seen() == ("single-use-slim", 85.0, "octagon")
     bench.session.do(SetFov(100.0))
     assert seen() == ("single-use-slim", 100.0, "octagon")
-    bench.session.do(SetMask("none"))
+    bench.session.do(SetOutline("none"))
     bench.session.do(SetScope("ebus"))
     # A full frame was chosen by a person, and stays.
     assert seen() == ("ebus", 80.0, "none")
@@ -355,7 +355,7 @@ def test_a_scope_brings_its_field_of_view_and_outline_and_can_be_taken_back():
     with pytest.raises(UsageError, match=r"expected a scope among"):
         bench.session.do(SetScope("BF-1000"))
     with pytest.raises(UsageError, match="round"):
-        bench.session.do(SetMask("square"))
+        bench.session.do(SetOutline("square"))
 
 
 def test_the_airway_picture_is_what_the_scope_shows():
@@ -369,9 +369,9 @@ def test_the_airway_picture_is_what_the_scope_shows():
     oblique = bench.session.scene().spec("airway", 64, 48, 0.5)
     assert float(oblique.pose.forward_lps @ view.pose.forward_lps) == pytest.approx(0.8192, abs=1e-4)
     bench.session.do(SetScope(None))
-    bench.session.do(SetMask("none"))
+    bench.session.do(SetOutline("none"))
     plain = bench.session.scene().spec("airway", 64, 48, 0.5)
-    assert (plain.lens, plain.field.mask, plain.field.vignette, plain.fov_deg) == (PINHOLE, "none", 0.0, 90.0)
+    assert (plain.lens, plain.field.outline, plain.field.vignette, plain.fov_deg) == (PINHOLE, "none", 0.0, 90.0)
 
 
 def test_the_fine_texture_is_a_switch():
@@ -410,7 +410,7 @@ def test_views_depend_on_what_they_show_and_on_nothing_else():
     assert changed(lambda: bench.session.do(SetOrbit(view="tree", azimuth_deg=10.0, elevation_deg=5.0))) == {"tree"}
     assert changed(lambda: bench.session.do(SetFov(110.0))) == {"airway"}
     assert changed(lambda: bench.session.do(SetScope("ultrathin"))) == {"airway"}
-    assert changed(lambda: bench.session.do(SetMask("octagon"))) == {"airway"}
+    assert changed(lambda: bench.session.do(SetOutline("octagon"))) == {"airway"}
     assert changed(lambda: bench.session.do(SetTexture(False))) == {"airway"}
     assert changed(lambda: bench.session.do(SetZoom(view="cut-plane", extent_mm=30.0))) == {"cut-plane"}
     window = changed(lambda: bench.session.do(SetWindow(400.0, 40.0)))

@@ -226,7 +226,8 @@ def render(
     lens: Annotated[
         str | None, typer.Option(help="pinhole, equidistant, or an OpenCV calibration file (.yml, .xml, .json).")
     ] = None,
-    mask: Annotated[str | None, typer.Option(help="Outline of the picture: none, round or octagon.")] = None,
+    outline: Annotated[str | None, typer.Option(help="Shape of the picture: none, round or octagon.")] = None,
+    mask: Annotated[str | None, typer.Option("--mask", hidden=True, help="Old word for --outline.")] = None,
     vignette: Annotated[
         float | None, typer.Option(help="0 for an even picture to 1 for the lens's natural fall-off of light.")
     ] = None,
@@ -292,7 +293,7 @@ def render(
                 look=None if look is None else parse_point(look, "--look"),
                 up=None if up is None else parse_point(up, "--up"),
                 fov_deg=fov,
-                seen=SeenThrough(scope=scope, lens=lens, mask=mask, vignette=vignette, focus=focus),
+                seen=SeenThrough(scope=scope, lens=lens, outline=outline or mask, vignette=vignette, focus=focus),
                 size=parse_size(size),
                 method=method,
                 step_vox=step_vox,

@@ -267,14 +267,14 @@ def _view(frame: ReplayedPose, shown: _Shown) -> AirwayView:
     settings: dict[str, Any] = {"width": shown.size[0], "height": shown.size[1], "step_vox": shown.step_vox}
     settings |= {name: view[name] for name in ("shading", "texture", "fov_deg") if name in view}
     scope = view.get("scope", shown.scope)
-    mask = view.get("mask")
+    outline = view.get("mask")
     if scope is None:
-        field = ImageField() if mask is None else ImageField(mask)
+        field = ImageField() if outline is None else ImageField(outline)
         settings.setdefault("fov_deg", 90.0)
         return AirwayView(frame.pose, field=field, **settings)
     preset = scope_preset(scope)
-    if mask is not None:
-        settings["field"] = replace(preset.field, mask=mask)
+    if outline is not None:
+        settings["field"] = replace(preset.field, outline=outline)
     return AirwayView.of_scope(preset, frame.pose, picture_turned=frame.picture_turned, **settings)
 
 

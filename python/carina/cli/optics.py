@@ -1,4 +1,4 @@
-"""What the airway view is looked through, as people type it: a scope, a lens, a mask."""
+"""What the airway view is looked through, as people type it: a scope, a lens, an outline."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from carina.cli.console import say
 from carina.errors import UsageError
 from carina.render import LEAD_VIEW
-from carina.scopes import MASKS, DepthOfField, ImageField, Lens, lens_from_file, scope_preset
+from carina.scopes import OUTLINES, DepthOfField, ImageField, Lens, lens_from_file, scope_preset
 
 __all__ = ["SeenThrough"]
 
@@ -17,11 +17,11 @@ CALIBRATION_SUFFIXES = (".yml", ".yaml", ".xml", ".json")
 
 @dataclass(frozen=True, slots=True)
 class SeenThrough:
-    """``--scope``, ``--lens``, ``--mask``, ``--vignette`` and ``--focus``; None where not given."""
+    """``--scope``, ``--lens``, ``--outline``, ``--vignette`` and ``--focus``; None where not given."""
 
     scope: str | None
     lens: str | None
-    mask: str | None
+    outline: str | None
     vignette: float | None
     focus: str | None
 
@@ -39,15 +39,15 @@ class SeenThrough:
         if given and view != LEAD_VIEW:
             raise UsageError(f"--{next(iter(given))}: only the airway view has one; found the view {view!r}")
         scope = None if self.scope in {None, "none"} else scope_preset(str(self.scope))
-        if self.mask is not None and self.mask not in MASKS:
-            raise UsageError(f"--mask: expected {', '.join(MASKS)}; found {self.mask!r}")
+        if self.outline is not None and self.outline not in OUTLINES:
+            raise UsageError(f"--outline: expected {', '.join(OUTLINES)}; found {self.outline!r}")
         if self.vignette is not None:
             ImageField(vignette=self.vignette)
         focus = self._focus(None if scope is None else scope.depth_of_field)
         return {
             "scope": scope,
             "lens": self._lens(),
-            "mask": self.mask,
+            "outline": self.outline,
             "vignette": self.vignette,
             "depth_of_field": focus,
         }

@@ -223,7 +223,7 @@ def report(
             transfer=chosen,
             scope=options["scope"],
             lens=options["lens"],
-            mask=options["mask"],
+            outline=options["outline"],
             lumen_zyx=lumen_zyx,
         )
         walls.save(surface, badges=badges.notes)

@@ -9,7 +9,7 @@ from msgspec import Meta
 from carina.render import FlatViewName as FlatView
 from carina.render import OrbitViewName as OrbitView
 from carina.render import ViewName
-from carina.scopes import Mask
+from carina.scopes import Outline
 from carina.value import Coordinate, FrozenValue, PointLps
 
 __all__ = [
@@ -23,13 +23,13 @@ __all__ = [
     "DeviceName",
     "FlatView",
     "Key",
-    "Mask",
     "Matrix4",
     "MaybeNumbers",
     "Mode",
     "Numbers",
     "Operator",
     "OrbitView",
+    "Outline",
     "OwnName",
     "Part",
     "PathMm",

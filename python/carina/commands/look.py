@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from carina.commands.fields import FlatView, Key, Mask, Operator, OrbitView
+from carina.commands.fields import FlatView, Key, Operator, OrbitView, Outline
 from carina.commands.value import Command
 from carina.render.sight import Carm, FlatPlace, GreyWindow, Method, Orbit, Reformation, Slab
 from carina.scopes import DEFAULT_SCOPE, scope_preset
@@ -22,7 +22,7 @@ class Look(FrozenValue, frozen=True):
 
     scope: Key | None = DEFAULT_SCOPE
     """The instrument, by name; null is a pinhole."""
-    mask: Mask = "round"
+    outline: Outline = "round"
     """Outline of the picture."""
     fov_deg: float = scope_preset(DEFAULT_SCOPE).usual_fov_deg
     """The scope's, unless a person chose another."""
@@ -40,12 +40,12 @@ class SetFov(Command, frozen=True):
     fov_deg: Annotated[float, Meta(ge=60.0, le=170.0)]
 
 
-class SetMask(Command, frozen=True):
+class SetOutline(Command, frozen=True):
     """Outline of the airway picture: round, octagonal or the full frame."""
 
-    sets = "mask"
+    sets = "outline"
     undo_label = "outline of the picture"
-    mask: Mask
+    outline: Outline
 
 
 class SetScope(Command, frozen=True):

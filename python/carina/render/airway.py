@@ -180,8 +180,8 @@ class AirwayCaster:
 
 
 def _rays(view: AirwayView) -> _core.LensRays | None:
-    """The rays of a picture through a lens or a mask; None for the pinhole formula, which is quicker."""
-    if view.lens == PINHOLE and view.field.mask == "none" and view.field.vignette == 0.0:
+    """The rays of a picture through a lens or an outline; None for the pinhole formula, which is quicker."""
+    if view.lens == PINHOLE and view.field.outline == "none" and view.field.vignette == 0.0:
         return None
     return view.optics.rays(view.field)
 

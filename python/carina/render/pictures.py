@@ -18,7 +18,17 @@ from carina.render.transfer import TransferFunction
 from carina.render.view_settings import ViewSettings
 from carina.render.view_table import LEAD_VIEW, view_row
 from carina.render.views import AirwayView, Picture, TreeView, View
-from carina.scopes import FULL_FRAME, DepthOfField, ImageField, Lens, Mask, PathFrames, Pose, ScopePreset, scope_preset
+from carina.scopes import (
+    FULL_FRAME,
+    DepthOfField,
+    ImageField,
+    Lens,
+    Outline,
+    PathFrames,
+    Pose,
+    ScopePreset,
+    scope_preset,
+)
 from carina.volume import Volume
 
 __all__ = ["mark_tip", "render_surface", "render_view", "view_spec"]
@@ -50,7 +60,7 @@ def render_view(
     slab: Slab | None = None,
     scope: ScopePreset | str | None = None,
     lens: Lens | None = None,
-    mask: Mask | None = None,
+    outline: Outline | None = None,
     vignette: float | None = None,
     depth_of_field: DepthOfField | None = None,
     lumen_zyx: NDArray[np.uint8] | None = None,
@@ -71,11 +81,11 @@ def render_view(
         Full angle across the shorter side, of the airway view: unless told that of the scope, of the calibration, or
         90.
     scope
-        Look through this instrument (see :func:`carina.scopes.scope_presets`): its lens, field of view, mask and
+        Look through this instrument (see :func:`carina.scopes.scope_presets`): its lens, field of view, outline and
         direction of view; ``pose`` is then the end of its shaft.
     shading, texture
         Of the airway view: light and gloss; mottling and micro relief, which are decoration and not the patient's.
-    lens, mask, vignette, depth_of_field
+    lens, outline, vignette, depth_of_field
         Of the airway view, in place of the scope's; a pinhole over the full frame without any, and never blurred unless
         told.
     orbit
@@ -138,7 +148,7 @@ def render_view(
         "slab": slab,
         "scope": scope,
         "lens": lens,
-        "mask": mask,
+        "outline": outline,
         "vignette": vignette,
         "depth_of_field": depth_of_field,
     }
@@ -179,7 +189,7 @@ def render_surface(
     transfer: TransferFunction | None = None,
     scope: ScopePreset | str | None = None,
     lens: Lens | None = None,
-    mask: Mask | None = None,
+    outline: Outline | None = None,
     lumen_zyx: NDArray[np.uint8] | None = None,
 ) -> Surface:
     """Depth, position and normal of the first wall at every pixel of an airway view.
@@ -192,7 +202,7 @@ def render_surface(
         Camera of the airway view.
     fov_deg
         Full angle across the shorter side; as in :func:`render_view`.
-    scope, lens, mask
+    scope, lens, outline
         As in :func:`render_view`.
     step_vox
         Ray step in units of the smallest spacing.
@@ -231,7 +241,7 @@ def render_surface(
         scope=scope,
         fov_deg=fov_deg,
         lens=lens,
-        mask=mask,
+        outline=outline,
         width=width,
         height=height,
         step_vox=step_vox,
@@ -266,7 +276,7 @@ def view_spec(
     slab: Slab | None = None,
     scope: ScopePreset | str | None = None,
     lens: Lens | None = None,
-    mask: Mask | None = None,
+    outline: Outline | None = None,
     vignette: float | None = None,
     depth_of_field: DepthOfField | None = None,
 ) -> View:
@@ -296,7 +306,7 @@ def view_spec(
             scope=_preset(scope),
             fov_deg=fov_deg,
             lens=lens,
-            field=_field(scope, mask, vignette),
+            field=_field(scope, outline, vignette),
             depth_of_field=depth_of_field,
             step_vox=step_vox,
             sight=sight,
@@ -309,11 +319,13 @@ def _preset(scope: ScopePreset | str | None) -> ScopePreset | None:
     return scope_preset(scope) if isinstance(scope, str) else scope
 
 
-def _field(scope: ScopePreset | str | None, mask: Mask | None, vignette: float | None) -> ImageField:
+def _field(scope: ScopePreset | str | None, outline: Outline | None, vignette: float | None) -> ImageField:
     """Outline and vignette of an airway view: what was asked for, else the scope's."""
     preset = _preset(scope)
     own = FULL_FRAME if preset is None else preset.field
-    return ImageField(own.mask if mask is None else mask, vignette=own.vignette if vignette is None else vignette)
+    return ImageField(
+        own.outline if outline is None else outline, vignette=own.vignette if vignette is None else vignette
+    )
 
 
 def mark_tip(picture: Picture, point_lps: NDArray[np.float64] | tuple[float, float, float]) -> Picture:

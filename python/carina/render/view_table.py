@@ -208,7 +208,7 @@ def _airway(s: ViewSettings) -> View:
 
 def _airway_depends(s: ViewSettings) -> tuple[Hashable, ...]:
     scope = None if s.scope is None else s.scope.name
-    return (s.pose_id, scope, s.field.mask, s.fov_deg, s.sight.shading, s.sight.texture, s.sight.method)
+    return (s.pose_id, scope, s.field.outline, s.fov_deg, s.sight.shading, s.sight.texture, s.sight.method)
 
 
 # ------------------------------------------------------------------ planes

@@ -446,7 +446,7 @@ class Picture:
     def pixel_of(self, point_lps: NDArray[np.float64] | tuple[float, float, float]) -> tuple[float, float] | None:
         """Where a point appears, as (column, row) in corner coordinates; None if the camera cannot see it.
 
-        It may lie outside the picture or its mask.
+        It may lie outside the picture or its outline.
         """
         point = np.asarray(point_lps, dtype=np.float64)
         if self.lines is not None:

@@ -21,14 +21,14 @@ from carina.scopes.haptics import (
 )
 from carina.scopes.lens import (
     FULL_FRAME,
-    MASKS,
+    OUTLINES,
     PINHOLE,
     Calibration,
     DepthOfField,
     ImageField,
     Lens,
-    Mask,
     Optics,
+    Outline,
 )
 from carina.scopes.library import DEFAULT_SCOPE, FIT_MARGIN_MM, ScopePreset, scope_preset, scope_presets
 from carina.scopes.path_frames import PathFrames
@@ -41,8 +41,8 @@ __all__ = [
     "FORCE_LIMIT_N",
     "FORCE_SLEW_N_PER_MS",
     "FULL_FRAME",
-    "MASKS",
     "MAX_STIFFNESS_N_PER_MM",
+    "OUTLINES",
     "PINHOLE",
     "Calibration",
     "Contact",
@@ -57,8 +57,8 @@ __all__ = [
     "LeftThread",
     "Lens",
     "LocalContact",
-    "Mask",
     "Optics",
+    "Outline",
     "PathFrames",
     "Pose",
     "Residual",

@@ -20,11 +20,21 @@ from carina import _core
 from carina.display import one_line
 from carina.errors import RenderError
 
-__all__ = ["FULL_FRAME", "MASKS", "PINHOLE", "Calibration", "DepthOfField", "ImageField", "Lens", "Mask", "Optics"]
+__all__ = [
+    "FULL_FRAME",
+    "OUTLINES",
+    "PINHOLE",
+    "Calibration",
+    "DepthOfField",
+    "ImageField",
+    "Lens",
+    "Optics",
+    "Outline",
+]
 
-Mask = Literal["none", "round", "octagon"]
+Outline = Literal["none", "round", "octagon"]
 Model = Literal["pinhole", "equidistant", "brown", "fisheye"]
-MASKS: tuple[Mask, ...] = ("none", "round", "octagon")
+OUTLINES: tuple[Outline, ...] = ("none", "round", "octagon")
 DEFAULT_FOV_DEG = 90.0
 # Rays kept, in pixels of 14 bytes: a flight needs those of its still size and of several smaller ones.
 RAYS_IN_MEMORY_PX = 4_000_000
@@ -131,13 +141,13 @@ class ImageField:
         If a value is out of range.
     """
 
-    mask: Mask = "none"
+    outline: Outline = "none"
     edge_px: float = 1.5
     vignette: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.mask not in MASKS:
-            raise RenderError(f"a mask is {', '.join(MASKS)}; found {self.mask!r}", code="render.camera")
+        if self.outline not in OUTLINES:
+            raise RenderError(f"an outline is {', '.join(OUTLINES)}; found {self.outline!r}", code="render.camera")
         if not 0.0 <= self.edge_px <= 100.0:
             raise RenderError(f"a soft edge is 0 to 100 pixels wide; found {self.edge_px:g}", code="render.camera")
         if not 0.0 <= self.vignette <= 1.0:
@@ -220,7 +230,7 @@ class Optics:
         return _RAYS.of(self, field)
 
     def _build_rays(self, field: ImageField) -> _core.LensRays:
-        return self._core.rays(shape=field.mask, edge_px=field.edge_px, vignette=field.vignette)
+        return self._core.rays(shape=field.outline, edge_px=field.edge_px, vignette=field.vignette)
 
     def __repr__(self) -> str:
         return f"Optics({self.lens.model}, fov_deg={self.fov_deg:.1f})"

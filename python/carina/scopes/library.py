@@ -15,7 +15,7 @@ import numpy as np
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.scopes.fit import FOV_DEG, fit_generic_optics
-from carina.scopes.lens import DepthOfField, ImageField, Lens, Mask
+from carina.scopes.lens import DepthOfField, ImageField, Lens, Outline
 from carina.scopes.pose import Pose
 
 __all__ = ["DEFAULT_SCOPE", "FIT_MARGIN_MM", "ScopePreset", "scope_preset", "scope_presets"]
@@ -57,7 +57,7 @@ class ScopePreset:
     """``s`` or ``k`` (see above), or which figure is which."""
     view_up_deg: float = 0.0
     """How far the direction of view looks up from the shaft's axis; 35 for a forward-oblique EBUS scope."""
-    mask: Mask = "round"
+    outline: Outline = "round"
     """Outline of the picture (k)."""
     lens: Lens = _LENS
     """The generic lens: no maker publishes one."""
@@ -92,7 +92,7 @@ class ScopePreset:
     @property
     def field(self) -> ImageField:
         """Outline and vignette of its picture."""
-        return ImageField(self.mask, vignette=_VIGNETTE)
+        return ImageField(self.outline, vignette=_VIGNETTE)
 
     @property
     def depth_of_field(self) -> DepthOfField | None:
@@ -128,7 +128,7 @@ def _single_use(size: str, tip: float, channel: float, down: float) -> ScopePres
         (180.0, down),
         600.0,
         "k",
-        mask="octagon",
+        outline="octagon",
     )
 
 
@@ -159,7 +159,7 @@ _PRESETS = (
         (180.0, 130.0),
         600.0,
         "k",
-        mask="octagon",
+        outline="octagon",
     ),
     ScopePreset(
         "diagnostic",
@@ -173,7 +173,7 @@ _PRESETS = (
         (210.0, 130.0),
         600.0,
         "k",
-        mask="octagon",
+        outline="octagon",
     ),
     ScopePreset(
         "standard",
@@ -187,7 +187,7 @@ _PRESETS = (
         (180.0, 130.0),
         600.0,
         "s; field of view and focus k",
-        mask="octagon",
+        outline="octagon",
     ),
     ScopePreset(
         "standard-fibre",
@@ -240,7 +240,7 @@ _PRESETS = (
         (210.0, 130.0),
         600.0,
         'k; "4.0 mm thin, 2.0 channel" s',
-        mask="octagon",
+        outline="octagon",
     ),
     ScopePreset(
         "ultrathin",
@@ -293,7 +293,7 @@ _PRESETS = (
         (180.0, 130.0),
         600.0,
         "k",
-        mask="octagon",
+        outline="octagon",
     ),
     ScopePreset(
         "ebus",

@@ -11,11 +11,11 @@ from carina.commands.fields import (
     Count,
     DemoName,
     Key,
-    Mask,
     Matrix4,
     Mode,
     Numbers,
     Operator,
+    Outline,
     Part,
     Pixels,
     PointLps,
@@ -206,7 +206,7 @@ class State(ServerMessage, frozen=True):
     operator: Operator
     scope: Key | None
     """The instrument that the airway view is seen through; null for a pinhole."""
-    mask: Mask
+    outline: Outline
     """Outline of the airway picture."""
     fov_deg: float
     transfer: Words

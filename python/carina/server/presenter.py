@@ -121,7 +121,7 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
         mode=snapshot.mode,
         operator=look.operator,
         scope=look.scope,
-        mask=look.mask,
+        outline=look.outline,
         fov_deg=look.fov_deg,
         transfer="" if document is None else document.transfer.name,
         transfer_document=None if document is None else document.transfer.to_json(),

@@ -129,8 +129,14 @@ def load_json_object(text: str | bytes, *, max_bytes: int = MAX_TEXT_BYTES) -> d
     return value
 
 
+OLD_WORDS: dict[str, tuple[str, dict[str, str]]] = {
+    "set_mask": ("set_outline", {"mask": "outline"}),
+}
+"""What commands and their fields were called on the wire of version 1, which is still read: type to type and fields."""
+
+
 def decode(classes: dict[str, type[FrozenValue]], text: str | bytes, *, max_bytes: int = MAX_TEXT_BYTES) -> Any:
-    """One message of some classes.
+    """One message of some classes; commands also in the words of version 1.
 
     Raises
     ------
@@ -139,6 +145,12 @@ def decode(classes: dict[str, type[FrozenValue]], text: str | bytes, *, max_byte
     """
     fields = load_json_object(text, max_bytes=max_bytes)
     name = fields.get("type")
+    if isinstance(name, str) and name in OLD_WORDS and OLD_WORDS[name][0] in classes:
+        name, words = OLD_WORDS[name]
+        fields = {
+            words.get(field, field) if words.get(field) not in fields else field: v for field, v in fields.items()
+        }
+        fields["type"] = name
     if not isinstance(name, str) or name not in classes:
         shown = repr(name)[:40] if isinstance(name, str) else "none"
         _refuse("type", f"a message has a type that is not known: {shown}")

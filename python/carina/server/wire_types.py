@@ -14,7 +14,7 @@ from typing import Any
 
 from msgspec import inspect
 
-from carina.commands.fields import Mask, ViewName
+from carina.commands.fields import Outline, ViewName
 from carina.server import messages
 from carina.server.export_types import exports_typescript
 from carina.server.view_types import views_typescript
@@ -134,7 +134,7 @@ def typescript() -> str:
         "/** 4x4, row-major. */",
         "export type Matrix4 = readonly number[];",
         f"export type ViewName = {_ts_type(inspect.type_info(ViewName))};",
-        f"export type Mask = {_ts_type(inspect.type_info(Mask))};",
+        f"export type Outline = {_ts_type(inspect.type_info(Outline))};",
         "",
     ]
     for cls in _all_classes():

@@ -32,7 +32,8 @@ def view_words(document: Document, sight: Sight) -> dict[str, Any]:
     look = document.look
     return {
         "scope": look.scope,
-        "mask": look.mask,
+        # The word of the file format.
+        "mask": look.outline,
         "fov_deg": float(look.fov_deg),
         "shading": sight.shading,
         "texture": sight.texture,

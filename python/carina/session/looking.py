@@ -49,9 +49,9 @@ class Looking(Subject):
             self._change_look(case, "no scope", None, scope=None, fov_deg=PINHOLE_FOV_DEG)
             return
         scope = scope_preset(command.scope)
-        mask = "none" if case.document.look.mask == "none" else scope.mask
+        outline = "none" if case.document.look.outline == "none" else scope.outline
         self._change_look(
-            case, f"scope: {scope.title}", None, scope=command.scope, fov_deg=scope.usual_fov_deg, mask=mask
+            case, f"scope: {scope.title}", None, scope=command.scope, fov_deg=scope.usual_fov_deg, outline=outline
         )
 
     @does(c.SetTransfer)

@@ -49,7 +49,7 @@ class Renderer(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Outline:
+class LumenLines:
     """The lumen's outline in one picture."""
 
     data: bytes
@@ -112,7 +112,7 @@ class Scene:
         there = {"airways": self.has_lumen, "route": self.frames is not None}
         return all(there[need] for need in needs)
 
-    def outline_of(self, view: str, picture: Picture) -> Outline | None:
+    def outline_of(self, view: str, picture: Picture) -> LumenLines | None:
         """The outline of the lumen in a picture of this scene; None where the view has none, or no lumen is known."""
         if not VIEWS[view].outlined or self.lumen is None or picture.lps_from_pixel is None:
             return None
@@ -121,7 +121,7 @@ class Scene:
             return None
         height, width = picture.rgb.shape[:2]
         data = self.lumen.encoded(picture.lps_from_pixel, width, height)
-        return Outline(b"", complete=False) if data is None else Outline(data, complete=True)
+        return LumenLines(b"", complete=False) if data is None else LumenLines(data, complete=True)
 
     def can_be_final(self, view: str) -> bool:
         """Whether a view's picture shows what was decided on, and will not be made again by itself."""
@@ -136,7 +136,7 @@ class Scene:
     def _settings(self, row: render.ViewRow) -> render.ViewSettings:
         """What a view of this scene is looked at with, whatever its size."""
         scope = None if self.look.scope is None else scope_preset(self.look.scope)
-        mask = self.look.mask
+        outline = self.look.outline
         # Views of their own window and thickness keep them.
         own: dict[str, Any] = {} if row.windowed else {"window": None}
         own |= {} if row.slab == "window" else {"slab": THIN}
@@ -148,7 +148,7 @@ class Scene:
             scope=scope,
             picture_turned=self.picture_turned,
             fov_deg=self.look.fov_deg,
-            field=ImageField(mask) if scope is None else replace(scope.field, mask=mask),
+            field=ImageField(outline) if scope is None else replace(scope.field, outline=outline),
             # A plane that is dragged must not take the camera along.
             look_at="volume",
             path=self.frames,

@@ -14,7 +14,7 @@ import {
   SliderTrack,
 } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import { maskOf, pathMm, scopeOf } from "../state/app-state";
+import { outlineOf, pathMm, scopeOf } from "../state/app-state";
 import { kindWords } from "../state/branch-words";
 import { forkAhead } from "../state/fork";
 import { fixed, mm, plural } from "../state/format";
@@ -34,7 +34,7 @@ import { ScopeSelect } from "./ScopeSelect";
 import { ToolTag } from "./ToolTag";
 
 export function AirwayStage() {
-  const mask = useApp(maskOf);
+  const outline = useApp(outlineOf);
   const shown = useApp((state) => state.frames[LEAD_VIEW] !== undefined);
   const armed = useApp((state) => state.ui.armed);
   const markable = armed === null ? undefined : worksIn(armed, LEAD_VIEW) ? "yes" : "no";
@@ -42,10 +42,10 @@ export function AirwayStage() {
   return (
     <section className="airway-stage" aria-label="Airway view">
       <AirwayTools />
-      <div className="airway-picture" data-mask={mask} data-armed={markable}>
+      <div className="airway-picture" data-outline={outline} data-armed={markable}>
         <PictureView
           view={LEAD_VIEW}
-          shape={shapeOf(mask)}
+          shape={shapeOf(outline)}
           name="Airway view, seen from the tip"
           onDoubleClick={() => station.ui({ full: station.state.ui.full === LEAD_VIEW ? null : LEAD_VIEW })}
         />
@@ -68,7 +68,7 @@ export function AirwayStage() {
 /** Red where the lens lies on the wall: the picture alone, not its ring and letters. */
 function RedOut() {
   const red = useApp((state) => state.pose?.scope?.red_out ?? 0);
-  const shape = shapeOf(useApp(maskOf));
+  const shape = shapeOf(useApp(outlineOf));
   if (red <= 0) return null;
   const style = { opacity: red, clipPath: clipPathOf(shape) };
   return <div className="red-out" data-shape={shape} style={style} data-testid="red-out" aria-hidden="true" />;
@@ -247,10 +247,10 @@ function AirwayTools() {
       <SwitchKey
         icon="round"
         words={
-          session.mask === "octagon" ? "Octagonal picture, as in this scope" : "Round picture, as in a bronchoscope"
+          session.outline === "octagon" ? "Octagonal picture, as in this scope" : "Round picture, as in a bronchoscope"
         }
         keys={keyOf("toggle_shape")}
-        on={session.mask !== "none"}
+        on={session.outline !== "none"}
         onChange={() => station.act("toggle_shape")}
       />
     </div>

@@ -9,7 +9,7 @@ import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
 import { mainLeaf, neighbourWay } from "../state/airways";
-import { type AppState, crosshairLps, maskOf, pathMm, shownBranch, tipLps, type Ui } from "../state/app-state";
+import { type AppState, crosshairLps, outlineOf, pathMm, shownBranch, tipLps, type Ui } from "../state/app-state";
 import { routeDoubts } from "../state/branch-words";
 import { caseKey } from "../state/case-key";
 import { forkAhead } from "../state/fork";
@@ -29,7 +29,7 @@ import { Wall } from "../views/wall";
 import type {
   ClientMessage,
   Demo,
-  Mask,
+  Outline,
   PickedMessage,
   PictureHeader,
   PoseMessage,
@@ -73,7 +73,7 @@ export class Workstation implements Station {
   #uploadStop: AbortController | null = null;
   #autoWanted = false;
   #pickId = 0;
-  #outline: Mask = "round";
+  #outline: Outline = "round";
   #pickForgotten = 0;
   readonly #pace = new PaceMeter();
   readonly #speed = new SpeedMeter();
@@ -462,10 +462,10 @@ export class Workstation implements Station {
   }
 
   /** The full frame, or the outline that the scope's picture was last seen in. */
-  #toggleMask(): void {
-    const mask = maskOf(this.state);
-    if (mask !== "none") this.#outline = mask;
-    this.send({ type: "set_mask", mask: mask === "none" ? this.#outline : "none" });
+  #toggleOutline(): void {
+    const outline = outlineOf(this.state);
+    if (outline !== "none") this.#outline = outline;
+    this.send({ type: "set_outline", outline: outline === "none" ? this.#outline : "none" });
   }
 
   readonly #actions: Readonly<Record<Action, () => void>> = {
@@ -502,7 +502,7 @@ export class Workstation implements Station {
       this.slab.set(SLABS[(at + 1) % SLABS.length] ?? SLABS[0]);
       this.sendSoon({ type: "set_slab", ...this.slab.now() });
     },
-    toggle_shape: () => this.#toggleMask(),
+    toggle_shape: () => this.#toggleOutline(),
     toggle_outline: () => this.ui({ outlineVisible: !this.state.ui.outlineVisible }),
     toggle_route_line: () => this.ui({ routeLineVisible: !this.state.ui.routeLineVisible }),
     arm_target: () => this.arm("target"),

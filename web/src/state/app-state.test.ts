@@ -12,7 +12,7 @@ const EMPTY: StateMessage = {
   mode: "free",
   operator: "head",
   scope: "generic",
-  mask: "round",
+  outline: "round",
   fov_deg: 120,
   transfer: "endoscopic",
   transfer_document: null,

@@ -6,8 +6,8 @@ import type {
   ClusterMessage,
   DevicesMessage,
   KeysMessage,
-  Mask,
   NoEvidenceMessage,
+  Outline,
   PenMessage,
   PickedMessage,
   PictureHeader,
@@ -508,8 +508,8 @@ export function crosshairLps(state: AppState): Vec3 | null {
 }
 
 /** The outline of the airway picture. */
-export function maskOf(state: AppState): Mask {
-  return state.session?.mask ?? "round";
+export function outlineOf(state: AppState): Outline {
+  return state.session?.outline ?? "round";
 }
 
 /** The instrument that the airway view is seen through, or null. */

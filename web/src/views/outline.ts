@@ -1,6 +1,6 @@
 /** The outline of a picture on the screen: the whole frame, or what a bronchoscope's monitor shows. */
 
-import type { Mask } from "../wire/messages";
+import type { Outline } from "../wire/messages";
 import type { Ink, Rect, ScreenPoint } from "./ink";
 
 export type Shape = "fill" | "round" | "octagon";
@@ -8,8 +8,8 @@ export type Shape = "fill" | "round" | "octagon";
 /** Half an octagon's side, in half widths: its cut corners are as far from the middle as its sides. */
 const HALF_SIDE = Math.tan(Math.PI / 8);
 
-export function shapeOf(mask: Mask): Shape {
-  return mask === "none" ? "fill" : mask;
+export function shapeOf(outline: Outline): Shape {
+  return outline === "none" ? "fill" : outline;
 }
 
 /** The corners of an octagon in half widths from its middle, clockwise. */

@@ -1,7 +1,7 @@
 /** What is drawn over the pictures, taken from the state once per repaint. */
 
 import type { BranchNode, BranchTree } from "../state/airways";
-import { type AppState, type Cursor, crosshairLps, maskOf, pathMm } from "../state/app-state";
+import { type AppState, type Cursor, crosshairLps, outlineOf, pathMm } from "../state/app-state";
 import { kindWords } from "../state/branch-words";
 import { type PreviewRun, previewTool, previewWords, runsOf } from "../state/edit-preview";
 import { forkOf } from "../state/fork-choice";
@@ -237,7 +237,7 @@ export function sceneOf(state: AppState): Scene {
         chosen: target.target_id === state.route?.target_id,
       })) ?? [],
     root: state.session?.root_lps == null ? null : asVec3(state.session.root_lps),
-    airwayShape: shapeOf(maskOf(state)),
+    airwayShape: shapeOf(outlineOf(state)),
     grid: state.session?.case ?? null,
     carm: state.session?.carm ?? null,
     slab: state.session?.slab ?? null,

@@ -15,7 +15,7 @@ export const CLOSE_CODES = {
 /** 4x4, row-major. */
 export type Matrix4 = readonly number[];
 export type ViewName = "airway" | "axial" | "coronal" | "curved" | "cut-plane" | "drr" | "sagittal" | "straightened" | "tree" | "tri-plane" | "xray-axial" | "xray-coronal" | "xray-sagittal";
-export type Mask = "none" | "octagon" | "round";
+export type Outline = "none" | "octagon" | "round";
 
 /** Open a file or folder of this machine. */
 export interface OpenPathMessage {
@@ -263,9 +263,9 @@ export interface SetFovMessage {
 }
 
 /** Outline of the airway picture: round, octagonal or the full frame. */
-export interface SetMaskMessage {
-  readonly type: "set_mask";
-  readonly mask: "none" | "octagon" | "round";
+export interface SetOutlineMessage {
+  readonly type: "set_outline";
+  readonly outline: "none" | "octagon" | "round";
 }
 
 /** Look through an instrument of the library, with its field of view and outline; null is a pinhole. */
@@ -783,7 +783,7 @@ export interface StateMessage {
   readonly mode: "free" | "path" | "scope";
   readonly operator: "facing" | "head";
   readonly scope: string | null;
-  readonly mask: "none" | "octagon" | "round";
+  readonly outline: "none" | "octagon" | "round";
   readonly fov_deg: number;
   readonly transfer: string;
   readonly transfer_document: Record<string, unknown> | null;
@@ -1315,7 +1315,7 @@ export type ClientMessage =
   | ShowKeyMessage
   | FlyKeysMessage
   | SetFovMessage
-  | SetMaskMessage
+  | SetOutlineMessage
   | SetScopeMessage
   | SetTransferMessage
   | SetCrosshairMessage
