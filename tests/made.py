@@ -14,7 +14,7 @@ import pickle
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -85,6 +85,34 @@ def keep(made: Phantom, folder: Path) -> None:
     rest = {"lps_from_ijk": made.volume.lps_from_ijk, "source": made.volume.source, "truth": made.truth}
     (draft / "rest.pickle").write_bytes(pickle.dumps(rest))
     draft.rename(folder)
+
+
+@cache
+def digest_of_the_package() -> str:
+    """Of everything that has a say in what the package finds."""
+    found = hashlib.sha256(digest_of_the_code().encode())
+    package = Path(carina.__file__).parent
+    for path in sorted(package.rglob("*.py")):
+        found.update(f"{path.relative_to(package)}".encode() + path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+def made_value(name: str, make: Callable[[], Any]) -> Any:
+    """What ``make`` gives, pickled under this name for as long as no line of the package changes."""
+    folder = CACHE / digest_of_the_code()
+    path = folder / f"{name}, {digest_of_the_package()}.pickle"
+    try:
+        with alone(name):
+            if not path.exists():
+                folder.mkdir(exist_ok=True)
+                for old in folder.glob(f"{name}, *.pickle"):
+                    old.unlink()
+                draft = path.with_suffix(".draft")
+                draft.write_bytes(pickle.dumps(make()))
+                draft.rename(path)
+            return pickle.loads(path.read_bytes())
+    except OSError:  # a checkout that cannot be written: costs time only
+        return make()
 
 
 @contextlib.contextmanager

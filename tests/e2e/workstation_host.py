@@ -17,21 +17,28 @@ import sys
 import threading
 import time
 import traceback
+from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from carina import render
 from carina.commands import OpenDemo, OpenPath
-from carina.render import AirwayView
+from carina.render import AirwayView, mapcache, scene
+from carina.server import pacing
 from carina.server.app import web_folder
 from carina.server.phone_page import PhonePage
 from carina.server.security import Gate
 from carina.server.serve import bind, make_server, start_url
 from carina.session import LocalStore, Session
 from carina.session.parts import Parts, default_parts
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from made import made_value
 
 STARTS_S = 120.0
 OPENS_S = 600.0
@@ -53,6 +60,26 @@ class SlowRenderer(render.Renderer):
             while time.monotonic() < end_s and not (stop is not None and stop.cancelled):
                 time.sleep(0.002)
         return super().render(view, stop=stop, **options)
+
+
+class SteadyBudget(pacing.FrameBudget):
+    """Counts what the airway view takes while it is slow, and no other program's turn at the cores while it is not.
+
+    The airway view comes back when it is quick enough; on a busy machine it is that for moments only.
+    """
+
+    slow_file: Path | None = None
+
+    def _at_most(self, seconds: float, rays: float) -> float:
+        if self.slow_file is None or self.slow_file.exists():
+            return seconds
+        return min(seconds, PER_PIXEL_S / 8.0 * rays)
+
+    def learn(self, level: int, pixels: int, seconds: float) -> None:
+        super().learn(level, pixels, self._at_most(seconds, self.levels[level].scale ** 2 * pixels))
+
+    def learn_probe(self, scale: float, pixels: int, seconds: float, now_s: float) -> None:
+        super().learn_probe(scale, pixels, self._at_most(seconds, scale**2 * pixels), now_s)
 
 
 class Kept:
@@ -99,7 +126,11 @@ class Kept:
         measure = self._real.measure_tree
         if not self._holds(airways):
             return measure(volume, airways, **options)
-        return self._kept(("measures", id(airways)), lambda: measure(volume, airways, **options))
+        # Six seconds of the processor, and the same in the hosts of all workers.
+        return self._kept(
+            ("measures", id(airways)),
+            lambda: made_value("measures of the demo", lambda: measure(volume, airways, **options)),
+        )
 
     def parts(self) -> Parts:
         """What a session takes."""
@@ -110,6 +141,47 @@ class Kept:
             find_airways=self.find_airways,
             measure_tree=self.measure_tree,
         )
+
+
+class Remembered:
+    """What pure functions made last, by the same arrays and equal values."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._made: OrderedDict[tuple[object, ...], tuple[tuple[Any, ...], Any]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, given: tuple[Any, ...], make: Callable[[], Any]) -> Any:
+        key = tuple(id(value) if isinstance(value, np.ndarray) and value.ndim == 3 else repr(value) for value in given)
+        with self._lock:
+            if key in self._made:
+                self._made.move_to_end(key)
+                return self._made[key][1]
+        made = make()
+        with self._lock:
+            # With what it was given, which stays alive: no other array takes the place of its id.
+            self._made[key] = given, made
+            while len(self._made) > self._most:
+                self._made.popitem(last=False)
+        return made
+
+
+class KeptMaps(mapcache.MapCache):
+    """Reads, checks and unpacks no file that it has just read."""
+
+    maps = Remembered(4)
+
+    def get_or_build(self, name: Any, build: Callable[[], Any]) -> Any:
+        return self.maps.get((name.values_zyx, name.classes), lambda: super(KeptMaps, self).get_or_build(name, build))
+
+
+def remember_scenes() -> None:
+    """Walls, the tree's field and the maps of the demo's airways: a second of the processor for each that opens."""
+    for name in ("with_wall", "build_tree_field"):
+        made: Callable[..., Any] = getattr(scene, name)
+        last = Remembered(4)
+        setattr(scene, name, lambda *given, made=made, last=last: last.get(given, lambda: made(*given)))
+    scene.MapCache = KeptMaps  # type: ignore[misc]
 
 
 def make_slow(slow_file: str) -> Any:
@@ -128,6 +200,7 @@ def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, 
     sock = stack.enter_context(bind("127.0.0.1", 0))
     gate = Gate(host="127.0.0.1", port=sock.getsockname()[1])
     slow_file = told.get("slow_file")
+    SteadyBudget.slow_file = None if slow_file is None else Path(slow_file)
     factory = serve_module._renderer_factory() if slow_file is None else make_slow(slow_file)
     session = Session(factory, parts=kept.parts(), store=LocalStore(Path(home)))
     stack.callback(session.close)
@@ -169,6 +242,8 @@ def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, 
 
 def main() -> None:
     """Until the input ends."""
+    remember_scenes()
+    pacing.FrameBudget = SteadyBudget  # type: ignore[misc]
     kept, numbers, opened = Kept(), itertools.count(1), {}
     for line in sys.stdin:
         order = json.loads(line)
