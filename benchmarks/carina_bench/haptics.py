@@ -25,7 +25,6 @@ from carina.scopes import (
     FORCE_SLEW_N_PER_MS,
     ForceFigures,
     ForceLoop,
-    LeftThread,
     WallField,
     picture_threads,
 )
@@ -55,7 +54,7 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
     gates = [gate for row in rows for gate in _gates(row)]
     document = {
         "benchmark": "haptics",
-        "version": 2,
+        "version": 3,
         "quick": quick,
         "machine": {**facts, "load_average_after": load_average()},
         "render_threads": measured["render_threads"],
@@ -68,7 +67,7 @@ def report(*, folder: Path, quick: bool, as_json: bool) -> int:
         print_json(document)
         return 0
     print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']} to {load_average()}")
-    print(f"pictures by {measured['render_threads']} of the machine's threads; forces {rows[0]['scheduling']}")
+    print(f"pictures by {measured['render_threads']} of the machine's threads; forces {_priority(rows[0])}")
     for row in rows:
         print("\n".join(_words(row)))
     print("\n".join(gate.line() for gate in gates))
@@ -82,7 +81,7 @@ def _gates(row: dict[str, Any]) -> list[Gate]:
     stolen = (
         "" if row["stolen_share"] is None else f", {100 * row['stolen_share']:.1f} % of the cores taken by the host"
     )
-    note = f"load {row['load_average']}, {row['scheduling']}{stolen}"
+    note = f"load {row['load_average']}, {_priority(row)}{stolen}"
     return [
         Gate(f"share of a core, {where}", row["share_of_a_core"], MOST_OF_A_CORE, "lower", note=note),
         Gate(f"share of deadlines missed, {where}", row["share_missed"], MOST_MISSED, "lower", note=note),
@@ -93,14 +92,17 @@ def _gates(row: dict[str, Any]) -> list[Gate]:
     ]
 
 
+def _priority(row: dict[str, Any]) -> str:
+    return "with real-time priority" if row["real_time"] else "without real-time priority"
+
+
 def _words(row: dict[str, Any]) -> list[str]:
     stolen = (
         "" if row["stolen_share"] is None else f"; {100 * row['stolen_share']:.2f} % of the cores taken by the host"
     )
     lines = [
         f"\n{row['hand']}, {row['beside']}: {row['num_ticks']} ticks, {row['num_missed']} missed "
-        f"({100 * row['share_missed']:.3f} %; {row['num_missed_in_queue']} while another thread had the core), "
-        f"{row['num_stood_in']} done by the stand-in; {100 * row['share_of_a_core']:.1f} % of a core{stolen}",
+        f"({100 * row['share_missed']:.3f} %); {100 * row['share_of_a_core']:.1f} % of a core{stolen}",
         "  ticks begin late by {:.0f} us (median), {:.0f} (99 %), {:.0f} (worst)".format(*row["late_us"])
         + " and take {:.0f}, {:.0f}, {:.0f} us".format(*row["work_us"]),
     ]
@@ -150,11 +152,8 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
     with ForceLoop(field, simulated=circling) as loop, _Watch() as watch:
         full = full_pictures(renderer, path, 0.5 * seconds)
         rows.append(_row("simulated hand", "full pictures", loop.figures(), watch, full))
-    left = LeftThread()
-    try:
+    with ForceLoop(field):
         return {"rows": rows, "render_threads": picture_threads()}
-    finally:
-        left.release()
 
 
 class _Watch:
@@ -214,8 +213,6 @@ def _row(
         "gated": gated,
         "num_ticks": figures.num_ticks,
         "num_missed": figures.num_missed,
-        "num_missed_in_queue": figures.num_missed_in_queue,
-        "num_stood_in": figures.num_stood_in,
         "share_missed": figures.num_missed / max(figures.num_ticks, 1),
         "share_of_a_core": figures.cpu_s / max(figures.wall_s, 1e-9),
         "late_us": list(figures.late_us),
@@ -223,7 +220,7 @@ def _row(
         "latency_us": list(figures.latency_us),
         "max_force_n": figures.max_force_n,
         "max_change_n": figures.max_change_n,
-        "scheduling": figures.scheduling,
+        "real_time": figures.is_real_time,
         "pictures": None if pictures is None else pictures.to_json(),
         "stolen_share": watch.stolen_share(),
         "load_average": load_average(),

@@ -106,23 +106,8 @@ class ForceLoop:
     def stop(self) -> None:
         """End the loop."""
 
-@final
-class LeftThread:
-    """Leaves a thread of the renderer's to somebody else."""
-
-    def __new__(cls) -> LeftThread: ...
-    def release(self) -> None:
-        """Give it back."""
-
 def picture_threads() -> int:
     """Threads that a picture is made by now."""
-
-def local_contact(
-    field: WallField,
-    numbers: tuple[float, float, float, float, float, float, float],
-    at_lps: Sequence[float],
-) -> tuple[tuple[float, float, float], tuple[float, float, float], float, float, float, float] | None:
-    """(point, normal, stiffness, damping, friction, valid_mm)."""
 
 def forces_along(
     field: WallField,

@@ -23,8 +23,6 @@ PROTOCOL = Path(__file__).resolve().parents[2] / "protocol"
 PARSERS = {
     "client": wire.parse_client_message,
     "server": wire.parse_server_message,
-    "force": wire.parse_force_message,
-    "to-force": wire.parse_to_force_message,
     "phone": wire.parse_phone_message,
     "to-phone": wire.parse_to_phone_message,
 }
@@ -69,7 +67,7 @@ def numbers_of(kind: inspect.Type):
             yield from numbers_of(kind.item_type)
 
 
-INCOMING = [*wire.CLIENT_MESSAGES.values(), *wire.PHONE_MESSAGES.values(), *wire.FORCE_MESSAGES.values()]
+INCOMING = [*wire.CLIENT_MESSAGES.values(), *wire.PHONE_MESSAGES.values()]
 
 
 @pytest.mark.parametrize("cls", INCOMING, ids=lambda cls: cls.__name__)

@@ -19,8 +19,6 @@ PARSERS = {
     "client": wire.parse_client_message,
     "server": wire.parse_server_message,
     "pictures": wire.parse_picture,
-    "force": wire.parse_force_message,
-    "to-force": wire.parse_to_force_message,
     "phone": wire.parse_phone_message,
     "to-phone": wire.parse_to_phone_message,
 }
@@ -66,8 +64,6 @@ def test_every_message_has_a_valid_sample():
     for kind, classes in (
         ("client", wire.CLIENT_MESSAGES),
         ("server", wire.SERVER_MESSAGES),
-        ("force", wire.FORCE_MESSAGES),
-        ("to-force", wire.TO_FORCE_MESSAGES),
         ("phone", wire.PHONE_MESSAGES),
         ("to-phone", wire.TO_PHONE_MESSAGES),
     ):

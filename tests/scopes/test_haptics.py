@@ -1,18 +1,14 @@
-"""Force feedback from Python: the loop, its packets, the plane for slow bridges, a Haply service that is simulated."""
+"""Force feedback from Python: the loop, its packets, a Haply service that is simulated."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
 import math
-import os
 import socket
 import struct
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,10 +20,8 @@ from carina.scopes import (
     FORCE_SLEW_N_PER_MS,
     ForceLaw,
     ForceLoop,
-    LeftThread,
     Pose,
     WallField,
-    local_contact,
     picture_threads,
     rumble,
 )
@@ -115,16 +109,6 @@ def test_packets_lie_as_the_guide_says() -> None:
     assert (found.touches, found.limited, found.silent) == (True, False, True)
     assert decode_force(reply[:-1]) is None
     assert decode_force(b"XARH" + reply[4:]) is None
-
-
-def test_the_plane_of_a_slow_bridge_is_the_wall(tube: WallField) -> None:
-    plane = local_contact(tube, (REACH - 1.0, 0.0, -20.0))
-    assert plane is not None
-    assert plane.normal_lps == pytest.approx((-1.0, 0.0, 0.0), abs=0.05)
-    gap = float(np.dot(np.subtract((REACH - 1.0, 0.0, -20.0), plane.point_lps), plane.normal_lps))
-    assert gap == pytest.approx(1.0, abs=0.03)
-    assert plane.stiffness_n_per_mm == ForceLaw().stiffness_n_per_mm
-    assert local_contact(tube, (0.0, 0.0, -20.0), ForceLaw(tip_radius_mm=1.0)) is None
 
 
 def test_laws_ports_and_spaces_out_of_range_are_refused(tube: WallField) -> None:
@@ -254,36 +238,10 @@ def test_a_force_loop_leaves_itself_a_thread_and_gives_it_back() -> None:
     assert picture_threads() == before
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="priorities of single threads are Linux's")
-def test_while_a_force_device_is_on_pictures_are_made_after_all_others() -> None:
-    def priorities() -> list[tuple[int, int]]:
-        found = []
-        for task in Path("/proc/self/task").iterdir():
-            # A thread may end meanwhile.
-            with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-                if (task / "comm").read_text().startswith("carina-picture"):
-                    n = int(task.name)
-                    found.append((os.sched_getscheduler(n), os.getpriority(os.PRIO_PROCESS, n)))
-        return found
-
-    own = (os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0))
-    left = LeftThread()
-    try:
-        # A picture's thread begins when there is work.
-        num = picture_threads()
-        until(lambda: len(priorities()) == num and all(nice >= 10 for _, nice in priorities()))
-        assert {policy for policy, _ in priorities()} == {os.SCHED_BATCH}
-    finally:
-        left.release()
-    until(lambda: priorities() == [])
-    assert (os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)) == own
-
-
-def test_a_loop_says_how_it_was_let_in_and_where_its_misses_come_from(tube: WallField) -> None:
+def test_a_loop_says_how_it_kept_time(tube: WallField) -> None:
     with ForceLoop(tube) as loop:
         until(lambda: loop.figures().num_ticks >= 200)
         figures = loop.figures()
-    assert figures.scheduling in {"real-time", "short-slice", "ordinary"}
-    assert 0 <= figures.num_missed_in_queue <= figures.num_missed <= figures.num_ticks
-    assert figures.num_missed + figures.num_stood_in <= figures.num_ticks
+    assert figures.is_real_time in {False, True}
+    assert 0 <= figures.num_missed < figures.num_ticks
     assert figures.work_us[0] <= figures.work_us[1] <= max(figures.work_us[2], 1.0)

@@ -89,6 +89,14 @@ def test_one_bad_message_closes_the_socket_with_its_code_and_a_sentence(live, te
         assert len(reason) > 15
 
 
+def test_a_state_that_cannot_be_told_ends_the_windows_connection(live, monkeypatch):
+    """A window that is told nothing any more would show an old state as if it were the present one."""
+    monkeypatch.setattr(hub, "state_message", lambda *_, **__: wire.Value((0.0, 0.0, float("nan")), None))
+    with live.window(hello=False) as window:
+        window.send(wire.ClientHello(wire.WIRE_VERSION))
+        assert window.close_code()[0] == 1011
+
+
 def test_another_wire_version_and_a_missing_hello_are_refused(live):
     with live.window(hello=False) as window:
         window.send(wire.ClientHello(99))

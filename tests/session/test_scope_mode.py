@@ -18,7 +18,6 @@ from carina.commands import (
     Steer,
     StopRecording,
     ToggleMode,
-    WallNear,
 )
 from carina.errors import NoResultError
 from carina.navigate import HandleSample, open_recording
@@ -203,20 +202,28 @@ def test_a_scope_laid_for_an_operator_who_faces_lies_as_for_one_at_the_head(benc
     np.testing.assert_allclose(session.pose_info().pose.lps_from_camera, facing, atol=1e-6)
 
 
+def wanted_wall(session) -> str:
+    """Wants the wall of the present airways, and says what has become of it."""
+    case = session._core.case
+    with session._core.lock:
+        case.wall.want(case.document.airways)
+        return case.wall.standing(case.document.airways)
+
+
 def test_a_wall_that_nobody_stopped_is_measured_when_its_airways_are_back(bench):
     session = bench.session
     session.do(SetRoot(tuple(float(v) for v in session.snapshot().document.airways.root_lps)))
     bench.background.run_all()
-    assert session.ask(WallNear()).state == "finding"
+    assert wanted_wall(session) == "making"
     session.undo()
     # The other airways' wall now: its job takes the place of the first one.
-    assert session.ask(WallNear()).state == "finding"
+    assert wanted_wall(session) == "making"
     bench.background.run_all()
-    assert session.ask(WallNear()).state == "ready"
+    assert wanted_wall(session) == "had"
     session.redo()
-    assert session.ask(WallNear()).state == "finding"
+    assert wanted_wall(session) == "making"
     bench.background.run_all()
-    assert session.ask(WallNear()).state == "ready"
+    assert wanted_wall(session) == "had"
 
 
 @pytest.mark.parametrize("begun", [False, True])
@@ -228,7 +235,7 @@ def test_a_wall_whose_airways_go_and_come_back_while_its_job_runs_is_measured_on
         measured.append(airways)
         while steps:
             steps.pop(0)()
-            assert bench.session.ask(WallNear()).state == "finding"
+            assert wanted_wall(bench.session) == "making"
         return wall_field(volume, airways, **options)
 
     bench = small_bench(wall_field=measure)
@@ -237,17 +244,17 @@ def test_a_wall_whose_airways_go_and_come_back_while_its_job_runs_is_measured_on
     session.do(SetRoot(tuple(float(v) for v in session.snapshot().document.airways.root_lps)))
     bench.background.run_all()
     newest = session.snapshot().document.airways
-    assert session.ask(WallNear()).state == "finding"
+    assert wanted_wall(session) == "making"
     (job,) = session.jobs.running
     for step in (session.undo, session.redo):
         if begun:
             steps.append(step)
         else:
             step()
-            assert session.ask(WallNear()).state == "finding"
+            assert wanted_wall(session) == "making"
     bench.events.clear()
     bench.background.run_all()
-    assert session.ask(WallNear()).state == "ready"
+    assert wanted_wall(session) == "had"
     assert [airways is newest for airways in measured] == [True]
     ends = [(e.job_id, e.outcome) for e in bench.of_type(JobEnded) if e.title == job.title]
     assert ends == [(job.job_id, "done")]
@@ -256,13 +263,13 @@ def test_a_wall_whose_airways_go_and_come_back_while_its_job_runs_is_measured_on
 
 def test_a_wall_that_a_person_stopped_stays_unmeasured_until_it_is_wanted_again(bench):
     session = bench.session
-    assert session.ask(WallNear()).state == "finding"
+    assert wanted_wall(session) == "making"
     (job,) = session.jobs.running
     session.do(Cancel(job.job_id))
     bench.background.run_all()
-    assert session.ask(WallNear()).state == "none"
-    session.devices.want_wall_again()
-    assert session.ask(WallNear()).state == "finding"
+    assert wanted_wall(session) == "stopped"
+    session._core.case.wall.again()
+    assert wanted_wall(session) == "making"
 
 
 def test_without_a_route_no_scope_is_laid(bench):

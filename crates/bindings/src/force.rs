@@ -8,7 +8,7 @@ use std::sync::{Mutex, PoisonError};
 
 use carina_scope::{
     ForceLaw, ForceLoop, ForceModel, HandSample, LIMIT_N, LoopOptions, MAX_STIFFNESS_N_PER_MM,
-    SLEW_N_PER_MS, ScopeError, SimulatedHand, WanderingHand, local_contact,
+    SLEW_N_PER_MS, ScopeError, SimulatedHand, WanderingHand,
 };
 use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2, PyUntypedArrayMethods};
@@ -21,8 +21,6 @@ use crate::pool::LeftThread;
 use crate::scope_drive::{PyWallField, points};
 
 type LawNumbers = (f64, f64, f64, f64, f64, f64, f64);
-type Point = (f64, f64, f64);
-type PlaneNumbers = (Point, Point, f64, f64, f64, f64);
 
 fn law(numbers: LawNumbers) -> PyResult<ForceLaw> {
     ForceLaw {
@@ -124,8 +122,6 @@ impl PyForceLoop {
         let out = PyDict::new(py);
         out.set_item("num_ticks", figures.num_ticks)?;
         out.set_item("num_missed", figures.num_missed)?;
-        out.set_item("num_missed_in_queue", figures.num_missed_in_queue)?;
-        out.set_item("num_stood_in", figures.num_stood_in)?;
         out.set_item("late_us", figures.late_us)?;
         out.set_item("work_us", figures.work_us)?;
         out.set_item("latency_us", figures.latency_us)?;
@@ -133,7 +129,7 @@ impl PyForceLoop {
         out.set_item("wall_s", figures.wall_s)?;
         out.set_item("num_samples", figures.num_samples)?;
         out.set_item("num_refused", figures.num_refused)?;
-        out.set_item("scheduling", figures.scheduling.name())?;
+        out.set_item("is_real_time", figures.is_real_time)?;
         out.set_item("max_force_n", figures.max_force_n)?;
         out.set_item("max_change_n", figures.max_change_n)?;
         Ok(out)
@@ -146,27 +142,6 @@ impl PyForceLoop {
             .unwrap_or_else(PoisonError::into_inner)
             .take();
     }
-}
-
-/// The wall near a point as a plane, or None.
-#[pyfunction]
-#[pyo3(name = "local_contact")]
-fn py_local_contact(
-    field: &Bound<'_, PyWallField>,
-    numbers: LawNumbers,
-    at_lps: [f64; 3],
-) -> PyResult<Option<PlaneNumbers>> {
-    let law = law(numbers)?;
-    Ok(local_contact(&field.get().0, &law, at_lps).map(|p| {
-        (
-            p.point_lps.into(),
-            p.normal_lps.into(),
-            p.stiffness_n_per_mm,
-            p.damping_ns_per_mm,
-            p.friction,
-            p.valid_mm,
-        )
-    }))
 }
 
 /// Forces (n, 3) of a hand's samples (n, 9), a millisecond each: no thread, no clock. A row that no hand makes is silence.
@@ -215,7 +190,6 @@ fn force_limits() -> (f64, f64, f64) {
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyForceLoop>()?;
-    module.add_function(wrap_pyfunction!(py_local_contact, module)?)?;
     module.add_function(wrap_pyfunction!(forces_along, module)?)?;
     module.add_function(wrap_pyfunction!(force_limits, module)?)
 }

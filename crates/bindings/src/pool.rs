@@ -1,5 +1,4 @@
-//! The threads that pictures are made by: all of the machine's, or one fewer, and those after all others, while a force
-//! device is on.
+//! The threads that pictures are made by: all of the machine's, or one fewer while a force device is on.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -34,8 +33,6 @@ impl LeftThread {
             left.pool = ThreadPoolBuilder::new()
                 .num_threads(threads)
                 .thread_name(|n| format!("carina-picture-{n}"))
-                // A user without the right to real-time priority cannot raise the loop, but may lower these.
-                .start_handler(|_| carina_scope::let_others_go_first())
                 .build()
                 .ok()
                 .map(Arc::new);
@@ -65,23 +62,6 @@ pub(crate) fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send)
     })
 }
 
-/// Leaves a thread of the renderer's to somebody else, until it is released.
-#[pyclass(name = "LeftThread", frozen, module = "carina._core")]
-struct PyLeftThread(Mutex<Option<LeftThread>>);
-
-#[pymethods]
-impl PyLeftThread {
-    #[new]
-    fn new() -> Self {
-        Self(Mutex::new(Some(LeftThread::new())))
-    }
-
-    /// Give it back; it may be called again.
-    fn release(&self) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
-    }
-}
-
 /// How many threads a picture is made by now.
 #[pyfunction]
 fn picture_threads(py: Python<'_>) -> usize {
@@ -89,6 +69,5 @@ fn picture_threads(py: Python<'_>) -> usize {
 }
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<PyLeftThread>()?;
     module.add_function(wrap_pyfunction!(picture_threads, module)?)
 }

@@ -12,7 +12,7 @@ use carina_grid::{cross, dot, length, unit};
 use crate::ScopeError;
 use crate::axis::{along, sub};
 use crate::body::distance;
-use crate::wall::{INSIDE_MM, WallField};
+use crate::wall::WallField;
 
 type Point = [f64; 3];
 
@@ -124,45 +124,6 @@ pub struct HandForce {
     pub limited: bool,
     /// No hand was heard of in time.
     pub is_silent: bool,
-}
-
-/// The wall near the tip as a plane, for a bridge that cannot ask 1,000 times a second.
-///
-/// The tip's centre p feels `stiffness * max(0, -gap)` along the normal, with `gap = dot(p - point, normal)`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LocalContact {
-    /// Where the tip's centre is when the tip touches, LPS mm.
-    pub point_lps: Point,
-    /// Away from the wall, unit length.
-    pub normal_lps: Point,
-    /// The law's stiffness, N per mm.
-    pub stiffness_n_per_mm: f64,
-    /// The law's damping, N per mm/s.
-    pub damping_ns_per_mm: f64,
-    /// The law's friction.
-    pub friction: f64,
-    /// The plane stands for the wall this far round the point that it was asked for.
-    pub valid_mm: f64,
-}
-
-/// The plane of the wall nearest to a tip at a point; `None` where no wall is near enough to matter.
-#[must_use]
-pub fn local_contact(field: &WallField, law: &ForceLaw, at_lps: Point) -> Option<LocalContact> {
-    let distance = field.distance_mm(at_lps);
-    // Beyond what the field knows there is no gap to tell.
-    if distance > INSIDE_MM - 0.5 {
-        return None;
-    }
-    let gap = distance - law.tip_radius_mm;
-    let normal_lps = field.away_from_wall(at_lps)?;
-    Some(LocalContact {
-        point_lps: along(at_lps, -gap, normal_lps),
-        normal_lps,
-        stiffness_n_per_mm: law.stiffness_n_per_mm,
-        damping_ns_per_mm: law.damping_ns_per_mm,
-        friction: law.friction,
-        valid_mm: (gap.abs() + 0.5).min(2.0),
-    })
 }
 
 /// The law at work: it remembers the proxy and the force before. Copies are cheap.

@@ -133,37 +133,17 @@ fn samples_in_process_are_felt_and_broken_ones_refused() {
 }
 
 #[test]
-fn the_stand_in_keeps_the_loop_going_where_the_first_thread_is_held_up() {
-    let mut force = ForceLoop::start_stand_in_alone(model(), LoopOptions::default()).unwrap();
-    let hand = sample(0, [8.5, 0.0, 60.0]).hand;
-    until("it is felt", || {
-        assert!(force.put(hand));
-        length(force.felt().0.force_n) > 0.3
-    });
-    force.stop();
-    let figures = force.figures();
-    // The rest of the ticks went by while the thread was not let in.
-    assert_eq!(
-        figures.num_stood_in + figures.num_missed,
-        figures.num_ticks,
-        "{figures:?}"
-    );
-    assert!(figures.max_change_n <= SLEW_N_PER_MS + 1e-12);
-}
-
-#[test]
 fn every_tick_is_counted_once() {
     let mut force = ForceLoop::start(model(), LoopOptions::default()).unwrap();
     until("it goes on", || force.figures().num_ticks >= 200);
     force.stop();
     let figures = force.figures();
-    // Due since the start: neither thread did one twice, nor was one lost between them.
+    // Due since the start.
     assert!(
         figures.num_ticks as f64 <= 1000.0 * figures.wall_s + 1.0,
         "{figures:?}"
     );
-    assert!(figures.num_missed_in_queue <= figures.num_missed);
-    assert!(figures.num_stood_in + figures.num_missed <= figures.num_ticks);
+    assert!(figures.num_missed < figures.num_ticks);
 }
 
 #[test]

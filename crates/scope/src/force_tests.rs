@@ -2,10 +2,9 @@ use std::sync::Arc;
 
 use carina_grid::length;
 
-use crate::drive_tests::{field, lumen};
+use crate::drive_tests::field;
 use crate::force::{
     ForceLaw, ForceModel, HandForce, HandSample, LIMIT_N, MAX_STIFFNESS_N_PER_MM, SLEW_N_PER_MS,
-    local_contact,
 };
 use crate::simulated::SimulatedHand;
 
@@ -150,24 +149,6 @@ fn guidance_draws_to_the_path_and_never_hard() {
         (felt.force_n[0] + 0.4).abs() < 1e-9 && !felt.touches,
         "{felt:?}"
     );
-}
-
-#[test]
-fn the_plane_of_a_slow_bridge_gives_the_laws_force() {
-    let law = ForceLaw {
-        friction: 0.0,
-        ..ForceLaw::default()
-    };
-    let field = field();
-    for (x, y) in [(7.5, 0.0), (6.0, 4.0), (-3.0, 7.0)] {
-        let plane = local_contact(&field, &law, [x, y, 60.0]).unwrap();
-        let gap: f64 = (0..3)
-            .map(|a| ([x, y, 60.0][a] - plane.point_lps[a]) * plane.normal_lps[a])
-            .sum();
-        let truth = lumen([x, y, 60.0]) - law.tip_radius_mm;
-        assert!((gap - truth).abs() < 0.03, "{gap} {truth}");
-    }
-    assert!(local_contact(&field, &law, [0.0, 0.0, 60.0]).is_none_or(|p| p.valid_mm > 0.5));
 }
 
 #[test]

@@ -22,9 +22,8 @@ mod loop_figures;
 mod nearest;
 mod nearest_packet;
 mod packet;
-mod realtime;
 mod simulated;
-mod turn;
+mod ticking;
 mod wall;
 mod wall_mesh;
 
@@ -40,13 +39,11 @@ pub use curve::{FlightCurve, Nearest};
 pub use drive::{Contact, ContactRecord, Limit, ScopeDrive, ScopeState};
 pub use error::ScopeError;
 pub use force::{
-    ForceLaw, ForceModel, HandForce, HandSample, LIMIT_N, LocalContact, MAX_STIFFNESS_N_PER_MM,
-    SLEW_N_PER_MS, local_contact,
+    ForceLaw, ForceModel, HandForce, HandSample, LIMIT_N, MAX_STIFFNESS_N_PER_MM, SLEW_N_PER_MS,
 };
 pub use force_loop::{ForceLoop, LoopOptions, WanderingHand};
 pub use frames::rotation_minimizing_frames;
 pub use loop_figures::LoopFigures;
 pub use packet::{FORCE_BYTES, ForcePacket, SAMPLE_BYTES, SamplePacket};
-pub use realtime::{Scheduling, let_others_go_first};
 pub use simulated::SimulatedHand;
 pub use wall::WallField;

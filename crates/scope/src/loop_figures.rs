@@ -14,18 +14,13 @@ pub struct LoopFigures {
     pub num_ticks: u64,
     /// Of which not done within their millisecond.
     pub num_missed: u64,
-    /// Of these, missed while other threads had the core; for the rest the machine itself stood still or woke the
-    /// thread late.
-    pub num_missed_in_queue: u64,
-    /// Ticks that the stand-in did, since the first thread had not begun them in time.
-    pub num_stood_in: u64,
     /// How late ticks began: median, 99th percentile and worst, us.
     pub late_us: [f64; 3],
     /// How long ticks took, from begin to end: median, 99th percentile and worst, us.
     pub work_us: [f64; 3],
     /// From when a sample was put (or its packet taken) to its force: median, 99th percentile and worst, us.
     pub latency_us: [f64; 3],
-    /// Time of the loop's threads on cores.
+    /// Time of the loop's thread on cores.
     pub cpu_s: f64,
     /// Time since the start.
     pub wall_s: f64,
@@ -33,8 +28,8 @@ pub struct LoopFigures {
     pub num_samples: u64,
     /// Packets that were no sane samples.
     pub num_refused: u64,
-    /// How the system lets the loop go before others.
-    pub scheduling: crate::Scheduling,
+    /// The system lets the loop go before all threads of ordinary programs.
+    pub is_real_time: bool,
     /// The strongest force and the largest change in a tick so far, N.
     pub max_force_n: f64,
     /// See `max_force_n`.
@@ -87,9 +82,6 @@ pub(crate) struct TickTimes {
     pub(crate) work_us: f64,
     /// Of the sample that it took.
     pub(crate) latency_us: Option<f64>,
-    /// Others had the core while it was late.
-    pub(crate) was_in_queue: bool,
-    pub(crate) stood_in: bool,
 }
 
 /// What is counted from tick to tick.
@@ -109,8 +101,6 @@ impl LoopCounts {
             figures: LoopFigures {
                 num_ticks: 0,
                 num_missed: 0,
-                num_missed_in_queue: 0,
-                num_stood_in: 0,
                 late_us: [0.0; 3],
                 work_us: [0.0; 3],
                 latency_us: [0.0; 3],
@@ -118,21 +108,22 @@ impl LoopCounts {
                 wall_s: 0.0,
                 num_samples: 0,
                 num_refused: 0,
-                scheduling: crate::Scheduling::Ordinary,
+                is_real_time: false,
                 max_force_n: 0.0,
                 max_change_n: 0.0,
             },
         }
     }
 
+    pub(crate) const fn set_real_time(&mut self, is_real_time: bool) {
+        self.figures.is_real_time = is_real_time;
+    }
+
     pub(crate) fn add(&mut self, tick: &TickTimes, felt: &HandForce, last: &HandForce) {
         let figures = &mut self.figures;
         // Skipped ticks were due as well, and are missed.
-        let missed = tick.num_due - 1;
         figures.num_ticks += tick.num_due;
-        figures.num_missed += missed;
-        figures.num_missed_in_queue += if tick.was_in_queue { missed } else { 0 };
-        figures.num_stood_in += u64::from(tick.stood_in);
+        figures.num_missed += tick.num_due - 1;
         self.late.add(tick.late_us);
         self.work.add(tick.work_us);
         if let Some(us) = tick.latency_us {

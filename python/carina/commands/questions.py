@@ -81,13 +81,3 @@ class KeysToTakeAway(Question[Any], frozen=True):
 
 class MaskFileNeeded(Question[bool], frozen=True):
     """Whether a mask's file is being read, or will be once its question is answered."""
-
-
-class WallNear(Question[Any], frozen=True):
-    """The wall near a place, as a plane, for a bridge to a force device: a :class:`carina.session.snapshot.NearWall`.
-
-    The first question starts measuring it.
-    """
-
-    lps: PointLps | None = None
-    """The middle of the tip that feels; None for the tip of this session."""

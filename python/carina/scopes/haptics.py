@@ -1,8 +1,7 @@
 """Force feedback: the hand's place and speed to a force, 1,000 times a second (`docs/haptics.md`).
 
 The loop runs in the compiled module on a thread of its own, without the interpreter's lock. A device is fed in
-process, by a bridge over binary UDP on loopback, or not at all: a bridge that cannot ask 1,000 times a second takes
-the wall near the tip as a plane (`local_contact`) and computes the force itself.
+process, or by a bridge over binary UDP on loopback.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,10 +28,7 @@ __all__ = [
     "ForceLaw",
     "ForceLoop",
     "HandForce",
-    "LeftThread",
-    "LocalContact",
     "forces_along",
-    "local_contact",
     "picture_threads",
     "rumble",
 ]
@@ -104,10 +100,6 @@ class ForceFigures:
     """Ticks that were due."""
     num_missed: int
     """Of which not done within their millisecond."""
-    num_missed_in_queue: int
-    """Of these, missed while other threads had the core (Linux; else 0); the rest the machine itself stood still."""
-    num_stood_in: int
-    """Ticks that the stand-in did, since the first thread had not begun them in time."""
     late_us: Point
     """How late ticks began: median, 99th percentile, worst."""
     work_us: Point
@@ -115,38 +107,19 @@ class ForceFigures:
     latency_us: Point
     """From when a sample was put to its force: median, 99th percentile, worst."""
     cpu_s: float
-    """Time of its threads on cores (Linux; else 0)."""
+    """Time of its thread on cores (Linux; else 0)."""
     wall_s: float
     """Time since the start."""
     num_samples: int
     """Samples from outside."""
     num_refused: int
     """Of them no sane ones."""
-    scheduling: Literal["real-time", "short-slice", "ordinary"]
-    """How the system lets the loop go before others: before all, as soon as it wakes, or not at all."""
+    is_real_time: bool
+    """The system lets the loop go before all threads of ordinary programs (Linux, where the user may have that)."""
     max_force_n: float
     """The strongest force so far."""
     max_change_n: float
     """The largest change in a tick."""
-
-
-@one_line
-@dataclass(frozen=True, slots=True)
-class LocalContact:
-    """The wall near the tip as a plane.
-
-    The tip's centre p feels ``stiffness * max(0, -gap)`` along the normal, ``gap = dot(p - point, normal)``.
-    """
-
-    point_lps: Point
-    """Where the tip's centre is when it touches."""
-    normal_lps: Point
-    """Away from the wall, unit length."""
-    stiffness_n_per_mm: float
-    damping_ns_per_mm: float
-    friction: float
-    valid_mm: float
-    """The plane stands for the wall this far round the point that it was asked for."""
 
 
 class ForceLoop:
@@ -253,48 +226,9 @@ class ForceLoop:
         self._core.stop()
 
 
-class LeftThread:
-    """Leaves one thread of the renderer's to a force device, until :meth:`release`; a `ForceLoop` does so by itself.
-
-    Examples
-    --------
-    >>> left = LeftThread()
-    >>> num_then = picture_threads()
-    >>> left.release()
-    >>> 1 <= num_then <= picture_threads()
-    True
-    """
-
-    def __init__(self) -> None:
-        self._core = _core.LeftThread()
-
-    def release(self) -> None:
-        """Give it back; it may be called again."""
-        self._core.release()
-
-
 def picture_threads() -> int:
-    """How many threads a picture is made by now."""
+    """How many threads a picture is made by now: one less while a :class:`ForceLoop` runs."""
     return _core.picture_threads()
-
-
-def local_contact(field: WallField, at_lps: Sequence[float], law: ForceLaw | None = None) -> LocalContact | None:
-    """The wall nearest to the tip as a plane, or None where none is near enough to matter.
-
-    Parameters
-    ----------
-    field
-        Signed distance to the wall.
-    at_lps
-        The tip's centre, LPS mm.
-    law
-        Stiffness, damping, friction and the tip's radius.
-    """
-    found = _core.local_contact(field.core, (law or ForceLaw()).numbers, list(at_lps))
-    if found is None:
-        return None
-    point, normal, stiffness, damping, friction, valid_mm = found
-    return LocalContact(point, normal, stiffness, damping, friction, valid_mm)
 
 
 def forces_along(field: WallField, samples: ArrayLike, law: ForceLaw | None = None) -> NDArray[np.float64]:

@@ -19,7 +19,6 @@ from carina.errors import CarinaError, DiskError, ProtocolError
 from carina.server import messages as wire
 from carina.server.closing import close_socket
 from carina.server.downloads import Downloads
-from carina.server.force_link import ForceLink
 from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.hub import Hub, Outbox
 from carina.server.inbox import Inbox
@@ -134,16 +133,6 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             return
         await _serve_client(websocket, hub)
 
-    force_link = ForceLink(hub.session)
-
-    async def force(websocket: WebSocket) -> None:
-        await websocket.accept()
-        if not gate.authorised(websocket.headers):
-            reason = "a bridge sends the token that Carina printed: Authorization: Bearer TOKEN"
-            await close_socket(websocket, "protocol.not-authorised", reason)
-            return
-        await force_link.serve(websocket)
-
     @contextlib.asynccontextmanager
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
         hub.start()
@@ -159,7 +148,6 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         Route("/api/airways{suffix:path}", download),
         Route("/api/key-frames.json", key_frames),
         WebSocketRoute("/ws", socket),
-        WebSocketRoute("/force", force),
         Route("/{path:path}", asset),
     ]
     app = Starlette(routes=routes, lifespan=lifespan)

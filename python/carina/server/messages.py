@@ -19,7 +19,6 @@ from carina.commands import *  # noqa: F403
 from carina.commands.value import Command
 from carina.errors import ProtocolError
 from carina.server.messages_from_client import *  # noqa: F403
-from carina.server.messages_from_client import ClientHello
 from carina.server.messages_from_server import *  # noqa: F403
 from carina.server.messages_from_server import PictureHeader
 from carina.server.messages_of_devices import *  # noqa: F403
@@ -29,10 +28,8 @@ from carina.server.messages_of_phone import *  # noqa: F403
 from carina.server.messages_of_tree import *  # noqa: F403
 from carina.server.wire_codec import (
     ClientMessage,
-    ForceMessage,
     PhoneMessage,
     ServerMessage,
-    ToForceMessage,
     ToPhoneMessage,
     by_type,
     decode,
@@ -42,8 +39,6 @@ from carina.server.wire_codec import (
 )
 
 WIRE_VERSION = 2
-FORCE_VERSION = 1
-"""Of what bridges to force devices say on ``/force``, which has a version of its own."""
 
 CLOSE_CODES: dict[str, int] = {
     "protocol.malformed": 4400,
@@ -58,11 +53,8 @@ CLOSE_CODES: dict[str, int] = {
 
 CLIENT_MESSAGES = by_type(Command, ClientMessage)
 SERVER_MESSAGES = by_type(ServerMessage)
-FORCE_MESSAGES = by_type(ForceMessage) | by_type(ClientHello)
-TO_FORCE_MESSAGES = by_type(ToForceMessage) | by_type(ServerHello)  # noqa: F405
 PHONE_MESSAGES = by_type(PhoneMessage)
 TO_PHONE_MESSAGES = by_type(ToPhoneMessage)
-MAX_FORCE_BYTES = 2048
 MAX_PHONE_BYTES = 2048
 """Largest message of a phone; its samples have 200."""
 
@@ -76,22 +68,6 @@ def parse_client_message(text: str | bytes, *, max_bytes: int = 262_144) -> Any:
         With a ``protocol.*`` code and one sentence.
     """
     return decode(CLIENT_MESSAGES, text, max_bytes=max_bytes)
-
-
-def parse_force_message(text: str | bytes) -> Any:
-    """One message of a bridge to a force device.
-
-    Raises
-    ------
-    ProtocolError
-        With a ``protocol.*`` code and one sentence.
-    """
-    return decode(FORCE_MESSAGES, text, max_bytes=MAX_FORCE_BYTES)
-
-
-def parse_to_force_message(text: str | bytes) -> Any:
-    """One message of the server to a bridge; for bridges in Python, and tests."""
-    return decode(TO_FORCE_MESSAGES, text, max_bytes=MAX_FORCE_BYTES)
 
 
 def parse_phone_message(text: str | bytes) -> Any:

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from carina.commands.devices import DeviceControls
-from carina.commands.fields import Control, Count, DeviceName, PointLps, Three, Wide, Words
+from carina.commands.fields import Control, Count, DeviceName, Three, Wide, Words
 from carina.commands.value import FrozenValue
-from carina.server.wire_codec import ClientMessage, ForceMessage, ServerMessage, ToForceMessage
+from carina.server.wire_codec import ClientMessage, ServerMessage
 
 Four = tuple[Wide, Wide, Wide, Wide]
 Six = Annotated[tuple[Wide, ...], Meta(min_length=6, max_length=6)]
@@ -69,14 +69,6 @@ class SetPhone(ClientMessage, frozen=True):
     """Open the page for a phone to this machine's network, with a new certificate and link, or close it."""
 
     on: bool
-
-
-class AskContact(ForceMessage, frozen=True):
-    """On ``/force`` only: the wall near a place as a plane; answered by ``local_contact``, the newest alone."""
-
-    number: Count
-    lps: PointLps | None
-    """The middle of the tip that feels; null for Carina's own tip."""
 
 
 class WatchDevices(ClientMessage, frozen=True):
@@ -177,33 +169,3 @@ class Pen(ServerMessage, frozen=True):
     """In absolute movement: how far the scope's tip still is from the pen."""
     off_deg: float | None
     """And by how much it is still turned against it."""
-
-
-class ForcePlane(FrozenValue, frozen=True):
-    """The wall near a place.
-
-    The force is ``stiffness * max(0, -dot(p - point, normal))`` along the normal, less damping times the speed across
-    it, within the limits of ``docs/haptics.md``, which are the bridge's to hold.
-    """
-
-    point_lps: PointLps
-    normal_lps: PointLps
-    """Unit length, away from the wall."""
-    stiffness_n_per_mm: float
-    damping_ns_per_mm: float
-    friction: float
-    valid_mm: float
-    """It stands for the wall so far round the place that was asked for."""
-
-
-class LocalContact(ToForceMessage, frozen=True):
-    """Answer to ``ask_contact``."""
-
-    number: Count
-    """Of the question."""
-    state: Literal["ready", "finding", "none"]
-    """``finding``: the wall is being measured; ``none``: no case, no airways, or a person stopped that."""
-    lps: PointLps | None
-    """The place that it is about."""
-    plane: ForcePlane | None
-    """Null where no wall is near enough to matter, and while it is not ready: no force then."""

@@ -21,10 +21,8 @@ __all__ = [
     "MAX_HEADER_BYTES",
     "MAX_TEXT_BYTES",
     "ClientMessage",
-    "ForceMessage",
     "PhoneMessage",
     "ServerMessage",
-    "ToForceMessage",
     "ToPhoneMessage",
     "by_type",
     "decode",
@@ -54,14 +52,6 @@ class ServerMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
     """What the server says to a window."""
 
 
-class ForceMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
-    """What a bridge to a force device says on ``/force``; no window speaks these, so TypeScript does not know them."""
-
-
-class ToForceMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
-    """What the server says to such a bridge."""
-
-
 class PhoneMessage(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
     """What the page for a phone says."""
 
@@ -82,7 +72,7 @@ def by_type(*bases: type[FrozenValue]) -> dict[str, type[FrozenValue]]:
     return {str(type_name(cls)): cls for cls in found if not issubclass(cls, LocalCommand)}
 
 
-MESSAGE_BASES = {Command, ClientMessage, ServerMessage, ForceMessage, ToForceMessage, PhoneMessage, ToPhoneMessage}
+MESSAGE_BASES = {Command, ClientMessage, ServerMessage, PhoneMessage, ToPhoneMessage}
 
 
 def _refuse(code: str, message: str) -> NoReturn:

@@ -88,7 +88,7 @@ class OpenCase:
     presets: tuple[str, ...]
     threshold_from_histogram: float | None
     wall: Derived[Airways, LumenWall]
-    """Of airways that a scope was to be held in, or whose wall a bridge asked for."""
+    """Of airways that a scope was to be held in."""
     measures: Derived[Airways, TreeMeasures]
     """Of the document's airways."""
     outlined: Cached[Airways, LumenOutline]

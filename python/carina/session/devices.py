@@ -14,7 +14,6 @@ from carina.errors import CarinaError
 from carina.navigate import PenState, Sample, fit_registration, moves
 from carina.session.case import OpenCase, as_point
 from carina.session.core import SessionCore
-from carina.session.holding import ScopeHolding
 from carina.session.recording import FlightRecording
 from carina.session.routes import leaf_below, route_to_branch
 from carina.session.snapshot import DevicesInfo, Said, Trouble
@@ -35,12 +34,10 @@ class Devices(Subject):
     def __init__(
         self,
         core: SessionCore,
-        holding: ScopeHolding,
         recording: FlightRecording,
         do: Callable[[c.Command], str | None],
     ) -> None:
         super().__init__(core)
-        self._holding = holding
         self._recording = recording
         self._do = do
 
@@ -53,10 +50,6 @@ class Devices(Subject):
     def recording_path(self) -> Path | None:
         """The file that is being recorded to."""
         return self._recording.path
-
-    def want_wall_again(self) -> None:
-        """Forget that measuring the wall was stopped: whoever asks for it now may start it."""
-        self._holding.want_wall_again()
 
     def said(self, device: str, sample: Sample) -> None:
         """A sample of a device; from any thread, as often as the device likes. Ignored while no case is open."""

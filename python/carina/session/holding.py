@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from carina import commands as c
 from carina.errors import NoResultError
 from carina.navigate.moves import LayScope
-from carina.scopes import DEFAULT_SCOPE, ForceLaw, local_contact, scope_preset
+from carina.scopes import DEFAULT_SCOPE
 from carina.session.case import OpenCase, as_point
-from carina.session.snapshot import NearWall, Said
-from carina.session.subject import Subject, answers
+from carina.session.snapshot import Said
+from carina.session.subject import Subject
 
 if TYPE_CHECKING:
     from carina.track import Airways
@@ -19,7 +19,7 @@ __all__ = ["ScopeHolding"]
 
 
 class ScopeHolding(Subject):
-    """What holds the scope in mode *scope*, and what a hand feels of it."""
+    """What holds the scope in mode *scope*."""
 
     def enter(self, case: OpenCase) -> None:
         """Lay the scope along the route once the wall is known."""
@@ -36,30 +36,6 @@ class ScopeHolding(Subject):
         """The wall is known; with the session locked."""
         if case.document.airways is airways:
             self.lay(case)
-
-    def want_wall_again(self) -> None:
-        """Forget that measuring the wall was stopped: whoever asks for it now may start it."""
-        with self.core.lock:
-            if self.core.case is not None:
-                self.core.case.wall.again()
-
-    @answers(c.WallNear)
-    def wall_near(self, question: c.WallNear) -> NearWall:
-        """As a plane; the first question starts measuring it."""
-        lps = question.lps
-        with self.core.lock:
-            case = self.core.case
-            airways = None if case is None else case.document.airways
-            if case is None or airways is None:
-                return NearWall("none")
-            case.wall.want(airways)
-            wall = case.wall.of(airways)
-            if wall is None:
-                # Whoever stopped it, or found that it cannot be measured, is not asked a hundred times a second.
-                return NearWall("finding" if case.wall.standing(airways) == "making" else "none")
-            at = as_point(case.navigator.pose.position_lps) if lps is None else lps
-            tip_mm = scope_preset(case.document.look.scope or DEFAULT_SCOPE).tip_mm
-        return NearWall("ready", at, local_contact(wall.field, at, ForceLaw(tip_radius_mm=tip_mm / 2.0)))
 
     def lay(self, case: OpenCase, insertion_mm: float | None = None) -> None:
         """Along the route, to where the tip is, or the place of the route that is nearest to it."""

@@ -77,7 +77,7 @@ class Session:
         measuring, keys = TreeMeasuring(core), KeyFraming(core)
         recording = FlightRecording(core, holding)
         self._core, self._keys, self._recording = core, keys, recording
-        self._devices = Devices(core, holding, recording, self.do)
+        self._devices = Devices(core, recording, self.do)
         opening = Opening(core, finding, recording)
         # In this order: a recording's time before what follows, an edit's airways before who reads them.
         core.before_document += [recording.tick, editing.unfold]

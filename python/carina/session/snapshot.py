@@ -9,7 +9,7 @@ from carina.commands import DeviceControls
 from carina.errors import NoEvidenceError
 from carina.navigate import DeviceState
 from carina.render import Sight
-from carina.scopes import LocalContact, Pose, ScopeState
+from carina.scopes import Pose, ScopeState
 from carina.session.document import Document
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ __all__ = [
     "KeyInfo",
     "KeysInfo",
     "MaskQuestion",
-    "NearWall",
     "NotEvident",
     "PoseInfo",
     "Said",
@@ -169,17 +168,6 @@ class KeysInfo:
     duration_s: float = 0.0
     problem: str | None = None
     """Why they cannot be flown."""
-
-
-@dataclass(frozen=True, slots=True)
-class NearWall:
-    """The wall near a place, for a hand that feels it."""
-
-    state: Literal["ready", "finding", "none"]
-    """``finding``: the wall is being measured; ``none``: there are no airways, or a person stopped that."""
-    lps: tuple[float, float, float] | None = None
-    plane: LocalContact | None = None
-    """None also where no wall is near enough to matter."""
 
 
 @dataclass(frozen=True, slots=True)
