@@ -6,7 +6,7 @@ import ast
 import functools
 import re
 from pathlib import Path
-from typing import get_args, get_type_hints
+from typing import get_args
 
 import pytest
 
@@ -23,7 +23,6 @@ from carina.render import (
     view_row,
 )
 from carina.render.view_table import CellName, Need
-from carina.server import messages as wire
 from carina.volume.planes import PLANES, Plane
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -42,13 +41,10 @@ def test_each_view_cell_and_plane_of_the_types_has_one_row_and_no_other_has():
     assert list(get_args(Plane)) == list(PLANES)
 
 
-def test_the_wire_knows_the_scale_and_the_camera_of_each_view_that_has_one():
+def test_views_that_are_zoomed_in_their_plane_or_turned_are_known_as_such():
     assert set(get_args(FlatViewName)) == names(zoom={"slice", "extent"})
     assert set(get_args(OrbitViewName)) == names(zoom={"orbit"})
-    scales = {row.scale_field for row in VIEWS.values()} - {None}
-    assert set(get_type_hints(wire.Zoom)) == scales
-    cameras = {f"orbit_{VIEWS[name].field}" for name in get_args(OrbitViewName)}
-    assert cameras <= set(get_type_hints(wire.State))
+    assert {row.name for row in VIEWS.values() if row.orbit is not None} == names(zoom={"orbit"})
 
 
 def test_every_cell_has_a_view_and_a_way_to_bring_each_of_them():

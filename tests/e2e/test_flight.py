@@ -138,7 +138,7 @@ def test_the_rehearsal_says_how_far_the_scope_fits(server, workstation):
     fits = page.get_by_test_id("fits")
     narrowest_mm = 2 * min(workstation.state("route.wall_mm"))
     needed_mm = page.evaluate(
-        "() => window.__carina.state.start.scopes.find(s => s.name === window.__carina.state.session.scope).fit_mm"
+        "() => window.__carina.state.start.scopes.find(s => s.name === window.__carina.state.session.look.scope).fit_mm"
     )
     assert (fits.inner_text() == "to the end") == (narrowest_mm >= needed_mm)
     assert page.get_by_test_id("rehearse").is_enabled()

@@ -151,7 +151,7 @@ def middle_of(workstation, view) -> tuple[float, float]:
     if view == "tree":
         return tuple(place_on_tree(workstation, named(workstation, "LMB")))
     if view in {"axial", "coronal", "sagittal"}:
-        return tuple(place_in_slice(workstation, view, workstation.state("session.crosshair_lps")))
+        return tuple(place_in_slice(workstation, view, workstation.state("session.sight.crosshair_lps")))
     box = workstation.page.locator(f"canvas[data-view={view}]").bounding_box()
     return box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
 
@@ -172,7 +172,7 @@ def put_away(workstation) -> None:
 
 CHOSEN = """() => {
     const { ui, route, picks, session, pose } = window.__carina.state;
-    return JSON.stringify([ui.selected, route.spans.at(-1).branch_id, picks.length, session.crosshair_lps,
+    return JSON.stringify([ui.selected, route.spans.at(-1).branch_id, picks.length, session.sight.crosshair_lps,
         pose.lps_from_camera, pose.mode, session.can_undo]);
 }"""
 

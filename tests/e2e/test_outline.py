@@ -97,8 +97,7 @@ def test_on_a_zoomed_slice_the_drawn_outline_lies_within_half_a_voxel_of_the_lum
     first = workstation.state(f"frames['{view}'].frame_id")
     for _ in range(5):
         workstation.page.keyboard.press("+")
-    key = "cut_plane_extent_mm" if view == "cut-plane" else "coronal_mm_per_px"
-    workstation.wait_for(f"window.__carina.state.session.zoom.{key} !== null")
+    workstation.wait_for(f"window.__carina.state.session.sight.zoom['{view}'] !== undefined")
     workstation.wait_for(
         f"((h) => h.full && h.frame_id > {first} && h.width > 500)(window.__carina.state.frames['{view}'])",
     )
@@ -154,8 +153,8 @@ def test_a_place_that_could_not_be_followed_brings_the_airway_view_and_all_slice
     workstation.page.locator("[data-testid=uncertain] summary").click()
     place = workstation.state("tree.uncertain[0]")
     workstation.page.locator("[data-testid=uncertain] button").first.click()
-    workstation.wait_for("window.__carina.state.session.crosshair_lps !== null")
-    crosshair = workstation.state("session.crosshair_lps")
+    workstation.wait_for("window.__carina.state.session.sight.crosshair_lps !== null")
+    crosshair = workstation.state("session.sight.crosshair_lps")
     known = workstation.state("tree.uncertain.map((place) => place.lps)")
     assert min(np.linalg.norm(np.subtract(known, crosshair), axis=1)) < 1e-6, "a place of the list"
     assert place is not None

@@ -46,11 +46,8 @@ def test_a_scope_is_chosen_seen_through_and_taken_back(server, workstation):
     workstation.wait_ready()
     workstation.wait_still()
     workstation.picture("scope-generic")
-    assert (workstation.state("scope"), workstation.state("outline"), workstation.state("fov_deg")) == (
-        "generic",
-        "round",
-        120,
-    )
+    first = {"scope": "generic", "outline": "round", "fov_deg": 120, "operator": "head"}
+    assert workstation.state("session.look") == first
 
     workstation.page.get_by_test_id("scope").click()
     workstation.page.get_by_role("option").first.wait_for()
@@ -61,13 +58,13 @@ def test_a_scope_is_chosen_seen_through_and_taken_back(server, workstation):
     before = workstation.pixels("airway")
 
     choose_scope(workstation, "Single-use, slim")
-    assert workstation.state("scope") == "single-use-slim"
+    assert workstation.state("session.look.scope") == "single-use-slim"
     workstation.picture("scope-single-use")
-    assert (workstation.state("outline"), workstation.state("fov_deg")) == ("octagon", 85)
+    assert (workstation.state("session.look.outline"), workstation.state("session.look.fov_deg")) == ("octagon", 85)
     assert workstation.pixels("airway") != before
 
     choose_scope(workstation, "EBUS")
-    assert workstation.state("scope") == "ebus"
+    assert workstation.state("session.look.scope") == "ebus"
     workstation.picture("scope-ebus")
     pose = workstation.state("pose.lps_from_camera")
     shown = workstation.state("frames.airway.lps_from_camera")
@@ -76,14 +73,14 @@ def test_a_scope_is_chosen_seen_through_and_taken_back(server, workstation):
     assert math.degrees(math.acos(cosine)) == pytest.approx(35.0, abs=0.01)
 
     press(workstation, "o")
-    assert workstation.state("outline") == "none"
+    assert workstation.state("session.look.outline") == "none"
     workstation.picture("scope-full-frame")
     press(workstation, "o")
-    assert workstation.state("outline") == "round"
+    assert workstation.state("session.look.outline") == "round"
 
     for _ in range(4):
         press(workstation, "Control+z")
-    assert [workstation.state(name) for name in ("scope", "outline", "fov_deg")] == ["generic", "round", 120]
+    assert workstation.state("session.look") == first
     off = [abs(a - b) for a, b in zip(workstation.pixels("airway"), before, strict=True)]
     # JPEGs of the same picture, the last perhaps of the size before the canvas changed.
     assert sum(off) / len(off) < 1.0
@@ -120,7 +117,7 @@ def test_the_fine_texture_is_switched_off_and_on_where_the_look_has_one(server, 
     workstation.wait_ready()
     switch = workstation.page.get_by_test_id("texture")
     after(workstation, switch.click)
-    workstation.page.wait_for_function("() => window.__carina.state.texture === false")
+    workstation.page.wait_for_function("() => window.__carina.state.session.sight.texture === false")
     without = workstation.pixels("airway")
     # A press closes the words until the mouse comes back.
     workstation.page.mouse.move(400, 500)
@@ -132,7 +129,7 @@ def test_the_fine_texture_is_switched_off_and_on_where_the_look_has_one(server, 
 
     # A switch is no step of undo: it is switched back.
     after(workstation, switch.click)
-    workstation.page.wait_for_function("() => window.__carina.state.texture === true")
+    workstation.page.wait_for_function("() => window.__carina.state.session.sight.texture === true")
     off = [abs(a - b) for a, b in zip(workstation.pixels("airway"), without, strict=True)]
     assert sum(off) / len(off) > 0.6, "the texture is seen again"
 

@@ -19,24 +19,24 @@ def test_the_c_arm_turns_with_a_drag_and_by_keys_and_only_the_marker_follows_the
     assert 20 < workstation.brightness("drr") < 200
 
     drag(workstation, "drr", (0.5, 0.5), (0.2, 0.6))
-    workstation.wait_for("window.__carina.state.session.carm.primary_deg > 10")
-    assert workstation.state("session.carm.secondary_deg") > 3
+    workstation.wait_for("window.__carina.state.session.sight.carm.primary_deg > 10")
+    assert workstation.state("session.sight.carm.secondary_deg") > 3
     workstation.wait_picture("drr", unlike=frontal)
     workstation.picture("views-drr-turned")
 
     workstation.page.locator(".picture-host:has(canvas[data-view=drr])").focus()
     workstation.page.keyboard.press("Home")
-    workstation.wait_for("window.__carina.state.session.carm.primary_deg === 0")
+    workstation.wait_for("window.__carina.state.session.sight.carm.primary_deg === 0")
     workstation.page.keyboard.press("Shift+ArrowLeft")
-    workstation.wait_for("window.__carina.state.session.carm.primary_deg === 5")
+    workstation.wait_for("window.__carina.state.session.sight.carm.primary_deg === 5")
     workstation.page.keyboard.press("Home")
-    workstation.wait_for("window.__carina.state.session.carm.primary_deg === 0")
+    workstation.wait_for("window.__carina.state.session.sight.carm.primary_deg === 0")
     workstation.wait_picture("drr", like=frontal)
     workstation.page.keyboard.press("g")
-    workstation.wait_for("window.__carina.state.session.carm.tone === 'fluoroscopy'")
+    workstation.wait_for("window.__carina.state.session.sight.carm.tone === 'fluoroscopy'")
     workstation.wait_picture("drr", unlike=frontal)
     workstation.page.keyboard.press("g")
-    workstation.wait_for("window.__carina.state.session.carm.tone === 'radiograph'")
+    workstation.wait_for("window.__carina.state.session.sight.carm.tone === 'radiograph'")
     workstation.wait_picture("drr", like=frontal)
     frame, marks = workstation.frame("drr"), workstation.overlay("drr")
     workstation.go_to(60.0)
@@ -65,11 +65,11 @@ def test_the_straightened_airway_takes_the_tip_where_it_is_clicked(server, works
 
     before = workstation.pixels("straightened")
     drag(workstation, "straightened", (0.3, 0.5), (0.8, 0.5))
-    workstation.wait_for("window.__carina.state.session.reformation.turn_deg > 20")
+    workstation.wait_for("window.__carina.state.session.sight.reformation.turn_deg > 20")
     workstation.wait_picture("straightened", unlike=before)
     turned = workstation.pixels("straightened")
     workstation.page.mouse.wheel(0, -600)
-    workstation.wait_for("window.__carina.state.session.reformation.mm_per_px < 1")
+    workstation.wait_for("window.__carina.state.session.sight.reformation.mm_per_px < 1")
     workstation.wait_picture("straightened", unlike=turned)
     workstation.wait_still()
     workstation.picture("views-straightened-zoomed")
@@ -97,40 +97,40 @@ def test_a_plane_of_the_tri_plane_view_moves_with_a_drag_and_the_background_orbi
     first = workstation.pixels("tri-plane")
     workstation.page.locator("[data-cell=outside] canvas.overlay").wait_for(state="attached")
     workstation.picture("views-tri-plane")
-    before = workstation.state("session.orbit_tri_plane")
+    before = workstation.state("session.sight.orbits")
     tip = [workstation.state(f"pose.lps_from_camera[{n}]") for n in (3, 7, 11)]
 
     drag(workstation, "tri-plane", (0.5, 0.62), (0.5, 0.5))
-    workstation.wait_for("window.__carina.state.session.crosshair_lps !== null")
+    workstation.wait_for("window.__carina.state.session.sight.crosshair_lps !== null")
     workstation.wait_still()
-    crosshair = workstation.state("session.crosshair_lps")
+    crosshair = workstation.state("session.sight.crosshair_lps")
     moved = np.abs(np.subtract(crosshair, tip))
     # Along one axis alone.
     assert (moved > 3.0).sum() == 1
     assert (moved < 0.2).sum() == 2
-    assert workstation.state("session.orbit_tri_plane") == before
+    assert workstation.state("session.sight.orbits") == before
     workstation.wait_picture("tri-plane", unlike=first)
     workstation.picture("views-tri-plane-moved")
 
     workstation.page.locator(".picture-host:has(canvas[data-view=tri-plane])").focus()
     workstation.page.keyboard.press("PageDown")
-    workstation.wait_for(f"window.__carina.state.session.crosshair_lps[2] < {crosshair[2] - 0.5}")
+    workstation.wait_for(f"window.__carina.state.session.sight.crosshair_lps[2] < {crosshair[2] - 0.5}")
     workstation.page.keyboard.press("Control+ArrowRight")
-    workstation.wait_for(f"window.__carina.state.session.crosshair_lps[0] > {crosshair[0] + 0.5}")
+    workstation.wait_for(f"window.__carina.state.session.sight.crosshair_lps[0] > {crosshair[0] + 0.5}")
     workstation.page.keyboard.press("Control+ArrowDown")
-    workstation.wait_for(f"window.__carina.state.session.crosshair_lps[1] < {crosshair[1] - 0.5}")
+    workstation.wait_for(f"window.__carina.state.session.sight.crosshair_lps[1] < {crosshair[1] - 0.5}")
     # A full stop is a key frame's here as everywhere, and moves no plane.
-    here = workstation.state("session.crosshair_lps")
+    here = workstation.state("session.sight.crosshair_lps")
     workstation.page.keyboard.press(".")
     workstation.wait_for("window.__carina.state.keys.keys.length === 1")
-    assert workstation.state("session.crosshair_lps") == here
+    assert workstation.state("session.sight.crosshair_lps") == here
     workstation.page.keyboard.press("Control+z")
     workstation.wait_for("window.__carina.state.keys.keys.length === 0")
     workstation.page.locator(".picture-host:has(canvas[data-view=tri-plane])").focus()
     drag(workstation, "tri-plane", (0.03, 0.03), (0.3, 0.03))
-    workstation.wait_for(f"window.__carina.state.session.orbit_tri_plane.azimuth_deg !== {before['azimuth_deg']}")
+    workstation.wait_for("window.__carina.state.session.sight.orbits['tri-plane'] !== undefined")
     workstation.page.keyboard.press("c")
-    workstation.wait_for("window.__carina.state.session.crosshair_lps === null")
+    workstation.wait_for("window.__carina.state.session.sight.crosshair_lps === null")
     assert workstation.faults == []
 
 
@@ -148,12 +148,12 @@ def test_a_slice_zooms_about_the_cursor_and_says_when_it_is_thick(server, workst
     for _ in range(3):
         workstation.page.mouse.wheel(0, -150)
     workstation.page.keyboard.up("Control")
-    workstation.wait_for("window.__carina.state.session.zoom.axial_mm_per_px !== null")
+    workstation.wait_for("window.__carina.state.session.sight.zoom.axial?.mm_per_px != null")
     workstation.wait_still()
     workstation.wait_picture("axial", unlike=plain)
     workstation.wait_for(
-        "((m) => Math.abs(Math.hypot(m[0], m[4], m[8]) - window.__carina.state.zoom.axial_mm_per_px) < 1e-3)"
-        "(window.__carina.state.frames.axial.lps_from_pixel)",
+        "((m, place) => Math.abs(Math.hypot(m[0], m[4], m[8]) - place.mm_per_px) < 1e-3)"
+        "(window.__carina.state.frames.axial.lps_from_pixel, window.__carina.state.session.sight.zoom.axial)",
     )
     workstation.page.mouse.move(at[0] + 1, at[1])
     workstation.page.mouse.move(*at)
@@ -165,12 +165,12 @@ def test_a_slice_zooms_about_the_cursor_and_says_when_it_is_thick(server, workst
     thin = workstation.pixels("coronal")
     workstation.page.mouse.move(5, 400)
     workstation.page.keyboard.press("i")
-    workstation.wait_for("window.__carina.state.session.slab.thickness_mm === 10")
+    workstation.wait_for("window.__carina.state.session.sight.slab.thickness_mm === 10")
     workstation.wait_picture("coronal", unlike=thin)
     workstation.picture("views-slab")
     for _ in range(3):
         workstation.page.keyboard.press("i")
-    workstation.wait_for("window.__carina.state.session.slab.thickness_mm === 0")
+    workstation.wait_for("window.__carina.state.session.sight.slab.thickness_mm === 0")
     assert workstation.faults == []
 
 
@@ -181,7 +181,7 @@ def test_a_picture_is_panned_by_middle_and_shift_drag_and_by_keys_and_fits_again
     workstation.wait_picture(view)
     fitted, first_mm = workstation.pixels(view), extent_mm(workstation, view)
     first = middle_lps(workstation, view)
-    crosshair = workstation.state("session.crosshair_lps")
+    crosshair = workstation.state("session.sight.crosshair_lps")
     box = host(workstation, view)
     mm_per_css = first_mm / box["width"]
     header = workstation.state(f"frames['{view}']")
@@ -201,7 +201,7 @@ def test_a_picture_is_panned_by_middle_and_shift_drag_and_by_keys_and_fits_again
     moved = first - (0.1 * box["width"] * right - 0.1 * box["height"] * down) * mm_per_css
     settled_at(moved)
     assert extent_mm(workstation, view) == pytest.approx(first_mm, rel=0.01), "a pan does not zoom"
-    assert workstation.state("session.crosshair_lps") == crosshair, "a pan moves no crosshair"
+    assert workstation.state("session.sight.crosshair_lps") == crosshair, "a pan moves no crosshair"
 
     workstation.page.keyboard.down("Shift")
     mouse = workstation.page.mouse

@@ -38,7 +38,7 @@ def test_a_click_on_the_wall_tells_its_place_and_marks_it_and_a_second_one_the_d
     )
     assert workstation.overlay("airway") != unmarked
     # The slices show the wall point, as after a click in a slice.
-    assert workstation.state("crosshair_lps") == pytest.approx(first["lps"], abs=0.01)
+    assert workstation.state("session.sight.crosshair_lps") == pytest.approx(first["lps"], abs=0.01)
 
     workstation.click_airway(0.8, 0.5)
     second = wall_point(workstation, 2)
@@ -72,13 +72,13 @@ def test_the_keyboard_picks_the_middle_and_a_double_click_picks_nothing(server, 
     assert along == pytest.approx(math.hypot(*ray), rel=1e-3)
     workstation.page.keyboard.press("Escape")
     workstation.page.keyboard.press("c")
-    workstation.page.wait_for_function("() => window.__carina.state.crosshair_lps === null")
+    workstation.page.wait_for_function("() => window.__carina.state.session.sight.crosshair_lps === null")
 
     workstation.click_airway(0.3, 0.4, twice=True)
     workstation.page.wait_for_function("() => window.__carina.state.ui.full === 'airway'")
     workstation.wait_still()
     assert workstation.state("picks.length") == 0
-    assert workstation.state("crosshair_lps") is None
+    assert workstation.state("session.sight.crosshair_lps") is None
     workstation.page.keyboard.press("Escape")
 
     # A drag still turns the look, and picks nothing.

@@ -28,7 +28,7 @@ def test_thousands_of_steers_and_acks_of_frames_never_sent_leave_the_session_ans
         window.send(*(wire.Steer(0.001, 0.0, 0.0, 0.0) for _ in range(3000)))
         window.send(*(wire.Ack(10**9 + n) for n in range(1000)))
         window.send(wire.SetFov(77.0))
-        window.until_state(lambda s: s.fov_deg == 77.0)
+        window.until_state(lambda s: s.look.fov_deg == 77.0)
         window.until(lambda m: isinstance(m, wire.PictureHeader) and m.full)
         last = live.session.pose_info()
         assert last.path_mm == pytest.approx(3.0)
@@ -159,20 +159,20 @@ def test_a_transfer_function_that_is_none_is_refused_in_words_and_the_old_one_st
         error = window.until(lambda m: isinstance(m, wire.Error))
         assert error.code == "render.transfer"
         assert words in error.message
-        window.send(wire.SetShading(on=not before.shading))
-        assert window.until_state(lambda s: s.shading is not before.shading).transfer == before.transfer
+        window.send(wire.SetShading(on=not before.sight.shading))
+        assert window.until_state(lambda s: s.sight.shading is not before.sight.shading).transfer == before.transfer
 
 
 def test_the_outline_is_undone_over_the_wire_and_the_fine_texture_is_no_step_between(live):
     with live.window() as window:
-        assert open_case(window).texture
+        assert open_case(window).sight.texture
         window.send(wire.SetOutline("octagon"))
-        assert window.until_state(lambda s: s.outline == "octagon").can_undo == "outline of the picture"
+        assert window.until_state(lambda s: s.look.outline == "octagon").can_undo == "outline of the picture"
         window.send(wire.SetTexture(on=False))
-        assert window.until_state(lambda s: not s.texture).can_undo == "outline of the picture"
+        assert window.until_state(lambda s: not s.sight.texture).can_undo == "outline of the picture"
         window.send(wire.Undo())
-        undone = window.until_state(lambda s: s.outline == "round")
-        assert (undone.can_undo, undone.can_redo, undone.texture) == (None, "outline of the picture", False)
+        undone = window.until_state(lambda s: s.look.outline == "round")
+        assert (undone.can_undo, undone.can_redo, undone.sight.texture) == (None, "outline of the picture", False)
 
 
 def test_opening_a_case_brings_state_tree_route_pose_and_pictures_of_all_views(live):
@@ -221,11 +221,11 @@ def test_without_acks_no_more_than_three_airway_pictures_come(live):
             window.until(lambda m: isinstance(m, wire.Pose), acknowledge=False)
         # An answer that comes after everything before it was handled.
         window.send(wire.SetFov(115.0))
-        window.until(lambda m: isinstance(m, wire.State) and m.fov_deg == 115.0, acknowledge=False)
+        window.until(lambda m: isinstance(m, wire.State) and m.look.fov_deg == 115.0, acknowledge=False)
         while len(window.pictures) < 3:
             window.next()
         window.send(wire.SetFov(110.0))
-        window.until(lambda m: isinstance(m, wire.State) and m.fov_deg == 110.0, acknowledge=False)
+        window.until(lambda m: isinstance(m, wire.State) and m.look.fov_deg == 110.0, acknowledge=False)
         assert len(window.pictures) == 3
         window.send(*(wire.Ack(p.frame_id) for p in window.pictures))
         newest = window.until(lambda m: isinstance(m, wire.PictureHeader))
@@ -270,7 +270,7 @@ def test_a_refused_file_keeps_the_session_and_says_the_words_of_the_refusal(live
         assert error.message == "/scans/bad holds no images: choose a DICOM folder"
         assert window.until(lambda m: isinstance(m, wire.Done) and m.outcome == "failed")
         window.send(wire.SetFov(100.0))
-        assert window.until_state(lambda s: s.fov_deg == 100.0).case == before.case
+        assert window.until_state(lambda s: s.look.fov_deg == 100.0).case == before.case
 
 
 def test_targets_are_undone_and_done_again(live):
@@ -296,11 +296,11 @@ def test_a_change_that_leaves_tree_and_route_alone_does_not_send_them_again(live
         window.had(lambda m: isinstance(m, wire.Route) and m.route is not None)
         # The other answers come in order, so after this one nothing of the opening is still on its way.
         window.send(wire.SetFov(95.0))
-        window.until_state(lambda s: s.fov_deg == 95.0)
+        window.until_state(lambda s: s.look.fov_deg == 95.0)
         window.seen.clear()
         for fov_deg in (100.0, 110.0, 120.0):
             window.send(wire.SetFov(fov_deg))
-            window.until_state(lambda s, fov_deg=fov_deg: s.fov_deg == fov_deg)
+            window.until_state(lambda s, fov_deg=fov_deg: s.look.fov_deg == fov_deg)
         assert not [m for m in window.seen if isinstance(m, wire.Tree | wire.Route | wire.Pose)]
 
 

@@ -74,6 +74,7 @@ class SetTransfer(Command, frozen=True):
 class SetCrosshair(Command, frozen=True):
     """The point that slices and tri-plane show; null follows the tip."""
 
+    sets = "crosshair_lps"
     lps: PointLps | None
 
 

@@ -57,11 +57,17 @@ class Command(FrozenValue, tag_field="type", tag=snake_case, frozen=True):
         """
         fields = {name: getattr(self, name) for name in self.__struct_fields__}
         view = fields.pop("view", None)
-        value_class = next((base for base in type(self).__bases__ if not issubclass(base, Command)), None)
+        value_class = self.value_class()
         if value_class is not None:
             return view, value_class(**fields)
         (value,) = fields.values()
         return view, value
+
+    @classmethod
+    def value_class(cls) -> type[FrozenValue] | None:
+        """The value that the command is besides; None where it has a field of its own for it."""
+        bases = (base for base in cls.__bases__ if issubclass(base, FrozenValue))
+        return next((base for base in bases if not issubclass(base, Command)), None)
 
 
 class LocalCommand(Command, frozen=True):
@@ -172,8 +178,8 @@ def trouble(error: msgspec.ValidationError, value: Any, where: str, cls: type[An
 
 
 def _at(value: Any, path: str) -> Any:
-    """The part of a value that a path such as ``.views[3].width`` names."""
-    for name, number in re.findall(r"\.(\w+)|\[(\d+)\]", path):
+    """The part of a value that a path such as ``.views[3].width`` names; an object whose keys are not told, whole."""
+    for name, number in re.findall(r"\.(\w+)|\[(\d+)\]", path.split("[...]", maxsplit=1)[0]):
         value = value[name] if name else value[int(number)]
     return value
 
@@ -187,6 +193,8 @@ def _choices(kind: msgspec.inspect.Type, names: list[str]) -> set[str]:
             return set().union(*(_choices(one, names) for one in kind.types))
         case msgspec.inspect.VarTupleType():
             return _choices(kind.item_type, names)
+        case msgspec.inspect.DictType():
+            return _choices(kind.value_type, names)
         case msgspec.inspect.StructType() if names == [kind.tag_field]:
             return {str(kind.tag)}
         case msgspec.inspect.StructType() if names:

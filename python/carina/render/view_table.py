@@ -159,22 +159,6 @@ class ViewRow:
     max_px: int = 768
     """Longer side of a picture in the window: beyond it a picture costs more to render than the eye gains."""
 
-    @property
-    def field(self) -> str:
-        """The name as part of a field's name: ``cut_plane`` of ``cut-plane``."""
-        return self.name.replace("-", "_")
-
-    @property
-    def scale_field(self) -> str | None:
-        """How the wire's zoom calls its scale; None where it has none of its own."""
-        unit = {"slice": "mm_per_px", "extent": "extent_mm"}.get(self.zoom or "")
-        return None if unit is None else f"{self.field}_{unit}"
-
-    @property
-    def camera_field(self) -> str | None:
-        """How session and wire call its outside camera; None where it has none."""
-        return f"orbit_{self.field}" if self.zoom == "orbit" else None
-
 
 def _grey(s: ViewSettings) -> tuple[float, float]:
     return WINDOW_HU if s.window_hu is None else s.window_hu

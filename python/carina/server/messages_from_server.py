@@ -14,8 +14,6 @@ from carina.commands.fields import (
     Matrix4,
     Mode,
     Numbers,
-    Operator,
-    Outline,
     Part,
     Pixels,
     PointLps,
@@ -23,7 +21,8 @@ from carina.commands.fields import (
     ViewName,
     Words,
 )
-from carina.render.sight import GreyWindow, Method, Orbit, SlabKind, Tone
+from carina.commands.look import Look
+from carina.render import Sight
 from carina.server.wire_codec import ServerMessage
 from carina.value import FrozenValue
 from carina.volume import Citation
@@ -124,38 +123,6 @@ class CaseInfo(FrozenValue, frozen=True):
     off: tuple[FeatureOff, ...]
 
 
-class Zoom(FrozenValue, frozen=True):
-    """Scales of the planar views; null fits."""
-
-    axial_mm_per_px: float | None
-    coronal_mm_per_px: float | None
-    sagittal_mm_per_px: float | None
-    cut_plane_extent_mm: float | None
-
-
-class Carm(FrozenValue, frozen=True):
-    """Where the radiograph's C-arm stands: LAO and cranial above 0; scale null fits."""
-
-    primary_deg: float
-    secondary_deg: float
-    mm_per_px: float | None
-    tone: Tone
-
-
-class Reformation(FrozenValue, frozen=True):
-    """Turn and scale of the views along the route; scale null fits."""
-
-    turn_deg: float
-    mm_per_px: float | None
-
-
-class Slab(FrozenValue, frozen=True):
-    """Thickness of slices and views along the route; 0 are thin slices."""
-
-    thickness_mm: float
-    kind: SlabKind
-
-
 class Target(FrozenValue, frozen=True):
     """A target as asked and as used; ``problem`` says in words why there is no path."""
 
@@ -203,21 +170,12 @@ class State(ServerMessage, frozen=True):
     airways_words: Words | None
     """Why there are none and what to do, or what was noted about them."""
     mode: Mode
-    operator: Operator
-    scope: Key | None
-    """The instrument that the airway view is seen through; null for a pinhole."""
-    outline: Outline
-    """Outline of the airway picture."""
-    fov_deg: float
+    look: Look
+    sight: Sight
     transfer: Words
     """Name of the transfer function."""
     transfer_document: dict[str, Any] | None
     transfer_presets: tuple[Words, ...]
-    shading: bool
-    texture: bool
-    method: Method
-    window: GreyWindow
-    crosshair_lps: PointLps | None
     targets: tuple[Target, ...]
     route_id: Words | None
     can_undo: Words | None
@@ -225,12 +183,6 @@ class State(ServerMessage, frozen=True):
     can_redo: Words | None
     root_lps: PointLps | None
     lumen_threshold: float | None
-    orbit_tree: Orbit
-    orbit_tri_plane: Orbit
-    zoom: Zoom
-    carm: Carm
-    reformation: Reformation
-    slab: Slab
     frame_rate_hz: float
     """Airway pictures per second that are asked for while moving."""
     airways_from: Literal["search", "mask"] | None

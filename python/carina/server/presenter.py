@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from carina.commands import Look
-from carina.render import VIEWS, FlatPlace, GreyWindow, PictureLines, Sight
+from carina.render import PictureLines
 from carina.scopes import scope_presets
 from carina.server import messages as wire
 from carina.session import ChosenRoute, KeysInfo, MaskQuestion, PoseInfo, RecentCase, Snapshot, WallPoint
@@ -110,38 +110,23 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
     """All that is shown, but the pose, the tree and the route."""
     document = snapshot.document
     airways = None if document is None else document.airways
-    sight, look = snapshot.sight, Look() if document is None else document.look
-    carm = sight.carm
-    cameras = {row.camera_field: sight.orbits.get(row.name, row.orbit) for row in VIEWS.values() if row.orbit}
     return wire.State(
         case=_case(snapshot),
         stage=snapshot.stage,
         airways=snapshot.airways,
         airways_words=snapshot.airways_words,
         mode=snapshot.mode,
-        operator=look.operator,
-        scope=look.scope,
-        outline=look.outline,
-        fov_deg=look.fov_deg,
+        look=Look() if document is None else document.look,
+        sight=snapshot.sight,
         transfer="" if document is None else document.transfer.name,
         transfer_document=None if document is None else document.transfer.to_json(),
         transfer_presets=snapshot.transfer_presets,
-        shading=sight.shading,
-        texture=sight.texture,
-        method=sight.method,
-        window=GreyWindow(1500.0, -600.0) if sight.window is None else sight.window,
-        crosshair_lps=sight.crosshair_lps,
         targets=() if document is None else tuple(_target(t) for t in document.targets),
         route_id=None if document is None or document.route is None else document.route.route_id,
         can_undo=snapshot.undo_label,
         can_redo=snapshot.redo_label,
         root_lps=None if airways is None else _point(airways.root_lps),
         lumen_threshold=_threshold(document),
-        **cast(Any, cameras),
-        carm=wire.Carm(carm.primary_deg, carm.secondary_deg, carm.mm_per_px, carm.tone),
-        reformation=wire.Reformation(sight.reformation.turn_deg, sight.reformation.mm_per_px),
-        slab=wire.Slab(sight.slab.thickness_mm, sight.slab.kind),
-        zoom=_zoom(sight),
         frame_rate_hz=frame_rate_hz,
         airways_from=None if airways is None else "mask" if math.isnan(airways.threshold) else "search",
         mask_question=_mask_question(snapshot.mask_question),
@@ -161,15 +146,6 @@ def _mask_question(question: MaskQuestion | None) -> wire.MaskQuestion | None:
         found=question.found,
         share_inside=question.share_inside,
     )
-
-
-def _zoom(sight: Sight) -> wire.Zoom:
-    rows = (row for row in VIEWS.values() if row.scale_field)
-    return wire.Zoom(**{str(row.scale_field): _scale(sight.place(row.name)) for row in rows})
-
-
-def _scale(place: FlatPlace) -> float | None:
-    return place.mm_per_px if place.extent_mm is None else place.extent_mm
 
 
 def _target(target: Any) -> wire.Target:

@@ -6,6 +6,8 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+import msgspec
+
 from carina.render import CELLS, FINDER_VIEW, LEAD_VIEW, VIEWS
 from carina.volume.planes import PLANES
 
@@ -27,15 +29,14 @@ ROW_FIELDS = (
     "windowed",
     "outlined",
     "straight",
-    "scale_field",
-    "camera_field",
+    "orbit",
     "max_px",
 )
 """What the client asks of a view."""
 
 
 def _value(value: Any) -> str:
-    return json.dumps(sorted(value) if isinstance(value, frozenset) else value, ensure_ascii=False)
+    return json.dumps(sorted(value) if isinstance(value, frozenset) else msgspec.to_builtins(value), ensure_ascii=False)
 
 
 def _table(name: str, key: str | None, words: str, rows: Mapping[Any, Mapping[str, Any]]) -> list[str]:

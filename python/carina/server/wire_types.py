@@ -12,9 +12,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 from msgspec import inspect
 
+from carina.commands import Look, all_commands
 from carina.commands.fields import Outline, ViewName
+from carina.render import Sight
 from carina.server import messages
 from carina.server.export_types import exports_typescript
 from carina.server.view_types import views_typescript
@@ -44,6 +47,8 @@ def _inner(kind: inspect.Type) -> tuple[inspect.Type, ...]:
             return kind.item_types
         case inspect.VarTupleType():
             return (kind.item_type,)
+        case inspect.DictType():
+            return (kind.value_type,)
     return ()
 
 
@@ -103,7 +108,8 @@ def _ts_type(kind: inspect.Type) -> str:
         case inspect.StructType():
             return _ts_name(kind.cls)
         case inspect.DictType():
-            return "Record<string, unknown>"
+            of = "unknown" if isinstance(kind.value_type, inspect.AnyType) else _ts_type(kind.value_type)
+            return f"Readonly<Record<string, {of}>>"
         case inspect.NoneType():
             return "null"
         case inspect.BoolType():
@@ -147,11 +153,42 @@ def typescript() -> str:
         for field in struct.fields:
             lines.append(f"  readonly {field.name}{'' if _is_required(cls, field) else '?'}: {_ts_type(field.type)};")
         lines += ["}", ""]
+    lines += _shown()
     for name, classes in GROUPS:
         lines += [f"export type {name} =", *(f"  | {_ts_name(cls)}" for cls in classes.values())]
         lines[-1] += ";"
         lines.append("")
     return "\n".join(lines)
+
+
+def _shown() -> list[str]:
+    """What look and sight begin with, and which commands only set a field of one of them."""
+    lines = []
+    for name, value in (("LOOK", Look()), ("SIGHT", Sight())):
+        lines += [
+            f"/** What `{name.lower()}` begins with. */",
+            f"export const FIRST_{name}: {type(value).__name__} = {json.dumps(msgspec.to_builtins(value), indent=2)};",
+            "",
+        ]
+    lines += [
+        "/**",
+        " * Commands that set a field of `look` or `sight`: from their own field `from`, or from all where it is null;",
+        " * with `by_view` the field has a value for each view.",
+        " */",
+        "export const SETS = {",
+    ]
+    for cls in all_commands():
+        if cls.sets is not None:
+            fields = [field for field in cls.__struct_fields__ if field != "view"]
+            row = {
+                "of": "look" if cls.sets in Look.__struct_fields__ else "sight",
+                "field": cls.sets,
+                "from": None if cls.value_class() else fields[0],
+                "by_view": "view" in cls.__struct_fields__,
+            }
+            words = ", ".join(f"{name}: {json.dumps(value)}" for name, value in row.items())
+            lines.append(f"  {type_name(cls)}: {{ {words} }},")
+    return [*lines, "} as const;", ""]
 
 
 def _schema_of(kind: inspect.Type) -> dict[str, Any]:
@@ -169,7 +206,8 @@ def _schema_of(kind: inspect.Type) -> dict[str, Any]:
         case inspect.StructType():
             return {"$ref": f"#/$defs/{_ts_name(kind.cls)}"}
         case inspect.DictType():
-            return {"type": "object"}
+            any_value = isinstance(kind.value_type, inspect.AnyType)
+            return {"type": "object"} | ({} if any_value else {"additionalProperties": _schema_of(kind.value_type)})
         case inspect.NoneType():
             return {"type": "null"}
         case inspect.BoolType():

@@ -14,7 +14,7 @@ import {
   SliderTrack,
 } from "react-aria-components";
 import { keyOf } from "../input/keymap";
-import { outlineOf, pathMm, scopeOf } from "../state/app-state";
+import { pathMm, scopeOf } from "../state/app-state";
 import { kindWords } from "../state/branch-words";
 import { forkAhead } from "../state/fork";
 import { fixed, mm, plural } from "../state/format";
@@ -34,7 +34,7 @@ import { ScopeSelect } from "./ScopeSelect";
 import { ToolTag } from "./ToolTag";
 
 export function AirwayStage() {
-  const outline = useApp(outlineOf);
+  const outline = useApp((state) => state.look.outline);
   const shown = useApp((state) => state.frames[LEAD_VIEW] !== undefined);
   const armed = useApp((state) => state.ui.armed);
   const markable = armed === null ? undefined : worksIn(armed, LEAD_VIEW) ? "yes" : "no";
@@ -68,7 +68,7 @@ export function AirwayStage() {
 /** Red where the lens lies on the wall: the picture alone, not its ring and letters. */
 function RedOut() {
   const red = useApp((state) => state.pose?.scope?.red_out ?? 0);
-  const shape = shapeOf(useApp(outlineOf));
+  const shape = shapeOf(useApp((state) => state.look.outline));
   if (red <= 0) return null;
   const style = { opacity: red, clipPath: clipPathOf(shape) };
   return <div className="red-out" data-shape={shape} style={style} data-testid="red-out" aria-hidden="true" />;
@@ -160,10 +160,12 @@ function EmptyLabel() {
 function AirwayTools() {
   const station = useStation();
   const session = useApp((state) => state.session);
+  const { outline, operator } = useApp((state) => state.look);
+  const { shading, texture } = useApp((state) => state.sight);
   const hasRoute = useApp((state) => state.route !== null);
   const ui = useApp((state) => state.ui);
   if (session === null) return null;
-  const facing = session.operator === "facing";
+  const facing = operator === "facing";
   return (
     <div className="tools" role="toolbar" aria-label="Airway view">
       <Choice<StateMessage["mode"]>
@@ -220,21 +222,21 @@ function AirwayTools() {
       <Fov />
       <SwitchKey
         icon="light"
-        words={session.shading ? "Light at the tip is on" : "Light at the tip is off"}
-        on={session.shading}
-        onChange={() => station.send({ type: "set_shading", on: !session.shading })}
+        words={shading ? "Light at the tip is on" : "Light at the tip is off"}
+        on={shading}
+        onChange={() => station.send({ type: "set_shading", on: !shading })}
       />
       {session.transfer_document?.appearance != null && (
         <SwitchKey
           icon="texture"
           words={
-            session.texture
+            texture
               ? "Fine texture (decoration): mottling and relief that the CT does not show"
               : "Fine texture (decoration) is off: no mottling and relief beyond the CT"
           }
-          on={session.texture}
+          on={texture}
           testId="texture"
-          onChange={() => station.send({ type: "set_texture", on: !session.texture })}
+          onChange={() => station.send({ type: "set_texture", on: !texture })}
         />
       )}
       <SwitchKey
@@ -246,11 +248,9 @@ function AirwayTools() {
       />
       <SwitchKey
         icon="round"
-        words={
-          session.outline === "octagon" ? "Octagonal picture, as in this scope" : "Round picture, as in a bronchoscope"
-        }
+        words={outline === "octagon" ? "Octagonal picture, as in this scope" : "Round picture, as in a bronchoscope"}
         keys={keyOf("toggle_shape")}
-        on={session.outline !== "none"}
+        on={outline !== "none"}
         onChange={() => station.act("toggle_shape")}
       />
     </div>
@@ -304,7 +304,7 @@ function TransferSelect() {
 
 function Fov() {
   const station = useStation();
-  const fov = useApp((state) => state.session?.fov_deg ?? 90);
+  const fov = useApp((state) => state.look.fov_deg);
   return (
     <Slider
       className="slider inline"

@@ -21,7 +21,7 @@ const shortTitle = (title: string): string => title.split(/[ ,(]/)[0] ?? title;
 export function ScopeSelect() {
   const station = useStation();
   const scopes = useApp((state) => state.start?.scopes ?? null);
-  const name = useApp((state) => state.session?.scope ?? null);
+  const name = useApp((state) => state.look.scope);
   if (scopes === null) return null;
   const chosen = scopes.find((scope) => scope.name === name);
   const words =

@@ -120,9 +120,8 @@ function OutlineSwitch() {
 function Fit({ view }: { view: FlatView }) {
   const station = useStation();
   const zoomed = useApp((state) => {
-    const zoom = state.session?.zoom;
-    if (zoom === undefined) return false;
-    return zoom[VIEWS[view].scale_field] !== null;
+    const place = state.sight.zoom[view];
+    return (place?.mm_per_px ?? place?.extent_mm ?? null) !== null;
   });
   if (!zoomed) return null;
   const words = VIEWS[view].zoom === "extent" ? "Back to the tip, 60 mm wide" : "Fit the whole slice";

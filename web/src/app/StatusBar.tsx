@@ -123,7 +123,7 @@ function AskedRate() {
 
 /** How the airway picture that is on the screen was made, and not how the next one will be. */
 function MethodWords() {
-  const asked = useApp((state) => state.session?.method ?? "leap");
+  const asked = useApp((state) => state.sight.method);
   const made = useApp((state) => state.frames[LEAD_VIEW]?.method ?? null);
   const status = useApp((state) => state.status);
   const byCard = made?.startsWith("gpu-") === true;

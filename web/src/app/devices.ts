@@ -8,7 +8,6 @@ import { hasPointerLock, PointerLock } from "../input/devices/pointer-lock";
 import { SPACEMOUSE_FILTERS, SpaceMouse } from "../input/devices/spacemouse";
 import { Headset, headsetOffer, type Xr } from "../input/devices/webxr";
 import { WHEEL_MM_PER_PX } from "../input/flight";
-import { outlineOf } from "../state/app-state";
 import { marksByPen } from "../state/pen";
 import type { Vec3 } from "../state/vec";
 import { type NewestPicture, PictureScreen, type XrLayer } from "../views/headset-screen";
@@ -132,7 +131,7 @@ export class BrowserDevices {
   #newestPicture(): NewestPicture | null {
     const viewport = this.#station.wall.find(LEAD_VIEW);
     if (viewport?.header == null) return null;
-    const round = outlineOf(this.#station.state) === "round" && viewport.header.view === LEAD_VIEW;
+    const round = this.#station.state.look.outline === "round" && viewport.header.view === LEAD_VIEW;
     return { image: viewport.picture, frameId: viewport.header.frame_id, round };
   }
 

@@ -2,36 +2,24 @@
 
 import type { PointerPlace } from "../input/pointer";
 import { linesOf, lpsAt, pathMmAt } from "../state/lines";
-import { held } from "../state/optimistic";
 import { geometryOf } from "../state/projection";
 import { distance, type Vec3 } from "../state/vec";
 import { middleOf } from "../state/volume";
 import type { Viewport } from "../views/viewport";
-import type { StateMessage } from "../wire/messages";
+import { type Carm, FIRST_SIGHT, type Reformation } from "../wire/messages";
 import { dragWindow, type Gestures, ORBIT_DEG_PER_PX, ORBIT_KEY_DEG, ZOOM_KEY_PX, ZOOM_PER_PX } from "./gesture-parts";
-import { FRONTAL, type Workstation } from "./workstation";
+import type { Workstation } from "./workstation";
 
 const STEP_MM = 2;
 const MM_PER_PX = { least: 0.02, most: 10 } as const;
 
-type Carm = StateMessage["carm"];
-type Reformation = StateMessage["reformation"];
-
 const clampScale = (mmPerPx: number): number => Math.min(Math.max(mmPerPx, MM_PER_PX.least), MM_PER_PX.most);
 const halfTurn = (deg: number): number => ((((deg + 180) % 360) + 360) % 360) - 180;
 
-const STRAIGHT: Reformation = { turn_deg: 0, mm_per_px: null };
-
 export function pathGestures(station: Workstation, viewport: Viewport): Gestures {
-  const shown = held<Reformation>(
-    () => station.state.session?.reformation ?? STRAIGHT,
-    () => performance.now(),
-  );
-  const change = (next: Reformation) => {
-    shown.set(next);
-    station.sendSoon({ type: "set_reformation", ...next });
-  };
-  const turn = (deg: number) => change({ ...shown.now(), turn_deg: halfTurn(shown.now().turn_deg + deg) });
+  const shown = (): Reformation => station.state.sight.reformation;
+  const change = (next: Reformation) => station.sendSoon({ type: "set_reformation", ...next });
+  const turn = (deg: number) => change({ ...shown(), turn_deg: halfTurn(shown().turn_deg + deg) });
   const lines = () => linesOf(viewport.header?.lines ?? null);
   const pointAt = (at: PointerPlace): Vec3 | null => {
     const geometry = lines();
@@ -42,8 +30,8 @@ export function pathGestures(station: Workstation, viewport: Viewport): Gestures
     const geometry = lines();
     const { header, wantedPixels } = viewport;
     if (geometry === null || header === null || wantedPixels === null) return;
-    const scaleNow = shown.now().mm_per_px ?? (geometry.mmPerPx * header.width) / wantedPixels.width;
-    change({ ...shown.now(), mm_per_px: clampScale(scaleNow * Math.exp(deltaPx * ZOOM_PER_PX)) });
+    const scaleNow = shown().mm_per_px ?? (geometry.mmPerPx * header.width) / wantedPixels.width;
+    change({ ...shown(), mm_per_px: clampScale(scaleNow * Math.exp(deltaPx * ZOOM_PER_PX)) });
   };
   return {
     pointer: {
@@ -67,7 +55,7 @@ export function pathGestures(station: Workstation, viewport: Viewport): Gestures
     },
     key: (does) => {
       if (does.gesture === "zoom") zoom(-does.sign * ZOOM_KEY_PX);
-      else if (does.gesture === "fit") change(STRAIGHT);
+      else if (does.gesture === "fit") change(FIRST_SIGHT.reformation);
       else if (does.gesture === "move" && does.right !== 0) turn(does.right * ORBIT_KEY_DEG);
       else if (does.gesture === "move") {
         const here = station.pathMm();
@@ -79,13 +67,10 @@ export function pathGestures(station: Workstation, viewport: Viewport): Gestures
 }
 
 export function carmGestures(station: Workstation, viewport: Viewport): Gestures {
-  const shown = station.carm;
-  const change = (next: Carm) => {
-    shown.set(next);
-    station.sendSoon({ type: "set_carm", ...next });
-  };
+  const shown = (): Carm => station.state.sight.carm;
+  const change = (next: Carm) => station.sendSoon({ type: "set_carm", ...next });
   const turn = (primary: number, secondary: number) => {
-    const now = shown.now();
+    const now = shown();
     change({
       ...now,
       primary_deg: halfTurn(now.primary_deg + primary),
@@ -100,8 +85,8 @@ export function carmGestures(station: Workstation, viewport: Viewport): Gestures
     if (geometry === null || geometry.kind !== "seen") return;
     // The C-arm turns about the volume's middle, and its scale counts there.
     const mmPerPx = distance(geometry.camera.position, middleOf(info)) / geometry.focalPx;
-    const scaleNow = shown.now().mm_per_px ?? (mmPerPx * header.width) / wantedPixels.width;
-    change({ ...shown.now(), mm_per_px: clampScale(scaleNow * Math.exp(deltaPx * ZOOM_PER_PX)) });
+    const scaleNow = shown().mm_per_px ?? (mmPerPx * header.width) / wantedPixels.width;
+    change({ ...shown(), mm_per_px: clampScale(scaleNow * Math.exp(deltaPx * ZOOM_PER_PX)) });
   };
   return {
     pointer: {
@@ -113,7 +98,7 @@ export function carmGestures(station: Workstation, viewport: Viewport): Gestures
     },
     key: (does) => {
       if (does.gesture === "zoom") zoom(-does.sign * ZOOM_KEY_PX);
-      else if (does.gesture === "fit") change({ ...FRONTAL, tone: shown.now().tone });
+      else if (does.gesture === "fit") change({ ...FIRST_SIGHT.carm, tone: shown().tone });
       else if (does.gesture === "move") turn(-does.right * ORBIT_KEY_DEG, does.down * ORBIT_KEY_DEG);
       else return false;
       return true;

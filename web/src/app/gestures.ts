@@ -10,6 +10,7 @@ import { isOrbitView, type OrbitView } from "../state/view-table";
 import { clampToVolume, middleOf } from "../state/volume";
 import { isInside } from "../views/outline";
 import type { Viewport } from "../views/viewport";
+import type { Orbit } from "../wire/messages";
 import { LEAD_VIEW, PLANES, type PlaneName, VIEWS } from "../wire/views";
 import { dragWindow, type Gestures, ORBIT_DEG_PER_PX, ORBIT_KEY_DEG, ZOOM_KEY_PX, ZOOM_PER_PX } from "./gesture-parts";
 import { carmGestures, pathGestures } from "./gestures-along";
@@ -119,7 +120,7 @@ function airwayGestures(station: Workstation, viewport: Viewport): Gestures {
       },
       drag: (_at, moved, button) => {
         if (button !== "main") return;
-        const fovRad = ((station.state.session?.fov_deg ?? 90) * Math.PI) / 180;
+        const fovRad = (station.state.look.fov_deg * Math.PI) / 180;
         const side = Math.max(Math.min(viewport.frame.width, viewport.frame.height), 1);
         const perPx = fovRad / side;
         station.flight.nudge({ yaw_rad: moved.dx * perPx, pitch_rad: -moved.dy * perPx });
@@ -234,24 +235,15 @@ function sliceStepMm(station: Workstation, plane: PlaneName | null): number {
 
 function orbitGestures(station: Workstation, viewport: Viewport, view: OrbitView): Gestures {
   const planes = VIEWS[view].pick === "planes" ? planeDrag(station, viewport) : null;
-  /** What was sent last, ahead of the server's word while a drag runs. */
-  let local: { azimuth_deg: number; elevation_deg: number; distance_mm: number | null } | null = null;
-  let localUntilMs = 0;
-  const orbit = () => {
-    const { session } = station.state;
-    const server = session?.[VIEWS[view].camera_field];
-    const fresh = local !== null && performance.now() < localUntilMs;
-    return (fresh ? local : server) ?? { azimuth_deg: 0, elevation_deg: 0, distance_mm: null };
-  };
-  const change = (next: { azimuth_deg: number; elevation_deg: number; distance_mm: number | null }) => {
-    local = {
+  const orbit = (): Orbit => station.state.sight.orbits[view] ?? VIEWS[view].orbit;
+  const change = (next: Orbit) =>
+    station.sendSoon({
+      type: "set_orbit",
+      view,
       ...next,
       azimuth_deg: ((((next.azimuth_deg + 180) % 360) + 360) % 360) - 180,
       elevation_deg: Math.min(Math.max(next.elevation_deg, -89), 89),
-    };
-    localUntilMs = performance.now() + 600;
-    station.sendSoon({ type: "set_orbit", view, ...local });
-  };
+    });
   const turn = (azimuth: number, elevation: number) => {
     const now = orbit();
     change({ ...now, azimuth_deg: now.azimuth_deg + azimuth, elevation_deg: now.elevation_deg + elevation });

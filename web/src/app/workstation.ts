@@ -9,11 +9,10 @@ import { PictureBoard } from "../net/pictures";
 import { Stream, type StreamStatus } from "../net/stream";
 import { sendUpload, UploadError, type UploadFile } from "../net/upload";
 import { mainLeaf, neighbourWay } from "../state/airways";
-import { type AppState, crosshairLps, outlineOf, pathMm, shownBranch, tipLps, type Ui } from "../state/app-state";
+import { type AppState, crosshairLps, pathMm, shownBranch, tipLps, type Ui } from "../state/app-state";
 import { routeDoubts } from "../state/branch-words";
 import { caseKey } from "../state/case-key";
 import { forkAhead } from "../state/fork";
-import { held } from "../state/optimistic";
 import { PaceMeter } from "../state/pace";
 import { wasUsedByPen } from "../state/pen";
 import type { PixelPoint } from "../state/projection";
@@ -33,7 +32,6 @@ import type {
   PickedMessage,
   PictureHeader,
   PoseMessage,
-  StateMessage,
   ViewName,
 } from "../wire/messages";
 import { type CellName, LEAD_VIEW } from "../wire/views";
@@ -43,8 +41,6 @@ import { Previewing } from "./previewing";
 import type { Station } from "./station";
 import { asConnection, SLABS, saveAs } from "./station-parts";
 
-type Carm = StateMessage["carm"];
-export const FRONTAL: Carm = { primary_deg: 0, secondary_deg: 0, mm_per_px: null, tone: "radiograph" };
 /** One press of the path bar's arrows. */
 const STEP_MM = 2;
 const PACE_MS = 500;
@@ -62,14 +58,6 @@ export class Workstation implements Station {
   readonly #board: PictureBoard<ImageBitmap>;
   /** Newest wish of a kind that only its newest value matters for, sent at the next refresh. */
   readonly #soon = new Map<string, ClientMessage>();
-  readonly carm = held<Carm>(
-    () => this.state.session?.carm ?? FRONTAL,
-    () => performance.now(),
-  );
-  readonly slab = held<StateMessage["slab"]>(
-    () => this.state.session?.slab ?? SLABS[0],
-    () => performance.now(),
-  );
   #uploadStop: AbortController | null = null;
   #autoWanted = false;
   #pickId = 0;
@@ -463,7 +451,7 @@ export class Workstation implements Station {
 
   /** The full frame, or the outline that the scope's picture was last seen in. */
   #toggleOutline(): void {
-    const outline = outlineOf(this.state);
+    const outline = this.state.look.outline;
     if (outline !== "none") this.#outline = outline;
     this.send({ type: "set_outline", outline: outline === "none" ? this.#outline : "none" });
   }
@@ -480,7 +468,7 @@ export class Workstation implements Station {
     join_pen: () => this.send({ type: "join_pen" }),
     level_horizon: () => this.send({ type: "level_horizon" }),
     flip_operator: () =>
-      this.send({ type: "set_operator", position: this.state.session?.operator === "head" ? "facing" : "head" }),
+      this.send({ type: "set_operator", position: this.state.look.operator === "head" ? "facing" : "head" }),
     reset_look: () => this.send({ type: "reset_look" }),
     crosshair_to_tip: () => this.send({ type: "set_crosshair", lps: null }),
     swap_outside: () => this.#showNext("outside"),
@@ -488,19 +476,18 @@ export class Workstation implements Station {
     next_cut: () => this.#showNext("cut-plane"),
     toggle_tone: () => {
       if (this.state.session === null) return;
-      const carm = this.carm.now();
+      const { carm } = this.state.sight;
       this.show(viewZoomedBy("carm"));
-      this.carm.set({ ...carm, tone: carm.tone === "radiograph" ? "fluoroscopy" : "radiograph" });
-      this.sendSoon({ type: "set_carm", ...this.carm.now() });
+      const tone = carm.tone === "radiograph" ? "fluoroscopy" : "radiograph";
+      this.sendSoon({ type: "set_carm", ...carm, tone });
     },
     next_slab: () => {
-      const slab = this.slab.now();
+      const { slab } = this.state.sight;
       const at = SLABS.findIndex(
         (choice) =>
           choice.thickness_mm === slab.thickness_mm && (choice.thickness_mm === 0 || choice.kind === slab.kind),
       );
-      this.slab.set(SLABS[(at + 1) % SLABS.length] ?? SLABS[0]);
-      this.sendSoon({ type: "set_slab", ...this.slab.now() });
+      this.sendSoon({ type: "set_slab", ...(SLABS[(at + 1) % SLABS.length] ?? SLABS[0]) });
     },
     toggle_shape: () => this.#toggleOutline(),
     toggle_outline: () => this.ui({ outlineVisible: !this.state.ui.outlineVisible }),

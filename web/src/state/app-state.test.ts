@@ -1,5 +1,14 @@
 import { describe, expect, it } from "vitest";
-import type { PoseMessage, ServerMessage, StateMessage } from "../wire/messages";
+import {
+  type ClientMessage,
+  FIRST_LOOK,
+  FIRST_SIGHT,
+  type PoseMessage,
+  SETS,
+  type ServerMessage,
+  type Sight,
+  type StateMessage,
+} from "../wire/messages";
 import { type AppEvent, type AppState, crosshairLps, INITIAL_STATE, pathMm, reduce } from "./app-state";
 import { OPTIMISTIC_MS } from "./optimistic";
 
@@ -10,39 +19,21 @@ const EMPTY: StateMessage = {
   airways: "none",
   airways_words: null,
   mode: "free",
-  operator: "head",
-  scope: "generic",
-  outline: "round",
-  fov_deg: 120,
+  look: FIRST_LOOK,
+  sight: { ...FIRST_SIGHT, window: { width_hu: 1500, level_hu: -600 } },
   transfer: "endoscopic",
   transfer_document: null,
   transfer_presets: [],
-  shading: true,
-  texture: true,
-  method: "leap",
-  window: { width_hu: 1500, level_hu: -600 },
-  crosshair_lps: null,
   targets: [],
   route_id: null,
   can_undo: null,
   can_redo: null,
   root_lps: null,
   lumen_threshold: null,
-  orbit_tree: { azimuth_deg: 0, elevation_deg: 0, distance_mm: null },
-  orbit_tri_plane: { azimuth_deg: 0, elevation_deg: 0, distance_mm: null },
   frame_rate_hz: 60,
   airways_from: null,
   badges: [],
   mask_question: null,
-  zoom: {
-    axial_mm_per_px: null,
-    coronal_mm_per_px: null,
-    sagittal_mm_per_px: null,
-    cut_plane_extent_mm: null,
-  },
-  carm: { primary_deg: 0, secondary_deg: 0, mm_per_px: null, tone: "radiograph" },
-  reformation: { turn_deg: 0, mm_per_px: null },
-  slab: { thickness_mm: 0, kind: "min" },
 };
 
 const OPEN: StateMessage = {
@@ -100,17 +91,61 @@ describe("poses", () => {
   });
 });
 
-describe("ways of looking", () => {
+const sent = (message: ClientMessage, nowMs = 0): AppEvent => ({ kind: "sent", message, nowMs });
+const told = (sight: Partial<Sight>, nowMs: number): AppEvent =>
+  from({ ...OPEN, sight: { ...OPEN.sight, ...sight } }, nowMs);
+
+describe("look and sight", () => {
   it("hold as soon as they are sent", () => {
     const carm = { primary_deg: 12, secondary_deg: -3, mm_per_px: null, tone: "fluoroscopy" } as const;
     const state = following(
       INITIAL_STATE,
       from(OPEN),
-      { kind: "sent", message: { type: "set_carm", ...carm }, nowMs: 0 },
-      { kind: "sent", message: { type: "set_slab", thickness_mm: 10, kind: "min" }, nowMs: 0 },
+      sent({ type: "set_carm", ...carm }),
+      sent({ type: "set_slab", thickness_mm: 10, kind: "min" }),
+      sent({ type: "set_shading", on: false }),
+      sent({ type: "set_operator", position: "facing" }),
+      sent({ type: "set_orbit", view: "tree", azimuth_deg: 5, elevation_deg: 6 }),
+      sent({ type: "set_orbit", view: "tri-plane", azimuth_deg: 7, elevation_deg: 8 }),
     );
-    expect(state.session?.carm).toEqual(carm);
-    expect(state.session?.slab).toEqual({ thickness_mm: 10, kind: "min" });
+    expect(state.sight).toEqual({
+      ...OPEN.sight,
+      carm,
+      slab: { thickness_mm: 10, kind: "min" },
+      shading: false,
+      orbits: { tree: { azimuth_deg: 5, elevation_deg: 6 }, "tri-plane": { azimuth_deg: 7, elevation_deg: 8 } },
+    });
+    expect(state.look).toEqual({ ...OPEN.look, operator: "facing" });
+  });
+
+  it("hold against older news, so that a second press goes on from the first", () => {
+    const carm = (tone: "radiograph" | "fluoroscopy") => ({ ...FIRST_SIGHT.carm, tone });
+    let state = following(INITIAL_STATE, from(OPEN), sent({ type: "set_carm", ...carm("fluoroscopy") }), told({}, 5));
+    expect(state.sight.carm.tone).toBe("fluoroscopy");
+    state = following(state, told({ carm: carm("fluoroscopy") }, 9));
+    expect(state.local.sight).toEqual({});
+    // From now on the server's word counts at once.
+    expect(following(state, told({ carm: carm("radiograph") }, 10)).sight.carm.tone).toBe("radiograph");
+  });
+
+  it("are confirmed by an answer that writes out what was left out", () => {
+    const orbit = { azimuth_deg: 5, elevation_deg: 6 };
+    const state = following(INITIAL_STATE, from(OPEN), sent({ type: "set_orbit", view: "tree", ...orbit }));
+    const orbits = { tree: { ...orbit, distance_mm: null } };
+    expect(following(state, told({ orbits }, 5)).local.sight).toEqual({});
+  });
+
+  it("are what a scope or an undo brings, whatever was sent before", () => {
+    for (const then of [{ type: "undo" }, { type: "set_scope", scope: "ebus" }] as const) {
+      const state = following(INITIAL_STATE, from(OPEN), sent({ type: "set_fov", fov_deg: 100 }), sent(then));
+      expect(following(state, from({ ...OPEN, look: { ...OPEN.look, fov_deg: 80 } }, 5)).look.fov_deg).toBe(80);
+    }
+  });
+
+  it("have the fields that commands set", () => {
+    for (const { of, field } of Object.values(SETS)) {
+      expect(Object.keys(of === "look" ? FIRST_LOOK : FIRST_SIGHT)).toContain(field);
+    }
   });
 });
 
@@ -123,10 +158,10 @@ describe("what a person moves", () => {
     });
     let state = following(INITIAL_STATE, from(OPEN), drag(1, 0), drag(2, 16));
     expect(crosshairLps(state)).toEqual([2, 0, 0]);
-    state = following(state, from({ ...OPEN, crosshair_lps: [1, 0, 0] }, 30));
+    state = following(state, told({ crosshair_lps: [1, 0, 0] }, 30));
     expect(crosshairLps(state)).toEqual([2, 0, 0]);
-    state = following(state, from({ ...OPEN, crosshair_lps: [2, 0, 0] }, 40));
-    expect(state.local.crosshair).toBeNull();
+    state = following(state, told({ crosshair_lps: [2, 0, 0] }, 40));
+    expect(state.local.sight).toEqual({});
     expect(crosshairLps(state)).toEqual([2, 0, 0]);
   });
 
@@ -139,8 +174,8 @@ describe("what a person moves", () => {
   });
 
   it("gives way to the server where it does not agree for long", () => {
-    const sent: AppEvent = { kind: "sent", message: { type: "set_crosshair", lps: [9, 9, 9] }, nowMs: 0 };
-    const state = following(INITIAL_STATE, from(OPEN), sent, from({ ...OPEN, crosshair_lps: null }, OPTIMISTIC_MS + 1));
+    const there = sent({ type: "set_crosshair", lps: [9, 9, 9] });
+    const state = following(INITIAL_STATE, from(OPEN), there, told({}, OPTIMISTIC_MS + 1));
     expect(crosshairLps(state)).toBeNull();
   });
 

@@ -1,40 +1,45 @@
 /** All that the screen shows, and the one function that changes it. */
 
-import type {
-  BranchDetailMessage,
-  ClientMessage,
-  ClusterMessage,
-  DevicesMessage,
-  KeysMessage,
-  NoEvidenceMessage,
-  Outline,
-  PenMessage,
-  PickedMessage,
-  PictureHeader,
-  PoseMessage,
-  ProgressMessage,
-  RouteInfo,
-  Scope,
-  ServerMessage,
-  StartMessage,
-  StateMessage,
-  StatusMessage,
-  ValueMessage,
-  ViewName,
+import {
+  type BranchDetailMessage,
+  type ClientMessage,
+  type ClusterMessage,
+  type DevicesMessage,
+  FIRST_LOOK,
+  FIRST_SIGHT,
+  type GreyWindow,
+  type KeysMessage,
+  type Look,
+  type NoEvidenceMessage,
+  type PenMessage,
+  type PickedMessage,
+  type PictureHeader,
+  type PoseMessage,
+  type ProgressMessage,
+  type RouteInfo,
+  type Scope,
+  SETS,
+  type ServerMessage,
+  type Sight,
+  type StartMessage,
+  type StateMessage,
+  type StatusMessage,
+  type ValueMessage,
+  type ViewName,
 } from "../wire/messages";
 import type { CellName, PlaneName } from "../wire/views";
 import { type BranchTree, buildTree } from "./airways";
 import { caseKey } from "./case-key";
 import type { Preview } from "./edit-preview";
 import type { LiveAnswer } from "./live-path";
-import { type Optimistic, shown } from "./optimistic";
+import { allShown, type Local, type Optimistic, shown } from "./optimistic";
 import { NO_PACE, type Pace } from "./pace";
 import { NOT_PLAYING, type Playing } from "./playing";
 import { AUTO_SPEED_MM_S } from "./speed";
 import type { Step } from "./steps";
 import { type Armed, FIRST_BRUSH_MM } from "./tools";
 import type { TreePlace } from "./tree-index";
-import { asVec3, distance, type Vec3 } from "./vec";
+import { asVec3, type Vec3 } from "./vec";
 import { FIRST_SHOWN, type ShownViews } from "./view-table";
 import { addPick, type WallPoint } from "./wall-point";
 
@@ -158,12 +163,17 @@ export interface AppState {
   /** How fast the tip moves, mm/s; null at rest. */
   readonly speedMmS: number | null;
   readonly ui: Ui;
+  /** As the server last told them, with what was sent since. */
+  readonly look: Look;
+  readonly sight: Sight;
   readonly local: {
-    readonly crosshair: Optimistic<Vec3 | null> | null;
-    readonly window: Optimistic<{ width_hu: number; level_hu: number }> | null;
+    readonly look: Local<Look>;
+    readonly sight: Local<Sight>;
     readonly pathMm: Optimistic<number> | null;
   };
 }
+
+const NOTHING_LOCAL: AppState["local"] = { look: {}, sight: {}, pathMm: null };
 
 export const INITIAL_STATE: AppState = {
   connection: { status: "connecting", reason: null, retryAtMs: null },
@@ -220,7 +230,9 @@ export const INITIAL_STATE: AppState = {
     cursorLps: null,
     penLeads: false,
   },
-  local: { crosshair: null, window: null, pathMm: null },
+  look: FIRST_LOOK,
+  sight: FIRST_SIGHT,
+  local: NOTHING_LOCAL,
 };
 
 export type AppEvent =
@@ -240,8 +252,6 @@ export type AppEvent =
   | { kind: "say"; message: Omit<Message, "id"> }
   | { kind: "dismiss"; id: number }
   | { kind: "ui"; change: Partial<Ui> };
-
-const NOTHING_LOCAL: AppState["local"] = { crosshair: null, window: null, pathMm: null };
 
 /** Of one case or one connection. */
 const NOTHING_SHOWN = { livePath: null, preview: null, doubt: null, detail: null } as const;
@@ -370,13 +380,13 @@ function sessionChanged(state: AppState, session: StateMessage, nowMs: number): 
     const ui: Ui = { ...next.ui, ...NOTHING_HELD, step: hasFindings ? "check" : "airways" };
     next = { ...next, ...NOTHING_SHOWN, picks: [], local: NOTHING_LOCAL, ui };
   }
+  const look = allShown(next.local.look, session.look, nowMs);
+  const sight = allShown(next.local.sight, session.sight, nowMs);
   return {
     ...next,
-    local: {
-      ...next.local,
-      crosshair: shown(next.local.crosshair, asPoint(session.crosshair_lps), samePoint, nowMs).local,
-      window: shown(next.local.window, session.window, sameWindow, nowMs).local,
-    },
+    look: look.value,
+    sight: sight.value,
+    local: { ...next.local, look: look.local, sight: sight.local },
   };
 }
 
@@ -412,19 +422,14 @@ function poseChanged(state: AppState, pose: PoseMessage, nowMs: number): AppStat
 /** What the person should see at once, before the server has answered. */
 function foresee(state: AppState, message: ClientMessage, nowMs: number): AppState {
   switch (message.type) {
-    case "set_crosshair":
-      return { ...state, local: { ...state.local, crosshair: { value: asPoint(message.lps), atMs: nowMs } } };
-    case "set_window":
-      return {
-        ...state,
-        local: {
-          ...state.local,
-          window: { value: { width_hu: message.width_hu, level_hu: message.level_hu }, atMs: nowMs },
-        },
-      };
-    case "edit_tree":
     case "undo":
     case "redo":
+      // Another look comes back than the one that was sent.
+      return { ...state, doubt: null, local: { ...state.local, look: {} } };
+    case "set_scope":
+      // It brings its own field of view and outline.
+      return { ...state, local: { ...state.local, look: {} } };
+    case "edit_tree":
     case "set_root":
       // Of another tree than the one that was asked about, or the answer itself.
       return { ...state, doubt: null };
@@ -435,27 +440,27 @@ function foresee(state: AppState, message: ClientMessage, nowMs: number): AppSta
     case "previous_fork":
     case "place":
       return state.local.pathMm === null ? state : { ...state, local: { ...state.local, pathMm: null } };
-    case "set_carm":
-      return looksChanged(state, { carm: withoutType(message) });
-    case "set_reformation":
-      return looksChanged(state, { reformation: withoutType(message) });
-    case "set_slab":
-      return looksChanged(state, { slab: withoutType(message) });
     case "accept_notice":
       return state.start === null ? state : { ...state, start: { ...state.start, notice_accepted: true } };
     default:
-      return state;
+      return message.type in SETS ? fieldSet(state, message as FieldSetting, nowMs) : state;
   }
 }
 
-function withoutType<T extends { type: string }>(message: T): Omit<T, "type"> {
-  const { type: _, ...rest } = message;
-  return rest;
-}
+type FieldSetting = Extract<ClientMessage, { type: keyof typeof SETS }>;
 
-/** Ways of looking hold as soon as they are sent; the server's next word confirms them. */
-function looksChanged(state: AppState, looks: Partial<Pick<StateMessage, "carm" | "reformation" | "slab">>): AppState {
-  return state.session === null ? state : { ...state, session: { ...state.session, ...looks } };
+/** Look and sight hold as soon as they are sent; the server's next word confirms them. */
+function fieldSet(state: AppState, message: FieldSetting, nowMs: number): AppState {
+  const { of, field, from, by_view } = SETS[message.type];
+  const { type: _, view, ...fields } = message as { type: string; view?: string } & Record<string, unknown>;
+  const said = from === null ? fields : fields[from];
+  const before = state[of] as unknown as Record<string, object>;
+  const value = by_view && view !== undefined ? { ...before[field], [view]: said } : said;
+  return {
+    ...state,
+    [of]: { ...before, [field]: value },
+    local: { ...state.local, [of]: { ...state.local[of], [field]: { value, atMs: nowMs } } },
+  };
 }
 
 function connectionChanged(state: AppState, connection: Connection): AppState {
@@ -482,11 +487,6 @@ function say(state: AppState, message: Omit<Message, "id">): AppState {
 
 const asPoint = (point: readonly number[] | null): Vec3 | null => (point === null ? null : asVec3(point));
 
-/** 0.01 mm: the server may round a coordinate on its way, nobody can drag so finely. */
-const samePoint = (a: Vec3 | null, b: Vec3 | null): boolean =>
-  a === null || b === null ? a === b : distance(a, b) < 0.01;
-const sameWindow = (a: { width_hu: number; level_hu: number }, b: { width_hu: number; level_hu: number }): boolean =>
-  Math.abs(a.width_hu - b.width_hu) < 0.5 && Math.abs(a.level_hu - b.level_hu) < 0.5;
 const samePace = (a: Pace, b: Pace): boolean => a.fps === b.fps && a.ageMs === b.ageMs && a.waitingMs === b.waitingMs;
 const samePathMm = (a: number, b: number): boolean => Math.abs(a - b) < 0.05;
 
@@ -504,21 +504,18 @@ export function penPoint(state: AppState): Vec3 | null {
 
 /** The point that the slices meet at, moved at once while a person drags it; null follows the tip. */
 export function crosshairLps(state: AppState): Vec3 | null {
-  return state.local.crosshair === null ? asPoint(state.session?.crosshair_lps ?? null) : state.local.crosshair.value;
-}
-
-/** The outline of the airway picture. */
-export function outlineOf(state: AppState): Outline {
-  return state.session?.outline ?? "round";
+  return asPoint(state.sight.crosshair_lps);
 }
 
 /** The instrument that the airway view is seen through, or null. */
 export function scopeOf(state: AppState): Scope | null {
-  return state.start?.scopes.find((scope) => scope.name === state.session?.scope) ?? null;
+  return state.start?.scopes.find((scope) => scope.name === state.look.scope) ?? null;
 }
 
-export function greyWindow(state: AppState): { width_hu: number; level_hu: number } {
-  return state.local.window?.value ?? state.session?.window ?? { width_hu: 1500, level_hu: -600 };
+const LUNG_WINDOW: GreyWindow = { width_hu: 1500, level_hu: -600 };
+
+export function greyWindow(state: AppState): GreyWindow {
+  return state.sight.window ?? LUNG_WINDOW;
 }
 
 export function pathMm(state: AppState): number | null {

@@ -16,35 +16,31 @@ export function shown<T>(
   server: T,
   same: (a: T, b: T) => boolean,
   nowMs: number,
-  forMs = OPTIMISTIC_MS,
 ): { value: T; local: Optimistic<T> | null } {
   if (local === null) return { value: server, local: null };
-  if (same(local.value, server) || nowMs - local.atMs > forMs) return { value: server, local: null };
+  if (same(local.value, server) || nowMs - local.atMs > OPTIMISTIC_MS) return { value: server, local: null };
   return { value: local.value, local };
 }
 
-/** What was sent holds against the server's word for this long where nothing tells which of both is newer. */
-export const HELD_MS = 600;
+/** Values by name, as far as a person is moving them. */
+export type Local<T> = { readonly [K in keyof T]?: Optimistic<T[K]> };
 
-/** A value that is sent from where the state is only read: the newest of what was sent and what the server says. */
-export interface Held<T> {
-  now(): T;
-  set(value: T): void;
+/** What is shown of several values once the server has told them anew. */
+export function allShown<T extends object>(local: Local<T>, server: T, nowMs: number): { value: T; local: Local<T> } {
+  const value = { ...server };
+  const kept: { [K in keyof T]?: Optimistic<T[K]> } = {};
+  for (const name of Object.keys(local) as (keyof T)[]) {
+    const one = shown(local[name] ?? null, server[name], isAlike, nowMs);
+    value[name] = one.value;
+    if (one.local !== null) kept[name] = one.local;
+  }
+  return { value, local: kept };
 }
 
-const never = () => false;
-
-/** So that a repeat does not stumble over older news: the person's word holds, even against an answer, for {@link HELD_MS}. */
-export function held<T>(server: () => T, nowMs: () => number): Held<T> {
-  let local: Optimistic<T> | null = null;
-  return {
-    now: () => {
-      const word = shown(local, server(), never, nowMs(), HELD_MS);
-      local = word.local;
-      return word.value;
-    },
-    set: (value) => {
-      local = { value, atMs: nowMs() };
-    },
-  };
+/** The same values, fields that are null or missing alike. */
+export function isAlike(a: unknown, b: unknown): boolean {
+  if (typeof a !== "object" || typeof b !== "object" || a === null || b === null) return (a ?? null) === (b ?? null);
+  const names = new Set([...Object.keys(a), ...Object.keys(b)]);
+  const [left, right] = [a as Record<string, unknown>, b as Record<string, unknown>];
+  return [...names].every((name) => isAlike(left[name], right[name]));
 }

@@ -18,7 +18,8 @@ export type ShownViews = Readonly<Record<CellName, ViewName>>;
 export const VIEW_NAMES = Object.keys(VIEWS) as ViewName[];
 export const SIDE_CELLS = (Object.keys(CELLS) as CellName[]).filter((cell): cell is SideCell => cell !== LEAD_VIEW);
 
-export const isFlatView = (view: ViewName): view is FlatView => VIEWS[view].scale_field !== null;
+export const isFlatView = (view: ViewName): view is FlatView =>
+  VIEWS[view].zoom === "slice" || VIEWS[view].zoom === "extent";
 export const isOrbitView = (view: ViewName): view is OrbitView => VIEWS[view].zoom === "orbit";
 export const FLAT_VIEWS = VIEW_NAMES.filter(isFlatView);
 

@@ -201,7 +201,7 @@ const SLAB_WORDS = { min: "min", max: "max", mean: "mean" } as const;
 
 /** A slice that is thick says so. */
 export function paintSlab(ink: Ink, viewport: Viewport, scene: Scene): void {
-  if (scene.slab === null || scene.slab.thickness_mm <= 0) return;
+  if (scene.slab.thickness_mm <= 0) return;
   const { width, height } = viewport.size;
   const outlined = scene.outlineVisible && viewport.outline !== null ? ", outline: central plane" : "";
   const words = `${SLAB_WORDS[scene.slab.kind]} ${scene.slab.thickness_mm} mm${outlined}`;

@@ -50,7 +50,7 @@ export function paintOutline(ink: Ink, viewport: Viewport, scene: Scene): void {
 
 /** The slab is shown in slices, not in every plane. */
 const isThick = ({ header }: Viewport, scene: Scene): boolean =>
-  header !== null && VIEWS[header.view].slab === "window" && (scene.slab?.thickness_mm ?? 0) > 0;
+  header !== null && VIEWS[header.view].slab === "window" && scene.slab.thickness_mm > 0;
 
 export function paintCentrelines(ink: Ink, viewport: Viewport, geometry: FlatGeometry, scene: Scene): void {
   if (!scene.outlineVisible || scene.tree === null) return;
@@ -64,7 +64,7 @@ export function paintCentrelines(ink: Ink, viewport: Viewport, geometry: FlatGeo
 
 /** A branch this far from the plane counts as lying in it: half a voxel across the plane, or half the slab. */
 function solidWithin(geometry: FlatGeometry, viewport: Viewport, scene: Scene): number {
-  if (isThick(viewport, scene)) return (scene.slab?.thickness_mm ?? 0) / 2;
+  if (isThick(viewport, scene)) return scene.slab.thickness_mm / 2;
   const { grid } = scene;
   if (grid === null) return 0.5;
   const normal = normalOf(geometry);

@@ -89,7 +89,6 @@ function paintPlanes(ink: Ink, viewport: Viewport, geometry: SeenGeometry, scene
 
 /** The C-arm's angles, as fluoroscopy writes them. */
 function paintAngles(ink: Ink, scene: Scene): void {
-  if (scene.carm === null) return;
   carmWords(scene.carm).forEach((words, index) => {
     label(ink, words, { x: 7, y: 13 + 15 * index }, { size: 11, align: "left" });
   });

@@ -1,7 +1,7 @@
 /** What is drawn over the pictures, taken from the state once per repaint. */
 
 import type { BranchNode, BranchTree } from "../state/airways";
-import { type AppState, type Cursor, crosshairLps, outlineOf, pathMm } from "../state/app-state";
+import { type AppState, type Cursor, crosshairLps, pathMm } from "../state/app-state";
 import { kindWords } from "../state/branch-words";
 import { type PreviewRun, previewTool, previewWords, runsOf } from "../state/edit-preview";
 import { forkOf } from "../state/fork-choice";
@@ -13,7 +13,7 @@ import { type Armed, isBrush, wantsPath } from "../state/tools";
 import { below, pointsFrom, type TreePlace } from "../state/tree-index";
 import { asVec3, type Camera, cameraFromMatrix, type Vec3 } from "../state/vec";
 import type { Grid } from "../state/volume";
-import type { EditLine, RouteInfo, StateMessage, Uncertainty } from "../wire/messages";
+import type { Carm, EditLine, RouteInfo, Slab, Uncertainty } from "../wire/messages";
 import type { PlaneName } from "../wire/views";
 import { type Shape, shapeOf } from "./outline";
 
@@ -43,8 +43,8 @@ export interface Scene {
   airwayShape: Shape;
   /** The volume's box. */
   grid: Grid | null;
-  carm: StateMessage["carm"] | null;
-  slab: StateMessage["slab"] | null;
+  carm: Carm;
+  slab: Slab;
   /** The plane of the tri-plane view under the cursor. */
   overPlane: PlaneName | null;
   /** Clicked points of the wall, newest last. */
@@ -237,10 +237,10 @@ export function sceneOf(state: AppState): Scene {
         chosen: target.target_id === state.route?.target_id,
       })) ?? [],
     root: state.session?.root_lps == null ? null : asVec3(state.session.root_lps),
-    airwayShape: shapeOf(outlineOf(state)),
+    airwayShape: shapeOf(state.look.outline),
     grid: state.session?.case ?? null,
-    carm: state.session?.carm ?? null,
-    slab: state.session?.slab ?? null,
+    carm: state.sight.carm,
+    slab: state.sight.slab,
     overPlane: state.ui.overPlane,
     wallPoints: state.picks.map((point) => point.lps),
     hereId: state.pose?.branch_id ?? null,

@@ -278,7 +278,7 @@ export interface SetScopeMessage {
 export interface SetTransferMessage {
   readonly type: "set_transfer";
   readonly preset?: string | null;
-  readonly document?: Record<string, unknown> | null;
+  readonly document?: Readonly<Record<string, unknown>> | null;
 }
 
 /** The point that slices and tri-plane show; null follows the tip. */
@@ -703,10 +703,66 @@ export interface CaseInfo {
   readonly off: readonly FeatureOff[];
 }
 
+/** What the airway view is seen through, and from where: chosen by a person, and undone. */
+export interface Look {
+  readonly scope: string | null;
+  readonly outline: "none" | "octagon" | "round";
+  readonly fov_deg: number;
+  readonly operator: "facing" | "head";
+}
+
 /** Grey window of all slice views; numbers of the file where the volume is not HU. */
 export interface GreyWindow {
   readonly width_hu: number;
   readonly level_hu: number;
+}
+
+/** A thick slice: the largest, smallest or mean value over its thickness; `min` shows airways, 0 mm are thin. */
+export interface Slab {
+  readonly thickness_mm: number;
+  readonly kind: "max" | "mean" | "min";
+}
+
+/** Where a planar view was zoomed or panned to: scale of a slice, or width of the cut-plane; null fits. */
+export interface FlatPlace {
+  readonly mm_per_px: number | null;
+  readonly extent_mm: number | null;
+  readonly center_lps: readonly [number, number, number] | null;
+}
+
+/** Camera of an outside view: azimuth 0 is from anterior, distance null fits. */
+export interface Orbit {
+  readonly azimuth_deg: number;
+  readonly elevation_deg: number;
+  readonly distance_mm: number | null;
+}
+
+/** Where the radiograph's C-arm stands: LAO and cranial above 0; mm_per_px counts at its centre, null fits. */
+export interface Carm {
+  readonly primary_deg: number;
+  readonly secondary_deg: number;
+  readonly mm_per_px: number | null;
+  readonly tone: "fluoroscopy" | "radiograph";
+}
+
+/** Turn and scale of the views along the route: null fits the route, else the tip is in the middle. */
+export interface Reformation {
+  readonly turn_deg: number;
+  readonly mm_per_px: number | null;
+}
+
+/** How a case is looked at, which is no step of undo. */
+export interface Sight {
+  readonly crosshair_lps: readonly [number, number, number] | null;
+  readonly window: GreyWindow | null;
+  readonly slab: Slab;
+  readonly zoom: Readonly<Record<string, FlatPlace>>;
+  readonly orbits: Readonly<Record<string, Orbit>>;
+  readonly carm: Carm;
+  readonly reformation: Reformation;
+  readonly shading: boolean;
+  readonly texture: boolean;
+  readonly method: "brute" | "leap";
 }
 
 /** A target as asked and as used; `problem` says in words why there is no path. */
@@ -718,41 +774,6 @@ export interface Target {
   readonly snapped_mm: number | null;
   readonly length_mm: number | null;
   readonly problem: string | null;
-}
-
-/** Camera of an outside view: azimuth 0 is from anterior, distance null fits. */
-export interface Orbit {
-  readonly azimuth_deg: number;
-  readonly elevation_deg: number;
-  readonly distance_mm: number | null;
-}
-
-/** Scales of the planar views; null fits. */
-export interface Zoom {
-  readonly axial_mm_per_px: number | null;
-  readonly coronal_mm_per_px: number | null;
-  readonly sagittal_mm_per_px: number | null;
-  readonly cut_plane_extent_mm: number | null;
-}
-
-/** Where the radiograph's C-arm stands: LAO and cranial above 0; scale null fits. */
-export interface Carm {
-  readonly primary_deg: number;
-  readonly secondary_deg: number;
-  readonly mm_per_px: number | null;
-  readonly tone: "fluoroscopy" | "radiograph";
-}
-
-/** Turn and scale of the views along the route; scale null fits. */
-export interface Reformation {
-  readonly turn_deg: number;
-  readonly mm_per_px: number | null;
-}
-
-/** Thickness of slices and views along the route; 0 are thin slices. */
-export interface Slab {
-  readonly thickness_mm: number;
-  readonly kind: "max" | "mean" | "min";
 }
 
 /** One structure of a mask of another tool. */
@@ -781,30 +802,17 @@ export interface StateMessage {
   readonly airways: "failed" | "finding" | "found" | "none" | "waiting";
   readonly airways_words: string | null;
   readonly mode: "free" | "path" | "scope";
-  readonly operator: "facing" | "head";
-  readonly scope: string | null;
-  readonly outline: "none" | "octagon" | "round";
-  readonly fov_deg: number;
+  readonly look: Look;
+  readonly sight: Sight;
   readonly transfer: string;
-  readonly transfer_document: Record<string, unknown> | null;
+  readonly transfer_document: Readonly<Record<string, unknown>> | null;
   readonly transfer_presets: readonly string[];
-  readonly shading: boolean;
-  readonly texture: boolean;
-  readonly method: "brute" | "leap";
-  readonly window: GreyWindow;
-  readonly crosshair_lps: readonly [number, number, number] | null;
   readonly targets: readonly Target[];
   readonly route_id: string | null;
   readonly can_undo: string | null;
   readonly can_redo: string | null;
   readonly root_lps: readonly [number, number, number] | null;
   readonly lumen_threshold: number | null;
-  readonly orbit_tree: Orbit;
-  readonly orbit_tri_plane: Orbit;
-  readonly zoom: Zoom;
-  readonly carm: Carm;
-  readonly reformation: Reformation;
-  readonly slab: Slab;
   readonly frame_rate_hz: number;
   readonly airways_from: "mask" | "search" | null;
   readonly mask_question: MaskQuestion | null;
@@ -1282,6 +1290,59 @@ export interface PictureHeader {
   readonly render_ms: number;
   readonly method: string;
 }
+
+/** What `look` begins with. */
+export const FIRST_LOOK: Look = {
+  "scope": "generic",
+  "outline": "round",
+  "fov_deg": 120.0,
+  "operator": "head"
+};
+
+/** What `sight` begins with. */
+export const FIRST_SIGHT: Sight = {
+  "crosshair_lps": null,
+  "window": null,
+  "slab": {
+    "thickness_mm": 0.0,
+    "kind": "min"
+  },
+  "zoom": {},
+  "orbits": {},
+  "carm": {
+    "primary_deg": 0.0,
+    "secondary_deg": 0.0,
+    "mm_per_px": null,
+    "tone": "radiograph"
+  },
+  "reformation": {
+    "turn_deg": 0.0,
+    "mm_per_px": null
+  },
+  "shading": true,
+  "texture": true,
+  "method": "leap"
+};
+
+/**
+ * Commands that set a field of `look` or `sight`: from their own field `from`, or from all where it is null;
+ * with `by_view` the field has a value for each view.
+ */
+export const SETS = {
+  set_operator: { of: "look", field: "operator", from: "position", by_view: false },
+  set_fov: { of: "look", field: "fov_deg", from: "fov_deg", by_view: false },
+  set_outline: { of: "look", field: "outline", from: "outline", by_view: false },
+  set_crosshair: { of: "sight", field: "crosshair_lps", from: "lps", by_view: false },
+  set_window: { of: "sight", field: "window", from: null, by_view: false },
+  set_slab: { of: "sight", field: "slab", from: null, by_view: false },
+  set_zoom: { of: "sight", field: "zoom", from: null, by_view: true },
+  set_orbit: { of: "sight", field: "orbits", from: null, by_view: true },
+  set_carm: { of: "sight", field: "carm", from: null, by_view: false },
+  set_reformation: { of: "sight", field: "reformation", from: null, by_view: false },
+  set_shading: { of: "sight", field: "shading", from: "on", by_view: false },
+  set_texture: { of: "sight", field: "texture", from: "on", by_view: false },
+  set_method: { of: "sight", field: "method", from: "method", by_view: false },
+} as const;
 
 export type ClientMessage =
   | OpenPathMessage

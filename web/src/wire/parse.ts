@@ -19,7 +19,7 @@ interface Schema {
   readonly type?: string;
   readonly properties?: Readonly<Record<string, Schema>>;
   readonly required?: readonly string[];
-  readonly additionalProperties?: boolean;
+  readonly additionalProperties?: boolean | Schema;
   readonly items?: Schema;
   readonly minItems?: number;
   readonly maxItems?: number;
@@ -113,9 +113,10 @@ function objectProblem(schema: Schema, value: unknown, where: string): string | 
     if (!Object.hasOwn(fields, name)) return `${where} lacks the field ${name}`;
   }
   for (const [name, entry] of Object.entries(fields)) {
-    const rule = schema.properties?.[name];
+    const others = schema.additionalProperties;
+    const rule = schema.properties?.[name] ?? (typeof others === "object" ? others : undefined);
     if (rule === undefined) {
-      if (schema.additionalProperties === false) return `${where} has a field that is not known: ${name.slice(0, 40)}`;
+      if (others === false) return `${where} has a field that is not known: ${name.slice(0, 40)}`;
       continue;
     }
     const found = problem(rule, entry, `${where}.${name}`);

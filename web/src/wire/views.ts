@@ -87,8 +87,7 @@ export const VIEWS = {
     windowed: false,
     outlined: false,
     straight: false,
-    scale_field: null,
-    camera_field: null,
+    orbit: null,
     max_px: 1024,
   },
   "axial": {
@@ -106,8 +105,7 @@ export const VIEWS = {
     windowed: true,
     outlined: true,
     straight: false,
-    scale_field: "axial_mm_per_px",
-    camera_field: null,
+    orbit: null,
     max_px: 768,
   },
   "coronal": {
@@ -125,8 +123,7 @@ export const VIEWS = {
     windowed: true,
     outlined: true,
     straight: false,
-    scale_field: "coronal_mm_per_px",
-    camera_field: null,
+    orbit: null,
     max_px: 768,
   },
   "sagittal": {
@@ -144,8 +141,7 @@ export const VIEWS = {
     windowed: true,
     outlined: true,
     straight: false,
-    scale_field: "sagittal_mm_per_px",
-    camera_field: null,
+    orbit: null,
     max_px: 768,
   },
   "cut-plane": {
@@ -163,8 +159,7 @@ export const VIEWS = {
     windowed: true,
     outlined: true,
     straight: false,
-    scale_field: "cut_plane_extent_mm",
-    camera_field: null,
+    orbit: null,
     max_px: 768,
   },
   "straightened": {
@@ -182,8 +177,7 @@ export const VIEWS = {
     windowed: true,
     outlined: false,
     straight: true,
-    scale_field: null,
-    camera_field: null,
+    orbit: null,
     max_px: 768,
   },
   "curved": {
@@ -201,8 +195,7 @@ export const VIEWS = {
     windowed: true,
     outlined: false,
     straight: false,
-    scale_field: null,
-    camera_field: null,
+    orbit: null,
     max_px: 768,
   },
   "xray-coronal": {
@@ -220,8 +213,7 @@ export const VIEWS = {
     windowed: false,
     outlined: false,
     straight: false,
-    scale_field: null,
-    camera_field: null,
+    orbit: null,
     max_px: 768,
   },
   "xray-sagittal": {
@@ -239,8 +231,7 @@ export const VIEWS = {
     windowed: false,
     outlined: false,
     straight: false,
-    scale_field: null,
-    camera_field: null,
+    orbit: null,
     max_px: 768,
   },
   "xray-axial": {
@@ -258,8 +249,7 @@ export const VIEWS = {
     windowed: false,
     outlined: false,
     straight: false,
-    scale_field: null,
-    camera_field: null,
+    orbit: null,
     max_px: 768,
   },
   "drr": {
@@ -277,8 +267,7 @@ export const VIEWS = {
     windowed: false,
     outlined: false,
     straight: false,
-    scale_field: null,
-    camera_field: null,
+    orbit: null,
     max_px: 768,
   },
   "tree": {
@@ -296,8 +285,7 @@ export const VIEWS = {
     windowed: false,
     outlined: false,
     straight: false,
-    scale_field: null,
-    camera_field: "orbit_tree",
+    orbit: {"azimuth_deg": 0.0, "elevation_deg": 0.0, "distance_mm": null},
     max_px: 768,
   },
   "tri-plane": {
@@ -315,8 +303,7 @@ export const VIEWS = {
     windowed: true,
     outlined: false,
     straight: false,
-    scale_field: null,
-    camera_field: "orbit_tri_plane",
+    orbit: {"azimuth_deg": 35.0, "elevation_deg": 25.0, "distance_mm": null},
     max_px: 768,
   },
 } as const;

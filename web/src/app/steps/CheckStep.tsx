@@ -24,13 +24,12 @@ const SLABS = [
 ] as const;
 type SlabName = (typeof SLABS)[number]["value"];
 const NO_BADGES: readonly CaseNote[] = [];
-const THIN = { thickness_mm: 0, kind: "min" } as const;
 
 export function CheckStep() {
   const station = useStation();
   const info = useApp((state) => state.session?.case ?? null);
   const badges = useApp((state) => state.session?.badges ?? NO_BADGES);
-  const slab = useApp((state) => state.session?.slab ?? THIN);
+  const slab = useApp((state) => state.sight.slab);
   const width = useApp((state) => greyWindow(state).width_hu);
   const level = useApp((state) => greyWindow(state).level_hu);
   if (info === null) return null;

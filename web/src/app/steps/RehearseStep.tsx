@@ -11,7 +11,7 @@ export function RehearseStep() {
   const station = useStation();
   const route = useApp((state) => state.route);
   const scopes = useApp((state) => state.start?.scopes ?? null);
-  const name = useApp((state) => state.session?.scope ?? null);
+  const name = useApp((state) => state.look.scope);
   const recording = useApp((state) => state.devices?.recording ?? null);
   const held = useApp((state) => state.pose?.scope ?? null);
   if (route === null) {
