@@ -93,7 +93,7 @@ PRODUCT = [
     if path.suffix in suffixes and ".test." not in path.name and path.name not in {"views.ts", "messages.ts"}
     if "_web" not in path.parts
 ]
-TREE_MESSAGE = re.compile(r"server/|session/|cli/|app/workstation\.ts|state/app-state\.ts")
+TREE_MESSAGE = re.compile(r"server/|session/|cli/|export/|app/workstation\.ts|state/app-state\.ts")
 """The airway tree itself is a topic and a message of the same name."""
 
 
