@@ -44,7 +44,7 @@ def pointing():
 
 def ask(pointing, request_id, tool="add-branch", **place):
     fields = {"branch_id": None, "lps": None, "frame_id": None, "column": None, "row": None} | place
-    pointing.pointing.ask_edit_preview(wire.AskEditPreview(request_id, tool, **fields))
+    pointing.pointing.ask_edit_preview(wire.AskEditPreview(request_id=request_id, tool=tool, **fields))
     answer = pointing.answers.get(timeout=WAIT_S)
     return wire.parse_server_message(wire.encode_message(answer))
 

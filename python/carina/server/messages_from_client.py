@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from msgspec import Meta
 
@@ -11,12 +11,22 @@ from carina.commands.value import FrozenValue
 from carina.server.wire_codec import ClientMessage
 
 
-def point_or_place(name: str, question: Any) -> str | None:
-    """What is wrong with a question that needs either a point or a place in a picture."""
-    in_picture = [part is not None for part in (question.frame_id, question.column, question.row)]
-    if any(in_picture) != all(in_picture) or (question.lps is None) != all(in_picture):
-        return f"{name} needs either a point or a place in a picture"
-    return None
+class AskAtPlace(FrozenValue, frozen=True):
+    """A question about a point, or about a place in an airway picture."""
+
+    request_id: Count
+    """Named by the answer."""
+    lps: PointLps | None
+    frame_id: Count | None
+    column: Annotated[float, Meta(ge=0.0, le=4096.0)] | None
+    row: Annotated[float, Meta(ge=0.0, le=4096.0)] | None
+
+    def choice_problem(self) -> str | None:
+        """A point or a place."""
+        in_picture = [part is not None for part in (self.frame_id, self.column, self.row)]
+        if any(in_picture) != all(in_picture) or (self.lps is None) != all(in_picture):
+            return f"{self.__struct_config__.tag} needs either a point or a place in a picture"
+        return None
 
 
 class ClientHello(ClientMessage, frozen=True, tag="hello"):
@@ -79,22 +89,11 @@ class Pick(ClientMessage, frozen=True):
     row: Annotated[float, Meta(ge=0.0, le=4096.0)]
 
 
-class AskLivePath(ClientMessage, frozen=True, tag="live_path"):
+class AskLivePath(AskAtPlace, ClientMessage, frozen=True, tag="live_path"):
     """Ask for the path from the root to a place under the cursor; only the newest is answered, by ``live_path``.
 
     Either a point, or a place in an airway picture, as in ``pick``: then the lumen in front of the wall there is meant.
     """
-
-    request_id: Count
-    """Named by the answer."""
-    lps: PointLps | None
-    frame_id: Count | None
-    column: Annotated[float, Meta(ge=0.0, le=4096.0)] | None
-    row: Annotated[float, Meta(ge=0.0, le=4096.0)] | None
-
-    def choice_problem(self) -> str | None:
-        """A point or a place."""
-        return point_or_place("live_path", self)
 
 
 class AskBranchDetail(ClientMessage, frozen=True, tag="branch_detail"):

@@ -8,33 +8,28 @@ from msgspec import Meta
 
 from carina.commands.fields import BranchId, Count, Key, PointLps, PointsLps, Words
 from carina.commands.value import FrozenValue
-from carina.server.messages_from_client import point_or_place
+from carina.server.messages_from_client import AskAtPlace
 from carina.server.wire_codec import ClientMessage, ServerMessage
 
 PreviewTool = Literal["add-branch", "bridge", "move-fork"]
 
 
-class AskEditPreview(ClientMessage, frozen=True, tag="preview_edit"):
+class AskEditPreview(AskAtPlace, ClientMessage, frozen=True, tag="preview_edit"):
     """Ask what an edit at a place under the cursor would make; only the newest is answered, by ``edit_preview``.
 
     Either a point, or a place in an airway picture, as in ``live_path``. A branch is named for ``move-fork`` alone.
     """
 
-    request_id: Count
-    """Named by the answer."""
     tool: PreviewTool
     branch_id: BranchId | None
     """The branch whose fork is to move."""
-    lps: PointLps | None
-    frame_id: Count | None
-    column: Annotated[float, Meta(ge=0.0, le=4096.0)] | None
-    row: Annotated[float, Meta(ge=0.0, le=4096.0)] | None
 
     def choice_problem(self) -> str | None:
         """A point or a place; a branch for one tool."""
-        if (self.branch_id is None) == (self.tool == "move-fork"):
-            return point_or_place("preview_edit", self) or "preview_edit names a branch for move-fork, and for it alone"
-        return point_or_place("preview_edit", self)
+        problem = super().choice_problem()
+        if problem is None and (self.branch_id is None) == (self.tool == "move-fork"):
+            return "preview_edit names a branch for move-fork, and for it alone"
+        return problem
 
 
 class EditLine(FrozenValue, frozen=True):

@@ -595,12 +595,12 @@ export interface StartRecordingMessage {
 export interface AskEditPreviewMessage {
   readonly type: "preview_edit";
   readonly request_id: number;
-  readonly tool: "add-branch" | "bridge" | "move-fork";
-  readonly branch_id: number | null;
   readonly lps: readonly [number, number, number] | null;
   readonly frame_id: number | null;
   readonly column: number | null;
   readonly row: number | null;
+  readonly tool: "add-branch" | "bridge" | "move-fork";
+  readonly branch_id: number | null;
 }
 
 /** Take the key frames of the file sent to `/api/upload`; undoable. */
