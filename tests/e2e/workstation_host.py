@@ -28,10 +28,10 @@ import numpy as np
 
 from carina import render
 from carina.commands import OpenDemo, OpenPath
+from carina.phone import PhoneSwitch
 from carina.render import AirwayView, mapcache, scene
 from carina.server import pacing
 from carina.server.app import web_folder
-from carina.server.phone_page import PhonePage
 from carina.server.security import Gate
 from carina.server.serve import bind, make_server, start_url
 from carina.session import LocalStore, Session
@@ -204,7 +204,7 @@ def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, 
     factory = serve_module._renderer_factory() if slow_file is None else make_slow(slow_file)
     session = Session(factory, parts=kept.parts(), store=LocalStore(Path(home)))
     stack.callback(session.close)
-    page = PhonePage(session, web=web_folder(), address=told.get("phone_address"))
+    page = PhoneSwitch(session, web_folder(), told.get("phone_address"))
     stack.callback(page.stop)
     started = threading.Event()
     server = make_server(

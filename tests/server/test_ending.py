@@ -11,8 +11,8 @@ import ssl
 import pytest
 from live_server import WAIT_S, running
 
+from carina.phone.page import PhonePage
 from carina.server import ending
-from carina.server.phone_page import PhonePage
 from small_case import small_bench
 
 REQUEST = b"GET / HTTP/1.1\r\nHost: %s\r\n\r\n"

@@ -86,6 +86,7 @@ def _workstation(
 
     with exit_codes(as_json):
         from carina.cli.cluster import opened_cluster
+        from carina.phone import PhoneSwitch
         from carina.server import serve
 
         with opened_cluster(cluster, token=token, mixed=mixed) as used:
@@ -99,6 +100,7 @@ def _workstation(
                 phone=phone,
                 phone_address=phone_address,
                 on_phone=phone_open,
+                make_phone=PhoneSwitch,
                 make_renderer=None if used is None else used.make_renderer,
                 cluster_status=None if used is None else used.status,
             )

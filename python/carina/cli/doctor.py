@@ -20,8 +20,8 @@ __all__ = ["report"]
 
 OPTIONAL = {
     "pyserial": ("pens and handles at serial ports", "pip install 'carina[devices]'"),
-    "cryptography": ("the page for a phone", "pip install 'carina[devices]'"),
-    "segno": ("the page for a phone", "pip install 'carina[devices]'"),
+    "cryptography": ("the page for a phone", "pip install 'carina[phone]'"),
+    "segno": ("the page for a phone", "pip install 'carina[phone]'"),
     "av": ("flights as video (carina fly)", "pip install 'carina[video]'"),
     "vtk": ("peer renderer for benchmarks", "pip install 'carina[bench]'"),
     "numba": ("baseline for benchmarks", "pip install 'carina[bench]'"),

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from msgspec.structs import replace
 
@@ -20,11 +20,10 @@ from carina.navigate import AxesSample, DeviceState, HandleSample, PenState, Pos
 from carina.navigate.devices import IgtlServer, Listener, Source, found_ports, open_source
 from carina.render import LEAD_VIEW
 from carina.server import messages as wire
-from carina.server.phone_page import PhonePage
 from carina.session import Session
 from carina.session.jobs import log_fault
 
-__all__ = ["DeviceDesk"]
+__all__ = ["DeviceDesk", "Phone"]
 
 logger = logging.getLogger(__name__)
 
@@ -33,6 +32,30 @@ FRAME_S = 1.0 / 125.0
 SHOWN_EVERY_S = 0.2
 MAX_SOURCES = 16
 PICTURE_PX = 512
+
+
+class Phone(Protocol):
+    """A page for a phone that can be opened and closed (:class:`carina.phone.PhoneSwitch`)."""
+
+    changed: Callable[[], None]
+    """Told when a phone comes or goes; from any thread."""
+
+    @property
+    def problem(self) -> str | None:
+        """Why it cannot be opened, in words."""
+        ...
+
+    def start(self) -> wire.PhoneInfo:
+        """Open it; the same again changes nothing."""
+        ...
+
+    def stop(self) -> None:
+        """Close it; returns when nothing listens any more."""
+        ...
+
+    def info(self) -> wire.PhoneInfo | None:
+        """What is shown of it; None while it is closed."""
+        ...
 
 
 class DeviceDesk:
@@ -56,7 +79,7 @@ class DeviceDesk:
         push: Callable[[Any], None],
         *,
         recordings: Path | None = None,
-        phone: PhonePage | None = None,
+        phone: Phone | None = None,
     ) -> None:
         self._session = session
         self._push = push

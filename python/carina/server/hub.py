@@ -16,8 +16,7 @@ from carina.disk import disk_trouble, is_disk_trouble
 from carina.errors import CarinaError, UsageError
 from carina.server import messages as wire
 from carina.server.cluster_watch import ClusterWatch
-from carina.server.device_desk import DeviceDesk
-from carina.server.phone_page import PhonePage
+from carina.server.device_desk import DeviceDesk, Phone
 from carina.server.pointing import Pointing, no_evidence_message
 from carina.server.presenter import (
     keys_message,
@@ -138,7 +137,7 @@ class Hub:
         simd: str = "",
         patient_citation: Citation | None = None,
         recordings: Path | None = None,
-        phone: PhonePage | None = None,
+        phone: Phone | None = None,
         cluster_status: Callable[[], dict[str, Any]] | None = None,
     ) -> None:
         self.session = session

@@ -18,11 +18,11 @@ from carina.config import load_settings
 from carina.disk import sweep_drafts, sweep_scratch
 from carina.errors import UsageError
 from carina.server.app import create_app, web_folder
+from carina.server.device_desk import Phone
 from carina.server.ending import EndingServer
 from carina.server.hub import Hub
 from carina.server.impatient import impatient
 from carina.server.listening import bind
-from carina.server.phone_page import PhonePage
 from carina.server.security import Gate, is_loopback
 from carina.server.strangers import ACCEPT_AT_ONCE, WAITING_IN_LINE, Strangers, quieten
 from carina.server.uploads import Uploads
@@ -69,7 +69,7 @@ def make_server(
     uploads: Uploads | None = None,
     patient_citation: Citation | None = None,
     build_info: dict[str, Any] | None = None,
-    phone: PhonePage | None = None,
+    phone: Phone | None = None,
     cluster_status: Callable[[], dict[str, Any]] | None = None,
 ) -> uvicorn.Server:
     """The server over a session; run it with ``server.run(sockets=[sock])``; ``server.should_exit = True`` ends it."""
@@ -114,6 +114,7 @@ def serve(
     phone: bool = False,
     phone_address: str | None = None,
     on_phone: Callable[[str, str], None] | None = None,
+    make_phone: Callable[[Session, Path | None, str | None], Phone] | None = None,
     make_renderer: RendererFactory | None = None,
     cluster_status: Callable[[], dict[str, Any]] | None = None,
 ) -> int:
@@ -141,6 +142,8 @@ def serve(
     on_phone
         Gets, if ``phone``, the link of that page, which holds its token, and the certificate's SHA-256 fingerprint;
         before ``on_ready``.
+    make_phone
+        Makes the switch of that page from session, built client and address; None offers no phone.
     make_renderer
         Makes the renderer of a volume; this machine's unless told.
     cluster_status
@@ -173,7 +176,7 @@ def serve(
         if not is_loopback(host):
             print(_NETWORK_WARNING.format(host=host), file=sys.stderr, flush=True)
         session = Session(make_renderer or _renderer_factory(), store=LocalStore(load_settings().config_dir))
-        page = PhonePage(session, web=web_folder(), address=phone_address)
+        page = None if make_phone is None else make_phone(session, web_folder(), phone_address)
 
         def ready() -> None:
             if path is not None:
@@ -198,7 +201,7 @@ def serve(
             cluster_status=cluster_status,
         )
         try:
-            if phone:
+            if phone and page is not None:
                 opened = page.start()
                 print(_PHONE_WARNING.format(address=opened.address), file=sys.stderr, flush=True)
                 if on_phone is not None:
@@ -212,7 +215,8 @@ def serve(
             # uvicorn has ended cleanly and raises the signal again; Ctrl-C is how a workstation is closed.
             pass
         finally:
-            page.stop()
+            if page is not None:
+                page.stop()
             session.close()
     return 0
 

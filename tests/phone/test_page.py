@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import importlib.util
 import itertools
 import json
 import math
 import socket
 import ssl
+import subprocess
+import sys
 import time
 from types import SimpleNamespace
 
@@ -22,12 +25,11 @@ from carina.commands import CloseCase, SetMode, Steer
 from carina.errors import CarinaError
 from carina.navigate import PoseSample
 from carina.navigate.pilot import CLUTCH_BUTTON
-from carina.server import certificate as certificate_module
+from carina.phone import PhoneSwitch
+from carina.phone.link import MAX_BAD, ClockMap, PhoneLink, TokenGate
+from carina.phone.page import MAX_CONNECTIONS, qr_rows
 from carina.server import messages as wire
-from carina.server.certificate import make_certificate
 from carina.server.device_desk import DeviceDesk
-from carina.server.phone_link import MAX_BAD, ClockMap, PhoneLink, TokenGate
-from carina.server.phone_page import MAX_CONNECTIONS, PhonePage, qr_rows
 from simulated_serial import wait_for
 from small_case import small_bench
 
@@ -148,13 +150,28 @@ def test_a_qr_code_has_its_three_eyes_and_a_quiet_border():
         assert [row[right : right + 7] for row in rows[down : down + 7]] == eye
 
 
-def test_without_the_library_it_says_what_to_install(monkeypatch, tmp_path):
-    monkeypatch.setattr(certificate_module, "phone_problem", lambda: certificate_module.MISSING)
-    with pytest.raises(CarinaError, match=r"carina\[devices\]") as refusal:
-        make_certificate("127.0.0.1")
-    assert refusal.value.code == "phone.missing"
+def test_without_the_libraries_or_the_page_it_says_what_to_do(monkeypatch, tmp_path):
     with pytest.raises(CarinaError, match="make setup"):
-        PhonePage(small_bench().session, web=tmp_path).start()
+        PhoneSwitch(small_bench().session, tmp_path).start()
+    (tmp_path / "phone.html").write_text("<!doctype html>")
+    switch = PhoneSwitch(small_bench().session, tmp_path)
+    assert switch.problem is None
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "segno" else found(name))
+    with pytest.raises(CarinaError, match=r"carina\[phone\]") as refusal:
+        switch.start()
+    assert refusal.value.code == "phone.missing"
+    assert switch.info() is None
+    switch.stop()
+
+
+def test_nothing_of_the_page_is_loaded_before_a_person_opens_it():
+    program = (
+        "import sys; from carina.phone import PhoneSwitch; from carina.server import serve; "
+        "from carina.session import Session; switch = PhoneSwitch(Session(lambda volume: None), None); switch.problem; "
+        "sys.exit(any(m in sys.modules for m in ('carina.phone.page', 'carina.phone.certificate', 'cryptography')))"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
 # ------------------------------------------------------------------ on loopback
@@ -178,7 +195,7 @@ def phone(web):
     bench = small_bench()
     bench.session._core.clock = time.monotonic  # the desk's thread keeps the real time
     bench.open()
-    page = PhonePage(bench.session, web=web, address="127.0.0.1")
+    page = PhoneSwitch(bench.session, web, address="127.0.0.1")
     sent: list[object] = []
     desk = DeviceDesk(bench.session, sent.append, phone=page)
     desk.start()
@@ -284,7 +301,7 @@ def test_a_wrong_token_no_token_and_silence_are_refused_and_counted(phone, monke
     with dialled(phone, hello=False) as link:
         link.send(sample(1.0))
         assert ended(link)[0] == wire.CLOSE_CODES["protocol.order"]
-    monkeypatch.setattr("carina.server.phone_page.HELLO_WITHIN_S", 0.2)
+    monkeypatch.setattr("carina.phone.page.HELLO_WITHIN_S", 0.2)
     with dialled(phone, hello=False) as link:
         assert ended(link)[0] == wire.CLOSE_CODES["protocol.order"]
     info = phone.page.info()
@@ -425,7 +442,7 @@ def test_a_state_that_cannot_be_told_lets_the_phone_go(phone, monkeypatch):
         state(link)
         link.send(sample(1.0))
         wait_for(lambda: phone.page.info().rate_hz > 0)
-        monkeypatch.setattr(phone.page, "_state", lambda: 1 / 0)
+        monkeypatch.setattr(phone.page._page, "_state", lambda: 1 / 0)
         assert ended(link)[0] == 1011
     wait_for(lambda: not phone.page.info().connected)
     devices = phone.session.devices.info().devices
@@ -511,7 +528,7 @@ def test_the_last_click_decides_whether_it_is_open_however_its_threads_run(phone
 def test_it_is_off_until_somebody_switches_it_on_and_says_why_it_cannot(web):
     bench = small_bench()
     bench.open()
-    page = PhonePage(bench.session, web=web, address="203.0.113.250")  # of no machine: for documentation
+    page = PhoneSwitch(bench.session, web, address="203.0.113.250")  # of no machine: for documentation
     sent: list[object] = []
     desk = DeviceDesk(bench.session, sent.append, phone=page)
     assert page.info() is None

@@ -9,14 +9,12 @@ import ssl
 from dataclasses import dataclass
 
 from carina.disk import scratch_folder
-from carina.errors import CarinaError
 
-__all__ = ["Certificate", "make_certificate", "phone_problem"]
+__all__ = ["Certificate", "make_certificate"]
 
 # A phone's clock may be behind ours; and nobody flies for a month.
 VALID_BEFORE = datetime.timedelta(days=1)
 VALID_FOR = datetime.timedelta(days=30)
-MISSING = "the page for a phone needs pip install 'carina[devices]'"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,16 +24,6 @@ class Certificate:
     context: ssl.SSLContext
     sha256: str
     """Fingerprint in capital hexadecimal pairs with colons between, as browsers show it."""
-
-
-def phone_problem() -> str | None:
-    """What is missing for the page for a phone, in words."""
-    try:
-        import cryptography  # noqa: F401 - only whether it is there
-        import segno  # noqa: F401
-    except ImportError:
-        return MISSING
-    return None
 
 
 def make_certificate(host: str) -> Certificate:
@@ -48,15 +36,7 @@ def make_certificate(host: str) -> Certificate:
     ----------
     host
         Address or name that the phone's link holds.
-
-    Raises
-    ------
-    CarinaError
-        ``phone.missing`` if the library that makes keys is not installed.
     """
-    problem = phone_problem()
-    if problem is not None:
-        raise CarinaError(problem, code="phone.missing")
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
     from cryptography.hazmat.primitives.asymmetric import ec

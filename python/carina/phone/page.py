@@ -28,14 +28,14 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from carina.commands import CycleControl, DeviceGone, LevelHorizon, ResetLook
 from carina.errors import CarinaError, ProtocolError
+from carina.phone.certificate import Certificate, make_certificate
+from carina.phone.link import DEVICE, PhoneLink, TokenGate
 from carina.server import messages as wire
-from carina.server.certificate import Certificate, make_certificate, phone_problem
 from carina.server.closing import close_socket
 from carina.server.ending import EndingServer
 from carina.server.gate_middleware import GateMiddleware, page
 from carina.server.impatient import impatient
 from carina.server.listening import bind, lan_address
-from carina.server.phone_link import DEVICE, PhoneLink, TokenGate
 from carina.server.security import Gate
 from carina.server.senders import start_sender
 from carina.server.strangers import ACCEPT_AT_ONCE, Strangers
@@ -89,7 +89,7 @@ class PhonePage:
         Told when a phone comes or goes; from any thread.
     """
 
-    def __init__(self, session: Session, *, web: Path | None, address: str | None = None) -> None:
+    def __init__(self, session: Session, *, web: Path, address: str | None = None) -> None:
         self.changed: Callable[[], None] = lambda: None
         self._session = session
         self._web = web
@@ -103,27 +103,17 @@ class PhonePage:
 
     # ------------------------------------------------------------ opened and closed
 
-    @property
-    def problem(self) -> str | None:
-        """Why it cannot be opened, in words."""
-        if self._web is None or not (self._web / "phone.html").is_file():
-            return "the page for a phone has not been built: run make setup"
-        return phone_problem()
-
     def start(self) -> wire.PhoneInfo:
         """Open it, with a new key, certificate and token; the same again changes nothing.
 
         Raises
         ------
         CarinaError
-            ``phone.missing`` if something is not installed; ``server.no-network``, ``server.host``.
+            ``server.no-network``, ``server.host``.
         """
         with self._lock:
             if self._open is not None:
                 return self._open.info
-            problem = self.problem
-            if problem is not None:
-                raise CarinaError(problem, code="phone.missing")
             address = self._address or lan_address()
             certificate = make_certificate(address)
             sock = bind(address, 0)
@@ -212,7 +202,6 @@ class PhonePage:
 
     def _app(self, gate: Gate, tokens: TokenGate) -> Starlette:
         async def index(_request: Request) -> Response:
-            assert self._web is not None
             return FileResponse(self._web / "phone.html", headers={"cache-control": "no-store"})
 
         async def asset(request: Request) -> Response:
