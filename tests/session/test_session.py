@@ -81,7 +81,7 @@ def test_opening_ends_with_a_route_to_the_deepest_tip_on_the_right_and_the_tip_a
     pose = bench.session.pose_info()
     assert pose.path_mm == 0.0
     assert pose.inside
-    assert (pose.branch_name, pose.generation, pose.lumen_mm) == ("Trachea", 0, 12.0)
+    assert (pose.branch.name, pose.branch.generation, pose.lumen_mm) == ("Trachea", 0, 12.0)
     np.testing.assert_allclose(
         pose.pose.position_lps, small_lps(BRANCHES_IJK[0][1][0]), atol=0.6
     )  # half a smoothed voxel
@@ -565,11 +565,12 @@ def test_a_wall_point_is_told_with_its_voxel_and_the_nearest_branch():
     bench.background.run_next()
     lumen = tuple(float(v) for v in small_volume().to_lps((16.0, 14.0, 30.0)))
     before = bench.session.ask(WallAt(lumen))
-    assert (before.lps, before.voxel_value, before.branch_id, before.branch_name) == (lumen, -980, None, None)
+    assert (before.lps, before.voxel_value, before.branch) == (lumen, -980, None)
     bench.background.run_all()
     left = tuple(float(v) for v in small_volume().to_lps((25.0, 16.5, 13.0)))
     found = bench.session.ask(WallAt(left))
-    assert (found.voxel_value, found.branch_id, found.branch_name, found.generation) == (40, 2, "LMB", 1)
+    assert found.voxel_value == 40
+    assert (found.branch.id, found.branch.name, found.branch.generation) == (2, "LMB", 1)
     outside = tuple(float(v) for v in small_volume().to_lps((-5.0, 0.0, 0.0)))
     assert bench.session.ask(WallAt(outside)).voxel_value is None
 

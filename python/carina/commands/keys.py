@@ -69,6 +69,14 @@ class EditKeys(Command, frozen=True):
     edit: AnyKeyEdit
 
 
+class KeyFlying(FrozenValue, frozen=True):
+    """How the key frames are flown through."""
+
+    speed_mm_s: Speed
+    """On the ways that name none of their own."""
+    through: Through
+
+
 class SetKeyFlight(Command, frozen=True):
     """How the key frames are flown through; null keeps what there is. Undoable."""
 

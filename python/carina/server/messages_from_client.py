@@ -96,11 +96,15 @@ class AskLivePath(AskAtPlace, ClientMessage, frozen=True, tag="live_path"):
     """
 
 
-class AskBranchDetail(ClientMessage, frozen=True, tag="branch_detail"):
-    """Ask for what was measured along a branch; only the newest is answered, by ``branch_detail``."""
+class BranchQuestion(FrozenValue, frozen=True):
+    """A branch that is asked about; its answer names both again."""
 
     request_id: Count
     branch_id: BranchId
+
+
+class AskBranchDetail(BranchQuestion, ClientMessage, frozen=True, tag="branch_detail"):
+    """Ask for what was measured along a branch; only the newest is answered, by ``branch_detail``."""
 
 
 class SetFrameRate(ClientMessage, frozen=True):

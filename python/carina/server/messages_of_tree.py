@@ -8,6 +8,7 @@ from msgspec import Meta
 
 from carina.commands.fields import BranchId, Count, MaybeNumbers, Numbers, Part, PointLps, PointsLps, Words
 from carina.commands.value import FrozenValue
+from carina.server.messages_from_client import BranchQuestion
 from carina.server.wire_codec import ServerMessage
 from carina.track import Uncertainty
 
@@ -128,10 +129,8 @@ class BranchProfile(FrozenValue, frozen=True):
     """The section cuts a fork, or the edge of the scan: what is measured there is no airway's width."""
 
 
-class BranchDetail(ServerMessage, frozen=True):
+class BranchDetail(BranchQuestion, ServerMessage, frozen=True):
     """Answer to ``branch_detail``; profile and measures are null until they are ready."""
 
-    request_id: Count
-    branch_id: BranchId
     measures: BranchMeasures | None
     profile: BranchProfile | None

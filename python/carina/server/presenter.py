@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, cast
 
+import msgspec
 import numpy as np
 
 from carina.commands import Look
@@ -205,9 +206,9 @@ def pose_message(info: PoseInfo) -> wire.Pose:
         lps_from_camera=_flat(info.pose.lps_from_camera),
         mode=info.mode,
         path_mm=info.path_mm,
-        branch_id=info.branch_id,
-        branch_name=info.branch_name,
-        generation=info.generation,
+        branch_id=None if info.branch is None else info.branch.id,
+        branch_name=None if info.branch is None else info.branch.name,
+        generation=None if info.branch is None else info.branch.generation,
         lumen_mm=info.lumen_mm,
         inside=info.inside,
         scope=_held(info),
@@ -237,26 +238,7 @@ def _held(info: PoseInfo) -> wire.HeldScope | None:
 
 def keys_message(info: KeysInfo) -> wire.Keys:
     """The key frames and the flight through them."""
-    return wire.Keys(
-        keys=tuple(
-            wire.KeyFrame(
-                key_id=key.key_id,
-                name=key.name,
-                own_name=key.own_name,
-                branch_id=key.branch_id,
-                speed_mm_s=key.speed_mm_s,
-                # Not rounded: the flight is at the key frame itself at this time, to the last bit.
-                time_s=key.time_s,
-                leg_mm=None if key.leg_mm is None else round(key.leg_mm, 3),
-                through_airways=key.through_airways,
-            )
-            for key in info.keys
-        ),
-        speed_mm_s=info.speed_mm_s,
-        through=info.through,
-        duration_s=info.duration_s,
-        problem=info.problem,
-    )
+    return wire.Keys(**msgspec.structs.asdict(info))
 
 
 def picked_message(pick_id: int, wall: WallPoint | None, depth_mm: float | None) -> wire.Picked:
@@ -268,9 +250,9 @@ def picked_message(pick_id: int, wall: WallPoint | None, depth_mm: float | None)
         lps=wall.lps,
         depth_mm=depth_mm,
         voxel_value=wall.voxel_value,
-        branch_id=wall.branch_id,
-        branch_name=wall.branch_name,
-        generation=wall.generation,
+        branch_id=None if wall.branch is None else wall.branch.id,
+        branch_name=None if wall.branch is None else wall.branch.name,
+        generation=None if wall.branch is None else wall.branch.generation,
     )
 
 

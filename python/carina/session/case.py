@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from carina.commands import TakeMask
 from carina.errors import UsageError
 from carina.navigate import Navigator, Pilot
 from carina.render import GreyWindow, Sight
@@ -29,7 +30,7 @@ from carina.track import LumenOutline
 from carina.volume import Volume
 
 if TYPE_CHECKING:
-    from carina.track import Airways, AirwayTree, TreeMeasures
+    from carina.track import Airways, AirwayTree, Branch, TreeMeasures
 
 __all__ = [
     "HISTOGRAM_PRESET",
@@ -50,9 +51,8 @@ HISTOGRAM_PRESET = "from histogram"
 class AskedMask:
     """A mask of another tool that waits for an answer."""
 
-    path: str
-    label: int | None
-    """As said so far."""
+    asked: TakeMask
+    """With what was said so far."""
     question: MaskQuestion
 
 
@@ -207,22 +207,21 @@ def pose_info(case: OpenCase, pose_id: int) -> PoseInfo:
     inside = case.info.volume.contains_lps(at)
     if airways is not None:
         inside = inside and in_lumen(case.info.volume, airways.lumen_zyx, at)
-    branch_id: int | None = None
+    branch: Branch | None = None
     lumen_mm: float | None = None
     if path_mm is not None and route is not None:
         n = int(np.argmin(np.abs(route.cumulative_mm - path_mm)))
-        branch_id, lumen_mm = int(route.branch_ids[n]), 2.0 * float(route.radius_mm[n])
+        branch = None if index is None else index.branch(int(route.branch_ids[n]))
+        lumen_mm = 2.0 * float(route.radius_mm[n])
     elif index is not None and inside:
-        branch_id, radius_mm, _ = index.nearest(at)
+        branch, radius_mm, _ = index.nearest(at)
         lumen_mm = 2.0 * radius_mm
     return PoseInfo(
         pose_id=pose_id,
         pose=tip.pose,
         mode=tip.mode,
         path_mm=path_mm,
-        branch_id=branch_id,
-        branch_name=None if index is None or branch_id is None else index.name(branch_id),
-        generation=None if index is None or branch_id is None else index.generation(branch_id),
+        branch=branch,
         lumen_mm=lumen_mm,
         inside=inside,
         scope=tip.scope_state,

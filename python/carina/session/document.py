@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from carina.commands.fields import Through
+from carina.commands import KeyFlying
 from carina.commands.look import Look
 from carina.scopes import Pose
 
@@ -52,8 +52,7 @@ class Keys:
     """The key frames in their order, and how they are flown through."""
 
     frames: tuple[Key, ...] = ()
-    speed_mm_s: float = 20.0
-    through: Through = "airways"
+    flying: KeyFlying = KeyFlying(20.0, "airways")
 
 
 @dataclass(frozen=True, slots=True)

@@ -83,7 +83,7 @@ class AirwayFinding(Subject):
             except (MaskLabelError, MaskGridError) as trouble:
                 with self.core.lock:
                     job.check()
-                    self._ask_about_mask(case, AskedMask(path, label, _question(Path(path).name, trouble)))
+                    self._ask_about_mask(case, AskedMask(command, _question(Path(path).name, trouble)))
                 return
             with self.core.lock:
                 job.check()
@@ -95,9 +95,10 @@ class AirwayFinding(Subject):
     @does(c.AnswerMask)
     def answer_mask(self, command: c.AnswerMask) -> str:
         """What was said before holds on; UsageError if nothing is asked."""
-        asked = self.core.needed_case().asked_mask
-        if asked is None:
+        open_question = self.core.needed_case().asked_mask
+        if open_question is None:
             raise UsageError("no mask waits for an answer; choose its file again", code="session.mask")
+        asked = open_question.asked
         label = asked.label if command.label is None else command.label
         return self.take_mask(c.TakeMask(asked.path, label, command.resample))
 

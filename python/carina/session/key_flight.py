@@ -31,7 +31,7 @@ def key_flight(volume: Volume, keys: Keys, airways: Airways | None) -> KeyFlight
     if len(keys.frames) < 2:
         return KeyFlight()
     try:
-        return KeyFlight(KeyFrameFlight(key_frames(keys, volume, airways), speed_mm_s=keys.speed_mm_s))
+        return KeyFlight(KeyFrameFlight(key_frames(keys, volume, airways), speed_mm_s=keys.flying.speed_mm_s))
     except UsageError as trouble:
         return KeyFlight(problem=str(trouble))
 
@@ -42,7 +42,7 @@ def key_frames(keys: Keys, volume: Volume, airways: Airways | None) -> tuple[Key
     before: Key | None = None
     for key in keys.frames:
         way = None
-        if before is not None and keys.through == "airways" and airways is not None:
+        if before is not None and keys.flying.through == "airways" and airways is not None:
             way = _way(volume, airways, before, key)
         found.append(KeyFrame(None, key.pose, key.name or "", key.speed_mm_s, way))
         before = key

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from carina import commands as c
@@ -25,7 +26,7 @@ from carina.session.flying import place_pose, view_words
 from carina.session.inside import in_airways
 from carina.session.jobs import Job
 from carina.session.key_flight import KeyFlight, key_frames
-from carina.session.snapshot import KeyInfo, KeysInfo, Said
+from carina.session.snapshot import KeysInfo, Said, ShownKeyFrame
 from carina.session.subject import Subject, answers, does
 
 __all__ = ["MAX_KEYS", "KeyFraming"]
@@ -97,12 +98,14 @@ class KeyFraming(Subject):
         speed_mm_s, through = command.speed_mm_s, command.through
         case = self.core.needed_case()
         with self.core.lock:
-            keys = case.document.keys
-            if speed_mm_s is not None and speed_mm_s != keys.speed_mm_s:
-                self.core.edit("speed through the key frames", "keys speed", keys=replace(keys, speed_mm_s=speed_mm_s))
-            keys = case.document.keys
-            if through is not None and through != keys.through:
-                self.core.edit("way through the key frames", None, keys=replace(keys, through=through))
+            if speed_mm_s is not None:
+                self._set_flying(case, "speed through the key frames", "keys speed", speed_mm_s=speed_mm_s)
+            if through is not None:
+                self._set_flying(case, "way through the key frames", None, through=through)
+
+    def _set_flying(self, case: OpenCase, label: str, gesture: str | None, **values: Any) -> None:
+        keys = case.document.keys
+        self.core.edit(label, gesture, keys=replace(keys, flying=msgspec.structs.replace(keys.flying, **values)))
 
     def _change_key(self, key_id: str, verb: str, **values: Any) -> None:
         case = self.core.needed_case()
@@ -160,7 +163,7 @@ class KeyFraming(Subject):
         with self.core.lock:
             case = self.core.case
             if case is None:
-                return KeysInfo()
+                return _as_shown(Keys())
             keys = case.document.keys
             found = self._key_flight(case)
             flight = found.flight
@@ -169,19 +172,18 @@ class KeyFraming(Subject):
                 leg = None if flight is None or n == 0 else n - 1
                 words, branch_id = _branch_words(case, key)
                 shown.append(
-                    KeyInfo(
+                    ShownKeyFrame(
                         key.key_id,
                         key.name or words,
                         key.name is not None,
                         branch_id,
                         key.speed_mm_s,
                         0.0 if flight is None else flight.key_times_s[n],
-                        None if flight is None or leg is None else flight.leg_mm[leg],
+                        None if flight is None or leg is None else round(flight.leg_mm[leg], 3),
                         flight is not None and leg is not None and flight.through_airways[leg],
                     )
                 )
-            duration_s = 0.0 if flight is None else flight.duration_s
-            return KeysInfo(tuple(shown), keys.speed_mm_s, keys.through, duration_s, found.problem)
+            return _as_shown(keys, tuple(shown), 0.0 if flight is None else flight.duration_s, found.problem)
 
     def _key_flight(self, case: OpenCase) -> KeyFlight:
         """The flight, or why there is none; with the session locked."""
@@ -199,7 +201,8 @@ class KeyFraming(Subject):
             raise NoResultError("there are no key frames yet", code="session.keys")
         keys = document.keys
         frames = key_frames(keys, case.info.volume, document.airways)
-        return KeyFile(frames, keys.speed_mm_s, keys.through, case_key(case.info.volume), view_words(document, sight))
+        flying, key = keys.flying, case_key(case.info.volume)
+        return KeyFile(frames, flying.speed_mm_s, flying.through, key, view_words(document, sight))
 
     @does(c.TakeKeyFile)
     def take_key_file(self, command: c.TakeKeyFile) -> str:
@@ -219,12 +222,18 @@ class KeyFraming(Subject):
             )
             with self.core.lock:
                 job.check()
-                keys = Keys(frames, file.speed_mm_s, file.through)
+                keys = Keys(frames, c.KeyFlying(file.speed_mm_s, file.through))
                 self.core.change(case, "open key frames", replace(case.document, keys=keys))
                 if any(frame.time_s is not None for frame in file.frames):
                     self.core.emit(Said("the file stores times; they were converted to speeds"))
 
         return self.core.jobs.start("keys", "opening key frames", work)
+
+
+def _as_shown(
+    keys: Keys, shown: tuple[ShownKeyFrame, ...] = (), duration_s: float = 0.0, problem: str | None = None
+) -> KeysInfo:
+    return KeysInfo(**msgspec.structs.asdict(keys.flying), keys=shown, duration_s=duration_s, problem=problem)
 
 
 def _branch_words(case: OpenCase, key: Key) -> tuple[str, int | None]:
@@ -234,8 +243,8 @@ def _branch_words(case: OpenCase, key: Key) -> tuple[str, int | None]:
         return "in the volume", None
     if not in_airways(case.info.volume, airways, key.pose.position_lps):
         return "outside the airways", None
-    branch_id, _, _ = index.nearest(np.asarray(key.pose.position_lps))
-    return index.name(branch_id) or f"generation {index.generation(branch_id)}", branch_id
+    branch, _, _ = index.nearest(np.asarray(key.pose.position_lps))
+    return branch.name or f"generation {branch.generation}", branch.id
 
 
 def _speeds(file: KeyFile) -> list[float | None]:

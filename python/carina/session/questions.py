@@ -41,10 +41,8 @@ class CaseQuestions(Subject):
         value = self.voxel_at(c.VoxelAt(lps))
         with self.core.lock:
             index = self.core.needed_case().index
-        if index is None:
-            return WallPoint(lps, value, None, None, None)
-        branch_id, _, _ = index.nearest(np.asarray(lps, dtype=np.float64))
-        return WallPoint(lps, value, branch_id, index.name(branch_id), index.generation(branch_id))
+        branch = None if index is None else index.nearest(np.asarray(lps, dtype=np.float64))[0]
+        return WallPoint(lps, value, branch)
 
     @answers(c.LivePathTo)
     def live_path(self, question: c.LivePathTo) -> Any:

@@ -83,19 +83,15 @@ class AirwayIndex:
         self._radius = np.concatenate([np.asarray(b.radius, dtype=np.float64) for b in branches])
         self._ids = np.concatenate([np.full(len(b.points), b.id, dtype=np.int64) for b in branches])
 
-    def nearest(self, point_lps: NDArray[np.float64]) -> tuple[int, float, float]:
-        """Branch id, lumen radius there in mm, and the distance to the centreline in mm."""
+    def nearest(self, point_lps: NDArray[np.float64]) -> tuple[Branch, float, float]:
+        """The branch, the lumen's radius there in mm, and the distance to the centreline in mm."""
         squared = np.square(self._points - point_lps).sum(axis=1)
         n = int(np.argmin(squared))
-        return int(self._ids[n]), float(self._radius[n]), float(np.sqrt(squared[n]))
+        return self._branches[int(self._ids[n])], float(self._radius[n]), float(np.sqrt(squared[n]))
 
-    def name(self, branch_id: int) -> str | None:
-        """The branch's anatomical name, if it has one."""
-        return self._branches[branch_id].name
-
-    def generation(self, branch_id: int) -> int:
-        """The branch's generation (trachea 0)."""
-        return int(self._branches[branch_id].generation)
+    def branch(self, branch_id: int) -> Branch:
+        """A branch that the tree has."""
+        return self._branches[branch_id]
 
 
 def default_branch_id(tree: AirwayTree) -> int | None:

@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from carina.commands import DeviceControls
+from carina.commands import DeviceControls, KeyFlying
+from carina.commands.fields import BranchId, Key, Words
 from carina.errors import NoEvidenceError
 from carina.navigate import DeviceState
 from carina.render import Sight
 from carina.scopes import Pose, ScopeState
 from carina.session.document import Document
+from carina.value import FrozenValue
 
 if TYPE_CHECKING:
-    from carina.track import TreeMeasures
+    from carina.track import Branch, TreeMeasures
     from carina.volume import MaskLabel, Volume
 
 __all__ = [
@@ -21,12 +23,12 @@ __all__ = [
     "CaseSnapshot",
     "Changed",
     "DevicesInfo",
-    "KeyInfo",
     "KeysInfo",
     "MaskQuestion",
     "NotEvident",
     "PoseInfo",
     "Said",
+    "ShownKeyFrame",
     "Snapshot",
     "Stage",
     "Trouble",
@@ -64,9 +66,8 @@ class PoseInfo:
     pose: Pose
     mode: Literal["free", "path", "scope"]
     path_mm: float | None
-    branch_id: int | None
-    branch_name: str | None
-    generation: int | None
+    branch: Branch | None
+    """The branch that it lies in; None outside the airways."""
     lumen_mm: float | None
     """Diameter of the lumen at the nearest centreline point."""
     inside: bool
@@ -87,10 +88,8 @@ class WallPoint:
     lps: tuple[float, float, float]
     voxel_value: int | None
     """Of the voxel it lies in; None outside the volume."""
-    branch_id: int | None
+    branch: Branch | None
     """The branch whose centreline is nearest; None without a tree."""
-    branch_name: str | None
-    generation: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,34 +138,32 @@ class DevicesInfo:
     devices: tuple[DeviceState, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class KeyInfo:
-    """A key frame as it is shown."""
+class ShownKeyFrame(FrozenValue, frozen=True):
+    """A pose to fly through."""
 
-    key_id: str
-    name: str
+    key_id: Key
+    name: Words
     """As a person called it, or its branch."""
     own_name: bool
-    branch_id: int | None
+    branch_id: BranchId | None
     """The branch that it lies in."""
     speed_mm_s: float | None
-    """Its own; None takes that of all."""
+    """On the way here; null takes that of all."""
     time_s: float
+    """When the flight passes it, to the last bit: there it is at the key frame itself."""
     leg_mm: float | None
-    """Length of the way here; None for the first, and while there is no flight."""
+    """Length of the way here; null for the first, and while there is no flight."""
     through_airways: bool
     """Whether that way follows the airways."""
 
 
-@dataclass(frozen=True, slots=True)
-class KeysInfo:
+class KeysInfo(KeyFlying, frozen=True):
     """The key frames, and the flight through them."""
 
-    keys: tuple[KeyInfo, ...] = ()
-    speed_mm_s: float = 20.0
-    through: Literal["airways", "space"] = "airways"
-    duration_s: float = 0.0
-    problem: str | None = None
+    keys: tuple[ShownKeyFrame, ...]
+    duration_s: float
+    """0 while there are fewer than two."""
+    problem: Words | None
     """Why they cannot be flown."""
 
 

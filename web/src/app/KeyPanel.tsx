@@ -7,7 +7,7 @@ import { KEYS_FILE } from "../net/download";
 import { filesOfPicker } from "../net/upload";
 import { mm, sentence } from "../state/format";
 import { clock, KEY_SPEEDS_MM_S, PLAY_RATES, passedKey } from "../state/playing";
-import type { KeyFrame, KeysMessage } from "../wire/messages";
+import type { KeysMessage, ShownKeyFrame } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, Choice, Tip } from "./controls";
 import { Figure } from "./Figure";
@@ -82,7 +82,7 @@ function KeyList({ told }: { told: KeysMessage }) {
 }
 
 interface RowProps {
-  frame: KeyFrame;
+  frame: ShownKeyFrame;
   number: number;
   last: boolean;
   here: boolean;
@@ -130,7 +130,7 @@ function KeyRow({ frame, number, last, here, timed, open, onOpen }: RowProps) {
   );
 }
 
-function KeyTools({ frame, first, last }: { frame: KeyFrame; first: boolean; last: boolean }) {
+function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean; last: boolean }) {
   const station = useStation();
   const key_id = frame.key_id;
   const [name, setName] = useState<string | null>(null);

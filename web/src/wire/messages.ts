@@ -1070,7 +1070,7 @@ export interface NoEvidenceMessage {
 }
 
 /** A pose to fly through. */
-export interface KeyFrame {
+export interface ShownKeyFrame {
   readonly key_id: string;
   readonly name: string;
   readonly own_name: boolean;
@@ -1084,9 +1084,9 @@ export interface KeyFrame {
 /** The key frames, when they changed. */
 export interface KeysMessage {
   readonly type: "keys";
-  readonly keys: readonly KeyFrame[];
   readonly speed_mm_s: number;
   readonly through: "airways" | "space";
+  readonly keys: readonly ShownKeyFrame[];
   readonly duration_s: number;
   readonly problem: string | null;
 }
