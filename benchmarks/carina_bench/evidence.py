@@ -83,12 +83,12 @@ def removed_branches(volume: Volume, airways: Airways, num: int, seed: int, *, w
     owner = np.concatenate([np.full(len(b.points), b.id) for b in tree.branches])
     mask = airways.lumen_zyx.copy()
     voxels = np.argwhere(mask)[:, ::-1]
-    centers = volume.to_lps(voxels.astype(np.float64))
+    centres = volume.to_lps(voxels.astype(np.float64))
     is_gone = np.zeros(len(voxels), dtype=bool)
     wanted = np.array(sorted(gone))
     for first in range(0, len(voxels), 4000):
         part = slice(first, first + 4000)
-        off = np.sqrt(sum((centers[part, None, a] - points[None, :, a]) ** 2 for a in range(3))) - radius[None]
+        off = np.sqrt(sum((centres[part, None, a] - points[None, :, a]) ** 2 for a in range(3))) - radius[None]
         is_gone[part] = np.isin(owner[off.argmin(axis=1)], wanted)
     i, j, k = voxels[is_gone].T
     mask[k, j, i] = 0

@@ -136,8 +136,8 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
     place = top + np.array([0.0, 0.0, -40.0])
     path = FlightPath(np.array([top, place]))
     field = _trachea(place)
-    center = (float(place[0]), float(place[1]), float(place[2]))
-    circling = (center, 12.0, 1.5)
+    centre = (float(place[0]), float(place[1]), float(place[2]))
+    circling = (centre, 12.0, 1.5)
     rows = []
     with ForceLoop(field, simulated=circling) as loop, _Watch() as watch:
         time.sleep(0.5 * seconds)
@@ -145,7 +145,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
     with ForceLoop(field, simulated=circling) as loop, _Watch() as watch:
         moving = moving_pictures(renderer, path, seconds)
         rows.append(_row("simulated hand", "moving pictures", loop.figures(), watch, moving, gated=True))
-    with ForceLoop(field, udp_port=0) as loop, _Watch() as watch, _bridged(loop, seconds, center) as bridged:
+    with ForceLoop(field, udp_port=0) as loop, _Watch() as watch, _bridged(loop, seconds, centre) as bridged:
         moving = moving_pictures(renderer, path, seconds)
         found = bridged()
         rows.append(_row("bridge over UDP", "moving pictures", loop.figures(), watch, moving, found, gated=True))
@@ -174,10 +174,10 @@ class _Watch:
 
 
 @contextmanager
-def _bridged(loop: ForceLoop, seconds: float, center: tuple[float, float, float]) -> Iterator[Any]:
+def _bridged(loop: ForceLoop, seconds: float, centre: tuple[float, float, float]) -> Iterator[Any]:
     """A bridge in a process of its own; gives what waits for its figures."""
     command = [sys.executable, "-m", "carina_bench.haptics_bridge"]
-    asked = json.dumps({"port": loop.port, "seconds": seconds, "center": center})
+    asked = json.dumps({"port": loop.port, "seconds": seconds, "center": centre})
     other = subprocess.Popen([*command, asked], stdout=subprocess.PIPE, text=True, env=child_environment())
     try:
         yield lambda: json.loads(other.communicate(timeout=60)[0])

@@ -156,7 +156,7 @@ def planes(request: Request) -> list[dict[str, Any]]:
     rows = []
     for name in request["cases"]:
         case = _case(name)
-        pose = Pose.looking(case.volume.center_lps, (0.5, 0.6, -0.62), (0.1, -0.8, 0.3))
+        pose = Pose.looking(case.volume.centre_lps, (0.5, 0.6, -0.62), (0.1, -0.8, 0.3))
         view = CutPlaneView(pose, width=size, height=size, extent_mm=160.0, window_hu=WINDOW_HU)
         renderer = Renderer(case.volume, transfer=TRANSFER)
         matrix = renderer.render(view).lps_from_pixel

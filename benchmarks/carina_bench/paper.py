@@ -50,11 +50,11 @@ def _transfers() -> dict[str, TransferFunction]:
 
 
 def _poses(volume: Volume) -> dict[str, Pose]:
-    center = volume.center_lps
+    centre = volume.centre_lps
     size_mm = float(np.linalg.norm(np.array(volume.shape_zyx[::-1]) * volume.spacing_mm))
     front, side, above = np.array([0.0, -1.0, 0.0]), np.array([0.8, -0.6, 0.1]), np.array([0.3, -0.3, 0.9])
     poses = {
-        name: Pose.looking(center + 0.9 * size_mm * out / np.linalg.norm(out), -out)
+        name: Pose.looking(centre + 0.9 * size_mm * out / np.linalg.norm(out), -out)
         for name, out in (("front", front), ("side", side), ("above", above))
     }
     # In the largest hollow: where the paper's user flies.

@@ -127,7 +127,7 @@ def compared(phantom: Phantom, tree: AirwayTree, measures: TreeMeasures) -> dict
     for branch in tree.branches:
         own = measures.of(branch.id)
         usable = own.is_usable
-        _, near = truth.nearest(own.center_lps[usable])
+        _, near = truth.nearest(own.centre_lps[usable])
         sections.append(
             np.stack(
                 [

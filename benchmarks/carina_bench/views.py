@@ -45,10 +45,10 @@ def _scenes(case: Case) -> Iterator[tuple[str, Renderer, AirwayView]]:
     def view(pose: Pose, **options: Any) -> AirwayView:
         return AirwayView(pose, **{"width": SIZE, "height": SIZE, "step_vox": STEP_VOX, **options})
 
-    center = case.volume.center_lps
+    centre = case.volume.centre_lps
     at = case.trachea.position_lps
-    front = Pose.looking(center + np.array([0.0, -600.0, 0.0]), (0.0, 1.0, 0.0))
-    oblique = Pose.looking(center + np.array([350.0, -350.0, 250.0]), (-350.0, 350.0, -250.0))
+    front = Pose.looking(centre + np.array([0.0, -600.0, 0.0]), (0.0, 1.0, 0.0))
+    oblique = Pose.looking(centre + np.array([350.0, -350.0, 250.0]), (-350.0, 350.0, -250.0))
     clear = prepared(case.volume, TRANSFER)
     yield "trachea", clear, view(case.trachea)
     yield "trachea, fisheye-wide 150 degrees", clear, view(case.trachea, fov_deg=150.0)
@@ -57,8 +57,8 @@ def _scenes(case: Case) -> Iterator[tuple[str, Renderer, AirwayView]]:
     yield "step 2 voxels", clear, view(case.flight[-1], step_vox=2.0)
     yield "shading off", clear, view(case.trachea, shading=False)
     yield "across the trachea, at the wall", clear, view(Pose.looking(at, (1.0, 0.2, 0.0)))
-    yield "in the middle of tissue", clear, view(Pose.looking(center + np.array([0.0, 40.0, 0.0]), (0.0, 0.0, -1.0)))
-    yield "in the lung", clear, view(Pose.looking(center + np.array([70.0, 0.0, 0.0]), (0.0, 0.0, -1.0)))
+    yield "in the middle of tissue", clear, view(Pose.looking(centre + np.array([0.0, 40.0, 0.0]), (0.0, 0.0, -1.0)))
+    yield "in the lung", clear, view(Pose.looking(centre + np.array([70.0, 0.0, 0.0]), (0.0, 0.0, -1.0)))
     yield "from in front of the chest", clear, view(front, fov_deg=40.0)
     yield "from outside, oblique", clear, view(oblique, fov_deg=40.0)
     through = prepared(case.volume, transfer_preset("see-through"))

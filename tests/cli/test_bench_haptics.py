@@ -43,8 +43,8 @@ def test_pictures_are_summed_without_the_first_second_and_the_view_finder_counts
 def test_moving_pictures_come_from_the_products_pump_and_full_ones_are_full():
     volume = small_volume()
     renderer = Renderer(volume)
-    center = volume.center_lps
-    path = FlightPath(np.array([center, center + np.array([0.0, 0.0, -40.0])]))
+    centre = volume.centre_lps
+    path = FlightPath(np.array([centre, centre + np.array([0.0, 0.0, -40.0])]))
     moving = moving_pictures(renderer, path, 1.5)
     assert 0.0 < moving.per_s + moving.finder_per_s < 60.0
     assert 0.0 <= moving.scale <= 1.0

@@ -39,7 +39,7 @@ SIMD = ("portable", "avx2", "avx512", "neon")
 
 
 def _views(case) -> dict:
-    center = tuple(case.volume.center_lps)
+    centre = tuple(case.volume.centre_lps)
     along = np.stack([case.volume.to_lps((17 + 3 * np.sin(k / 9), 16.0, k)) for k in np.linspace(35, 4, 24)])
     steps = np.linalg.norm(np.diff(along, axis=0), axis=1)
     path = _frames(along, np.concatenate([[0.0], np.cumsum(steps)]))
@@ -50,10 +50,10 @@ def _views(case) -> dict:
         "airway through a scope": AirwayView.of_scope(scope_preset("generic"), case.pose, **SIZE),
         "airway, equidistant": AirwayView(case.pose, fov_deg=140.0, lens=Lens.equidistant(), **SIZE),
         "cut-plane": CutPlaneView(case.pose, **SIZE),
-        "tri-plane": TriPlaneView(center, **SIZE),
+        "tri-plane": TriPlaneView(centre, **SIZE),
         "xray": XrayView("coronal", **SIZE),
         "drr": DrrView(window_mm=(60.0, 40.0), **SIZE),
-        "axial": SliceView("axial", center, **SIZE),
+        "axial": SliceView("axial", centre, **SIZE),
         "tree": TreeView(**SIZE),
         "straightened": PathView("straightened", path, **SIZE),
         "curved": PathView("curved", path, **SIZE),

@@ -97,5 +97,5 @@ def test_a_picture_of_a_case_in_doubt_says_so(demo_picture: Picture, tmp_path):
 
 @pytest.fixture(scope="module")
 def demo_picture(case) -> Picture:
-    pose = Pose.looking(case[0].center_lps, (0.0, 0.0, -1.0))
+    pose = Pose.looking(case[0].centre_lps, (0.0, 0.0, -1.0))
     return carina.render_view(case[0], pose=pose, view="axial", width=64, height=48)

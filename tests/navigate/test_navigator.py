@@ -117,7 +117,7 @@ def test_the_pose_is_rigid_after_thousands_of_random_turns(rng: np.random.Genera
 @given(st.lists(st.tuples(st.floats(-60, 60), st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3)), max_size=12))
 def test_the_free_tip_never_leaves_the_volume_and_says_when_it_is_held(moves: list[tuple[float, ...]]) -> None:
     volume = oblique_volume()
-    tip = Navigator(Pose.looking(volume.center_lps, [0, 0, -1]), volume=volume)
+    tip = Navigator(Pose.looking(volume.centre_lps, [0, 0, -1]), volume=volume)
     for move in moves:
         start = tip.pose.position_lps
         tip.steer(*move)
@@ -133,11 +133,11 @@ def test_the_free_tip_never_leaves_the_volume_and_says_when_it_is_held(moves: li
 
 def test_a_tip_placed_outside_the_volume_is_put_at_its_edge_and_says_so() -> None:
     volume = oblique_volume()
-    tip = Navigator(Pose.looking(volume.center_lps, [0, 0, -1]), volume=volume)
+    tip = Navigator(Pose.looking(volume.centre_lps, [0, 0, -1]), volume=volume)
     tip.place_at(volume.to_lps(np.array([70.0, 20.0, 8.0])))
     assert tip.limit == "volume"
     np.testing.assert_allclose(volume.to_ijk(tip.pose.position_lps), [49.5, 20.0, 8.0], atol=1e-5)
-    tip.place_at(volume.center_lps)
+    tip.place_at(volume.centre_lps)
     assert tip.limit == "none"
     np.testing.assert_array_equal(tip.pose.forward_lps, [0, 0, -1])
 

@@ -264,24 +264,24 @@ def test_a_stenosis_narrows_one_bronchus_in_truth_and_voxels(seed: int) -> None:
     before = healthy.truth["branches"][stenosis["branch_id"]]
     assert before["points"] == branch["points"]
     assert before["radius"][n] == stenosis["reference_radius_mm"]
-    center = np.array(stenosis["center_lps"])
+    centre = np.array(stenosis["center_lps"])
     # 8 % or 0.2 mm: voxels of 0.9 mm, and in front of and behind the plane the lumen is wider.
     assert section_radius(ill, branch, n) == pytest.approx(stenosis["min_radius_mm"], rel=0.08, abs=0.2)
     assert section_radius(healthy, before, n) == pytest.approx(stenosis["reference_radius_mm"], rel=0.08, abs=0.2)
-    assert at(ill.lumen_zyx, ill, center[None]).tolist() == [1], "narrow, not closed"
+    assert at(ill.lumen_zyx, ill, centre[None]).tolist() == [1], "narrow, not closed"
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_a_nodule_lies_in_the_lung_clear_of_the_airways(seed: int) -> None:
     made = generate_phantom(seed=seed, spacing_mm=3.0, nodule=True, noise_hu=0.0)
     nodule = made.truth["nodule"]
-    center = np.array(nodule["center_lps"])
+    centre = np.array(nodule["center_lps"])
     assert 5.0 <= nodule["radius_mm"] <= 10.0
     points = np.concatenate([b["points"] for b in made.truth["branches"]])
-    nearest = float(np.linalg.norm(points - center, axis=1).min())
+    nearest = float(np.linalg.norm(points - centre, axis=1).min())
     assert nearest == pytest.approx(nodule["distance_mm"], abs=1e-9)
     assert nearest > nodule["radius_mm"]
-    assert made.volume.hu_zyx[at_index(made, tuple(center))] == pytest.approx(34, abs=25)
+    assert made.volume.hu_zyx[at_index(made, tuple(centre))] == pytest.approx(34, abs=25)
     plain = generate_phantom(seed=seed, spacing_mm=8.0).truth
     assert plain["branches"] == made.truth["branches"], "a nodule does not change the airways"
 

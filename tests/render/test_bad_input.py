@@ -142,7 +142,7 @@ def test_a_transfer_function_that_is_none_is_refused_with_what_was_found(points,
 
 def test_a_picture_that_nobody_can_want_is_refused_before_it_is_made(ball):
     for options in ({"width": 8193}, {"fov_deg": 171.0}, {"step_vox": 0.0}):
-        refusal(lambda o=options: render_view(ball, view="airway", pose=pose(ball.center_lps), **o), RenderError)
+        refusal(lambda o=options: render_view(ball, view="airway", pose=pose(ball.centre_lps), **o), RenderError)
 
 
 # ---------------------------------------------------------------- what is odd but right
@@ -153,10 +153,10 @@ def test_a_camera_absurdly_far_away_shows_the_background_at_once(ball, method):
     renderer = Renderer(ball)
     renderer.prepare()
     for far in (1e4, 1e7, 1e12, 1e30):
-        at = ball.center_lps + np.array([far, 0.3 * far, 0.0])
+        at = ball.centre_lps + np.array([far, 0.3 * far, 0.0])
         away = AirwayView(Pose.looking(at, (1.0, 0.0, 0.0)), width=24, height=20, method=method)
         assert not renderer.render(away).rgb.any()
-        towards = AirwayView(Pose.looking(at, ball.center_lps - at), width=24, height=20, method=method, fov_deg=60.0)
+        towards = AirwayView(Pose.looking(at, ball.centre_lps - at), width=24, height=20, method=method, fov_deg=60.0)
         assert renderer.render(towards).rgb.shape == (20, 24, 3)
 
 
@@ -177,7 +177,7 @@ def test_a_camera_on_the_volumes_face_sees_what_one_a_hair_inside_sees(ball):
 def test_rays_that_stop_earlier_take_fewer_samples_and_show_nearly_the_same(ball):
     renderer = Renderer(ball)
     renderer.prepare()
-    at = Pose.looking(ball.center_lps, (0.3, 0.2, -1.0))
+    at = Pose.looking(ball.centre_lps, (0.3, 0.2, -1.0))
     far, near = (renderer.render(AirwayView(at, width=40, height=30, stop_transparency=t)) for t in (1 / 512, 1 / 64))
     assert near.stats.num_samples < far.stats.num_samples
     # What lies behind the stop limit: 255/64 levels.

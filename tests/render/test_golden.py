@@ -68,7 +68,7 @@ CASES = {
         "a bright spine and a rib on its right (patient left) on dark ground; tissue hides the airways",
     ),
     "slice-coronal": (
-        lambda _: SliceView(plane="coronal", center_lps=AT, **SIZE),
+        lambda _: SliceView(plane="coronal", centre_lps=AT, **SIZE),
         "endoscopic",
         "a dark Y: trachea from the top, the wide right bronchus goes to the lower left",
     ),

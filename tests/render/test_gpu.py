@@ -88,13 +88,13 @@ def test_a_scopes_lens_outline_and_vignette_give_the_cpus_picture(airway, lens):
 
 def test_cameras_outside_on_a_voxel_and_along_an_axis_see_the_same(airway):
     cpu, gpu = both(airway.volume)
-    center = airway.volume.center_lps
+    centre = airway.volume.centre_lps
     corner = airway.volume.lps_from_ijk[:3, 3]
     axis = airway.volume.lps_from_ijk[:3, 0] / np.linalg.norm(airway.volume.lps_from_ijk[:3, 0])
     for position, direction in (
-        (center + np.array([0.0, -200.0, 0.0]), (0, 1, 0)),
-        (center + np.array([0.0, -200.0, 0.0]), (0, -1, 0)),
-        (corner, tuple(center - corner)),
+        (centre + np.array([0.0, -200.0, 0.0]), (0, 1, 0)),
+        (centre + np.array([0.0, -200.0, 0.0]), (0, -1, 0)),
+        (corner, tuple(centre - corner)),
         (corner - 20 * axis, tuple(axis)),
     ):
         for step_vox in (0.5, 1.0):

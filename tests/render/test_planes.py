@@ -57,7 +57,7 @@ def volume_with_blob(axes, point_lps):
     return Volume(np.ascontiguousarray(hu), matrix)
 
 
-def bright_center(rgb):
+def bright_centre(rgb):
     """Centre of the bright pixels, (column, row) in corner coordinates."""
     rows, columns = np.nonzero(rgb[..., 0] > 127)
     assert len(rows) > 0
@@ -79,10 +79,10 @@ def test_slices_and_xrays_show_the_patient_the_radiological_way_round(axes, plan
         views = [XrayView(axis=plane, width=90, height=80, window_hu=(1500.0, -600.0))]
         hidden = {"axial": "superior", "coronal": "posterior", "sagittal": "left"}[plane]
         if name != hidden:
-            views.append(SliceView(plane=plane, center_lps=tuple(point), width=90, height=80))
+            views.append(SliceView(plane=plane, centre_lps=tuple(point), width=90, height=80))
         for view in views:
             picture = renderer.render(view)
-            column, row = bright_center(picture.rgb)
+            column, row = bright_centre(picture.rgb)
             middle = picture.pixel_of(MIDDLE)
             mm_per_px = np.linalg.norm(picture.lps_from_pixel[:3, 0])
             across, along = (column - middle[0]) * mm_per_px, (row - middle[1]) * mm_per_px
@@ -103,15 +103,15 @@ def test_pixels_know_where_they_are(axes):
     # Aside in its own plane, so that the blob is not in the middle of the cut.
     pose = Pose.looking(point + 4.0 * pose.right_lps, pose.forward_lps)
     views = [
-        *(SliceView(plane=p, center_lps=tuple(point), width=100, height=90) for p in ("axial", "coronal", "sagittal")),
-        SliceView(plane="coronal", center_lps=tuple(point), width=100, height=90, mm_per_px=0.4),
+        *(SliceView(plane=p, centre_lps=tuple(point), width=100, height=90) for p in ("axial", "coronal", "sagittal")),
+        SliceView(plane="coronal", centre_lps=tuple(point), width=100, height=90, mm_per_px=0.4),
         *(XrayView(axis=p, width=100, height=90, window_hu=(1500.0, -600.0)) for p in ("axial", "coronal", "sagittal")),
         CutPlaneView(pose, width=100, height=90),
     ]
     for view in views:
         picture = renderer.render(view)
         expected = picture.pixel_of(point)
-        found = bright_center(picture.rgb)
+        found = bright_centre(picture.rgb)
         mm_per_px = np.linalg.norm(picture.lps_from_pixel[:3, 0])
         # The blob is made of whole voxels, the largest 2.1 mm: its drawn centre is within a voxel of its true one.
         assert np.hypot(found[0] - expected[0], found[1] - expected[1]) * mm_per_px < 2.1, view
@@ -128,7 +128,7 @@ def test_planes_show_true_proportions():
     renderer = Renderer(volume_with_blob(np.eye(3), MIDDLE))
     for view in (
         XrayView(axis="coronal", width=140, height=60),
-        SliceView(plane="sagittal", center_lps=MIDDLE, width=60, height=140),
+        SliceView(plane="sagittal", centre_lps=MIDDLE, width=60, height=140),
     ):
         matrix = renderer.render(view).lps_from_pixel
         across, along = np.linalg.norm(matrix[:3, 0]), np.linalg.norm(matrix[:3, 1])
@@ -268,7 +268,7 @@ def test_a_slab_gathers_what_lies_before_and_behind_a_plane(axes):
         assert renderer.render(view).rgb.max() < 100
         assert renderer.render(dataclasses.replace(view, slab=Slab(10.0, "max"))).rgb.max() < 100
         thick = renderer.render(dataclasses.replace(view, slab=Slab(20.0, "max")))
-        assert bright_center(thick.rgb) == pytest.approx(thick.pixel_of(np.add(MIDDLE, (0.0, 9.0, 0.0))), abs=1.5)
+        assert bright_centre(thick.rgb) == pytest.approx(thick.pixel_of(np.add(MIDDLE, (0.0, 9.0, 0.0))), abs=1.5)
         least = renderer.render(dataclasses.replace(view, slab=Slab(20.0, "min")))
         assert least.rgb.max() < 100
         # No thickness is the plane itself, whichever way it is read.
@@ -278,10 +278,10 @@ def test_a_slab_gathers_what_lies_before_and_behind_a_plane(axes):
 
 def test_odd_windows_and_planes_are_refused():
     with pytest.raises(RenderError):
-        SliceView(plane="oblique", center_lps=MIDDLE)
+        SliceView(plane="oblique", centre_lps=MIDDLE)
     with pytest.raises(RenderError):
-        SliceView(plane="axial", center_lps=MIDDLE, window_hu=(0.0, 0.0))
+        SliceView(plane="axial", centre_lps=MIDDLE, window_hu=(0.0, 0.0))
     with pytest.raises(RenderError):
-        SliceView(plane="axial", center_lps=(0.0, float("nan"), 0.0))
+        SliceView(plane="axial", centre_lps=(0.0, float("nan"), 0.0))
     with pytest.raises(RenderError):
         TreeView(distance_mm=-1.0)

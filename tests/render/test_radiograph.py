@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_planes import GRIDS, MIDDLE, bright_center, volume_with_blob
+from test_planes import GRIDS, MIDDLE, bright_centre, volume_with_blob
 
 from carina.errors import RenderError
 from carina.render import DrrView, Renderer, letter_edges, mark_tip
@@ -21,7 +21,7 @@ def test_a_point_is_marked_where_its_shadow_falls(axes, parallel, primary, secon
     point = np.add(MIDDLE, (7.0, -4.0, 5.0))
     renderer = Renderer(volume_with_blob(axes, point))
     picture = renderer.render(DrrView(primary, secondary, 90, 80, parallel=parallel, window_mm=(8.0, 4.0)))
-    found, expected = bright_center(picture.rgb), picture.pixel_of(point)
+    found, expected = bright_centre(picture.rgb), picture.pixel_of(point)
     # The blob is of whole voxels of 2 mm; a pixel is about 0.8 mm.
     assert np.hypot(found[0] - expected[0], found[1] - expected[1]) < 1.6
 
@@ -33,7 +33,7 @@ def test_fluoroscopy_shows_patient_right_on_the_left_and_turns_as_dicom_says(axe
 
     def place_of(point, primary, secondary):
         view = DrrView(primary, secondary, 90, 90, window_mm=(8.0, 4.0))
-        column, row = bright_center(Renderer(volume_with_blob(axes, point)).render(view).rgb)
+        column, row = bright_centre(Renderer(volume_with_blob(axes, point)).render(view).rgb)
         return column - 45.0, row - 45.0
 
     assert place_of(left, 0, 0)[0] > 4
@@ -69,18 +69,18 @@ def test_letters_are_those_of_fluoroscopy():
 def test_what_is_near_the_source_is_magnified_by_the_distances():
     volume = volume_with_blob(np.eye(3), MIDDLE)
     picture = Renderer(volume).render(DrrView(0, 0, 100, 100, sid_mm=1000.0, sod_mm=500.0, mm_per_px=0.5))
-    center = np.array(volume.center_lps)
+    centre = np.array(volume.centre_lps)
 
     def reach(depth_mm):
         # The source is behind the patient: a point farther back lies nearer to it.
-        a, b = (picture.pixel_of(np.add(center, (x, depth_mm, 0.0))) for x in (0.0, 10.0))
+        a, b = (picture.pixel_of(np.add(centre, (x, depth_mm, 0.0))) for x in (0.0, 10.0))
         return b[0] - a[0]
 
     # 10 mm at the centre are 20 px of 0.5 mm; at 100 mm nearer to the source 500 / 400 times as much.
     assert reach(0.0) == pytest.approx(20.0)
     assert reach(100.0) == pytest.approx(25.0)
     assert reach(-100.0) == pytest.approx(20.0 * 500 / 600)
-    assert picture.pixel_of(np.add(center, (0, 600.0, 0))) is None
+    assert picture.pixel_of(np.add(centre, (0, 600.0, 0))) is None
 
 
 def test_bone_is_white_in_a_radiograph_and_dark_under_fluoroscopy(airway):

@@ -91,7 +91,7 @@ def test_a_pixel_knows_its_point_and_the_point_its_pixel(bent, kind):
 def test_a_zoomed_picture_is_centred_on_its_place(bent):
     volume, path = bent
     for kind in ("straightened", "curved"):
-        view = PathView(kind, path.frames(), width=101, height=101, mm_per_px=0.5, center_mm=61.0)
+        view = PathView(kind, path.frames(), width=101, height=101, mm_per_px=0.5, centre_mm=61.0)
         picture = Renderer(volume).render(view)
         assert picture.lines.mm_per_px == 0.5
         assert picture.lines.path_mm[50] == pytest.approx(61.0, abs=0.3)
@@ -191,7 +191,7 @@ def test_a_path_along_the_sweeping_line_still_gives_a_picture():
     [
         {"kind": "bent"},
         {"turn_deg": float("nan")},
-        {"center_mm": float("inf")},
+        {"centre_mm": float("inf")},
         {"mm_per_px": -1.0},
         {"width": 0},
         {"window_hu": (0.0, 0.0)},

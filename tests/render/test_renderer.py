@@ -91,7 +91,7 @@ def test_the_instruction_set_does_not_change_the_picture(airway):
 def test_a_camera_outside_the_volume_sees_it_and_one_turned_away_sees_nothing(airway):
     renderer = Renderer(airway.volume)
     renderer.prepare()
-    outside = airway.volume.center_lps + np.array([0.0, -200.0, 0.0])
+    outside = airway.volume.centre_lps + np.array([0.0, -200.0, 0.0])
     towards = renderer.render(AirwayView(Pose.looking(outside, (0, 1, 0)), fov_deg=40.0, **SIZE))
     away = renderer.render(AirwayView(Pose.looking(outside, (0, -1, 0)), fov_deg=40.0, **SIZE))
     assert towards.rgb[22, 28].max() > 0
@@ -260,7 +260,7 @@ def test_the_wall_only_raises_and_leaves_the_lumen_clear(airway):
 
 def test_other_transfer_functions_cast_the_volume_as_it_is():
     volume, lumen = thin_tube()
-    spec = AirwayView(Pose.looking(volume.center_lps, (1, 0, 0)), width=32, height=32)
+    spec = AirwayView(Pose.looking(volume.centre_lps, (1, 0, 0)), width=32, height=32)
     for name in ("ct-grey", "paper", "see-through"):
         renderer = Renderer(volume, transfer=transfer_preset(name))
         before = renderer.render(spec).rgb

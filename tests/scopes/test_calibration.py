@@ -97,7 +97,7 @@ def test_the_three_forms_of_one_calibration_are_one_lens():
     )
     assert rest == [0.0, 0.0, 0.0]
     # Half a pixel: OpenCV counts from the centre of the first.
-    assert lens.calibration.center_px == (342.28315473308373 + 0.5, 235.57082909788173 + 0.5)
+    assert lens.calibration.centre_px == (342.28315473308373 + 0.5, 235.57082909788173 + 0.5)
 
 
 def test_a_calibration_scales_to_the_picture():

@@ -38,7 +38,7 @@ def test_trouble_is_raised_where_it_was_caused(phantom):
         before = case.history()
         with pytest.raises(UsageError, match=r"set_fov\.fov_deg must be at least 60"):
             case.do(c.SetFov(1.0))
-        far = tuple(float(v) for v in np.add(phantom.volume.center_lps, (60.0, 60.0, 0.0)))
+        far = tuple(float(v) for v in np.add(phantom.volume.centre_lps, (60.0, 60.0, 0.0)))
         with pytest.raises(NoResultError):
             case.do(c.EditTree(c.AddBranch(far)))
         with pytest.raises(UsageError, match="view"):

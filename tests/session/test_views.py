@@ -75,34 +75,34 @@ def test_a_zoomed_view_along_the_route_follows_the_tip_on_it_and_beside_it():
     scene = session.scene()
     before = scene.key("straightened")
     view = scene.spec("straightened", 60, 90, 0.5, full_width=120)
-    assert (view.turn_deg, view.mm_per_px, view.center_mm) == (40.0, 0.5, 5.0)
+    assert (view.turn_deg, view.mm_per_px, view.centre_mm) == (40.0, 0.5, 5.0)
     session.do(SetMode("free"))
     session.do(Steer(3.0, 0.0, 0.0, 0.0))
     scene = session.scene()
     assert scene.key("straightened") != before
-    assert scene.spec("straightened", 60, 90, 0.5).center_mm == pytest.approx(8.0, abs=0.5)
+    assert scene.spec("straightened", 60, 90, 0.5).centre_mm == pytest.approx(8.0, abs=0.5)
 
 
 def test_a_slice_stays_where_it_was_zoomed_until_the_tip_moves():
     session = opened()
     tip = session.pose_info().pose.position_lps
-    center = (float(tip[0]) + 9.0, float(tip[1]) - 4.0, 0.0)
-    session.do(SetZoom(view="axial", mm_per_px=0.3, center_lps=center))
+    centre = (float(tip[0]) + 9.0, float(tip[1]) - 4.0, 0.0)
+    session.do(SetZoom(view="axial", mm_per_px=0.3, centre_lps=centre))
     view = session.scene().spec("axial", 60, 50, 0.5)
     # Beside the tip, at the depth that is shown.
-    assert view.center_lps == pytest.approx((center[0], center[1], tip[2]))
+    assert view.centre_lps == pytest.approx((centre[0], centre[1], tip[2]))
     assert view.mm_per_px == 0.3
     session.do(GoTo(3.0))
     followed = session.scene().spec("axial", 60, 50, 0.5)
-    assert followed.center_lps == pytest.approx(tuple(session.pose_info().pose.position_lps))
+    assert followed.centre_lps == pytest.approx(tuple(session.pose_info().pose.position_lps))
     assert followed.mm_per_px == 0.3
     # A crosshair stays, and the slices with it, wherever the tip goes.
     session.do(SetCrosshair(tuple(float(v) for v in tip)))
-    session.do(SetZoom(view="axial", mm_per_px=0.3, center_lps=center))
+    session.do(SetZoom(view="axial", mm_per_px=0.3, centre_lps=centre))
     session.do(GoTo(6.0))
-    assert session.scene().spec("axial", 60, 50, 0.5).center_lps[:2] == pytest.approx(center[:2])
+    assert session.scene().spec("axial", 60, 50, 0.5).centre_lps[:2] == pytest.approx(centre[:2])
     session.do(SetCrosshair(None))
-    assert session.scene().spec("axial", 60, 50, 0.5).center_lps[:2] != pytest.approx(center[:2])
+    assert session.scene().spec("axial", 60, 50, 0.5).centre_lps[:2] != pytest.approx(centre[:2])
 
 
 def test_a_panned_cut_plane_stays_in_its_plane_until_the_tip_moves():
@@ -112,7 +112,7 @@ def test_a_panned_cut_plane_stays_in_its_plane_until_the_tip_moves():
     before = session.scene().key("cut-plane")
     # A point beside the tip, and a little off the plane.
     aside = pose.position_lps + 3.0 * right - 2.0 * down + 1.5 * forward
-    session.do(SetZoom(view="cut-plane", extent_mm=12.0, center_lps=tuple(float(v) for v in aside)))
+    session.do(SetZoom(view="cut-plane", extent_mm=12.0, centre_lps=tuple(float(v) for v in aside)))
     scene = session.scene()
     assert scene.key("cut-plane") != before
     picture = Renderer(small_volume()).render(scene.spec("cut-plane", 60, 40, 0.5))
@@ -122,7 +122,7 @@ def test_a_panned_cut_plane_stays_in_its_plane_until_the_tip_moves():
     session.do(SetCrosshair(tuple(float(v) for v in pose.position_lps)))
     session.do(GoTo(6.0))
     view = session.scene().spec("cut-plane", 60, 40, 0.5)
-    assert (view.center_lps, view.extent_mm) == (None, 12.0)
+    assert (view.centre_lps, view.extent_mm) == (None, 12.0)
 
 
 def test_slabs_change_slices_and_views_along_the_route_and_nothing_else():

@@ -49,10 +49,10 @@ def draw(
     matrix[:3, 3] = [12.0, -150.0, 240.0]
     ijk = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).astype(np.float64)
     points = ijk @ matrix[:3, :3].T + matrix[:3, 3]
-    center = ((shape - 1) / 2) @ matrix[:3, :3].T + matrix[:3, 3]
+    centre = ((shape - 1) / 2) @ matrix[:3, :3].T + matrix[:3, 3]
 
     def at(x: float, y: float, z: float) -> NDArray[np.float64]:
-        return center + np.array([x, y, z])
+        return centre + np.array([x, y, z])
 
     carina, right, left = at(0, 0, 5), at(-18, 1, -14), at(19, -1, -16)
     tubes: list[Tube] = [
@@ -66,7 +66,7 @@ def draw(
     ][:num_tubes]
     chest = DrawnChest(Volume(np.zeros((1, 1, 1), np.int16), np.eye(4)), tubes)
     depth = chest.depth_mm(points)
-    x, y, z = np.moveaxis(points - center, -1, 0)
+    x, y, z = np.moveaxis(points - centre, -1, 0)
     values = np.where((x / 52) ** 2 + (y / 38) ** 2 < 1, 30.0, -1000.0)
     for side in (-28.0, 28.0):
         values[((x - side) / 22) ** 2 + (y / 27) ** 2 + ((z + 14) / 40) ** 2 < 1] = -880.0

@@ -42,10 +42,10 @@ def edit_case() -> EditCase:
     matrix[:3, 3] = [4.0, -30.0, 80.0]
     k, j, i = np.indices(SHAPE_ZYX)
     points = np.stack([i, j, k], axis=-1) @ matrix[:3, :3].T + matrix[:3, 3]
-    center = points[SHAPE_ZYX[0] // 2, SHAPE_ZYX[1] // 2, SHAPE_ZYX[2] // 2]
+    centre = points[SHAPE_ZYX[0] // 2, SHAPE_ZYX[1] // 2, SHAPE_ZYX[2] // 2]
 
     def at(x: float, y: float, z: float) -> NDArray[np.float64]:
-        return center + np.array([x, y, z])
+        return centre + np.array([x, y, z])
 
     carina, right, left = at(0, 0, 8), at(-7, 0, -3), at(7, 0, -3)
     tips = [at(-12, -3, -19), at(-4, 4, -19), at(4, -4, -19), at(12, 3, -19)]

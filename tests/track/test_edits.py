@@ -299,9 +299,9 @@ def test_forks_that_cannot_be_moved_are_refused_in_words(case):
 def test_a_disc_is_one_voxel_thick_in_its_plane(case, plane, axis):
     from carina.track.edit.lumen import painted_voxels
 
-    center = case.volume.to_lps(np.array([16.0, 12.0, 16.0]))
-    voxels = painted_voxels(case.volume, PaintLumen((point(center),), 5.0, plane)).astype(np.float64)
-    off = case.volume.to_lps(voxels) - center
+    centre = case.volume.to_lps(np.array([16.0, 12.0, 16.0]))
+    voxels = painted_voxels(case.volume, PaintLumen((point(centre),), 5.0, plane)).astype(np.float64)
+    off = case.volume.to_lps(voxels) - centre
     beside = np.delete(off, axis, axis=1)
     assert np.linalg.norm(beside, axis=1).max() <= 5.0
     # On a grid turned by a few degrees the disc climbs through the layers, one voxel at each place.

@@ -79,12 +79,12 @@ def test_a_place_beside_the_airway_stands_for_it_and_costs_confidence(chest, fou
 
 def test_outside_the_lumen_it_says_where_the_pointer_is_and_what_to_do(chest, found):
     volume = chest.volume
-    center = volume.center_lps
-    lung = found.tracker.live_path(center + np.array([-28.0, 18.0, -14.0]))
+    centre = volume.centre_lps
+    lung = found.tracker.live_path(centre + np.array([-28.0, 18.0, -14.0]))
     assert "lung" in lung.problem
     assert "mm away" in lung.problem
     assert "paint" in lung.problem
-    tissue = found.tracker.live_path(center + np.array([0.0, 24.0, 30.0]))
+    tissue = found.tracker.live_path(centre + np.array([0.0, 24.0, 30.0]))
     assert "soft tissue" in tissue.problem
     air = found.tracker.live_path(volume.to_lps(np.array([2.0, 2.0, 2.0])))
     assert "air" in air.problem

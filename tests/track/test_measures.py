@@ -75,9 +75,9 @@ def test_only_what_changed_is_measured_again(chest, measured, monkeypatch):
     airways, measures = measured
     counts = []
 
-    def counted(hu, matrix, centers, *rest, **options):
-        counts.append(len(centers))
-        return cast_sections(hu, matrix, centers, *rest, **options)
+    def counted(hu, matrix, centres, *rest, **options):
+        counts.append(len(centres))
+        return cast_sections(hu, matrix, centres, *rest, **options)
 
     monkeypatch.setattr("carina.track.measures.tree.cast_sections", counted)
     again = measure_tree(chest.volume, airways, previous=measures)

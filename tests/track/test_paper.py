@@ -60,7 +60,7 @@ def test_every_pair_finds_all_targets_and_a_tree_of_back_pointers(chest, found, 
     assert search.num_nodes > 0
     assert search.num_edges > search.num_nodes
     # With 12 HU of noise no cube of 27 voxels lies in one bin of 16 HU: the bins of the cost paper prune nothing.
-    assert (search.num_centers > 0) == (graph == "isoregion" and search.labels == "lumen")
+    assert (search.num_centres > 0) == (graph == "isoregion" and search.labels == "lumen")
 
 
 def test_the_voxel_graph_of_the_lumen_has_the_costs_of_the_tracker_that_the_tree_came_from(chest, found, ends):

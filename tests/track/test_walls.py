@@ -41,14 +41,14 @@ def hairpin(seed: int) -> tuple[Volume, np.ndarray, np.ndarray, np.ndarray, np.n
     matrix = np.diag([*SPACING, 1.0])
     k, j, i = np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")
     points = np.stack([i, j, k], axis=-1) * np.array(SPACING)
-    center = 0.5 * (np.array(SHAPE[::-1]) - 1) * np.array(SPACING)
+    centre = 0.5 * (np.array(SHAPE[::-1]) - 1) * np.array(SPACING)
     turn = turned(seed)
     # The wall is as thick as the widest voxel is from face to face across it.
     wall = float(np.abs(turn[:, 0]) @ np.array(SPACING))
     half = RADIUS_MM + 0.5 * wall
 
     def at(x: float, z: float) -> np.ndarray:
-        return center + turn @ np.array([x, 0.0, z])
+        return centre + turn @ np.array([x, 0.0, z])
 
     first, second = (at(-half, 18.0), at(-half, -18.0)), (at(half, 18.0), at(half, -18.0))
     tubes = [first, second, (first[1], second[1])]

@@ -196,7 +196,7 @@ def report(
             say(f"note: {error}; thin walls are shown as the CT has them")
     if at is None and airways is not None:
         at = airways.root_lps
-    pose = Pose.looking(volume.center_lps if at is None else at, direction, up)
+    pose = Pose.looking(volume.centre_lps if at is None else at, direction, up)
     lumen_zyx = None if airways is None else airways.lumen_zyx
     backend = Backend(load_settings().backend)
     picture = interruptible(

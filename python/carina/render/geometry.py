@@ -39,13 +39,13 @@ def _direction(axis: str) -> Matrix:
 
 
 def plane_matrix(
-    center_lps: Matrix, axes: tuple[Matrix, Matrix, Matrix], mm_per_px: float, width: int, height: int
+    centre_lps: Matrix, axes: tuple[Matrix, Matrix, Matrix], mm_per_px: float, width: int, height: int
 ) -> Matrix:
-    """``lps_from_pixel`` of a plane whose middle pixel corner is ``center_lps``; ``axes`` are right, down and depth."""
+    """``lps_from_pixel`` of a plane whose middle pixel corner is ``centre_lps``; ``axes`` are right, down and depth."""
     right, down, depth = axes
     matrix = np.eye(4)
     matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = right * mm_per_px, down * mm_per_px, depth
-    matrix[:3, 3] = center_lps - matrix[:3, 0] * (width / 2) - matrix[:3, 1] * (height / 2)
+    matrix[:3, 3] = centre_lps - matrix[:3, 0] * (width / 2) - matrix[:3, 1] * (height / 2)
     return matrix
 
 
@@ -72,12 +72,12 @@ def grid_axes(volume: Volume) -> tuple[tuple[int, float], tuple[int, float], tup
     return x, y, z
 
 
-def bounding_radius_mm(points_lps: Matrix, center_lps: Matrix) -> float:
+def bounding_radius_mm(points_lps: Matrix, centre_lps: Matrix) -> float:
     """Largest distance of the points from a centre."""
-    return float(np.linalg.norm(points_lps - center_lps, axis=1).max())
+    return float(np.linalg.norm(points_lps - centre_lps, axis=1).max())
 
 
-def orbit_pose(center_lps: Matrix, azimuth_deg: float, elevation_deg: float, distance_mm: float) -> Pose:
+def orbit_pose(centre_lps: Matrix, azimuth_deg: float, elevation_deg: float, distance_mm: float) -> Pose:
     """A camera that looks at a point: azimuth 0 is anterior of it, 90 on the patient's left; elevation 90 above it."""
     azimuth, elevation = np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg)
     out = np.array([np.sin(azimuth) * np.cos(elevation), -np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
@@ -85,5 +85,5 @@ def orbit_pose(center_lps: Matrix, azimuth_deg: float, elevation_deg: float, dis
     right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     matrix = np.eye(4)
     matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = right, np.cross(-out, right), -out
-    matrix[:3, 3] = center_lps + distance_mm * out
+    matrix[:3, 3] = centre_lps + distance_mm * out
     return Pose(matrix)

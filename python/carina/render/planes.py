@@ -33,8 +33,8 @@ class PlaneCaster:
         """The plane through the tip."""
         right, down, forward = view.pose.lps_from_camera[:3, :3].T
         middle = view.pose.position_lps
-        if view.center_lps is not None:
-            aside = np.asarray(view.center_lps, dtype=np.float64) - middle
+        if view.centre_lps is not None:
+            aside = np.asarray(view.centre_lps, dtype=np.float64) - middle
             middle = middle + (aside @ right) * right + (aside @ down) * down
         matrix = geometry.plane_matrix(
             middle,
@@ -60,7 +60,7 @@ class PlaneCaster:
         depth = place[:3, 2] / flat.spacing_mm[2]
         _, ny, nx = flat.shape_zyx
         mm_per_px = max(nx * flat.spacing_mm[0] / view.width, ny * flat.spacing_mm[1] / view.height)
-        matrix = geometry.plane_matrix(flat.center_lps, (right, down, depth), mm_per_px, view.width, view.height)
+        matrix = geometry.plane_matrix(flat.centre_lps, (right, down, depth), mm_per_px, view.width, view.height)
         window_hu = view.window_hu
         if window_hu is None:
             # From the air beside the patient to dense bone; metal and contrast medium do not count.
@@ -79,15 +79,15 @@ class PlaneCaster:
 
     def tri_plane(self, view: TriPlaneView, *, rows: Rows = None) -> Picture:
         """Three planes from an orbit camera."""
-        center = np.asarray(view.center_lps, dtype=np.float64)
+        centre = np.asarray(view.centre_lps, dtype=np.float64)
         distance = view.distance_mm
         if distance is None:
-            radius = geometry.bounding_radius_mm(geometry.box_corners_lps(self._volume), self._volume.center_lps)
+            radius = geometry.bounding_radius_mm(geometry.box_corners_lps(self._volume), self._volume.centre_lps)
             # Three planes fill a quarter less than the sphere round the box.
             distance = 0.75 * radius / float(np.sin(np.deg2rad(view.fov_deg) / 2))
-        aim = center if view.look_at == "point" else self._volume.center_lps
+        aim = centre if view.look_at == "point" else self._volume.centre_lps
         pose = geometry.orbit_pose(aim, view.azimuth_deg, view.elevation_deg, distance)
-        x, y, z = (float(v) for v in center)
+        x, y, z = (float(v) for v in centre)
         rgb = _core.tri_plane(
             self._volume.hu_zyx,
             self._volume.lps_from_ijk,
@@ -139,12 +139,12 @@ class PlaneCaster:
 
     def _slice_matrix(self, view: SliceView) -> NDArray[np.float64]:
         right, down, depth = geometry.plane_axes(view.plane)
-        center = np.asarray(view.center_lps, dtype=np.float64)
+        centre = np.asarray(view.centre_lps, dtype=np.float64)
         if view.mm_per_px is not None:
-            return geometry.plane_matrix(center, (right, down, depth), view.mm_per_px, view.width, view.height)
+            return geometry.plane_matrix(centre, (right, down, depth), view.mm_per_px, view.width, view.height)
         corners = geometry.box_corners_lps(self._volume)
         mm_per_px, middle = geometry.fit_mm_per_px(corners, right, down, view.width, view.height)
-        on_plane = middle[0] * right + middle[1] * down + float(center @ depth) * depth
+        on_plane = middle[0] * right + middle[1] * down + float(centre @ depth) * depth
         return geometry.plane_matrix(on_plane, (right, down, depth), mm_per_px, view.width, view.height)
 
 

@@ -36,13 +36,13 @@ def cast_drr(volume: Volume, view: DrrView, *, rows: tuple[int, int] | None = No
     if rows is not None and view.window_mm is None:
         msg = "a radiograph whose window is fitted needs the whole picture, not rows of it; give window_mm"
         raise RenderError(msg, code="render.setting")
-    center = volume.center_lps
-    detector = geometry.orbit_pose(center, view.primary_deg, view.secondary_deg, view.sid_mm - view.sod_mm)
+    centre = volume.centre_lps
+    detector = geometry.orbit_pose(centre, view.primary_deg, view.secondary_deg, view.sid_mm - view.sod_mm)
     right, down, to_source = detector.lps_from_camera[:3, :3].T
     magnification = 1.0 if view.parallel else view.sid_mm / view.sod_mm
     mm_per_px = (view.mm_per_px or _fitting_mm_per_px(volume, view)) * magnification
     matrix = geometry.plane_matrix(detector.position_lps, (right, down, to_source), mm_per_px, view.width, view.height)
-    source = center + view.sod_mm * to_source
+    source = centre + view.sod_mm * to_source
     low, high = (float(v) for v in np.percentile(volume.hu_zyx[::4, ::4, ::4], (0.5, 99.5)))
     water_mm = _core.radiograph(
         volume.hu_zyx,

@@ -42,8 +42,8 @@ def cast_path_view(volume: Volume, view: PathView, *, rows: tuple[int, int] | No
 def _straightened(view: PathView) -> tuple[PictureLines, Points]:
     path = view.path
     mm_per_px = view.mm_per_px or (path.length_mm + 2 * END_MM) / view.height
-    center_mm = view.center_mm if view.mm_per_px else float(path.path_mm[0] + path.path_mm[-1]) / 2
-    rows_mm = np.asarray(center_mm + (np.arange(view.height) + 0.5 - view.height / 2) * mm_per_px, dtype=np.float64)
+    centre_mm = view.centre_mm if view.mm_per_px else float(path.path_mm[0] + path.path_mm[-1]) / 2
+    rows_mm = np.asarray(centre_mm + (np.arange(view.height) + 0.5 - view.height / 2) * mm_per_px, dtype=np.float64)
     points, axes = path.at(rows_mm)
     turn = np.deg2rad(view.turn_deg)
     # A camera that looks down the airway with anterior up has patient right on its right: mirrored, so that the picture
@@ -76,12 +76,12 @@ def _curved(view: PathView) -> tuple[PictureLines, Points]:
     sideways = points @ across
     if view.mm_per_px:
         mm_per_px = view.mm_per_px
-        middle = float(np.interp(view.center_mm, path.path_mm, unrolled))
-        center = float(np.interp(view.center_mm, path.path_mm, sideways))
+        middle = float(np.interp(view.centre_mm, path.path_mm, unrolled))
+        centre = float(np.interp(view.centre_mm, path.path_mm, sideways))
     else:
         down_mm, across_mm = float(unrolled[-1]) + 2 * END_MM, float(np.ptp(sideways)) + 2 * END_MM
         mm_per_px = max(down_mm / view.height, across_mm / view.width)
-        middle, center = float(unrolled[-1]) / 2, float(sideways.min() + sideways.max()) / 2
+        middle, centre = float(unrolled[-1]) / 2, float(sideways.min() + sideways.max()) / 2
     rows = middle + (np.arange(view.height) + 0.5 - view.height / 2) * mm_per_px
     inside = np.clip(rows, 0.0, unrolled[-1])
     at = np.stack([np.interp(inside, unrolled, points[:, axis]) for axis in range(3)], axis=1)
@@ -90,7 +90,7 @@ def _curved(view: PathView) -> tuple[PictureLines, Points]:
     at += np.clip(rows, None, 0.0)[:, None] * ways[0] + (rows - np.clip(rows, None, unrolled[-1]))[:, None] * ways[1]
     here = at @ across
     step = np.broadcast_to(across * mm_per_px, (view.height, 3)).copy()
-    start = at + (center - here)[:, None] * across - step * (view.width / 2)
+    start = at + (centre - here)[:, None] * across - step * (view.width / 2)
     down = np.gradient(at - here[:, None] * across, axis=0)
     through = np.cross(across, down)
     length = np.linalg.norm(through, axis=1)[:, None]
@@ -99,7 +99,7 @@ def _curved(view: PathView) -> tuple[PictureLines, Points]:
         start_lps=start,
         step_lps=step,
         path_mm=np.where(rows == inside, np.interp(inside, unrolled, path.path_mm), np.nan),
-        path_column=(here - center) / mm_per_px + view.width / 2,
+        path_column=(here - centre) / mm_per_px + view.width / 2,
         mm_per_px=mm_per_px,
     )
     return lines, through

@@ -70,7 +70,7 @@ class FlatPlace(FrozenValue, frozen=True):
 
     mm_per_px: MmPerPixel | None = None
     extent_mm: Annotated[float, Meta(ge=2.0, le=1000.0)] | None = None
-    center_lps: PointLps | None = None
+    centre_lps: PointLps | None = None
     """Middle of a zoomed picture until the tip moves; null is the point that is shown, and in the cut-plane the tip."""
 
 
@@ -122,8 +122,8 @@ class Sight(FrozenValue, frozen=True):
 
     def centred(self, views: Collection[str]) -> Sight:
         """The same with these views round the point that is shown again, at their scales; itself where they are."""
-        panned = [view for view in views if self.place(view).center_lps is not None]
+        panned = [view for view in views if self.place(view).centre_lps is not None]
         if not panned:
             return self
-        places = {view: msgspec.structs.replace(self.zoom[view], center_lps=None) for view in panned}
+        places = {view: msgspec.structs.replace(self.zoom[view], centre_lps=None) for view in panned}
         return msgspec.structs.replace(self, zoom={**self.zoom, **places})

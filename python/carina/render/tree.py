@@ -36,7 +36,7 @@ class TreeField(LeapedValues):
     """The smooth field of a lumen, cut to its box, and the map of what is empty."""
 
     lps_from_ijk: NDArray[np.float64]
-    center_lps: NDArray[np.float64]
+    centre_lps: NDArray[np.float64]
     radius_mm: float
     step_mm: float
 
@@ -54,14 +54,14 @@ def build_tree_field(lumen_zyx: NDArray[np.uint8], lps_from_ijk: NDArray[np.floa
     first = np.array([box[2].start - 2, box[1].start - 2, box[0].start - 2], dtype=np.float64)
     place[:3, 3] += place[:3, :3] @ first
     inside = np.argwhere(part != 0)[:, ::-1] @ place[:3, :3].T + place[:3, 3]
-    center = (inside.min(axis=0) + inside.max(axis=0)) / 2
+    centre = (inside.min(axis=0) + inside.max(axis=0)) / 2
     spacing = np.linalg.norm(place[:3, :3], axis=0)
     return TreeField(
         values=values,
         lps_from_ijk=place,
         radius=_core.build_run_map(values, _core.transparent_runs(SURFACE)),
-        center_lps=center,
-        radius_mm=geometry.bounding_radius_mm(inside, center) + float(spacing.max()),
+        centre_lps=centre,
+        radius_mm=geometry.bounding_radius_mm(inside, centre) + float(spacing.max()),
         step_mm=0.4 * float(spacing.min()),
     )
 
@@ -78,7 +78,7 @@ def cast_tree(
     distance = view.distance_mm
     if distance is None:
         distance = tree.radius_mm / float(np.sin(np.deg2rad(view.fov_deg) / 2))
-    pose = geometry.orbit_pose(tree.center_lps, view.azimuth_deg, view.elevation_deg, distance)
+    pose = geometry.orbit_pose(tree.centre_lps, view.azimuth_deg, view.elevation_deg, distance)
     table = _core.TransferTable(SURFACE, reference_mm=1.0, step_mm=tree.step_mm, lo=0, hi=1024)
     rgb, counts = _core.cast(
         tree.values,

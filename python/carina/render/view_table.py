@@ -207,19 +207,19 @@ def _cut_plane(s: ViewSettings) -> View:
         extent_mm=60.0 if place.extent_mm is None else place.extent_mm,
         window_hu=_grey(s),
         slab=s.slab,
-        center_lps=place.center_lps,
+        centre_lps=place.centre_lps,
     )
 
 
 def _slice_row(plane: Plane) -> ViewRow:
     axis = PLANES[plane].normal_axis
 
-    def center(s: ViewSettings) -> tuple[float, float, float]:
+    def centre(s: ViewSettings) -> tuple[float, float, float]:
         """Where it was zoomed to, at the depth that is shown."""
         place = s.sight.place(plane)
-        if place.mm_per_px is None or place.center_lps is None:
+        if place.mm_per_px is None or place.centre_lps is None:
             return s.point_lps
-        x, y, z = (s.point_lps[n] if n == axis else place.center_lps[n] for n in range(3))
+        x, y, z = (s.point_lps[n] if n == axis else place.centre_lps[n] for n in range(3))
         return x, y, z
 
     def depends(s: ViewSettings) -> tuple[Hashable, ...]:
@@ -227,7 +227,7 @@ def _slice_row(plane: Plane) -> ViewRow:
         if mm_per_px is None:
             # The whole slice fits: only its depth matters.
             return (_hundredths(s.point_lps)[axis], s.window_hu, s.slab)
-        return (_hundredths(center(s)), s.window_hu, mm_per_px, s.slab)
+        return (_hundredths(centre(s)), s.window_hu, mm_per_px, s.slab)
 
     return ViewRow(
         name=plane,
@@ -237,7 +237,7 @@ def _slice_row(plane: Plane) -> ViewRow:
         cell=plane,
         spec=lambda s: SliceView(
             plane=plane,
-            center_lps=center(s),
+            centre_lps=centre(s),
             width=s.width,
             height=s.height,
             mm_per_px=s.pixel_mm(s.sight.place(plane).mm_per_px),
@@ -297,7 +297,7 @@ def _path_row(kind: Literal["straightened", "curved"], title: str, words: str, *
             width=s.width,
             height=s.height,
             mm_per_px=s.pixel_mm(s.sight.reformation.mm_per_px),
-            center_mm=s.path_mm,
+            centre_mm=s.path_mm,
             window_hu=_grey(s),
             slab=s.slab,
         )

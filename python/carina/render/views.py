@@ -147,7 +147,7 @@ class AirwayView:
 class CutPlaneView:
     """The plane through the tip, spanned by the camera's right and down; ``extent_mm`` wide (paper 3.1).
 
-    The tip is in the middle, or the point of the plane nearest to ``center_lps``.
+    The tip is in the middle, or the point of the plane nearest to ``centre_lps``.
     """
 
     pose: Pose
@@ -156,13 +156,13 @@ class CutPlaneView:
     extent_mm: float = 60.0
     window_hu: tuple[float, float] = WINDOW_HU
     slab: Slab | None = None
-    center_lps: tuple[float, float, float] | None = None
+    centre_lps: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         _check(self.width, self.height, window_hu=self.window_hu)
         _check_mm("the extent of a cut plane", self.extent_mm)
-        if self.center_lps is not None:
-            _check_point("the middle of a cut plane", self.center_lps)
+        if self.centre_lps is not None:
+            _check_point("the middle of a cut plane", self.centre_lps)
 
 
 @one_line
@@ -177,7 +177,7 @@ class TriPlaneView:
     stays where it is while a plane is moved.
     """
 
-    center_lps: tuple[float, float, float]
+    centre_lps: tuple[float, float, float]
     azimuth_deg: float = 35.0
     elevation_deg: float = 25.0
     distance_mm: float | None = None
@@ -191,7 +191,7 @@ class TriPlaneView:
     def __post_init__(self) -> None:
         _check(self.width, self.height, fov_deg=self.fov_deg, window_hu=self.window_hu)
         _check_mm("the camera's distance", self.distance_mm)
-        _check_point("the planes' meeting point", self.center_lps)
+        _check_point("the planes' meeting point", self.centre_lps)
         if self.look_at not in {"point", "volume"}:
             raise RenderError(f"the camera looks at point or volume; found {self.look_at!r}", code="render.setting")
 
@@ -276,7 +276,7 @@ class PathView:
     that lengths on it are true. The line runs from patient right to left at ``turn_deg`` 0, as in a coronal slice, and
     from anterior to posterior at 90, as in a sagittal one.
 
-    With ``mm_per_px`` the picture is centred on the place ``center_mm``; without, the whole path fits.
+    With ``mm_per_px`` the picture is centred on the place ``centre_mm``; without, the whole path fits.
 
     References
     ----------
@@ -289,7 +289,7 @@ class PathView:
     width: int = 512
     height: int = 512
     mm_per_px: float | None = None
-    center_mm: float = 0.0
+    centre_mm: float = 0.0
     window_hu: tuple[float, float] = WINDOW_HU
     slab: Slab | None = None
 
@@ -298,7 +298,7 @@ class PathView:
         _check_mm("the size of a pixel", self.mm_per_px)
         if self.kind not in {"straightened", "curved"}:
             raise RenderError(f"expected straightened or curved; found {self.kind!r}", code="render.setting")
-        if not (np.isfinite(self.turn_deg) and np.isfinite(self.center_mm)):
+        if not (np.isfinite(self.turn_deg) and np.isfinite(self.centre_mm)):
             raise RenderError("the turn and the place of a path view are finite numbers", code="render.setting")
 
 
@@ -308,12 +308,12 @@ class SliceView:
     """A slice along patient axes, in radiological display: patient right on screen left, sagittal with anterior on the
     left.
 
-    The plane passes through ``center_lps``. With ``mm_per_px`` the picture is centred on that point; without, the whole
+    The plane passes through ``centre_lps``. With ``mm_per_px`` the picture is centred on that point; without, the whole
     volume fits.
     """
 
     plane: Plane
-    center_lps: tuple[float, float, float]
+    centre_lps: tuple[float, float, float]
     width: int = 512
     height: int = 512
     mm_per_px: float | None = None
@@ -324,7 +324,7 @@ class SliceView:
         _check(self.width, self.height, window_hu=self.window_hu)
         _check_plane(self.plane)
         _check_mm("the size of a pixel", self.mm_per_px)
-        _check_point("the slice's centre", self.center_lps)
+        _check_point("the slice's centre", self.centre_lps)
 
 
 @one_line

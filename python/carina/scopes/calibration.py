@@ -228,10 +228,10 @@ def _lens(entries: Entries) -> Lens:
     if not (m[0] > 0.0 and m[4] > 0.0):
         raise _refused(f"camera_matrix: expected focal lengths above 0 pixels, found {m[0]:g} and {m[4]:g}")
     # OpenCV counts from the centre of the first pixel.
-    center = (m[2] + 0.5, m[5] + 0.5)
-    if not (0.0 <= center[0] <= width and 0.0 <= center[1] <= height):
+    centre = (m[2] + 0.5, m[5] + 0.5)
+    if not (0.0 <= centre[0] <= width and 0.0 <= centre[1] <= height):
         raise _refused(f"camera_matrix: the principal point {m[2]:g}, {m[5]:g} lies outside {width} x {height} pixels")
-    known = Calibration((m[0], m[4]), center, (width, height))
+    known = Calibration((m[0], m[4]), centre, (width, height))
     d = _finite("distortion_coefficients", coefficients)
     if _is_fisheye(entries):
         if len(d) != 4:

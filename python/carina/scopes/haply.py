@@ -112,7 +112,7 @@ def _quaternion(found: dict[str, Any]) -> tuple[float, float, float, float] | No
 class HaplyBridge:
     """Couples a Haply device to a force loop.
 
-    Where the hand is when the first state arrives (or when `center` is called) is where the tip is; from there the tip
+    Where the hand is when the first state arrives (or when `centre` is called) is where the tip is; from there the tip
     follows the hand, scaled. The device's right, away and up are the picture's right, forward and up.
 
     Parameters
@@ -145,7 +145,7 @@ class HaplyBridge:
         self._num_samples = 0
         self._lps_from_device = np.eye(3)
         self._at_lps = np.zeros(3)
-        self.center(pose)
+        self.centre(pose)
 
     @property
     def status(self) -> Status:
@@ -167,7 +167,7 @@ class HaplyBridge:
         """States that were felt."""
         return self._num_samples
 
-    def center(self, pose: Pose) -> None:
+    def centre(self, pose: Pose) -> None:
         """From the next state on the hand's place is this pose (a clutch)."""
         matrix = pose.lps_from_camera
         # The device's right, away and up are the camera's +x, +z and -y.

@@ -45,11 +45,11 @@ RAYS_IN_MEMORY_PX = 4_000_000
 class Calibration:
     """Where a calibration puts the picture: focal lengths and principal point in pixels of pictures of ``size_px``.
 
-    ``center_px`` is in corner coordinates: OpenCV's value plus 1/2, since its pixel (0, 0) is the centre of the first.
+    ``centre_px`` is in corner coordinates: OpenCV's value plus 1/2, since its pixel (0, 0) is the centre of the first.
     """
 
     focal_px: tuple[float, float]
-    center_px: tuple[float, float]
+    centre_px: tuple[float, float]
     size_px: tuple[int, int]
 
 
@@ -213,7 +213,7 @@ class Optics:
         return self._core.focal_px
 
     @property
-    def center_px(self) -> tuple[float, float]:
+    def centre_px(self) -> tuple[float, float]:
         """Where the axis falls, in corner coordinates."""
         return self._core.center_px
 
@@ -255,7 +255,7 @@ def _optics(lens: Lens, width: int, height: int, fov_deg: float | None) -> Optic
         height=height,
         fov_rad=None if fov_deg is None else math.radians(fov_deg),
         focal_px=None if known is None else known.focal_px,
-        center_px=None if known is None else known.center_px,
+        center_px=None if known is None else known.centre_px,
         calibrated_size_px=None if known is None else known.size_px,
     )
     return Optics(lens, (width, height), fov_deg, core)

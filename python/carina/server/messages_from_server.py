@@ -398,7 +398,7 @@ class PictureLines(FrozenValue, frozen=True):
 
 
 class PictureLens(FrozenValue, frozen=True):
-    """A lens in front of this picture. A direction (x, y, z) in camera space falls on center + focal * (x', y').
+    """A lens in front of this picture. A direction (x, y, z) in camera space falls on centre + focal * (x', y').
 
     ``brown``, with k1 k2 p1 p2 k3 k4 k5 k6, distorts (x/z, y/z); ``fisheye``, with k1 to k4, puts the angle a from the
     axis at a distance of a + k1 a^3 + k2 a^5 + k3 a^7 + k4 a^9.
@@ -407,7 +407,7 @@ class PictureLens(FrozenValue, frozen=True):
     model: Literal["brown", "fisheye"]
     coefficients: Annotated[tuple[float, ...], Meta(min_length=4, max_length=8)]
     focal_px: tuple[float, float]
-    center_px: tuple[float, float]
+    centre_px: tuple[float, float]
     limit_rad: Annotated[float, Meta(ge=0.0, le=3.1416)]
     """Directions farther from the axis have no place in the picture."""
 

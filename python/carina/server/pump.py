@@ -331,7 +331,7 @@ def _lens(optics: Optics | None) -> PictureLens | None:
     if optics is None:
         return None
     model, coefficients = optics.formula
-    return PictureLens(cast(Any, model), coefficients, optics.focal_px, optics.center_px, optics.limit_rad)
+    return PictureLens(cast(Any, model), coefficients, optics.focal_px, optics.centre_px, optics.limit_rad)
 
 
 def _matrix(matrix: NDArray[np.float64] | None) -> tuple[float, ...] | None:

@@ -121,6 +121,7 @@ def load_json_object(text: str | bytes, *, max_bytes: int = MAX_TEXT_BYTES) -> d
 
 OLD_WORDS: dict[str, tuple[str, dict[str, str]]] = {
     "set_mask": ("set_outline", {"mask": "outline"}),
+    "set_zoom": ("set_zoom", {"center_lps": "centre_lps"}),
 }
 """What commands and their fields were called on the wire of version 1, which is still read: type to type and fields."""
 

@@ -33,11 +33,11 @@ def pose_before_airways(volume: Volume) -> Pose:
         np.array([[i, j, k] for i in (0, nx - 1) for j in (0, ny - 1) for k in (0, nz - 1)], dtype=float)
     )
     top, bottom = float(corners[:, 2].max()), float(corners[:, 2].min())
-    at = volume.center_lps.copy()
+    at = volume.centre_lps.copy()
     at[2] = top - 0.2 * (top - bottom)
     if not volume.contains_lps(at):
         # Oblique grids: the column through the middle may leave the box below its highest corner.
-        at = volume.center_lps
+        at = volume.centre_lps
     return Pose.looking([float(v) for v in at], CAUDAL_LPS)
 
 

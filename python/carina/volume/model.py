@@ -187,7 +187,7 @@ class Volume:
         return np.asarray(points_lps, dtype=np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
 
     @property
-    def center_lps(self) -> NDArray[np.float64]:
+    def centre_lps(self) -> NDArray[np.float64]:
         """Middle of the grid, LPS mm."""
         nz, ny, nx = self.shape_zyx
         return self.to_lps(np.array([(nx - 1) / 2, (ny - 1) / 2, (nz - 1) / 2]))

@@ -29,7 +29,7 @@ function rig() {
     magnification: 1,
   } as unknown as Viewport;
   const show = (x: number) => Object.assign(viewport, { header: pictureAt(x) });
-  return { placing: flatPlacing(station, viewport), show, middle: () => sent.at(-1)?.center_lps?.[0] };
+  return { placing: flatPlacing(station, viewport), show, middle: () => sent.at(-1)?.centre_lps?.[0] };
 }
 
 describe("a picture that is panned", () => {

@@ -71,7 +71,7 @@ export function flatPlacing(station: Workstation, viewport: Viewport): FlatPlaci
       view,
       mm_per_px: byExtent ? null : place.mmPerPx,
       extent_mm: byExtent ? place.mmPerPx * wantedWidth : null,
-      center_lps: middle,
+      centre_lps: middle,
     });
   };
   return {
@@ -123,7 +123,7 @@ export function showPlace(station: Workstation, lps: Vec3, branchId: number | nu
       view,
       mm_per_px: byExtent ? null : mmPerPx,
       extent_mm: byExtent ? mmPerPx * wanted.width : null,
-      center_lps: byExtent ? null : lps,
+      centre_lps: byExtent ? null : lps,
     });
   }
 }
@@ -131,6 +131,6 @@ export function showPlace(station: Workstation, lps: Vec3, branchId: number | nu
 /** The whole slice, or the usual width of the cut-plane. */
 export function fitPicture(station: Workstation, view: ViewName): void {
   if (isFlatView(view)) {
-    station.sendSoon({ type: "set_zoom", view, mm_per_px: null, extent_mm: null, center_lps: null });
+    station.sendSoon({ type: "set_zoom", view, mm_per_px: null, extent_mm: null, centre_lps: null });
   }
 }

@@ -140,7 +140,7 @@ function throughLens(lens: PictureLens, x: number, y: number, z: number): PixelP
     at = [u * radial + 2 * p1 * u * v + p2 * (s + 2 * u * u), v * radial + p1 * (s + 2 * v * v) + 2 * p2 * u * v];
   }
   const [fx = 0, fy = 0] = lens.focal_px;
-  const [cx = 0, cy = 0] = lens.center_px;
+  const [cx = 0, cy = 0] = lens.centre_px;
   return { column: cx + fx * at[0], row: cy + fy * at[1] };
 }
 

@@ -4,7 +4,7 @@ import type { BranchNode } from "./airways";
 import { add, asVec3, distance, scale, type Vec3 } from "./vec";
 
 export interface Sphere {
-  readonly center: Vec3;
+  readonly centre: Vec3;
   readonly radiusMm: number;
 }
 
@@ -17,8 +17,8 @@ export function sphereOf(node: BranchNode): Sphere | null {
   const points = node.branch.points.map((point) => asVec3(point));
   const [first, last] = [points[0], points.at(-1)];
   if (first === undefined || last === undefined) return null;
-  const center = scale(add(first, last), 0.5);
-  const sphere = { center, radiusMm: Math.max(...points.map((point) => distance(point, center))) };
+  const centre = scale(add(first, last), 0.5);
+  const sphere = { centre, radiusMm: Math.max(...points.map((point) => distance(point, centre))) };
   known.set(node, sphere);
   return sphere;
 }

@@ -75,7 +75,7 @@ function solidWithin(geometry: FlatGeometry, viewport: Viewport, scene: Scene): 
 function branchesNear(tree: BranchTree, origin: Vec3, normal: Vec3, withinMm: number): BranchNode[] {
   return [...tree.byId.values()].filter((node) => {
     const sphere = sphereOf(node);
-    return sphere !== null && Math.abs(dot(sub(sphere.center, origin), normal)) <= sphere.radiusMm + withinMm;
+    return sphere !== null && Math.abs(dot(sub(sphere.centre, origin), normal)) <= sphere.radiusMm + withinMm;
   });
 }
 

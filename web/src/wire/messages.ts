@@ -306,7 +306,7 @@ export interface SetZoomMessage {
   readonly type: "set_zoom";
   readonly mm_per_px?: number | null;
   readonly extent_mm?: number | null;
-  readonly center_lps?: readonly [number, number, number] | null;
+  readonly centre_lps?: readonly [number, number, number] | null;
   readonly view: "axial" | "coronal" | "cut-plane" | "sagittal";
 }
 
@@ -727,7 +727,7 @@ export interface Slab {
 export interface FlatPlace {
   readonly mm_per_px: number | null;
   readonly extent_mm: number | null;
-  readonly center_lps: readonly [number, number, number] | null;
+  readonly centre_lps: readonly [number, number, number] | null;
 }
 
 /** Camera of an outside view: azimuth 0 is from anterior, distance null fits. */
@@ -1235,7 +1235,7 @@ export interface PhoneStateMessage {
   readonly words: string;
 }
 
-/** A lens in front of this picture. A direction (x, y, z) in camera space falls on center + focal * (x', y').
+/** A lens in front of this picture. A direction (x, y, z) in camera space falls on centre + focal * (x', y').
 
     `brown`, with k1 k2 p1 p2 k3 k4 k5 k6, distorts (x/z, y/z); `fisheye`, with k1 to k4, puts the angle a from the
     axis at a distance of a + k1 a^3 + k2 a^5 + k3 a^7 + k4 a^9. */
@@ -1243,7 +1243,7 @@ export interface PictureLens {
   readonly model: "brown" | "fisheye";
   readonly coefficients: readonly number[];
   readonly focal_px: readonly [number, number];
-  readonly center_px: readonly [number, number];
+  readonly centre_px: readonly [number, number];
   readonly limit_rad: number;
 }
 

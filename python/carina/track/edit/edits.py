@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from carina.errors import CancelledError, NoResultError, UsageError, check_type
-from carina.track.edit.caliber import with_sections, with_walls
+from carina.track.edit.calibre import with_sections, with_walls
 from carina.track.edit.evidence import evidence_of
 from carina.track.edit.kinds import (
     AddBranch,

@@ -225,9 +225,9 @@ def _plain_lung(volume: Volume, base: Airways, brightest: float) -> Voxels:
     ijk = np.floor(volume.to_ijk(places) + 0.5).astype(np.int64)
     ijk = ijk[((ijk >= 0) & (ijk < shape)).all(axis=1)]
     ijk = ijk[volume.hu_zyx[ijk[:, 2], ijk[:, 1], ijk[:, 0]] <= brightest]
-    centers = volume.to_lps(ijk.astype(np.float64))
+    centres = volume.to_lps(ijk.astype(np.float64))
     core = base.tracker.core
-    away = np.array([core.nearest((x, y, z), NEAREST_MM) is None for x, y, z in centers.tolist()], dtype=bool)
+    away = np.array([core.nearest((x, y, z), NEAREST_MM) is None for x, y, z in centres.tolist()], dtype=bool)
     found: Voxels = ijk[away].astype(np.uint16)
     return found
 

@@ -159,11 +159,11 @@ def painted_voxels(volume: Volume, edit: PaintLumen) -> Voxels:
         # Half open, so that a plane between two slices takes one of them.
         inside = (beside <= edit.radius_mm) & (height > -half_mm) & (height <= half_mm)
         found.append(voxels[inside])
-    centers = np.floor(volume.to_ijk(points) + 0.5).astype(np.int64)
-    is_in = ((centers >= 0) & (centers < shape)).all(axis=1)
+    centres = np.floor(volume.to_ijk(points) + 0.5).astype(np.int64)
+    is_in = ((centres >= 0) & (centres < shape)).all(axis=1)
     if not is_in.any():
         raise UsageError("the stroke lies outside the scan; paint inside the pictures", code="track.outside-volume")
-    return _unique(np.concatenate([*found, centers[is_in]]))
+    return _unique(np.concatenate([*found, centres[is_in]]))
 
 
 def bridge_way(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
@@ -228,8 +228,8 @@ def air_voxel(lumen: EditedLumen, start: NDArray[np.int64]) -> NDArray[np.int64]
     end = air_scale(volume).level(LUMEN_END_HU)
     low, high = _box_round(volume, start, (AIR_REACH_MM,) * 3)
     voxels = _box_voxels(low, high)
-    center = volume.to_lps(start.astype(np.float64))
-    off = np.linalg.norm(volume.to_lps(voxels.astype(np.float64)) - center, axis=1)
+    centre = volume.to_lps(start.astype(np.float64))
+    off = np.linalg.norm(volume.to_lps(voxels.astype(np.float64)) - centre, axis=1)
     voxels, off = voxels[off <= AIR_REACH_MM], off[off <= AIR_REACH_MM]
     values = volume.hu_zyx[voxels[:, 2], voxels[:, 1], voxels[:, 0]]
     here = int(volume.hu_zyx[start[2], start[1], start[0]])
@@ -279,13 +279,13 @@ def tube_round(volume: Volume, points: NDArray[np.float64], radius_mm: float | N
     """The voxels whose centres lie within a radius, mm, of one of (n, 3) LPS points."""
     radii = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), (len(points),))
     ijk = volume.to_ijk(points)
-    centers = np.floor(ijk + 0.5)
+    centres = np.floor(ijk + 0.5)
     reach = np.ceil(radii.max() / np.array(volume.spacing_mm) + 0.5).astype(np.int64)
     offsets = _box_voxels(-reach, reach)
     shape = np.array(volume.shape_zyx[::-1])
     found = [np.zeros((0, 3), dtype=np.int64)]
-    for point, center, radius in zip(ijk, centers.astype(np.int64), radii, strict=True):
-        ball = center + offsets
+    for point, centre, radius in zip(ijk, centres.astype(np.int64), radii, strict=True):
+        ball = centre + offsets
         off_mm = np.linalg.norm((ball - point) @ volume.lps_from_ijk[:3, :3].T, axis=1)
         ball = ball[off_mm <= radius + 1e-6]
         found.append(ball[((ball >= 0) & (ball < shape)).all(axis=1)])
@@ -346,13 +346,13 @@ def _interpolated(volume: Volume, points: NDArray[np.float64]) -> NDArray[np.flo
 def _away_mm(lumen: EditedLumen, start: NDArray[np.int64], reach_mm: float) -> float | None:
     """Distance to the nearest lumen that a path reaches; looked for in growing boxes, at most ``reach_mm``."""
     volume = lumen.volume
-    center = volume.to_lps(start.astype(np.float64))
+    centre = volume.to_lps(start.astype(np.float64))
     for reach in (10.0, 25.0, reach_mm):
         low, high = _box_round(volume, start, (reach,) * 3)
         states = lumen_states(lumen.core, _triple(low), _triple(high - low + 1))
         voxels = np.argwhere(states == 2)[:, ::-1] + low
         if len(voxels):
-            away = float(np.linalg.norm(volume.to_lps(voxels.astype(np.float64)) - center, axis=1).min())
+            away = float(np.linalg.norm(volume.to_lps(voxels.astype(np.float64)) - centre, axis=1).min())
             if away <= reach:
                 return away
     return None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carina._core import cut_voxels, more_tips, newly_reached, nodes_at, pulled_inside, reached, sees, voxels_of
 from carina.errors import NoEvidenceError, NoResultError, UsageError
-from carina.track.edit.caliber import Box
+from carina.track.edit.calibre import Box
 from carina.track.edit.evidence import Evidence
 from carina.track.edit.kinds import (
     AddBranch,
@@ -61,7 +61,7 @@ MOST_TURN_DEG = 120.0
 """An airway that goes on beyond a bridge turns less."""
 COVER_REACH_MM = 30.0
 """Farther from its middle no tube covers anything: more than the diameter of any trachea."""
-RECENTER_VOXELS = 0.5
+RECENTRE_VOXELS = 0.5
 """A centreline is drawn again where the distance to the wall changed by more than this share of a voxel."""
 
 
@@ -467,7 +467,7 @@ class EditSteps:
         if old is None or len(old) != len(branch.radius):
             return False
         moved_mm = np.abs(old - branch.radius).max()
-        return bool(moved_mm > RECENTER_VOXELS * min(self._volume.spacing_mm))
+        return bool(moved_mm > RECENTRE_VOXELS * min(self._volume.spacing_mm))
 
     def _tracked_again(self, branch: Branch) -> Points | None:
         """The branch between its ends along the least-cost path; None where that path does not pass its beginning."""

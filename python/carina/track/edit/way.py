@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from carina._core import reached, sees
 from carina.display import one_line
 from carina.errors import NoEvidenceError, NoResultError, UsageError
-from carina.track.edit.caliber import with_walls
+from carina.track.edit.calibre import with_walls
 from carina.track.edit.evidence import Evidence, Start, evidence_of
 from carina.track.edit.kinds import Point, branch_title
 from carina.track.edit.lumen import EditedLumen, Voxels, by_faces, voxel_of

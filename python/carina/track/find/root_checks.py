@@ -120,10 +120,10 @@ def _middle_between_the_lungs(volume: Volume) -> float | None:
 
 def _is_in_lung(volume: Volume, point: NDArray[np.float64], scale: AirScale) -> bool:
     """Lung is the most common thing within 8 mm."""
-    center = volume.to_ijk(point)
+    centre = volume.to_ijk(point)
     reach = np.ceil(8.0 / np.array(volume.spacing_mm))
     shape = np.array(volume.shape_zyx[::-1])
-    low = np.clip(np.floor(center - reach), 0, shape - 1).astype(int)
-    high = np.clip(np.ceil(center + reach), 0, shape - 1).astype(int)
+    low = np.clip(np.floor(centre - reach), 0, shape - 1).astype(int)
+    high = np.clip(np.ceil(centre + reach), 0, shape - 1).astype(int)
     block = volume.hu_zyx[low[2] : high[2] + 1, low[1] : high[1] + 1, low[0] : high[0] + 1]
     return bool(((block >= scale.level(LUNG_HU[0])) & (block <= scale.level(LUNG_HU[1]))).mean() > 0.5)

@@ -57,7 +57,7 @@ class BranchMeasures:
     branch_id: int
     at_mm: Floats
     """(n,) way along the branch."""
-    center_lps: Floats
+    centre_lps: Floats
     """(n, 3) centre of the lumen found, in the plane across the centreline."""
     normal_lps: Floats
     """(n, 3) unit vector along the branch."""
@@ -113,7 +113,7 @@ class BranchMeasures:
         return {
             "branch": self.branch_id,
             "summary": self.summary.to_json(),
-            "center_lps": np.round(self.center_lps, 3).tolist(),
+            "center_lps": np.round(self.centre_lps, 3).tolist(),
             "normal_lps": np.round(self.normal_lps, 5).tolist(),
             **{name: _as_list(getattr(self, name)) for name in columns},
             "at_junction": self.at_junction.tolist(),
@@ -276,7 +276,7 @@ def measure_tree(
 
 
 _COLUMNS = [
-    "center_lps",
+    "centre_lps",
     "normal_lps",
     "area_mm2",
     "equivalent_mm",
@@ -357,10 +357,10 @@ def _noise_in_trunk(volume: Volume, trunk: Branch, scale: AirScale) -> float:
     rest = []
     shape = np.array(volume.shape_zyx[::-1])
     for point, radius in zip(trunk.points, trunk.radius, strict=True):
-        center = volume.to_ijk(point)
+        centre = volume.to_ijk(point)
         reach = 0.5 * radius / np.array(volume.spacing_mm)
-        low = np.clip(np.ceil(center - reach), 0, shape).astype(int)
-        high = np.clip(np.floor(center + reach) + 1, 0, shape).astype(int)
+        low = np.clip(np.ceil(centre - reach), 0, shape).astype(int)
+        high = np.clip(np.floor(centre + reach) + 1, 0, shape).astype(int)
         block = volume.hu_zyx[low[2] : high[2], low[1] : high[1], low[0] : high[0]].astype(np.float64)
         if block.size >= 8:
             rest.append((block - np.median(block)).ravel())
@@ -371,6 +371,7 @@ def _noise_in_trunk(volume: Volume, trunk: Branch, scale: AirScale) -> float:
 
 def _columns(rows: dict[str, Any], which: slice, normals: Floats) -> dict[str, Any]:
     part = {name: values[which] for name, values in rows.items()}
+    part["centre_lps"] = part.pop("center_lps")
     part["normal_lps"] = normals
     part["at_edge"] = part.pop("left_share") > 0.0
     width = part.pop("width_error_mm")

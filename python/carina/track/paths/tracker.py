@@ -250,7 +250,7 @@ class PathTracker:
         branch_ids, generation = self._branches_along(nodes[at])
         return TrackedPath(
             points_lps=points,
-            radius_mm=self.calibers(points, branch_ids),
+            radius_mm=self.calibres(points, branch_ids),
             wall_mm=self._core.radius_mm(points),
             length_mm=float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()),
             cost=cost,
@@ -261,7 +261,7 @@ class PathTracker:
             snapped_mm=snapped_mm,
         )
 
-    def calibers(self, points: NDArray[np.float64], branch_ids: NDArray[np.int32]) -> NDArray[np.float64]:
+    def calibres(self, points: NDArray[np.float64], branch_ids: NDArray[np.int32]) -> NDArray[np.float64]:
         """(n,) radius of the branch that each point is in, at its nearest place; off the tree the wall's distance."""
         radius = self._core.radius_mm(points)
         by_id = {branch.id: branch for branch in self._branches}

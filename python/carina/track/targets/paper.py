@@ -200,18 +200,18 @@ def track_on_graph(
             searches.append(None)
             continue
         seconds = time.perf_counter() - started
-        node, center, to_node_mm = place
+        node, centre, to_node_mm = place
         found = core.path(node)
         path_cost = core.cost(node)
         assert found is not None
         assert path_cost is not None
-        way = _Way(found[0], found[1], np.array(center) if to_node_mm > 0.0 else None)
+        way = _Way(found[0], found[1], np.array(centre) if to_node_mm > 0.0 else None)
         snapped = 0.0
         if cost == "lumen" and not bool(airways.tracker.inside(requested[None])[0]):
-            snapped = float(np.linalg.norm(np.array(center) - requested))
+            snapped = float(np.linalg.norm(np.array(centre) - requested))
         path = _as_path(way, airways, path_cost, snapped, smooth=cost == "lumen", volume=volume)
         num_outside, outside_mm = _outside(way, airways, volume)
-        used = np.array(center) if snapped > 0.0 else requested
+        used = np.array(centre) if snapped > 0.0 else requested
         results.append(TargetResult(requested, used, snapped, path, None))
         searches.append(
             TargetSearch(
@@ -235,7 +235,7 @@ def track_on_graph(
         labels=which,
         num_nodes=core.num_nodes,
         num_edges=core.num_edges(),
-        num_centers=core.num_centers,
+        num_centres=core.num_centers,
         build_s=core.build_s,
         quantum=core.quantum,
         first_ijk=box[0],
@@ -295,7 +295,7 @@ def _as_path(
     branch_ids, generation = _along_branches(points, airways.tree)
     return TrackedPath(
         points_lps=points,
-        radius_mm=airways.tracker.calibers(points, branch_ids),
+        radius_mm=airways.tracker.calibres(points, branch_ids),
         wall_mm=airways.tracker.core.radius_mm(points),
         length_mm=float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()),
         cost=cost,

@@ -47,7 +47,7 @@ class GraphSearch:
     num_nodes: int
     num_edges: int
     """Undirected; links between centres and boundaries included."""
-    num_centers: int
+    num_centres: int
     """Nodes in the middle of an IsoRegion."""
     build_s: float
     """Seconds that graph and cost took to build."""
