@@ -441,7 +441,8 @@ def test_an_unlucky_volume_is_answered_or_refused_in_words(carina, tmp_path, nam
         ended = carina(*arguments, "--json")
         assert ended.code in {0, 2, 3, 4}, ended.err
         assert ended.json()
-    for view in VIEWS:
+    # What shows it does not know which format it came in.
+    for view in VIEWS if suffix == ".mha" else ["airway"]:
         output = tmp_path / "x.png"
         ended = carina("render", path, "--view", view, "--at", "0,0,0", "--size", "16x12", "-o", output, "--json")
         assert ended.code in {0, 3, 4}, (view, ended.err)

@@ -14,6 +14,11 @@ SPACING = (0.8, 0.9, 1.1)
 CENTRAL = ((-60.0, -45.0, -98.0), (70.0, 50.0, 40.0))
 
 
+def some_of(num: int) -> list[object]:
+    """So many seeds, each a chest to its last generation: three for ``make test``, the rest for the soak."""
+    return [*range(3), *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(3, num))]
+
+
 @pytest.fixture(scope="module")
 def chest() -> Phantom:
     """A whole chest, coarse and anisotropic."""
@@ -104,7 +109,7 @@ def test_more_generations_only_add_branches() -> None:
     assert all(by_name[b["name"]]["points"] == b["points"] for b in few if b["name"])
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", some_of(6))
 def test_strangers_keep_their_distance(seed: int) -> None:
     branches = generate_phantom(seed=seed, spacing_mm=8.0, generations=7).truth["branches"]
     kin = {(b["id"], other) for b in branches for other in [b["parent"], *b["children"]] if other is not None}
@@ -271,7 +276,7 @@ def test_a_stenosis_narrows_one_bronchus_in_truth_and_voxels(seed: int) -> None:
     assert at(ill.lumen_zyx, ill, centre[None]).tolist() == [1], "narrow, not closed"
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", some_of(8))
 def test_a_nodule_lies_in_the_lung_clear_of_the_airways(seed: int) -> None:
     made = generate_phantom(seed=seed, spacing_mm=3.0, nodule=True, noise_hu=0.0)
     nodule = made.truth["nodule"]
