@@ -305,6 +305,18 @@ def step(hand: Hand, sample, now_s: float) -> None:
     hand.pilot.apply(m.Frame(now_s))
 
 
+def test_the_shaft_that_is_drawn_back_draws_the_tip_back_unless_it_was_silent_meanwhile():
+    for silent_s, expected_mm in ((0.02, 15.0), (1.0, 20.0)):
+        hand = Hand(path=True)
+        hand.pilot.apply(c.GoTo(20.0))
+        step(hand, HandleSample(1.0, 215.0, 0.0, 0.0), 1.0)
+        # Something else brings the tip elsewhere, and a frame passes before the handle says more.
+        hand.pilot.apply(c.GoTo(20.0))
+        hand.pilot.apply(m.Frame(1.5))
+        step(hand, HandleSample(1.0 + silent_s, 210.0, 0.0, 0.0), 2.0)
+        assert hand.pilot.navigator.path_mm == pytest.approx(expected_mm)
+
+
 @pytest.mark.parametrize(
     "made",
     [
