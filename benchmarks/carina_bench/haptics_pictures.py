@@ -14,7 +14,7 @@ from carina.navigate import FlightPath
 from carina.render import AirwayView, Renderer, Sight
 from carina.server.messages import PictureHeader, parse_picture
 from carina.server.pump import FramePump
-from carina.session import Scene
+from carina.session import ShownCase
 
 __all__ = ["Pictures", "full_pictures", "moving_pictures", "summed"]
 
@@ -122,10 +122,10 @@ class _Tip:
         self.scene = self._scene()
         pump.content_changed()
 
-    def _scene(self) -> Scene:
+    def _scene(self) -> ShownCase:
         # From 10 to 30 mm along the path and back.
         turn = (self._num * SPEED_MM_S / HAND_HZ) % 40.0
-        return Scene(
+        return ShownCase(
             case_number=1,
             content_number=1,
             renderer=self._renderer,

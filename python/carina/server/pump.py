@@ -22,7 +22,7 @@ from carina.server.messages import PictureHeader, PictureLens, PictureOutline, S
 from carina.server.pacing import DEFAULT_RATE_HZ, MOVING, FrameScheduler, RenderOrder
 from carina.server.presenter import picture_lines
 from carina.server.wire_codec import encode_picture
-from carina.session import Renderer, Scene, log_fault
+from carina.session import Renderer, ShownCase, log_fault
 
 __all__ = ["FramePump", "ShownPicture", "encode_jpeg"]
 
@@ -89,7 +89,7 @@ class FramePump:
 
     def __init__(
         self,
-        scene: Callable[[], Scene | None],
+        scene: Callable[[], ShownCase | None],
         deliver: Callable[[bytes], None],
         tell: Callable[[Status | tuple[str, str]], None],
         *,
@@ -225,7 +225,7 @@ class FramePump:
                 self._under_way = None
         return True
 
-    def _render(self, scene: Scene, order: RenderOrder, stop: CancelToken, began_s: float) -> None:
+    def _render(self, scene: ShownCase, order: RenderOrder, stop: CancelToken, began_s: float) -> None:
         shows = FINDER_VIEW if order.purpose == "finder" else order.view
         try:
             view = scene.spec(shows, order.width, order.height, order.step_vox, full_width=order.full_width)
@@ -291,7 +291,7 @@ class FramePump:
             self._last_words = words
             self._tell((code, words))
 
-    def _note_status(self, now_s: float, scene: Scene, header: PictureHeader) -> None:
+    def _note_status(self, now_s: float, scene: ShownCase, header: PictureHeader) -> None:
         """Tell how the stream runs: twice a second while the tip moves, and once more when it has come to rest."""
         first = header.pose_id != self._status_pose_id
         if first:
@@ -318,7 +318,7 @@ class FramePump:
         )
 
 
-def _keys(scene: Scene, scheduler: FrameScheduler) -> dict[str, Hashable]:
+def _keys(scene: ShownCase, scheduler: FrameScheduler) -> dict[str, Hashable]:
     return {view: scene.key(view) for view in scheduler.visible}
 
 

@@ -6,7 +6,7 @@ from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.public import Case
 from carina.session.recent import LocalStore, RecentCase
 from carina.session.routes import ChosenRoute
-from carina.session.scene import Renderer, Scene
+from carina.session.scene import Renderer, ShownCase
 from carina.session.session import Session
 from carina.session.snapshot import (
     Changed,
@@ -37,8 +37,8 @@ __all__ = [
     "Renderer",
     "RendererFactory",
     "Said",
-    "Scene",
     "Session",
+    "ShownCase",
     "Snapshot",
     "Trouble",
     "WallPoint",

@@ -23,7 +23,7 @@ from carina.session.jobs import JobEnded, JobProgress, JobRunner
 from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.recent import LocalStore
 from carina.session.routes import path_move
-from carina.session.scene import Scene
+from carina.session.scene import ShownCase
 from carina.session.snapshot import Changed, NotEvident, PoseInfo, Said, Snapshot, Topic, Trouble
 
 __all__ = ["Event", "SessionCore"]
@@ -245,14 +245,14 @@ class SessionCore:
         with self.lock:
             return None if self.case is None else pose_info(self.case, self._pose_id)
 
-    def scene(self) -> Scene | None:
+    def scene(self) -> ShownCase | None:
         """What the views show now, for the render thread; None without a case."""
         with self.lock:
             case = self.case
             if case is None:
                 return None
             document = case.document
-            return Scene(
+            return ShownCase(
                 case_number=case.number,
                 content_number=case.content.number,
                 content_is_newest=case.content.is_newest,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from carina.render import CancelToken, Hit, Picture, TransferFunction
     from carina.track import LumenOutline
 
-__all__ = ["Renderer", "Scene"]
+__all__ = ["Renderer", "ShownCase"]
 
 
 class Renderer(Protocol):
@@ -59,7 +59,7 @@ class LumenLines:
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class ShownCase:
     """Everything that the pictures of this moment depend on."""
 
     case_number: int

@@ -28,7 +28,7 @@ from carina.session.questions import CaseQuestions
 from carina.session.recent import LocalStore
 from carina.session.recording import FlightRecording
 from carina.session.routing import Routing
-from carina.session.scene import Scene
+from carina.session.scene import ShownCase
 from carina.session.snapshot import KeysInfo, PoseInfo, Snapshot
 from carina.session.subject import handlers_of
 
@@ -160,7 +160,7 @@ class Session:
         """The key frames as they are shown."""
         return self._keys.info()
 
-    def scene(self) -> Scene | None:
+    def scene(self) -> ShownCase | None:
         """What the views show now, for the render thread; None without a case."""
         return self._core.scene()
 
