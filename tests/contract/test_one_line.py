@@ -290,3 +290,23 @@ def test_a_large_tree_lists_its_first_branches_only(shown: Shown) -> None:
     assert f"{len(shown.airways.tree)} branches" in page
     assert "; the first 12 are listed" in page
     assert len(page) < 200_000
+
+
+def classes_of(part: str) -> dict[str, type]:
+    """The classes that ``carina`` (no part) or a part of it hands out, without errors and protocols."""
+    module = importlib.import_module(f"carina.{part}" if part else "carina")
+    classes = {name: getattr(module, name) for name in module.__all__}
+    return {
+        name: value
+        for name, value in classes.items()
+        if inspect.isclass(value)
+        and value.__module__.startswith("carina.")
+        and not issubclass(value, Exception)
+        and not getattr(value, "_is_protocol", False)
+    }
+
+
+@pytest.mark.parametrize("part", ["", "volume", "render", "track", "phantom", "export", "cluster", "commands"])
+def test_no_public_class_shows_itself_as_an_address_in_memory(part: str) -> None:
+    silent = [name for name, value in classes_of(part).items() if value.__repr__ is object.__repr__]
+    assert silent == []

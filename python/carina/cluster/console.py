@@ -110,6 +110,9 @@ class Console:
         self._thread = threading.Thread(target=self._run, name="carina-console", daemon=True)
         self._thread.start()
 
+    def __repr__(self) -> str:
+        return f"Console({len(self._members)} renderers)"
+
     # --- called from anywhere --------------------------------------------------------------------------------------
 
     def add_lane(self, lane: Lane, *, reserve: bool = False) -> None:
@@ -307,12 +310,12 @@ class Console:
             member.loading = True
             self._scheduler.leave(name, self._clock())
             self._act()
-        logger.info("renderer %s: %s; it is asked again", name, type(trouble).__name__)
+        logger.info("renderer %s: %s; it is retried", name, type(trouble).__name__)
         wait_s = RETRY_S[min(member.attempts, len(RETRY_S) - 1)]
         member.attempts += 1
         if member.attempts == TELL_AFTER_LOADS:
             why = str(trouble) if isinstance(trouble, ClusterError) else type(trouble).__name__
-            self._tell(f"the renderer {name} cannot take the case ({why}); it is asked again until it can")
+            self._tell(f"the renderer {name} cannot take the case ({why}); it is retried until it can")
         self._later.append((self._clock() + wait_s, lambda: self._load(name)))
         self._note_alone()
 
@@ -352,7 +355,7 @@ class Console:
                     frame = self._frames.pop(frame_id, None)
                     if frame is not None:
                         frame.stop.cancel()
-                        fail(frame.future, CancelledError("the picture was given up for a newer one"))
+                        fail(frame.future, CancelledError("the picture was superseded by a newer one"))
                 case LaneLate(lane):
                     # A moment's delay is nobody's business but the panel's.
                     self._later.append((self._clock() + TELL_AFTER_S, partial(self._tell_if_late, str(lane))))
@@ -361,7 +364,7 @@ class Console:
 
     def _tell_if_late(self, name: str) -> None:
         if any(view.lane == name and view.state == "late" for view in self._scheduler.lanes()):
-            self._tell(f"the renderer {name} is late; others do its part until it answers")
+            self._tell(f"the renderer {name} is late; others render its part until it responds")
 
     def _issue(self, task: Issue) -> None:
         frame = self._frames[task.frame_id]
@@ -455,7 +458,7 @@ class Console:
             return
         self._act()
         if member is not None and not member.loading:
-            self._tell(f"the renderer {name} does not answer; others do its part until it is back")
+            self._tell(f"the renderer {name} is not responding; others render its part until it is back")
             self._retry(name, trouble)
 
     def _fault(self, name: str, order: StripOrder, wrong: str) -> None:
@@ -466,10 +469,10 @@ class Console:
             return
         member.faults += 1
         if member.faults >= MAX_FAULTS:
-            self._tell(f"the renderer {name} keeps answering wrongly ({wrong}) and is not used any more")
+            self._tell(f"the renderer {name} keeps returning wrong answers ({wrong}) and is no longer used")
             self._remove(name)
             return
-        self._tell(f"the renderer {name} answered wrongly: {wrong}; its part was rendered by another")
+        self._tell(f"the renderer {name} returned a wrong answer: {wrong}; its part was rendered by another")
         self._retry(name, ClusterError(wrong, code="cluster.fault"))
 
     def _deliver(self, frame: Frame) -> None:
@@ -526,7 +529,7 @@ def _whatever_happens(step: Callable[[], object]) -> None:
     try:
         step()
     except Exception:
-        logger.exception("the console stumbled")
+        logger.exception("the console failed on one picture")
 
 
 def _nothing() -> None:

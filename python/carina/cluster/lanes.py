@@ -125,6 +125,9 @@ class LocalLane:
         self._thread = threading.Thread(target=self._run, name=f"carina-lane-{name}", daemon=True)
         self._thread.start()
 
+    def __repr__(self) -> str:
+        return f"LocalLane({self.name!r})"
+
     @property
     def facts(self) -> LaneFacts:
         """This machine."""

@@ -60,6 +60,9 @@ class ClusterRenderer:
         self._sent: tuple[Scene, int] | None = None
         self._sending = threading.Lock()
 
+    def __repr__(self) -> str:
+        return f"ClusterRenderer({self._renderer!r})"
+
     @property
     def volume(self) -> Volume:
         """The volume."""
@@ -137,7 +140,7 @@ class ClusterRenderer:
             except StillRendering:
                 if stop is not None and stop.cancelled:
                     self._console.drop(frame_id)
-                    raise CancelledError("the picture was given up for a newer one") from None
+                    raise CancelledError("the picture was superseded by a newer one") from None
 
     def want(self, view: View, *, whole: bool = False, stream: str | None = None) -> tuple[int, Future[Picture]]:
         """Ask for a picture of what is shown now, and go on: its number, and the picture when it is there.

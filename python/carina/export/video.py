@@ -119,6 +119,10 @@ class VideoWriter:
             self._container = av.open(self._file, "w", format=suffix.removeprefix("."))
             self._stream = self._made_stream(suffix)
 
+    def __repr__(self) -> str:
+        width, height = self._size
+        return f"VideoWriter({self._path.name!r}, {width}x{height}, num_frames={self.num_frames})"
+
     def _made_stream(self, suffix: str) -> Any:
         codec, options = _OPTIONS[suffix]
         width, height = self._size

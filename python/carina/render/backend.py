@@ -125,6 +125,9 @@ class Backend:
         if record is not None:
             self._verdicts = {_key(v): v for v in _read(record)}
 
+    def __repr__(self) -> str:
+        return f"Backend({self.mode!r})"
+
     def adapters(self) -> tuple[Adapter, ...]:
         """Those that may be tried in this mode, in order."""
         if self.mode == "cpu":

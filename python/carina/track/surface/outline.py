@@ -34,6 +34,9 @@ class LumenOutline:
         self._building = threading.Lock()
         self._surface: _core.LumenSurface | None = None
 
+    def __repr__(self) -> str:
+        return f"LumenOutline({self._volume!r})"
+
     @property
     def lumen_zyx(self) -> NDArray[np.uint8]:
         """The lumen that is outlined."""
