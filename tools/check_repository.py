@@ -14,7 +14,7 @@ BIG_FILES = {"python/carina/_cases/"}  # the bundled CC BY case
 NAMED_PATH = re.compile(
     r"`((?:crates|python|web|tests|tools|docs|examples|benchmarks|protocol|build_backend)/[\w./*-]*)`"
 )
-ELSEWHERE = re.compile(r"\b(?:DESIGN|STYLE)(?:\.md| section| \d|:)|\bissue \d+")
+ELSEWHERE = re.compile(r"\b(?:DESIGN|STYLE)(?:\.md| section| \d|:)|\bissue \d+|\breference/\w+\.md")
 """Names of papers that are not in the repository: what they say is in docs/."""
 GENERATED = ("benchmarks/results", "tests/out", "python/carina/_web")
 HOME_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users)/[A-Za-z0-9._-]+/")

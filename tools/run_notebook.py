@@ -25,7 +25,8 @@ from pathlib import Path
 from typing import Any
 
 STYLE = (
-    "body{font:16px/1.5 sans-serif;max-width:960px;margin:2em auto}pre{background:#f4f5f7;padding:.7em;overflow:auto}"
+    "body{font:16px/1.5 sans-serif;max-width:960px;margin:2em auto}"
+    "pre{background:#f4f5f7;padding:.7em;white-space:pre-wrap}"
 )
 
 

@@ -40,7 +40,7 @@ def on_path(at_mm: float = 20.0) -> Navigator:
 
 
 def test_from_the_head_end_looking_caudally_the_patients_right_is_on_the_right_of_the_picture() -> None:
-    # reference/features.md 4: view = inferior, up = anterior, right-hand = patient right. LPS: +x left, +y posterior.
+    # docs/conventions.md: view = inferior, up = anterior, right-hand = patient right. LPS: +x left, +y posterior.
     tip = Navigator(Pose.looking([0, 0, 0], [0, 0, -1]))
     np.testing.assert_allclose(tip.pose.right_lps, [-1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(-tip.pose.down_lps, [0, -1, 0], atol=1e-12)

@@ -71,7 +71,7 @@ pub struct AirwayTree {
 }
 
 /// Thickness of a wall by the radius of its lumen: 1.8 mm at the trachea, 0.9 at a segment, 0.6 at generation 6
-/// (reference/features.md 5.3).
+/// (docs/algorithms.md, sizes of airways).
 fn wall_mm(radius: f64) -> f64 {
     0.4 + 0.15 * radius
 }
@@ -239,7 +239,7 @@ impl AirwayTree {
             let wide = f64::from(attempt) / 24.0;
             let turn = base + random.range(-0.4 - 1.2 * wide, 0.4 + 1.2 * wide);
             let mut child = |side: f64| {
-                // Horsfield: 28 to 39 degrees (reference/features.md 5.2).
+                // Horsfield: 28 to 39 degrees (docs/algorithms.md, sizes of airways).
                 let tilt = random.range(0.44, 0.70);
                 let radius = parent.tip_radius() * random.range(0.78, 0.90);
                 // Weibel's lengths of generations 4 to 8 are 2.8 to 3.3 diameters; ours, longer, fill the lung.

@@ -1,8 +1,8 @@
 //! The named branches: where they go and how big they are.
 //!
-//! Lengths and diameters: PMC9929973, table 1 (reference/features.md 5.2). Directions are ours, LPS, from the topology of
-//! 5.4: -x is the patient's right, +y posterior, +z superior. A main bronchus of the table is measured from the carina's
-//! ridge, which lies some 9 mm below the point where our centrelines part, so ours are longer by that.
+//! Lengths and diameters: PMC9929973, table 1 (docs/algorithms.md, sizes of airways). Directions are ours, LPS: -x is the
+//! patient's right, +y posterior, +z superior. A main bronchus of the table is measured from the carina's ridge, which
+//! lies some 9 mm below the point where our centrelines part, so ours are longer by that.
 
 /// A named branch: `(name, parent, direction, length_mm, diameter_mm)`.
 pub(crate) struct Named {

@@ -350,7 +350,7 @@ mod tests {
 
     #[test]
     fn the_start_has_anterior_up_and_the_patients_right_on_the_right() {
-        // Looking caudally from the head end (reference/features.md 4): -y is anterior, -x is the patient's right.
+        // Looking caudally from the head end (docs/conventions.md, left and right): -y is anterior, -x is the patient's right.
         let curve = FlightCurve::new(&[[5.0, 6.0, 100.0], [5.0, 6.0, 0.0]], None, 0.5).unwrap();
         let near = |found: [f64; 3], wanted: [f64; 3]| {
             // 1e-12: rounding of the weighted means.
