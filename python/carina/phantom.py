@@ -292,7 +292,7 @@ def demo_phantom(
 
 
 def _volume(hu_zyx: NDArray[np.int16], lps_from_ijk: NDArray[np.float64], seed: int) -> Volume:
-    source = VolumeSource(format="phantom", title=f"Phantom {seed}: generated, no patient")
+    source = VolumeSource(format="phantom", title=f"Phantom {seed}: synthetic, not a patient")
     return Volume(hu_zyx, lps_from_ijk, source=source)
 
 

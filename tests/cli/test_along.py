@@ -61,7 +61,7 @@ def test_what_cannot_be_reached_is_said(carina, ct, tree, tmp_path):
         assert "mm" in ended.err
     missing = carina("render", ct, "--view", "straightened", "-o", output)
     assert missing.code == 2
-    assert "no route" in missing.err or "none yet" in missing.err
+    assert "no route" in missing.err or "view follows a route" in missing.err
     no_tree = carina(
         "render", ct, "--view", "straightened", "--tree", tmp_path / "none.json", "--to", "1", "-o", output
     )

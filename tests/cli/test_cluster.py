@@ -78,7 +78,7 @@ class StubNode:
 
     def wait_ready(self) -> None:
         if self._line == "no answer":
-            raise ClusterError("nothing answers at 10.0.0.1:6379", code="cluster.start")
+            raise ClusterError("no answer from 10.0.0.1:6379", code="cluster.start")
 
     @property
     def running(self) -> bool:
@@ -112,13 +112,13 @@ def test_a_machine_that_was_in_the_cluster_joins_again_however_long_the_link_is_
     assert pauses_s == [1.0, 2.0, 5.0, 10.0, 10.0, 10.0, 10.0]
     told = capsys.readouterr()
     assert told.out.count("joins the cluster") == 1
-    assert told.err.count("nothing answers at 10.0.0.1:6379; trying again in") == 5
+    assert told.err.count("no answer from 10.0.0.1:6379; trying again in") == 5
     assert told.err.count("is in the cluster at 10.0.0.1:6379 again") == 2
     assert told.err.endswith("left the cluster\n")
 
 
 def test_a_machine_that_never_got_into_the_cluster_says_why_and_ends(monkeypatch, tmp_path):
-    with pytest.raises(ClusterError, match="nothing answers"):
+    with pytest.raises(ClusterError, match="no answer"):
         _join(monkeypatch, tmp_path, "no answer")
 
 
@@ -158,7 +158,7 @@ def test_a_cluster_is_started_looked_at_used_and_left_without_a_trace(tmp_path):
         lines = []
         while not lines or lines[-1].rstrip() != "}":
             line = head.stdout.readline()
-            assert line, "the head has ended"
+            assert line, "the head ended"
             lines.append(line)
         told = json.loads("".join(lines))
         assert told["address"] == f"127.0.0.2:{port}"

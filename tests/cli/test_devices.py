@@ -38,7 +38,7 @@ def test_live_values_of_a_handle_are_shown(capsys):
     ("address", "words"),
     [
         ("handle:/dev/there-is-none", "no such port"),
-        ("openigtlink:127.0.0.1:1", "nothing answers there"),
+        ("openigtlink:127.0.0.1:1", "no answer"),
         ("openigtlink:no-such-machine.invalid:18944", "no machine has this name"),
     ],
 )

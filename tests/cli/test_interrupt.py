@@ -24,7 +24,7 @@ def test_ctrl_c_exits_130_and_leaves_no_file(stage, ct, tmp_path):
         "phantom": (["phantom", "-o", tmp_path / "made", "--spacing-mm", "0.5"], "making the phantom"),
         "picture": (
             ["render", ct, "--size", "8192x8192", "--method", "brute", "--step-vox", "0.01", "-o", output],
-            "airways found",
+            "airways segmented",
         ),
     }[stage]
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache"), "XDG_CONFIG_HOME": str(tmp_path / "config")}

@@ -209,7 +209,7 @@ def test_a_renderer_that_does_not_start_is_told_of_and_still_welcome(ray, join):
     assert console.status().notices == ()
     now_s[0] += 2.0
     [notice] = wait_for(lambda: console.status().notices)
-    assert "the renderer on a has not started for 30 s: another console" in notice
+    assert "the renderer on a has not started after 30 s: another console" in notice
     ray.nodes_there.append("c")
     wait_for(lambda: len(ray.actors) == 3)
     assert console.status().notices == (notice,), "told once, and of nobody else"

@@ -238,7 +238,7 @@ def test_wrong_answers_are_never_shown(case, cluster, what):
         shows_the_truth()
     _wait(
         made,
-        lambda: any("lane-0 answered wrongly" in n and words in n for n in made.console.status().notices),
+        lambda: any("lane-0 returned a wrong answer" in n and words in n for n in made.console.status().notices),
         shows_the_truth,
     )
 
@@ -253,7 +253,7 @@ def test_no_answer_however_wrong_hangs_a_frame(case, cluster, monkeypatch, what)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
     setattr(made.lanes[0].trouble, what, True)
-    words = {"twice": [], "refuses": ["does not answer"]}.get(what, ["cannot be used"])
+    words = {"twice": [], "refuses": ["is not responding"]}.get(what, ["cannot be used"])
 
     def shows_the_truth() -> None:
         _, future = made.renderer.want(_airway(case))
@@ -290,7 +290,7 @@ def test_a_renderer_that_keeps_answering_wrongly_is_left_out(case, cluster):
     while any(m.name == "lane-0" for m in made.console.status().members):
         made.renderer.render(_airway(case))
         assert time.monotonic() < end_s
-    assert any("not used any more" in n for n in made.console.status().notices)
+    assert any("no longer used" in n for n in made.console.status().notices)
 
 
 def test_a_renderer_that_dies_in_mid_frame_loses_no_picture(case, cluster):
@@ -301,7 +301,7 @@ def test_a_renderer_that_dies_in_mid_frame_loses_no_picture(case, cluster):
 
     def num_told() -> int:
         assert np.array_equal(made.renderer.render(_airway(case)).rgb, expected)
-        return sum("lane-2 does not answer" in n for n in made.console.status().notices)
+        return sum("lane-2 is not responding" in n for n in made.console.status().notices)
 
     _wait(made, num_told)
     assert num_told() == num_told() == 1
@@ -352,7 +352,7 @@ def test_a_renderer_that_can_never_load_is_told_of_once_and_asked_again(case, cl
     made.renderer.prepare()
     _wait(made, lambda: len(asked) > console_module.TELL_AFTER_LOADS + 2)
     told = [notice for notice in made.console.status().notices if "cannot take the case" in notice]
-    assert told == ["the renderer lane-0 cannot take the case (ConnectionError); it is asked again until it can"]
+    assert told == ["the renderer lane-0 cannot take the case (ConnectionError); it is retried until it can"]
     monkeypatch.setattr(made.lanes[0], "load", load)
     _wait_ready(made)
 

@@ -128,7 +128,7 @@ def test_a_renderer_killed_in_mid_frame_costs_a_moment_and_comes_back_with_the_v
     assert flight.lane(name).facts.pid != pid
     before = len(flight.console.jobs)
     _fly(flight, 0.5, lambda: name in {job.lane for job in flight.console.jobs[before:] if job.accepted})
-    told = [n for n in flight.console.status().notices if name in n and "does not answer" in n]
+    told = [n for n in flight.console.status().notices if name in n and "is not responding" in n]
     assert len(told) == 1
 
 
@@ -171,7 +171,7 @@ def test_wrong_answers_are_told_and_never_shown(whole, trouble, words):
 
         def is_told() -> bool:
             notices = flight.console.status().notices
-            return any(f"{name} answered wrongly" in n and words in n for n in notices)
+            return any(f"{name} returned a wrong answer" in n and words in n for n in notices)
 
         _fly(flight, 0.5, is_told)
     finally:

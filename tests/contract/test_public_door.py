@@ -180,9 +180,9 @@ def test_a_terminal_bar_is_a_line_that_is_gone_at_the_end(monkeypatch: pytest.Mo
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("TERM", "xterm")
     bar = bars.TerminalBar()
-    bar.draw("finding the airways", 0.5)
+    bar.draw("segmenting the airways", 0.5)
     bar.close()
-    assert "finding the airways" in screen.getvalue()
+    assert "segmenting the airways" in screen.getvalue()
     assert screen.getvalue().rstrip().endswith("\x1b[2K"), "the line is wiped"
 
 

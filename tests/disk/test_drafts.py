@@ -160,7 +160,7 @@ def test_a_mask_that_finds_no_room_leaves_the_former_file_and_no_line_of_a_libra
     target = tmp_path / f"mask{suffix}"
     target.write_bytes(b"old")
     noise = np.random.default_rng(1).integers(-1000, 1000, (20, 30, 40), dtype=np.int16)
-    with pytest.raises(DiskError, match=r"cannot write the mask to .*the former file is unchanged") as caught:
+    with pytest.raises(DiskError, match=r"cannot write the mask to .*the existing file is unchanged") as caught:
         write_grid(target, noise, np.eye(4), what="the mask")
     assert caught.value.code == "disk.full"
     assert target.read_bytes() == b"old"
@@ -209,8 +209,8 @@ TROUBLES = [
     (errno.EROFS, "disk.denied", "read-only"),
     (errno.EACCES, "disk.denied", "permission"),
     (errno.ENOENT, "disk.missing", "no such folder"),
-    (errno.ENOTDIR, "disk.missing", "is a file and no folder"),
-    (errno.EISDIR, "disk.in-the-way", "in the way"),
+    (errno.ENOTDIR, "disk.missing", "is a file, not a folder"),
+    (errno.EISDIR, "disk.in-the-way", "already exists"),
     (errno.EIO, "disk.failed", "reports an error"),
     (errno.ENAMETOOLONG, "disk.failed", "too long"),
     (errno.EMFILE, "machine.files", "too many files"),
@@ -258,7 +258,7 @@ def test_a_disk_that_fills_up_anywhere_in_a_file_keeps_the_former_one(tmp_path, 
     target = tmp_path / "a"
     target.write_bytes(b"old")
     fits = at_byte <= 4096
-    refused = pytest.raises(DiskError, match="the former file is unchanged")
+    refused = pytest.raises(DiskError, match="the existing file is unchanged")
     with contextlib.nullcontext() if fits else refused, drafted(target, what="the test") as file:
         for start in range(0, at_byte, 1000):
             file.write(b"x" * min(1000, at_byte - start))

@@ -33,7 +33,7 @@ def test_a_doubt_stays_beside_the_title_and_leads_to_the_step_check(server, work
     workstation.wait_ready()
     page = workstation.page
     badge = page.get_by_test_id("doubts")
-    expect(badge).to_have_text("1 doubt")
+    expect(badge).to_have_text("1 finding")
     page.get_by_role("button", name="Rehearse").click()
     expect(badge).to_be_visible()
     badge.hover()

@@ -388,7 +388,7 @@ def test_a_tool_is_put_away_from_the_list_the_search_a_right_click_its_tag_and_b
         page.mouse.click(*middle_of(ready, view), button="right")
         assert ready.state("ui.armed") is None, view
 
-    # A drag with the right button is the grey window, and keeps the tool.
+    # A drag with the right button is the window / level, and keeps the tool.
     arm(ready, "bridge")
     x, y = middle_of(ready, "axial")
     page.mouse.move(x, y)

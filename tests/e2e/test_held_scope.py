@@ -20,7 +20,7 @@ def test_a_scope_is_held_bends_meets_the_wall_and_is_let_go(server, workstation)
     hold(workstation, (0, 0, 0, 0))
     page.get_by_role("radio", name="Scope").click()
     # The wall is found first, and that is said with its progress; the picture stays.
-    page.get_by_text("finding the wall that holds the scope").first.wait_for()
+    page.get_by_text("preparing the airway wall for the scope").first.wait_for()
     workstation.picture("held-scope-waiting")
     page.wait_for_function("() => window.__carina.state.pose.mode === 'scope'", timeout=WALL_MS)
     page.get_by_test_id("scope-reading").wait_for()
@@ -56,7 +56,7 @@ def test_a_scope_is_held_bends_meets_the_wall_and_is_let_go(server, workstation)
     hold(workstation, (0, 0, 0, 0))
     workstation.wait_still()
     workstation.picture("held-scope-touching")
-    assert page.get_by_text("touched").count() >= 1
+    assert page.get_by_text("wall contacts").count() >= 1
 
     # Withdrawn, straightened and let go: the path goes on from there without a jump.
     hold(workstation, (0, 1, 0, 0))

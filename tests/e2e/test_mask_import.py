@@ -79,13 +79,13 @@ def test_a_chosen_mask_is_asked_which_structure_is_the_airway_taken_and_undone(r
     ready.picture("mask-labels")
     page.locator("[data-testid=mask-answer]").click()
     ready.wait_for("window.__carina.state.airways_from === 'mask'")
-    assert ready.state("can_undo") == "take the mask as airways"
+    assert ready.state("can_undo") == "use the mask as the airways"
     expect(page.locator("[data-testid=mask-question]")).to_have_count(0)
     # The phantom's true lumen: more of its smallest branches than were found.
     ready.wait_for(f"window.__carina.state.tree.byId.size > {branches}")
     page.get_by_role("button", name="Airways", exact=True).click()
     page.locator("details.part > summary").first.click()
-    expect(page.get_by_text("Taken from a mask")).to_be_visible()
+    expect(page.get_by_text("From another segmentation")).to_be_visible()
     ready.picture("mask-taken")
     page.keyboard.press("Control+z")
     ready.wait_for("window.__carina.state.airways_from === 'search'")
@@ -98,13 +98,13 @@ def test_a_dropped_mask_on_another_grid_is_resampled_only_when_asked(ready, mask
     page.locator("[data-testid=mask-question]").wait_for()
     ready.picture("mask-grid")
     assert ready.state("airways_from") == "search"
-    page.get_by_role("button", name="Leave it").click()
+    page.get_by_role("button", name="Cancel").click()
     ready.wait_for("window.__carina.state.mask_question === null")
     assert (ready.state("airways_from"), ready.state("can_undo")) == ("search", None)
     drop(ready, masks["coarse"], "mask")
     page.locator("[data-testid=mask-answer]").click()
     ready.wait_for("window.__carina.state.airways_from === 'mask'")
-    assert "was on another grid" in ready.state("airways_words")
+    assert "was on a different grid" in ready.state("airways_words")
     page.keyboard.press("Control+z")
     ready.wait_for("window.__carina.state.airways_from === 'search'")
 
@@ -144,5 +144,5 @@ def test_a_mask_is_not_taken_for_a_case_that_was_opened_while_it_was_sent(ready,
     page.locator(".path-form button[type=submit]").evaluate("button => button.click()")
     ready.wait_for("window.__carina.state.case?.title === 'other.nrrd'")
     page.evaluate("() => window.free()")
-    page.get_by_text("Another case was opened while the file was sent").wait_for()
+    page.get_by_text("Another case was opened during the upload").wait_for()
     assert ready.state("mask_question") is None

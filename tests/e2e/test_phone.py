@@ -176,7 +176,7 @@ def test_a_phone_turns_and_advances_the_tip_is_lost_and_comes_back(server, works
 
     workstation.page.get_by_test_id("phone-switch").click()
     workstation.page.wait_for_function("() => window.__carina.state.devices.phone === null")
-    other.says("does not answer")
+    other.says("not responding")
     assert [*phone.faults, *again.faults, *other.faults, *workstation.faults] == []
 
 

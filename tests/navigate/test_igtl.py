@@ -144,7 +144,7 @@ def test_a_length_of_four_gibibytes_takes_no_memory_and_ends_the_stream():
             stream.feed(HEADER.pack(1, b"TRANSFORM", b"x", 0, num_bytes, 0))
     stream = IgtlStream()
     assert stream.feed(HEADER.pack(1, b"TRANSFORM", b"x", 0, 1 << 20, 0)) == []
-    assert stream.num_bad == {"a length that no pose has": 1}
+    assert stream.num_bad == {"a wrong length for a pose": 1}
     for _ in range(16):
         stream.feed(b"\0" * (1 << 16))
     assert len(stream._buffer) == 0
@@ -193,7 +193,7 @@ def test_nothing_is_lost_at_120_hz_and_we_come_back_after_the_peer_did():
             peer.close()
             again, _ = listening.accept()
             assert device in heard.gone
-            assert client.status().num_bad == {"headers that are none": 1}
+            assert client.status().num_bad == {"invalid headers": 1}
             again.sendall(pack_transform("Pen", np.eye(4), time_s=1.0))
             wait_for(lambda: len(heard.samples) == 241)
             again.close()
@@ -348,7 +348,7 @@ def test_a_connection_that_says_nothing_is_opened_again():
             assert heard.gone[0].endswith("/Pen")
             again.sendall(pack_transform("Pen", np.eye(4), time_s=2.0))
             wait_for(lambda: len(heard.samples) == 2)
-            wait_for(lambda: "nothing came for 0.2 s" in client.status().words)
+            wait_for(lambda: "no data for 0.2 s" in client.status().words)
             silent.close()
             again.close()
         finally:

@@ -155,8 +155,8 @@ BROKEN = {
     "broken xml": ("<opencv_storage><a></opencv_storage>", "expected XML"),
     "broken json": ('{"camera_matrix": ', "expected JSON"),
     "prose": ("a lens of good quality", "on line 1"),
-    "list without end": ("camera_matrix: [1, 2\n", "does not end"),
-    "deep json": ('{"K": ' + "[" * 100_000 + "]" * 100_000 + "}", "without end"),
+    "list nested too deeply": ("camera_matrix: [1, 2\n", "does not end"),
+    "deep json": ('{"K": ' + "[" * 100_000 + "]" * 100_000 + "}", "nested too deeply"),
     "booleans": (json.dumps({**FISHEYE, "D": [True, 0, 0, 0]}), "expected numbers, found True"),
 }
 

@@ -113,7 +113,7 @@ def test_a_place_in_the_airway_picture_means_the_lumen_in_front_of_the_wall(poin
 @pytest.mark.parametrize(
     ("place", "words"),
     [
-        ({"frame_id": 99, "column": 1.0, "row": 1.0}, "picture is gone"),
+        ({"frame_id": 99, "column": 1.0, "row": 1.0}, "picture has been replaced"),
         ({"frame_id": 5, "column": 1.0, "row": 1.0}, "no wall"),
         ({"lps": (0.0, 0.0, 9000.0)}, "outside the scan"),
     ],
@@ -126,6 +126,6 @@ def test_a_place_where_nothing_can_be_made_says_so(pointing, place, words):
 
 def test_a_fault_is_answered_and_the_next_question_too(pointing, monkeypatch):
     monkeypatch.setattr(pointing.session, "ask", lambda _question: 1 / 0)
-    assert "fault of Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
+    assert "internal error in Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
     monkeypatch.undo()
     assert ask(pointing, 2, lps=in_plain_lung()).problem is None

@@ -317,7 +317,7 @@ def test_a_search_can_be_cancelled_and_the_pictures_stay(tmp_path):
     with running(tmp_path, find_airways=find_airways) as live, live.window() as window:
         window.send(SHOWN, wire.OpenPath("case"))
         job = window.until(lambda m: isinstance(m, wire.Progress) and m.what == "growing the lumen")
-        assert (job.title, job.fraction) == ("finding the airways", 0.3)
+        assert (job.title, job.fraction) == ("segmenting the airways", 0.3)
         assert reached.wait(WAIT_S)
         window.until(lambda m: isinstance(m, wire.PictureHeader) and m.view == "airway")
         window.send(wire.Cancel(job.job_id))

@@ -84,7 +84,7 @@ def test_a_place_in_the_airway_picture_means_the_lumen_in_front_of_the_wall(poin
 @pytest.mark.parametrize(
     ("place", "words"),
     [
-        ({"frame_id": 99, "column": 1.0, "row": 1.0}, "picture is gone"),
+        ({"frame_id": 99, "column": 1.0, "row": 1.0}, "picture has been replaced"),
         ({"frame_id": 5, "column": 1.0, "row": 1.0}, "no wall"),
     ],
 )
@@ -104,13 +104,13 @@ def test_without_airways_the_answer_says_what_to_wait_for():
     bench.session.do(OpenPath("case"))
     bench.background.run_next()
     made.ask_live_path(wire.AskLivePath(2, (0.0, 0.0, 0.0), None, None, None))
-    assert "not found yet" in answers.get(timeout=WAIT_S).problem
+    assert "not been segmented yet" in answers.get(timeout=WAIT_S).problem
     made.stop()
 
 
 def test_a_fault_is_answered_and_the_next_question_too(pointing, monkeypatch):
     monkeypatch.setattr(pointing.session, "ask", lambda _question: 1 / 0)
-    assert "fault of Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
+    assert "internal error in Carina (ZeroDivisionError)" in ask(pointing, 1, lps=(0.0, 0.0, 0.0)).problem
     monkeypatch.undo()
     assert ask(pointing, 2, lps=small_lps((16.0, 14.0, 30.0))).problem is None
 

@@ -28,7 +28,7 @@ def test_every_command_is_done_and_every_question_answered_by_one_method():
         (c.SetTexture("yes"), "set_texture.on must be true or false; found text"),
         (c.ChooseRoute("target-1", 3), "names a target and a branch"),
         (c.EditTree(c.PaintLumen(((0.0, 0.0, 0.0),), 0.01)), "edit_tree.edit.radius_mm must be at least 0.1"),
-        (c.OpenPath(object()), "open_path holds what no command has"),
+        (c.OpenPath(object()), "open_path holds a value that no command takes"),
     ],
 )
 def test_a_command_out_of_bounds_is_refused_by_the_name_of_its_field_and_changes_nothing(command, words):
@@ -53,9 +53,9 @@ def test_numbers_and_points_of_numpy_are_numbers_and_points():
 def test_what_is_no_command_is_refused():
     bench = small_bench()
     for other in (c.VoxelAt((0.0, 0.0, 0.0)), "undo", None, c.KeyAdd()):
-        with pytest.raises(UsageError, match="does commands"):
+        with pytest.raises(UsageError, match="expected a command"):
             bench.session.do(other)
-    with pytest.raises(UsageError, match="answers questions"):
+    with pytest.raises(UsageError, match="expected a question"):
         bench.session.ask(c.Undo())
 
 

@@ -78,7 +78,7 @@ def test_a_route_to_a_branch_that_is_cut_goes_away_with_words_and_comes_back_wit
     edit(bench, CutBranch(2))
     assert document(bench).route is None
     words = [e.message for e in bench.of_type(Said)]
-    assert words == ["the route to branch 2, generation 2 went away with the edit; choose another one, or undo"]
+    assert words == ["the edit removed the route to branch 2, generation 2; choose another one, or undo"]
     bench.session.undo()
     assert document(bench).route.branch_id == gone.id
 
@@ -91,9 +91,9 @@ def test_targets_are_tracked_again_in_the_edited_tree(bench, case):
     edit(bench, CutBranch(2))
     lost, kept = document(bench).targets
     assert lost.route is None
-    assert "mm from the airway lumen" in lost.problem
+    assert "mm from the segmented lumen" in lost.problem
     assert kept.route is not None
-    assert any(e.message.startswith("there is no path to Target 1 any more") for e in bench.of_type(Said))
+    assert any(e.message.startswith("the path to Target 1 is lost") for e in bench.of_type(Said))
     edit(bench, AddBranch(point(case.tips[0])))
     assert all(target.route is not None for target in document(bench).targets)
 
@@ -128,9 +128,9 @@ def test_edits_that_cannot_be_made_change_nothing_and_say_why(bench, case):
     assert document(bench) is before
     assert [e.outcome for e in bench.of_type(JobEnded)] == ["failed"] * 3
     words = [e.message for e in bench.of_type(Trouble)]
-    assert "holds the root" in words[0]
+    assert "holds the start" in words[0]
     assert "branch 77 is not in the tree" in words[1]
-    assert "there is no air at the point" in words[2]
+    assert "this point is not in air" in words[2]
     assert bench.session.snapshot().undo_label is None
 
 

@@ -102,7 +102,7 @@ def test_every_change_of_the_list_is_one_step_of_undo(three):
             lambda: (session.do(place_pose(looking_down(LEFT))), session.do(EditKeys(KeyUpdate(ids[0])))),
         ),
         ("remove key frame 3", lambda: session.do(EditKeys(KeyRemove(ids[1])))),
-        ("way through the key frames", lambda: session.do(SetKeyFlight(through="space"))),
+        ("path through the key frames", lambda: session.do(SetKeyFlight(through="space"))),
         ("speed through the key frames", lambda: session.do(SetKeyFlight(speed_mm_s=44.0))),
         ("add key frame 3", lambda: session.do(EditKeys(KeyAdd()))),
     ]
@@ -219,7 +219,7 @@ def test_going_to_a_key_frame_is_exact_also_while_there_is_only_one(bench):
 def test_commands_about_a_key_frame_that_is_gone_are_refused(three):
     session = three.session
     for command in (EditKeys(KeyUpdate("key-99")), EditKeys(KeyRemove("key-99")), ShowKey("key-99")):
-        with pytest.raises(UsageError, match="this key frame is gone"):
+        with pytest.raises(UsageError, match="this key frame has been removed"):
             session.do(command)
     with pytest.raises(UsageError, match=r"speed_mm_s must be at least 0\.1; found 0"):
         session.do(EditKeys(KeySpeed(session.keys_info().keys[0].key_id, 0.0)))

@@ -213,7 +213,7 @@ def test_setting_the_root_is_undone_without_searching_again():
     bench.background.run_all()
     second = bench.session.snapshot().document.airways
     assert second is not first
-    assert bench.session.snapshot().undo_label == "set the root"
+    assert bench.session.snapshot().undo_label == "mark the trachea"
     bench.session.undo()
     bench.background.run_all()
     assert bench.session.snapshot().document.airways is first
@@ -239,9 +239,7 @@ def test_no_airways_is_a_state_with_words_and_the_case_stays_usable():
     bench.open()
     snapshot = bench.session.snapshot()
     assert (snapshot.stage, snapshot.airways) == ("ready", "failed")
-    assert snapshot.airways_words == (
-        "no trachea was found. Click in the trachea on a slice and choose it as the root."
-    )
+    assert snapshot.airways_words == ("no trachea was found. Mark the trachea: click inside it on a slice.")
     assert bench.renderers[-1].prepared == 1
     bench.session.do(Steer(1.0, 0.0, 0.0, 0.0))
     with pytest.raises(UsageError, match="no path to fly on"):
@@ -294,7 +292,7 @@ def test_a_volume_without_hu_gets_a_transfer_function_and_threshold_from_its_his
     assert snapshot.sight.window == GreyWindow(190.0, 105.0)
     assert thresholds == [105.0]
     assert all("8-bit" in off.why for off in snapshot.case.off)
-    with pytest.raises(UsageError, match="'endoscopic' for this volume"):
+    with pytest.raises(UsageError, match="no transfer function 'endoscopic'"):
         bench.session.do(SetTransfer(preset="endoscopic"))
     with pytest.raises(UsageError, match="in HU"):
         bench.session.do(SetTransfer(document={"unit": "HU"}))
@@ -507,7 +505,7 @@ def test_a_fault_in_a_job_is_told_in_words_and_logged_without_its_message(caplog
     bench = small_bench(find_airways=broken)
     bench.open()
     assert [t.code for t in bench.of_type(Trouble)] == ["carina.fault"]
-    assert "a job failed: finding the airways: KeyError at test_session.py:" in caplog.text
+    assert "a job failed: segmenting the airways: KeyError at test_session.py:" in caplog.text
     assert "doe" not in caplog.text
     assert bench.session.snapshot().airways == "failed"
 

@@ -194,7 +194,7 @@ def test_work_stops_when_asked_and_reports_its_stages(chest):
     find_airways(chest.volume, progress=lambda what, fraction: stages.append((what, fraction)))
     names = list(dict.fromkeys(what for what, _ in stages))
     assert names[0] == "finding the trachea"
-    assert names[-1] == "airways found"
+    assert names[-1] == "airways segmented"
     assert all(fraction is None or 0.0 <= fraction <= 1.0 for _, fraction in stages)
     for number in range(len(names) - 1):
         calls = itertools.count()
@@ -226,7 +226,7 @@ def test_targets_are_tracked_snapped_or_refused_one_by_one(chest):
     assert 0.0 < snapped.snapped_mm <= 5.0
     assert np.linalg.norm(snapped.used_lps - snapped.requested_lps) == pytest.approx(snapped.snapped_mm)
     assert refused.path is None
-    assert "mm from the airway lumen" in refused.problem
+    assert "mm from the segmented lumen" in refused.problem
     for target in (first, snapped, last):
         assert result.airways.tracker.inside(target.path.points_lps).all()
         assert result.airways.tracker.inside(target.path.voxel_path_lps).all()

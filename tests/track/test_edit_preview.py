@@ -101,7 +101,7 @@ def test_what_cannot_be_made_is_said_and_nothing_is_shown(case):
     for edit, words in (
         (MoveFork(leaf.id, tuple(leaf.tip_lps)), "without a fork"),
         (Bridge(tuple(leaf.tip_lps)), "nothing to bridge"),
-        (AddBranch(tuple(leaf.points[len(leaf.points) // 2])), "there already"),
+        (AddBranch(tuple(leaf.points[len(leaf.points) // 2])), "already reaches"),
     ):
         preview = preview_edit(case.volume, case.airways, edit)
         assert words in str(preview.problem)

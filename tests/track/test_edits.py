@@ -84,7 +84,7 @@ def test_a_cut_takes_the_branch_with_its_lumen_and_leaves_all_others_as_they_wer
     assert airways.tracker.inside(others).all()
     assert airways.lumen_zyx.sum() < case.airways.lumen_zyx.sum()
     # What was cut attracts no path any more.
-    with pytest.raises(NoResultError, match="from the airway lumen"):
+    with pytest.raises(NoResultError, match="from the segmented lumen"):
         airways.tracker.path_to(gone.tip_lps, snap_mm=1.0)
 
 
@@ -123,12 +123,12 @@ def test_a_branch_inside_the_lumen_is_tracked_and_splits_the_one_that_it_leaves(
     assert painted.tree.branch(tip.id).length_mm > shortened.tree.branch(tip.id).length_mm or any(
         b.kind == "manual" for b in painted.tree.branches
     )
-    with pytest.raises(NoResultError, match="the tree is there already"):
+    with pytest.raises(NoResultError, match="the tree already reaches this point"):
         edited(case, AddBranch(point(painted.tree.branches[0].points[3])), start=painted)
 
 
 def test_a_click_in_tissue_or_outside_the_scan_is_refused_with_what_to_do(case):
-    with pytest.raises(NoResultError, match=r"there is tissue at the point .* no airway: click in the dark middle"):
+    with pytest.raises(NoResultError, match=r"this point is in tissue .* not in an airway: click in the dark middle"):
         edited(case, AddBranch(point(case.plug)))
     with pytest.raises(UsageError, match="lies outside the scan; click inside the pictures"):
         edited(case, AddBranch((900.0, 0.0, 0.0)))
@@ -136,14 +136,14 @@ def test_a_click_in_tissue_or_outside_the_scan_is_refused_with_what_to_do(case):
         NoEvidenceError, match=r"the CT shows no airway wall .* if the airway is blocked, bridge the blockage"
     ):
         edited(case, AddBranch(point(case.hidden)))
-    with pytest.raises(NoResultError, match="the tree is there already"):
+    with pytest.raises(NoResultError, match="the tree already reaches this point"):
         edited(case, AddBranch(point(case.airways.tree.root.points[5])))
 
 
 def test_cuts_that_mean_nothing_are_refused_in_words(case):
     with pytest.raises(UsageError, match="branch 99 is not in the tree"):
         edited(case, CutBranch(99))
-    with pytest.raises(UsageError, match="holds the root, without it there is no tree"):
+    with pytest.raises(UsageError, match="holds the start of the tree"):
         edited(case, CutBranch(case.airways.tree.root.id))
     with pytest.raises(UsageError, match=r"is only \d+\.\d mm long"):
         edited(case, CutBranch(2, 500.0))
@@ -213,7 +213,7 @@ def test_what_is_uncertain_follows_an_edit(case):
 
 
 def test_bridges_that_cannot_be_are_refused_in_words(case):
-    with pytest.raises(NoResultError, match=r"there is no air at the point .*click in the dark middle"):
+    with pytest.raises(NoResultError, match=r"this point is not in air .*click in the dark middle"):
         edited(case, Bridge(point(case.plug)))
     with pytest.raises(NoResultError, match="there is nothing to bridge"):
         edited(case, Bridge(point(case.airways.tree.root.points[4])))
@@ -371,11 +371,11 @@ def test_a_wider_lumen_has_a_wider_radius_there_and_nowhere_else(case):
 
 def test_strokes_that_change_nothing_are_refused_in_words(case):
     inside = point(case.airways.tree.root.points[4])
-    with pytest.raises(NoResultError, match="nothing to paint: all of it is lumen already"):
+    with pytest.raises(NoResultError, match="nothing to paint: all of it is already lumen"):
         edited(case, PaintLumen((inside,), 0.0))
     with pytest.raises(NoResultError, match="no lumen under the brush to erase"):
         edited(case, PaintLumen((point(case.plug),), 0.5, erase=True))
-    with pytest.raises(UsageError, match="the root lies under the brush"):
+    with pytest.raises(UsageError, match="the start of the tree lies under the brush"):
         edited(case, PaintLumen((point(case.airways.root_lps),), 2.0, "ball", erase=True))
     with pytest.raises(UsageError, match="the stroke lies outside the scan"):
         edited(case, PaintLumen(((0.0, 0.0, 4000.0),), 2.0))

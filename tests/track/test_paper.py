@@ -116,7 +116,7 @@ def test_a_target_far_from_the_lumen_has_a_path_by_the_papers_cost_only(chest, f
     tissue = chest.tubes[0][0] + np.array([20.0, 10.0, -10.0])
     by_lumen = track_on_graph(chest.volume, found, [tissue], cost="lumen", graph="isoregion")
     assert by_lumen.targets[0].path is None
-    assert "from the airway lumen" in str(by_lumen.targets[0].problem)
+    assert "from the segmented lumen" in str(by_lumen.targets[0].problem)
     assert by_lumen.search.targets == (None,)
     by_paper = track_on_graph(chest.volume, found, [tissue], cost="paper", graph="voxel")
     row = by_paper.search.targets[0]

@@ -143,7 +143,7 @@ def test_a_root_in_tissue_is_refused_and_a_target_in_tissue_told():
         painted(lumen, (30.0, 1.2 * 15, 1.5 * 15))
     airways = painted(lumen, (3.0, 4.8, 6.0))
     far = (30.0, 1.2 * 15, 1.5 * 15)
-    with pytest.raises(NoResultError, match="mm from the airway lumen"):
+    with pytest.raises(NoResultError, match="mm from the segmented lumen"):
         airways.tracker.path_to(far)
     live = airways.tracker.live_path(far)
     assert "soft tissue" in live.problem

@@ -34,7 +34,7 @@ pub enum GpuError {
         reason: String,
     },
     /// Some pixels came back unwritten. The picture is refused: a wrong one is worse than none.
-    #[error("the graphics device {name} left {num_missing} pixels of a picture unwritten")]
+    #[error("the graphics device {name} did not write {num_missing} pixels of a picture")]
     Incomplete {
         /// The adapter.
         name: String,

@@ -3,7 +3,7 @@
 pub enum IsoRegionError {
     /// Labels and shape disagree.
     #[error(
-        "the label volume holds {found} voxels, but its shape (z, y, x) = {shape_zyx:?} asks for {expected}"
+        "the label volume holds {found} voxels, but its shape (z, y, x) = {shape_zyx:?} requires {expected}"
     )]
     Length {
         /// The shape asked for.

@@ -19,7 +19,7 @@ pub enum TrackError {
     },
     /// Edge costs span more than the integer queue can count.
     #[error(
-        "path costs do not fit the integer queue: the dearest edge is {ratio:.3e} times the cheapest; narrow the cost's range"
+        "path costs do not fit the integer queue: the most expensive edge is {ratio:.3e} times the cheapest; narrow the cost's range"
     )]
     CostRange {
         /// Dearest over cheapest edge.

@@ -20,7 +20,7 @@ pub enum ScopeError {
         found_mm: f64,
     },
     /// The wall's field cannot be made.
-    #[error("cannot take the distance to this wall: {reason}")]
+    #[error("cannot compute the distance to this wall: {reason}")]
     Wall {
         /// Why.
         reason: String,
@@ -32,7 +32,7 @@ pub enum ScopeError {
         reason: String,
     },
     /// The force law's numbers are unusable, or the loop cannot run.
-    #[error("cannot give force: {reason}")]
+    #[error("cannot compute the force: {reason}")]
     Force {
         /// Why.
         reason: String,

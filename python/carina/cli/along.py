@@ -24,10 +24,7 @@ MAX_NAMES_SAID = 12
 def check_destination(to: str | None, view: str) -> str:
     """Refuse a missing or broken ``--to`` before the work."""
     if to is None:
-        raise UsageError(
-            f"the {view} view lies along a route, and there is none yet: name its end with --to "
-            "(a branch's name or id, or x,y,z)"
-        )
+        raise UsageError(f"the {view} view follows a route; name its end with --to (a branch's name or id, or x,y,z)")
     if "," in to:
         parse_point(to, "--to")
     return to
@@ -77,4 +74,4 @@ def _branch_id(tree: AirwayTree, to: str) -> int:
         return tree.branch(int(to)).id
     names = [b.name for b in tree.branches if b.name]
     known = ", ".join(names[:MAX_NAMES_SAID]) + (", ..." if len(names) > MAX_NAMES_SAID else "")
-    raise UsageError(f"--to: no branch is called {to!r}; named are: {known or 'none'}; each also has an id")
+    raise UsageError(f"--to: no branch has the name {to!r}; named are: {known or 'none'}; each also has an id")

@@ -29,30 +29,35 @@ app = typer.Typer(
 
 PortOption = Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.", min=0, max=65535)]
 HostOption = Annotated[
-    str, typer.Option(help="Address to listen on. Anything but loopback opens the case to the network.")
+    str, typer.Option(help="Address to listen on. Any address but loopback opens the case to the network.")
 ]
 BrowserOption = Annotated[bool, typer.Option("--browser/--no-browser", help="Open the browser.")]
 
 
 ClusterOption = Annotated[
     str | None,
-    typer.Option("--cluster", help="Render on the machines of a cluster: its head's HOST:PORT, or local to try it."),
+    typer.Option(
+        "--cluster", help="Render on a cluster: the HOST:PORT of its head, or local to try it on this machine."
+    ),
 ]
 MixedOption = Annotated[
     bool,
-    typer.Option("--mixed", help="Let them use graphics devices: pictures then are equal within one grey level only."),
+    typer.Option("--mixed", help="Let its machines use their GPUs; pictures may then differ by one grey level."),
 ]
 
 
 PhoneOption = Annotated[
     bool,
     typer.Option(
-        "--phone", help="Open the page for a phone to the local network at once: its link may move the tip, no more."
+        "--phone",
+        help="Open the phone's page to the local network at the start. Its link can move the tip, nothing else.",
     ),
 ]
 PhoneAddressOption = Annotated[
     str | None,
-    typer.Option("--phone-address", help="Where that page listens; this machine's address in its network unless told."),
+    typer.Option(
+        "--phone-address", help="Address that page listens on (default: this machine's address in its network)."
+    ),
 ]
 
 
@@ -110,7 +115,7 @@ def _workstation(
 @app.callback(invoke_without_command=True)
 def root(
     context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
 ) -> None:
     """Virtual bronchoscopy: fly through the airways of a chest CT. Not a medical device.
 
@@ -187,11 +192,11 @@ def demo(
 @app.command()
 def info(
     path: PathArgument,
-    strict: Annotated[bool, typer.Option("--strict", help="Leave with 3 where there is a doubt or a finding.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit with code 3 if the scan has findings.")] = False,
     series: SeriesOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Geometry, value range, series found and how far the CT can be trusted.
+    """Show geometry, value range, series found and how far the CT can be trusted.
 
     Example: carina info ~/scans/thorax --json
     """
@@ -211,16 +216,16 @@ def render(
     output: Annotated[Path, typer.Option("-o", "--output", help="PNG to write.")],
     view: Annotated[
         str,
-        typer.Option(
-            help="What to show: airway, cut-plane, axial, tree or another; a name that is none lists them all."
-        ),
+        typer.Option(help="View: airway, cut-plane, axial, tree or another; an unknown name lists all of them."),
     ] = "airway",
     at: Annotated[str, typer.Option(help="Tip position x,y,z in mm (LPS), or auto: the top of the trachea.")] = "auto",
-    look: Annotated[str | None, typer.Option(help="Viewing direction dx,dy,dz; caudal unless told.")] = None,
-    up: Annotated[str | None, typer.Option(help="Direction that appears up; anterior unless told.")] = None,
+    look: Annotated[str | None, typer.Option(help="Viewing direction dx,dy,dz (default: caudal).")] = None,
+    up: Annotated[str | None, typer.Option(help="Direction that appears up (default: anterior).")] = None,
     fov: Annotated[
         float | None,
-        typer.Option(help="Full field of view across the shorter side, 1 to 170 degrees; the scope's, or 90."),
+        typer.Option(
+            help="Full field of view across the shorter side, 1 to 170 degrees (default: the scope's, or 90)."
+        ),
     ] = None,
     scope: Annotated[
         str | None, typer.Option(help="Look through an instrument: generic, standard, ultrathin, ebus, ... or none.")
@@ -231,10 +236,11 @@ def render(
     outline: Annotated[str | None, typer.Option(help="Shape of the picture: none, round or octagon.")] = None,
     mask: Annotated[str | None, typer.Option("--mask", hidden=True, help="Old word for --outline.")] = None,
     vignette: Annotated[
-        float | None, typer.Option(help="0 for an even picture to 1 for the lens's natural fall-off of light.")
+        float | None, typer.Option(help="Vignetting, from 0 (even) to 1 (the lens's natural fall-off of light).")
     ] = None,
     focus: Annotated[
-        str | None, typer.Option(help="Blur what is nearer or farther: near,far in mm, or scope for the scope's own.")
+        str | None,
+        typer.Option(help="Depth of field: near,far in mm, or scope for the scope's own; the rest is blurred."),
     ] = None,
     size: Annotated[str, typer.Option(help="WxH in pixels.")] = "512x512",
     method: Annotated[str, typer.Option(help="leap or brute")] = "leap",
@@ -249,33 +255,35 @@ def render(
     ] = None,
     window: Annotated[
         str | None,
-        typer.Option(help="width,level in HU; 1500,-600 for the planes and fitted to the X-rays unless told."),
+        typer.Option(help="width,level in HU (default: 1500,-600 for planes, fitted for X-rays)."),
     ] = None,
     surface: Annotated[
         Path | None,
         typer.Option(help="NPZ to write beside an airway view: depth, position and normal of the wall at each pixel."),
     ] = None,
     tree: Annotated[
-        Path | None, typer.Option(help="Tree of the straightened and curved views; the scan's own unless given.")
+        Path | None, typer.Option(help="Tree for the straightened and curved views (default: segmented from the scan).")
     ] = None,
     to: Annotated[
-        str | None, typer.Option(help="Where those views lead: a branch's name or id, or a point x,y,z in mm (LPS).")
+        str | None, typer.Option(help="End of their route: a branch's name or id, or a point x,y,z in mm (LPS).")
     ] = None,
-    turn: Annotated[float, typer.Option(help="Turn of their cutting plane about the path, degrees.")] = 0.0,
+    turn: Annotated[float, typer.Option(help="Rotation of their cutting plane about the path, degrees.")] = 0.0,
     carm_primary: Annotated[
-        float, typer.Option(help="C-arm of drr: LAO above 0, RAO below 0, degrees; 90 is lateral.")
+        float, typer.Option(help="C-arm of drr in degrees: LAO positive, RAO negative; 90 is lateral.")
     ] = 0.0,
-    carm_secondary: Annotated[float, typer.Option(help="C-arm of drr: cranial above 0, caudal below 0.")] = 0.0,
+    carm_secondary: Annotated[
+        float, typer.Option(help="C-arm of drr in degrees: cranial positive, caudal negative.")
+    ] = 0.0,
     tone: Annotated[
         str, typer.Option(help="drr as radiograph (bone white) or fluoroscopy (bone dark).")
     ] = "radiograph",
     slab: Annotated[
-        str | None, typer.Option(help="Thick planes: mm and min, max or mean, such as 10,min to see airways.")
+        str | None, typer.Option(help="Slab: thickness in mm and min, max or mean, such as 10,min to see airways.")
     ] = None,
     series: SeriesOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """One picture of one view.
+    """Render one picture of one view.
 
     Example: carina render ~/scans/thorax --view airway --at -2,15,-120 --look 0,0,-1 --size 768x768 -o carina.png
     """
@@ -323,11 +331,11 @@ def phantom(
     seed: Annotated[int, typer.Option(help="The same seed gives the same case.", min=0)] = 0,
     spacing_mm: Annotated[float, typer.Option("--spacing-mm", help="Voxel spacing.")] = 0.8,
     generations: Annotated[int, typer.Option(help="Generations of the airway tree (trachea is 0).")] = 6,
-    stenosis: Annotated[bool, typer.Option("--stenosis", help="Narrow one bronchus.")] = False,
+    stenosis: Annotated[bool, typer.Option("--stenosis", help="Add a stenosis to one bronchus.")] = False,
     nodule: Annotated[bool, typer.Option("--nodule", help="Add a nodule.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """A chest CT with exact truth: ct.nii.gz, lumen.nii.gz, truth.json.
+    """Make a chest CT with exact ground truth: ct.nii.gz, lumen.nii.gz, truth.json.
 
     Example: carina phantom -o case --seed 7 --nodule
     """
@@ -359,7 +367,7 @@ def phantom(
 
 @app.command()
 def doctor(as_json: JsonOption = False) -> None:
-    """What is installed, what is used, what is missing and how to get it.
+    """Show what is installed, what is used, what is missing and how to get it.
 
     Example: carina doctor
     """
@@ -374,28 +382,26 @@ def fly(
     path: PathArgument,
     output: Annotated[Path, typer.Option("-o", "--output", help="Video to write: .mp4 (H.264) or .webm (VP9).")],
     tree: Annotated[
-        Path | None, typer.Option("--tree", help="A tree that carina wrote; found in the scan unless given.")
+        Path | None, typer.Option("--tree", help="Tree file written by carina (default: segmented from the scan).")
     ] = None,
     to: Annotated[
         str | None, typer.Option(help="Where to: a branch's name or id, or a point x,y,z in mm (LPS).")
     ] = None,
-    recording: Annotated[Path | None, typer.Option(help="Fly a recording of the workstation again.")] = None,
+    recording: Annotated[Path | None, typer.Option(help="Replay a recording of the workstation.")] = None,
     keys: Annotated[
-        Path | None, typer.Option(help="Fly through key frames (carina-keys, JSON), as the window saves them.")
+        Path | None, typer.Option(help="Fly through key frames (carina-keys, JSON) saved in the window.")
     ] = None,
     size: Annotated[str, typer.Option(help="WxH in pixels.")] = "512x512",
     rate: Annotated[float, typer.Option(help="Frames per second, 1 to 240.")] = 30.0,
-    speed: Annotated[float, typer.Option(help="mm/s along the route; key frames bring their own.")] = 20.0,
-    pause: Annotated[float, typer.Option(help="Seconds at each fork and at the end.")] = 1.0,
+    speed: Annotated[float, typer.Option(help="Speed along the route in mm/s; key frames bring their own.")] = 20.0,
+    pause: Annotated[float, typer.Option(help="Pause at each fork and at the end, in seconds.")] = 1.0,
     scope: Annotated[
         str | None, typer.Option(help="Look through an instrument, or none; a recording brings its own.")
     ] = None,
     step_vox: Annotated[float, typer.Option(help="Ray step in units of the smallest voxel spacing.")] = 0.5,
     keep: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder for the single pictures: a flight that was stopped goes on behind the last one there."
-        ),
+        typer.Option(help="Folder for the frames; an interrupted video continues after the last frame there."),
     ] = None,
     cluster: ClusterOption = None,
     mixed: MixedOption = False,
@@ -441,16 +447,16 @@ def devices(
     device: Annotated[
         list[str] | None,
         typer.Option(
-            help="fastrak:PORT, fastrak-binary:PORT, handle:PORT or openigtlink:HOST[:PORT][?silence=S] (connect anew "
-            "after S silent seconds); may be repeated."
+            help="fastrak:PORT, fastrak-binary:PORT, handle:PORT or openigtlink:HOST[:PORT][?silence=S] (reconnect "
+            "after S seconds of silence); may be repeated."
         ),
     ] = None,
     seconds: Annotated[float, typer.Option(help="How long to listen.")] = 3.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Input devices that this machine finds, and what they say.
+    """List the input devices of this machine and what they send.
 
-    Exit code 4 if a device that was named says nothing.
+    Exit code 4 if a named device sends nothing.
 
     Example: carina devices --device fastrak:/dev/ttyUSB0 --seconds 10
     """
@@ -470,7 +476,7 @@ app.add_typer(cluster, name="cluster")
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
 )
 def bench(context: typer.Context) -> None:
-    """Figures beside installed peers, in the same run; in a checkout of Carina's source only."""
+    """Measure Carina beside other installed software, in the same run. Needs a checkout of Carina's source."""
     from carina.cli.bench import run_benchmarks
 
     run_benchmarks(context.args)

@@ -17,23 +17,24 @@ FromMaskOption = Annotated[
     Path | None,
     typer.Option(
         "--from-mask",
-        help="Lumen from another tool: NIfTI, NRRD, MetaImage or DICOM SEG, instead of the automatic one.",
+        help="Segmentation to use instead of the automatic one: NIfTI, NRRD, MetaImage or DICOM SEG.",
     ),
 ]
-LabelOption = Annotated[int | None, typer.Option("--label", help="Which number in that mask is the airway.")]
+LabelOption = Annotated[int | None, typer.Option("--label", help="Label of the airway lumen in that mask.")]
 ResampleOption = Annotated[
-    bool, typer.Option("--resample", help="Take that mask although it is on another grid than the scan.")
+    bool, typer.Option("--resample", help="Resample that mask if its grid differs from the scan's.")
 ]
 
 StrictOption = Annotated[
-    bool, typer.Option("--strict", help="Refuse a scan that opens with doubts (a badge); leave with 3.")
+    bool, typer.Option("--strict", help="Refuse a scan that opens with findings; exit with code 3.")
 ]
 
 
 def airways(
     path: PathArgument,
     seed: Annotated[
-        str | None, typer.Option("--seed", help="A point in the trachea, x,y,z in mm (LPS), where it is not found.")
+        str | None,
+        typer.Option("--seed", help="A point in the trachea, x,y,z in mm (LPS), if it is not found automatically."),
     ] = None,
     from_mask: FromMaskOption = None,
     label: LabelOption = None,
@@ -49,7 +50,7 @@ def airways(
         bool,
         typer.Option(
             "--even-without-evidence",
-            help="Draw added branches also where the CT shows no airway wall; they are labelled as drawn by hand.",
+            help="Draw added branches even where the CT shows no airway wall; they are labelled as drawn by hand.",
         ),
     ] = False,
     series: SeriesOption = None,
@@ -100,7 +101,7 @@ def export(
         typer.Option("-o", "--output", help="The file to write. Its ending says what; --formats lists the endings."),
     ],
     tree: Annotated[
-        Path | None, typer.Option("--tree", help="A tree that carina wrote; found in the scan unless given.")
+        Path | None, typer.Option("--tree", help="Tree file written by carina (default: segmented from the scan).")
     ] = None,
     from_mask: FromMaskOption = None,
     label: LabelOption = None,

@@ -13,22 +13,24 @@ from carina.errors import UsageError
 __all__ = ["cluster"]
 
 cluster = typer.Typer(
-    help="Many machines render one picture (docs/cluster.md). Needs Linux and the extra `cluster`.",
+    help="Render one picture on many machines (docs/cluster.md). Needs Linux and the extra `cluster`.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
 
 IpOption = Annotated[
-    str | None, typer.Option("--ip", help="This machine's address, where it has several: the private network's.")
+    str | None, typer.Option("--ip", help="This machine's address, if it has several: the one in the private network.")
 ]
 DedicatedOption = Annotated[
-    bool, typer.Option("--dedicated", help="The machine does nothing else: render at full priority.")
+    bool, typer.Option("--dedicated", help="Render at full priority, on a machine that does nothing else.")
 ]
 
 
 @cluster.command("start")
 def cluster_start(
-    head: Annotated[bool, typer.Option("--head", help="Be the first machine; the console's is best.")] = False,
+    head: Annotated[
+        bool, typer.Option("--head", help="Start the first machine; the console's is the best choice.")
+    ] = False,
     port: Annotated[int, typer.Option(help="Port of the head.", min=1024, max=65535)] = 6379,
     ip: IpOption = None,
     renders: Annotated[bool, typer.Option("--renders/--no-renders", help="Render on this machine too.")] = True,
@@ -61,7 +63,7 @@ def cluster_join(
     token_file: TokenOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Render for a cluster until Ctrl-C; joins again by itself after a cut link.
+    """Render for a cluster until Ctrl-C; reconnects automatically after a lost connection.
 
     Example: carina cluster join 10.0.0.5:6379 --token-file ~/cluster.token
     """
@@ -74,12 +76,12 @@ def cluster_join(
 @cluster.command("status")
 def cluster_status(
     address: Annotated[
-        str | None, typer.Argument(help="HOST or HOST:PORT of the head; this machine's unless told.")
+        str | None, typer.Argument(help="HOST or HOST:PORT of the head (default: on this machine).")
     ] = None,
     token_file: TokenOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Who is in a cluster.
+    """List the machines of a cluster.
 
     Example: carina cluster status 10.0.0.5
     """

@@ -51,7 +51,7 @@ def check_output_file(path: Path, suffix: str | None = None, *, what: str = "-o"
     if suffix is not None and path.suffix.lower() != suffix:
         raise UsageError(f"{what}: expected a file name that ends in {suffix}; found {path.name!r}")
     if not path.parent.is_dir():
-        raise UsageError(f"{what}: there is no folder {path.parent}")
+        raise UsageError(f"{what}: the folder {path.parent} does not exist")
     if path.is_dir():
         raise UsageError(f"{what}: expected a file; {path} is a folder")
     _check_writable(path.parent)

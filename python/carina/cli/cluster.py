@@ -34,9 +34,9 @@ __all__ = ["OpenCluster", "join", "opened_cluster", "start", "status"]
 LOCAL_IP = "127.0.0.2"
 AGAIN_S = (1.0, 2.0, 5.0, 10.0)
 _OPEN_PORTS_WARNING = (
-    "Ray listens on every address of this machine, not only on {ip}: everyone on its networks can reach the ports, and "
-    "whoever has the token, which is sent in clear, can run programs here. Keep to a private network or behind a "
-    "firewall (docs/cluster.md), or leave --cluster out: one machine alone is no slower without."
+    "Ray listens on every address of this machine, not only on {ip}: everyone on its networks can reach the ports, "
+    "and anyone who has the token, which is sent unencrypted, can run programs here. Use a private network or a "
+    "firewall (docs/cluster.md), or leave --cluster out: a single machine is as fast without it."
 )
 
 
@@ -93,7 +93,7 @@ def start(*, ip: str | None, port: int, renders: bool, dedicated: bool, token: P
                 )
             while node.running:
                 time.sleep(0.5)
-            say(f"the head has ended by itself; its words are in {_log_file()}")
+            say(f"the head ended unexpectedly; its log is in {_log_file()}")
             return 1
         finally:
             node.stop()
@@ -179,7 +179,7 @@ def opened_cluster(address: str | None, *, token: Path | None, mixed: bool) -> I
     if address is None:
         for option, is_given in (("--mixed", mixed), ("--token-file", token is not None)):
             if is_given:
-                raise UsageError(f"{option} is about the machines of a cluster: give --cluster ADDRESS")
+                raise UsageError(f"{option} applies to a cluster: give --cluster ADDRESS")
         yield None
         return
     check_available()

@@ -109,7 +109,7 @@ def exit_codes(as_json: bool) -> Iterator[None]:
         say(f"carina: {message}")
         fail(as_json, "machine", message, 1)
     except MemoryError:
-        message = "there is not enough memory for this; close other programs, or use a smaller volume or picture"
+        message = "not enough memory; close other programs, or use a smaller volume or picture"
         say(f"carina: {message}")
         fail(as_json, "machine.memory", message, 1)
     except SystemExit:
@@ -118,8 +118,8 @@ def exit_codes(as_json: bool) -> Iterator[None]:
         # BaseException: a panic of the compiled module is no Exception.
         logging.getLogger("carina").debug("command failed", exc_info=True)
         message = (
-            f"this could not be done, by a fault of Carina ({type(error).__name__}: {error}); "
-            "CARINA_LOG_LEVEL=DEBUG shows where, please report it"
+            f"an internal error in Carina ({type(error).__name__}: {error}); CARINA_LOG_LEVEL=DEBUG shows where. "
+            "Please report it"
         )
         say(f"carina: {message}")
         fail(as_json, "carina.fault", message, 1)

@@ -18,7 +18,7 @@ from carina.navigate.devices import Listener, SourceStatus, found_ports, open_so
 __all__ = ["report"]
 
 IN_THE_WINDOW = (
-    "mouse, keyboard, gamepads, SpaceMouse, handles at USB (HID), headsets and phones are found by the window "
+    "mouse, keyboard, gamepads, SpaceMouse, USB scope handles (HID), headsets and phones are found by the window "
     "(`carina open`, Devices)"
 )
 REFRESH_S = 0.25
@@ -69,7 +69,9 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
         elif not ports:
             print("no serial port was found")
         print(IN_THE_WINDOW)
-        print("To see what a device says: carina devices --device fastrak:PORT (or handle:PORT, openigtlink:HOST:PORT)")
+        print(
+            "To see what a device sends: carina devices --device fastrak:PORT (or handle:PORT, openigtlink:HOST:PORT)"
+        )
     return 0 if all(status.num_samples > 0 for status in statuses) else 4
 
 

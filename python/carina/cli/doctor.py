@@ -19,7 +19,7 @@ from carina.render import build_info
 __all__ = ["report"]
 
 OPTIONAL = {
-    "pyserial": ("pens and handles at serial ports", "pip install 'carina[devices]'"),
+    "pyserial": ("serial pens and handles", "pip install 'carina[devices]'"),
     "cryptography": ("the page for a phone", "pip install 'carina[phone]'"),
     "segno": ("the page for a phone", "pip install 'carina[phone]'"),
     "av": ("flights as video (carina fly)", "pip install 'carina[video]'"),

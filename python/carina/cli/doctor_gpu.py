@@ -47,7 +47,7 @@ def _choice(backend: Backend, adapter: Adapter, measured: list[Verdict]) -> tupl
         first = backend.adapters()[0] == adapter
         return first, "CARINA_BACKEND=gpu" if first else "CARINA_BACKEND=gpu takes the first adapter"
     if adapter.is_software:
-        return False, "a program on the same cores, never faster than our own; only for tests (CARINA_BACKEND=gpu)"
+        return False, "software on the same cores, no faster than the CPU; for tests only (CARINA_BACKEND=gpu)"
     if not measured:
         return False, "not measured yet; the first flight through a case does it"
     sizes = "; ".join(f"{_size(v)}: {v.why}" for v in measured)

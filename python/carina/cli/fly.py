@@ -119,7 +119,7 @@ def report(
         kept = None if keep is None else KeptFrames(keep, _job(volume, frames, shown, mixed))
         num_kept = 0 if kept is None else min(kept.num, len(shots))
         if num_kept:
-            say(f"going on behind {num_kept} of {len(shots)} pictures that were kept in {keep}")
+            say(f"continuing after {num_kept} of {len(shots)} frames kept in {keep}")
         began_s = time.perf_counter()
         renderer = _renderer(volume, progress, None if used is None else used.make_renderer, badges)
         for number, rgb in _pictures(renderer, shots, kept, size):
@@ -152,11 +152,14 @@ def _replayed(recorded: Recording, volume: Volume, progress: Any) -> tuple[list[
         moments.append(moment)
         different += not same
     if not moments:
-        raise NoResultError("the recording holds no pose")
+        raise NoResultError("the recording holds no poses")
     if different:
-        say(f"note: {different} of {len(moments)} poses differ from the recorded ones; this is another build of Carina")
+        say(
+            f"note: {different} of {len(moments)} poses differ from the recorded ones; it was made with another "
+            "build of Carina"
+        )
     if not recorded.complete:
-        say("note: the recording was cut off; it is flown as far as it goes")
+        say("note: the recording is cut short; it is replayed as far as it goes")
     return moments, {"num_moments": len(moments), "num_different": different, "complete": recorded.complete}
 
 
@@ -191,8 +194,8 @@ def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallFiel
                 known[digest] = made
                 return made
         raise VolumeImportError(
-            "the scope of this recording was held by other airways than Carina finds and edits here: they came from a "
-            "mask of another tool, or from another build of Carina; replay it where it was made",
+            "the scope of this recording was held by airways that differ from those Carina finds and edits here: "
+            "they came from an imported segmentation, or from another build of Carina; replay it where it was made",
             code="navigate.recording",
         )
 

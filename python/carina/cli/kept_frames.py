@@ -44,7 +44,7 @@ class KeptFrames:
             write_whole(folder / JOB, document.encode(), what="the pictures' job")
         elif found != job:
             raise UsageError(
-                f"--keep: the pictures in {folder} are of another flight, case, size or version of Carina; name "
+                f"--keep: the frames in {folder} belong to another flight, case, size or version of Carina; name "
                 "another folder, or delete it"
             )
         self.num = next(n for n in range(10_000_000) if not self._file(n).exists())
@@ -82,7 +82,7 @@ class KeptFrames:
         try:
             rgb = sitk.GetArrayFromImage(sitk.ReadImage(str(file)))
         except RuntimeError as trouble:
-            msg = f"{file}: a picture that was kept cannot be read; delete it and all later ones, and start again"
+            msg = f"{file}: this frame cannot be read; delete it and all later ones, and start again"
             raise VolumeImportError(msg, code="fly.kept") from trouble
         if rgb.shape != (size[1], size[0], 3) or rgb.dtype != np.uint8:
             msg = f"{file}: expected a picture of {size[0]} x {size[1]}; found {rgb.shape}; delete the folder"

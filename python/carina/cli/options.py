@@ -11,7 +11,8 @@ __all__ = ["JsonOption", "PathArgument", "SeriesOption", "TokenOption"]
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; messages go to stderr.")]
 TokenOption = Annotated[
-    Path | None, typer.Option("--token-file", help="The cluster's token; in Carina's folder of settings unless told.")
+    Path | None,
+    typer.Option("--token-file", help="The cluster's token (default: the one in Carina's settings folder)."),
 ]
 PathArgument = Annotated[
     Path, typer.Argument(help="A DICOM folder or file, NIfTI, NRRD or MetaImage.", show_default=False)

@@ -61,7 +61,9 @@ def _transfer(text: str | None) -> TransferFunction | None:
     except OSError as error:
         raise VolumeImportError(f"{text}: cannot be read: {error.strerror}", code="render.transfer") from error
     except UnicodeDecodeError as error:
-        raise VolumeImportError(f"{text}: is no text; expected a transfer function", code="render.transfer") from error
+        raise VolumeImportError(
+            f"{text}: not a text file; expected a transfer function", code="render.transfer"
+        ) from error
     except CarinaError as error:
         # In a file it is the file that is refused, not an argument.
         raise VolumeImportError(f"{text}: {error}", code=error.code) from error

@@ -100,7 +100,7 @@ def report(
     if len(found) == len(result.targets):
         return 0
     if not found:
-        say("carina: no path to any target; nothing was written")
+        say("carina: no path was found to any target; nothing was written")
     return NoResultError.exit_code
 
 

@@ -85,19 +85,19 @@ def check_token(path: Path) -> Path:
     """
     if not path.is_file():
         msg = (
-            f"there is no token at {path}: a cluster is only joined with one. `carina cluster start --head` makes it; "
+            f"there is no token at {path}: a cluster can only be joined with one. `carina cluster start --head` "
+            "makes it; "
             "copy that file from the head to this machine, or name it with --token-file"
         )
         raise ClusterError(msg, code="cluster.token")
     if path.stat().st_mode & 0o077:
         msg = (
-            f"others on this machine may read the token {path}, and whoever has it can run programs here: chmod 600 it"
+            f"other users of this machine can read the token {path}, and anyone who has it can run programs here; "
+            f"chmod 600 {path}"
         )
         raise ClusterError(msg, code="cluster.token")
     if len(path.read_text(encoding="ascii", errors="replace").strip()) < 16:
-        raise ClusterError(
-            f"the token {path} is too short to be one: expected 16 characters or more", code="cluster.token"
-        )
+        raise ClusterError(f"the token {path} is too short: expected 16 characters or more", code="cluster.token")
     return path
 
 
@@ -264,7 +264,7 @@ class Node:
                 if self._log_path is None or STARTED in self._words():
                     return
             time.sleep(0.1)
-        raise ClusterError(f"nothing answers at {self.address} after {timeout_s:g} s", code="cluster.start")
+        raise ClusterError(f"no answer from {self.address} within {timeout_s:g} s", code="cluster.start")
 
     def _words(self) -> str:
         if self._log_path is None:

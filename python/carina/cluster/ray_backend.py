@@ -327,7 +327,7 @@ class RayCluster:
             try:
                 self._look()
             except Exception:
-                logger.warning("the cluster does not answer; this machine renders alone until it does", exc_info=True)
+                logger.warning("the cluster is not responding; this machine renders alone until it does", exc_info=True)
             if self._stopping.wait(self._poll_s):
                 return
 
@@ -359,7 +359,7 @@ class RayCluster:
             slow = [n for n, r in self._renderers.items() if not r.has_answered and now_s - r.began_s >= SLOW_START_S]
         for name in slow:
             self._console.notice(
-                f"the renderer on {name} has not started for {SLOW_START_S:g} s: another console may be using that "
+                f"the renderer on {name} has not started after {SLOW_START_S:g} s: another console may be using that "
                 "machine, or it is very busy (`carina cluster status` shows who is in use); it takes part once it "
                 "starts"
             )

@@ -98,7 +98,9 @@ def checked(value: V) -> V:
         try:
             plain = msgspec.to_builtins(value, enc_hook=as_plain)
         except (TypeError, ValueError, RecursionError) as error:
-            raise UsageError(f"{_name(value)} holds what no command has: {error}", code="command.bounds") from error
+            raise UsageError(
+                f"{_name(value)} holds a value that no command takes: {error}", code="command.bounds"
+            ) from error
         try:
             value = msgspec.convert(plain, type(value))
         except msgspec.ValidationError as error:
@@ -113,7 +115,7 @@ def as_plain(value: Any) -> Any:
     """Numbers and arrays of NumPy, for whoever writes a value."""
     if hasattr(value, "tolist"):
         return value.tolist()
-    raise TypeError(f"{type(value).__name__} is no number, text or list")
+    raise TypeError(f"{type(value).__name__} is not a number, text or list")
 
 
 def _name(value: FrozenValue) -> str:
@@ -158,9 +160,9 @@ def trouble(error: msgspec.ValidationError, value: Any, where: str, cls: type[An
         amount = {">=": "at least ", "<=": "at most ", None: ""}[side] + number
         return "size", f"{where} must have {amount} {unit}; it has {len(_at(value, path))}"
     if "matching regex" in text:
-        return "field", f"{where} holds characters that no text has"
+        return "field", f"{where} holds invalid characters"
     if unknown := re.match(r"Object contains unknown field `(.*?)`", text):
-        return "field", f"{where} has a field that is not known: {unknown.group(1)[:40]!r}"
+        return "field", f"{where} has an unknown field: {unknown.group(1)[:40]!r}"
     if missing := re.match(r"Object missing required field `(.*?)`", text):
         return "field", f"{where} lacks the field {missing.group(1)!r}"
     if text.startswith("Invalid"):

@@ -132,9 +132,9 @@ class Draft:
             return error
         unchanged = ""
         with contextlib.suppress(OSError):  # a name that is too long
-            unchanged = "the former file is unchanged" if self._target.is_file() else ""
+            unchanged = "the existing file is unchanged" if self._target.is_file() else ""
         if error.errno == errno.ENOENT and self._target.parent.is_dir():
-            unchanged = "its draft was removed meanwhile; try again"
+            unchanged = "its temporary file was removed meanwhile; try again"
         doing = f"cannot write {self._what}"
         return disk_trouble(error, doing, self._target, needed_bytes=self._needed_bytes, unchanged=unchanged)
 
@@ -181,7 +181,7 @@ def make_folder(path: os.PathLike[str] | str, *, what: str, private: bool = Fals
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700 if private else 0o777)
     except OSError as error:
-        raise disk_trouble(error, f"cannot make the folder of {what}", folder) from error
+        raise disk_trouble(error, f"cannot create the folder of {what}", folder) from error
     return folder
 
 

@@ -96,11 +96,11 @@ def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) 
         case errno.EACCES | errno.EPERM:
             return "disk.denied", "you do not have permission to write there", elsewhere
         case errno.ENOENT:
-            return "disk.missing", "there is no such folder", "make it first, or choose another"
+            return "disk.missing", "there is no such folder", "create it, or choose another"
         case errno.ENOTDIR:
-            return "disk.missing", "a part of this path is a file and no folder", elsewhere
+            return "disk.missing", "a part of this path is a file, not a folder", elsewhere
         case errno.EISDIR | errno.EEXIST | errno.ENOTEMPTY:
-            return "disk.in-the-way", "something of this name is in the way", "move it, or choose another name"
+            return "disk.in-the-way", "something with this name already exists", "move it, or choose another name"
         case errno.ENAMETOOLONG:
             return "disk.failed", "the name is too long for this disk", "choose a shorter one"
         case errno.EMFILE | errno.ENFILE:

@@ -48,17 +48,17 @@ class ExportFormat:
 EXPORT_FORMATS: tuple[ExportFormat, ...] = (
     ExportFormat(".stl", "surface", "For 3D printing and most programs", write_mesh),
     ExportFormat(".ply", "surface", "For MeshLab and Blender", write_mesh),
-    ExportFormat(".obj", "surface", "For drawing programs", write_mesh),
+    ExportFormat(".obj", "surface", "For 3D modelling programs", write_mesh),
     ExportFormat(".glb", "surface", "For viewers on the web and on phones", write_mesh),
     ExportFormat(".nii.gz", "lumen", "NIfTI: 3D Slicer, ITK-SNAP, Python", write_mask),
     ExportFormat(".nii", "lumen", "NIfTI, not compressed", write_mask),
     ExportFormat(".nrrd", "lumen", "NRRD: 3D Slicer", write_mask),
     ExportFormat(".mha", "lumen", "MetaImage: ITK", write_mask),
     # ".mrk.json" is asked for before ".json", which it ends in: the longest suffix counts.
-    ExportFormat(".json", "tree", "All that Carina knows of the tree: names, radii, confidence", write_tree),
+    ExportFormat(".json", "tree", "Everything Carina knows about the tree: names, radii, confidence", write_tree),
     ExportFormat(".vtp", "tree", "For ParaView and VTK", write_vtp),
     ExportFormat(".mrk.json", "tree", "Curves for 3D Slicer", write_markups),
-    ExportFormat(".swc", "tree", "For programs of tree shapes", write_swc),
+    ExportFormat(".swc", "tree", "For software that analyses tree shapes", write_swc),
 )
 EXPORT_SUFFIXES = tuple(row.suffix for row in EXPORT_FORMATS)
 """Suffixes that :func:`carina.export_airways` knows."""

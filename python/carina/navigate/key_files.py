@@ -72,14 +72,14 @@ class KeyFile:
         """
         if self.case is not None and self.case != case_key(volume):
             raise VolumeImportError(
-                "these key frames were made in another case: its scan has another grid or other numbers; open the scan "
-                "that they were made in",
+                "these key frames were made in another case: its scan has a different grid or different values; open "
+                "the scan they were made in",
                 code="navigate.keys",
             )
         for number, frame in enumerate(self.frames, 1):
             if not volume.contains_lps(frame.pose.position_lps):
                 raise VolumeImportError(
-                    f"key frame {number} lies outside this scan; open the scan that it was made in",
+                    f"key frame {number} lies outside this scan; open the scan it was made in",
                     code="navigate.keys",
                 )
 
@@ -127,7 +127,7 @@ def open_keys(path: str | Path) -> KeyFile:
     except OSError as trouble:
         raise VolumeImportError(f"{place.name}: cannot be read: {trouble.strerror}", code="navigate.keys") from trouble
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as trouble:
-        raise VolumeImportError(f"{place.name}: holds no key frames: {trouble}", code="navigate.keys") from trouble
+        raise VolumeImportError(f"{place.name}: not a key-frame file: {trouble}", code="navigate.keys") from trouble
 
 
 def _timed(document: dict[str, Any]) -> KeyFile:
@@ -160,7 +160,7 @@ def _with_speeds(document: dict[str, Any]) -> KeyFile:
         )
     file = KeyFile(tuple(frames), float(document["speed_mm_s"]), through, case, view)
     if not frames or not math.isfinite(file.speed_mm_s):
-        raise ValueError("it has no key frame, or no speed")
+        raise ValueError("it has no key frames, or no speed")
     if len(frames) > 1:
         file.flight()
     return file

@@ -139,7 +139,7 @@ class KeyFrameFlight:
             raise UsageError("a flight through key frames needs two or more", code="navigate.keys")
         timed = [frame.time_s for frame in frames if frame.time_s is not None]
         if timed and len(timed) != len(frames):
-            raise UsageError("either all key frames have times, or none has", code="navigate.keys")
+            raise UsageError("either all key frames have times, or none of them", code="navigate.keys")
         for speed in (speed_mm_s, *(frame.speed_mm_s for frame in frames)):
             if speed is not None and not MIN_SPEED_MM_S <= speed <= MAX_SPEED_MM_S:
                 raise UsageError(

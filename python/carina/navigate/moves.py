@@ -201,7 +201,7 @@ def move_from_json(value: dict[str, Any]) -> tuple[Move, float]:
     name, dt_s = fields.pop("move", None), 0.0
     cls = MOVES.get(name) if isinstance(name, str) else None
     if cls is None:
-        raise UsageError(f"no move is called {name!r}", code="navigate.recording")
+        raise UsageError(f"there is no move named {name!r}", code="navigate.recording")
     try:
         if cls is Steer:
             dt_s = float(fields.pop("dt_s"))

@@ -300,7 +300,7 @@ class Navigator:
         if mode == self._mode:
             return
         if mode == "scope":
-            raise UsageError("a scope has to be laid in the lumen first", code="navigate.no-scope")
+            raise UsageError("a scope must be inserted into the lumen first", code="navigate.no-scope")
         if mode == "path":
             self._enter()
         else:
@@ -408,7 +408,7 @@ class Navigator:
 
     def _needed_drive(self) -> ScopeDrive:
         if self._mode != "scope" or self._drive is None:
-            raise UsageError("no scope lies in the lumen", code="navigate.no-scope")
+            raise UsageError("no scope has been inserted", code="navigate.no-scope")
         return self._drive
 
     def _drive_by(self, advance_mm: float, roll_rad: float, pitch_rad: float, dt_s: float) -> None:

@@ -335,7 +335,7 @@ class Pilot:
             case m.Register():
                 if move.device not in self._devices and len(self._devices) >= 2 * MAX_DEVICES:
                     raise UsageError(
-                        f"at most {2 * MAX_DEVICES} devices are known at once; forget a registration first",
+                        f"at most {2 * MAX_DEVICES} devices can be registered at once; forget a registration first",
                         code="navigate.registration",
                     )
                 device = self._device(move.device)
@@ -364,7 +364,7 @@ class Pilot:
 
     def _lay_scope(self, move: m.LayScope) -> None:
         if self.wall is None:
-            raise UsageError("a scope needs the airways' wall, and there is none yet", code="navigate.no-scope")
+            raise UsageError("a scope needs the airway wall, which is not available yet", code="navigate.no-scope")
         drive = ScopeDrive(self.wall, move.scope, move.points_lps, up_lps=move.up_lps)
         drive.place(move.points_lps, move.insertion_mm)
         self.navigator.enter_scope(drive)

@@ -231,8 +231,8 @@ class Recording:
             )
         if self.header.get("case") != case_key(volume):
             raise VolumeImportError(
-                "this recording was made in another case: its scan has another grid or other numbers; open the scan "
-                "that it was made in",
+                "this recording was made in another case: its scan has a different grid or different values; open "
+                "the scan it was made in",
                 code="navigate.recording",
             )
 
@@ -306,13 +306,13 @@ def open_recording(path: str | Path) -> Recording:
     except OSError as trouble:
         raise _refused(place, trouble.strerror or "it cannot be read") from trouble
     except UnicodeDecodeError as trouble:
-        raise _refused(place, "it is no text") from trouble
+        raise _refused(place, "it is not a text file") from trouble
 
 
 def _read(file: io.TextIOBase | TextIO, place: Path) -> Recording:
     header = _object(file.readline(MAX_LINE))
     if header is None or header.get("format") != FORMAT:
-        raise _refused(place, "it does not begin as a recording of Carina does")
+        raise _refused(place, "it does not begin like a recording of Carina")
     if header.get("version") != VERSION:
         raise _refused(place, f"it has version {header.get('version')!r}; this Carina reads {VERSION}")
     lines: list[dict[str, Any]] = []
@@ -323,12 +323,12 @@ def _read(file: io.TextIOBase | TextIO, place: Path) -> Recording:
         if line is None:
             if file.read(1) == "" and not text.endswith("\n"):
                 break  # the last line of a recording that was cut off
-            raise _refused(place, f"line {len(lines) + 2} is no JSON object")
+            raise _refused(place, f"line {len(lines) + 2} is not a JSON object")
         at_s = line.get("end", line.get("t"))
         if not isinstance(at_s, int | float) or not math.isfinite(at_s) or at_s < last_s:
             raise _refused(place, f"line {len(lines) + 2} has no time, or an earlier one than the line before")
         if not all(isinstance(line.get(part, {}), dict) for part in ("move", "view", "wall")):
-            raise _refused(place, f"line {len(lines) + 2} holds a move, a view or a wall that is none")
+            raise _refused(place, f"line {len(lines) + 2} holds an invalid move, view or wall")
         last_s = float(at_s)
         lines.append(line)
         if "end" in line:

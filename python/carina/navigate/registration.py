@@ -78,7 +78,7 @@ def fit_registration(tracker_mm: ArrayLike, patient_lps: ArrayLike) -> Registrat
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
         if spread[1] < MIN_SPREAD_MM:
             raise UsageError(
-                f"the points in {whose} space lie on one line or together (their spread across it is "
+                f"the points in {whose} space lie on one line or close together (their spread across it is "
                 f"{spread[1]:.1f} mm, at least {MIN_SPREAD_MM:g} are needed): choose points farther apart",
                 code="navigate.registration",
             )
@@ -107,6 +107,6 @@ def as_registration(matrix: Sequence[float]) -> Registration:
     rigid = np.abs(r.T @ r - np.eye(3)).max() < 1e-6 and np.linalg.det(r) > 0 and np.array_equal(m[3], [0, 0, 0, 1])
     if not rigid:
         raise UsageError(
-            "a calibration turns and moves, and neither stretches nor mirrors", code="navigate.registration"
+            "a calibration is a rotation and a translation, without scaling or reflection", code="navigate.registration"
         )
     return Registration(m)

@@ -18,13 +18,13 @@ Wxyz = tuple[float, float, float, float]
 Six = tuple[float, float, float, float, float, float]
 
 Refusal = Literal[
-    "numbers that are not finite",
+    "non-finite numbers",
     "an orientation of length 0",
     "numbers out of range",
-    "a clock that ran backwards",
-    "more samples than can be used",
+    "a clock that runs backwards",
+    "too many samples",
     "another device holds the scope",
-    "more devices than can be used",
+    "too many devices",
 ]
 
 MAX_MM = 1e5
@@ -123,7 +123,7 @@ def _numbers(sample: Sample) -> tuple[float, ...]:
 def _checked(sample: Sample) -> Sample | Refusal:
     """The sample with a quaternion of unit length, or why it cannot be used."""
     if not all(math.isfinite(v) for v in _numbers(sample)):
-        return "numbers that are not finite"
+        return "non-finite numbers"
     if not 0 <= sample.buttons < 1 << MAX_BUTTONS:
         return "numbers out of range"
     match sample:
@@ -218,7 +218,7 @@ class SampleGate:
         seen = self._seen.get(device)
         if seen is None:
             if not self._make_room(now_s):
-                self._note(OTHERS, "more devices than can be used")
+                self._note(OTHERS, "too many devices")
                 return None
             seen = self._seen[device] = _Seen()
         checked = _checked(sample)
@@ -308,10 +308,10 @@ class SampleGate:
                 if seen.backwards_since_s is None:
                     seen.backwards_since_s = now_s
                 if now_s - seen.backwards_since_s < self._silence_s:
-                    return "a clock that ran backwards"
+                    return "a clock that runs backwards"
             # A stick that is let go says so once: it must not fly on. What follows it as fast is too much again.
             elif passed_s < self._min_interval_s and (seen.rests or not _at_rest(sample)):
-                return "more samples than can be used"
+                return "too many samples"
         holder = self._holder
         if holder is not None and holder != device and now_s - self._seen[holder].arrived_s < self._silence_s:
             # A stick that is let go asks for nothing.

@@ -109,7 +109,7 @@ class PhoneLink:
     @property
     def is_broken(self) -> bool:
         """So much of it was bad that it is no page of ours."""
-        return sum(n for why, n in self.num_bad.items() if why != "more than can be used") > MAX_BAD
+        return sum(n for why, n in self.num_bad.items() if why != "too many samples") > MAX_BAD
 
     def rate_hz(self, now_s: float) -> float:
         """Samples in the last second."""
@@ -122,7 +122,7 @@ class PhoneLink:
         self._allowance = min(BURST, self._allowance + MAX_RATE_HZ * passed_s)
         if self._allowance < 1.0:
             # Not even read.
-            self.num_bad["more than can be used"] += 1
+            self.num_bad["too many samples"] += 1
             return
         self._allowance -= 1.0
         if text is None:

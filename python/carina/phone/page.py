@@ -235,12 +235,12 @@ class PhonePage:
             if not isinstance(hello, wire.PhoneHello):
                 raise ProtocolError("the first message must be phone_hello", code="protocol.order")
             if hello.wire_version != wire.WIRE_VERSION:
-                raise ProtocolError("this page is of another version; reload it", code="protocol.version")
+                raise ProtocolError("this page has another version; reload it", code="protocol.version")
             if not tokens.admits(hello.token):
                 # Who tries others waits.
                 await asyncio.sleep(WRONG_TOKEN_WAIT_S)
                 raise ProtocolError(
-                    "this link is not valid any more: scan the code on the workstation", code="protocol.not-authorised"
+                    "this link is no longer valid; scan the code on the workstation", code="protocol.not-authorised"
                 )
             await self._take_over(websocket, link)
             teller = start_sender(websocket, "a phone", self._tell(websocket))
@@ -249,7 +249,7 @@ class PhonePage:
                 if self._socket is not websocket:
                     return
                 if link.is_broken:
-                    raise ProtocolError("too much of what came could not be read", code="protocol.malformed")
+                    raise ProtocolError("too many messages could not be read", code="protocol.malformed")
         except ProtocolError as trouble:
             await close_socket(websocket, trouble.code, str(trouble))
         except TimeoutError:

@@ -145,7 +145,7 @@ class DeviceCaster:
             except RenderError as error:
                 self._refused(scene, error, adapter)
         if not self._backend.adapters():
-            self._backend.give_up(None, "no graphics adapter can be used")
+            self._backend.give_up(None, "no usable graphics adapter")
         return None
 
     def _load(self, adapter: Adapter, scene: Scene, radius: NDArray[np.uint8] | None) -> _Resident:

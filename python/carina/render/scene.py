@@ -76,7 +76,7 @@ class SceneKeeper:
     def adopt(self, scene: Scene) -> None:
         """Take a scene that another keeper of the same volume has made."""
         if scene.values.shape != self._volume.shape_zyx:
-            msg = f"the scene has values of shape {scene.values.shape}, the volume {self._volume.shape_zyx}"
+            msg = f"the scene's values have shape {scene.values.shape}, the volume {self._volume.shape_zyx}"
             raise GeometryError(msg, code="geometry.shape")
         with self._change, self._swap:
             self._scene = scene

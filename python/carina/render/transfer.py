@@ -306,7 +306,7 @@ def transfer_from_histogram(volume: Volume) -> tuple[TransferFunction, float]:
     counts = np.bincount(volume.hu_zyx.ravel().astype(np.int32) - lo, minlength=hi - lo + 1).astype(np.float64)
     values = np.arange(lo, hi + 1, dtype=np.float64)
     if hi == lo:
-        msg = f"every voxel of this volume is {lo}: there is nothing to tell apart"
+        msg = f"every voxel of this volume is {lo}: there is nothing to distinguish"
         raise RenderError(msg, code="render.transfer")
     below = np.cumsum(counts)[:-1]
     above = counts.sum() - below

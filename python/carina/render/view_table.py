@@ -71,7 +71,7 @@ FINDER_VIEW: Literal["cut-plane"] = "cut-plane"
 """Stands in for :data:`LEAD_VIEW` where that cannot follow."""
 CellName = Literal["airway", Plane, "cut-plane", "xray", "outside"]
 Need = Literal["airways", "route"]
-ON_ITS_WAY = "This picture is on its way."
+ON_ITS_WAY = "This picture is being rendered."
 
 
 @one_line

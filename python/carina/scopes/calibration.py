@@ -69,7 +69,9 @@ def lens_from_file(path: str | os.PathLike[str]) -> Lens:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise VolumeImportError(f"{path}: is no text; expected a camera calibration", code="render.lens") from error
+        raise VolumeImportError(
+            f"{path}: not a text file; expected a camera calibration", code="render.lens"
+        ) from error
     try:
         return lens_from_text(text)
     except CarinaError as error:
@@ -88,7 +90,7 @@ def lens_from_text(text: str) -> Lens:
         else:
             entries = _read_yaml(text)
     except RecursionError as error:
-        raise _refused("expected a camera calibration, found entries inside entries without end") from error
+        raise _refused("expected a camera calibration, found entries nested too deeply") from error
     return _lens({key.lower(): value for key, value in entries.items()})
 
 
@@ -103,7 +105,7 @@ def _read_json(text: str) -> Entries:
     try:
         value = json.loads(text)
     except ValueError as error:
-        raise _refused(f"expected JSON, found a fault: {error}") from error
+        raise _refused(f"expected JSON, found an error: {error}") from error
     if not isinstance(value, dict):
         raise _refused("expected one JSON object")
     return value
@@ -116,7 +118,7 @@ def _read_xml(text: str) -> Entries:
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
-        raise _refused(f"expected XML, found a fault: {error}") from error
+        raise _refused(f"expected XML, found an error: {error}") from error
     return {child.tag: _xml_value(child) for child in root}
 
 

@@ -68,9 +68,10 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             if gate.authorised(request.headers):
                 return RedirectResponse("/", 303, headers={"cache-control": "no-store"})
             words = (
-                "A link works once, so that nobody else can use it. Start Carina again, or go back to the open window."
+                "A link works only once, so that nobody else can use it. Start Carina again, or go back to the open "
+                "window."
             )
-            return page("This link was used already", words, 403)
+            return page("This link has already been used", words, 403)
         # No cookie is asked for here: after a click in another site's page the browser withholds a Strict cookie from
         # this navigation, but not from the socket that the page then opens. The files hold nothing of a patient.
         if web is None:
@@ -208,7 +209,7 @@ async def _receive_text(websocket: WebSocket) -> str:
         raise WebSocketDisconnect(message.get("code", 1006), message.get("reason"))
     text = message.get("text")
     if text is None:
-        raise ProtocolError("a client sends text, no binary messages", code="protocol.type")
+        raise ProtocolError("a client sends text messages, not binary ones", code="protocol.type")
     return str(text)
 
 
@@ -220,7 +221,7 @@ async def _send_all(websocket: WebSocket, hub: Hub, outbox: Outbox) -> None:
             await close_socket(websocket, "protocol.taken-over", reason)
             return
         if outbox.overflowed:
-            await close_socket(websocket, "protocol.slow-client", "this window did not keep up")
+            await close_socket(websocket, "protocol.slow-client", "this window could not keep up")
             return
         for topic in topics:
             text = hub.topic_text(topic)

@@ -138,7 +138,7 @@ class DeviceDesk:
                 self._publish(message.port)
             case wire.SetPhone():
                 if self._phone is None:
-                    raise UsageError("this Carina has no page for a phone", code="phone.missing")
+                    raise UsageError("this build of Carina has no page for a phone", code="phone.missing")
                 self._phone_wanted = message.on
                 # Keys, sockets and threads: not while the window waits.
                 threading.Thread(target=self._switch_phone, args=(message.on,), daemon=True).start()
@@ -173,7 +173,7 @@ class DeviceDesk:
         source = open_source(address, Listener(self._session.devices.said, self._gone))
         # By its own name, which is shown: what was typed may leave out a port, or say more than the name.
         if source.address in self._sources:
-            raise UsageError(f"{source.address} is connected already", code="devices.address")
+            raise UsageError(f"{source.address} is already connected", code="devices.address")
         if len(self._sources) >= MAX_SOURCES:
             raise UsageError(f"at most {MAX_SOURCES} devices are connected at once", code="devices.address")
         self._sources[source.address] = source
@@ -193,7 +193,7 @@ class DeviceDesk:
             self._push(wire.Error(trouble.code, str(trouble), None))
         except Exception as trouble:
             log_fault(logger, "the page for a phone could not be switched", trouble)
-            words = f"the page for a phone failed, by a fault of Carina ({type(trouble).__name__})"
+            words = f"the page for a phone failed: internal error in Carina ({type(trouble).__name__})"
             self._push(wire.Error("carina.fault", words, None))
 
     def _publish(self, port: int | None) -> None:
@@ -235,7 +235,9 @@ class DeviceDesk:
             published_port=None if self._publisher is None else self._publisher.port,
             recording=None if recording is None else str(recording),
             phone=None if self._phone is None else self._phone.info(),
-            phone_problem="this Carina has no page for a phone" if self._phone is None else self._phone.problem,
+            phone_problem="this build of Carina has no page for a phone"
+            if self._phone is None
+            else self._phone.problem,
         )
 
     def _show(self) -> None:

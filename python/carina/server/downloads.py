@@ -99,4 +99,4 @@ def _new_folder() -> Path:
     try:
         return ScratchFolder().path
     except OSError as trouble:
-        raise disk_trouble(trouble, "no file can be made on this machine", None) from trouble
+        raise disk_trouble(trouble, "the file cannot be created on this machine", None) from trouble

@@ -46,7 +46,7 @@ class GateMiddleware:
                 # Before it is accepted: the server answers 403.
                 await send({"type": "websocket.close", "code": 1008, "reason": refusal})
                 return
-            await page("Carina does not answer this", refusal, 403)(scope, receive, _with_headers(send))
+            await page("Carina refused this request", refusal, 403)(scope, receive, _with_headers(send))
             return
         await self._app(scope, receive, _with_headers(send) if scope["type"] == "http" else send)
 

@@ -276,7 +276,7 @@ class Hub:
             is_written = True
         except Exception as trouble:
             log_fault(logger, "the airway tree could not be written for the window", trouble)
-            words = f"the airway tree cannot be shown, by a fault of Carina ({type(trouble).__name__})"
+            words = f"the airway tree cannot be shown: internal error in Carina ({type(trouble).__name__})"
             self._push(wire.Error("carina.fault", words, None))
         finally:
             self._writing_tree = None
@@ -377,7 +377,7 @@ class Hub:
                 self._push(wire.Error(told.code, str(told), None))
                 return
             log_fault(logger, f"a command failed: {type(message).__name__}", trouble)
-            words = f"this could not be done, by a fault of Carina ({type(trouble).__name__})"
+            words = f"this could not be done: internal error in Carina ({type(trouble).__name__})"
             self._push(wire.Error("carina.fault", words, None))
 
     def _do(self, message: Any) -> None:
@@ -432,7 +432,7 @@ class Hub:
         """The wall under a click, in the picture that was clicked in and not in a newer one."""
         shown = self.pump.shown(message.frame_id)
         if shown is None:
-            raise UsageError("this picture is gone; click again in the one on the screen", code="session.pick")
+            raise UsageError("this picture has been replaced; click again in the current one", code="session.pick")
         hit = shown.wall_at(message.column, message.row)
         wall = None if hit is None else self.session.ask(WallAt(_three(hit.position_lps)))
         depth_mm = None if hit is None else round(float(hit.depth_mm), 2)

@@ -22,7 +22,9 @@ def bind(host: str, port: int) -> socket.socket:
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
     except (OSError, UnicodeError) as trouble:
-        raise CarinaError(f"cannot listen on {host!r}: there is no such address", code="server.host") from trouble
+        raise CarinaError(
+            f"cannot listen on {host!r}: this machine has no such address", code="server.host"
+        ) from trouble
     sock = socket.socket(family, socket.SOCK_STREAM)
     try:
         if os.name == "posix":
@@ -38,7 +40,7 @@ def bind(host: str, port: int) -> socket.socket:
             )
             raise CarinaError(msg, code="server.port") from trouble
         if trouble.errno == errno.EACCES:
-            msg = f"port {port} may not be used; choose one above 1023, or leave it out for a free one"
+            msg = f"port {port} is reserved; choose one above 1023, or leave it out for a free one"
             raise CarinaError(msg, code="server.port") from trouble
         msg = f"cannot listen on {host!r}: {trouble.strerror}"
         raise CarinaError(msg, code="server.host") from trouble

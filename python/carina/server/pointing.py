@@ -97,7 +97,7 @@ class Pointing:
             answer = _no_path(message.request_id, str(trouble))
         except Exception as trouble:
             log_fault(logger, "a live path failed", trouble)
-            answer = _no_path(message.request_id, f"no path, by a fault of Carina ({type(trouble).__name__})")
+            answer = _no_path(message.request_id, f"no path: internal error in Carina ({type(trouble).__name__})")
         self._push(answer)
 
     def _answer_edit_preview(self, message: wire.AskEditPreview) -> None:
@@ -109,7 +109,7 @@ class Pointing:
             answer = _no_preview(message, lps, str(trouble))
         except Exception as trouble:
             log_fault(logger, "a preview of an edit failed", trouble)
-            answer = _no_preview(message, lps, f"no preview, by a fault of Carina ({type(trouble).__name__})")
+            answer = _no_preview(message, lps, f"no preview: internal error in Carina ({type(trouble).__name__})")
         self._push(answer)
 
     def _place(self, message: wire.AskLivePath | wire.AskEditPreview) -> tuple[float, float, float]:
@@ -121,10 +121,10 @@ class Pointing:
         assert message.row is not None
         shown = self._shown(message.frame_id)
         if shown is None:
-            raise UsageError("this picture is gone; move the cursor again", code="session.pick")
+            raise UsageError("this picture has been replaced; move the cursor again", code="session.pick")
         hit = shown.wall_at(message.column, message.row)
         if hit is None:
-            raise UsageError("there is no wall under this place", code="session.pick")
+            raise UsageError("no wall here", code="session.pick")
         x, y, z = (float(v) for v in hit.position_lps)
         lens = shown.view.pose.position_lps
         return self._session.ask(LumenBeforeWall((x, y, z), (float(lens[0]), float(lens[1]), float(lens[2]))))

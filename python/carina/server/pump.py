@@ -189,7 +189,7 @@ class FramePump:
             except BaseException as trouble:
                 # BaseException: a panic of the compiled module is no Exception. This thread is the only one that
                 # renders: it goes on with what comes next.
-                log_fault(logger, "the frame pump stumbled", trouble)
+                log_fault(logger, "the frame pump failed on one picture", trouble)
                 rendered = False
             if not rendered:
                 self._woken.wait(self.wait_s())
@@ -266,7 +266,7 @@ class FramePump:
         except BaseException as trouble:
             # BaseException: a panic of the compiled module is no Exception.
             log_fault(logger, f"rendering failed: {order.view}", trouble)
-            words = f"the {order.view} view could not be rendered, by a fault of Carina ({type(trouble).__name__})"
+            words = f"the {order.view} view could not be rendered: internal error in Carina ({type(trouble).__name__})"
             self._failed(order, "carina.fault", words)
             return
         self._last_words = None

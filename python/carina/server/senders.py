@@ -40,6 +40,6 @@ def start_sender(websocket: WebSocket, who: str, sending: Coroutine[None, None, 
                 return  # closed from elsewhere, which sending does not take
             log_fault(logger, f"sending to {who} failed; its connection is closed", trouble)
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-                await websocket.close(INTERNAL_ERROR, "this connection failed by a fault of Carina")
+                await websocket.close(INTERNAL_ERROR, "this connection failed: internal error in Carina")
 
     return asyncio.create_task(send())

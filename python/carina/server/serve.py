@@ -239,14 +239,14 @@ def sweep_leftovers() -> None:
 
 
 _NETWORK_WARNING = (
-    "Carina listens on {host}: everyone on this network who gets hold of the link can see and change the open case, "
-    "and the traffic is not encrypted. Leave --host out to keep it on this machine."
+    "Carina listens on {host}: anyone on this network who has the link can see and change the open case, and the "
+    "traffic is not encrypted. Leave --host out to keep it on this machine."
 )
 
 
 _PHONE_WARNING = (
-    "Carina's page for a phone listens on {address}: whoever on this network has its link may move the tip, and can "
-    "see nothing of the case. It is closed under Devices, or with Carina."
+    "Carina's page for a phone listens on {address}: anyone on this network who has its link can move the tip, but "
+    "sees nothing of the case. Close it under Devices, or by stopping Carina."
 )
 
 

@@ -157,7 +157,7 @@ class Strangers:
         if now_s - self._told_s < TELL_EVERY_S or (self._num_untold < TELL_FROM and not self._no_descriptors):
             return
         out = "; this process ran out of file descriptors" if self._no_descriptors else ""
-        logger.warning("%d connections that did not say who they are were ended%s", self._num_untold, out)
+        logger.warning("%d unidentified connections were closed%s", self._num_untold, out)
         self._told_s, self._num_untold, self._no_descriptors = now_s, 0, False
 
 

@@ -165,7 +165,7 @@ class Uploads:
     def _needed(self, upload_id: str) -> _Upload:
         upload = self._uploads.get(upload_id)
         if upload is None:
-            raise UsageError("this upload is gone; drop the files again", code="upload.gone")
+            raise UsageError("this upload has expired; drop the files again", code="upload.gone")
         return upload
 
     def _free_path(self, upload: _Upload, name: str) -> Path:

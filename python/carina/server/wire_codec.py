@@ -87,7 +87,7 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _no_constant(text: str) -> NoReturn:
-    _refuse("number", f"a message contains {text}, which is no finite number")
+    _refuse("number", f"a message contains {text}, which is not a finite number")
 
 
 def _finite(text: str) -> float:
@@ -144,7 +144,7 @@ def decode(classes: dict[str, type[FrozenValue]], text: str | bytes, *, max_byte
         fields["type"] = name
     if not isinstance(name, str) or name not in classes:
         shown = repr(name)[:40] if isinstance(name, str) else "none"
-        _refuse("type", f"a message has a type that is not known: {shown}")
+        _refuse("type", f"a message has an unknown type: {shown}")
     message = read_fields(classes[name], fields, name)
     problem = message.choice_problem()
     if problem is not None:

@@ -172,11 +172,11 @@ def new_case(
         transfer, threshold = parts.transfer_from_histogram(volume)
         window = GreyWindow(float(max(1, high - low)), (high + low) / 2.0)
         presets = (HISTOGRAM_PRESET,)
-        why = volume.not_hu_reason or "the numbers of this volume are not HU"
+        why = volume.not_hu_reason or "the values of this volume are not HU"
         off = (
             FeatureOff("transfer functions and windows in HU", why),
             FeatureOff("the quality check of the lungs", why),
-            FeatureOff("a lumen threshold in HU (the one above is in the file's own numbers)", why),
+            FeatureOff("a lumen threshold in HU (the one above is in the file's own units)", why),
         )
     document = Document(transfer=transfer, lumen_threshold=threshold)
     return OpenCase(

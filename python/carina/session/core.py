@@ -118,7 +118,7 @@ class SessionCore:
 
     def redo(self) -> None:
         """Do the last change taken back again."""
-        self._step(lambda history: history.redo(), "done again")
+        self._step(lambda history: history.redo(), "redone")
 
     def history(self) -> tuple[str, ...]:
         """Labels of the steps that can be taken back, the oldest first."""

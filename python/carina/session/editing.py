@@ -162,12 +162,12 @@ def airway_words(airways: Any) -> str | None:
 def _lost(before: Document, after: Document) -> list[str]:
     """What an edit took away with it, in words."""
     lines = [
-        f"there is no path to {new.name} any more: {new.problem}"
+        f"the path to {new.name} is lost: {new.problem}"
         for old, new in zip(before.targets, after.targets, strict=True)
         if _had_path(old) and not _had_path(new)
     ]
     if before.route is not None and after.route is None:
-        lines.append(f"the route to {before.route.title} went away with the edit; choose another one, or undo")
+        lines.append(f"the edit removed the route to {before.route.title}; choose another one, or undo")
     return lines
 
 
@@ -178,8 +178,7 @@ def _had_path(target: Target) -> bool:
 def _needed_airways(document: Document) -> Any:
     if document.airways is None:
         raise NoResultError(
-            "there is no airway tree to edit yet: wait until the airways are found, or click in the trachea and choose "
-            "it as the root",
+            "there is no airway tree to edit yet: wait for the segmentation, or mark the trachea",
             code="track.no-airways",
         )
     return document.airways

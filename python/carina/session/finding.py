@@ -25,7 +25,7 @@ from carina.volume import Mask, MaskGridError, MaskLabel, MaskLabelError
 
 __all__ = ["AirwayFinding"]
 
-SET_THE_ROOT = "Click in the trachea on a slice and choose it as the root."
+SET_THE_ROOT = "Mark the trachea: click inside it on a slice."
 AIRWAY_NAMES = re.compile(r"airway|bronch|trache|lumen|luftweg|luftröhre|voies a", re.IGNORECASE)
 
 
@@ -40,7 +40,7 @@ class AirwayFinding(Subject):
         root_lps = command.lps
         case = self.core.needed_case()
         case.check_inside(root_lps)
-        return self.start(case, root_lps, case.document.lumen_threshold, label="set the root")
+        return self.start(case, root_lps, case.document.lumen_threshold, label="mark the trachea")
 
     @does(c.SetLumenThreshold)
     def set_lumen_threshold(self, command: c.SetLumenThreshold) -> str:
@@ -97,7 +97,7 @@ class AirwayFinding(Subject):
         """What was said before holds on; UsageError if nothing is asked."""
         open_question = self.core.needed_case().asked_mask
         if open_question is None:
-            raise UsageError("no mask waits for an answer; choose its file again", code="session.mask")
+            raise UsageError("no mask is waiting for an answer; choose its file again", code="session.mask")
         asked = open_question.asked
         label = asked.label if command.label is None else command.label
         return self.take_mask(c.TakeMask(asked.path, label, command.resample))
@@ -122,14 +122,14 @@ class AirwayFinding(Subject):
         if airways is not None and case.search.status in {"found", "failed"}:
             case.search = AirwaySearch("found", airway_words(airways))
         elif airways is None and case.search.status == "found":
-            case.search = AirwaySearch("failed", f"there are no airways at this step. {SET_THE_ROOT}")
+            case.search = AirwaySearch("failed", f"there are no airways at this step of the history. {SET_THE_ROOT}")
 
     # ------------------------------------------------------------ both
 
     def _start_airways_of(self, case: OpenCase, name: str, mask: Mask) -> None:
         """The tree of a mask. Its paths begin in its trachea; where that is not in it, at the root that is known."""
         known = case.document.airways
-        told = (f"the lumen is the mask {name}", *mask.notes)
+        told = (f"the airway lumen is the imported mask {name}", *mask.notes)
 
         def find(job: Job) -> Any:
             options = {"lumen_zyx": mask.inside_zyx, "notes": told, "progress": job.progress, "cancel": job.cancel}
@@ -142,7 +142,7 @@ class AirwayFinding(Subject):
                 root = as_point(known.root_lps)
                 return self.core.parts.find_airways(volume, root_lps=root, lumen_threshold=None, **options)
 
-        self._start(case, find, case.document.lumen_threshold, "take the mask as airways", "drawing the mask's tree")
+        self._start(case, find, case.document.lumen_threshold, "use the mask as the airways", "drawing the mask's tree")
 
     def start(self, case: OpenCase, root_lps: Point | None, threshold: float | None, *, label: str | None) -> str:
         """Look for them as a job. ``label`` None: nobody asked, it is part of opening."""
@@ -156,7 +156,7 @@ class AirwayFinding(Subject):
                 cancel=job.cancel,
             )
 
-        return self._start(case, find, threshold, label, "finding the airways")
+        return self._start(case, find, threshold, label, "segmenting the airways")
 
     def _start(
         self, case: OpenCase, find: Callable[[Job], Any], threshold: float | None, label: str | None, title: str
@@ -186,7 +186,7 @@ class AirwayFinding(Subject):
             if case.document.airways is not None:
                 case.search = AirwaySearch("found", airway_words(case.document.airways))
             else:
-                words = str(trouble) if isinstance(trouble, CarinaError) else "finding the airways failed"
+                words = str(trouble) if isinstance(trouble, CarinaError) else "segmenting the airways failed"
                 case.search = AirwaySearch("failed", f"{words}. {SET_THE_ROOT}")
             if self.core.case is case:
                 self.core.changed("state")

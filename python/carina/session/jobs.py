@@ -52,7 +52,7 @@ def log_fault(log: logging.Logger, words: str, trouble: BaseException) -> None:
 
 def _fault(title: str, trouble: BaseException) -> CarinaError:
     log_fault(logger, f"a job failed: {title}", trouble)
-    return CarinaError(f"{title} failed by a fault of Carina ({type(trouble).__name__})", code="carina.fault")
+    return CarinaError(f"{title} failed: internal error in Carina ({type(trouble).__name__})", code="carina.fault")
 
 
 def _of_machine(title: str, trouble: OSError) -> CarinaError:

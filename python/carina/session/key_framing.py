@@ -101,7 +101,7 @@ class KeyFraming(Subject):
             if speed_mm_s is not None:
                 self._set_flying(case, "speed through the key frames", "keys speed", speed_mm_s=speed_mm_s)
             if through is not None:
-                self._set_flying(case, "way through the key frames", None, through=through)
+                self._set_flying(case, "path through the key frames", None, through=through)
 
     def _set_flying(self, case: OpenCase, label: str, gesture: str | None, **values: Any) -> None:
         keys = case.document.keys
@@ -261,4 +261,4 @@ def _place(frames: Sequence[Key], key_id: str) -> int:
     for n, key in enumerate(frames):
         if key.key_id == key_id:
             return n
-    raise UsageError("this key frame is gone", code="session.keys")
+    raise UsageError("this key frame has been removed", code="session.keys")

@@ -62,7 +62,7 @@ class Looking(Subject):
         if preset is not None:
             if preset not in case.presets:
                 known = ", ".join(case.presets)
-                raise UsageError(f"no transfer function is called {preset!r} for this volume; there are: {known}")
+                raise UsageError(f"this volume has no transfer function {preset!r}; expected one of {known}")
             if preset == HISTOGRAM_PRESET:
                 transfer = self.core.parts.transfer_from_histogram(case.info.volume)[0]
             else:

@@ -150,7 +150,9 @@ class Case:
         """The airways as they are now; NoResultError where none were found."""
         document = self._session.snapshot().document
         if document is None or document.airways is None:
-            raise NoResultError("this case has no airways: set the root, or take a mask", code="track.no-airways")
+            raise NoResultError(
+                "this case has no airways: mark the trachea, or import a segmentation", code="track.no-airways"
+            )
         return document.airways
 
     @property
@@ -185,7 +187,7 @@ class Case:
         if scene is None:
             raise UsageError("no case is open", code="session.no-case")
         if not scene.has(row.needs):
-            raise NoResultError(f"the view {view} needs {' and '.join(row.needs)}, which this case has not yet")
+            raise NoResultError(f"the view {view} needs {' and '.join(row.needs)}, which this case does not have yet")
         picture: Picture = scene.renderer.render(scene.spec(row.name, width, height, 0.5))
         return picture
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CaseQuestions", "lumen_before_wall"]
 
-NO_AIRWAYS = "the airways are not found yet: wait for them, or set the root"
+NO_AIRWAYS = "the airways have not been segmented yet: wait, or mark the trachea"
 
 
 class CaseQuestions(Subject):

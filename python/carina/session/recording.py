@@ -51,7 +51,7 @@ class FlightRecording(Subject):
         path = Path(command.path)
         case = self.core.needed_case()
         if self._recorder is not None:
-            raise UsageError("a recording is being made already; stop it first", code="session.recording")
+            raise UsageError("a recording is already running; stop it first", code="session.recording")
         key = case_key(case.info.volume)
         try:
             make_folder(path.parent, what="the recording")
@@ -100,7 +100,7 @@ class FlightRecording(Subject):
     def _ended(self, trouble: OSError) -> None:
         """The file cannot be written any more, with the session locked; the flight goes on."""
         self._recorder = None
-        kept = f"what was recorded before is in {self._path}"
+        kept = f"the recording up to here is in {self._path}"
         told = disk_trouble(trouble, "the recording ended: cannot write", self._path, unchanged=kept)
         self.core.emit(Trouble(told.code, str(told)))
         self.core.changed("state")

@@ -179,7 +179,7 @@ def route_to_point(tree: AirwayTree, point_lps: NDArray[np.float64], *, snap_mm:
     whole = tree.route_to(branch.id)
     last = int(np.argmin(np.linalg.norm(whole.points_lps - point_lps, axis=1)))
     if last == 0:
-        raise NoResultError("the point lies at the root: there is no way to go", code="track.no-path")
+        raise NoResultError("the point lies at the tracheal entry: there is no path to fly", code="track.no-path")
     end_mm = float(whole.cumulative_mm[last])
     cut = Route(
         whole.points_lps[: last + 1],

@@ -44,7 +44,7 @@ class Routing(Subject):
                     job.check()
                     document = case.document
                     if document.airways is None:
-                        msg = f"there is no path to {target.name} without airways; wait for them, or set the root"
+                        msg = f"no path to {target.name} without airways; wait for them, or mark the trachea"
                         raise NoResultError(msg)
                     if tracked_in is document.airways:
                         route = tracked.route or document.route
@@ -90,7 +90,7 @@ class Routing(Subject):
                 if document.airways is None or all(b.id != branch_id for b in document.airways.tree.branches):
                     raise UsageError(f"the tree has no branch {branch_id}", code="session.branch")
                 route = route_to_branch(document.airways.tree, branch_id)
-            label = "take away the route" if route is None else f"route to {route.title}"
+            label = "remove the route" if route is None else f"route to {route.title}"
             self.core.change(case, label, replace(document, route=route))
 
 
@@ -98,4 +98,4 @@ def _needed_target(document: Document, target_id: str) -> Target:
     for target in document.targets:
         if target.target_id == target_id:
             return target
-    raise UsageError("this target is gone", code="session.target")
+    raise UsageError("this target has been removed", code="session.target")

@@ -116,7 +116,7 @@ class Session:
         """
         handler = self._handlers.get(type(command))
         if handler is None or not isinstance(command, Command):
-            raise UsageError(f"a session does commands of carina.commands; found {type(command).__name__}")
+            raise UsageError(f"expected a command of carina.commands; found {type(command).__name__}")
         return cast("str | None", handler(checked(command)))
 
     def ask(self, question: Question[A]) -> A:
@@ -129,7 +129,7 @@ class Session:
         """
         handler = self._handlers.get(type(question))
         if handler is None or not isinstance(question, Question):
-            raise UsageError(f"a session answers questions of carina.commands; found {type(question).__name__}")
+            raise UsageError(f"expected a question of carina.commands; found {type(question).__name__}")
         return cast(A, handler(checked(question)))
 
     # ------------------------------------------------------------ undo

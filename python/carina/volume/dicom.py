@@ -187,7 +187,7 @@ def _notes_of_files(
     mine = [copy for h in slices for copy in copies.get((h.sop_uid, h.series_uid, h.position_lps), ())]
     if mine:
         names = name_files([(copy.path, "") for copy in mine])
-        words = f"{len(mine)} slices are there twice, byte for byte, and were taken once ({names})"
+        words = f"{len(mine)} slices are there twice, byte for byte, and were used once ({names})"
         notes.append(Note("import.copies", words))
     return notes
 
@@ -253,7 +253,7 @@ def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) 
             more = f". {where} also has: {describe_series(others)}" if others else ""
             raise VolumeImportError(f"{refusal}{more}", code=refusal.code)
         chosen = candidates[0]
-        words = f"the largest series was refused ({refused.info.refused}); {chosen.name} was opened in its place"
+        words = f"the largest series was refused ({refused.info.refused}); {chosen.name} was opened instead"
         notes.append(Note("import.series-replaced", words))
     others = [item.info for item in found if item is not chosen]
     if others:
@@ -297,7 +297,7 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         values[index] = clipping.take(header, numbers)
     assert values is not None  # a grid has at least two slices
     if values.min() == values.max():
-        msg = f"reading {series.name}: every pixel holds the same number, so there is nothing to see; export it again"
+        msg = f"reading {series.name}: every pixel has the same value, so there is nothing to see; export it again"
         raise VolumeImportError(msg, code="import.values")
     if clipping.count:
         said.append(clipped_note(clipping.count))

@@ -38,7 +38,7 @@ def check_rescale_tags(slices: Sequence[SliceHeader], what: str) -> None:
         lacking = [header for header, has in zip(slices, given, strict=True) if not has]
         msg = (
             f"{what}: {len(lacking)} of its {len(slices)} slices give no {tag} "
-            f"({_files(lacking)}), the others do; their numbers would be read on another scale than those beside them; "
+            f"({_files(lacking)}), the others do; their values would be read on a different scale from the others; "
             "expected the tag in every slice; export the series again from where it was stored first, or leave these "
             "files out if others take their place"
         )
@@ -175,6 +175,6 @@ def doubt_notes(doubts: Sequence[tuple[SliceHeader, Doubt]], num_slices: int) ->
         files = name_files([(path, "") for path in dict.fromkeys(header.path for header, _ in mine)])
         count = len({header.path for header, _ in mine})
         notes.append(
-            Note(code, f"{words} ({count} of {num_slices} slices: {files}); its numbers may be wrong", badge=True)
+            Note(code, f"{words} ({count} of {num_slices} slices: {files}); its values may be wrong", badge=True)
         )
     return notes

@@ -74,8 +74,9 @@ def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader]
     if doubled.size:
         at = int(doubled[0])
         problem = (
-            f"{doubled.size + 1 if doubled.size == count - 1 else doubled.size} of its {count} slices lie where "
-            f"another one already lies, first {ordered[at].path.name} and {ordered[at + 1].path.name}; expected every "
+            f"{doubled.size + 1 if doubled.size == count - 1 else doubled.size} of its {count} slices lie at the "
+            f"position of another slice, first {ordered[at].path.name} and {ordered[at + 1].path.name}; expected "
+            "every "
             "position once; the folder may hold the series twice, or several phases of one scan"
         )
         raise _refuse(what, problem, "keep one slice for each position", "import.geometry.duplicate")

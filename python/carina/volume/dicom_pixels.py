@@ -106,7 +106,7 @@ def _byte_order_doubts(
     low_bytes = some & np.uint16(255)
     if low_bytes.min() == low_bytes.max():
         return ()
-    words_of = "its bytes stand in another order than the file says: as they are its numbers are noise"
+    words_of = "its byte order is not the one the file states: read as stated, its values are noise"
     return (Doubt("import.byte-order", words_of),)
 
 

@@ -43,7 +43,9 @@ def read_segmentation(path: Path, watch: Watch) -> tuple[NDArray[np.uint8], NDAr
     if str(data.get("SOPClassUID", "")) != _SEGMENTATION_STORAGE:
         raise _refused(path, "it is DICOM, but not a segmentation (SEG)", "choose the SEG file, or a NIfTI of the mask")
     if str(data.get("SegmentationType", "BINARY")) != "BINARY":
-        raise _refused(path, "its segments are fractional", "export a binary segmentation")
+        raise _refused(
+            path, "its segments are fractional (probabilities or occupancies)", "export a binary segmentation"
+        )
     names = {int(s.SegmentNumber): _plain(str(s.get("SegmentLabel", ""))) for s in data.get("SegmentSequence", [])}
     if len(names) > 255 or any(not 0 < number <= 255 for number in names):
         raise _refused(path, f"it has {len(names)} segments; at most 255 are read", "export the airway alone")

@@ -67,7 +67,7 @@ def without_copies(
     for key, twins in alike.items():
         seen: set[bytes] = set()
         for header in twins if len(twins) > 1 else ():
-            watch.step("Comparing files that are there twice")
+            watch.step("Comparing duplicate files")
             digest = _digest(header)
             if digest in seen:
                 copies.setdefault(key, []).append(header)

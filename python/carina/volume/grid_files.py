@@ -73,8 +73,8 @@ def _library_grid(path: Path, header: GridHeader) -> NDArray[np.float64]:
                 reader.ReadImageInformation()
     except (RuntimeError, MemoryError):
         msg = (
-            f"reading {path.name}: its {header.format} header is read in one way by Carina and not at all by another "
-            "library; the file is damaged or of an unusual kind; export it again"
+            f"reading {path.name}: its {header.format} header can be read by Carina but not by a second library; "
+            "the file is damaged or of an unusual kind; export it again"
         )
         raise VolumeImportError(msg, code="import.header.disagree") from None
     finally:
@@ -82,7 +82,7 @@ def _library_grid(path: Path, header: GridHeader) -> NDArray[np.float64]:
     size = tuple(reader.GetSize())
     if size != header.shape_ijk or reader.GetNumberOfComponents() != 1:
         msg = (
-            f"reading {path.name}: expected {header.shape_ijk} voxels, another library finds {size}; export the file "
+            f"reading {path.name}: expected {header.shape_ijk} voxels, a second library finds {size}; export the file "
             "again"
         )
         raise VolumeImportError(msg, code="import.header.disagree")
@@ -147,9 +147,7 @@ def open_grid_file(path: Path, format: str, *, watch: Watch) -> Volume:  # noqa:
         msg = f"reading {path.name}: {error}; the file is damaged; export it again"
         raise VolumeImportError(msg, code="import.no-numbers") from None
     if converted.values.min() == converted.values.max():
-        msg = (
-            f"reading {path.name}: every voxel holds the same number, so there is nothing to see; open the scan itself"
-        )
+        msg = f"reading {path.name}: every voxel has the same value, so there is nothing to see; open the scan itself"
         raise VolumeImportError(msg, code="import.values")
     verdict = judge_values(converted.values)
     reason = verdict.reason

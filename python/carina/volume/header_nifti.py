@@ -84,10 +84,10 @@ def _scaling(path: Path, slope: float, intercept: float) -> tuple[tuple[float, f
     if slope == 0.0:
         return None, ()
     if not np.isfinite(slope):
-        words = f"its slope is no number ({slope}), so its numbers were taken as they are, without the intercept"
+        words = f"its slope is not a number ({slope}), so its values were used as stored, without the intercept"
         return None, (Note("import.scaling", words, badge=True),)
     if not np.isfinite(intercept):
-        problem = f"its numbers should be scaled by {slope:g} and shifted by {intercept}, which is no number"
+        problem = f"its numbers should be scaled by {slope:g} and shifted by {intercept}, which is not a number"
         raise refuse(path, problem, "the header is damaged; export it again", "import.header.scaling")
     return (None if (slope, intercept) == (1.0, 0.0) else (float(slope), float(intercept))), ()
 

@@ -158,8 +158,8 @@ def _labels(
     low, high = values.min(), values.max()
     if low < -_LARGEST_LABEL or high > _LARGEST_LABEL:
         msg = (
-            f"reading the mask {path.name}: it holds numbers from {low:g} to {high:g}, which are no labels; choose the "
-            "file of the segmentation"
+            f"reading the mask {path.name}: it holds numbers from {low:g} to {high:g}, which are not labels; choose "
+            "the file of the segmentation"
         )
         raise VolumeImportError(msg, code="import.mask")
     if values.dtype.kind == "f":
@@ -182,8 +182,8 @@ def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], labe
         raise VolumeImportError(msg, code="import.mask")
     if len(present) > 1000:
         msg = (
-            f"reading the mask {path.name}: it holds {len(present)} different numbers, so it is an image and no "
-            "mask; choose the file of the segmentation"
+            f"reading the mask {path.name}: it holds {len(present)} different values, so it is an image, not a mask; "
+            "choose the file of the segmentation"
         )
         raise VolumeImportError(msg, code="import.mask")
     if label is None and len(present) == 1:
@@ -193,7 +193,7 @@ def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], labe
         return label
     listed = ", ".join(f"{n} ({names[n]})" if n in names else str(n) for n in present[:12])
     more = f" and {len(present) - 12} more" if len(present) > 12 else ""
-    asked = "say which is the airway" if label is None else f"there is no {label} among them; say which is the airway"
+    asked = "say which is the airway" if label is None else f"{label} is not among them; say which is the airway"
     msg = f"reading the mask {path.name}: it holds the labels {listed}{more}; {asked} (label, --label)"
     raise MaskLabelError(msg, tuple(MaskLabel(n, names.get(n) or None, sizes[n] * voxel_ml) for n in present))
 
@@ -266,7 +266,7 @@ def _resampled(
         msg = f"reading the mask {path.name}: none of it lies in the scan; open the scan it belongs to"
         raise VolumeImportError(msg, code="import.mask-grid")
     out.flags.writeable = False
-    return Mask(out, ("the mask was on another grid; each voxel took the mask's nearest one",))
+    return Mask(out, ("the mask was on a different grid; it was resampled to the scan (nearest voxel)",))
 
 
 def _other_grid(
@@ -283,12 +283,12 @@ def _other_grid(
     grids = f"expected {expected}, found {found}"
     if share == 0.0:
         msg = (
-            f"reading the mask {path.name}: none of it lies in the scan, and it is on another grid; {grids}; open the "
-            "scan it belongs to"
+            f"reading the mask {path.name}: none of it lies in the scan, and its grid differs from the scan's; "
+            f"{grids}; open the scan it belongs to"
         )
         return VolumeImportError(msg, code="import.mask-grid")
     msg = (
-        f"reading the mask {path.name}: it is on another grid than the scan; {grids}; export it on the scan's grid, or "
+        f"reading the mask {path.name}: its grid differs from the scan's; {grids}; export it on the scan's grid, or "
         "let it be resampled (resample, --resample)"
     )
     return MaskGridError(msg, expected=expected, found=found, share_inside=share)

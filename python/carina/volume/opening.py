@@ -87,8 +87,8 @@ def guarded(path: Path, action: Callable[[Path], T]) -> T:
         raise
     except PermissionError:
         msg = (
-            f"reading {path.name}: it may not be read by this user; change its permissions or copy it to a folder of "
-            "your own"
+            f"reading {path.name}: you do not have permission to read it; change its permissions or copy it to a "
+            "folder of your own"
         )
         raise VolumeImportError(msg, code="import.unreadable") from None
     except OSError as error:
@@ -99,7 +99,7 @@ def guarded(path: Path, action: Callable[[Path], T]) -> T:
         raise VolumeImportError(msg, code="import.unreadable") from None
     except MemoryError:
         msg = (
-            f"reading {path.name}: this machine has not enough memory for it; close other programs, or crop or "
+            f"reading {path.name}: this machine does not have enough memory for it; close other programs, or crop or "
             "resample the volume"
         )
         raise VolumeImportError(msg, code="import.too-large") from None

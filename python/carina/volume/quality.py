@@ -91,7 +91,7 @@ def quality_gate(volume: Volume) -> Quality:
         lungs = _find_lungs(volume)
         lung_litres = lungs.litres
         if lung_litres < _MIN_LUNG_L:
-            words = f"only {lung_litres:.1f} litres look like lung: this may not be a chest CT, or a part of one"
+            words = f"only {lung_litres:.1f} litres look like lung: this may not be a chest CT, or only a part of one"
             findings.append(Finding("no-lungs", words))
         if lungs.cut_faces:
             words = f"the lungs are cut at the {_listed(lungs.cut_faces)} of the volume: airways end there too"

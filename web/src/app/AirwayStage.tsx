@@ -17,7 +17,7 @@ import { keyOf } from "../input/keymap";
 import { pathMm, scopeOf } from "../state/app-state";
 import { kindWords } from "../state/branch-words";
 import { forkAhead } from "../state/fork";
-import { fixed, mm, plural } from "../state/format";
+import { fixed, mm } from "../state/format";
 import { penOffWords } from "../state/pen";
 import { nextStopMm } from "../state/route";
 import { worksIn } from "../state/tools";
@@ -92,7 +92,7 @@ function ScopeReading() {
       {stop === null ? null : <span className="warning-text">{stop}</span>}
       {scope.num_contacts === 0 ? null : (
         <span className="quiet">
-          touched {plural(scope.num_contacts, "time")}, {fixed(scope.contact_s, 1)} s
+          wall contacts {scope.num_contacts} ({fixed(scope.contact_s, 1)} s)
         </span>
       )}
     </>
@@ -112,11 +112,11 @@ function scopeStop(scope: HeldScope): string | null {
     case "wall":
       return "held by the wall";
     case "entry":
-      return "drawn back to where it enters";
+      return "withdrawn to where it enters";
     case "length":
-      return "the scope is no longer";
+      return "end of the scope's length";
     case "flexion":
-      return "the lever's stop";
+      return "lever at its stop";
   }
 }
 
@@ -127,7 +127,7 @@ function FinderLabel() {
   return (
     <p className="finder-label" role="status" data-testid="view-finder">
       <strong>View finder: cut-plane across the tip</strong>
-      <span>The airway view is too slow while moving. Hold still to see it.</span>
+      <span>The airway view is too slow to follow this movement. Pause to see it.</span>
     </p>
   );
 }
@@ -184,7 +184,7 @@ function AirwayTools() {
             value: "scope",
             label: "Scope",
             words: hasRoute
-              ? "A bronchoscope that bends, is held by the wall and stops where it does not fit"
+              ? "A simulated bronchoscope: it bends, rests on the wall and stops where it does not fit"
               : "Needs a route: choose a branch or mark a target",
             disabled: !hasRoute,
           },
@@ -232,7 +232,7 @@ function AirwayTools() {
           words={
             texture
               ? "Fine texture (decoration): mottling and relief that the CT does not show"
-              : "Fine texture (decoration) is off: no mottling and relief beyond the CT"
+              : "Fine texture (decoration) is off: the wall shows only what is in the CT"
           }
           on={texture}
           testId="texture"

@@ -21,7 +21,7 @@ export function App() {
             {connection.status === "refused"
               ? connection.reason
               : connection.status === "lost"
-                ? "Carina does not answer. Is it still running? This page keeps trying."
+                ? "Carina is not responding. Is it still running? This page keeps trying."
                 : "Connecting to Carina on this machine\u2026"}
           </p>
         </main>

@@ -72,7 +72,7 @@ export function BranchList() {
             <Act
               icon="target"
               label={arming ? "Click in a picture\u2026" : "Mark the trachea"}
-              words="The next click in a picture starts the airways there"
+              words="The next click in a picture segments the airways from there"
               keys={keyOf("arm_root")}
               onPress={() => station.act("arm_root")}
             />
@@ -114,7 +114,7 @@ export function BranchList() {
           <Tree
             aria-label={
               forTool
-                ? "Airway branches; the tool acts on the one that is chosen"
+                ? "Airway branches; the tool acts on the one you choose"
                 : "Airway branches; choosing one makes it the route"
             }
             className="branch-tree"
@@ -281,9 +281,9 @@ function Row({ node, only }: { node: BranchNode; only: ReadonlySet<number> | nul
 function emptyWords(airways: string | undefined, words: string | null): string {
   switch (airways) {
     case "finding":
-      return "The airways are being found. Their branches will be listed here; you can fly freely meanwhile.";
+      return "The airways are being segmented. Their branches will be listed here; you can fly freely meanwhile.";
     case "failed":
-      return words ?? "No airways were found. Mark a root inside the trachea under \u201cAirways\u201d.";
+      return words ?? "No airways were found. Mark the trachea under \u201cAirways\u201d.";
     default:
       return words ?? "The branches of the airways will be listed here once they are found.";
   }

@@ -126,7 +126,7 @@ function NameField({ node }: { node: BranchNode }) {
         <Input aria-describedby={hint} spellCheck="false" autoComplete="off" data-testid="branch-name" />
       </TextField>
       <p id={hint} className="quiet small">
-        Enter keeps the name, Esc does not.
+        Enter saves the name; Esc cancels.
       </p>
       {node.branch.name_from === "person" ? (
         <Act kind="quiet" label="Automatic name" words="Restore the automatic name" onPress={() => done(null)} />

@@ -8,7 +8,7 @@ import { Tip } from "./controls";
 export function Citation({ from }: { from: CitationFields }) {
   return (
     <DialogTrigger>
-      <Tip words="Source and licence in full">
+      <Tip words="Full source and licence">
         <Button className="citation" data-testid="citation">
           <strong>{`${from.collection}, ${from.licence}, doi:`}</strong>
           <span>{from.doi}</span>

@@ -16,11 +16,11 @@ export function ClusterPanel() {
       <Popover className="popover cluster" placement="top start" offset={6}>
         <Dialog aria-label="Rendering machines">
           <p className="quiet">
-            {cluster.address} · {fixed(cluster.fps)} pictures/s
+            {cluster.address} · {fixed(cluster.fps)} frames/s
             {cluster.frame_ms === null ? "" : `, ${fixed(cluster.frame_ms)} ms each`}
             {cluster.mixed ? " · mixed: equal within one grey level" : ""}
           </p>
-          {cluster.alone ? <p>No other machine can render now: this one does.</p> : null}
+          {cluster.alone ? <p>No other machine can render now: this one renders alone.</p> : null}
           <table className="numbers">
             <thead>
               <tr>

@@ -14,9 +14,9 @@ import { Figure } from "./Figure";
 import { PhoneGroup } from "./PhoneGroup";
 
 const CONTROLS = [
-  ["absolute", "Absolute", "The pen's place in the patient; needs a calibration"],
+  ["absolute", "Absolute", "The tip goes where the pen is in the patient; needs a calibration"],
   ["relative", "Relative", "The tip follows the hand's movement"],
-  ["path", "Path", "Forward along the path; turns are a free look"],
+  ["path", "Path", "Forward and back along the path; turning the device looks around"],
 ] as const;
 const MIN_PAIRS = 3;
 
@@ -43,7 +43,7 @@ export function DevicePanel() {
           <>
             <Movement told={told} />
             {told.devices.length === 0 ? (
-              <p className="quiet">Nothing has moved yet. Move a stick on the gamepad, or connect a device below.</p>
+              <p className="quiet">No input yet. Move a stick on the gamepad, or connect a device below.</p>
             ) : (
               told.devices.map((device) => <Device key={device.device} device={device} />)
             )}
@@ -54,8 +54,8 @@ export function DevicePanel() {
           </>
         )}
         <p className="quiet">
-          Gamepads are found by themselves: press one of their buttons.
-          {missing.length === 0 ? "" : ` This browser offers ${missing.join(", ")}.`}
+          Gamepads are detected automatically: press any button.
+          {missing.length === 0 ? "" : ` Not supported by this browser: ${missing.join(", ")}.`}
         </p>
       </div>
     </section>
@@ -157,7 +157,9 @@ function HeadsetGroup() {
     <div className="group">
       <h3>Headset</h3>
       {headset === "no-headset" ? (
-        <p className="quiet">This browser finds no headset. Start its program, or open Carina in the headset.</p>
+        <p className="quiet">
+          This browser finds no headset. Start the headset's software, or open Carina in its own browser.
+        </p>
       ) : (
         <>
           <Act
@@ -169,8 +171,8 @@ function HeadsetGroup() {
             }
           />
           <p className="quiet">
-            Hold the trigger to move the tip, the stick for forward and back. Grip: the screen comes in front of you.
-            Lower button: next way to move. Upper: look along the path.
+            Hold the trigger to move the tip; push the stick for forward and back. Grip: bring the screen in front of
+            you. Lower button: next control mode. Upper: look along the path.
           </p>
         </>
       )}
@@ -237,7 +239,8 @@ function Calibration({ device }: { device: DeviceInfo }) {
           : "Calibrate"}
       </summary>
       <p className="quiet">
-        Hold the pen at a place, put the crosshair on it, take the pair. Three or more, not on one line.
+        Hold the pen at a landmark, put the crosshair on the same place, then take the pair. Take three or more, not on
+        one line.
       </p>
       {pairs.map((pair, n) => (
         // biome-ignore lint/suspicious/noArrayIndexKey: pairs are only ever added at the end

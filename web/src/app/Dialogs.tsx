@@ -16,7 +16,8 @@ export function NoticeDialog() {
           <Heading slot="title">Carina is not a medical device</Heading>
           <p>
             It is software for research, teaching and rehearsal. It has not been examined or approved for diagnosis or
-            treatment, and what it finds by itself can be wrong: airways may be missing, joined or invented by noise.
+            treatment, and what it finds automatically can be wrong: airways may be missing, joined, or artefacts of
+            noise.
           </p>
           <p>Decisions about a patient belong to a physician, from the original images.</p>
           <p className="quiet">

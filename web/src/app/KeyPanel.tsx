@@ -44,8 +44,8 @@ export function KeyPanel() {
             />
             {told.keys.length === 0 ? (
               <p className="empty">
-                Fly to a view and add it, then to the next one. Carina flies smoothly from one to the other, and makes a
-                film of it.
+                Fly to a view and add it, then to the next. Carina flies smoothly from one to the other; save the flight
+                as a video.
               </p>
             ) : (
               <KeyList told={told} />
@@ -154,7 +154,7 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
             unit="mm/s"
             value={frame.speed_mm_s}
             choices={KEY_SPEEDS_MM_S}
-            none="as all"
+            none="default"
             testId="key-speed"
             onChange={(speed_mm_s) => station.send({ type: "edit_keys", edit: { kind: "speed", key_id, speed_mm_s } })}
           />
@@ -170,7 +170,7 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
           onChange={setName}
         >
           <Input
-            placeholder="its branch"
+            placeholder="branch name"
             data-testid="key-rename"
             onBlur={rename}
             onKeyDown={(event) => {
@@ -237,7 +237,7 @@ function Player({ told }: { told: KeysMessage }) {
         <Act
           icon={playing.on ? "pause" : "play"}
           label={playing.on ? "Pause" : "Play"}
-          words={playing.on ? "Stand here" : "Fly through the key frames; any movement of yours takes over"}
+          words={playing.on ? "Pause here" : "Fly through the key frames; any movement you make takes over"}
           testId="play-keys"
           onPress={() => station.playKeys()}
         />
@@ -255,7 +255,7 @@ function Player({ told }: { told: KeysMessage }) {
           choices={PLAY_RATES.map((rate) => ({
             value: String(rate),
             label: rate === 0.5 ? "\u00bd\u00d7" : `${rate}\u00d7`,
-            words: rate === 1 ? "Play at the speeds of the flight" : rate < 1 ? "Play slower" : "Play faster",
+            words: rate === 1 ? "Play at the set speeds" : rate < 1 ? "Play slower" : "Play faster",
           }))}
           onChange={(rate) => station.player.setRate(Number(rate))}
         />

@@ -24,7 +24,7 @@ export function MaskPicker() {
   const station = useStation();
   return (
     <div className="mask-part">
-      <p className="quiet">A mask of another tool in their place: drop it on this window, or choose its file.</p>
+      <p className="quiet">To use another segmentation instead, drop it on this window or choose its file.</p>
       <FileTrigger
         allowsMultiple
         onSelect={(list) => {
@@ -101,7 +101,7 @@ export function DropChoice() {
   );
   return (
     <div className="drop-choice">
-      {place("mask", "Take as the airways of this scan", "a mask of another tool: NIfTI, NRRD, MetaImage, DICOM SEG")}
+      {place("mask", "Use as the airways of this scan", "a segmentation: NIfTI, NRRD, MetaImage, DICOM SEG")}
       {place("case", "Open as another case", "a CT: a DICOM series, NIfTI, NRRD or MetaImage")}
     </div>
   );
@@ -163,16 +163,16 @@ function Question({ question }: { question: MaskQuestion }) {
           </dl>
           {lost === null ? null : <p className="warning">{lost}</p>}
           <p>
-            It can be brought onto the scan: each voxel then takes the mask{"\u2019"}s nearest one, so that its edge is
-            as coarse as the mask. Compare it with the slices afterwards, or export it again on the scan{"\u2019"}s
-            grid.
+            It can be resampled to the scan{"\u2019"}s grid: each voxel takes the nearest one of the mask, so the edge
+            stays as coarse as the mask. Compare it with the slices afterwards, or export it again on the scan{"\u2019"}
+            s grid.
           </p>
         </>
       )}
-      <p className="quiet">The airways stay as they are until then; undo brings them back afterwards.</p>
+      <p className="quiet">The current airways stay until you choose; undo restores them afterwards.</p>
       <div className="dialog-actions">
         <Button className="button" onPress={() => station.send({ type: "dismiss_mask" })}>
-          Leave it
+          Cancel
         </Button>
         <Button
           className="button primary"
@@ -180,7 +180,7 @@ function Question({ question }: { question: MaskQuestion }) {
           isDisabled={isLabel && label === null}
           onPress={() => station.send({ type: "answer_mask", label: isLabel ? label : null, resample: !isLabel })}
         >
-          {isLabel ? "Take it as the airways" : "Bring it onto the scan"}
+          {isLabel ? "Use as the airways" : "Resample to the scan"}
         </Button>
       </div>
     </Dialog>

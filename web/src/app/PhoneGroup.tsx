@@ -15,8 +15,8 @@ export function PhoneGroup({ told }: { told: DevicesMessage }) {
       <SwitchKey
         words={
           phone === null
-            ? "Opens a page to this network. Whoever has its link may move the tip; nothing of the case is on it."
-            : "Closes the page; its link and certificate are void"
+            ? "Opens a page to this network. Anyone with its link can move the tip; the page shows nothing of the case."
+            : "Closes the page; its link and certificate stop working"
         }
         label={phone === null ? "Use a phone" : "Close the phone's page"}
         on={phone !== null}
@@ -26,7 +26,7 @@ export function PhoneGroup({ told }: { told: DevicesMessage }) {
       />
       {phone === null ? (
         <p className="quiet">
-          {told.phone_problem ?? "A phone can turn the tip and go forward and back: 3 of 6 degrees."}
+          {told.phone_problem ?? "A phone turns the tip and moves it forward and back, but not sideways."}
         </p>
       ) : (
         <Open phone={phone} />
@@ -46,8 +46,8 @@ function Open({ phone }: { phone: PhoneInfo }) {
         {phone.url}
       </p>
       <p>
-        The phone warns of the certificate, since no authority knows this computer. Compare its SHA-256 before you go
-        on:
+        The phone will warn about the certificate, because this computer issued it. Compare its SHA-256 before you
+        continue:
       </p>
       <p className="fingerprint" data-testid="phone-sha256">
         {fingerprintLines(phone.sha256).map((line) => (
@@ -55,7 +55,7 @@ function Open({ phone }: { phone: PhoneInfo }) {
         ))}
       </p>
       <p className="quiet">
-        Listens on {phone.address}, encrypted. Who has this link may move the tip and see nothing of the case.
+        Listens on {phone.address}, encrypted. Anyone with this link can move the tip, but sees nothing of the case.
         {phone.num_refused === 0 ? "" : ` Refused: ${phone.num_refused} with a wrong link.`}
         {phone.num_bad === 0 ? "" : ` Ignored: ${phone.bad_words}.`}
       </p>

@@ -21,7 +21,7 @@ interface ProfileChartProps {
 
 export function ProfileChart({ points, title, words }: ProfileChartProps) {
   const [at, setAt] = useState<ProfilePoint | null>(null);
-  if (points.length < 2) return <p className="empty">Too short to draw its lumen along the way.</p>;
+  if (points.length < 2) return <p className="empty">Too short for a lumen profile.</p>;
   const inside = { width: WIDTH - LEFT - RIGHT, height: HEIGHT - BELOW - ABOVE };
   const scale = chartScale(points, inside.width, inside.height);
   const x = (mmAlong: number) => LEFT + scale.x(mmAlong);

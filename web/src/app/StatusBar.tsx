@@ -46,7 +46,7 @@ export function StatusBar() {
             kind="quiet"
             icon="undo"
             label={`undo: ${undo}`}
-            words={`Take back: ${undo}`}
+            words={`Undo: ${undo}`}
             keys={keyOf("undo")}
             onPress={() => station.act("undo")}
           />
@@ -56,7 +56,7 @@ export function StatusBar() {
             kind="quiet"
             icon="redo"
             label={`redo: ${redo}`}
-            words={`Do again: ${redo}`}
+            words={`Redo: ${redo}`}
             keys={keyOf("redo")}
             onPress={() => station.act("redo")}
           />

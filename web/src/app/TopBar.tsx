@@ -34,7 +34,7 @@ export function TopBar() {
       {doubts.length === 0 ? null : (
         <Tip words={doubts.map(({ words }) => sentence(words)).join(" ")}>
           <Button className="badge warning" onPress={() => station.ui({ step: "check" })} data-testid="doubts">
-            {doubts.length === 1 ? "1 doubt" : `${doubts.length} doubts`}
+            {doubts.length === 1 ? "1 finding" : `${doubts.length} findings`}
           </Button>
         </Tip>
       )}

@@ -67,7 +67,7 @@ export class BrowserDevices {
             (device) =>
               new Handle(device, send, nowS, () =>
                 station.notice(
-                  `${device.productName} sends reports that are not as it describes them; they are ignored.`,
+                  `${device.productName} sends reports that do not match its descriptor; they are ignored.`,
                 ),
               ),
             around,
@@ -142,11 +142,12 @@ export class BrowserDevices {
   /** What this browser does not offer, in words. */
   missing(): readonly string[] {
     const words: string[] = [];
-    if (!("getGamepads" in navigator)) words.push("no gamepads");
-    if (!this.hasHid) words.push("no SpaceMouse and no handle by HID (WebHID: Chrome, Edge and Chromium have it)");
-    if (xrOf(navigator) === null) words.push("no headsets (WebXR: Chrome, Edge, Chromium, and headsets' own browsers)");
-    if (!hasPointerLock(document)) words.push("no locking of the mouse");
-    if (!("vibrationActuator" in globalThis || "GamepadHapticActuator" in globalThis)) words.push("no rumble");
+    if (!("getGamepads" in navigator)) words.push("gamepads");
+    if (!this.hasHid) words.push("SpaceMouse and USB scope handle (they need WebHID: Chrome, Edge or Chromium)");
+    if (xrOf(navigator) === null)
+      words.push("headsets (they need WebXR: Chrome, Edge, Chromium or the headset's own browser)");
+    if (!hasPointerLock(document)) words.push("locking the mouse");
+    if (!("vibrationActuator" in globalThis || "GamepadHapticActuator" in globalThis)) words.push("rumble");
     return words;
   }
 

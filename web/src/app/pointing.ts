@@ -143,7 +143,7 @@ export class Pointing {
     const fresh = this.#live.receive(answer);
     if (this.#commitOn === answer.request_id) {
       this.#commitOn = null;
-      if (answer.lps === null) this.#station.notice(answer.problem ?? "There is no airway under this place.");
+      if (answer.lps === null) this.#station.notice(answer.problem ?? "No airway here.");
       else this.commit(asVec3(answer.lps));
       return;
     }
@@ -311,7 +311,7 @@ export class Pointing {
     const station = this.#station;
     const { tree, ui } = station.state;
     if (tree === null || branchId === null) {
-      station.notice("There is no branch under this place. Click on an airway of the tree.");
+      station.notice("No branch here. Click an airway of the tree.");
       return;
     }
     if (ui.armed === "cut") {

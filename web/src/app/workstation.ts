@@ -230,7 +230,7 @@ export class Workstation implements Station {
         // Large files take a while. On the same grid the mask of one patient would lie in the scan of another.
         this.#sayError(
           "upload.other-case",
-          "Another case was opened while the file was sent: it was not taken.",
+          "Another case was opened during the upload: the file was not used.",
           "Open it again in the scan that it belongs to.",
         );
         return;
@@ -239,7 +239,12 @@ export class Workstation implements Station {
     } catch (error) {
       if (stop.signal.aborted) return;
       if (error instanceof UploadError) this.#sayError(error.code, error.message, error.action);
-      else this.#sayError("upload.failed", "The files could not be sent to Carina.", "Check that Carina still runs.");
+      else
+        this.#sayError(
+          "upload.failed",
+          "The files could not be sent to Carina.",
+          "Check that Carina is still running.",
+        );
     } finally {
       if (this.#uploadStop === stop) this.store.dispatch({ kind: "upload", upload: null });
     }
@@ -261,7 +266,12 @@ export class Workstation implements Station {
       saveAs(name, blob);
     } catch (error) {
       if (error instanceof DownloadError) this.#sayError(error.code, error.message, null);
-      else this.#sayError("download.failed", "The file did not come from Carina.", "Check that Carina still runs.");
+      else
+        this.#sayError(
+          "download.failed",
+          "The file could not be downloaded from Carina.",
+          "Check that Carina is still running.",
+        );
     }
   }
 
@@ -342,7 +352,7 @@ export class Workstation implements Station {
   #picked(message: PickedMessage): void {
     if (message.pick_id <= this.#pickForgotten) return;
     if (message.lps === null) {
-      this.notice("There is no wall under this place: the ray leaves the scan.");
+      this.notice("No wall here: the ray leaves the scan.");
       return;
     }
     const lps = asVec3(message.lps);
@@ -413,7 +423,7 @@ export class Workstation implements Station {
 
   /** Begins to type another name for the branch that is shown. */
   rename(branchId: number | null): void {
-    if (branchId === null) this.notice("Choose a branch first: in the list, or by a click on it.");
+    if (branchId === null) this.notice("Choose a branch first: click it in the list or in a picture.");
     else {
       this.disarm();
       this.ui({ renaming: branchId, step: "airways" });
@@ -529,9 +539,7 @@ export class Workstation implements Station {
 
   #setWindow(name: keyof typeof WINDOWS): void {
     if (this.state.session?.case?.is_hu === false) {
-      this.notice(
-        "Window presets are in HU, and this volume is not HU. Drag with the right button in a slice instead.",
-      );
+      this.notice("Window presets are in HU, and this volume is not. Drag with the right button in a slice instead.");
     } else {
       this.send({ type: "set_window", ...WINDOWS[name] });
     }

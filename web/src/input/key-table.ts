@@ -69,14 +69,14 @@ export type Command =
 /** Where a key holds. Several can hold at once: a brush in the hand, a slice that has the focus, and the page. */
 export const PLACES = {
   page: { title: "Anywhere", within: null, over: [] },
-  brush: { title: "With a brush in the hand", within: null, over: [] },
+  brush: { title: "With a brush selected", within: null, over: [] },
   picture: { title: "Any picture that has the focus", within: null, over: [] },
   plane: { title: "Slices and cut-plane", within: "picture", over: [] },
   path: { title: "Straightened and curved view", within: "picture", over: [] },
   carm: { title: "X-ray from the C-arm", within: "picture", over: [] },
   orbit: { title: "Airway tree and tri-plane", within: "picture", over: [] },
   "tri-plane": { title: "Tri-plane", within: "orbit", over: [] },
-  question: { title: "While a question stands", within: null, over: ["picture"] },
+  question: { title: "While a question is open", within: null, over: ["picture"] },
   list: { title: "Lists, sliders and tabs", within: null, over: ["page", "question"] },
   button: { title: "Buttons", within: null, over: ["page", "question"] },
   field: { title: "Fields for text", within: null, over: ["page", "brush", "question"] },
@@ -155,7 +155,7 @@ const PAGE: readonly Binding[] = [
     place: "page",
     key: "w",
     label: "W",
-    words: "Advance (hold; Shift: slowly)",
+    words: "Advance (hold; Shift: slow)",
     group: "Fly",
     command: hold("advance", 1),
   },
@@ -296,7 +296,7 @@ const PAGE: readonly Binding[] = [
     place: "page",
     key: "j",
     label: "J",
-    words: "Add branches: click the far ends of missing airways",
+    words: "Add branches: click the distal ends of missing airways",
     group: "Airways",
     command: press("tool_add"),
   },
@@ -496,7 +496,7 @@ const PAGE: readonly Binding[] = [
 ];
 
 const IN_PLACES: readonly Binding[] = [
-  ...inPicture("picture", ENTER, "Full, and back; with a tool in the hand: use it at the crosshair"),
+  ...inPicture("picture", ENTER, "Full view and back; with a tool: use it at the crosshair"),
   ...inPicture("plane", SCROLL, "Slice before, slice after"),
   ...inPicture("plane", MOVE, "Move the crosshair by 1 mm"),
   ...inPicture("plane", PAN, "Pan"),
@@ -514,12 +514,20 @@ const IN_PLACES: readonly Binding[] = [
   ...inPicture("tri-plane", SCROLL, "Axial plane up, down, by 1 mm"),
   ...inPicture("tri-plane", PAN, "Sagittal plane left, right; coronal plane back, front, by 1 mm"),
   ...own("question", "Enter", "Draw the branch by hand anyway (Esc: leave it)", "Enter"),
-  ...own("list", "Arrows", "Go through it; open and close a branch", "ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight"),
+  ...own(
+    "list",
+    "Arrows",
+    "Move through the list; open and close a branch",
+    "ArrowUp",
+    "ArrowDown",
+    "ArrowLeft",
+    "ArrowRight",
+  ),
   ...own("list", "Enter, Space", "Choose", "Enter", " "),
-  ...own("list", "Bksp, Esc", "Kept from the flight, so that nothing moves by mistake", "Backspace", "Escape"),
+  ...own("list", "Bksp, Esc", "Not used for flying, so that nothing moves by mistake", "Backspace", "Escape"),
   ...own("button", "Enter, Space", "Press it", "Enter", " "),
-  ...own("field", "Enter", "Take what is typed", "Enter"),
-  ...own("field", "Esc", "Leave it as it was", "Escape"),
+  ...own("field", "Enter", "Accept the entry", "Enter"),
+  ...own("field", "Esc", "Cancel the entry", "Escape"),
   ...own("dialog", "Esc", "Close it", "Escape"),
 ];
 
@@ -571,7 +579,7 @@ export const MOUSE: readonly { readonly where: string; readonly what: readonly (
   {
     where: "Any picture",
     what: [
-      ["Double click", "full, and back"],
+      ["Double click", "full view and back"],
       ["Right click", "put the tool away"],
     ],
   },

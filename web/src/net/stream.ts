@@ -51,7 +51,7 @@ const NO_USE_TRYING = new Map<number, string>([
     CLOSE_CODES["protocol.not-authorised"],
     "This page may no longer talk to Carina. Open the address that Carina printed when it was started.",
   ],
-  [CLOSE_CODES["protocol.version"], "This page and Carina are of different versions. Reload the page."],
+  [CLOSE_CODES["protocol.version"], "This page and Carina have different versions. Reload the page."],
   [CLOSE_CODES["protocol.taken-over"], "Carina is now open in another window. Reload this page to work here instead."],
 ]);
 

@@ -35,7 +35,7 @@ export function uploadProblem(files: readonly { name: string; file: { size: numb
   if (files.length > MAX_FILES) {
     return new UploadError(
       "upload.too-many",
-      `${files.length} files were dropped; at most ${MAX_FILES} can be taken.`,
+      `${files.length} files were dropped; at most ${MAX_FILES} can be opened at once.`,
       wayOut,
     );
   }
@@ -57,7 +57,7 @@ async function refusal(response: Response): Promise<UploadError> {
   };
   return new UploadError(
     field("code") ?? "upload.failed",
-    field("message") ?? `The files could not be taken (${response.status}).`,
+    field("message") ?? `The upload was refused (${response.status}).`,
     field("action"),
   );
 }

@@ -15,9 +15,9 @@ const OPEN = 1;
 /** More than this waits in the browser: the network does not keep up, and an old turn is of no use. */
 const FULL_BYTES = 4096;
 const USELESS = new Map<number, string>([
-  [CLOSE_CODES["protocol.not-authorised"], "This link is not valid any more. Scan the code on the workstation again."],
+  [CLOSE_CODES["protocol.not-authorised"], "This link is no longer valid. Scan the code on the workstation again."],
   [CLOSE_CODES["protocol.taken-over"], "Another phone, or another page of this one, has taken over."],
-  [CLOSE_CODES["protocol.version"], "This page and Carina are of different versions. Reload the page."],
+  [CLOSE_CODES["protocol.version"], "This page and Carina have different versions. Reload the page."],
   [CLOSE_CODES["protocol.malformed"], "Carina did not understand this page. Reload it."],
 ]);
 
@@ -67,7 +67,7 @@ export class Link {
         this.#handlers.status("refused", useless);
         return;
       }
-      this.#handlers.status("lost", "The workstation does not answer. Trying again.");
+      this.#handlers.status("lost", "The workstation is not responding. Trying again.");
       this.#callOff = this.#after(retryDelayMs(this.#attempt), this.open);
       this.#attempt += 1;
     };

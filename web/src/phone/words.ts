@@ -17,6 +17,6 @@ export function stateWords(state: PhoneStateMessage): string {
 
 /** How long a phone may take to say how it is turned before it counts as one without a sensor. */
 export const SENSOR_WITHIN_MS = 2000;
-export const NO_SENSOR = "This phone or browser does not say how it is turned. Forward and back still work.";
+export const NO_SENSOR = "This phone or browser does not report its orientation. Forward and back still work.";
 export const SENSOR_REFUSED =
-  "The browser was not allowed to tell how the phone is turned. Close and open this page, and allow it.";
+  "The browser was not allowed to read the phone's orientation. Close this page, open it again, and allow access.";

@@ -98,7 +98,7 @@ describe("a branch in words", () => {
 
   it("says where its name comes from", () => {
     expect(nameWords(node(tree, 1))).toBe("automatic name, 42 % confidence");
-    expect(nameWords(node(tree, 2))).toBe("named by a person");
+    expect(nameWords(node(tree, 2))).toBe("named by hand");
     expect(nameWords(node(tree, 3))).toBeNull();
   });
 

@@ -65,7 +65,7 @@ export const lumenMm = (node: BranchNode): number | null =>
 /** How the name came about. */
 export function nameWords(node: BranchNode): string | null {
   const { name_from: from, name_confidence: sure } = node.branch;
-  if (from === "person") return "named by a person";
+  if (from === "person") return "named by hand";
   if (from === null) return null;
   return sure === null ? "automatic name" : `automatic name, ${percent(sure)} confidence`;
 }

@@ -18,11 +18,11 @@ export function memberWords(member: ClusterMember): string {
     case "ready":
       return "renders";
     case "late":
-      return "late: others do its part";
+      return "late: others render its part";
     case "away":
-      return "does not answer";
+      return "not responding";
     case "loading":
-      return "is sent the scan";
+      return "receiving the scan";
   }
 }
 

@@ -59,7 +59,7 @@ describe("a preview of an edit", () => {
   });
 
   it("says that it is looked for, and why it cannot be made", () => {
-    expect(previewWords({ answer: null, stale: true }).lines).toEqual(["looking for the way\u2026"]);
+    expect(previewWords({ answer: null, stale: true }).lines).toEqual(["searching for the airway\u2026"]);
     const none = answer({ lines: [], length_mm: null, problem: "no airway leads from the tree to the point: tissue." });
     expect(previewWords({ answer: none, stale: false })).toEqual({
       lines: ["No airway leads from the tree to the point: tissue."],
@@ -82,9 +82,9 @@ describe("the question about a branch without evidence", () => {
   });
 
   it("says how much of the way is meant", () => {
-    expect(doubtWords(doubt())).toBe(`The CT shows no wall along the last 21${NBSP}mm of this way. Draw it anyway?`);
+    expect(doubtWords(doubt())).toBe(`The CT shows no wall along the last 21${NBSP}mm of this branch. Draw it anyway?`);
     const middle = doubt({ line: { ...LINE, doubtful: [false, true, false] }, doubtful_mm: 10 });
-    expect(doubtWords(middle)).toContain(`along 10${NBSP}mm of this way.`);
-    expect(doubtWords(doubt({ length_mm: 21.3 }))).toContain("along this way.");
+    expect(doubtWords(middle)).toContain(`along 10${NBSP}mm of this branch.`);
+    expect(doubtWords(doubt({ length_mm: 21.3 }))).toContain("along this branch.");
   });
 });

@@ -50,9 +50,9 @@ export function runsOf(lines: readonly EditLine[]): readonly PreviewRun[] {
 
 /** Lines beside the cursor; `warns` where the CT does not show it, or it cannot be made. */
 export function previewWords({ answer }: Preview): { lines: readonly string[]; warns: boolean } {
-  if (answer === null) return { lines: ["looking for the way\u2026"], warns: false };
+  if (answer === null) return { lines: ["searching for the airway\u2026"], warns: false };
   if (answer.problem !== null || answer.length_mm === null) {
-    return { lines: [firstSentences(sentence(answer.problem ?? "nothing can be made here"))], warns: true };
+    return { lines: [firstSentences(sentence(answer.problem ?? "nothing can be added here"))], warns: true };
   }
   const doubtful = answer.doubtful_mm ?? 0;
   switch (answer.tool) {
@@ -76,9 +76,9 @@ export function doubtWords({ line, doubtful_mm, length_mm }: NoEvidenceMessage):
   const tail = last >= 0 && line.doubtful.slice(last).every((doubtful) => doubtful);
   const all = length_mm - doubtful_mm < 1;
   const where = all
-    ? "this way"
+    ? "this branch"
     : tail
-      ? `the last ${mm(doubtful_mm, 0)} of this way`
-      : `${mm(doubtful_mm, 0)} of this way`;
+      ? `the last ${mm(doubtful_mm, 0)} of this branch`
+      : `${mm(doubtful_mm, 0)} of this branch`;
   return `The CT shows no wall along ${where}. Draw it anyway?`;
 }

@@ -88,7 +88,7 @@ describe("what is said beside the cursor", () => {
     expect(livePathLines(answer(1)).lines).toEqual([
       "10\u202fmm from the tracheal entry",
       "narrowest 4.2\u202fmm",
-      "86 % sure",
+      "86 % confidence",
     ]);
     const more = livePathLines(answer(1, { new_mm: 12.5, snapped_mm: 1.25, confidence: null })).lines;
     expect(more.slice(2)).toEqual(["12.5\u202fmm beyond the tree", "moved 1.3\u202fmm into the lumen"]);

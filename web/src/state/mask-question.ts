@@ -19,13 +19,13 @@ export const firstChoice = (question: MaskQuestion): number | null => question.s
 export function questionTitle(question: MaskQuestion): string {
   return question.problem === "label"
     ? `Which one is the airway lumen?`
-    : `The mask does not lie on the scan\u2019s voxels`;
+    : `The mask is on a different grid from the scan`;
 }
 
 export function questionWords(question: MaskQuestion): string {
   return question.problem === "label"
     ? `${question.title} holds ${plural(question.labels.length, "structure")}.`
-    : `${question.title} was drawn on another grid than this scan.`;
+    : `${question.title} was made on a different grid from this scan’s.`;
 }
 
 /** A warning where much of the mask would be lost; null where all but rounding lies in the scan. */

@@ -21,14 +21,14 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
   add: {
     label: "Add branch",
     short: "Add",
-    words: "Click the far end of a missing airway to add it as a branch",
-    hint: "Click the far end of the missing airway, in any picture. The line is the branch that a click makes: dashed where the CT shows no wall.",
+    words: "Adds a branch: click the distal end of a missing airway",
+    hint: "Click the distal end of the missing airway, in any picture. The line shows the new branch, dashed where the CT shows no wall.",
   },
   bridge: {
     label: "Bridge",
     short: "Bridge",
-    words: "Click in the airway beyond a blockage: the gap is bridged, and stays marked as a bridge",
-    hint: "Click in the airway beyond the blockage. The CT shows no airway here: the bridge stays amber and is labelled \u201cbridge\u201d.",
+    words: "Bridges a blockage: click in the airway distal to it. The bridge stays marked.",
+    hint: "Click in the airway distal to the blockage. The CT shows no airway here: the bridge stays amber and is labelled \u201cbridge\u201d.",
   },
   cut: {
     label: "Cut",
@@ -39,14 +39,14 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
   fork: {
     label: "Move fork",
     short: "Move fork",
-    words: "Click near a fork, then where it should be",
+    words: "Click near a fork, then where it belongs",
     hint: "Click near the fork to move, or its branch in the list. The amber dot is the fork.",
   },
   smooth: {
     label: "Smooth",
     short: "Smooth",
-    words: "Click on a branch: its centreline becomes smoother",
-    hint: "Click a branch, in a picture or in the list: the amber centreline becomes smoother.",
+    words: "Smooths the centreline of a branch",
+    hint: "Click a branch, in a picture or in the list. The amber centreline will be smoothed.",
   },
   paint: {
     label: "Paint",
@@ -82,7 +82,7 @@ export function wordsOf(armed: Armed, forkHeld: boolean): { label: string; hint:
   if (armed === "fork" && forkHeld) {
     return {
       label: TOOL_WORDS.fork.label,
-      hint: "Now click where the fork should be. The lines show what moves with it.",
+      hint: "Now click where the fork belongs. The lines show what moves with it.",
     };
   }
   return armed === "target" || armed === "root" ? MARK_WORDS[armed] : TOOL_WORDS[armed];

@@ -27,7 +27,7 @@ describe("places that could not be followed", () => {
       "the lumen ends at 3.2 mm",
     ]);
     expect(plain(groups[1]?.places[0]?.words ?? "")).toBe(
-      "lost where the lumen is 3.9 mm wide: its wall is too thin here, and the search would have run into the lung",
+      "lost where the lumen is 3.9 mm wide: its wall is too thin here, and the search would have leaked into the lung",
     );
   });
 
@@ -40,9 +40,9 @@ describe("places that could not be followed", () => {
     ]);
     expect(groups.map(({ why }) => why)).toEqual([null, null, null]);
     expect(groups.flatMap(({ places }) => places.map(({ words }) => plain(words)))).toEqual([
-      "the volume ends here, the airway (6.0 mm wide) goes on",
-      "the volume ends here, the airway (5.0 mm wide) goes on",
-      "its wall hardly stands out (confidence 0.31): it may not be an airway",
+      "the scan ends here, but the airway (6.0 mm wide) continues",
+      "the scan ends here, but the airway (5.0 mm wide) continues",
+      "its wall is barely visible (confidence 0.31): it may not be an airway",
       "below 2.1 mm (the median of 41 ends) this CT of 0.90 mm voxels cannot show airways reliably: more and smaller ones exist",
     ]);
   });

@@ -14,11 +14,11 @@ function wordsOf(place: Uncertainty): { what: string; why: string | null } {
   const width = mm(place.width_mm);
   switch (place.kind) {
     case "volume":
-      return { what: `the volume ends here, the airway (${width} wide) goes on`, why: null };
+      return { what: `the scan ends here, but the airway (${width} wide) continues`, why: null };
     case "leak":
       return {
         what: `lost where the lumen is ${width} wide`,
-        why: "its wall is too thin here, and the search would have run into the lung",
+        why: "its wall is too thin here, and the search would have leaked into the lung",
       };
     case "blocked":
       return {
@@ -27,7 +27,7 @@ function wordsOf(place: Uncertainty): { what: string; why: string | null } {
       };
     case "faint":
       return {
-        what: `its wall hardly stands out (confidence ${fixed(place.confidence ?? 0, 2)})`,
+        what: `its wall is barely visible (confidence ${fixed(place.confidence ?? 0, 2)})`,
         why: "it may not be an airway",
       };
     case "fine":

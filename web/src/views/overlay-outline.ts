@@ -30,7 +30,7 @@ export function paintOutline(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (!scene.outlineVisible || header === null) return;
   if (header.outline?.complete === false) {
     const at = { x: viewport.size.width / 2, y: viewport.size.height - 34 };
-    label(ink, "no outline: the lumen is too ragged", at, { size: 11, colour: INK.warning });
+    label(ink, "no outline: the lumen is too irregular", at, { size: 11, colour: INK.warning });
   }
   if (outline === null) return;
   const origin = viewport.screenAt({ column: 0, row: 0 });

@@ -184,7 +184,7 @@ function branchLine(node: BranchNode): string {
 /** What is known of a way, and the same in fewer words. */
 function shorter({ answer }: LiveAnswer): string[] {
   const { lines } = livePathLines(answer);
-  const length = answer.length_mm === null ? "no way" : mm(answer.length_mm, 0);
+  const length = answer.length_mm === null ? "no path" : mm(answer.length_mm, 0);
   return [lines.slice(0, 2).join(", "), ...lines.slice(0, 1), length];
 }
 

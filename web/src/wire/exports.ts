@@ -7,7 +7,7 @@ export const EXPORTS = [
     files: [
       { suffix: ".stl", words: "For 3D printing and most programs" },
       { suffix: ".ply", words: "For MeshLab and Blender" },
-      { suffix: ".obj", words: "For drawing programs" },
+      { suffix: ".obj", words: "For 3D modelling programs" },
       { suffix: ".glb", words: "For viewers on the web and on phones" },
     ],
   },
@@ -23,10 +23,10 @@ export const EXPORTS = [
   {
     title: "Branches and centrelines",
     files: [
-      { suffix: ".json", words: "All that Carina knows of the tree: names, radii, confidence" },
+      { suffix: ".json", words: "Everything Carina knows about the tree: names, radii, confidence" },
       { suffix: ".vtp", words: "For ParaView and VTK" },
       { suffix: ".mrk.json", words: "Curves for 3D Slicer" },
-      { suffix: ".swc", words: "For programs of tree shapes" },
+      { suffix: ".swc", words: "For software that analyses tree shapes" },
     ],
   },
 ] as const;

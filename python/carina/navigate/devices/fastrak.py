@@ -69,7 +69,7 @@ class FastrakStream:
         self._buffer += data
         found = self._feed_binary() if self._binary else self._feed_ascii()
         if len(self._buffer) > MAX_WAITING:
-            self.num_bad["bytes that are no record"] += len(self._buffer)
+            self.num_bad["bytes outside any record"] += len(self._buffer)
             self._buffer.clear()
         return found
 
@@ -83,13 +83,13 @@ class FastrakStream:
             # A line may begin with the rest of another one, or noise.
             match = _ASCII.search(line)
             if match is None or match.end() != len(line):
-                self.num_bad["bytes that are no record"] += len(line) + 1
+                self.num_bad["bytes outside any record"] += len(line) + 1
                 continue
             numbers = [float(n.replace(b" ", b"")) for n in _NUMBER.findall(match[3] + match[4])]
             if len(numbers) == 7:
                 self._take(found, int(match[1]), match[2], numbers, match[5] == b"1")
             else:
-                self.num_bad["bytes that are no record"] += len(line) + 1
+                self.num_bad["bytes outside any record"] += len(line) + 1
         return found
 
     def _feed_binary(self) -> list[FastrakRecord]:
@@ -98,14 +98,14 @@ class FastrakStream:
         while len(buffer) >= _BINARY_BYTES + 3:
             if not (buffer[0] == ord("0") and ord("1") <= buffer[1] <= ord("4") and 0x20 <= buffer[2] < 0x7F):
                 del buffer[0]
-                self.num_bad["bytes that are no record"] += 1
+                self.num_bad["bytes outside any record"] += 1
                 continue
             tail = _TAIL.match(buffer, _BINARY_BYTES)
             if tail is None:
                 if len(buffer) < _BINARY_BYTES + 4 and re.match(rb" ?[01]?\r?$", buffer[_BINARY_BYTES:]):
                     return found
                 del buffer[0]
-                self.num_bad["bytes that are no record"] += 1
+                self.num_bad["bytes outside any record"] += 1
                 continue
             self._take(
                 found, buffer[1] - ord("0"), bytes(buffer[2:3]), list(_BINARY.unpack_from(buffer, 3)), tail[1] == b"1"

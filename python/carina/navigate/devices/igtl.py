@@ -127,7 +127,7 @@ class IgtlStream:
                 continue
             if kind not in POSE_TYPES or num_bytes > MAX_POSE_BYTES:
                 if kind in POSE_TYPES:
-                    self.num_bad["a length that no pose has"] += 1
+                    self.num_bad["a wrong length for a pose"] += 1
                 else:
                     self.num_skipped += 1
                 del self._buffer[: HEADER.size]
@@ -173,10 +173,10 @@ def _poses(kind: str, name: str, time_s: float, content: bytes) -> list[IgtlPose
         rotation = np.array(values[:9], dtype=np.float64).reshape(3, 3).T
         # Nine numbers in f32: anything that is no rotation is refused, since no quaternion stands for it.
         if not np.isfinite(rotation).all() or np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-3:
-            raise ValueError("no rotation")
+            raise ValueError("not a rotation")
         # Within that bound of orthonormal, the determinant is near 1 or near -1.
         if np.linalg.det(rotation) < 0.0:
-            raise ValueError("a mirror, for which no quaternion stands either")
+            raise ValueError("a reflection, which is not a rotation")
         return [IgtlPose(name, time_s, _three(values[9:]), wxyz_from_rotation(rotation))]
     if kind == "POSITION":
         if len(content) == 12:

@@ -76,7 +76,7 @@ class IgtlClient(Source):
         _keep_alive(writer)
         stream = IgtlStream()
         stream.num_bad = self.num_bad
-        self._state, self._words = "live", "connected; no tool yet"
+        self._state, self._words = "live", "connected; no tracked tool yet"
         try:
             while data := await self._heard(reader):
                 for message in stream.feed(data):
@@ -84,7 +84,7 @@ class IgtlClient(Source):
                         self._words = ""
                         self._told(message)
         except ProtocolError:
-            self.num_bad["headers that are none"] += 1
+            self.num_bad["invalid headers"] += 1
             raise
         finally:
             writer.close()
@@ -97,7 +97,7 @@ class IgtlClient(Source):
             async with asyncio.timeout(self._silence_s):
                 return await reader.read(CHUNK)
         except TimeoutError:
-            raise TimeoutError(f"connected, and nothing came for {self._silence_s or 0.0:g} s") from None
+            raise TimeoutError(f"connected, but no data for {self._silence_s or 0.0:g} s") from None
 
     def _told(self, pose: IgtlPose) -> None:
         device = f"{self.address}/{pose.name}"

@@ -20,11 +20,11 @@ State = Literal["connecting", "live", "lost", "stopped"]
 
 WORDS = {
     errno.ENOENT: "there is no such port; is the device plugged in and on?",
-    errno.EACCES: "this user may not open the port; on Linux the group dialout may",
-    errno.EBUSY: "another program holds the port",
-    errno.ECONNREFUSED: "nothing answers there; start the tracker's program, and compare host and port",
-    errno.EHOSTUNREACH: "no way leads to that machine; look at the network and the address",
-    errno.ENETUNREACH: "no way leads to that machine; look at the network and the address",
+    errno.EACCES: "no permission to open the port; on Linux, join the group dialout",
+    errno.EBUSY: "another program is using the port",
+    errno.ECONNREFUSED: "no answer; start the tracker's software, and check host and port",
+    errno.EHOSTUNREACH: "that machine cannot be reached; check the network and the address",
+    errno.ENETUNREACH: "that machine cannot be reached; check the network and the address",
 }
 """What systems say by a number."""
 

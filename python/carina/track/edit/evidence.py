@@ -133,8 +133,8 @@ class Evidence:
         away_mm = float(np.linalg.norm(self._volume.lps_from_ijk[:3, :3] @ (voxel - toward)))
         if away_mm > MAX_MISSED_MM:
             msg = (
-                f"the point is {away_mm:.0f} mm from the tree, and no way is looked for over more than "
-                f"{MAX_MISSED_MM:.0f} mm: add the branches between them first"
+                f"the point is {away_mm:.0f} mm from the tree; a branch has at most {MAX_MISSED_MM:.0f} mm: "
+                "add the branches between them first"
             )
             raise NoResultError(msg, code="track.no-path")
         way = self.enclosures.way(lumen.core, start, goal, **self._levels, cancel=lumen.cancel)

@@ -39,7 +39,7 @@ def edit_words(edit: TreeEdit, airways: Airways) -> str:
         case Bridge(lps):
             return f"bridge beyond {_nearest_title(tree, lps)}"
         case MoveRoot():
-            return "move the root"
+            return "move the start"
         case MoveFork(branch_id):
             return f"move the fork of {_title(tree, branch_id)}"
         case PaintLumen(erase=erase):
@@ -48,7 +48,7 @@ def edit_words(edit: TreeEdit, airways: Airways) -> str:
             return f"smooth {_title(tree, branch_id)}"
         case RenameBranch(branch_id, name):
             title = _title(tree, branch_id)
-            return f"automatic name for {title}" if name is None else f"call {title} {name}"
+            return f"automatic name for {title}" if name is None else f"rename {title} {name}"
 
 
 def _title(tree: AirwayTree, branch_id: int) -> str:

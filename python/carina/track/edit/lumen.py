@@ -210,7 +210,7 @@ def tissue_there(lumen: EditedLumen, start: NDArray[np.int64], wall: float) -> N
     if value > wall:
         unit = " HU" if lumen.volume.is_hu else ""
         msg = (
-            f"there is tissue at the point ({value}{unit}), no airway: click in the dark middle of the branch, or "
+            f"this point is in tissue ({value}{unit}), not in an airway: click in the dark middle of the branch, or "
             "bridge to the airway beyond"
         )
         raise NoResultError(msg, code="track.outside-lumen")
@@ -238,7 +238,7 @@ def air_voxel(lumen: EditedLumen, start: NDArray[np.int64]) -> NDArray[np.int64]
     if int(values.min()) > end:
         unit = " HU" if volume.is_hu else ""
         msg = (
-            f"there is no air at the point ({here}{unit}): click in the dark middle of the airway beyond the blockage, "
+            f"this point is not in air ({here}{unit}): click in the dark middle of the airway beyond the blockage, "
             "or paint its lumen first"
         )
         raise NoResultError(msg, code="track.outside-lumen")

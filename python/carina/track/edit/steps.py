@@ -129,7 +129,7 @@ class EditSteps:
             case SmoothBranch(branch_id):
                 self._smooth(needed_branch(self._tree, branch_id))
             case _:
-                raise UsageError(f"this is no edit of a tree: {edit!r}")
+                raise UsageError(f"not an edit of a tree: {edit!r}")
 
     # ------------------------------------------------------------ the edits
 
@@ -156,7 +156,7 @@ class EditSteps:
             raise UsageError(msg, code="track.edit-place")
         last = int(np.searchsorted(along, at_mm, side="right")) - 1 if at_mm > 0.0 else 0
         if branch.parent is None and last < 1:
-            msg = f"{title} holds the root, without it there is no tree: cut it farther down, or move the root first"
+            msg = f"{title} holds the start of the tree: cut it further distally, or move the start first"
             raise UsageError(msg, code="track.edit-root")
         below = [member.points for member in self.draft.below(branch.id)]
         below[0] = below[0][last + 1 :]
@@ -255,7 +255,7 @@ class EditSteps:
         away_mm = along_mm(path[left - 1 :])[-1]
         if place.branch_id == trunk.id and place.index == 0:
             if np.linalg.norm(path[-1] - trunk.points[0]) < MIN_ADDED_MM:
-                raise NoResultError("the root is there already; nothing was changed", code="track.edit-nothing")
+                raise NoResultError("the start is already there; nothing was changed", code="track.edit-nothing")
             # Beyond the trunk's beginning: it grows up to there.
             above = self._drawn(trunk.points[0], path[1:])[::-1]
             points = np.concatenate([above, trunk.points[1:]])
@@ -282,7 +282,7 @@ class EditSteps:
             self.draft.turn_round(branch.id)
             return
         if last < 2:
-            msg = "the branch there is too short to begin in it: choose a point in the next one"
+            msg = "the branch there is too short to start in: choose a point in the next one"
             raise NoResultError(msg, code="track.edit-place")
         self.draft.split(Place(branch.id, min(max(place.index, 1), last - 1)))
         upper = self.draft[branch.id]
@@ -342,12 +342,12 @@ class EditSteps:
         is_lumen = nodes_at(self.lumen.core, self._volume.to_lps(voxels.astype(np.float64))) >= 0
         voxels = voxels[is_lumen == edit.erase]
         if not len(voxels):
-            what = "no lumen under the brush to erase" if edit.erase else "nothing to paint: all of it is lumen already"
+            what = "no lumen under the brush to erase" if edit.erase else "nothing to paint: all of it is already lumen"
             raise NoResultError(f"there is {what}; nothing was changed", code="track.edit-nothing")
         before = self.lumen.core
         if edit.erase:
             if (voxels == np.array(self.lumen.root_ijk)).all(axis=1).any():
-                msg = "the root lies under the brush: the lumen round it must stay. Move the root first"
+                msg = "the start of the tree lies under the brush: the lumen around it must stay. Move the start first"
                 raise UsageError(msg, code="track.edit-root")
             self._change_lumen(NO_VOXELS, voxels)
         else:

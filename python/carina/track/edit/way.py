@@ -137,7 +137,7 @@ def planned_way(lumen: EditedLumen, tree: AirwayTree, draft: TreeDraft, evidence
         branch, _, away_mm = tree.nearest_branch(lps)
         title = branch_title(branch.name, branch.id)
         msg = (
-            f"the tree is there already: the point lies in {title}, {away_mm:.1f} mm from its middle. Click where "
+            f"the tree already reaches this point: it lies in {title}, {away_mm:.1f} mm from its middle. Click where "
             "the missing branch ends"
         )
         raise NoResultError(msg, code="track.edit-nothing")
@@ -236,7 +236,7 @@ def lumen_node(lumen: EditedLumen, voxel: NDArray[np.int64], reach_mm: float = 0
     found = lumen.core.nearest((x, y, z), max(reach_mm, 0.1 * min(volume.spacing_mm)))
     if found is None or not reached(lumen.core, np.array([found[0]], np.uint32))[0]:
         msg = (
-            f"no airway of the tree is within {reach_mm:g} mm of the point: click inside an airway"
+            f"no branch of the tree is within {reach_mm:g} mm of the point: click inside an airway"
             if found is None
             else "the lumen at the point is not connected to the tree: bridge to it, or add a branch to it first"
         )

@@ -124,7 +124,7 @@ def find_airways(
     tracker = PathTracker(volume, core)
     stage.begin("solving the paths")
     core.solve_all(cancel=cancel, progress=stage.share)
-    stage.begin("finding the branches")
+    stage.begin("building the branches")
     rows = core.branches(cancel=cancel, progress=stage.share)
     branches = branches_from_rows(rows)
     if root_lps is None:
@@ -134,7 +134,7 @@ def find_airways(
     tree = AirwayTree(branches, _smooth=tracker.smooth)
     uncertain: tuple[Uncertainty, ...] = ()
     if noise is not None:
-        stage.begin("judging the branches")
+        stage.begin("rating the branches")
         tree = with_confidence(volume, tree, noise)
         uncertain = find_uncertain(volume, tree, leaks)
         total = doubt_of_totals(branches, splits=trachea_mm is not None)
@@ -155,7 +155,7 @@ def find_airways(
         found_notes.append(f"{core.num_nodes - core.num_settled} lumen voxels are not connected to the root")
     lumen.flags.writeable = False
     root_at = branches[0].points[0].copy()
-    stage.begin("airways found", 1.0)
+    stage.begin("airways segmented", 1.0)
     return Airways(
         lumen_zyx=lumen,
         root_lps=root_at,

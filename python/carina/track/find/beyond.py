@@ -45,7 +45,7 @@ MOST_REACHED = 0.02
 MOST_FOLLOWED_MM = 2500.0
 SHARP_FOLLOWED_MM = 400.0
 
-SOFT_KERNEL = "Open a reconstruction with a soft kernel, if there is one"
+SOFT_KERNEL = "If there is one, open a reconstruction with a soft kernel"
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +99,8 @@ def follow_beyond(
     notes = []
     if followed:
         notes.append(
-            f"{_length_mm(followed):.0f} mm of small airways, in {len(followed)} pieces, were followed by "
-            "the shape of their walls, beyond where these hold the air"
+            f"{_length_mm(followed):.0f} mm of small airways, in {len(followed)} pieces, were followed by the shape "
+            "of their walls where the lumen is no darker than the lung"
         )
     np.minimum(lumen, 1, out=lumen)
     if not (is_sharp or ran_out):
@@ -108,10 +108,10 @@ def follow_beyond(
     what = (
         f"this CT's sharp kernel draws dark rims ({undershoot_hu:.0f} HU) beside vessels, which look like airways"
         if is_sharp
-        else "it ran out of the airways into the lung"
+        else "it leaked from the airways into the lung"
     )
-    kept = "only what stands out was kept" if followed else "nothing of it was kept"
-    words = f"the search for small airways was held back: {what}; {kept}, and small airways are missing. {SOFT_KERNEL}"
+    kept = "only what stands out was kept" if followed else "none of it was kept"
+    words = f"the search for small airways was limited: {what}; {kept}, and small airways are missing. {SOFT_KERNEL}"
     return Beyond(tuple(notes), Note(STOPPED, words, badge=True))
 
 

@@ -54,8 +54,8 @@ def refuse_a_root_below_the_carina(volume: Volume, branches: tuple[Branch, ...])
     num_in_lung = sum(scale is not None and _is_in_lung(volume, tip, scale) for tip in tips)
     if num_in_lung >= 3:
         msg = (
-            f"no trachea was found: the tube of air at {words(as_point(branches[0].points[0]))} is a lower bronchus, "
-            "the airway goes on above it; give a point in the trachea (root)"
+            f"no trachea was found: the tube of air at {words(as_point(branches[0].points[0]))} is a lower bronchus: "
+            "the airway continues above it; give a point in the trachea (root)"
         )
         raise NoResultError(msg)
 

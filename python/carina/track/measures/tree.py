@@ -269,7 +269,10 @@ def measure_tree(
     measured = _summed_up(tree, sections)
     notes = []
     if blur is None:
-        notes.append("the scan's blur could not be told: edges are half-maximum ones, small lumens come out too small")
+        notes.append(
+            "the scan's blur could not be measured: edges are taken at half maximum, and small lumens are "
+            "underestimated"
+        )
     if progress is not None:
         progress("airways measured", 1.0)
     return TreeMeasures(measured, forks, blur, noise, tuple(notes), keys)

@@ -48,8 +48,8 @@ _VARIANT_STEMS = {
     "LB1+3": "LB1 and LB3 share a stem, LB2 leaves alone",
     "LB2+3": "LB2 and LB3 share a stem, LB1 leaves alone",
     "LB3+4+5": "LB3 leaves with the lingula",
-    "RB*": "a subsuperior bronchus, in one patient of six",
-    "LB*": "a subsuperior bronchus, in one patient of six",
+    "RB*": "a subsuperior bronchus (found in one patient of six)",
+    "LB*": "a subsuperior bronchus (found in one patient of six)",
 }
 _SWAP = str.maketrans("RL", "LR")
 
@@ -435,13 +435,13 @@ def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], 
         if above == "BI" and word == "RB6":
             note(number, "RB6 leaves the bronchus intermedius, no lower than the middle lobe")
         if word == "Right basal trunk" and "RB7" not in found and {"RB8", "RB10"} <= found:
-            note(number, "no RB7 was found")
+            note(number, "RB7 was not found")
         if word in {"Right basal trunk", "Left basal trunk"}:
             side = word[0]
             if f"{side}B9" not in found and {f"{side}B8", f"{side}B10"} <= found:
                 note(number, f"no {side}B9 was found: absent, or a branch of its neighbours")
         if word == "BI" and "RML" not in found and "RB4" not in found and "RB5" not in found and "RLL" in found:
-            note(number, "no middle lobe bronchus was found")
+            note(number, "the middle lobe bronchus was not found")
     for number, bronchus in enumerate(bronchi):
         # A third bronchus that carries no number.
         if number in carried or readings[number].inside is not None or bronchus.parent is None:

@@ -124,7 +124,7 @@ class PathTracker:
             farther = self._core.nearest(point, 60.0)
             far = "more than 60 mm" if farther is None else f"{farther[1]:.1f} mm"
             msg = (
-                f"the point {words(point)} is {far} from the airway lumen that was found; a target is moved by at "
+                f"the point {words(point)} is {far} from the segmented lumen; a target is moved by at "
                 f"most {snap_mm:g} mm. Choose a point inside an airway, or extend the lumen there"
             )
             raise NoResultError(msg, code="track.outside-lumen")

@@ -155,7 +155,7 @@ def track_on_graph(
         box = box_ijk or search_box(volume, [root, *points], graph=graph)
         if box[1] != shape:
             notes.append(
-                "the search was kept to a box round root and targets; a cheaper way outside the box would not be found"
+                "the search was kept to a box round root and targets; a lower-cost path outside the box would be missed"
             )
 
     def stage(what: str) -> Callable[[float], None]:

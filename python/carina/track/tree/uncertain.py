@@ -56,11 +56,11 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
         """Why, in words."""
         match self.kind:
             case "volume":
-                return f"the volume ends here, the airway ({self.width_mm:.1f} mm wide) goes on"
+                return f"the scan ends here, but the airway ({self.width_mm:.1f} mm wide) continues"
             case "leak":
                 return (
                     f"lost where the lumen is {self.width_mm:.1f} mm wide: its wall is too thin here, and the search "
-                    "would have run into the lung"
+                    "would have leaked into the lung"
                 )
             case "blocked":
                 return (
@@ -68,7 +68,7 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
                     "the CT does not show"
                 )
             case "faint":
-                return f"its wall hardly stands out (confidence {self.confidence:.2f}): it may not be an airway"
+                return f"its wall is barely visible (confidence {self.confidence:.2f}): it may not be an airway"
             case "fine":
                 return (
                     f"below {self.width_mm:.1f} mm (the median of {self.num_ends} ends) this CT of "

@@ -22,8 +22,8 @@ export function AirwaysStep() {
         <details className="part">
           <summary>{plural(count, "branch", "branches")} found</summary>
           <p>
-            {session.airways_from === "mask" ? "Taken from a mask" : "Found by itself"}: compare it with the slices
-            before you rely on it.
+            {session.airways_from === "mask" ? "From another segmentation" : "Segmented automatically"}: compare it with
+            the slices before you rely on it.
           </p>
           {session.airways_words === null ? null : <p className="quiet">{sentence(session.airways_words)}</p>}
         </details>
@@ -31,10 +31,10 @@ export function AirwaysStep() {
         <>
           <p>
             {session.airways === "finding"
-              ? "The airways are being found. You can fly freely meanwhile."
+              ? "The airways are being segmented. You can fly freely meanwhile."
               : session.airways === "failed"
                 ? "No airways were found."
-                : "The airways will be found as soon as the CT is ready."}
+                : "The airways will be segmented as soon as the CT is ready."}
           </p>
           {session.airways_words === null ? null : <p className="quiet">{sentence(session.airways_words)}</p>}
         </>
@@ -45,7 +45,7 @@ export function AirwaysStep() {
           <EditTools />
           <BranchPanel />
           <details className="part">
-            <summary>Segment again, or use another mask</summary>
+            <summary>Segment again, or use another segmentation</summary>
             <Root />
             <MaskPicker />
           </details>
@@ -75,7 +75,7 @@ function Root() {
   return (
     <div className="root-part">
       <p className="quiet numbers">
-        Root: {rootLps === null ? "found by itself in the trachea" : coordinates(asVec3(rootLps))}
+        Start: {rootLps === null ? "automatic, in the trachea" : coordinates(asVec3(rootLps))}
       </p>
       <SwitchKey
         icon="target"

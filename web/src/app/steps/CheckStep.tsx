@@ -17,7 +17,7 @@ const PRESETS = [
 type PresetName = (typeof PRESETS)[number]["value"];
 
 const SLABS = [
-  { value: "thin", label: "Thin", mm: 0, kind: "min", words: "Single slices, no slab" },
+  { value: "thin", label: "Thin", mm: 0, kind: "min", words: "Single slice, no slab" },
   { value: "min", label: "Min", mm: 10, kind: "min", words: "Minimum over 10 mm (shows airways)" },
   { value: "max", label: "Max", mm: 10, kind: "max", words: "Maximum over 10 mm (shows vessels and nodules)" },
   { value: "mean", label: "Mean", mm: 5, kind: "mean", words: "Mean over 5 mm (less noise)" },
@@ -84,9 +84,9 @@ export function CheckStep() {
         {windowWords(width, level)}
         {info.is_hu ? " HU" : ""}; drag with the right button in a slice to change it
       </p>
-      <h3>Thickness of the slices</h3>
+      <h3>Slab thickness</h3>
       <Choice<SlabName>
-        name="Thickness of the slices"
+        name="Slab thickness"
         value={
           SLABS.find((choice) => choice.mm === slab.thickness_mm && (choice.mm === 0 || choice.kind === slab.kind))
             ?.value ?? "thin"

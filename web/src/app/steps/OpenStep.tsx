@@ -43,7 +43,7 @@ export function OpenStep() {
           {plural(info.other_series.length, "other series", "other series")} in the folder: see Check.
         </p>
       )}
-      <h3>Airways of another tool</h3>
+      <h3>Another segmentation</h3>
       <MaskPicker />
       <h3>Another case</h3>
       <p className="quiet">The current case stays open until the new one has loaded.</p>
@@ -51,7 +51,7 @@ export function OpenStep() {
       <PathForm />
       <Act
         icon="folder"
-        label="To the start page"
+        label="Start page"
         words="Close this case: recent cases and examples"
         onPress={() => station.send({ type: "close_case" })}
       />

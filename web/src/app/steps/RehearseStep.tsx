@@ -15,7 +15,7 @@ export function RehearseStep() {
   const recording = useApp((state) => state.devices?.recording ?? null);
   const held = useApp((state) => state.pose?.scope ?? null);
   if (route === null) {
-    return <p className="empty">A rehearsal follows a route. Choose a branch in the list above, or mark a target.</p>;
+    return <p className="empty">Rehearsal follows a route. Choose a branch in the list above, or mark a target.</p>;
   }
   const scope = scopes?.find((each) => each.name === name) ?? null;
   const begin = (fromMm: number | null) => {
@@ -28,7 +28,7 @@ export function RehearseStep() {
   return (
     <>
       <p>
-        To <strong>{route.title}</strong>, with a bronchoscope that bends, touches and is held by the wall.
+        To <strong>{route.title}</strong>, with a simulated bronchoscope that bends, touches the wall and is held by it.
       </p>
       <ScopeSelect />
       <Act
@@ -65,12 +65,12 @@ export function RehearseStep() {
         kind="quiet"
         icon="capture"
         label="Key frames"
-        words="Views to fly through, smoothly, at a speed"
+        words="Views to fly through smoothly, at a set speed"
         keys={keyOf("key_frames")}
         onPress={() => station.act("key_frames")}
       />
       {scope === null || scopes === null ? (
-        <p className="quiet">Choose an instrument to see how far it fits.</p>
+        <p className="quiet">Choose a scope to see how far it reaches.</p>
       ) : (
         <Fit route={route} scope={scope} scopes={scopes} />
       )}

@@ -9,7 +9,11 @@ export function ShareStep() {
   const making = useApp((state) => state.ui.making);
   return (
     <>
-      <p>{found ? "Files of the airways, as they are now." : "Files of the airways, once they are found."}</p>
+      <p>
+        {found
+          ? "The airways as files, in their current state."
+          : "The airways as files, once they have been segmented."}
+      </p>
       {EXPORTS.map(({ title, files }) => (
         <div key={title} className="group">
           <h3>{title}</h3>
@@ -17,7 +21,7 @@ export function ShareStep() {
             {files.map(({ suffix, words }) => (
               <Act
                 key={suffix}
-                label={making === suffix ? "Making it\u2026" : suffix.replace(/^\./, "")}
+                label={making === suffix ? "Preparing\u2026" : suffix.replace(/^\./, "")}
                 words={words}
                 disabled={!found || making !== null}
                 testId={`take${suffix}`}
@@ -28,8 +32,8 @@ export function ShareStep() {
         </div>
       ))}
       <p className="quiet">
-        In patient coordinates (LPS), mm. No name is in them, but anatomy can tell who it is: share them as you would
-        share the CT.
+        In patient coordinates (LPS), mm. The files hold no name, but anatomy can identify a patient: share them as you
+        would share the CT.
       </p>
       <Act
         icon="capture"
@@ -40,7 +44,7 @@ export function ShareStep() {
         onPress={() => station.act("key_frames")}
       />
       <p className="quiet">
-        A film: key frames, or a flight that is recorded under Rehearse. <kbd>carina fly</kbd> makes a video of either.
+        For a video, save key frames, or record a flight under Rehearse. <kbd>carina fly</kbd> renders either.
       </p>
     </>
   );

@@ -27,7 +27,7 @@ export function TargetStep() {
       <PenWords />
       <Coordinates />
       {targets === null || targets.length === 0 ? (
-        <p className="empty">Targets appear here with the way to them, or with the reason why there is none.</p>
+        <p className="empty">Targets appear here with the path to each, or the reason why there is no path.</p>
       ) : (
         <ul className="targets">
           {targets.map((target) => (

@@ -30,7 +30,7 @@ export function Threshold() {
       >
         <Label>Air is below</Label>
         <SliderOutput className="numbers">
-          {() => (value === null && moving === null ? "chosen by Carina" : `${fixed(shown)}${unit}`)}
+          {() => (value === null && moving === null ? "automatic" : `${fixed(shown)}${unit}`)}
         </SliderOutput>
         <SliderTrack className="slider-track">
           <SliderThumb className="slider-thumb" />
@@ -39,7 +39,7 @@ export function Threshold() {
       {value === null ? null : (
         <Act
           kind="quiet"
-          label="Let Carina choose"
+          label="Automatic"
           words="Segment the airways with a threshold derived from the volume"
           onPress={() => station.send({ type: "set_lumen_threshold", value: null })}
         />

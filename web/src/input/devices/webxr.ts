@@ -187,7 +187,7 @@ export class Headset {
       const viewer = frame.getViewerPose(space);
       if (viewer != null) this.#around.screen.draw(viewer);
     } catch (trouble) {
-      if (!this.#faultSaid) this.#around.failed(`A picture of the headset failed: ${wordsOf(trouble)}.`);
+      if (!this.#faultSaid) this.#around.failed(`A picture could not be drawn for the headset: ${wordsOf(trouble)}.`);
       this.#faultSaid = true;
     }
   };
@@ -263,5 +263,5 @@ export class Headset {
 function wordsOf(trouble: unknown): string {
   // A DOMException is no Error everywhere.
   const said = trouble instanceof DOMException || trouble instanceof Error ? trouble.message : "";
-  return said.replace(/\.$/, "") || "it refused";
+  return said.replace(/\.$/, "") || "it refused access";
 }
