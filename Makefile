@@ -14,7 +14,7 @@ CASE ?= phantom
 # libraries anew: 10 s of the processor for pytest alone.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run setup test test-rust test-web test-python test-gpu soak check check-rust check-python check-web fmt docs bench bench-setup golden lock wheel clean
+.PHONY: help run setup test test-rust test-web test-python test-gpu soak check check-rust check-python check-web fmt words docs bench bench-setup golden lock wheel clean
 
 help: ## print this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -104,6 +104,7 @@ check-python: $(STAMP)
 	.venv/bin/typos
 	$(PY) tools/check_layers.py
 	$(PY) tools/check_repository.py
+	$(PY) tools/collect_words.py --check
 	$(PY) tools/audit.py
 	$(PY) tools/lock.py --check --uv $(UV)
 
@@ -112,6 +113,9 @@ fmt: $(STAMP) web/node_modules/.package-lock.json ## format everything
 	.venv/bin/ruff check -q --fix . || true
 	.venv/bin/ruff format -q .
 	cd web && npm run fmt
+
+words: $(STAMP) ## collect the sentences that people read into docs/words (read what changed)
+	$(PY) tools/collect_words.py
 
 golden: $(STAMP) ## rewrite the golden images (look at them before you commit)
 	CARINA_GOLDEN=rewrite $(PY) -m pytest -m "" -q tests -k golden
