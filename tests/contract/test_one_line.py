@@ -26,7 +26,7 @@ from carina.scopes import scope_preset
 from carina.track import AirwayTree, Branch, lumen_mesh
 from carina.volume import Note, Volume, VolumeSource
 
-PARTS = ("volume", "scopes", "render", "track", "navigate", "phantom", "export", "cluster", "config")
+PARTS = ("volume", "scopes", "render", "track", "navigate", "phantom", "export", "cluster", "session", "config")
 LONG_WORDS = "the slices are not\nwhere the header says; " * 20
 UNEVEN = -0.12345678901234567
 

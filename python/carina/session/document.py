@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from carina.commands import KeyFlying
 from carina.commands.look import Look
+from carina.display import one_line
 from carina.scopes import Pose
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ __all__ = ["Document", "Key", "Keys", "Target"]
 Point = tuple[float, float, float]
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Target:
     """A place to go to, as asked and as used."""
@@ -35,6 +37,7 @@ class Target:
     route: ChosenRoute | None = None
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Key:
     """A key frame."""
@@ -47,6 +50,7 @@ class Key:
     """On the way here; None takes that of all."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Keys:
     """The key frames in their order, and how they are flown through."""
@@ -55,6 +59,7 @@ class Keys:
     flying: KeyFlying = KeyFlying(20.0, "airways")
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Document:
     """All that undo and redo move between; poses, mode and :class:`carina.render.Sight` are not in it."""

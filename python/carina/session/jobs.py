@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from carina.disk import disk_trouble, is_disk_trouble
+from carina.display import one_line
 from carina.errors import CancelledError, CarinaError
 
 __all__ = ["Job", "JobEnded", "JobProgress", "JobRunner", "log_fault"]
@@ -21,6 +22,7 @@ logger = logging.getLogger(__name__)
 Outcome = Literal["done", "cancelled", "failed"]
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class JobProgress:
     """How far a job is; fraction and time left are None where they cannot be known."""
@@ -32,6 +34,7 @@ class JobProgress:
     seconds_left: float | None
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class JobEnded:
     """A job has ended."""

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
+from carina.display import one_line
 from carina.errors import UsageError
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ class RendererFactory(Protocol):
         """A renderer that shows the volume with a transfer function."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Parts:
     """See the contracts of the named public functions."""

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from carina.disk import make_folder, write_whole
+from carina.display import one_line
 
 __all__ = ["LocalStore", "RecentCase"]
 
@@ -21,6 +22,7 @@ logger = logging.getLogger(__name__)
 MAX_RECENT = 12
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class RecentCase:
     """A case opened before."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from carina.display import one_line
 from carina.errors import NoResultError
 from carina.navigate import FlightPath
 from carina.navigate.moves import PathFork, PathWay, SetPath
@@ -29,6 +30,7 @@ __all__ = [
 ]
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class RouteSpan:
     """A branch along a route."""
@@ -42,6 +44,7 @@ class RouteSpan:
     """As in :class:`carina.track.Branch`: what a person drew is named so wherever the route is shown."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
 class ChosenRoute:
     """Where to, and the way: parallel arrays from root to tip."""

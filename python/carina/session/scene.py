@@ -11,6 +11,7 @@ import numpy as np
 
 from carina import render
 from carina.commands import Look
+from carina.display import one_line
 from carina.render import VIEWS, Sight
 from carina.render.sight import THIN
 from carina.scopes import ImageField, PathFrames, Pose, scope_preset
@@ -48,6 +49,7 @@ class Renderer(Protocol):
         """Build what makes pictures fast; until then they are slow and the same."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class LumenLines:
     """The lumen's outline in one picture."""
@@ -58,6 +60,7 @@ class LumenLines:
     """False where the lumen is too ragged for an outline."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class ShownCase:
     """Everything that the pictures of this moment depend on."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from carina.commands import DeviceControls, KeyFlying
 from carina.commands.fields import BranchId, Key, Words
+from carina.display import one_line
 from carina.errors import NoEvidenceError
 from carina.navigate import DeviceState
 from carina.render import Sight
@@ -40,6 +41,7 @@ AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
 Topic = Literal["state", "tree", "route", "pose", "start", "views", "keys"]
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class FeatureOff:
     """What this volume cannot do, and why."""
@@ -48,6 +50,7 @@ class FeatureOff:
     why: str
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class CaseSnapshot:
     """The open volume."""
@@ -58,6 +61,7 @@ class CaseSnapshot:
     value_range: tuple[int, int]
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class PoseInfo:
     """The newest pose and where it is."""
@@ -81,6 +85,7 @@ class PoseInfo:
     """A device moved the tip last."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class WallPoint:
     """A point of the wall, and what the scan and the tree say about it."""
@@ -92,6 +97,7 @@ class WallPoint:
     """The branch whose centreline is nearest; None without a tree."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class MaskQuestion:
     """What must be said of a mask of another tool before it can be taken as the airways."""
@@ -110,6 +116,7 @@ class MaskQuestion:
     """How much of the structure lies in the scan, 0 to 1."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Snapshot:
     """All but the pose."""
@@ -129,6 +136,7 @@ class Snapshot:
     mask_question: MaskQuestion | None = None
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class DevicesInfo:
     """Input devices, and how they move the tip."""
@@ -167,6 +175,7 @@ class KeysInfo(KeyFlying, frozen=True):
     """Why they cannot be flown."""
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Changed:
     """Something changed; ask the session for it."""
@@ -174,6 +183,7 @@ class Changed:
     topics: frozenset[Topic]
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Trouble:
     """Something could not be done; stays until read."""
@@ -183,6 +193,7 @@ class Trouble:
     action: str | None = None
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class NotEvident:
     """An edit was not made, since the CT shows no airway along its whole way; asked for again it can be drawn by hand.
@@ -196,6 +207,7 @@ class NotEvident:
     error: NoEvidenceError
 
 
+@one_line
 @dataclass(frozen=True, slots=True)
 class Said:
     """Something worth a line."""
