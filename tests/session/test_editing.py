@@ -72,6 +72,23 @@ def test_an_edit_is_one_step_with_a_label_in_words_that_undo_and_redo_move(bench
     np.testing.assert_array_equal(bench.renderers[-1].lumen, document(bench).airways.lumen_zyx)
 
 
+def test_opening_another_case_stops_edits_and_targets_of_the_old_one(bench, case):
+    edit_job = bench.session.do(EditTree(CutBranch(2)))
+    target_job = bench.session.do(AddTarget(point(case.airways.tree.branch(5).points[-2])))
+    left = tuple(bench.background.waiting)
+    bench.background.waiting.clear()
+    bench.open("other")
+    bench.events.clear()
+    for work in left:
+        work()
+    assert [(e.job_id, e.outcome) for e in bench.of_type(JobEnded)] == [
+        (edit_job, "cancelled"),
+        (target_job, "cancelled"),
+    ]
+    assert not bench.of_type(Said)
+    assert bench.session.snapshot().undo_label is None
+
+
 def test_a_route_to_a_branch_that_is_cut_goes_away_with_words_and_comes_back_with_undo(bench, case):
     gone = case.airways.tree.branch(2)
     bench.session.do(ChooseRoute(branch_id=2))

@@ -22,7 +22,7 @@ def test_a_case_is_opened_changed_taken_back_and_looked_at(phantom):
         tip = case.airways.tree.tips()[0]
         case.do(c.AddTarget(tuple(tip.points[-1])))
         case.do(c.EditTree(c.RenameBranch(tip.id, "here")))
-        assert case.history()[-1].startswith("call ")
+        assert case.history()[-1].startswith("rename ")
         assert case.airways.tree.branch(tip.id).name == "here"
         case.undo()
         assert case.airways.tree.branch(tip.id).name != "here"

@@ -205,6 +205,12 @@ class JobRunner:
             if not kinds or job.kind in kinds:
                 job.stop()
 
+    def cancel_others(self, than: Job) -> None:
+        """Stop all jobs but this one."""
+        for job in self.running:
+            if job is not than:
+                job.stop()
+
     def wait_idle(self, timeout_s: float | None) -> bool:
         """Wait until no job runs; False after ``timeout_s``, None waits as long as it takes."""
         with self._idle:

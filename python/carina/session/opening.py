@@ -114,7 +114,8 @@ class Opening(Subject):
                 # Here, and not before: a refused or stopped opening leaves the case on screen as it was.
                 job.check()
                 self._recording.stop()
-                self.core.jobs.cancel_kinds("airways", "mask", "target")
+                # All others belong to the case on screen.
+                self.core.jobs.cancel_others(job)
                 self._discard_case()
                 self.core.case = case
                 self.core.moved()
