@@ -281,7 +281,7 @@ def test_a_branch_is_renamed_in_place_and_the_name_is_undone(server, workstation
         "(id) => window.__carina.state.tree.byId.get(id)?.branch.name === 'Upper left, odd one'", tip["id"]
     )
     assert title.inner_text() == "Upper left, odd one"
-    assert workstation.state("can_undo").startswith("call ")
+    assert workstation.state("can_undo").startswith("rename ")
     assert workstation.page.locator("[data-testid=branch-panel]").get_by_text("named by hand").count() == 1
     workstation.page.keyboard.press("Control+z")
     workstation.wait_for(

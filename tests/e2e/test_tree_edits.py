@@ -109,7 +109,7 @@ def test_a_fork_is_moved_in_two_clicks(ready):
     ready.wait_for("(id) => window.__carina.state.ui.hovered?.branchId === id", lmb)
     ready.page.mouse.click(x, y)
     ready.wait_for("() => window.__carina.state.ui.forkHeld !== null")
-    assert "Now click where the fork should be" in ready.page.locator("[data-testid=in-hand]").inner_text()
+    assert "Now click where the fork belongs" in ready.page.locator("[data-testid=in-hand]").inner_text()
     ready.picture("fork-in-the-hand")
     # A few millimetres back along the bronchus.
     x, y = place_on_tree(ready, lmb, 0.9)

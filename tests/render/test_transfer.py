@@ -83,5 +83,5 @@ def test_the_histogram_puts_the_wall_between_dark_and_bright(dark, bright, noise
 
 
 def test_a_volume_of_one_value_has_no_threshold():
-    with pytest.raises(RenderError, match="nothing to tell apart"):
+    with pytest.raises(RenderError, match="nothing to distinguish"):
         transfer_from_histogram(Volume(np.full((3, 4, 5), 7, dtype=np.int16), np.eye(4)))
