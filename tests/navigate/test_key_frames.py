@@ -294,7 +294,7 @@ def test_files_that_hold_no_key_frames_are_refused(tmp_path, change):
     document = KeyFile(frames, case=case_key(volume)).to_json() | change
     path = tmp_path / "k.json"
     path.write_text(json.dumps(document))
-    with pytest.raises(VolumeImportError, match=r"k\.json: holds no key frames"):
+    with pytest.raises(VolumeImportError, match=r"k\.json: not a key-frame file"):
         open_keys(path)
 
 

@@ -42,7 +42,7 @@ def test_key_frames_are_edited_flown_taken_away_and_opened_again(live):
         window.send(wire.ShowKey(second.key_id))
         until(window, wire.Pose, lambda m: m.keys_s == 0.0)
         edit(window, wire.KeyUpdate("key-99"))
-        assert "gone" in until(window, wire.Error).message
+        assert "has been removed" in until(window, wire.Error).message
 
         window.send(wire.SetKeyFlight(None, "airways"))
         window.send(wire.GoTo(2.0))
@@ -68,4 +68,4 @@ def test_key_frames_are_edited_flown_taken_away_and_opened_again(live):
         assert opened.duration_s == lasts
         until(window, wire.Done)
         window.send(wire.OpenKeys(upload_id))
-        assert "gone" in until(window, wire.Error).message, "what was read is not kept"
+        assert "has expired" in until(window, wire.Error).message, "what was read is not kept"

@@ -183,7 +183,7 @@ def test_what_is_given_up_or_closed_is_gone_from_the_disk(uploads):
     folder = uploads._uploads[first].folder
     uploads.begin()  # a third gives the first up
     assert not folder.exists()
-    with pytest.raises(UsageError, match="gone"):
+    with pytest.raises(UsageError, match="has expired"):
         uploads.place(first)
     add(uploads, second, "a", b"1")
     folder = uploads._uploads[second].scratch.path

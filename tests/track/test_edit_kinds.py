@@ -93,5 +93,5 @@ def test_words_name_the_branch_as_the_doctor_knows_it():
     assert edit_words(CutBranch(0, 3.0), airways) == "shorten Trachea"
     assert edit_words(Bridge((12.0, 0, -9)), airways) == "bridge beyond branch 7"
     assert edit_words(AddBranch((0.0, 0, 3)), airways) == "add a branch beyond Trachea"
-    assert edit_words(RenameBranch(7, "RB3"), airways) == "call branch 7 RB3"
+    assert edit_words(RenameBranch(7, "RB3"), airways) == "rename branch 7 RB3"
     assert edit_words(PaintLumen(((0, 0, 0),), 2.0, erase=True), airways) == "erase lumen"

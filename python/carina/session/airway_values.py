@@ -39,7 +39,7 @@ def derived_wall(
         field: WallField = parts.wall_field(volume, airways, progress=attempt.progress, cancel=attempt.cancel)
         return LumenWall(field, _made_from(field, airways))
 
-    return Derived(jobs, lock, kind="scope", title="finding the wall that holds the scope", make=make)
+    return Derived(jobs, lock, kind="scope", title="preparing the airway wall for the scope", make=make)
 
 
 def derived_measures(
