@@ -41,7 +41,7 @@ def test_a_route_counts_the_way_along_branches_that_the_ct_does_not_show(case, k
 
 def test_the_words_say_how_much_of_how_much():
     assert DrawnPart(180.0, drawn_mm=21.0).words == "21 of 180 mm drawn by hand"
-    assert DrawnPart(180.0, 21.0, 8.0).words == "21 of 180 mm drawn by hand; 8 of 180 mm bridged over a blockage"
+    assert DrawnPart(180.0, 21.0, 8.0).words == "21 of 180 mm drawn by hand; 8 of 180 mm bridged across an obstruction"
     assert DrawnPart(180.0).words is None
 
 

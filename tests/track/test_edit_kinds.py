@@ -76,7 +76,7 @@ def test_an_edit_that_means_nothing_is_refused_with_what_was_expected(make, word
         ({"version": 2}, "version: expected 1, found 2"),
         ({"edits": [{"kind": "explode"}]}, "edit 0: kind must be one of add-branch"),
         ({"edits": [{"kind": "cut-branch"}]}, "edit 0: .*branch_id"),
-        ({"edits": [{"kind": "bridge", "lps": [0, 1]}]}, "edit 0: the point beyond the blockage"),
+        ({"edits": [{"kind": "bridge", "lps": [0, 1]}]}, "edit 0: the point beyond the obstruction"),
         ({"edits": "cut"}, "edits: expected a list"),
     ],
 )

@@ -133,7 +133,7 @@ def test_a_click_in_tissue_or_outside_the_scan_is_refused_with_what_to_do(case):
     with pytest.raises(UsageError, match="lies outside the scan; click inside the pictures"):
         edited(case, AddBranch((900.0, 0.0, 0.0)))
     with pytest.raises(
-        NoEvidenceError, match=r"the CT shows no airway wall .* if the airway is blocked, bridge the blockage"
+        NoEvidenceError, match=r"the CT shows no airway wall .* if the airway is blocked, bridge the obstruction"
     ):
         edited(case, AddBranch(point(case.hidden)))
     with pytest.raises(NoResultError, match="the tree already reaches this point"):

@@ -27,7 +27,7 @@ pub enum TrackError {
     },
     /// A path costs more than the tracker can count.
     #[error(
-        "a path costs more than {most:.3e}, the most that the tracker can count at a precision of 0.5 %; search a smaller \
+        "a path costs more than {most:.3e}, the most that the path search can represent to within 0.5 %; search a smaller \
          region, or narrow the weights' range"
     )]
     CostOverflow {

@@ -93,7 +93,7 @@ def start(*, ip: str | None, port: int, renders: bool, dedicated: bool, token: P
                 )
             while node.running:
                 time.sleep(0.5)
-            say(f"the head ended unexpectedly; its log is in {_log_file()}")
+            say(f"the cluster's head process stopped unexpectedly; see its log, {_log_file()}")
             return 1
         finally:
             node.stop()

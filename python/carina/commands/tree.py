@@ -99,14 +99,14 @@ class CutBranch(TreeEdit, frozen=True):
 
 
 class Bridge(TreeEdit, frozen=True):
-    """Go on beyond a blockage: from the nearest place of the tree through mucus or tumour to a point in an airway."""
+    """Go on beyond an obstruction: from the nearest place of the tree through mucus or tumour to a point in an airway."""
 
     lps: PointLps
     """In the airway beyond, LPS mm."""
 
     def __post_init__(self) -> None:
         """Three finite numbers."""
-        force_setattr(self, "lps", _point("the point beyond the blockage", self.lps))
+        force_setattr(self, "lps", _point("the point beyond the obstruction", self.lps))
 
 
 class MoveRoot(TreeEdit, frozen=True):

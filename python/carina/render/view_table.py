@@ -374,9 +374,9 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
             ),
             _path_row("straightened", "Straightened", "straightened airway", straight=True),
             _path_row("curved", "Curved", "curved reformation", straight=False),
-            _xray_row("xray-coronal", "coronal", "AP", "X-ray from the front"),
-            _xray_row("xray-sagittal", "sagittal", "Lat", "X-ray from the side"),
-            _xray_row("xray-axial", "axial", "Ax", "X-ray from below"),
+            _xray_row("xray-coronal", "coronal", "AP", "Simulated X-ray, AP"),
+            _xray_row("xray-sagittal", "sagittal", "Lat", "Simulated X-ray, lateral"),
+            _xray_row("xray-axial", "axial", "Ax", "Simulated X-ray, axial"),
             ViewRow(
                 name="drr",
                 title="X-ray",

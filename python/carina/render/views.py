@@ -53,7 +53,7 @@ def _check(
     if fov_deg is not None and not 1.0 <= fov_deg <= 170.0:
         raise RenderError(f"the field of view is 1 to 170 degrees; found {fov_deg:g}", code="render.camera")
     if window_hu is not None and not (np.isfinite(window_hu).all() and window_hu[0] > 0):
-        raise RenderError(f"a window is a width above 0 and a level; found {window_hu}", code="render.setting")
+        raise RenderError(f"a window needs a width above 0 and a level; found {window_hu}", code="render.setting")
 
 
 def _check_mm(what: str, value: float | None) -> None:
@@ -249,7 +249,7 @@ class DrrView:
         _check_mm("the size of a pixel", self.mm_per_px)
         if not -360.0 <= self.primary_deg <= 360.0:
             raise RenderError(
-                f"the primary angle is -360 to 360 degrees; found {self.primary_deg}", code="render.setting"
+                f"the C-arm's primary angle (LAO/RAO) must be -360 to 360 degrees; found {self.primary_deg}", code="render.setting"
             )
         if not -90.0 <= self.secondary_deg <= 90.0:
             raise RenderError(

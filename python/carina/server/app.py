@@ -91,7 +91,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
 
     async def begin_upload(request: Request) -> Response:
         if not gate.authorised(request.headers):
-            return _error(CarinaError("this page has no access", code="protocol.not-authorised"), 401)
+            return _error(CarinaError("this page is not authorised: open it again by the link that Carina printed when it started", code="protocol.not-authorised"), 401)
         try:
             return JSONResponse({"upload_id": uploads.begin()}, 201)
         except CarinaError as trouble:
@@ -99,7 +99,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
 
     async def one_upload(request: Request) -> Response:
         if not gate.authorised(request.headers):
-            return _error(CarinaError("this page has no access", code="protocol.not-authorised"), 401)
+            return _error(CarinaError("this page is not authorised: open it again by the link that Carina printed when it started", code="protocol.not-authorised"), 401)
         upload_id = request.path_params["upload_id"]
         if request.method == "DELETE":
             uploads.discard(upload_id)
@@ -112,7 +112,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
 
     async def download(request: Request) -> Response:
         if not gate.authorised(request.headers):
-            return _error(CarinaError("this page has no access", code="protocol.not-authorised"), 401)
+            return _error(CarinaError("this page is not authorised: open it again by the link that Carina printed when it started", code="protocol.not-authorised"), 401)
         try:
             return await downloads.answer(request.path_params["suffix"])
         except CarinaError as trouble:
@@ -120,7 +120,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
 
     async def key_frames(request: Request) -> Response:
         if not gate.authorised(request.headers):
-            return _error(CarinaError("this page has no access", code="protocol.not-authorised"), 401)
+            return _error(CarinaError("this page is not authorised: open it again by the link that Carina printed when it started", code="protocol.not-authorised"), 401)
         try:
             return await downloads.key_frames()
         except CarinaError as trouble:

@@ -226,7 +226,7 @@ class RouteInfo(FrozenValue, frozen=True):
     drawn_mm: float
     """Of it drawn by hand."""
     bridge_mm: float
-    """Of it over blockages."""
+    """Of it across obstructions."""
 
 
 class Route(ServerMessage, frozen=True):

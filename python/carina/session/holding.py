@@ -59,6 +59,6 @@ class ScopeHolding(Subject):
             return
         if case.wall.of(case.document.airways) is None:
             self.core.fly(c.SetMode("free"))
-            self.core.emit(Said("the airways have changed: insert the scope again to use the new wall"))
+            self.core.emit(Said("the airways have changed: reinsert the scope to use the updated airways"))
         elif (case.document.look.scope or DEFAULT_SCOPE) != case.laid_scope:
             self.lay(case, state.insertion_mm)

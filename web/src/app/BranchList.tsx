@@ -91,7 +91,7 @@ export function BranchList() {
       <RowStyles tree={tree} />
       {filtered !== null && filtered.hits.length === 0 ? (
         <p className="empty">
-          No branch with this name. Try a name, a lobe, {"\u201cg3\u201d"} or {"\u201c?\u201d"}.
+          No branch matches. Try a segment (RB9), a lobe, a generation (g3), or {"\u201c?\u201d"} for uncertain names.
         </p>
       ) : (
         // biome-ignore lint/a11y/noStaticElementInteractions: hovering and focusing rows shows their branch, the tree inside is interactive

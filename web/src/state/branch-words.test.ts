@@ -107,7 +107,7 @@ describe("a branch in words", () => {
       `RB1, apical segment, RUL\ngeneration 1, 30${NBSP}mm long, lumen 6.1${NBSP}mm\n` +
         "the name has only 42 % confidence\nuncommon anatomy: RB1 and RB2 share a stem",
     );
-    expect(tooltipOf(node(tree, 3))).toContain("Bridge over a blockage. The CT shows no airway here.");
+    expect(tooltipOf(node(tree, 3))).toContain("Bridge across an obstruction. The CT shows no airway here.");
   });
 
   it("has its figures with their errors, and leaves out what was not measured", () => {
@@ -144,7 +144,7 @@ describe("a route over a bridge", () => {
       { kind: "bridge", from_mm: 30, to_mm: 38.5 },
     ] as const;
     expect(routeDoubts(spans)).toBe(
-      `8.5${NBSP}mm of this route is a bridge over a blockage, from 30${NBSP}mm: the CT shows no airway there.`,
+      `8.5${NBSP}mm of this route is a bridge across an obstruction, from 30${NBSP}mm: the CT shows no airway there.`,
     );
     expect(routeDoubts(spans.slice(0, 1))).toBeNull();
   });

@@ -40,7 +40,7 @@ export const kindWords = (kind: BranchNode["branch"]["kind"]): string | null =>
 export function drawnWords(node: BranchNode): string | null {
   const { kind } = node.branch;
   if (kind === "tracked") return null;
-  if (kind === "bridge") return "Bridge over a blockage. The CT shows no airway here.";
+  if (kind === "bridge") return "Bridge across an obstruction. The CT shows no airway here.";
   const doubtful = node.branch.doubtful_mm;
   return doubtful > 0 ? `Drawn by hand. The CT shows no wall along ${mm(doubtful, 0)}.` : "Drawn by hand.";
 }
@@ -179,7 +179,7 @@ function bridgeWords(spans: Spans): string | null {
   if (bridges.length === 0) return null;
   const total = bridges.reduce((sum, span) => sum + span.to_mm - span.from_mm, 0);
   const first = bridges[0];
-  return `${mm(total)} of this route ${bridges.length === 1 ? "is a bridge" : `are ${plural(bridges.length, "bridge")}`} over a blockage${
+  return `${mm(total)} of this route ${bridges.length === 1 ? "is a bridge" : `are ${plural(bridges.length, "bridge")}`} across an obstruction${
     first === undefined ? "" : `, from ${mm(first.from_mm, 0)}`
   }: the CT shows no airway there`;
 }

@@ -27,8 +27,8 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
   bridge: {
     label: "Bridge",
     short: "Bridge",
-    words: "Bridges a blockage: click in the airway distal to it. The bridge stays marked.",
-    hint: "Click in the airway distal to the blockage. The CT shows no airway here: the bridge stays amber and is labelled \u201cbridge\u201d.",
+    words: "Bridges an obstruction: click in the airway distal to it. The bridge stays marked.",
+    hint: "Click in the airway distal to the obstruction. The CT shows no airway here: the bridge stays amber and is labelled \u201cbridge\u201d.",
   },
   cut: {
     label: "Cut",

@@ -201,7 +201,7 @@ export const VIEWS = {
   "xray-coronal": {
     title: "X-ray",
     short: "AP",
-    words: "X-ray from the front",
+    words: "Simulated X-ray, AP",
     empty: "The X-ray view with the tip in it appears here when a CT is open.",
     cell: "xray",
     needs: [],
@@ -219,7 +219,7 @@ export const VIEWS = {
   "xray-sagittal": {
     title: "X-ray",
     short: "Lat",
-    words: "X-ray from the side",
+    words: "Simulated X-ray, lateral",
     empty: "The X-ray view with the tip in it appears here when a CT is open.",
     cell: "xray",
     needs: [],
@@ -237,7 +237,7 @@ export const VIEWS = {
   "xray-axial": {
     title: "X-ray",
     short: "Ax",
-    words: "X-ray from below",
+    words: "Simulated X-ray, axial",
     empty: "The X-ray view with the tip in it appears here when a CT is open.",
     cell: "xray",
     needs: [],

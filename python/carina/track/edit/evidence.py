@@ -141,7 +141,7 @@ class Evidence:
         if way is None:
             msg = (
                 "no airway leads from the tree to the point: tissue lies between them. If the airway is blocked there, "
-                "bridge the blockage; if it is a thin wall or noise, paint the lumen first"
+                "bridge the obstruction; if it is a thin wall or noise, paint the lumen first"
             )
             raise NoResultError(msg, code="track.no-path")
         return way

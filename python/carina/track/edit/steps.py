@@ -235,7 +235,7 @@ class EditSteps:
             doubtful_mm = sum(float(s[d].sum()) for s, d in zip(steps, doubts, strict=True))
             msg = (
                 f"the CT shows no airway wall beyond the bridge ({evident_mm:.0f} mm, at least {LEAST_BEYOND_MM:g} mm "
-                "are needed): click in the dark middle of the airway beyond the blockage, or add a branch without "
+                "are needed): click in the dark middle of the airway beyond the obstruction, or add a branch without "
                 "evidence, which is labelled as drawn by hand"
             )
             crossing = np.ones(len(bridge.points) - 1, dtype=bool)

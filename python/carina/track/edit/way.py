@@ -184,7 +184,7 @@ def no_evidence(plan: PlannedWay) -> NoEvidenceError:
     first_mm = float(along[int(np.argmax(plan.doubtful))])
     total_mm, doubtful_mm = float(along[-1]), plan.doubtful_mm
     do = (
-        "Click where the wall is still visible; if the airway is blocked, bridge the blockage; or add the branch "
+        "Click where the wall is still visible; if the airway is blocked, bridge the obstruction; or add the branch "
         "without evidence: it is then labelled as drawn by hand and gets no anatomical name"
     )
     if first_mm < LEAST_TOLD_MM:

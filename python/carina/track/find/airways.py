@@ -122,7 +122,7 @@ def find_airways(
     assert root is not None
     core = LumenTracker(volume.hu_zyx, volume.lps_from_ijk, lumen, levels=levels, root_lps=root, reach_mm=SNAP_MM)
     tracker = PathTracker(volume, core)
-    stage.begin("solving the paths")
+    stage.begin("calculating the paths")
     core.solve_all(cancel=cancel, progress=stage.share)
     stage.begin("building the branches")
     rows = core.branches(cancel=cancel, progress=stage.share)

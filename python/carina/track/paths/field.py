@@ -275,4 +275,4 @@ def _no_path(target_lps: Sequence[float] | NDArray[np.float64]) -> NoResultError
 def _share(progress: Progress | None) -> Callable[[float], None] | None:
     if progress is None:
         return None
-    return lambda fraction: progress("solving the paths", fraction)
+    return lambda fraction: progress("calculating the paths", fraction)

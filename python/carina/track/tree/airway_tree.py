@@ -42,7 +42,7 @@ class Branch:
     name: str | None
     """Anatomical name where it is beyond doubt, else None."""
     kind: str
-    """``tracked`` through the lumen, ``bridge`` over a blockage, or ``manual``: drawn where the CT shows no airway."""
+    """``tracked`` through the lumen, ``bridge`` across an obstruction, or ``manual``: drawn where the CT shows no airway."""
     points: Points
     """(n, 3) centreline, LPS mm, root to tip. The first point is the parent's last, bit for bit."""
     radius: NDArray[np.float64]
@@ -444,7 +444,7 @@ def _check(branches: tuple[Branch, ...]) -> None:
         if not branch.doubtful_mm >= 0.0:
             raise _refused(f"{where}: doubtful_mm must be at least 0, found {branch.doubtful_mm}")
         if (branch.parent is None) != (number == 0):
-            raise _refused(f"{where}: exactly the root has no parent")
+            raise _refused(f"{where}: the root, and only the root, must have no parent")
         if branch.parent is not None:
             parent = seen.get(branch.parent)
             if parent is None or branch.id not in parent.children:

@@ -1,4 +1,4 @@
-"""What of a tree or of a way the CT does not show: drawn by hand, or a bridge over a blockage.
+"""What of a tree or of a way the CT does not show: drawn by hand, or a bridge across an obstruction.
 
 One place for it, so that routes, files, films and sheets all count alike.
 """
@@ -31,7 +31,7 @@ class DrawnPart:
     drawn_mm: float = 0.0
     """Of it along branches that a person drew (kind ``manual``)."""
     bridge_mm: float = 0.0
-    """Of it over blockages (kind ``bridge``)."""
+    """Of it across obstructions (kind ``bridge``)."""
 
     @property
     def words(self) -> str | None:
@@ -40,7 +40,7 @@ class DrawnPart:
         if self.drawn_mm > SHOWN_MM:
             parts.append(f"{self.drawn_mm:.0f} of {self.length_mm:.0f} mm drawn by hand")
         if self.bridge_mm > SHOWN_MM:
-            parts.append(f"{self.bridge_mm:.0f} of {self.length_mm:.0f} mm bridged over a blockage")
+            parts.append(f"{self.bridge_mm:.0f} of {self.length_mm:.0f} mm bridged across an obstruction")
         return "; ".join(parts) or None
 
     def to_json(self) -> dict[str, Any]:

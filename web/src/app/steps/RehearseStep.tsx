@@ -76,8 +76,8 @@ export function RehearseStep() {
       )}
       {held === null ? null : <Score held={held} />}
       <p className="quiet">
-        <kbd>W</kbd> <kbd>S</kbd> push and draw back, <kbd>{"\u2191"}</kbd> <kbd>{"\u2193"}</kbd> lever, <kbd>A</kbd>{" "}
-        <kbd>D</kbd> turn. Or a gamepad, pen or scope handle: <kbd>;</kbd>
+        <kbd>W</kbd> <kbd>S</kbd> advance and withdraw, <kbd>{"\u2191"}</kbd> <kbd>{"\u2193"}</kbd> bend the tip,{" "}
+        <kbd>A</kbd> <kbd>D</kbd> rotate. Or a gamepad, pen or scope handle: <kbd>;</kbd>
       </p>
     </>
   );
@@ -94,7 +94,7 @@ function Fit({ route, scope, scopes }: { route: RouteInfo; scope: Scope; scopes:
         <div>
           <dt>Tip</dt>
           <dd className="numbers">
-            {mm(scope.tip_mm)}, needs {mm(scope.fit_mm)}
+            {mm(scope.tip_mm)}, needs a lumen of {mm(scope.fit_mm)}
           </dd>
         </div>
         {scope.channel_mm === null ? null : (
