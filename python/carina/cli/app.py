@@ -234,7 +234,9 @@ def render(
         str | None, typer.Option(help="pinhole, equidistant, or an OpenCV calibration file (.yml, .xml, .json).")
     ] = None,
     outline: Annotated[str | None, typer.Option(help="Shape of the picture: none, round or octagon.")] = None,
-    mask: Annotated[str | None, typer.Option("--mask", hidden=True, help="Former name of --outline; still accepted.")] = None,
+    mask: Annotated[
+        str | None, typer.Option("--mask", hidden=True, help="Former name of --outline; still accepted.")
+    ] = None,
     vignette: Annotated[
         float | None, typer.Option(help="Vignetting, from 0 (even) to 1 (the lens's natural fall-off of light).")
     ] = None,
@@ -243,7 +245,10 @@ def render(
         typer.Option(help="Depth of field: near,far in mm, or scope for the scope's own; the rest is blurred."),
     ] = None,
     size: Annotated[str, typer.Option(help="WxH in pixels.")] = "512x512",
-    method: Annotated[str, typer.Option(help="leap skips empty space; brute samples every step, for reference. The picture is the same.")] = "leap",
+    method: Annotated[
+        str,
+        typer.Option(help="leap skips empty space; brute samples every step, for reference. The picture is the same."),
+    ] = "leap",
     step_vox: Annotated[float, typer.Option(help="Ray step in units of the smallest voxel spacing.")] = 0.5,
     transfer: Annotated[
         str | None, typer.Option(help="Preset (endoscopic, paper, ct-grey, see-through) or a JSON file.")
@@ -269,7 +274,10 @@ def render(
     ] = None,
     turn: Annotated[float, typer.Option(help="Rotation of their cutting plane about the path, degrees.")] = 0.0,
     carm_primary: Annotated[
-        float, typer.Option(help="C-arm angle of the simulated X-ray (drr), degrees: LAO positive, RAO negative; 90 is lateral.")
+        float,
+        typer.Option(
+            help="C-arm angle of the simulated X-ray (drr), degrees: LAO positive, RAO negative; 90 is lateral."
+        ),
     ] = 0.0,
     carm_secondary: Annotated[
         float, typer.Option(help="C-arm tilt of the simulated X-ray (drr), degrees: cranial positive, caudal negative.")

@@ -249,7 +249,8 @@ class DrrView:
         _check_mm("the size of a pixel", self.mm_per_px)
         if not -360.0 <= self.primary_deg <= 360.0:
             raise RenderError(
-                f"the C-arm's primary angle (LAO/RAO) must be -360 to 360 degrees; found {self.primary_deg}", code="render.setting"
+                f"the C-arm's primary angle (LAO/RAO) must be -360 to 360 degrees; found {self.primary_deg}",
+                code="render.setting",
             )
         if not -90.0 <= self.secondary_deg <= 90.0:
             raise RenderError(

@@ -43,6 +43,11 @@ def _error(trouble: CarinaError, status: int) -> JSONResponse:
     return JSONResponse({"code": trouble.code, "message": str(trouble), "action": None}, status)
 
 
+def _not_authorised() -> JSONResponse:
+    words = "this page is not authorised: open it again by the link that Carina printed when it started"
+    return _error(CarinaError(words, code="protocol.not-authorised"), 401)
+
+
 def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = None) -> Starlette:
     """The ASGI application.
 
@@ -91,7 +96,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
 
     async def begin_upload(request: Request) -> Response:
         if not gate.authorised(request.headers):
-            return _error(CarinaError("this page is not authorised: open it again by the link that Carina printed when it started", code="protocol.not-authorised"), 401)
+            return _not_authorised()
         try:
             return JSONResponse({"upload_id": uploads.begin()}, 201)
         except CarinaError as trouble:
@@ -99,7 +104,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
 
     async def one_upload(request: Request) -> Response:
         if not gate.authorised(request.headers):
-            return _error(CarinaError("this page is not authorised: open it again by the link that Carina printed when it started", code="protocol.not-authorised"), 401)
+            return _not_authorised()
         upload_id = request.path_params["upload_id"]
         if request.method == "DELETE":
             uploads.discard(upload_id)
@@ -112,7 +117,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
 
     async def download(request: Request) -> Response:
         if not gate.authorised(request.headers):
-            return _error(CarinaError("this page is not authorised: open it again by the link that Carina printed when it started", code="protocol.not-authorised"), 401)
+            return _not_authorised()
         try:
             return await downloads.answer(request.path_params["suffix"])
         except CarinaError as trouble:
@@ -120,7 +125,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
 
     async def key_frames(request: Request) -> Response:
         if not gate.authorised(request.headers):
-            return _error(CarinaError("this page is not authorised: open it again by the link that Carina printed when it started", code="protocol.not-authorised"), 401)
+            return _not_authorised()
         try:
             return await downloads.key_frames()
         except CarinaError as trouble:
