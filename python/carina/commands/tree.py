@@ -99,7 +99,7 @@ class CutBranch(TreeEdit, frozen=True):
 
 
 class Bridge(TreeEdit, frozen=True):
-    """Go on beyond an obstruction: from the nearest place of the tree through mucus or tumour to a point in an airway."""
+    """Go on beyond an obstruction: from the nearest place of the tree through mucus or tumour to a point in air."""
 
     lps: PointLps
     """In the airway beyond, LPS mm."""

@@ -53,8 +53,8 @@ def write_vtp(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = ()
     """Write the centrelines as VTK PolyData: a line per branch.
 
     Point data: ``Radius`` (mm). Cell data: ``BranchId``, ``ParentId`` (-1 at the root), ``Generation``, ``Bridge`` (1
-    across an obstruction), ``DrawnByHand`` (1 where the CT shows no airway and a person drew one), ``NameConfidence`` (-1
-    where unknown), ``Name`` and ``Kind`` (texts). Field data: ``Space`` LPS, ``Unit`` mm, ``Note`` what is drawn,
+    across an obstruction), ``DrawnByHand`` (1 where the CT shows no airway and a person drew one), ``NameConfidence``
+    (-1 where unknown), ``Name`` and ``Kind`` (texts). Field data: ``Space`` LPS, ``Unit`` mm, ``Note`` what is drawn,
     ``Badges`` the lasting notes of the case.
 
     Raises

@@ -410,7 +410,7 @@ export interface EditCutBranch {
   readonly at_mm?: number;
 }
 
-/** Go on beyond an obstruction: from the nearest place of the tree through mucus or tumour to a point in an airway. */
+/** Go on beyond an obstruction: from the nearest place of the tree through mucus or tumour to a point in air. */
 export interface EditBridge {
   readonly kind: "bridge";
   readonly lps: readonly [number, number, number];

@@ -42,7 +42,7 @@ class Branch:
     name: str | None
     """Anatomical name where it is beyond doubt, else None."""
     kind: str
-    """``tracked`` through the lumen, ``bridge`` across an obstruction, or ``manual``: drawn where the CT shows no airway."""
+    """``tracked`` through the lumen, ``bridge`` across an obstruction, or ``manual``: drawn, the CT shows no airway."""
     points: Points
     """(n, 3) centreline, LPS mm, root to tip. The first point is the parent's last, bit for bit."""
     radius: NDArray[np.float64]
