@@ -119,7 +119,7 @@ def test_a_root_in_the_lung_finds_no_airway(chest):
     values[values < -700] = -950
     volume = Volume(values, chest.volume.lps_from_ijk)
     lung = 0.5 * (chest.tubes[1][0] + chest.tubes[1][1]) + [-20.0, 10.0, -6.0]
-    with pytest.raises(NoResultError, match="open to the lung"):
+    with pytest.raises(NoResultError, match="merges with the lung"):
         find_airways(volume, root_lps=lung)
 
 
