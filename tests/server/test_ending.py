@@ -7,8 +7,10 @@ import contextlib
 import logging
 import socket
 import ssl
+from types import SimpleNamespace
 
 import pytest
+import uvicorn
 from live_server import WAIT_S, running
 
 from carina.phone.page import PhonePage
@@ -143,3 +145,32 @@ def test_who_comes_while_the_server_ends_is_turned_away(tmp_path, said, monkeypa
     with late[0] as theirs:
         theirs.settimeout(WAIT_S)
         assert theirs.recv(1) == b""
+
+
+def test_an_open_connection_is_asked_once_to_close_and_one_that_does_is_not_cut():
+    told = []
+
+    class Connection:
+        """Closes a moment after it is asked, as one that still writes its answer."""
+
+        def __init__(self):
+            self.transport = self
+
+        def is_closing(self):
+            return False
+
+        def shutdown(self):
+            told.append("asked")
+            asyncio.get_running_loop().call_later(3 * ending.LOOK_EVERY_S, server.server_state.connections.clear)
+
+    async def end():
+        server.server_state.connections.add(Connection())
+        await server._end_connections()
+
+    async def app(_scope, _receive, _send):
+        raise AssertionError("nobody asks")
+
+    strangers = SimpleNamespace(cut=lambda _transport: told.append("cut"))
+    server = ending.EndingServer(uvicorn.Config(app, timeout_graceful_shutdown=600), strangers)
+    asyncio.run(asyncio.wait_for(end(), WAIT_S))
+    assert told == ["asked"]
