@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from edit_case import assert_same, edit_case, in_plain_lung, open_ended_volume
 
+from carina.case.history import History
 from carina.commands import AddTarget, Cancel, ChooseRoute, CloseCase, EditTree, GoTo, OpenPath, PreviewOf
 from carina.errors import NoEvidenceError, NoResultError, UsageError
 from carina.session import JobEnded, NotEvident, Said, Trouble
 from carina.session.editing import NUM_EDITS_WHOLE
-from carina.session.history import History
 from carina.track import (
     AddBranch,
     Airways,

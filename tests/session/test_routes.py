@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from carina.case.routes import RouteSpan, lookouts_mm, route_to_branch
 from carina.commands import AddTarget, ChooseRoute, GoTo, NextFork, PreviousFork, RemoveTarget, SetLumenThreshold
 from carina.errors import NoResultError, UsageError
 from carina.session import Said
-from carina.session.routes import RouteSpan, lookouts_mm, route_to_branch
 from carina.track import AirwayTree, Branch
 from small_case import (
     LEFT_TIP,

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from carina.session.routes import route_to_branch
+from carina.case.routes import route_to_branch
 from carina.track import AirwayTree, DrawnPart, drawn_part, drawn_tree, measure_tree
 from made import SMALL_CHEST, made_airways, made_phantom
 

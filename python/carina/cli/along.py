@@ -6,12 +6,12 @@ import re
 from pathlib import Path
 
 import carina
+from carina.case.routes import ChosenRoute, route_to_branch, route_to_point, route_to_target
 from carina.cli.arguments import parse_point
 from carina.cli.badges import Badges
 from carina.cli.console import say
 from carina.errors import UsageError
 from carina.export import read_tree
-from carina.session.routes import ChosenRoute, route_to_branch, route_to_point, route_to_target
 from carina.track import AirwayTree
 from carina.track.stages import Progress
 from carina.volume import Volume

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import carina
+from carina.case.routes import ChosenRoute
 from carina.cli.along import check_destination, say_drawn, way_to
 from carina.cli.arguments import check_output_file, parse_point
 from carina.cli.badges import opened
@@ -35,7 +36,6 @@ from carina.render import (
     view_spec,
 )
 from carina.scopes import PathFrames, Pose
-from carina.session.routes import ChosenRoute
 from carina.track import kind_words
 
 __all__ = ["report"]

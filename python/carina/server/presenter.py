@@ -9,12 +9,12 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 
+from carina.case.document import Document
 from carina.commands import Look
 from carina.render import PictureLines
 from carina.scopes import scope_presets
 from carina.server import messages as wire
 from carina.session import ChosenRoute, KeysInfo, MaskQuestion, PoseInfo, RecentCase, Snapshot, WallPoint
-from carina.session.document import Document
 from carina.volume import Citation, Note, badges_of
 
 __all__ = [

@@ -1,11 +1,11 @@
 """The one owner of a case: state, commands with undo, jobs, the pose."""
 
+from carina.case.routes import ChosenRoute
 from carina.session.core import Event
 from carina.session.jobs import JobEnded, JobProgress, log_fault
 from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.public import Case
 from carina.session.recent import LocalStore, RecentCase
-from carina.session.routes import ChosenRoute
 from carina.session.scene import Renderer, ShownCase
 from carina.session.session import Session
 from carina.session.snapshot import (

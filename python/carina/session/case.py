@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from carina.case.document import Document, Keys, Point
+from carina.case.history import History
+from carina.case.routes import AirwayIndex, ChosenRoute
 from carina.commands import TakeMask
 from carina.errors import UsageError
 from carina.navigate import Navigator, Pilot
@@ -17,13 +20,10 @@ from carina.render import GreyWindow, Sight
 from carina.session.airway_values import LumenWall, derived_measures, derived_wall
 from carina.session.content import ShownContent
 from carina.session.derived import Cached, Derived
-from carina.session.document import Document, Keys, Point
-from carina.session.history import History
 from carina.session.inside import in_lumen
 from carina.session.jobs import JobRunner
 from carina.session.key_flight import KeyFlight, key_flight
 from carina.session.parts import Parts, RendererFactory
-from carina.session.routes import AirwayIndex, ChosenRoute
 from carina.session.snapshot import AirwayStatus, CaseSnapshot, FeatureOff, MaskQuestion, PoseInfo
 from carina.session.start_pose import pose_before_airways
 from carina.track import LumenOutline

@@ -7,8 +7,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from carina.case.document import Document
 from carina.session.derived import Attempt, Derived
-from carina.session.document import Document
 from carina.session.jobs import JobRunner
 from carina.session.scene import Renderer
 

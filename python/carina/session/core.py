@@ -12,17 +12,17 @@ from typing import Any
 
 import msgspec
 
+from carina.case.document import Document
+from carina.case.history import History
+from carina.case.routes import path_move
 from carina.commands import SetOperator, Steer
 from carina.errors import CarinaError, NoEvidenceError, UsageError
 from carina.navigate import Move
 from carina.render import VIEWS
 from carina.session.case import LastMove, OpenCase, pose_info
-from carina.session.document import Document
-from carina.session.history import History
 from carina.session.jobs import JobEnded, JobProgress, JobRunner
 from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.recent import LocalStore
-from carina.session.routes import path_move
 from carina.session.scene import ShownCase
 from carina.session.snapshot import Changed, NotEvident, PoseInfo, Said, Snapshot, Topic, Trouble
 

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from carina import commands as c
+from carina.case.routes import leaf_below, route_to_branch
 from carina.errors import CarinaError
 from carina.navigate import PenState, Sample, fit_registration, moves
 from carina.session.case import OpenCase, as_point
 from carina.session.core import SessionCore
 from carina.session.recording import FlightRecording
-from carina.session.routes import leaf_below, route_to_branch
 from carina.session.snapshot import DevicesInfo, Said, Trouble
 from carina.session.subject import Subject, does
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from carina import commands as c
+from carina.case.document import Document, Target
 from carina.errors import NoEvidenceError, NoResultError
 from carina.session.case import OpenCase
 from carina.session.core import ALL_TOPICS, SessionCore
-from carina.session.document import Document, Target
 from carina.session.jobs import Job
 from carina.session.snapshot import NotEvident, Said
 from carina.session.subject import Subject, does

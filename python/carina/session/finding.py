@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from carina import commands as c
+from carina.case.document import Document, Point, Target
+from carina.case.routes import ChosenRoute, default_branch_id, route_to_branch
 from carina.errors import CarinaError, NoResultError, TrackingError, UsageError
 from carina.session.case import AirwaySearch, AskedMask, OpenCase, as_point
 from carina.session.core import ALL_TOPICS
-from carina.session.document import Document, Point, Target
 from carina.session.editing import MAX_AIRWAYS_KEPT, airway_words, found_airways
 from carina.session.flying import place_pose
 from carina.session.jobs import Job
-from carina.session.routes import ChosenRoute, default_branch_id, route_to_branch
 from carina.session.snapshot import MaskQuestion
 from carina.session.start_pose import pose_at_root
 from carina.session.subject import Subject, answers, does

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from carina import commands as c
+from carina.case.document import Document
 from carina.render import Sight
 from carina.scopes import Pose
 from carina.session.core import SessionCore
-from carina.session.document import Document
 from carina.session.holding import ScopeHolding
 from carina.session.start_pose import pose_before_place
 from carina.session.subject import Subject, does

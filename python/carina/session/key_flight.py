@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from carina.case.document import Key, Keys
 from carina.errors import UsageError
 from carina.navigate import AirwayWay, KeyFrame, KeyFrameFlight
-from carina.session.document import Key, Keys
 from carina.session.inside import in_airways
 from carina.track import way_between
 

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from carina import commands as c
+from carina.case.document import Key, Keys
 from carina.errors import NoResultError, UsageError
 from carina.navigate import (
     MAX_SPEED_MM_S,
@@ -21,7 +22,6 @@ from carina.navigate import (
 )
 from carina.session.case import OpenCase
 from carina.session.core import SessionCore
-from carina.session.document import Key, Keys
 from carina.session.flying import place_pose, view_words
 from carina.session.inside import in_airways
 from carina.session.jobs import Job

@@ -6,11 +6,11 @@ import itertools
 from dataclasses import replace
 
 from carina import commands as c
+from carina.case.document import Document, Target
+from carina.case.routes import ChosenRoute, route_to_branch
 from carina.errors import NoResultError, UsageError
 from carina.session.core import SessionCore
-from carina.session.document import Document, Target
 from carina.session.jobs import Job
-from carina.session.routes import ChosenRoute, route_to_branch
 from carina.session.snapshot import Said
 from carina.session.subject import Subject, does
 from carina.session.targets import tracked_target

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from carina.case.document import Document
 from carina.commands import DeviceControls, KeyFlying
 from carina.commands.fields import BranchId, Key, Words
 from carina.display import one_line
@@ -12,7 +13,6 @@ from carina.errors import NoEvidenceError
 from carina.navigate import DeviceState
 from carina.render import Sight
 from carina.scopes import Pose, ScopeState
-from carina.session.document import Document
 from carina.value import FrozenValue
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from carina.case.document import Target
+from carina.case.routes import ChosenRoute, route_to_branch, route_to_target
 from carina.errors import TrackingError
 from carina.session.case import as_point
-from carina.session.document import Target
-from carina.session.routes import ChosenRoute, route_to_branch, route_to_target
 
 if TYPE_CHECKING:
     from carina.track import AirwayTree

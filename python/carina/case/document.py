@@ -11,8 +11,8 @@ from carina.display import one_line
 from carina.scopes import Pose
 
 if TYPE_CHECKING:
+    from carina.case.routes import ChosenRoute
     from carina.render import TransferFunction
-    from carina.session.routes import ChosenRoute
     from carina.track import Airways
 
 __all__ = ["Document", "Key", "Keys", "Target"]
