@@ -183,7 +183,7 @@ def test_a_long_row_of_edits_can_be_undone_to_the_beginning_and_done_again_bit_f
     edits = [PaintLumen((point(trunk[3 + n // 2]),), 3.6 + 0.2 * n, "ball") for n in range(NUM_EDITS_WHOLE + 4)]
     edit(bench, *edits)
     history: History = bench.session._core.case.history
-    kept = [d.airways for d in history._documents()]
+    kept = [d.airways for d in history.documents()]
     assert sum(isinstance(a, FoldedAirways) for a in kept) > 0
     assert len({id(a) for a in kept if isinstance(a, Airways) and a.edits}) <= NUM_EDITS_WHOLE
     last = document(bench).airways
@@ -208,7 +208,7 @@ def test_what_is_far_from_the_present_is_folded_and_what_is_near_is_not():
     for _ in range(4):
         history.undo()
     history.fold_far(lambda d: d, 3, lambda d: -d)
-    assert sorted(history._documents()) == [-8, -7, -6, -2, -1, 0, 3, 4, 5]
+    assert sorted(history.documents()) == [-8, -7, -6, -2, -1, 0, 3, 4, 5]
 
 
 @pytest.fixture
