@@ -141,7 +141,16 @@ class _Client:
             forward = 1.0 if (n // 90) % 2 == 0 else -1.0
             if device:
                 self._send(
-                    wire.DeviceSample("bench", now_s, None, None, (forward, 0.0, 0.0, 0.0, 0.0, 0.0), 0, None, 0.0)
+                    wire.DeviceSample(
+                        device="bench",
+                        time_s=now_s,
+                        position_mm=None,
+                        orientation_wxyz=None,
+                        axes=(forward, 0.0, 0.0, 0.0, 0.0, 0.0),
+                        buttons=0,
+                        handle=None,
+                        advance=0.0,
+                    )
                 )
             else:
                 self._send(wire.Steer(0.4 * forward, 0.0, 0.0, 0.0))
@@ -163,7 +172,18 @@ class _Client:
                     sent = [(at, pose_id) for at, pose_id in sent if message.pose_id <= pose_id]
             now_s = time.monotonic()
         if device:
-            self._send(wire.DeviceSample("bench", now_s, None, None, (0.0,) * 6, 0, None, 0.0))
+            self._send(
+                wire.DeviceSample(
+                    device="bench",
+                    time_s=now_s,
+                    position_mm=None,
+                    orientation_wxyz=None,
+                    axes=(0.0,) * 6,
+                    buttons=0,
+                    handle=None,
+                    advance=0.0,
+                )
+            )
             self._send(wire.DeviceGone("bench"))
         if len(latencies_ms) < 20:
             raise CarinaError("too few pictures came to be measured", code="machine")

@@ -9,11 +9,17 @@ from msgspec import Meta
 
 from carina.display import as_words, joined
 
-__all__ = ["Coordinate", "FrozenValue", "PointLps"]
+__all__ = ["TEXT", "Coordinate", "Count", "FrozenValue", "Part", "PointLps", "Words"]
+
+TEXT = r"\A[^\x00-\x08\x0b-\x1f\ud800-\udfff]*\Z"
+"""Without control characters, but line breaks and tabs, and without half a character."""
 
 Coordinate = Annotated[float, Meta(ge=-1e5, le=1e5)]
 PointLps = tuple[Coordinate, Coordinate, Coordinate]
 """World, LPS mm."""
+Words = Annotated[str, Meta(max_length=4000, pattern=TEXT)]
+Count = Annotated[int, Meta(ge=0, le=2**53 - 1)]
+Part = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
 class FrozenValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

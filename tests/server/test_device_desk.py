@@ -28,11 +28,29 @@ FIRST_S = 0.1
 
 
 def stick(time_s: float, *axes: float) -> wire.DeviceSample:
-    return wire.DeviceSample("stick", time_s, None, None, (*axes, *(0.0,) * (6 - len(axes))), 0, None, 0.0)
+    return wire.DeviceSample(
+        device="stick",
+        time_s=time_s,
+        position_mm=None,
+        orientation_wxyz=None,
+        axes=(*axes, *(0.0,) * (6 - len(axes))),
+        buttons=0,
+        handle=None,
+        advance=0.0,
+    )
 
 
 def pen(time_s: float, at: tuple[float, float, float], buttons: int = 0) -> wire.DeviceSample:
-    return wire.DeviceSample("pen", time_s, at, (1.0, 0.0, 0.0, 0.0), None, buttons, None, 0.0)
+    return wire.DeviceSample(
+        device="pen",
+        time_s=time_s,
+        position_mm=at,
+        orientation_wxyz=(1.0, 0.0, 0.0, 0.0),
+        axes=None,
+        buttons=buttons,
+        handle=None,
+        advance=0.0,
+    )
 
 
 def do(made: DeviceDesk, command: Command) -> None:
@@ -88,7 +106,18 @@ def test_what_a_device_says_wrongly_is_counted_and_said_once(desk):
     made, bench, _ = desk
     made.handle(pen(1.0, (0.0, 0.0, 0.0)))
     for n in range(50):
-        made.handle(wire.DeviceSample("pen", 1.0 + n, (1e300, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), None, 0, None, 0.0))
+        made.handle(
+            wire.DeviceSample(
+                device="pen",
+                time_s=1.0 + n,
+                position_mm=(1e300, 0.0, 0.0),
+                orientation_wxyz=(0.0, 0.0, 0.0, 0.0),
+                axes=None,
+                buttons=0,
+                handle=None,
+                advance=0.0,
+            )
+        )
     message = made.message()
     assert message is not None
     (device,) = message.devices
@@ -194,7 +223,18 @@ def test_a_handle_that_rests_and_goes_on_speaking_makes_no_new_poses(desk):
 
     def say(n: int, insertion_mm: float) -> None:
         handle = (insertion_mm, 0.1, 0.2)
-        made.handle(wire.DeviceSample("handle", 0.01 * n, None, None, None, 0, handle, 0.0))
+        made.handle(
+            wire.DeviceSample(
+                device="handle",
+                time_s=0.01 * n,
+                position_mm=None,
+                orientation_wxyz=None,
+                axes=None,
+                buttons=0,
+                handle=handle,
+                advance=0.0,
+            )
+        )
         wait_for(lambda: not bench.session.devices.woken.is_set())
 
     for n in range(100):

@@ -39,7 +39,18 @@ class TrackedPen:
     def hold(self, lps, buttons=0):
         wxyz = wxyz_from_rotation(TURN.T @ rotation_from_vector(np.array([0.1, 0.5, -0.3])))
         time_s = SAMPLE_S * next(self.now_s)
-        self.window.send(wire.DeviceSample(self.device, time_s, self.tracker(lps), wxyz, None, buttons, None, 0.0))
+        self.window.send(
+            wire.DeviceSample(
+                device=self.device,
+                time_s=time_s,
+                position_mm=self.tracker(lps),
+                orientation_wxyz=wxyz,
+                axes=None,
+                buttons=buttons,
+                handle=None,
+                advance=0.0,
+            )
+        )
 
     def comes_to(self, lps, along=(1.0, 0.0, 0.0)):
         """In a hurry, from the side; the last sample is at the place."""

@@ -45,6 +45,14 @@ def test_the_words_say_how_much_of_how_much():
     assert DrawnPart(180.0).words is None
 
 
+@pytest.mark.parametrize(("places_mm", "length_mm"), [([], 0.0), ([4.0], 0.0), ([4.0, 9.0], 5.0)])
+def test_the_shortest_ways_are_counted_too(case, places_mm, length_mm):
+    _, airways, leaf = case
+    tree = of_kind(airways, leaf.id, "manual").tree
+    ids = np.full(len(places_mm), leaf.id)
+    assert drawn_part(tree, ids, np.array(places_mm)) == DrawnPart(length_mm, drawn_mm=length_mm)
+
+
 def test_lumen_beyond_the_tree_is_not_drawn(case):
     _, airways, _ = case
     assert drawn_part(airways.tree, np.array([-1, -1, -1]), np.array([0.0, 1.0, 3.0])) == DrawnPart(3.0)

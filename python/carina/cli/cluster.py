@@ -6,10 +6,9 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
 from carina.cli.console import print_json, say
 from carina.cluster import ClusterRenderer, Console
@@ -25,7 +24,7 @@ from carina.cluster.node import (
 )
 from carina.config import load_settings
 from carina.errors import ClusterError, UsageError
-from carina.render import Renderer, TransferFunction
+from carina.render import ClusterStatus, Renderer, TransferFunction
 from carina.session import RendererFactory
 from carina.volume import Volume
 
@@ -170,7 +169,7 @@ class OpenCluster:
     """A cluster that a workstation uses."""
 
     make_renderer: RendererFactory
-    status: Callable[[], dict[str, Any]]
+    status: Callable[[], ClusterStatus]
 
 
 @contextmanager
@@ -214,7 +213,7 @@ def opened_cluster(address: str | None, *, token: Path | None, mixed: bool) -> I
             renderer = Renderer(volume, transfer=transfer, cache_dir=settings.cache_dir / "maps")
             return ClusterRenderer(renderer, shown)
 
-        yield OpenCluster(make, lambda: asdict(shown.status()))
+        yield OpenCluster(make, shown.status)
     finally:
         if cluster is not None:
             cluster.close()

@@ -4,7 +4,7 @@ from carina.cluster.console import Console
 from carina.cluster.lanes import Lane, LaneFacts, LocalLane, StripAnswer, StripOrder
 from carina.cluster.renderer import ClusterRenderer, render_frames
 from carina.cluster.settings import ClusterSettings
-from carina.cluster.status import ClusterStatus, MemberStatus
+from carina.render import ClusterStatus, MemberStatus
 
 __all__ = [
     "ClusterRenderer",

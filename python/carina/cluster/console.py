@@ -16,11 +16,11 @@ from functools import partial
 from carina.cluster.frames import Content, Frame, fail, what_is_wrong
 from carina.cluster.lanes import Lane, LaneFacts, LocalLane, StripAnswer, StripOrder
 from carina.cluster.parcel import Parcel, Parcels
+from carina.cluster.rate import RateMeter
 from carina.cluster.scheduler import FrameDone, FrameDropped, Issue, LaneBack, LaneLate, StripScheduler
 from carina.cluster.settings import ClusterSettings
-from carina.cluster.status import ClusterStatus, MemberStatus, RateMeter
 from carina.errors import CancelledError, CarinaError, ClusterError
-from carina.render import CancelToken, Picture, View
+from carina.render import CancelToken, ClusterStatus, MemberStatus, Picture, View
 
 __all__ = ["Console", "Content", "Job"]
 

@@ -17,7 +17,7 @@ from carina.cluster.envelope import Counts, Strip
 from carina.cluster.host import bare_picture, counts_of
 from carina.cluster.parcel import Parcel
 from carina.display import one_line
-from carina.render import CancelToken, Picture, Renderer, View
+from carina.render import CancelToken, Machine, Picture, Renderer, View
 from carina.render.scene import Scene
 
 __all__ = ["Answered", "Lane", "LaneFacts", "Loaded", "LocalLane", "StripAnswer", "StripOrder"]
@@ -66,14 +66,9 @@ class StripAnswer:
         return cls(*strip)
 
 
-@one_line
-@dataclass(frozen=True, slots=True)
-class LaneFacts:
-    """What a person wants to know about a machine."""
+class LaneFacts(Machine, frozen=True):
+    """The machine of a lane, and what runs on it."""
 
-    host: str
-    threads: int
-    simd: str
     version: str
     pid: int | None = None
 

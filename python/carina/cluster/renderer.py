@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.cluster.console import Console, Content
-from carina.cluster.status import ClusterStatus
 from carina.errors import CancelledError
 from carina.render import (
     AirwayView,
     CancelToken,
+    ClusterStatus,
     DrrView,
     Hit,
     Picture,

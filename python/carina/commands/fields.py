@@ -10,7 +10,7 @@ from carina.render import FlatViewName as FlatView
 from carina.render import OrbitViewName as OrbitView
 from carina.render import ViewName
 from carina.scopes import Outline
-from carina.value import Coordinate, FrozenValue, PointLps
+from carina.value import TEXT, Coordinate, Count, FrozenValue, Part, PointLps, Words
 
 __all__ = [
     "AirwayPlace",
@@ -44,22 +44,16 @@ __all__ = [
     "Words",
 ]
 
-TEXT = r"\A[^\x00-\x08\x0b-\x1f\ud800-\udfff]*\Z"
-"""Without control characters, but line breaks and tabs, and without half a character."""
-
 Numbers = Annotated[tuple[float, ...], Meta(max_length=2_000_000)]
 MaybeNumbers = Annotated[tuple[float | None, ...], Meta(max_length=2_000_000)]
 PointsLps = Annotated[tuple[PointLps, ...], Meta(max_length=1_000_000)]
 Matrix4 = Annotated[tuple[float, ...], Meta(min_length=16, max_length=16)]
 """4x4, row-major."""
 Key = Annotated[str, Meta(min_length=1, max_length=64, pattern=TEXT)]
-Words = Annotated[str, Meta(max_length=4000, pattern=TEXT)]
 OwnName = Annotated[str, Meta(min_length=1, max_length=80, pattern=TEXT)]
 """What a person calls something."""
 PathText = Annotated[str, Meta(min_length=1, max_length=4096, pattern=TEXT)]
 DeviceName = Annotated[str, Meta(min_length=1, max_length=200, pattern=TEXT)]
-Count = Annotated[int, Meta(ge=0, le=2**53 - 1)]
-Part = Annotated[float, Meta(ge=0.0, le=1.0)]
 BranchId = Annotated[int, Meta(ge=0, le=2**31)]
 Pixels = Annotated[int, Meta(ge=16, le=4096)]
 PathMm = Annotated[float, Meta(ge=0.0, le=1e5)]

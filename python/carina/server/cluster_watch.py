@@ -5,8 +5,10 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from typing import Any
 
+from msgspec.structs import replace
+
+from carina.render import ClusterStatus
 from carina.server import messages as wire
 
 __all__ = ["ClusterWatch", "cluster_message"]
@@ -22,15 +24,12 @@ class ClusterWatch:
     Parameters
     ----------
     status
-        The cluster's status as a dict: ``address``, ``members``, ``alone``, ``mixed``, ``fps``, ``frame_ms``,
-        ``notices``.
+        How the cluster does.
     tell
         Takes the messages, from the watch's thread.
     """
 
-    def __init__(
-        self, status: Callable[[], dict[str, Any]], tell: Callable[[wire.Cluster | wire.Notice], None]
-    ) -> None:
+    def __init__(self, status: Callable[[], ClusterStatus], tell: Callable[[wire.Cluster | wire.Notice], None]) -> None:
         self._status = status
         self._tell = tell
         self._told: set[str] = set()
@@ -50,7 +49,7 @@ class ClusterWatch:
     def look(self) -> None:
         """Ask once and tell."""
         status = self._status()
-        for words in status["notices"]:
+        for words in status.notices:
             if words not in self._told:
                 self._told.add(words)
                 self._tell(wire.Notice(words))
@@ -64,29 +63,21 @@ class ClusterWatch:
                 logger.debug("the cluster did not say how it does", exc_info=True)
 
 
-def cluster_message(status: dict[str, Any]) -> wire.Cluster:
-    """A cluster's status as it is sent."""
-    members = tuple(
-        wire.ClusterMember(
-            name=m["name"],
-            host=m["host"],
-            threads=m["threads"],
-            simd=m["simd"],
-            state=m["state"],
-            share=round(min(1.0, max(0.0, m["share"])), 4),
-            latency_ms=None if m["latency_ms"] is None else round(m["latency_ms"], 1),
-            num_late=m["num_late"],
-            num_strips=m["num_strips"],
-        )
-        for m in status["members"]
-        if m["name"] != "console"
-    )
-    frame_ms = status["frame_ms"]
+def cluster_message(status: ClusterStatus) -> wire.Cluster:
+    """A cluster's status as it is sent: without the console's own renderer, rounded."""
     return wire.Cluster(
-        address=status["address"],
-        members=members,
-        alone=status["alone"],
-        mixed=status["mixed"],
-        fps=round(status["fps"], 1),
-        frame_ms=None if frame_ms is None else round(frame_ms, 1),
+        address=status.address,
+        members=tuple(
+            replace(
+                member,
+                share=round(min(1.0, max(0.0, member.share)), 4),
+                latency_ms=None if member.latency_ms is None else round(member.latency_ms, 1),
+            )
+            for member in status.members
+            if member.name != "console"
+        ),
+        alone=status.alone,
+        mixed=status.mixed,
+        fps=round(status.fps, 1),
+        frame_ms=None if status.frame_ms is None else round(status.frame_ms, 1),
     )

@@ -14,6 +14,7 @@ from typing import Any, assert_never
 from carina.commands import Command, MaskFileNeeded, OpenFiles, TakeKeyFile, TakeMask, VoxelAt, WallAt
 from carina.disk import disk_trouble, is_disk_trouble
 from carina.errors import CarinaError, UsageError
+from carina.render import ClusterStatus
 from carina.server import messages as wire
 from carina.server.cluster_watch import ClusterWatch
 from carina.server.device_desk import DeviceDesk, Phone
@@ -138,7 +139,7 @@ class Hub:
         patient_citation: Citation | None = None,
         recordings: Path | None = None,
         phone: Phone | None = None,
-        cluster_status: Callable[[], dict[str, Any]] | None = None,
+        cluster_status: Callable[[], ClusterStatus] | None = None,
     ) -> None:
         self.session = session
         self._uploads = uploads

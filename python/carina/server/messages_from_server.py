@@ -22,8 +22,9 @@ from carina.commands.fields import (
     Words,
 )
 from carina.commands.look import Look
-from carina.render import Sight
+from carina.render import ClusterState, Sight
 from carina.server.wire_codec import ServerMessage
+from carina.track import DrawnPart
 from carina.value import FrozenValue
 from carina.volume import Citation
 
@@ -204,7 +205,7 @@ class RouteSpan(FrozenValue, frozen=True):
     """``manual`` was drawn by hand: the CT shows no airway there."""
 
 
-class RouteInfo(FrozenValue, frozen=True):
+class RouteInfo(DrawnPart, frozen=True, kw_only=True):
     """The way that is flown; lists are parallel, root to tip."""
 
     route_id: Key
@@ -222,11 +223,6 @@ class RouteInfo(FrozenValue, frozen=True):
     lookouts_mm: Numbers
     """Where to stop for the forks: in front of them, with their openings in view. Strictly increasing."""
     spans: tuple[RouteSpan, ...]
-    length_mm: float
-    drawn_mm: float
-    """Of it drawn by hand."""
-    bridge_mm: float
-    """Of it across obstructions."""
 
 
 class Route(ServerMessage, frozen=True):
@@ -347,37 +343,8 @@ class Status(ServerMessage, frozen=True):
     simd: Words
 
 
-class ClusterMember(FrozenValue, frozen=True):
-    """One machine that renders with this one."""
-
-    name: Words
-    host: Words
-    threads: Count
-    simd: Words
-    state: Literal["ready", "late", "away", "loading"]
-    """``late``: its strips went to others, until it answers. ``loading``: it is being sent the volume."""
-    share: Annotated[float, Meta(ge=0.0, le=1.0)]
-    """Of a picture."""
-    latency_ms: float | None
-    """From the order of a strip to its answer, the median of the last; null before the first."""
-    num_late: Count
-    num_strips: Count
-
-
-class Cluster(ServerMessage, frozen=True):
-    """The machines that render, once a second; only where there is a cluster."""
-
-    address: Words
-    members: tuple[ClusterMember, ...]
-    """Without this machine's own renderer, which steps in where nobody else can."""
-    alone: bool
-    """No other machine can render now: this one does."""
-    mixed: bool
-    """Pictures may come from graphics devices: equal within one grey level only."""
-    fps: float
-    """Pictures put together in the last second."""
-    frame_ms: float | None
-    """From wanted to complete, the median of the last pictures; null before the first."""
+class Cluster(ClusterState, ServerMessage, frozen=True):
+    """The machines that render beside this one, once a second; only where there is a cluster."""
 
 
 class PictureLines(FrozenValue, frozen=True):

@@ -16,22 +16,27 @@ Six = Annotated[tuple[Wide, ...], Meta(min_length=6, max_length=6)]
 Buttons = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 
 
-class DeviceSample(ClientMessage, frozen=True):
+class DeviceReading(FrozenValue, frozen=True):
+    """Where a device says that it is, and which of its buttons are held."""
+
+    device: DeviceName
+    position_mm: Three | None
+    """In the device's own space; null for a device that knows only how it is turned."""
+    orientation_wxyz: Four | None
+    """``device_from_pen``; the pen's axes are right, down, forward."""
+    buttons: Buttons
+
+
+class DeviceSample(DeviceReading, ClientMessage, frozen=True):
     """What a device of the window says.
 
     Second check: an orientation (with a position or without), axes, or a scope handle's controls.
     """
 
-    device: DeviceName
     time_s: Wide
     """The device's clock, or the page's."""
-    position_mm: Three | None
-    """In the device's own space; null for a device that knows only how it is turned."""
-    orientation_wxyz: Four | None
-    """``device_from_pen``; the pen's axes are right, down, forward."""
     axes: Six | None
     """Forward, right, up, yaw right, pitch up, roll clockwise, -1 to 1 of full speed."""
-    buttons: Buttons
     handle: Three | None
     """Insertion in mm, roll in rad, lever -1 to 1 (1 is fully down, which bends the tip up)."""
     advance: Wide
@@ -81,10 +86,9 @@ class StartRecording(ClientMessage, frozen=True):
     """Record the flight to a file of this machine."""
 
 
-class DeviceInfo(FrozenValue, frozen=True):
-    """A device that said something."""
+class DeviceInfo(DeviceReading, frozen=True):
+    """A device that said something; its position is filtered."""
 
-    device: DeviceName
     holds: bool
     """It moves the tip."""
     registered: bool
@@ -95,12 +99,8 @@ class DeviceInfo(FrozenValue, frozen=True):
     num_used: Count
     num_ignored: Count
     ignored_words: Words
-    position_mm: Three | None
-    """Filtered, in the device's own space."""
-    orientation_wxyz: Four | None
     axes: Annotated[tuple[Wide, ...], Meta(max_length=6)]
     """Of sticks; insertion in mm, roll in rad and lever of a handle."""
-    buttons: Buttons
 
 
 class DeviceSource(FrozenValue, frozen=True):

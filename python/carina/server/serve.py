@@ -17,6 +17,7 @@ from carina.commands import OpenDemo, OpenPath
 from carina.config import load_settings
 from carina.disk import sweep_drafts, sweep_scratch
 from carina.errors import UsageError
+from carina.render import ClusterStatus
 from carina.server.app import create_app, web_folder
 from carina.server.device_desk import Phone
 from carina.server.ending import EndingServer
@@ -70,7 +71,7 @@ def make_server(
     patient_citation: Citation | None = None,
     build_info: dict[str, Any] | None = None,
     phone: Phone | None = None,
-    cluster_status: Callable[[], dict[str, Any]] | None = None,
+    cluster_status: Callable[[], ClusterStatus] | None = None,
 ) -> uvicorn.Server:
     """The server over a session; run it with ``server.run(sockets=[sock])``; ``server.should_exit = True`` ends it."""
     uploads = uploads or Uploads()
@@ -116,7 +117,7 @@ def serve(
     on_phone: Callable[[str, str], None] | None = None,
     make_phone: Callable[[Session, Path | None, str | None], Phone] | None = None,
     make_renderer: RendererFactory | None = None,
-    cluster_status: Callable[[], dict[str, Any]] | None = None,
+    cluster_status: Callable[[], ClusterStatus] | None = None,
 ) -> int:
     """Start the workstation and stay until Ctrl-C.
 

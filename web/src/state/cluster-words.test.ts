@@ -1,8 +1,8 @@
 import { describe, expect, it } from "vitest";
-import type { ClusterMember, ClusterMessage } from "../wire/messages";
+import type { ClusterMessage, MemberStatus } from "../wire/messages";
 import { clusterWords, memberWords, needsLook } from "./cluster-words";
 
-const member = (state: ClusterMember["state"]): ClusterMember => ({
+const member = (state: MemberStatus["state"]): MemberStatus => ({
   name: "10.0.0.6",
   host: "laptop",
   threads: 4,
@@ -14,7 +14,7 @@ const member = (state: ClusterMember["state"]): ClusterMember => ({
   num_strips: 9,
 });
 
-const cluster = (members: ClusterMember[], changes: Partial<ClusterMessage> = {}): ClusterMessage => ({
+const cluster = (members: MemberStatus[], changes: Partial<ClusterMessage> = {}): ClusterMessage => ({
   type: "cluster",
   address: "10.0.0.5:6379",
   members,

@@ -1,6 +1,6 @@
 /** How the machines do that render with this one, in words. */
 
-import type { ClusterMember, ClusterMessage } from "../wire/messages";
+import type { ClusterMessage, MemberStatus } from "../wire/messages";
 import { plural } from "./format";
 
 /** The few words of the status bar. */
@@ -13,7 +13,7 @@ export function clusterWords(cluster: ClusterMessage): string {
 }
 
 /** What a machine does now. */
-export function memberWords(member: ClusterMember): string {
+export function memberWords(member: MemberStatus): string {
   switch (member.state) {
     case "ready":
       return "renders";

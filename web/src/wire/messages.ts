@@ -545,11 +545,11 @@ export interface AcceptNoticeMessage {
 export interface DeviceSampleMessage {
   readonly type: "device_sample";
   readonly device: string;
-  readonly time_s: number;
   readonly position_mm: readonly [number, number, number] | null;
   readonly orientation_wxyz: readonly [number, number, number, number] | null;
-  readonly axes: readonly number[] | null;
   readonly buttons: number;
+  readonly time_s: number;
+  readonly axes: readonly number[] | null;
   readonly handle: readonly [number, number, number] | null;
   readonly advance: number;
 }
@@ -831,6 +831,9 @@ export interface RouteSpan {
 
 /** The way that is flown; lists are parallel, root to tip. */
 export interface RouteInfo {
+  readonly length_mm: number;
+  readonly drawn_mm: number;
+  readonly bridge_mm: number;
   readonly route_id: string;
   readonly title: string;
   readonly target_id: string | null;
@@ -843,9 +846,6 @@ export interface RouteInfo {
   readonly forks_mm: readonly number[];
   readonly lookouts_mm: readonly number[];
   readonly spans: readonly RouteSpan[];
-  readonly length_mm: number;
-  readonly drawn_mm: number;
-  readonly bridge_mm: number;
 }
 
 /** The route, when it changed. */
@@ -946,12 +946,12 @@ export interface StatusMessage {
   readonly simd: string;
 }
 
-/** One machine that renders with this one. */
-export interface ClusterMember {
-  readonly name: string;
+/** One machine that renders with others. */
+export interface MemberStatus {
   readonly host: string;
   readonly threads: number;
   readonly simd: string;
+  readonly name: string;
   readonly state: "away" | "late" | "loading" | "ready";
   readonly share: number;
   readonly latency_ms: number | null;
@@ -959,20 +959,23 @@ export interface ClusterMember {
   readonly num_strips: number;
 }
 
-/** The machines that render, once a second; only where there is a cluster. */
+/** The machines that render beside this one, once a second; only where there is a cluster. */
 export interface ClusterMessage {
   readonly type: "cluster";
   readonly address: string;
-  readonly members: readonly ClusterMember[];
+  readonly members: readonly MemberStatus[];
   readonly alone: boolean;
   readonly mixed: boolean;
   readonly fps: number;
   readonly frame_ms: number | null;
 }
 
-/** A device that said something. */
+/** A device that said something; its position is filtered. */
 export interface DeviceInfo {
   readonly device: string;
+  readonly position_mm: readonly [number, number, number] | null;
+  readonly orientation_wxyz: readonly [number, number, number, number] | null;
+  readonly buttons: number;
   readonly holds: boolean;
   readonly registered: boolean;
   readonly residual_mm: number | null;
@@ -980,10 +983,7 @@ export interface DeviceInfo {
   readonly num_used: number;
   readonly num_ignored: number;
   readonly ignored_words: string;
-  readonly position_mm: readonly [number, number, number] | null;
-  readonly orientation_wxyz: readonly [number, number, number, number] | null;
   readonly axes: readonly number[];
-  readonly buttons: number;
 }
 
 /** A connection of this machine to a device. */

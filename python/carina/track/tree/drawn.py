@@ -6,14 +6,13 @@ One place for it, so that routes, files, films and sheets all count alike.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carina.display import one_line
 from carina.track.tree.airway_tree import AirwayTree, Branch
+from carina.value import FrozenValue
 
 __all__ = ["DrawnPart", "drawn_part", "drawn_tree", "kind_words"]
 
@@ -21,9 +20,7 @@ SHOWN_MM = 0.05
 """Less than this is rounding."""
 
 
-@one_line
-@dataclass(frozen=True, slots=True)
-class DrawnPart:
+class DrawnPart(FrozenValue, frozen=True):
     """How much of a way, or of a whole tree, rests on a person's hand and not on the CT."""
 
     length_mm: float
@@ -63,8 +60,6 @@ def drawn_part(
         (n,) place of each point along the way, mm, ascending.
     """
     by_id = {b.id: b for b in branches.branches} if isinstance(branches, AirwayTree) else branches
-    if len(cumulative_mm) < 2:
-        return DrawnPart(0.0)
     steps_mm = np.diff(cumulative_mm)
     ids = np.asarray(branch_ids)[1:]
 

@@ -1,8 +1,8 @@
-"""What a cluster says of itself."""
+"""How often pictures of a cluster are complete."""
 
 from __future__ import annotations
 
-from carina.cluster.status import RateMeter
+from carina.cluster.rate import RateMeter
 
 
 def test_a_rate_that_nobody_asks_for_is_not_kept_for_ever():

@@ -1,0 +1,38 @@
+"""How often pictures are complete, and how long they take."""
+
+from __future__ import annotations
+
+from collections import deque
+
+__all__ = ["RateMeter"]
+
+
+class RateMeter:
+    """How often, and how long, over the last moments."""
+
+    def __init__(self, over_s: float = 1.0, keep: int = 64) -> None:
+        self._over_s = over_s
+        self._times: deque[float] = deque()
+        self._spans: deque[float] = deque(maxlen=keep)
+
+    def note(self, now_s: float, span_s: float) -> None:
+        """One more."""
+        # Here as well, since nobody may ask.
+        self._forget(now_s)
+        self._times.append(now_s)
+        self._spans.append(span_s)
+
+    def rate_hz(self, now_s: float) -> float:
+        """Per second."""
+        self._forget(now_s)
+        return len(self._times) / self._over_s
+
+    def _forget(self, now_s: float) -> None:
+        while self._times and self._times[0] < now_s - self._over_s:
+            self._times.popleft()
+
+    @property
+    def median_s(self) -> float | None:
+        """Of the last spans."""
+        spans = sorted(self._spans)
+        return spans[len(spans) // 2] if spans else None
