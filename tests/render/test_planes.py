@@ -262,8 +262,8 @@ def test_every_view_of_the_command_line_renders(airway):
 def test_a_slab_gathers_what_lies_before_and_behind_a_plane(axes):
     renderer = Renderer(volume_with_blob(axes, np.add(MIDDLE, (0.0, 9.0, 0.0))))
     for view in (
-        SliceView("coronal", MIDDLE, 60, 60),
-        CutPlaneView(Pose.looking(MIDDLE, (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), 60, 60),
+        SliceView("coronal", MIDDLE, width=60, height=60),
+        CutPlaneView(Pose.looking(MIDDLE, (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), width=60, height=60),
     ):
         assert renderer.render(view).rgb.max() < 100
         assert renderer.render(dataclasses.replace(view, slab=Slab(10.0, "max"))).rgb.max() < 100

@@ -9,19 +9,19 @@ from carina.case.document import Document
 from carina.case.history import History, Step
 from carina.display import one_line
 from carina.render import Sight
+from carina.value import FrozenValue
 
 __all__ = ["LaidScope", "Moment"]
 
 
-@one_line
-@dataclass(frozen=True, slots=True)
-class LaidScope:
+class LaidScope(FrozenValue, frozen=True):
     """A scope in the lumen, as its operator holds it."""
 
     insertion_mm: float
-    """Along the route, from its start."""
+    """From the start of the route that it was laid along."""
     roll_rad: float
     flexion_rad: float
+    """Above 0 up."""
 
 
 @one_line

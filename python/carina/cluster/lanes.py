@@ -130,7 +130,7 @@ class LocalLane:
         from carina.render import build_info
 
         info = build_info()
-        return LaneFacts("this machine", int(info["threads"]), str(info["simd"]), carina.__version__)
+        return LaneFacts(int(info["threads"]), str(info["simd"]), "this machine", carina.__version__)
 
     def load(self, parcel: Parcel, done: Loaded) -> bool:
         """Nothing travels: orders bring their scene."""

@@ -210,7 +210,7 @@ class RayLane:
 
 
 def _facts(ping: dict[str, Any]) -> LaneFacts:
-    return LaneFacts(str(ping["host"]), int(ping["threads"]), str(ping["simd"]), str(ping["version"]), int(ping["pid"]))
+    return LaneFacts(int(ping["threads"]), str(ping["simd"]), str(ping["host"]), str(ping["version"]), int(ping["pid"]))
 
 
 def _words(num_bytes: float) -> str:

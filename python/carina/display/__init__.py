@@ -24,7 +24,8 @@ def one_line(cls: type[T]) -> type[T]:
 
     def shown(self: Any) -> str:
         pieces = []
-        for field in dataclasses.fields(self):
+        # As a call is written: what is told by name alone comes last.
+        for field in sorted(dataclasses.fields(self), key=lambda field: bool(field.kw_only)):
             value = getattr(self, field.name)
             if field.repr and not _is_default(field, value):
                 pieces.append(f"{field.name}={as_words(value)}")

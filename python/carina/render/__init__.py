@@ -7,7 +7,7 @@ from carina._core import CancelToken
 from carina.render.appearance import Appearance
 from carina.render.backend import Adapter, Backend, Verdict, find_adapters
 from carina.render.lettering import PathSpan, letter_edges, mark_path
-from carina.render.machines import ClusterState, ClusterStatus, Machine, MemberStatus
+from carina.render.machines import ClusterState, ClusterStatus, Machine, MemberStatus, Processor
 from carina.render.pictures import mark_tip, render_surface, render_view, view_spec
 from carina.render.png_text import read_png_badges, read_png_pose
 from carina.render.renderer import Renderer, can_cut
@@ -77,6 +77,7 @@ __all__ = [
     "PathView",
     "Picture",
     "PictureLines",
+    "Processor",
     "Reformation",
     "RenderStats",
     "Renderer",

@@ -6,15 +6,20 @@ from typing import Literal
 
 from carina.value import Count, FrozenValue, Part, Words
 
-__all__ = ["ClusterState", "ClusterStatus", "Machine", "MemberStatus"]
+__all__ = ["ClusterState", "ClusterStatus", "Machine", "MemberStatus", "Processor"]
 
 
-class Machine(FrozenValue, frozen=True):
+class Processor(FrozenValue, frozen=True):
+    """What pictures are computed with: how many threads, and their vector instructions."""
+
+    threads: Count
+    simd: Words
+
+
+class Machine(Processor, frozen=True):
     """What a person wants to know about a machine that renders."""
 
     host: Words
-    threads: Count
-    simd: Words
 
 
 class MemberStatus(Machine, frozen=True):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -143,23 +143,55 @@ class AirwayView:
 
 
 @one_line
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class GreyView:
+    """What pictures of the CT's own values have, one plane or surface of them: size, window, thickness."""
+
+    width: int = 512
+    height: int = 512
+    window_hu: tuple[float, float] = WINDOW_HU
+    slab: Slab | None = None
+
+    def __post_init__(self) -> None:
+        _check(self.width, self.height, window_hu=self.window_hu)
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class OrbitView:
+    """What pictures from a camera have that orbits what it looks at.
+
+    Azimuth 0 looks from anterior, 90 from the patient's left; positive elevation from above. ``distance_mm`` is that of
+    the camera from what it looks at; None fits what is shown.
+    """
+
+    azimuth_deg: float = 0.0
+    elevation_deg: float = 0.0
+    distance_mm: float | None = None
+    width: int = 512
+    height: int = 512
+    fov_deg: float = 30.0
+
+    def __post_init__(self) -> None:
+        _check(self.width, self.height, fov_deg=self.fov_deg)
+        _check_mm("the camera's distance", self.distance_mm)
+
+
+@one_line
 @dataclass(frozen=True, slots=True, eq=False)
-class CutPlaneView:
+class CutPlaneView(GreyView):
     """The plane through the tip, spanned by the camera's right and down; ``extent_mm`` wide (paper 3.1).
 
     The tip is in the middle, or the point of the plane nearest to ``centre_lps``.
     """
 
     pose: Pose
-    width: int = 512
-    height: int = 512
+    _: KW_ONLY
     extent_mm: float = 60.0
-    window_hu: tuple[float, float] = WINDOW_HU
-    slab: Slab | None = None
     centre_lps: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        _check(self.width, self.height, window_hu=self.window_hu)
+        GreyView.__post_init__(self)
         _check_mm("the extent of a cut plane", self.extent_mm)
         if self.centre_lps is not None:
             _check_point("the middle of a cut plane", self.centre_lps)
@@ -167,30 +199,26 @@ class CutPlaneView:
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
-class TriPlaneView:
+class TriPlaneView(OrbitView):
     """Sagittal, coronal and axial plane through a point, in occlusion order, from an orbit camera (paper 3.1).
 
-    Azimuth 0 looks from anterior, 90 from the patient's left; positive elevation from above. ``distance_mm`` is that of
-    the camera from what it looks at; None fits the volume. Values below ``clear_below`` are seen through.
+    Without a distance the whole volume is in the picture. Values below ``clear_below`` are seen through.
 
     The camera looks at the planes' meeting point, or with ``look_at`` ``volume`` at the middle of the volume: then it
     stays where it is while a plane is moved.
     """
 
     centre_lps: tuple[float, float, float]
+    _: KW_ONLY
     azimuth_deg: float = 35.0
     elevation_deg: float = 25.0
-    distance_mm: float | None = None
-    width: int = 512
-    height: int = 512
-    fov_deg: float = 30.0
     window_hu: tuple[float, float] = WINDOW_HU
     clear_below: float | None = None
     look_at: Literal["point", "volume"] = "point"
 
     def __post_init__(self) -> None:
-        _check(self.width, self.height, fov_deg=self.fov_deg, window_hu=self.window_hu)
-        _check_mm("the camera's distance", self.distance_mm)
+        OrbitView.__post_init__(self)
+        _check(self.width, self.height, window_hu=self.window_hu)
         _check_point("the planes' meeting point", self.centre_lps)
         if self.look_at not in {"point", "volume"}:
             raise RenderError(f"the camera looks at point or volume; found {self.look_at!r}", code="render.setting")
@@ -268,7 +296,7 @@ class DrrView:
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
-class PathView:
+class PathView(GreyView):
     """The airway along a path, root at the top, in one picture; mm are equal across and down.
 
     ``straightened`` lays the planes across the path below one another: the path is a straight line, places on it lie at
@@ -286,16 +314,13 @@ class PathView:
 
     kind: Literal["straightened", "curved"]
     path: PathFrames
+    _: KW_ONLY
     turn_deg: float = 0.0
-    width: int = 512
-    height: int = 512
     mm_per_px: float | None = None
     centre_mm: float = 0.0
-    window_hu: tuple[float, float] = WINDOW_HU
-    slab: Slab | None = None
 
     def __post_init__(self) -> None:
-        _check(self.width, self.height, window_hu=self.window_hu)
+        GreyView.__post_init__(self)
         _check_mm("the size of a pixel", self.mm_per_px)
         if self.kind not in {"straightened", "curved"}:
             raise RenderError(f"expected straightened or curved; found {self.kind!r}", code="render.setting")
@@ -305,7 +330,7 @@ class PathView:
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
-class SliceView:
+class SliceView(GreyView):
     """A slice along patient axes, in radiological display: patient right on screen left, sagittal with anterior on the
     left.
 
@@ -315,14 +340,11 @@ class SliceView:
 
     plane: Plane
     centre_lps: tuple[float, float, float]
-    width: int = 512
-    height: int = 512
+    _: KW_ONLY
     mm_per_px: float | None = None
-    window_hu: tuple[float, float] = WINDOW_HU
-    slab: Slab | None = None
 
     def __post_init__(self) -> None:
-        _check(self.width, self.height, window_hu=self.window_hu)
+        GreyView.__post_init__(self)
         _check_plane(self.plane)
         _check_mm("the size of a pixel", self.mm_per_px)
         _check_point("the slice's centre", self.centre_lps)
@@ -330,19 +352,8 @@ class SliceView:
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
-class TreeView:
-    """The lumen's surface from outside. The camera orbits the lumen's centre; azimuth 0 looks from anterior."""
-
-    azimuth_deg: float = 0.0
-    elevation_deg: float = 0.0
-    distance_mm: float | None = None
-    width: int = 512
-    height: int = 512
-    fov_deg: float = 30.0
-
-    def __post_init__(self) -> None:
-        _check(self.width, self.height, fov_deg=self.fov_deg)
-        _check_mm("the camera's distance", self.distance_mm)
+class TreeView(OrbitView):
+    """The lumen's surface from outside. The camera orbits the lumen's centre."""
 
 
 View = AirwayView | CutPlaneView | TriPlaneView | XrayView | SliceView | TreeView | DrrView | PathView

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
+from carina.case import LaidScope
 from carina.commands.fields import (
     BranchId,
     Count,
@@ -22,7 +23,7 @@ from carina.commands.fields import (
     Words,
 )
 from carina.commands.look import Look
-from carina.render import ClusterState, Sight
+from carina.render import ClusterState, Processor, Sight
 from carina.server.wire_codec import ServerMessage
 from carina.track import DrawnPart
 from carina.value import FrozenValue
@@ -231,14 +232,9 @@ class Route(ServerMessage, frozen=True):
     route: RouteInfo | None
 
 
-class HeldScope(FrozenValue, frozen=True):
+class HeldScope(LaidScope, frozen=True):
     """A scope that is held by the lumen."""
 
-    insertion_mm: float
-    """From the start of the path that it was laid along."""
-    roll_rad: float
-    flexion_rad: float
-    """Above 0 up."""
     red_out: Part
     """0 for a clear view to 1 where the lens lies on the wall."""
     limit: Literal["none", "entry", "wall", "narrow", "length", "flexion"]
@@ -330,7 +326,7 @@ class Picked(ServerMessage, frozen=True):
     generation: Annotated[int, Meta(ge=0, le=1000)] | None
 
 
-class Status(ServerMessage, frozen=True):
+class Status(Processor, ServerMessage, frozen=True):
     """How the stream runs; twice a second while pictures go."""
 
     fps: float
@@ -339,8 +335,6 @@ class Status(ServerMessage, frozen=True):
     age_ms: float
     """From a pose's arrival to its first picture being ready: the median of that second."""
     method: Words
-    threads: Count
-    simd: Words
 
 
 class Cluster(ClusterState, ServerMessage, frozen=True):

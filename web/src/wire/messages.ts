@@ -938,19 +938,19 @@ export interface PickedMessage {
 /** How the stream runs; twice a second while pictures go. */
 export interface StatusMessage {
   readonly type: "status";
+  readonly threads: number;
+  readonly simd: string;
   readonly fps: number;
   readonly render_ms: number;
   readonly age_ms: number;
   readonly method: string;
-  readonly threads: number;
-  readonly simd: string;
 }
 
 /** One machine that renders with others. */
 export interface MemberStatus {
-  readonly host: string;
   readonly threads: number;
   readonly simd: string;
+  readonly host: string;
   readonly name: string;
   readonly state: "away" | "late" | "loading" | "ready";
   readonly share: number;
