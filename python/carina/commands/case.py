@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 from carina.commands.fields import DemoName, Key, PathText
 from carina.commands.value import Command, LocalCommand
@@ -55,3 +57,21 @@ class Undo(Command, frozen=True):
 
 class Redo(Command, frozen=True):
     """Do it again."""
+
+
+class SaveCase(Command, frozen=True):
+    """Write the case as one whole file, which is kept up to date while the case is open.
+
+    Nothing needs it against loss: what is done is always kept on this machine.
+    """
+
+    path: PathText | None = None
+    """Where to; null is where it was saved before."""
+    replace: bool = False
+    """Whether a file that is there already may be replaced."""
+
+
+class GoToStep(Command, frozen=True):
+    """Have so many steps of the history hold, from 0: others are taken back, or done again."""
+
+    step: Annotated[int, Meta(ge=0, le=1_000_000)]

@@ -20,6 +20,7 @@ from carina.server.cluster_watch import ClusterWatch
 from carina.server.device_desk import DeviceDesk, Phone
 from carina.server.pointing import Pointing, no_evidence_message
 from carina.server.presenter import (
+    history_message,
     keys_message,
     picked_message,
     pose_message,
@@ -39,6 +40,7 @@ from carina.session import (
     NotEvident,
     Said,
     Session,
+    Snapshot,
     Trouble,
     log_fault,
 )
@@ -50,7 +52,7 @@ logger = logging.getLogger(__name__)
 
 MAX_QUEUED = 2000
 """Text messages waiting for a client that does not read; beyond it is cut off."""
-TOPICS = ("start", "state", "tree", "route", "keys", "pose")
+TOPICS = ("start", "state", "tree", "route", "keys", "history", "pose")
 
 
 NEWEST_ONLY = (wire.Value, wire.LivePath, wire.BranchDetail, wire.EditPreview, wire.Devices, wire.Pen, wire.Cluster)
@@ -161,6 +163,7 @@ class Hub:
         self._cache: dict[str, tuple[tuple[object, ...], str]] = {}
         self._writing_tree: asyncio.Task[None] | None = None
         self._after_tree: set[str] = set()
+        self._history_known: tuple[Outbox | None, int, tuple[str, ...]] = (None, 0, ())
 
     # ------------------------------------------------------------ life
 
@@ -197,7 +200,7 @@ class Hub:
         self._outbox = outbox
         topics = ["start", "state"]
         if self.session.snapshot().case is not None:
-            topics += ["tree", "route", "keys", "pose"]
+            topics += ["tree", "route", "keys", "history", "pose"]
         self._mark(outbox, *topics)
         for job in self.session.jobs.running:
             if job.latest is not None:
@@ -239,12 +242,23 @@ class Hub:
             return self._cached("route", lambda: route_message(route), route)
         if topic == "keys":
             return wire.encode_message(keys_message(self.session.keys_info()))
+        if topic == "history":
+            return self._history_text(snapshot)
         info = self.session.pose_info()
         return None if info is None else wire.encode_message(pose_message(info))
 
     def with_own_names(self, text: str) -> str:
         """A message in which dropped files have the names by which the person knows them."""
         return self._uploads.names.restored(text)
+
+    def _history_text(self, snapshot: Snapshot) -> str | None:
+        """None where this client knows it already: a field of view that is dragged is one step all the time."""
+        labels = tuple(step.label for step in snapshot.steps)
+        known = (self._outbox, snapshot.position, labels)
+        if known == self._history_known:
+            return None
+        self._history_known = known
+        return wire.encode_message(history_message(snapshot))
 
     def _tree_text(self) -> str:
         """From any thread."""

@@ -25,6 +25,7 @@ from carina.commands.fields import (
 from carina.commands.look import Look
 from carina.render import ClusterState, Processor, Sight
 from carina.server.wire_codec import ServerMessage
+from carina.session.snapshot import SavingInfo
 from carina.track import DrawnPart
 from carina.value import FrozenValue
 from carina.volume import Citation
@@ -192,6 +193,7 @@ class State(ServerMessage, frozen=True):
     mask_question: MaskQuestion | None
     badges: tuple[CaseNote, ...]
     """The lasting notes of the case and of its airways: in sight for as long as it is open."""
+    saving: SavingInfo = SavingInfo()
 
 
 class RouteSpan(FrozenValue, frozen=True):
@@ -204,6 +206,23 @@ class RouteSpan(FrozenValue, frozen=True):
     to_mm: float
     kind: Literal["tracked", "bridge", "manual"]
     """``manual`` was drawn by hand: the CT shows no airway there."""
+
+
+class HistoryStep(FrozenValue, frozen=True):
+    """Something that was done and can be taken back."""
+
+    label: Words
+    """What was done, in words."""
+    at_s: float
+    """When, in seconds since the case was begun (``saving.begun_s``)."""
+
+
+class History(ServerMessage, frozen=True):
+    """What was done, the oldest first, when it changed."""
+
+    steps: tuple[HistoryStep, ...]
+    step: int
+    """How many of them hold; those after are taken back and can be done again. ``go_to_step`` changes it."""
 
 
 class RouteInfo(DrawnPart, frozen=True, kw_only=True):

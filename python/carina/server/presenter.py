@@ -19,6 +19,7 @@ from carina.volume import Citation, Note, badges_of
 
 __all__ = [
     "demos",
+    "history_message",
     "keys_message",
     "picked_message",
     "picture_lines",
@@ -134,6 +135,7 @@ def state_message(snapshot: Snapshot, *, frame_rate_hz: float) -> wire.State:
         airways_from=None if airways is None else "mask" if math.isnan(airways.threshold) else "search",
         mask_question=_mask_question(snapshot.mask_question),
         badges=() if snapshot.case is None else _notes(badges_of(snapshot.case.volume, airways)),
+        saving=snapshot.saving,
     )
 
 
@@ -241,6 +243,12 @@ def _held(info: PoseInfo) -> wire.HeldScope | None:
 def keys_message(info: KeysInfo) -> wire.Keys:
     """The key frames and the flight through them."""
     return wire.Keys(**msgspec.structs.asdict(info))
+
+
+def history_message(snapshot: Snapshot) -> wire.History:
+    """What was done."""
+    steps = tuple(wire.HistoryStep(step.label, round(step.at_s, 3)) for step in snapshot.steps)
+    return wire.History(steps, snapshot.position)
 
 
 def picked_message(pick_id: int, wall: WallPoint | None, depth_mm: float | None) -> wire.Picked:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,7 +12,8 @@ import numpy as np
 
 from carina.case.document import Document, Keys, Point
 from carina.case.history import History
-from carina.case.routes import AirwayIndex, ChosenRoute
+from carina.case.moment import LaidScope, Moment
+from carina.case.routes import AirwayIndex, ChosenRoute, path_move
 from carina.commands import TakeMask
 from carina.errors import UsageError
 from carina.navigate import Navigator, Pilot
@@ -39,6 +40,7 @@ __all__ = [
     "LastMove",
     "OpenCase",
     "as_point",
+    "moment_of",
     "new_case",
     "pose_info",
 ]
@@ -104,6 +106,15 @@ class OpenCase:
     flown_route: ChosenRoute | None = None
     """The route whose path the pilot was last given."""
     asked_mask: AskedMask | None = None
+    begun_s: float = 0.0
+    """When the first thing was done with it, by the session's clock; before its beginning for a case that was kept."""
+    numbers: dict[str, int] = field(default_factory=dict)
+    """The last number that was given, by what was numbered: targets and key frames count from 1 in each case."""
+
+    def next_number(self, what: str) -> int:
+        """A number that nothing of its kind had; with the session locked."""
+        self.numbers[what] = self.numbers.get(what, 0) + 1
+        return self.numbers[what]
 
     @property
     def outline(self) -> LumenOutline | None:
@@ -159,8 +170,12 @@ def new_case(
     jobs: JobRunner,
     lock: AbstractContextManager[Any],
     changed: Callable[..., None],
+    kept: Moment | None = None,
 ) -> OpenCase:
-    """A case that shows a volume, before anything was found in it; ``changed`` is told topics by its jobs."""
+    """A case that shows a volume: as it was kept, or before anything was found in it.
+
+    ``changed`` is told topics by its jobs.
+    """
     off: tuple[FeatureOff, ...] = ()
     threshold: float | None = None
     window = LUNG_WINDOW
@@ -179,14 +194,16 @@ def new_case(
             FeatureOff("a lumen threshold in HU (the one above is in the file's own units)", why),
         )
     document = Document(transfer=transfer, lumen_threshold=threshold)
-    return OpenCase(
+    history = History(document) if kept is None else kept.history()
+    transfer = history.current.transfer
+    case = OpenCase(
         number=number,
         info=CaseSnapshot(volume, parts.quality_words(volume), off, (low, high)),
         content=ShownContent(
             renderer_factory(volume, transfer), transfer, jobs=jobs, lock=lock, changed=partial(changed, "views")
         ),
         pilot=Pilot(Navigator(pose_before_airways(volume), volume=volume)),
-        history=History(document),
+        history=history,
         presets=presets,
         threshold_from_histogram=threshold,
         wall=derived_wall(volume, parts, jobs=jobs, lock=lock),
@@ -195,7 +212,41 @@ def new_case(
         outlined=Cached(partial(LumenOutline, volume), same=lambda a, b: a.lumen_zyx is b.lumen_zyx),
         indexed=Cached(AirwayIndex),
         key_flight=Cached(lambda keys_and_airways: key_flight(volume, *keys_and_airways)),
-        sight=Sight(window=window),
+        sight=Sight(window=window) if kept is None else kept.sight,
+    )
+    if kept is not None:
+        _restore(case, kept)
+    return case
+
+
+def _restore(case: OpenCase, kept: Moment) -> None:
+    """Tip, search and numbers as they were; a scope is laid once the wall is known."""
+    document = case.document
+    case.flown_route = document.route
+    case.pilot.apply(path_move(None if document.airways is None else document.airways.tree, document.route))
+    case.navigator.restore(kept.tip, case.navigator.path)
+    status: AirwayStatus = "found" if document.airways is not None else "waiting"
+    if document.airways is None and kept.search_status == "failed":
+        status = "failed"
+    case.search = AirwaySearch(status, kept.search_words)
+    case.last_move = LastMove(person_moved=kept.person_moved)
+    case.numbers = dict(kept.numbers)
+
+
+def moment_of(case: OpenCase) -> Moment:
+    """All of a case that is kept; with the session locked. It shares what is immutable."""
+    history, scope = case.history, case.navigator.scope_state
+    return Moment(
+        first=history.first,
+        steps=history.steps,
+        position=history.position,
+        sight=case.sight,
+        tip=case.navigator.state(),
+        scope=None if scope is None else LaidScope(scope.insertion_mm, scope.roll_rad, scope.flexion_rad),
+        search_status=case.search.status,
+        search_words=case.search.words,
+        person_moved=case.last_move.person_moved,
+        numbers=dict(case.numbers),
     )
 
 

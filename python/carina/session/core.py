@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextvars
 import itertools
 import threading
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +17,8 @@ import msgspec
 from carina.case.document import Document
 from carina.case.history import History
 from carina.case.routes import path_move
-from carina.commands import SetOperator, Steer
+from carina.commands import Command, SetOperator, Steer
+from carina.commands.value import LocalCommand
 from carina.errors import CarinaError, NoEvidenceError, UsageError
 from carina.navigate import Move
 from carina.render import VIEWS
@@ -24,14 +27,16 @@ from carina.session.jobs import JobEnded, JobProgress, JobRunner
 from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.recent import LocalStore
 from carina.session.scene import ShownCase
-from carina.session.snapshot import Changed, NotEvident, PoseInfo, Said, Snapshot, Topic, Trouble
+from carina.session.snapshot import Changed, NotEvident, PoseInfo, Said, SavingInfo, Snapshot, Topic, Trouble
 
 __all__ = ["Event", "SessionCore"]
 
 Event = Changed | Trouble | NotEvident | Said | JobProgress | JobEnded
 # A hand that rests at the wall is counted so long, until it moves again.
 MAX_CONTACT_S = 10.0
-ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "keys", "pose", "views")
+ALL_TOPICS: tuple[Topic, ...] = ("state", "tree", "route", "keys", "history", "pose", "views")
+# Goes along into the jobs that a command starts: their change is a step that it made.
+_doing: contextvars.ContextVar[Command | None] = contextvars.ContextVar("doing", default=None)
 
 
 class SessionCore:
@@ -59,6 +64,8 @@ class SessionCore:
         self.case: OpenCase | None = None
         self.case_numbers = itertools.count(1)
         self.device_woken = threading.Event()
+        self.saving: Callable[[], SavingInfo] = SavingInfo
+        """What of the open case is on the disk."""
         self.before_move: Callable[[], None] = lambda: None
         self.before_document: list[Callable[[OpenCase], None]] = []
         """Done when the document has changed, before tip and renderer follow it, with the session locked..."""
@@ -94,6 +101,15 @@ class SessionCore:
         assert self._pool is not None
         self._pool.submit(work)
 
+    @contextmanager
+    def doing(self, command: Command) -> Iterator[None]:
+        """What is changed here, and by the jobs that are started here, was asked for by this command."""
+        token = _doing.set(command)
+        try:
+            yield
+        finally:
+            _doing.reset(token)
+
     def emit(self, event: Event) -> None:
         with self.lock:
             for listener in tuple(self._listeners):
@@ -125,6 +141,24 @@ class SessionCore:
         with self.lock:
             return self.needed_case().history.labels
 
+    def go_to_step(self, position: int) -> None:
+        """Have so many steps of the history hold.
+
+        Raises
+        ------
+        UsageError
+            If there are not so many.
+        """
+        case = self.needed_case()
+        with self.lock:
+            num_steps = len(case.history.steps)
+            if position > num_steps:
+                raise UsageError(f"the history has {num_steps} steps; found step {position}", code="session.history")
+            if position == case.history.position:
+                return
+            case.history.go_to(position)
+            self._moved_in_history(case, f"back to: {case.history.undo_label or 'before all changes'}")
+
     def _step(self, move: Callable[[History[Document]], str | None], words: str) -> None:
         case = self.needed_case()
         with self.lock:
@@ -132,15 +166,32 @@ class SessionCore:
             if label is None:
                 self.emit(Said("there is nothing to be " + words))
                 return
-            self.follow(case)
-            self.emit(Said(f"{words}: {label}"))
-            self.changed(*ALL_TOPICS)
+            self._moved_in_history(case, f"{words}: {label}")
+
+    def _moved_in_history(self, case: OpenCase, words: str) -> None:
+        self.follow(case)
+        self.emit(Said(words))
+        self.changed(*ALL_TOPICS)
 
     def change(self, case: OpenCase, label: str, document: Document, *, gesture: Hashable = None) -> None:
         """A change by a person, with the session locked."""
-        case.history.change(label, document, now_s=self.clock(), gesture=gesture)
+        self.add_step(case, label, document, gesture=gesture)
         self.follow(case)
         self.changed(*ALL_TOPICS)
+
+    def add_step(self, case: OpenCase, label: str, document: Document, *, gesture: Hashable = None) -> None:
+        """A step of undo that nothing follows yet, with the session locked."""
+        command = _doing.get()
+        now_s = self.clock()
+        case.history.change(
+            label,
+            document,
+            now_s=now_s,
+            gesture=gesture,
+            # What names a file of this machine is not kept: a case may be handed on.
+            command=None if isinstance(command, LocalCommand) else command,
+            at_s=max(0.0, now_s - case.begun_s),
+        )
 
     def see(self, case: OpenCase, **values: Any) -> None:
         """Change fields of the sight, which is no step of undo."""
@@ -235,9 +286,12 @@ class SessionCore:
                 sight=case.sight,
                 undo_label=case.history.undo_label,
                 redo_label=case.history.redo_label,
+                steps=case.history.steps,
+                position=case.history.position,
                 transfer_presets=case.presets,
                 measures=case.measures.of(case.document.airways),
                 mask_question=None if case.asked_mask is None else case.asked_mask.question,
+                saving=self.saving(),
             )
 
     def pose_info(self) -> PoseInfo | None:

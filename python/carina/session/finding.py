@@ -221,7 +221,7 @@ class AirwayFinding(Subject):
             case.history.amend(lambda d: replace(d, airways=airways, lumen_threshold=threshold, route=default_route))
             case.history.amend_current(lambda _: found)
         else:
-            case.history.change(label, found, now_s=self.core.clock())
+            self.core.add_step(case, label, found)
             case.history.keep_distinct(found_airways, MAX_AIRWAYS_KEPT)
         case.search = AirwaySearch("found", airway_words(airways))
         self.core.follow(case)

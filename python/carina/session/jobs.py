@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextvars
 import itertools
 import logging
 import threading
@@ -167,8 +168,10 @@ class JobRunner:
                     other.stop()
             job = Job(f"job-{next(self._numbers)}", title, kind, self)
             self._jobs[job.job_id] = job
+        # With what is true of whoever starts it, such as the command that is being done.
+        context = contextvars.copy_context()
         try:
-            self._submit(lambda: self._run(job, work))
+            self._submit(lambda: context.run(self._run, job, work))
         except RuntimeError:
             # The threads were given back since the look above.
             if not self._closed:

@@ -21,7 +21,6 @@ from carina.navigate import (
     open_keys,
 )
 from carina.session.case import OpenCase
-from carina.session.core import SessionCore
 from carina.session.flying import place_pose, view_words
 from carina.session.inside import in_airways
 from carina.session.jobs import Job
@@ -36,10 +35,6 @@ MAX_KEYS = 200
 
 class KeyFraming(Subject):
     """Key frames are part of the document: every change of them is a step of undo."""
-
-    def __init__(self, core: SessionCore) -> None:
-        super().__init__(core)
-        self._key_numbers = itertools.count(1)
 
     # ------------------------------------------------------------ the list
 
@@ -69,7 +64,7 @@ class KeyFraming(Subject):
             keys = case.document.keys
             if len(keys.frames) >= MAX_KEYS:
                 raise UsageError(f"a flight has at most {MAX_KEYS} key frames; remove some first", code="session.keys")
-            key = Key(f"key-{next(self._key_numbers)}", case.navigator.pose)
+            key = Key(_new_key_id(case), case.navigator.pose)
             self._set_keys(case, f"add key frame {len(keys.frames) + 1}", (*keys.frames, key))
             return key.key_id
 
@@ -216,12 +211,12 @@ class KeyFraming(Subject):
             if len(file.frames) > MAX_KEYS:
                 raise UsageError(f"the file has {len(file.frames)} key frames; {MAX_KEYS} can be taken")
             speeds = _speeds(file)
-            frames = tuple(
-                Key(f"key-{next(self._key_numbers)}", frame.pose, frame.name or None, speed)
-                for frame, speed in zip(file.frames, speeds, strict=True)
-            )
             with self.core.lock:
                 job.check()
+                frames = tuple(
+                    Key(_new_key_id(case), frame.pose, frame.name or None, speed)
+                    for frame, speed in zip(file.frames, speeds, strict=True)
+                )
                 keys = Keys(frames, c.KeyFlying(file.speed_mm_s, file.through))
                 self.core.change(case, "open key frames", replace(case.document, keys=keys))
                 if any(frame.time_s is not None for frame in file.frames):
@@ -245,6 +240,10 @@ def _branch_words(case: OpenCase, key: Key) -> tuple[str, int | None]:
         return "outside the airways", None
     branch, _, _ = index.nearest(np.asarray(key.pose.position_lps))
     return branch.name or f"generation {branch.generation}", branch.id
+
+
+def _new_key_id(case: OpenCase) -> str:
+    return f"key-{case.next_number('key')}"
 
 
 def _speeds(file: KeyFile) -> list[float | None]:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 from carina import commands as c
+from carina.case.moment import Moment
 from carina.errors import UsageError
-from carina.session.case import new_case
+from carina.session.case import OpenCase, new_case
 from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.finding import AirwayFinding
+from carina.session.holding import ScopeHolding
 from carina.session.jobs import Job
 from carina.session.recording import FlightRecording
+from carina.session.saving import Saving
 from carina.session.subject import Subject, does
 from carina.volume import Volume
 
@@ -20,8 +24,17 @@ __all__ = ["Opening"]
 class Opening(Subject):
     """A case is opened by a job; the one on screen stays until the new one has been read."""
 
-    def __init__(self, core: SessionCore, finding: AirwayFinding, recording: FlightRecording) -> None:
+    def __init__(
+        self,
+        core: SessionCore,
+        finding: AirwayFinding,
+        recording: FlightRecording,
+        holding: ScopeHolding,
+        saving: Saving,
+    ) -> None:
         super().__init__(core)
+        self._holding = holding
+        self._saving = saving
         self._finding = finding
         self._recording = recording
 
@@ -48,7 +61,7 @@ class Opening(Subject):
         def read(job: Job) -> Volume:
             return self.core.parts.open_demo(command.name, job.progress, job.cancel)
 
-        return self._open("opening the demo", read, None)
+        return self._open("opening the demo", read, None, f"demo:{command.name}")
 
     @does(c.OpenVolume)
     def open_volume(self, command: c.OpenVolume) -> str:
@@ -70,6 +83,9 @@ class Opening(Subject):
         with self.core.lock:
             self._recording.stop()
             self.core.jobs.cancel_kinds()
+        # What waits for the disk does so without the lock: pictures go on meanwhile.
+        self._saving.let_go()
+        with self.core.lock:
             self._discard_case()
             self.core.case = None
             self.core.changed(*ALL_TOPICS, "start")
@@ -89,39 +105,68 @@ class Opening(Subject):
         """Say so where there is nothing."""
         self.core.redo()
 
+    @does(c.GoToStep)
+    def go_to_step(self, command: c.GoToStep) -> None:
+        """As undo and redo, several at once."""
+        self.core.go_to_step(command.step)
+
     def _discard_case(self) -> None:
         """Nothing goes on for the case on screen; with the session locked."""
         if self.core.case is not None:
             self.core.case.discard()
 
-    def _open(self, title: str, read: Callable[[Job], Volume], path: str | None) -> str:
+    def _open(self, title: str, read: Callable[[Job], Volume], path: str | None, place: str | None = None) -> str:
+        if path is not None:
+            place = str(Path(path).absolute())
+
         def work(job: Job) -> None:
             job.check()
             volume = read(job)
-            job.progress("checking the quality", None)
-            case = new_case(
-                volume,
-                next(self.core.case_numbers),
-                parts=self.core.parts,
-                renderer_factory=self.core.renderer_factory,
-                jobs=self.core.jobs,
-                lock=self.core.lock,
-                changed=self.core.changed,
-            )
-            if path is not None and self.core.store is not None:
-                self.core.store.remember(path, volume.source.title, self.core.today())
-            with self.core.lock:
-                # Here, and not before: a refused or stopped opening leaves the case on screen as it was.
-                job.check()
-                self._recording.stop()
-                # All others belong to the case on screen.
-                self.core.jobs.cancel_others(job)
-                self._discard_case()
-                self.core.case = case
-                self.core.moved()
-                self.core.changed(*ALL_TOPICS, "start")
+            # From here on there is no way back: a refused or stopped opening leaves the case on screen as it was.
+            job.check()
+            with self._saving.between() as keeping:
+                kept = keeping.reopened(volume)
+                job.progress("checking the quality", None)
+                case = new_case(
+                    volume,
+                    next(self.core.case_numbers),
+                    parts=self.core.parts,
+                    renderer_factory=self.core.renderer_factory,
+                    jobs=self.core.jobs,
+                    lock=self.core.lock,
+                    changed=self.core.changed,
+                    kept=kept,
+                )
+                if path is not None and self.core.store is not None:
+                    self.core.store.remember(path, volume.source.title, self.core.today())
+                with self.core.lock:
+                    job.check()
+                    self._show(job, case)
+                    keeping.attach(case, place)
+                    self.core.changed(*ALL_TOPICS, "start")
             # A tenth of a second, and pictures come several times faster; the airways take many.
             case.content.prepare()
-            self._finding.start(case, None, case.threshold_from_histogram, label=None)
+            self._go_on(case, kept)
 
         return self.core.jobs.start("open", title, work)
+
+    def _show(self, job: Job, case: OpenCase) -> None:
+        """In the place of the case on screen; with the session locked."""
+        self._recording.stop()
+        # All others belong to the case on screen.
+        self.core.jobs.cancel_others(job)
+        self._discard_case()
+        case.begun_s = self.core.clock()
+        self.core.case = case
+        self.core.moved()
+
+    def _go_on(self, case: OpenCase, kept: Moment | None) -> None:
+        """What a person would wait for: the airways, or what was kept of them, and a scope that was held in them."""
+        if kept is not None:
+            with self.core.lock:
+                self.core.follow(case)
+                self.core.changed(*ALL_TOPICS)
+            if kept.scope is not None:
+                self._holding.resume(case, kept.scope)
+        if case.search.status == "waiting":
+            self._finding.start(case, None, case.threshold_from_histogram, label=None)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 from carina import commands as c
 from carina.case.document import Document, Target
 from carina.case.routes import ChosenRoute, route_to_branch
 from carina.errors import NoResultError, UsageError
-from carina.session.core import SessionCore
 from carina.session.jobs import Job
 from carina.session.snapshot import Said
 from carina.session.subject import Subject, does
@@ -21,10 +19,6 @@ __all__ = ["Routing"]
 class Routing(Subject):
     """Where the flight leads to."""
 
-    def __init__(self, core: SessionCore) -> None:
-        super().__init__(core)
-        self._target_numbers = itertools.count(1)
-
     @does(c.AddTarget)
     def add_target(self, command: c.AddTarget) -> str:
         """Track to a point, as a job, and take it as the route.
@@ -34,7 +28,8 @@ class Routing(Subject):
         """
         case = self.core.needed_case()
         case.check_inside(command.lps)
-        number = next(self._target_numbers)
+        with self.core.lock:
+            number = case.next_number("target")
         target = Target(target_id=f"target-{number}", name=f"Target {number}", lps=command.lps)
 
         def work(job: Job) -> None:

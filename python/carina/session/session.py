@@ -27,7 +27,9 @@ from carina.session.parts import Parts, RendererFactory
 from carina.session.questions import CaseQuestions
 from carina.session.recent import LocalStore
 from carina.session.recording import FlightRecording
+from carina.session.records import CaseRecords
 from carina.session.routing import Routing
+from carina.session.saving import KeptFiles, Saving
 from carina.session.scene import ShownCase
 from carina.session.snapshot import KeysInfo, PoseInfo, Snapshot
 from carina.session.subject import handlers_of
@@ -54,6 +56,8 @@ class Session:
         Seconds, monotonic.
     today
         The date, ISO, for the list of recent cases.
+    records, files
+        Where cases are kept, and how their files are made and opened; without both nothing is kept.
 
     Notes
     -----
@@ -71,6 +75,8 @@ class Session:
         submit: Callable[[Callable[[], None]], object] | None = None,
         clock: Callable[[], float] = time.monotonic,
         today: Callable[[], str] = lambda: time.strftime("%Y-%m-%d"),
+        records: CaseRecords | None = None,
+        files: KeptFiles | None = None,
     ) -> None:
         core = SessionCore(renderer_factory, parts=parts, store=store, submit=submit, clock=clock, today=today)
         holding, finding, editing = ScopeHolding(core), AirwayFinding(core), TreeEditing(core)
@@ -78,7 +84,9 @@ class Session:
         recording = FlightRecording(core, holding)
         self._core, self._keys, self._recording = core, keys, recording
         self._devices = Devices(core, recording, self.do)
-        opening = Opening(core, finding, recording)
+        self._saving = Saving(core, records, files)
+        core.saving = lambda: self._saving.info
+        opening = Opening(core, finding, recording, holding, self._saving)
         # In this order: a recording's time before what follows, an edit's airways before who reads them.
         core.before_document += [recording.tick, editing.unfold]
         core.after_document += [
@@ -88,7 +96,7 @@ class Session:
         looking = Looking(core)
         subjects = (
             opening, Flying(core, holding), looking, Routing(core), finding, editing, keys, recording,
-            self._devices, holding, CaseQuestions(core),
+            self._devices, holding, self._saving, CaseQuestions(core),
         )  # fmt: skip
         self._handlers: dict[type[Any], Callable[[Any], Any]] = {
             cls: looking.set_field for cls in all_commands() if cls.sets is not None
@@ -117,7 +125,9 @@ class Session:
         handler = self._handlers.get(type(command))
         if handler is None or not isinstance(command, Command):
             raise UsageError(f"expected a command of carina.commands; found {type(command).__name__}")
-        return cast("str | None", handler(checked(command)))
+        command = checked(command)
+        with self._core.doing(command):
+            return cast("str | None", handler(command))
 
     def ask(self, question: Question[A]) -> A:
         """Answer a question of :mod:`carina.commands.questions`; nothing changes.
@@ -188,4 +198,5 @@ class Session:
     def close(self) -> None:
         """End a recording, stop all jobs and give the threads back."""
         self._recording.stop()
+        self._saving.close()
         self._core.close()

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+import msgspec
 
 from carina.case.document import Document
+from carina.case.history import Step
 from carina.commands import DeviceControls, KeyFlying
 from carina.commands.fields import BranchId, Key, Words
 from carina.display import one_line
@@ -29,6 +32,7 @@ __all__ = [
     "NotEvident",
     "PoseInfo",
     "Said",
+    "SavingInfo",
     "ShownKeyFrame",
     "Snapshot",
     "Stage",
@@ -38,7 +42,7 @@ __all__ = [
 
 Stage = Literal["empty", "opening", "ready"]
 AirwayStatus = Literal["none", "waiting", "finding", "found", "failed"]
-Topic = Literal["state", "tree", "route", "pose", "start", "views", "keys"]
+Topic = Literal["state", "tree", "route", "pose", "start", "views", "keys", "history"]
 
 
 @one_line
@@ -116,6 +120,36 @@ class MaskQuestion:
     """How much of the structure lies in the scan, 0 to 1."""
 
 
+class SavingInfo(FrozenValue, frozen=True):
+    """What of the case is on the disk. Times are seconds since 1970."""
+
+    keeps: bool = False
+    """The case is kept; false for one that nobody could find again, and where nothing is kept."""
+    saved_s: float | None = None
+    """When it was written last."""
+    begun_s: float | None = None
+    """When the case was begun."""
+    problem: Words | None = None
+    """Why nothing can be written at present."""
+    copied_s: float | None = None
+    """When the copy was written that a person asked for."""
+    copy_name: Words | None = None
+    copy_folder: Words | None = None
+    copy_problem: Words | None = None
+    suggested: Words | None = None
+    """A place for the copy, where it has none."""
+
+    def with_(self, **values: Any) -> SavingInfo:
+        """The same with other fields."""
+        return msgspec.structs.replace(self, **values)
+
+    @property
+    def shown(self) -> tuple[Any, ...]:
+        """What a window shows of it, where times are minutes."""
+        minutes = [None if s is None else int(s // 60.0) for s in (self.saved_s, self.copied_s)]
+        return (*minutes, self.keeps, self.problem, self.copy_name, self.copy_folder, self.copy_problem)
+
+
 @one_line
 @dataclass(frozen=True, slots=True)
 class Snapshot:
@@ -130,10 +164,15 @@ class Snapshot:
     sight: Sight = Sight()
     undo_label: str | None = None
     redo_label: str | None = None
+    steps: tuple[Step[Document], ...] = ()
+    """All that was done and can be taken back, or done again."""
+    position: int = 0
+    """How many of them hold."""
     transfer_presets: tuple[str, ...] = ()
     measures: TreeMeasures | None = None
     """What the document's airways measure; None until it is known."""
     mask_question: MaskQuestion | None = None
+    saving: SavingInfo = SavingInfo()
 
 
 @one_line

@@ -14,6 +14,7 @@ import { below } from "../state/tree-index";
 import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
 import { Icon } from "./icons";
+import { ListHead } from "./ListHead";
 import { ListToolTag } from "./ToolTag";
 import { UncertainPlaces } from "./UncertainPlaces";
 
@@ -65,7 +66,7 @@ export function BranchList() {
   if (tree === null) {
     return (
       <section className="branches" aria-label="Airways">
-        <h2>Airways</h2>
+        <ListHead />
         <p className="empty">{sentence(words)}</p>
         {failed ? (
           <div className="mend">
@@ -84,9 +85,9 @@ export function BranchList() {
   const count = filtered === null ? tree.byId.size : filtered.hits.length;
   return (
     <section className="branches" aria-label="Airways">
-      <h2>
-        Airways <ListToolTag /> <span className="quiet numbers">{plural(count, "branch", "branches")}</span>
-      </h2>
+      <ListHead>
+        <ListToolTag /> <span className="quiet numbers">{plural(count, "branch", "branches")}</span>
+      </ListHead>
       <BranchSearch value={search} onChange={setSearch} />
       <RowStyles tree={tree} />
       {filtered !== null && filtered.hits.length === 0 ? (

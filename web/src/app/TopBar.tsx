@@ -9,6 +9,7 @@ import { STEP_WORDS, STEPS } from "../state/steps";
 import type { CaseNote } from "../wire/messages";
 import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
+import { SavedWords } from "./SavedWords";
 
 const NONE: readonly CaseNote[] = [];
 
@@ -24,6 +25,7 @@ export function TopBar() {
     <header className="top-bar">
       <h1>Carina</h1>
       <p className="case-title">{title}</p>
+      <SavedWords />
       {isHu ? null : (
         <Tip words={reason ?? "This volume is not in Hounsfield units."}>
           <Button className="badge warning" onPress={() => station.ui({ step: "check" })} data-testid="not-hu">

@@ -6,9 +6,11 @@ import { AirwayStage } from "./AirwayStage";
 import { BranchList } from "./BranchList";
 import { useApp } from "./context";
 import { DevicePanel } from "./DevicePanel";
+import { HistoryList } from "./HistoryList";
 import { KeyPanel } from "./KeyPanel";
 import { DropChoice, MaskDialog } from "./MaskImport";
 import { PathBar } from "./PathBar";
+import { SaveDialog } from "./SaveDialog";
 import { SideViews } from "./SideViews";
 import { StatusBar } from "./StatusBar";
 import { StepPanel } from "./StepPanel";
@@ -19,6 +21,7 @@ export function WorkstationPage() {
   const full = useApp((state) => state.ui.full);
   const devicesOpen = useApp((state) => state.ui.devicesOpen);
   const keysOpen = useApp((state) => state.ui.keysOpen);
+  const list = useApp((state) => state.ui.list);
   const armed = useApp((state) => state.ui.armed);
   const lost = useApp((state) => state.connection.status === "lost" || state.connection.status === "refused");
   return (
@@ -32,7 +35,7 @@ export function WorkstationPage() {
     >
       <TopBar />
       <aside className="left-panel">
-        <BranchList />
+        {list === "history" ? <HistoryList /> : <BranchList />}
         {devicesOpen ? <DevicePanel /> : keysOpen ? <KeyPanel /> : <StepPanel />}
       </aside>
       <main className="pictures">
@@ -43,6 +46,7 @@ export function WorkstationPage() {
       <StatusBar />
       <DropChoice />
       <MaskDialog />
+      <SaveDialog />
     </div>
   );
 }

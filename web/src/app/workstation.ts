@@ -280,6 +280,15 @@ export class Workstation implements Station {
     await this.#take(() => fetchKeyFrames(AbortSignal.timeout(DOWNLOAD_WITHIN_MS)));
   }
 
+  /** Refreshes the copy that has a name; a case without one gets it in a dialogue. */
+  save(): void {
+    const saving = this.state.session?.saving;
+    if (saving?.keeps !== true)
+      this.notice("This case was not opened from a folder or file of this machine: it is not kept.");
+    else if (saving.copy_name === null) this.ui({ saveOpen: true });
+    else this.send({ type: "save_case" });
+  }
+
   // ------------------------------------------------------------------ flight
 
   goTo = (mm: number): void => {
@@ -526,6 +535,8 @@ export class Workstation implements Station {
     devices: () => this.toggleDevices(),
     add_key: () => this.addKey(),
     key_frames: () => this.#showKeys(!this.state.ui.keysOpen),
+    save: () => this.save(),
+    history: () => this.ui({ list: this.state.ui.list === "history" ? "airways" : "history" }),
     key_card: () => this.ui({ keyCardOpen: !this.state.ui.keyCardOpen }),
     wall_point: () => this.#wallPointAhead(),
     leave: () => {

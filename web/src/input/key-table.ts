@@ -45,6 +45,8 @@ export type Action =
   | "window_bone"
   | "undo"
   | "redo"
+  | "save"
+  | "history"
   | "add_key"
   | "key_frames"
   | "lock_mouse"
@@ -258,7 +260,15 @@ const PAGE: readonly Binding[] = [
   },
   { place: "page", key: "a", label: "A", words: "Roll to the left", group: "Look", command: hold("roll", -1) },
   { place: "page", key: "d", label: "D", words: "Roll to the right", group: "Look", command: hold("roll", 1) },
-  { place: "page", key: "h", label: "H", words: "Level the horizon", group: "Look", command: press("level_horizon") },
+  {
+    place: "page",
+    key: "h",
+    shift: false,
+    label: "H",
+    words: "Level the horizon",
+    group: "Look",
+    command: press("level_horizon"),
+  },
   {
     place: "page",
     key: "f",
@@ -375,6 +385,25 @@ const PAGE: readonly Binding[] = [
     words: "Redo",
     group: "Plan",
     command: press("redo"),
+  },
+  {
+    place: "page",
+    key: "s",
+    ctrl: true,
+    shift: false,
+    label: "Ctrl+S",
+    words: "Save a copy of the case under a name, or refresh it",
+    group: "Plan",
+    command: press("save"),
+  },
+  {
+    place: "page",
+    key: "h",
+    shift: true,
+    label: "Shift+H",
+    words: "History: what was done, to go back to",
+    group: "Plan",
+    command: press("history"),
   },
   {
     place: "page",

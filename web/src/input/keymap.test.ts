@@ -67,8 +67,9 @@ describe("the keys", () => {
 
   it("that are not Carina's stay with the browser", () => {
     for (const key of ["5", "Tab", "F5", "PageDown", "Home", "Enter", "9"]) expect(bindingOf(press(key))).toBeNull();
+    // Ctrl+S would save the page, which holds nothing of the case: it is Carina's.
     for (const key of ["w", "s", "d", "f", "n", "p", "t"]) {
-      expect(bindingOf(press(key, { ctrlKey: true })), `Ctrl+${key}`).toBeNull();
+      if (key !== "s") expect(bindingOf(press(key, { ctrlKey: true })), `Ctrl+${key}`).toBeNull();
       expect(bindingOf(press(key, { altKey: true })), `Alt+${key}`).toBeNull();
     }
   });

@@ -34,6 +34,17 @@ const EMPTY: StateMessage = {
   airways_from: null,
   badges: [],
   mask_question: null,
+  saving: {
+    keeps: false,
+    saved_s: null,
+    begun_s: null,
+    problem: null,
+    copied_s: null,
+    copy_name: null,
+    copy_folder: null,
+    copy_problem: null,
+    suggested: null,
+  },
 };
 
 const OPEN: StateMessage = {

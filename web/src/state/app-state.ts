@@ -8,6 +8,7 @@ import {
   FIRST_LOOK,
   FIRST_SIGHT,
   type GreyWindow,
+  type HistoryMessage,
   type KeysMessage,
   type Look,
   type NoEvidenceMessage,
@@ -101,6 +102,10 @@ export interface Ui {
   /** The point of the patient under it, where the picture tells. */
   readonly pointedLps: Vec3 | null;
   readonly keyCardOpen: boolean;
+  /** The dialogue that gives the case a name and a place. */
+  readonly saveOpen: boolean;
+  /** Which list stands at the top of the left column. */
+  readonly list: "airways" | "history";
   /** The panel of input devices stands in the place of the step's. */
   readonly devicesOpen: boolean;
   /** So does the panel of key frames. */
@@ -158,6 +163,8 @@ export interface AppState {
   readonly pen: PenMessage | null;
   /** The key frames, and the flight through them. */
   readonly keys: KeysMessage | null;
+  /** What was done, and how much of it holds. */
+  readonly history: HistoryMessage | null;
   /** The flight through them, as it is played here. */
   readonly playing: Playing;
   /** How fast the tip moves, mm/s; null at rest. */
@@ -200,6 +207,7 @@ export const INITIAL_STATE: AppState = {
   devices: null,
   pen: null,
   keys: null,
+  history: null,
   playing: NOT_PLAYING,
   speedMmS: null,
   ui: {
@@ -218,6 +226,8 @@ export const INITIAL_STATE: AppState = {
     cursor: null,
     pointedLps: null,
     keyCardOpen: false,
+    saveOpen: false,
+    list: "airways",
     devicesOpen: false,
     keysOpen: false,
     autoSpeedMmS: AUTO_SPEED_MM_S,
@@ -359,6 +369,8 @@ function receive(state: AppState, message: ServerMessage, nowMs: number): AppSta
       return { ...state, pen: message.device === null ? null : message };
     case "keys":
       return { ...state, keys: message };
+    case "history":
+      return { ...state, history: message };
     case "cluster":
       return { ...state, cluster: message };
   }
@@ -369,11 +381,11 @@ function sessionChanged(state: AppState, session: StateMessage, nowMs: number): 
   const now = session.case;
   let next: AppState = { ...state, session };
   if (now === null && before !== null) {
-    next = { ...next, ...NOTHING_SHOWN, devices: null, pen: null, keys: null, speedMmS: null };
+    next = { ...next, ...NOTHING_SHOWN, devices: null, pen: null, keys: null, history: null, speedMmS: null };
     next = { ...next, frames: {}, picks: [], pose: null, route: null, tree: null, status: null, local: NOTHING_LOCAL };
     next = {
       ...next,
-      ui: { ...next.ui, ...NOTHING_HELD, full: null, advancing: false, keysOpen: false, step: "open" },
+      ui: { ...next.ui, ...NOTHING_HELD, full: null, advancing: false, keysOpen: false, saveOpen: false, step: "open" },
     };
   } else if (now !== null && caseKey(state.session) !== caseKey(session)) {
     const hasFindings = now.quality.length + now.warnings.length > 0 || !now.is_hu;

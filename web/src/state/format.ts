@@ -71,3 +71,18 @@ export function methodWords(made: string | null, asked: "leap" | "brute"): strin
   if (method !== "brute") return "cut-plane";
   return asked === "leap" ? "brute force until leaping is ready" : "brute force";
 }
+
+/** The time of day of a moment, seconds since 1970; with the date where it is not today. */
+export function clock(sinceEpochS: number, nowMs: number): string {
+  const then = new Date(1000 * sinceEpochS);
+  const time = `${String(then.getHours()).padStart(2, "0")}:${String(then.getMinutes()).padStart(2, "0")}`;
+  const day = (date: Date) =>
+    `${date.getFullYear()}-${String(date.getMonth() + 1).padStart(2, "0")}-${String(date.getDate()).padStart(2, "0")}`;
+  return day(then) === day(new Date(nowMs)) ? time : `${day(then)} ${time}`;
+}
+
+/** A time since something began: `12:05 min`. */
+export function agoWords(seconds: number): string {
+  const whole = Math.round(seconds);
+  return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")} min`;
+}

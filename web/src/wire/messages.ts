@@ -56,6 +56,21 @@ export interface RedoMessage {
   readonly type: "redo";
 }
 
+/** Write the case as one whole file, which is kept up to date while the case is open.
+
+    Nothing needs it against loss: what is done is always kept on this machine. */
+export interface SaveCaseMessage {
+  readonly type: "save_case";
+  readonly path?: string | null;
+  readonly replace?: boolean;
+}
+
+/** Have so many steps of the history hold, from 0: others are taken back, or done again. */
+export interface GoToStepMessage {
+  readonly type: "go_to_step";
+  readonly step: number;
+}
+
 /** A device was unplugged. */
 export interface DeviceGoneMessage {
   readonly type: "device_gone";
@@ -794,6 +809,19 @@ export interface MaskQuestion {
   readonly share_inside: number | null;
 }
 
+/** What of the case is on the disk. Times are seconds since 1970. */
+export interface SavingInfo {
+  readonly keeps: boolean;
+  readonly saved_s: number | null;
+  readonly begun_s: number | null;
+  readonly problem: string | null;
+  readonly copied_s: number | null;
+  readonly copy_name: string | null;
+  readonly copy_folder: string | null;
+  readonly copy_problem: string | null;
+  readonly suggested: string | null;
+}
+
 /** All that is shown, but the pose, the tree and the route. */
 export interface StateMessage {
   readonly type: "state";
@@ -817,6 +845,20 @@ export interface StateMessage {
   readonly airways_from: "mask" | "search" | null;
   readonly mask_question: MaskQuestion | null;
   readonly badges: readonly CaseNote[];
+  readonly saving: SavingInfo;
+}
+
+/** Something that was done and can be taken back. */
+export interface HistoryStep {
+  readonly label: string;
+  readonly at_s: number;
+}
+
+/** What was done, the oldest first, when it changed. */
+export interface HistoryMessage {
+  readonly type: "history";
+  readonly steps: readonly HistoryStep[];
+  readonly step: number;
 }
 
 /** A branch along the route. */
@@ -1352,6 +1394,8 @@ export type ClientMessage =
   | CancelMessage
   | UndoMessage
   | RedoMessage
+  | SaveCaseMessage
+  | GoToStepMessage
   | DeviceGoneMessage
   | TakeDeviceMessage
   | SetControlMessage
@@ -1422,6 +1466,7 @@ export type ServerMessage =
   | ServerHelloMessage
   | StartMessage
   | StateMessage
+  | HistoryMessage
   | RouteMessage
   | PoseMessage
   | ProgressMessage

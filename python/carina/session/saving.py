@@ -1,0 +1,437 @@
+"""Keeping the open case on the disk: at most two seconds behind, and at once before anything risky."""
+
+from __future__ import annotations
+
+import logging
+import sqlite3
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from carina import commands as c
+from carina.case.moment import Moment
+from carina.disk import disk_trouble
+from carina.display import one_line
+from carina.errors import CarinaError, UsageError
+from carina.session.case import OpenCase, moment_of
+from carina.session.core import SessionCore
+from carina.session.jobs import Job
+from carina.session.records import CaseRecord, CaseRecords, HeldCase
+from carina.session.snapshot import Changed, Said, SavingInfo, Trouble
+from carina.session.subject import Subject, does
+
+if TYPE_CHECKING:
+    from carina.session.core import Event
+    from carina.volume import Volume
+
+__all__ = ["KeptFile", "KeptFiles", "Reopened", "Saving"]
+
+logger = logging.getLogger(__name__)
+
+DECIDED_WITHIN_S = 0.4
+"""What a person did is written this soon; what follows within that time goes along."""
+MOVED_WITHIN_S = 1.5
+"""A tip that only moves is written this often."""
+RETRY_S = 2.0
+SLOW_S = 2.5
+"""A disk that takes longer is told of, since what it has not taken could be lost."""
+COPY_EVERY_S = 60.0
+CLOSING_S = 20.0
+SUFFIX = ".carina"
+
+
+class KeptFile(Protocol):
+    """A case file: :class:`carina.case.CaseFile`."""
+
+    @property
+    def digest(self) -> str:
+        """Of the CT."""
+
+    def save(self, moment: Moment) -> None:
+        """Write what is new."""
+
+    def load(self, volume: Volume) -> Moment:
+        """What was written last."""
+
+    def write_copy(self, path: Path, *, ct_place: str | None) -> None:
+        """One whole file elsewhere, with the relative way from it to its CT."""
+
+    def close(self) -> None:
+        """Nothing more is written."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class KeptFiles:
+    """How case files are made and opened, and how a CT is known again."""
+
+    create: Callable[[Path, Volume, str], KeptFile]
+    """``create(path, volume, digest)``."""
+    open: Callable[[Path], KeptFile]
+    digest: Callable[[Volume], str]
+
+
+@one_line
+@dataclass(slots=True)
+class Reopened:
+    """A case that was kept, while its CT is read."""
+
+    held: HeldCase
+    file: KeptFile
+
+
+class Between:
+    """One case has been given back; the next one is found, and attached or given back."""
+
+    def __init__(self, saving: Saving) -> None:
+        self._saving = saving
+        self._digest: str | None = None
+        self._reopened: Reopened | None = None
+
+    def take(self, digest: str | None) -> Reopened | None:
+        """Own what was kept of a CT."""
+        self._digest = digest
+        records = self._saving.records
+        record = None if records is None or digest is None else records.newest_of(digest)
+        self._reopened = None if record is None else self._saving.opened(record)
+        return self._reopened
+
+    def reopened(self, volume: Volume) -> Moment | None:
+        """What was kept of this CT, wherever its files lie now; None where nothing was, or nothing can be read."""
+        reopened = self.take(self._saving.digest_of(volume))
+        if reopened is None:
+            return None
+        try:
+            return reopened.file.load(volume)
+        except (OSError, sqlite3.Error, CarinaError) as trouble:
+            self._saving.say_unreadable(reopened.held, trouble)
+        self.give_back()
+        return None
+
+    def attach(self, case: OpenCase, place: str | None) -> None:
+        """From now on this case is kept; with the session locked."""
+        reopened, self._reopened = self._reopened, None
+        if self._digest is not None:
+            self._saving.attach(case, place, self._digest, reopened)
+
+    def give_back(self) -> None:
+        """What was kept is not shown after all."""
+        reopened, self._reopened = self._reopened, None
+        if reopened is not None:
+            reopened.file.close()
+            reopened.held.release()
+
+
+@dataclass(slots=True)
+class _Kept:
+    """The open case and where it is kept; the thread's alone, but for ``case``."""
+
+    case: OpenCase
+    place: str | None
+    digest: str
+    held: HeldCase | None = None
+    file: KeptFile | None = None
+
+
+class Saving(Subject):
+    """One thread that writes; whoever changes something only wakes it.
+
+    Parameters
+    ----------
+    core
+        Of the session.
+    records
+        The cases of this person; None keeps nothing.
+    files
+        How case files are made and opened.
+    """
+
+    def __init__(self, core: SessionCore, records: CaseRecords | None, files: KeptFiles | None) -> None:
+        super().__init__(core)
+        self.records = records
+        self._files = files
+        self._kept: _Kept | None = None
+        self._wake = threading.Condition()
+        self._writing = threading.Lock()
+        self._changed_s: float | None = None
+        self._within_s = MOVED_WITHIN_S
+        self._ended = False
+        self._telling = False
+        """What changes now is only what is said about saving."""
+        self._retry_s = float("-inf")
+        self._thread: threading.Thread | None = None
+        self._info = SavingInfo()
+        if records is not None:
+            core.subscribe(self._hear)
+
+    # ------------------------------------------------------------ opening and closing
+
+    @contextmanager
+    def between(self) -> Iterator[Between]:
+        """While another case takes the place of this one; where that fails, this one is kept on."""
+        before = self._kept
+        self.let_go()
+        between = Between(self)
+        try:
+            yield between
+        except BaseException:
+            between.give_back()
+            if before is not None:
+                with self.core.lock:
+                    again = Between(self)
+                    again.take(before.digest)
+                    again.attach(before.case, before.place)
+            raise
+
+    def opened(self, record: CaseRecord) -> Reopened | None:
+        """A case that was kept, owned from now on; None, said, where it is not to be had."""
+        assert self.records is not None
+        assert self._files is not None
+        held = self.records.hold(record)
+        if held is None:
+            self.core.emit(
+                Said("this CT is open in another window of Carina; what is done here is kept as a case of its own")
+            )
+            return None
+        try:
+            if held.path.exists():
+                return Reopened(held, self._files.open(held.path))
+        except (OSError, sqlite3.Error, CarinaError) as trouble:
+            self.say_unreadable(held, trouble)
+        held.release()
+        return None
+
+    def say_unreadable(self, held: HeldCase, trouble: BaseException) -> None:
+        """Nothing of it is lost, but nothing is shown."""
+        self.core.emit(
+            Trouble(
+                "case.unreadable",
+                f"the work that was saved for this CT could not be read: {trouble}. Its file is unchanged: "
+                f"{held.path}. This is a new case of the same CT.",
+            )
+        )
+
+    def digest_of(self, volume: Volume) -> str | None:
+        """What a CT is known by; None where nothing is kept."""
+        return None if self._files is None or self.records is None else self._files.digest(volume)
+
+    def attach(self, case: OpenCase, place: str | None, digest: str, reopened: Reopened | None) -> None:
+        """From now on this case is kept; with the session locked."""
+        assert self.records is not None
+        kept = _Kept(case, place, digest)
+        documents = self.records.documents
+        # No title and no date: a name that a person chooses tells more than either, and gives away less.
+        suggested = None if documents is None else str(documents / f"case{SUFFIX}")
+        info = SavingInfo(keeps=True, suggested=suggested)
+        if reopened is not None:
+            record = reopened.held.record
+            kept.held, kept.file = reopened.held, reopened.file
+            case.begun_s = self.core.clock() - max(0.0, self.records.now_s() - record.begun_s)
+            copy = None if record.copy_path is None else Path(record.copy_path)
+            info = SavingInfo(
+                keeps=True,
+                saved_s=record.used_s,
+                begun_s=record.begun_s,
+                copied_s=record.copied_s,
+                copy_name=None if copy is None else copy.name,
+                copy_folder=None if copy is None else str(copy.parent),
+                suggested=suggested,
+            )
+        with self._wake:
+            self._kept, self._info, self._changed_s = kept, info, None
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="carina-saving", daemon=True)
+                self._thread.start()
+
+    def let_go(self) -> None:
+        """Write what is not written yet, and give the case back; another is opened, or none."""
+        kept = self._kept
+        if kept is None:
+            return
+        self.write_now()
+        with self._writing:
+            if self._changed_s is not None and self._info.problem is not None:
+                self.core.emit(Trouble("case.not-saved", f"the last changes were not saved: {self._info.problem}"))
+            if kept.file is not None:
+                self._refresh_copy(kept, now=True)
+                kept.file.close()
+            if kept.held is not None:
+                kept.held.release()
+            with self._wake:
+                self._kept, self._info, self._changed_s = None, SavingInfo(), None
+
+    def close(self) -> None:
+        """Write the rest, and end the thread."""
+        self.let_go()
+        with self._wake:
+            self._ended = True
+            self._wake.notify_all()
+        if self._thread is not None:
+            self._thread.join(CLOSING_S)
+
+    @property
+    def info(self) -> SavingInfo:
+        """What is saved, for the window."""
+        return self._info
+
+    # ------------------------------------------------------------ when
+
+    def _hear(self, event: Event) -> None:
+        """Something has changed; with the session locked."""
+        kept = self._kept
+        if kept is None or self._telling or not isinstance(event, Changed) or self.core.case is not kept.case:
+            return
+        with self._wake:
+            within_s = MOVED_WITHIN_S if event.topics <= {"pose", "views"} else DECIDED_WITHIN_S
+            if self._changed_s is None:
+                self._changed_s, self._within_s = self.core.clock(), within_s
+            elif within_s < self._within_s:
+                self._within_s = within_s
+            self._wake.notify_all()
+
+    def _wait_s(self) -> float | None:
+        """Until something is to be written; None: nothing is. With ``_wake`` held."""
+        if self._kept is None or self._changed_s is None:
+            return None
+        return max(self._changed_s + self._within_s, self._retry_s) - self.core.clock()
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                while not self._ended and ((wait_s := self._wait_s()) is None or wait_s > 0.0):
+                    self._wake.wait(wait_s)
+                if self._ended:
+                    return
+            self.write()
+
+    def write_now(self) -> bool:
+        """Write what is not written yet, before anything risky; whether all is on the disk then."""
+        self.write()
+        return self._changed_s is None
+
+    # ------------------------------------------------------------ writing
+
+    def write(self) -> None:
+        """Write the newest moment, if there is a newer one."""
+        with self._writing:
+            kept = self._kept
+            with self._wake:
+                if kept is None or self._changed_s is None:
+                    return
+                changed_s, self._changed_s = self._changed_s, None
+            watch = threading.Timer(SLOW_S, self._slow)
+            watch.daemon = True
+            watch.start()
+            try:
+                self._write(kept)
+            except (OSError, sqlite3.Error, CarinaError) as trouble:
+                with self._wake:
+                    self._changed_s = changed_s if self._changed_s is None else min(changed_s, self._changed_s)
+                    self._retry_s = self.core.clock() + RETRY_S
+                self._tell(problem=_words(trouble))
+            finally:
+                watch.cancel()
+
+    def _write(self, kept: _Kept) -> None:
+        assert self.records is not None
+        assert self._files is not None
+        volume = kept.case.info.volume
+        if kept.held is None:
+            kept.held = self.records.begin(kept.digest, kept.place, volume.source.title)
+        if kept.file is None:
+            kept.file = self._files.create(kept.held.path, volume, kept.digest)
+        with self.core.lock:
+            moment = moment_of(kept.case)
+        kept.file.save(moment)
+        now_s = self.records.now_s()
+        kept.held.note(used_s=now_s, place=kept.place or kept.held.record.place, num_changes=moment.position)
+        self._tell(problem=None, saved_s=now_s, begun_s=kept.held.record.begun_s)
+        self._refresh_copy(kept)
+
+    def _refresh_copy(self, kept: _Kept, *, now: bool = False) -> None:
+        """The copy that a person asked for follows, once a minute and when the case is closed."""
+        assert self.records is not None
+        if kept.held is None or kept.held.record.copy_path is None or kept.file is None:
+            return
+        record = kept.held.record
+        written_s, copied_s = record.used_s, record.copied_s or 0.0
+        if written_s <= copied_s or not (now or self.records.now_s() - copied_s >= COPY_EVERY_S):
+            return
+        try:
+            self._copy(kept, Path(record.copy_path or ""))
+        except (OSError, sqlite3.Error, CarinaError) as trouble:
+            self._tell(copy_problem=_words(trouble))
+
+    def _copy(self, kept: _Kept, path: Path) -> None:
+        """With ``_writing`` held."""
+        assert kept.file is not None
+        assert kept.held is not None
+        assert self.records is not None
+        place = kept.held.record.place
+        kept.file.write_copy(path, ct_place=None if place is None or place.startswith("demo:") else place)
+        now_s = self.records.now_s()
+        kept.held.note(copy_path=str(path), copied_s=now_s)
+        self._tell(copied_s=now_s, copy_name=path.name, copy_folder=str(path.parent), copy_problem=None)
+
+    def _slow(self) -> None:
+        self._tell(problem="the disk has not answered for some seconds; Carina keeps trying")
+
+    def _tell(self, **values: object) -> None:
+        before = self._info
+        self._info = before.with_(**values)
+        if self._info.shown != before.shown:
+            with self.core.lock:
+                self._telling = True
+                try:
+                    self.core.changed("state")
+                finally:
+                    self._telling = False
+
+    # ------------------------------------------------------------ a place of its own
+
+    @does(c.SaveCase)
+    def save_case(self, command: c.SaveCase) -> str:
+        """Give the case a name and a place, as a job; without a path, refresh the copy that has one."""
+        self.core.needed_case()
+        kept = self._kept
+        if kept is None:
+            raise UsageError("this case is not kept on this machine, so it cannot be saved", code="case.not-kept")
+        known = None if kept.held is None else kept.held.record.copy_path
+        if command.path is None and known is None:
+            raise UsageError("this case has no place yet: choose a folder and a name", code="case.no-place")
+        path = Path(known or "") if command.path is None else _with_suffix(Path(command.path).expanduser())
+        if not path.is_absolute():
+            raise UsageError(f"the full path is needed, such as C:\\cases\\NAME or /home/NAME; found {command.path}")
+        if command.path is not None and path.exists() and not command.replace and str(path) != known:
+            raise UsageError(f"there is a file already: {path}; choose another name, or replace it", code="case.exists")
+
+        def work(job: Job) -> None:
+            job.check()
+            if not self.write_now() and self._info.problem is not None:
+                # A copy elsewhere needs the live file; where that disk is full, say so rather than copy what is old.
+                raise CarinaError(f"the case could not be saved: {self._info.problem}", code="machine")
+            with self._writing:
+                if self._kept is not kept:
+                    return
+                try:
+                    self._copy(kept, path)
+                except OSError as trouble:
+                    raise disk_trouble(trouble, "cannot save the case", path) from trouble
+            self.core.emit(Said(f"saved as {path}"))
+
+        return self.core.jobs.start("save", "saving the case", work)
+
+
+def _with_suffix(path: Path) -> Path:
+    return path if path.suffix.lower() == SUFFIX else path.with_name(path.name + SUFFIX)
+
+
+def _words(trouble: BaseException) -> str:
+    if isinstance(trouble, CarinaError):
+        return str(trouble)
+    if isinstance(trouble, OSError):
+        return str(disk_trouble(trouble, "cannot save the case", None))
+    return f"cannot save the case: {trouble}"

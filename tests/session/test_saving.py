@@ -1,0 +1,309 @@
+"""A case is kept while it is open: at most two seconds behind, and shown again as it was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from carina import commands as c
+from carina.errors import CarinaError, UsageError
+from carina.session import Said, Session, Trouble
+from carina.session.records import CaseRecords
+from carina.session.saving import KeptFiles
+from small_case import LEFT_TIP, Background, Clock, SmallRenderer, small_parts
+
+
+class Wall:
+    """The time of day, in seconds since 1970."""
+
+    def __init__(self) -> None:
+        self.now_s = 1_800_000_000.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+class MemoryFile:
+    """What a case file does, kept in memory by its path."""
+
+    kept: dict[str, tuple[str, Any]] = {}  # noqa: RUF012 - one disk
+
+    def __init__(self, path: Path, digest: str) -> None:
+        self.path, self.digest = path, digest
+        self.num_saved = 0
+        self.refuses: OSError | None = None
+
+    def save(self, moment: Any) -> None:
+        if self.refuses is not None:
+            raise self.refuses
+        self.num_saved += 1
+        self.kept[str(self.path)] = (self.digest, moment)
+        self.path.write_text("kept")
+
+    def load(self, volume: Any) -> Any:
+        moment = self.kept[str(self.path)][1]
+        if moment is None:
+            raise CarinaError("the file is damaged", code="case.damaged")
+        return moment
+
+    def write_copy(self, path: Path, *, ct_place: str | None) -> None:
+        if self.refuses is not None:
+            raise self.refuses
+        path.write_text(f"copy of {self.digest}, {ct_place}")
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Desk:
+    """A workstation that is started, killed and started again over one disk."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.wall = folder, Wall()
+        self.digest = "one CT"
+        self.files: list[MemoryFile] = []
+
+    def start(self) -> Session:
+        self.background, self.clock = Background(), Clock()
+        self.events: list[Any] = []
+
+        def create(path: Path, volume: Any, digest: str) -> MemoryFile:
+            self.files.append(MemoryFile(path, digest))
+            return self.files[-1]
+
+        def reopen(path: Path) -> MemoryFile:
+            return create(path, None, MemoryFile.kept[str(path)][0])
+
+        self.session = Session(
+            SmallRenderer,
+            parts=small_parts(),
+            submit=self.background,
+            clock=self.clock,
+            records=CaseRecords(self.folder / "cases", self.wall),
+            files=KeptFiles(create, reopen, lambda _volume: self.digest),
+        )
+        self.session.subscribe(self.events.append)
+        return self.session
+
+    def open(self, path: str = "case") -> None:
+        self.session.do(c.OpenPath(path))
+        self.background.run_all()
+
+    def saved(self) -> None:
+        assert self.session._saving.write_now()
+
+    def kill(self) -> None:
+        """Nothing more is written; the system gives the lock back."""
+        kept = self.session._saving._kept
+        assert kept is not None
+        if kept.held is not None:
+            kept.held.release()
+        self.session._saving._kept = None
+
+
+@pytest.fixture
+def desk(tmp_path):
+    MemoryFile.kept.clear()
+    return Desk(tmp_path)
+
+
+def shown(session: Session) -> tuple[Any, ...]:
+    snapshot, pose = session.snapshot(), session.pose_info()
+    assert pose is not None
+    return (
+        snapshot.document,
+        snapshot.sight,
+        snapshot.undo_label,
+        snapshot.redo_label,
+        snapshot.mode,
+        snapshot.airways,
+        snapshot.airways_words,
+        pose.pose.lps_from_camera.tolist(),
+        pose.path_mm,
+    )
+
+
+def work(session: Session, background: Background) -> None:
+    session.do(c.AddTarget(LEFT_TIP))
+    background.run_all()
+    session.do(c.SetFov(100.0))
+    session.do(c.SetShading(False))
+    session.do(c.EditKeys(c.KeyAdd()))
+    session.do(c.SetOutline("octagon"))
+    session.do(c.Undo())
+    session.do(c.GoTo(12.0))
+
+
+def test_a_case_is_shown_again_as_it_was_without_looking_for_anything(desk):
+    session = desk.start()
+    desk.open()
+    work(session, desk.background)
+    before = shown(session)
+    session.close()
+    again = desk.start()
+    desk.open()
+    assert shown(again) == before
+    again.do(c.Redo())
+    assert again.snapshot().document.look.outline == "octagon"
+    assert again.history()[-1] == "outline of the picture"
+    again.do(c.AddTarget(LEFT_TIP))
+    desk.background.run_all()
+    assert again.snapshot().document.targets[-1].name == "Target 2"
+
+
+def test_after_a_crash_what_was_written_is_there(desk):
+    session = desk.start()
+    desk.open()
+    work(session, desk.background)
+    desk.saved()
+    before = shown(session)
+    session.do(c.SetFov(90.0))
+    desk.kill()
+    again = desk.start()
+    desk.open()
+    assert shown(again) == before
+
+
+def test_another_window_of_carina_does_not_write_into_the_same_case(desk, tmp_path):
+    desk.start()
+    desk.open()
+    desk.session.do(c.SetFov(100.0))
+    desk.saved()
+    other = Desk(tmp_path)
+    other.start()
+    other.open()
+    assert other.session.snapshot().document.look.fov_deg == 120.0
+    assert any("another window" in e.message for e in other.events if isinstance(e, Said))
+    other.session.do(c.SetFov(80.0))
+    other.saved()
+    assert len(list((tmp_path / "cases").iterdir())) == 2
+    other.session.close()
+    desk.session.close()
+
+
+def test_work_is_not_shown_with_another_ct_and_not_lost(desk):
+    session = desk.start()
+    desk.open()
+    work(session, desk.background)
+    session.close()
+    desk.digest = "another CT"
+    again = desk.start()
+    desk.open()
+    assert again.history() == ()
+    again.do(c.SetFov(100.0))
+    again.close()
+    assert len(MemoryFile.kept) == 2
+
+
+def test_a_ct_is_known_again_wherever_its_files_lie(desk):
+    session = desk.start()
+    desk.session.do(c.OpenFiles("dropped"))
+    desk.background.run_all()
+    session.do(c.SetFov(100.0))
+    assert session.snapshot().saving.keeps
+    session.close()
+    again = desk.start()
+    desk.open("elsewhere")
+    assert again.snapshot().document.look.fov_deg == 100.0
+    again.close()
+
+
+def test_work_that_cannot_be_read_is_said_and_left_as_it_is(desk):
+    session = desk.start()
+    desk.open()
+    session.do(c.SetFov(100.0))
+    session.close()
+    (path,) = MemoryFile.kept
+    again = desk.start()
+    MemoryFile.kept[path] = ("one CT", None)
+    desk.open()
+    assert again.history() == ()
+    (told,) = [e for e in desk.events if isinstance(e, Trouble)]
+    assert told.code == "case.unreadable"
+    assert path in told.message
+    again.close()
+
+
+def test_a_full_disk_is_said_and_work_goes_on_until_there_is_room(desk):
+    session = desk.start()
+    desk.open()
+    session.do(c.SetFov(100.0))
+    desk.saved()
+    saved_s = session.snapshot().saving.saved_s
+    assert saved_s == desk.wall.now_s
+    desk.wall.now_s += 60.0
+    desk.files[-1].refuses = OSError(28, "No space left on device")
+    session.do(c.SetFov(90.0))
+    assert not session._saving.write_now()
+    saving = session.snapshot().saving
+    assert "full" in saving.problem or "space" in saving.problem
+    assert saving.saved_s == saved_s
+    session.do(c.SetFov(85.0))
+    desk.files[-1].refuses = None
+    assert session._saving.write_now()
+    assert session.snapshot().saving.problem is None
+    session.close()
+    again = desk.start()
+    desk.open()
+    assert again.snapshot().document.look.fov_deg == 85.0
+
+
+def test_a_case_gets_a_name_and_a_place_and_follows_there(desk, tmp_path):
+    session = desk.start()
+    desk.open()
+    with pytest.raises(UsageError, match="choose a folder and a name"):
+        session.do(c.SaveCase())
+    session.do(c.SaveCase(str(tmp_path / "nodule")))
+    desk.background.run_all()
+    copy = tmp_path / "nodule.carina"
+    assert copy.exists()
+    assert session.snapshot().saving.copy_name == "nodule.carina"
+    copy.unlink()
+    desk.wall.now_s += 5.0
+    session.do(c.SaveCase())
+    desk.background.run_all()
+    assert copy.exists()
+    copy.write_text("of somebody else")
+    other = tmp_path / "other.carina"
+    other.write_text("there")
+    with pytest.raises(UsageError, match="there is a file already"):
+        session.do(c.SaveCase(str(other)))
+    session.do(c.SaveCase(str(other), replace=True))
+    desk.background.run_all()
+    assert other.read_text() != "there"
+    assert copy.read_text() == "of somebody else"
+
+
+def test_the_thread_writes_what_a_person_did(desk):
+    """Without anybody asking: the one test that waits for the thread itself."""
+    session = desk.start()
+    desk.open()
+    session.do(c.SetFov(100.0))
+    desk.clock.advance(5.0)
+    with session._saving._wake:
+        session._saving._wake.notify_all()
+    for _ in range(2000):
+        if session.snapshot().saving.saved_s is not None:
+            break
+        session._saving._thread.join(0.005)
+    assert session.snapshot().saving.saved_s == desk.wall.now_s
+    session.close()
+
+
+def test_several_steps_are_taken_back_at_once(desk):
+    session = desk.start()
+    desk.open()
+    for fov in (100.0, 90.0):
+        session.do(c.SetFov(fov))
+        desk.clock.advance(5.0)
+    session.do(c.SetOutline("octagon"))
+    session.do(c.GoToStep(1))
+    assert session.snapshot().document.look.fov_deg == 100.0
+    assert session.snapshot().redo_label == "field of view"
+    session.do(c.GoToStep(3))
+    assert session.snapshot().document.look.outline == "octagon"
+    with pytest.raises(UsageError, match="has 3 steps; found step 4"):
+        session.do(c.GoToStep(4))
+    session.close()

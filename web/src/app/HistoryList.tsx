@@ -1,0 +1,51 @@
+/** What was done to the case, the newest last; a click goes there, which takes back what is below, until it is done again. */
+
+import { useEffect, useRef } from "react";
+import { Button } from "react-aria-components";
+import { agoWords, clock, sentence } from "../state/format";
+import { useApp, useStation } from "./context";
+import { Tip } from "./controls";
+import { ListHead } from "./ListHead";
+
+export function HistoryList() {
+  const station = useStation();
+  const history = useApp((state) => state.history);
+  const begunS = useApp((state) => state.session?.saving.begun_s ?? null);
+  const here = useRef<HTMLLIElement>(null);
+  const step = history?.step ?? 0;
+  // biome-ignore lint/correctness/useExhaustiveDependencies: the row that holds is another one at each step
+  useEffect(() => here.current?.scrollIntoView({ block: "nearest" }), [step]);
+  const rows = [{ label: "Case opened", at_s: null }, ...(history?.steps ?? [])];
+  return (
+    <section className="branches history" aria-label="History">
+      <ListHead />
+      {rows.length === 1 ? (
+        <p className="empty">Nothing has been changed yet. What you change appears here, and can be gone back to.</p>
+      ) : (
+        <ol className="history-rows" data-testid="history">
+          {rows.map((row, n) => (
+            // biome-ignore lint/suspicious/noArrayIndexKey: a step is known by its place
+            <li key={n} ref={n === step ? here : undefined} data-undone={n > step || undefined}>
+              <Tip words={n > step ? "Do everything again up to here" : "Go back to here"}>
+                <Button
+                  className="history-row"
+                  aria-current={n === step ? "step" : undefined}
+                  onPress={() => station.send({ type: "go_to_step", step: n })}
+                >
+                  <span>{sentence(row.label)}</span>
+                  <span className="numbers quiet">
+                    {row.at_s === null
+                      ? ""
+                      : begunS === null
+                        ? agoWords(row.at_s)
+                        : clock(begunS + row.at_s, Date.now())}
+                  </span>
+                </Button>
+              </Tip>
+            </li>
+          ))}
+        </ol>
+      )}
+    </section>
+  );
+}

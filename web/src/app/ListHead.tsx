@@ -1,0 +1,34 @@
+/** The head of the list in the left column, where another list can be chosen. */
+
+import type { ReactNode } from "react";
+import { Button } from "react-aria-components";
+import { keyOf } from "../input/keymap";
+import { useApp, useStation } from "./context";
+import { Tip } from "./controls";
+
+const LISTS = [
+  { list: "airways", title: "Airways", words: "The branches of the airway tree" },
+  { list: "history", title: "History", words: "What was done, to go back to" },
+] as const;
+
+export function ListHead({ children }: { children?: ReactNode }) {
+  const station = useStation();
+  const shown = useApp((state) => state.ui.list);
+  return (
+    <h2 className="list-head">
+      {LISTS.map(({ list, title, words }) => (
+        <Tip key={list} words={words} keys={list === "history" ? keyOf("history") : undefined}>
+          <Button
+            className="list-choice"
+            aria-pressed={list === shown}
+            data-testid={`list-${list}`}
+            onPress={() => station.ui({ list })}
+          >
+            {title}
+          </Button>
+        </Tip>
+      ))}
+      {children}
+    </h2>
+  );
+}

@@ -1,0 +1,74 @@
+/** Where the case is to lie as one file, besides being kept on this machine. */
+
+import { useState } from "react";
+import { Button, Dialog, Form, Heading, Input, Label, Modal, ModalOverlay, TextField } from "react-aria-components";
+import { keyOf } from "../input/keymap";
+import type { SavingInfo } from "../wire/messages";
+import { useApp, useStation } from "./context";
+import { Act } from "./controls";
+
+export function SaveDialog() {
+  const station = useStation();
+  const open = useApp((state) => state.ui.saveOpen);
+  const saving = useApp((state) => state.session?.saving ?? null);
+  return (
+    <ModalOverlay
+      className="dialog-back"
+      isOpen={open && saving !== null}
+      isDismissable
+      onOpenChange={(saveOpen) => station.ui({ saveOpen })}
+    >
+      <Modal className="dialog save-dialog">
+        <Dialog data-testid="save-dialog">
+          <div className="dialog-head">
+            <Heading slot="title">Save the case as a file</Heading>
+            <Act
+              kind="icon"
+              icon="close"
+              words="Close"
+              keys={keyOf("leave")}
+              onPress={() => station.ui({ saveOpen: false })}
+            />
+          </div>
+          {saving?.keeps === true ? (
+            <Where saving={saving} />
+          ) : (
+            <p>This case was not opened from a folder or file of this machine, so it cannot be saved.</p>
+          )}
+        </Dialog>
+      </Modal>
+    </ModalOverlay>
+  );
+}
+
+function Where({ saving }: { saving: SavingInfo }) {
+  const station = useStation();
+  const known = saving.copy_name === null ? null : `${saving.copy_folder ?? ""}/${saving.copy_name}`;
+  const [path, setPath] = useState(known ?? saving.suggested ?? "");
+  return (
+    <Form
+      className="path-form"
+      onSubmit={(event) => {
+        event.preventDefault();
+        const isSame = path.trim() === known;
+        if (station.send({ type: "save_case", path: isSame ? null : path.trim() })) station.ui({ saveOpen: false });
+      }}
+    >
+      <p>
+        Carina saves what you do on this machine as you work. Here you can also write it as one file, to move it to
+        another machine or to hand it on. The file holds the airways, targets, key frames and history; it does not hold
+        the CT, a name or a date.
+      </p>
+      <TextField value={path} onChange={setPath} autoFocus>
+        <Label>Folder and name, on this machine</Label>
+        <Input spellCheck="false" autoComplete="off" data-testid="save-path" />
+      </TextField>
+      {saving.problem === null ? null : <p className="warning-text">{saving.problem}</p>}
+      <div className="dialog-actions">
+        <Button type="submit" className="button primary" isDisabled={path.trim() === ""} data-testid="save-now">
+          Save
+        </Button>
+      </div>
+    </Form>
+  );
+}

@@ -1,0 +1,25 @@
+/** What of the case is on the disk, said as it is. */
+
+import { Button } from "react-aria-components";
+import { keyOf } from "../input/keymap";
+import { savedWords } from "../state/saved-words";
+import { useApp, useStation } from "./context";
+import { Tip } from "./controls";
+
+export function SavedWords() {
+  const station = useStation();
+  const saving = useApp((state) => state.session?.saving ?? null);
+  const told = savedWords(saving, Date.now());
+  if (told === null) return null;
+  return (
+    <Tip words={told.words} keys={keyOf("save")}>
+      <Button
+        className={told.warns ? "saved badge warning" : "saved plain-text quiet"}
+        data-testid="saved"
+        onPress={() => station.ui({ saveOpen: true })}
+      >
+        {told.label}
+      </Button>
+    </Tip>
+  );
+}

@@ -1,0 +1,51 @@
+/** The words of the top bar about what is saved. */
+
+import type { SavingInfo } from "../wire/messages";
+import { clock } from "./format";
+
+export interface SavedWords {
+  readonly label: string;
+  /** More of it, in a tooltip. */
+  readonly words: string;
+  readonly warns: boolean;
+}
+
+/** Null while no case is open. */
+export function savedWords(saving: SavingInfo | null, nowMs: number): SavedWords | null {
+  if (saving === null) return null;
+  if (!saving.keeps) {
+    return {
+      label: "not saved",
+      words:
+        "This case was not opened from a folder or file of this machine, so it is not saved. Its airways and key frames can be downloaded under Share.",
+      warns: true,
+    };
+  }
+  if (saving.problem !== null) {
+    const last = saving.saved_s === null ? "nothing is saved yet" : `last saved ${clock(saving.saved_s, nowMs)}`;
+    return { label: `not saving: ${last}`, words: saving.problem, warns: true };
+  }
+  if (saving.saved_s === null)
+    return { label: "not changed", words: "Changes are saved as you make them.", warns: false };
+  const saved = `saved ${clock(saving.saved_s, nowMs)}`;
+  if (saving.copy_name === null || saving.copied_s === null) {
+    return {
+      label: saved,
+      words: "Saved on this machine as you work. Save a copy under a name of your own.",
+      warns: false,
+    };
+  }
+  if (saving.copy_problem !== null) {
+    return {
+      label: `${saved}, copy of ${clock(saving.copied_s, nowMs)} is old`,
+      words: saving.copy_problem,
+      warns: true,
+    };
+  }
+  const folder = (saving.copy_folder ?? "").split(/[/\\]/).at(-1) ?? "";
+  return {
+    label: `${saved} \u00b7 copy of ${clock(saving.copied_s, nowMs)} in ${folder}`,
+    words: `${saving.copy_folder ?? ""}: ${saving.copy_name}. It is refreshed every minute and when the case is closed.`,
+    warns: false,
+  };
+}
