@@ -63,12 +63,15 @@ class ChosenRoute:
     """Where to stop for each fork: in front of it, with its openings in view."""
     spans: tuple[RouteSpan, ...]
     path: FlightPath
-    frames: PathFrames
-    """The plane across the path at its places, for the views along it."""
     target_id: str | None = None
     branch_id: int | None = None
     drawn: DrawnPart = field(default_factory=lambda: DrawnPart(0.0))
     """How much of it the CT does not show."""
+
+    @property
+    def frames(self) -> PathFrames:
+        """The plane across the path at its places, for the views along it."""
+        return self.path.frames()
 
     @property
     def length_mm(self) -> float:
@@ -263,7 +266,6 @@ def _chosen(
         lookouts_mm=stops_mm,
         spans=spans,
         path=path,
-        frames=path.frames(),
         target_id=target_id,
         branch_id=branch_id,
         drawn=drawn_part(branches, branch_ids, cumulative_mm),

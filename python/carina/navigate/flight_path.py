@@ -52,7 +52,15 @@ class FlightPath:
     [0.0, 0.0, 60.0]
     """
 
-    __slots__ = ("_curve", "_forks_mm", "_lookouts_mm", "_max_deviation_mm", "_source_lps", "_up_lps")
+    __slots__ = (
+        "_forks_mm",
+        "_frames",
+        "_lookouts_mm",
+        "_made_curve",
+        "_max_deviation_mm",
+        "_source_lps",
+        "_up_lps",
+    )
 
     def __init__(
         self,
@@ -72,9 +80,44 @@ class FlightPath:
         self._source_lps = points.copy()
         self._up_lps = up
         self._max_deviation_mm = float(max_deviation_mm)
-        self._curve = _core.FlightCurve(points, up, float(max_deviation_mm))
+        self._frames: PathFrames | None = None
+        self._made_curve: _core.FlightCurve | None = _core.FlightCurve(points, up, float(max_deviation_mm))
         self._forks_mm = self._on_path("forks", forks_mm)
         self._lookouts_mm = self._forks_mm if lookouts_mm is None else self._on_path("look-outs", lookouts_mm)
+
+    @classmethod
+    def made_before(
+        cls,
+        points_lps: NDArray[np.float64],
+        *,
+        up_lps: tuple[float, float, float] | None,
+        forks_mm: tuple[float, ...],
+        lookouts_mm: tuple[float, ...],
+        max_deviation_mm: float,
+    ) -> FlightPath:
+        """A path from :meth:`made_from` of another one, which was checked then; its curve is made when it is needed.
+
+        A case has hundreds of routes in its history, and shows one.
+
+        Raises
+        ------
+        UsageError
+            When its curve is needed, if the points make no path.
+        """
+        path = cls.__new__(cls)
+        path._source_lps, path._up_lps = points_lps, up_lps
+        path._max_deviation_mm = max_deviation_mm
+        path._forks_mm, path._lookouts_mm = forks_mm, lookouts_mm
+        path._frames = path._made_curve = None
+        return path
+
+    @property
+    def _curve(self) -> _core.FlightCurve:
+        curve = self._made_curve
+        if curve is None:
+            # Two threads may both make it: they make the same.
+            curve = self._made_curve = _core.FlightCurve(self._source_lps, self._up_lps, self._max_deviation_mm)
+        return curve
 
     def __repr__(self) -> str:
         return f"FlightPath(length_mm={self.length_mm:.1f}, num_forks={len(self._forks_mm)})"
@@ -99,6 +142,11 @@ class FlightPath:
         """Knots of the smooth curve, ``(m, 3)``, evenly spaced in mm of the path (a copy)."""
         return self._curve.knots_lps()
 
+    @property
+    def source_lps(self) -> NDArray[np.float64]:
+        """The given points, ``(n, 3)``; not to be changed."""
+        return self._source_lps
+
     def made_from(self) -> dict[str, Any]:
         """The arguments that make this path again, to the last bit."""
         return {
@@ -115,8 +163,12 @@ class FlightPath:
 
     def frames(self) -> PathFrames:
         """The plane across the path at each knot: +z is the path's own direction, not the gaze."""
-        frames = self._curve.tangent_frames()
-        return PathFrames(np.linspace(0.0, self.length_mm, len(frames)), frames)
+        found = self._frames
+        if found is None:
+            # Two threads may both find them: they find the same.
+            frames = self._curve.tangent_frames()
+            found = self._frames = PathFrames(np.linspace(0.0, self.length_mm, len(frames)), frames)
+        return found
 
     def nearest_mm(self, point_lps: ArrayLike) -> float:
         """The place nearest to a point (LPS mm)."""

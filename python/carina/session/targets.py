@@ -60,5 +60,5 @@ def followed_route(airways: Any, chosen: ChosenRoute | None, targets: tuple[Targ
     else:
         found = None
     if found is not None and np.array_equal(found.points_lps, chosen.points_lps):
-        return replace(found, path=chosen.path, frames=chosen.frames)
+        return replace(found, path=chosen.path)
     return found

@@ -13,23 +13,35 @@ from carina._core import lumen_states
 from carina.display import one_line
 from carina.errors import UsageError
 from carina.track.edit.kinds import TreeEdit
-from carina.track.edit.lumen import EditedLumen, lumen_voxels
+from carina.track.edit.lumen import EditedLumen, edited_core
 from carina.track.find.found import Airways
 from carina.track.paths.tracker import PathTracker
 from carina.track.tree.airway_tree import AirwayTree, Branch
 from carina.track.tree.uncertain import Uncertainty
 from carina.volume.model import Volume
 
-__all__ = ["FoldedAirways", "fold_airways"]
+__all__ = ["FoldedAirways", "PackedAirways", "fold_airways"]
+
+
+class FoldedAirways:
+    """Edited airways that were put away: what they are made again from, bit for bit."""
+
+    __slots__ = ()
+
+    base: Airways
+    """What the edits were made to; it knows where the wall begins."""
+
+    def unfold(self, volume: Volume) -> Airways:
+        """The airways again."""
+        raise NotImplementedError
 
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
-class FoldedAirways:
-    """What edited airways are made again from, bit for bit."""
+class PackedAirways(FoldedAirways):
+    """Edited airways in memory, without what takes much of it."""
 
     base: Airways
-    """What the edits were made to; it knows where the wall begins."""
     branches: tuple[Branch, ...]
     edits: tuple[TreeEdit, ...]
     next_id: int | None
@@ -43,19 +55,20 @@ class FoldedAirways:
     """The lumen's box, one bit per voxel, deflated."""
 
     def unfold(self, volume: Volume) -> Airways:
-        """The airways again; takes as long as building a lumen's graph."""
+        """The airways again; their paths are calculated when they are first needed."""
         count = int(np.prod(self.shape_zyx))
         bits = np.frombuffer(zlib.decompress(self.packed), dtype=np.uint8)
         i, j, k = self.first_ijk
         nz, ny, nx = self.shape_zyx
         lumen = np.zeros(volume.shape_zyx, dtype=np.uint8)
         lumen[k : k + nz, j : j + ny, i : i + nx] = np.unpackbits(bits, count=count).reshape(self.shape_zyx)
-        core = EditedLumen(volume, self.base.tracker.core).built(lumen, self.root_ijk).core
-        tracker = PathTracker(volume, core)
+        lumen.flags.writeable = False
+        levels, root_ijk = self.base.wall_levels, self.root_ijk
+        tracker = PathTracker(volume, lambda: edited_core(volume, lumen, root_ijk, levels), root_ijk=root_ijk)
         tracker.follow_branches(self.branches)
         return dataclasses.replace(
             self.base,
-            lumen_zyx=lumen_voxels(core),
+            lumen_zyx=lumen,
             root_lps=self.branches[0].points[0].copy(),
             tree=AirwayTree(self.branches, _smooth=tracker.smooth, notes=self.base.tree.notes),
             tracker=tracker,
@@ -68,7 +81,7 @@ class FoldedAirways:
         )
 
 
-def fold_airways(volume: Volume, airways: Airways) -> FoldedAirways:
+def fold_airways(volume: Volume, airways: Airways) -> PackedAirways:
     """Put edited airways away; what they were made from is kept as it is.
 
     Raises
@@ -81,7 +94,7 @@ def fold_airways(volume: Volume, airways: Airways) -> FoldedAirways:
     lumen = EditedLumen(volume, airways.tracker.core)
     first, shape = _box(airways.lumen_zyx)
     states = lumen_states(lumen.core, first, shape)
-    return FoldedAirways(
+    return PackedAirways(
         base=airways.base,
         branches=airways.tree.branches,
         edits=airways.edits,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,48 +60,103 @@ class PathTracker:
     """
 
     __slots__ = (
+        "__weakref__",
         "_air_scale",
-        "_branch_nodes",
         "_branches",
-        "_core",
+        "_follows",
         "_labels",
+        "_lock",
+        "_made_core",
+        "_make_core",
+        "_nodes",
         "_noise_hu",
         "_on_tree",
+        "_root_ijk",
         "_volume",
     )
 
-    def __init__(self, volume: Volume, core: LumenTracker) -> None:
+    def __init__(
+        self,
+        volume: Volume,
+        core: LumenTracker | Callable[[], LumenTracker],
+        *,
+        root_ijk: tuple[int, int, int] | None = None,
+    ) -> None:
+        """Over a compiled tracker, or over what makes one when it is first needed: it takes seconds and much memory.
+
+        Its root is then known without it.
+        """
+        self._root_ijk = root_ijk
         self._volume = volume
-        self._core = core
+        self._made_core = core if isinstance(core, LumenTracker) else None
+        self._make_core = None if isinstance(core, LumenTracker) else core
+        self._lock = threading.RLock()
         self._branches: tuple[Branch, ...] = ()
-        self._branch_nodes: list[NDArray[np.uint32]] = []
+        self._nodes: list[NDArray[np.uint32]] | None = []
+        self._follows = False
         self._labels: NDArray[np.int32] | None = None
         self._on_tree: NDArray[np.int32] | None = None
         self._noise_hu: float | None = None
         self._air_scale: AirScale | None = None
 
     def __repr__(self) -> str:
-        return f"PathTracker(num_nodes={self._core.num_nodes}, num_settled={self._core.num_settled})"
+        core = self._made_core
+        if core is None:
+            return "PathTracker(not made yet)"
+        return f"PathTracker(num_nodes={core.num_nodes}, num_settled={core.num_settled})"
 
     @property
     def num_nodes(self) -> int:
         """Lumen voxels."""
-        return self._core.num_nodes
+        return self.core.num_nodes
 
     @property
     def num_settled(self) -> int:
         """Lumen voxels whose least cost is known."""
-        return self._core.num_settled
+        return self.core.num_settled
 
     @property
     def quantum(self) -> float:
         """Integer unit of the costs; a path's cost is right within 0.5 %."""
-        return self._core.quantum
+        return self.core.quantum
 
     @property
     def core(self) -> LumenTracker:
-        """The compiled tracker."""
-        return self._core
+        """The compiled tracker; made now where it was not needed before, once, whichever thread asks."""
+        core = self._made_core
+        if core is None:
+            with self._lock:
+                core = self._made_core
+                if core is None:
+                    assert self._make_core is not None
+                    core = self._made_core = self._make_core()
+                    self._make_core = None
+        return core
+
+    @property
+    def volume(self) -> Volume:
+        """The CT that the paths run in."""
+        return self._volume
+
+    @property
+    def root_ijk(self) -> tuple[int, int, int]:
+        """The voxel where all paths begin."""
+        if self._root_ijk is None:
+            found = self.core.path(self.core.root)
+            assert found is not None
+            i, j, k = (int(v) for v in np.rint(self._volume.to_ijk(found[0][0])))
+            self._root_ijk = (i, j, k)
+        return self._root_ijk
+
+    @property
+    def branches(self) -> tuple[Branch, ...]:
+        """The branches that paths are told to run through, as they were when it was told of them."""
+        return self._branches
+
+    @property
+    def given_nodes(self) -> tuple[NDArray[np.uint32], ...] | None:
+        """The nodes of each branch, where :meth:`set_branches` was told them; None where the centrelines tell them."""
+        return None if self._follows else tuple(self._branch_nodes)
 
     def snap(self, point_lps: Sequence[float] | NDArray[np.float64], *, snap_mm: float = SNAP_MM) -> tuple[int, float]:
         """The lumen voxel (as a node) that stands for a point, and how far it was moved in mm (0 inside the lumen).
@@ -116,12 +172,12 @@ class PathTracker:
         if not self._volume.contains_lps(np.array(point)):
             msg = f"the point {words(point)} lies outside the volume"
             raise UsageError(msg)
-        if bool(self._core.inside([point])[0]):
+        if bool(self.core.inside([point])[0]):
             node, _ = self._nearest(point, float(np.linalg.norm(self._volume.spacing_mm)))
             return node, 0.0
-        found = self._core.nearest(point, snap_mm)
+        found = self.core.nearest(point, snap_mm)
         if found is None:
-            farther = self._core.nearest(point, 60.0)
+            farther = self.core.nearest(point, 60.0)
             far = "more than 60 mm" if farther is None else f"{farther[1]:.1f} mm"
             msg = (
                 f"the point {words(point)} is {far} from the segmented lumen; a target is moved by at "
@@ -131,7 +187,7 @@ class PathTracker:
         return found
 
     def _nearest(self, point: Point, reach_mm: float) -> tuple[int, float]:
-        found = self._core.nearest(point, reach_mm)
+        found = self.core.nearest(point, reach_mm)
         assert found is not None
         return found
 
@@ -159,7 +215,7 @@ class PathTracker:
             If the lumen is farther than ``snap_mm`` (with the distance), or no path leads to the target.
         """
         node, snapped_mm = self.snap(point_lps, snap_mm=snap_mm)
-        if not self._core.solve_to(node, cancel=cancel):
+        if not self.core.solve_to(node, cancel=cancel):
             msg = (
                 f"no path: the lumen at {words(as_point(point_lps))} is not connected to the root. "
                 "The airway may be blocked between them"
@@ -215,7 +271,7 @@ class PathTracker:
 
     def new_share(self, node: int) -> tuple[float, int | None]:
         """Share of the length of the path to a settled node that is outside the tree, and the branch that it leaves."""
-        found = self._core.path(node)
+        found = self.core.path(node)
         assert found is not None
         points, nodes = found
         on_tree = self._places_on_tree()
@@ -231,17 +287,17 @@ class PathTracker:
 
         The points of :meth:`path_to`, without the branches, which take a while to be told apart the first time.
         """
-        found = self._core.path(node)
+        found = self.core.path(node)
         assert found is not None
-        points = self._core.smooth(found[0], step_mm=STEP_MM, keep_end=True)
-        return points, self._core.radius_mm(points)
+        points = self.core.smooth(found[0], step_mm=STEP_MM, keep_end=True)
+        return points, self.core.radius_mm(points)
 
     def _path(self, node: int, snapped_mm: float) -> TrackedPath:
-        found, cost = self._core.path(node), self._core.cost(node)
+        found, cost = self.core.path(node), self.core.cost(node)
         assert found is not None
         assert cost is not None
         voxel_path, nodes = found
-        points = self._core.smooth(voxel_path, step_mm=STEP_MM, keep_end=True)
+        points = self.core.smooth(voxel_path, step_mm=STEP_MM, keep_end=True)
         steps = np.linalg.norm(np.diff(voxel_path, axis=0), axis=1)
         along = np.concatenate([[0.0], np.cumsum(steps)])
         # The smooth points are even along the voxel path: each takes the branch of the voxel at its place.
@@ -251,7 +307,7 @@ class PathTracker:
         return TrackedPath(
             points_lps=points,
             radius_mm=self.calibres(points, branch_ids),
-            wall_mm=self._core.radius_mm(points),
+            wall_mm=self.core.radius_mm(points),
             length_mm=float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()),
             cost=cost,
             generation=generation,
@@ -263,7 +319,7 @@ class PathTracker:
 
     def calibres(self, points: NDArray[np.float64], branch_ids: NDArray[np.int32]) -> NDArray[np.float64]:
         """(n,) radius of the branch that each point is in, at its nearest place; off the tree the wall's distance."""
-        radius = self._core.radius_mm(points)
+        radius = self.core.radius_mm(points)
         by_id = {branch.id: branch for branch in self._branches}
         for branch_id in np.unique(branch_ids):
             branch = by_id.get(int(branch_id))
@@ -282,12 +338,12 @@ class PathTracker:
 
         Every point of the result lies in a lumen voxel if every point of the way does. The last one may move a little.
         """
-        points = self._core.smooth(points_lps, step_mm=STEP_MM, keep_end=False)
-        return points, self._core.radius_mm(points)
+        points = self.core.smooth(points_lps, step_mm=STEP_MM, keep_end=False)
+        return points, self.core.radius_mm(points)
 
     def inside(self, points_lps: NDArray[np.float64]) -> NDArray[np.bool_]:
         """(n,) whether the voxel that holds each (n, 3) point is lumen."""
-        return self._core.inside(np.asarray(points_lps, dtype=np.float64).reshape(-1, 3))
+        return self.core.inside(np.asarray(points_lps, dtype=np.float64).reshape(-1, 3))
 
     def _branches_along(self, nodes: NDArray[np.uint32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Branch and generation of each node of a path.
@@ -315,15 +371,30 @@ class PathTracker:
 
     def set_branches(self, branches: Sequence[Branch], nodes: Sequence[NDArray[np.uint32]]) -> None:
         """Tell which voxels are the middle of which branch, so that paths know their branches; parents come first."""
+        self._tell(branches, list(nodes))
+
+    def follow_branches(self, branches: Sequence[Branch]) -> None:
+        """As :meth:`set_branches`, with the voxels that the centrelines run through; looked up when first needed."""
+        self._tell(branches, None)
+
+    def _tell(self, branches: Sequence[Branch], nodes: list[NDArray[np.uint32]] | None) -> None:
         self._branches = tuple(branches)
-        self._branch_nodes = list(nodes)
+        self._nodes = nodes
+        self._follows = nodes is None
         self._labels = None
         self._on_tree = None
         self._noise_hu = None
 
-    def follow_branches(self, branches: Sequence[Branch]) -> None:
-        """As :meth:`set_branches`, with the voxels that the centrelines run through."""
-        nodes = nodes_at(self._core, np.concatenate([branch.points for branch in branches]))
+    @property
+    def _branch_nodes(self) -> list[NDArray[np.uint32]]:
+        nodes = self._nodes
+        if nodes is None:
+            # Two threads may both find them: they find the same.
+            nodes = self._nodes = self._nodes_along(self._branches)
+        return nodes
+
+    def _nodes_along(self, branches: Sequence[Branch]) -> list[NDArray[np.uint32]]:
+        nodes = nodes_at(self.core, np.concatenate([branch.points for branch in branches]))
         ends = np.cumsum([len(branch.points) for branch in branches])
         of_branches = []
         for branch, found in zip(branches, np.split(nodes, ends[:-1]), strict=True):
@@ -331,7 +402,7 @@ class PathTracker:
             if not len(inside):
                 inside = np.array([self._nearest(as_point(branch.points[0]), 60.0)[0]])
             of_branches.append(inside[np.diff(inside, prepend=-1) != 0].astype(np.uint32))
-        self.set_branches(branches, of_branches)
+        return of_branches
 
     @property
     def _branch_of_node(self) -> NDArray[np.int32]:
@@ -339,22 +410,22 @@ class PathTracker:
         labels = self._labels
         if labels is None:
             if not self._branches:
-                return np.zeros(self._core.num_nodes, dtype=np.int32)
+                return np.zeros(self.core.num_nodes, dtype=np.int32)
             # Two threads may both find it: they find the same.
-            labels = self._labels = self._core.branch_of_nodes(self._branch_nodes, self._parents())
+            labels = self._labels = self.core.branch_of_nodes(self._branch_nodes, self._parents())
         return labels
 
     def _places_on_tree(self) -> NDArray[np.int32]:
         """For each node the place of the branch whose centreline runs through it or beside it, -1 elsewhere."""
         on_tree = self._on_tree
         if on_tree is None:
-            on_tree = np.full(self._core.num_nodes, -1, dtype=np.int32)
+            on_tree = np.full(self.core.num_nodes, -1, dtype=np.int32)
             steps = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
             around = steps @ self._volume.lps_from_ijk[:3, :3].T
             # A child begins with its parent's last voxel, which stays the parent's.
             for place in reversed(range(len(self._branches))):
                 points = self._branches[place].points
-                nodes = nodes_at(self._core, (points[:, None, :] + around[None, :, :]).reshape(-1, 3))
+                nodes = nodes_at(self.core, (points[:, None, :] + around[None, :, :]).reshape(-1, 3))
                 on_tree[nodes[nodes >= 0]] = place
             for place in reversed(range(len(self._branch_nodes))):
                 on_tree[self._branch_nodes[place]] = place
@@ -369,7 +440,7 @@ class PathTracker:
 
     def tree_to(self, paths: Sequence[TrackedPath]) -> AirwayTree:
         """The part of the airway tree that leads to the given paths' targets; names and generations are kept."""
-        rows = self._core.branches_to([path.target_node for path in paths], self._branch_nodes, self._parents())
+        rows = self.core.branches_to([path.target_node for path in paths], self._branch_nodes, self._parents())
         branches = []
         for branch, row in zip(branches_from_rows(rows), rows, strict=True):
             # Two targets can part inside one branch of the airway: both pieces keep its name and generation.
