@@ -1,8 +1,24 @@
 """A case: what a person made of a CT, as values, with the steps that led there; and the file that keeps it."""
 
 from carina.case.document import Document, Key, Keys, Target
+from carina.case.file import CaseFile, SourceFacts, StepFacts
 from carina.case.history import History, Step
 from carina.case.moment import LaidScope, Moment
 from carina.case.routes import ChosenRoute
+from carina.case.trouble import CaseFileError
 
-__all__ = ["ChosenRoute", "Document", "History", "Key", "Keys", "LaidScope", "Moment", "Step", "Target"]
+__all__ = [
+    "CaseFile",
+    "CaseFileError",
+    "ChosenRoute",
+    "Document",
+    "History",
+    "Key",
+    "Keys",
+    "LaidScope",
+    "Moment",
+    "SourceFacts",
+    "Step",
+    "StepFacts",
+    "Target",
+]

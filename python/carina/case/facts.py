@@ -1,0 +1,195 @@
+"""What stands in a case file as JSON: the numbers and words beside the arrays, with their bounds."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Annotated, Any, Literal, Union
+
+import msgspec
+from msgspec import Meta
+
+from carina.commands import Command, KeyFlying, all_commands
+from carina.commands.fields import BranchId, Count, Key, Matrix4, OwnName, Part, PointLps, Words
+from carina.commands.look import Look
+from carina.commands.tree import AnyTreeEdit
+from carina.commands.value import LocalCommand
+from carina.render import Sight
+from carina.track import Uncertainty
+
+__all__ = [
+    "AirwaysFacts",
+    "BadgeFacts",
+    "BranchFacts",
+    "KeyFacts",
+    "KeysFacts",
+    "MomentFacts",
+    "RouteFacts",
+    "ScopeFacts",
+    "SpanFacts",
+    "TargetFacts",
+    "TreeFacts",
+    "decoders",
+]
+
+MAX_BRANCHES = 100_000
+MAX_LIST = 1_000_000
+RowId = Annotated[int, Meta(ge=1, le=2**53)]
+Number = Annotated[float, Meta(ge=-1e300, le=1e300)]
+Mm = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Numbers = Annotated[tuple[Mm, ...], Meta(max_length=MAX_LIST)]
+LongWords = Annotated[str, Meta(max_length=100_000)]
+Ids = Annotated[tuple[RowId, ...], Meta(max_length=MAX_LIST)]
+
+
+class _Facts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Fields of one JSON object."""
+
+
+class BadgeFacts(_Facts, frozen=True):
+    """A lasting note."""
+
+    code: Key
+    words: LongWords
+    badge: bool
+
+
+class BranchFacts(_Facts, frozen=True, omit_defaults=True):
+    """A branch without its line."""
+
+    id: BranchId
+    parent: BranchId | None
+    children: Annotated[tuple[BranchId, ...], Meta(max_length=MAX_BRANCHES)]
+    generation: Annotated[int, Meta(ge=0, le=MAX_BRANCHES)]
+    kind: Literal["tracked", "bridge", "manual"] = "tracked"
+    name: Words | None = None
+    cost: Number | None = None
+    confidence: Part | None = None
+    name_confidence: Part | None = None
+    name_from: Literal["anatomy", "person"] | None = None
+    variant: Words | None = None
+    doubtful_mm: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
+
+
+class TreeFacts(_Facts, frozen=True):
+    """The branches of a tree, parents first, and what puts the whole of it in doubt."""
+
+    branches: Annotated[tuple[BranchFacts, ...], Meta(min_length=1, max_length=MAX_BRANCHES)]
+    notes: Annotated[tuple[BadgeFacts, ...], Meta(max_length=1000)] = ()
+
+
+class AirwaysFacts(_Facts, frozen=True):
+    """Airways without lumen, tree and tracker."""
+
+    root_lps: PointLps
+    threshold: Number | None
+    """Null where a mask gave the lumen."""
+    notes: Annotated[tuple[LongWords, ...], Meta(max_length=1000)]
+    wall_levels: tuple[Number, Number, Number] | None
+    next_id: Count | None
+    edits: Ids
+    uncertain: RowId
+    bridges: Ids
+
+
+class SpanFacts(_Facts, frozen=True):
+    """A branch along a route."""
+
+    branch_id: Annotated[int, Meta(ge=-1, le=2**31)]
+    name: Words | None
+    generation: Annotated[int, Meta(ge=-1, le=MAX_BRANCHES)]
+    from_mm: Mm
+    to_mm: Mm
+    kind: Key
+
+
+class RouteFacts(_Facts, frozen=True):
+    """A route without its points."""
+
+    route_id: Key
+    title: LongWords
+    forks_mm: Numbers
+    lookouts_mm: Numbers
+    spans: Annotated[tuple[SpanFacts, ...], Meta(max_length=MAX_BRANCHES)]
+    target_id: Key | None
+    branch_id: BranchId | None
+    drawn: tuple[Mm, Mm, Mm]
+    """Length, drawn by hand, bridged."""
+    up_lps: PointLps | None
+    path_forks_mm: Numbers
+    path_lookouts_mm: Numbers
+    max_deviation_mm: Mm
+
+
+class TargetFacts(_Facts, frozen=True):
+    """A target; ``route`` is a row of that table."""
+
+    target_id: Key
+    name: LongWords
+    lps: PointLps
+    used_lps: PointLps | None
+    snapped_mm: Mm | None
+    length_mm: Mm | None
+    problem: LongWords | None
+    route: RowId | None
+
+
+class KeyFacts(_Facts, frozen=True):
+    """A key frame."""
+
+    key_id: Key
+    lps_from_camera: Matrix4
+    name: OwnName | None
+    speed_mm_s: Mm | None
+
+
+class KeysFacts(_Facts, frozen=True):
+    """The key frames in their order."""
+
+    frames: Annotated[tuple[KeyFacts, ...], Meta(max_length=MAX_LIST)]
+    flying: KeyFlying
+
+
+class ScopeFacts(_Facts, frozen=True):
+    """A scope in the lumen."""
+
+    insertion_mm: Mm
+    roll_rad: Number
+    flexion_rad: Number
+
+
+class MomentFacts(_Facts, frozen=True):
+    """What is shown, where the tip is, and how the search for the airways stands."""
+
+    sight: Sight
+    tip: dict[Key, Any]
+    scope: ScopeFacts | None
+    search_status: Key
+    search_words: LongWords | None
+    person_moved: bool
+    numbers: Annotated[dict[Key, Count], Meta(max_length=1000)]
+
+
+class _Decoders:
+    """One decoder for each kind of JSON, made when the first case is opened."""
+
+    def __init__(self) -> None:
+        commands = tuple(cls for cls in all_commands() if not issubclass(cls, LocalCommand) and cls is not Command)
+        self.tree = msgspec.json.Decoder(TreeFacts)
+        self.airways = msgspec.json.Decoder(AirwaysFacts)
+        self.route = msgspec.json.Decoder(RouteFacts)
+        self.targets = msgspec.json.Decoder(Annotated[tuple[TargetFacts, ...], Meta(max_length=MAX_LIST)])
+        self.keys = msgspec.json.Decoder(KeysFacts)
+        self.look = msgspec.json.Decoder(Look)
+        self.transfer = msgspec.json.Decoder(Annotated[dict[str, Any], Meta(max_length=100)])
+        self.edit = msgspec.json.Decoder(AnyTreeEdit)
+        self.uncertain = msgspec.json.Decoder(Annotated[tuple[Uncertainty, ...], Meta(max_length=MAX_LIST)])
+        self.moment = msgspec.json.Decoder(MomentFacts)
+        self.command: msgspec.json.Decoder[Any] = msgspec.json.Decoder(Union[commands])  # noqa: UP007  # of a tuple
+        self.choices = msgspec.json.Decoder(Annotated[dict[Key, Any], Meta(max_length=100)])
+        self.levels = msgspec.json.Decoder(tuple[Number, Number, Number] | None)
+
+
+@cache
+def decoders() -> _Decoders:
+    """The decoders."""
+    return _Decoders()

@@ -1,0 +1,433 @@
+"""Rows of a case file as the moment that they hold; what is far from the present step stays packed until needed."""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.case import facts as f
+from carina.case.document import Document, Key, Keys, Target
+from carina.case.history import Step
+from carina.case.moment import LaidScope, Moment
+from carina.case.packing import DTYPES, MAX_PIECE_BYTES, digest_of, from_json, inflated, unpacked_ints
+from carina.case.routes import ChosenRoute, RouteSpan
+from carina.case.tiles import TILE_BYTES, from_tiles, num_tiles
+from carina.case.trouble import damaged
+from carina.errors import CarinaError
+from carina.navigate import FlightPath
+from carina.render import TransferFunction
+from carina.scopes import Pose
+from carina.track import Airways, AirwayTree, Branch, DrawnPart
+from carina.track.edit.folded import FoldedAirways
+from carina.track.edit.lumen import edited_core, found_core
+from carina.track.find.kept import KeptForVolume
+from carina.track.paths.tracker import PathTracker
+from carina.volume import Note, Volume
+
+__all__ = ["CaseReader", "KeptAirways", "Rows"]
+
+Rows = dict[str, dict[int, tuple[Any, ...]]]
+"""By table and id, the columns after the id."""
+NO_TREES: Final = 4
+"""Trees that are kept at hand while airways are read: those of a base and of its edits."""
+
+
+class KeptAirways(FoldedAirways):
+    """Edited airways of a step that is not shown: still as the file has them."""
+
+    __slots__ = ("base", "reader", "row")
+
+    def __init__(self, reader: CaseReader, row: int, base: Airways) -> None:
+        self.reader, self.row, self.base = reader, row, base
+
+    def __repr__(self) -> str:
+        return f"KeptAirways(row={self.row})"
+
+    def unfold(self, volume: Volume) -> Airways:
+        """The airways as they were saved; their paths are calculated when they are first needed."""
+        assert volume is self.reader.volume
+        return self.reader.airways(self.row)
+
+
+class CaseReader:
+    """The moment that rows hold.
+
+    Parameters
+    ----------
+    rows
+        All rows of the tables of content.
+    volume
+        The CT, on the grid that the case was saved with.
+    know
+        Told of each object that stands for a row, by its kind.
+    """
+
+    def __init__(self, rows: Rows, volume: Volume, know: Callable[[str, object, int], None]) -> None:
+        self._rows = rows
+        self.volume = volume
+        self._know = know
+        self._decoders = f.decoders()
+        self._lock = threading.RLock()
+        self._arrays: weakref.WeakValueDictionary[int, NDArray[Any]] = weakref.WeakValueDictionary()
+        self._lumens: weakref.WeakValueDictionary[int, NDArray[np.uint8]] = weakref.WeakValueDictionary()
+        self._trackers: weakref.WeakValueDictionary[int, PathTracker] = weakref.WeakValueDictionary()
+        self._trees: dict[int, tuple[tuple[Branch, ...], tuple[Note, ...]]] = {}
+        self._whole: dict[int, Airways] = {}
+        self._folded: dict[int, KeptAirways] = {}
+        self._routes: dict[int, ChosenRoute] = {}
+        self._values: dict[int, Any] = {}
+        self._documents: dict[int, Document] = {}
+        self._depth = 0
+
+    # ------------------------------------------------------------ the moment
+
+    def moment(self, steps: Sequence[tuple[Any, ...]], position: int, facts: f.MomentFacts) -> Moment:
+        """The moment of steps (label, command, seconds, document), the first of which is the first document."""
+        if not 1 <= position + 1 <= len(steps):
+            raise damaged("the place in the history", f"0 to {len(steps) - 1}", str(position))
+        with self._lock:
+            # What is shown is made whole, and before all others, so that they share with it.
+            present = self._airways_row(steps[position][3])
+            if present is not None:
+                self._whole[present] = self.airways(present)
+            documents = [self.document(step[3]) for step in steps]
+            if present is not None and self._row("airways", present)[0] is not None:
+                # The document holds it; this reader lives as long as any step does.
+                del self._whole[present]
+            scope = facts.scope
+            return Moment(
+                first=documents[0],
+                steps=tuple(
+                    Step(label, document, self._command(command), at_s)
+                    for (label, command, at_s, _), document in zip(steps[1:], documents[1:], strict=True)
+                ),
+                position=position,
+                sight=facts.sight,
+                tip=facts.tip,
+                scope=None if scope is None else LaidScope(scope.insertion_mm, scope.roll_rad, scope.flexion_rad),
+                search_status=facts.search_status,
+                search_words=facts.search_words,
+                person_moved=facts.person_moved,
+                numbers=facts.numbers,
+            )
+
+    def _command(self, said: object) -> Any:
+        return None if said is None else from_json(said, self._decoders.command, "step")
+
+    def _airways_row(self, document: int) -> int | None:
+        row: int | None = self._row("document", document)[0]
+        return row
+
+    def document(self, row: int) -> Document:
+        """A row of ``document``."""
+        known = self._documents.get(row)
+        if known is not None:
+            return known
+        airways, route, transfer, look, targets, keys, threshold = self._row("document", row)
+        made = Document(
+            transfer=self._value("transfer", transfer, self._decoders.transfer, TransferFunction.from_json),
+            look=self._value("look", look, self._decoders.look, lambda look: look),
+            airways=None if airways is None else self._any_airways(airways),
+            lumen_threshold=threshold,
+            targets=self._value("targets", targets, self._decoders.targets, self._targets),
+            route=None if route is None else self.route(route),
+            keys=self._value("keys", keys, self._decoders.keys, _keys),
+        )
+        self._documents[row] = made
+        self._know("document", made, row)
+        return made
+
+    def _targets(self, targets: tuple[f.TargetFacts, ...]) -> tuple[Target, ...]:
+        return tuple(
+            Target(
+                target_id=t.target_id,
+                name=t.name,
+                lps=t.lps,
+                used_lps=t.used_lps,
+                snapped_mm=t.snapped_mm,
+                length_mm=t.length_mm,
+                problem=t.problem,
+                route=None if t.route is None else self.route(t.route),
+            )
+            for t in targets
+        )
+
+    def route(self, row: int) -> ChosenRoute:
+        """A row of ``route``."""
+        known = self._routes.get(row)
+        if known is not None:
+            return known
+        *columns, said = self._row("route", row)
+        where = f"route {row}"
+        facts: f.RouteFacts = from_json(said, self._decoders.route, where)
+        points = self._array(columns[0], "f8", width=3)
+        kinds = ("f8", "f8", "f8", "i8", "i8")
+        rest = [self._array(one, kind, count=len(points)) for one, kind in zip(columns[1:6], kinds, strict=True)]
+        path_points = self._array(columns[6], "f8", width=3)
+        if len(points) < 2 or len(path_points) < 2:
+            raise damaged(where, "two points or more", f"{len(points)}")
+        path = FlightPath.made_before(
+            path_points,
+            up_lps=facts.up_lps,
+            forks_mm=facts.path_forks_mm,
+            lookouts_mm=facts.path_lookouts_mm,
+            max_deviation_mm=facts.max_deviation_mm,
+        )
+        made = ChosenRoute(
+            route_id=facts.route_id,
+            title=facts.title,
+            points_lps=points,
+            cumulative_mm=rest[0],
+            radius_mm=rest[1],
+            wall_mm=rest[2],
+            generation=rest[3],
+            branch_ids=rest[4],
+            forks_mm=facts.forks_mm,
+            lookouts_mm=facts.lookouts_mm,
+            spans=tuple(RouteSpan(s.branch_id, s.name, s.generation, s.from_mm, s.to_mm, s.kind) for s in facts.spans),
+            path=path,
+            target_id=facts.target_id,
+            branch_id=facts.branch_id,
+            drawn=DrawnPart(*facts.drawn),
+        )
+        self._routes[row] = made
+        self._know("route", made, row)
+        return made
+
+    # ------------------------------------------------------------ airways
+
+    def _any_airways(self, row: int) -> Any:
+        """Whole where it was found and not edited, or is shown; else kept."""
+        base = self._row("airways", row)[0]
+        if base is None or row in self._whole:
+            whole = self._whole.get(row)
+            if whole is None:
+                whole = self._whole[row] = self.airways(row)
+            return whole
+        known = self._folded.get(row)
+        if known is None:
+            known = self._folded[row] = KeptAirways(self, row, self._base(base))
+            self._know("airways", known, row)
+        return known
+
+    def _base(self, row: int) -> Airways:
+        if self._row("airways", row)[0] is not None:
+            raise damaged(f"airways {row}", "airways without edits as a base", "a base of its own")
+        whole = self._whole.get(row)
+        if whole is None:
+            whole = self._whole[row] = self.airways(row)
+        return whole
+
+    def airways(self, row: int) -> Airways:
+        """A row of ``airways``, whole; its paths are calculated when they are first needed."""
+        with self._lock:
+            known = self._whole.get(row)
+            return self._made_airways(row) if known is None else known
+
+    def _made_airways(self, row: int) -> Airways:
+        base, lumen, tree, tracker, said = self._row("airways", row)
+        facts: f.AirwaysFacts = from_json(said, self._decoders.airways, f"airways {row}")
+        branches, notes = self._tree(tree)
+        paths = self._tracker(tracker)
+        whole_base = None if base is None else self._base(base)
+        made = Airways(
+            lumen_zyx=self._lumen(lumen),
+            root_lps=np.array(facts.root_lps, dtype=np.float64),
+            tree=AirwayTree(branches, notes=notes, _smooth=paths.smooth),
+            tracker=paths,
+            threshold=float("nan") if facts.threshold is None else facts.threshold,
+            notes=facts.notes,
+            wall_levels=facts.wall_levels,
+            edits=tuple(self._value("edit", edit, self._decoders.edit, lambda edit: edit) for edit in facts.edits),
+            base=whole_base,
+            next_id=facts.next_id,
+            uncertain=self._value("uncertain", facts.uncertain, self._decoders.uncertain, lambda found: found),
+            bridges=tuple(self._array(bridge, "f8", width=3) for bridge in facts.bridges),
+            evidence=KeptForVolume() if whole_base is None else whole_base.evidence,
+        )
+        self._know("airways", made, row)
+        return made
+
+    def _tracker(self, row: int) -> PathTracker:
+        known = self._trackers.get(row)
+        if known is not None:
+            return known
+        where = f"tracker {row}"
+        lumen, tree, i, j, k, said, nodes, num_nodes = self._row("tracker", row)
+        levels = from_json(said, self._decoders.levels, where)
+        lumen_zyx = self._lumen(lumen)
+        nz, ny, nx = lumen_zyx.shape
+        if not (0 <= i < nx and 0 <= j < ny and 0 <= k < nz and lumen_zyx[k, j, i]):
+            raise damaged(where, "a root in the lumen", str((i, j, k)))
+        make = edited_core if nodes is None else found_core
+        volume, root = self.volume, (i, j, k)
+        made = PathTracker(volume, lambda: make(volume, lumen_zyx, root, levels), root_ijk=root)
+        branches, _ = self._tree(tree)
+        if nodes is None:
+            made.follow_branches(branches)
+        else:
+            all_nodes = self._array(nodes, "u4")
+            counts = self._array(num_nodes, "i8", count=len(branches))
+            ends = np.cumsum(counts)
+            voxels = np.count_nonzero(lumen_zyx) if len(all_nodes) else 0
+            if (counts < 1).any() or ends[-1] != len(all_nodes) or int(all_nodes.max()) >= voxels:
+                raise damaged(where, "nodes of the lumen for each branch", f"{len(all_nodes)} for {len(branches)}")
+            made.set_branches(branches, np.split(all_nodes, ends[:-1]))
+        self._trackers[row] = made
+        self._know("tracker", made, row)
+        return made
+
+    def _tree(self, row: int) -> tuple[tuple[Branch, ...], tuple[Note, ...]]:
+        known = self._trees.get(row)
+        if known is not None:
+            return known
+        where = f"tree {row}"
+        count, packed, size, data = self._rows_of("tree", row)
+        if not 1 <= count <= f.MAX_BRANCHES:
+            raise damaged(where, f"1 to {f.MAX_BRANCHES} branches", str(count))
+        ids, words = unpacked_ints(packed, count, where), inflated(data, size, where)
+        self._check("tree", row, digest_of("tree", ids.astype("<i4").tobytes(), words))
+        facts: f.TreeFacts = from_json(words, self._decoders.tree, where)
+        if len(facts.branches) != count:
+            raise damaged(where, f"{count} branches", str(len(facts.branches)))
+        try:
+            made = (
+                tuple(self._branch(int(one), said) for one, said in zip(ids, facts.branches, strict=True)),
+                tuple(Note(note.code, note.words, note.badge) for note in facts.notes),
+            )
+            AirwayTree(made[0])
+        except CarinaError as trouble:
+            raise damaged(where, "an airway tree", str(trouble)) from None
+        while len(self._trees) >= NO_TREES:
+            del self._trees[next(iter(self._trees))]
+        self._trees[row] = made
+        return made
+
+    def _branch(self, row: int, facts: f.BranchFacts) -> Branch:
+        points, radius, wall = self._row("branch", row)
+        line = self._array(points, "f8", width=3)
+        return Branch(
+            id=facts.id,
+            parent=facts.parent,
+            children=facts.children,
+            generation=facts.generation,
+            name=facts.name,
+            kind=facts.kind,
+            points=line,
+            radius=self._array(radius, "f8", count=len(line)),
+            cost=facts.cost,
+            confidence=facts.confidence,
+            name_confidence=facts.name_confidence,
+            name_from=facts.name_from,
+            variant=facts.variant,
+            doubtful_mm=facts.doubtful_mm,
+            wall_mm=None if wall is None else self._array(wall, "f8", count=len(line)),
+        )
+
+    def _lumen(self, row: int) -> NDArray[np.uint8]:
+        known = self._lumens.get(row)
+        if known is not None:
+            return known
+        where = f"lumen {row}"
+        nz, ny, nx, count, packed_places, packed_tiles = self._rows_of("lumen", row)
+        shape = (nz, ny, nx)
+        if shape != self.volume.shape_zyx:
+            raise damaged(where, f"the scan's shape {self.volume.shape_zyx}", str(shape))
+        most = num_tiles(shape)
+        if not 0 <= count <= most:
+            raise damaged(where, f"at most {most} tiles", str(count))
+        places, tiles = unpacked_ints(packed_places, count, where), unpacked_ints(packed_tiles, count, where)
+        self._check(
+            "lumen", row, digest_of("lumen", nz, ny, nx, places.astype("<i4").tobytes(), tiles.astype("<i4").tobytes())
+        )
+        if count and (places[0] < 0 or places[-1] >= most or (np.diff(places) <= 0).any()):
+            raise damaged(where, "places of tiles, ascending", "others")
+        made = from_tiles(shape, ((int(p), self._tile(int(t))) for p, t in zip(places, tiles, strict=True)))
+        self._lumens[row] = made
+        self._know("lumen", made, row)
+        return made
+
+    def _tile(self, row: int) -> bytes:
+        (data,) = self._rows_of("tile", row)
+        bits = inflated(data, TILE_BYTES, f"tile {row}")
+        self._check("tile", row, digest_of("tile", bits))
+        return bits
+
+    # ------------------------------------------------------------ content
+
+    def _array(self, row: int, dtype: str, *, count: int | None = None, width: int = 0) -> NDArray[Any]:
+        known = self._arrays.get(row)
+        where = f"array {row}"
+        if known is None:
+            kind, num, across, data = self._rows_of("array", row)
+            if kind not in DTYPES or not 0 <= across <= 16 or not 0 <= num <= MAX_PIECE_BYTES:
+                raise damaged(where, f"one of {', '.join(DTYPES)}, at most 16 wide", f"{kind}, {num} x {across}")
+            content = inflated(data, num * max(across, 1) * int(kind[1]), where)
+            self._check("array", row, digest_of("array", kind, num, across, content))
+            found = np.frombuffer(content, dtype=DTYPES[kind])
+            known = found.reshape(num, across) if across else found
+            self._arrays[row] = known
+            self._know("array", known, row)
+        shape = known.shape
+        if known.dtype.str != DTYPES[dtype] or len(shape) != (2 if width else 1) or (width and shape[1] != width):
+            raise damaged(where, f"{dtype}, {width or 1} wide", f"{known.dtype}, {shape}")
+        if count is not None and shape[0] != count:
+            raise damaged(where, f"{count} numbers", str(shape[0]))
+        if dtype == "f8" and not np.isfinite(known).all():
+            raise damaged(where, "finite numbers", "others")
+        return known
+
+    def _value(self, kind: str, row: int, decoder: msgspec.json.Decoder[Any], make: Callable[[Any], Any]) -> Any:
+        if row in self._values:
+            return self._values[row]
+        where = f"{kind} (value {row})"
+        found, said = self._row("value", row)
+        if found != kind:
+            raise damaged(where, kind, str(found)[:40])
+        try:
+            made = make(from_json(said, decoder, where))
+        except CarinaError as trouble:
+            if str(getattr(trouble, "code", "")).startswith("case."):
+                raise
+            raise damaged(where, f"a usable {kind}", str(trouble)) from None
+        except (TypeError, ValueError, KeyError, OverflowError) as trouble:
+            raise damaged(where, f"a usable {kind}", str(trouble)[:200]) from None
+        self._values[row] = made
+        if kind != "edit":
+            self._know(kind, made, row)
+        return made
+
+    def _row(self, table: str, row: int) -> tuple[Any, ...]:
+        """The columns of a row whose digest is of themselves."""
+        columns = self._rows_of(table, row)
+        self._check(table, row, digest_of(table, *columns))
+        return columns
+
+    def _rows_of(self, table: str, row: int) -> tuple[Any, ...]:
+        found = self._rows[table].get(row)
+        if found is None:
+            raise damaged(f"{table} {row}", "the row", "none")
+        return found[1:]
+
+    def _check(self, table: str, row: int, digest: bytes) -> None:
+        if self._rows[table][row][0] != digest:
+            raise damaged(f"{table} {row}", "what was saved", "something else")
+
+
+def _keys(facts: f.KeysFacts) -> Keys:
+    frames = tuple(
+        Key(
+            key_id=key.key_id,
+            pose=Pose(np.array(key.lps_from_camera, dtype=np.float64).reshape(4, 4)),
+            name=key.name,
+            speed_mm_s=key.speed_mm_s,
+        )
+        for key in facts.frames
+    )
+    return Keys(frames, facts.flying)

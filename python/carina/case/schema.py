@@ -1,0 +1,173 @@
+"""The tables of a case file, and the ways in which a file of them is opened."""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+from pathlib import Path
+from typing import Final
+
+from carina.case.trouble import refused
+
+__all__ = [
+    "APPLICATION_ID",
+    "CONTENT",
+    "JOURNALS",
+    "SCHEMA",
+    "TABLES",
+    "check_schema",
+    "connected",
+    "make_tables",
+]
+
+APPLICATION_ID: Final = 0x43415249
+"""``CARI``."""
+SCHEMA: Final = 1
+JOURNALS: Final = ("-wal", "-journal", "-shm")
+MAX_VALUE_BYTES: Final = 128 << 20
+"""Of one text or blob: a chunk of a packed CT is at most half as large."""
+MAX_SQL_BYTES: Final = 20_000
+
+# What is content is kept once, found by its digest, and never changed; what points to it does so by its id.
+_CONTENT = "id INTEGER PRIMARY KEY, digest BLOB NOT NULL UNIQUE"
+TABLES: Final = {
+    "source": """CREATE TABLE source (
+  id INTEGER PRIMARY KEY CHECK (id = 1),
+  digest TEXT NOT NULL,
+  nz INTEGER NOT NULL, ny INTEGER NOT NULL, nx INTEGER NOT NULL,
+  lps_from_ijk BLOB NOT NULL,
+  is_hu INTEGER NOT NULL,
+  path TEXT,
+  choices TEXT NOT NULL
+) STRICT""",
+    "value": f"CREATE TABLE value ({_CONTENT}, kind TEXT NOT NULL, json TEXT NOT NULL) STRICT",
+    "array": f"""CREATE TABLE array ({_CONTENT},
+  dtype TEXT NOT NULL, count INTEGER NOT NULL, width INTEGER NOT NULL, data BLOB NOT NULL
+) STRICT""",
+    "branch": f"""CREATE TABLE branch ({_CONTENT},
+  points INTEGER NOT NULL REFERENCES array, radius INTEGER NOT NULL REFERENCES array, wall INTEGER REFERENCES array
+) STRICT""",
+    "tree": f"""CREATE TABLE tree ({_CONTENT},
+  num_branches INTEGER NOT NULL, branches BLOB NOT NULL, size INTEGER NOT NULL, facts BLOB NOT NULL
+) STRICT""",
+    "tile": f"CREATE TABLE tile ({_CONTENT}, data BLOB NOT NULL) STRICT",
+    "lumen": f"""CREATE TABLE lumen ({_CONTENT},
+  nz INTEGER NOT NULL, ny INTEGER NOT NULL, nx INTEGER NOT NULL,
+  num_tiles INTEGER NOT NULL, places BLOB NOT NULL, tiles BLOB NOT NULL
+) STRICT""",
+    "tracker": f"""CREATE TABLE tracker ({_CONTENT},
+  lumen INTEGER NOT NULL REFERENCES lumen, tree INTEGER NOT NULL REFERENCES tree,
+  root_i INTEGER NOT NULL, root_j INTEGER NOT NULL, root_k INTEGER NOT NULL, levels TEXT NOT NULL,
+  nodes INTEGER REFERENCES array, num_nodes INTEGER REFERENCES array
+) STRICT""",
+    "airways": f"""CREATE TABLE airways ({_CONTENT},
+  base INTEGER REFERENCES airways, lumen INTEGER NOT NULL REFERENCES lumen, tree INTEGER NOT NULL REFERENCES tree,
+  tracker INTEGER NOT NULL REFERENCES tracker, facts TEXT NOT NULL
+) STRICT""",
+    "route": f"""CREATE TABLE route ({_CONTENT},
+  points INTEGER NOT NULL REFERENCES array, cumulative_mm INTEGER NOT NULL REFERENCES array,
+  radius_mm INTEGER NOT NULL REFERENCES array, wall_mm INTEGER NOT NULL REFERENCES array,
+  generation INTEGER NOT NULL REFERENCES array, branch_ids INTEGER NOT NULL REFERENCES array,
+  path_points INTEGER NOT NULL REFERENCES array, facts TEXT NOT NULL
+) STRICT""",
+    "document": f"""CREATE TABLE document ({_CONTENT},
+  airways INTEGER REFERENCES airways, route INTEGER REFERENCES route,
+  transfer INTEGER NOT NULL REFERENCES value, look INTEGER NOT NULL REFERENCES value,
+  targets INTEGER NOT NULL REFERENCES value, keys INTEGER NOT NULL REFERENCES value, lumen_threshold REAL
+) STRICT""",
+    "step": """CREATE TABLE step (
+  n INTEGER PRIMARY KEY, label TEXT NOT NULL, command TEXT, at_s REAL NOT NULL,
+  document INTEGER NOT NULL REFERENCES document
+) STRICT""",
+    "moment": """CREATE TABLE moment (
+  id INTEGER PRIMARY KEY CHECK (id = 1), position INTEGER NOT NULL, facts TEXT NOT NULL
+) STRICT""",
+    "recording": """CREATE TABLE recording (
+  id INTEGER PRIMARY KEY, name TEXT NOT NULL, begun_s REAL NOT NULL, facts TEXT NOT NULL
+) STRICT""",
+    "recording_chunk": """CREATE TABLE recording_chunk (
+  recording INTEGER NOT NULL REFERENCES recording ON DELETE CASCADE, n INTEGER NOT NULL,
+  size INTEGER NOT NULL, digest BLOB NOT NULL, data BLOB NOT NULL, PRIMARY KEY (recording, n)
+) STRICT""",
+    "extra": """CREATE TABLE extra (
+  kind TEXT NOT NULL, n INTEGER NOT NULL, json TEXT NOT NULL, PRIMARY KEY (kind, n)
+) STRICT""",
+    "ct": """CREATE TABLE ct (
+  n INTEGER PRIMARY KEY, first_k INTEGER NOT NULL, num_k INTEGER NOT NULL, digest BLOB NOT NULL, data BLOB NOT NULL
+) STRICT""",
+}
+CONTENT: Final = ("value", "array", "branch", "tree", "tile", "lumen", "tracker", "airways", "route", "document")
+"""Tables of content, each after those that it points to."""
+
+
+def make_tables(connection: sqlite3.Connection) -> None:
+    """Make an empty file a case file."""
+    connection.execute(f"PRAGMA application_id={APPLICATION_ID}")
+    for sql in TABLES.values():
+        connection.execute(sql)
+    connection.execute(f"PRAGMA user_version={SCHEMA}")
+
+
+def connected(path: Path, mode: str, *, immutable: bool = False) -> sqlite3.Connection:
+    """A connection that believes nothing that the file says of itself.
+
+    Parameters
+    ----------
+    mode
+        ``ro``, ``rw`` or ``rwc``.
+    immutable
+        Neither locks nor journals are looked for: nothing is written beside the file.
+    """
+    uri = path.absolute().as_uri() + f"?mode={mode}" + ("&immutable=1" if immutable else "")
+    connection = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False, timeout=10.0)
+    try:
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_SQL_LENGTH, MAX_SQL_BYTES)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_COLUMN, 32)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_EXPR_DEPTH, 20)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_COMPOUND_SELECT, 4)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_TRIGGER_DEPTH, 1)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_WORKER_THREADS, 0)
+        for pragma in ("trusted_schema=OFF", "cell_size_check=ON", "mmap_size=0", "foreign_keys=ON"):
+            connection.execute(f"PRAGMA {pragma}")
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def check_schema(connection: sqlite3.Connection, path: Path) -> None:
+    """Refuse a file whose tables are not exactly ours.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.not-a-case``, ``case.newer`` or ``case.damaged``.
+    sqlite3.Error
+        If SQLite cannot read it.
+    """
+    application = connection.execute("PRAGMA application_id").fetchone()[0]
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if application != APPLICATION_ID:
+        raise refused(path, "it is not a case that Carina saved; choose a .carina file", code="case.not-a-case")
+    if version > SCHEMA:
+        raise refused(
+            path,
+            f"a newer Carina saved it (schema {version}; this Carina reads up to {SCHEMA}); update Carina",
+            code="case.newer",
+        )
+    found = set(connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master LIMIT 200"))
+    if version != SCHEMA or found != _our_schema():
+        raise refused(
+            path,
+            f"its tables differ from those of schema {SCHEMA}, so it was changed by another program or is damaged; "
+            "open an earlier copy",
+            code="case.damaged",
+        )
+
+
+def _our_schema() -> set[tuple[str, str, str, str | None]]:
+    with contextlib.closing(sqlite3.connect(":memory:")) as empty:
+        make_tables(empty)
+        return set(empty.execute("SELECT type, name, tbl_name, sql FROM sqlite_master"))

@@ -1,0 +1,33 @@
+"""What is wrong with a case file, in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from carina.errors import VolumeImportError
+
+__all__ = ["CaseFileError", "damaged", "refused"]
+
+
+class CaseFileError(VolumeImportError):
+    """A case file that is not opened; the message names it and says what to do.
+
+    ``code`` is ``case.not-a-case``, ``case.newer``, ``case.damaged``, ``case.too-large``, ``case.other-scan``,
+    ``case.read-only`` or ``case.closed``.
+    """
+
+    code = "case"
+
+
+def refused(path: Path | str, why: str, *, code: str) -> CaseFileError:
+    """A file that is none of ours, or cannot be used: ``why`` says what was expected and found, and what to do."""
+    return CaseFileError(f"{path}: this case cannot be opened: {why}", code=code)
+
+
+def damaged(where: str, expected: str, found: str) -> CaseFileError:
+    """A part of a case file that does not hold what it must."""
+    return CaseFileError(
+        f"the case file is damaged at {where}: expected {expected}; found {found}; rescue what is whole with "
+        "carina case pack --rescue, or open an earlier copy",
+        code="case.damaged",
+    )

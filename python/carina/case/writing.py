@@ -1,0 +1,425 @@
+"""A moment of a case as rows: what is there already is found by identity, else by digest, and never written twice."""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+import weakref
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.case import facts as f
+from carina.case.document import Document, Keys, Target
+from carina.case.history import Step
+from carina.case.moment import Moment
+from carina.case.packing import as_json, deflated, digest_of, packed_ints
+from carina.case.reading import KeptAirways
+from carina.case.routes import ChosenRoute
+from carina.case.schema import CONTENT
+from carina.case.tiles import to_tiles
+from carina.commands.value import LocalCommand
+from carina.errors import UsageError
+from carina.track import Airways, AirwayTree, Branch
+from carina.track.edit.folded import FoldedAirways, PackedAirways
+from carina.track.paths.tracker import PathTracker
+
+__all__ = ["CaseWriter", "StepRow"]
+
+StepRow = tuple[str, str | None, float, int]
+"""Label, command, seconds, document."""
+_DTYPES = {"f": "f8", "i": "i8", "u": "u4"}
+
+
+class _Identities:
+    """Rows of objects that are alive: nothing is kept alive for being known."""
+
+    def __init__(self) -> None:
+        self._rows: dict[tuple[str, int], tuple[weakref.ref[Any], int]] = {}
+
+    def find(self, kind: str, value: object) -> int | None:
+        known = self._rows.get((kind, id(value)))
+        return known[1] if known is not None and known[0]() is value else None
+
+    def note(self, kind: str, value: object, row: int) -> None:
+        key = (kind, id(value))
+        self._rows[key] = (weakref.ref(value, lambda _gone: self._rows.pop(key, None)), row)
+
+
+class CaseWriter:
+    """Puts moments into the tables of one file, inside a transaction of its caller.
+
+    Parameters
+    ----------
+    connection
+        To write to; its tables are ours.
+    """
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self._connection = connection
+        self._ids: dict[str, dict[bytes, int]] = {
+            table: {bytes(d): n for n, d in connection.execute(f"SELECT id, digest FROM {table}")} for table in CONTENT
+        }
+        self._next = {table: 1 + max(ids.values(), default=0) for table, ids in self._ids.items()}
+        self._weak = _Identities()
+        self._of_last: dict[tuple[str, int], tuple[object, int]] = {}
+        self._of_this: dict[tuple[str, int], tuple[object, int]] = {}
+        rows = connection.execute("SELECT n, label, command, at_s, document FROM step ORDER BY n").fetchall()
+        self._steps: list[tuple[object, StepRow]] = [(None, row[1:]) for row in rows]
+        self._first_n = rows[0][0] if rows else 0
+        self._pending = (self._steps, self._first_n)
+        self.reader: object = None
+        """Of what was read from this file."""
+
+    def know(self, kind: str, value: object, row: int) -> None:
+        """Something was read from this file."""
+        if kind in {"array", "lumen", "tracker"}:
+            self._weak.note(kind, value, row)
+        else:
+            self._of_last[kind, id(value)] = (value, row)
+
+    def write(self, moment: Moment) -> None:
+        """Write what is new of a moment."""
+        self._of_this = {}
+        entries = [(moment, self._first(moment)), *((step, self._step(step)) for step in moment.steps)]
+        self._write_steps(entries)
+        scope = moment.scope
+        facts = f.MomentFacts(
+            sight=moment.sight,
+            tip=moment.tip,
+            scope=None if scope is None else f.ScopeFacts(scope.insertion_mm, scope.roll_rad, scope.flexion_rad),
+            search_status=moment.search_status,
+            search_words=moment.search_words,
+            person_moved=moment.person_moved,
+            numbers=moment.numbers,
+        )
+        row = (moment.position, as_json(facts).decode())
+        self._connection.execute("INSERT OR REPLACE INTO moment (id, position, facts) VALUES (1, ?, ?)", row)
+
+    def kept(self) -> None:
+        """The transaction has ended well: what it wrote is known, and only what this moment holds is kept alive."""
+        self._of_last = self._of_this
+        self._steps, self._first_n = self._pending
+
+    # ------------------------------------------------------------ steps
+
+    def _first(self, moment: Moment) -> StepRow:
+        return ("", None, 0.0, self._document(moment.first))
+
+    def _step(self, step: Step[Document]) -> StepRow:
+        command = step.command
+        said = None if command is None or isinstance(command, LocalCommand) else as_json(command).decode()
+        return (step.label, said, float(step.at_s), self._document(step.document))
+
+    def _write_steps(self, entries: list[tuple[object, StepRow]]) -> None:
+        """Only rows that changed; where the oldest steps were forgotten, the others keep their numbers."""
+        rows = [row for _, row in entries]
+        old = [row for _, row in self._steps]
+        shift = 0
+        if len(entries) > 1 and len(self._steps) > 1:
+            first_step = entries[1][0]
+            shift = next((n - 1 for n, (one, _) in enumerate(self._steps) if n and one is first_step), 0)
+        first_n = self._first_n + shift
+        change = self._connection.execute
+        if shift:
+            change("DELETE FROM step WHERE n < ?", (first_n,))
+        for place, row in enumerate(rows):
+            if not (0 <= place + shift < len(old)) or old[place + shift] != row:
+                change(
+                    "INSERT OR REPLACE INTO step (n, label, command, at_s, document) VALUES (?, ?, ?, ?, ?)",
+                    (first_n + place, *row),
+                )
+        if first_n + len(rows) < self._first_n + len(old):
+            change("DELETE FROM step WHERE n >= ?", (first_n + len(rows),))
+        self._pending = (entries, first_n)
+
+    def take_steps(self, entries: list[tuple[object, StepRow]], first_n: int) -> None:
+        """The line of steps that was read."""
+        self._steps, self._first_n = entries, first_n
+
+    # ------------------------------------------------------------ documents
+
+    def _document(self, document: Document) -> int:
+        known = self._found("document", document)
+        if known is not None:
+            self._still_held(document)
+            return known
+        values = {
+            "airways": None if document.airways is None else self._airways(document.airways),
+            "route": None if document.route is None else self._route(document.route),
+            "transfer": self._value("transfer", document.transfer, document.transfer.to_json),
+            "look": self._value("look", document.look, lambda: document.look),
+            "targets": self._value("targets", document.targets, lambda: [self._target(t) for t in document.targets]),
+            "keys": self._value("keys", document.keys, lambda: _keys(document.keys)),
+            "lumen_threshold": None if document.lumen_threshold is None else float(document.lumen_threshold),
+        }
+        return self._note("document", document, self._put("document", values))
+
+    def _still_held(self, document: Document) -> None:
+        """Parts of a document that is known are known to the next moment as well."""
+        parts: list[tuple[str, object]] = [
+            ("transfer", document.transfer),
+            ("look", document.look),
+            ("targets", document.targets),
+            ("keys", document.keys),
+            ("airways", document.airways),
+            ("airways", getattr(document.airways, "base", None)),
+            ("route", document.route),
+            *(("route", target.route) for target in document.targets),
+        ]
+        for kind, value in parts:
+            if value is not None:
+                self._found(kind, value)
+
+    def _target(self, target: Target) -> f.TargetFacts:
+        return f.TargetFacts(
+            target_id=target.target_id,
+            name=target.name,
+            lps=_three(target.lps),
+            used_lps=None if target.used_lps is None else _three(target.used_lps),
+            snapped_mm=target.snapped_mm,
+            length_mm=target.length_mm,
+            problem=target.problem,
+            route=None if target.route is None else self._route(target.route),
+        )
+
+    def _route(self, route: ChosenRoute) -> int:
+        known = self._found("route", route)
+        if known is not None:
+            return known
+        path = route.path
+        made = path.made_from()
+        drawn = route.drawn
+        facts = f.RouteFacts(
+            route_id=route.route_id,
+            title=route.title,
+            forks_mm=route.forks_mm,
+            lookouts_mm=route.lookouts_mm,
+            spans=tuple(
+                f.SpanFacts(s.branch_id, s.name, s.generation, s.from_mm, s.to_mm, s.kind) for s in route.spans
+            ),
+            target_id=route.target_id,
+            branch_id=route.branch_id,
+            drawn=(drawn.length_mm, drawn.drawn_mm, drawn.bridge_mm),
+            up_lps=made["up_lps"],
+            path_forks_mm=made["forks_mm"],
+            path_lookouts_mm=made["lookouts_mm"],
+            max_deviation_mm=made["max_deviation_mm"],
+        )
+        names = ("points_lps", "cumulative_mm", "radius_mm", "wall_mm", "generation", "branch_ids")
+        values: dict[str, Any] = {
+            ("points" if name == "points_lps" else name): self._array(getattr(route, name)) for name in names
+        }
+        values["path_points"] = self._array(path.source_lps)
+        values["facts"] = as_json(facts).decode()
+        return self._note("route", route, self._put("route", values))
+
+    # ------------------------------------------------------------ airways
+
+    def _airways(self, airways: Airways | FoldedAirways) -> int:
+        known = self._found("airways", airways)
+        if known is not None:
+            return known
+        if isinstance(airways, KeptAirways):
+            own = airways.reader is self.reader
+            row = airways.row if own else self._whole_airways(airways.reader.airways(airways.row))
+        elif isinstance(airways, PackedAirways):
+            row = self._packed_airways(airways)
+        elif isinstance(airways, Airways):
+            row = self._whole_airways(airways)
+        else:
+            raise UsageError(f"a case file holds airways; found {type(airways).__name__}")
+        return self._note("airways", airways, row)
+
+    def _packed_airways(self, packed: PackedAirways) -> int:
+        # Put away from airways that were written: the same branches and edits.
+        for (kind, _), (value, row) in (*self._of_this.items(), *self._of_last.items()):
+            if kind == "airways" and isinstance(value, Airways) and _is_of(value, packed):
+                return row
+        return self._whole_airways(packed.unfold(packed.base.tracker.volume))
+
+    def _whole_airways(self, airways: Airways) -> int:
+        lumen, tree = self._lumen(airways.lumen_zyx), self._tree(airways.tree.branches, airways.tree)
+        facts = f.AirwaysFacts(
+            root_lps=_three(airways.root_lps),
+            threshold=None if math.isnan(airways.threshold) else float(airways.threshold),
+            notes=tuple(airways.notes),
+            wall_levels=None if airways.wall_levels is None else _three(airways.wall_levels),
+            next_id=airways.next_id,
+            edits=tuple(self._value("edit", edit, lambda edit=edit: edit) for edit in airways.edits),
+            uncertain=self._value("uncertain", airways.uncertain, lambda: airways.uncertain),
+            bridges=tuple(self._array(bridge) for bridge in airways.bridges),
+        )
+        values = {
+            "base": None if airways.base is None else self._airways(airways.base),
+            "lumen": lumen,
+            "tree": tree,
+            "tracker": self._tracker(airways.tracker, lumen, airways.wall_levels),
+            "facts": as_json(facts).decode(),
+        }
+        return self._put("airways", values)
+
+    def _tracker(self, tracker: PathTracker, lumen: int, levels: tuple[float, float, float] | None) -> int:
+        known = self._weak.find("tracker", tracker)
+        if known is not None:
+            return known
+        i, j, k = tracker.root_ijk
+        given = tracker.given_nodes
+        values = {
+            "lumen": lumen,
+            "tree": self._tree(tracker.branches, None),
+            "root_i": i,
+            "root_j": j,
+            "root_k": k,
+            "levels": as_json(levels).decode(),
+            "nodes": None if given is None else self._array(np.concatenate(given)),
+            "num_nodes": None if given is None else self._array(np.array([len(n) for n in given], dtype=np.int64)),
+        }
+        row = self._put("tracker", values)
+        self._weak.note("tracker", tracker, row)
+        return row
+
+    def _tree(self, branches: tuple[Branch, ...], tree: AirwayTree | None) -> int:
+        rows = [self._branch(branch) for branch in branches]
+        facts = f.TreeFacts(
+            branches=tuple(
+                f.BranchFacts(
+                    id=b.id,
+                    parent=b.parent,
+                    children=tuple(b.children),
+                    generation=b.generation,
+                    kind=b.kind,  # type: ignore[arg-type]  # one of these words
+                    name=b.name,
+                    cost=b.cost,
+                    confidence=b.confidence,
+                    name_confidence=b.name_confidence,
+                    name_from=b.name_from,  # type: ignore[arg-type]
+                    variant=b.variant,
+                    doubtful_mm=b.doubtful_mm,
+                )
+                for b in branches
+            ),
+            notes=() if tree is None else tuple(f.BadgeFacts(n.code, n.words, n.badge) for n in tree.notes),
+        )
+        words = as_json(facts)
+        digest = digest_of("tree", np.array(rows, dtype="<i4").tobytes(), words)
+        known = self._ids["tree"].get(digest)
+        if known is not None:
+            return known
+        values = {
+            "num_branches": len(rows),
+            "branches": packed_ints(rows),
+            "size": len(words),
+            "facts": deflated(words),
+        }
+        return self._insert("tree", digest, values)
+
+    def _branch(self, branch: Branch) -> int:
+        wall = branch.wall_mm
+        values = {
+            "points": self._array(branch.points),
+            "radius": self._array(branch.radius),
+            "wall": None if wall is None else self._array(wall),
+        }
+        return self._put("branch", values)
+
+    def _lumen(self, lumen_zyx: NDArray[np.uint8]) -> int:
+        known = self._weak.find("lumen", lumen_zyx)
+        if known is not None:
+            return known
+        tiles = to_tiles(lumen_zyx)
+        rows = []
+        for _, bits in tiles:
+            digest = digest_of("tile", bits)
+            row = self._ids["tile"].get(digest)
+            rows.append(self._insert("tile", digest, {"data": deflated(bits)}) if row is None else row)
+        places = np.array([place for place, _ in tiles], dtype="<i4")
+        nz, ny, nx = lumen_zyx.shape
+        digest = digest_of("lumen", nz, ny, nx, places.tobytes(), np.array(rows, dtype="<i4").tobytes())
+        found = self._ids["lumen"].get(digest)
+        if found is None:
+            values = {
+                "nz": nz,
+                "ny": ny,
+                "nx": nx,
+                "num_tiles": len(rows),
+                "places": packed_ints(places),
+                "tiles": packed_ints(rows),
+            }
+            found = self._insert("lumen", digest, values)
+        self._weak.note("lumen", lumen_zyx, found)
+        return found
+
+    # ------------------------------------------------------------ content
+
+    def _array(self, array: NDArray[Any]) -> int:
+        known = self._weak.find("array", array)
+        if known is not None:
+            return known
+        dtype = _DTYPES[array.dtype.kind] if array.dtype.itemsize == 8 else f"{array.dtype.kind}{array.dtype.itemsize}"
+        content = np.ascontiguousarray(array, dtype=f"<{dtype}")
+        count, width = len(content), 0 if content.ndim == 1 else content.shape[1]
+        raw = content.tobytes()
+        digest = digest_of("array", dtype, count, width, raw)
+        row = self._ids["array"].get(digest)
+        if row is None:
+            values = {"dtype": dtype, "count": count, "width": width, "data": deflated(raw)}
+            row = self._insert("array", digest, values)
+        self._weak.note("array", array, row)
+        return row
+
+    def _value(self, kind: str, value: object, json_of: Any) -> int:
+        known = self._found(kind, value)
+        if known is not None:
+            return known
+        return self._note(kind, value, self._put("value", {"kind": kind, "json": as_json(json_of()).decode()}))
+
+    def _put(self, table: str, values: dict[str, Any]) -> int:
+        """The row of these values: the one that there is, or a new one."""
+        digest = digest_of(table, *values.values())
+        known = self._ids[table].get(digest)
+        return self._insert(table, digest, values) if known is None else known
+
+    def _insert(self, table: str, digest: bytes, values: dict[str, Any]) -> int:
+        row = self._next[table]
+        names = ", ".join(("id", "digest", *values))
+        marks = ", ".join("?" * (len(values) + 2))
+        self._connection.execute(f"INSERT INTO {table} ({names}) VALUES ({marks})", (row, digest, *values.values()))
+        self._next[table] = row + 1
+        self._ids[table][digest] = row
+        return row
+
+    def _found(self, kind: str, value: object) -> int | None:
+        known = self._of_this.get((kind, id(value))) or self._of_last.get((kind, id(value)))
+        if known is None or known[0] is not value:
+            return None
+        self._of_this[kind, id(value)] = known
+        return known[1]
+
+    def _note(self, kind: str, value: object, row: int) -> int:
+        self._of_this[kind, id(value)] = (value, row)
+        return row
+
+
+def _is_of(airways: Airways, packed: PackedAirways) -> bool:
+    return airways.tree.branches is packed.branches and airways.edits is packed.edits
+
+
+def _keys(keys: Keys) -> f.KeysFacts:
+    frames = tuple(
+        f.KeyFacts(
+            key_id=key.key_id,
+            lps_from_camera=tuple(key.pose.lps_from_camera.ravel().tolist()),
+            name=key.name,
+            speed_mm_s=key.speed_mm_s,
+        )
+        for key in keys.frames
+    )
+    return f.KeysFacts(frames=frames, flying=keys.flying)
+
+
+def _three(values: Sequence[float] | NDArray[np.float64] | Iterable[float]) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z

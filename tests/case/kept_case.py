@@ -1,0 +1,250 @@
+"""A case to keep in a file: the small drawn tree with edits, targets, key frames and looks, as a session makes them."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from edit_case import EditCase, assert_same, edit_case
+from edit_sequences import some_edit
+
+from carina.case import Document, History, Key, LaidScope, Moment, Target
+from carina.case.file import SourceFacts
+from carina.case.routes import ChosenRoute, default_branch_id, route_to_branch
+from carina.commands import AddTarget, EditKeys, EditTree, KeyAdd, SetFov, SetTransfer
+from carina.errors import NoResultError, UsageError
+from carina.navigate import Navigator
+from carina.render import GreyWindow, Sight, transfer_preset
+from carina.scopes import Pose
+from carina.session.targets import followed_route, tracked_target
+from carina.track import Airways, edit_airways
+from carina.track.edit.folded import FoldedAirways, fold_airways
+
+SOURCE_DIGEST = "ab" * 32
+
+
+def source_of(case: EditCase) -> SourceFacts:
+    return SourceFacts.of(case.volume, SOURCE_DIGEST, path="ct/series", choices={"series": "1"})
+
+
+class Doing:
+    """Does to a case what a person does, without a session."""
+
+    def __init__(self, case: EditCase | None = None) -> None:
+        self.case = case or edit_case()
+        airways = self.case.airways
+        branch_id = default_branch_id(airways.tree)
+        assert branch_id is not None
+        first = Document(
+            transfer=transfer_preset("endoscopic"),
+            airways=airways,
+            lumen_threshold=None,
+            route=route_to_branch(airways.tree, branch_id),
+        )
+        self.history: History[Document] = History(first)
+        self.sight = Sight()
+        self.numbers = {"target": 0, "key": 0}
+        self.at_s = 0.0
+
+    @property
+    def document(self) -> Document:
+        return self.history.current
+
+    @property
+    def airways(self) -> Airways:
+        airways: Any = self.document.airways
+        return airways
+
+    def change(self, label: str, document: Document, command: Any) -> None:
+        self.at_s += 1.25
+        self.history.change(label, document, now_s=self.at_s, command=command, at_s=self.at_s)
+
+    def edit(self, kind: str, number: Any) -> None:
+        edit = some_edit(kind, self.airways, number, self.case)
+        try:
+            edited = edit_airways(self.case.volume, self.airways, edit)
+        except (NoResultError, UsageError):
+            return
+        targets = tuple(tracked_target(edited, target) for target in self.document.targets)
+        route = followed_route(edited, self.document.route, targets)
+        self.change(
+            f"edit {kind}", replace(self.document, airways=edited, targets=targets, route=route), EditTree(edit)
+        )
+
+    def target(self, number: Any) -> None:
+        tips = self.airways.tree.tips()
+        lps = tuple(float(v) + 0.3 for v in tips[number(len(tips))].points[-1])
+        self.numbers["target"] += 1
+        name = f"target-{self.numbers['target']}"
+        target = tracked_target(self.airways, Target(name, "Ziel größer 7", lps))  # type: ignore[arg-type]
+        route = target.route or self.document.route
+        document = replace(self.document, targets=(*self.document.targets, target), route=route)
+        self.change(f"add {name}", document, AddTarget(lps))  # type: ignore[arg-type]
+
+    def key(self, number: Any) -> None:
+        self.numbers["key"] += 1
+        turn = 0.1 * number(60)
+        pose = Pose.looking((1.0 / 3.0, -turn, turn), (np.cos(turn), np.sin(turn), -0.5))
+        frames = (*self.document.keys.frames, Key(f"key-{self.numbers['key']}", pose, None, None))
+        self.change(
+            "add key frame", replace(self.document, keys=replace(self.document.keys, frames=frames)), EditKeys(KeyAdd())
+        )
+
+    def look(self, number: Any) -> None:
+        if number(2):
+            fov = 80.0 + number(50) / 7.0
+            look = dataclasses.replace(self.document, look=_with(self.document.look, fov_deg=fov))
+            self.change("field of view", look, SetFov(fov))
+        else:
+            preset = ("ct-grey", "endoscopic", "paper")[number(3)]
+            self.change(
+                "transfer function", replace(self.document, transfer=transfer_preset(preset)), SetTransfer(preset)
+            )
+
+    def gaze(self, number: Any) -> None:
+        self.sight = _with(self.sight, crosshair_lps=(1.0, number(7) / 3.0, -2.0), window=GreyWindow(1400.0, -500.5))
+
+    def undo(self) -> None:
+        self.history.undo()
+        self.unfold()
+
+    def redo(self) -> None:
+        self.history.redo()
+        self.unfold()
+
+    def unfold(self) -> None:
+        airways: Any = self.document.airways
+        if isinstance(airways, FoldedAirways):
+            whole = airways.unfold(self.case.volume)
+            self.history.amend(lambda d: replace(d, airways=whole) if d.airways is airways else d)
+
+    def fold(self) -> None:
+        """As a session folds the airways of far steps."""
+        volume = self.case.volume
+        folded: dict[int, Any] = {}
+
+        def fold(document: Document) -> Document:
+            airways: Any = document.airways
+            if isinstance(airways, FoldedAirways) or airways.base is None:
+                return document
+            if id(airways) not in folded:
+                folded[id(airways)] = fold_airways(volume, airways)
+            return replace(document, airways=folded[id(airways)])
+
+        self.history.fold_far(lambda d: d.airways, 2, fold)
+
+    def moment(self) -> Moment:
+        navigator = Navigator(Pose.looking((1.0, 2.0, 3.0), (0.1, 0.2, -1.0)), volume=self.case.volume)
+        return Moment(
+            first=self.history.first,
+            steps=self.history.steps,
+            position=self.history.position,
+            sight=self.sight,
+            tip=navigator.state(),
+            scope=LaidScope(12.5, 0.1, -0.2) if self.history.position % 2 else None,
+            search_status="found",
+            search_words="words; größer",
+            person_moved=True,
+            numbers=dict(self.numbers),
+        )
+
+
+def _with(value: Any, **changes: Any) -> Any:
+    import msgspec
+
+    return msgspec.structs.replace(value, **changes)
+
+
+ACTS = (
+    "add",
+    "cut",
+    "bridge",
+    "root",
+    "fork",
+    "paint",
+    "erase",
+    "smooth",
+    "rename",
+    "target",
+    "key",
+    "look",
+    "gaze",
+    "undo",
+    "redo",
+    "fold",
+)
+
+
+def act(doing: Doing, name: str, number: Any) -> None:
+    """One thing that a person does."""
+    if name in {"undo", "redo", "fold"}:
+        getattr(doing, name)()
+    elif name in {"target", "key", "look", "gaze"}:
+        getattr(doing, name)(number)
+    else:
+        doing.edit(name, number)
+
+
+def assert_same_route(found: ChosenRoute | None, expected: ChosenRoute | None) -> None:
+    if expected is None:
+        assert found is None
+        return
+    assert found is not None
+    for field in dataclasses.fields(ChosenRoute):
+        one, other = getattr(found, field.name), getattr(expected, field.name)
+        if isinstance(other, np.ndarray):
+            np.testing.assert_array_equal(one, other)
+            assert one.dtype == other.dtype
+        elif field.name == "path":
+            assert one.made_from() == other.made_from()
+            np.testing.assert_array_equal(one.points_lps, other.points_lps)
+        else:
+            assert one == other, field.name
+    np.testing.assert_array_equal(found.frames.lps_from_frame, expected.frames.lps_from_frame)
+
+
+def whole(airways: Any, case: EditCase) -> Airways:
+    found: Airways = airways.unfold(case.volume) if isinstance(airways, FoldedAirways) else airways
+    return found
+
+
+def assert_same_document(found: Document, expected: Document, case: EditCase) -> None:
+    assert found.transfer.to_json() == expected.transfer.to_json()
+    assert (found.look, found.lumen_threshold) == (expected.look, expected.lumen_threshold)
+    assert found.keys.flying == expected.keys.flying
+    for one, other in zip(found.keys.frames, expected.keys.frames, strict=True):
+        assert (one.key_id, one.name, one.speed_mm_s) == (other.key_id, other.name, other.speed_mm_s)
+        np.testing.assert_array_equal(one.pose.lps_from_camera, other.pose.lps_from_camera)
+    assert_same_route(found.route, expected.route)
+    for one, other in zip(found.targets, expected.targets, strict=True):
+        assert replace(one, route=None) == replace(other, route=None)
+        assert_same_route(one.route, other.route)
+    if expected.airways is None:
+        assert found.airways is None
+    else:
+        assert_same_airways(whole(found.airways, case), whole(expected.airways, case))
+
+
+def assert_same_airways(found: Airways, expected: Airways) -> None:
+    assert_same(found, expected)
+    assert (found.notes, found.wall_levels, found.badges) == (expected.notes, expected.wall_levels, expected.badges)
+    np.testing.assert_equal(found.threshold, expected.threshold)
+    assert found.tracker.root_ijk == expected.tracker.root_ijk
+    assert [(b.name_confidence, b.variant) for b in found.tree.branches] == [
+        (b.name_confidence, b.variant) for b in expected.tree.branches
+    ]
+    if expected.base is not None:
+        assert found.base is not None
+        assert found.base.base is None
+        np.testing.assert_array_equal(found.base.lumen_zyx, expected.base.lumen_zyx)
+
+
+def assert_same_moment(found: Moment | None, expected: Moment, case: EditCase) -> None:
+    assert found is not None
+    for name in ("position", "sight", "tip", "scope", "search_status", "search_words", "person_moved", "numbers"):
+        assert getattr(found, name) == getattr(expected, name), name
+    assert [(s.label, s.command, s.at_s) for s in found.steps] == [(s.label, s.command, s.at_s) for s in expected.steps]
+    for one, other in zip(found.history().documents(), expected.history().documents(), strict=True):
+        assert_same_document(one, other, case)
