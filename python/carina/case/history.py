@@ -53,6 +53,9 @@ class History(Generic[D]):
         self._gesture: Hashable = None
         self._gesture_s = float("-inf")
 
+    def __repr__(self) -> str:
+        return f"History({len(self._steps)} changes, {self._position} of them done)"
+
     @property
     def first(self) -> D:
         """The document before all steps that are kept."""

@@ -21,6 +21,7 @@ from typing import BinaryIO
 
 from carina.disk.locks import try_lock
 from carina.disk.trouble import disk_trouble
+from carina.display import as_words
 from carina.errors import CarinaError
 
 __all__ = ["DRAFT", "Draft", "drafted", "make_folder", "sweep_drafts", "write_whole"]
@@ -89,6 +90,9 @@ class Draft:
             if self._place is not None:
                 self.discard()
             raise self.trouble(error) from error
+
+    def __repr__(self) -> str:
+        return f"Draft({as_words(str(self._target))}, what={as_words(self._what)})"
 
     def commit(self) -> None:
         """Put it in its place, whole and on the disk.

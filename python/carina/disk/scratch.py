@@ -22,6 +22,7 @@ from pathlib import Path
 
 from carina.disk.locks import try_lock
 from carina.disk.trouble import disk_trouble
+from carina.display import as_words
 
 __all__ = ["ScratchFolder", "scratch_folder", "sweep_scratch"]
 
@@ -42,6 +43,9 @@ class ScratchFolder:
 
     def __init__(self) -> None:
         self.path = _Root.new_folder()
+
+    def __repr__(self) -> str:
+        return f"ScratchFolder({as_words(str(self.path))})"
 
     def remove(self) -> None:
         """Remove it with all that it holds; nothing if it is gone."""

@@ -59,6 +59,9 @@ class AutoFlight:
             places.append(stop_mm)
         self._times, self._places = np.array(times), np.array(places)
 
+    def __repr__(self) -> str:
+        return f"AutoFlight({self._path!r}, {self.duration_s:.1f} s)"
+
     @property
     def duration_s(self) -> float:
         """From the start of the path to the end of the last pause."""

@@ -166,6 +166,9 @@ class KeyFrameFlight:
             self._times = np.concatenate([[0.0], np.cumsum(lasts)])
             check_duration(self.duration_s)
 
+    def __repr__(self) -> str:
+        return f"KeyFrameFlight({len(self._poses)} key frames, {self.duration_s:.1f} s)"
+
     @property
     def duration_s(self) -> float:
         """From the first to the last."""

@@ -63,6 +63,9 @@ class SampleFilter:
         self._turning: NDArray[np.float64] = np.zeros(3)
         self._latency_s = 0.0
 
+    def __repr__(self) -> str:
+        return f"SampleFilter({self._settings!r})"
+
     @property
     def latency_ms(self) -> float:
         """The delay of the last sample: the longer of that of position and orientation."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from carina import commands as c
 from carina.commands import DeviceControls, checked
 from carina.commands.fields import Control
-from carina.display import one_line
+from carina.display import as_words, one_line
 from carina.errors import UsageError
 from carina.navigate import moves as m
 from carina.navigate.flight_path import FlightPath
@@ -142,6 +142,10 @@ class Pilot:
         # In absolute: pose = registered pen * turn, shifted.
         self._off_turn = np.eye(3)
         self._off_lps: MM3 = np.zeros(3)
+
+    def __repr__(self) -> str:
+        held = "" if self.holder is None else f", held by {as_words(self.holder)}"
+        return f"Pilot({self.navigator!r}{held})"
 
     # ------------------------------------------------------------ what others read
 

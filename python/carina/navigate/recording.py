@@ -115,6 +115,10 @@ class Recorder:
         self._on_end = on_end
         pilot.on_move = self._moved
 
+    def __repr__(self) -> str:
+        ended = "" if self.trouble is None else ", ended early"
+        return f"Recorder({self.length_s:.1f} s, {self.num_moves} moves, {self.num_poses} poses{ended})"
+
     @property
     def length_s(self) -> float:
         """Seconds recorded."""

@@ -10,6 +10,7 @@ from typing import Literal, TypeAlias
 from msgspec.structs import replace
 
 from carina.commands.value import FrozenValue
+from carina.display import as_words
 
 __all__ = ["AxesSample", "HandleSample", "PoseSample", "Refusal", "Sample", "SampleGate"]
 
@@ -194,6 +195,10 @@ class SampleGate:
         self._holder: str | None = None
         self._message_s = -math.inf
         self._unsaid: Counter[tuple[str, Refusal]] = Counter()
+
+    def __repr__(self) -> str:
+        held = "free" if self._holder is None else f"held by {as_words(self._holder)}"
+        return f"SampleGate({len(self._seen)} devices, {held})"
 
     @property
     def holder(self) -> str | None:

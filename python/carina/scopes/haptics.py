@@ -175,6 +175,9 @@ class ForceLoop:
             field.core, self._law.numbers, path, udp_port=udp_port, simulated=simulated, lps_from_device=matrix
         )
 
+    def __repr__(self) -> str:
+        return f"ForceLoop({self._law!r}, port={self.port})"
+
     def __enter__(self) -> Self:
         return self
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from carina.disk import make_folder, write_whole
-from carina.display import one_line
+from carina.display import as_words, one_line
 
 __all__ = ["LocalStore", "RecentCase"]
 
@@ -42,6 +42,9 @@ class LocalStore:
         """What the disk did not take: it holds until Carina is closed."""
         self._recent_file = folder / "recent.json"
         self._notice_file = folder / "notice.json"
+
+    def __repr__(self) -> str:
+        return f"LocalStore({as_words(str(self._recent_file.parent))})"
 
     def recent(self) -> tuple[RecentCase, ...]:
         """Newest first; entries that do not read are left out."""

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 from carina.commands import Command, Question, all_commands, checked
+from carina.display import as_words
 from carina.errors import UsageError
 from carina.session.core import Event, SessionCore
 from carina.session.devices import Devices
@@ -104,6 +105,10 @@ class Session:
         for subject in subjects:
             self._handlers.update(handlers_of(subject))
         self._handlers.update(dict.fromkeys(STRAIGHT_TO_THE_PILOT, core.fly))
+
+    def __repr__(self) -> str:
+        case = self._core.case
+        return f"Session({'no case' if case is None else as_words(case.info.volume.source.title)})"
 
     # ------------------------------------------------------------ the two doors
 
