@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from carina.volume.grid_claim import AMBIGUOUS, GridHeader, refuse
 from carina.volume.model import Note
 
-__all__ = ["read_nifti_header"]
+__all__ = ["data_files", "read_nifti_header"]
 
 _RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 _KINDS = {
@@ -92,14 +92,19 @@ def _scaling(path: Path, slope: float, intercept: float) -> tuple[tuple[float, f
     return (None if (slope, intercept) == (1.0, 0.0) else (float(slope), float(intercept))), ()
 
 
+def data_files(path: Path) -> list[Path]:
+    """Where the values of a header without them may be; the first that is there holds them."""
+    stem = path.with_suffix("") if path.suffix.lower() == ".gz" else path
+    return [stem.with_suffix(suffix) for suffix in (".img", ".img.gz", ".IMG", ".IMG.GZ")]
+
+
 def _data_file(path: Path, *, single: bool) -> tuple[Path, bool]:
     """Where the values are, and whether they are packed by gzip."""
     with path.open("rb") as file:
         gzipped = file.read(2) == b"\x1f\x8b"
     if single:
         return path, gzipped
-    stem = path.with_suffix("") if path.suffix.lower() == ".gz" else path
-    siblings = [stem.with_suffix(suffix) for suffix in (".img", ".img.gz", ".IMG", ".IMG.GZ")]
+    siblings = data_files(path)
     found = next((candidate for candidate in siblings if candidate.is_file()), None)
     if found is None:
         problem = f"its values should be in {siblings[0].name} beside it, which is missing"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,6 +106,8 @@ class Volume:
     not_hu_reason: str | None = None
     source: VolumeSource = field(default_factory=lambda: VolumeSource(format="array", title="volume"))
     _range: tuple[int, int] | None = field(default=None, init=False, repr=False)
+    _quality: Any = field(default=None, init=False, repr=False)
+    """What the quality gate found, once it was asked."""
 
     def __post_init__(self) -> None:
         values = self.hu_zyx

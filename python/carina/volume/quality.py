@@ -67,7 +67,7 @@ def trusted_generation(spacing_mm: tuple[float, float, float]) -> int:
 
 
 def quality_gate(volume: Volume) -> Quality:
-    """Judge spacing, coverage and values of a volume.
+    """Judge spacing, coverage and values of a volume. Found when first asked for, and kept with it.
 
     Parameters
     ----------
@@ -79,6 +79,13 @@ def quality_gate(volume: Volume) -> Quality:
     Quality
         Findings in the order in which a person should read them; empty where there is nothing to say.
     """
+    if volume._quality is None:
+        object.__setattr__(volume, "_quality", _judge(volume))
+    found: Quality = volume._quality
+    return found
+
+
+def _judge(volume: Volume) -> Quality:
     findings: list[Finding] = []
     if not volume.is_hu:
         findings.append(Finding("not-hu", f"not in Hounsfield units: {volume.not_hu_reason}"))

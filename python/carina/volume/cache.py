@@ -1,0 +1,601 @@
+"""Opened CTs, kept on disk as they are in memory, so that the next opening reads one file and decodes nothing.
+
+A folder holds two kinds of files, all written whole, never changed, only unlinked, and readable by this person alone:
+
+- ``DIGEST-LPS-512x512x600.voxels``: the voxels (``voxel_file``), shared by all sources that hold them;
+- ``HASH.source``: for one path and series, everything else that a :class:`Volume` holds, and the state of the files
+  that it was read from. The hash is the path's; no name of a file, a folder or a patient stands in a name.
+
+What is found here is a volume that cannot be told from one that was read from its files. Trouble with the cache costs
+time, never a wrong voxel: whatever is cut, altered, or made by another Carina is not used (docs/decisions/0052).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import importlib.metadata
+import logging
+import os
+import re
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.disk import make_folder, say_size, sweep_drafts, write_whole
+from carina.disk.locks import try_lock
+from carina.display import one_line
+from carina.errors import CarinaError
+from carina.version import VERSION
+from carina.volume.digest import canonical_axes, ct_digest
+from carina.volume.model import Volume, VolumeSource
+from carina.volume.opening import guarded, open_volume
+from carina.volume.quality import Quality, quality_gate
+from carina.volume.source_files import CtSource, absolute
+from carina.volume.voxel_file import DamagedFileError, VoxelName, draft_voxel_file, read_voxel_file
+from carina.volume.watch import Watch
+
+__all__ = ["MAX_AGE_S", "MAX_BYTES", "CachedCt", "CachedSize", "OpenedCt", "VolumeCache"]
+
+logger = logging.getLogger(__name__)
+
+MAX_BYTES = 20_000_000_000
+"""That all cached CTs take at most, and no more than a tenth of the free disk."""
+MAX_AGE_S = 90 * 86_400.0
+"""A CT that was not opened for so long is removed."""
+_SHARE_OF_FREE = 0.1
+_SOURCE = ".source"
+_SOURCE_NAME = re.compile(r"[0-9a-f]{40}\.source")
+_LOCK = "lock"
+_FOUND_FOR_S = 3600.0  # voxels without a source are being written, or were left by a crash
+_MAX_RECORD_BYTES = 1 << 24
+
+Cancel = Callable[[], bool]
+Progress = Callable[[str, float | None], None]
+State = Literal["unchanged", "changed", "missing"]
+
+
+class _Record(msgspec.Struct, frozen=True):
+    """What a volume holds beside its voxels, and where it was read from."""
+
+    made_by: str
+    digest: str
+    axes: str
+    shape_zyx: tuple[int, int, int]
+    lps_from_ijk: tuple[tuple[float, ...], ...]
+    is_hu: bool
+    not_hu_reason: str | None
+    volume_source: VolumeSource
+    value_range: tuple[int, int]
+    quality: Quality
+    source: CtSource
+
+    @property
+    def voxels(self) -> VoxelName:
+        return VoxelName(self.digest, self.axes, self.shape_zyx)
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class CachedSize:
+    """One CT in the cache, for a page that lists them."""
+
+    digest: str
+    num_bytes: int
+    last_used_s: float
+    """Seconds since 1970."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenedCt:
+    """A volume that was opened, from the cache or from its files."""
+
+    volume: Volume
+    digest: str | None
+    """Of its voxels, where the cache knew it; else :meth:`VolumeCache.keep` finds it."""
+    source: CtSource | None
+    """What it was read from, to be kept; None where the files changed meanwhile or cannot be asked."""
+
+    @property
+    def from_cache(self) -> bool:
+        """It was read from the cache."""
+        return self.digest is not None
+
+
+class CachedCt:
+    """A CT that the cache holds; nothing of its voxels was read yet."""
+
+    def __init__(self, cache: VolumeCache, record: _Record) -> None:
+        self._cache, self._record = cache, record
+        self.digest = record.digest
+        """See :func:`ct_digest`."""
+        self.shape_zyx = record.shape_zyx
+        self.lps_from_ijk: NDArray[np.float64] = np.array(record.lps_from_ijk, dtype=np.float64)
+        self.source = record.source
+        """The path, and the files as they were."""
+
+    def __repr__(self) -> str:
+        return f"CachedCt(digest={self.digest[:12]}..., shape_zyx={self.shape_zyx})"
+
+    @property
+    def state(self) -> State:
+        """How the source's files are now: with ``changed`` open them and compare digests. ``missing``: one of them
+        cannot be reached."""
+        now = self.source.now()
+        return "missing" if now is None else "unchanged" if now == self.source.files else "changed"
+
+    def load(self, *, progress: Progress | None = None, cancel: Cancel | None = None) -> Volume | None:
+        """The volume, as it was opened; None where the cached file is gone or damaged (it is removed, then).
+
+        Raises
+        ------
+        CancelledError
+            If ``cancel()`` returned true.
+        """
+        values = self._cache._read(self._record, Watch(progress, cancel))
+        return None if values is None else _volume_of(self._record, values)
+
+
+class VolumeCache:
+    """A folder of opened CTs of bounded size and age. Several processes may use it, and it may be deleted meanwhile.
+
+    Parameters
+    ----------
+    folder
+        Made when something is kept.
+    max_bytes
+        Of all voxels together; 0 switches the cache off, and :meth:`sweep` then empties it. :data:`MAX_BYTES` or a
+        tenth of the free disk unless told, whichever is less.
+    max_age_s
+        After its last use a CT is kept for so long.
+    clock
+        Seconds since 1970.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        max_bytes: int | None = None,
+        max_age_s: float = MAX_AGE_S,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self._folder = Path(folder)
+        self._max_bytes = max_bytes
+        self._max_age_s = max_age_s
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._forgotten: dict[str, int] = {}
+        """How often a CT was forgotten here: what is being written meanwhile is then not wanted."""
+
+    def __repr__(self) -> str:
+        sizes = self.sizes()
+        return f"VolumeCache({len(sizes)} CTs, {say_size(sum(size.num_bytes for size in sizes))})"
+
+    @property
+    def is_on(self) -> bool:
+        """It may keep something."""
+        return self._max_bytes != 0
+
+    def open(
+        self,
+        path: str | Path,
+        *,
+        series: str | None = None,
+        progress: Progress | None = None,
+        cancel: Cancel | None = None,
+    ) -> OpenedCt:
+        """Open a CT from the cache where its files are as they were, else as :func:`open_volume` does.
+
+        What was read from its files is not kept yet: hand the result to :meth:`keep` when there is time.
+
+        Parameters
+        ----------
+        path, series, progress, cancel
+            As of :func:`open_volume`.
+
+        Raises
+        ------
+        VolumeImportError, UsageError, CancelledError
+            As :func:`open_volume`.
+        """
+        found = self.find(path, series=series)
+        if found is not None and found.state == "unchanged":
+            volume = guarded(absolute(path), lambda _path: found.load(progress=progress, cancel=cancel))
+            if volume is not None:
+                return OpenedCt(volume, found.digest, found.source)
+        source = CtSource.of(path, series=series) if self.is_on else None
+        volume = open_volume(path, series=series, progress=progress, cancel=cancel)
+        return OpenedCt(volume, None, source)
+
+    def keep(self, opened: OpenedCt, *, cancel: Cancel | None = None) -> str:
+        """Keep what was read from its files, if that can be done; returns the CT's digest in any case.
+
+        Reads all voxels, and writes them: to be called beside other work. What the disk refuses is logged.
+
+        Raises
+        ------
+        CancelledError
+            If ``cancel()`` returned true.
+        """
+        if opened.digest is not None:
+            return opened.digest
+        digest = ct_digest(opened.volume, cancel=cancel)
+        if opened.source is not None:
+            self.put(digest, opened.volume, opened.source, cancel=cancel)
+        return digest
+
+    def find(self, path: str | Path, *, series: str | None = None) -> CachedCt | None:
+        """What the cache holds of a path and series, without asking whether the files are as they were."""
+        if not self.is_on:
+            return None
+        place = absolute(path)
+        record = self._record(self._folder / _source_name(place, series))
+        if record is None or (record.source.path, record.source.series) != (place, series):
+            return None
+        return self._cached(record)
+
+    def find_digest(self, digest: str) -> CachedCt | None:
+        """What the cache holds of a CT, the source used last first; wherever its files are now."""
+        if not self.is_on:
+            return None
+        newest_first = sorted(self._sources(), key=lambda one: -one[1].st_mtime)
+        records = (self._record(path) for path, _ in newest_first)
+        found = (self._cached(record) for record in records if record is not None and record.digest == digest)
+        return next((cached for cached in found if cached is not None), None)
+
+    def get(
+        self,
+        path: str | Path,
+        *,
+        series: str | None = None,
+        progress: Progress | None = None,
+        cancel: Cancel | None = None,
+    ) -> Volume | None:
+        """The volume of a path and series if its files are as they were; else None.
+
+        Raises
+        ------
+        CancelledError
+            If ``cancel()`` returned true.
+        """
+        found = self.find(path, series=series)
+        if found is None or found.state != "unchanged":
+            return None
+        return found.load(progress=progress, cancel=cancel)
+
+    def put(self, digest: str, volume: Volume, source: CtSource, *, cancel: Cancel | None = None) -> bool:
+        """Keep a volume. Where its voxels are kept already, only the source is written.
+
+        Parameters
+        ----------
+        digest
+            ``ct_digest(volume)``.
+        volume
+            As it was opened from the source.
+        source
+            Taken before it was opened.
+
+        Returns
+        -------
+        bool
+            False where it is not kept: the files changed while they were read or a moment before, there is no room,
+            the disk refuses (logged), or the CT was forgotten meanwhile.
+
+        Raises
+        ------
+        CancelledError
+            If ``cancel()`` returned true.
+        """
+        with self._lock:
+            forgotten = self._forgotten.get(digest, 0)
+        name = VoxelName(digest, canonical_axes(volume.lps_from_ijk).letters, volume.shape_zyx)
+        now_s = self._clock()
+        if not self.is_on or not source.is_settled(now_s) or not source.is_unchanged:
+            return False
+        record = _record_of(digest, volume, source)
+
+        def is_wanted() -> bool:
+            return self._forgotten.get(digest, 0) == forgotten
+
+        try:
+            make_folder(self._folder, what="cached CTs", private=True)
+            place = self._folder / name.file_name
+            if not self._is_whole(place, name):
+                if not self._make_room(name.num_bytes):
+                    return False
+                draft = draft_voxel_file(self._folder, name, volume.hu_zyx, cancel=cancel)
+                with self._lock:
+                    if not is_wanted():
+                        draft.discard()
+                        return False
+                    draft.commit()
+            with self._lock:
+                if not is_wanted():
+                    return False
+                self._touch(place)
+                target = self._folder / _source_name(source.path, source.series)
+                write_whole(target, _packed(record), what="the cached CT", private=True)
+                self._touch(target)
+        except OSError as error:
+            logger.warning("a CT could not be cached: %s", error.strerror)
+            return False
+        except UnicodeEncodeError:
+            return False  # a file name that is no text
+        self.sweep()
+        return True
+
+    def sizes(self) -> tuple[CachedSize, ...]:
+        """What is kept, the CT used last first."""
+        found: dict[str, list[tuple[int, float]]] = {}
+        for _, name, seen in self._voxels():
+            found.setdefault(name.digest, []).append((seen.st_size, seen.st_mtime))
+        sizes = [
+            CachedSize(digest, sum(size for size, _ in files), max(used_s for _, used_s in files))
+            for digest, files in found.items()
+        ]
+        return tuple(sorted(sizes, key=lambda one: -one.last_used_s))
+
+    def forget(self, digest: str) -> int:
+        """Remove all that is kept of a CT, also what is being written by this cache; returns the bytes removed."""
+        with self._lock:
+            self._forgotten[digest] = self._forgotten.get(digest, 0) + 1
+            freed = 0
+            for path, _ in self._sources():
+                record = self._record(path)
+                # One that cannot be read may be this CT's.
+                if record is None or record.digest == digest:
+                    freed += _remove(path)
+            for path, name, _ in self._voxels():
+                if name.digest == digest:
+                    freed += _remove(path)
+            return freed
+
+    def sweep(self) -> int:
+        """Remove what is too old, too much or damaged; returns the bytes removed. Nothing while another process does.
+
+        Files of another name than ours are left alone.
+        """
+        return self._swept(0)
+
+    def _swept(self, needed_bytes: int) -> int:
+        sweep_drafts(self._folder)
+        with self._alone() as alone:
+            return self._sweep(needed_bytes) if alone else 0
+
+    def _sweep(self, needed_bytes: int) -> int:
+        now_s, freed = self._clock(), 0
+        records: dict[str, list[Path]] = {}
+        for path, seen in self._sources():
+            record = self._record(path)
+            if record is None or now_s - seen.st_mtime > self._max_age_s:
+                freed += _remove(path)
+            else:
+                records.setdefault(record.voxels.file_name, []).append(path)
+        left: list[tuple[float, int, Path]] = []
+        for path, _, seen in self._voxels():
+            if path.name not in records and now_s - seen.st_mtime > _FOUND_FOR_S:
+                freed += _remove(path)
+            else:
+                left.append((seen.st_mtime, seen.st_size, path))
+        bound = self._bound(sum(size for _, size, _ in left)) - needed_bytes
+        total = 0
+        for _, size, path in sorted(left, reverse=True):
+            total += size
+            if total > bound:
+                freed += _remove(path)
+                for record_path in records.pop(path.name, ()):
+                    freed += _remove(record_path)
+        for name, paths in records.items():
+            if not (self._folder / name).exists():
+                freed += sum(map(_remove, paths))
+        return freed
+
+    def _make_room(self, num_bytes: int) -> bool:
+        """Whether so much more may be kept, after the oldest have gone."""
+        if num_bytes > self._bound(sum(seen.st_size for _, _, seen in self._voxels())):
+            logger.info("a CT is larger than what the cache may hold, and is not cached")
+            return False
+        self._swept(num_bytes)
+        return True
+
+    def _bound(self, held_bytes: int) -> float:
+        if self._max_bytes is not None:
+            return self._max_bytes
+        try:
+            # What is held here counts as free: else the cache would shrink because it is there.
+            free = shutil.disk_usage(self._folder).free + held_bytes
+        except OSError:
+            return MAX_BYTES
+        return min(MAX_BYTES, _SHARE_OF_FREE * free)
+
+    @contextlib.contextmanager
+    def _alone(self) -> Iterator[bool]:
+        """Whether no other process sweeps. Where nothing can be locked, two may: they remove the same files."""
+        try:
+            descriptor = os.open(self._folder / _LOCK, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
+        except OSError:
+            yield self._folder.is_dir()
+            return
+        try:
+            yield try_lock(descriptor) is not False
+        finally:
+            os.close(descriptor)
+
+    def _is_whole(self, place: Path, name: VoxelName) -> bool:
+        """Whether a CT's voxels are kept already, and read as they should."""
+        try:
+            read_voxel_file(place, name, Watch())
+        except FileNotFoundError:
+            return False
+        except (OSError, ValueError) as error:
+            self._damaged(place, error)
+            return False
+        return True
+
+    def _read(self, record: _Record, watch: Watch) -> NDArray[np.int16] | None:
+        place = self._folder / record.voxels.file_name
+        try:
+            values = read_voxel_file(place, record.voxels, watch)
+        except FileNotFoundError:
+            return None
+        except CarinaError:
+            raise
+        except (OSError, ValueError) as error:
+            self._damaged(place, error)
+            return None
+        self._touch(place)
+        self._touch(self._folder / _source_name(record.source.path, record.source.series))
+        return values
+
+    def _damaged(self, place: Path, error: Exception) -> None:
+        why = str(error) if isinstance(error, DamagedFileError) else type(error).__name__
+        logger.warning("a cached CT cannot be used (%s); its files are read again", why)
+        if not isinstance(error, OSError):
+            _remove(place)
+
+    def _cached(self, record: _Record) -> CachedCt | None:
+        if record.made_by != _made_by() or not (self._folder / record.voxels.file_name).is_file():
+            return None
+        return CachedCt(self, record)
+
+    def _record(self, path: Path) -> _Record | None:
+        try:
+            with path.open("rb") as file:
+                return _unpacked(file.read(_MAX_RECORD_BYTES))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError) as error:
+            logger.warning("what is known of a cached CT cannot be read (%s)", type(error).__name__)
+            return None
+
+    def _voxels(self) -> list[tuple[Path, VoxelName, os.stat_result]]:
+        named = ((path, VoxelName.of_file(path), seen) for path, seen in self._files())
+        return [(path, name, seen) for path, name, seen in named if name is not None]
+
+    def _sources(self) -> list[tuple[Path, os.stat_result]]:
+        return [(path, seen) for path, seen in self._files() if _SOURCE_NAME.fullmatch(path.name)]
+
+    def _files(self) -> list[tuple[Path, os.stat_result]]:
+        found = []
+        try:
+            with os.scandir(self._folder) as entries:
+                for entry in entries:
+                    with contextlib.suppress(OSError):  # another process was faster
+                        if entry.is_file(follow_symlinks=False):
+                            found.append((Path(entry.path), entry.stat(follow_symlinks=False)))
+        except OSError:
+            return []
+        return found
+
+    def _touch(self, path: Path) -> None:
+        """Remember that it was used."""
+        now_s = self._clock()
+        with contextlib.suppress(OSError):
+            os.utime(path, (now_s, now_s))
+
+
+@functools.cache
+def _made_by() -> str:
+    """Of everything that has a say in what an opened volume holds: what another Carina made is not used."""
+    found = hashlib.blake2b(VERSION.encode(), digest_size=16)
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        found.update(source.name.encode())
+        found.update(source.read_bytes())
+    for decoder in ("pydicom", "SimpleITK", "numpy"):
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found.update(importlib.metadata.version(decoder).encode())
+    return found.hexdigest()
+
+
+def _source_name(path: Path, series: str | None) -> str:
+    found = hashlib.blake2b(os.fsencode(path), digest_size=20, person=b"carina source")
+    found.update(b"" if series is None else b"\0" + series.encode())
+    return found.hexdigest() + _SOURCE
+
+
+def _record_of(digest: str, volume: Volume, source: CtSource) -> _Record:
+    return _Record(
+        made_by=_made_by(),
+        digest=digest,
+        axes=canonical_axes(volume.lps_from_ijk).letters,
+        shape_zyx=volume.shape_zyx,
+        lps_from_ijk=tuple(tuple(row) for row in volume.lps_from_ijk.tolist()),
+        is_hu=volume.is_hu,
+        not_hu_reason=volume.not_hu_reason,
+        volume_source=volume.source,
+        value_range=volume.value_range,
+        quality=quality_gate(volume),
+        source=source,
+    )
+
+
+def _volume_of(record: _Record, values: NDArray[np.int16]) -> Volume:
+    volume = Volume(
+        values,
+        np.array(record.lps_from_ijk, dtype=np.float64),
+        is_hu=record.is_hu,
+        not_hu_reason=record.not_hu_reason,
+        source=record.volume_source,
+    )
+    # Known already: to find them again would take longer than reading the voxels.
+    object.__setattr__(volume, "_range", record.value_range)
+    object.__setattr__(volume, "_quality", record.quality)
+    return volume
+
+
+def _encode(value: Any) -> Any:
+    if isinstance(value, Path):
+        return os.fsencode(value).hex()  # a name need not be text
+    raise TypeError
+
+
+def _decode(kind: type, value: Any) -> Any:
+    if kind is Path or issubclass(kind, Path):
+        return Path(os.fsdecode(bytes.fromhex(value)))
+    raise TypeError
+
+
+def _packed(record: _Record) -> bytes:
+    """A digest of what follows, and JSON: a place that a disk has altered must not pass for one."""
+    body = msgspec.json.encode(record, enc_hook=_encode)
+    return hashlib.blake2b(body, digest_size=16).hexdigest().encode() + b"\n" + body
+
+
+def _unpacked(content: bytes) -> _Record:
+    """The record in a file.
+
+    Raises
+    ------
+    ValueError
+        If it is cut, altered, or of another version.
+    """
+    head, _, body = content.partition(b"\n")
+    if head != hashlib.blake2b(body, digest_size=16).hexdigest().encode():
+        raise DamagedFileError("cut short or altered")
+    try:
+        return msgspec.json.decode(body, type=_Record, dec_hook=_decode)
+    except msgspec.MsgspecError as error:
+        raise DamagedFileError("of another version") from error
+
+
+def _remove(path: Path) -> int:
+    """Unlink a file; returns its bytes, 0 where it stays."""
+    try:
+        size = path.stat().st_size
+        path.unlink()
+    except OSError as error:
+        # In use (Windows), gone, or not ours to delete: looked at again next time.
+        logger.debug("a cached file could not be removed", exc_info=error)
+        return 0
+    return size

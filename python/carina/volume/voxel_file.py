@@ -1,0 +1,212 @@
+"""One file with the voxels of a volume as they are in memory: written whole, never changed, checked when read.
+
+Its name says what it holds (digest, axes, shape), so that two writers of one name write the same. It is read by plain
+reads and not mapped: a file that another program cuts short is then an error here, where a map would end the process
+(SIGBUS). A checksum for each chunk finds what a disk has changed (docs/decisions/0052-volume-cache.md).
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import re
+import struct
+import threading
+import zlib
+from collections.abc import Callable
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.disk import Draft
+from carina.volume.watch import Watch
+
+__all__ = ["SUFFIX", "DamagedFileError", "VoxelName", "draft_voxel_file", "read_voxel_file"]
+
+SUFFIX = ".voxels"
+_MAGIC = b"CARINACT"
+_VERSION = 1
+# Magic, version, bytes of the header, its CRC-32; then the header as JSON, zeros up to a page, the voxels.
+_START = struct.Struct("<8sIII")
+_PAGE = 4096
+_MAX_HEADER_BYTES = 1 << 22
+_CHUNK_BYTES = 1 << 20
+_LOOK_AGAIN_S = 0.05  # whether the person cancels
+_THREADS = min(4, os.cpu_count() or 1)
+_NAME = re.compile(r"(?P<digest>[0-9a-f]{64})-(?P<axes>[LRPASI]{3})-(?P<nx>\d{1,9})x(?P<ny>\d{1,9})x(?P<nz>\d{1,9})")
+
+
+class DamagedFileError(ValueError):
+    """A cached file is cut short, altered, or of another version."""
+
+
+@dataclass(frozen=True, slots=True)
+class VoxelName:
+    """What a file of voxels holds. Nothing about the patient."""
+
+    digest: str
+    axes: str
+    """Where i, j and k point: ``LPS``, ``RAS``, ..."""
+    shape_zyx: tuple[int, int, int]
+
+    @property
+    def file_name(self) -> str:
+        """The name of the file."""
+        nz, ny, nx = self.shape_zyx
+        return f"{self.digest}-{self.axes}-{nx}x{ny}x{nz}{SUFFIX}"
+
+    @property
+    def num_bytes(self) -> int:
+        """Of the voxels."""
+        return 2 * math.prod(self.shape_zyx)
+
+    @classmethod
+    def of_file(cls, path: Path) -> VoxelName | None:
+        """What a file of this name holds; None where it is none of ours."""
+        match = _NAME.fullmatch(path.name.removesuffix(SUFFIX)) if path.name.endswith(SUFFIX) else None
+        if match is None:
+            return None
+        nx, ny, nz = (int(match[n]) for n in ("nx", "ny", "nz"))
+        return cls(match["digest"], match["axes"], (nz, ny, nx))
+
+
+class _Header(msgspec.Struct, frozen=True):
+    name: str
+    chunk_bytes: int
+    crc32: tuple[int, ...]
+
+
+def draft_voxel_file(
+    folder: Path, name: VoxelName, hu_zyx: NDArray[np.int16], *, cancel: Callable[[], bool] | None = None
+) -> Draft:
+    """Write voxels beside their place, readable by this person alone; they take it when the draft is committed.
+
+    Parameters
+    ----------
+    folder, name
+        Where, and what it is.
+    hu_zyx
+        (nz, ny, nx) int16 in the order that the name says.
+    cancel
+        Asked often; when it returns true nothing is left.
+
+    Raises
+    ------
+    DiskError
+        If they cannot be written.
+    CancelledError
+        If ``cancel()`` returned true.
+    """
+    watch = Watch(None, cancel)
+    voxels = np.ascontiguousarray(hu_zyx, dtype="<i2").reshape(-1).view(np.uint8).data
+    chunks = [voxels[first : first + _CHUNK_BYTES] for first in range(0, len(voxels), _CHUNK_BYTES)]
+    with ThreadPoolExecutor(_THREADS) as pool:
+        header = msgspec.json.encode(_Header(name.file_name, _CHUNK_BYTES, tuple(pool.map(zlib.crc32, chunks))))
+    draft = Draft(folder / name.file_name, what="the cached CT", needed_bytes=len(voxels), private=True)
+    try:
+        start = _START.pack(_MAGIC, _VERSION, len(header), zlib.crc32(header)) + header
+        draft.file.write(start.ljust(_begin_of_voxels(len(header)), b"\0"))
+        for chunk in chunks:
+            watch.step("Caching the CT")
+            draft.file.write(chunk)
+        # Already here: whoever commits may hold a lock, and nobody should wait for a disk.
+        draft.file.flush()
+        os.fsync(draft.file.fileno())
+    except OSError as error:
+        draft.discard()
+        raise draft.trouble(error) from error
+    except BaseException:
+        draft.discard()
+        raise
+    return draft
+
+
+def read_voxel_file(path: Path, name: VoxelName, watch: Watch) -> NDArray[np.int16]:
+    """The voxels ``(nz, ny, nx)``, checked.
+
+    Raises
+    ------
+    DamagedFileError
+        If the file is cut short, altered, or not what its name says.
+    OSError
+        What the disk says.
+    CancelledError
+        If the person cancels.
+    """
+    with path.open("rb", buffering=0) as file:
+        header, begin = _read_header(file, name)
+        # Before anything of that size is allocated.
+        if os.fstat(file.fileno()).st_size != begin + name.num_bytes:
+            raise DamagedFileError("it is cut short, or longer than it was")
+    out = np.empty(name.shape_zyx, dtype="<i2")
+    place = out.reshape(-1).view(np.uint8).data
+    count = len(header.crc32)
+    stop, num_read = threading.Event(), [0] * _THREADS
+
+    def read(part: int) -> None:
+        first, last = part * count // _THREADS, (part + 1) * count // _THREADS
+        with path.open("rb", buffering=0) as file:
+            file.seek(begin + first * header.chunk_bytes)
+            for number in range(first, last):
+                if stop.is_set():
+                    return
+                chunk = place[number * header.chunk_bytes : (number + 1) * header.chunk_bytes]
+                _fill(file, chunk)
+                # While it is still in the processor's cache.
+                if zlib.crc32(chunk) != header.crc32[number]:
+                    raise DamagedFileError(f"chunk {number} of {count} was altered")
+                num_read[part] += 1
+
+    watch.step("Reading the cached CT", 0.0)
+    with ThreadPoolExecutor(_THREADS) as pool:
+        running = [pool.submit(read, part) for part in range(_THREADS)]
+        try:
+            waiting = set(running)
+            while waiting:
+                watch.step("Reading the cached CT", sum(num_read) / count)
+                done, waiting = wait(waiting, timeout=_LOOK_AGAIN_S, return_when=FIRST_EXCEPTION)
+                for future in done:
+                    future.result()
+        finally:
+            stop.set()
+    return out.astype(np.int16, copy=False)
+
+
+def _begin_of_voxels(header_bytes: int) -> int:
+    """The first page behind the header."""
+    return -(-(_START.size + header_bytes) // _PAGE) * _PAGE
+
+
+def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
+    """The header, and where the voxels begin."""
+    start = file.read(_START.size)
+    if len(start) < _START.size:
+        raise DamagedFileError("it is cut short")
+    magic, version, num_bytes, crc32 = _START.unpack(start)
+    if magic != _MAGIC or version != _VERSION or num_bytes > _MAX_HEADER_BYTES:
+        raise DamagedFileError("its first bytes were altered, or it is of another version")
+    text = bytearray(num_bytes)
+    _fill(file, memoryview(text))
+    if zlib.crc32(text) != crc32:
+        raise DamagedFileError("its header was altered")
+    try:
+        header = msgspec.json.decode(text, type=_Header)
+    except msgspec.MsgspecError as error:
+        raise DamagedFileError("its header is of another version") from error
+    if header.name != name.file_name:
+        raise DamagedFileError("it holds another CT than its name says")
+    return header, _begin_of_voxels(num_bytes)
+
+
+def _fill(file: io.FileIO, place: memoryview) -> None:
+    """Read exactly so much."""
+    while len(place):
+        count = file.readinto(place)
+        if not count:
+            raise DamagedFileError("it is cut short")
+        place = place[count:]

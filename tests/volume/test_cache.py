@@ -1,0 +1,566 @@
+"""A CT from the cache cannot be told from one that was read from its files, or is not taken from the cache."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import logging
+import os
+import shutil
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import dicom_writer
+import grid_writers
+import numpy as np
+import pytest
+
+from carina.disk import disk_trouble
+from carina.disk.locks import try_lock
+from carina.errors import CancelledError, VolumeImportError
+from carina.volume import (
+    CtSource,
+    Volume,
+    VolumeCache,
+    cache,
+    ct_digest,
+    demo_patient,
+    open_volume,
+    quality,
+    voxel_file,
+    write_grid,
+)
+from carina.volume.voxel_file import SUFFIX
+
+DAY_S = 86_400.0
+
+
+class Clock:
+    """Seconds since 1970, well after the files were written."""
+
+    def __init__(self) -> None:
+        self.now_s = time.time() + 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Where the cache is."""
+    return tmp_path / "cache" / "volumes"
+
+
+@pytest.fixture
+def kept(folder: Path, clock: Clock) -> VolumeCache:
+    return VolumeCache(folder, max_bytes=1 << 30, clock=clock)
+
+
+def chest_file(folder: Path, seed: int = 0, name: str = "ct.nrrd") -> Path:
+    """A CT of its own for every seed."""
+    values = grid_writers.chest()
+    values[0, 0, :8] -= np.arange(8, dtype=np.int16) * seed
+    folder.mkdir(exist_ok=True)
+    path = folder / name
+    grid_writers.nrrd(folder, values).rename(path)
+    return path
+
+
+def keep(kept: VolumeCache, path: Path, series: str | None = None) -> str:
+    """Open from the files and keep."""
+    opened = kept.open(path, series=series)
+    assert not opened.from_cache
+    return kept.keep(opened)
+
+
+def files(folder: Path, suffix: str = "") -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.name.endswith(suffix) and path.name != "lock")
+
+
+def assert_equal(found: Volume, expected: Volume) -> None:
+    """In every field, those that are found when first asked for included."""
+    for field in dataclasses.fields(Volume):
+        a, b = getattr(found, field.name), getattr(expected, field.name)
+        if isinstance(b, np.ndarray):
+            assert a.dtype == b.dtype, field.name
+            assert a.flags.c_contiguous, field.name
+            assert a.flags.writeable is b.flags.writeable, field.name
+            assert a.tobytes() == b.tobytes(), field.name
+        elif field.name not in ("_range", "_quality"):
+            assert a == b, field.name
+            assert type(a) is type(b), field.name
+    assert found.value_range == expected.value_range
+    assert quality.quality_gate(found) == quality.quality_gate(expected)
+    assert type(found.source.series) is type(expected.source.series)
+
+
+def two_series(folder: Path) -> Path:
+    """With another series beside it and a file that cannot be used: both are said in notes."""
+    dicom_writer.series(folder, number=3)
+    dicom_writer.series(folder, hu=dicom_writer.chest(6), number=4, name=lambda index: f"other{index}")
+    (folder / "IM900").write_bytes(b"")
+    return folder
+
+
+SOURCES: dict[str, Callable[[Path], Path]] = {
+    "a folder of two series": lambda folder: two_series(folder / "scan"),
+    "one file of a series": lambda folder: dicom_writer.series(folder / "scan") / "IM003",
+    "a pair of header and values": lambda folder: grid_writers.FORMS["nifti pair"](folder, grid_writers.chest()),
+    "values that are no HU": lambda folder: grid_writers.nrrd(folder, grid_writers.chest().astype("<f4") * 40.125),
+    "values that are no numbers": lambda folder: grid_writers.nifti(
+        folder, np.where(grid_writers.chest() > 1000, np.nan, grid_writers.chest()).astype("<f4")
+    ),
+}
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_a_ct_from_the_cache_equals_the_one_from_its_files_in_every_field(source, kept, tmp_path):
+    path = SOURCES[source](tmp_path)
+    digest = keep(kept, path)
+    opened = kept.open(path)
+    assert opened.from_cache
+    assert opened.digest == digest
+    assert ct_digest(opened.volume) == digest
+    assert_equal(opened.volume, open_volume(path))
+
+
+def test_a_citation_comes_back(kept, tmp_path):
+    patient = demo_patient()
+    source = CtSource.of(chest_file(tmp_path))
+    assert kept.put("0" * 64, patient, source)
+    assert_equal(kept.get(source.path), patient)
+
+
+def test_what_was_found_of_a_volume_is_not_found_again(kept, tmp_path, monkeypatch):
+    path = chest_file(tmp_path)
+    keep(kept, path)
+    expected = open_volume(path)
+    judged = quality.quality_gate(expected), expected.value_range
+    monkeypatch.setattr(quality, "_judge", None)
+    monkeypatch.setattr("carina._core.value_range", None)
+    found = kept.get(path)
+    assert (quality.quality_gate(found), found.value_range) == judged
+
+
+def test_a_series_is_kept_beside_the_one_that_is_opened_without_a_choice(kept, tmp_path):
+    path = two_series(tmp_path / "scan")
+    keep(kept, path)
+    assert kept.get(path, series="4") is None
+    keep(kept, path, series="4")
+    assert_equal(kept.get(path, series="4"), open_volume(path, series="4"))
+    assert_equal(kept.get(path), open_volume(path))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="modes of POSIX")
+def test_files_are_for_this_person_alone_and_their_names_tell_nothing(kept, folder, tmp_path):
+    path = two_series(tmp_path / "DOE_JOHN")
+    keep(kept, path)
+    found = files(folder)
+    assert len(found) == 2
+    for file in found:
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600
+        assert "DOE" not in file.name
+        assert "Thorax" not in file.name
+        assert "SECRET" not in file.read_bytes().decode("latin-1")
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+
+
+def touch(path: Path) -> None:
+    os.utime(path, ns=(path.stat().st_atime_ns, path.stat().st_mtime_ns + 1))
+
+
+CHANGES: dict[str, Callable[[Path], object]] = {
+    "a file of another time": lambda folder: touch(folder / "IM007"),
+    "a file of another size": lambda folder: (folder / "IM900").write_bytes(b"1"),
+    "a file more": lambda folder: (folder / "IM901").write_bytes(b""),
+    "a file in a new folder below": lambda folder: dicom_writer.series(folder / "sub", hu=dicom_writer.chest(3)),
+    "a file less": lambda folder: (folder / "IM019").unlink(),
+    "a file of another name": lambda folder: (folder / "IM019").rename(folder / "IM020"),
+    "a link to nothing": lambda folder: (folder / "IM902").symlink_to(folder / "nowhere"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_whatever_changes_in_a_folder_is_noticed(change, kept, tmp_path):
+    path = two_series(tmp_path / "scan")
+    digest = keep(kept, path)
+    assert kept.find(path).state == "unchanged"
+    CHANGES[change](path)
+    found = kept.find(path)
+    assert (found.state, found.digest) == ("changed", digest)
+    assert kept.get(path) is None
+    opened = kept.open(path)
+    assert not opened.from_cache
+    # What was kept may still be shown while the digests are compared.
+    assert ct_digest(found.load()) == digest
+
+
+def test_a_changed_file_of_values_beside_its_header_is_noticed(kept, tmp_path):
+    path = grid_writers.FORMS["nrrd detached"](tmp_path, grid_writers.chest())
+    keep(kept, path)
+    touch(tmp_path / "ct.raw")
+    assert kept.find(path).state == "changed"
+
+
+def test_a_file_of_values_that_would_be_read_first_is_noticed(kept, tmp_path):
+    path = grid_writers.FORMS["nifti pair"](tmp_path, grid_writers.chest())
+    (tmp_path / "ct.img").rename(tmp_path / "ct.IMG")
+    keep(kept, path)
+    shutil.copy(tmp_path / "ct.IMG", tmp_path / "ct.img")
+    assert kept.find(path).state == "changed"
+
+
+def test_a_source_that_is_gone_is_missing_and_opening_it_says_so(kept, tmp_path):
+    path = chest_file(tmp_path)
+    digest = keep(kept, path)
+    path.unlink()
+    assert kept.find(path).state == "missing"
+    assert kept.find_digest(digest).load() is not None
+    with pytest.raises(VolumeImportError, match="there is no such file"):
+        kept.open(path)
+
+
+def test_a_file_that_was_written_a_moment_ago_is_not_kept(kept, clock, folder, tmp_path):
+    path = chest_file(tmp_path)
+    clock.now_s = path.stat().st_mtime + 1.5
+    keep(kept, path)
+    assert kept.find(path) is None
+    clock.now_s += 1.0
+    keep(kept, path)
+    assert kept.find(path) is not None
+
+
+def test_files_that_change_while_they_are_read_are_not_kept(kept, tmp_path):
+    path = chest_file(tmp_path)
+    opened = kept.open(path)
+    touch(path)
+    kept.keep(opened)
+    assert kept.find(path) is None
+
+
+def test_a_moved_ct_shares_its_voxels_and_one_of_other_axes_does_not(kept, folder, clock, tmp_path):
+    path = chest_file(tmp_path)
+    digest = keep(kept, path)
+    moved = path.rename(tmp_path / "moved.nrrd")
+    assert kept.find(moved) is None
+    clock.now_s += 10
+    assert keep(kept, moved) == digest
+    assert len(files(folder, SUFFIX)) == 1
+    assert len(files(folder, ".source")) == 2
+    assert kept.find_digest(digest).source.path == moved
+    read = open_volume(moved)
+    back = Volume(np.ascontiguousarray(read.hu_zyx[::-1]), read.lps_from_ijk @ np.diag([1.0, 1.0, -1.0, 1.0]))
+    exported = write_grid(tmp_path / "back.nii", back.hu_zyx, back.lps_from_ijk, what="the CT")
+    assert keep(kept, exported) == digest
+    assert len(files(folder, SUFFIX)) == 2
+    assert_equal(kept.get(exported), open_volume(exported))
+
+
+def damage(file: Path, where: str) -> None:
+    size = file.stat().st_size
+    if where == "emptied":
+        os.truncate(file, 0)
+    elif where.startswith("cut"):
+        os.truncate(file, {"cut in its first bytes": 10, "cut in its header": 40, "cut in its voxels": size - 1}[where])
+    elif where == "longer":
+        with file.open("ab") as out:
+            out.write(b"\0")
+    else:
+        at = {"first byte": 0, "version": 8, "header's length": 12, "header": 60, "first voxel": 4096, "last": size - 1}
+        with file.open("r+b") as out:
+            out.seek(at[where])
+            byte = out.read(1)[0]
+            out.seek(at[where])
+            out.write(bytes([byte ^ 0x10]))
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        *("emptied", "cut in its first bytes", "cut in its header", "cut in its voxels", "longer"),
+        *("first byte", "version", "header's length", "header", "first voxel", "last"),
+    ],
+)
+def test_a_damaged_file_of_voxels_is_removed_and_the_source_is_read(where, kept, folder, tmp_path, caplog):
+    path = chest_file(tmp_path)
+    expected = keep(kept, path)
+    (voxels,) = files(folder, SUFFIX)
+    damage(voxels, where)
+    with caplog.at_level(logging.WARNING):
+        opened = kept.open(path)
+    assert not opened.from_cache
+    assert "cannot be used" in caplog.text
+    assert str(path) not in caplog.text
+    assert not voxels.exists()
+    assert kept.keep(opened) == expected
+    assert_equal(kept.get(path), open_volume(path))
+
+
+def test_a_file_that_is_cut_while_it_is_read_is_an_error_and_no_signal(kept, folder, tmp_path, monkeypatch):
+    path = chest_file(tmp_path)
+    keep(kept, path)
+    (voxels,) = files(folder, SUFFIX)
+    fill = voxel_file._fill
+
+    def cut_first(file, place):
+        fill(file, place)
+        os.truncate(voxels, 4096)
+
+    monkeypatch.setattr(voxel_file, "_fill", cut_first)
+    assert kept.get(path) is None
+
+
+@pytest.mark.parametrize("where", ["emptied", "first byte", "longer"])
+def test_damaged_facts_are_never_used(where, kept, folder, tmp_path):
+    path = chest_file(tmp_path)
+    keep(kept, path)
+    (source,) = files(folder, ".source")
+    damage(source, where)
+    assert kept.find(path) is None
+    kept.sweep()
+    assert not source.exists()
+
+
+def test_every_byte_of_the_facts_is_checked(kept, folder, tmp_path):
+    path = chest_file(tmp_path)
+    keep(kept, path)
+    (source,) = files(folder, ".source")
+    content = source.read_bytes()
+    for at in range(0, len(content), 7):
+        source.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
+        assert kept.find(path) is None, at
+    source.write_bytes(content)
+    assert kept.find(path) is not None
+
+
+def test_voxels_under_the_name_of_another_ct_are_not_used(kept, folder, tmp_path):
+    one, other = chest_file(tmp_path, 1, "a.nrrd"), chest_file(tmp_path, 2, "b.nrrd")
+    keep(kept, one)
+    (voxels,) = files(folder, SUFFIX)
+    aside = voxels.rename(folder / "aside")
+    keep(kept, other)
+    (others,) = files(folder, SUFFIX)
+    others.replace(voxels)
+    aside.unlink()
+    assert kept.get(one) is None
+
+
+def test_what_another_carina_has_kept_is_read_again_from_the_source(kept, folder, tmp_path, monkeypatch):
+    path = chest_file(tmp_path)
+    digest = keep(kept, path)
+    (voxels,) = files(folder, SUFFIX)
+    before = voxels.stat().st_ino
+    monkeypatch.setattr(cache, "_made_by", lambda: "a newer one")
+    assert kept.find(path) is None
+    assert kept.find_digest(digest) is None
+    keep(kept, path)
+    assert kept.find(path) is not None
+    # The voxels are the same: they are not written again.
+    assert voxels.stat().st_ino == before
+
+
+def test_the_code_that_opens_a_volume_says_which_carina_it_is():
+    assert cache._made_by() == cache._made_by()
+    assert len(cache._made_by()) == 32
+
+
+def test_the_ct_used_longest_ago_makes_room(folder, clock, tmp_path):
+    paths = [chest_file(tmp_path, seed, f"{seed}.nrrd") for seed in range(3)]
+    one = 2 * grid_writers.chest().size + 4096
+    kept = VolumeCache(folder, max_bytes=2 * one, clock=clock)
+    for path in paths[:2]:
+        clock.now_s += 10
+        keep(kept, path)
+    clock.now_s += 10
+    assert kept.get(paths[0]) is not None  # used: now the other is the oldest
+    clock.now_s += 10
+    keep(kept, paths[2])
+    assert [kept.find(path) is not None for path in paths] == [True, False, True]
+    assert len(files(folder, SUFFIX)) == len(files(folder, ".source")) == 2
+    assert sum(size.num_bytes for size in kept.sizes()) <= 2 * one
+    assert [size.last_used_s for size in kept.sizes()] == sorted((s.last_used_s for s in kept.sizes()), reverse=True)
+
+
+def test_a_ct_larger_than_the_bound_is_not_kept_and_costs_no_other(folder, clock, tmp_path):
+    path = chest_file(tmp_path)
+    keep(VolumeCache(folder, max_bytes=1 << 30, clock=clock), path)
+    small = VolumeCache(folder, max_bytes=2 * grid_writers.chest().size - 1, clock=clock)
+    keep_too = chest_file(tmp_path, 1, "b.nrrd")
+    small.keep(small.open(keep_too))
+    assert small.find(keep_too) is None
+    assert small.find(path) is not None
+
+
+def test_the_bound_is_a_tenth_of_the_free_disk_and_what_is_held_counts_as_free(folder, clock, monkeypatch):
+    usage = shutil.disk_usage(".")
+    monkeypatch.setattr(cache.shutil, "disk_usage", lambda _: usage._replace(free=900))
+    assert VolumeCache(folder)._bound(100) == 100
+    monkeypatch.setattr(cache.shutil, "disk_usage", lambda _: usage._replace(free=10**15))
+    assert VolumeCache(folder)._bound(100) == cache.MAX_BYTES
+
+
+def test_a_ct_that_was_not_used_for_long_is_removed(kept, folder, clock, tmp_path):
+    paths = [chest_file(tmp_path, seed, f"{seed}.nrrd") for seed in range(2)]
+    for path in paths:
+        keep(kept, path)
+    clock.now_s += 60 * DAY_S
+    assert kept.get(paths[1]) is not None
+    clock.now_s += 60 * DAY_S
+    assert kept.sweep() > 0
+    assert [kept.find(path) is not None for path in paths] == [False, True]
+
+
+def test_a_cache_that_is_off_keeps_nothing_and_a_sweep_empties_it(kept, folder, clock, tmp_path):
+    path = chest_file(tmp_path)
+    keep(kept, path)
+    off = VolumeCache(folder, max_bytes=0, clock=clock)
+    assert not off.is_on
+    opened = off.open(path)
+    assert (opened.from_cache, opened.source) == (False, None)
+    off.keep(opened)
+    off.sweep()
+    assert files(folder) == []
+
+
+def test_a_forgotten_ct_leaves_nothing_of_any_of_its_sources(kept, folder, tmp_path):
+    path = chest_file(tmp_path)
+    digest = keep(kept, path)
+    keep(kept, Path(shutil.copy(path, tmp_path / "copy.nrrd")))
+    stays = chest_file(tmp_path, 1, "stays.nrrd")
+    keep(kept, stays)
+    assert kept.forget(digest) > 2 * grid_writers.chest().size
+    assert len(files(folder)) == 2
+    assert kept.get(stays) is not None
+    assert kept.forget(digest) == 0
+
+
+def test_a_ct_forgotten_while_it_is_written_is_not_there_afterwards(kept, folder, tmp_path):
+    path = chest_file(tmp_path)
+    opened = kept.open(path)
+    digest = ct_digest(opened.volume)
+
+    def forget_now() -> bool:
+        kept.forget(digest)
+        return False
+
+    assert not kept.put(digest, opened.volume, opened.source, cancel=forget_now)
+    assert files(folder) == []
+    # Who opens it once more wants it again.
+    assert kept.put(digest, opened.volume, opened.source)
+
+
+def test_a_full_disk_costs_the_cache_and_nothing_else(kept, folder, tmp_path, monkeypatch, caplog):
+    def full(*_arguments, **_options):
+        raise disk_trouble(OSError(errno.ENOSPC, "full"), "cannot write the cached CT", folder)
+
+    monkeypatch.setattr(cache, "draft_voxel_file", full)
+    with caplog.at_level(logging.WARNING):
+        digest = keep(kept, chest_file(tmp_path))
+    assert len(digest) == 64
+    assert "could not be cached" in caplog.text
+    assert files(folder) == []
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_cannot_be_written_is_no_trouble(tmp_path, clock):
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o500)
+    kept = VolumeCache(closed / "volumes", clock=clock)
+    keep(kept, chest_file(tmp_path))
+    assert kept.sizes() == ()
+
+
+def test_an_opening_from_the_cache_tells_how_far_it_is_and_can_be_stopped(kept, tmp_path):
+    path = chest_file(tmp_path)
+    keep(kept, path)
+    said: list[tuple[str, float | None]] = []
+    assert kept.open(path, progress=lambda *step: said.append(step)).from_cache
+    assert said[0] == ("Reading the cached CT", 0)
+    with pytest.raises(CancelledError):
+        kept.open(path, cancel=lambda: True)
+    with pytest.raises(CancelledError):
+        kept.keep(dataclasses.replace(kept.open(path), digest=None), cancel=lambda: True)
+
+
+def test_files_of_others_are_left_alone(kept, folder, tmp_path):
+    path = chest_file(tmp_path)
+    digest = keep(kept, path)
+    for name in ("mine.txt", f"mine{SUFFIX}", f"{digest}{SUFFIX}.txt"):
+        (folder / name).write_text("mine")
+    (folder / f"link{SUFFIX}").symlink_to(path)
+    VolumeCache(folder, max_bytes=0).sweep()
+    kept.forget(digest)
+    assert {file.name for file in files(folder)} >= {"mine.txt", f"mine{SUFFIX}", f"link{SUFFIX}"}
+    assert path.exists()
+
+
+def test_one_process_sweeps_at_a_time(kept, folder, tmp_path):
+    keep(kept, chest_file(tmp_path))
+    descriptor = os.open(folder / "lock", os.O_RDWR)
+    try:
+        assert try_lock(descriptor)
+        off = VolumeCache(folder, max_bytes=0)
+        assert off.sweep() == 0
+        assert len(files(folder)) == 2
+    finally:
+        os.close(descriptor)
+    assert off.sweep() > 0
+
+
+def test_what_a_killed_process_has_left_is_swept(kept, folder, clock, tmp_path):
+    path = chest_file(tmp_path)
+    keep(kept, path)
+    (source,) = files(folder, ".source")
+    source.unlink()
+    kept.sweep()
+    assert len(files(folder, SUFFIX)) == 1  # its source may be written in this moment
+    clock.now_s += 2 * 3600
+    kept.sweep()
+    assert files(folder) == []
+
+
+WORKER = """
+import sys
+from pathlib import Path
+from carina.volume import VolumeCache, ct_digest
+folder, paths = Path(sys.argv[1]), [Path(p) for p in sys.argv[2:]]
+bound = 2 * (2 * 12 * 20 * 24 + 4096)
+kept = VolumeCache(folder, max_bytes=bound, clock=lambda: 4e9)
+known = {}
+for turn in range(18):
+    path = paths[turn % len(paths)]
+    opened = kept.open(path)
+    digest = ct_digest(opened.volume)
+    assert known.setdefault(path, digest) == digest
+    assert kept.keep(opened) == digest
+    if turn % 7 == 6:
+        kept.forget(digest)
+print("whole")
+"""
+
+
+def test_processes_that_share_a_cache_see_whole_volumes_or_none(folder, tmp_path):
+    paths = [chest_file(tmp_path, seed, f"{seed}.nrrd") for seed in range(3)]
+    orders = [paths, paths[::-1]]
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", WORKER, str(folder), *map(str, order)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for order in orders
+    ]
+    for process in running:
+        out, err = process.communicate()
+        assert (process.returncode, out) == (0, "whole\n"), err
+        assert "cannot be used" not in err
