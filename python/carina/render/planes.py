@@ -29,6 +29,18 @@ class PlaneCaster:
         self._projecting = threading.Lock()
         self._projections: dict[str, tuple[NDArray[np.int16], NDArray[np.float64]]] | None = None
 
+    def render(self, view: CutPlaneView | SliceView | XrayView | TriPlaneView, *, rows: Rows = None) -> Picture:
+        """Any of them."""
+        match view:
+            case CutPlaneView():
+                return self.cut_plane(view, rows=rows)
+            case SliceView():
+                return self.slice(view, rows=rows)
+            case XrayView():
+                return self.xray(view, rows=rows)
+            case TriPlaneView():
+                return self.tri_plane(view, rows=rows)
+
     def cut_plane(self, view: CutPlaneView, *, rows: Rows = None) -> Picture:
         """The plane through the tip."""
         right, down, forward = view.pose.lps_from_camera[:3, :3].T

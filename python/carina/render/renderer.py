@@ -22,15 +22,11 @@ from carina.render.transfer import TransferFunction
 from carina.render.tree import cast_tree
 from carina.render.views import (
     AirwayView,
-    CutPlaneView,
     DrrView,
     PathView,
     Picture,
-    SliceView,
     TreeView,
-    TriPlaneView,
     View,
-    XrayView,
 )
 from carina.volume import Volume
 
@@ -212,20 +208,14 @@ class Renderer:
         match view:
             case AirwayView():
                 picture = self._airway.cast(scene, view, rows=rows, stop=stop)
-            case CutPlaneView():
-                picture = self._planes.cut_plane(view, rows=rows)
-            case SliceView():
-                picture = self._planes.slice(view, rows=rows)
-            case XrayView():
-                picture = self._planes.xray(view, rows=rows)
-            case TriPlaneView():
-                picture = self._planes.tri_plane(view, rows=rows)
             case TreeView():
                 picture = self._tree(scene, view, rows, stop)
             case DrrView():
                 picture = cast_drr(self._volume, view, rows=rows, simd=self._simd)
             case PathView():
                 picture = cast_path_view(self._volume, view, rows=rows)
+            case _:
+                picture = self._planes.render(view, rows=rows)
         return dataclasses.replace(
             picture, stats=dataclasses.replace(picture.stats, seconds=time.perf_counter() - started)
         )

@@ -8,6 +8,7 @@ from msgspec import Meta
 
 from carina.commands.fields import BranchId, Count, Key, Pixels, PointLps, ViewName
 from carina.commands.value import FrozenValue
+from carina.render import VIEW_NAMES
 from carina.server.wire_codec import ClientMessage
 
 
@@ -58,7 +59,7 @@ class ViewSize(FrozenValue, frozen=True):
 class Layout(ClientMessage, frozen=True):
     """The views on screen; no others are rendered."""
 
-    views: Annotated[tuple[ViewSize, ...], Meta(max_length=13)]
+    views: Annotated[tuple[ViewSize, ...], Meta(max_length=len(VIEW_NAMES))]
 
     def choice_problem(self) -> str | None:
         """Each view once."""
