@@ -55,7 +55,6 @@ SWITCHED = {"straightened": "v", "curved": "v", "drr": "x", "tri-plane": "t"}
 
 def prepare(workstation, server) -> None:
     """The case open, slices in the middle of the left main bronchus, and deeds kept back."""
-    workstation.page.add_init_script(KEEP_DEEDS)
     workstation.open(server)
     workstation.wait_ready()
     tree_is_shown(workstation)
@@ -63,6 +62,12 @@ def prepare(workstation, server) -> None:
         "(id) => window.__carina.state.tree.byId.get(id).branch.points", named(workstation, "LMB")
     )
     show_slices_at(workstation, points[len(points) // 2])
+
+
+@pytest.fixture
+def scripts():
+    """Every page of these tests keeps the deeds back."""
+    return (KEEP_DEEDS,)
 
 
 @pytest.fixture
@@ -87,7 +92,7 @@ class SharedPage:
             self.close()
             server = host.open(demo="phantom")
             self._open.callback(self._end, host, server)
-            self.workstation = open_page(browser)
+            self.workstation = open_page(browser, (KEEP_DEEDS,))
             self._open.callback(self.workstation.page.context.close)
             prepare(self.workstation, server)
             self._first = self._seen()

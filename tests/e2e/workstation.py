@@ -14,6 +14,8 @@ from server_process import Server
 # Limits for what hangs, far beyond what a machine takes on which other programs run, too.
 READY_MS = 600_000
 PICTURE_MS = 120_000
+SIZE = {"width": 1440, "height": 900}
+EMPTY = "icon.svg"
 # A background network, updates and sync have no place in a test, and no sandbox works for root in a container.
 FLAGS = [
     "--no-sandbox",
@@ -91,13 +93,51 @@ FUNCTION = re.compile(r"\(?[\[\w, \]]*\)? =>")
 class Workstation:
     """One open page of the workstation."""
 
-    def __init__(self, page: Any) -> None:
+    def __init__(self, page: Any, scripts: tuple[str, ...] = ()) -> None:
         self.page = page
         self.faults: list[str] = []
-        page.add_init_script(SETTLE)
-        page.add_init_script(PIXELS)
-        page.on("console", lambda m: self.faults.append(m.text) if m.type == "error" else None)
+        self._origin = ""
+        self._is_as_made = True
+        for script in (SETTLE, PIXELS, *scripts):
+            page.add_init_script(script)
+        for name in ("add_init_script", "route", "route_web_socket"):
+            self._watch(name)
+        page.on("console", self._said)
         page.on("pageerror", lambda error: self.faults.append(str(error)))
+
+    def _said(self, message: Any) -> None:
+        # A browser asks by itself for the icon of a picture that it shows as a page; the client's page names its own.
+        if message.type == "error" and not message.location["url"].endswith("/favicon.ico"):
+            self.faults.append(message.text)
+
+    def _watch(self, name: str) -> None:
+        """Note a call that changes the page for good."""
+        plain = getattr(self.page, name)
+
+        def noted(*given: Any, **options: Any) -> Any:
+            self._is_as_made = False
+            return plain(*given, **options)
+
+        setattr(self.page, name, noted)
+
+    def leave(self) -> bool:
+        """Leave the workstation for an empty page of the same site, whose process the next one finds warm.
+
+        False where the page is not as it was made, and of no use to another test.
+        """
+        if not self._is_as_made or not self._origin:
+            return False
+        if self.page.viewport_size != SIZE:
+            self.page.set_viewport_size(SIZE)
+        self.page.mouse.move(0, 0)
+        try:
+            self.page.goto(f"{self._origin}/{EMPTY}")
+        except PlaywrightError:  # the workstation has ended
+            return False
+        # The client keeps nothing in the browser but what its cookie opens.
+        self.page.context.clear_cookies()
+        self.faults.clear()
+        return True
 
     def open(self, server: Server) -> None:
         """Go to the start URL and read the safety sentence.
@@ -105,6 +145,7 @@ class Workstation:
         The URL's token works once; later pages of the same server bring the cookie that it was exchanged for.
         """
         context = self.page.context
+        self._origin = server.url.partition("/?")[0]
         if server.cookies:
             context.add_cookies(server.cookies)
             self.page.goto(server.url.split("?")[0])
@@ -376,11 +417,11 @@ class Workstation:
         print("faults of the page:", self.faults, "state:", told, sep="\n")
 
 
-def open_page(browser: Any) -> Workstation:
+def open_page(browser: Any, scripts: tuple[str, ...] = ()) -> Workstation:
     """A page at the pinned size and pixel ratio, in a context of its own."""
-    context = browser.new_context(viewport={"width": 1440, "height": 900}, device_scale_factor=1)
+    context = browser.new_context(viewport=SIZE, device_scale_factor=1)
     context.set_default_timeout(PICTURE_MS)
-    return Workstation(context.new_page())
+    return Workstation(context.new_page(), scripts)
 
 
 def pass_in(page: Any, milliseconds: int) -> None:
