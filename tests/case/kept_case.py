@@ -19,7 +19,7 @@ from carina.navigate import Navigator
 from carina.render import GreyWindow, Sight, transfer_preset
 from carina.scopes import Pose
 from carina.session.targets import followed_route, tracked_target
-from carina.track import Airways, edit_airways
+from carina.track import Airways, PaintLumen, edit_airways
 from carina.track.edit.folded import FoldedAirways, fold_airways
 
 SOURCE_DIGEST = "ab" * 32
@@ -241,10 +241,18 @@ def assert_same_airways(found: Airways, expected: Airways) -> None:
         np.testing.assert_array_equal(found.base.lumen_zyx, expected.base.lumen_zyx)
 
 
+def _read_again(command: Any) -> Any:
+    """A window could not have asked for a brush of no width: of such a step the words alone are kept."""
+    edit = getattr(command, "edit", None)
+    return None if isinstance(edit, PaintLumen) and edit.radius_mm < 0.1 else command
+
+
 def assert_same_moment(found: Moment | None, expected: Moment, case: EditCase) -> None:
     assert found is not None
     for name in ("position", "sight", "tip", "scope", "search_status", "search_words", "person_moved", "numbers"):
         assert getattr(found, name) == getattr(expected, name), name
-    assert [(s.label, s.command, s.at_s) for s in found.steps] == [(s.label, s.command, s.at_s) for s in expected.steps]
+    assert [(s.label, s.command, s.at_s) for s in found.steps] == [
+        (s.label, _read_again(s.command), s.at_s) for s in expected.steps
+    ]
     for one, other in zip(found.history().documents(), expected.history().documents(), strict=True):
         assert_same_document(one, other, case)

@@ -1,10 +1,11 @@
 """A case: what a person made of a CT, as values, with the steps that led there; and the file that keeps it."""
 
 from carina.case.document import Document, Key, Keys, Target
-from carina.case.file import CaseFile, SourceFacts, StepFacts
+from carina.case.file import CaseFile, StepFacts, migrate
 from carina.case.history import History, Step
 from carina.case.moment import LaidScope, Moment
 from carina.case.routes import ChosenRoute
+from carina.case.source import SourceFacts
 from carina.case.trouble import CaseFileError
 
 __all__ = [
@@ -21,4 +22,5 @@ __all__ = [
     "Step",
     "StepFacts",
     "Target",
+    "migrate",
 ]

@@ -9,9 +9,8 @@ import msgspec
 from msgspec import Meta
 
 from carina.commands import Command, KeyFlying, all_commands
-from carina.commands.fields import BranchId, Count, Key, Matrix4, OwnName, Part, PointLps, Words
+from carina.commands.fields import BranchId, Count, Key, Matrix4, Part, PointLps
 from carina.commands.look import Look
-from carina.commands.tree import AnyTreeEdit
 from carina.commands.value import LocalCommand
 from carina.render import Sight
 from carina.track import Uncertainty
@@ -38,6 +37,7 @@ Number = Annotated[float, Meta(ge=-1e300, le=1e300)]
 Mm = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Numbers = Annotated[tuple[Mm, ...], Meta(max_length=MAX_LIST)]
 LongWords = Annotated[str, Meta(max_length=100_000)]
+ShortWords = Annotated[str, Meta(min_length=1, max_length=4000)]
 Ids = Annotated[tuple[RowId, ...], Meta(max_length=MAX_LIST)]
 
 
@@ -48,7 +48,7 @@ class _Facts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class BadgeFacts(_Facts, frozen=True):
     """A lasting note."""
 
-    code: Key
+    code: ShortWords
     words: LongWords
     badge: bool
 
@@ -61,12 +61,12 @@ class BranchFacts(_Facts, frozen=True, omit_defaults=True):
     children: Annotated[tuple[BranchId, ...], Meta(max_length=MAX_BRANCHES)]
     generation: Annotated[int, Meta(ge=0, le=MAX_BRANCHES)]
     kind: Literal["tracked", "bridge", "manual"] = "tracked"
-    name: Words | None = None
+    name: LongWords | None = None
     cost: Number | None = None
     confidence: Part | None = None
     name_confidence: Part | None = None
     name_from: Literal["anatomy", "person"] | None = None
-    variant: Words | None = None
+    variant: LongWords | None = None
     doubtful_mm: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
 
 
@@ -95,22 +95,22 @@ class SpanFacts(_Facts, frozen=True):
     """A branch along a route."""
 
     branch_id: Annotated[int, Meta(ge=-1, le=2**31)]
-    name: Words | None
+    name: LongWords | None
     generation: Annotated[int, Meta(ge=-1, le=MAX_BRANCHES)]
     from_mm: Mm
     to_mm: Mm
-    kind: Key
+    kind: ShortWords
 
 
 class RouteFacts(_Facts, frozen=True):
     """A route without its points."""
 
-    route_id: Key
+    route_id: ShortWords
     title: LongWords
     forks_mm: Numbers
     lookouts_mm: Numbers
     spans: Annotated[tuple[SpanFacts, ...], Meta(max_length=MAX_BRANCHES)]
-    target_id: Key | None
+    target_id: ShortWords | None
     branch_id: BranchId | None
     drawn: tuple[Mm, Mm, Mm]
     """Length, drawn by hand, bridged."""
@@ -123,7 +123,7 @@ class RouteFacts(_Facts, frozen=True):
 class TargetFacts(_Facts, frozen=True):
     """A target; ``route`` is a row of that table."""
 
-    target_id: Key
+    target_id: ShortWords
     name: LongWords
     lps: PointLps
     used_lps: PointLps | None
@@ -136,9 +136,9 @@ class TargetFacts(_Facts, frozen=True):
 class KeyFacts(_Facts, frozen=True):
     """A key frame."""
 
-    key_id: Key
+    key_id: ShortWords
     lps_from_camera: Matrix4
-    name: OwnName | None
+    name: LongWords | None
     speed_mm_s: Mm | None
 
 
@@ -163,7 +163,7 @@ class MomentFacts(_Facts, frozen=True):
     sight: Sight
     tip: dict[Key, Any]
     scope: ScopeFacts | None
-    search_status: Key
+    search_status: ShortWords
     search_words: LongWords | None
     person_moved: bool
     numbers: Annotated[dict[Key, Count], Meta(max_length=1000)]
@@ -181,11 +181,12 @@ class _Decoders:
         self.keys = msgspec.json.Decoder(KeysFacts)
         self.look = msgspec.json.Decoder(Look)
         self.transfer = msgspec.json.Decoder(Annotated[dict[str, Any], Meta(max_length=100)])
-        self.edit = msgspec.json.Decoder(AnyTreeEdit)
+        self.edit = msgspec.json.Decoder(Annotated[dict[Key, Any], Meta(max_length=20)])
         self.uncertain = msgspec.json.Decoder(Annotated[tuple[Uncertainty, ...], Meta(max_length=MAX_LIST)])
         self.moment = msgspec.json.Decoder(MomentFacts)
         self.command: msgspec.json.Decoder[Any] = msgspec.json.Decoder(Union[commands])  # noqa: UP007  # of a tuple
         self.choices = msgspec.json.Decoder(Annotated[dict[Key, Any], Meta(max_length=100)])
+        self.extra: msgspec.json.Decoder[Any] = msgspec.json.Decoder()
         self.levels = msgspec.json.Decoder(tuple[Number, Number, Number] | None)
 
 

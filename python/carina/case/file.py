@@ -7,68 +7,42 @@ import os
 import shutil
 import sqlite3
 import threading
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from carina.case import facts as f
+from carina.case.database import (
+    check_whole,
+    connected,
+    copied_with_journal,
+    has_journal,
+    needed_header,
+    no_surprise,
+    set_up,
+    told,
+    transaction,
+)
 from carina.case.moment import Moment
-from carina.case.packing import as_json, from_json
+from carina.case.packing import as_checked_json, from_json
 from carina.case.reading import CaseReader, Rows
-from carina.case.schema import CONTENT, JOURNALS, check_schema, connected, make_tables
+from carina.case.recordings import RecordingFacts, RecordingTable, RecordingWriter
+from carina.case.schema import CONTENT, check_schema, make_tables, migrated
+from carina.case.source import SourceFacts, grid_words, read_source, turn_between, write_source
+from carina.case.sweeping import sweep
 from carina.case.trouble import CaseFileError, damaged, refused
 from carina.case.writing import CaseWriter
-from carina.disk import ScratchFolder, disk_trouble
+from carina.disk import ScratchFolder, disk_trouble, drafted
 from carina.display import one_line
-from carina.errors import CarinaError, DiskError, UsageError
+from carina.navigate import Recording
 from carina.volume import Volume
 
-__all__ = ["CaseFile", "SourceFacts", "StepFacts"]
+__all__ = ["CaseFile", "StepFacts", "all_content", "step_rows"]
 
-GEOMETRY_MM: Final = 1e-3
-"""Two grids are the same where their voxels lie nearer than this."""
 MAX_CONTENT_BYTES: Final = 2 << 30
 """Of all rows of a case without its CT."""
 MAX_ROWS: Final = 2_000_000
 MAX_STEPS: Final = 10_000
-COPY_AGAIN: Final = 5
-"""How often a file is copied again that was written to meanwhile."""
-MAX_PATH_CHARS: Final = 4096
-
-
-@one_line
-@dataclass(frozen=True, slots=True, eq=False)
-class SourceFacts:
-    """The CT that a case is of; nothing of the patient."""
-
-    digest: str
-    """Of its voxels (:func:`carina.volume.ct_digest`), hexadecimal."""
-    shape_zyx: tuple[int, int, int]
-    lps_from_ijk: NDArray[np.float64]
-    """4x4."""
-    is_hu: bool = True
-    path: str | None = None
-    """Where it lies, relative to the case file; None where that is not known."""
-    choices: dict[str, Any] = field(default_factory=dict)
-    """What was chosen when it was imported: plain JSON."""
-
-    def __post_init__(self) -> None:
-        absolute = self.path is not None and (
-            PurePosixPath(self.path).is_absolute() or PureWindowsPath(self.path).anchor != ""
-        )
-        if absolute:
-            raise UsageError("a case file holds the scan's place relative to itself; found an absolute path")
-
-    @classmethod
-    def of(
-        cls, volume: Volume, digest: str, *, path: str | None = None, choices: dict[str, Any] | None = None
-    ) -> SourceFacts:
-        """Of a volume whose digest is known."""
-        return cls(digest, volume.shape_zyx, volume.lps_from_ijk, volume.is_hu, path, dict(choices or {}))
 
 
 @one_line
@@ -100,15 +74,24 @@ class CaseFile:
     """
 
     def __init__(
-        self, path: Path, connection: sqlite3.Connection, *, read_only: bool, copied: ScratchFolder | None
+        self,
+        path: Path,
+        connection: sqlite3.Connection,
+        *,
+        read_only: bool = False,
+        note: str | None = None,
+        scratch: ScratchFolder | None = None,
     ) -> None:
         """As :meth:`create` and :meth:`open` do."""
         self.path = path
         self.read_only = read_only
-        self._copied = copied
+        self.note = note
+        """What a person should know of it, in a sentence: a newer Carina saved it."""
+        self._scratch = scratch
         self._lock = threading.RLock()
         self._connection: sqlite3.Connection | None = connection
         self._writer: CaseWriter | None = None
+        self._has_orphans = False
 
     def __repr__(self) -> str:
         return f"CaseFile({str(self.path)!r}{', read only' if self.read_only else ''})"
@@ -123,7 +106,7 @@ class CaseFile:
 
     @classmethod
     def create(cls, path: Path | str, source: SourceFacts) -> CaseFile:
-        """Begin a case file; its journal stands beside it while it is open.
+        """Begin a case file, for this person alone; its journal stands beside it while it is open.
 
         Raises
         ------
@@ -132,71 +115,87 @@ class CaseFile:
         """
         place = Path(path)
         try:
-            # For this person alone, and never in the place of another.
             os.close(os.open(place, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600))
         except OSError as error:
             raise disk_trouble(error, "cannot write the case", place) from error
-        with _told(place):
+        with told(place):
             connection = connected(place, "rw")
             try:
-                _set_up(connection)
-                with _transaction(connection):
+                set_up(connection)
+                with transaction(connection):
                     make_tables(connection)
-                    _write_source(connection, source)
+                    write_source(connection, source)
             except BaseException:
                 connection.close()
                 raise
-        return cls(place, connection, read_only=False, copied=None)
+        return cls(place, connection)
 
     @classmethod
     def open(cls, path: Path | str, *, read_only: bool = False) -> CaseFile:
         """Open a case file, whoever made it.
 
-        One that was not closed (a journal stands beside it) is looked through in a copy first. With ``read_only``
-        nothing is written beside it, and its last committed state is read.
+        Parameters
+        ----------
+        read_only
+            Nothing is written to it or beside it, and its last committed state is read. A newer Carina's file is
+            opened so in any case, where it has all that this one knows; :attr:`note` says it. One of an older Carina is
+            then migrated in a copy.
+
+        Notes
+        -----
+        One that was not closed (a journal stands beside it) is looked through in a copy before its journal is replayed.
 
         Raises
         ------
         CaseFileError
-            If it is none, or a newer Carina's (then ``read_only`` refuses, too), or damaged.
+            ``case.not-a-case``, ``case.damaged``, ``case.newer``, ``case.older`` (to be written: migrate it first).
         DiskError
             If it cannot be read or written.
         """
         place = Path(path)
-        with _told(place):
-            _check_file(place)
-            left = any(_beside(place, tail).exists() for tail in JOURNALS[:2])
-            copied: ScratchFolder | None = None
-            try:
-                looked_at, immutable = place, True
-                if left:
-                    copied = ScratchFolder()
-                    looked_at, immutable = _copied(place, copied.path), False
-                connection = connected(looked_at, "rw" if left else "ro", immutable=immutable)
-                try:
-                    check_schema(connection, place)
-                    if read_only or left:
-                        _check_whole(connection, place)
-                except BaseException:
-                    connection.close()
-                    raise
-                if read_only:
-                    return cls(place, connection, read_only=True, copied=copied)
+        with told(place), contextlib.ExitStack() as undo:
+            needed_header(place)
+            left = has_journal(place)
+            scratch: ScratchFolder | None = None
+            looked_at = place
+            if left:
+                scratch = ScratchFolder()
+                undo.callback(scratch.remove)
+                looked_at = copied_with_journal(place, scratch.path)
+            connection = undo.enter_context(
+                contextlib.closing(connected(looked_at, "rw" if left else "ro", immutable=not left))
+            )
+            standing = check_schema(connection, place)
+            if standing != "ours" or read_only or left:
+                check_whole(connection, place)
+            if standing == "older":
+                if not read_only:
+                    raise refused(
+                        place, "an older Carina saved it; migrate it with carina case migrate", code="case.older"
+                    )
+                if scratch is None:
+                    scratch = ScratchFolder()
+                    undo.callback(scratch.remove)
+                migrated(connection, scratch.path / "migrated.carina")
                 connection.close()
-            except BaseException:
-                if copied is not None:
-                    copied.remove()
-                raise
-            if copied is not None:
-                copied.remove()
+                connection = undo.enter_context(
+                    contextlib.closing(connected(scratch.path / "migrated.carina", "ro", immutable=True))
+                )
+            if read_only or standing == "newer":
+                undo.pop_all()
+                note = None
+                if standing == "newer":
+                    note = "a newer Carina saved this case: it can be looked at here, and changed with that version"
+                return cls(place, connection, read_only=True, note=note, scratch=scratch)
+        with told(place):
             connection = connected(place, "rw")
             try:
-                _set_up(connection)
+                set_up(connection)
                 check_schema(connection, place)
             except BaseException:
                 connection.close()
                 raise
-        return cls(place, connection, read_only=False, copied=None)
+        return cls(place, connection)
 
     def close(self) -> None:
         """Close it; its journal goes. Nothing if it is closed."""
@@ -205,12 +204,17 @@ class CaseFile:
             self._writer = None
             try:
                 if connection is not None:
+                    # What is not reached any more costs room alone: trouble here loses nothing.
+                    with contextlib.suppress(sqlite3.Error, CaseFileError):
+                        if self._has_orphans and not self.read_only:
+                            with transaction(connection):
+                                sweep(connection, all_content(connection))
                     with contextlib.suppress(sqlite3.Error):
                         connection.close()
             finally:
-                copied, self._copied = self._copied, None
-                if copied is not None:
-                    copied.remove()
+                scratch, self._scratch = self._scratch, None
+                if scratch is not None:
+                    scratch.remove()
 
     # ------------------------------------------------------------ the moment
 
@@ -222,97 +226,194 @@ class CaseFile:
         DiskError
             If it cannot be written: what was saved before stays.
         """
-        with self._lock, _told(self.path):
+        with self._lock, told(self.path):
             connection = self._writable()
             writer = self._needed_writer()
             try:
-                with _transaction(connection):
+                with transaction(connection):
                     writer.write(moment)
             except BaseException:
                 # It may know rows that were taken back.
                 self._writer = None
                 raise
             writer.kept()
+            self._has_orphans = True
 
     def load(self, volume: Volume) -> Moment | None:
         """The moment that was saved last; None where none was.
 
         Nothing is found again: airways come with their tree as it was, and paths are calculated when they are first
-        needed. Those of steps far from the present one are unfolded by undo.
+        needed. Those of steps far from the present one are :class:`carina.track.FoldedAirways`.
 
         Parameters
         ----------
         volume
-            The CT; on another order of axes, what lies in voxels is turned to it.
+            The CT, whose voxels the caller has compared by their digest. Where its axes are in another order than when
+            the case was saved, what lies in voxels is turned to it.
 
         Raises
         ------
         CaseFileError
             ``case.other-scan`` or ``case.damaged``.
         """
-        with self._lock, _told(self.path):
+        with self._lock, told(self.path):
             connection = self._open()
-            self._check_scan(volume)
-            rows = _content(connection)
+            source = read_source(connection)
+            turn = turn_between(source, volume)
+            if turn is None:
+                raise refused(
+                    self.path,
+                    f"it is of another scan: expected {grid_words(source.shape_zyx)} voxels where the case has them; "
+                    f"found {grid_words(volume.shape_zyx)}; choose the scan that it was made of",
+                    code="case.other-scan",
+                )
+            rows = all_content(connection)
             found = connection.execute("SELECT position, facts FROM moment").fetchone()
             if found is None:
                 return None
-            position, said = found
-            count = connection.execute("SELECT count(*) FROM step").fetchone()[0]
-            if not 1 <= count <= MAX_STEPS:
-                raise damaged("the steps", f"1 to {MAX_STEPS}", str(count))
-            numbered = connection.execute("SELECT n, label, command, at_s, document FROM step ORDER BY n").fetchall()
-            first_n = numbered[0][0]
-            if [row[0] for row in numbered] != list(range(first_n, first_n + count)):
-                raise damaged("the steps", "numbers without a gap", "others")
-            writer = None if self.read_only else self._needed_writer()
-            with _no_surprise():
-                reader = CaseReader(rows, volume, _ignored if writer is None else writer.know)
-                facts: f.MomentFacts = from_json(said, f.decoders().moment, "the moment")
-                moment = reader.moment([row[1:] for row in numbered], position, facts)
+            numbered = step_rows(connection)
+            writer = None if self.read_only or not turn.is_none else self._needed_writer()
+            with no_surprise():
+                reader = CaseReader(rows, volume, _ignored if writer is None else writer.know, turn)
+                facts: f.MomentFacts = from_json(found[1], f.decoders().moment, "the moment")
+                moment = reader.moment([row[1:] for row in numbered], found[0], facts)
             if writer is not None:
                 writer.reader = reader
                 objects: list[object] = [moment, *moment.steps]
-                writer.take_steps([(one, row[1:]) for one, row in zip(objects, numbered, strict=True)], first_n)
+                writer.take_steps([(one, row[1:]) for one, row in zip(objects, numbered, strict=True)], numbered[0][0])
             return moment
 
     def history(self) -> tuple[StepFacts, ...]:
         """The steps in words, the oldest first, with those that were taken back; nothing large is read."""
-        with self._lock, _told(self.path):
+        with self._lock, told(self.path):
             connection = self._open()
             found = connection.execute("SELECT position FROM moment").fetchone()
             position = 0 if found is None else found[0]
             rows = connection.execute(
-                "SELECT label, substr(command, 1, 200), at_s FROM step ORDER BY n LIMIT ?", (MAX_STEPS,)
+                "SELECT substr(label, 1, 4000), substr(command, 1, 200), at_s FROM step ORDER BY n LIMIT ?",
+                (MAX_STEPS,),
             ).fetchall()
-        return tuple(
-            StepFacts(str(label), _kind_of(command), float(at_s), n < position)
-            for n, (label, command, at_s) in enumerate(rows[1:])
-        )
+        with no_surprise():
+            return tuple(
+                StepFacts(str(label), _kind_of(command), float(at_s), n < position)
+                for n, (label, command, at_s) in enumerate(rows[1:])
+            )
+
+    # ------------------------------------------------------------ beside it
 
     @property
     def source(self) -> SourceFacts:
         """The CT that it is of."""
-        with self._lock, _told(self.path):
-            return _read_source(self._open())
+        with self._lock, told(self.path):
+            return read_source(self._open())
+
+    def set_source_path(self, path: str | None) -> None:
+        """The scan lies elsewhere: its place relative to the case file, None where that is not known."""
+        with self._lock, told(self.path):
+            connection = self._writable()
+            with transaction(connection):
+                write_source(connection, replace(read_source(connection), path=path))
+
+    def extra(self, kind: str) -> tuple[Any, ...]:
+        """What was kept under this word (a plan, a report, scores), by its numbers."""
+        with self._lock, told(self.path):
+            rows = self._open().execute("SELECT json FROM extra WHERE kind = ? ORDER BY n", (kind,)).fetchall()
+            return tuple(from_json(said, f.decoders().extra, f"extra {kind}") for (said,) in rows)
+
+    def set_extra(self, kind: str, values: tuple[Any, ...]) -> None:
+        """Keep plain JSON values under a word, in the place of those before."""
+        with self._lock, told(self.path):
+            connection = self._writable()
+            with transaction(connection):
+                connection.execute("DELETE FROM extra WHERE kind = ?", (kind,))
+                for n, value in enumerate(values):
+                    row = (kind, n, as_checked_json(value, f.decoders().extra, kind))
+                    connection.execute("INSERT INTO extra (kind, n, json) VALUES (?, ?, ?)", row)
+
+    # ------------------------------------------------------------ recordings
+
+    def record(self, name: str, *, begun_s: float) -> RecordingWriter:
+        """Begin a recording: a text file for :class:`carina.navigate.Recorder`.
+
+        What is written to it is kept in memory until :meth:`RecordingWriter.keep` puts it into the file, in pieces of
+        at most a second: whoever flies never waits for a disk.
+
+        Parameters
+        ----------
+        begun_s
+            Seconds since the case was begun.
+        """
+        with self._lock, told(self.path):
+            return RecordingWriter(self._table(), name, begun_s)
+
+    def recordings(self) -> tuple[RecordingFacts, ...]:
+        """The recordings in the order in which they were begun."""
+        with self._lock, told(self.path):
+            return self._table().all()
+
+    def recording(self, recording_id: int) -> Recording:
+        """One of them, to be flown again.
+
+        Raises
+        ------
+        UsageError
+            ``case.recording``: if there is none of that number.
+        CaseFileError, VolumeImportError
+            If it is damaged, or no recording.
+        """
+        with self._lock, told(self.path):
+            return self._table().read(recording_id)
+
+    def rename_recording(self, recording_id: int, name: str) -> None:
+        """Call a recording otherwise."""
+        with self._lock, told(self.path):
+            self._table().rename(recording_id, name)
+
+    def forget_recording(self, recording_id: int) -> None:
+        """Take a recording away."""
+        with self._lock, told(self.path):
+            self._table().forget(recording_id)
+
+    def _table(self) -> RecordingTable:
+        return RecordingTable(self._open, self._writable, self._lock, self.path)
+
+    # ------------------------------------------------------------ copies
+
+    def write_copy(self, path: Path | str, *, source_path: str | None = None) -> None:
+        """Write all of it as one whole file, without a journal: what a person names, shares and backs up.
+
+        It is made in a temporary folder and put in its place whole, so that no database is ever open on a share.
+
+        Parameters
+        ----------
+        source_path
+            Where the scan lies relative to the copy; None where that is not known.
+
+        Raises
+        ------
+        DiskError
+            If it cannot be written; what was there before stays.
+        """
+        target = Path(path)
+        with ScratchFolder() as folder:
+            made = folder / "copy.carina"
+            with self._lock, told(made), contextlib.closing(connected(made, "rwc")) as copy:
+                self._open().backup(copy)
+                copy.execute("PRAGMA journal_mode=DELETE")
+                # Until it is whole it may be thrown away.
+                copy.execute("PRAGMA synchronous=OFF")
+                with transaction(copy):
+                    write_source(copy, replace(read_source(copy), path=source_path))
+                    sweep(copy, all_content(copy))
+                copy.execute("VACUUM")
+            with drafted(target, what="the case", needed_bytes=made.stat().st_size) as file, made.open("rb") as whole:
+                shutil.copyfileobj(whole, file, 1 << 20)
 
     # ------------------------------------------------------------ inside
 
-    def _check_scan(self, volume: Volume) -> None:
-        source = _read_source(self._open())
-        near = source.shape_zyx == volume.shape_zyx and _same_places(source, volume)
-        if not near:
-            raise refused(
-                self.path,
-                f"it is of another scan: expected {_grid_words(source.shape_zyx)} voxels where the case has them; "
-                f"found {_grid_words(volume.shape_zyx)}; choose the scan that it was made of",
-                code="case.other-scan",
-            )
-
     def _needed_writer(self) -> CaseWriter:
         if self._writer is None:
-            connection = self._open()
-            self._writer = CaseWriter(connection)
+            self._writer = CaseWriter(self._open())
         return self._writer
 
     def _open(self) -> sqlite3.Connection:
@@ -329,205 +430,61 @@ class CaseFile:
         return self._open()
 
 
-# ------------------------------------------------------------ connections
+def migrate(path: Path | str, target: Path | str) -> None:
+    """Write an older Carina's case as this one writes it, elsewhere; the original stays as it is.
+
+    Raises
+    ------
+    CaseFileError
+        As :meth:`CaseFile.open`.
+    DiskError
+        If it cannot be written.
+    """
+    with CaseFile.open(path, read_only=True) as case:
+        case.write_copy(target, source_path=case.source.path)
 
 
-def _set_up(connection: sqlite3.Connection) -> None:
-    """How the live file is written: docs/decisions/0051-a-case-is-a-database.md."""
-    mode = connection.execute("PRAGMA journal_mode=WAL").fetchone()[0]
-    if mode != "wal":
-        # A share: there the ordinary journal is safe, if slower.
-        connection.execute("PRAGMA journal_mode=DELETE")
-    for pragma in ("synchronous=FULL", "fullfsync=ON", "checkpoint_fullfsync=ON", "journal_size_limit=16777216"):
-        connection.execute(f"PRAGMA {pragma}")
+def all_content(connection: sqlite3.Connection) -> Rows:
+    """All rows of content, after their number and size were looked at.
 
-
-@contextlib.contextmanager
-def _transaction(connection: sqlite3.Connection) -> Iterator[None]:
-    connection.execute("BEGIN IMMEDIATE")
-    try:
-        yield
-        connection.execute("COMMIT")
-    except BaseException:
-        with contextlib.suppress(sqlite3.Error):
-            connection.execute("ROLLBACK")
-        raise
-
-
-@contextlib.contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """What SQLite refuses, in our words."""
-    try:
-        yield
-    except CarinaError:
-        raise
-    except sqlite3.Error as error:
-        raise _in_words(error, path) from error
-    except OSError as error:
-        raise disk_trouble(error, "cannot use the case", path) from error
-
-
-def _in_words(error: sqlite3.Error, path: Path) -> CarinaError:
-    code = getattr(error, "sqlite_errorcode", None)
-    primary = None if code is None else code & 0xFF
-    doing = f"cannot write the case to {path}"
-    words = {
-        sqlite3.SQLITE_FULL: ("disk.full", f"{doing}: the disk is full; free some space or choose another folder"),
-        sqlite3.SQLITE_IOERR: (
-            "disk.failed",
-            f"{doing}: the disk reports an error; check the disk, or choose another folder",
-        ),
-        sqlite3.SQLITE_READONLY: ("disk.denied", f"{doing}: this file or folder is read-only; choose another folder"),
-        sqlite3.SQLITE_CANTOPEN: (
-            "disk.denied",
-            f"cannot open the case {path}: its file or folder cannot be used; check that it is there and yours",
-        ),
-        sqlite3.SQLITE_BUSY: ("disk.failed", f"{doing}: another program is using it; close that, and try again"),
-        sqlite3.SQLITE_PERM: ("disk.denied", f"{doing}: you do not have permission; choose another folder"),
-    }
-    if primary in words:
-        kind, said = words[primary]
-        return DiskError(said, code=kind)
-    if primary == sqlite3.SQLITE_NOTADB:
-        return refused(path, "it is not a case that Carina saved; choose a .carina file", code="case.not-a-case")
-    return refused(path, f"it is damaged ({error}); open an earlier copy", code="case.damaged")
-
-
-@contextlib.contextmanager
-def _no_surprise() -> Iterator[None]:
-    """Whatever a file holds in the place of our values is damage."""
-    try:
-        yield
-    except CarinaError:
-        raise
-    except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError, RecursionError) as trouble:
-        raise damaged("its content", "values as docs/case-file.md says", type(trouble).__name__) from trouble
-
-
-def _check_file(path: Path) -> None:
-    with path.open("rb") as file:
-        head = file.read(16)
-    if head != b"SQLite format 3\x00":
-        raise refused(path, "it is not a case that Carina saved; choose a .carina file", code="case.not-a-case")
-
-
-def _check_whole(connection: sqlite3.Connection, path: Path) -> None:
-    found = [row[0] for row in connection.execute("PRAGMA quick_check(3)")]
-    if found != ["ok"]:
-        raise refused(path, f"it is damaged ({str(found[0])[:120]}); open an earlier copy", code="case.damaged")
-
-
-def _beside(path: Path, tail: str) -> Path:
-    return path.with_name(path.name + tail)
-
-
-def _copied(path: Path, folder: Path) -> Path:
-    """The file with its journal in a folder of ours, as they were at one moment."""
-    parts = [path, *(_beside(path, tail) for tail in JOURNALS[:2])]
-    for _ in range(COPY_AGAIN):
-        before = [_stamp(part) for part in parts]
-        for part, stamp in zip(parts, before, strict=True):
-            target = folder / ("case.carina" + part.name[len(path.name) :])
-            target.unlink(missing_ok=True)
-            if stamp is not None:
-                shutil.copyfile(part, target)
-        if [_stamp(part) for part in parts] == before:
-            return folder / "case.carina"
-    raise refused(path, "another program keeps writing to it; close it there, or wait a moment", code="case.read-only")
-
-
-def _stamp(path: Path) -> tuple[int, int, int] | None:
-    try:
-        found = path.stat()
-    except FileNotFoundError:
-        return None
-    return found.st_ino, found.st_size, found.st_mtime_ns
-
-
-# ------------------------------------------------------------ rows
-
-
-def _write_source(connection: sqlite3.Connection, source: SourceFacts) -> None:
-    nz, ny, nx = source.shape_zyx
-    matrix = np.ascontiguousarray(source.lps_from_ijk, dtype="<f8")
-    if matrix.shape != (4, 4):
-        raise UsageError(f"lps_from_ijk is a 4x4 matrix; found {matrix.shape}")
-    connection.execute(
-        "INSERT OR REPLACE INTO source (id, digest, nz, ny, nx, lps_from_ijk, is_hu, path, choices) "
-        "VALUES (1, ?, ?, ?, ?, ?, ?, ?, ?)",
-        (
-            source.digest,
-            nz,
-            ny,
-            nx,
-            matrix.tobytes(),
-            int(source.is_hu),
-            source.path,
-            as_json(source.choices).decode(),
-        ),
-    )
-
-
-def _read_source(connection: sqlite3.Connection) -> SourceFacts:
-    where = "the source"
-    row = connection.execute("SELECT digest, nz, ny, nx, lps_from_ijk, is_hu, path, choices FROM source").fetchone()
-    if row is None:
-        raise damaged(where, "one row", "none")
-    digest, nz, ny, nx, matrix, is_hu, path, choices = row
-    if not all(isinstance(n, int) and 1 <= n <= 65_535 for n in (nz, ny, nx)):
-        raise damaged(where, "a shape of 1 to 65535 voxels along each axis", f"{(nz, ny, nx)}"[:80])
-    if not isinstance(matrix, bytes) or len(matrix) != 128:
-        raise damaged(where, "a matrix of 128 bytes", str(type(matrix)))
-    places = np.frombuffer(matrix, dtype="<f8").reshape(4, 4)
-    if not np.isfinite(places).all() or np.abs(places).max() > 1e6 or abs(np.linalg.det(places[:3, :3])) < 1e-12:
-        raise damaged(where, "a transform that can be inverted", "another matrix")
-    if not isinstance(digest, str) or len(digest) > 128 or not (path is None or _is_path(path)):
-        raise damaged(where, "a digest, and a relative path", "something else")
-    facts = from_json(choices, f.decoders().choices, where)
-    try:
-        return SourceFacts(digest, (nz, ny, nx), places, bool(is_hu), path, facts)
-    except UsageError as trouble:
-        raise damaged(where, "a relative path", str(trouble)) from None
-
-
-def _is_path(path: object) -> bool:
-    return isinstance(path, str) and 0 < len(path) <= MAX_PATH_CHARS and "\x00" not in path
-
-
-def _content(connection: sqlite3.Connection) -> Rows:
-    """All rows of content, after their number and size were looked at."""
-    total = 0
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``: if there are too many.
+    """
     for table in CONTENT:
         count = connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
         if count > MAX_ROWS:
             raise damaged(table, f"at most {MAX_ROWS} rows", str(count))
     pages, size = (connection.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "page_size"))
-    chunks = connection.execute("SELECT coalesce(sum(length(data)), 0) FROM ct").fetchone()[0]
-    chunks += connection.execute("SELECT coalesce(sum(length(data)), 0) FROM recording_chunk").fetchone()[0]
-    total = pages * size - chunks
-    if total > MAX_CONTENT_BYTES:
-        raise damaged("its content", f"at most {MAX_CONTENT_BYTES} bytes", str(total))
-    rows: Rows = {}
-    for table in CONTENT:
-        rows[table] = {row[0]: row[1:] for row in connection.execute(f"SELECT * FROM {table}")}
+    chunks = sum(
+        connection.execute(f"SELECT coalesce(sum(length(data)), 0) FROM {table}").fetchone()[0]
+        for table in ("ct", "recording_chunk")
+    )
+    if pages * size - chunks > MAX_CONTENT_BYTES:
+        raise damaged("its content", f"at most {MAX_CONTENT_BYTES} bytes", str(pages * size - chunks))
+    return {table: {row[0]: row[1:] for row in connection.execute(f"SELECT * FROM {table}")} for table in CONTENT}
+
+
+def step_rows(connection: sqlite3.Connection) -> list[tuple[Any, ...]]:
+    """The steps: number, label, command, seconds, document.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``: if there are too many, or one is missing.
+    """
+    count = connection.execute("SELECT count(*) FROM step").fetchone()[0]
+    if not 1 <= count <= MAX_STEPS:
+        raise damaged("the steps", f"1 to {MAX_STEPS}", str(count))
+    rows = connection.execute("SELECT n, label, command, at_s, document FROM step ORDER BY n").fetchall()
+    if [row[0] for row in rows] != list(range(rows[0][0], rows[0][0] + count)):
+        raise damaged("the steps", "numbers without a gap", "others")
     return rows
 
 
 def _ignored(_kind: str, _value: object, _row: int) -> None:
     """A file that is only read need not know what came from it."""
-
-
-def _same_places(source: SourceFacts, volume: Volume) -> bool:
-    """Whether the corners of both grids lie at the same places."""
-    nz, ny, nx = volume.shape_zyx
-    corners = np.array([[i, j, k, 1.0] for i in (0, nx - 1) for j in (0, ny - 1) for k in (0, nz - 1)])
-    off = corners @ (source.lps_from_ijk - volume.lps_from_ijk).T
-    return bool(np.linalg.norm(off[:, :3], axis=1).max() <= GEOMETRY_MM)
-
-
-def _grid_words(shape_zyx: tuple[int, int, int]) -> str:
-    nz, ny, nx = shape_zyx
-    return f"{nx} x {ny} x {nz}"
 
 
 def _kind_of(command: object) -> str | None:

@@ -11,8 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.case.trouble import damaged
+from carina.errors import UsageError
 
-__all__ = ["DTYPES", "MAX_PIECE_BYTES", "as_json", "deflated", "digest_of", "from_json", "inflated", "packed_ints"]
+__all__ = [
+    "DTYPES",
+    "MAX_PIECE_BYTES",
+    "as_checked_json",
+    "as_json",
+    "deflated",
+    "digest_of",
+    "from_json",
+    "inflated",
+    "packed_ints",
+]
 
 MAX_PIECE_BYTES: Final = 64 << 20
 """Of one piece, inflated; far below what SQLite takes, and what an array of a case never comes near."""
@@ -75,6 +86,22 @@ def unpacked_ints(data: object, count: int, where: str) -> NDArray[np.int32]:
 def as_json(value: object) -> bytes:
     """A value as JSON; numbers keep every bit. Numbers that are not finite are none in JSON: say them otherwise."""
     return _ENCODER.encode(value)
+
+
+def as_checked_json(value: object, decoder: msgspec.json.Decoder[Any], what: str) -> str:
+    """As :func:`as_json`, for what will be read with a decoder: what could not be read is not written.
+
+    Raises
+    ------
+    UsageError
+        ``case.value``: if the value is out of the bounds of its fields.
+    """
+    try:
+        said = as_json(value)
+        decoder.decode(said)
+        return said.decode()
+    except (msgspec.MsgspecError, ValueError, TypeError, RecursionError, OverflowError) as trouble:
+        raise UsageError(f"{what} cannot be saved: {trouble}", code="case.value") from trouble
 
 
 def from_json(content: object, decoder: msgspec.json.Decoder[Any], where: str) -> Any:

@@ -12,18 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carina.case import facts as f
+from carina.case.database import no_surprise
 from carina.case.document import Document, Key, Keys, Target
 from carina.case.history import Step
 from carina.case.moment import LaidScope, Moment
 from carina.case.packing import DTYPES, MAX_PIECE_BYTES, digest_of, from_json, inflated, unpacked_ints
 from carina.case.routes import ChosenRoute, RouteSpan
+from carina.case.source import Turn
 from carina.case.tiles import TILE_BYTES, from_tiles, num_tiles
 from carina.case.trouble import damaged
 from carina.errors import CarinaError
 from carina.navigate import FlightPath
 from carina.render import TransferFunction
 from carina.scopes import Pose
-from carina.track import Airways, AirwayTree, Branch, DrawnPart
+from carina.track import Airways, AirwayTree, Branch, DrawnPart, TreeEdit, edits_from_json, edits_to_json
 from carina.track.edit.folded import FoldedAirways
 from carina.track.edit.lumen import edited_core, found_core
 from carina.track.find.kept import KeptForVolume
@@ -50,9 +52,16 @@ class KeptAirways(FoldedAirways):
         return f"KeptAirways(row={self.row})"
 
     def unfold(self, volume: Volume) -> Airways:
-        """The airways as they were saved; their paths are calculated when they are first needed."""
-        assert volume is self.reader.volume
-        return self.reader.airways(self.row)
+        """The airways as they were saved; their paths are calculated when they are first needed.
+
+        Raises
+        ------
+        CaseFileError
+            ``case.damaged``.
+        """
+        assert volume.hu_zyx is self.reader.volume.hu_zyx
+        with no_surprise():
+            return self.reader.airways(self.row)
 
 
 class CaseReader:
@@ -66,9 +75,12 @@ class CaseReader:
         The CT, on the grid that the case was saved with.
     know
         Told of each object that stands for a row, by its kind.
+    turn
+        How the case's voxels lie in the volume.
     """
 
-    def __init__(self, rows: Rows, volume: Volume, know: Callable[[str, object, int], None]) -> None:
+    def __init__(self, rows: Rows, volume: Volume, know: Callable[[str, object, int], None], turn: Turn) -> None:
+        self._turn = turn
         self._rows = rows
         self.volume = volume
         self._know = know
@@ -244,7 +256,7 @@ class CaseReader:
             threshold=float("nan") if facts.threshold is None else facts.threshold,
             notes=facts.notes,
             wall_levels=facts.wall_levels,
-            edits=tuple(self._value("edit", edit, self._decoders.edit, lambda edit: edit) for edit in facts.edits),
+            edits=tuple(self._value("edit", edit, self._decoders.edit, _edit) for edit in facts.edits),
             base=whole_base,
             next_id=facts.next_id,
             uncertain=self._value("uncertain", facts.uncertain, self._decoders.uncertain, lambda found: found),
@@ -262,14 +274,17 @@ class CaseReader:
         lumen, tree, i, j, k, said, nodes, num_nodes = self._row("tracker", row)
         levels = from_json(said, self._decoders.levels, where)
         lumen_zyx = self._lumen(lumen)
-        nz, ny, nx = lumen_zyx.shape
-        if not (0 <= i < nx and 0 <= j < ny and 0 <= k < nz and lumen_zyx[k, j, i]):
+        nz, ny, nx = self._turn.shape_zyx
+        inside = 0 <= i < nx and 0 <= j < ny and 0 <= k < nz
+        root = self._turn.voxel((i, j, k))
+        if not inside or not lumen_zyx[root[::-1]]:
             raise damaged(where, "a root in the lumen", str((i, j, k)))
         make = edited_core if nodes is None else found_core
-        volume, root = self.volume, (i, j, k)
+        volume = self.volume
         made = PathTracker(volume, lambda: make(volume, lumen_zyx, root, levels), root_ijk=root)
         branches, _ = self._tree(tree)
-        if nodes is None:
+        # Nodes are numbered along the axes.
+        if nodes is None or not self._turn.is_none:
             made.follow_branches(branches)
         else:
             all_nodes = self._array(nodes, "u4")
@@ -337,8 +352,8 @@ class CaseReader:
         where = f"lumen {row}"
         nz, ny, nx, count, packed_places, packed_tiles = self._rows_of("lumen", row)
         shape = (nz, ny, nx)
-        if shape != self.volume.shape_zyx:
-            raise damaged(where, f"the scan's shape {self.volume.shape_zyx}", str(shape))
+        if shape != self._turn.shape_zyx:
+            raise damaged(where, f"the scan's shape {self._turn.shape_zyx}", str(shape))
         most = num_tiles(shape)
         if not 0 <= count <= most:
             raise damaged(where, f"at most {most} tiles", str(count))
@@ -348,7 +363,9 @@ class CaseReader:
         )
         if count and (places[0] < 0 or places[-1] >= most or (np.diff(places) <= 0).any()):
             raise damaged(where, "places of tiles, ascending", "others")
-        made = from_tiles(shape, ((int(p), self._tile(int(t))) for p, t in zip(places, tiles, strict=True)))
+        made = self._turn.turned(
+            from_tiles(shape, ((int(p), self._tile(int(t))) for p, t in zip(places, tiles, strict=True)))
+        )
         self._lumens[row] = made
         self._know("lumen", made, row)
         return made
@@ -418,6 +435,12 @@ class CaseReader:
     def _check(self, table: str, row: int, digest: bytes) -> None:
         if self._rows[table][row][0] != digest:
             raise damaged(f"{table} {row}", "what was saved", "something else")
+
+
+def _edit(row: dict[str, Any]) -> TreeEdit:
+    """By its constructor: what a program made of it may lie beyond what is taken from a window."""
+    (edit,) = edits_from_json({**edits_to_json(()), "edits": [row]})
+    return edit
 
 
 def _keys(facts: f.KeysFacts) -> Keys:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import sqlite3
+from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 from carina.case.trouble import refused
 
@@ -13,20 +14,21 @@ __all__ = [
     "APPLICATION_ID",
     "CONTENT",
     "JOURNALS",
+    "MIGRATIONS",
     "SCHEMA",
     "TABLES",
     "check_schema",
-    "connected",
     "make_tables",
+    "migrated",
 ]
 
 APPLICATION_ID: Final = 0x43415249
 """``CARI``."""
 SCHEMA: Final = 1
-JOURNALS: Final = ("-wal", "-journal", "-shm")
-MAX_VALUE_BYTES: Final = 128 << 20
-"""Of one text or blob: a chunk of a packed CT is at most half as large."""
-MAX_SQL_BYTES: Final = 20_000
+JOURNALS: Final = ("-wal", "-journal")
+Standing = Literal["ours", "older", "newer"]
+MIGRATIONS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {}
+"""By the schema that they begin with: what makes a file of it one of the next."""
 
 # What is content is kept once, found by its digest, and never changed; what points to it does so by its id.
 _CONTENT = "id INTEGER PRIMARY KEY, digest BLOB NOT NULL UNIQUE"
@@ -83,7 +85,7 @@ TABLES: Final = {
   id INTEGER PRIMARY KEY CHECK (id = 1), position INTEGER NOT NULL, facts TEXT NOT NULL
 ) STRICT""",
     "recording": """CREATE TABLE recording (
-  id INTEGER PRIMARY KEY, name TEXT NOT NULL, begun_s REAL NOT NULL, facts TEXT NOT NULL
+  id INTEGER PRIMARY KEY, name TEXT NOT NULL, begun_s REAL NOT NULL, length_s REAL NOT NULL, complete INTEGER NOT NULL
 ) STRICT""",
     "recording_chunk": """CREATE TABLE recording_chunk (
   recording INTEGER NOT NULL REFERENCES recording ON DELETE CASCADE, n INTEGER NOT NULL,
@@ -108,37 +110,10 @@ def make_tables(connection: sqlite3.Connection) -> None:
     connection.execute(f"PRAGMA user_version={SCHEMA}")
 
 
-def connected(path: Path, mode: str, *, immutable: bool = False) -> sqlite3.Connection:
-    """A connection that believes nothing that the file says of itself.
-
-    Parameters
-    ----------
-    mode
-        ``ro``, ``rw`` or ``rwc``.
-    immutable
-        Neither locks nor journals are looked for: nothing is written beside the file.
-    """
-    uri = path.absolute().as_uri() + f"?mode={mode}" + ("&immutable=1" if immutable else "")
-    connection = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False, timeout=10.0)
-    try:
-        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
-        connection.setlimit(sqlite3.SQLITE_LIMIT_SQL_LENGTH, MAX_SQL_BYTES)
-        connection.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
-        connection.setlimit(sqlite3.SQLITE_LIMIT_COLUMN, 32)
-        connection.setlimit(sqlite3.SQLITE_LIMIT_EXPR_DEPTH, 20)
-        connection.setlimit(sqlite3.SQLITE_LIMIT_COMPOUND_SELECT, 4)
-        connection.setlimit(sqlite3.SQLITE_LIMIT_TRIGGER_DEPTH, 1)
-        connection.setlimit(sqlite3.SQLITE_LIMIT_WORKER_THREADS, 0)
-        for pragma in ("trusted_schema=OFF", "cell_size_check=ON", "mmap_size=0", "foreign_keys=ON"):
-            connection.execute(f"PRAGMA {pragma}")
-    except BaseException:
-        connection.close()
-        raise
-    return connection
-
-
-def check_schema(connection: sqlite3.Connection, path: Path) -> None:
+def check_schema(connection: sqlite3.Connection, path: Path) -> Standing:
     """Refuse a file whose tables are not exactly ours.
+
+    A newer Carina may have more tables beside them, and nothing else: no view, no trigger, no virtual table.
 
     Raises
     ------
@@ -151,20 +126,44 @@ def check_schema(connection: sqlite3.Connection, path: Path) -> None:
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if application != APPLICATION_ID:
         raise refused(path, "it is not a case that Carina saved; choose a .carina file", code="case.not-a-case")
+    found = set(connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master LIMIT 200"))
+    ours = _our_schema()
+    if version == SCHEMA and found == ours:
+        return "ours"
     if version > SCHEMA:
+        if found >= ours and all(_is_plain(*row) for row in found - ours):
+            return "newer"
         raise refused(
             path,
-            f"a newer Carina saved it (schema {version}; this Carina reads up to {SCHEMA}); update Carina",
+            f"a newer Carina saved it (schema {version}; this Carina reads {SCHEMA}); update Carina",
             code="case.newer",
         )
-    found = set(connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master LIMIT 200"))
-    if version != SCHEMA or found != _our_schema():
-        raise refused(
-            path,
-            f"its tables differ from those of schema {SCHEMA}, so it was changed by another program or is damaged; "
-            "open an earlier copy",
-            code="case.damaged",
-        )
+    if version in MIGRATIONS:
+        return "older"
+    raise refused(
+        path,
+        f"its tables differ from those of schema {SCHEMA}, so it was changed by another program or is damaged; "
+        "open an earlier copy",
+        code="case.damaged",
+    )
+
+
+def _is_plain(kind: object, name: object, _table: object, sql: object) -> bool:
+    if kind == "index":
+        return sql is None and str(name).startswith("sqlite_autoindex_")
+    plain = kind == "table" and isinstance(sql, str) and sql.startswith("CREATE TABLE ") and sql.endswith(" STRICT")
+    return plain and "GENERATED" not in str(sql).upper() and " AS " not in str(sql).upper()
+
+
+def migrated(connection: sqlite3.Connection, target: Path) -> None:
+    """Write a file of an older schema as one of this, elsewhere."""
+    with contextlib.closing(sqlite3.connect(target, isolation_level=None)) as made:
+        connection.backup(made)
+        made.execute("PRAGMA journal_mode=DELETE")
+        while (version := made.execute("PRAGMA user_version").fetchone()[0]) < SCHEMA:
+            MIGRATIONS[version](made)
+            made.execute(f"PRAGMA user_version={version + 1}")
+        check_schema(made, target)
 
 
 def _our_schema() -> set[tuple[str, str, str, str | None]]:

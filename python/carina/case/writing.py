@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sqlite3
 import weakref
@@ -15,14 +16,14 @@ from carina.case import facts as f
 from carina.case.document import Document, Keys, Target
 from carina.case.history import Step
 from carina.case.moment import Moment
-from carina.case.packing import as_json, deflated, digest_of, packed_ints
+from carina.case.packing import as_checked_json, deflated, digest_of, packed_ints
 from carina.case.reading import KeptAirways
 from carina.case.routes import ChosenRoute
 from carina.case.schema import CONTENT
 from carina.case.tiles import to_tiles
 from carina.commands.value import LocalCommand
 from carina.errors import UsageError
-from carina.track import Airways, AirwayTree, Branch
+from carina.track import Airways, AirwayTree, Branch, edits_to_json
 from carina.track.edit.folded import FoldedAirways, PackedAirways
 from carina.track.paths.tracker import PathTracker
 
@@ -63,6 +64,7 @@ class CaseWriter:
             table: {bytes(d): n for n, d in connection.execute(f"SELECT id, digest FROM {table}")} for table in CONTENT
         }
         self._next = {table: 1 + max(ids.values(), default=0) for table, ids in self._ids.items()}
+        self._decoders = f.decoders()
         self._weak = _Identities()
         self._of_last: dict[tuple[str, int], tuple[object, int]] = {}
         self._of_this: dict[tuple[str, int], tuple[object, int]] = {}
@@ -95,7 +97,7 @@ class CaseWriter:
             person_moved=moment.person_moved,
             numbers=moment.numbers,
         )
-        row = (moment.position, as_json(facts).decode())
+        row = (moment.position, as_checked_json(facts, self._decoders.moment, "what is shown"))
         self._connection.execute("INSERT OR REPLACE INTO moment (id, position, facts) VALUES (1, ?, ?)", row)
 
     def kept(self) -> None:
@@ -110,8 +112,14 @@ class CaseWriter:
 
     def _step(self, step: Step[Document]) -> StepRow:
         command = step.command
-        said = None if command is None or isinstance(command, LocalCommand) else as_json(command).decode()
-        return (step.label, said, float(step.at_s), self._document(step.document))
+        said = None
+        if command is not None and not isinstance(command, LocalCommand):
+            # What a program asked for may lie beyond what can be read; the step is known by its words then.
+            with contextlib.suppress(UsageError):
+                said = as_checked_json(command, self._decoders.command, "a command")
+        # Half a character is none in a file.
+        label = step.label.encode(errors="replace").decode()
+        return (label, said, float(step.at_s), self._document(step.document))
 
     def _write_steps(self, entries: list[tuple[object, StepRow]]) -> None:
         """Only rows that changed; where the oldest steps were forgotten, the others keep their numbers."""
@@ -213,7 +221,7 @@ class CaseWriter:
             ("points" if name == "points_lps" else name): self._array(getattr(route, name)) for name in names
         }
         values["path_points"] = self._array(path.source_lps)
-        values["facts"] = as_json(facts).decode()
+        values["facts"] = as_checked_json(facts, self._decoders.route, "a route")
         return self._note("route", route, self._put("route", values))
 
     # ------------------------------------------------------------ airways
@@ -248,7 +256,10 @@ class CaseWriter:
             notes=tuple(airways.notes),
             wall_levels=None if airways.wall_levels is None else _three(airways.wall_levels),
             next_id=airways.next_id,
-            edits=tuple(self._value("edit", edit, lambda edit=edit: edit) for edit in airways.edits),
+            edits=tuple(
+                self._value("edit", edit, lambda edit=edit: edits_to_json((edit,))["edits"][0])
+                for edit in airways.edits
+            ),
             uncertain=self._value("uncertain", airways.uncertain, lambda: airways.uncertain),
             bridges=tuple(self._array(bridge) for bridge in airways.bridges),
         )
@@ -257,7 +268,7 @@ class CaseWriter:
             "lumen": lumen,
             "tree": tree,
             "tracker": self._tracker(airways.tracker, lumen, airways.wall_levels),
-            "facts": as_json(facts).decode(),
+            "facts": as_checked_json(facts, self._decoders.airways, "the airways"),
         }
         return self._put("airways", values)
 
@@ -273,7 +284,7 @@ class CaseWriter:
             "root_i": i,
             "root_j": j,
             "root_k": k,
-            "levels": as_json(levels).decode(),
+            "levels": as_checked_json(levels, self._decoders.levels, "the levels of the wall"),
             "nodes": None if given is None else self._array(np.concatenate(given)),
             "num_nodes": None if given is None else self._array(np.array([len(n) for n in given], dtype=np.int64)),
         }
@@ -303,7 +314,7 @@ class CaseWriter:
             ),
             notes=() if tree is None else tuple(f.BadgeFacts(n.code, n.words, n.badge) for n in tree.notes),
         )
-        words = as_json(facts)
+        words = as_checked_json(facts, self._decoders.tree, "the airway tree").encode()
         digest = digest_of("tree", np.array(rows, dtype="<i4").tobytes(), words)
         known = self._ids["tree"].get(digest)
         if known is not None:
@@ -374,7 +385,8 @@ class CaseWriter:
         known = self._found(kind, value)
         if known is not None:
             return known
-        return self._note(kind, value, self._put("value", {"kind": kind, "json": as_json(json_of()).decode()}))
+        said = as_checked_json(json_of(), getattr(self._decoders, kind), f"{kind} of the case")
+        return self._note(kind, value, self._put("value", {"kind": kind, "json": said}))
 
     def _put(self, table: str, values: dict[str, Any]) -> int:
         """The row of these values: the one that there is, or a new one."""

@@ -27,7 +27,7 @@ from carina.navigate.pilot import Pilot
 from carina.scopes import Pose, WallField
 from carina.volume import Volume
 
-__all__ = ["Recorder", "Recording", "ReplayedPose", "case_key", "open_recording", "sampled"]
+__all__ = ["Recorder", "Recording", "ReplayedPose", "case_key", "open_recording", "read_recording", "sampled"]
 
 FORMAT, VERSION = "carina-recording", 1
 MAX_BYTES = 1 << 30
@@ -304,7 +304,7 @@ def open_recording(path: str | Path) -> Recording:
         if place.stat().st_size > MAX_BYTES:
             raise _refused(place, f"it is larger than {MAX_BYTES >> 20} MiB")
         with place.open(encoding="utf-8") as file:
-            return _read(file, place)
+            return read_recording(file, place)
     except VolumeImportError:
         raise  # it is an OSError as well
     except OSError as trouble:
@@ -313,7 +313,14 @@ def open_recording(path: str | Path) -> Recording:
         raise _refused(place, "it is not a text file") from trouble
 
 
-def _read(file: io.TextIOBase | TextIO, place: Path) -> Recording:
+def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
+    """Read a recording from an open text; ``place`` is what messages call it.
+
+    Raises
+    ------
+    VolumeImportError
+        As :func:`open_recording`.
+    """
     header = _object(file.readline(MAX_LINE))
     if header is None or header.get("format") != FORMAT:
         raise _refused(place, "it does not begin like a recording of Carina")

@@ -31,6 +31,9 @@ class FoldedAirways:
     base: Airways
     """What the edits were made to; it knows where the wall begins."""
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(base={self.base!r})"
+
     def unfold(self, volume: Volume) -> Airways:
         """The airways again."""
         raise NotImplementedError

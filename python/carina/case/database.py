@@ -1,0 +1,188 @@
+"""SQLite as a case file uses it: what it believes, when it writes, and what it refuses in words."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from carina.case.schema import JOURNALS
+from carina.case.trouble import CaseFileError, damaged, refused
+from carina.disk import disk_trouble
+from carina.errors import CarinaError, DiskError
+
+__all__ = [
+    "beside",
+    "check_whole",
+    "connected",
+    "copied_with_journal",
+    "has_journal",
+    "needed_header",
+    "no_surprise",
+    "set_up",
+    "told",
+    "transaction",
+]
+
+COPY_AGAIN: Final = 5
+"""How often a file is copied again that was written to meanwhile."""
+MAX_VALUE_BYTES: Final = 128 << 20
+"""Of one text or blob: a chunk of a packed CT is at most half as large."""
+MAX_SQL_BYTES: Final = 20_000
+OLDEST_SQLITE: Final = (3, 37, 0)
+"""The first with tables that keep their types."""
+
+
+def connected(path: Path, mode: str, *, immutable: bool = False) -> sqlite3.Connection:
+    """A connection that believes nothing that the file says of itself.
+
+    Parameters
+    ----------
+    mode
+        ``ro``, ``rw`` or ``rwc``.
+    immutable
+        Neither locks nor journals are looked for: nothing is written beside the file.
+    """
+    if sqlite3.sqlite_version_info < OLDEST_SQLITE:
+        raise CaseFileError(
+            f"{path}: cases need SQLite 3.37 or newer; this Python brings {sqlite3.sqlite_version}: use a newer Python",
+            code="case.sqlite",
+        )
+    uri = path.absolute().as_uri() + f"?mode={mode}" + ("&immutable=1" if immutable else "")
+    connection = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False, timeout=10.0)
+    try:
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_SQL_LENGTH, MAX_SQL_BYTES)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 1)  # VACUUM needs it
+        connection.setlimit(sqlite3.SQLITE_LIMIT_COLUMN, 32)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_EXPR_DEPTH, 20)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_COMPOUND_SELECT, 4)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_TRIGGER_DEPTH, 1)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_WORKER_THREADS, 0)
+        for pragma in ("trusted_schema=OFF", "cell_size_check=ON", "mmap_size=0", "foreign_keys=ON"):
+            connection.execute(f"PRAGMA {pragma}")
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def set_up(connection: sqlite3.Connection) -> None:
+    """How the live file is written: docs/decisions/0051-a-case-is-a-database.md."""
+    mode = connection.execute("PRAGMA journal_mode=WAL").fetchone()[0]
+    if mode != "wal":
+        # A share: there the ordinary journal is safe, if slower.
+        connection.execute("PRAGMA journal_mode=DELETE")
+    for pragma in ("synchronous=FULL", "fullfsync=ON", "checkpoint_fullfsync=ON", "journal_size_limit=16777216"):
+        connection.execute(f"PRAGMA {pragma}")
+
+
+@contextlib.contextmanager
+def transaction(connection: sqlite3.Connection) -> Iterator[None]:
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        connection.execute("COMMIT")
+    except BaseException:
+        with contextlib.suppress(sqlite3.Error):
+            connection.execute("ROLLBACK")
+        raise
+
+
+@contextlib.contextmanager
+def told(path: Path) -> Iterator[None]:
+    """What SQLite refuses, in our words."""
+    try:
+        yield
+    except CarinaError:
+        raise
+    except sqlite3.Error as error:
+        raise _in_words(error, path) from error
+    except OSError as error:
+        raise disk_trouble(error, "cannot use the case", path) from error
+
+
+def _in_words(error: sqlite3.Error, path: Path) -> CarinaError:
+    code = getattr(error, "sqlite_errorcode", None)
+    primary = None if code is None else code & 0xFF
+    doing = f"cannot write the case to {path}"
+    words = {
+        sqlite3.SQLITE_FULL: ("disk.full", f"{doing}: the disk is full; free some space or choose another folder"),
+        sqlite3.SQLITE_IOERR: (
+            "disk.failed",
+            f"{doing}: the disk reports an error; check the disk, or choose another folder",
+        ),
+        sqlite3.SQLITE_READONLY: ("disk.denied", f"{doing}: this file or folder is read-only; choose another folder"),
+        sqlite3.SQLITE_CANTOPEN: (
+            "disk.denied",
+            f"cannot open the case {path}: its file or folder cannot be used; check that it is there and yours",
+        ),
+        sqlite3.SQLITE_BUSY: ("disk.failed", f"{doing}: another program is using it; close that, and try again"),
+        sqlite3.SQLITE_PERM: ("disk.denied", f"{doing}: you do not have permission; choose another folder"),
+    }
+    if primary in words:
+        kind, said = words[primary]
+        return DiskError(said, code=kind)
+    if primary == sqlite3.SQLITE_NOTADB:
+        return refused(path, "it is not a case that Carina saved; choose a .carina file", code="case.not-a-case")
+    return refused(path, f"it is damaged ({error}); open an earlier copy", code="case.damaged")
+
+
+@contextlib.contextmanager
+def no_surprise() -> Iterator[None]:
+    """Whatever a file holds in the place of our values is damage."""
+    try:
+        yield
+    except CarinaError:
+        raise
+    except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError, RecursionError) as trouble:
+        raise damaged("its content", "values as docs/case-file.md says", type(trouble).__name__) from trouble
+
+
+def needed_header(path: Path) -> None:
+    """Refuse what is no database at all."""
+    with path.open("rb") as file:
+        head = file.read(16)
+    if head != b"SQLite format 3\x00":
+        raise refused(path, "it is not a case that Carina saved; choose a .carina file", code="case.not-a-case")
+
+
+def has_journal(path: Path) -> bool:
+    """Whether it was not closed: its last changes stand in a journal beside it."""
+    return any(beside(path, tail).exists() for tail in JOURNALS)
+
+
+def check_whole(connection: sqlite3.Connection, path: Path) -> None:
+    found = [row[0] for row in connection.execute("PRAGMA quick_check(3)")]
+    if found != ["ok"]:
+        raise refused(path, f"it is damaged ({str(found[0])[:120]}); open an earlier copy", code="case.damaged")
+
+
+def beside(path: Path, tail: str) -> Path:
+    return path.with_name(path.name + tail)
+
+
+def copied_with_journal(path: Path, folder: Path) -> Path:
+    """The file with its journal in a folder of ours, as they were at one moment."""
+    parts = [path, *(beside(path, tail) for tail in JOURNALS)]
+    for _ in range(COPY_AGAIN):
+        before = [_stamp(part) for part in parts]
+        for part, stamp in zip(parts, before, strict=True):
+            target = folder / ("case.carina" + part.name[len(path.name) :])
+            target.unlink(missing_ok=True)
+            if stamp is not None:
+                shutil.copyfile(part, target)
+        if [_stamp(part) for part in parts] == before:
+            return folder / "case.carina"
+    raise refused(path, "another program keeps writing to it; close it there, or wait a moment", code="case.read-only")
+
+
+def _stamp(path: Path) -> tuple[int, int, int] | None:
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns

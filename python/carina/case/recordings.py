@@ -1,0 +1,214 @@
+"""Recordings of a case: their lines in pieces of at most a second, so that a crash loses no more."""
+
+from __future__ import annotations
+
+import io
+import json
+import sqlite3
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from carina.case.database import no_surprise, told, transaction
+from carina.case.packing import deflated, digest_of, inflated
+from carina.case.trouble import damaged
+from carina.display import one_line
+from carina.errors import UsageError
+from carina.navigate import Recording
+from carina.navigate.recording import read_recording
+
+__all__ = ["CHUNK_S", "RecordingFacts", "RecordingTable", "RecordingWriter"]
+
+CHUNK_S: Final = 1.0
+"""No piece holds more of a flight; it is in memory until the next :meth:`RecordingWriter.keep`."""
+MAX_CHUNK_CHARS: Final = 8 << 20
+MAX_CHUNKS: Final = 1_000_000
+MAX_RECORDING_BYTES: Final = 1 << 30
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class RecordingFacts:
+    """A recording in a list."""
+
+    recording_id: int
+    """From 1 for each case; none is given twice while it is there."""
+    name: str
+    begun_s: float
+    """Seconds since the case was begun."""
+    length_s: float
+    complete: bool
+    """False where Carina was stopped while it recorded: it goes as far as it came."""
+
+
+class RecordingTable:
+    """The recordings of an open case file."""
+
+    def __init__(
+        self,
+        reading: Callable[[], sqlite3.Connection],
+        writing: Callable[[], sqlite3.Connection],
+        lock: threading.RLock,
+        path: Path,
+    ) -> None:
+        self._reading, self._writing, self._lock, self._path = reading, writing, lock, path
+
+    def begin(self, name: str, begun_s: float) -> int:
+        """A new recording without lines; its number."""
+        with self._lock, told(self._path):
+            connection = self._writing()
+            with transaction(connection):
+                made = connection.execute(
+                    "INSERT INTO recording (name, begun_s, length_s, complete) VALUES (?, ?, 0.0, 0)",
+                    (name, float(begun_s)),
+                )
+            assert made.lastrowid is not None
+            return made.lastrowid
+
+    def add(self, recording_id: int, first_n: int, chunks: list[str], length_s: float, *, complete: bool) -> None:
+        """More lines of it, in one transaction."""
+        with self._lock, told(self._path):
+            connection = self._writing()
+            with transaction(connection):
+                for n, chunk in enumerate(chunks, start=first_n):
+                    content = chunk.encode()
+                    row = (recording_id, n, len(content), digest_of(content), deflated(content))
+                    connection.execute(
+                        "INSERT INTO recording_chunk (recording, n, size, digest, data) VALUES (?, ?, ?, ?, ?)", row
+                    )
+                connection.execute(
+                    "UPDATE recording SET length_s = ?, complete = ? WHERE id = ?",
+                    (float(length_s), int(complete), recording_id),
+                )
+
+    def all(self) -> tuple[RecordingFacts, ...]:
+        """In the order in which they were begun."""
+        rows = self._reading().execute(
+            "SELECT id, substr(name, 1, 4000), begun_s, length_s, complete FROM recording ORDER BY id LIMIT 100000"
+        )
+        with no_surprise():
+            return tuple(RecordingFacts(n, str(name), float(a), float(b), bool(c)) for n, name, a, b, c in rows)
+
+    def text(self, recording_id: int) -> str:
+        """Its lines."""
+        where = f"recording {recording_id}"
+        connection = self._reading()
+        found = connection.execute("SELECT count(*) FROM recording WHERE id = ?", (recording_id,)).fetchone()[0]
+        if not found:
+            raise UsageError(f"this case has no recording {recording_id}; look at its list", code="case.recording")
+        count, size = connection.execute(
+            "SELECT count(*), coalesce(sum(size), 0) FROM recording_chunk WHERE recording = ?", (recording_id,)
+        ).fetchone()
+        if count > MAX_CHUNKS or not isinstance(size, int) or not 0 <= size <= MAX_RECORDING_BYTES:
+            raise damaged(where, f"at most {MAX_CHUNKS} pieces of {MAX_RECORDING_BYTES} bytes", f"{count} of {size}")
+        pieces = []
+        rows = connection.execute(
+            "SELECT n, size, digest, data FROM recording_chunk WHERE recording = ? ORDER BY n", (recording_id,)
+        )
+        for place, (n, size, digest, data) in enumerate(rows):
+            content = inflated(data, size, where)
+            if n != place or digest_of(content) != digest:
+                raise damaged(where, f"piece {place} as it was saved", "another, or none")
+            pieces.append(content)
+        try:
+            return b"".join(pieces).decode()
+        except UnicodeDecodeError as trouble:
+            raise damaged(where, "text", "other bytes") from trouble
+
+    def read(self, recording_id: int) -> Recording:
+        """One to be flown again."""
+        return read_recording(io.StringIO(self.text(recording_id)), Path(f"recording {recording_id} of {self._path}"))
+
+    def rename(self, recording_id: int, name: str) -> None:
+        """Call it otherwise."""
+        self._change("UPDATE recording SET name = ? WHERE id = ?", (name, recording_id), recording_id)
+
+    def forget(self, recording_id: int) -> None:
+        """Take it away."""
+        self._change("DELETE FROM recording WHERE id = ?", (recording_id,), recording_id)
+
+    def _change(self, sql: str, values: tuple[object, ...], recording_id: int) -> None:
+        connection = self._writing()
+        with transaction(connection):
+            changed = connection.execute(sql, values).rowcount
+        if not changed:
+            raise UsageError(f"this case has no recording {recording_id}; look at its list", code="case.recording")
+
+
+class RecordingWriter(io.TextIOBase):
+    """What a recorder writes to: lines go to memory, and into the case file whenever :meth:`keep` is called."""
+
+    def __init__(self, table: RecordingTable, name: str, begun_s: float) -> None:
+        super().__init__()
+        self._table = table
+        self.recording_id = table.begin(name, begun_s)
+        self._lock = threading.Lock()
+        self._keeping = threading.Lock()
+        self._chunks: list[list[str]] = []
+        self._chunk_from_s = 0.0
+        self._length_s = 0.0
+        self._num_kept = 0
+
+    def writable(self) -> bool:
+        """Yes."""
+        return True
+
+    def write(self, text: str) -> int:
+        """One line or more; the disk is not touched."""
+        with self._lock:
+            for line in text.splitlines(keepends=True):
+                at_s = _time_of(line)
+                long = bool(self._chunks) and sum(map(len, self._chunks[-1])) + len(line) > MAX_CHUNK_CHARS
+                if not self._chunks or long or at_s - self._chunk_from_s >= CHUNK_S:
+                    self._chunks.append([])
+                    self._chunk_from_s = at_s
+                self._chunks[-1].append(line)
+                self._length_s = max(self._length_s, at_s)
+        return len(text)
+
+    def keep(self, *, complete: bool = False) -> None:
+        """Put what was written since into the case file.
+
+        Raises
+        ------
+        DiskError
+            If it cannot be written: it stays in memory, and the next time tries again.
+        """
+        with self._keeping:
+            with self._lock:
+                ready = ["".join(lines) for lines in self._chunks]
+                length_s = self._length_s
+                # What comes meanwhile begins a piece of its own.
+                num_ready = len(ready)
+                self._chunk_from_s = float("-inf")
+            if not ready and not complete:
+                return
+            self._table.add(self.recording_id, self._num_kept, ready, length_s, complete=complete)
+            self._num_kept += num_ready
+            with self._lock:
+                del self._chunks[:num_ready]
+
+    def close(self) -> None:
+        """The end: what is left goes into the case file.
+
+        Raises
+        ------
+        DiskError
+            If it cannot be written.
+        """
+        if not self.closed:
+            try:
+                self.keep(complete=True)
+            finally:
+                super().close()
+
+
+def _time_of(line: str) -> float:
+    """Seconds of a line of a recording, 0 for its header."""
+    try:
+        value = json.loads(line)
+        return float(value.get("t", value.get("end", 0.0)))
+    except (ValueError, AttributeError, TypeError):
+        return 0.0

@@ -1,0 +1,163 @@
+"""The CT that a case is of, as the file knows it: nothing of the patient."""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import dataclass, field
+from pathlib import PurePosixPath, PureWindowsPath
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.case import facts as f
+from carina.case.packing import as_checked_json, from_json
+from carina.case.trouble import damaged
+from carina.display import one_line
+from carina.errors import UsageError
+from carina.volume import Volume
+
+__all__ = ["SourceFacts", "Turn", "grid_words", "read_source", "turn_between", "write_source"]
+
+GEOMETRY_MM: Final = 1e-3
+"""Two grids are the same where their voxels lie nearer than this."""
+MAX_PATH_CHARS: Final = 4096
+
+
+@one_line
+@dataclass(frozen=True, slots=True, eq=False)
+class SourceFacts:
+    """The CT that a case is of; nothing of the patient."""
+
+    digest: str
+    """Of its voxels (:func:`carina.volume.ct_digest`), hexadecimal."""
+    shape_zyx: tuple[int, int, int]
+    lps_from_ijk: NDArray[np.float64]
+    """4x4."""
+    is_hu: bool = True
+    path: str | None = None
+    """Where it lies, relative to the case file; None where that is not known."""
+    choices: dict[str, Any] = field(default_factory=dict)
+    """What was chosen when it was imported: plain JSON."""
+
+    def __post_init__(self) -> None:
+        absolute = self.path is not None and (
+            PurePosixPath(self.path).is_absolute() or PureWindowsPath(self.path).anchor != ""
+        )
+        if absolute:
+            raise UsageError("a case file holds the scan's place relative to itself; found an absolute path")
+
+    @classmethod
+    def of(
+        cls, volume: Volume, digest: str, *, path: str | None = None, choices: dict[str, Any] | None = None
+    ) -> SourceFacts:
+        """Of a volume whose digest is known."""
+        return cls(digest, volume.shape_zyx, volume.lps_from_ijk, volume.is_hu, path, dict(choices or {}))
+
+
+def write_source(connection: sqlite3.Connection, source: SourceFacts) -> None:
+    nz, ny, nx = source.shape_zyx
+    matrix = np.ascontiguousarray(source.lps_from_ijk, dtype="<f8")
+    if matrix.shape != (4, 4):
+        raise UsageError(f"lps_from_ijk is a 4x4 matrix; found {matrix.shape}")
+    connection.execute(
+        "INSERT OR REPLACE INTO source (id, digest, nz, ny, nx, lps_from_ijk, is_hu, path, choices) "
+        "VALUES (1, ?, ?, ?, ?, ?, ?, ?, ?)",
+        (
+            source.digest,
+            nz,
+            ny,
+            nx,
+            matrix.tobytes(),
+            int(source.is_hu),
+            source.path,
+            as_checked_json(source.choices, f.decoders().choices, "the choices"),
+        ),
+    )
+
+
+def read_source(connection: sqlite3.Connection) -> SourceFacts:
+    where = "the source"
+    row = connection.execute("SELECT digest, nz, ny, nx, lps_from_ijk, is_hu, path, choices FROM source").fetchone()
+    if row is None:
+        raise damaged(where, "one row", "none")
+    digest, nz, ny, nx, matrix, is_hu, path, choices = row
+    if not all(isinstance(n, int) and 1 <= n <= 65_535 for n in (nz, ny, nx)):
+        raise damaged(where, "a shape of 1 to 65535 voxels along each axis", f"{(nz, ny, nx)}"[:80])
+    if not isinstance(matrix, bytes) or len(matrix) != 128:
+        raise damaged(where, "a matrix of 128 bytes", str(type(matrix)))
+    places = np.frombuffer(matrix, dtype="<f8").reshape(4, 4)
+    if not np.isfinite(places).all() or np.abs(places).max() > 1e6 or abs(np.linalg.det(places[:3, :3])) < 1e-12:
+        raise damaged(where, "a transform that can be inverted", "another matrix")
+    if not isinstance(digest, str) or len(digest) > 128 or not (path is None or _is_path(path)):
+        raise damaged(where, "a digest, and a relative path", "something else")
+    facts = from_json(choices, f.decoders().choices, where)
+    try:
+        return SourceFacts(digest, (nz, ny, nx), places, bool(is_hu), path, facts)
+    except UsageError as trouble:
+        raise damaged(where, "a relative path", str(trouble)) from None
+
+
+def _is_path(path: object) -> bool:
+    return isinstance(path, str) and 0 < len(path) <= MAX_PATH_CHARS and "\x00" not in path
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """How the voxels of a case lie in a volume: the same, or with axes in another order or the other way round."""
+
+    axes: tuple[int, int, int]
+    """For each axis i, j, k of the volume that of the case."""
+    flipped: tuple[bool, bool, bool]
+    """For each axis of the volume, whether it runs the other way."""
+    shape_zyx: tuple[int, int, int]
+    """Of the case."""
+
+    @property
+    def is_none(self) -> bool:
+        """Whether both are the same."""
+        return self.axes == (0, 1, 2) and not any(self.flipped)
+
+    def turned(self, array_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """An array of the case as the volume has it; itself where both are the same."""
+        if self.is_none:
+            return array_zyx
+        # Axes of arrays run k, j, i.
+        order = tuple(2 - axis for axis in self.axes[::-1])
+        steps = tuple(slice(None, None, -1 if flip else 1) for flip in self.flipped[::-1])
+        turned = np.ascontiguousarray(array_zyx.transpose(order)[steps])
+        turned.flags.writeable = False
+        return turned
+
+    def voxel(self, ijk: tuple[int, int, int]) -> tuple[int, int, int]:
+        """A voxel of the case in the volume."""
+        shape = self.shape_zyx[::-1]
+        i, j, k = (
+            shape[axis] - 1 - ijk[axis] if flip else ijk[axis]
+            for axis, flip in zip(self.axes, self.flipped, strict=True)
+        )
+        return i, j, k
+
+
+def turn_between(source: SourceFacts, volume: Volume) -> Turn | None:
+    """How the grid of a case lies in a volume's; None where their voxels do not lie at the same places."""
+    steps = np.linalg.inv(volume.lps_from_ijk[:3, :3]) @ source.lps_from_ijk[:3, :3]
+    largest = np.abs(steps).argmax(axis=1)
+    if sorted(largest) != [0, 1, 2]:
+        return None
+    a, b, c = (int(axis) for axis in largest)
+    p, q, r = (bool(steps[row, axis] < 0.0) for row, axis in enumerate((a, b, c)))
+    turn = Turn((a, b, c), (p, q, r), source.shape_zyx)
+    i, j, k = (source.shape_zyx[::-1][axis] for axis in turn.axes)
+    if (k, j, i) != volume.shape_zyx:
+        return None
+    nz, ny, nx = source.shape_zyx
+    corners = [(x, y, z) for x in (0, nx - 1) for y in (0, ny - 1) for z in (0, nz - 1)]
+    there = np.array(corners, dtype=np.float64) @ source.lps_from_ijk[:3, :3].T + source.lps_from_ijk[:3, 3]
+    here = volume.to_lps(np.array([turn.voxel(corner) for corner in corners], dtype=np.float64))
+    return turn if float(np.linalg.norm(there - here, axis=1).max()) <= GEOMETRY_MM else None
+
+
+def grid_words(shape_zyx: tuple[int, int, int]) -> str:
+    nz, ny, nx = shape_zyx
+    return f"{nx} x {ny} x {nz}"

@@ -1,0 +1,217 @@
+"""Copies, recordings, what plans and reports will keep, and a scan whose axes lie otherwise."""
+
+from __future__ import annotations
+
+import sqlite3
+import stat
+
+import numpy as np
+import pytest
+from kept_case import Doing, act, assert_same_moment, source_of, whole
+
+from carina.case import CaseFile, CaseFileError, SourceFacts
+from carina.commands import Steer
+from carina.errors import DiskError, UsageError
+from carina.navigate import Navigator, Pilot, Recorder
+from carina.scopes import Pose
+from carina.volume import Volume
+
+
+def some_case(num_acts=6, seed=5):
+    doing = Doing()
+    rng = np.random.default_rng(seed)
+    for name in ("cut", "target", "key", "look", "paint", "undo", "target", "rename")[:num_acts]:
+        act(doing, name, lambda n: int(rng.integers(n)))
+    return doing
+
+
+@pytest.fixture
+def doing():
+    return some_case()
+
+
+@pytest.fixture
+def file(doing, tmp_path):
+    with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
+        file.save(doing.moment())
+        yield file
+
+
+# ------------------------------------------------------------ copies
+
+
+def test_a_copy_is_one_whole_file_that_holds_the_same(file, doing, tmp_path):
+    target = tmp_path / "named.carina"
+    file.write_copy(target, source_path="../ct")
+    assert sorted(p.name for p in tmp_path.iterdir() if "named" in p.name) == ["named.carina"]
+    assert target.read_bytes()[18:20] == b"\x01\x01"  # no journal of the other kind is looked for
+    with CaseFile.open(target, read_only=True) as copy:
+        assert_same_moment(copy.load(doing.case.volume), doing.moment(), doing.case)
+        assert copy.source.path == "../ct"
+        with pytest.raises(CaseFileError, match="opened for reading"):
+            copy.save(doing.moment())
+    # It goes on being written to, and the copy can be written over.
+    file.save(doing.moment())
+    file.write_copy(target)
+    with CaseFile.open(target) as copy:
+        assert copy.source.path is None
+
+
+def test_what_was_forgotten_is_in_no_copy(tmp_path, doing):
+    with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
+        other = some_case(8, seed=9)
+        file.save(other.moment())
+        # Another line of steps in its place: what only the first had is reached no more.
+        file.save(doing.moment())
+        file.write_copy(tmp_path / "copy.carina")
+    with CaseFile.create(tmp_path / "fresh.carina", source_of(doing.case)) as fresh:
+        fresh.save(doing.moment())
+    tables = ("value", "array", "branch", "tree", "tile", "lumen", "tracker", "airways", "route", "document", "step")
+    counts = []
+    for name in ("one", "copy", "fresh"):
+        connection = sqlite3.connect(tmp_path / f"{name}.carina")
+        counts.append([connection.execute(f"SELECT count(*) FROM {t}").fetchone()[0] for t in tables])
+        connection.close()
+    assert counts[0] == counts[1] == counts[2]
+    with CaseFile.open(tmp_path / "one.carina") as file:
+        assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
+
+
+def test_a_copy_that_cannot_be_written_leaves_what_was_there(file, tmp_path):
+    target = tmp_path / "named.carina"
+    file.write_copy(target)
+    before = target.read_bytes()
+    with pytest.raises(DiskError, match="no such folder"):
+        file.write_copy(tmp_path / "missing" / "named.carina")
+    (tmp_path / "folder.carina").mkdir()
+    with pytest.raises(DiskError, match="already exists"):
+        file.write_copy(tmp_path / "folder.carina")
+    assert target.read_bytes() == before
+
+
+def test_a_case_is_begun_for_this_person_alone_and_never_over_another(file):
+    assert stat.S_IMODE(file.path.stat().st_mode) == 0o600
+    with pytest.raises(DiskError, match="already exists"):
+        CaseFile.create(file.path, file.source)
+
+
+def test_the_place_of_the_scan_is_relative(file, doing):
+    for absolute in ("/data/ct", "C:\\data\\ct", "\\\\share\\ct"):
+        with pytest.raises(UsageError, match="relative"):
+            SourceFacts.of(doing.case.volume, "00", path=absolute)
+    file.set_source_path("elsewhere/ct")
+    assert file.source.path == "elsewhere/ct"
+    assert file.source.choices == {"series": "1"}
+
+
+# ------------------------------------------------------------ recordings
+
+
+def flown(file, doing, *, num_seconds=5, closes=True):
+    """A recording of a flight that steers ten times a second."""
+    pilot = Pilot(Navigator(Pose.looking((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), volume=doing.case.volume))
+    sink = file.record("first flight", begun_s=12.0)
+    recorder = Recorder(pilot, sink, case={"digest": "00"}, carina="1", now_s=100.0, view={"shading": True})
+    for n in range(10 * num_seconds):
+        recorder.tick(100.0 + 0.1 * n)
+        pilot.apply(Steer(0.5 + n, 0.01, 0.02, 0.0), dt_s=0.1)
+        if n % 20 == 19:
+            sink.keep()
+    if closes:
+        recorder.close()
+    return recorder
+
+
+def test_a_recording_is_kept_in_pieces_of_a_second_and_is_flown_again(file, doing, tmp_path):
+    flown(file, doing)
+    (facts,) = file.recordings()
+    assert (facts.name, facts.begun_s, facts.complete) == ("first flight", 12.0, True)
+    assert facts.length_s == pytest.approx(4.9)
+    recording = file.recording(facts.recording_id)
+    assert recording.complete
+    replayed = list(recording.replay(doing.case.volume))
+    assert all(same for _, same in replayed)
+    assert len(replayed) > 40
+    connection = sqlite3.connect(file.path)
+    assert 5 <= connection.execute("SELECT count(*) FROM recording_chunk").fetchone()[0] <= 8
+    connection.close()
+
+
+def test_a_recording_that_was_cut_off_goes_as_far_as_it_came(file, doing):
+    flown(file, doing, closes=False)
+    (facts,) = file.recordings()
+    assert not facts.complete
+    recording = file.recording(facts.recording_id)
+    assert not recording.complete
+    assert recording.length_s >= 3.9
+
+
+def test_recordings_are_named_and_forgotten(file, doing):
+    flown(file, doing, num_seconds=1)
+    flown(file, doing, num_seconds=1)
+    one, two = file.recordings()
+    file.rename_recording(one.recording_id, "RB3, second try")
+    file.forget_recording(two.recording_id)
+    assert [(r.recording_id, r.name) for r in file.recordings()] == [(1, "RB3, second try")]
+    for call in (file.recording, file.forget_recording):
+        with pytest.raises(UsageError, match="no recording 2"):
+            call(2)
+    file.write_copy(file.path.with_name("copy.carina"))
+    with CaseFile.open(file.path.with_name("copy.carina"), read_only=True) as copy:
+        assert copy.recording(1).complete
+
+
+# ------------------------------------------------------------ room for more
+
+
+def test_plans_and_reports_have_room(file):
+    assert file.extra("report") == ()
+    file.set_extra("report", ({"words": "größer"}, [1.5, None]))
+    file.set_extra("plan", ("one",))
+    assert file.extra("report") == ({"words": "größer"}, [1.5, None])
+    file.set_extra("report", ())
+    assert (file.extra("report"), file.extra("plan")) == ((), ("one",))
+
+
+# ------------------------------------------------------------ another order of the axes
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 0, 2)])
+def test_the_same_scan_with_its_axes_in_another_order_shows_the_same_airways(file, doing, order):
+    volume = doing.case.volume
+    # Axes i, j, k of the new volume are these of the old one; the first runs the other way.
+    shape = volume.shape_zyx[::-1]
+    columns = [volume.lps_from_ijk[:3, axis].copy() for axis in order]
+    origin = volume.lps_from_ijk[:3, 3] + columns[0] * (shape[order[0]] - 1)
+    columns[0] *= -1.0
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = np.column_stack(columns), origin
+    values = volume.hu_zyx.transpose(tuple(2 - axis for axis in order[::-1]))[:, :, ::-1]
+    turned = Volume(np.ascontiguousarray(values), matrix)
+    moment = file.load(turned)
+    found, expected = moment.history().current, doing.document
+    one, other = whole(found.airways, doing.case), doing.airways
+    lumen_lps = [
+        {tuple(p) for p in np.round(v.to_lps(np.argwhere(a.lumen_zyx)[:, ::-1].astype(float)), 3).tolist()}
+        for v, a in ((turned, one), (volume, other))
+    ]
+    assert lumen_lps[0] == lumen_lps[1]
+    for branch in other.tree.branches:
+        np.testing.assert_array_equal(one.tree.branch(branch.id).points, branch.points)
+    tip = expected.airways.tree.tips()[0].points[-1]
+    ways = [a.tracker.path_to(tip) for a in (one, other)]
+    np.testing.assert_allclose(ways[0].voxel_path_lps[[0, -1]], ways[1].voxel_path_lps[[0, -1]], atol=1e-6)
+    # Of nearly equal ways through a voxel's neighbours another one may be the first.
+    assert ways[0].length_mm == pytest.approx(ways[1].length_mm, rel=0.02)
+
+
+def test_another_scan_is_refused(file, doing):
+    volume = doing.case.volume
+    moved = volume.lps_from_ijk.copy()
+    moved[0, 3] += 0.5
+    for other in (Volume(volume.hu_zyx, moved), Volume(np.ascontiguousarray(volume.hu_zyx[:-1]), volume.lps_from_ijk)):
+        with pytest.raises(CaseFileError, match="of another scan") as refusal:
+            file.load(other)
+        assert refusal.value.code == "case.other-scan"
+    moved[0, 3] -= 0.4999
+    assert file.load(Volume(volume.hu_zyx, moved)) is not None
