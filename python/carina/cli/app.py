@@ -455,8 +455,7 @@ def devices(
     device: Annotated[
         list[str] | None,
         typer.Option(
-            help="fastrak:PORT, fastrak-binary:PORT, handle:PORT or openigtlink:HOST[:PORT][?silence=S] (reconnect "
-            "after S seconds of silence); may be repeated."
+            help="Kind and place of a device, such as fastrak:PORT; `carina devices` lists all kinds. May be repeated."
         ),
     ] = None,
     seconds: Annotated[float, typer.Option(help="How long to listen.")] = 3.0,

@@ -13,7 +13,7 @@ from carina.cli.console import print_json, say
 from carina.commands import DeviceControls
 from carina.errors import UsageError
 from carina.navigate import HandleSample, PoseSample, Sample, SampleFilter, filter_latency_ms
-from carina.navigate.devices import Listener, SourceStatus, found_ports, open_source
+from carina.navigate.devices import KINDS, Listener, SourceStatus, found_ports, open_source
 
 __all__ = ["report"]
 
@@ -69,9 +69,7 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
         elif not ports:
             print("no serial port was found")
         print(IN_THE_WINDOW)
-        print(
-            "To see what a device sends: carina devices --device fastrak:PORT (or handle:PORT, openigtlink:HOST:PORT)"
-        )
+        print(f"To see what a device sends: carina devices --device DEVICE, where DEVICE is one of {', '.join(KINDS)}")
     return 0 if all(status.num_samples > 0 for status in statuses) else 4
 
 

@@ -53,7 +53,7 @@ class DeviceSample(DeviceReading, ClientMessage, frozen=True):
 
 
 class ConnectDevice(ClientMessage, frozen=True):
-    """Connect to a device of this machine: fastrak:PORT, handle:PORT, openigtlink:HOST:PORT."""
+    """Connect to a device of this machine by kind and place, such as fastrak:PORT or openigtlink:HOST:PORT."""
 
     address: DeviceName
 

@@ -295,7 +295,7 @@ function Connections({ told }: { told: DevicesMessage }) {
       ))}
       <TextField className="field" value={address} onChange={setAddress} aria-label="Device to connect to">
         <Input
-          placeholder="fastrak:PORT, handle:PORT, openigtlink:HOST:18944"
+          placeholder="Kind and place, such as fastrak:PORT"
           onKeyDown={(event) => (event.key === "Enter" ? connect() : undefined)}
         />
       </TextField>

@@ -569,7 +569,7 @@ export interface DeviceSampleMessage {
   readonly advance: number;
 }
 
-/** Connect to a device of this machine: fastrak:PORT, handle:PORT, openigtlink:HOST:PORT. */
+/** Connect to a device of this machine by kind and place, such as fastrak:PORT or openigtlink:HOST:PORT. */
 export interface ConnectDeviceMessage {
   readonly type: "connect_device";
   readonly address: string;
