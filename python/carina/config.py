@@ -6,6 +6,7 @@ Everything else receives a :class:`Settings`, or a folder out of it, as an argum
 from __future__ import annotations
 
 import logging
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -40,7 +41,9 @@ class Settings:
     state_dir: Path
     """Work in progress that must outlive a crash (autosaves)."""
     cache_dir: Path
-    """What can be computed again (the phantom, IsoRegion maps); may be deleted at any time."""
+    """What can be computed again (the phantom, IsoRegion maps, opened CTs); may be deleted at any time."""
+    volume_cache_bytes: int | None = None
+    """What opened CTs may take of it, ``CARINA_CACHE_GB``: 0 keeps none; None lets ``VolumeCache`` decide."""
 
 
 def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
@@ -54,7 +57,7 @@ def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
     Raises
     ------
     UsageError
-        If ``CARINA_LOG_LEVEL`` is no level, or ``CARINA_BACKEND`` no backend.
+        If ``CARINA_LOG_LEVEL`` is no level, ``CARINA_BACKEND`` no backend, or ``CARINA_CACHE_GB`` no size.
     """
     values = os.environ if environ is None else environ
     level = values.get("CARINA_LOG_LEVEL", "").strip().upper() or "WARNING"
@@ -74,4 +77,18 @@ def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
         config_dir=dirs.user_config_path,
         state_dir=dirs.user_state_path,
         cache_dir=dirs.user_cache_path,
+        volume_cache_bytes=_gigabytes(values.get("CARINA_CACHE_GB", "").strip()),
     )
+
+
+def _gigabytes(text: str) -> int | None:
+    if not text:
+        return None
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not 0 <= number <= 1e6:
+        msg = f"CARINA_CACHE_GB must be a number of gigabytes from 0 (no cache) to 1000000; found {text!r}"
+        raise UsageError(msg, code="usage.cache")
+    return round(number * 1e9)

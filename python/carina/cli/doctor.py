@@ -13,7 +13,8 @@ from typing import Any
 import carina
 from carina.cli.console import print_json
 from carina.cli.doctor_gpu import gpu_facts, gpu_lines
-from carina.config import load_settings
+from carina.config import Settings, load_settings
+from carina.disk import say_size
 from carina.render import build_info
 
 __all__ = ["report"]
@@ -38,6 +39,14 @@ def _version(package: str) -> str | None:
         return None
 
 
+def _cached_cts(settings: Settings) -> dict[str, Any]:
+    from carina.volume import VolumeCache  # needs the packages that may be missing
+
+    cache = VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes)
+    sizes = cache.sizes()
+    return {"on": cache.is_on, "num": len(sizes), "num_bytes": sum(size.num_bytes for size in sizes)}
+
+
 def report(*, as_json: bool) -> int:
     """Print what Carina runs on; 1 if something that it needs is missing."""
     core = build_info()
@@ -60,6 +69,8 @@ def report(*, as_json: bool) -> int:
         "cache_dir": str(settings.cache_dir),
     }
     missing = [name for name, version in facts["packages"].items() if version is None]
+    cached = None if missing else _cached_cts(settings)
+    facts["cached_cts"] = cached
     problems = [f"{name} is missing: pip install {name}" for name in missing]
     if not web_ui:
         problems.append("the web UI is not built: run `make setup` in the checkout (needs Node 20 or newer)")
@@ -79,6 +90,9 @@ def report(*, as_json: bool) -> int:
     for name, (use, how) in OPTIONAL.items():
         version = facts["optional"][name]
         print(f"  {name} {version}" if version else f"  {name}: not installed ({use}; {how})")
+    if cached is not None:
+        off = "" if cached["on"] else " (off)"
+        print(f"  cached CTs: {cached['num']}, {say_size(cached['num_bytes'])}{off}")
     for problem in problems:
         print(f"  problem: {problem}")
     if not problems:

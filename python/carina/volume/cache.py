@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from carina.disk import make_folder, say_size, sweep_drafts, write_whole
 from carina.disk.locks import try_lock
 from carina.display import one_line
-from carina.errors import CarinaError
+from carina.errors import CancelledError, CarinaError
 from carina.version import VERSION
 from carina.volume.digest import canonical_axes, ct_digest
 from carina.volume.model import Volume, VolumeSource
@@ -101,15 +101,9 @@ class OpenedCt:
     """A volume that was opened, from the cache or from its files."""
 
     volume: Volume
-    digest: str | None
-    """Of its voxels, where the cache knew it; else :meth:`VolumeCache.keep` finds it."""
     source: CtSource | None
-    """What it was read from, to be kept; None where the files changed meanwhile or cannot be asked."""
-
-    @property
-    def from_cache(self) -> bool:
-        """It was read from the cache."""
-        return self.digest is not None
+    """What it was read from, to be kept; None where that cannot be asked, or the cache is off."""
+    from_cache: bool
 
 
 class CachedCt:
@@ -177,6 +171,8 @@ class VolumeCache:
         self._lock = threading.Lock()
         self._forgotten: dict[str, int] = {}
         """How often a CT was forgotten here: what is being written meanwhile is then not wanted."""
+        self._ending = threading.Event()
+        self._keeping: list[threading.Thread] = []
 
     def __repr__(self) -> str:
         sizes = self.sizes()
@@ -213,27 +209,64 @@ class VolumeCache:
         if found is not None and found.state == "unchanged":
             volume = guarded(absolute(path), lambda _path: found.load(progress=progress, cancel=cancel))
             if volume is not None:
-                return OpenedCt(volume, found.digest, found.source)
+                return OpenedCt(volume, found.source, from_cache=True)
         source = CtSource.of(path, series=series) if self.is_on else None
         volume = open_volume(path, series=series, progress=progress, cancel=cancel)
-        return OpenedCt(volume, None, source)
+        return OpenedCt(volume, source, from_cache=False)
 
-    def keep(self, opened: OpenedCt, *, cancel: Cancel | None = None) -> str:
-        """Keep what was read from its files, if that can be done; returns the CT's digest in any case.
+    def keep(self, opened: OpenedCt, *, cancel: Cancel | None = None) -> bool:
+        """Keep what was read from its files; whether it is kept now.
 
-        Reads all voxels, and writes them: to be called beside other work. What the disk refuses is logged.
+        Reads all voxels, and writes them: to be called beside other work.
 
         Raises
         ------
         CancelledError
             If ``cancel()`` returned true.
         """
-        if opened.digest is not None:
-            return opened.digest
-        digest = ct_digest(opened.volume, cancel=cancel)
-        if opened.source is not None:
-            self.put(digest, opened.volume, opened.source, cancel=cancel)
-        return digest
+        if opened.from_cache or opened.source is None:
+            return opened.from_cache
+        return self.put(opened.volume, opened.source, cancel=cancel)
+
+    def open_and_keep(
+        self,
+        path: str | Path,
+        *,
+        series: str | None = None,
+        progress: Progress | None = None,
+        cancel: Cancel | None = None,
+    ) -> Volume:
+        """Open a CT as :meth:`open` does; what was read from its files is kept by a thread of its own.
+
+        Raises
+        ------
+        VolumeImportError, UsageError, CancelledError
+            As :func:`open_volume`.
+        """
+        opened = self.open(path, series=series, progress=progress, cancel=cancel)
+        if not opened.from_cache and not self._ending.is_set():
+            # A daemon: nobody waits for a cache when Carina ends; its draft is swept by the next one.
+            thread = threading.Thread(target=self._keep, args=(opened,), name="carina-ct-keep", daemon=True)
+            with self._lock:
+                self._keeping = [*(t for t in self._keeping if t.is_alive()), thread]
+            thread.start()
+        return opened.volume
+
+    def _keep(self, opened: OpenedCt) -> None:
+        with contextlib.suppress(CancelledError):
+            self.keep(opened, cancel=self._ending.is_set)
+
+    def wait_kept(self) -> None:
+        """Wait until nothing is being kept."""
+        with self._lock:
+            threads = list(self._keeping)
+        for thread in threads:
+            thread.join()
+
+    def close(self) -> None:
+        """Stop what is being kept, and keep nothing more by threads."""
+        self._ending.set()
+        self.wait_kept()
 
     def find(self, path: str | Path, *, series: str | None = None) -> CachedCt | None:
         """What the cache holds of a path and series, without asking whether the files are as they were."""
@@ -274,13 +307,11 @@ class VolumeCache:
             return None
         return found.load(progress=progress, cancel=cancel)
 
-    def put(self, digest: str, volume: Volume, source: CtSource, *, cancel: Cancel | None = None) -> bool:
+    def put(self, volume: Volume, source: CtSource, *, cancel: Cancel | None = None) -> bool:
         """Keep a volume. Where its voxels are kept already, only the source is written.
 
         Parameters
         ----------
-        digest
-            ``ct_digest(volume)``.
         volume
             As it was opened from the source.
         source
@@ -297,13 +328,13 @@ class VolumeCache:
         CancelledError
             If ``cancel()`` returned true.
         """
+        if not self.is_on or not source.is_settled(self._clock()) or not source.is_unchanged:
+            return False
+        digest = ct_digest(volume, cancel=cancel)
         with self._lock:
             forgotten = self._forgotten.get(digest, 0)
-        name = VoxelName(digest, canonical_axes(volume.lps_from_ijk).letters, volume.shape_zyx)
-        now_s = self._clock()
-        if not self.is_on or not source.is_settled(now_s) or not source.is_unchanged:
-            return False
-        record = _record_of(digest, volume, source)
+        record = _record_of(volume, source)
+        name = record.voxels
 
         def is_wanted() -> bool:
             return self._forgotten.get(digest, 0) == forgotten
@@ -524,10 +555,10 @@ def _source_name(path: Path, series: str | None) -> str:
     return found.hexdigest() + _SOURCE
 
 
-def _record_of(digest: str, volume: Volume, source: CtSource) -> _Record:
+def _record_of(volume: Volume, source: CtSource) -> _Record:
     return _Record(
         made_by=_made_by(),
-        digest=digest,
+        digest=ct_digest(volume),
         axes=canonical_axes(volume.lps_from_ijk).letters,
         shape_zyx=volume.shape_zyx,
         lps_from_ijk=tuple(tuple(row) for row in volume.lps_from_ijk.tolist()),
@@ -551,6 +582,7 @@ def _volume_of(record: _Record, values: NDArray[np.int16]) -> Volume:
     # Known already: to find them again would take longer than reading the voxels.
     object.__setattr__(volume, "_range", record.value_range)
     object.__setattr__(volume, "_quality", record.quality)
+    object.__setattr__(volume, "_digest", record.digest)
     return volume
 
 

@@ -121,7 +121,8 @@ def ct_digest(volume: Volume, *, cancel: Callable[[], bool] | None = None) -> st
     """SHA-256 of a volume's voxels in canonical order: the same for one CT in any file format.
 
     The bytes are little-endian int16, ``[S, P, L]``, L fastest. Neither shape nor place goes in: they are compared
-    beside it (:func:`same_geometry`). Takes a slab of some MB beside the volume, never a second copy.
+    beside it (:func:`same_geometry`). Takes a slab of some MB beside the volume, never a second copy. Found when first
+    asked for, and kept with the volume.
 
     Parameters
     ----------
@@ -150,6 +151,8 @@ def ct_digest(volume: Volume, *, cancel: Callable[[], bool] | None = None) -> st
     >>> a == ct_digest(carina.Volume(np.ascontiguousarray(hu_zyx[:, :, ::-1]), flipped))
     True
     """
+    if volume._digest is not None:
+        return volume._digest
     watch = Watch(None, cancel)
     values = canonical_axes(volume.lps_from_ijk).view(volume.hu_zyx)
     found = hashlib.sha256()
@@ -158,7 +161,9 @@ def ct_digest(volume: Volume, *, cancel: Callable[[], bool] | None = None) -> st
     for first in range(0, len(values), num):
         watch.step("Recognising the CT")
         found.update(np.ascontiguousarray(values[first : first + num], dtype="<i2").data.cast("B"))
-    return found.hexdigest()
+    digest = found.hexdigest()
+    object.__setattr__(volume, "_digest", digest)
+    return digest
 
 
 def same_geometry(a: Grid, b: Grid) -> bool:
@@ -170,7 +175,7 @@ def same_geometry(a: Grid, b: Grid) -> bool:
     return _apart_mm(a, b) <= GEOMETRY_TOLERANCE_MM
 
 
-def refuse_other_ct(volume: Volume, digest: str, geometry: Grid, *, known_digest: str | None = None) -> None:
+def refuse_other_ct(volume: Volume, digest: str, geometry: Grid) -> None:
     """Refuse a volume that is not the CT with this digest and geometry.
 
     Parameters
@@ -179,8 +184,6 @@ def refuse_other_ct(volume: Volume, digest: str, geometry: Grid, *, known_digest
         What was opened.
     digest, geometry
         Of the CT that a case was made from.
-    known_digest
-        The volume's own, if it is known; else found here, which reads every voxel.
 
     Raises
     ------
@@ -192,7 +195,7 @@ def refuse_other_ct(volume: Volume, digest: str, geometry: Grid, *, known_digest
     if ours.shape_zyx != theirs.shape_zyx:
         msg = f"this is another CT: expected {_sizes(theirs)} voxels, found {_sizes(ours)}; {advice}"
         raise VolumeImportError(msg, code="import.other-ct")
-    if (known_digest or ct_digest(volume)) != digest:
+    if ct_digest(volume) != digest:
         msg = f"this is another CT: its voxel values differ from those of the case; {advice}"
         raise VolumeImportError(msg, code="import.other-ct")
     apart_mm = _apart_mm(ours, theirs)

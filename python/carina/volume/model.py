@@ -108,6 +108,8 @@ class Volume:
     _range: tuple[int, int] | None = field(default=None, init=False, repr=False)
     _quality: Any = field(default=None, init=False, repr=False)
     """What the quality gate found, once it was asked."""
+    _digest: str | None = field(default=None, init=False, repr=False)
+    """What ``ct_digest`` found, once it was asked."""
 
     def __post_init__(self) -> None:
         values = self.hu_zyx
