@@ -47,6 +47,12 @@ def test_invalid_samples_are_refused_with_a_code_and_a_sentence(path):
     assert len(str(refusal.value)) > 15
 
 
+@pytest.mark.parametrize(("data", "words"), [(b"\0\0\0", "too short"), (b"\0\0\0\0", "before its payload")])
+def test_a_picture_that_is_only_its_length_has_no_payload(data, words):
+    with pytest.raises(ProtocolError, match=words):
+        wire.parse_picture(data)
+
+
 @pytest.mark.parametrize("path", samples("valid-1"), ids=label)
 def test_commands_in_the_words_of_version_1_are_those_of_now(path):
     old = json.loads(path.read_bytes())

@@ -472,7 +472,11 @@ def test_progress_tells_the_time_left():
 
     def find_airways(volume, *, progress, **_options):
         progress("growing", 0.0)
-        bench.clock.advance(3.0)
+        bench.clock.advance(1.0)
+        progress("growing", 0.04)
+        bench.clock.advance(1.0)
+        progress("growing", 0.05)
+        bench.clock.advance(1.0)
         progress("growing", 0.25)
         seen.extend(e for e in bench.events if isinstance(e, JobProgress) and e.what == "growing")
         return small_airways(volume)
@@ -480,7 +484,8 @@ def test_progress_tells_the_time_left():
     core = bench.session._core
     core.parts = replace(core.parts, find_airways=find_airways)
     bench.open()
-    assert [(e.fraction, e.seconds_left) for e in seen] == [(0.0, None), (0.25, pytest.approx(9.0))]
+    told = [(e.fraction, e.seconds_left) for e in seen]
+    assert told == [(0.0, None), (0.04, None), (0.05, pytest.approx(38.0)), (0.25, pytest.approx(9.0))]
 
 
 def test_undo_keeps_a_few_airways_and_not_all_of_them():

@@ -28,6 +28,8 @@ from carina.track import (
     edits_to_json,
     rebuild_airways,
 )
+from carina.track.edit.tree import TreeDraft
+from carina.track.tree.airway_tree import Branch
 from carina.track.tree.uncertain import find_uncertain
 
 
@@ -496,3 +498,11 @@ def test_what_is_compared_would_show_a_difference(case):
     other = dataclasses.replace(airways.tree, branches=(shifted, *airways.tree.branches[1:]))
     with pytest.raises(AssertionError, match="radius of branch 0"):
         assert_same(dataclasses.replace(airways, tree=other), airways)
+
+
+def test_a_short_branch_keeps_its_share_of_doubt_when_it_is_cut():
+    points = np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, -0.8], 9)
+    drawn = Branch(0, None, (), 0, None, "manual", points, np.full(9, 0.5), doubtful_mm=0.6)
+    tree = TreeDraft(AirwayTree((drawn,)), next_id=1)
+    tree.shorten(0, 4)
+    assert tree[0].doubtful_mm == pytest.approx(0.3)

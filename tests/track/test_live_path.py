@@ -8,6 +8,7 @@ import pytest
 import carina
 from carina.errors import UsageError
 from carina.track import Airways
+from carina.track.paths.live import _across
 
 
 @pytest.fixture(scope="module")
@@ -106,3 +107,12 @@ def test_a_way_is_found_from_everywhere_in_the_lumen(chest, found):
         assert live.problem is None
         assert 0.0 <= live.confidence <= 1.0
         assert live.new_mm <= live.length_mm + 1e-9
+
+
+def test_noise_is_looked_for_across_a_path_however_dense_its_points_are():
+    along = np.array([1.0, 2.0, -2.0]) / 3.0
+    path = np.linspace(0.0, 1.0, 11)[:, None] * along
+    u, v = _across(path[3:6], path)
+    assert np.allclose(u @ along, 0.0)
+    assert np.allclose(v @ along, 0.0)
+    assert np.allclose([np.linalg.norm(u, axis=1), np.linalg.norm(v, axis=1)], 1.0)
