@@ -134,7 +134,7 @@ def generate_phantom(
         if cancel is not None and cancel():
             raise CancelledError("generating the phantom was cancelled")
         if progress is not None:
-            progress("making the phantom", fraction)
+            progress("generating the phantom", fraction)
         return True
 
     made = _core.generate_chest(
@@ -229,7 +229,7 @@ def write_phantom(phantom: Phantom, directory: str | os.PathLike[str]) -> list[P
     parts: tuple[tuple[str, str, Callable[[BinaryIO], object]], ...] = (
         ("ct.nii.gz", "the CT", lambda file: _write_nifti(file, phantom.volume.hu_zyx, matrix, "the CT")),
         ("lumen.nii.gz", "the lumen", lambda file: _write_nifti(file, phantom.lumen_zyx, matrix, "the lumen")),
-        ("truth.json", "the truth", lambda file: file.write(_json(phantom.truth).encode())),
+        ("truth.json", "the ground truth", lambda file: file.write(_json(phantom.truth).encode())),
     )
     drafts: list[Draft] = []
     try:

@@ -38,8 +38,8 @@ def test_live_values_of_a_handle_are_shown(capsys):
     ("address", "words"),
     [
         ("handle:/dev/there-is-none", "no such port"),
-        ("openigtlink:127.0.0.1:1", "no answer"),
-        ("openigtlink:no-such-machine.invalid:18944", "no machine has this name"),
+        ("openigtlink:127.0.0.1:1", "no response"),
+        ("openigtlink:no-such-machine.invalid:18944", "no machine with this name was found"),
     ],
 )
 def test_a_device_that_says_nothing_is_no_success_and_the_reason_is_in_words(capsys, address, words):
@@ -57,4 +57,4 @@ def test_what_does_not_change_is_said_once(capsys):
 
 def test_without_a_name_what_is_found_is_listed(capsys):
     assert report([], seconds=1.0, as_json=False) == 0
-    assert "found by the window" in capsys.readouterr().out
+    assert "connect through the window" in capsys.readouterr().out

@@ -166,7 +166,7 @@ def test_pictures_of_another_flight_are_not_taken_for_this_one(film, tmp_path):
     other.mkdir()
     (other / "letter.txt").write_text("dear")
     ended = film(*base[:-1], other, "--size", "48x48")
-    assert ended.code == 2 and "something else" in ended.err
+    assert ended.code == 2 and "contains other files" in ended.err
     assert [path.name for path in other.iterdir()] == ["letter.txt"]
 
 

@@ -61,14 +61,16 @@ def test_a_search_that_finds_nothing_by_itself_does_not_end_the_others(searches,
     kept = {"digest": f"found [1.0, 2.0, 3.0] -800.0, {edit}", "root_lps": [1.0, 2.0, 3.0], "lumen_threshold": -800.0}
     kept["edits"] = edits_to_json([edit])
     assert fly._walls(None, None)(kept).of == kept["digest"]
-    with pytest.raises(VolumeImportError, match="held by airways that differ"):
+    with pytest.raises(VolumeImportError, match="the airways that guided the scope in this recording differ"):
         fly._walls(None, None)({**kept, "root_lps": None})
     with pytest.raises(NoResultError, match="no trachea"):
         fly._walls(None, None)({})
 
 
 def test_other_airways_are_refused_in_words(searches):
-    with pytest.raises(VolumeImportError, match="held by airways that differ") as refused:
+    with pytest.raises(
+        VolumeImportError, match=("the airways that guided the scope in this recording differ")
+    ) as refused:
         fly._walls(None, None)({"digest": "a mask", "root_lps": [0.0, 0.0, 0.0], "lumen_threshold": None})
     assert refused.value.code == "navigate.recording"
 

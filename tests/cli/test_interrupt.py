@@ -21,7 +21,7 @@ def test_ctrl_c_exits_130_and_leaves_no_file(stage, ct, tmp_path):
     output = tmp_path / "x.png"
     command, sign = {
         "import": (["info", ct], None),
-        "phantom": (["phantom", "-o", tmp_path / "made", "--spacing-mm", "0.5"], "making the phantom"),
+        "phantom": (["phantom", "-o", tmp_path / "made", "--spacing-mm", "0.5"], "generating the phantom"),
         "picture": (
             ["render", ct, "--size", "8192x8192", "--method", "brute", "--step-vox", "0.01", "-o", output],
             "airways segmented",

@@ -253,7 +253,7 @@ def test_no_answer_however_wrong_hangs_a_frame(case, cluster, monkeypatch, what)
     _wait_ready(made)
     expected = made.truth.render(_airway(case)).rgb
     setattr(made.lanes[0].trouble, what, True)
-    words = {"twice": [], "refuses": ["is not responding"]}.get(what, ["cannot be used"])
+    words = {"twice": [], "refuses": ["is not responding"]}.get(what, ["an unusable strip"])
 
     def shows_the_truth() -> None:
         _, future = made.renderer.want(_airway(case))
@@ -351,8 +351,8 @@ def test_a_renderer_that_can_never_load_is_told_of_once_and_asked_again(case, cl
     made.renderer.set_transfer(transfer_preset("paper"))
     made.renderer.prepare()
     _wait(made, lambda: len(asked) > console_module.TELL_AFTER_LOADS + 2)
-    told = [notice for notice in made.console.status().notices if "cannot take the case" in notice]
-    assert told == ["the renderer lane-0 cannot take the case (ConnectionError); it is retried until it can"]
+    told = [notice for notice in made.console.status().notices if "cannot load the case" in notice]
+    assert told == ["the renderer lane-0 cannot load the case (ConnectionError); Carina keeps trying"]
     monkeypatch.setattr(made.lanes[0], "load", load)
     _wait_ready(made)
 
@@ -445,7 +445,7 @@ def test_a_view_that_cannot_be_rendered_is_refused_as_on_one_machine(case, conso
     console.add_lane(LocalLane(Renderer(case.volume), name="a"))
     renderer = ClusterRenderer(Renderer(case.volume), console, spread_all=True)
     renderer.prepare()
-    with pytest.raises(RenderError, match="no airway lumen"):
+    with pytest.raises(RenderError, match="no tree to show"):
         renderer.render(TreeView(**SIZE))
     assert renderer.render(_airway(case)).rgb.shape == (61, 72, 3)
 

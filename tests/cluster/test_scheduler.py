@@ -348,7 +348,7 @@ def test_whole_frames_go_to_one_lane_each_as_many_as_lanes_can_hold():
 def test_a_frame_that_is_under_way_cannot_be_wanted_again():
     rig = _flying("a")
     rig.scheduler.want(1, 10, 0.0)
-    with pytest.raises(UsageError, match="already under way"):
+    with pytest.raises(UsageError, match="already being rendered"):
         rig.scheduler.want(1, 10, 0.0)
 
 

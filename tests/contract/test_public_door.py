@@ -28,48 +28,51 @@ POSE = carina.Pose.looking((5.5, 5.5, 5.5), (0, 0, -1))
         (lambda: carina.open_volume(3), "open_volume: path: expected str or Path; found int; name a folder or a file"),
         (
             lambda: carina.find_airways("scan"),
-            "find_airways: volume: expected Volume; found str; open one with carina.open_volume",
+            "find_airways: volume: expected Volume; found str; open a volume with carina.open_volume",
         ),
         (
             lambda: carina.track_paths(np.zeros(3), targets=[(0, 0, 0)]),
-            "track_paths: volume: expected Volume; found ndarray; open one with carina.open_volume",
+            "track_paths: volume: expected Volume; found ndarray; open a volume with carina.open_volume",
         ),
         (
             lambda: carina.edit_airways(CT, None, None),
-            "edit_airways: airways: expected Airways; found NoneType; find them with carina.find_airways",
+            "edit_airways: airways: expected Airways; found NoneType; get airways from carina.find_airways",
         ),
         (
             lambda: carina.wall_field(CT, "tree"),
-            "wall_field: airways: expected Airways; found str; find them with carina.find_airways",
+            "wall_field: airways: expected Airways; found str; get airways from carina.find_airways",
         ),
         (
             lambda: carina.export_airways("a.json", CT, "tree"),
-            "export_airways: airways: expected Airways; found str; find them with carina.find_airways",
+            "export_airways: airways: expected Airways; found str; get airways from carina.find_airways",
         ),
         (
             lambda: carina.write_tree("a.json", []),
-            "write_tree: tree: expected AirwayTree; found list; it is the tree of carina.find_airways",
+            "write_tree: tree: expected AirwayTree; found list; get it from carina.find_airways",
         ),
         (
             lambda: carina.render_view("scan", view="axial", pose=POSE),
-            "render_view: volume: expected Volume; found str; open one with carina.open_volume",
+            "render_view: volume: expected Volume; found str; open a volume with carina.open_volume",
         ),
         (
             lambda: carina.render_view(CT, view="axial"),
-            "render_view: pose: expected Pose; found NoneType; take one of a carina.FlightPath, or carina.Pose.looking",
+            "render_view: pose: expected Pose; found NoneType; get one from a carina.FlightPath or from "
+            "carina.Pose.looking",
         ),
         (
             lambda: carina.render_view(CT, view=AirwayView(POSE), pose=POSE, width=64),
-            "render_view: pose, width: expected inside the AirwayView; found beside it; set it there",
+            "render_view: pose, width: expected as fields of the AirwayView, found as separate arguments; set "
+            "them in the AirwayView",
         ),
         (
             lambda: carina.write_film("a.mp4", CT, "path"),
-            "write_film: flight: expected FlightPath or AutoFlight or KeyFrameFlight; found str; make a "
-            "carina.FlightPath of a route's points_lps",
+            "write_film: flight: expected FlightPath or AutoFlight or KeyFrameFlight; found str; create a "
+            "carina.FlightPath from the points_lps of a route",
         ),
         (
             lambda: carina.open_volume("a", progress=3),
-            "open_volume: progress: expected a function of a text and a fraction, True, False or None; found int",
+            "open_volume: progress: expected True, False, None or a function that takes a text and a fraction; "
+            "found int",
         ),
     ],
 )
@@ -83,7 +86,7 @@ def test_a_wrong_type_is_refused_with_what_was_expected_what_was_found_and_what_
 
 
 def test_a_view_by_another_kind_of_value_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"render_view: view: expected AirwayView or .*; found Pose; or name one of"):
+    with pytest.raises(UsageError, match=r"render_view: view: expected AirwayView or .*; found Pose; or pass one of"):
         carina.render_view(CT, view=POSE)
 
 

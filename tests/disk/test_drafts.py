@@ -139,7 +139,10 @@ def test_where_nothing_can_be_locked_only_old_drafts_go(tmp_path, monkeypatch):
 
 
 def test_a_draft_that_somebody_removes_is_said(tmp_path):
-    with pytest.raises(DiskError, match="removed meanwhile"), drafted(tmp_path / "a", what="the test"):
+    with (
+        pytest.raises(DiskError, match=("another program removed its temporary file")),
+        drafted(tmp_path / "a", what="the test"),
+    ):
         next(tmp_path.iterdir()).unlink()
 
 
@@ -205,13 +208,13 @@ def itk_nifti(values, matrix, folder, *, like):
 TROUBLES = [
     (errno.ENOSPC, "disk.full", "the disk is full"),
     (errno.EDQUOT, "disk.full", "quota"),
-    (errno.EFBIG, "disk.full", "larger than"),
+    (errno.EFBIG, "disk.full", "exceed the size limit"),
     (errno.EROFS, "disk.denied", "read-only"),
     (errno.EACCES, "disk.denied", "permission"),
     (errno.ENOENT, "disk.missing", "no such folder"),
     (errno.ENOTDIR, "disk.missing", "is a file, not a folder"),
     (errno.EISDIR, "disk.in-the-way", "already exists"),
-    (errno.EIO, "disk.failed", "reports an error"),
+    (errno.EIO, "disk.failed", "reported an error"),
     (errno.ENAMETOOLONG, "disk.failed", "too long"),
     (errno.EMFILE, "machine.files", "too many files"),
     (errno.ETIMEDOUT, "disk.failed", "timed out"),

@@ -43,9 +43,9 @@ def test_while_flying_the_status_says_how_fast_and_how_fine_and_at_rest_the_pict
     rate = int(re.search(r"frame (\d+)/s", while_flying)[1])
     # A hand's input comes 60 times a second; how near the pictures come to it is the machine's and its load's affair.
     assert 1 <= rate <= 70
-    assert re.search(r"age \d+ ms|picture [\d.]+ s behind", while_flying)
+    assert re.search(r"latency \d+ ms|updating", while_flying)
     assert not frame["full"]
-    words = "coarse: " if frame["width"] < workstation.wanted_width() else "full resolution"
+    words = "reduced: " if frame["width"] < workstation.wanted_width() else "full resolution"
     assert words in while_flying
     workstation.wait_still()
     expect(status).to_contain_text("full resolution")
@@ -56,14 +56,14 @@ def test_another_rate_can_be_asked_for(server, workstation):
     workstation.open(server)
     workstation.wait_ready()
     workstation.page.locator(".status-bar .pace button").click()
-    workstation.page.get_by_role("option", name="15 per second").click()
+    workstation.page.get_by_role("option", name="15 frames/s").click()
     workstation.page.wait_for_function("() => window.__carina.state.frame_rate_hz === 15")
     workstation.watch_pose_ids("airway")
     held_s = workstation.hold("w", 1500)
     shown = len(workstation.watched_pose_ids())
     assert shown <= held_s * 15 * 1.2 + 3, "no more than what was asked for"
     workstation.page.locator(".status-bar .pace button").click()
-    workstation.page.get_by_role("option", name="60 per second").click()
+    workstation.page.get_by_role("option", name="60 frames/s").click()
     workstation.page.wait_for_function("() => window.__carina.state.frame_rate_hz === 60")
     assert workstation.faults == []
 
@@ -84,8 +84,8 @@ def test_where_the_airway_view_is_too_slow_the_labelled_cut_plane_stands_in_unti
     )
     workstation.picture("budget-view-finder")
     workstation.page.keyboard.up("w")
-    assert "View finder: cut-plane" in label
-    assert "view finder" in status
+    assert "Viewfinder: cut-plane" in label
+    assert "viewfinder" in status
     assert (frame["view"], frame["stands_for"], frame["full"]) == ("cut-plane", "airway", False)
     # It follows the hand, picture after picture, where the airway view could not.
     workstation.fly_until("window.__shown.filter((view) => view === 'cut-plane').length >= 8", 120.0)

@@ -350,7 +350,7 @@ def test_a_tool_in_the_hand_is_seen_in_every_picture_and_its_hint_is_said(undone
     tags = page.locator("[data-testid=tool-tag].corner")
     expect(tags).to_have_count(canvases.count())
     hint = page.locator("[data-testid=tool-hint]")
-    expect(hint).to_contain_text("Esc puts it away")
+    expect(hint).to_contain_text("Esc cancels")
     for view in undone.shown_views():
         cursor = page.locator(f"canvas[data-view={view}]").evaluate("(c) => getComputedStyle(c.parentElement).cursor")
         x_ray = view.startswith("xray")

@@ -1,4 +1,4 @@
-"""A bronchoscope in the lumen, in a real browser: laid along the route, bent, held by the wall, and felt."""
+"""A bronchoscope in the lumen, in a real browser: laid along the route, bent, stopped by the wall, and felt."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def test_the_pens_own_point_is_shown_with_its_way_and_marked_and_the_rest_to_the
 
     before = {view: workstation.overlay(view) for view in ("axial", "coronal", "sagittal", "tree")}
     pen.register(middle)
-    expect(words).to_contain_text("own tip")
+    expect(words).to_contain_text("pen tip")
     pen.hold(middle)
     workstation.wait_for("(x) => Math.abs(window.__carina.state.pen.lps[0] - x) < 0.01", middle[0])
     # The way under the pen, also while a mouse lies still over a picture.

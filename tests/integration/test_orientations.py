@@ -62,7 +62,7 @@ def stored(image, how):
 
 
 def oblique(image):
-    """Resampled on a grid that is turned by 14 degrees about an axis across all three, large enough to hold all.
+    """Resampled on a grid that is rotated by 14 degrees about an axis across all three, large enough to hold all.
 
     Padded with tissue: the trachea runs to the edge of the chest, and padding of air would lengthen it.
     """

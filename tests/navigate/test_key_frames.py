@@ -215,9 +215,9 @@ def test_speeds_out_of_range_are_refused(speed):
 
 
 def test_a_mixture_of_times_and_speeds_and_a_single_key_frame_are_refused():
-    with pytest.raises(UsageError, match="all key frames have times"):
+    with pytest.raises(UsageError, match="all key frames must have times"):
         KeyFrameFlight([KeyFrame(0.0, LINE[0]), KeyFrame(None, LINE[1])])
-    with pytest.raises(UsageError, match="two or more"):
+    with pytest.raises(UsageError, match="at least two"):
         KeyFrameFlight([KeyFrame(None, LINE[0])])
     way = AirwayWay(np.array([(0.0, 0, 0), (0.0, 0, -40.0)]), 0)
     with pytest.raises(UsageError, match="through space"):
@@ -226,7 +226,7 @@ def test_a_mixture_of_times_and_speeds_and_a_single_key_frame_are_refused():
 
 @pytest.mark.parametrize("points", [[(0.0, 0, 0)], [(0.0, 0), (1.0, 0)], [(0.0, 0, math.nan), (0, 0, 1)]])
 def test_ways_that_are_none_are_refused(points):
-    with pytest.raises(UsageError, match="two or more points"):
+    with pytest.raises(UsageError, match="at least two points"):
         AirwayWay(np.array(points), 0)
 
 

@@ -305,7 +305,7 @@ def test_a_full_disk_ends_the_recording_with_one_sentence_and_the_flight_goes_on
     assert session.pose_info().pose is not before
     (trouble,) = said
     assert trouble.code == "disk.full"
-    assert "the recording ended" in trouble.message
+    assert "the recording stopped" in trouble.message
     assert "the disk is full" in trouble.message
     assert session.devices.recording_path is None
     assert file.closed
@@ -322,7 +322,7 @@ def test_a_disk_that_is_full_at_the_end_of_a_recording_is_said_and_stops_nothing
     said = troubles(session)
     recorded_to(session, tmp_path / "a.jsonl", full_disk())
     session.do(end)
-    assert ["the recording ended" in trouble.message for trouble in said] == [True]
+    assert ["the recording stopped" in trouble.message for trouble in said] == [True]
     assert session.devices.recording_path is None
 
 

@@ -42,7 +42,7 @@ def pen(time_s: float, x: float = 0.0, wxyz: tuple[float, ...] = IDENTITY, butto
         (PoseSample(1.0, None, IDENTITY, 0, math.nan), "non-finite numbers"),
         (AxesSample(1.0, (2.0, 0.0, 0.0, 0.0, 0.0, 0.0)), "numbers out of range"),
         (HandleSample(1.0, 0.0, 0.0, 7.0), "numbers out of range"),
-        (pen(-0.2), "a clock that runs backwards"),
+        (pen(-0.2), "timestamps that run backwards"),
         (pen(0.0001), "too many samples"),
     ],
 )
@@ -86,7 +86,7 @@ def test_two_devices_at_once_the_first_keeps_the_scope_until_it_is_silent():
     gate = SampleGate()
     assert gate.admit("pen", pen(0.0), 0.0) is not None
     assert gate.admit("stick", AxesSample(0.0, (1.0, *REST[1:])), 0.1) is None
-    assert gate.num_ignored("stick") == {"another device holds the scope": 1}
+    assert gate.num_ignored("stick") == {"another device is moving the scope": 1}
     assert gate.admit("stick", AxesSample(0.1, REST), 0.1) is not None, "a stick at rest asks for nothing"
     assert gate.holder == "pen"
     assert gate.admit("stick", AxesSample(0.7, (1.0, *REST[1:])), 0.7) is not None

@@ -82,7 +82,7 @@ def test_half_records_and_letters_for_out_of_range_cost_only_themselves(binary):
     found = stream.feed(record(1.0) + record(2.0)[:17] + record(3.0) + record(4.0, error=letter) + record(5.0))
     assert [r.position_mm[0] for r in found][-1] == 50.0
     assert 40.0 not in [r.position_mm[0] for r in found]
-    assert stream.num_bad["measurements out of the tracker's range"] == 1
+    assert stream.num_bad["measurements outside the tracker's range"] == 1
 
 
 def test_the_stylus_points_along_the_receivers_x():
@@ -156,7 +156,7 @@ def test_a_port_that_is_not_there_is_said_and_stopping_does_not_wait():
     source = FastrakSource("/dev/there-is-none", heard.listener)
     source.start()
     wait_for(lambda: source.status().state == "lost")
-    assert source.status().words == "there is no such port; is the device plugged in and on?"
+    assert source.status().words == "no such port; check that the device is plugged in and switched on"
     source.stop()
 
 
@@ -209,5 +209,5 @@ def test_a_handle_drives_us_over_a_port():
 
 @pytest.mark.parametrize("address", ["", "pen", "fastrak:", "openigtlink:host:0", "openigtlink:host:x", "usb:1"])
 def test_what_names_no_device_is_refused(address):
-    with pytest.raises(UsageError, match="a device is named"):
+    with pytest.raises(UsageError, match="expected a device address such as"):
         open_source(address, Heard().listener)

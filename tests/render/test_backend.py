@@ -192,7 +192,9 @@ def test_a_lost_device_costs_no_picture_and_one_message(mode, caplog):
 
 def test_a_volume_that_does_not_fit_leaves_the_device_to_others(caplog):
     rig = Rig(StandIn(), "gpu", adapters=(CARD,))
-    rig.device.upload_error = RenderError("the volume does not fit on the graphics device", code="render.gpu-limit")
+    rig.device.upload_error = RenderError(
+        "the volume does not fit in the memory of the graphics device", code="render.gpu-limit"
+    )
     large = a_scene()
     assert set(rig.fly(large)) == {"cpu"}
     assert len([record for record in caplog.records if record.levelno >= 30]) == 1

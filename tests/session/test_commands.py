@@ -24,11 +24,11 @@ def test_every_command_is_done_and_every_question_answered_by_one_method():
         (c.SetFov(30.0), "set_fov.fov_deg must be at least 60; found 30"),
         (c.SetFov(float("nan")), "fov_deg must be"),
         (c.SetOutline("square"), "set_outline.outline must be none, octagon or round; found 'square'"),
-        (c.Place((1.0, 2.0)), "place.lps must have 3 entries; it has 2"),
+        (c.Place((1.0, 2.0)), "place.lps must have 3 entries; found 2"),
         (c.SetTexture("yes"), "set_texture.on must be true or false; found text"),
-        (c.ChooseRoute("target-1", 3), "names a target and a branch"),
+        (c.ChooseRoute("target-1", 3), "expected a target or a branch; found both"),
         (c.EditTree(c.PaintLumen(((0.0, 0.0, 0.0),), 0.01)), "edit_tree.edit.radius_mm must be at least 0.1"),
-        (c.OpenPath(object()), "open_path holds a value that no command takes"),
+        (c.OpenPath(object()), "open_path contains a value that no command accepts"),
     ],
 )
 def test_a_command_out_of_bounds_is_refused_by_the_name_of_its_field_and_changes_nothing(command, words):

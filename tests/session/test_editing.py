@@ -110,7 +110,7 @@ def test_targets_are_tracked_again_in_the_edited_tree(bench, case):
     assert lost.route is None
     assert "mm from the segmented lumen" in lost.problem
     assert kept.route is not None
-    assert any(e.message.startswith("the path to Target 1 is lost") for e in bench.of_type(Said))
+    assert any(e.message.startswith("there is no longer a path to Target 1") for e in bench.of_type(Said))
     edit(bench, AddBranch(point(case.tips[0])))
     assert all(target.route is not None for target in document(bench).targets)
 
@@ -145,7 +145,7 @@ def test_edits_that_cannot_be_made_change_nothing_and_say_why(bench, case):
     assert document(bench) is before
     assert [e.outcome for e in bench.of_type(JobEnded)] == ["failed"] * 3
     words = [e.message for e in bench.of_type(Trouble)]
-    assert "holds the start" in words[0]
+    assert "contains the start" in words[0]
     assert "branch 77 is not in the tree" in words[1]
     assert "this point is not in air" in words[2]
     assert bench.session.snapshot().undo_label is None

@@ -27,7 +27,7 @@ class Tool:
         if path.endswith("bad.nrrd"):
             raise VolumeImportError("reading the mask bad.nrrd: it is empty", code="import.mask")
         if "several" in path and label is None:
-            raise MaskLabelError("it holds the labels 1, 4, 9", LABELS)
+            raise MaskLabelError("it contains the labels 1, 4, 9", LABELS)
         if "other" in path and not resample:
             raise MaskGridError("another grid", expected="10 voxels", found="12 voxels", share_inside=0.75)
         return Mask(small_lumen() * np.uint8(1), ("covers a part",))
@@ -64,14 +64,16 @@ def test_a_mask_takes_the_place_of_the_airways_in_one_step_that_undo_takes_back(
     before = bench.session.snapshot()
     after = take(bench, "/masks/airway.nii.gz")
     assert after.document.airways is not before.document.airways
-    assert (after.airways, after.undo_label) == ("found", "use the mask as the airways")
-    assert after.airways_words == "the airway lumen is the imported mask airway.nii.gz; covers a part; three branches"
+    assert (after.airways, after.undo_label) == ("found", "use the segmentation as the airways")
+    assert after.airways_words == (
+        "the airway lumen is the imported segmentation airway.nii.gz; covers a part; three branches"
+    )
     assert bench.renderers[-1].lumen is after.document.airways.lumen_zyx
     assert after.document.lumen_threshold == before.document.lumen_threshold
     bench.session.undo()
     undone = bench.session.snapshot()
     assert undone.document.airways is before.document.airways
-    assert (undone.airways_words, undone.redo_label) == ("three branches", "use the mask as the airways")
+    assert (undone.airways_words, undone.redo_label) == ("three branches", "use the segmentation as the airways")
     bench.session.redo()
     assert bench.session.snapshot().airways_words == after.airways_words
     assert [mask != {} for _, mask in tool.searches] == [False, True]
@@ -90,7 +92,7 @@ def test_of_several_structures_one_is_asked_for_and_the_one_called_airway_propos
     bench.session.do(AnswerMask(label=4))
     bench.background.run_all()
     assert bench.session.snapshot().mask_question is None
-    assert bench.session.snapshot().undo_label == "use the mask as the airways"
+    assert bench.session.snapshot().undo_label == "use the segmentation as the airways"
     assert tool.read[-1] == ("/masks/several.nrrd", 4, False)
     assert not bench.session.ask(MaskFileNeeded())
 
@@ -103,7 +105,7 @@ def test_a_structure_is_proposed_only_where_its_name_alone_is_the_airways(bench,
     labels = tuple(MaskLabel(number, name, 1.0) for number, name in enumerate(names, start=1))
 
     def open_mask(path, volume, **_):
-        raise MaskLabelError("it holds the labels 1, 2", labels)
+        raise MaskLabelError("it contains the labels 1, 2", labels)
 
     tool.open_mask = open_mask
     made = small_bench(open_mask=open_mask, find_airways=tool.find_airways)
@@ -121,7 +123,7 @@ def test_another_grid_is_told_and_the_label_said_before_holds_when_it_is_resampl
     bench.session.do(AnswerMask(resample=True))
     bench.background.run_all()
     assert tool.read[-1] == ("/masks/several-other.nrrd", 4, True)
-    assert bench.session.snapshot().undo_label == "use the mask as the airways"
+    assert bench.session.snapshot().undo_label == "use the segmentation as the airways"
 
 
 def test_a_dismissed_mask_leaves_everything_as_it_was(bench):
@@ -133,7 +135,7 @@ def test_a_dismissed_mask_leaves_everything_as_it_was(bench):
     assert after.document is before.document
     assert after.undo_label is None
     assert not bench.session.ask(MaskFileNeeded())
-    with pytest.raises(UsageError, match="no mask is waiting"):
+    with pytest.raises(UsageError, match="the imported mask is no longer available"):
         bench.session.do(AnswerMask(label=1))
 
 
@@ -159,7 +161,7 @@ def test_a_file_that_is_no_mask_is_refused_in_words_and_nothing_changes(bench):
 def test_a_mask_without_its_trachea_begins_at_the_root_that_is_known(bench, tool):
     tool.root_in_mask = False
     root = tuple(bench.session.snapshot().document.airways.root_lps)
-    assert take(bench, "/masks/airway.nii.gz").undo_label == "use the mask as the airways"
+    assert take(bench, "/masks/airway.nii.gz").undo_label == "use the segmentation as the airways"
     assert [search[0] for search in tool.searches] == [None, None, root]
 
 

@@ -51,7 +51,7 @@ def test_a_target_beside_the_lumen_is_snapped_and_that_is_said():
     (target,) = bench.session.snapshot().document.targets
     assert target.snapped_mm == pytest.approx(2.0)
     assert target.lps == beside
-    assert Said("Target 1 was moved 2.0 mm to the nearest lumen") in bench.events
+    assert Said("Target 1 was moved 2.0 mm into the nearest lumen") in bench.events
 
 
 def test_a_target_far_from_the_lumen_is_kept_with_its_reason_and_without_a_path():

@@ -274,7 +274,7 @@ def test_a_wall_that_a_person_stopped_stays_unmeasured_until_it_is_wanted_again(
 
 def test_without_a_route_no_scope_is_laid(bench):
     bench.session.do(ChooseRoute())
-    with pytest.raises(NoResultError, match="along a route"):
+    with pytest.raises(NoResultError, match="a scope needs a route"):
         bench.session.do(SetMode("scope"))
 
 

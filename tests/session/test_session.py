@@ -242,7 +242,7 @@ def test_no_airways_is_a_state_with_words_and_the_case_stays_usable():
     assert snapshot.airways_words == ("no trachea was found. Mark the trachea: click inside it on a slice.")
     assert bench.renderers[-1].prepared == 1
     bench.session.do(Steer(1.0, 0.0, 0.0, 0.0))
-    with pytest.raises(UsageError, match="no path to fly on"):
+    with pytest.raises(UsageError, match="no path to fly along"):
         bench.session.do(GoTo(3.0))
 
 
@@ -314,7 +314,7 @@ def test_the_operator_position_is_undone_and_poses_are_not():
     assert bench.session.pose_info().path_mm == pytest.approx(4.0)
     bench.session.undo()
     assert bench.session.pose_info().path_mm == pytest.approx(4.0)
-    assert Said("there is nothing to be undone") in bench.events
+    assert Said("there is nothing to undo") in bench.events
 
 
 def test_every_movement_has_a_new_pose_number():

@@ -59,10 +59,10 @@ def test_edits_come_back_from_their_json_as_they_were(many):
         (lambda: Bridge((0.0, float("nan"), 1.0)), "expected finite numbers"),
         (lambda: CutBranch(-1), "branch_id: expected a whole number"),
         (lambda: CutBranch(2, -0.5), "at_mm: expected a number of at least 0"),
-        (lambda: PaintLumen((), 2.0), "a stroke has 1 to"),
+        (lambda: PaintLumen((), 2.0), "stroke: expected 1 to"),
         (lambda: PaintLumen(((0, 0, 0),), 31.0), "between 0 and 30"),
-        (lambda: PaintLumen(((0, 0, 0),), 2.0, "oblique"), "a brush's plane is axial, coronal, sagittal, ball"),
-        (lambda: RenameBranch(1, "  "), "a branch's name has 1 to 80 letters"),
+        (lambda: PaintLumen(((0, 0, 0),), 2.0, "oblique"), "brush plane: expected axial, coronal, sagittal, ball"),
+        (lambda: RenameBranch(1, "  "), "branch name: expected 1 to 80 characters"),
     ],
 )
 def test_an_edit_that_means_nothing_is_refused_with_what_was_expected(make, words):

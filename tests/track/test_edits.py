@@ -132,10 +132,10 @@ def test_a_branch_inside_the_lumen_is_tracked_and_splits_the_one_that_it_leaves(
 def test_a_click_in_tissue_or_outside_the_scan_is_refused_with_what_to_do(case):
     with pytest.raises(NoResultError, match=r"this point is in tissue .* not in an airway: click in the dark middle"):
         edited(case, AddBranch(point(case.plug)))
-    with pytest.raises(UsageError, match="lies outside the scan; click inside the pictures"):
+    with pytest.raises(UsageError, match="lies outside the scan; click inside the scan"):
         edited(case, AddBranch((900.0, 0.0, 0.0)))
     with pytest.raises(
-        NoEvidenceError, match=r"the CT shows no airway wall .* if the airway is blocked, bridge the obstruction"
+        NoEvidenceError, match=r"the CT shows no airway wall .* If the airway is obstructed, bridge the obstruction"
     ):
         edited(case, AddBranch(point(case.hidden)))
     with pytest.raises(NoResultError, match="the tree already reaches this point"):
@@ -145,7 +145,7 @@ def test_a_click_in_tissue_or_outside_the_scan_is_refused_with_what_to_do(case):
 def test_cuts_that_mean_nothing_are_refused_in_words(case):
     with pytest.raises(UsageError, match="branch 99 is not in the tree"):
         edited(case, CutBranch(99))
-    with pytest.raises(UsageError, match="holds the start of the tree"):
+    with pytest.raises(UsageError, match="contains the start of the tree"):
         edited(case, CutBranch(case.airways.tree.root.id))
     with pytest.raises(UsageError, match=r"is only \d+\.\d mm long"):
         edited(case, CutBranch(2, 500.0))
@@ -223,7 +223,7 @@ def test_bridges_that_cannot_be_are_refused_in_words(case):
 
 def test_a_bridge_that_would_be_too_long_is_refused_with_its_length(case, monkeypatch):
     monkeypatch.setattr("carina.track.edit.lumen.MAX_BRIDGE_MM", 2.0)
-    with pytest.raises(NoResultError, match=r"the bridge would be (more than )?\d+ mm long, at most 2 mm are bridged"):
+    with pytest.raises(NoResultError, match=r"the bridge would be (more than )?\d+ mm long, and at most 2 mm"):
         edited(case, Bridge(point(case.hidden)))
 
 
@@ -290,7 +290,7 @@ def test_a_fork_is_moved_with_the_ends_that_meet_there_and_stays_in_the_lumen(ca
 def test_forks_that_cannot_be_moved_are_refused_in_words(case):
     with pytest.raises(UsageError, match="ends without a fork"):
         edited(case, MoveFork(2, point(case.tips[0])))
-    with pytest.raises(UsageError, match=r"the fork would move .* mm long: move it less"):
+    with pytest.raises(UsageError, match=r"the fork would move .* mm long: move it a shorter distance"):
         edited(case, MoveFork(1, point(case.airways.tree.root.points[0])))
 
 
@@ -373,13 +373,13 @@ def test_a_wider_lumen_has_a_wider_radius_there_and_nowhere_else(case):
 
 def test_strokes_that_change_nothing_are_refused_in_words(case):
     inside = point(case.airways.tree.root.points[4])
-    with pytest.raises(NoResultError, match="nothing to paint: all of it is already lumen"):
+    with pytest.raises(NoResultError, match="nothing to paint: everything under the brush is already lumen"):
         edited(case, PaintLumen((inside,), 0.0))
     with pytest.raises(NoResultError, match="no lumen under the brush to erase"):
         edited(case, PaintLumen((point(case.plug),), 0.5, erase=True))
     with pytest.raises(UsageError, match="the start of the tree lies under the brush"):
         edited(case, PaintLumen((point(case.airways.root_lps),), 2.0, "ball", erase=True))
-    with pytest.raises(UsageError, match="the stroke lies outside the scan"):
+    with pytest.raises(UsageError, match="the brush stroke lies outside the scan"):
         edited(case, PaintLumen(((0.0, 0.0, 4000.0),), 2.0))
 
 

@@ -397,7 +397,7 @@ def regrafted(tree: AirwayTree, name: str, host_name: str, share: float) -> tupl
     [
         ("RUL", "Trachea", 0.9, "tracheal bronchus"),
         ("RB1", "Trachea", 0.85, "tracheal bronchus"),
-        ("RB6", "BI", 0.5, "no lower than the middle lobe"),
+        ("RB6", "BI", 0.5, "at or above the middle lobe bronchus"),
     ],
 )
 def test_a_bronchus_that_leaves_higher_than_usual_is_said_to(name, host, share, words):

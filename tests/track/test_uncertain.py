@@ -95,6 +95,6 @@ def test_a_mask_in_pieces_keeps_the_one_with_the_root_and_says_so(chest):
 
 
 def test_an_empty_mask_is_refused_in_words(chest):
-    with pytest.raises(NoResultError, match="no voxel of the mask is set") as caught:
+    with pytest.raises(NoResultError, match="no voxel is set") as caught:
         find_airways(chest.volume, lumen_zyx=np.zeros(chest.volume.shape_zyx, np.uint8))
     assert caught.value.exit_code == 4

@@ -17,7 +17,7 @@ from pydicom.dataset import Dataset
 __all__ = ["INPUTS"]
 
 Make = Callable[[Path], Path]
-SOURCE = "export the series again from where it was stored first"
+SOURCE = "export the series again from its original archive"
 CHOOSE = "choose with `--series` if another one is wanted"
 CHECK = "look whether it is the right scan"
 WHOLE = {"expected": "opens", "voxels": chest}

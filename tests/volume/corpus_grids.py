@@ -130,7 +130,7 @@ _STORED = (chest().astype(np.int32) + 1024).astype(np.uint16)
 _HALVES = (chest() * 2).astype(np.int16)
 _EIGHTS = (chest() * 8).astype(np.int16)
 _N, _R, _M, _G = "NIfTI", "NRRD", "MetaImage", "Numbers that are none"
-_NOT3D = "save one single volume of it in its own file"
+_NOT3D = "save a single volume in a file of its own"
 
 INPUTS: tuple[Input, ...] = (
     Input("a single file", _N, _form("nifti"), "opens", voxels=_same),
@@ -173,7 +173,7 @@ INPUTS: tuple[Input, ...] = (
     Input("values from byte 1024, an extension in between", _N, _nifti(offset=1024), "opens", voxels=_same),
     Input("NIfTI-2", _N, _nifti2, "import.not-supported", do="save it as NIfTI-1, for example from 3D Slicer"),
     Input("colour", _N, _nifti(datatype=128, bits=24), "import.not-supported", do="export it again as 16-bit numbers"),
-    Input("16 bits by its datatype, 32 by its bitpix", _N, _nifti(bits=32), "import.header", do=AGAIN),
+    Input("16 bits according to datatype, 32 according to bitpix", _N, _nifti(bits=32), "import.header", do=AGAIN),
     Input("an axis of -12 voxels", _N, _nifti(dim=(24, 20, -12)), "import.header", do=AGAIN),
     Input("packed by gzip and cut", _N, _gzipped(lambda p: p[: len(p) // 2]), "import.truncated",
           do="copy the file again"),
@@ -194,7 +194,7 @@ INPUTS: tuple[Input, ...] = (
     Input("left-handed directions", _R, _nrrd(lps_from_ijk=np.diag([1.0, 1.0, -1.0, 1.0]) @ LPS_FROM_IJK), "opens",
           voxels=_same),
     Input("lines that end as on Windows", _R, _nrrd(newline="\r\n"), "opens", voxels=_same),
-    Input("packed by bzip2", _R, _nrrd(encoding="bzip2", pack=bz2.compress), "import.not-supported",
+    Input("compressed with bzip2", _R, _nrrd(encoding="bzip2", pack=bz2.compress), "import.not-supported",
           do="save it again with gzip, or without compression"),
     Input("values as text", _R, _nrrd(encoding="ascii"), "import.not-supported",
           do="save it again as raw or gzip 16-bit numbers"),

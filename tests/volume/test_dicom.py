@@ -112,7 +112,7 @@ def test_bits_above_the_used_ones_are_ignored(write_series):
 def test_values_outside_int16_are_clipped_and_said(write_series):
     volume = open_volume(write_series(edit=lambda d, i: setattr(d, "RescaleSlope", 100)))
     assert int(volume.hu_zyx.max()) == 32767
-    assert any("outside -32768..32767" in warning for warning in volume.source.warnings)
+    assert any("outside -32768 to 32767" in warning for warning in volume.source.warnings)
 
 
 def test_a_missing_slice_is_named_with_its_gap(write_series):
@@ -216,7 +216,7 @@ def _other_orientation(dataset: Dataset, index: int) -> None:
     ("edit", "words"),
     [
         (_other_size, "mixed sizes"),
-        (_other_spacing, "mixed pixel distances"),
+        (_other_spacing, "mixed pixel spacing"),
         (_other_orientation, "mixed orientation"),
     ],
 )
@@ -235,7 +235,7 @@ def test_one_slice_alone_is_refused(write_series):
     ("keyword", "value", "words"),
     [
         ("ImagePositionPatient", None, "ImagePositionPatient is missing"),
-        ("ImagePositionPatient", [1, 2], "ImagePositionPatient should hold 3"),
+        ("ImagePositionPatient", [1, 2], "ImagePositionPatient should contain 3"),
         ("ImageOrientationPatient", None, "ImageOrientationPatient is missing"),
         ("ImageOrientationPatient", [1, 0, 0, 1, 0, 0], "perpendicular"),
         ("PixelSpacing", None, "PixelSpacing is missing"),

@@ -63,7 +63,7 @@ def test_a_file_on_a_broken_disk_is_counted(tmp_path, monkeypatch):
         return Broken()
 
     monkeypatch.setattr(Path, "open", fail)
-    assert "IM019 (the disk gives an error" in open_volume(tmp_path).source.warnings[0]
+    assert "IM019 (the disk reported an error" in open_volume(tmp_path).source.warnings[0]
 
 
 def test_a_folder_that_cannot_be_opened_is_counted(tmp_path, monkeypatch):

@@ -97,7 +97,7 @@ def test_more_than_a_hundredth_of_clipped_voxels_is_no_longer_hu():
     assert to_int16(values).doubt is None
     values[:2, 0] = 70_000
     values[2, 0] = -70_000
-    assert "outside -32768..32767" in (to_int16(values).doubt or "")
+    assert "outside -32768 to 32767" in (to_int16(values).doubt or "")
     assert to_int16(values).notes[0].code == "import.clipped"
 
 
@@ -189,4 +189,4 @@ def test_a_mask_says_what_is_doubtful_about_its_file(tmp_path):
     path = grids.nifti(tmp_path, values, lps_from_ijk=np.eye(4), name="mask.nii", behind=values.tobytes())
     mask = open_mask(path, scan)
     np.testing.assert_array_equal(mask.inside_zyx, values)
-    assert mask.notes == ("the mask: the file holds 11520 bytes more than its header claims; they were left out",)
+    assert mask.notes == ("the mask: the file contains 11520 bytes more than its header states; they were ignored",)

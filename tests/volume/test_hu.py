@@ -28,10 +28,10 @@ def test_a_crop_without_outside_air_and_padding_is_hu(rng):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("missing offset", "an offset of 1024"),
+        ("missing offset", "offset of 1024"),
         ("eight bits", "8 bits"),
         ("inverted", "air near -1000"),
-        ("uniform phase", "do not gather"),
+        ("uniform phase", "do not cluster"),
         ("mask", "8 bits"),
     ],
 )

@@ -72,7 +72,7 @@ def test_a_mask_of_a_part_of_the_scan_is_placed_in_it(volume, inside, tmp_path):
     part[:3, 3] = volume.to_lps(np.array([2.0, 1.0, 1.0]))
     mask = open_mask(write(tmp_path / "m.mha", inside[1:5, 1:8, 2:9], part), volume)
     assert np.array_equal(mask.inside_zyx, inside)
-    assert "a part of the scan" in mask.notes[0]
+    assert "only part of the scan" in mask.notes[0]
 
 
 def test_a_mask_that_reaches_out_of_the_scan_is_refused(volume, tmp_path):
@@ -118,7 +118,7 @@ def test_of_several_labels_one_must_be_chosen(volume, inside, tmp_path):
     labels = inside.copy()
     labels[4, 6, 8] = 7
     path = write(tmp_path / "m.nrrd", labels, oblique())
-    with pytest.raises(VolumeImportError, match="labels 1, 7; say which"):
+    with pytest.raises(VolumeImportError, match="labels 1, 7; choose the airway label"):
         open_mask(path, volume)
     with pytest.raises(VolumeImportError, match="3 is not among them"):
         open_mask(path, volume, label=3)
@@ -129,7 +129,7 @@ def test_of_several_labels_one_must_be_chosen(volume, inside, tmp_path):
     ("values", "words"),
     [
         (np.zeros(SHAPE, np.uint8), "it is empty"),
-        (np.linspace(0.0, 1.0, 480, dtype=np.float32).reshape(SHAPE), "probabilities"),
+        (np.linspace(0.0, 1.0, 480, dtype=np.float32).reshape(SHAPE), "probability map"),
         (np.arange(480 * 4, dtype=np.int16).reshape(24, 8, 10), "different values"),
         # In 32 bits these two structures would be one, and no browser can name them.
         (np.arange(480, dtype=np.float64).reshape(SHAPE) % 3 * 2.0**40, "not labels"),
@@ -291,13 +291,13 @@ def _many(data):
     ("change", "words"),
     [
         (_tilt, "one regular grid"),
-        (_unplaced, "do not say where"),
+        (_unplaced, "have no positions"),
         (_fractional, "fractional"),
         (_an_image, "not a segmentation"),
         (_short, "pixels cannot be read"),
         (_many, "it claims"),
-        (_wide, "mm wide"),
-        (_segment_of_none, "name segments"),
+        (_wide, "implausibly large"),
+        (_segment_of_none, "refer to segments"),
     ],
 )
 def test_a_broken_segmentation_is_refused(volume, inside, tmp_path, change, words):

@@ -53,7 +53,7 @@ def test_cut_lungs_are_named_by_the_patient_s_directions(flip, face):
     whole = body(flip=flip)
     cut = Volume(np.ascontiguousarray(whole.hu_zyx[:55]), whole.lps_from_ijk)
     finding = next(finding for finding in quality_gate(cut).findings if finding.code == "cut")
-    assert f"cut at the {face} of" in finding.words
+    assert f"cut off at the {face} of" in finding.words
 
 
 def test_a_crop_inside_the_body_still_has_lungs():

@@ -20,7 +20,7 @@ pub enum GpuError {
         reason: String,
     },
     /// More than the device holds.
-    #[error("{what} does not fit on the graphics device: {reason}")]
+    #[error("{what} does not fit in the memory of the graphics device: {reason}")]
     DoesNotFit {
         /// The volume, the radius map, the picture.
         what: &'static str,
@@ -28,13 +28,13 @@ pub enum GpuError {
         reason: String,
     },
     /// Something that only the CPU's casters do.
-    #[error("the graphics device does not render this view: {reason}")]
+    #[error("the graphics device cannot render this view: {reason}")]
     Unsupported {
         /// Which thing.
         reason: String,
     },
     /// Some pixels came back unwritten. The picture is refused: a wrong one is worse than none.
-    #[error("the graphics device {name} did not write {num_missing} pixels of a picture")]
+    #[error("the graphics device {name} left {num_missing} pixels of a picture empty")]
     Incomplete {
         /// The adapter.
         name: String,

@@ -19,7 +19,7 @@ pub enum GridError {
     },
     /// Data and shape disagree.
     #[error(
-        "the volume's data holds {found} voxels, but its shape {shape_zyx:?} requires {expected}"
+        "the volume's data contains {found} voxels, but its shape {shape_zyx:?} requires {expected}"
     )]
     Length {
         /// The shape asked for.

@@ -3,7 +3,7 @@
 pub enum IsoRegionError {
     /// Labels and shape disagree.
     #[error(
-        "the label volume holds {found} voxels, but its shape (z, y, x) = {shape_zyx:?} requires {expected}"
+        "the label volume contains {found} voxels, but its shape (z, y, x) = {shape_zyx:?} requires {expected}"
     )]
     Length {
         /// The shape asked for.
@@ -17,7 +17,7 @@ pub enum IsoRegionError {
     #[error("the table of colours is empty: it must cover every value of the volume")]
     EmptyTable,
     /// The caller asked to stop.
-    #[error("building the map was stopped")]
+    #[error("building the region map was stopped")]
     Cancelled,
 }
 

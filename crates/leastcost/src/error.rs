@@ -19,7 +19,7 @@ pub enum TrackError {
     },
     /// Edge costs span more than the integer queue can count.
     #[error(
-        "path costs do not fit the integer queue: the most expensive edge is {ratio:.3e} times the cheapest; narrow the cost's range"
+        "the range of the path costs is too wide: the most expensive edge costs {ratio:.3e} times the cheapest; narrow the range of the cost"
     )]
     CostRange {
         /// Dearest over cheapest edge.
@@ -28,7 +28,7 @@ pub enum TrackError {
     /// A path costs more than the tracker can count.
     #[error(
         "a path costs more than {most:.3e}, the most that the path search can represent to within 0.5 %; search a smaller \
-         region, or narrow the weights' range"
+         region, or narrow the range of the weights"
     )]
     CostOverflow {
         /// Greatest cost that can be counted.

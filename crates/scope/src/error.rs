@@ -2,7 +2,7 @@
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ScopeError {
     /// The points do not make a path.
-    #[error("cannot fly on this path: {reason}")]
+    #[error("cannot fly along this path: {reason}")]
     Path {
         /// Why.
         reason: String,

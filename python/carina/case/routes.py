@@ -178,14 +178,14 @@ def route_to_point(tree: AirwayTree, point_lps: NDArray[np.float64], *, snap_mm:
     """
     branch, _, away_mm = tree.nearest_branch(point_lps)
     if away_mm > snap_mm:
-        msg = (
-            f"the nearest centreline of the tree is {away_mm:.1f} mm from the point; at most {snap_mm:g} mm are bridged"
-        )
+        msg = f"the nearest centreline of the tree is {away_mm:.1f} mm from the point; expected at most {snap_mm:g} mm"
         raise NoResultError(msg, code="track.outside-lumen")
     whole = tree.route_to(branch.id)
     last = int(np.argmin(np.linalg.norm(whole.points_lps - point_lps, axis=1)))
     if last == 0:
-        raise NoResultError("the point lies at the tracheal entry: there is no path to fly", code="track.no-path")
+        raise NoResultError(
+            "the point lies at the tracheal entry, so there is no path to fly along", code="track.no-path"
+        )
     end_mm = float(whole.cumulative_mm[last])
     cut = Route(
         whole.points_lps[: last + 1],

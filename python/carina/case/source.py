@@ -45,7 +45,7 @@ class SourceFacts:
             PurePosixPath(self.path).is_absolute() or PureWindowsPath(self.path).anchor != ""
         )
         if absolute:
-            raise UsageError("a case file holds the scan's place relative to itself; found an absolute path")
+            raise UsageError("a case file must name the scan by a path relative to itself; found an absolute path")
 
     @classmethod
     def of(

@@ -238,7 +238,7 @@ class CaseWriter:
         elif isinstance(airways, Airways):
             row = self._whole_airways(airways)
         else:
-            raise UsageError(f"a case file holds airways; found {type(airways).__name__}")
+            raise UsageError(f"expected airways for a case file; found {type(airways).__name__}")
         return self._note("airways", airways, row)
 
     def _packed_airways(self, packed: PackedAirways) -> int:

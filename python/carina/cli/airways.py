@@ -51,7 +51,7 @@ def find(
     Returns 4 if a branch that was to be added was not; everything else is written all the same.
     """
     if even_without_evidence and not add_lps:
-        raise UsageError("--even-without-evidence applies to added branches; add one with --add-branch x,y,z")
+        raise UsageError("--even-without-evidence only applies to added branches; add one with --add-branch x,y,z")
     if output is not None:
         check_output_file(output, ".json")
     if mask is not None:
@@ -141,7 +141,7 @@ def write(
         nowhere = [b.id for b in given.branches if not any(volume.contains_lps(point) for point in b.points)]
         if len(nowhere) == len(given):
             raise UsageError(
-                f"--tree: no branch of {tree} lies in the scan {path.name}; does it belong to another patient?"
+                f"--tree: no branch in {tree} lies in the scan {path.name}; it may belong to another patient"
             )
         export_tree(output, given, badges=badges.notes)
     else:
@@ -157,7 +157,7 @@ def write(
 
 def _check_mask_options(from_mask: Path | None, label: int | None, resample: bool) -> None:
     if from_mask is None and (label is not None or resample):
-        raise UsageError("--label and --resample apply to a mask; give one with --from-mask")
+        raise UsageError("--label and --resample only apply to a mask; give one with --from-mask")
 
 
 def _airways(

@@ -27,9 +27,12 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-PortOption = Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.", min=0, max=65535)]
+PortOption = Annotated[int, typer.Option(help="Port to listen on; 0 chooses a free one.", min=0, max=65535)]
 HostOption = Annotated[
-    str, typer.Option(help="Address to listen on. Any address but loopback opens the case to the network.")
+    str,
+    typer.Option(
+        help=("Address to listen on. Any address other than loopback makes the case reachable from the network.")
+    ),
 ]
 BrowserOption = Annotated[bool, typer.Option("--browser/--no-browser", help="Open the browser.")]
 
@@ -37,12 +40,14 @@ BrowserOption = Annotated[bool, typer.Option("--browser/--no-browser", help="Ope
 ClusterOption = Annotated[
     str | None,
     typer.Option(
-        "--cluster", help="Render on a cluster: the HOST:PORT of its head, or local to try it on this machine."
+        "--cluster", help="Render on a cluster: HOST:PORT of its head node, or local to try one on this machine."
     ),
 ]
 MixedOption = Annotated[
     bool,
-    typer.Option("--mixed", help="Let its machines use their GPUs; pictures may then differ by one grey level."),
+    typer.Option(
+        "--mixed", help=("Let the machines of the cluster use their GPUs; pictures may then differ by one grey level.")
+    ),
 ]
 
 
@@ -50,13 +55,17 @@ PhoneOption = Annotated[
     bool,
     typer.Option(
         "--phone",
-        help="Open the phone's page to the local network at the start. Its link can move the tip, nothing else.",
+        help=(
+            "Start with the phone page open to the local network. Anyone with its link can move the tip, but cannot "
+            "see the case."
+        ),
     ),
 ]
 PhoneAddressOption = Annotated[
     str | None,
     typer.Option(
-        "--phone-address", help="Address that page listens on (default: this machine's address in its network)."
+        "--phone-address",
+        help=("Address for the phone page to listen on (default: this machine's address on the local network)."),
     ),
 ]
 
@@ -130,7 +139,7 @@ def root(
 
 @app.command("open")
 def open_(
-    path: Annotated[Path | None, typer.Argument(help="CT folder or file; the start page without it.")] = None,
+    path: Annotated[Path | None, typer.Argument(help="CT folder or file (default: open the start page).")] = None,
     port: PortOption = 0,
     host: HostOption = "127.0.0.1",
     browser: BrowserOption = True,
@@ -196,7 +205,7 @@ def info(
     series: SeriesOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show geometry, value range, series found and how far the CT can be trusted.
+    """Show the geometry, value range, series and quality findings of a CT.
 
     Example: carina info ~/scans/thorax --json
     """
@@ -213,14 +222,18 @@ for verb in (airways, export, track):
 @app.command()
 def render(
     path: PathArgument,
-    output: Annotated[Path, typer.Option("-o", "--output", help="PNG to write.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="PNG file to write.")],
     view: Annotated[
         str,
-        typer.Option(help="View: airway, cut-plane, axial, tree or another; an unknown name lists all of them."),
+        typer.Option(help="View to render, such as airway, cut-plane, axial or tree; an unknown name lists them all."),
     ] = "airway",
-    at: Annotated[str, typer.Option(help="Tip position x,y,z in mm (LPS), or auto: the top of the trachea.")] = "auto",
-    look: Annotated[str | None, typer.Option(help="Viewing direction dx,dy,dz (default: caudal).")] = None,
-    up: Annotated[str | None, typer.Option(help="Direction that appears up (default: anterior).")] = None,
+    at: Annotated[
+        str, typer.Option(help=("Tip position x,y,z in mm (LPS), or auto for the top of the trachea."))
+    ] = "auto",
+    look: Annotated[str | None, typer.Option(help="Viewing direction dx,dy,dz in LPS (default: caudal).")] = None,
+    up: Annotated[
+        str | None, typer.Option(help=("Direction dx,dy,dz that points up in the picture (default: anterior)."))
+    ] = None,
     fov: Annotated[
         float | None,
         typer.Option(
@@ -228,51 +241,69 @@ def render(
         ),
     ] = None,
     scope: Annotated[
-        str | None, typer.Option(help="Look through an instrument: generic, standard, ultrathin, ebus, ... or none.")
+        str | None, typer.Option(help="Scope to look through: generic, standard, ultrathin, ebus, ... or none.")
     ] = None,
     lens: Annotated[
-        str | None, typer.Option(help="pinhole, equidistant, or an OpenCV calibration file (.yml, .xml, .json).")
+        str | None, typer.Option(help="Lens: pinhole, equidistant, or an OpenCV calibration file (.yml, .xml, .json).")
     ] = None,
     outline: Annotated[str | None, typer.Option(help="Shape of the picture: none, round or octagon.")] = None,
     mask: Annotated[
         str | None, typer.Option("--mask", hidden=True, help="Former name of --outline; still accepted.")
     ] = None,
     vignette: Annotated[
-        float | None, typer.Option(help="Vignetting, from 0 (even) to 1 (the lens's natural fall-off of light).")
+        float | None, typer.Option(help="Vignetting, from 0 (none) to 1 (the natural light fall-off of the lens).")
     ] = None,
     focus: Annotated[
         str | None,
-        typer.Option(help="Depth of field: near,far in mm, or scope for the scope's own; the rest is blurred."),
+        typer.Option(
+            help=("Depth of field: near,far in mm, or scope for that of the scope; everything outside it is blurred.")
+        ),
     ] = None,
-    size: Annotated[str, typer.Option(help="WxH in pixels.")] = "512x512",
+    size: Annotated[str, typer.Option(help="Picture size, WxH in pixels.")] = "512x512",
     method: Annotated[
         str,
-        typer.Option(help="leap skips empty space; brute samples every step, for reference. The picture is the same."),
+        typer.Option(
+            help=(
+                "Ray method: leap skips empty space (fast), brute samples every step (for reference). Both give "
+                "the same "
+                "picture."
+            )
+        ),
     ] = "leap",
-    step_vox: Annotated[float, typer.Option(help="Ray step in units of the smallest voxel spacing.")] = 0.5,
+    step_vox: Annotated[float, typer.Option(help="Ray step, in multiples of the smallest voxel spacing.")] = 0.5,
     transfer: Annotated[
-        str | None, typer.Option(help="Preset (endoscopic, paper, ct-grey, see-through) or a JSON file.")
+        str | None,
+        typer.Option(help=("Transfer function: a preset (endoscopic, paper, ct-grey, see-through) or a JSON file.")),
     ] = None,
     shading: Annotated[str, typer.Option(help="on or off")] = "on",
-    texture: Annotated[str, typer.Option(help="on or off: mottling and micro relief, which are decoration")] = "on",
+    texture: Annotated[
+        str, typer.Option(help=("Fine wall texture, a decoration not taken from the CT: on or off."))
+    ] = "on",
     orbit: Annotated[
-        str | None, typer.Option(help="azimuth,elevation,distance of the tri-plane and tree views (degrees, mm).")
+        str | None,
+        typer.Option(help=("Camera of the tri-plane and tree views: azimuth,elevation,distance (degrees, mm).")),
     ] = None,
     window: Annotated[
         str | None,
-        typer.Option(help="width,level in HU (default: 1500,-600 for planes, fitted for X-rays)."),
+        typer.Option(help="Window width,level in HU (default: 1500,-600 for planes, fitted for X-rays)."),
     ] = None,
     surface: Annotated[
         Path | None,
-        typer.Option(help="NPZ to write beside an airway view: depth, position and normal of the wall at each pixel."),
+        typer.Option(
+            help=("NPZ file to write for an airway view: depth, position and normal of the wall at each pixel.")
+        ),
     ] = None,
     tree: Annotated[
-        Path | None, typer.Option(help="Tree for the straightened and curved views (default: segmented from the scan).")
+        Path | None,
+        typer.Option(help=("Airway tree file for the straightened and curved views (default: segment the scan).")),
     ] = None,
     to: Annotated[
-        str | None, typer.Option(help="End of their route: a branch's name or id, or a point x,y,z in mm (LPS).")
+        str | None,
+        typer.Option(help=("End of the route for those views: a branch name or id, or a point x,y,z in mm (LPS).")),
     ] = None,
-    turn: Annotated[float, typer.Option(help="Rotation of their cutting plane about the path, degrees.")] = 0.0,
+    turn: Annotated[
+        float, typer.Option(help=("Rotation of the cutting plane about the path for those views, degrees."))
+    ] = 0.0,
     carm_primary: Annotated[
         float,
         typer.Option(
@@ -283,10 +314,11 @@ def render(
         float, typer.Option(help="C-arm tilt of the simulated X-ray (drr), degrees: cranial positive, caudal negative.")
     ] = 0.0,
     tone: Annotated[
-        str, typer.Option(help="drr as radiograph (bone white) or fluoroscopy (bone dark).")
+        str,
+        typer.Option(help=("Style of the simulated X-ray (drr): radiograph (bone white) or fluoroscopy (bone dark).")),
     ] = "radiograph",
     slab: Annotated[
-        str | None, typer.Option(help="Slab: thickness in mm and min, max or mean, such as 10,min to see airways.")
+        str | None, typer.Option(help="Slab: thickness in mm and min, max or mean; for example 10,min shows airways.")
     ] = None,
     series: SeriesOption = None,
     as_json: JsonOption = False,
@@ -336,14 +368,14 @@ def render(
 @app.command()
 def phantom(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write.")],
-    seed: Annotated[int, typer.Option(help="The same seed gives the same case.", min=0)] = 0,
-    spacing_mm: Annotated[float, typer.Option("--spacing-mm", help="Voxel spacing.")] = 0.8,
+    seed: Annotated[int, typer.Option(help="Random seed; the same seed always gives the same case.", min=0)] = 0,
+    spacing_mm: Annotated[float, typer.Option("--spacing-mm", help="Voxel spacing in mm.")] = 0.8,
     generations: Annotated[int, typer.Option(help="Generations of the airway tree (trachea is 0).")] = 6,
     stenosis: Annotated[bool, typer.Option("--stenosis", help="Add a stenosis to one bronchus.")] = False,
     nodule: Annotated[bool, typer.Option("--nodule", help="Add a nodule.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Make a chest CT with exact ground truth: ct.nii.gz, lumen.nii.gz, truth.json.
+    """Generate a synthetic chest CT with exact ground truth: ct.nii.gz, lumen.nii.gz, truth.json.
 
     Example: carina phantom -o case --seed 7 --nodule
     """
@@ -375,7 +407,7 @@ def phantom(
 
 @app.command()
 def doctor(as_json: JsonOption = False) -> None:
-    """Show what is installed, what is used, what is missing and how to get it.
+    """Show which components are installed, in use or missing, and how to install the missing ones.
 
     Example: carina doctor
     """
@@ -388,28 +420,28 @@ def doctor(as_json: JsonOption = False) -> None:
 @app.command()
 def fly(
     path: PathArgument,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Video to write: .mp4 (H.264) or .webm (VP9).")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Video file to write: .mp4 (H.264) or .webm (VP9).")],
     tree: Annotated[
-        Path | None, typer.Option("--tree", help="Tree file written by carina (default: segmented from the scan).")
+        Path | None, typer.Option("--tree", help="Airway tree file written by carina (default: segment the scan).")
     ] = None,
     to: Annotated[
-        str | None, typer.Option(help="Where to: a branch's name or id, or a point x,y,z in mm (LPS).")
+        str | None, typer.Option(help="Destination: a branch name or id, or a point x,y,z in mm (LPS).")
     ] = None,
-    recording: Annotated[Path | None, typer.Option(help="Replay a recording of the workstation.")] = None,
+    recording: Annotated[Path | None, typer.Option(help="Replay a flight recorded in the window.")] = None,
     keys: Annotated[
-        Path | None, typer.Option(help="Fly through key frames (carina-keys, JSON) saved in the window.")
+        Path | None, typer.Option(help="Fly through key frames saved in the window (a carina-keys JSON file).")
     ] = None,
-    size: Annotated[str, typer.Option(help="WxH in pixels.")] = "512x512",
+    size: Annotated[str, typer.Option(help="Picture size, WxH in pixels.")] = "512x512",
     rate: Annotated[float, typer.Option(help="Frames per second, 1 to 240.")] = 30.0,
-    speed: Annotated[float, typer.Option(help="Speed along the route in mm/s; key frames bring their own.")] = 20.0,
+    speed: Annotated[
+        float, typer.Option(help=("Speed along the route in mm/s; key frames have their own speeds."))
+    ] = 20.0,
     pause: Annotated[float, typer.Option(help="Pause at each fork and at the end, in seconds.")] = 1.0,
-    scope: Annotated[
-        str | None, typer.Option(help="Look through an instrument, or none; a recording brings its own.")
-    ] = None,
-    step_vox: Annotated[float, typer.Option(help="Ray step in units of the smallest voxel spacing.")] = 0.5,
+    scope: Annotated[str | None, typer.Option(help="Scope to look through, or none; a recording uses its own.")] = None,
+    step_vox: Annotated[float, typer.Option(help="Ray step, in multiples of the smallest voxel spacing.")] = 0.5,
     keep: Annotated[
         Path | None,
-        typer.Option(help="Folder for the frames; an interrupted video continues after the last frame there."),
+        typer.Option(help="Folder in which to keep the frames, so that an interrupted video can be continued."),
     ] = None,
     cluster: ClusterOption = None,
     mixed: MixedOption = False,
@@ -455,13 +487,13 @@ def devices(
     device: Annotated[
         list[str] | None,
         typer.Option(
-            help="Kind and place of a device, such as fastrak:PORT; `carina devices` lists all kinds. May be repeated."
+            help="Device address, such as fastrak:PORT; `carina devices` lists all kinds. May be given several times."
         ),
     ] = None,
-    seconds: Annotated[float, typer.Option(help="How long to listen.")] = 3.0,
+    seconds: Annotated[float, typer.Option(help="How long to listen, in seconds.")] = 3.0,
     as_json: JsonOption = False,
 ) -> None:
-    """List the input devices of this machine and what they send.
+    """List the input devices of this machine and the data they send.
 
     Exit code 4 if a named device sends nothing.
 
@@ -483,7 +515,7 @@ app.add_typer(cluster, name="cluster")
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
 )
 def bench(context: typer.Context) -> None:
-    """Measure Carina beside other installed software, in the same run. Needs a checkout of Carina's source."""
+    """Benchmark Carina against other installed software in the same run. Needs a checkout of Carina's source."""
     from carina.cli.bench import run_benchmarks
 
     run_benchmarks(context.args)

@@ -20,27 +20,28 @@ FromMaskOption = Annotated[
         help="Segmentation to use instead of the automatic one: NIfTI, NRRD, MetaImage or DICOM SEG.",
     ),
 ]
-LabelOption = Annotated[int | None, typer.Option("--label", help="Label of the airway lumen in that mask.")]
+LabelOption = Annotated[int | None, typer.Option("--label", help="Label of the airway lumen in the mask.")]
 ResampleOption = Annotated[
-    bool, typer.Option("--resample", help="Resample that mask if its grid differs from the scan's.")
+    bool, typer.Option("--resample", help="Resample the mask if its grid differs from that of the scan.")
 ]
 
-StrictOption = Annotated[
-    bool, typer.Option("--strict", help="Refuse a scan that opens with findings; exit with code 3.")
-]
+StrictOption = Annotated[bool, typer.Option("--strict", help="Stop with exit code 3 if the scan has findings.")]
 
 
 def airways(
     path: PathArgument,
     seed: Annotated[
         str | None,
-        typer.Option("--seed", help="A point in the trachea, x,y,z in mm (LPS), if it is not found automatically."),
+        typer.Option(
+            "--seed", help=("A point in the trachea, x,y,z in mm (LPS), for when it is not found automatically.")
+        ),
     ] = None,
     from_mask: FromMaskOption = None,
     label: LabelOption = None,
     resample: ResampleOption = False,
     mask: Annotated[
-        Path | None, typer.Option("--mask", help="Write the lumen: .nii.gz, .nii, .nrrd or .mha, on the scan's grid.")
+        Path | None,
+        typer.Option("--mask", help=("Lumen mask to write, on the grid of the scan: .nii.gz, .nii, .nrrd or .mha.")),
     ] = None,
     add_branch: Annotated[
         list[str] | None,
@@ -55,7 +56,7 @@ def airways(
     ] = False,
     series: SeriesOption = None,
     strict: StrictOption = False,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the tree: .json.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Airway tree file to write: .json.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Airway lumen and tree, with names, generations and lengths.
@@ -98,10 +99,10 @@ def export(
     path: PathArgument,
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", help="The file to write. Its ending says what; --formats lists the endings."),
+        typer.Option("-o", "--output", help="File to write. Its suffix sets the format; --formats lists them."),
     ],
     tree: Annotated[
-        Path | None, typer.Option("--tree", help="Tree file written by carina (default: segmented from the scan).")
+        Path | None, typer.Option("--tree", help="Airway tree file written by carina (default: segment the scan).")
     ] = None,
     from_mask: FromMaskOption = None,
     label: LabelOption = None,
@@ -110,7 +111,7 @@ def export(
     strict: StrictOption = False,
     as_json: JsonOption = False,
     formats: Annotated[
-        bool, typer.Option("--formats", callback=_list_formats, is_eager=True, help="List the endings, and leave.")
+        bool, typer.Option("--formats", callback=_list_formats, is_eager=True, help="List the formats and exit.")
     ] = False,
 ) -> None:
     """The airways as a file for another program, in LPS millimetres.
@@ -137,12 +138,18 @@ def export(
 
 def track(
     path: PathArgument,
-    target: Annotated[list[str], typer.Option("--target", help="x,y,z in mm (LPS); may be given several times.")],
-    root_: Annotated[str, typer.Option("--root", help="auto, or x,y,z in mm (LPS).")] = "auto",
-    cost: Annotated[str, typer.Option(help="Edge cost: lumen, or paper (6.2).")] = "lumen",
-    graph: Annotated[str, typer.Option(help="Graph: voxel, or isoregion (6.1).")] = "voxel",
+    target: Annotated[
+        list[str], typer.Option("--target", help=("Target point x,y,z in mm (LPS); may be given several times."))
+    ],
+    root_: Annotated[str, typer.Option("--root", help="Start point x,y,z in mm (LPS), or auto.")] = "auto",
+    cost: Annotated[
+        str, typer.Option(help=("Cost function of the path search: lumen, or paper (section 6.2 of the paper)."))
+    ] = "lumen",
+    graph: Annotated[
+        str, typer.Option(help=("Graph of the path search: voxel, or isoregion (section 6.1 of the paper)."))
+    ] = "voxel",
     series: SeriesOption = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Tree file to write.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Path tree file to write.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Least-cost airway paths from the root to each target (the Intelligent Path Tracker, paper 6).

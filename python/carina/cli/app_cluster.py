@@ -19,32 +19,34 @@ cluster = typer.Typer(
 )
 
 IpOption = Annotated[
-    str | None, typer.Option("--ip", help="This machine's address, if it has several: the one in the private network.")
+    str | None, typer.Option("--ip", help="This machine's address on the private network, if it has several addresses.")
 ]
 DedicatedOption = Annotated[
-    bool, typer.Option("--dedicated", help="Render at full priority, on a machine that does nothing else.")
+    bool, typer.Option("--dedicated", help="Render at full priority; for a machine that does nothing else.")
 ]
 
 
 @cluster.command("start")
 def cluster_start(
     head: Annotated[
-        bool, typer.Option("--head", help="Start the first machine; the console's is the best choice.")
+        bool, typer.Option("--head", help="Start the head node (the first machine), ideally the machine you work on.")
     ] = False,
-    port: Annotated[int, typer.Option(help="Port of the head.", min=1024, max=65535)] = 6379,
+    port: Annotated[int, typer.Option(help="Port of the head node.", min=1024, max=65535)] = 6379,
     ip: IpOption = None,
-    renders: Annotated[bool, typer.Option("--renders/--no-renders", help="Render on this machine too.")] = True,
+    renders: Annotated[bool, typer.Option("--renders/--no-renders", help="Also render on this machine.")] = True,
     dedicated: DedicatedOption = False,
     token_file: TokenOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Start a cluster on this machine and stay until Ctrl-C; prints what the others need.
+    """Start a cluster on this machine and run until Ctrl-C; prints the commands for the other machines.
 
     Example: carina cluster start --head --ip 10.0.0.5
     """
     with exit_codes(as_json):
         if not head:
-            raise UsageError("a cluster starts with its head: carina cluster start --head; others join it")
+            raise UsageError(
+                "a cluster starts with its head node: carina cluster start --head; other machines then join it"
+            )
         from carina.cli.cluster import start
 
         raise SystemExit(
@@ -52,7 +54,7 @@ def cluster_start(
         )
 
 
-AddressArgument = Annotated[str, typer.Argument(help="HOST or HOST:PORT of the head.", show_default=False)]
+AddressArgument = Annotated[str, typer.Argument(help="HOST or HOST:PORT of the head node.", show_default=False)]
 
 
 @cluster.command("join")
@@ -76,7 +78,7 @@ def cluster_join(
 @cluster.command("status")
 def cluster_status(
     address: Annotated[
-        str | None, typer.Argument(help="HOST or HOST:PORT of the head (default: on this machine).")
+        str | None, typer.Argument(help="HOST or HOST:PORT of the head node (default: this machine).")
     ] = None,
     token_file: TokenOption = None,
     as_json: JsonOption = False,

@@ -64,6 +64,6 @@ def opened(
     badges.add(badges_of(volume))
     if strict and badges.notes:
         codes = ", ".join(note.code for note in badges.notes)
-        msg = f"reading {path.name}: --strict: it opens with findings ({codes}); correct them, or leave --strict out"
+        msg = f"reading {path.name}: --strict: the scan has findings ({codes}); correct them, or leave --strict out"
         raise VolumeImportError(msg, code="import.strict")
     return volume, badges

@@ -36,8 +36,8 @@ def run_benchmarks(arguments: list[str]) -> Any:
         folder = Path(carina.__file__).resolve().parents[2] / "benchmarks"
         if not (folder / PACKAGE / "app.py").is_file():
             msg = (
-                "the benchmarks are not in the installed package but in the folder benchmarks/ of Carina's source; run "
-                "carina bench in a checkout after `make setup`, or put that folder into PYTHONPATH"
+                "the installed package does not include the benchmarks, which are in the folder benchmarks/ of "
+                "Carina's source; run carina bench in a checkout after `make setup`, or add that folder to PYTHONPATH"
             )
             raise CarinaError(msg, code="machine.benchmarks-missing")
         sys.path.append(str(folder))

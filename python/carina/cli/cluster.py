@@ -33,8 +33,9 @@ __all__ = ["OpenCluster", "join", "opened_cluster", "start", "status"]
 LOCAL_IP = "127.0.0.2"
 AGAIN_S = (1.0, 2.0, 5.0, 10.0)
 _OPEN_PORTS_WARNING = (
-    "Ray listens on every address of this machine, not only on {ip}: everyone on its networks can reach the ports, "
-    "and anyone who has the token, which is sent unencrypted, can run programs here. Use a private network or a "
+    "Ray listens on every address of this machine, not only on {ip}: everyone on its networks can reach its "
+    "ports, and anyone who has the token, which is sent unencrypted, can run programs on it. Use a private "
+    "network or a "
     "firewall (docs/cluster.md), or leave --cluster out: a single machine is as fast without it."
 )
 
@@ -92,7 +93,7 @@ def start(*, ip: str | None, port: int, renders: bool, dedicated: bool, token: P
                 )
             while node.running:
                 time.sleep(0.5)
-            say(f"the cluster's head process stopped unexpectedly; see its log, {_log_file()}")
+            say(f"the head process of the cluster stopped unexpectedly; see its log, {_log_file()}")
             return 1
         finally:
             node.stop()
@@ -178,7 +179,7 @@ def opened_cluster(address: str | None, *, token: Path | None, mixed: bool) -> I
     if address is None:
         for option, is_given in (("--mixed", mixed), ("--token-file", token is not None)):
             if is_given:
-                raise UsageError(f"{option} applies to a cluster: give --cluster ADDRESS")
+                raise UsageError(f"{option} only applies to a cluster; give --cluster ADDRESS")
         yield None
         return
     check_available()
@@ -190,7 +191,7 @@ def opened_cluster(address: str | None, *, token: Path | None, mixed: bool) -> I
     try:
         if address == "local":
             found = make_token(_token(token))
-            say("starting a cluster of this machine alone")
+            say("starting a cluster with this machine only")
             say(_OPEN_PORTS_WARNING.format(ip=LOCAL_IP))
             node = Node(found, head=True, ip=LOCAL_IP, port=_free_port(), log=_log_file())
             node.wait_ready()

@@ -102,7 +102,7 @@ def exit_codes(as_json: bool) -> Iterator[None]:
         fail(as_json, error.code, str(error), error.exit_code)
     except OSError as error:
         if is_disk_trouble(error):
-            told = disk_trouble(error, "a file cannot be read or written", error.filename)
+            told = disk_trouble(error, "a file could not be read or written", error.filename)
             say(f"carina: {told}")
             fail(as_json, told.code, str(told), told.exit_code)
         message = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)

@@ -18,7 +18,7 @@ from carina.navigate.devices import KINDS, Listener, SourceStatus, found_ports, 
 __all__ = ["report"]
 
 IN_THE_WINDOW = (
-    "mouse, keyboard, gamepads, SpaceMouse, USB scope handles (HID), headsets and phones are found by the window "
+    "mouse, keyboard, gamepads, SpaceMouse, USB scope handles (HID), headsets and phones connect through the window "
     "(`carina open`, Devices)"
 )
 REFRESH_S = 0.25
@@ -76,7 +76,7 @@ def report(addresses: list[str], *, seconds: float, as_json: bool) -> int:
 def _line(status: SourceStatus, newest: tuple[str, Sample] | None) -> str:
     said = "" if newest is None else _words(newest[1])
     bad = sum(status.num_bad.values())
-    ignored = f", {bad} bad" if bad else ""
+    ignored = f", {bad} invalid" if bad else ""
     return f"{status.address}: {status.state}, {status.rate_hz:.0f} Hz{ignored}  {said or status.words}"
 
 

@@ -21,13 +21,13 @@ __all__ = ["report"]
 
 OPTIONAL = {
     "pyserial": ("serial pens and handles", "pip install 'carina[devices]'"),
-    "cryptography": ("the page for a phone", "pip install 'carina[phone]'"),
-    "segno": ("the page for a phone", "pip install 'carina[phone]'"),
-    "av": ("flights as video (carina fly)", "pip install 'carina[video]'"),
-    "vtk": ("peer renderer for benchmarks", "pip install 'carina[bench]'"),
+    "cryptography": ("the phone page", "pip install 'carina[phone]'"),
+    "segno": ("the phone page", "pip install 'carina[phone]'"),
+    "av": ("videos of flights (carina fly)", "pip install 'carina[video]'"),
+    "vtk": ("renderer to compare with in benchmarks", "pip install 'carina[bench]'"),
     "numba": ("baseline for benchmarks", "pip install 'carina[bench]'"),
     "ray": ("rendering on several machines (Linux)", "pip install 'carina[cluster]'"),
-    "scipy": ("peer distance transform for benchmarks", "pip install 'carina[bench]'"),
+    "scipy": ("distance transform to compare with in benchmarks", "pip install 'carina[bench]'"),
 }
 NEEDED = ("numpy", "SimpleITK", "pydicom", "starlette", "uvicorn", "websockets", "simplejpeg")
 
@@ -84,7 +84,7 @@ def report(*, as_json: bool) -> int:
     print(f"  renderer: CPU, {core['threads']} threads, {core['simd']} kernels, {core['profile']} build")
     for line in gpu_lines(gpu):
         print(f"  {line}")
-    print(f"  web UI: {'built' if web_ui else 'missing'}; browser found: {browser or 'none on the PATH'}")
+    print(f"  web UI: {'built' if web_ui else 'missing'}; browser found: {browser or 'none on PATH'}")
     for name, version in facts["packages"].items():
         print(f"  {name} {version or 'MISSING'}")
     for name, (use, how) in OPTIONAL.items():

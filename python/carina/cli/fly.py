@@ -72,9 +72,9 @@ def report(
     if output.suffix.lower() not in VIDEO_SUFFIXES:
         raise UsageError(f"-o: expected a file name that ends in {' or '.join(VIDEO_SUFFIXES)}; found {output.name!r}")
     if (to is not None) + (recording is not None) + (keys is not None) != 1:
-        raise UsageError("name one thing to fly: --to (a branch or point), --recording or --keys")
+        raise UsageError("choose one flight: --to (a branch or point), --recording or --keys")
     if tree is not None and to is None:
-        raise UsageError("--tree is for --to")
+        raise UsageError("--tree only applies to --to")
     named = None if scope in {None, "none"} else scope_preset(str(scope)).name
     shown = _Shown(size, (DEFAULT_SCOPE if scope is None else named), step_vox)
     if to is not None:
@@ -152,14 +152,14 @@ def _replayed(recorded: Recording, volume: Volume, progress: Any) -> tuple[list[
         moments.append(moment)
         different += not same
     if not moments:
-        raise NoResultError("the recording holds no poses")
+        raise NoResultError("the recording contains no poses")
     if different:
         say(
-            f"note: {different} of {len(moments)} poses differ from the recorded ones; it was made with another "
-            "build of Carina"
+            f"note: {different} of {len(moments)} poses differ from the recorded ones; the recording was made "
+            "with another build of Carina"
         )
     if not recorded.complete:
-        say("note: the recording is cut short; it is replayed as far as it goes")
+        say("note: the recording is incomplete; it is replayed up to where it ends")
     return moments, {"num_moments": len(moments), "num_different": different, "complete": recorded.complete}
 
 
@@ -194,8 +194,9 @@ def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallFiel
                 known[digest] = made
                 return made
         raise VolumeImportError(
-            "the scope of this recording was held by airways that differ from those Carina finds and edits here: "
-            "they came from an imported segmentation, or from another build of Carina; replay it where it was made",
+            "the airways that guided the scope in this recording differ from the airways found here: they came "
+            "from an imported segmentation or from another build of Carina; replay the recording where it was "
+            "made",
             code="navigate.recording",
         )
 

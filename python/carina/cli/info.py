@@ -59,6 +59,6 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool) -> in
             print(f"  {volume.source.citation}")
     if strict and (quality.findings or badges):
         codes = ", ".join([*(badge.code for badge in badges), *(finding.code for finding in quality.findings)])
-        say(f"carina: --strict: there are findings: {codes}")
+        say(f"carina: --strict: the scan has findings: {codes}")
         return 3
     return 0

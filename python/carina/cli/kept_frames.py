@@ -32,20 +32,20 @@ class KeptFrames:
     Raises
     ------
     UsageError
-        If the folder holds something else, or pictures of another job.
+        If the folder contains other files, or pictures of another job.
     """
 
     def __init__(self, folder: Path, job: str) -> None:
         self._folder = folder
         found = self._found(folder)
         if found is None:
-            make_folder(folder, what="the pictures")
+            make_folder(folder, what="the frames")
             document = json.dumps({"format": FORMAT, "version": 1, "job": job}) + "\n"
-            write_whole(folder / JOB, document.encode(), what="the pictures' job")
+            write_whole(folder / JOB, document.encode(), what="the file that describes the frames")
         elif found != job:
             raise UsageError(
-                f"--keep: the frames in {folder} belong to another flight, case, size or version of Carina; name "
-                "another folder, or delete it"
+                f"--keep: the frames in {folder} belong to another flight, case, size or version of Carina; "
+                "choose another folder, or delete this one"
             )
         self.num = next(n for n in range(10_000_000) if not self._file(n).exists())
         """How many pictures are here, from the first on."""
@@ -61,7 +61,9 @@ class KeptFrames:
                 return str(document["job"])
         except (OSError, ValueError, KeyError, TypeError):
             pass
-        raise UsageError(f"--keep: expected a new or empty folder, or one of this job; {folder} holds something else")
+        raise UsageError(
+            f"--keep: expected a new or empty folder, or one with frames of this flight; {folder} contains other files"
+        )
 
     def _file(self, number: int) -> Path:
         return self._folder / f"frame-{number:06}.png"

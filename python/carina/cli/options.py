@@ -12,11 +12,11 @@ __all__ = ["JsonOption", "PathArgument", "SeriesOption", "TokenOption"]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; messages go to stderr.")]
 TokenOption = Annotated[
     Path | None,
-    typer.Option("--token-file", help="The cluster's token (default: the one in Carina's settings folder)."),
+    typer.Option("--token-file", help="Token file of the cluster (default: the one in Carina's settings folder)."),
 ]
 PathArgument = Annotated[
-    Path, typer.Argument(help="A DICOM folder or file, NIfTI, NRRD or MetaImage.", show_default=False)
+    Path, typer.Argument(help="Scan to open: a DICOM folder or file, NIfTI, NRRD or MetaImage.", show_default=False)
 ]
 SeriesOption = Annotated[
-    str | None, typer.Option("--series", help="Key of the series to open, as `carina info` lists them.")
+    str | None, typer.Option("--series", help="Key of the series to open; `carina info` lists the keys.")
 ]

@@ -315,7 +315,7 @@ class Console:
         member.attempts += 1
         if member.attempts == TELL_AFTER_LOADS:
             why = str(trouble) if isinstance(trouble, ClusterError) else type(trouble).__name__
-            self._tell(f"the renderer {name} cannot take the case ({why}); it is retried until it can")
+            self._tell(f"the renderer {name} cannot load the case ({why}); Carina keeps trying")
         self._later.append((self._clock() + wait_s, lambda: self._load(name)))
         self._note_alone()
 
@@ -364,7 +364,7 @@ class Console:
 
     def _tell_if_late(self, name: str) -> None:
         if any(view.lane == name and view.state == "late" for view in self._scheduler.lanes()):
-            self._tell(f"the renderer {name} is late; others render its part until it responds")
+            self._tell(f"the renderer {name} is late; the other machines render its part until it responds")
 
     def _issue(self, task: Issue) -> None:
         frame = self._frames[task.frame_id]
@@ -412,7 +412,7 @@ class Console:
                 # Before the scheduler counts these rows as done: what cannot be taken has to come from another.
                 frame.take(answer, rows)
         except Exception as trouble:
-            wrong = f"a strip that cannot be used ({type(trouble).__name__}: {trouble})"
+            wrong = f"an unusable strip ({type(trouble).__name__}: {trouble})"
         if wrong is not None:
             self._fault(name, order, wrong)
             return
@@ -458,7 +458,7 @@ class Console:
             return
         self._act()
         if member is not None and not member.loading:
-            self._tell(f"the renderer {name} is not responding; others render its part until it is back")
+            self._tell(f"the renderer {name} is not responding; the other machines render its part until it is back")
             self._retry(name, trouble)
 
     def _fault(self, name: str, order: StripOrder, wrong: str) -> None:
@@ -489,7 +489,7 @@ class Console:
 
     def _note_alone(self) -> None:
         if not self._closed and any(m.reserve for m in self._members.values()) and not self.has_renderers:
-            logger.info("no renderer is left: this machine renders alone")
+            logger.info("no renderer is left; this machine renders alone")
 
     def _make_status(self) -> ClusterStatus:
         now_s = self._clock()
@@ -529,7 +529,7 @@ def _whatever_happens(step: Callable[[], object]) -> None:
     try:
         step()
     except Exception:
-        logger.exception("the console failed on one picture")
+        logger.exception("the console could not render one picture")
 
 
 def _nothing() -> None:

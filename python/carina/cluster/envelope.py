@@ -51,7 +51,7 @@ def pack_answer(strip: Strip) -> bytes:
     """
     frame_id, content, first_row, num_rows, seconds, method, counts, picture, rgb = strip
     if rgb.dtype != np.uint8 or rgb.ndim != 3:
-        msg = f"a strip is (rows, width, 3) uint8; found {rgb.shape} {rgb.dtype}"
+        msg = f"expected a strip of shape (rows, width, 3) and type uint8; found {rgb.shape} {rgb.dtype}"
         raise ClusterError(msg, code="cluster.fault")
     name = method.encode()
     bare = b"" if picture is None else pickle.dumps(picture, protocol=5)
@@ -78,9 +78,9 @@ def open_answer(answer: bytes) -> Strip:
         name = answer[_ANSWER.size : at].decode()
         picture = pickle.loads(answer[at : at + num_bare]) if num_bare else None
         if picture is not None and not isinstance(picture, Picture):
-            raise ValueError(f"a {type(picture).__name__} in place of a picture")
+            raise ValueError(f"a {type(picture).__name__} instead of a picture")
         rgb = np.frombuffer(answer, np.uint8, offset=at + num_bare).reshape(shape)
     except Exception as nonsense:
         # Whatever it is: bytes that are no pickle raise nearly everything.
-        raise ClusterError(f"invalid strip answer: {nonsense}", code="cluster.fault") from nonsense
+        raise ClusterError(f"invalid strip reply: {nonsense}", code="cluster.fault") from nonsense
     return frame_id, content, first_row, num_rows, seconds, name, counts, picture, rgb

@@ -115,7 +115,7 @@ class RendererHost:
             known = {**self._arrays, **dict(zip(tokens, arrays, strict=True))}
             wanted = [*kept, *tokens]
             if any(token not in known for token in wanted):
-                raise ClusterError("the renderer has been restarted and holds no volume", code="cluster.lost")
+                raise ClusterError("the renderer was restarted and has no volume", code="cluster.lost")
             self._arrays = {token: known[token] for token in wanted}
             volume, scene = open_parcel(skeleton, self._arrays)
             if self._renderer is None or self._renderer.volume.hu_zyx is not volume.hu_zyx:
@@ -141,7 +141,7 @@ class RendererHost:
             renderer, loaded = self._renderer, self._content
             scene = None if renderer is None else renderer.scene
         if renderer is None or loaded != content:
-            raise ClusterError(f"the renderer holds content {loaded}, not {content}", code="cluster.lost")
+            raise ClusterError(f"the renderer has content {loaded}; expected {content}", code="cluster.lost")
         shown = pickle.loads(view)
         first_row, end_row = rows or (0, shown.height)
         picture = renderer.render(shown, rows=rows, scene=scene)

@@ -55,7 +55,7 @@ def check_available() -> None:
         ``cluster.missing`` without Ray; ``cluster.platform`` where Ray has no clusters.
     """
     if not sys.platform.startswith("linux"):
-        msg = "a cluster needs Linux: Ray joins no machines elsewhere. Carina renders on this machine alone"
+        msg = "a cluster needs Linux, because Ray supports clusters only there. Carina renders on this machine alone"
         raise ClusterError(msg, code="cluster.platform")
     if importlib.util.find_spec("ray") is None:
         msg = f"rendering on several machines needs Ray, which is not installed; {HOW_TO_GET}"
@@ -85,15 +85,14 @@ def check_token(path: Path) -> Path:
     """
     if not path.is_file():
         msg = (
-            f"there is no token at {path}: a cluster can only be joined with one. `carina cluster start --head` "
-            "makes it; "
-            "copy that file from the head to this machine, or name it with --token-file"
+            f"no token file at {path}: joining a cluster needs one. `carina cluster start --head` creates it; "
+            "copy that file from the head node to this machine, or pass its path as --token-file"
         )
         raise ClusterError(msg, code="cluster.token")
     if path.stat().st_mode & 0o077:
         msg = (
-            f"other users of this machine can read the token {path}, and anyone who has it can run programs here; "
-            f"chmod 600 {path}"
+            f"other users of this machine can read the token {path}, and anyone who has it can run programs on "
+            f"this machine; run chmod 600 {path}"
         )
         raise ClusterError(msg, code="cluster.token")
     if len(path.read_text(encoding="ascii", errors="replace").strip()) < 16:
@@ -147,7 +146,7 @@ def split_address(address: str) -> tuple[str, int]:
     """Host and port of ``HOST[:PORT]``."""
     host, _, port = address.partition(":")
     if not host or (port and not port.isdecimal()):
-        raise UsageError(f"a cluster's address is HOST or HOST:PORT, such as 10.0.0.5:6379; found {address!r}")
+        raise UsageError(f"expected a cluster address HOST or HOST:PORT, such as 10.0.0.5:6379; found {address!r}")
     return host, int(port) if port else DEFAULT_PORT
 
 
@@ -195,7 +194,7 @@ class Node:
         check_available()
         check_token(token)
         if head == (address is not None):
-            raise UsageError("a machine starts a cluster or joins one")
+            raise UsageError("a machine can either start a cluster or join one, not both")
         arguments = ["start", "--block", "--disable-usage-stats", "--num-cpus=0"]
         # Nobody reads what renderers print, and no machine is hired when work waits: two processes fewer, each 1.2 s of
         # a core at the start and awake ever after.

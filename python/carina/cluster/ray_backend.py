@@ -151,14 +151,15 @@ class RayLane:
             done(_plain(trouble))
 
     def _check_memory(self, parcel: Parcel, num_bytes: int, free_bytes: int | None) -> None:
-        words = f"the case needs {_words(parcel.num_bytes)}; close other programs there, or use a machine with more"
+        words = (
+            f"the case needs {_words(parcel.num_bytes)}; close other programs on that machine, or use one with more "
+            "memory"
+        )
         if self._store_bytes and parcel.num_bytes > self._store_bytes:
-            msg = (
-                f"the renderer {self.name} takes no part: it keeps {_words(self._store_bytes)} for volumes, and {words}"
-            )
+            msg = f"the renderer {self.name} is not used: it keeps {_words(self._store_bytes)} for volumes, and {words}"
             raise ClusterError(msg, code="cluster.memory")
         if free_bytes is not None and num_bytes + SPARE_BYTES > free_bytes:
-            msg = f"the renderer {self.name} takes no part: it has {_words(free_bytes)} of memory left, and {words}"
+            msg = f"the renderer {self.name} is not used: it has {_words(free_bytes)} of memory left, and {words}"
             raise ClusterError(msg, code="cluster.memory")
 
     def _send(self, parcel: Parcel, new: dict[int, Any], done: Loaded) -> None:
@@ -359,9 +360,9 @@ class RayCluster:
             slow = [n for n, r in self._renderers.items() if not r.has_answered and now_s - r.began_s >= SLOW_START_S]
         for name in slow:
             self._console.notice(
-                f"the renderer on {name} has not started after {SLOW_START_S:g} s: another console may be using that "
-                "machine, or it is very busy (`carina cluster status` shows who is in use); it takes part once it "
-                "starts"
+                f"the renderer on {name} has not started after {SLOW_START_S:g} s: another console may be using "
+                "that machine, or it is very busy (`carina cluster status` shows which machines are in use); it "
+                "joins in once it has started"
             )
 
     def _start(self, name: str, node: str, store_bytes: float) -> None:
@@ -458,8 +459,8 @@ def version_words(console: str, renderer: str, name: str) -> str | None:
 
     side = f"the machine {name}" if key(renderer) < key(console) else "this console"
     return (
-        f"the machine {name} takes no part: it runs Carina {renderer}, this console {console}, and their pictures "
-        f"could differ; upgrade {side}"
+        f"the machine {name} is not used: it runs Carina {renderer} and this console {console}, so their "
+        f"pictures could differ; upgrade {side}"
     )
 
 
@@ -471,14 +472,18 @@ def _first_line(trouble: BaseException) -> str:
 def _refusal(address: str, trouble: BaseException) -> str:
     text = str(trouble)
     if "version" in text.lower() and "mismatch" in text.lower():
-        return f"joining the cluster at {address}: Ray or Python has another version there; {_first_line(trouble)}"
+        return (
+            f"joining the cluster at {address}: the cluster uses a different version of Ray or Python; "
+            f"{_first_line(trouble)}"
+        )
     if "authentication" in text.lower() or "token" in text.lower():
         return (
-            f"the cluster at {address} refuses this machine's token; copy the token file of the head to this machine "
-            "(`carina cluster start --head` prints where it is)"
+            f"the cluster at {address} refuses this machine's token; copy the token file of the head node to "
+            "this machine (`carina cluster start --head` prints its path)"
         )
     words = _first_line(trouble)
     return (
-        f"the cluster at {address} does not answer, or refuses the token, or this machine is not in it: run `carina "
-        f"cluster start --head` or `carina cluster join {address}` here first, with the head's token ({words})"
+        f"the cluster at {address} is not responding, refuses the token, or does not include this machine: run "
+        f"`carina cluster start --head` or `carina cluster join {address}` here first, with the token of the "
+        f"head node ({words})"
     )

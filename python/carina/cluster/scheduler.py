@@ -273,9 +273,9 @@ class StripScheduler:
             Largest height of a strip.
         """
         if num_rows < 1:
-            raise UsageError(f"a frame has at least one row; found {num_rows}", code="usage.cluster")
+            raise UsageError(f"a frame must have at least one row; found {num_rows}", code="usage.cluster")
         if frame_id in self._frames or any(frame.frame_id == frame_id for frame in self._waiting):
-            raise UsageError(f"the frame {frame_id} is already under way", code="usage.cluster")
+            raise UsageError(f"the frame {frame_id} is already being rendered", code="usage.cluster")
         if stream is not None:
             for older in [frame for frame in self._waiting if frame.stream == stream]:
                 self._waiting.remove(older)

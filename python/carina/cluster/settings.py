@@ -41,12 +41,14 @@ class ClusterSettings:
     def __post_init__(self) -> None:
         for what, value in (("in_flight", self.in_flight), ("open_frames", self.open_frames)):
             if not 1 <= value <= 64:
-                raise UsageError(f"cluster: {what} is 1 to 64; found {value}", code="usage.cluster")
+                raise UsageError(f"cluster: {what} must be 1 to 64; found {value}", code="usage.cluster")
         for what, inertia in (("inertia", self.inertia), ("settling_inertia", self.settling_inertia)):
             if not 0.0 <= inertia <= 1.0:
-                raise UsageError(f"cluster: {what} is 0 to 1 (paper 5.2); found {inertia}", code="usage.cluster")
+                raise UsageError(f"cluster: {what} must be 0 to 1; found {inertia}", code="usage.cluster")
         if self.min_rows < 1:
-            raise UsageError(f"cluster: a strip has at least one row; found {self.min_rows}", code="usage.cluster")
+            raise UsageError(
+                f"cluster: a strip must have at least one row; found {self.min_rows}", code="usage.cluster"
+            )
         if self.late_factor < 1.0 or self.late_floor_s <= 0.0 or self.first_answer_s <= 0.0:
-            msg = "cluster: a strip is late after at least the time expected, and deadlines lie above 0 s"
+            msg = "cluster: the late factor must be at least 1 and deadlines above 0 s"
             raise UsageError(msg, code="usage.cluster")

@@ -94,7 +94,7 @@ class StandInHost(RendererHost):
         """Sleep, and answer with pixels that tell where they belong."""
         began_s = time.perf_counter()
         if self._content != content:
-            raise ClusterError(f"the renderer holds content {self._content}, not {content}", code="cluster.lost")
+            raise ClusterError(f"the renderer has content {self._content}; expected {content}", code="cluster.lost")
         shown = pickle.loads(view)
         first_row, end_row = rows or (0, shown.height)
         if self._trouble == "rows":

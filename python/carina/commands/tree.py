@@ -53,7 +53,7 @@ class ChooseRoute(Command, frozen=True):
     def choice_problem(self) -> str | None:
         """One destination at most."""
         if self.target_id is not None and self.branch_id is not None:
-            return "choose_route names a target and a branch; it may name one"
+            return "choose_route: expected a target or a branch; found both"
         return None
 
 
@@ -147,12 +147,12 @@ class PaintLumen(TreeEdit, frozen=True):
         """Points, a radius, a plane."""
         points = self.points_lps
         if isinstance(points, str) or not 1 <= len(points) <= MAX_STROKE_POINTS:
-            msg = f"a stroke has 1 to {MAX_STROKE_POINTS} points, found {len(points)}"
+            msg = f"stroke: expected 1 to {MAX_STROKE_POINTS} points, found {len(points)}"
             raise UsageError(msg)
         force_setattr(self, "points_lps", tuple(_point("a stroke", point) for point in points))
-        force_setattr(self, "radius_mm", _number("the brush's radius in mm", self.radius_mm, 0.0, MAX_BRUSH_MM))
+        force_setattr(self, "radius_mm", _number("brush radius in mm", self.radius_mm, 0.0, MAX_BRUSH_MM))
         if self.plane not in get_args(BrushPlane):
-            msg = f"a brush's plane is {', '.join(get_args(BrushPlane))}, found {self.plane!r}"
+            msg = f"brush plane: expected {', '.join(get_args(BrushPlane))}, found {self.plane!r}"
             raise UsageError(msg)
         if not isinstance(self.erase, bool):
             msg = f"erase: expected true or false, found {self.erase!r}"
@@ -182,7 +182,7 @@ class RenameBranch(TreeEdit, frozen=True):
         if self.name is None:
             return
         if not isinstance(self.name, str) or not self.name.strip() or len(self.name) > MAX_NAME_LENGTH:
-            msg = f"a branch's name has 1 to {MAX_NAME_LENGTH} letters, found {self.name!r}"
+            msg = f"branch name: expected 1 to {MAX_NAME_LENGTH} characters, found {self.name!r}"
             raise UsageError(msg)
         force_setattr(self, "name", " ".join(self.name.split()))
 

@@ -99,7 +99,7 @@ def checked(value: V) -> V:
             plain = msgspec.to_builtins(value, enc_hook=as_plain)
         except (TypeError, ValueError, RecursionError) as error:
             raise UsageError(
-                f"{_name(value)} holds a value that no command takes: {error}", code="command.bounds"
+                f"{_name(value)} contains a value that no command accepts: {error}", code="command.bounds"
             ) from error
         try:
             value = msgspec.convert(plain, type(value))
@@ -158,13 +158,13 @@ def trouble(error: msgspec.ValidationError, value: Any, where: str, cls: type[An
         kind, side, number = length.groups()
         unit = "characters" if kind == "str" else "entries"
         amount = {">=": "at least ", "<=": "at most ", None: ""}[side] + number
-        return "size", f"{where} must have {amount} {unit}; it has {len(_at(value, path))}"
+        return "size", f"{where} must have {amount} {unit}; found {len(_at(value, path))}"
     if "matching regex" in text:
-        return "field", f"{where} holds invalid characters"
+        return "field", f"{where} contains invalid characters"
     if unknown := re.match(r"Object contains unknown field `(.*?)`", text):
         return "field", f"{where} has an unknown field: {unknown.group(1)[:40]!r}"
     if missing := re.match(r"Object missing required field `(.*?)`", text):
-        return "field", f"{where} lacks the field {missing.group(1)!r}"
+        return "field", f"{where} has no field {missing.group(1)!r}"
     if text.startswith("Invalid"):
         found = _short(_at(value, path))
         choices = sorted(_choices(msgspec.inspect.type_info(cls), re.findall(r"\.(\w+)", path)))

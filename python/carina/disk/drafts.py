@@ -138,7 +138,7 @@ class Draft:
         with contextlib.suppress(OSError):  # a name that is too long
             unchanged = "the existing file is unchanged" if self._target.is_file() else ""
         if error.errno == errno.ENOENT and self._target.parent.is_dir():
-            unchanged = "its temporary file was removed meanwhile; try again"
+            unchanged = "another program removed its temporary file; try again"
         doing = f"cannot write {self._what}"
         return disk_trouble(error, doing, self._target, needed_bytes=self._needed_bytes, unchanged=unchanged)
 

@@ -88,9 +88,9 @@ def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) 
             # "No space left on device" is what people search for.
             return "disk.full", f"the disk is full{numbers}", f"free some space{_or_elsewhere(place)}"
         case errno.EDQUOT:
-            return "disk.full", "your share (quota) of this disk is used up", f"delete files{_or_elsewhere(place)}"
+            return "disk.full", "your quota on this disk is used up", f"delete files{_or_elsewhere(place)}"
         case errno.EFBIG:
-            return "disk.full", "the file would be larger than this disk or this account allows", elsewhere
+            return "disk.full", "the file would exceed the size limit of this disk or account", elsewhere
         case errno.EROFS:
             return "disk.denied", "this disk is read-only", elsewhere
         case errno.EACCES | errno.EPERM:
@@ -98,7 +98,7 @@ def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) 
         case errno.ENOENT:
             return "disk.missing", "there is no such folder", "create it, or choose another"
         case errno.ENOTDIR:
-            return "disk.missing", "a part of this path is a file, not a folder", elsewhere
+            return "disk.missing", "part of this path is a file, not a folder", elsewhere
         case errno.EISDIR | errno.EEXIST | errno.ENOTEMPTY:
             return "disk.in-the-way", "something with this name already exists", "move it, or choose another name"
         case errno.ENAMETOOLONG:
@@ -106,7 +106,7 @@ def _reason(error: OSError, where: Path | str | None, needed_bytes: int | None) 
         case errno.EMFILE | errno.ENFILE:
             return "machine.files", "too many files and connections are open", "close other windows and try again"
         case errno.EIO:
-            return "disk.failed", "the disk reports an error", "check the disk, or choose another"
+            return "disk.failed", "the disk reported an error", "check the disk, or choose another"
         case _:
             return "disk.failed", error.strerror or str(error) or type(error).__name__, ""
 

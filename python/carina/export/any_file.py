@@ -80,8 +80,8 @@ def export_airways(
     >>> carina.export_airways("lumen.stl", phantom.volume, airways).name
     'lumen.stl'
     """
-    check_type("export_airways", "volume", volume, Volume, "open one with carina.open_volume")
-    check_type("export_airways", "airways", airways, Airways, "find them with carina.find_airways")
+    check_type("export_airways", "volume", volume, Volume, "open a volume with carina.open_volume")
+    check_type("export_airways", "airways", airways, Airways, "get airways from carina.find_airways")
     lasting = tuple(dict.fromkeys([*badges_of(volume, airways), *badges]))
     to = export_format(path)
     if to.kind == "tree":

@@ -121,13 +121,13 @@ def write_film(
     >>> carina.write_film("trachea.mp4", phantom.volume, path, view=view, rate_hz=2.0, speed_mm_s=50.0, progress=False)
     Film(name='trachea.mp4', num_frames=5, rate_hz=2, size_px=(64, 48))
     """
-    check_type("write_film", "volume", volume, Volume, "open one with carina.open_volume")
+    check_type("write_film", "volume", volume, Volume, "open a volume with carina.open_volume")
     told = heard(progress)
     kinds = (FlightPath, AutoFlight, KeyFrameFlight)
-    check_type("write_film", "flight", flight, kinds, "make a carina.FlightPath of a route's points_lps")
+    check_type("write_film", "flight", flight, kinds, "create a carina.FlightPath from the points_lps of a route")
     flown = AutoFlight(flight, speed_mm_s=speed_mm_s, pause_s=0.0) if isinstance(flight, FlightPath) else flight
     look = AirwayView(flown.pose_at(0.0), fov_deg=100.0, width=640, height=480) if view is None else view
-    check_type("write_film", "view", look, AirwayView, "a film shows the airway view")
+    check_type("write_film", "view", look, AirwayView, "a film can only show the airway view")
     times = frame_times_s(flown.duration_s, rate_hz)
     with VideoWriter(path, look.width, look.height, rate_hz=rate_hz) as video:
         renderer = Renderer(volume)

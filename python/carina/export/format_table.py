@@ -24,7 +24,7 @@ ExportKind = Literal["surface", "lumen", "tree"]
 
 EXPORT_TITLES: dict[ExportKind, str] = {
     "surface": "Surface of the airways",
-    "lumen": "Lumen on the CT's grid",
+    "lumen": "Lumen mask on the grid of the CT",
     "tree": "Branches and centrelines",
 }
 """What a person calls it, in the order of the window."""
@@ -55,7 +55,7 @@ EXPORT_FORMATS: tuple[ExportFormat, ...] = (
     ExportFormat(".nrrd", "lumen", "NRRD: 3D Slicer", write_mask),
     ExportFormat(".mha", "lumen", "MetaImage: ITK", write_mask),
     # ".mrk.json" is asked for before ".json", which it ends in: the longest suffix counts.
-    ExportFormat(".json", "tree", "Everything Carina knows about the tree: names, radii, confidence", write_tree),
+    ExportFormat(".json", "tree", "The complete tree: names, radii, confidence", write_tree),
     ExportFormat(".vtp", "tree", "For ParaView and VTK", write_vtp),
     ExportFormat(".mrk.json", "tree", "Curves for 3D Slicer", write_markups),
     ExportFormat(".swc", "tree", "For software that analyses tree shapes", write_swc),

@@ -36,7 +36,7 @@ def write_tree(path: Path | str, tree: AirwayTree, *, badges: Sequence[Note] = (
     >>> carina.write_tree("airways.json", airways.tree).name
     'airways.json'
     """
-    check_type("write_tree", "tree", tree, AirwayTree, "it is the tree of carina.find_airways")
+    check_type("write_tree", "tree", tree, AirwayTree, "get it from carina.find_airways")
     document = dataclasses.replace(tree, notes=tuple(dict.fromkeys([*badges, *tree.notes]))).to_json()
     text = json.dumps(document, allow_nan=False) + "\n"
     return write_whole(path, text.encode(), what="the tree")

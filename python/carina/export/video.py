@@ -102,10 +102,13 @@ class VideoWriter:
         self._path = Path(path)
         suffix = self._path.suffix.lower()
         if suffix not in VIDEO_SUFFIXES:
-            raise UsageError(f"a video's name ends in {' or '.join(VIDEO_SUFFIXES)}; found {self._path.name!r}")
+            raise UsageError(
+                f"expected a video file name that ends in {' or '.join(VIDEO_SUFFIXES)}; found {self._path.name!r}"
+            )
         if not (16 <= width <= 8192 and 16 <= height <= 8192 and 1.0 <= rate_hz <= 240.0):
             raise UsageError(
-                f"a video has 16 to 8192 pixels on each side and 1 to 240 frames a second; found {width} x {height}, "
+                f"a video must have 16 to 8192 pixels on each side and 1 to 240 frames per second; found {width} "
+                f"x {height}, "
                 f"{rate_hz:g}"
             )
         av = _pyav()
@@ -140,7 +143,7 @@ class VideoWriter:
         """One more frame, ``(height, width, 3)`` uint8."""
         width, height = self._size
         if rgb.shape != (height, width, 3):
-            raise UsageError(f"a frame of this video is {(height, width, 3)}; found {rgb.shape}")
+            raise UsageError(f"expected a frame of {(height, width, 3)}; found {rgb.shape}")
         frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24")
         frame = frame.reformat(format=self._stream.pix_fmt, dst_colorspace="ITU709")
         frame.pts, frame.time_base = self.num_frames, 1 / self._rate

@@ -44,7 +44,8 @@ class AutoFlight:
     def __init__(self, path: FlightPath, *, speed_mm_s: float = 20.0, pause_s: float = 1.0) -> None:
         if not (0.1 <= speed_mm_s <= 500.0 and 0.0 <= pause_s <= 60.0):
             raise UsageError(
-                f"a flight has a speed of 0.1 to 500 mm/s and pauses of 0 to 60 s; found {speed_mm_s:g} and {pause_s:g}"
+                f"a flight must have a speed of 0.1 to 500 mm/s and pauses of 0 to 60 s; found {speed_mm_s:g} "
+                f"and {pause_s:g}"
             )
         self._path = path
         stops = [mm for mm in path.lookouts_mm if 0.0 < mm < path.length_mm]
@@ -92,5 +93,6 @@ def check_duration(duration_s: float) -> None:
     """Refuse a flight that nobody means: its frames need more memory than there is."""
     if not duration_s <= MAX_DURATION_S:
         raise UsageError(
-            f"a flight lasts at most 24 hours ({MAX_DURATION_S:.0f} s); found {duration_s:g} s: times are in seconds"
+            f"a flight can last at most 24 hours ({MAX_DURATION_S:.0f} s); found {duration_s:g} s (times are in "
+            "seconds)"
         )

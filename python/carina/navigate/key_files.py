@@ -117,7 +117,7 @@ def open_keys(path: str | Path) -> KeyFile:
     place = Path(path)
     try:
         if place.stat().st_size > MAX_BYTES:
-            raise VolumeImportError(f"{place.name}: too large for key frames", code="navigate.keys")
+            raise VolumeImportError(f"{place.name}: too large for a key-frame file", code="navigate.keys")
         document = json.loads(place.read_text(encoding="utf-8"))
         if document["format"] != FORMAT or document["version"] not in {1, VERSION}:
             raise ValueError(f"expected {FORMAT} 1 or {VERSION}")
@@ -145,7 +145,7 @@ def _with_speeds(document: dict[str, Any]) -> KeyFile:
         or not (case is None or isinstance(case, dict))
         or not isinstance(view, dict)
     ):
-        raise ValueError("through is expected to be airways or space, case and view objects")
+        raise ValueError("expected airways or space in the field through, and objects in the fields case and view")
     frames = []
     for key in document["keys"]:
         way = key.get("way")
@@ -160,7 +160,7 @@ def _with_speeds(document: dict[str, Any]) -> KeyFile:
         )
     file = KeyFile(tuple(frames), float(document["speed_mm_s"]), through, case, view)
     if not frames or not math.isfinite(file.speed_mm_s):
-        raise ValueError("it has no key frames, or no speed")
+        raise ValueError("it contains no key frames, or no speed")
     if len(frames) > 1:
         file.flight()
     return file

@@ -136,14 +136,15 @@ class KeyFrameFlight:
 
     def __init__(self, frames: Sequence[KeyFrame], *, speed_mm_s: float = 20.0) -> None:
         if len(frames) < 2:
-            raise UsageError("a flight through key frames needs two or more", code="navigate.keys")
+            raise UsageError("a flight needs at least two key frames", code="navigate.keys")
         timed = [frame.time_s for frame in frames if frame.time_s is not None]
         if timed and len(timed) != len(frames):
-            raise UsageError("either all key frames have times, or none of them", code="navigate.keys")
+            raise UsageError("either all key frames must have times, or none", code="navigate.keys")
         for speed in (speed_mm_s, *(frame.speed_mm_s for frame in frames)):
             if speed is not None and not MIN_SPEED_MM_S <= speed <= MAX_SPEED_MM_S:
                 raise UsageError(
-                    f"a speed is {MIN_SPEED_MM_S:g} to {MAX_SPEED_MM_S:g} mm/s; found {speed:g}", code="navigate.keys"
+                    f"a speed must be {MIN_SPEED_MM_S:g} to {MAX_SPEED_MM_S:g} mm/s; found {speed:g}",
+                    code="navigate.keys",
                 )
         self._poses = [frame.pose for frame in frames]
         self._legs, rests = build_legs([pose.lps_from_camera for pose in self._poses], [f.way for f in frames[1:]])
@@ -152,9 +153,11 @@ class KeyFrameFlight:
         if timed:
             times = np.array(timed, dtype=np.float64)
             if not np.isfinite(times).all() or not (np.diff(times) > 0).all():
-                raise UsageError("a flight through key frames needs increasing times", code="navigate.keys")
+                raise UsageError("the times of key frames must increase", code="navigate.keys")
             if any(frame.way is not None for frame in frames):
-                raise UsageError("key frames at times are flown through space, not along airways", code="navigate.keys")
+                raise UsageError(
+                    "key frames with times can only be flown through space, not along airways", code="navigate.keys"
+                )
             check_duration(float(times[-1] - times[0]))
             self._times = times - times[0]
             self._timed = _Timed(np.array([pose.position_lps for pose in self._poses]), self._times)

@@ -201,7 +201,7 @@ def move_from_json(value: dict[str, Any]) -> tuple[Move, float]:
     name, dt_s = fields.pop("move", None), 0.0
     cls = MOVES.get(name) if isinstance(name, str) else None
     if cls is None:
-        raise UsageError(f"there is no move named {name!r}", code="navigate.recording")
+        raise UsageError(f"there is no movement command named {name!r}", code="navigate.recording")
     try:
         if cls is Steer:
             dt_s = float(fields.pop("dt_s"))
@@ -214,5 +214,7 @@ def move_from_json(value: dict[str, Any]) -> tuple[Move, float]:
             fields["controls"] = {**controls, "filter_on": smoothing.pop("on"), **smoothing}
         move: Move = msgspec.convert(fields, cls)
     except (TypeError, KeyError, AttributeError, ValueError) as trouble:
-        raise UsageError(f"the move {name} cannot be read: {trouble}", code="navigate.recording") from trouble
+        raise UsageError(
+            f"the movement command {name} cannot be read: {trouble}", code="navigate.recording"
+        ) from trouble
     return move, dt_s

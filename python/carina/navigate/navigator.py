@@ -238,7 +238,7 @@ class Navigator:
         From modes *free* and *scope* the tip then looks along the path; in mode *path* a free look is kept.
         """
         if not math.isfinite(path_mm):
-            raise UsageError(f"a place on the path must be finite; found {path_mm}")
+            raise UsageError(f"a position on the path must be finite; found {path_mm}")
         path = self._needed_path()
         if self._mode != "path":
             self._enter_at(min(max(path_mm, 0.0), path.length_mm), keep_view=False)
@@ -270,7 +270,7 @@ class Navigator:
         """Move the tip to a point and keep where it looks; enters mode *free*."""
         point = np.asarray(point_lps, dtype=np.float64)
         if point.shape != (3,) or not np.isfinite(point).all():
-            raise UsageError("a place for the tip needs three finite numbers (LPS mm)")
+            raise UsageError("a tip position needs three finite numbers (LPS mm)")
         matrix = self._pose.lps_from_camera.copy()
         matrix[:3, 3] = point
         self.place(Pose(matrix))
@@ -300,7 +300,7 @@ class Navigator:
         if mode == self._mode:
             return
         if mode == "scope":
-            raise UsageError("a scope must be inserted into the lumen first", code="navigate.no-scope")
+            raise UsageError("insert a scope into the lumen first", code="navigate.no-scope")
         if mode == "path":
             self._enter()
         else:
@@ -380,7 +380,7 @@ class Navigator:
         if shapes != [(3, 3), (3, 3), (3,)] or not finite or mode not in {"free", "path"}:
             raise UsageError(f"not a valid navigator state: {mode!r}, {shapes}", code="navigate.recording")
         if mode == "path" and path is None:
-            raise UsageError("a tip in mode path needs a path", code="navigate.recording")
+            raise UsageError("path mode needs a path", code="navigate.recording")
         self._operator = _checked_operator(operator)
         self._path, self._mode = path, mode
         self._path_mm, self._base_roll_rad = numbers
@@ -422,7 +422,9 @@ class Navigator:
 
     def _needed_path(self) -> FlightPath:
         if self._path is None:
-            raise UsageError("there is no path to fly on; choose a target or a branch first", code="navigate.no-path")
+            raise UsageError(
+                "there is no path to fly along; choose a target or a branch first", code="navigate.no-path"
+            )
         return self._path
 
     def _nearest_mm(self) -> float:

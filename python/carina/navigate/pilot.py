@@ -339,7 +339,7 @@ class Pilot:
             case m.Register():
                 if move.device not in self._devices and len(self._devices) >= 2 * MAX_DEVICES:
                     raise UsageError(
-                        f"at most {2 * MAX_DEVICES} devices can be registered at once; forget a registration first",
+                        f"at most {2 * MAX_DEVICES} devices can be registered at once; discard a registration first",
                         code="navigate.registration",
                     )
                 device = self._device(move.device)
@@ -368,7 +368,7 @@ class Pilot:
 
     def _lay_scope(self, move: m.LayScope) -> None:
         if self.wall is None:
-            raise UsageError("a scope needs the airway wall, which is not available yet", code="navigate.no-scope")
+            raise UsageError("a scope needs the airway wall, which is not ready yet", code="navigate.no-scope")
         drive = ScopeDrive(self.wall, move.scope, move.points_lps, up_lps=move.up_lps)
         drive.place(move.points_lps, move.insertion_mm)
         self.navigator.enter_scope(drive)
@@ -429,7 +429,7 @@ class Pilot:
     def _set_control(self, control: Control) -> None:
         if control == "absolute" and not self._can_be_absolute():
             raise UsageError(
-                "absolute movement needs a tracked pen that is registered to the patient: calibrate it first",
+                "absolute movement needs a tracked pen that is registered to the patient: register it first",
                 code="navigate.not-registered",
             )
         if control == "path":
@@ -443,7 +443,7 @@ class Pilot:
         holder = self._gate.holder
         if holder is None or self.pen_lps(holder) is None or self.control != "absolute":
             raise UsageError(
-                "the tip joins a registered pen, in absolute movement only: choose absolute first",
+                "the tip can move to a registered pen only in absolute movement: choose absolute first",
                 code="navigate.not-absolute",
             )
         device = self._devices[holder]
@@ -462,7 +462,7 @@ class Pilot:
 
     def _step(self, now_s: float) -> None:
         if not math.isfinite(now_s):
-            raise UsageError(f"a frame needs a finite time; found {now_s}")
+            raise UsageError(f"the time of a frame must be finite; found {now_s}")
         passed_s = 0.0 if self._frame_s is None else min(max(now_s - self._frame_s, 0.0), MAX_FRAME_S)
         self._passed_s = passed_s
         self._frame_s = now_s

@@ -229,8 +229,8 @@ class Recording:
         made_by = self.header.get("carina")
         if made_by != carina:
             raise VolumeImportError(
-                f"this recording was made by Carina {made_by}; this is {carina}, whose poses may differ in the last "
-                "bits: replay it with the version that made it",
+                f"this recording was made by Carina {made_by}; this is {carina}, whose poses may differ very "
+                "slightly: replay it with the version that made it",
                 code="navigate.recording",
             )
         if self.header.get("case") != case_key(volume):
@@ -323,7 +323,7 @@ def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
     """
     header = _object(file.readline(MAX_LINE))
     if header is None or header.get("format") != FORMAT:
-        raise _refused(place, "it does not begin like a recording of Carina")
+        raise _refused(place, "it does not begin like a Carina recording")
     if header.get("version") != VERSION:
         raise _refused(place, f"it has version {header.get('version')!r}; this Carina reads {VERSION}")
     lines: list[dict[str, Any]] = []
@@ -337,9 +337,9 @@ def read_recording(file: io.TextIOBase | TextIO, place: Path) -> Recording:
             raise _refused(place, f"line {len(lines) + 2} is not a JSON object")
         at_s = line.get("end", line.get("t"))
         if not isinstance(at_s, int | float) or not math.isfinite(at_s) or at_s < last_s:
-            raise _refused(place, f"line {len(lines) + 2} has no time, or an earlier one than the line before")
+            raise _refused(place, f"line {len(lines) + 2} has no time, or an earlier time than the line before")
         if not all(isinstance(line.get(part, {}), dict) for part in ("move", "view", "wall")):
-            raise _refused(place, f"line {len(lines) + 2} holds an invalid move, view or wall")
+            raise _refused(place, f"line {len(lines) + 2} contains an invalid movement, view or wall")
         last_s = float(at_s)
         lines.append(line)
         if "end" in line:
@@ -357,7 +357,7 @@ def _object(text: str) -> dict[str, Any] | None:
 
 
 def _refused(place: Path, why: str) -> VolumeImportError:
-    return VolumeImportError(f"{place}: cannot be replayed: {why}", code="navigate.recording")
+    return VolumeImportError(f"{place}: could not be replayed: {why}", code="navigate.recording")
 
 
 def sampled(moments: list[ReplayedPose], times_s: NDArray[np.float64]) -> list[ReplayedPose]:

@@ -68,7 +68,7 @@ def fit_registration(tracker_mm: ArrayLike, patient_lps: ArrayLike) -> Registrat
     source, target = (np.asarray(points, dtype=np.float64) for points in (tracker_mm, patient_lps))
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < MIN_PAIRS:
         raise UsageError(
-            f"a calibration needs {MIN_PAIRS} pairs of points or more, (n, 3) each; found {source.shape} and "
+            f"a calibration needs at least {MIN_PAIRS} pairs of points, as two (n, 3) arrays; found {source.shape} and "
             f"{target.shape}",
             code="navigate.registration",
         )
@@ -78,8 +78,9 @@ def fit_registration(tracker_mm: ArrayLike, patient_lps: ArrayLike) -> Registrat
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
         if spread[1] < MIN_SPREAD_MM:
             raise UsageError(
-                f"the points in {whose} space lie on one line or close together (their spread across it is "
-                f"{spread[1]:.1f} mm, at least {MIN_SPREAD_MM:g} are needed): choose points farther apart",
+                f"the points in {whose} space lie close together or almost on one line (expected at least "
+                f"{MIN_SPREAD_MM:g} mm of spread across it; found {spread[1]:.1f} mm): choose points farther "
+                "apart",
                 code="navigate.registration",
             )
     u, _, vt = np.linalg.svd((target - target.mean(axis=0)).T @ (source - source.mean(axis=0)))
@@ -101,12 +102,13 @@ def as_registration(matrix: Sequence[float]) -> Registration:
     """
     m = np.asarray(matrix, dtype=np.float64)
     if m.shape != (16,) or not np.isfinite(m).all():
-        raise UsageError("a calibration is 16 finite numbers, row by row", code="navigate.registration")
+        raise UsageError("expected a calibration of 16 finite numbers, row by row", code="navigate.registration")
     m = m.reshape(4, 4)
     r = m[:3, :3]
     rigid = np.abs(r.T @ r - np.eye(3)).max() < 1e-6 and np.linalg.det(r) > 0 and np.array_equal(m[3], [0, 0, 0, 1])
     if not rigid:
         raise UsageError(
-            "a calibration is a rotation and a translation, without scaling or reflection", code="navigate.registration"
+            "a calibration must be a rotation and a translation, without scaling or reflection",
+            code="navigate.registration",
         )
     return Registration(m)

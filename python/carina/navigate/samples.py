@@ -22,9 +22,9 @@ Refusal = Literal[
     "non-finite numbers",
     "an orientation of length 0",
     "numbers out of range",
-    "a clock that runs backwards",
+    "timestamps that run backwards",
     "too many samples",
-    "another device holds the scope",
+    "another device is moving the scope",
     "too many devices",
 ]
 
@@ -313,12 +313,12 @@ class SampleGate:
                 if seen.backwards_since_s is None:
                     seen.backwards_since_s = now_s
                 if now_s - seen.backwards_since_s < self._silence_s:
-                    return "a clock that runs backwards"
+                    return "timestamps that run backwards"
             # A stick that is let go says so once: it must not fly on. What follows it as fast is too much again.
             elif passed_s < self._min_interval_s and (seen.rests or not _at_rest(sample)):
                 return "too many samples"
         holder = self._holder
         if holder is not None and holder != device and now_s - self._seen[holder].arrived_s < self._silence_s:
             # A stick that is let go asks for nothing.
-            return None if _at_rest(sample) else "another device holds the scope"
+            return None if _at_rest(sample) else "another device is moving the scope"
         return None

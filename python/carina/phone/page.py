@@ -194,7 +194,7 @@ class PhonePage:
         thread.start()
         if not started.wait(STARTS_WITHIN_S):
             server.should_exit = True
-            raise CarinaError("the page for a phone did not start", code="phone.not-started")
+            raise CarinaError("the phone page did not start", code="phone.not-started")
         info = wire.PhoneInfo(url, address, certificate.sha256, qr_rows(url), False, 0.0, 0, "", 0)
         return _Open(server, thread, tokens, info)
 
@@ -208,7 +208,7 @@ class PhonePage:
             found = asset_path(self._web, f"assets/{request.path_params['name']}")
             # The workstation's own script holds nothing secret either, but has nothing to do here.
             if found is None or not found.name.startswith("phone"):
-                return page("Nothing here", "Carina has no such page.", 404)
+                return page("Nothing here", "This page does not exist.", 404)
             return FileResponse(found, headers={"cache-control": "no-cache"})
 
         async def socket(websocket: WebSocket) -> None:
@@ -235,7 +235,9 @@ class PhonePage:
             if not isinstance(hello, wire.PhoneHello):
                 raise ProtocolError("the first message must be phone_hello", code="protocol.order")
             if hello.wire_version != wire.WIRE_VERSION:
-                raise ProtocolError("this page has another version; reload it", code="protocol.version")
+                raise ProtocolError(
+                    "this page and Carina have different versions; reload the page", code="protocol.version"
+                )
             if not tokens.admits(hello.token):
                 # Who tries others waits.
                 await asyncio.sleep(WRONG_TOKEN_WAIT_S)
@@ -253,11 +255,11 @@ class PhonePage:
         except ProtocolError as trouble:
             await close_socket(websocket, trouble.code, str(trouble))
         except TimeoutError:
-            await close_socket(websocket, "protocol.order", "no hello came")
+            await close_socket(websocket, "protocol.order", "the client sent no hello message")
         except WebSocketDisconnect:
             pass
         except Exception as trouble:
-            log_fault(logger, "the link to a phone failed", trouble)
+            log_fault(logger, "the connection to a phone failed", trouble)
         finally:
             if teller is not None:
                 teller.cancel()
@@ -274,7 +276,7 @@ class PhonePage:
         if before is not None:
             self._session.do(DeviceGone(DEVICE))
             await close_socket(
-                before, "protocol.taken-over", "another phone, or another page of this one, has taken over"
+                before, "protocol.taken-over", "another phone, or another page on this phone, has taken over"
             )
         self.changed()
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MISSING", "PhoneSwitch"]
 
-MISSING = "the page for a phone needs two more libraries: pip install 'carina[phone]'"
+MISSING = "the phone page needs two more libraries: pip install 'carina[phone]'"
 LIBRARIES = ("cryptography", "segno")
 
 
@@ -48,7 +48,7 @@ class PhoneSwitch:
     def problem(self) -> str | None:
         """Why it cannot be opened, in words."""
         if self._web is None or not (self._web / "phone.html").is_file():
-            return "the page for a phone has not been built: run make setup"
+            return "the phone page has not been built: run make setup"
         return MISSING if any(importlib.util.find_spec(name) is None for name in LIBRARIES) else None
 
     def start(self) -> PhoneInfo:

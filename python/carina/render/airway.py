@@ -80,7 +80,9 @@ class AirwayCaster:
         method, leap = _choose_method(scene, view, shading)
         lens = _rays(view)
         if rows is not None and view.depth_of_field is not None:
-            raise RenderError("depth of field needs the whole picture, not rows of it", code="render.setting")
+            raise RenderError(
+                "depth of field needs the whole picture, not only some of its rows", code="render.setting"
+            )
         rgb, counts = _core.cast(
             scene.values,
             self._volume.lps_from_ijk,
@@ -124,7 +126,9 @@ class AirwayCaster:
     def pick(self, scene: Scene, view: AirwayView, column: int, row: int) -> Hit | None:
         """The first wall at one pixel."""
         if column < 0 or row < 0:
-            raise RenderError(f"a pixel is counted from 0; found column {column}, row {row}", code="render.setting")
+            raise RenderError(
+                f"expected a pixel counted from 0; found column {column}, row {row}", code="render.setting"
+            )
         depth, position, normal = self._first_walls(scene, view, pixel=(column, row))
         if np.isnan(depth[0, 0]):
             return None

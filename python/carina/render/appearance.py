@@ -21,9 +21,9 @@ def check_guides(guides_mm: tuple[tuple[float, float, float], ...]) -> None:
     """Refuse what cannot be the ends of one or two light guides."""
     guides = np.array(guides_mm, dtype=np.float64)
     if guides.ndim != 2 or guides.shape[1:] != (3,) or len(guides) not in {1, 2} or not np.isfinite(guides).all():
-        raise RenderError(f"a scope has one or two light guides [x, y, z] in mm; found {guides_mm}")
+        raise RenderError(f"expected one or two light guides [x, y, z] in mm; found {guides_mm}")
     if np.abs(guides).max() > 100:
-        raise RenderError(f"light guides lie within 100 mm of the lens; found {guides_mm}")
+        raise RenderError(f"light guides must lie within 100 mm of the lens; found {guides_mm}")
 
 
 @one_line
@@ -58,7 +58,7 @@ class Appearance:
     def __post_init__(self) -> None:
         check_guides(self.guides_mm)
         if self.exposure is not None and not 0 <= self.exposure <= 1e6:
-            raise RenderError(f"an exposure is 0 to 1000000; found {self.exposure}")
+            raise RenderError(f"exposure must be 0 to 1000000; found {self.exposure}")
         for what, most in (
             ("ambient", 10),
             ("wrap", 1),
@@ -68,12 +68,12 @@ class Appearance:
             ("vessels", 4),
         ):
             if not 0 <= getattr(self, what) <= most:
-                raise RenderError(f"an appearance's {what} is 0 to {most}; found {getattr(self, what)}")
+                raise RenderError(f"appearance: {what} must be 0 to {most}; found {getattr(self, what)}")
         if not isinstance(self.shininess_log2, int) or not 0 <= self.shininess_log2 <= 10:
-            raise RenderError(f"shininess (log2) is a whole number, 0 to 10; found {self.shininess_log2}")
+            raise RenderError(f"shininess (log2) must be a whole number from 0 to 10; found {self.shininess_log2}")
         low, high = self.pale_hu
         if not (np.isfinite(self.pale_hu).all() and low < high):
-            raise RenderError(f"the values of pale tissue are two, the lower first; found {self.pale_hu}")
+            raise RenderError(f"pale tissue: expected two values, the lower first; found {self.pale_hu}")
 
     def to_json(self) -> dict[str, Any]:
         """As a JSON object."""

@@ -111,7 +111,7 @@ class Backend:
         open_device: Callable[[int], _core.Gpu] = _core.Gpu,
     ) -> None:
         if mode not in BACKENDS:
-            msg = f"the backend is one of {', '.join(BACKENDS)}; found {mode!r}"
+            msg = f"the backend must be one of {', '.join(BACKENDS)}; found {mode!r}"
             raise RenderError(msg, code="render.setting")
         self.mode = mode
         self._record = record
@@ -152,7 +152,7 @@ class Backend:
                 self._opened.pop(adapter.index, None)
             said, self._said = self._said, True
         if not said:
-            log.warning("pictures come from the CPU from now on: %s", reason)
+            log.warning("rendering on the CPU from now on: %s", reason)
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:

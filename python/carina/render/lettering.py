@@ -88,7 +88,7 @@ def letter_edges(picture: Picture) -> Picture:
     else:
         matrix = picture.lps_from_pixel if picture.lps_from_pixel is not None else picture.lps_from_camera
         if matrix is None:
-            raise UsageError("this picture has no pixel geometry, so no orientation letters can be drawn")
+            raise UsageError("orientation letters need a picture with pixel geometry, which this one lacks")
         right, up, down = matrix[:3, 0], -matrix[:3, 1], matrix[:3, 1]
     size = _size(rgb)
     inset = 3 * size
@@ -137,7 +137,7 @@ def mark_path(
     """
     lines = picture.lines
     if lines is None:
-        raise UsageError("only views along a path have an axis of places")
+        raise UsageError("only views along a path have a position axis")
     rgb = picture.rgb.copy()
     height, width = rgb.shape[:2]
     size = _size(rgb)

@@ -72,7 +72,7 @@ class CachedMap:
 class MapCache:
     """A folder of maps of bounded size; may be used by several processes, and deleted while it is.
 
-    A file that is cut short or altered is taken for missing and removed. Trouble with the disk costs time, never a
+    A file that is incomplete or altered is taken for missing and removed. Trouble with the disk costs time, never a
     picture: it is logged and the map is built again. Storing happens in a thread of its own.
     """
 
@@ -112,7 +112,7 @@ class MapCache:
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError) as error:
-            logger.warning("a cached IsoRegion map cannot be read and is built again: %s", type(error).__name__)
+            logger.warning("a cached IsoRegion map could not be read and will be rebuilt: %s", type(error).__name__)
             logger.debug("reading a cached map", exc_info=error)
             _remove(path)
             return None
@@ -173,19 +173,19 @@ def _read(file: Any, shape_zyx: tuple[int, ...]) -> CachedMap:
     """
     magic, version, header_bytes = _START.unpack(file.read(_START.size).ljust(_START.size, b"\0"))
     if magic != _MAGIC or version != MAP_VERSION or header_bytes > _MAX_HEADER_BYTES:
-        raise ValueError("not a map of this version")
+        raise ValueError("a map of another version")
     header = json.loads(file.read(header_bytes))
     digests = list(header["digests"])
     count = int(np.prod(shape_zyx))
     # Checked before anything large is allocated.
     body_bytes = os.fstat(file.fileno()).st_size - _START.size - header_bytes
     if tuple(header["shape_zyx"]) != shape_zyx or body_bytes != count * len(digests):
-        raise ValueError("not a map of this shape")
+        raise ValueError("a map of another shape")
     arrays = []
     for digest in digests:
         array = np.empty(shape_zyx, dtype=np.uint8)
         if file.readinto(array.data.cast("B")) != count or _core.content_digest(array) != digest:
-            raise ValueError("cut short or altered")
+            raise ValueError("incomplete or altered")
         arrays.append(array)
     return CachedMap(tuple(arrays), header["meaning"])
 

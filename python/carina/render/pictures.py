@@ -128,7 +128,7 @@ def render_view(
     >>> picture.rgb.shape
     (48, 64, 3)
     """
-    check_type("render_view", "volume", volume, Volume, "open one with carina.open_volume")
+    check_type("render_view", "volume", volume, Volume, "open a volume with carina.open_volume")
     told: dict[str, Any] = {
         "fov_deg": fov_deg,
         "width": width,
@@ -155,11 +155,14 @@ def render_view(
     if isinstance(view, str):
         spec = view_spec(view=view, pose=_needed_pose("render_view", pose), **told)
     else:
-        check_type("render_view", "view", view, get_args(View), "or name one of carina.render.VIEW_NAMES")
+        check_type("render_view", "view", view, get_args(View), "or pass one of carina.render.VIEW_NAMES")
         doubled = [name for name, value in {"pose": pose, **told}.items() if value != _DEFAULTS[name]]
         if doubled:
             names, kind = ", ".join(doubled), type(view).__name__
-            raise UsageError(f"render_view: {names}: expected inside the {kind}; found beside it; set it there")
+            raise UsageError(
+                f"render_view: {names}: expected as fields of the {kind}, found as separate arguments; set them in "
+                f"the {kind}"
+            )
         spec = view
     renderer = Renderer(volume, transfer=transfer, backend=backend)
     if lumen_zyx is not None and isinstance(spec, AirwayView | TreeView):
@@ -173,7 +176,7 @@ _DEFAULTS = {name: parameter.default for name, parameter in inspect.signature(re
 
 
 def _needed_pose(where: str, pose: object) -> Pose:
-    check_type(where, "pose", pose, Pose, "take one of a carina.FlightPath, or carina.Pose.looking")
+    check_type(where, "pose", pose, Pose, "get one from a carina.FlightPath or from carina.Pose.looking")
     assert isinstance(pose, Pose)
     return pose
 
@@ -284,7 +287,7 @@ def view_spec(
     _needed_pose("view_spec", pose)
     x, y, z = (float(v) for v in pose.position_lps)
     if orbit is not None and len(orbit) not in {2, 3}:
-        raise UsageError(f"an orbit is azimuth, elevation and, if wished, distance; found {orbit}")
+        raise UsageError(f"expected an orbit of azimuth, elevation and optionally distance; found {orbit}")
     row = view_row(view)
     sight = Sight(
         window=None if window_hu is None else GreyWindow(*window_hu),

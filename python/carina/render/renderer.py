@@ -202,7 +202,8 @@ class Renderer:
         scene = self._scenes.scene if scene is None else scene
         if rows is not None and not 0 <= rows[0] < rows[1] <= view.height:
             msg = (
-                f"rows of a picture lie in 0 to {view.height}, the first before the last; found {rows[0]} to {rows[1]}"
+                f"expected rows between 0 and {view.height}, with the first before the last; found {rows[0]} to "
+                f"{rows[1]}"
             )
             raise RenderError(msg, code="render.setting")
         match view:
@@ -251,5 +252,7 @@ class Renderer:
     def _tree(self, scene: Scene, view: TreeView, rows: tuple[int, int] | None, stop: CancelToken | None) -> Picture:
         tree = scene.tree
         if tree is None:
-            raise RenderError("there is no airway lumen yet, so no tree to show", code="render.no-lumen")
+            raise RenderError(
+                "there is no tree to show, because the airways have not been segmented yet", code="render.no-lumen"
+            )
         return cast_tree(tree, view, rows=rows, simd=self._simd, stop=stop)

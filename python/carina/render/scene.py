@@ -76,7 +76,10 @@ class SceneKeeper:
     def adopt(self, scene: Scene) -> None:
         """Take a scene that another keeper of the same volume has made."""
         if scene.values.shape != self._volume.shape_zyx:
-            msg = f"the scene's values have shape {scene.values.shape}, the volume {self._volume.shape_zyx}"
+            msg = (
+                f"the scene's values have shape {scene.values.shape}; expected that of the volume, "
+                f"{self._volume.shape_zyx}"
+            )
             raise GeometryError(msg, code="geometry.shape")
         with self._change, self._swap:
             self._scene = scene
@@ -91,7 +94,7 @@ class SceneKeeper:
         if lumen_zyx is not None:
             lumen_zyx = np.ascontiguousarray(lumen_zyx, dtype=np.uint8)
             if lumen_zyx.shape != self._volume.shape_zyx:
-                msg = f"the lumen has shape {lumen_zyx.shape}, the volume {self._volume.shape_zyx}"
+                msg = f"the lumen has shape {lumen_zyx.shape}; expected that of the volume, {self._volume.shape_zyx}"
                 raise GeometryError(msg, code="geometry.shape")
         tree = None if lumen_zyx is None else build_tree_field(lumen_zyx, self._volume.lps_from_ijk)
         with self._change:
@@ -122,11 +125,11 @@ class SceneKeeper:
 
         def step(what: str, fraction: float | None) -> None:
             if cancel is not None and cancel():
-                raise CancelledError("stopped while preparing the volume for fast pictures")
+                raise CancelledError("stopped while preparing fast rendering")
             if progress is not None:
                 progress(what, fraction)
 
-        what = "preparing fast pictures"
+        what = "preparing fast rendering"
         while True:
             scene = self._scene
             # The paper's transfer functions are never shaded, and then all classes are leaped.

@@ -42,7 +42,7 @@ def build_isoregion_map(labels_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """
     if labels_zyx.ndim != 3 or 0 in labels_zyx.shape:
         raise GeometryError(
-            f"labels have shape {labels_zyx.shape}; expected three axes, none empty", code="geometry.shape"
+            f"expected labels with three non-empty axes; found shape {labels_zyx.shape}", code="geometry.shape"
         )
     return _core.build_radius_map(np.ascontiguousarray(labels_zyx, dtype=np.uint8))
 

@@ -39,9 +39,11 @@ class Light:
         shares = (self.ambient, self.diffuse, self.specular)
         whole = isinstance(self.shininess_log2, int) and 0 <= self.shininess_log2 <= 10
         if not whole or not all(np.isfinite(v) and 0 <= v <= 10 for v in shares):
-            raise RenderError(f"a light's shares and its shininess (log2, a whole number) lie in 0 to 10; found {self}")
+            raise RenderError(
+                f"the shares of a light and its shininess (log2, a whole number) must be 0 to 10; found {self}"
+            )
         if self.reach_mm is not None and not self.reach_mm > 0:
-            raise RenderError(f"a light's reach is above 0 mm; found {self.reach_mm}")
+            raise RenderError(f"the reach of a light must be above 0 mm; found {self.reach_mm}")
 
     def as_core(self) -> tuple[float, float, float, int, float]:
         """As the compiled module takes it."""
@@ -108,8 +110,8 @@ class TransferFunction:
         if outside.any():
             at = int(np.flatnonzero(outside)[0])
             msg = (
-                "values of a transfer function are finite, its colours and opacities lie in 0 to 1; "
-                f"found at point {at}: {points[at].tolist()}"
+                "a transfer function must have finite values, and colours and opacities from 0 to 1; found at "
+                f"point {at}: {points[at].tolist()}"
             )
             raise RenderError(msg, code="render.transfer")
         falling = np.flatnonzero(np.diff(points[:, 0]) < 0)
@@ -121,9 +123,12 @@ class TransferFunction:
             )
             raise RenderError(msg, code="render.transfer")
         if not (np.isfinite(self.reference_mm) and self.reference_mm > 0):
-            raise RenderError("a transfer function's reference length is above 0 mm", code="render.transfer")
+            raise RenderError("the reference length of a transfer function must be above 0 mm", code="render.transfer")
         if self.appearance is not None and self.sampling == "nearest":
-            raise RenderError("sampling nearest has no gradient, so no appearance", code="render.transfer")
+            raise RenderError(
+                "sampling nearest provides no gradient, which an appearance needs; use trilinear",
+                code="render.transfer",
+            )
         if self.unit not in {"HU", "raw"} or self.sampling not in {"trilinear", "nearest"}:
             msg = f"expected unit HU or raw and sampling trilinear or nearest; found {self.unit!r}, {self.sampling!r}"
             raise RenderError(msg, code="render.transfer")
@@ -195,7 +200,7 @@ class TransferFunction:
             # ValueError: bad JSON, and integers of more digits than Python converts.
             raise RenderError(f"the transfer function is not JSON: {error}", code="render.transfer") from None
         if not isinstance(document, dict):
-            raise RenderError("expected a JSON object as transfer function", code="render.transfer")
+            raise RenderError("expected a transfer function as a JSON object", code="render.transfer")
         return cls.from_json(document)
 
 

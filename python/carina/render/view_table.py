@@ -71,7 +71,7 @@ FINDER_VIEW: Literal["cut-plane"] = "cut-plane"
 """Stands in for :data:`LEAD_VIEW` where that cannot follow."""
 CellName = Literal["airway", Plane, "cut-plane", "xray", "outside"]
 Need = Literal["airways", "route"]
-ON_ITS_WAY = "This picture is being rendered."
+ON_ITS_WAY = "Rendering this picture…"
 
 
 @one_line
@@ -94,7 +94,7 @@ CELLS: Mapping[CellName, Cell] = MappingProxyType(
             Cell("airway"),
             *(Cell(plane) for plane in PLANES),
             Cell("cut-plane", "step", "next_cut"),
-            Cell("xray", "list", "next_xray", "Direction of the X-ray"),
+            Cell("xray", "list", "next_xray", "X-ray projection"),
             Cell("outside", "step", "swap_outside"),
         )
     }
@@ -266,7 +266,7 @@ def _xray_row(name: ViewName, axis: Plane, short: str, words: str) -> ViewRow:
         title="X-ray",
         short=short,
         words=words,
-        empty="The X-ray view with the tip in it appears here when a CT is open.",
+        empty="The simulated X-ray with the scope tip appears here when a CT is open.",
         cell="xray",
         spec=lambda s: XrayView(axis=axis, width=s.width, height=s.height, window_hu=s.window_hu),
         depends_on=lambda _: (),
@@ -289,7 +289,7 @@ def _drr(s: ViewSettings) -> View:
 def _path_row(kind: Literal["straightened", "curved"], title: str, words: str, *, straight: bool) -> ViewRow:
     def spec(s: ViewSettings) -> View:
         if s.path is None:
-            raise UsageError(f"the {kind} view needs a path to lie along", code="render.no-path")
+            raise UsageError(f"the {kind} view needs a path", code="render.no-path")
         return PathView(
             kind,
             s.path,
@@ -312,8 +312,10 @@ def _path_row(kind: Literal["straightened", "curved"], title: str, words: str, *
         name=kind,
         title=title,
         words=words,
-        empty="There is no route yet. Choose a branch in the list, or mark a target: the airway along the way there "
-        "appears here.",
+        empty=(
+            "There is no route yet. Choose a branch in the list, or mark a target. The airway along the route "
+            "appears here."
+        ),
         cell="cut-plane",
         spec=spec,
         depends_on=depends,
@@ -359,7 +361,7 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 name="cut-plane",
                 title="Cut-plane",
                 words="cut-plane",
-                empty="The plane across the tip, at right angles to the scope, appears here when a CT is open.",
+                empty="The plane through the tip, at right angles to the scope, appears here when a CT is open.",
                 cell="cut-plane",
                 spec=_cut_plane,
                 depends_on=lambda s: (s.pose_id, s.window_hu, s.sight.place("cut-plane")),
@@ -382,7 +384,7 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 title="X-ray",
                 short="DRR",
                 words="Radiograph from the C-arm: drag to turn it",
-                empty="The X-ray view with the tip in it appears here when a CT is open.",
+                empty="The simulated X-ray with the scope tip appears here when a CT is open.",
                 cell="xray",
                 spec=_drr,
                 # Like the other X-rays: the tip is only marked in it.
@@ -398,7 +400,7 @@ VIEWS: Mapping[str, ViewRow] = MappingProxyType(
                 name="tree",
                 title="Airway tree",
                 words="airway tree",
-                empty="The airway tree from outside appears here once the airways are found.",
+                empty="The airway tree, seen from outside, appears here once the airways have been segmented.",
                 cell="outside",
                 spec=lambda s: TreeView(**_around(s, "tree")),
                 depends_on=lambda s: (s.sight.orbits.get("tree"),),

@@ -48,22 +48,22 @@ def _check(
 ) -> None:
     if not (1 <= width <= 8192 and 1 <= height <= 8192):
         raise RenderError(
-            f"a picture has 1 to 8192 pixels on each side; found {width} x {height}", code="render.camera"
+            f"a picture must have 1 to 8192 pixels on each side; found {width} x {height}", code="render.camera"
         )
     if fov_deg is not None and not 1.0 <= fov_deg <= 170.0:
-        raise RenderError(f"the field of view is 1 to 170 degrees; found {fov_deg:g}", code="render.camera")
+        raise RenderError(f"the field of view must be 1 to 170 degrees; found {fov_deg:g}", code="render.camera")
     if window_hu is not None and not (np.isfinite(window_hu).all() and window_hu[0] > 0):
         raise RenderError(f"a window needs a width above 0 and a level; found {window_hu}", code="render.setting")
 
 
 def _check_mm(what: str, value: float | None) -> None:
     if value is not None and not (np.isfinite(value) and value > 0):
-        raise RenderError(f"{what} is above 0 mm; found {value}", code="render.setting")
+        raise RenderError(f"{what} must be above 0 mm; found {value}", code="render.setting")
 
 
 def _check_point(what: str, point: tuple[float, float, float] | NDArray[np.float64]) -> None:
     if np.shape(point) != (3,) or not np.isfinite(point).all():
-        raise RenderError(f"{what} is three finite numbers, mm LPS; found {point}", code="render.setting")
+        raise RenderError(f"{what} must be three finite numbers, mm LPS; found {point}", code="render.setting")
 
 
 def _check_plane(name: str) -> None:
@@ -106,12 +106,12 @@ class AirwayView:
         # Made here and kept for the picture: a lens that does not fit is refused before anything is cast.
         _ = self.optics
         if not 0.01 <= self.step_vox <= 100:
-            raise RenderError(f"the ray step is 0.01 to 100 voxels; found {self.step_vox}", code="render.setting")
+            raise RenderError(f"the ray step must be 0.01 to 100 voxels; found {self.step_vox}", code="render.setting")
         if self.method not in {"leap", "brute", "leap-always"}:
-            msg = f"expected the method leap, brute or leap-always; found {self.method!r}"
+            msg = f"expected method leap, brute or leap-always; found {self.method!r}"
             raise RenderError(msg, code="render.setting")
         if not 1 / 65536 <= self.stop_transparency <= 0.25:
-            msg = f"rays stop at a transparency of 1/65536 to 1/4; found {self.stop_transparency}"
+            msg = f"the transparency at which rays stop must be 1/65536 to 1/4; found {self.stop_transparency}"
             raise RenderError(msg, code="render.setting")
         if self.guides_mm is not None:
             check_guides(self.guides_mm)
@@ -192,9 +192,9 @@ class CutPlaneView(GreyView):
 
     def __post_init__(self) -> None:
         GreyView.__post_init__(self)
-        _check_mm("the extent of a cut plane", self.extent_mm)
+        _check_mm("the extent of a cut-plane", self.extent_mm)
         if self.centre_lps is not None:
-            _check_point("the middle of a cut plane", self.centre_lps)
+            _check_point("the centre of a cut-plane", self.centre_lps)
 
 
 @one_line
@@ -204,8 +204,8 @@ class TriPlaneView(OrbitView):
 
     Without a distance the whole volume is in the picture. Values below ``clear_below`` are seen through.
 
-    The camera looks at the planes' meeting point, or with ``look_at`` ``volume`` at the middle of the volume: then it
-    stays where it is while a plane is moved.
+    The camera looks at the point where the planes meet, or with ``look_at`` ``volume`` at the middle of the volume:
+    then it stays where it is while a plane is moved.
     """
 
     centre_lps: tuple[float, float, float]
@@ -219,9 +219,9 @@ class TriPlaneView(OrbitView):
     def __post_init__(self) -> None:
         OrbitView.__post_init__(self)
         _check(self.width, self.height, window_hu=self.window_hu)
-        _check_point("the planes' meeting point", self.centre_lps)
+        _check_point("the point where the planes meet", self.centre_lps)
         if self.look_at not in {"point", "volume"}:
-            raise RenderError(f"the camera looks at point or volume; found {self.look_at!r}", code="render.setting")
+            raise RenderError(f"look_at must be point or volume; found {self.look_at!r}", code="render.setting")
 
 
 @one_line
@@ -282,12 +282,14 @@ class DrrView:
             )
         if not -90.0 <= self.secondary_deg <= 90.0:
             raise RenderError(
-                f"the secondary angle is -90 to 90 degrees; found {self.secondary_deg}", code="render.setting"
+                f"the C-arm's secondary angle (cranial/caudal) must be -90 to 90 degrees; found {self.secondary_deg}",
+                code="render.setting",
             )
         if not 100.0 <= self.sod_mm <= self.sid_mm <= 5000.0:
             found = f"{self.sod_mm} and {self.sid_mm}"
             raise RenderError(
-                f"from the source to the centre and to the detector are 100 to 5000 mm, in this order; found {found}",
+                "the distances from the source to the centre and to the detector must be 100 to 5000 mm, in "
+                f"increasing order; found {found}",
                 code="render.setting",
             )
         if self.tone not in {"radiograph", "fluoroscopy"}:
@@ -325,7 +327,9 @@ class PathView(GreyView):
         if self.kind not in {"straightened", "curved"}:
             raise RenderError(f"expected straightened or curved; found {self.kind!r}", code="render.setting")
         if not (np.isfinite(self.turn_deg) and np.isfinite(self.centre_mm)):
-            raise RenderError("the turn and the place of a path view are finite numbers", code="render.setting")
+            raise RenderError(
+                "the rotation and the position of a path view must be finite numbers", code="render.setting"
+            )
 
 
 @one_line

@@ -90,7 +90,7 @@ def lens_from_text(text: str) -> Lens:
         else:
             entries = _read_yaml(text)
     except RecursionError as error:
-        raise _refused("expected a camera calibration, found entries nested too deeply") from error
+        raise _refused("expected a camera calibration; found entries that are nested too deeply") from error
     return _lens({key.lower(): value for key, value in entries.items()})
 
 
@@ -152,7 +152,7 @@ def _read_yaml(text: str) -> Entries:
                 value += " " + part
                 n += 1
             if depth != 0:
-                raise _refused(f"the list of {key!r} does not end")
+                raise _refused(f"the list of {key!r} has no closing bracket")
         if indent and inner is not None:
             inner[key] = value
         elif value in {"", "!!opencv-matrix"}:
@@ -176,7 +176,7 @@ def _numbers(what: str, value: Any) -> list[float]:
         if None not in sides:
             rows, cols = (_whole(f"{what}'s {name}", side) for name, side in zip(("rows", "cols"), sides, strict=True))
             if rows * cols != len(found):
-                raise _refused(f"{what} says {rows} x {cols} numbers and has {len(found)}")
+                raise _refused(f"{what}: expected {rows} x {cols} numbers, found {len(found)}")
         return found
     if isinstance(value, bool) or value is None:
         raise _refused(f"{what}: expected numbers, found {value}")

@@ -75,13 +75,13 @@ class Lens:
         expected = {"pinhole": 0, "equidistant": 0, "brown": 8, "fisheye": 4}.get(self.model)
         if len(self.coefficients) != expected:
             raise RenderError(
-                "a lens is pinhole or equidistant, brown with 8 coefficients or fisheye with 4; "
-                f"found {self.model} with {len(self.coefficients)}",
+                "a lens must be pinhole, equidistant, brown with 8 coefficients or fisheye with 4; found "
+                f"{self.model} with {len(self.coefficients)}",
                 code="render.camera",
             )
         if not all(math.isfinite(value) for value in self.coefficients):
             raise RenderError(
-                f"a lens's coefficients are finite numbers; found {self.coefficients}", code="render.camera"
+                f"the coefficients of a lens must be finite numbers; found {self.coefficients}", code="render.camera"
             )
 
     @classmethod
@@ -147,11 +147,11 @@ class ImageField:
 
     def __post_init__(self) -> None:
         if self.outline not in OUTLINES:
-            raise RenderError(f"an outline is {', '.join(OUTLINES)}; found {self.outline!r}", code="render.camera")
+            raise RenderError(f"outline must be {', '.join(OUTLINES)}; found {self.outline!r}", code="render.camera")
         if not 0.0 <= self.edge_px <= 100.0:
-            raise RenderError(f"a soft edge is 0 to 100 pixels wide; found {self.edge_px:g}", code="render.camera")
+            raise RenderError(f"a soft edge must be 0 to 100 pixels wide; found {self.edge_px:g}", code="render.camera")
         if not 0.0 <= self.vignette <= 1.0:
-            raise RenderError(f"a vignette is 0 to 1; found {self.vignette:g}", code="render.camera")
+            raise RenderError(f"vignetting must be 0 to 1; found {self.vignette:g}", code="render.camera")
 
 
 FULL_FRAME = ImageField()
@@ -174,7 +174,7 @@ class DepthOfField:
     def __post_init__(self) -> None:
         if not (0.0 < self.near_mm < self.far_mm and math.isfinite(self.far_mm)):
             raise RenderError(
-                f"a depth of field runs from above 0 mm to a larger distance; found {self.near_mm:g} to "
+                f"a depth of field must run from above 0 mm to a larger distance; found {self.near_mm:g} to "
                 f"{self.far_mm:g} mm",
                 code="render.camera",
             )

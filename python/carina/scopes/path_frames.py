@@ -39,11 +39,11 @@ class PathFrames:
         num = len(self.path_mm)
         if num < 2 or self.path_mm.shape != (num,) or self.lps_from_frame.shape != (num, 4, 4):
             found = f"{self.path_mm.shape} and {self.lps_from_frame.shape}"
-            raise UsageError(f"a path needs places (n,) and frames (n, 4, 4), n at least 2; found {found}")
+            raise UsageError(f"a path needs positions (n,) and frames (n, 4, 4), n at least 2; found {found}")
         if not (np.isfinite(self.lps_from_frame).all() and np.isfinite(self.path_mm).all()):
             raise UsageError("a path's frames must be finite numbers")
         if not (np.diff(self.path_mm) > 0).all():
-            raise UsageError("places along a path must increase")
+            raise UsageError("positions along a path must increase")
 
     @property
     def length_mm(self) -> float:

@@ -52,15 +52,15 @@ class Pose:
         m = np.array(self.lps_from_camera, dtype=np.float64)
         if m.shape != (4, 4) or not np.isfinite(m).all():
             found = f"shape {m.shape}" if m.shape != (4, 4) else f"{m.ravel().tolist()}"
-            raise UsageError(f"a pose is a 4x4 matrix of finite numbers; found {found}")
+            raise UsageError(f"a pose must be a 4x4 matrix of finite numbers; found {found}")
         if not np.array_equal(m[3], [0.0, 0.0, 0.0, 1.0]):
-            raise UsageError(f"a pose's last row is 0, 0, 0, 1; found {m[3].tolist()}")
+            raise UsageError(f"the last row of a pose must be 0, 0, 0, 1; found {m[3].tolist()}")
         r = m[:3, :3]
         # 1e-6: poses pass through JSON and many small rotations; anything worse is a different matrix, not rounding.
         if np.abs(r.T @ r - np.eye(3)).max() > 1e-6 or np.linalg.det(r) < 0:
             lengths = ", ".join(f"{v:g}" for v in np.linalg.norm(r, axis=0))
             raise UsageError(
-                "a pose's axes must be unit vectors at right angles, right-handed (determinant 1); found lengths "
+                "the axes of a pose must be unit vectors at right angles, right-handed (determinant 1); found lengths "
                 f"{lengths} and determinant {np.linalg.det(r):g}"
             )
         m.flags.writeable = False
@@ -100,7 +100,7 @@ class Pose:
         forward = look / norm
         up = upright(forward) if up_lps is None else np.asarray(up_lps, dtype=np.float64)
         if up.shape != (3,) or not np.isfinite(up).all():
-            raise UsageError(f"the up direction is three finite numbers; found {up.tolist()}")
+            raise UsageError(f"the up direction must be three finite numbers; found {up.tolist()}")
         down = -(up - float(up @ forward) * forward)
         length = float(np.linalg.norm(down))
         if not length > 1e-6 * max(1.0, float(np.linalg.norm(up))):

@@ -44,7 +44,7 @@ def _error(trouble: CarinaError, status: int) -> JSONResponse:
 
 
 def _not_authorised() -> JSONResponse:
-    words = "this page is not authorised: open it again by the link that Carina printed when it started"
+    words = "this page is not authorised: open it again with the link that Carina printed when it started"
     return _error(CarinaError(words, code="protocol.not-authorised"), 401)
 
 
@@ -73,21 +73,21 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
             if gate.authorised(request.headers):
                 return RedirectResponse("/", 303, headers={"cache-control": "no-store"})
             words = (
-                "A link works only once, so that nobody else can use it. Start Carina again, or go back to the open "
+                "The link works only once, so that nobody else can use it. Restart Carina, or go back to the open "
                 "window."
             )
             return page("This link has already been used", words, 403)
         # No cookie is asked for here: after a click in another site's page the browser withholds a Strict cookie from
         # this navigation, but not from the socket that the page then opens. The files hold nothing of a patient.
         if web is None:
-            words = "The window of Carina has not been built. Run <code>make run</code> in the repository, then reload."
-            return page("Nothing to show yet", words, 503)
+            words = "The Carina window has not been built. Run <code>make run</code> in the repository, then reload."
+            return page("The window has not been built", words, 503)
         return FileResponse(web / "index.html", headers={"cache-control": "no-store"})
 
     async def asset(request: Request) -> Response:
         found = asset_path(web, request.path_params["path"])
         if found is None:
-            return page("Nothing here", "Carina has no such page.", 404)
+            return page("Nothing here", "This page does not exist.", 404)
         # The builder puts a hash of the content in the name of everything below assets/.
         lasting = found.parent.name == "assets"
         return FileResponse(
@@ -176,7 +176,8 @@ async def _serve_client(websocket: WebSocket, hub: Hub) -> None:
             raise ProtocolError("the first message must be hello", code="protocol.order")
         if hello.wire_version != wire.WIRE_VERSION:
             msg = (
-                f"this page speaks version {hello.wire_version} and Carina version {wire.WIRE_VERSION}; reload the page"
+                f"this page uses protocol version {hello.wire_version} and Carina uses version "
+                f"{wire.WIRE_VERSION}; reload the page"
             )
             raise ProtocolError(msg, code="protocol.version")
         await websocket.send_text(wire.encode_message(wire.ServerHello(wire.WIRE_VERSION, carina.__version__)))
@@ -191,7 +192,7 @@ async def _serve_client(websocket: WebSocket, hub: Hub) -> None:
     except ProtocolError as trouble:
         await close_socket(websocket, trouble.code, str(trouble))
     except TimeoutError:
-        await close_socket(websocket, "protocol.order", "no hello came")
+        await close_socket(websocket, "protocol.order", "the client sent no hello message")
     except WebSocketDisconnect:
         pass
     finally:
@@ -214,7 +215,7 @@ async def _receive_text(websocket: WebSocket) -> str:
         raise WebSocketDisconnect(message.get("code", 1006), message.get("reason"))
     text = message.get("text")
     if text is None:
-        raise ProtocolError("a client sends text messages, not binary ones", code="protocol.type")
+        raise ProtocolError("the client sent a binary message; only text messages are accepted", code="protocol.type")
     return str(text)
 
 
@@ -226,7 +227,7 @@ async def _send_all(websocket: WebSocket, hub: Hub, outbox: Outbox) -> None:
             await close_socket(websocket, "protocol.taken-over", reason)
             return
         if outbox.overflowed:
-            await close_socket(websocket, "protocol.slow-client", "this window could not keep up")
+            await close_socket(websocket, "protocol.slow-client", "this window could not keep up with the data")
             return
         for topic in topics:
             text = hub.topic_text(topic)

@@ -138,7 +138,7 @@ class DeviceDesk:
                 self._publish(message.port)
             case wire.SetPhone():
                 if self._phone is None:
-                    raise UsageError("this build of Carina has no page for a phone", code="phone.missing")
+                    raise UsageError("this build of Carina does not include the phone page", code="phone.missing")
                 self._phone_wanted = message.on
                 # Keys, sockets and threads: not while the window waits.
                 threading.Thread(target=self._switch_phone, args=(message.on,), daemon=True).start()
@@ -175,7 +175,7 @@ class DeviceDesk:
         if source.address in self._sources:
             raise UsageError(f"{source.address} is already connected", code="devices.address")
         if len(self._sources) >= MAX_SOURCES:
-            raise UsageError(f"at most {MAX_SOURCES} devices are connected at once", code="devices.address")
+            raise UsageError(f"at most {MAX_SOURCES} devices can be connected at once", code="devices.address")
         self._sources[source.address] = source
         source.start()
 
@@ -192,8 +192,8 @@ class DeviceDesk:
         except CarinaError as trouble:
             self._push(wire.Error(trouble.code, str(trouble), None))
         except Exception as trouble:
-            log_fault(logger, "the page for a phone could not be switched", trouble)
-            words = f"the page for a phone failed: internal error in Carina ({type(trouble).__name__})"
+            log_fault(logger, "the phone page could not be opened or closed", trouble)
+            words = f"the phone page failed: internal error in Carina ({type(trouble).__name__})"
             self._push(wire.Error("carina.fault", words, None))
 
     def _publish(self, port: int | None) -> None:
@@ -235,7 +235,7 @@ class DeviceDesk:
             published_port=None if self._publisher is None else self._publisher.port,
             recording=None if recording is None else str(recording),
             phone=None if self._phone is None else self._phone.info(),
-            phone_problem="this build of Carina has no page for a phone"
+            phone_problem="this build of Carina does not include the phone page"
             if self._phone is None
             else self._phone.problem,
         )
@@ -276,7 +276,7 @@ class DeviceDesk:
                 moving = False
                 if not self._fault_logged:
                     self._fault_logged = True
-                    log_fault(logger, "a frame of the devices failed; they go on", trouble)
+                    log_fault(logger, "processing the device input of one frame failed; input continues", trouble)
             # A flood of samples makes no more frames than these.
             self._ended.wait(max(0.0, FRAME_S - (time.monotonic() - began_s)))
 

@@ -50,7 +50,7 @@ class Downloads:
             If Carina writes no such file, the case has no airways, or the disk takes nothing.
         """
         if suffix not in EXPORT_SUFFIXES:
-            msg = f"Carina writes {', '.join(EXPORT_SUFFIXES)}; asked for {suffix!r}"
+            msg = f"Carina can write {', '.join(EXPORT_SUFFIXES)}; found {suffix!r}"
             raise CarinaError(msg, code="export.suffix")
         volume, airways = self._session.ask(AirwaysToTakeAway())
         async with self._one_at_a_time:

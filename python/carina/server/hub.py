@@ -290,7 +290,7 @@ class Hub:
                 pass
             is_written = True
         except Exception as trouble:
-            log_fault(logger, "the airway tree could not be written for the window", trouble)
+            log_fault(logger, "the airway tree could not be prepared for the window", trouble)
             words = f"the airway tree cannot be shown: internal error in Carina ({type(trouble).__name__})"
             self._push(wire.Error("carina.fault", words, None))
         finally:
@@ -388,11 +388,11 @@ class Hub:
             self._push(wire.Error(trouble.code, str(trouble), None))
         except Exception as trouble:
             if isinstance(trouble, OSError) and is_disk_trouble(trouble):
-                told = disk_trouble(trouble, "this could not be done", None)
+                told = disk_trouble(trouble, "the command failed", None)
                 self._push(wire.Error(told.code, str(told), None))
                 return
             log_fault(logger, f"a command failed: {type(message).__name__}", trouble)
-            words = f"this could not be done: internal error in Carina ({type(trouble).__name__})"
+            words = f"the command failed: internal error in Carina ({type(trouble).__name__})"
             self._push(wire.Error("carina.fault", words, None))
 
     def _do(self, message: Any) -> None:

@@ -67,5 +67,5 @@ def lan_address() -> str:
                 continue
         if found and not found.startswith(("127.", "::1", "fe80:")):
             return found
-    msg = "this machine has no address in a network that a phone could reach; join a wireless network first"
+    msg = "this machine has no network address that a phone can reach; connect it to a wireless network first"
     raise CarinaError(msg, code="server.no-network")

@@ -26,7 +26,7 @@ class AskAtPlace(FrozenValue, frozen=True):
         """A point or a place."""
         in_picture = [part is not None for part in (self.frame_id, self.column, self.row)]
         if any(in_picture) != all(in_picture) or (self.lps is None) != all(in_picture):
-            return f"{self.__struct_config__.tag} needs either a point or a place in a picture"
+            return f"{self.__struct_config__.tag} needs either a point or a position in a picture"
         return None
 
 
@@ -63,7 +63,7 @@ class Layout(ClientMessage, frozen=True):
 
     def choice_problem(self) -> str | None:
         """Each view once."""
-        return None if len({v.view for v in self.views}) == len(self.views) else "layout names a view twice"
+        return None if len({v.view for v in self.views}) == len(self.views) else "the layout contains a view twice"
 
 
 class Ack(ClientMessage, frozen=True):

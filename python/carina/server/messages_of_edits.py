@@ -28,7 +28,7 @@ class AskEditPreview(AskAtPlace, ClientMessage, frozen=True, tag="preview_edit")
         """A point or a place; a branch for one tool."""
         problem = super().choice_problem()
         if problem is None and (self.branch_id is None) == (self.tool == "move-fork"):
-            return "preview_edit names a branch for move-fork, and for it alone"
+            return "preview_edit must name a branch for move-fork, and only for move-fork"
         return problem
 
 

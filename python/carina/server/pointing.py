@@ -82,7 +82,7 @@ class Pointing:
         except CarinaError as trouble:
             logger.debug("no path to the root: %s", trouble)
         except Exception as trouble:
-            log_fault(logger, "a live path failed", trouble)
+            log_fault(logger, "the live path failed", trouble)
 
     def ask_branch_detail(self, message: wire.AskBranchDetail) -> None:
         """What was measured along a branch."""
@@ -96,8 +96,11 @@ class Pointing:
         except CarinaError as trouble:
             answer = _no_path(message.request_id, str(trouble))
         except Exception as trouble:
-            log_fault(logger, "a live path failed", trouble)
-            answer = _no_path(message.request_id, f"no path: internal error in Carina ({type(trouble).__name__})")
+            log_fault(logger, "the live path failed", trouble)
+            answer = _no_path(
+                message.request_id,
+                (f"the path could not be found: internal error in Carina ({type(trouble).__name__})"),
+            )
         self._push(answer)
 
     def _answer_edit_preview(self, message: wire.AskEditPreview) -> None:
@@ -108,8 +111,10 @@ class Pointing:
         except CarinaError as trouble:
             answer = _no_preview(message, lps, str(trouble))
         except Exception as trouble:
-            log_fault(logger, "a preview of an edit failed", trouble)
-            answer = _no_preview(message, lps, f"no preview: internal error in Carina ({type(trouble).__name__})")
+            log_fault(logger, "the preview of an edit failed", trouble)
+            answer = _no_preview(
+                message, lps, (f"the preview could not be made: internal error in Carina ({type(trouble).__name__})")
+            )
         self._push(answer)
 
     def _place(self, message: wire.AskLivePath | wire.AskEditPreview) -> tuple[float, float, float]:
@@ -137,7 +142,7 @@ class Pointing:
             # The tree has changed since: a newer one is on its way, and asks again.
             logger.debug("no measures: %s", trouble)
         except Exception as trouble:
-            log_fault(logger, "measures of a branch failed", trouble)
+            log_fault(logger, "measuring a branch failed", trouble)
         self._push(branch_detail_message(message, measures))
 
 

@@ -33,7 +33,7 @@ __all__ = [
 def demos(patient_citation: Citation | None) -> tuple[wire.Demo, ...]:
     """The bundled cases."""
     return (
-        wire.Demo("phantom", "Phantom", "A synthetic chest CT with known airways, made on this machine.", None),
+        wire.Demo("phantom", "Phantom", "A synthetic chest CT with known airways, generated on this machine.", None),
         wire.Demo(
             "patient", "Patient", "A real chest CT, cropped around the airways and anonymised.", patient_citation
         ),

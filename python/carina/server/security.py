@@ -117,7 +117,7 @@ class Gate:
         origin = headers.get("origin")
         if origin is None:
             if (method is None or method not in SAFE_METHODS) and not self._bearer_matches(headers):
-                return "the request does not say which page it comes from"
+                return "the request does not state which page it comes from"
             return None
         scheme, _, rest = origin.partition("://")
         # The same host and port as the one this request was sent to, which was checked above.

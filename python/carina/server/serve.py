@@ -165,7 +165,7 @@ def serve(
         ``server.port`` if the port is in use; with ``phone``, ``phone.missing`` or ``server.no-network``.
     """
     if path is not None and demo is not None:
-        raise UsageError("give a path or a demo, not both")
+        raise UsageError("expected a path or a demo; found both")
     if demo not in {None, "phantom", "patient"}:
         raise UsageError(f"expected the demo 'phantom' or 'patient'; found {demo!r}")
     if path is not None:
@@ -246,8 +246,8 @@ _NETWORK_WARNING = (
 
 
 _PHONE_WARNING = (
-    "Carina's page for a phone listens on {address}: anyone on this network who has its link can move the tip, but "
-    "sees nothing of the case. Close it under Devices, or by stopping Carina."
+    "Carina's phone page listens on {address}: anyone on this network who has its link can move the tip, but "
+    "cannot see the case. Close it under Devices, or by stopping Carina."
 )
 
 

@@ -117,7 +117,8 @@ class Uploads:
         upload = self._needed(upload_id)
         if upload.num_files >= self._limits.num_files:
             msg = (
-                f"too many files: at most {self._limits.num_files} can be dropped at once; open the folder by its path"
+                f"too many files: at most {self._limits.num_files} can be dropped at once; open the folder by "
+                "its path instead"
             )
             raise UsageError(msg, code="upload.limit")
         upload.num_files += 1
@@ -130,7 +131,7 @@ class Uploads:
                     written += len(chunk)
                     upload.num_bytes += len(chunk)
                     if written > self._limits.file_bytes or upload.num_bytes > self._limits.total_bytes:
-                        msg = "the dropped files are too large to copy; open the folder by its path instead"
+                        msg = "the dropped files are too large to upload; open the folder by its path instead"
                         raise UsageError(msg, code="upload.limit")
                     await run_in_threadpool(file.write, chunk)
         except OSError as trouble:
@@ -145,7 +146,7 @@ class Uploads:
         upload = self._needed(upload_id)
         files = sorted(p for p in upload.folder.rglob("*") if p.is_file())
         if not files:
-            raise UsageError("nothing was dropped: the upload holds no file", code="upload.empty")
+            raise UsageError("nothing was dropped: the upload contains no files", code="upload.empty")
         if len(files) == 1:
             return files[0]
         headers = [p for p in files if p.suffix.lower() in {".mhd", ".nhdr"}]

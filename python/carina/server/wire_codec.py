@@ -82,7 +82,7 @@ def _refuse(code: str, message: str) -> NoReturn:
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     keys = dict(pairs)
     if len(keys) != len(pairs):
-        _refuse("json", "a message names the same field twice")
+        _refuse("json", "a message contains the same field twice")
     return keys
 
 
@@ -106,7 +106,7 @@ def load_json_object(text: str | bytes, *, max_bytes: int = MAX_TEXT_BYTES) -> d
         ``protocol.size``, ``protocol.json``, ``protocol.number`` or ``protocol.range``.
     """
     if len(text) > max_bytes:
-        _refuse("size", f"a message is too long: at most {max_bytes} bytes are read, this one has {len(text)}")
+        _refuse("size", f"a message is too long: expected at most {max_bytes} bytes, found {len(text)}")
     try:
         value = json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_no_constant, parse_float=_finite)
     except ProtocolError:
@@ -182,10 +182,10 @@ def _check_document(value: Any, where: str) -> None:
         inner, depth = waiting.pop()
         if isinstance(inner, dict | list):
             if depth > MAX_DEPTH:
-                _refuse("size", f"{where} is nested too deeply: at most {MAX_DEPTH} levels are read")
+                _refuse("size", f"{where} is nested too deeply: expected at most {MAX_DEPTH} levels")
             waiting += [(entry, depth + 1) for entry in (inner.values() if isinstance(inner, dict) else inner)]
         elif isinstance(inner, int | float) and not -1e15 <= inner <= 1e15:
-            _refuse("range", f"{where} holds a number that is too large")
+            _refuse("range", f"{where} contains a number that is too large")
 
 
 def encode(message: FrozenValue) -> str:
@@ -218,7 +218,7 @@ def split_picture(data: bytes) -> tuple[dict[str, Any], bytes]:
         _refuse("picture", "a picture is too short for its header length")
     (length,) = struct.unpack_from("<I", data)
     if length > MAX_HEADER_BYTES:
-        _refuse("size", f"a picture's header is too long: {length} bytes")
+        _refuse("size", f"the header of a picture is too long: {length} bytes")
     if 4 + length >= len(data):
         _refuse("picture", "a picture ends before its payload")
     return load_json_object(data[4 : 4 + length], max_bytes=MAX_HEADER_BYTES), data[4 + length :]

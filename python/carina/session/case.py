@@ -187,11 +187,11 @@ def new_case(
         transfer, threshold = parts.transfer_from_histogram(volume)
         window = GreyWindow(float(max(1, high - low)), (high + low) / 2.0)
         presets = (HISTOGRAM_PRESET,)
-        why = volume.not_hu_reason or "the values of this volume are not HU"
+        why = volume.not_hu_reason or "this volume is not in HU"
         off = (
             FeatureOff("transfer functions and windows in HU", why),
             FeatureOff("the quality check of the lungs", why),
-            FeatureOff("a lumen threshold in HU (the one above is in the file's own units)", why),
+            FeatureOff("a lumen threshold in HU (the threshold shown is in the file's own units)", why),
         )
     document = Document(transfer=transfer, lumen_threshold=threshold)
     history = History(document) if kept is None else kept.history()

@@ -59,7 +59,7 @@ class ShownContent:
         self._come_to = 0
         """The number of the decision that the renderer shows, or will not come closer to."""
         self._ready: Derived[Decided, bool] = Derived(
-            jobs, lock, kind="display", title="preparing fast pictures", make=self._make_ready, settled=self._settled
+            jobs, lock, kind="display", title="preparing fast rendering", make=self._make_ready, settled=self._settled
         )
 
     @property

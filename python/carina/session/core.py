@@ -164,7 +164,7 @@ class SessionCore:
         with self.lock:
             label = move(case.history)
             if label is None:
-                self.emit(Said("there is nothing to be " + words))
+                self.emit(Said("there is nothing to " + ("undo" if words == "undone" else "redo")))
                 return
             self._moved_in_history(case, f"{words}: {label}")
 

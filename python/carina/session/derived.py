@@ -57,7 +57,7 @@ class Attempt(Generic[Value]):
         """Raise CancelledError if it is to stop."""
         self._job.check()
         if self.is_stale():
-            raise CancelledError(f"{self._job.title}: begins again")
+            raise CancelledError(f"{self._job.title}: restarting")
 
     def progress(self, what: str, fraction: float | None) -> None:
         """Tell how far it is, and :meth:`check`."""
@@ -228,7 +228,7 @@ class Derived(Generic[Inputs, Value]):
                     job.check()
                     inputs = self._wanted
                     if inputs is None or not self._is_open():
-                        raise CancelledError(f"{self._title}: no longer wanted")
+                        raise CancelledError(f"{self._title}: no longer needed")
                     before = None if self._had is None else self._had[1]
                     attempt = Attempt(job, partial(self._is_stale, inputs), before)
                 job.begin_again()

@@ -162,7 +162,7 @@ def airway_words(airways: Any) -> str | None:
 def _lost(before: Document, after: Document) -> list[str]:
     """What an edit took away with it, in words."""
     lines = [
-        f"the path to {new.name} is lost: {new.problem}"
+        f"there is no longer a path to {new.name}: {new.problem}"
         for old, new in zip(before.targets, after.targets, strict=True)
         if _had_path(old) and not _had_path(new)
     ]

@@ -90,14 +90,14 @@ class AirwayFinding(Subject):
                 if self.core.case is case:
                     self._start_airways_of(case, Path(path).name, mask)
 
-        return self.core.jobs.start("mask", "reading the mask", work)
+        return self.core.jobs.start("mask", "reading the segmentation", work)
 
     @does(c.AnswerMask)
     def answer_mask(self, command: c.AnswerMask) -> str:
         """What was said before holds on; UsageError if nothing is asked."""
         open_question = self.core.needed_case().asked_mask
         if open_question is None:
-            raise UsageError("no mask is waiting for an answer; choose its file again", code="session.mask")
+            raise UsageError("the imported mask is no longer available; choose its file again", code="session.mask")
         asked = open_question.asked
         label = asked.label if command.label is None else command.label
         return self.take_mask(c.TakeMask(asked.path, label, command.resample))
@@ -122,14 +122,14 @@ class AirwayFinding(Subject):
         if airways is not None and case.search.status in {"found", "failed"}:
             case.search = AirwaySearch("found", airway_words(airways))
         elif airways is None and case.search.status == "found":
-            case.search = AirwaySearch("failed", f"there are no airways at this step of the history. {SET_THE_ROOT}")
+            case.search = AirwaySearch("failed", f"this step of the history has no airways. {SET_THE_ROOT}")
 
     # ------------------------------------------------------------ both
 
     def _start_airways_of(self, case: OpenCase, name: str, mask: Mask) -> None:
         """The tree of a mask. Its paths begin in its trachea; where that is not in it, at the root that is known."""
         known = case.document.airways
-        told = (f"the airway lumen is the imported mask {name}", *mask.notes)
+        told = (f"the airway lumen is the imported segmentation {name}", *mask.notes)
 
         def find(job: Job) -> Any:
             options = {"lumen_zyx": mask.inside_zyx, "notes": told, "progress": job.progress, "cancel": job.cancel}
@@ -142,7 +142,13 @@ class AirwayFinding(Subject):
                 root = as_point(known.root_lps)
                 return self.core.parts.find_airways(volume, root_lps=root, lumen_threshold=None, **options)
 
-        self._start(case, find, case.document.lumen_threshold, "use the mask as the airways", "drawing the mask's tree")
+        self._start(
+            case,
+            find,
+            case.document.lumen_threshold,
+            ("use the segmentation as the airways"),
+            "building the tree of the segmentation",
+        )
 
     def start(self, case: OpenCase, root_lps: Point | None, threshold: float | None, *, label: str | None) -> str:
         """Look for them as a job. ``label`` None: nobody asked, it is part of opening."""

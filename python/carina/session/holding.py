@@ -26,7 +26,7 @@ class ScopeHolding(Subject):
         """Lay the scope along the route once the wall is known."""
         airways, route = case.document.airways, case.document.route
         if airways is None or route is None:
-            msg = "a scope is laid along a route: wait for the airways and choose a branch or a target"
+            msg = "a scope needs a route: wait for the airways, then choose a branch or a target"
             raise NoResultError(msg, code="navigate.no-path")
         with self.core.lock:
             # A person asks: also where it was stopped before.

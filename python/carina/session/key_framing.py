@@ -145,7 +145,7 @@ class KeyFraming(Subject):
             found = self._key_flight(case)
             flight = found.flight
             if flight is None:
-                raise NoResultError(found.problem or "a flight needs two key frames or more", code="session.keys")
+                raise NoResultError(found.problem or "a flight needs at least two key frames", code="session.keys")
             place_s = min(max(time_s, 0.0), flight.duration_s)
             self.core.fly(place_pose(flight.pose_at(place_s)))
             self._flown(case, place_s)
@@ -209,7 +209,7 @@ class KeyFraming(Subject):
             job.check()
             file.check(case.info.volume)
             if len(file.frames) > MAX_KEYS:
-                raise UsageError(f"the file has {len(file.frames)} key frames; {MAX_KEYS} can be taken")
+                raise UsageError(f"the file has {len(file.frames)} key frames; at most {MAX_KEYS} can be opened")
             speeds = _speeds(file)
             with self.core.lock:
                 job.check()
@@ -220,7 +220,7 @@ class KeyFraming(Subject):
                 keys = Keys(frames, c.KeyFlying(file.speed_mm_s, file.through))
                 self.core.change(case, "open key frames", replace(case.document, keys=keys))
                 if any(frame.time_s is not None for frame in file.frames):
-                    self.core.emit(Said("the file stores times; they were converted to speeds"))
+                    self.core.emit(Said("the file stores times, which were converted to speeds"))
 
         return self.core.jobs.start("keys", "opening key frames", work)
 

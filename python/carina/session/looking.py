@@ -62,7 +62,7 @@ class Looking(Subject):
         if preset is not None:
             if preset not in case.presets:
                 known = ", ".join(case.presets)
-                raise UsageError(f"this volume has no transfer function {preset!r}; expected one of {known}")
+                raise UsageError(f"this volume has no transfer function {preset!r}; choose one of {known}")
             if preset == HISTOGRAM_PRESET:
                 transfer = self.core.parts.transfer_from_histogram(case.info.volume)[0]
             else:
@@ -71,7 +71,7 @@ class Looking(Subject):
             assert document is not None
             transfer = self.core.parts.transfer_from_json(document)
             if (transfer.unit == "HU") != case.info.volume.is_hu:
-                unit = "HU" if case.info.volume.is_hu else "raw: its numbers are not HU"
+                unit = "HU" if case.info.volume.is_hu else "in raw values, because it is not in HU"
                 raise UsageError(f"this transfer function is in {transfer.unit}; the volume needs {unit}")
         self.core.edit(command.undo_label, "transfer", transfer=transfer)
 

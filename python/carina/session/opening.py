@@ -126,7 +126,7 @@ class Opening(Subject):
             job.check()
             with self._saving.between() as keeping:
                 kept = keeping.reopened(volume)
-                job.progress("checking the quality", None)
+                job.progress("checking the scan quality", None)
                 case = new_case(
                     volume,
                     next(self.core.case_numbers),

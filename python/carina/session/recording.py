@@ -93,15 +93,15 @@ class FlightRecording(Subject):
             recorder.tick(self.core.clock())
             recorder.close()
             if recorder.trouble is None:
-                self.core.emit(Said(f"{recorder.length_s:.0f} s were recorded to {self._path}"))
+                self.core.emit(Said(f"{recorder.length_s:.0f} s recorded to {self._path}"))
                 self.core.changed("state")
             return self._path
 
     def _ended(self, trouble: OSError) -> None:
         """The file cannot be written any more, with the session locked; the flight goes on."""
         self._recorder = None
-        kept = f"the recording up to here is in {self._path}"
-        told = disk_trouble(trouble, "the recording ended: cannot write", self._path, unchanged=kept)
+        kept = f"the recording so far is in {self._path}"
+        told = disk_trouble(trouble, "the recording stopped: its file could not be written", self._path, unchanged=kept)
         self.core.emit(Trouble(told.code, str(told)))
         self.core.changed("state")
 

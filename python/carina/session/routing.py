@@ -39,14 +39,14 @@ class Routing(Subject):
                     job.check()
                     document = case.document
                     if document.airways is None:
-                        msg = f"no path to {target.name} without airways; wait for them, or mark the trachea"
+                        msg = f"no path to {target.name} yet: wait for the airways, or mark the trachea"
                         raise NoResultError(msg)
                     if tracked_in is document.airways:
                         route = tracked.route or document.route
                         changed = replace(document, targets=(*document.targets, tracked), route=route)
                         self.core.change(case, f"add {target.name}", changed)
                         if tracked.snapped_mm is not None and tracked.snapped_mm > 0.05:
-                            words = f"{target.name} was moved {tracked.snapped_mm:.1f} mm to the nearest lumen"
+                            words = f"{target.name} was moved {tracked.snapped_mm:.1f} mm into the nearest lumen"
                             self.core.emit(Said(words))
                         return
                     tracked_in = document.airways

@@ -88,7 +88,7 @@ def _grid(group: Group, what: str) -> tuple[list[SliceHeader], NDArray[np.float6
         raise VolumeImportError(msg, code=first.problem_code)
     if len(slices) * slices[0].rows * slices[0].columns > MAX_VOXELS:
         msg = (
-            f"{what}: its {len(slices)} slices hold more than {MAX_VOXELS} voxels; expected one chest CT; choose "
+            f"{what}: its {len(slices)} slices have more than {MAX_VOXELS} voxels; expected one chest CT; choose "
             "another series"
         )
         raise VolumeImportError(msg, code="import.too-large")
@@ -167,7 +167,7 @@ def _notes_of_folder(headers: Sequence[SliceHeader]) -> tuple[Note, ...]:
     patients = count_patients(headers)
     if patients < 2:
         return ()
-    words = f"the folder holds images of {patients} patients; check that this is the right one"
+    words = f"the folder contains images of {patients} patients; check that this is the right one"
     return (Note("import.two-patients", words, badge=True),)
 
 
@@ -177,9 +177,7 @@ def _notes_of_files(
     notes = []
     if missing:
         verb = (
-            "files beside the slices look like a part"
-            if len(missing) > 1
-            else "file beside the slices looks like a part"
+            "files next to the slices look like part" if len(missing) > 1 else "file next to the slices looks like part"
         )
         names = name_files([(file.path, file.reason) for file in missing])
         words = f"{len(missing)} {verb} of this series and could not be used: {names}; the scan may be incomplete"
@@ -187,7 +185,7 @@ def _notes_of_files(
     mine = [copy for h in slices for copy in copies.get((h.sop_uid, h.series_uid, h.position_lps), ())]
     if mine:
         names = name_files([(copy.path, "") for copy in mine])
-        words = f"{len(mine)} slices are there twice, byte for byte, and were used once ({names})"
+        words = f"{len(mine)} slices are present twice with identical contents and were used once ({names})"
         notes.append(Note("import.copies", words))
     return notes
 
@@ -198,7 +196,7 @@ def _with_missing(error: VolumeImportError, missing: Sequence[UnusedFile]) -> Vo
         return error
     shown = ", ".join(f"{file.path.name} ({file.reason})" for file in missing[:4])
     more = f" and {len(missing) - 4} more" if len(missing) > 4 else ""
-    verb = "files beside it look like a part of it" if len(missing) > 1 else "a file beside it looks like a part of it"
+    verb = "files next to it look like part of it" if len(missing) > 1 else "a file next to it looks like part of it"
     msg = f"{error}. {len(missing)} {verb}" if len(missing) > 1 else f"{error}. And {verb}"
     return VolumeImportError(f"{msg} and could not be used: {shown}{more}; copy them again", code=error.code)
 
@@ -258,7 +256,7 @@ def choose_series(found: Sequence[FoundSeries], *, key: str | None, where: str) 
     others = [item.info for item in found if item is not chosen]
     if others:
         words = (
-            f"the folder holds several series; opened {chosen.name}, {chosen.info.num_slices} slices; not opened: "
+            f"the folder contains several series; opened {chosen.name}, {chosen.info.num_slices} slices; not opened: "
             f"{describe_series(others)}"
         )
         notes.append(Note("import.several-series", words))
@@ -276,7 +274,7 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
         If the person cancels, at the latest after one slice.
     """
     if series.lps_from_ijk is None or series.info.shape_zyx is None:
-        raise series.refusal or VolumeImportError(f"reading {series.name}: it has no grid")
+        raise series.refusal or VolumeImportError(f"reading {series.name}: it has no voxel grid")
     first = series.slices[0]
     said = list(notes)
     values: NDArray[np.int16] | None = None
@@ -302,9 +300,11 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
     if clipping.count:
         said.append(clipped_note(clipping.count))
     if any(header.lossy for header in series.slices):
-        said.append(Note("import.lossy", "the slices were compressed with loss; fine walls may be blurred", badge=True))
+        said.append(Note("import.lossy", "the slices were compressed lossily; fine walls may be blurred", badge=True))
     if first.modality == "CT":
-        odd = Doubt("import.slices-odd", "a slice differs from both its neighbours far more than these from each other")
+        odd = Doubt(
+            "import.slices-odd", ("a slice differs from both its neighbours far more than they differ from each other")
+        )
         compressed = any(is_compressed(header) for header in series.slices)
         slice_mm = float(np.linalg.norm(series.lps_from_ijk[:3, 2]))
         doubts.extend((series.slices[at], odd) for at in odd_slices(values, compressed=compressed, slice_mm=slice_mm))
@@ -323,7 +323,7 @@ def open_series(series: FoundSeries, *, others: Sequence[SeriesInfo], notes: tup
     if verdict.is_hu and in_doubt:
         verdict = HuVerdict(False, in_doubt[0].words)
     elif verdict.is_hu and lost > MAX_DOUBTFUL_SHARE:
-        verdict = HuVerdict(False, f"{100 * lost:.0f} % of its voxels lie outside -32768..32767 and were cut off")
+        verdict = HuVerdict(False, f"{100 * lost:.0f} % of its voxels lie outside -32768 to 32767 and were clipped")
     source = VolumeSource(
         format="dicom",
         title=series.info.description or f"{first.modality} series {series.info.key}",
@@ -341,5 +341,5 @@ def _no_rescale_note(slices: Sequence[SliceHeader], *, is_hu: bool) -> Note:
         for tag, given in (("RescaleSlope", slices[0].has_slope), ("RescaleIntercept", slices[0].has_intercept))
         if not given
     ]
-    end = "its values show that they are HU" if is_hu else "so its values are not taken for HU"
-    return Note("import.rescale-absent", f"no slice gives {' or '.join(lacking)}; {end}", badge=True)
+    end = "its values indicate HU" if is_hu else "so its values are not treated as HU"
+    return Note("import.rescale-absent", f"no slice has {' or '.join(lacking)}; {end}", badge=True)

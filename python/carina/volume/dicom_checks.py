@@ -37,10 +37,9 @@ def check_rescale_tags(slices: Sequence[SliceHeader], what: str) -> None:
             continue
         lacking = [header for header, has in zip(slices, given, strict=True) if not has]
         msg = (
-            f"{what}: {len(lacking)} of its {len(slices)} slices give no {tag} "
-            f"({_files(lacking)}), the others do; their values would be read on a different scale from the others; "
-            "expected the tag in every slice; export the series again from where it was stored first, or leave these "
-            "files out if others take their place"
+            f"{what}: {len(lacking)} of its {len(slices)} slices have no {tag} ({_files(lacking)}), so their "
+            "values would be on a different scale from the others; expected the tag in every slice; export the "
+            "series again from its original archive, or leave these files out if the other slices are complete"
         )
         raise VolumeImportError(msg, code="import.rescale-mixed")
 
@@ -78,11 +77,11 @@ def refuse_contradicting_rescale(
     apart, joined = (float(np.median(np.abs(values - there))) for values in (here, as_there))
     if apart > 100 and joined < 0.25 * apart:
         msg = (
-            f"{what}: neighbouring slices give different scales that do not fit their pixels: {other.path.name} has "
+            f"{what}: neighbouring slices have different scales that do not match their pixels: {other.path.name} has "
             f"slope {other.slope:g} and intercept {other.intercept:g}, {header.path.name} has {header.slope:g} and "
             f"{header.intercept:g}, and with these their pixels differ by {apart:.0f} HU (with one scale by "
-            f"{joined:.0f}); expected the scale of the scanner in every slice; export the series again from where it "
-            "was stored first"
+            f"{joined:.0f}); expected the scanner's scale in every slice; export the series again from its "
+            "original archive"
         )
         raise VolumeImportError(msg, code="import.rescale-contradicts")
 

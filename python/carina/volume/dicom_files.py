@@ -77,7 +77,7 @@ def _walk(folder: Path, unused: list[UnusedFile], *, recursive: bool, watch: Wat
             count += 1
             if count > MAX_FILES:
                 msg = (
-                    f"reading the folder {folder.name}: it holds more than {MAX_FILES} files; expected one scan; "
+                    f"reading the folder {folder.name}: it contains more than {MAX_FILES} files; expected one scan; "
                     "choose the folder of the scan itself"
                 )
                 raise VolumeImportError(msg, code="import.too-many-files")
@@ -85,7 +85,7 @@ def _walk(folder: Path, unused: list[UnusedFile], *, recursive: bool, watch: Wat
             if path.is_file():
                 yield path
             elif path.is_symlink():
-                unused.append(UnusedFile(path, "a link to a file that is not there", 0, is_dicom=False))
+                unused.append(UnusedFile(path, "a link to a missing file", 0, is_dicom=False))
 
 
 def _size(path: Path) -> int:
@@ -111,7 +111,9 @@ def _read(path: Path) -> SliceHeader | UnusedFile | None:
     except PermissionError:
         return UnusedFile(path, "no permission to read it", _size(path), is_dicom=False)
     except OSError as error:
-        return UnusedFile(path, f"the disk gives an error: {error.strerror or 'unknown'}", _size(path), is_dicom=False)
+        return UnusedFile(
+            path, (f"the disk reported an error: {error.strerror or 'unknown'}"), _size(path), is_dicom=False
+        )
     if not starts_like_dicom(head):
         reason = "empty" if not head else "not DICOM"
         return UnusedFile(path, reason, _size(path), is_dicom=False, known=head.startswith(_KNOWN_STARTS))

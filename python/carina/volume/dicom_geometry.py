@@ -48,8 +48,8 @@ def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
         turn = max(math.dist(header.row_lps, first.row_lps), math.dist(header.column_lps, first.column_lps))
         if turn * extent_mm > MAX_CORNER_SHIFT_MM:
             problem = (
-                f"its slices have mixed orientations: {header.path.name} is turned by {math.degrees(turn):.2f} "
-                f"degrees against {first.path.name}"
+                f"its slices have mixed orientations: {header.path.name} is rotated by {math.degrees(turn):.2f} "
+                f"degrees from {first.path.name}"
             )
             raise _refuse(what, problem, way_out, "import.geometry.mixed")
         stretch_mm = max(
@@ -58,7 +58,7 @@ def _check_alike(slices: Sequence[SliceHeader], what: str) -> None:
         )
         if stretch_mm > MAX_CORNER_SHIFT_MM:
             problem = (
-                f"its slices have mixed pixel distances: expected {first.spacing_mm[0]:g} x {first.spacing_mm[1]:g} "
+                f"its slices have mixed pixel spacing: expected {first.spacing_mm[0]:g} x {first.spacing_mm[1]:g} "
                 f"mm as in {first.path.name}, found {header.spacing_mm[0]:g} x {header.spacing_mm[1]:g} mm in "
                 f"{header.path.name}"
             )
@@ -77,7 +77,7 @@ def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader]
             f"{doubled.size + 1 if doubled.size == count - 1 else doubled.size} of its {count} slices lie at the "
             f"position of another slice, first {ordered[at].path.name} and {ordered[at + 1].path.name}; expected "
             "every "
-            "position once; the folder may hold the series twice, or several phases of one scan"
+            "position once; the folder may contain the series twice, or several phases of one scan"
         )
         raise _refuse(what, problem, "keep one slice for each position", "import.geometry.duplicate")
     tolerance = min(max(0.1 * expected, 0.06), 0.3)
@@ -95,14 +95,16 @@ def _check_spacing(along_mm: NDArray[np.float64], ordered: Sequence[SliceHeader]
             f"slice spacing is irregular: expected {expected:.2f} mm, found {gaps[at]:.2f} mm after slice {at + 1} of "
             f"{count} ({ordered[at].path.name}){more}{cause}"
         )
-        raise _refuse(what, problem, "copy the whole series again, or choose another one", "import.geometry.irregular")
+        raise _refuse(
+            what, problem, ("copy the whole series again, or choose another series"), "import.geometry.irregular"
+        )
     regular = along_mm[0] + np.arange(count) * (along_mm[-1] - along_mm[0]) / (count - 1)
     off = np.abs(along_mm - regular)
     if float(off.max()) > tolerance:
         at = int(off.argmax())
         problem = (
-            f"slice spacing is irregular: slice {at + 1} of {count} ({ordered[at].path.name}) lies {off[at]:.2f} mm "
-            f"off the regular grid of {expected:.2f} mm; at most {tolerance:.2f} mm are allowed"
+            f"slice spacing is irregular: slice {at + 1} of {count} ({ordered[at].path.name}) lies {off[at]:.2f} "
+            f"mm off the regular grid of {expected:.2f} mm; expected at most {tolerance:.2f} mm"
         )
         raise _refuse(what, problem, "choose another series", "import.geometry.irregular")
 
@@ -128,9 +130,7 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
         ``import.single-slice``, ``import.geometry.mixed``, ``.duplicate``, ``.irregular``, ``.shifted`` or ``.tilt``.
     """
     if len(slices) < 2:
-        problem = (
-            f"it holds one image only ({slices[0].path.name}); expected a stack of slices, since one image has no depth"
-        )
+        problem = f"it contains only one image ({slices[0].path.name}); expected a stack of slices"
         raise _refuse(what, problem, "choose the folder of the whole scan", "import.single-slice")
     _check_alike(slices, what)
     first = slices[0]
@@ -151,8 +151,8 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
     tilt_deg = math.degrees(math.atan2(lean_mm, height))
     if tilt_deg > MAX_TILT_DEG and lean_mm > MAX_CORNER_SHIFT_MM:
         problem = (
-            f"its slices are tilted: the stack leans by {tilt_deg:.1f} degrees against the slices (gantry tilt), "
-            f"{lean_mm:.1f} mm from the first to the last; expected a straight stack"
+            f"its slices are sheared by {tilt_deg:.1f} degrees (gantry tilt), {lean_mm:.1f} mm from the first to "
+            "the last; expected a stack at right angles to its slices"
         )
         way_out = "export the series with the tilt corrected, or choose another one"
         raise _refuse(what, problem, way_out, "import.geometry.tilt")
@@ -163,8 +163,8 @@ def grid_from_slices(slices: Sequence[SliceHeader], *, what: str) -> tuple[list[
     if float(across.max()) > allowed:
         at = int(across.argmax())
         problem = (
-            f"slice {at + 1} of {len(ordered)} ({ordered[at].path.name}) is shifted sideways by {across[at]:.2f} mm; "
-            f"at most {allowed:.2f} mm are allowed"
+            f"slice {at + 1} of {len(ordered)} ({ordered[at].path.name}) is shifted sideways by {across[at]:.2f} "
+            f"mm; expected at most {allowed:.2f} mm"
         )
         raise _refuse(what, problem, "choose another series", "import.geometry.shifted")
 

@@ -161,7 +161,7 @@ def _check_inflated_size(path: Path) -> None:
             return
         length_at = head.find(b"\x02\x00\x00\x00UL\x04\x00")
         if length_at < 0:
-            msg = "the deflated file has no group length"
+            msg = "the deflated file has no group-length element"
             raise ValueError(msg)
         group_length = int.from_bytes(head[length_at + 8 : length_at + 12], "little")
         file.seek(length_at + 12 + group_length)
@@ -294,7 +294,7 @@ class _Tags:
         except (TypeError, ValueError):
             values = ()
         if len(values) != count or not all(math.isfinite(v) for v in values):
-            self.problems.append(f"the tag {keyword} should hold {count} finite number{'s' if count > 1 else ''}")
+            self.problems.append(f"the tag {keyword} should contain {count} finite number{'s' if count > 1 else ''}")
             return None
         return values
 
@@ -350,7 +350,7 @@ def _parse(path: Path, dataset: Dataset, pixels_at: int | None) -> SliceHeader |
     high_bit = tags.whole("HighBit", bits_stored - 1)
     if num_frames != 1 or "SharedFunctionalGroupsSequence" in dataset:
         problem, code = (
-            f"it is a multi-frame image ({num_frames} frames in one file), which cannot be read yet",
+            f"it is a multi-frame image ({num_frames} frames in one file), which is not supported",
             "import.multi-frame",
         )
     elif samples != 1 or not photometric.startswith("MONOCHROME"):
@@ -363,7 +363,7 @@ def _parse(path: Path, dataset: Dataset, pixels_at: int | None) -> SliceHeader |
         problem, code = f"its pixels have {bits_allocated} bits ({bits_stored} used); expected 8 or 16", "import.pixels"
     elif max(rows, columns) > MAX_IMAGE_SIDE:
         problem, code = (
-            f"its header claims {columns} x {rows} pixels; at most {MAX_IMAGE_SIDE} a side are read",
+            f"its header claims {columns} x {rows} pixels; at most {MAX_IMAGE_SIDE} per side are supported",
             "import.header",
         )
 
@@ -379,7 +379,7 @@ def _parse(path: Path, dataset: Dataset, pixels_at: int | None) -> SliceHeader |
         cosine = sum(a * b for a, b in zip(row_lps, column_lps, strict=True))
         # 1e-3 passes values written with four digits; a far corner 300 mm away moves by at most 0.3 mm then.
         if any(abs(length - 1) > 1e-3 for length in lengths) or abs(cosine) > 1e-3:
-            tags.problems.append("the tag ImageOrientationPatient does not hold two perpendicular unit directions")
+            tags.problems.append("the tag ImageOrientationPatient does not contain two perpendicular unit vectors")
     if spacing is not None and min(spacing) <= 0:
         tags.problems.append(f"the tag PixelSpacing should be above 0 mm; found {min(spacing):g}")
     if slope is not None and slope[0] == 0:

@@ -54,17 +54,17 @@ def lossless_jpeg_problem(frame: bytes) -> str | None:
         return None
     table = tables.get(body[2] >> 4)
     if table is None:
-        return "it has no table for its codes"
+        return "its Huffman table is missing"
     data = frame[at + 2 + length :]
     end = re.search(rb"\xff\xd9", data)
     data = data[: end.start()] if end else data
     parts = _RESTARTS.split(data) if interval else [data]
     if interval and len(parts) != -(-num_pixels // interval):
-        return "its intervals are not as many as they should be"
+        return "its number of restart intervals is wrong"
     for number, part in enumerate(parts):
         wanted = min(interval, num_pixels - number * interval) if interval else num_pixels
         if not _holds(part.replace(b"\xff\x00", b"\xff"), wanted, table):
-            return "its data do not hold one code for each pixel"
+            return "its data does not contain one code for each pixel"
     return None
 
 

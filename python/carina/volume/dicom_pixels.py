@@ -69,7 +69,7 @@ def _plain_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt, 
     if len(stored) > expected + 1:  # one byte of padding keeps the length even
         msg = (
             f"reading {header.path.name}: expected {expected} bytes of pixels for {header.columns} x {header.rows}, "
-            f"found {len(stored)}; the header does not fit the pixels; copy the series again"
+            f"found {len(stored)}; the header does not match the pixels; copy the series again"
         )
         raise VolumeImportError(msg, code="import.header")
     order = ">" if header.transfer_syntax == _EXPLICIT_BIG else "<"
@@ -106,7 +106,7 @@ def _byte_order_doubts(
     low_bytes = some & np.uint16(255)
     if low_bytes.min() == low_bytes.max():
         return ()
-    words_of = "its byte order is not the one the file states: read as stated, its values are noise"
+    words_of = "its byte order appears to differ from what the file states: read as stated, its values are noise"
     return (Doubt("import.byte-order", words_of),)
 
 
@@ -119,8 +119,8 @@ def _check_coded_size(header: SliceHeader, stream: Stream | None) -> None:
         else f"{stream.columns} x {stream.rows} pixels of {stream.components} values"
     )
     msg = (
-        f"reading {header.path.name}: expected {header.columns} x {header.rows} grey pixels, its compressed stream "
-        f"holds {found}; the file is damaged; copy the series again"
+        f"reading {header.path.name}: expected {header.columns} x {header.rows} grey pixels, found {found}; the "
+        "file is damaged; copy the series again"
     )
     raise VolumeImportError(msg, code="import.truncated")
 
@@ -132,14 +132,14 @@ def _stream_doubts(header: SliceHeader, stream: Stream, pixels: NDArray[np.int32
         doubts.append(Doubt("import.pixels-damaged", f"the compressed stream is damaged: {stream.problem}"))
     if stream.signed is not None and stream.signed != header.signed:
         kinds = ("signed", "unsigned") if stream.signed else ("unsigned", "signed")
-        words = f"the compressed stream holds {kinds[0]} numbers, the tags say {kinds[1]}"
+        words = f"the compressed stream contains {kinds[0]} numbers, but the tags say {kinds[1]}"
         doubts.append(Doubt("import.pixels-contradict", words))
     elif stream.bits != header.bits_stored:
         # Harmless where every number means the same in both depths, as in the many files that pad 12 bits to 16.
         bits = min(stream.bits, header.bits_stored)
         low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if header.signed else (0, (1 << bits) - 1)
         if int(pixels.min()) < low or int(pixels.max()) > high:
-            words = f"the compressed stream holds numbers of {stream.bits} bits, the tags say {header.bits_stored}"
+            words = f"the compressed stream contains {stream.bits}-bit numbers, but the tags say {header.bits_stored}"
             doubts.append(Doubt("import.pixels-contradict", words))
     return doubts
 
@@ -152,7 +152,7 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
     """
     if header.transfer_syntax not in _CODED:
         msg = (
-            f"reading {header.path.name}: its pixels are compressed in a way that cannot be decoded here; expected "
+            f"reading {header.path.name}: its pixels use an unsupported compression; expected "
             "JPEG, JPEG-LS, JPEG 2000 or RLE; export the series uncompressed"
         )
         raise VolumeImportError(msg, code="import.not-supported")
@@ -206,8 +206,8 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
             raise VolumeImportError(msg, code="import.truncated") from None
     if image.GetSize() != (header.columns, header.rows, 1) or image.GetNumberOfComponentsPerPixel() != 1:
         msg = (
-            f"reading {header.path.name}: expected {header.columns} x {header.rows} grey pixels, the compressed data "
-            f"holds {image.GetSize()}; export the series again"
+            f"reading {header.path.name}: expected {header.columns} x {header.rows} grey pixels, found "
+            f"{image.GetSize()}; export the series again"
         )
         raise VolumeImportError(msg, code="import.header")
     values = np.array(sitk.GetArrayViewFromImage(image)[0], dtype=np.int32)

@@ -48,7 +48,7 @@ def read_segmentation(path: Path, watch: Watch) -> tuple[NDArray[np.uint8], NDAr
         )
     names = {int(s.SegmentNumber): _plain(str(s.get("SegmentLabel", ""))) for s in data.get("SegmentSequence", [])}
     if len(names) > 255 or any(not 0 < number <= 255 for number in names):
-        raise _refused(path, f"it has {len(names)} segments; at most 255 are read", "export the airway alone")
+        raise _refused(path, f"it has {len(names)} segments; expected at most 255", "export the airway alone")
     rows, columns, num_frames = (int(data.get(key, 0) or 0) for key in ("Rows", "Columns", "NumberOfFrames"))
     if min(rows, columns, num_frames) < 1 or rows * columns * num_frames > MAX_VOXELS * max(1, len(names)):
         raise _refused(path, f"it claims {num_frames} frames of {columns} x {rows} pixels", "export it again")
@@ -89,11 +89,11 @@ class _Places:
                 int(_item(g, shared, "SegmentIdentificationSequence", "ReferencedSegmentNumber")) for g in groups
             ]
         except (KeyError, TypeError, ValueError):
-            raise _refused(path, "its frames do not say where they lie", "export it again") from None
+            raise _refused(path, "its frames have no positions", "export it again") from None
         if not (spacing.min() > 0.0 and spacing.max() < _WIDEST_MM):
-            raise _refused(path, f"its pixels are {spacing.max():g} mm wide", "export it again")
+            raise _refused(path, f"its pixels are implausibly large ({spacing.max():g} mm)", "export it again")
         if not all(0 < number <= 255 for number in self.segments):
-            raise _refused(path, "its frames name segments that it cannot have", "export it again")
+            raise _refused(path, "its frames refer to segments that do not exist", "export it again")
         along, down = orientation[0, :3], orientation[0, 3:]
         normal = np.cross(along, down)
         straight = np.allclose([along @ along, down @ down, along @ down], [1.0, 1.0, 0.0], atol=1e-3)
@@ -109,7 +109,7 @@ class _Places:
         planes = np.rint((heights - levels[0]) / gap)
         off = np.abs(position - (position[np.argmin(heights)] + np.outer(planes * gap, normal))).max()
         if not (gap > 0.0 and np.isfinite(position).all() and off <= _PLANE * max(gap, spacing.max())):
-            raise _refused(path, "its frames do not lie on one regular grid", "export it again")
+            raise _refused(path, "its frames are not on one regular grid", "export it again")
         self.planes = planes.astype(int)
         self.num_planes = int(self.planes.max()) + 1
         self._axes = (along * spacing[0, 1], down * spacing[0, 0], normal * gap)

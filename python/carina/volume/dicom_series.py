@@ -133,13 +133,14 @@ def _part(group: Group, word: str, parts: dict[str, list[SliceHeader]]) -> list[
             return [group]
         note = Note(
             "import.identity-missing",
-            f"{len(nameless)} of {len(group.slices)} slices do not say to which of the {word} they belong "
-            f"({name_files([(h.path, '') for h in nameless])}); they were taken for those of the others",
+            f"{len(nameless)} of {len(group.slices)} slices do not state which of the {word} they belong to "
+            f"({name_files([(h.path, '') for h in nameless])}); they were grouped with the others",
             badge=word == "patients",
         )
         return [_with_note(group, note)]
     note = Note(
-        "import.series-parted", f"one series held images of {len(parts)} {word}; each is a series of its own now"
+        "import.series-parted",
+        (f"one series contained images of {len(parts)} {word}; each is now listed as a separate series"),
     )
     found = [
         replace(group, slices=tuple(slices), notes=(*group.notes, note), label=_label(group, f"{_one(word)} {number}"))
@@ -148,7 +149,7 @@ def _part(group: Group, word: str, parts: dict[str, list[SliceHeader]]) -> list[
     if nameless:
         lost = Note(
             "import.identity-missing",
-            f"{len(nameless)} images of this series do not say to which of the {word} they belong "
+            f"{len(nameless)} images of this series do not state which of the {word} they belong to "
             f"({name_files([(h.path, '') for h in nameless])}); they were left out",
             badge=True,
         )
@@ -196,8 +197,8 @@ def _part_by_grid(group: Group) -> list[Group]:
     parts[0].extend(broken)
     note = Note(
         "import.series-parted",
-        f"one series held images of {len(parts)} grids (size, pixel distance or orientation); each is a series of its "
-        "own now",
+        f"one series contained images of {len(parts)} grids (size, pixel spacing or orientation); each is now "
+        "listed as a separate series",
     )
     return [
         replace(
@@ -234,8 +235,8 @@ def _join_nameless(groups: list[Group]) -> list[Group]:
             continue
         note = Note(
             "import.identity-missing",
-            f"{len(lost.slices)} slices do not say to which series they belong "
-            f"({name_files([(h.path, '') for h in lost.slices])}); they continue this one and were taken for its own",
+            f"{len(lost.slices)} slices do not state which series they belong to "
+            f"({name_files([(h.path, '') for h in lost.slices])}); they continue this one and were added to it",
         )
         at = named.index(fitting[0])
         named[at] = replace(
@@ -276,7 +277,7 @@ def _part_by_setting(group: Group) -> list[Group]:
     word, parts = min(telling, key=lambda item: len(item[1]))
     note = Note(
         "import.series-parted",
-        f"one series held {len(parts)} stacks that differ in {word}; each is a series of its own now",
+        f"one series contained {len(parts)} stacks that differ in {word}; each is now listed as a separate series",
     )
     whole_mm = float(np.ptp(_heights(group.slices)))
     found: list[Group] = []
@@ -284,7 +285,9 @@ def _part_by_setting(group: Group) -> list[Group]:
         part = _with_note(replace(group, slices=tuple(slices), label=_label(group, f"{word} {_shown(value)}")), note)
         own_mm = float(np.ptp(_heights(slices)))
         if own_mm < 0.9 * whole_mm:
-            words = f"this stack covers {own_mm:.0f} of the {whole_mm:.0f} mm of its series; the rest is another part"
+            words = (
+                f"this stack covers {own_mm:.0f} of the {whole_mm:.0f} mm of its series; the rest is listed separately"
+            )
             part = _with_note(part, Note("import.part-of-stack", words, badge=True))
         found.extend(_part_by_setting(part))
     return found
@@ -310,7 +313,7 @@ def _said(group: Group, keys: Sequence[tuple[str, dict[str, list[SliceHeader]]]]
         )
         notes.append(Note("import.settings-change", words))
     if missing:
-        notes.append(Note("import.settings-missing", f"some slices do not say their {_listed(missing)}"))
+        notes.append(Note("import.settings-missing", f"some slices do not state their {_listed(missing)}"))
     return replace(group, notes=tuple(notes))
 
 

@@ -102,7 +102,7 @@ def _follow_j2k(stored: bytes, at: int) -> str | None:
         elif marker[0] == 0xFF and marker[1] >= 0x4F:
             at += 2 + int.from_bytes(stored[at + 2 : at + 4], "big")
         else:
-            return "a marker is missing where one must stand"
+            return "a required marker is missing"
 
 
 def _read_jpeg(stored: bytes, start: int) -> Stream | None:
@@ -145,7 +145,7 @@ def _follow_jpeg(stored: bytes, at: int, in_data: re.Pattern[bytes]) -> str | No
         if marker == 0xD9:
             return None
         if marker not in _AFTER_SCAN:
-            return "a marker stands where none may be"
+            return "a marker is in an invalid position"
 
 
 def rle_problem(frame: bytes, num_pixels: int) -> str | None:
@@ -158,7 +158,7 @@ def rle_problem(frame: bytes, num_pixels: int) -> str | None:
     starts = [*offsets[:count], len(frame)]
     for begin, end in itertools.pairwise(starts):
         if not 64 <= begin <= end <= len(frame):
-            return "its segments lie outside of it"
+            return "its segments lie outside the stream"
         segment, at, pixels = frame[begin:end], 0, 0
         while at < len(segment) and pixels < num_pixels:
             code = segment[at]
@@ -172,7 +172,7 @@ def rle_problem(frame: bytes, num_pixels: int) -> str | None:
                 at += 1
         # A pair of bytes at most pads a segment to an even length.
         if pixels != num_pixels or not 0 <= len(segment) - at <= 2:
-            return "a segment does not unpack to the pixels of the image"
+            return "a segment does not decode to the pixels of the image"
     return None
 
 

@@ -91,8 +91,8 @@ def take_once(path: Path, fields: dict[str, str], name: str, value: str) -> None
         ``import.header.twice``.
     """
     if name in fields and fields[name] != value:
-        problem = f"its header gives {name[:40]!r} twice, as {fields[name][:60]!r} and as {value[:60]!r}"
-        raise refuse(path, problem, "programs differ in which one they take; export it again", "import.header.twice")
+        problem = f"its header contains {name[:40]!r} twice, as {fields[name][:60]!r} and as {value[:60]!r}"
+        raise refuse(path, problem, "programs differ in which one they use; export it again", "import.header.twice")
     fields[name] = value
 
 
@@ -113,6 +113,6 @@ def beside(path: Path, name: str) -> Path:
         raise refuse(path, problem, "put both files into one folder, and save again", "import.elsewhere")
     found = path.parent / simple
     if not found.is_file():
-        problem = f"its values should be in {simple} beside it, which is missing"
+        problem = f"its values should be in {simple} in the same folder, which is missing"
         raise refuse(path, problem, "put both files into one folder", "import.not-found")
     return found

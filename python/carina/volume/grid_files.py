@@ -73,8 +73,8 @@ def _library_grid(path: Path, header: GridHeader) -> NDArray[np.float64]:
                 reader.ReadImageInformation()
     except (RuntimeError, MemoryError):
         msg = (
-            f"reading {path.name}: its {header.format} header can be read by Carina but not by a second library; "
-            "the file is damaged or of an unusual kind; export it again"
+            f"reading {path.name}: Carina can read its {header.format} header but a second library cannot; the "
+            "file is damaged or unusual; export it again"
         )
         raise VolumeImportError(msg, code="import.header.disagree") from None
     finally:
@@ -82,7 +82,8 @@ def _library_grid(path: Path, header: GridHeader) -> NDArray[np.float64]:
     size = tuple(reader.GetSize())
     if size != header.shape_ijk or reader.GetNumberOfComponents() != 1:
         msg = (
-            f"reading {path.name}: expected {header.shape_ijk} voxels, a second library finds {size}; export the file "
+            f"reading {path.name}: expected {header.shape_ijk} voxels, but a second library found {size}; export "
+            "the file "
             "again"
         )
         raise VolumeImportError(msg, code="import.header.disagree")
@@ -101,7 +102,8 @@ def _check_agreement(path: Path, header: GridHeader) -> None:
     allowed_mm = 0.05 * float(np.linalg.norm(ours[:3, :3], axis=0).min())
     if apart_mm > allowed_mm:
         msg = (
-            f"reading {path.name}: two readings of its header place the voxels {apart_mm:.2f} mm apart; expected less "
+            f"reading {path.name}: two libraries read its header differently and place the voxels {apart_mm:.2f} "
+            "mm apart; expected less "
             f"than {allowed_mm:.2f} mm; save it again, for example from 3D Slicer"
         )
         raise VolumeImportError(msg, code="import.geometry.disagree")

@@ -31,7 +31,7 @@ def read_voxels(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
     Returns
     -------
     values, notes
-        A note says where the file holds more than its header claims.
+        A note says where the file contains more than its header claims.
 
     Raises
     ------
@@ -42,8 +42,8 @@ def read_voxels(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
     """
     if header.num_voxels > MAX_VOXELS:
         msg = (
-            f"reading {path.name}: its header claims {header.sizes} voxels; at most {MAX_VOXELS} are read; the header "
-            "is damaged, or the file is no chest CT; crop or resample it"
+            f"reading {path.name}: its header claims {header.sizes} voxels; expected at most {MAX_VOXELS}; the "
+            "header is damaged, or the file is not a chest CT; crop or resample it"
         )
         raise VolumeImportError(msg, code="import.too-large")
     if header.compression is None:
@@ -57,7 +57,7 @@ def read_voxels(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
     if extra:
         # A few bytes are padding; as much as a slice is a sign that the header speaks of another volume.
         per_slice = header.num_bytes // header.shape_ijk[2]
-        words = f"the file holds {extra} bytes more than its header claims; they were left out"
+        words = f"the file contains {extra} bytes more than its header states; they were ignored"
         notes = (Note("import.extra-data", words, badge=extra >= per_slice),)
     return (values if header.scaling is None else _scaled(values, *header.scaling)), notes
 
@@ -76,7 +76,7 @@ def _read_plain(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
     extra = size - begin - needed
     if begin < 0 or extra < 0:
         # Found before anything of that size is allocated.
-        raise _lying(path, header, f"the file holds {size if begin < 0 else max(0, size - begin)}")
+        raise _lying(path, header, f"the file contains {size if begin < 0 else max(0, size - begin)}")
     out = np.empty(needed, dtype=np.uint8)
     place = out.data
     with header.data_path.open("rb", buffering=0) as file:
@@ -86,7 +86,7 @@ def _read_plain(path: Path, header: GridHeader, watch: Watch) -> tuple[NDArray[n
             watch.step(_READING, at / needed)
             count = file.readinto(place[at : at + _CHUNK_BYTES])
             if not count:
-                raise _lying(path, header, f"the file holds {at}")
+                raise _lying(path, header, f"the file contains {at}")
             at += count
     return out, extra
 

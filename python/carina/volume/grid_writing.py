@@ -74,7 +74,7 @@ def write_grid(
     name = Path(path).name.lower()
     suffix = next((s for s in _WRITERS if name.endswith(s)), None)
     if suffix is None:
-        msg = f"{what} is written as {', '.join(GRID_SUFFIXES)}; found {Path(path).name!r}"
+        msg = f"{what} must be written as {', '.join(GRID_SUFFIXES)}; found {Path(path).name!r}"
         raise UsageError(msg)
     with drafted(path, what=what) as file:
         write_grid_to(file, suffix, values_zyx, lps_from_ijk, what=what, note=note, level=level)
@@ -101,12 +101,13 @@ def write_grid_to(
         What the disk says.
     """
     if values_zyx.dtype.name not in _NIFTI_TYPES:
-        raise UsageError(f"{what} holds uint8 or int16; found {values_zyx.dtype.name}")
+        raise UsageError(f"{what} must contain uint8 or int16; found {values_zyx.dtype.name}")
     spacing = np.linalg.norm(lps_from_ijk[:3, :3], axis=0)
     direction = lps_from_ijk[:3, :3] / spacing
     if not np.allclose(direction.T @ direction, np.eye(3), atol=1e-4):
         msg = (
-            "the scan's axes are not at right angles (a tilted gantry): a mask file cannot hold that; resample the scan"
+            "the scan's axes are not at right angles (gantry tilt), which a mask file cannot represent; resample "
+            "the scan"
         )
         raise GeometryError(msg, code="geometry.sheared")
     values = np.ascontiguousarray(values_zyx, dtype=values_zyx.dtype.newbyteorder("<"))

@@ -99,8 +99,8 @@ def _one_of(path: Path, fields: dict[str, str], names: tuple[str, ...], default:
     given = {name: fields[name] for name in names if name in fields}
     values = {tuple(real(number) for number in text.split()) for text in given.values()}
     if len(values) > 1:
-        problem = f"its {' and '.join(given)} mean the same and differ"
-        way_out = "programs differ in which one they take; export it again"
+        problem = f"its {' and '.join(given)} should agree but differ"
+        way_out = "programs differ in which one they use; export it again"
         raise refuse(path, problem, way_out, "import.geometry.ambiguous")
     return next(iter(given.values()), default)
 
@@ -135,7 +135,7 @@ def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[N
     """What the format fills in by itself, and what it says twice in two ways."""
     notes = []
     if not any(name in fields for name in _TURNS):
-        words = "its header does not say where its axes point; they are taken for left, posterior and superior"
+        words = "its header does not state where its axes point; they are assumed to be left, posterior and superior"
         notes.append(Note("import.orientation-doubted", words, badge=True))
     else:
         letters = fields.get("anatomicalorientation", "").upper()
@@ -144,11 +144,14 @@ def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[N
             axis = int(np.argmax(np.abs(column)))
             expected = _FROM_LETTERS[axis][0 if column[axis] > 0 else 1]
             if abs(column[axis]) > 0.8 and letter in "RLAPIS" and letter != expected:
-                words = f"its AnatomicalOrientation ({letters}) contradicts its TransformMatrix, which was taken"
+                words = f"its AnatomicalOrientation ({letters}) contradicts its TransformMatrix, which was used"
                 notes.append(Note("import.orientation-doubted", words, badge=True))
                 break
     if not any(name in fields for name in _ORIGINS):
-        words = "its header does not say where its first voxel lies; masks and points of other programs may not fit"
+        words = (
+            "its header does not state the position of its first voxel; masks and points from other programs may not "
+            "match"
+        )
         notes.append(Note("import.position-missing", words))
     return tuple(notes)
 
@@ -156,9 +159,9 @@ def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[N
 def _transform(path: Path, fields: dict[str, str], num_axes: int) -> NDArray[np.float64]:
     spacing = [real(v) for v in fields.get("elementspacing", fields.get("elementsize", "")).split()]
     if len(spacing) != num_axes:
-        raise refuse(path, "it gives no ElementSpacing", "export it again with its spacing", "import.geometry.spacing")
+        raise refuse(path, "it has no ElementSpacing", "export it again with its spacing", "import.geometry.spacing")
     if not all(distance > 0 for distance in spacing):  # also for NaN; a negative one would mirror the patient
-        problem = f"its ElementSpacing should be positive numbers of mm; found {fields.get('elementspacing')}"
+        problem = f"its ElementSpacing should be positive numbers in mm; found {fields.get('elementspacing')}"
         raise refuse(path, problem, "export it again with its spacing", "import.geometry.spacing")
     matrix = np.eye(4)
     if num_axes != 3:
@@ -170,7 +173,7 @@ def _transform(path: Path, fields: dict[str, str], num_axes: int) -> NDArray[np.
     lengths = np.linalg.norm(directions, axis=1)
     if not (np.abs(lengths - 1.0) < 0.01).all():  # three digits, as some programs write, are off by 0.001
         found = ", ".join(f"{length:g}" for length in lengths)
-        problem = f"the directions in its TransformMatrix should have the length 1; found {found}"
+        problem = f"the directions in its TransformMatrix should have length 1; found {found}"
         raise refuse(path, problem, "export it again, with its spacing in ElementSpacing", "import.geometry.ambiguous")
     matrix[:3, :3] = directions.T * spacing
     matrix[:3, 3] = [real(v) for v in origin.split()]

@@ -40,7 +40,7 @@ def read_nifti_header(path: Path, head: bytes) -> GridHeader:
         raise refuse(path, problem, "save it as NIfTI-1, for example from 3D Slicer", "import.not-supported")
     magic = head[344:348]
     if magic[:3] not in (b"n+1", b"ni1"):
-        problem = "it is an Analyze 7.5 file, which does not say where left and right are"
+        problem = "it is an Analyze 7.5 file, which does not record left and right"
         raise refuse(path, problem, AMBIGUOUS, "import.geometry.orientation-unknown")
     dim = struct.unpack_from(f"{order}8h", head, 40)
     datatype, bits = struct.unpack_from(f"{order}2h", head, 70)
@@ -56,13 +56,13 @@ def read_nifti_header(path: Path, head: bytes) -> GridHeader:
         raise refuse(path, problem, "export it again as 16-bit numbers", "import.not-supported")
     dtype = np.dtype(order + _KINDS[datatype])
     if bits not in (0, 8 * dtype.itemsize):
-        problem = f"its values have {8 * dtype.itemsize} bits by its datatype and {bits} by its bitpix"
+        problem = f"its values have {8 * dtype.itemsize} bits according to datatype but {bits} according to bitpix"
         raise refuse(path, problem, "one of them is wrong; export it again", "import.header")
     data_path, gzipped = _data_file(path, single=magic[:2] == b"n+")
     # For a single file this also finds 0, which means "behind the header" to one program and "at 348" to another.
     lowest = _SMALLEST_OFFSET if data_path == path else 0
     if not np.isfinite(offset) or offset < lowest or offset != int(offset):
-        problem = f"its values should begin at byte {lowest} or later; its vox_offset is {offset:g}"
+        problem = f"its values should begin at byte {lowest} or later, but vox_offset is {offset:g}"
         raise refuse(path, problem, "the header is damaged; export it again", "import.header.offset")
     scaling, notes = _scaling(path, slope, intercept)
     return GridHeader(
@@ -107,7 +107,7 @@ def _data_file(path: Path, *, single: bool) -> tuple[Path, bool]:
     siblings = data_files(path)
     found = next((candidate for candidate in siblings if candidate.is_file()), None)
     if found is None:
-        problem = f"its values should be in {siblings[0].name} beside it, which is missing"
+        problem = f"its values should be in {siblings[0].name} in the same folder, which is missing"
         raise refuse(path, problem, "put both files into one folder", "import.not-found")
     return found, found.suffix.lower() == ".gz"
 
@@ -126,7 +126,7 @@ def _place(
     if qform > 0:
         forms.append(_qform(pixdim, struct.unpack_from(f"{order}6f", head, 256)))
     if not forms:
-        problem = "neither its qform nor its sform is set, so it does not say where left and right are"
+        problem = "neither its qform nor its sform is set, so left and right are unknown"
         raise refuse(path, problem, AMBIGUOUS, "import.geometry.orientation-unknown")
     lps = [_RAS_TO_LPS @ np.diag([scale, scale, scale, 1.0]) @ form for form in forms]
     if len(lps) == 2 and len(shape) == 3 and np.isfinite(lps[0]).all() and np.isfinite(lps[1]).all():

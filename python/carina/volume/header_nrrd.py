@@ -55,7 +55,7 @@ def read_nrrd_header(path: Path) -> GridHeader:
     encoding = fields["encoding"].lower()
     kind = fields["type"].lower()
     if encoding in ("bzip2", "bz2"):
-        problem = "its values are packed by bzip2, which is not supported"
+        problem = "its values are compressed with bzip2, which is not supported"
         raise refuse(path, problem, "save it again with gzip, or without compression", "import.not-supported")
     if encoding not in ("raw", "gzip", "gz") or kind not in _KINDS:
         found = f"the type {kind}" if encoding in ("raw", "gzip", "gz") else f"the encoding {encoding}"
@@ -70,8 +70,10 @@ def read_nrrd_header(path: Path) -> GridHeader:
         raise refuse(path, problem, "save it again without skips", "import.not-supported")
     axis_kinds = fields.get("kinds", "").lower().split()
     if dimension == 3 and "none" in fields.get("space directions", "").lower():
-        problem = f"expected one volume of three axes, found two and a list ({', '.join(axis_kinds) or 'no kinds'})"
-        raise refuse(path, problem, "save one single volume of it in its own file", "import.not-3d")
+        problem = (
+            f"expected one volume of three axes, found two axes and a list ({', '.join(axis_kinds) or 'no kinds'})"
+        )
+        raise refuse(path, problem, "save a single volume in a file of its own", "import.not-3d")
     return GridHeader(
         format="nrrd",
         shape_ijk=shape,
@@ -114,7 +116,7 @@ def _order(path: Path, fields: dict[str, str], kind: str) -> str:
     if order is None:
         if _KINDS[kind].endswith("1"):
             return "<"
-        problem = f"it should say endian: little or big; found {fields.get('endian', 'nothing')[:40]}"
+        problem = f"expected endian: little or big; found {fields.get('endian', 'nothing')[:40]}"
         raise refuse(path, problem, "the order of its bytes is unknown; export it again", "import.header")
     return order
 
@@ -132,10 +134,7 @@ def _vector(text: str) -> list[float]:
 def _transform(path: Path, fields: dict[str, str]) -> NDArray[np.float64]:
     space = fields.get("space", "").lower()
     if space not in _SPACES:
-        problem = (
-            f"it {'names the space ' + space if space else 'names no space'}, so it does not say where left and right "
-            "are"
-        )
+        problem = f"it {'names the space ' + space if space else 'names no space'}, so left and right are unknown"
         raise refuse(path, problem, AMBIGUOUS, "import.geometry.orientation-unknown")
     if "space directions" not in fields or "space origin" not in fields:
         missing = "space directions" if "space directions" not in fields else "space origin"

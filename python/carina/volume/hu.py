@@ -80,7 +80,7 @@ def judge_values(values: NDArray[np.int16]) -> HuVerdict:
     if lowest > -800:
         # Scanners store HU + 1024; some converters drop the offset.
         shifted = lowest >= 0 and judge_values(values - np.int16(1024)).is_hu
-        hint = "; they look like HU with an offset of 1024 that is missing" if shifted else ""
+        hint = "; they look like HU with a missing offset of 1024" if shifted else ""
         return HuVerdict(False, f"its values are {lowest} to {highest}; expected air near -1000{hint}")
     sample = _sample(values)
     air = float(np.mean((sample >= -1100) & (sample <= -600)))
@@ -89,7 +89,8 @@ def judge_values(values: NDArray[np.int16]) -> HuVerdict:
     if air < 0.002 or soft < 0.02 or soft < 0.25 * dense:
         return HuVerdict(
             False,
-            f"its values ({lowest} to {highest}) do not gather near -1000 (air) and 0 (soft tissue): {100 * air:.1f} "
+            f"its values ({lowest} to {highest}) do not cluster near -1000 (air) and 0 (soft tissue): only "
+            f"{100 * air:.1f} "
             f"% and {100 * soft:.1f} % of the voxels do",
         )
     return HuVerdict(True, None)
@@ -102,9 +103,9 @@ def judge_dicom(
     if modality != "CT":
         return HuVerdict(False, f"it is a {modality or 'nameless'} series, not CT")
     if rescale_type not in HU_TYPES:
-        return HuVerdict(False, f"its tags give the unit {rescale_type}, not HU")
+        return HuVerdict(False, f"its tags state the unit {rescale_type}, not HU")
     if bits_stored <= 8:
-        return HuVerdict(False, "its pixels have 8 bits only, windowed for the screen")
+        return HuVerdict(False, "its pixels have only 8 bits, windowed for display")
     lowest, highest = int(values.min()), int(values.max())
     if highest - lowest < 300:
         return HuVerdict(False, f"its values span only {lowest} to {highest}")
@@ -114,7 +115,8 @@ def judge_dicom(
     if lowest > -200 and judge_values(values - np.int16(1024)).is_hu:
         return HuVerdict(
             False,
-            f"its values are {lowest} to {highest}: they look like HU with an offset of 1024 that its tags do not give",
+            f"its values are {lowest} to {highest}: they look like HU with an offset of 1024 that its tags do "
+            "not state",
         )
     return HuVerdict(True, None)
 
@@ -128,7 +130,7 @@ def _clip(values: NDArray[np.generic]) -> tuple[NDArray[np.int16], int]:
 
 def clipped_note(num_clipped: int) -> Note:
     """That so many voxels did not fit into int16."""
-    words = f"{num_clipped} voxels lie outside -32768..32767 and were set to the nearest of these"
+    words = f"{num_clipped} voxels lie outside -32768 to 32767 and were clipped"
     return Note("import.clipped", words, badge=True)
 
 
@@ -167,7 +169,9 @@ def to_int16(values: NDArray[np.generic]) -> Int16Values:
             notes += (clipped_note(num_clipped),)
         if num_clipped > MAX_DOUBTFUL_SHARE * values.size:
             share = num_clipped / values.size
-            doubts.append(f"{100 * share:.1f} % of its voxels lie outside -32768..32767, where no Hounsfield units are")
+            doubts.append(
+                f"{100 * share:.1f} % of its voxels lie outside -32768 to 32767, which no Hounsfield value can reach"
+            )
         return Int16Values(clipped, None, notes, "; ".join(doubts) or None)
     # Halved before the subtraction: the span of two large numbers may itself be none.
     span = high / 2 - low / 2
@@ -188,7 +192,7 @@ def _all_finite(values: NDArray[np.generic]) -> tuple[NDArray[np.generic], Note,
         num_high += above
         num_low += plane.size - int(np.count_nonzero(finite)) - above
     if num_low + num_high == values.size:
-        msg = "no voxel holds a finite number"
+        msg = "no voxel is a finite number"
         raise ValueError(msg)
     share = _share_of_body(values)
     out = values.copy()

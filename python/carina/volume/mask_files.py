@@ -158,15 +158,15 @@ def _labels(
     low, high = values.min(), values.max()
     if low < -_LARGEST_LABEL or high > _LARGEST_LABEL:
         msg = (
-            f"reading the mask {path.name}: it holds numbers from {low:g} to {high:g}, which are not labels; choose "
+            f"reading the mask {path.name}: it contains numbers from {low:g} to {high:g}, which are not labels; choose "
             "the file of the segmentation"
         )
         raise VolumeImportError(msg, code="import.mask")
     if values.dtype.kind == "f":
         if not np.isfinite(values).all() or (values != np.rint(values)).any():
             msg = (
-                f"reading the mask {path.name}: expected whole numbers (0 outside), found fractions; it may be a map "
-                "of probabilities: export the mask itself"
+                f"reading the mask {path.name}: expected whole numbers (0 outside), found fractions; it may be a "
+                "probability map; export the mask itself"
             )
             raise VolumeImportError(msg, code="import.mask")
         values = values.astype(np.int32)
@@ -182,7 +182,8 @@ def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], labe
         raise VolumeImportError(msg, code="import.mask")
     if len(present) > 1000:
         msg = (
-            f"reading the mask {path.name}: it holds {len(present)} different values, so it is an image, not a mask; "
+            f"reading the mask {path.name}: it contains {len(present)} different values, so it is an image, not "
+            "a mask; "
             "choose the file of the segmentation"
         )
         raise VolumeImportError(msg, code="import.mask")
@@ -193,8 +194,8 @@ def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], labe
         return label
     listed = ", ".join(f"{n} ({names[n]})" if n in names else str(n) for n in present[:12])
     more = f" and {len(present) - 12} more" if len(present) > 12 else ""
-    asked = "say which is the airway" if label is None else f"{label} is not among them; say which is the airway"
-    msg = f"reading the mask {path.name}: it holds the labels {listed}{more}; {asked} (label, --label)"
+    asked = "choose the airway label" if label is None else f"{label} is not among them; choose the airway label"
+    msg = f"reading the mask {path.name}: it contains the labels {listed}{more}; {asked} (label, --label)"
     raise MaskLabelError(msg, tuple(MaskLabel(n, names.get(n) or None, sizes[n] * voxel_ml) for n in present))
 
 
@@ -237,13 +238,13 @@ def _placed(
     lost = int(np.count_nonzero(turned)) - int(np.count_nonzero(taken))
     if lost:
         msg = (
-            f"reading the mask {path.name}: {lost} of its voxels lie outside the scan; it was drawn on another or a "
-            "larger scan; open the scan it belongs to"
+            f"reading the mask {path.name}: {lost} of its voxels lie outside the scan; it was drawn on another "
+            "scan or a larger one; open the scan it belongs to"
         )
         raise VolumeImportError(msg, code="import.mask-grid")
     out[tuple(slice(lo, hi) for lo, hi in zip(low, high, strict=True))] = taken
     if tuple(turned.shape) != volume.shape_zyx:
-        notes.append(f"the mask covers a part of the scan ({' x '.join(str(n) for n in turned.shape[::-1])} voxels)")
+        notes.append(f"the mask covers only part of the scan ({' x '.join(str(n) for n in turned.shape[::-1])} voxels)")
     out.flags.writeable = False
     return Mask(out, tuple(notes))
 
@@ -276,7 +277,7 @@ def _other_grid(
         sizes = " x ".join(str(n) for n in shape_zyx[::-1])
         spacing = " x ".join(f"{v:.4g}" for v in np.linalg.norm(lps_from_ijk[:3, :3], axis=0))
         middle = lps_from_ijk[:3, :3] @ ((np.array(shape_zyx[::-1]) - 1) / 2) + lps_from_ijk[:3, 3]
-        return f"{sizes} voxels of {spacing} mm round ({', '.join(f'{v:.1f}' for v in middle)})"
+        return f"{sizes} voxels of {spacing} mm around ({', '.join(f'{v:.1f}' for v in middle)})"
 
     expected, found = grid_words(volume.shape_zyx, volume.lps_from_ijk), grid_words(inside.shape, lps_from_mask)
     share = _share_inside(inside, lps_from_mask, volume)
@@ -288,8 +289,8 @@ def _other_grid(
         )
         return VolumeImportError(msg, code="import.mask-grid")
     msg = (
-        f"reading the mask {path.name}: its grid differs from the scan's; {grids}; export it on the scan's grid, or "
-        "let it be resampled (resample, --resample)"
+        f"reading the mask {path.name}: its grid differs from the scan's; {grids}; export it on the scan's grid, "
+        "or have it resampled (resample, --resample)"
     )
     return MaskGridError(msg, expected=expected, found=found, share_inside=share)
 

@@ -148,7 +148,7 @@ class Volume:
         (nz, ny, nx), (sx, sy, sz) = self.shape_zyx, self.spacing_mm
         lines = [
             f"{nx} × {ny} × {nz} voxels of {sx:.3g} × {sy:.3g} × {sz:.3g} mm, {'in HU' if self.is_hu else 'not in HU'}",
-            "axial, coronal and sagittal slice through the middle, patient right and anterior on the left; "
+            "axial, coronal and sagittal slices through the centre, with patient right or anterior on the left; "
             f"window {width:g}, level {level:g}{' HU' if self.is_hu else ''}",
             *(f"! {note.words}" for note in badges_of(self)),
         ]

@@ -93,7 +93,8 @@ def guarded(path: Path, action: Callable[[Path], T]) -> T:
         raise VolumeImportError(msg, code="import.unreadable") from None
     except OSError as error:
         msg = (
-            f"reading {path.name}: the disk gives an error ({error.strerror or type(error).__name__}); check the disk "
+            f"reading {path.name}: the disk reported an error ({error.strerror or type(error).__name__}); check "
+            "the disk "
             "or copy the files"
         )
         raise VolumeImportError(msg, code="import.unreadable") from None
@@ -131,8 +132,11 @@ def find_in(path: Path, watch: Watch) -> list[FoundSeries] | str:
         return kind
     what = {
         "pdf": "it is a PDF document, not an image volume",
-        "zip": "it is a ZIP archive, which is not opened here",
-    }.get(kind or "", "it is not an image volume that Carina knows" if path.stat().st_size else "it is empty")
+        "zip": "it is a ZIP archive, which cannot be opened directly",
+    }.get(
+        kind or "",
+        ("it is not an image volume in a format that Carina can read") if path.stat().st_size else "it is empty",
+    )
     way_out = "unpack it and open the folder" if kind == "zip" else f"open {_KINDS}"
     raise VolumeImportError(f"reading {path.name}: {what}; {way_out}", code="import.not-an-image")
 
@@ -156,7 +160,7 @@ def refuse_series(path: Path, kind: str, series: str | None) -> None:
         ``usage.series``.
     """
     if series is not None:
-        msg = f"{path.name} is one {kind} volume and has no series {series!r}; leave the series out"
+        msg = f"{path.name} is one {kind} volume and has no series {series!r}; leave out the series"
         raise UsageError(msg, code="usage.series")
 
 
@@ -170,7 +174,8 @@ def _series_of_file(path: Path, watch: Watch) -> list[FoundSeries]:
     own = next((header for header in content.headers if header.path.name == path.name), None)
     if own is None:
         msg = (
-            f"reading {path.name}: it is DICOM but holds no image (a report, a structure set or a directory file); "
+            f"reading {path.name}: it is a DICOM file without an image (such as a report, structure set or "
+            "directory file); "
             "open the folder of the scan"
         )
         raise VolumeImportError(msg, code="import.no-images")
@@ -201,10 +206,13 @@ def _no_images(folder: Path, content: FolderContent) -> VolumeImportError:
     )
     if names:
         shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-        msg = f"reading the folder {folder.name}: it holds no DICOM images, but {shown}; open one of these files itself"
+        msg = (
+            f"reading the folder {folder.name}: it contains no DICOM images, but {shown}; open one of these files "
+            "itself"
+        )
     else:
         msg = (
-            f"reading the folder {folder.name}: it holds no DICOM images; expected the slices of a chest CT; choose "
+            f"reading the folder {folder.name}: it contains no DICOM images; expected the slices of a chest CT; choose "
             "the folder of the scan"
         )
     return VolumeImportError(msg, code="import.no-images")

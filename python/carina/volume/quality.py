@@ -91,17 +91,17 @@ def _judge(volume: Volume) -> Quality:
         findings.append(Finding("not-hu", f"not in Hounsfield units: {volume.not_hu_reason}"))
     values = volume.hu_zyx
     if not volume.is_hu and volume.value_range[1] - volume.value_range[0] <= 1:
-        findings.append(Finding("mask", "the volume holds two values only: this is a mask, not a scan"))
+        findings.append(Finding("mask", "the volume has only two values: this is a mask, not a scan"))
     findings += _spacing_findings(volume.spacing_mm)
     lung_litres: float | None = None
     if volume.is_hu:
         lungs = _find_lungs(volume)
         lung_litres = lungs.litres
         if lung_litres < _MIN_LUNG_L:
-            words = f"only {lung_litres:.1f} litres look like lung: this may not be a chest CT, or only a part of one"
+            words = f"only {lung_litres:.1f} litres look like lung: this may not be a chest CT, or only part of one"
             findings.append(Finding("no-lungs", words))
         if lungs.cut_faces:
-            words = f"the lungs are cut at the {_listed(lungs.cut_faces)} of the volume: airways end there too"
+            words = f"the lungs are cut off at the {_listed(lungs.cut_faces)} of the volume, and so are the airways"
             findings.append(Finding("cut", words))
         padding = float(np.count_nonzero(values < _PADDING_HU)) / values.size
         if padding > 0.001:
@@ -117,11 +117,12 @@ def _spacing_findings(spacing_mm: tuple[float, float, float]) -> list[Finding]:
     # Up to 1.5 mm the blur of the scan limits what is seen, not the grid.
     if widest > _SMALLEST_VISIBLE_MM:
         what = "slices are" if spacing_mm[2] == widest else "voxels are"
-        words = f"{what} {widest:.1f} mm apart: airways beyond about generation {generation} cannot be trusted"
+        words = f"{what} {widest:.1f} mm apart: airways beyond about generation {generation} are unreliable"
         findings.append(Finding("spacing", words))
     if widest > 3 * narrowest:
         words = (
-            f"voxels are {widest / narrowest:.1f} times longer than wide: walls show steps, slanted airways look flat"
+            f"voxels are {widest / narrowest:.1f} times longer than wide: walls look stepped, and slanted "
+            "airways look flattened"
         )
         findings.append(Finding("uneven", words))
     return findings

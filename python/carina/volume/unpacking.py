@@ -40,7 +40,7 @@ class Unpacker:
             if not chunk:
                 chunk = self._file.read(self._chunk_bytes)
                 if not chunk:
-                    msg = "its compressed stream ends too early"
+                    msg = "its compressed stream ends prematurely"
                     raise ValueError(msg)
             try:
                 piece = inflater.decompress(chunk, _CHUNK_BYTES)

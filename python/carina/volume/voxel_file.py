@@ -199,7 +199,7 @@ def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
     except msgspec.MsgspecError as error:
         raise DamagedFileError("its header is of another version") from error
     if header.name != name.file_name:
-        raise DamagedFileError("it holds another CT than its name says")
+        raise DamagedFileError("its contents are of another CT than its name states")
     return header, _begin_of_voxels(num_bytes)
 
 

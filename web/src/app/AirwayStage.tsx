@@ -57,7 +57,7 @@ export function AirwayStage() {
             <EmptyLabel />
           </>
         ) : (
-          <p className="empty centre">The view from the tip appears here as soon as the CT is read.</p>
+          <p className="empty centre">The view from the scope tip appears here once the CT has loaded.</p>
         )}
         <ToolTag view={LEAD_VIEW} />
       </div>
@@ -83,10 +83,10 @@ function ScopeReading() {
     <>
       <span className="scope-reading" data-testid="scope-reading">
         <span>
-          in <strong>{mm(scope.insertion_mm, 0)}</strong>
+          inserted <strong>{mm(scope.insertion_mm, 0)}</strong>
         </span>
         <span>
-          bent <strong>{degrees(scope.flexion_rad)}</strong>, rolled {degrees(scope.roll_rad)}
+          bend <strong>{degrees(scope.flexion_rad)}</strong>, roll {degrees(scope.roll_rad)}
         </span>
       </span>
       {stop === null ? null : <span className="warning-text">{stop}</span>}
@@ -104,19 +104,19 @@ const degrees = (rad: number): string => `${fixed((rad * 180) / Math.PI)}\u00b0`
 function scopeStop(scope: HeldScope): string | null {
   switch (scope.limit) {
     case "none":
-      return scope.contact_mm === null ? null : "touches the wall";
+      return scope.contact_mm === null ? null : "touching the wall";
     case "narrow":
       return scope.needs_mm === null
         ? "too narrow"
-        : `needs ${mm(scope.needs_mm)} or thinner${scope.tip_mm === null ? "" : `; this tip has ${mm(scope.tip_mm)}`}`;
+        : `needs ${mm(scope.needs_mm)} or smaller${scope.tip_mm === null ? "" : `; this tip is ${mm(scope.tip_mm)}`}`;
     case "wall":
-      return "held by the wall";
+      return "stopped by the wall";
     case "entry":
-      return "withdrawn to where it enters";
+      return "fully withdrawn";
     case "length":
-      return "end of the scope's length";
+      return "fully inserted";
     case "flexion":
-      return "lever at its stop";
+      return "lever at its limit";
   }
 }
 
@@ -126,8 +126,8 @@ function FinderLabel() {
   if (!standsIn) return null;
   return (
     <p className="finder-label" role="status" data-testid="view-finder">
-      <strong>View finder: cut-plane across the tip</strong>
-      <span>The airway view is too slow to follow this movement. Pause to see it.</span>
+      <strong>Viewfinder: cut-plane at the tip</strong>
+      <span>The airway view cannot keep up with this movement. Pause to let it catch up.</span>
     </p>
   );
 }
@@ -140,7 +140,7 @@ function EmptyLabel() {
   if (!empty) return null;
   return (
     <div className="finder-label" role="status" data-testid="nothing-seen">
-      <strong>Nothing to see from here: the CT ends</strong>
+      <strong>Nothing to show: the tip is at the edge of the CT</strong>
       {alongPath ? (
         <Act
           kind="quiet"
@@ -151,7 +151,7 @@ function EmptyLabel() {
           onPress={() => station.act("reset_look")}
         />
       ) : (
-        <span>Turn back, or choose a branch.</span>
+        <span>Go back, or choose a branch.</span>
       )}
     </div>
   );
@@ -175,7 +175,9 @@ function AirwayTools() {
           {
             value: "path",
             label: "Path",
-            words: hasRoute ? "Move along the route, look freely" : "Needs a route: choose a branch or mark a target",
+            words: hasRoute
+              ? "Move along the route and look in any direction"
+              : "Needs a route: choose a branch or mark a target",
             keys: keyOf("toggle_mode"),
             disabled: !hasRoute,
           },
@@ -184,7 +186,7 @@ function AirwayTools() {
             value: "scope",
             label: "Scope",
             words: hasRoute
-              ? "A simulated bronchoscope: it bends, rests on the wall and stops where it does not fit"
+              ? "A simulated bronchoscope: it bends, touches the wall and stops where the airway is too narrow"
               : "Needs a route: choose a branch or mark a target",
             disabled: !hasRoute,
           },
@@ -193,11 +195,11 @@ function AirwayTools() {
       />
       <Act
         icon="operator"
-        label={<span className="wide-only">{facing ? "Facing" : "Head end"}</span>}
+        label={<span className="wide-only">{facing ? "Facing patient" : "At the head"}</span>}
         words={
           facing
-            ? "The operator faces the patient; turn to the head end"
-            : "The operator stands at the head end; turn to facing the patient"
+            ? "The operator is facing the patient. Click to stand at the head end."
+            : "The operator is at the head end. Click to face the patient."
         }
         keys={keyOf("flip_operator")}
         onPress={() => station.act("flip_operator")}
@@ -222,7 +224,7 @@ function AirwayTools() {
       <Fov />
       <SwitchKey
         icon="light"
-        words={shading ? "Light at the tip is on" : "Light at the tip is off"}
+        words={shading ? "Light at the tip: on" : "Light at the tip: off"}
         on={shading}
         onChange={() => station.send({ type: "set_shading", on: !shading })}
       />
@@ -231,8 +233,8 @@ function AirwayTools() {
           icon="texture"
           words={
             texture
-              ? "Fine texture (decoration): mottling and relief that the CT does not show"
-              : "Fine texture (decoration) is off: the wall shows only what is in the CT"
+              ? "Fine texture: on. The mottling and relief are decoration, not from the CT."
+              : "Fine texture: off. The wall shows only what is in the CT."
           }
           on={texture}
           testId="texture"
@@ -241,14 +243,16 @@ function AirwayTools() {
       )}
       <SwitchKey
         icon="routeLine"
-        words="Line of the route"
+        words="Route line"
         keys={keyOf("toggle_route_line")}
         on={ui.routeLineVisible}
         onChange={() => station.act("toggle_route_line")}
       />
       <SwitchKey
         icon="round"
-        words={outline === "octagon" ? "Octagonal picture, as in this scope" : "Round picture, as in a bronchoscope"}
+        words={
+          outline === "octagon" ? "Octagonal image, as through this scope" : "Round image, as through a bronchoscope"
+        }
         keys={keyOf("toggle_shape")}
         on={outline !== "none"}
         onChange={() => station.act("toggle_shape")}
@@ -259,8 +263,8 @@ function AirwayTools() {
 
 const TRANSFER_WORDS: Readonly<Record<string, string>> = {
   endoscopic: "Endoscopic",
-  paper: "As in the paper",
-  "ct-grey": "CT grey",
+  paper: "Published colours",
+  "ct-grey": "CT greyscale",
   "see-through": "See-through",
   "from histogram": "Histogram",
 };
@@ -283,7 +287,7 @@ function TransferSelect() {
           station.send({ type: "set_transfer", preset: String(key), document: null });
       }}
     >
-      <Tip words="How tissue is coloured in the airway view">
+      <Tip words="Wall colours in the airway view">
         <Button className="button">
           <SelectValue>{() => transferWords(transfer)}</SelectValue>
           <Icon name="down" />
@@ -315,7 +319,7 @@ function Fov() {
       onChange={(value) => station.sendSoon({ type: "set_fov", fov_deg: value })}
     >
       <Label className="visually-hidden">Field of view</Label>
-      <Tip words="Field of view: full angle across the picture">
+      <Tip words="Field of view: the full angle across the image">
         <Button className="plain-text" excludeFromTabOrder>
           <SliderOutput className="numbers">{() => `${fixed(fov)}\u00b0`}</SliderOutput>
         </Button>
@@ -374,7 +378,7 @@ function WallReading() {
 /** Nearer than this the route is at its end. */
 const AT_END_MM = 0.1;
 
-const hourWords = (hour: number | null): string => (hour === null ? "straight on" : `${hour} o\u2019clock`);
+const hourWords = (hour: number | null): string => (hour === null ? "straight ahead" : `${hour} o\u2019clock`);
 
 /** Where the tip is, in the corners that the round picture leaves free. */
 function Readings() {

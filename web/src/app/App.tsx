@@ -21,8 +21,8 @@ export function App() {
             {connection.status === "refused"
               ? connection.reason
               : connection.status === "lost"
-                ? "Carina is not responding. Is it still running? This page keeps trying."
-                : "Connecting to Carina on this machine\u2026"}
+                ? "Carina is not responding. Check that it is still running. This page keeps trying to reconnect."
+                : "Connecting to Carina\u2026"}
           </p>
         </main>
       )}

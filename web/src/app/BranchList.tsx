@@ -73,7 +73,7 @@ export function BranchList() {
             <Act
               icon="target"
               label={arming ? "Click in a picture\u2026" : "Mark the trachea"}
-              words="The next click in a picture segments the airways from there"
+              words="Click inside the trachea in any picture to segment the airways from there"
               keys={keyOf("arm_root")}
               onPress={() => station.act("arm_root")}
             />
@@ -113,11 +113,7 @@ export function BranchList() {
           onBlur={() => station.pointing.hoverBranch(null)}
         >
           <Tree
-            aria-label={
-              forTool
-                ? "Airway branches; the tool acts on the one you choose"
-                : "Airway branches; choosing one makes it the route"
-            }
+            aria-label={forTool ? "Airway branches: choose the one to edit" : "Airway branches: choose one to fly to"}
             className="branch-tree"
             selectionMode={forTool ? "none" : "single"}
             onAction={(key) => {
@@ -282,10 +278,10 @@ function Row({ node, only }: { node: BranchNode; only: ReadonlySet<number> | nul
 function emptyWords(airways: string | undefined, words: string | null): string {
   switch (airways) {
     case "finding":
-      return "The airways are being segmented. Their branches will be listed here; you can fly freely meanwhile.";
+      return "Segmenting the airways. Their branches will be listed here. You can fly freely in the meantime.";
     case "failed":
       return words ?? "No airways were found. Mark the trachea under \u201cAirways\u201d.";
     default:
-      return words ?? "The branches of the airways will be listed here once they are found.";
+      return words ?? "The airway branches will be listed here once they have been segmented.";
   }
 }

@@ -29,7 +29,7 @@ export function BranchPanel() {
   }, [station, id, measured]);
   if (tree === null) return null;
   if (node === undefined) {
-    return <p className="empty">Choose a branch in the list or in a picture: its measurements appear here.</p>;
+    return <p className="empty">Choose a branch in the list or in a picture to see its measurements.</p>;
   }
   const drawn = drawnWords(node);
   return (

@@ -17,18 +17,18 @@ export function ClusterPanel() {
         <Dialog aria-label="Rendering machines">
           <p className="quiet">
             {cluster.address} · {fixed(cluster.fps)} frames/s
-            {cluster.frame_ms === null ? "" : `, ${fixed(cluster.frame_ms)} ms each`}
-            {cluster.mixed ? " · mixed: equal within one grey level" : ""}
+            {cluster.frame_ms === null ? "" : `, ${fixed(cluster.frame_ms)} ms per frame`}
+            {cluster.mixed ? " · CPUs and GPUs mixed: pictures agree to within one grey level" : ""}
           </p>
-          {cluster.alone ? <p>No other machine can render now: this one renders alone.</p> : null}
+          {cluster.alone ? <p>No other machine is available. This machine renders alone.</p> : null}
           <table className="numbers">
             <thead>
               <tr>
                 <th>machine</th>
                 <th>share</th>
-                <th>answers in</th>
-                <th>late</th>
-                <th>now</th>
+                <th>response time</th>
+                <th>late frames</th>
+                <th>status</th>
               </tr>
             </thead>
             <tbody>

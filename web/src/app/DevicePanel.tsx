@@ -14,9 +14,9 @@ import { Figure } from "./Figure";
 import { PhoneGroup } from "./PhoneGroup";
 
 const CONTROLS = [
-  ["absolute", "Absolute", "The tip goes where the pen is in the patient; needs a calibration"],
+  ["absolute", "Absolute", "The tip follows the pen's position in the patient. Needs a calibration."],
   ["relative", "Relative", "The tip follows the hand's movement"],
-  ["path", "Path", "Forward and back along the path; turning the device looks around"],
+  ["path", "Path", "Moves forward and back along the path; turning the device turns the view"],
 ] as const;
 const MIN_PAIRS = 3;
 
@@ -38,7 +38,7 @@ export function DevicePanel() {
       </div>
       <div className="step-body">
         {told === null ? (
-          <p className="quiet">Open a case first: devices move the tip in it.</p>
+          <p className="quiet">Open a case before you use a device.</p>
         ) : (
           <>
             <Movement told={told} />
@@ -70,7 +70,7 @@ function Movement({ told }: { told: DevicesMessage }) {
     station.send({ type: "set_controls", controls: { ...controls, ...changed } });
   return (
     <div className="group">
-      <fieldset className="choices" aria-label="How a device moves the tip">
+      <fieldset className="choices" aria-label="Control mode">
         {CONTROLS.map(([name, title, words]) => (
           <SwitchKey
             key={name}
@@ -136,10 +136,10 @@ function PenOffset() {
   if (words === null) return null;
   return (
     <p className="warning-text numbers">
-      The pen is {words} away from the tip. They come together as the hand moves.
+      The pen is {words} from the tip. The gap closes as your hand moves.
       <Act
         kind="quiet"
-        label="Join now"
+        label="Move to pen"
         words="Move the tip to the pen now"
         keys={keyOf("join_pen")}
         testId="join-pen"
@@ -158,21 +158,21 @@ function HeadsetGroup() {
       <h3>Headset</h3>
       {headset === "no-headset" ? (
         <p className="quiet">
-          This browser finds no headset. Start the headset's software, or open Carina in its own browser.
+          No headset found. Start the headset's software, or open Carina in the headset's own browser.
         </p>
       ) : (
         <>
           <Act
             label={headset === "inside" ? "Leave the headset" : "Enter the headset"}
-            words="The airway view on a screen in the room; the controllers are pens"
+            words="Shows the airway view on a virtual screen. The controllers act as pens."
             testId="headset"
             onPress={() =>
               headset === "inside" ? station.devices.leaveHeadset() : void station.devices.enterHeadset()
             }
           />
           <p className="quiet">
-            Hold the trigger to move the tip; push the stick for forward and back. Grip: bring the screen in front of
-            you. Lower button: next control mode. Upper: look along the path.
+            Hold the trigger to move the tip. Push the stick to advance or withdraw. Grip button: bring the screen in
+            front of you. Lower button: next control mode. Upper button: look along the path.
           </p>
         </>
       )}
@@ -239,8 +239,8 @@ function Calibration({ device }: { device: DeviceInfo }) {
           : "Calibrate"}
       </summary>
       <p className="quiet">
-        Hold the pen at a landmark, put the crosshair on the same place, then take the pair. Take three or more, not on
-        one line.
+        Hold the pen at a landmark, put the crosshair on the same point, then add the pair. Add three pairs or more, not
+        all in one line.
       </p>
       {pairs.map((pair, n) => (
         // biome-ignore lint/suspicious/noArrayIndexKey: pairs are only ever added at the end
@@ -249,7 +249,7 @@ function Calibration({ device }: { device: DeviceInfo }) {
         </p>
       ))}
       <div className="row">
-        <Act label="Take pair" words="The pen is at the crosshair" testId="take-pair" onPress={take} />
+        <Act label="Add pair" words="Pair the pen's position with the crosshair" testId="take-pair" onPress={take} />
         <Act
           label="Register"
           words="Register the tracker to the patient"
@@ -259,7 +259,7 @@ function Calibration({ device }: { device: DeviceInfo }) {
         />
         <Act
           kind="quiet"
-          label="Forget"
+          label="Discard"
           words="Discard the point pairs and the calibration"
           onPress={() => {
             setPairs([]);
@@ -284,7 +284,7 @@ function Connections({ told }: { told: DevicesMessage }) {
         <p key={source.address} data-testid="source">
           {source.title}, {source.address}: {source.state}
           {source.state === "live" ? `, ${fixed(source.rate_hz)} Hz` : ""}
-          {source.num_bad === 0 ? "" : `, ${source.num_bad} bad`} {source.words}
+          {source.num_bad === 0 ? "" : `, ${source.num_bad} invalid`} {source.words}
           <Act
             kind="quiet"
             label="Disconnect"
@@ -293,7 +293,7 @@ function Connections({ told }: { told: DevicesMessage }) {
           />
         </p>
       ))}
-      <TextField className="field" value={address} onChange={setAddress} aria-label="Device to connect to">
+      <TextField className="field" value={address} onChange={setAddress} aria-label="Address of the device">
         <Input
           placeholder="Kind and place, such as fastrak:PORT"
           onKeyDown={(event) => (event.key === "Enter" ? connect() : undefined)}
@@ -318,8 +318,8 @@ function Connections({ told }: { told: DevicesMessage }) {
       {told.serial_problem === null ? null : <p className="quiet">{told.serial_problem}</p>}
       {told.serial_ports.length === 0 ? null : <p className="quiet">Serial ports: {told.serial_ports.join(", ")}</p>}
       <SwitchKey
-        words="Stream the tip's pose to 3D Slicer over OpenIGTLink (port 18944 of this machine)"
-        label={told.published_port === null ? "Publish the tip" : `Published on port ${told.published_port}`}
+        words="Stream the tip's pose to 3D Slicer over OpenIGTLink (port 18944 on this machine)"
+        label={told.published_port === null ? "Stream the tip" : `Streaming on port ${told.published_port}`}
         on={told.published_port !== null}
         onChange={() => station.send({ type: "publish_tip", port: told.published_port === null ? 18944 : null })}
       />
@@ -333,7 +333,7 @@ function Recording({ told }: { told: DevicesMessage }) {
     <div className="group">
       <h3>Recording</h3>
       <SwitchKey
-        words="Record the flight to a file on this machine. carina fly renders it as a video."
+        words="Record the flight to a file on this machine. Use carina fly to render it as a video."
         label={told.recording === null ? "Record the flight" : "Stop"}
         on={told.recording !== null}
         testId="record"

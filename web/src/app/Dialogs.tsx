@@ -16,7 +16,7 @@ export function NoticeDialog() {
           <Heading slot="title">Carina is not a medical device</Heading>
           <p>
             It is software for research, teaching and rehearsal. It has not been examined or approved for diagnosis or
-            treatment, and what it finds automatically can be wrong: airways may be missing, joined, or artefacts of
+            treatment, and its automatic results can be wrong: airways may be missing, wrongly joined, or artefacts of
             noise.
           </p>
           <p>Decisions about a patient belong to a physician, from the original images.</p>

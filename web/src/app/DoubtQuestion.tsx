@@ -33,7 +33,7 @@ export function DoubtQuestion() {
       <div className="row">
         <Act
           label="Draw anyway"
-          words="Draws the branch. It is labelled as drawn by hand, and gets no anatomical name."
+          words="Draw the branch. It is labelled as drawn by hand and has no anatomical name."
           keys="Enter"
           testId="doubt-draw"
           onPress={() => station.answerDoubt(true)}
@@ -41,7 +41,7 @@ export function DoubtQuestion() {
         <Act
           kind="quiet"
           label="Cancel"
-          words="Leaves the tree as it is"
+          words="Leave the tree unchanged"
           keys={keyOf("leave")}
           testId="doubt-cancel"
           onPress={() => station.answerDoubt(false)}

@@ -67,7 +67,7 @@ export function ToolInHand() {
         <Act
           kind="quiet"
           label="Done"
-          words="Put the tool down"
+          words="Stop using this tool"
           keys={keyOf("leave")}
           onPress={() => station.disarm()}
         />
@@ -96,8 +96,8 @@ export function ToolInHand() {
             label="Ball"
             words={
               ball
-                ? "Paints in all directions; turn to this slice only"
-                : "Paint in all directions, not in this slice only"
+                ? "Painting in all directions. Click to paint in this slice only."
+                : "Painting in this slice only. Click to paint in all directions."
             }
             on={ball}
             onChange={() => station.ui({ brushIsBall: !ball })}

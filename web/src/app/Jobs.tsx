@@ -34,7 +34,7 @@ export function ThinProgress({ title, what, fraction, secondsLeft, onCancel }: T
           {fraction === null ? "" : `${Math.floor(100 * fraction)} %`}
           {secondsLeft === null ? "" : `${fraction === null ? "" : ", "}${timeLeft(secondsLeft)}`}
         </span>
-        <Act kind="quiet" label="Cancel" words={`Stop: ${title}`} onPress={onCancel} />
+        <Act kind="quiet" label="Cancel" words={`Cancel: ${title}`} onPress={onCancel} />
       </div>
     </ProgressBar>
   );

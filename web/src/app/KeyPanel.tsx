@@ -30,7 +30,7 @@ export function KeyPanel() {
       </div>
       <div className="step-body">
         {told === null ? (
-          <p className="empty">Open a case first: key frames are views in it.</p>
+          <p className="empty">Open a case before you add key frames.</p>
         ) : (
           <>
             <Act
@@ -44,8 +44,8 @@ export function KeyPanel() {
             />
             {told.keys.length === 0 ? (
               <p className="empty">
-                Fly to a view and add it, then to the next. Carina flies smoothly from one to the other; save the flight
-                as a video.
+                Fly to a view and add it as a key frame, then fly to the next. Carina flies smoothly from one to the
+                next, and can save the flight as a video.
               </p>
             ) : (
               <KeyList told={told} />
@@ -150,7 +150,7 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
             {frame.through_airways ? "through the airways" : "straight"}
           </p>
           <Figure
-            label="Speed to here"
+            label="Speed to this key frame"
             unit="mm/s"
             value={frame.speed_mm_s}
             choices={KEY_SPEEDS_MM_S}
@@ -237,7 +237,7 @@ function Player({ told }: { told: KeysMessage }) {
         <Act
           icon={playing.on ? "pause" : "play"}
           label={playing.on ? "Pause" : "Play"}
-          words={playing.on ? "Pause here" : "Fly through the key frames; any movement you make takes over"}
+          words={playing.on ? "Pause here" : "Fly through the key frames. Any movement you make stops the playback."}
           testId="play-keys"
           onPress={() => station.playKeys()}
         />
@@ -294,7 +294,7 @@ function Flight({ told }: { told: KeysMessage }) {
     <div className="group">
       <Figure
         label="Speed"
-        words="Speed for every leg without its own"
+        words="Speed of every leg that has no speed of its own"
         unit="mm/s"
         value={told.speed_mm_s}
         choices={KEY_SPEEDS_MM_S}
@@ -326,7 +326,7 @@ function KeyFile({ told }: { told: KeysMessage }) {
         <Act
           icon="file"
           label="Save"
-          words="Save to a file. It can be opened again in this case, and carina fly renders it as a video."
+          words="Save to a file. Open it again in this case, or render it as a video with carina fly."
           disabled={told.keys.length === 0}
           testId="save-keys"
           onPress={() => void station.takeKeys()}

@@ -34,7 +34,7 @@ export function MaskPicker() {
         <Tip words="A segmentation of this scan as NIfTI, NRRD, MetaImage or DICOM SEG. Undo restores the current airways.">
           <Button className="button" data-testid="choose-mask">
             <Icon name="file" />
-            {"Choose a mask\u2026"}
+            {"Choose a segmentation\u2026"}
           </Button>
         </Tip>
       </FileTrigger>
@@ -102,7 +102,7 @@ export function DropChoice() {
   return (
     <div className="drop-choice">
       {place("mask", "Use as the airways of this scan", "a segmentation: NIfTI, NRRD, MetaImage, DICOM SEG")}
-      {place("case", "Open as another case", "a CT: a DICOM series, NIfTI, NRRD or MetaImage")}
+      {place("case", "Open as a new case", "a CT: a DICOM series, NIfTI, NRRD or MetaImage")}
     </div>
   );
 }
@@ -140,7 +140,7 @@ function Question({ question }: { question: MaskQuestion }) {
           value={label === null ? null : String(label)}
           onChange={(value) => setLabel(Number(value))}
         >
-          <Label className="visually-hidden">Structures of the mask</Label>
+          <Label className="visually-hidden">Structures in the segmentation</Label>
           {question.labels.map((one) => (
             <Radio key={one.number} value={String(one.number)} className="mask-label">
               <span>{labelTitle(one)}</span>
@@ -157,7 +157,7 @@ function Question({ question }: { question: MaskQuestion }) {
               <dd className="numbers">{question.expected}</dd>
             </div>
             <div>
-              <dt>The mask</dt>
+              <dt>Segmentation</dt>
               <dd className="numbers">{question.found}</dd>
             </div>
           </dl>
@@ -169,7 +169,7 @@ function Question({ question }: { question: MaskQuestion }) {
           </p>
         </>
       )}
-      <p className="quiet">The current airways stay until you choose; undo restores them afterwards.</p>
+      <p className="quiet">The current airways are kept until you choose. Undo restores them later.</p>
       <div className="dialog-actions">
         <Button className="button" onPress={() => station.send({ type: "dismiss_mask" })}>
           Cancel

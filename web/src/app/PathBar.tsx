@@ -27,7 +27,7 @@ export function PathBar() {
       <section className="path-bar" aria-label="Route">
         <p className="empty">
           {stage === "found"
-            ? "No route yet. Choose a branch in the list, or mark a target with N and a click in a slice: the way there appears here."
+            ? "No route yet. Choose a branch in the list, or mark a target (N, then click in a slice). The route to it appears here."
             : "The route appears here: distance, forks and branch names, once the airways are found."}
         </p>
       </section>

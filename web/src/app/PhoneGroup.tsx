@@ -15,7 +15,7 @@ export function PhoneGroup({ told }: { told: DevicesMessage }) {
       <SwitchKey
         words={
           phone === null
-            ? "Opens a page to this network. Anyone with its link can move the tip; the page shows nothing of the case."
+            ? "Opens a page on this network. Anyone with its link can move the tip, but cannot see the case."
             : "Closes the page; its link and certificate stop working"
         }
         label={phone === null ? "Use a phone" : "Close the phone's page"}
@@ -55,8 +55,8 @@ function Open({ phone }: { phone: PhoneInfo }) {
         ))}
       </p>
       <p className="quiet">
-        Listens on {phone.address}, encrypted. Anyone with this link can move the tip, but sees nothing of the case.
-        {phone.num_refused === 0 ? "" : ` Refused: ${phone.num_refused} with a wrong link.`}
+        Listening on {phone.address}, encrypted. Anyone with this link can move the tip, but cannot see the case.
+        {phone.num_refused === 0 ? "" : ` Refused: ${phone.num_refused} with an invalid link.`}
         {phone.num_bad === 0 ? "" : ` Ignored: ${phone.bad_words}.`}
       </p>
     </>

@@ -84,7 +84,9 @@ function sayPoint(point: ProfilePoint): string {
 
 function sayRange(points: readonly ProfilePoint[]): string {
   const widths = points.filter((point) => !point.atJunction).map((point) => point.lumenMm);
-  return widths.length === 0 ? "forks only" : `from ${mm(Math.min(...widths))} to ${mm(Math.max(...widths))}`;
+  return widths.length === 0
+    ? "not measured within forks"
+    : `from ${mm(Math.min(...widths))} to ${mm(Math.max(...widths))}`;
 }
 
 type Axis = (value: number) => number;

@@ -56,8 +56,8 @@ function Where({ saving }: { saving: SavingInfo }) {
     >
       <p>
         Carina saves what you do on this machine as you work. Here you can also write it as one file, to move it to
-        another machine or to hand it on. The file holds the airways, targets, key frames and history; it does not hold
-        the CT, a name or a date.
+        another machine or to hand it on. The file contains the airways, targets, key frames and history, but not the
+        CT, a name or a date.
       </p>
       <TextField value={path} onChange={setPath} autoFocus>
         <Label>Folder and name, on this machine</Label>

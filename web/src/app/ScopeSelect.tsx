@@ -25,9 +25,7 @@ export function ScopeSelect() {
   if (scopes === null) return null;
   const chosen = scopes.find((scope) => scope.name === name);
   const words =
-    chosen === undefined
-      ? "Seen without a scope: a pinhole camera"
-      : `Seen through: ${chosen.title}, ${sizeWords(chosen)}`;
+    chosen === undefined ? "No scope: pinhole camera" : `Viewed through: ${chosen.title}, ${sizeWords(chosen)}`;
   return (
     <Select
       aria-label="Scope"

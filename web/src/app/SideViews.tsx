@@ -53,7 +53,7 @@ function CellTools({ cell, view }: { cell: SideCell; view: ViewName }) {
 /** What stands in the place of a picture: what will be there, and how to get it. */
 function emptyWords(view: ViewName, there: Readonly<Record<Need, boolean>>): string {
   const { needs, empty } = VIEWS[view];
-  return needs.length > 0 && needs.every((need) => there[need]) ? "This picture is being rendered." : empty;
+  return needs.length > 0 && needs.every((need) => there[need]) ? "Rendering this picture…" : empty;
 }
 
 type Need = (typeof VIEWS)[ViewName]["needs"][number];
@@ -107,7 +107,7 @@ function OutlineSwitch() {
   return (
     <SwitchKey
       icon="lumen"
-      words="Outline of the lumen and centrelines (dashed: drawn by hand; dotted: uncertain)"
+      words="Lumen outline and centrelines (dashed: drawn by hand; dotted: uncertain)"
       keys={keyOf("toggle_outline")}
       on={on}
       testId="outline"

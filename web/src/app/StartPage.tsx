@@ -103,7 +103,7 @@ export function PathForm() {
       }}
     >
       <TextField value={path} onChange={setPath}>
-        <Label>or type the path of a folder or file on this machine (nothing is copied)</Label>
+        <Label>or type the path of a folder or file on this machine (it is not copied)</Label>
         <div className="row">
           <Input placeholder="/data/ct/series" spellCheck="false" autoComplete="off" />
           <Tip words="Open this path" keys="Enter">
@@ -124,7 +124,7 @@ function Recent() {
     <>
       <h2>Recent cases</h2>
       {recent === null || recent.length === 0 ? (
-        <p className="empty">The cases you open appear here, by date and series, without names.</p>
+        <p className="empty">The cases you open appear here, listed by date and series, without patient names.</p>
       ) : (
         <ul className="recent">
           {recent.map((entry) => (

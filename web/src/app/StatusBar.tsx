@@ -111,8 +111,8 @@ function AskedRate() {
       <Popover className="popover" offset={4}>
         <ListBox className="listbox">
           {choices.map((hz) => (
-            <ListBoxItem key={hz} id={String(hz)} textValue={`${fixed(hz)} per second`} className="listbox-item">
-              {fixed(hz)} per second
+            <ListBoxItem key={hz} id={String(hz)} textValue={`${fixed(hz)} frames/s`} className="listbox-item">
+              {fixed(hz)} frames/s
             </ListBoxItem>
           ))}
         </ListBox>
@@ -141,13 +141,13 @@ function FineWords() {
   const station = useStation();
   const frame = useApp((state) => state.frames[LEAD_VIEW] ?? null);
   if (frame === null) return null;
-  if (frame.stands_for !== null) return <span className="warning-text">view finder</span>;
+  if (frame.stands_for !== null) return <span className="warning-text">viewfinder</span>;
   const wanted = station.wall.find(LEAD_VIEW)?.wantedPixels?.width ?? frame.width;
   const words = finenessWords(frame, wanted);
   return (
     <span
       className={frame.full ? "wide" : undefined}
-      title="Resolution and ray step of the airway view: coarse while moving, full at rest"
+      title="Resolution of the airway view: reduced while moving, full at rest"
     >
       {words}
     </span>
@@ -167,7 +167,9 @@ function PaceWords() {
       {waitingMs > LATE_MS ? (
         <span className="warning-text">{"updating\u2026"}</span>
       ) : (
-        <span title="Latency: movement to displayed image">age {ageMs === null ? "\u2013" : `${fixed(ageMs)} ms`}</span>
+        <span title="Latency: movement to displayed image">
+          latency {ageMs === null ? "\u2013" : `${fixed(ageMs)} ms`}
+        </span>
       )}
     </>
   );
@@ -209,7 +211,7 @@ function ConnectionWords() {
       return (
         <span className="connection error-text" role="alert">
           {connection.reason}
-          <Act kind="quiet" label="Connect here" words="Work in this window again" onPress={station.reconnect} />
+          <Act kind="quiet" label="Connect here" words="Use Carina in this window again" onPress={station.reconnect} />
         </span>
       );
   }

@@ -43,13 +43,13 @@ function Tag({ armed, works, where }: { armed: Armed; works: boolean; where: "pi
       data-testid="tool-tag"
       data-works={works}
       data-takes={takesAway(armed) || undefined}
-      aria-label={`Put the tool away: ${label} (Esc)`}
+      aria-label={`Cancel ${label} (Esc)`}
       excludeFromTabOrder
       onPress={() => station.disarm()}
     >
       <Icon name={TOOL_ICONS[armed]} />
       {works ? shortOf(armed) : <s>{shortOf(armed)}</s>}
-      {works ? null : <span className="why">not here</span>}
+      {works ? null : <span className="why">not in this picture</span>}
       <Icon name="close" />
     </Button>
   );
@@ -65,7 +65,7 @@ export function ToolHint() {
   const words = pen !== null && marksByPen(armed) ? penMarkWords(pen) : hint;
   return (
     <span className="tool-hint" role="status" data-testid="tool-hint">
-      <strong>{label}</strong> {words} <kbd>Esc</kbd> {forkHeld ? "lets go of the fork" : "puts it away"}
+      <strong>{label}</strong> {words} <kbd>Esc</kbd> {forkHeld ? "releases the fork" : "cancels"}
     </span>
   );
 }

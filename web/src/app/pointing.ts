@@ -311,7 +311,7 @@ export class Pointing {
     const station = this.#station;
     const { tree, ui } = station.state;
     if (tree === null || branchId === null) {
-      station.notice("No branch here. Click an airway of the tree.");
+      station.notice("No branch here. Click an airway in the tree.");
       return;
     }
     if (ui.armed === "cut") {
@@ -320,7 +320,7 @@ export class Pointing {
       this.#edit({ kind: "smooth-branch", branch_id: branchId });
     } else {
       const held = forkOf(tree, branchId, place?.alongMm ?? 0);
-      if (held === null) station.notice("This branch has no fork that could be moved.");
+      if (held === null) station.notice("This branch has no fork to move.");
       else station.ui({ forkHeld: held });
     }
   }

@@ -134,7 +134,7 @@ export class Workstation implements Station {
         },
         picture: (picture) => this.#board.receive(picture),
         fault: (words) =>
-          this.#sayError("protocol", `Carina sent something this page cannot read: ${words}.`, "Reload the page."),
+          this.#sayError("protocol", `Carina sent a message that this page cannot read: ${words}.`, "Reload the page."),
       },
       {
         nowMs: () => performance.now(),
@@ -230,8 +230,8 @@ export class Workstation implements Station {
         // Large files take a while. On the same grid the mask of one patient would lie in the scan of another.
         this.#sayError(
           "upload.other-case",
-          "Another case was opened during the upload: the file was not used.",
-          "Open it again in the scan that it belongs to.",
+          "Another case was opened during the upload, so the file was not used.",
+          "Open the file again in the case it belongs to.",
         );
         return;
       }
@@ -361,7 +361,7 @@ export class Workstation implements Station {
   #picked(message: PickedMessage): void {
     if (message.pick_id <= this.#pickForgotten) return;
     if (message.lps === null) {
-      this.notice("No wall here: the ray leaves the scan.");
+      this.notice("No wall here: the scan ends in this direction.");
       return;
     }
     const lps = asVec3(message.lps);

@@ -45,11 +45,11 @@ export function retryDelayMs(attempt: number): number {
 }
 
 const NO_USE_TRYING = new Map<number, string>([
-  [CLOSE_CODES["protocol.malformed"], "Carina did not understand this page. Reload it."],
-  [CLOSE_CODES["protocol.order"], "Carina did not understand this page. Reload it."],
+  [CLOSE_CODES["protocol.malformed"], "Carina could not read a message from this page. Reload the page."],
+  [CLOSE_CODES["protocol.order"], "Carina could not read a message from this page. Reload the page."],
   [
     CLOSE_CODES["protocol.not-authorised"],
-    "This page may no longer talk to Carina. Open the address that Carina printed when it was started.",
+    "This page no longer has access to Carina. Open the address that Carina printed when it started.",
   ],
   [CLOSE_CODES["protocol.version"], "This page and Carina have different versions. Reload the page."],
   [CLOSE_CODES["protocol.taken-over"], "Carina is now open in another window. Reload this page to work here instead."],

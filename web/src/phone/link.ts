@@ -16,9 +16,9 @@ const OPEN = 1;
 const FULL_BYTES = 4096;
 const USELESS = new Map<number, string>([
   [CLOSE_CODES["protocol.not-authorised"], "This link is no longer valid. Scan the code on the workstation again."],
-  [CLOSE_CODES["protocol.taken-over"], "Another phone, or another page of this one, has taken over."],
+  [CLOSE_CODES["protocol.taken-over"], "Another phone, or another page on this phone, has taken over."],
   [CLOSE_CODES["protocol.version"], "This page and Carina have different versions. Reload the page."],
-  [CLOSE_CODES["protocol.malformed"], "Carina did not understand this page. Reload it."],
+  [CLOSE_CODES["protocol.malformed"], "Carina could not read a message from this page. Reload the page."],
 ]);
 
 export class Link {
@@ -103,7 +103,7 @@ export class Link {
       this.#handlers.state(state);
     } catch (trouble) {
       if (!(trouble instanceof WireError)) throw trouble;
-      this.#handlers.status("refused", "Carina and this page do not understand each other. Reload the page.");
+      this.#handlers.status("refused", "This page could not read a message from Carina. Reload the page.");
       this.close();
     }
   }

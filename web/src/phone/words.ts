@@ -11,7 +11,7 @@ const CONTROL_WORDS = {
 export function stateWords(state: PhoneStateMessage): string {
   if (state.words !== "") return state.words;
   if (!state.case_open) return "Connected. Open a case on the workstation.";
-  const how = state.scope_held ? "a scope is held" : CONTROL_WORDS[state.control];
+  const how = state.scope_held ? "a scope handle is in use" : CONTROL_WORDS[state.control];
   return `${state.holds ? "This phone moves the tip" : "Connected"}: ${how}.`;
 }
 

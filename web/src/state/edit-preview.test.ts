@@ -60,9 +60,13 @@ describe("a preview of an edit", () => {
 
   it("says that it is looked for, and why it cannot be made", () => {
     expect(previewWords({ answer: null, stale: true }).lines).toEqual(["searching for the airway\u2026"]);
-    const none = answer({ lines: [], length_mm: null, problem: "no airway leads from the tree to the point: tissue." });
+    const none = answer({
+      lines: [],
+      length_mm: null,
+      problem: "no airway leads from the tree to the point: there is tissue.",
+    });
     expect(previewWords({ answer: none, stale: false })).toEqual({
-      lines: ["No airway leads from the tree to the point: tissue."],
+      lines: ["No airway leads from the tree to the point: there is tissue."],
       warns: true,
     });
   });

@@ -52,7 +52,7 @@ export function runsOf(lines: readonly EditLine[]): readonly PreviewRun[] {
 export function previewWords({ answer }: Preview): { lines: readonly string[]; warns: boolean } {
   if (answer === null) return { lines: ["searching for the airway\u2026"], warns: false };
   if (answer.problem !== null || answer.length_mm === null) {
-    return { lines: [firstSentences(sentence(answer.problem ?? "nothing can be added here"))], warns: true };
+    return { lines: [firstSentences(sentence(answer.problem ?? "no branch can be added here"))], warns: true };
   }
   const doubtful = answer.doubtful_mm ?? 0;
   switch (answer.tool) {

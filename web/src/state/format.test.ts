@@ -3,13 +3,13 @@ import { carmWords, finenessWords, methodWords } from "./format";
 
 describe("how fine a picture is", () => {
   it("is said with its part of the resolution, and its step where that is longer", () => {
-    expect(finenessWords({ width: 240, step_vox: 0.5 }, 600)).toBe("coarse: 40 %");
-    expect(finenessWords({ width: 150, step_vox: 1.4 }, 600)).toBe("coarse: 25 %, step 1.4 voxel");
+    expect(finenessWords({ width: 240, step_vox: 0.5 }, 600)).toBe("reduced: 40 %");
+    expect(finenessWords({ width: 150, step_vox: 1.4 }, 600)).toBe("reduced: 25 %, step 1.4 voxels");
     expect(finenessWords({ width: 600, step_vox: 0.5 }, 600)).toBe("full resolution");
   });
 
   it("does not call a picture fine that was made for a smaller place", () => {
-    expect(finenessWords({ width: 300, step_vox: 0.5 }, 600)).toBe("coarse: 50 %");
+    expect(finenessWords({ width: 300, step_vox: 0.5 }, 600)).toBe("reduced: 50 %");
   });
 });
 
@@ -23,12 +23,12 @@ describe("the angles of a C-arm", () => {
 
 describe("how a picture was made", () => {
   it("is said of the picture on the screen, and not of what was asked for", () => {
-    expect(methodWords("leap", "leap")).toBe("leaping");
-    expect(methodWords("leap-all", "leap")).toBe("leaping");
-    expect(methodWords("gpu-leap", "leap")).toBe("leaping");
-    expect(methodWords("gpu-brute", "brute")).toBe("brute force");
-    expect(methodWords("brute", "leap")).toBe("brute force until leaping is ready");
+    expect(methodWords("leap", "leap")).toBe("fast rendering");
+    expect(methodWords("leap-all", "leap")).toBe("fast rendering");
+    expect(methodWords("gpu-leap", "leap")).toBe("fast rendering");
+    expect(methodWords("gpu-brute", "brute")).toBe("full sampling");
+    expect(methodWords("brute", "leap")).toBe("full sampling until fast rendering is ready");
     expect(methodWords("plane", "leap")).toBe("cut-plane");
-    expect(methodWords(null, "leap")).toBe("leaping");
+    expect(methodWords(null, "leap")).toBe("fast rendering");
   });
 });

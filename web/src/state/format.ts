@@ -60,16 +60,16 @@ export function finenessWords(picture: { width: number; step_vox: number | null 
   const percent = Math.min(Math.round((100 * picture.width) / Math.max(wantedWidth, 1)), 100);
   const step = picture.step_vox ?? FINE_STEP_VOX;
   if (percent >= 100 && step <= FINE_STEP_VOX) return "full resolution";
-  const stepWords = step > FINE_STEP_VOX ? `, step ${fixed(step, 1)} voxel` : "";
-  return `coarse: ${percent} %${stepWords}`;
+  const stepWords = step > FINE_STEP_VOX ? `, step ${fixed(step, 1)} voxels` : "";
+  return `reduced: ${percent} %${stepWords}`;
 }
 
 /** How a picture was made (`null`: there is none yet), where a method was asked for. */
 export function methodWords(made: string | null, asked: "leap" | "brute"): string {
   const method = (made ?? asked).replace(/^gpu-/, "");
-  if (method.startsWith("leap")) return "leaping";
+  if (method.startsWith("leap")) return "fast rendering";
   if (method !== "brute") return "cut-plane";
-  return asked === "leap" ? "brute force until leaping is ready" : "brute force";
+  return asked === "leap" ? "full sampling until fast rendering is ready" : "full sampling";
 }
 
 /** The time of day of a moment, seconds since 1970; with the date where it is not today. */

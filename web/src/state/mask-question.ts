@@ -25,7 +25,7 @@ export function questionTitle(question: MaskQuestion): string {
 export function questionWords(question: MaskQuestion): string {
   return question.problem === "label"
     ? `${question.title} holds ${plural(question.labels.length, "structure")}.`
-    : `${question.title} was made on a different grid from this scan’s.`;
+    : `${question.title} is on a different grid from this scan.`;
 }
 
 /** A warning where much of the mask would be lost; null where all but rounding lies in the scan. */
@@ -33,5 +33,5 @@ export function lostWords(question: MaskQuestion): string | null {
   const share = question.share_inside;
   if (share === null || share >= 0.995) return null;
   const percent = Math.min(99, Math.max(1, Math.round(100 * (1 - share))));
-  return `${percent} % of it lies outside this scan and would be cut off. Is it the mask of this patient and this scan?`;
+  return `${percent} % of it lies outside this scan and would be cut off. Does it belong to this patient and this scan?`;
 }

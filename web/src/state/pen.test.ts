@@ -15,7 +15,7 @@ const pen = (change: Partial<PenMessage> = {}): PenMessage => ({
 
 describe("what a pen's button marks", () => {
   it("is said: its own tip where it is registered, else the scope's, and why", () => {
-    expect(penMarkWords(pen())).toContain("own tip");
+    expect(penMarkWords(pen())).toContain("the pen tip");
     expect(penMarkWords(pen({ lps: null }))).toBe("The pen is not registered: its button marks the scope tip.");
     expect(penMarkWords(pen({ lps: null, tracked: false }))).toContain("not tracked in position");
   });

@@ -8,7 +8,7 @@ import type { Armed } from "./tools";
 export const marksByPen = (armed: Armed | null): armed is "root" | "target" => armed === "root" || armed === "target";
 
 export function penMarkWords(pen: PenMessage): string {
-  if (pen.lps !== null) return "The pen\u2019s button marks the pen\u2019s own tip.";
+  if (pen.lps !== null) return "The pen\u2019s button marks the position of the pen tip.";
   return pen.tracked
     ? "The pen is not registered: its button marks the scope tip."
     : "This device is not tracked in position: its button marks the scope tip.";

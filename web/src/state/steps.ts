@@ -10,17 +10,17 @@ export interface StepWords {
 }
 
 export const STEP_WORDS: Readonly<Record<Step, StepWords>> = {
-  open: { title: "Open", words: "The open case, and how to open another" },
+  open: { title: "Open", words: "The open case; open another one here" },
   check: { title: "Check", words: "Is this CT good enough? Findings, other series, window / level" },
   airways: { title: "Airways", words: "The segmented airway tree, its start point and threshold" },
   target: { title: "Target", words: "Mark where you want to go" },
   route: { title: "Route", words: "Choose a route; see its length and narrowest point" },
   rehearse: {
     title: "Rehearse",
-    words: "Rehearse the route with a real bronchoscope's diameter and bend, and see where it touches",
+    words: "Rehearse the route with the diameter and bend of a real bronchoscope, and see where it touches the wall",
   },
   share: {
     title: "Share",
-    words: "Surface, lumen and centrelines as files",
+    words: "Save the surface, lumen and centrelines to files",
   },
 };

@@ -63,14 +63,14 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
   reroot: {
     label: "Set start",
     short: "Start",
-    words: "Click where paths should start. The tree and your edits stay.",
+    words: "Click where paths should start. The tree and your edits are kept.",
     hint: "Click where paths should start (usually the trachea).",
   },
 };
 
 /** The others: they mark a point of the plan. */
 const MARK_WORDS: Readonly<Record<"target" | "root", Pick<ToolWords, "label" | "hint">>> = {
-  target: { label: "Mark target", hint: "Click the target in any picture. The line shows the way to it." },
+  target: { label: "Mark target", hint: "Click the target in any picture. The line shows the path to it." },
   root: {
     label: "Mark the trachea",
     hint: "Click inside the trachea. The airways are segmented again from there; your edits are discarded (undo restores them).",

@@ -203,7 +203,7 @@ const SLAB_WORDS = { min: "min", max: "max", mean: "mean" } as const;
 export function paintSlab(ink: Ink, viewport: Viewport, scene: Scene): void {
   if (scene.slab.thickness_mm <= 0) return;
   const { width, height } = viewport.size;
-  const outlined = scene.outlineVisible && viewport.outline !== null ? ", outline: central plane" : "";
+  const outlined = scene.outlineVisible && viewport.outline !== null ? ", outline of the central plane" : "";
   const words = `${SLAB_WORDS[scene.slab.kind]} ${scene.slab.thickness_mm} mm${outlined}`;
   label(ink, words, { x: width - 8, y: height - 12 }, { size: 11, align: "right" });
 }

@@ -12,7 +12,7 @@ export const EXPORTS = [
     ],
   },
   {
-    title: "Lumen on the CT's grid",
+    title: "Lumen mask on the grid of the CT",
     files: [
       { suffix: ".nii.gz", words: "NIfTI: 3D Slicer, ITK-SNAP, Python" },
       { suffix: ".nii", words: "NIfTI, not compressed" },
@@ -23,7 +23,7 @@ export const EXPORTS = [
   {
     title: "Branches and centrelines",
     files: [
-      { suffix: ".json", words: "Everything Carina knows about the tree: names, radii, confidence" },
+      { suffix: ".json", words: "The complete tree: names, radii, confidence" },
       { suffix: ".vtp", words: "For ParaView and VTK" },
       { suffix: ".mrk.json", words: "Curves for 3D Slicer" },
       { suffix: ".swc", words: "For software that analyses tree shapes" },

@@ -110,7 +110,7 @@ function objectProblem(schema: Schema, value: unknown, where: string): string | 
   if (typeof value !== "object" || value === null || Array.isArray(value)) return `${where} must be an object`;
   const fields = value as Record<string, unknown>;
   for (const name of schema.required ?? []) {
-    if (!Object.hasOwn(fields, name)) return `${where} lacks the field ${name}`;
+    if (!Object.hasOwn(fields, name)) return `${where} has no field ${name}`;
   }
   for (const [name, entry] of Object.entries(fields)) {
     const others = schema.additionalProperties;
@@ -195,7 +195,7 @@ export interface WirePicture {
 export function parsePicture(data: ArrayBuffer): WirePicture {
   if (data.byteLength < 4) throw new WireError("a picture is too short for its header length");
   const headerBytes = new DataView(data).getUint32(0, true);
-  if (headerBytes > MAX_HEADER_BYTES) throw new WireError("a picture's header is too long");
+  if (headerBytes > MAX_HEADER_BYTES) throw new WireError("the header of a picture is too long");
   if (4 + headerBytes >= data.byteLength) throw new WireError("a picture ends before its payload");
   let text: string;
   try {

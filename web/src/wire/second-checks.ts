@@ -67,7 +67,7 @@ export function clientProblem(message: ClientMessage): string | null {
         : null;
     case "preview_edit":
       if ((message.branch_id === null) === (message.tool === "move-fork")) {
-        return "preview_edit names a branch for move-fork, and for it alone";
+        return "preview_edit must name a branch for move-fork, and only for move-fork";
       }
       return placeProblem(message);
     case "live_path":
@@ -89,17 +89,17 @@ const JPEG_MAGIC = [0xff, 0xd8, 0xff];
 /** The payload must begin as its codec does, and end with whole lines of the outline. */
 export function pictureProblem(header: PictureHeader, payload: Uint8Array): string | null {
   const magic = header.codec === "png" ? PNG_MAGIC : JPEG_MAGIC;
-  if (!magic.every((byte, index) => payload[index] === byte)) return `a picture's payload is no ${header.codec}`;
+  if (!magic.every((byte, index) => payload[index] === byte)) return `the payload of a picture is not ${header.codec}`;
   return header.outline === null ? null : outlineProblem(payload, header.outline.num_bytes);
 }
 
 function outlineProblem(payload: Uint8Array, numBytes: number): string | null {
-  if (numBytes >= payload.length) return "a picture's outline leaves no room for the picture";
+  if (numBytes >= payload.length) return "the outline of a picture leaves no room for the picture";
   let at = payload.length - numBytes;
   while (at < payload.length) {
     const count = (payload[at] ?? 0) + 256 * (payload[at + 1] ?? 0);
     at += 2 + 4 * count;
-    if (count === 0 || at > payload.length) return "a picture's outline ends within a line";
+    if (count === 0 || at > payload.length) return "the outline of a picture ends in the middle of a line";
   }
   return null;
 }

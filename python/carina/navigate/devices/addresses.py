@@ -38,7 +38,7 @@ def open_source(address: str, listener: Listener, *, clock: Callable[[], float] 
         known = silence_s is not None or not option
         if known and host and port_text.isascii() and port_text.isdigit() and 0 < int(port_text) < 65536:
             return IgtlClient(host, int(port_text), listener, silence_s=silence_s, clock=clock)
-    raise UsageError(f"a device is named {', '.join(KINDS)}; found {address!r}", code="devices.address")
+    raise UsageError(f"expected a device address such as {', '.join(KINDS)}; found {address!r}", code="devices.address")
 
 
 def _silence_s(option: str) -> float | None:

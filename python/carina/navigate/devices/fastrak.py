@@ -116,7 +116,7 @@ class FastrakStream:
     def _take(self, found: list[FastrakRecord], station: int, error: bytes, numbers: list[float], button: bool) -> None:
         if error != b" ":
             # Out of the transmitter's range, or another trouble: the record is whole, its place is not to be trusted.
-            self.num_bad["measurements out of the tracker's range"] += 1
+            self.num_bad["measurements outside the tracker's range"] += 1
             return
         length = math.sqrt(sum(v * v for v in numbers[3:])) if all(map(math.isfinite, numbers)) else 0.0
         if not 0.9 < length < 1.1:

@@ -110,13 +110,14 @@ class IgtlStream:
             kind = _text(kind_bytes)
             if version not in {1, 2, 3} or not kind:
                 raise ProtocolError(
-                    f"an OpenIGTLink header has version 1, 2 or 3 and a type; found version {version}, type {kind!r}",
+                    f"expected an OpenIGTLink header with version 1, 2 or 3 and a type; found version {version}, "
+                    f"type {kind!r}",
                     code="protocol.igtl",
                 )
             if num_bytes > MAX_BODY_BYTES:
                 raise ProtocolError(
-                    f"an OpenIGTLink message of type {kind} says it has {num_bytes} bytes; at most {MAX_BODY_BYTES} "
-                    "are taken",
+                    f"an OpenIGTLink message of type {kind} claims {num_bytes} bytes; expected at most "
+                    f"{MAX_BODY_BYTES}",
                     code="protocol.igtl",
                 )
             if kind.startswith("GET_") and num_bytes <= MAX_POSE_BYTES:
@@ -127,7 +128,7 @@ class IgtlStream:
                 continue
             if kind not in POSE_TYPES or num_bytes > MAX_POSE_BYTES:
                 if kind in POSE_TYPES:
-                    self.num_bad["a wrong length for a pose"] += 1
+                    self.num_bad["wrong pose length"] += 1
                 else:
                     self.num_skipped += 1
                 del self._buffer[: HEADER.size]
@@ -138,7 +139,7 @@ class IgtlStream:
             body = bytes(self._buffer[HEADER.size : HEADER.size + num_bytes])
             del self._buffer[: HEADER.size + num_bytes]
             if crc64(body) != checksum:
-                self.num_bad["a wrong checksum"] += 1
+                self.num_bad["wrong checksum"] += 1
                 continue
             try:
                 found += _poses(kind, _text(name_bytes) or "", stamp / _SECOND, _content(version, body))
@@ -163,7 +164,7 @@ def _content(version: int, body: bytes) -> bytes:
     size, num_metadata_header, num_metadata, _ = EXTENDED.unpack_from(body)
     end = len(body) - num_metadata_header - num_metadata
     if not EXTENDED.size <= size <= end:
-        raise ValueError("the extended header does not fit")
+        raise ValueError("extended header of the wrong size")
     return body[size:end]
 
 

@@ -83,7 +83,7 @@ class _SerialSource(Source):
                     heard_s = self._clock()
                     self._heard(data)
                 elif self._clock() - heard_s > SILENT_S:
-                    self._words = "the port is open, but no data arrives"
+                    self._words = "the port is open, but no data is arriving"
                     port.write(self._greeting())
                     heard_s = self._clock()
             port.write(self._farewell())

@@ -19,10 +19,10 @@ __all__ = ["Listener", "Source", "SourceStatus", "StampSpreader"]
 State = Literal["connecting", "live", "lost", "stopped"]
 
 WORDS = {
-    errno.ENOENT: "there is no such port; is the device plugged in and on?",
-    errno.EACCES: "no permission to open the port; on Linux, join the group dialout",
+    errno.ENOENT: "no such port; check that the device is plugged in and switched on",
+    errno.EACCES: "no permission to open the port; on Linux, add your account to the group dialout",
     errno.EBUSY: "another program is using the port",
-    errno.ECONNREFUSED: "no answer; start the tracker's software, and check host and port",
+    errno.ECONNREFUSED: "no response; start the tracker's software, and check the host and port",
     errno.EHOSTUNREACH: "that machine cannot be reached; check the network and the address",
     errno.ENETUNREACH: "that machine cannot be reached; check the network and the address",
 }
@@ -147,9 +147,9 @@ class Source(ABC):
 def _words(trouble: Exception) -> str:
     """Why a connection is lost, for a person."""
     if isinstance(trouble, socket.gaierror):
-        return "no machine has this name"
+        return "no machine with this name was found"
     number = trouble.errno if isinstance(trouble, OSError) else None
-    return WORDS.get(number or 0) or str(trouble) or "no answer came in time"
+    return WORDS.get(number or 0) or str(trouble) or "no response in time"
 
 
 class StampSpreader:

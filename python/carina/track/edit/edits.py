@@ -116,8 +116,8 @@ def edit_airways(
     >>> named.tree.branch(tip.id).name, len(named.edits)
     ('biopsy', 1)
     """
-    check_type("edit_airways", "volume", volume, Volume, "open one with carina.open_volume")
-    check_type("edit_airways", "airways", airways, Airways, "find them with carina.find_airways")
+    check_type("edit_airways", "volume", volume, Volume, "open a volume with carina.open_volume")
+    check_type("edit_airways", "airways", airways, Airways, "get airways from carina.find_airways")
     edited = _edited(volume, airways, edit, progress, cancel, is_fresh=False)
     return name_edited(airways, edited) if name_branches else edited
 

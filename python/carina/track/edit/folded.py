@@ -93,7 +93,7 @@ def fold_airways(volume: Volume, airways: Airways) -> PackedAirways:
         If the airways were not edited.
     """
     if airways.base is None:
-        raise UsageError("only edited airways can be folded; unedited ones have no base to rebuild from")
+        raise UsageError("only edited airways can be folded; expected airways with at least one edit")
     lumen = EditedLumen(volume, airways.tracker.core)
     first, shape = _box(airways.lumen_zyx)
     states = lumen_states(lumen.core, first, shape)

@@ -145,7 +145,7 @@ def voxel_of(volume: Volume, lps: Point) -> NDArray[np.int64]:
     """
     if not volume.contains_lps(np.array(lps)):
         x, y, z = lps
-        msg = f"the point ({x:.1f}, {y:.1f}, {z:.1f}) lies outside the scan; click inside the pictures"
+        msg = f"the point ({x:.1f}, {y:.1f}, {z:.1f}) lies outside the scan; click inside the scan"
         raise UsageError(msg, code="track.outside-volume")
     shape = np.array(volume.shape_zyx[::-1])
     found: NDArray[np.int64] = np.clip(np.floor(volume.to_ijk(np.array(lps)) + 0.5), 0, shape - 1).astype(np.int64)
@@ -191,7 +191,7 @@ def painted_voxels(volume: Volume, edit: PaintLumen) -> Voxels:
     centres = np.floor(volume.to_ijk(points) + 0.5).astype(np.int64)
     is_in = ((centres >= 0) & (centres < shape)).all(axis=1)
     if not is_in.any():
-        raise UsageError("the stroke lies outside the scan; paint inside the pictures", code="track.outside-volume")
+        raise UsageError("the brush stroke lies outside the scan; paint inside the scan", code="track.outside-volume")
     return _unique(np.concatenate([*found, centres[is_in]]))
 
 
@@ -221,8 +221,8 @@ def bridge_way(lumen: EditedLumen, start: NDArray[np.int64]) -> Voxels:
             away_mm = length_mm
     far = f"more than {MAX_BRIDGE_MM:g} mm" if away_mm is None else f"{away_mm:.0f} mm"
     msg = (
-        f"the bridge would be {far} long, at most {MAX_BRIDGE_MM:g} mm are bridged: click nearer to the obstruction, "
-        "or bridge in two steps"
+        f"the bridge would be {far} long, and at most {MAX_BRIDGE_MM:g} mm is possible: click nearer to the "
+        "obstruction, or bridge in two steps"
     )
     raise NoResultError(msg, code="track.bridge-too-long")
 

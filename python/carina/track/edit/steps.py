@@ -129,7 +129,7 @@ class EditSteps:
             case SmoothBranch(branch_id):
                 self._smooth(needed_branch(self._tree, branch_id))
             case _:
-                raise UsageError(f"not an edit of a tree: {edit!r}")
+                raise UsageError(f"expected an edit of a tree; found {edit!r}")
 
     # ------------------------------------------------------------ the edits
 
@@ -152,11 +152,11 @@ class EditSteps:
         along = along_mm(branch.points)
         title = branch_title(branch.name, branch.id)
         if at_mm >= along[-1] and at_mm > 0.0:
-            msg = f"{title} is only {along[-1]:.1f} mm long: choose a place before its end, not at {at_mm:.1f} mm"
+            msg = f"{title} is only {along[-1]:.1f} mm long: choose a point before its end, not at {at_mm:.1f} mm"
             raise UsageError(msg, code="track.edit-place")
         last = int(np.searchsorted(along, at_mm, side="right")) - 1 if at_mm > 0.0 else 0
         if branch.parent is None and last < 1:
-            msg = f"{title} holds the start of the tree: cut it further distally, or move the start first"
+            msg = f"{title} contains the start of the tree: cut it further distally, or move the start first"
             raise UsageError(msg, code="track.edit-root")
         below = [member.points for member in self.draft.below(branch.id)]
         below[0] = below[0][last + 1 :]
@@ -182,7 +182,7 @@ class EditSteps:
         if self.lumen.state_at(voxel) == 2:
             branch, _, _ = self._tree.nearest_branch(lps)
             title = branch_title(branch.name, branch.id)
-            msg = f"there is nothing to bridge: a path leads to the point through {title}. Add a branch to it"
+            msg = f"there is nothing to bridge: the point can be reached through {title}. Add a branch instead"
             raise NoResultError(msg, code="track.edit-nothing")
         way = bridge_way(self.lumen, voxel)
         beyond = grown_beyond(self.lumen, voxel)
@@ -234,17 +234,18 @@ class EditSteps:
         if evident_mm < LEAST_BEYOND_MM:
             doubtful_mm = sum(float(s[d].sum()) for s, d in zip(steps, doubts, strict=True))
             msg = (
-                f"the CT shows no airway wall beyond the bridge ({evident_mm:.0f} mm, at least {LEAST_BEYOND_MM:g} mm "
-                "are needed): click in the dark middle of the airway beyond the obstruction, or add a branch without "
-                "evidence, which is labelled as drawn by hand"
+                f"the CT shows no airway wall beyond the bridge ({evident_mm:.0f} mm, at least "
+                f"{LEAST_BEYOND_MM:g} mm are needed): click in the dark middle of the airway beyond the "
+                "obstruction, or add a branch "
+                "without evidence (it is labelled as drawn by hand)"
             )
             crossing = np.ones(len(bridge.points) - 1, dtype=bool)
             raise NoEvidenceError(msg, doubtful_mm=doubtful_mm, way_lps=bridge.points, doubtful=crossing)
         onward = [line for line in lines[1:] if np.array_equal(line[0], bridge.points[-1])]
         if onward and all(turn_deg(bridge.points, line) > MOST_TURN_DEG for line in onward):
             msg = (
-                "the airway beyond leads back to where the bridge would come from: the two ends do not face each "
-                "other. Bridge from the branch that is blocked: click nearer to its end"
+                "the airway beyond leads back towards the start of the bridge, so it is not the distal part of "
+                "an obstructed branch. Click nearer to the end of the obstructed branch"
             )
             raise NoResultError(msg, code="track.bridge-turns")
 
@@ -282,7 +283,7 @@ class EditSteps:
             self.draft.turn_round(branch.id)
             return
         if last < 2:
-            msg = "the branch there is too short to start in: choose a point in the next one"
+            msg = "the branch at this point is too short for the start: choose a point in the next branch"
             raise NoResultError(msg, code="track.edit-place")
         self.draft.split(Place(branch.id, min(max(place.index, 1), last - 1)))
         upper = self.draft[branch.id]
@@ -292,7 +293,10 @@ class EditSteps:
     def _move_fork(self, branch: Branch, lps: Point) -> None:
         title = branch_title(branch.name, branch.id)
         if not branch.children:
-            msg = f"{title} ends without a fork: there is nothing to move. To make it longer, add a branch beyond it"
+            msg = (
+                f"{title} ends without a fork, so there is nothing to move. To make it longer, add a branch beyond "
+                "its end"
+            )
             raise UsageError(msg, code="track.edit-place")
         voxel = voxel_of(self._volume, lps)
         new = np.array(lps)
@@ -305,8 +309,9 @@ class EditSteps:
         shortest = min(adjoining, key=lambda b: b.length_mm)
         if shift_mm >= 0.9 * shortest.length_mm:
             msg = (
-                f"the fork would move {shift_mm:.1f} mm, and {branch_title(shortest.name, shortest.id)} beside it is "
-                f"only {shortest.length_mm:.1f} mm long: move it less, or cut the branch and add it again"
+                f"the fork would move {shift_mm:.1f} mm, and {branch_title(shortest.name, shortest.id)} next to "
+                f"it is only {shortest.length_mm:.1f} mm long: move it a shorter distance, or cut the branch and "
+                "add it again"
             )
             raise UsageError(msg, code="track.edit-place")
         for member in adjoining:
@@ -324,13 +329,14 @@ class EditSteps:
             seen, was_seen = (sees(self.lumen.core, p[near][:-1], p[near][1:]) for p in (points, member.points))
             if not self._all_inside(points[moved]) or (was_seen & ~seen).any():
                 raise NoResultError(
-                    "the fork cannot be moved there: the centrelines beside it would leave the airway. Move it less",
+                    "the fork cannot be moved there: the centrelines next to it would leave the airway. Move it "
+                    "a shorter distance",
                     code="track.outside-lumen",
                 )
             if self._evidence().crosses_wall(points[near], member.points):
                 raise NoResultError(
-                    f"the fork cannot be moved there: a wall would lie across {branch_title(member.name, member.id)}. "
-                    "Move it less",
+                    f"the fork cannot be moved there: {branch_title(member.name, member.id)} would then pass "
+                    "through a wall. Move it a shorter distance",
                     code="track.crosses-wall",
                 )
             radius = member.radius.copy()
@@ -342,12 +348,19 @@ class EditSteps:
         is_lumen = nodes_at(self.lumen.core, self._volume.to_lps(voxels.astype(np.float64))) >= 0
         voxels = voxels[is_lumen == edit.erase]
         if not len(voxels):
-            what = "no lumen under the brush to erase" if edit.erase else "nothing to paint: all of it is already lumen"
+            what = (
+                "no lumen under the brush to erase"
+                if edit.erase
+                else ("nothing to paint: everything under the brush is already lumen")
+            )
             raise NoResultError(f"there is {what}; nothing was changed", code="track.edit-nothing")
         before = self.lumen.core
         if edit.erase:
             if (voxels == np.array(self.lumen.root_ijk)).all(axis=1).any():
-                msg = "the start of the tree lies under the brush: the lumen around it must stay. Move the start first"
+                msg = (
+                    "the start of the tree lies under the brush: the lumen around the start cannot be erased. Move "
+                    "the start first"
+                )
                 raise UsageError(msg, code="track.edit-root")
             self._change_lumen(NO_VOXELS, voxels)
         else:

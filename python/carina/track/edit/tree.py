@@ -57,7 +57,7 @@ def needed_branch(tree: AirwayTree, branch_id: int) -> Branch:
     for branch in tree.branches:
         if branch.id == branch_id:
             return branch
-    msg = f"branch {branch_id} is not in the tree (it may have been cut); choose a branch of the list"
+    msg = f"branch {branch_id} is not in the tree (it may have been cut); choose a branch from the list"
     raise UsageError(msg, code="track.edit-branch")
 
 

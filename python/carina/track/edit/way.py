@@ -137,8 +137,8 @@ def planned_way(lumen: EditedLumen, tree: AirwayTree, draft: TreeDraft, evidence
         branch, _, away_mm = tree.nearest_branch(lps)
         title = branch_title(branch.name, branch.id)
         msg = (
-            f"the tree already reaches this point: it lies in {title}, {away_mm:.1f} mm from its middle. Click where "
-            "the missing branch ends"
+            f"the tree already reaches this point: it lies in {title}, {away_mm:.1f} mm from its centreline. "
+            "Click where the missing branch ends"
         )
         raise NoResultError(msg, code="track.edit-nothing")
     left_before = draft[place.branch_id]
@@ -184,15 +184,15 @@ def no_evidence(plan: PlannedWay) -> NoEvidenceError:
     first_mm = float(along[int(np.argmax(plan.doubtful))])
     total_mm, doubtful_mm = float(along[-1]), plan.doubtful_mm
     do = (
-        "Click where the wall is still visible; if the airway is blocked, bridge the obstruction; or add the branch "
-        "without evidence: it is then labelled as drawn by hand and gets no anatomical name"
+        "Click where the wall is still visible. If the airway is obstructed, bridge the obstruction. Or add the "
+        "branch without evidence: it is then labelled as drawn by hand and has no anatomical name"
     )
     if first_mm < LEAST_TOLD_MM:
-        msg = f"the CT shows no airway wall along this way: {doubtful_mm:.0f} of {total_mm:.0f} mm are doubtful. {do}"
+        msg = f"the CT shows no airway wall along this path: {doubtful_mm:.0f} of {total_mm:.0f} mm are uncertain. {do}"
     else:
         msg = (
-            f"the CT shows an airway wall for the first {first_mm:.0f} mm of this way; {doubtful_mm:.0f} of the "
-            f"{total_mm - first_mm:.0f} mm beyond are doubtful. {do}"
+            f"the CT shows an airway wall for the first {first_mm:.0f} mm of this path; {doubtful_mm:.0f} of the "
+            f"{total_mm - first_mm:.0f} mm beyond are uncertain. {do}"
         )
     return NoEvidenceError(msg, doubtful_mm=doubtful_mm, way_lps=plan.points, doubtful=plan.doubtful)
 

@@ -91,7 +91,7 @@ def find_airways(
     >>> airways.tree.root.name
     'Trachea'
     """
-    check_type("find_airways", "volume", volume, Volume, "open one with carina.open_volume")
+    check_type("find_airways", "volume", volume, Volume, "open a volume with carina.open_volume")
     stage = Stages(heard(progress), cancel)
     root = None if root_lps is None else as_point(root_lps)
     if root is not None and not volume.contains_lps(np.array(root)):
@@ -134,7 +134,7 @@ def find_airways(
     tree = AirwayTree(branches, _smooth=tracker.smooth)
     uncertain: tuple[Uncertainty, ...] = ()
     if noise is not None:
-        stage.begin("rating the branches")
+        stage.begin("assessing the branches")
         tree = with_confidence(volume, tree, noise)
         uncertain = find_uncertain(volume, tree, leaks)
         total = doubt_of_totals(branches, splits=trachea_mm is not None)

@@ -61,7 +61,7 @@ def follow_beyond(
     volume: Volume, lumen: NDArray[np.uint8], scale: AirScale, stage: Stages, *, air: float, noise: float
 ) -> Beyond:
     """Follow the airways beyond the flooded ``lumen`` (1 inside, changed in place); the bar rises till it holds."""
-    stage.begin("following the small airways")
+    stage.begin("tracing the small airways")
     undershoot_hu = edge_undershoot_hu(volume, scale)
     is_sharp = undershoot_hu is not None and undershoot_hu > SHARP_HU + NOISE_SHARE * noise / scale.span(1.0)
     least_rise = scale.span(LEAST_RISE_HU)
@@ -99,18 +99,18 @@ def follow_beyond(
     notes = []
     if followed:
         notes.append(
-            f"{_length_mm(followed):.0f} mm of small airways, in {len(followed)} pieces, were followed by the shape "
-            "of their walls where the lumen is no darker than the lung"
+            f"{_length_mm(followed):.0f} mm of small airways, in {len(followed)} pieces, were traced by the "
+            "shape of their walls where the lumen is no darker than the lung"
         )
     np.minimum(lumen, 1, out=lumen)
     if not (is_sharp or ran_out):
         return Beyond(tuple(notes), None)
     what = (
-        f"this CT's sharp kernel draws dark rims ({undershoot_hu:.0f} HU) beside vessels, which look like airways"
+        f"this CT's sharp kernel draws dark rims ({undershoot_hu:.0f} HU) next to vessels, which look like airways"
         if is_sharp
-        else "it leaked from the airways into the lung"
+        else "the segmentation leaked from the airways into the lung"
     )
-    kept = "only what stands out was kept" if followed else "none of it was kept"
+    kept = "only the clearest of them were kept" if followed else "none of them was kept"
     words = f"the search for small airways was limited: {what}; {kept}, and small airways are missing. {SOFT_KERNEL}"
     return Beyond(tuple(notes), Note(STOPPED, words, badge=True))
 

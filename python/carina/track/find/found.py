@@ -66,7 +66,7 @@ class Airways:
         badges = {note.words for note in self.badges}
         more = [note for note in self.notes if note not in badges]
         if self.edits:
-            more.append(f"{len(self.edits)} edits by a person")
+            more.append(f"{len(self.edits)} manual edits")
         if self.uncertain:
             first = self.uncertain[0].reason
             more.append(f"{len(self.uncertain)} places where the airway was lost; the widest: {first}")

@@ -29,7 +29,7 @@ def doubt_of_totals(branches: tuple[Branch, ...], *, splits: bool) -> Note | Non
     if length_mm > MOST_LENGTH_MM or len(branches) > MOST_BRANCHES or deepest > MOST_GENERATION:
         words = (
             f"the segmentation leaked: {length_mm / 1000.0:.0f} m in {len(branches)} branches of {deepest} "
-            f"generations are more than a chest can hold; much of it is lung. {SOFT_KERNEL}"
+            f"generations are more than any chest contains; much of it is lung. {SOFT_KERNEL}"
         )
         return Note(STOPPED, words, badge=True)
     beyond_mm = length_mm - branches[0].length_mm

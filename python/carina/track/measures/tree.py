@@ -270,8 +270,8 @@ def measure_tree(
     notes = []
     if blur is None:
         notes.append(
-            "the scan's blur could not be measured: edges are taken at half maximum, and small lumens are "
-            "underestimated"
+            "the blur of the scan could not be measured, so edges are placed at half maximum and small lumens "
+            "are underestimated"
         )
     if progress is not None:
         progress("airways measured", 1.0)

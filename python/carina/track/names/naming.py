@@ -45,11 +45,11 @@ _VARIANT_STEMS = {
     "RB8+9": "RB8 and RB9 share a stem",
     "RB7+10": "RB7 and RB10 share a stem",
     "LB8+9": "LB8 and LB9 share a stem",
-    "LB1+3": "LB1 and LB3 share a stem, LB2 leaves alone",
-    "LB2+3": "LB2 and LB3 share a stem, LB1 leaves alone",
-    "LB3+4+5": "LB3 leaves with the lingula",
-    "RB*": "a subsuperior bronchus (found in one patient of six)",
-    "LB*": "a subsuperior bronchus (found in one patient of six)",
+    "LB1+3": "LB1 and LB3 share a stem; LB2 arises separately",
+    "LB2+3": "LB2 and LB3 share a stem; LB1 arises separately",
+    "LB3+4+5": "LB3 arises with the lingula",
+    "RB*": "a subsuperior bronchus (found in one patient in six)",
+    "LB*": "a subsuperior bronchus (found in one patient in six)",
 }
 _SWAP = str.maketrans("RL", "LR")
 
@@ -306,8 +306,8 @@ def _names_of(read: _Named, rule: LetterRule) -> tuple[dict[int, tuple[str | Non
     if read.mirrored:
         notes = {number: _told_note(note) for number, note in notes.items()}
         notes[0] = (
-            "mirrored: the three-lobed lung is on the patient's left. Situs inversus, or left and right of this "
-            "volume are exchanged: check"
+            "mirrored: the three-lobed lung is on the patient's left. Check whether this is situs inversus or "
+            "the volume has left and right swapped"
         )
     return names, notes
 
@@ -429,17 +429,17 @@ def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], 
         if word in _VARIANT_STEMS:
             note(number, _VARIANT_STEMS[word])
         if above == "Trachea" and word in {"RB1", "RUL"}:
-            note(number, "a tracheal bronchus: it leaves the trachea, above the carina")
+            note(number, "a tracheal bronchus: it arises from the trachea, above the carina")
         if above == "RMB" and word == "RB1":
-            note(number, "RB1 leaves the right main bronchus on its own")
+            note(number, "RB1 arises separately from the right main bronchus")
         if above == "BI" and word == "RB6":
-            note(number, "RB6 leaves the bronchus intermedius, no lower than the middle lobe")
+            note(number, "RB6 arises from the bronchus intermedius, at or above the middle lobe bronchus")
         if word == "Right basal trunk" and "RB7" not in found and {"RB8", "RB10"} <= found:
             note(number, "RB7 was not found")
         if word in {"Right basal trunk", "Left basal trunk"}:
             side = word[0]
             if f"{side}B9" not in found and {f"{side}B8", f"{side}B10"} <= found:
-                note(number, f"no {side}B9 was found: absent, or a branch of its neighbours")
+                note(number, f"no {side}B9 was found: it is absent, or arises from a neighbouring segment")
         if word == "BI" and "RML" not in found and "RB4" not in found and "RB5" not in found and "RLL" in found:
             note(number, "the middle lobe bronchus was not found")
     for number, bronchus in enumerate(bronchi):
@@ -453,7 +453,7 @@ def _variants(read: _Named, words: list[str | None], sure: NDArray[np.float64], 
             continue
         down = read.frame @ bronchus.direction
         if above == "Trachea" and bronchus.children:
-            note(number, "a bronchus that leaves the trachea: perhaps a tracheal bronchus")
+            note(number, "a bronchus that arises from the trachea: perhaps a tracheal bronchus")
         elif above in {"BI", "RMB"} and down[2] < -0.2 and down[0] * (-1.0 if read.mirrored else 1.0) > -0.1:
             note(number, "perhaps an accessory cardiac bronchus")
         elif above in {*LOBES, "Lingula", "Upper division", "Right basal trunk", "Left basal trunk"}:

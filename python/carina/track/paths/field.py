@@ -266,8 +266,8 @@ def _voxel(volume: Volume, point_lps: Sequence[float] | NDArray[np.float64], wha
 
 def _no_path(target_lps: Sequence[float] | NDArray[np.float64]) -> NoResultError:
     msg = (
-        f"no path leads to {words(as_point(target_lps))}: the point is in a wall or behind one. Choose a point "
-        "inside, or open the wall between them"
+        f"no path leads to {words(as_point(target_lps))}: the point is in a wall or beyond one. Choose a point "
+        "inside the lumen, or open the wall"
     )
     return NoResultError(msg, code="track.no-path")
 

@@ -180,8 +180,8 @@ class PathTracker:
             farther = self.core.nearest(point, 60.0)
             far = "more than 60 mm" if farther is None else f"{farther[1]:.1f} mm"
             msg = (
-                f"the point {words(point)} is {far} from the segmented lumen; a target is moved by at "
-                f"most {snap_mm:g} mm. Choose a point inside an airway, or extend the lumen there"
+                f"the point {words(point)} is {far} from the segmented lumen; expected at most {snap_mm:g} mm. "
+                "Choose a point inside an airway, or extend the lumen there"
             )
             raise NoResultError(msg, code="track.outside-lumen")
         return found
@@ -218,7 +218,7 @@ class PathTracker:
         if not self.core.solve_to(node, cancel=cancel):
             msg = (
                 f"no path: the lumen at {words(as_point(point_lps))} is not connected to the root. "
-                "The airway may be blocked between them"
+                "The airway may be obstructed in between"
             )
             raise NoResultError(msg, code="track.no-path")
         return self._path(node, snapped_mm)

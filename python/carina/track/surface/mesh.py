@@ -77,7 +77,7 @@ def lumen_mesh(
     Lorensen and Cline 1987 (marching cubes).
     """
     if cancel is not None and cancel():
-        raise CancelledError("drawing the surface was stopped")
+        raise CancelledError("building the surface was stopped")
     levels = None
     if np.isfinite(airways.threshold):
         scale = air_scale(volume)
@@ -86,7 +86,7 @@ def lumen_mesh(
 
     def share(fraction: float) -> None:
         if progress is not None:
-            progress("drawing the surface", fraction)
+            progress("building the surface", fraction)
 
     vertices, triangles = _core.lumen_mesh(
         volume.hu_zyx, volume.lps_from_ijk, airways.lumen_zyx, levels=levels, cancel=cancel, progress=share

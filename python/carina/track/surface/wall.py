@@ -53,8 +53,8 @@ def wall_field(
     >>> bool(wall.distance_mm(trachea[len(trachea) // 2])[0] > 4.0)
     True
     """
-    check_type("wall_field", "volume", volume, Volume, "open one with carina.open_volume")
-    check_type("wall_field", "airways", airways, Airways, "find them with carina.find_airways")
+    check_type("wall_field", "volume", volume, Volume, "open a volume with carina.open_volume")
+    check_type("wall_field", "airways", airways, Airways, "get airways from carina.find_airways")
     mesh = lumen_mesh(volume, airways, progress=progress, cancel=cancel)
 
     def share(fraction: float) -> None:

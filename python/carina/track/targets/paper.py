@@ -82,9 +82,10 @@ def search_box(
         else:
             num = int(np.prod(last - first + 1))
             msg = (
-                f"cost paper: the box round root and targets has {num / 1e6:.0f} million voxels, expected at most "
-                f"{most / 1e6:.0f} million ({max_bytes >> 20} MiB). Track fewer or nearer targets at a time, begin "
-                "at a root nearer to them, or use the cost lumen"
+                f"cost paper: the box around the root and the targets has {num / 1e6:.0f} million voxels, "
+                "expected at most "
+                f"{most / 1e6:.0f} million ({max_bytes >> 20} MiB). Use fewer or closer targets at a time, a "
+                "root closer to them, or the cost lumen"
             )
             raise UsageError(msg)
     i, j, k = (int(v) for v in first)
@@ -155,7 +156,7 @@ def track_on_graph(
         box = box_ijk or search_box(volume, [root, *points], graph=graph)
         if box[1] != shape:
             notes.append(
-                "the search was kept to a box round root and targets; a lower-cost path outside the box would be missed"
+                "only a box around the root and the targets was searched; a lower-cost path outside it would be missed"
             )
 
     def stage(what: str) -> Callable[[float], None]:
@@ -190,7 +191,7 @@ def track_on_graph(
             place = core.place(point, snap_mm)
             settled, started = core.num_settled, time.perf_counter()
             if place is None:
-                msg = f"no path: {words(point)} lies outside the box that is searched"
+                msg = f"no path: {words(point)} lies outside the box that was searched"
                 raise NoResultError(msg, code="track.no-path")
             if not core.solve_to(place[0], cancel=cancel, progress=share):
                 msg = f"no path: {words(point)} is not connected to the root in this graph"

@@ -75,12 +75,12 @@ def track_paths(
     >>> abs(found.targets[0].path.length_mm - airways.tree.route_to(tip.id).length_mm) < 5.0
     True
     """
-    check_type("track_paths", "volume", volume, Volume, "open one with carina.open_volume")
+    check_type("track_paths", "volume", volume, Volume, "open a volume with carina.open_volume")
     progress = heard(progress) or False
     check_choice(cost, graph)
     points = [as_point(target) for target in targets]
     if not points:
-        raise UsageError("give at least one target")
+        raise UsageError("expected at least one target; found none")
     for point in points:
         if not volume.contains_lps(np.array(point)):
             msg = f"the target {words(point)} lies outside the volume"

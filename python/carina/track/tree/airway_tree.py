@@ -305,7 +305,7 @@ class AirwayTree:
         while waiting:
             branch_id = waiting.pop()
             if branch_id not in by_id:
-                raise _refused(f"branch {branch_id} is named as a child, but missing or reached twice")
+                raise _refused(f"branch {branch_id} is listed as a child, but is missing or reached twice")
             branch = by_id.pop(branch_id)
             ordered.append(branch)
             waiting.extend(reversed(branch.children))
@@ -361,13 +361,13 @@ def _read_badges(rows: object) -> tuple[Note, ...]:
     for number, row in enumerate(rows):
         code, words = (row.get("code"), row.get("words")) if isinstance(row, Mapping) else (None, None)
         if not isinstance(code, str) or not isinstance(words, str):
-            raise _refused(f"badges: entry {number} must have a code and words, each a text")
+            raise _refused(f"badges: entry {number} must have code and words, both text")
         notes.append(Note(code, words, badge=True))
     return tuple(notes)
 
 
 def _read_branch(row: object, number: int) -> Branch:
-    where = f"branch {number} of the list"
+    where = f"branch {number} in the list"
     if not isinstance(row, Mapping):
         raise _refused(f"{where}: expected an object, found {type(row).__name__}")
 
@@ -379,7 +379,7 @@ def _read_branch(row: object, number: int) -> Branch:
     def text_or_none(key: str) -> str | None:
         value = row.get(key)
         if value is not None and not isinstance(value, str):
-            raise _refused(f"{where}: {key} must be a text or null, found {value!r}")
+            raise _refused(f"{where}: {key} must be text or null, found {value!r}")
         return value
 
     def number_or_none(key: str) -> float | None:
@@ -436,11 +436,13 @@ def _check(branches: tuple[Branch, ...]) -> None:
         if points.ndim != 2 or points.shape[1] != 3 or len(points) < 1 or not np.isfinite(points).all():
             raise _refused(f"{where}: points must be a list of finite [x, y, z]")
         if radius.shape != (len(points),) or not np.isfinite(radius).all() or (radius < 0).any():
-            raise _refused(f"{where}: radius must hold one number of at least 0 for each of its {len(points)} points")
+            raise _refused(
+                f"{where}: radius must contain one number of at least 0 for each of its {len(points)} points"
+            )
         if branch.confidence is not None and not 0.0 <= branch.confidence <= 1.0:
-            raise _refused(f"{where}: confidence must lie in 0..1, found {branch.confidence}")
+            raise _refused(f"{where}: confidence must be from 0 to 1, found {branch.confidence}")
         if branch.name_confidence is not None and not 0.0 <= branch.name_confidence <= 1.0:
-            raise _refused(f"{where}: name_confidence must lie in 0..1, found {branch.name_confidence}")
+            raise _refused(f"{where}: name_confidence must be from 0 to 1, found {branch.name_confidence}")
         if not branch.doubtful_mm >= 0.0:
             raise _refused(f"{where}: doubtful_mm must be at least 0, found {branch.doubtful_mm}")
         if (branch.parent is None) != (number == 0):
@@ -457,4 +459,4 @@ def _check(branches: tuple[Branch, ...]) -> None:
     for branch in branches:
         for child in branch.children:
             if child not in seen or seen[child].parent != branch.id:
-                raise _refused(f"branch {branch.id}: its child {child} is missing or names another parent")
+                raise _refused(f"branch {branch.id}: its child {child} is missing or has a different parent")

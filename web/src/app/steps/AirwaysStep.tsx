@@ -31,7 +31,7 @@ export function AirwaysStep() {
         <>
           <p>
             {session.airways === "finding"
-              ? "The airways are being segmented. You can fly freely meanwhile."
+              ? "Segmenting the airways. You can fly freely in the meantime."
               : session.airways === "failed"
                 ? "No airways were found."
                 : "The airways will be segmented as soon as the CT is ready."}

@@ -28,7 +28,8 @@ export function RehearseStep() {
   return (
     <>
       <p>
-        To <strong>{route.title}</strong>, with a simulated bronchoscope that bends, touches the wall and is held by it.
+        To <strong>{route.title}</strong>, with a simulated bronchoscope that bends, touches the wall and is stopped by
+        it.
       </p>
       <ScopeSelect />
       <Act
@@ -49,12 +50,12 @@ export function RehearseStep() {
         ) : (
           <Act
             label="End"
-            words="Leave the scope; fly along the path again"
+            words="Remove the scope and fly along the path again"
             onPress={() => station.send({ type: "set_mode", mode: "path" })}
           />
         )}
         <SwitchKey
-          words="Record to a file on this machine. It replays exactly; carina fly renders it as a video."
+          words="Record to a file on this machine. Use carina fly to replay it exactly, as a video."
           label={recording === null ? "Record" : "Stop recording"}
           on={recording !== null}
           onChange={() => station.send({ type: recording === null ? "start_recording" : "stop_recording" })}
@@ -65,7 +66,7 @@ export function RehearseStep() {
         kind="quiet"
         icon="capture"
         label="Key frames"
-        words="Views to fly through smoothly, at a set speed"
+        words="Views that are joined into a smooth flight at a set speed"
         keys={keyOf("key_frames")}
         onPress={() => station.act("key_frames")}
       />

@@ -11,8 +11,8 @@ export function ShareStep() {
     <>
       <p>
         {found
-          ? "The airways as files, in their current state."
-          : "The airways as files, once they have been segmented."}
+          ? "Save the airways, as they are now, to files."
+          : "The airways can be saved to files once they have been segmented."}
       </p>
       {EXPORTS.map(({ title, files }) => (
         <div key={title} className="group">
@@ -32,13 +32,13 @@ export function ShareStep() {
         </div>
       ))}
       <p className="quiet">
-        In patient coordinates (LPS), mm. The files hold no name, but anatomy can identify a patient: share them as you
-        would share the CT.
+        In patient coordinates (LPS), mm. The files contain no patient name, but anatomy can identify a patient: handle
+        them as carefully as the CT.
       </p>
       <Act
         icon="capture"
         label="Key frames"
-        words="Key frames for a smooth flight at a set speed: for a video"
+        words="Views that are joined into a smooth flight at a set speed, for a video"
         keys={keyOf("key_frames")}
         testId="to-keys"
         onPress={() => station.act("key_frames")}

@@ -19,7 +19,7 @@ export function TargetStep() {
         kind="primary"
         icon="target"
         label={armed ? "Click in a picture\u2026" : "Mark a target"}
-        words={armed ? "Stop marking" : "The next click in any picture marks a target; the line shows the way to it"}
+        words={armed ? "Stop marking" : "Click in any picture to mark a target. The line shows the path to it."}
         keys={keyOf("arm_target")}
         testId="arm-target"
         onPress={() => station.act("arm_target")}
@@ -27,7 +27,7 @@ export function TargetStep() {
       <PenWords />
       <Coordinates />
       {targets === null || targets.length === 0 ? (
-        <p className="empty">Targets appear here with the path to each, or the reason why there is no path.</p>
+        <p className="empty">Targets appear here, each with its path or the reason for having no path.</p>
       ) : (
         <ul className="targets">
           {targets.map((target) => (
@@ -62,7 +62,7 @@ export function TargetRow({ target }: { target: Target }) {
         <span className="row">
           <Act
             kind="quiet"
-            label={chosen ? "Chosen" : "Route"}
+            label={chosen ? "Route chosen" : "Choose route"}
             words={`Fly to ${target.name}`}
             disabled={target.problem !== null || chosen}
             onPress={() => station.chooseTarget(target.target_id)}
@@ -70,7 +70,7 @@ export function TargetRow({ target }: { target: Target }) {
           <Act
             kind="quiet"
             label="Show"
-            words="Put the crosshair on it"
+            words="Move the crosshair to this target"
             onPress={() => station.send({ type: "set_crosshair", lps: asVec3(target.used_lps ?? target.lps) })}
           />
           <Act
@@ -118,20 +118,20 @@ function Coordinates() {
       <span className="row">
         <Act
           label="Add"
-          words="Make it a target"
+          words="Add this point as a target"
           keys="Enter"
           disabled={point === null}
           onPress={() => use((lps) => station.send({ type: "add_target", lps }))}
         />
         <Act
           label="Show"
-          words="Put the crosshair there"
+          words="Move the crosshair to this point"
           disabled={point === null}
           onPress={() => use((lps) => station.send({ type: "set_crosshair", lps }))}
         />
         <Act
           label="Fly there"
-          words="Place the tip there (free movement)"
+          words="Move the tip to this point (free movement)"
           disabled={point === null}
           onPress={() => use((lps) => station.send({ type: "place", lps }))}
         />

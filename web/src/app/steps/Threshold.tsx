@@ -28,7 +28,7 @@ export function Threshold() {
         onChange={setMoving}
         onChangeEnd={(next) => station.send({ type: "set_lumen_threshold", value: next })}
       >
-        <Label>Air is below</Label>
+        <Label>Air threshold</Label>
         <SliderOutput className="numbers">
           {() => (value === null && moving === null ? "automatic" : `${fixed(shown)}${unit}`)}
         </SliderOutput>

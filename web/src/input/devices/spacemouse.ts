@@ -31,7 +31,7 @@ export class SpaceMouse extends FieldReader {
 
   get problem(): string | null {
     const some = [...this.fields.values()].flat().some((field) => axisOf(field) >= 0);
-    return some ? null : "it has no axes to fly with";
+    return some ? null : "it reports no movement axes";
   }
 
   /** Once per refresh: the newest, while the cap is off its rest. A device that floods sends no more than that. */

@@ -322,7 +322,7 @@ describe("the headset", () => {
   it("says why it cannot be entered, and a session that began is ended", async () => {
     xr.refuses = new Error("the headset is in use");
     await headset.enter();
-    expect(said).toEqual(["The headset could not be entered: the headset is in use."]);
+    expect(said).toEqual(["The headset view could not be started: the headset is in use."]);
     xr.refuses = null;
     openFails = new Error("no WebGL");
     await headset.enter();
@@ -333,7 +333,7 @@ describe("the headset", () => {
     whileOpening = () => void xr.session.end();
     await headset.enter();
     expect([headset.inside, closed, changes]).toEqual([false, 1, []]);
-    expect(said).toEqual(["The headset could not be entered: it was taken off meanwhile."]);
+    expect(said).toEqual(["The headset view could not be started: it was taken off meanwhile."]);
     whileOpening = () => undefined;
     xr.session = new FakeSession();
     xr.session.inputSources = [right];

@@ -156,7 +156,7 @@ export class Headset {
     } catch (trouble) {
       this.#space = null;
       this.#around.screen.close();
-      this.#around.failed(`The headset could not be entered: ${wordsOf(trouble)}.`);
+      this.#around.failed(`The headset view could not be started: ${wordsOf(trouble)}.`);
       await session?.end().catch(() => undefined);
     } finally {
       this.#entering = false;
@@ -187,7 +187,7 @@ export class Headset {
       const viewer = frame.getViewerPose(space);
       if (viewer != null) this.#around.screen.draw(viewer);
     } catch (trouble) {
-      if (!this.#faultSaid) this.#around.failed(`A picture could not be drawn for the headset: ${wordsOf(trouble)}.`);
+      if (!this.#faultSaid) this.#around.failed(`The headset's picture could not be drawn: ${wordsOf(trouble)}.`);
       this.#faultSaid = true;
     }
   };
@@ -263,5 +263,5 @@ export class Headset {
 function wordsOf(trouble: unknown): string {
   // A DOMException is no Error everywhere.
   const said = trouble instanceof DOMException || trouble instanceof Error ? trouble.message : "";
-  return said.replace(/\.$/, "") || "it refused access";
+  return said.replace(/\.$/, "") || "the browser refused access";
 }
