@@ -42,7 +42,7 @@ def file(doing, tmp_path):
 
 def test_a_copy_is_one_whole_file_that_holds_the_same(file, doing, tmp_path):
     target = tmp_path / "named.carina"
-    file.write_copy(target, source_path="../ct")
+    file.write_copy(target, ct_place="../ct")
     assert sorted(p.name for p in tmp_path.iterdir() if "named" in p.name) == ["named.carina"]
     assert target.read_bytes()[18:20] == b"\x01\x01"  # no journal of the other kind is looked for
     with CaseFile.open(target, read_only=True) as copy:
@@ -150,9 +150,16 @@ def test_recordings_are_named_and_forgotten(file, doing):
     flown(file, doing, num_seconds=1)
     flown(file, doing, num_seconds=1)
     one, two = file.recordings()
-    file.rename_recording(one.recording_id, "RB3, second try")
+    file.change_recording(one.recording_id, name="RB3, second try")
+    file.change_recording(one.recording_id, words="the lens was fogged")
+    file.order_recordings((2, 1))
+    assert [r.recording_id for r in file.recordings()] == [2, 1]
+    with pytest.raises(UsageError, match="each recording once"):
+        file.order_recordings((2, 2))
     file.forget_recording(two.recording_id)
-    assert [(r.recording_id, r.name) for r in file.recordings()] == [(1, "RB3, second try")]
+    assert [(r.recording_id, r.name, r.words) for r in file.recordings()] == [
+        (1, "RB3, second try", "the lens was fogged")
+    ]
     for call in (file.recording, file.forget_recording):
         with pytest.raises(UsageError, match="no recording 2"):
             call(2)

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from kept_case import ACTS, Doing, act, assert_same_airways, assert_same_moment, source_of, whole
 
-from carina.case.file import CaseFile
+from carina.case import CaseFile, CaseFileError
 from carina.track import AddBranch, edit_airways
 
 
@@ -20,7 +20,9 @@ def doing():
 def test_a_case_without_a_step_comes_back(doing, tmp_path):
     moment = doing.moment()
     with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
-        assert file.load(doing.case.volume) is None
+        assert file.digest == source_of(doing.case).digest
+        with pytest.raises(CaseFileError, match="nothing was saved"):
+            file.load(doing.case.volume)
         file.save(moment)
     with CaseFile.open(tmp_path / "one.carina") as file:
         assert_same_moment(file.load(doing.case.volume), moment, doing.case)

@@ -53,6 +53,8 @@ def connected(path: Path, mode: str, *, immutable: bool = False) -> sqlite3.Conn
         )
     uri = path.absolute().as_uri() + f"?mode={mode}" + ("&immutable=1" if immutable else "")
     connection = sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False, timeout=10.0)
+    # Text that is none is found by its digest, or is words of a label that are shown as far as they go.
+    connection.text_factory = _text
     try:
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
         connection.setlimit(sqlite3.SQLITE_LIMIT_SQL_LENGTH, MAX_SQL_BYTES)
@@ -68,6 +70,10 @@ def connected(path: Path, mode: str, *, immutable: bool = False) -> sqlite3.Conn
         connection.close()
         raise
     return connection
+
+
+def _text(content: bytes) -> str:
+    return content.decode(errors="replace")
 
 
 def set_up(connection: sqlite3.Connection) -> None:
@@ -101,6 +107,8 @@ def told(path: Path) -> Iterator[None]:
         raise
     except sqlite3.Error as error:
         raise _in_words(error, path) from error
+    except UnicodeError as error:
+        raise refused(path, f"it is damaged ({error}); open an earlier copy", code="case.damaged") from error
     except OSError as error:
         raise disk_trouble(error, "cannot use the case", path) from error
 
@@ -128,7 +136,9 @@ def _in_words(error: sqlite3.Error, path: Path) -> CarinaError:
         return DiskError(said, code=kind)
     if primary == sqlite3.SQLITE_NOTADB:
         return refused(path, "it is not a case that Carina saved; choose a .carina file", code="case.not-a-case")
-    return refused(path, f"it is damaged ({error}); open an earlier copy", code="case.damaged")
+    return refused(
+        path, f"it is damaged ({error}); open an earlier copy, or rescue what is whole of it", code="case.damaged"
+    )
 
 
 @contextlib.contextmanager
@@ -158,7 +168,11 @@ def has_journal(path: Path) -> bool:
 def check_whole(connection: sqlite3.Connection, path: Path) -> None:
     found = [row[0] for row in connection.execute("PRAGMA quick_check(3)")]
     if found != ["ok"]:
-        raise refused(path, f"it is damaged ({str(found[0])[:120]}); open an earlier copy", code="case.damaged")
+        raise refused(
+            path,
+            f"it is damaged ({str(found[0])[:120]}); open an earlier copy, or rescue what is whole",
+            code="case.damaged",
+        )
 
 
 def beside(path: Path, tail: str) -> Path:

@@ -41,8 +41,8 @@ ShortWords = Annotated[str, Meta(min_length=1, max_length=4000)]
 Ids = Annotated[tuple[RowId, ...], Meta(max_length=MAX_LIST)]
 
 
-class _Facts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Fields of one JSON object."""
+class _Facts(msgspec.Struct, frozen=True):
+    """Fields of one JSON object; those that a newer Carina adds are left alone."""
 
 
 class BadgeFacts(_Facts, frozen=True):
@@ -89,6 +89,8 @@ class AirwaysFacts(_Facts, frozen=True):
     edits: Ids
     uncertain: RowId
     bridges: Ids
+    found_by: ShortWords | None = None
+    """The version of Carina that found them; null for edited ones, whose base has it."""
 
 
 class SpanFacts(_Facts, frozen=True):
@@ -167,6 +169,8 @@ class MomentFacts(_Facts, frozen=True):
     search_words: LongWords | None
     person_moved: bool
     numbers: Annotated[dict[Key, Count], Meta(max_length=1000)]
+    saved_by: ShortWords = "unknown"
+    """The version of Carina."""
 
 
 class _Decoders:

@@ -7,6 +7,7 @@ import os
 import shutil
 import sqlite3
 import threading
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -239,8 +240,8 @@ class CaseFile:
             writer.kept()
             self._has_orphans = True
 
-    def load(self, volume: Volume) -> Moment | None:
-        """The moment that was saved last; None where none was.
+    def load(self, volume: Volume) -> Moment:
+        """The moment that was saved last.
 
         Nothing is found again: airways come with their tree as it was, and paths are calculated when they are first
         needed. Those of steps far from the present one are :class:`carina.track.FoldedAirways`.
@@ -254,7 +255,7 @@ class CaseFile:
         Raises
         ------
         CaseFileError
-            ``case.other-scan`` or ``case.damaged``.
+            ``case.other-scan``, ``case.damaged``, or ``case.empty``: nothing was saved yet.
         """
         with self._lock, told(self.path):
             connection = self._open()
@@ -267,13 +268,13 @@ class CaseFile:
                     f"found {grid_words(volume.shape_zyx)}; choose the scan that it was made of",
                     code="case.other-scan",
                 )
-            rows = all_content(connection)
             found = connection.execute("SELECT position, facts FROM moment").fetchone()
             if found is None:
-                return None
+                raise refused(self.path, "nothing was saved in it yet; open the scan anew", code="case.empty")
+            rows = all_content(connection)
             numbered = step_rows(connection)
             writer = None if self.read_only or not turn.is_none else self._needed_writer()
-            with no_surprise():
+            with self._newer_in_words(), no_surprise():
                 reader = CaseReader(rows, volume, _ignored if writer is None else writer.know, turn)
                 facts: f.MomentFacts = from_json(found[1], f.decoders().moment, "the moment")
                 moment = reader.moment([row[1:] for row in numbered], found[0], facts)
@@ -306,6 +307,11 @@ class CaseFile:
         """The CT that it is of."""
         with self._lock, told(self.path):
             return read_source(self._open())
+
+    @property
+    def digest(self) -> str:
+        """Of the voxels of the CT that it is of."""
+        return self.source.digest
 
     def set_source_path(self, path: str | None) -> None:
         """The scan lies elsewhere: its place relative to the case file, None where that is not known."""
@@ -347,7 +353,7 @@ class CaseFile:
             return RecordingWriter(self._table(), name, begun_s)
 
     def recordings(self) -> tuple[RecordingFacts, ...]:
-        """The recordings in the order in which they were begun."""
+        """The recordings in their order."""
         with self._lock, told(self.path):
             return self._table().all()
 
@@ -364,10 +370,15 @@ class CaseFile:
         with self._lock, told(self.path):
             return self._table().read(recording_id)
 
-    def rename_recording(self, recording_id: int, name: str) -> None:
-        """Call a recording otherwise."""
+    def change_recording(self, recording_id: int, *, name: str | None = None, words: str | None = None) -> None:
+        """Call a recording otherwise, or say something about it; None leaves that as it is."""
         with self._lock, told(self.path):
-            self._table().rename(recording_id, name)
+            self._table().change(recording_id, name=name, words=words)
+
+    def order_recordings(self, recording_ids: Sequence[int]) -> None:
+        """Have the recordings in this order: each by its number, once."""
+        with self._lock, told(self.path):
+            self._table().order(recording_ids)
 
     def forget_recording(self, recording_id: int) -> None:
         """Take a recording away."""
@@ -379,14 +390,14 @@ class CaseFile:
 
     # ------------------------------------------------------------ copies
 
-    def write_copy(self, path: Path | str, *, source_path: str | None = None) -> None:
+    def write_copy(self, path: Path | str, *, ct_place: str | None = None) -> None:
         """Write all of it as one whole file, without a journal: what a person names, shares and backs up.
 
         It is made in a temporary folder and put in its place whole, so that no database is ever open on a share.
 
         Parameters
         ----------
-        source_path
+        ct_place
             Where the scan lies relative to the copy; None where that is not known.
 
         Raises
@@ -403,13 +414,27 @@ class CaseFile:
                 # Until it is whole it may be thrown away.
                 copy.execute("PRAGMA synchronous=OFF")
                 with transaction(copy):
-                    write_source(copy, replace(read_source(copy), path=source_path))
+                    write_source(copy, replace(read_source(copy), path=ct_place))
                     sweep(copy, all_content(copy))
                 copy.execute("VACUUM")
             with drafted(target, what="the case", needed_bytes=made.stat().st_size) as file, made.open("rb") as whole:
                 shutil.copyfileobj(whole, file, 1 << 20)
 
     # ------------------------------------------------------------ inside
+
+    @contextlib.contextmanager
+    def _newer_in_words(self) -> Iterator[None]:
+        """What a newer Carina wrote otherwise is no damage."""
+        try:
+            yield
+        except CaseFileError as trouble:
+            if self.note is None or trouble.code != "case.damaged":
+                raise
+            raise refused(
+                self.path,
+                f"a newer Carina saved it, with things that this one does not know; update Carina ({trouble})",
+                code="case.newer",
+            ) from trouble
 
     def _needed_writer(self) -> CaseWriter:
         if self._writer is None:
@@ -441,7 +466,7 @@ def migrate(path: Path | str, target: Path | str) -> None:
         If it cannot be written.
     """
     with CaseFile.open(path, read_only=True) as case:
-        case.write_copy(target, source_path=case.source.path)
+        case.write_copy(target, ct_place=case.source.path)
 
 
 def all_content(connection: sqlite3.Connection) -> Rows:

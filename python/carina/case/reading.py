@@ -21,6 +21,7 @@ from carina.case.routes import ChosenRoute, RouteSpan
 from carina.case.source import Turn
 from carina.case.tiles import TILE_BYTES, from_tiles, num_tiles
 from carina.case.trouble import damaged
+from carina.commands.look import Look
 from carina.errors import CarinaError
 from carina.navigate import FlightPath
 from carina.render import TransferFunction
@@ -105,11 +106,11 @@ class CaseReader:
             raise damaged("the place in the history", f"0 to {len(steps) - 1}", str(position))
         with self._lock:
             # What is shown is made whole, and before all others, so that they share with it.
-            present = self._airways_row(steps[position][3])
+            present = self.airways_of(steps[position][3])
             if present is not None:
                 self._whole[present] = self.airways(present)
             documents = [self.document(step[3]) for step in steps]
-            if present is not None and self._row("airways", present)[0] is not None:
+            if present is not None and self.columns("airways", present)[0] is not None:
                 # The document holds it; this reader lives as long as any step does.
                 del self._whole[present]
             scope = facts.scope
@@ -132,8 +133,9 @@ class CaseReader:
     def _command(self, said: object) -> Any:
         return None if said is None else from_json(said, self._decoders.command, "step")
 
-    def _airways_row(self, document: int) -> int | None:
-        row: int | None = self._row("document", document)[0]
+    def airways_of(self, document: int) -> int | None:
+        """The row of a document's airways."""
+        row: int | None = self.columns("document", document)[0]
         return row
 
     def document(self, row: int) -> Document:
@@ -141,21 +143,43 @@ class CaseReader:
         known = self._documents.get(row)
         if known is not None:
             return known
-        airways, route, transfer, look, targets, keys, threshold = self._row("document", row)
+        airways, route, transfer, look, targets, keys, threshold = self.columns("document", row)
         made = Document(
-            transfer=self._value("transfer", transfer, self._decoders.transfer, TransferFunction.from_json),
-            look=self._value("look", look, self._decoders.look, lambda look: look),
-            airways=None if airways is None else self._any_airways(airways),
+            transfer=self.transfer(transfer),
+            look=self.look(look),
+            airways=None if airways is None else self.any_airways(airways),
             lumen_threshold=threshold,
-            targets=self._value("targets", targets, self._decoders.targets, self._targets),
+            targets=self._value("targets", targets, self._decoders.targets, self.made_targets),
             route=None if route is None else self.route(route),
-            keys=self._value("keys", keys, self._decoders.keys, _keys),
+            keys=self.keys(keys),
         )
         self._documents[row] = made
         self._know("document", made, row)
         return made
 
-    def _targets(self, targets: tuple[f.TargetFacts, ...]) -> tuple[Target, ...]:
+    def transfer(self, row: int) -> TransferFunction:
+        """A row of ``value``."""
+        made: TransferFunction = self._value("transfer", row, self._decoders.transfer, TransferFunction.from_json)
+        return made
+
+    def look(self, row: int) -> Look:
+        """A row of ``value``."""
+        made: Look = self._value("look", row, self._decoders.look, lambda look: look)
+        return made
+
+    def keys(self, row: int) -> Keys:
+        """A row of ``value``."""
+        made: Keys = self._value("keys", row, self._decoders.keys, _keys)
+        return made
+
+    def target_facts(self, row: int) -> tuple[f.TargetFacts, ...]:
+        """A row of ``value``, without the paths."""
+        _, said = self.columns("value", row)
+        found: tuple[f.TargetFacts, ...] = from_json(said, self._decoders.targets, f"targets (value {row})")
+        return found
+
+    def made_targets(self, targets: tuple[f.TargetFacts, ...]) -> tuple[Target, ...]:
+        """Targets with their paths."""
         return tuple(
             Target(
                 target_id=t.target_id,
@@ -175,7 +199,7 @@ class CaseReader:
         known = self._routes.get(row)
         if known is not None:
             return known
-        *columns, said = self._row("route", row)
+        *columns, said = self.columns("route", row)
         where = f"route {row}"
         facts: f.RouteFacts = from_json(said, self._decoders.route, where)
         points = self._array(columns[0], "f8", width=3)
@@ -214,9 +238,9 @@ class CaseReader:
 
     # ------------------------------------------------------------ airways
 
-    def _any_airways(self, row: int) -> Any:
+    def any_airways(self, row: int) -> Any:
         """Whole where it was found and not edited, or is shown; else kept."""
-        base = self._row("airways", row)[0]
+        base = self.columns("airways", row)[0]
         if base is None or row in self._whole:
             whole = self._whole.get(row)
             if whole is None:
@@ -229,7 +253,7 @@ class CaseReader:
         return known
 
     def _base(self, row: int) -> Airways:
-        if self._row("airways", row)[0] is not None:
+        if self.columns("airways", row)[0] is not None:
             raise damaged(f"airways {row}", "airways without edits as a base", "a base of its own")
         whole = self._whole.get(row)
         if whole is None:
@@ -243,7 +267,7 @@ class CaseReader:
             return self._made_airways(row) if known is None else known
 
     def _made_airways(self, row: int) -> Airways:
-        base, lumen, tree, tracker, said = self._row("airways", row)
+        base, lumen, tree, tracker, said = self.columns("airways", row)
         facts: f.AirwaysFacts = from_json(said, self._decoders.airways, f"airways {row}")
         branches, notes = self._tree(tree)
         paths = self._tracker(tracker)
@@ -271,7 +295,7 @@ class CaseReader:
         if known is not None:
             return known
         where = f"tracker {row}"
-        lumen, tree, i, j, k, said, nodes, num_nodes = self._row("tracker", row)
+        lumen, tree, i, j, k, said, nodes, num_nodes = self.columns("tracker", row)
         levels = from_json(said, self._decoders.levels, where)
         lumen_zyx = self._lumen(lumen)
         nz, ny, nx = self._turn.shape_zyx
@@ -325,7 +349,7 @@ class CaseReader:
         return made
 
     def _branch(self, row: int, facts: f.BranchFacts) -> Branch:
-        points, radius, wall = self._row("branch", row)
+        points, radius, wall = self.columns("branch", row)
         line = self._array(points, "f8", width=3)
         return Branch(
             id=facts.id,
@@ -404,7 +428,7 @@ class CaseReader:
         if row in self._values:
             return self._values[row]
         where = f"{kind} (value {row})"
-        found, said = self._row("value", row)
+        found, said = self.columns("value", row)
         if found != kind:
             raise damaged(where, kind, str(found)[:40])
         try:
@@ -420,7 +444,7 @@ class CaseReader:
             self._know(kind, made, row)
         return made
 
-    def _row(self, table: str, row: int) -> tuple[Any, ...]:
+    def columns(self, table: str, row: int) -> tuple[Any, ...]:
         """The columns of a row whose digest is of themselves."""
         columns = self._rows_of(table, row)
         self._check(table, row, digest_of(table, *columns))

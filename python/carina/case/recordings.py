@@ -6,7 +6,7 @@ import io
 import json
 import sqlite3
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -36,6 +36,8 @@ class RecordingFacts:
     recording_id: int
     """From 1 for each case; none is given twice while it is there."""
     name: str
+    words: str
+    """What a person says about it."""
     begun_s: float
     """Seconds since the case was begun."""
     length_s: float
@@ -61,7 +63,8 @@ class RecordingTable:
             connection = self._writing()
             with transaction(connection):
                 made = connection.execute(
-                    "INSERT INTO recording (name, begun_s, length_s, complete) VALUES (?, ?, 0.0, 0)",
+                    "INSERT INTO recording (place, name, words, begun_s, length_s, complete) VALUES "
+                    "((SELECT 1 + coalesce(max(place), 0) FROM recording), ?, '', ?, 0.0, 0)",
                     (name, float(begun_s)),
                 )
             assert made.lastrowid is not None
@@ -84,12 +87,16 @@ class RecordingTable:
                 )
 
     def all(self) -> tuple[RecordingFacts, ...]:
-        """In the order in which they were begun."""
+        """In their order."""
         rows = self._reading().execute(
-            "SELECT id, substr(name, 1, 4000), begun_s, length_s, complete FROM recording ORDER BY id LIMIT 100000"
+            "SELECT id, substr(name, 1, 4000), substr(words, 1, 100000), begun_s, length_s, complete "
+            "FROM recording ORDER BY place, id LIMIT 100000"
         )
         with no_surprise():
-            return tuple(RecordingFacts(n, str(name), float(a), float(b), bool(c)) for n, name, a, b, c in rows)
+            return tuple(
+                RecordingFacts(n, str(name), str(words), float(begun), float(length), bool(complete))
+                for n, name, words, begun, length, complete in rows
+            )
 
     def text(self, recording_id: int) -> str:
         """Its lines."""
@@ -121,9 +128,23 @@ class RecordingTable:
         """One to be flown again."""
         return read_recording(io.StringIO(self.text(recording_id)), Path(f"recording {recording_id} of {self._path}"))
 
-    def rename(self, recording_id: int, name: str) -> None:
-        """Call it otherwise."""
-        self._change("UPDATE recording SET name = ? WHERE id = ?", (name, recording_id), recording_id)
+    def change(self, recording_id: int, *, name: str | None, words: str | None) -> None:
+        """Call or describe it otherwise."""
+        sql = "UPDATE recording SET name = coalesce(?, name), words = coalesce(?, words) WHERE id = ?"
+        self._change(sql, (name, words, recording_id), recording_id)
+
+    def order(self, recording_ids: Sequence[int]) -> None:
+        """Have them in this order."""
+        connection = self._writing()
+        known = [row[0] for row in connection.execute("SELECT id FROM recording")]
+        if sorted(recording_ids) != sorted(known):
+            raise UsageError(
+                f"the order must name each recording once: expected {sorted(known)}; found {list(recording_ids)}",
+                code="case.recording",
+            )
+        with transaction(connection):
+            rows = [(place, number) for place, number in enumerate(recording_ids, start=1)]
+            connection.executemany("UPDATE recording SET place = ? WHERE id = ?", rows)
 
     def forget(self, recording_id: int) -> None:
         """Take it away."""

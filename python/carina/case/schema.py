@@ -85,7 +85,8 @@ TABLES: Final = {
   id INTEGER PRIMARY KEY CHECK (id = 1), position INTEGER NOT NULL, facts TEXT NOT NULL
 ) STRICT""",
     "recording": """CREATE TABLE recording (
-  id INTEGER PRIMARY KEY, name TEXT NOT NULL, begun_s REAL NOT NULL, length_s REAL NOT NULL, complete INTEGER NOT NULL
+  id INTEGER PRIMARY KEY, place INTEGER NOT NULL, name TEXT NOT NULL, words TEXT NOT NULL,
+  begun_s REAL NOT NULL, length_s REAL NOT NULL, complete INTEGER NOT NULL
 ) STRICT""",
     "recording_chunk": """CREATE TABLE recording_chunk (
   recording INTEGER NOT NULL REFERENCES recording ON DELETE CASCADE, n INTEGER NOT NULL,

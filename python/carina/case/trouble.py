@@ -12,8 +12,8 @@ __all__ = ["CaseFileError", "damaged", "refused"]
 class CaseFileError(VolumeImportError):
     """A case file that is not opened; the message names it and says what to do.
 
-    ``code`` is ``case.not-a-case``, ``case.newer``, ``case.damaged``, ``case.too-large``, ``case.other-scan``,
-    ``case.read-only`` or ``case.closed``.
+    ``code`` is ``case.not-a-case``, ``case.newer``, ``case.older``, ``case.damaged``, ``case.other-scan``,
+    ``case.empty``, ``case.read-only``, ``case.closed`` or ``case.sqlite``.
     """
 
     code = "case"
@@ -27,7 +27,7 @@ def refused(path: Path | str, why: str, *, code: str) -> CaseFileError:
 def damaged(where: str, expected: str, found: str) -> CaseFileError:
     """A part of a case file that does not hold what it must."""
     return CaseFileError(
-        f"the case file is damaged at {where}: expected {expected}; found {found}; rescue what is whole with "
-        "carina case pack --rescue, or open an earlier copy",
+        f"the case file is damaged at {where}: expected {expected}; found {found}; open an earlier copy, or rescue "
+        "what is whole of it",
         code="case.damaged",
     )

@@ -26,6 +26,7 @@ from carina.errors import UsageError
 from carina.track import Airways, AirwayTree, Branch, edits_to_json
 from carina.track.edit.folded import FoldedAirways, PackedAirways
 from carina.track.paths.tracker import PathTracker
+from carina.version import VERSION
 
 __all__ = ["CaseWriter", "StepRow"]
 
@@ -96,6 +97,7 @@ class CaseWriter:
             search_words=moment.search_words,
             person_moved=moment.person_moved,
             numbers=moment.numbers,
+            saved_by=VERSION,
         )
         row = (moment.position, as_checked_json(facts, self._decoders.moment, "what is shown"))
         self._connection.execute("INSERT OR REPLACE INTO moment (id, position, facts) VALUES (1, ?, ?)", row)
@@ -262,6 +264,7 @@ class CaseWriter:
             ),
             uncertain=self._value("uncertain", airways.uncertain, lambda: airways.uncertain),
             bridges=tuple(self._array(bridge) for bridge in airways.bridges),
+            found_by=VERSION if airways.base is None else None,
         )
         values = {
             "base": None if airways.base is None else self._airways(airways.base),

@@ -1,0 +1,279 @@
+"""What is whole of a damaged case file, as a new file, with a list of what was lost; the original stays as it is."""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from carina.case import facts as f
+from carina.case.database import connected, copied_with_journal, needed_header, no_surprise, told
+from carina.case.document import Document, Keys, Target
+from carina.case.file import MAX_ROWS, MAX_STEPS, CaseFile
+from carina.case.history import Step
+from carina.case.moment import LaidScope, Moment
+from carina.case.packing import from_json
+from carina.case.reading import CaseReader, Rows
+from carina.case.schema import APPLICATION_ID, CONTENT
+from carina.case.source import read_source, turn_between
+from carina.case.trouble import CaseFileError, refused
+from carina.commands.look import Look
+from carina.disk import ScratchFolder
+from carina.render import Sight, transfer_preset
+from carina.volume import Volume
+
+__all__ = ["rescued"]
+
+MAX_VOXELS: Final = 1 << 33
+TROUBLE: Final = (CaseFileError, sqlite3.Error)
+
+
+def rescued(path: Path | str, target: Path | str) -> tuple[str, ...]:
+    """Write what is whole of a damaged case into a new file.
+
+    A step of which a part is lost stays, without that part: a target keeps its place where its path is gone.
+
+    Parameters
+    ----------
+    path
+        The damaged file; it is copied and not touched.
+    target
+        Where the new one is written; nothing may be there.
+
+    Returns
+    -------
+    tuple of str
+        What was lost, in words; empty where all is whole.
+
+    Raises
+    ------
+    CaseFileError
+        If nothing can be rescued.
+    DiskError
+        If the new file cannot be written.
+    """
+    place = Path(path)
+    with told(place), ScratchFolder() as folder:
+        needed_header(place)
+        copy = copied_with_journal(place, folder)
+        with contextlib.closing(connected(copy, "rw")) as connection:
+            return _Rescue(connection, place).write(Path(target))
+
+
+class _Rescue:
+    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
+        self._connection, self._path = connection, path
+        self._lost: list[str] = []
+        with contextlib.suppress(sqlite3.Error):
+            if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
+                raise refused(path, "it is not a case that Carina saved; choose a .carina file", code="case.not-a-case")
+        try:
+            self._source = read_source(connection)
+        except TROUBLE as trouble:
+            raise refused(
+                path, f"nothing can be rescued: which scan it is of is lost ({trouble})", code="case.damaged"
+            ) from trouble
+        if int(np.prod(np.array(self._source.shape_zyx, dtype=np.float64))) > MAX_VOXELS:
+            raise refused(path, "nothing can be rescued: its scan is larger than any", code="case.damaged")
+        # Only the grid is looked at; pages of memory that nobody looks at are never made.
+        standing_in = Volume(np.zeros(self._source.shape_zyx, np.int16), self._source.lps_from_ijk, self._source.is_hu)
+        turn = turn_between(self._source, standing_in)
+        assert turn is not None
+        self._reader = CaseReader(self._content(), standing_in, _ignored, turn)
+        self._whole: dict[int, bool] = {}
+
+    def write(self, target: Path) -> tuple[str, ...]:
+        moment = self._moment()
+        with CaseFile.create(target, self._source) as made:
+            made.save(moment)
+            self._copy_recordings(made)
+            self._copy_extras(made)
+        return tuple(self._lost)
+
+    # ------------------------------------------------------------ rows
+
+    def _content(self) -> Rows:
+        return {table: {row[0]: row[1:] for row in self._rows(table, "*")} for table in CONTENT}
+
+    def _rows(self, table: str, columns: str, key: str = "id") -> Iterator[tuple[Any, ...]]:
+        """The rows of a table that can be read: all in turn, and where that stops each by its number."""
+        seen = 0
+        last: int | None = None
+        try:
+            sql = f"SELECT {columns} FROM {table} ORDER BY {key} LIMIT {MAX_ROWS}"
+            for row in self._connection.execute(sql):
+                seen += 1
+                last = row[0] if isinstance(row[0], int) else last
+                yield row
+            return
+        except sqlite3.Error as trouble:
+            self._lost.append(f"a part of the table {table} ({trouble})")
+        ahead = last or 0
+        misses = 0
+        while seen < MAX_ROWS and misses < 2000:
+            ahead += 1
+            try:
+                row = self._connection.execute(f"SELECT {columns} FROM {table} WHERE {key} = ?", (ahead,)).fetchone()
+            except sqlite3.Error:
+                row = None
+            if row is None:
+                misses += 1
+                continue
+            misses, seen = 0, seen + 1
+            yield row
+
+    # ------------------------------------------------------------ the moment
+
+    def _moment(self) -> Moment:
+        rows = list(self._rows("step", "n, label, command, at_s, document", "n"))[:MAX_STEPS]
+        position, facts = self._facts(len(rows))
+        documents: list[tuple[tuple[Any, ...], Document]] = []
+        for row in rows:
+            document = self._document(row)
+            if document is not None:
+                documents.append((row, document))
+            elif row[0] <= (rows[0][0] + position):
+                position -= 1
+        if not documents:
+            raise refused(self._path, "nothing can be rescued: all of its steps are lost", code="case.damaged")
+        return Moment(
+            first=documents[0][1],
+            steps=tuple(
+                Step(str(label)[:4000], document, self._command(command), at_s if isinstance(at_s, float) else 0.0)
+                for (_, label, command, at_s, _), document in documents[1:]
+            ),
+            position=min(max(position, 0), len(documents) - 1),
+            sight=facts.sight,
+            tip=facts.tip,
+            scope=None if facts.scope is None else LaidScope(*msgspec.structs.astuple(facts.scope)),
+            search_status=facts.search_status,
+            search_words=facts.search_words,
+            person_moved=facts.person_moved,
+            numbers=facts.numbers,
+        )
+
+    def _facts(self, num_steps: int) -> tuple[int, f.MomentFacts]:
+        try:
+            with no_surprise():
+                position, said = self._connection.execute("SELECT position, facts FROM moment").fetchone()
+                facts: f.MomentFacts = from_json(said, f.decoders().moment, "the moment")
+                return int(position), facts
+        except TROUBLE:
+            self._lost.append("what was shown, and where the tip was")
+            numbers = {"target": 10_000, "key": 10_000}  # none that was given is given again
+            return max(num_steps - 1, 0), f.MomentFacts(Sight(), {}, None, "found", None, True, numbers)
+
+    def _command(self, said: object) -> Any:
+        try:
+            return None if said is None else from_json(said, f.decoders().command, "a step")
+        except CaseFileError:
+            return None
+
+    def _document(self, step: tuple[Any, ...]) -> Document | None:
+        n, label, _, _, row = step
+        what = f"step {n} ({str(label)[:80] or 'the beginning'})"
+        try:
+            with no_surprise():
+                document = self._reader.document(row)
+                kept: Any = document.airways
+                if kept is None or self._is_whole(row):
+                    return document
+        except TROUBLE:
+            pass
+        try:
+            with no_surprise():
+                return self._without(row, what)
+        except TROUBLE as trouble:
+            self._lost.append(f"{what}: {trouble}")
+            return None
+
+    def _is_whole(self, document: int) -> bool:
+        row = self._reader.airways_of(document)
+        return row is None or self._airways_are_whole(row)
+
+    def _airways_are_whole(self, row: int) -> bool:
+        if row not in self._whole:
+            try:
+                with no_surprise():
+                    self._reader.airways(row)
+                self._whole[row] = True
+            except TROUBLE:
+                self._whole[row] = False
+        return self._whole[row]
+
+    def _without(self, row: int, what: str) -> Document:
+        """A document with what is whole of it."""
+        reader = self._reader
+        airways, route, transfer, look, targets, keys, threshold = reader.columns("document", row)
+
+        def part(name: str, read: Any, otherwise: Any) -> Any:
+            try:
+                with no_surprise():
+                    return read()
+            except TROUBLE:
+                self._lost.append(f"{what}: {name}")
+                return otherwise
+
+        whole = airways is not None and self._airways_are_whole(airways)
+        if airways is not None and not whole:
+            self._lost.append(f"{what}: the airways")
+        return Document(
+            transfer=part("the transfer function", lambda: reader.transfer(transfer), transfer_preset("endoscopic")),
+            look=part("the look", lambda: reader.look(look), Look()),
+            airways=part("the airways", lambda: reader.any_airways(airways), None) if whole else None,
+            lumen_threshold=threshold if isinstance(threshold, float) else None,
+            targets=part("the targets", lambda: self._targets(targets, what), ()),
+            route=None if route is None else part("the route", lambda: reader.route(route), None),
+            keys=part("the key frames", lambda: reader.keys(keys), Keys()),
+        )
+
+    def _targets(self, row: int, what: str) -> Sequence[Target]:
+        found: list[Target] = []
+        for said in self._reader.target_facts(row):
+            try:
+                with no_surprise():
+                    found += self._reader.made_targets((said,))
+            except TROUBLE:
+                self._lost.append(f"{what}: the path to {said.name}")
+                (one,) = self._reader.made_targets((msgspec.structs.replace(said, route=None),))
+                found.append(replace(one, problem="its path was lost when the case file was damaged"))
+        return tuple(found)
+
+    # ------------------------------------------------------------ beside it
+
+    def _copy_recordings(self, made: CaseFile) -> None:
+        for number, name, begun_s, words in self._rows("recording", "id, name, begun_s, words"):
+            table = CaseFile(self._path, self._connection, read_only=True)._table()
+            try:
+                with no_surprise():
+                    text = table.text(number)
+                    begun = float(begun_s)
+            except TROUBLE:
+                self._lost.append(f"the recording {str(name)[:80]}")
+                continue
+            with made.record(str(name)[:4000], begun_s=begun) as writer:
+                writer.write(text)
+            made.change_recording(writer.recording_id, words=str(words)[:100_000])
+
+    def _copy_extras(self, made: CaseFile) -> None:
+        kept: dict[str, list[Any]] = {}
+        with contextlib.suppress(sqlite3.Error):
+            for kind, said in self._connection.execute("SELECT kind, json FROM extra ORDER BY kind, n LIMIT 100000"):
+                try:
+                    value = from_json(said, f.decoders().extra, "extra")
+                except CaseFileError:
+                    self._lost.append(f"a part of {str(kind)[:80]}")
+                else:
+                    kept.setdefault(str(kind), []).append(value)
+        for kind, values in kept.items():
+            made.set_extra(kind, tuple(values))
+
+
+def _ignored(_kind: str, _value: object, _row: int) -> None:
+    """The new file knows nothing of the old one's rows."""

@@ -1,0 +1,74 @@
+"""A process that works on a case file until it is killed, started by ``test_crashes.py``.
+
+For each line with a seed and a path it forks a child, which says its number and each save before and after it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+
+NUM_ACTS = 400
+ACTS = ("key", "look", "gaze", "rename", "undo", "redo", "key", "look")
+
+
+def acts_of(seed):
+    """What is done, one after the other: the same for the same seed."""
+    rng = np.random.default_rng(seed)
+    while True:
+        yield ACTS[rng.integers(len(ACTS))], lambda n: int(rng.integers(n))
+
+
+def work(seed: int, path: Path, volume, say) -> None:
+    from edit_case import EditCase
+    from kept_case import Doing, act
+
+    from carina.case import CaseFile
+
+    with CaseFile.open(path) as file:
+        moment = file.load(volume)
+        doing = Doing.of(moment, EditCase(volume, moment.first.airways, [], np.zeros(3), np.zeros(3)))
+        acts = acts_of(seed)
+        for done in range(1, NUM_ACTS):
+            name, number = next(acts)
+            act(doing, name, number)
+            doing.numbers["acts"] = done
+            say(f"saving {done}")
+            file.save(doing.moment())
+            say(f"saved {done}")
+            if done % 25 == 0:
+                file.write_copy(path.with_name("named.carina"))
+
+
+def main() -> None:
+    folder = Path(sys.argv[1])
+    sys.path[:0] = sys.argv[2:]
+    import kept_case  # noqa: F401  # before the forks
+
+    from carina.volume import Volume
+
+    volume = Volume(np.load(folder / "ct.npy"), np.load(folder / "lps_from_ijk.npy"))
+    for line in sys.stdin:
+        seed, _, path = line.strip().partition(" ")
+        child = os.fork()
+        if child == 0:
+            out = os.dup(1)
+
+            def say(words: str, out: int = out) -> None:
+                os.write(out, f"{words}\n".encode())
+
+            say(f"pid {os.getpid()}")
+            try:
+                work(int(seed), Path(path), volume, say)
+            except BaseException as trouble:  # whatever it is, the test must hear of it
+                say(f"failed {type(trouble).__name__} {trouble}")
+            os._exit(0)
+        os.waitpid(child, 0)
+        print("gone", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,194 @@
+"""Programs are killed, disks are full and the power fails: what was saved is there, whole."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import crashing_writer
+import numpy as np
+import pytest
+from kept_case import Doing, act, assert_same_moment, source_of
+
+from carina.case import CaseFile, CaseFileError
+from carina.errors import DiskError
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture
+def doing():
+    doing = Doing()
+    rng = np.random.default_rng(21)
+    for name in ("target", "cut", "key"):
+        act(doing, name, lambda n: int(rng.integers(n)))
+    return doing
+
+
+@pytest.fixture
+def begun(doing, tmp_path):
+    with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
+        file.save(doing.moment())
+    return tmp_path / "one.carina"
+
+
+class Killing:
+    """Kills a writer in the midst of its work, again and again."""
+
+    def __init__(self, doing, folder):
+        self.doing, self.path = doing, folder / "one.carina"
+        np.save(folder / "ct.npy", doing.case.volume.hu_zyx)
+        np.save(folder / "lps_from_ijk.npy", doing.case.volume.lps_from_ijk)
+        paths = [str(HERE), str(HERE.parent / "track"), str(HERE.parent)]
+        self.process = subprocess.Popen(
+            [sys.executable, str(HERE / "crashing_writer.py"), str(folder), *paths],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def kill_once(self, seed, last):
+        """Kill it when it says a line; the moment before it began, and the number of acts that must be there."""
+        with CaseFile.open(self.path, read_only=True) as file:
+            before = file.load(self.doing.case.volume)
+        self.process.stdin.write(f"{seed} {self.path}\n")
+        self.process.stdin.flush()
+        pid, saved, saving = None, 0, 0
+        for line in self.process.stdout:
+            what, _, rest = line.strip().partition(" ")
+            assert what != "failed", rest
+            if what == "gone":
+                break
+            if what == "pid":
+                pid = int(rest)
+            elif what == "saved":
+                saved = int(rest)
+            else:
+                saving = int(rest)
+            if pid is not None and what != "pid" and f"{what} {rest}" == last:
+                os.kill(pid, signal.SIGKILL)
+        return before, saved, saving
+
+    def check(self, before, seed, saved, saving):
+        """It opens, holds all that was said to be saved and nothing that was not done, and can be written to."""
+        with CaseFile.open(self.path) as file:
+            found = file.load(self.doing.case.volume)
+            done = found.numbers.get("acts", 0)
+            assert saved <= done <= saving
+            again = Doing.of(before, self.doing.case)
+            acts = crashing_writer.acts_of(seed)
+            for n in range(done):
+                name, number = next(acts)
+                act(again, name, number)
+                again.numbers["acts"] = n + 1
+            assert_same_moment(found, again.moment(), self.doing.case, deep=False)
+            again.numbers["acts"] = 0
+            file.save(again.moment())
+        assert not list(self.path.parent.glob("*.carina-*"))
+
+    def end(self):
+        self.process.stdin.close()
+        self.process.wait()
+        self.process.stdout.close()
+
+
+def kill_often(doing, begun, times):
+    killing = Killing(doing, begun.parent)
+    rng = np.random.default_rng(5)
+    try:
+        for seed in range(times):
+            last = f"{('saving', 'saved')[rng.integers(2)]} {rng.integers(1, 12)}"
+            before, saved, saving = killing.kill_once(seed, last)
+            killing.check(before, seed, saved, saving)
+    finally:
+        killing.end()
+    named = begun.with_name("named.carina")
+    if named.exists():
+        with CaseFile.open(named, read_only=True) as copy:
+            copy.load(doing.case.volume)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+def test_a_writer_that_is_killed_a_dozen_times_loses_nothing_that_was_saved(doing, begun):
+    kill_often(doing, begun, 12)
+
+
+@pytest.mark.soak
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+def test_a_writer_that_is_killed_two_hundred_times_loses_nothing_that_was_saved(doing, begun):
+    kill_often(doing, begun, 200)
+
+
+def test_a_power_cut_at_any_byte_of_the_journal_leaves_a_moment_that_was_saved(doing, begun, tmp_path):
+    rng = np.random.default_rng(8)
+    moments = [doing.moment()]
+    with CaseFile.open(begun) as file:
+        file.load(doing.case.volume)
+        whole = begun.read_bytes()
+        lengths = []
+        for name in ("key", "look", "rename", "undo"):
+            act(doing, name, lambda n: int(rng.integers(n)))
+            file.save(doing.moment())
+            moments.append(doing.moment())
+            lengths.append(begun.with_name("one.carina-wal").stat().st_size)
+        journal = begun.with_name("one.carina-wal").read_bytes()
+        assert begun.read_bytes() == whole, "all of it is still in the journal"
+    taken = tmp_path / "taken.carina"
+    for cut in [0, 31, *rng.integers(0, len(journal), 20), *lengths]:
+        taken.write_bytes(whole)
+        # What was not written down yet is anything.
+        rest = bytes(rng.integers(0, 256, 5000, dtype=np.uint8))
+        taken.with_name("taken.carina-wal").write_bytes(journal[:cut] + rest)
+        with CaseFile.open(taken) as file:
+            found = file.load(doing.case.volume)
+        expected = moments[sum(length <= cut for length in lengths)]
+        assert_same_moment(found, expected, doing.case, deep=False)
+
+
+def test_a_full_disk_is_said_and_what_was_saved_before_stays(doing, begun, tmp_path):
+    import resource
+
+    rng = np.random.default_rng(9)
+    before = doing.moment()
+    with CaseFile.open(begun) as file:
+        file.load(doing.case.volume)
+        file.save(before)
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        for name in ("paint", "target", "key"):
+            act(doing, name, lambda n: int(rng.integers(n)))
+        journal = begun.with_name("one.carina-wal")
+        resource.setrlimit(resource.RLIMIT_FSIZE, (journal.stat().st_size + 6000, limits[1]))
+        try:
+            for _ in range(3):
+                with pytest.raises(DiskError) as trouble:
+                    file.save(doing.moment())
+                assert trouble.value.code in {"disk.full", "disk.failed"}
+            with pytest.raises(DiskError):
+                file.write_copy(tmp_path / "copy.carina")
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert not (tmp_path / "copy.carina").exists()
+        with CaseFile.open(begun, read_only=True) as seen:
+            assert_same_moment(seen.load(doing.case.volume), before, doing.case, deep=False)
+        # There is room again.
+        file.save(doing.moment())
+    with CaseFile.open(begun) as file:
+        assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
+
+
+def test_a_file_that_is_not_to_be_written_is_said_to_be(doing, begun):
+    begun.chmod(0o400)
+    with CaseFile.open(begun, read_only=True) as file:
+        file.load(doing.case.volume)
+        with pytest.raises(CaseFileError, match="opened for reading"):
+            file.set_extra("plan", ())
+    if os.geteuid() != 0:
+        with pytest.raises(DiskError):
+            CaseFile.open(begun)
+    shutil.rmtree(begun.parent)
+    with pytest.raises(DiskError, match="no such folder"):
+        CaseFile.open(begun)

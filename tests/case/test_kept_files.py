@@ -1,0 +1,70 @@
+"""Case files of each schema open for ever, with what was in them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from edit_case import edit_case
+from kept_case import whole
+
+from carina.case import CaseFile
+from carina.track import CutBranch, edit_airways
+
+KEPT = Path(__file__).parent / "kept"
+NAMES = sorted(path.stem for path in KEPT.glob("*.carina"))
+
+
+def told(path, volume):
+    """What is in a case file, in numbers that a change of the code must not change."""
+    with CaseFile.open(path, read_only=True) as file:
+        moment = file.load(volume)
+        history = file.history()
+        recordings = [(r.name, r.length_s, r.complete) for r in file.recordings()]
+        extra = file.extra("plan")
+    documents = moment.history().documents()
+    rows = []
+    for document in documents:
+        airways = whole(document.airways, edit_case())
+        route = document.route
+        rows.append(
+            {
+                "branches": [
+                    [b.id, b.parent, b.generation, b.name, round(b.length_mm, 9)] for b in airways.tree.branches
+                ],
+                "lumen_voxels": int(np.count_nonzero(airways.lumen_zyx)),
+                "edits": len(airways.edits),
+                "route": None if route is None else [route.route_id, round(route.length_mm, 9), len(route.spans)],
+                "targets": [[t.target_id, t.name, list(t.lps), t.length_mm, t.problem] for t in document.targets],
+                "keys": [[k.key_id, k.pose.lps_from_camera.tolist()] for k in document.keys.frames],
+                "look": [document.look.fov_deg, document.transfer.name],
+            }
+        )
+    found = {
+        "steps": [[s.label, s.command, s.at_s, s.holds] for s in history],
+        "position": moment.position,
+        "tip": moment.tip,
+        "numbers": moment.numbers,
+        "documents": rows,
+        "recordings": recordings,
+        "extra": extra,
+    }
+    return json.loads(json.dumps(found))
+
+
+def test_a_file_of_each_schema_is_kept():
+    assert NAMES == ["schema-1"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_kept_case_opens_with_all_that_was_in_it(name, tmp_path):
+    path = shutil.copy(KEPT / f"{name}.carina", tmp_path / "kept.carina")
+    case = edit_case()
+    assert told(path, case.volume) == json.loads((KEPT / f"{name}.json").read_text())
+    with CaseFile.open(path) as file:
+        airways = whole(file.load(case.volume).history().current.airways, case)
+    tip = airways.tree.tips()[0]
+    assert tip.id not in {b.id for b in edit_airways(case.volume, airways, CutBranch(tip.id)).tree.branches}

@@ -1,0 +1,316 @@
+"""A case file from anywhere: what is not exactly ours is refused in words, and nothing of it is run or replayed."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import sqlite3
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from kept_case import Doing, act, assert_same_moment, source_of, whole
+
+from carina.case import CaseFile, CaseFileError, migrate, rescued, schema
+from carina.errors import CarinaError
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A case with a little of everything, and its file."""
+    path = tmp_path_factory.mktemp("made") / "one.carina"
+    doing = Doing()
+    rng = np.random.default_rng(11)
+    with CaseFile.create(path, source_of(doing.case)) as file:
+        for name in ("target", "cut", "key", "paint", "look", "undo"):
+            act(doing, name, lambda n: int(rng.integers(n)))
+            file.save(doing.moment())
+        with file.record("flight", begun_s=1.0) as recording:
+            recording.write('{"format":"carina-recording","version":1}\n{"t":0.5,"view":{}}\n{"end":0.5}\n')
+    return doing, path
+
+
+@pytest.fixture
+def stranger(made, tmp_path):
+    """A copy to be spoiled."""
+    return shutil.copy(made[1], tmp_path / "stranger.carina")
+
+
+def changed(path, *statements):
+    connection = sqlite3.connect(path, isolation_level=None)
+    for statement in statements:
+        connection.execute(*(statement if isinstance(statement, tuple) else (statement,)))
+    connection.close()
+
+
+def looked_through(path, doing):
+    """All that opening, loading and undo can come to."""
+    with CaseFile.open(path, read_only=True) as file:
+        file.history()
+        moment = file.load(doing.case.volume)
+        for document in moment.history().documents():
+            if document.airways is not None:
+                whole(document.airways, doing.case)
+            for route in (document.route, *(target.route for target in document.targets)):
+                if route is not None:
+                    _ = route.frames
+        for facts in file.recordings():
+            file.recording(facts.recording_id)
+
+
+# ------------------------------------------------------------ tables
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "CREATE VIEW more AS SELECT * FROM step",
+        "CREATE TRIGGER more AFTER INSERT ON step BEGIN DELETE FROM moment; END",
+        "CREATE TABLE more (id INTEGER PRIMARY KEY, twice INTEGER GENERATED ALWAYS AS (id * 2) VIRTUAL) STRICT",
+        "CREATE VIRTUAL TABLE more USING fts5(words)",
+        "CREATE INDEX more ON step (label)",
+        "CREATE TABLE more (id INTEGER PRIMARY KEY) STRICT",
+        "DROP TABLE extra",
+        "ALTER TABLE step ADD COLUMN more TEXT",
+        "ALTER TABLE step RENAME COLUMN label TO words",
+    ],
+)
+@pytest.mark.parametrize("read_only", [True, False])
+def test_tables_that_are_not_exactly_ours_are_refused(stranger, statement, read_only):
+    changed(stranger, statement)
+    before = stranger.read_bytes()
+    with pytest.raises(CaseFileError, match="its tables differ") as refusal:
+        CaseFile.open(stranger, read_only=read_only)
+    assert refusal.value.code == "case.damaged"
+    assert stranger.read_bytes() == before
+
+
+def test_what_is_no_case_is_said_to_be_none(tmp_path):
+    for name, content in (("empty", b""), ("text", b"a letter" * 100), ("header", b"SQLite format 3\x00" + bytes(84))):
+        path = tmp_path / f"{name}.carina"
+        path.write_bytes(content)
+        with pytest.raises(CaseFileError, match=r"not a case|damaged"):
+            CaseFile.open(path)
+    other = tmp_path / "other.carina"
+    changed(other, "CREATE TABLE notes (words TEXT)")
+    with pytest.raises(CaseFileError, match="not a case") as refusal:
+        CaseFile.open(other)
+    assert refusal.value.code == "case.not-a-case"
+    with pytest.raises(CarinaError, match="no such folder"):
+        CaseFile.open(tmp_path / "missing.carina")
+
+
+def test_a_newer_carinas_case_is_shown_and_not_changed(made, stranger):
+    changed(
+        stranger, "CREATE TABLE scores (id INTEGER PRIMARY KEY, json TEXT NOT NULL) STRICT", "PRAGMA user_version=2"
+    )
+    before = stranger.read_bytes()
+    with CaseFile.open(stranger) as file:
+        assert file.read_only
+        assert file.note.startswith("a newer Carina saved this case")
+        assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
+    assert stranger.read_bytes() == before
+    changed(stranger, "CREATE VIEW more AS SELECT 1")
+    with pytest.raises(CaseFileError, match="update Carina"):
+        CaseFile.open(stranger, read_only=True)
+
+
+def test_an_older_carinas_case_is_migrated_in_a_copy(made, stranger, monkeypatch, tmp_path):
+    changed(stranger, "ALTER TABLE extra RENAME TO more", "PRAGMA user_version=0")
+    with pytest.raises(CaseFileError, match="its tables differ"):
+        CaseFile.open(stranger)
+    rename = "ALTER TABLE more RENAME TO extra"
+    again = f"CREATE TABLE again {schema.TABLES['extra'].partition('extra ')[2]}"
+
+    def migration(connection):
+        connection.execute(rename)
+        connection.execute("DROP TABLE extra")
+        connection.execute(again.replace("again", "extra"))
+
+    monkeypatch.setitem(schema.MIGRATIONS, 0, migration)
+    before = stranger.read_bytes()
+    with pytest.raises(CaseFileError, match="an older Carina saved it") as refusal:
+        CaseFile.open(stranger)
+    assert refusal.value.code == "case.older"
+    migrate(stranger, tmp_path / "now.carina")
+    assert stranger.read_bytes() == before
+    with CaseFile.open(tmp_path / "now.carina") as file:
+        assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
+
+
+# ------------------------------------------------------------ journals
+
+
+def test_a_journal_beside_a_case_that_is_only_read_is_replayed_in_a_copy(made, tmp_path):
+    live = tmp_path / "live.carina"
+    doing = made[0]
+    with CaseFile.create(live, source_of(doing.case)) as file:
+        file.save(doing.moment())
+        names = sorted(p.name for p in tmp_path.iterdir())
+        assert names == ["live.carina", "live.carina-shm", "live.carina-wal"]
+        taken = tmp_path / "taken"
+        taken.mkdir()
+        for name in names[::2]:
+            shutil.copy(tmp_path / name, taken / name)
+    before = {p.name: p.read_bytes() for p in taken.iterdir()}
+    with CaseFile.open(taken / "live.carina", read_only=True) as file:
+        assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
+        assert {p.name: p.read_bytes() for p in taken.iterdir()} == before
+    # To be written, it goes on from there.
+    with CaseFile.open(taken / "live.carina") as file:
+        assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
+    assert [p.name for p in taken.iterdir()] == ["live.carina"]
+
+
+def test_a_spoilt_journal_loses_what_it_held_and_nothing_more(made, tmp_path):
+    doing = made[0]
+    live, taken = tmp_path / "live.carina", tmp_path / "taken.carina"
+    with CaseFile.create(live, source_of(doing.case)) as file:
+        file.save(doing.moment())
+    with CaseFile.open(live) as file:
+        file.load(doing.case.volume)
+        file.set_extra("plan", ("later",))
+        shutil.copy(live, taken)
+        journal = bytearray(live.with_name("live.carina-wal").read_bytes())
+        journal[60] ^= 0xFF
+        taken.with_name("taken.carina-wal").write_bytes(journal)
+    with CaseFile.open(taken) as file:
+        assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
+        assert file.extra("plan") == ()
+
+
+# ------------------------------------------------------------ content
+
+
+@pytest.mark.parametrize(
+    ("statement", "where"),
+    [
+        (("UPDATE array SET data = ?", (b"\x00" * 40,)), "array"),
+        ("UPDATE array SET count = 8388608", "array"),
+        ("UPDATE array SET count = 4611686018427387904", "array"),
+        ("UPDATE array SET count = -1", "array"),
+        ("UPDATE array SET dtype = 'f4'", "array"),
+        ("UPDATE array SET width = 16", "array"),
+        ("DELETE FROM tile", "tile"),
+        ("UPDATE tree SET size = 67108864", "tree"),
+        ("UPDATE tree SET num_branches = 2000000000", "tree"),
+        ("UPDATE tree SET branches = x''", "tree"),
+        ("UPDATE lumen SET num_tiles = 2000000000", "lumen"),
+        ("UPDATE lumen SET nx = 60000", "lumen"),
+        ("UPDATE tracker SET root_i = -1", "tracker"),
+        ("UPDATE airways SET base = id", "airways"),
+        ("UPDATE value SET json = '{' WHERE kind = 'transfer'", "value"),
+        ("UPDATE value SET json = replace(json, '1', '1e999')", "value"),
+        ("UPDATE route SET facts = ''", "route"),
+        ("UPDATE document SET airways = 4000000", "document"),
+        ("UPDATE step SET document = 4000000", "document 4000000"),
+        ("UPDATE step SET n = n + 5 WHERE n = 3", "the steps"),
+        ("DELETE FROM step", "the steps"),
+        ("UPDATE step SET command = '[1]'", "step"),
+        ("UPDATE moment SET position = 99", "the place in the history"),
+        ("UPDATE moment SET facts = replace(facts, 'sight', 'sigh')", "the moment"),
+        ("UPDATE source SET nz = 65536", "the source"),
+        ("UPDATE source SET lps_from_ijk = zeroblob(128)", "the source"),
+        ("UPDATE source SET path = '/etc/passwd'", "the source"),
+        ("UPDATE recording_chunk SET size = 1000000000", "recording"),
+        ("UPDATE recording_chunk SET n = 7", "recording"),
+    ],
+)
+def test_content_that_is_not_what_was_saved_is_named(made, stranger, statement, where):
+    changed(stranger, "PRAGMA foreign_keys=OFF", statement)
+    with pytest.raises(CaseFileError, match=where) as refusal:
+        looked_through(stranger, made[0])
+    assert refusal.value.code == "case.damaged"
+    assert "expected" in str(refusal.value)
+
+
+def test_a_deflated_piece_that_would_fill_the_memory_is_refused_before_it_does(made, stranger):
+    bomb = zlib.compress(bytes(60 << 20), 9)
+    changed(stranger, "PRAGMA foreign_keys=OFF", ("UPDATE array SET count = 7864320, width = 0, data = ?", (bomb,)))
+    with pytest.raises(CaseFileError, match=r"expected what was saved|f8"):
+        looked_through(stranger, made[0])
+    changed(stranger, ("UPDATE tile SET data = ?", (bomb,)))
+    with pytest.raises(CaseFileError, match="expected"):
+        looked_through(stranger, made[0])
+
+
+def _spoilt(path, made, draw):
+    content = bytearray(made[1].read_bytes())
+    for place, value in draw["flips"]:
+        content[place % len(content)] ^= value
+    if draw["cut"] is not None:
+        del content[draw["cut"] % len(content) :]
+    path.write_bytes(content)
+
+
+spoils = st.fixed_dictionaries(
+    {
+        "flips": st.lists(st.tuples(st.integers(0, 2**24), st.integers(1, 255)), max_size=6),
+        "cut": st.one_of(st.none(), st.none(), st.integers(0, 2**24)),
+    }
+)
+
+
+def spoil(made, tmp_path_factory, draw):
+    """A spoilt file is refused in words or is whole; it is never touched; what is rescued of it opens."""
+    doing = made[0]
+    folder = tmp_path_factory.mktemp("spoilt")
+    path = folder / "spoilt.carina"
+    _spoilt(path, made, draw)
+    before = path.read_bytes()
+    with contextlib.suppress(CarinaError):
+        looked_through(path, doing)
+    with contextlib.suppress(CaseFileError):
+        rescued(path, folder / "rescued.carina")
+    if (folder / "rescued.carina").exists():
+        looked_through(folder / "rescued.carina", doing)
+    assert path.read_bytes() == before
+    shutil.rmtree(folder)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@given(draw=spoils)
+def test_bits_that_flip_and_files_that_are_cut_end_in_words(made, tmp_path_factory, draw):
+    spoil(made, tmp_path_factory, draw)
+
+
+@pytest.mark.soak
+@settings(max_examples=2000, deadline=None, suppress_health_check=list(HealthCheck))
+@given(draw=spoils)
+def test_bits_that_flip_and_files_that_are_cut_end_in_words_thousands_of_times(made, tmp_path_factory, draw):
+    spoil(made, tmp_path_factory, draw)
+
+
+# ------------------------------------------------------------ rescue
+
+
+def test_a_whole_case_is_rescued_whole(made, stranger, tmp_path):
+    assert rescued(stranger, tmp_path / "rescued.carina") == ()
+    with CaseFile.open(tmp_path / "rescued.carina") as file:
+        assert_same_moment(file.load(made[0].case.volume), made[0].moment(), made[0].case)
+        assert file.recordings()[0].name == "flight"
+
+
+def test_what_was_lost_is_listed_and_the_rest_is_rescued(made, stranger, tmp_path):
+    doing = made[0]
+    changed(
+        stranger,
+        "PRAGMA foreign_keys=OFF",
+        "UPDATE airways SET facts = '{}' WHERE id = (SELECT max(id) FROM airways)",
+        "UPDATE route SET facts = '{}' WHERE id = (SELECT max(id) FROM route)",
+        "DELETE FROM moment",
+        "DELETE FROM recording_chunk",
+    )
+    lost = rescued(stranger, tmp_path / "rescued.carina")
+    assert "what was shown, and where the tip was" in lost
+    assert any("the airways" in line for line in lost), lost
+    with CaseFile.open(tmp_path / "rescued.carina") as file:
+        moment = file.load(doing.case.volume)
+        assert [s.label for s in moment.steps] == [s.label for s in doing.history.steps]
+        documents = list(zip(moment.history().documents(), doing.history.documents(), strict=True))
+        assert any(found.airways is None for found, _ in documents)
+        for found, expected in documents:
+            assert [t.lps for t in found.targets] == [t.lps for t in expected.targets]
+            assert [k.key_id for k in found.keys.frames] == [k.key_id for k in expected.keys.frames]
