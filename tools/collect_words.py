@@ -33,6 +33,7 @@ PROGRAMS = {f"python/carina/server/{name}_types.py" for name in ("export", "view
 MARKUP = re.compile(
     r"<[A-Za-z!?/][^>]*=|<Piece |\bxmlns=|;base64,|[a-z-]+: [^ ]+; |[{.][\w-]+ \{|'none';|px \{FONT\}|system-ui|_core\b"
     r"|\.react-aria-|^M\{|^#[0-9a-f]{6}$|; HttpOnly|max-age=|filename="
+    r"|^(INSERT|UPDATE|SELECT|DELETE|CREATE|PRAGMA|ATTACH|WITH) "
     r"|^(comment|property|element|format|NRRD0004|attachment|// |/\*\* |export )"
 )
 """Strings that look like words and are markup, headers of files or types."""

@@ -186,7 +186,10 @@ class CaseFile:
                 undo.pop_all()
                 note = None
                 if standing == "newer":
-                    note = "a newer Carina saved this case: it can be looked at here, and changed with that version"
+                    note = (
+                        "a newer version of Carina saved this case: it can be viewed here, but changed only with "
+                        "that version"
+                    )
                 return cls(place, connection, read_only=True, note=note, scratch=scratch)
         with told(place):
             connection = connected(place, "rw")

@@ -55,9 +55,9 @@ function Where({ saving }: { saving: SavingInfo }) {
       }}
     >
       <p>
-        Carina saves what you do on this machine as you work. Here you can also write it as one file, to move it to
-        another machine or to hand it on. The file contains the airways, targets, key frames and history, but not the
-        CT, a name or a date.
+        Carina saves your work on this machine as you go. Here you can also save it as one file, to move it to another
+        machine or to share it. The file contains the airways, targets, key frames and history, but not the CT, a name
+        or a date.
       </p>
       <TextField value={path} onChange={setPath} autoFocus>
         <Label>Folder and name, on this machine</Label>
