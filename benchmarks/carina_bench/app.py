@@ -117,6 +117,23 @@ def bench_track(
         raise SystemExit(report(folder=output, only=only or [], cases=case or [], quick=quick, as_json=as_json))
 
 
+@bench.command("open")
+def bench_open(
+    output: BenchFolder = Path("carina-bench"), quick: BenchQuick = False, as_json: JsonOption = False
+) -> None:
+    """A CT of 512x512x600 from DICOM slices and NIfTI files beside the same CT from the cache, in turn.
+
+    Needs no extra. A missed limit is a result and no failure: the exit code is 0.
+
+    Example: carina bench open --quick
+    """
+    with exit_codes(as_json):
+        from carina_bench.opening import report
+
+        check_output_folder(output)
+        raise SystemExit(report(folder=output, quick=quick, as_json=as_json))
+
+
 @bench.command("stream")
 def bench_stream(
     output: BenchFolder = Path("carina-bench"),

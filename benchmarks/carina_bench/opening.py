@@ -1,0 +1,194 @@
+"""``carina bench open``: a CT from its files beside the same CT from the cache."""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, generate_uid
+
+from carina.cli.console import print_json, progress_printer, say
+from carina.disk import make_folder, write_whole
+from carina.errors import CarinaError
+from carina.phantom import generate_phantom
+from carina.volume import CtSource, Volume, VolumeCache, ct_digest, open_volume, quality_gate, write_grid
+from carina_bench.clock import median_ratio, take_turns
+from carina_bench.gates import Gate
+from carina_bench.machine import load_average, machine_facts
+from carina_bench.worker import run_section
+
+__all__ = ["measure", "report"]
+
+BOX_LPS = ((-179.2, -181.2, -189.5), (178.6, 176.6, 110.0))
+WHOLE_MM, QUICK_MM = (0.7, 0.7, 0.5), (1.4, 1.4, 1.0)
+"""Spacings at which the box has 512 x 512 x 600, and half as many voxels on each axis."""
+CACHED, MAPPED, PLAIN = "from the cache", "mapped and touched", "read without a check"
+FIRST_LOOK = "digest, range and quality"
+WARM_MS = 350.0
+
+
+def report(*, folder: Path, quick: bool, as_json: bool) -> int:
+    """Measure, print, and write ``open.json``; always 0 when it could be measured: a missed limit is a result."""
+    make_folder(folder, what="the measurements")
+    facts = machine_facts()
+    say(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']}")
+    row = run_section("opening:measure", {"spacing_mm": QUICK_MM if quick else WHOLE_MM, "repeats": 3 if quick else 5})
+    gates = _gates(row)
+    document = {
+        "benchmark": "open",
+        "version": 1,
+        "quick": quick,
+        "machine": {**facts, "load_average_after": load_average()},
+        "row": row,
+        "gates": [gate.to_json() for gate in gates],
+    }
+    text = json.dumps(document, allow_nan=False, ensure_ascii=False, indent=1) + "\n"
+    write_whole(folder / "open.json", text.encode(), what="the measurements")
+    if as_json:
+        print_json(document)
+        return 0
+    print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average']} to {load_average()}")
+    print("\n".join([*_words(row), *(gate.line() for gate in gates)]))
+    return 0
+
+
+def measure(request: dict[str, Any]) -> dict[str, Any]:
+    """A synthetic chest as DICOM slices, as NIfTI packed and plain, and from the cache: in turn, all files in memory.
+
+    Nothing of it is kept. What :func:`open_volume` gives and what the cache gives are compared, voxel by voxel.
+    """
+    phantom = generate_phantom(spacing_mm=request["spacing_mm"], box_lps=BOX_LPS, progress=progress_printer())
+    volume = phantom.volume
+    say(f"{volume!r}")
+    with tempfile.TemporaryDirectory(prefix="carina-bench-") as scratch:
+        place = Path(scratch)
+        say("writing it as DICOM, NIfTI and into the cache")
+        slices = _write_slices(volume, place / "slices")
+        packed = write_grid(place / "ct.nii.gz", volume.hu_zyx, volume.lps_from_ijk, what="the CT", level=1)
+        plain = write_grid(place / "ct.nii", volume.hu_zyx, volume.lps_from_ijk, what="the CT")
+        # The clock is ahead: files that were written a moment ago are not kept.
+        cache = VolumeCache(place / "cache", max_bytes=1 << 40, clock=lambda: time.time() + 60.0)
+        opened = open_volume(slices)
+        source = CtSource.of(slices)
+        keeping_s = time.perf_counter()
+        if source is None or not cache.put(opened, source):
+            raise CarinaError("the cache did not keep the CT", code="machine.benchmark")
+        keeping_s = time.perf_counter() - keeping_s
+        (voxels,) = (place / "cache").glob("*.voxels")
+
+        def from_cache() -> Volume:
+            found = cache.get(slices)
+            if found is None:
+                raise CarinaError("the cache did not give the CT back", code="machine.benchmark")
+            return found
+
+        equal = bool(np.array_equal(from_cache().hu_zyx, opened.hu_zyx))
+        functions: dict[str, Callable[[], object]] = {
+            "DICOM slices": lambda: open_volume(slices),
+            "NIfTI, packed": lambda: open_volume(packed),
+            "NIfTI": lambda: open_volume(plain),
+            CACHED: from_cache,
+            PLAIN: lambda: _read(voxels, volume.shape_zyx),
+            MAPPED: lambda: Volume(_mapped(voxels, volume.shape_zyx), volume.lps_from_ijk).value_range,
+            FIRST_LOOK: lambda: _look(volume),
+        }
+        times = take_turns(functions, request["repeats"])
+        cold_ms = [_cold_ms(voxels, from_cache) for _ in range(request["repeats"])]
+    return {
+        "shape_zyx": list(volume.shape_zyx),
+        "volume_bytes": volume.hu_zyx.nbytes,
+        "equal": equal,
+        "cpu_and_wall_ms": {name: taken.to_json() for name, taken in times.items()},
+        "ratio": {name: round(median_ratio(times[name], times[CACHED]), 2) for name in functions},
+        "keeping_s": round(keeping_s, 3),
+        "cache_not_in_memory_ms": None if None in cold_ms else round(statistics.median(filter(None, cold_ms)), 1),
+        "load_average": load_average(),
+    }
+
+
+def _look(volume: Volume) -> object:
+    """What is found of a volume that comes from its files; as it comes from them, so without what is known of it."""
+    fresh = Volume(volume.hu_zyx, volume.lps_from_ijk)
+    return fresh.value_range, quality_gate(fresh), ct_digest(fresh)
+
+
+def _read(voxels: Path, shape_zyx: tuple[int, int, int]) -> object:
+    out = np.empty(shape_zyx, dtype=np.int16)
+    with voxels.open("rb", buffering=0) as file:
+        file.seek(-out.nbytes, os.SEEK_END)
+        file.readinto(out.reshape(-1).view(np.uint8).data)
+    return out
+
+
+def _mapped(voxels: Path, shape_zyx: tuple[int, int, int]) -> np.ndarray[Any, np.dtype[np.int16]]:
+    begin = voxels.stat().st_size - 2 * int(np.prod(shape_zyx))
+    return np.memmap(voxels, dtype=np.int16, mode="r", offset=begin, shape=shape_zyx)
+
+
+def _cold_ms(voxels: Path, from_cache: Callable[[], Volume]) -> float | None:
+    """From a file that the system was asked to drop from memory; None where it cannot be asked."""
+    if not hasattr(os, "posix_fadvise"):
+        return None
+    with voxels.open("rb") as file:
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+    began_s = time.perf_counter()
+    from_cache()
+    return 1000 * (time.perf_counter() - began_s)
+
+
+def _write_slices(volume: Volume, folder: Path) -> Path:
+    """A series as a scanner writes it: a file a slice, not compressed."""
+    folder.mkdir()
+    series_uid, study_uid, frame_uid = generate_uid(), generate_uid(), generate_uid()
+    step, spacing = volume.lps_from_ijk, volume.spacing_mm
+    for index, values in enumerate(volume.hu_zyx):
+        dataset = Dataset()
+        dataset.file_meta = FileMetaDataset()
+        dataset.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+        dataset.file_meta.MediaStorageSOPClassUID = dataset.SOPClassUID = CTImageStorage
+        dataset.SOPInstanceUID = dataset.file_meta.MediaStorageSOPInstanceUID = generate_uid()
+        dataset.ImageType = ["ORIGINAL", "PRIMARY", "AXIAL"]
+        dataset.Modality, dataset.SeriesDescription, dataset.SeriesNumber = "CT", "Synthetic chest", 1
+        dataset.StudyInstanceUID, dataset.SeriesInstanceUID = study_uid, series_uid
+        dataset.FrameOfReferenceUID = frame_uid
+        dataset.Rows, dataset.Columns = values.shape
+        dataset.PixelSpacing = [round(spacing[1], 6), round(spacing[0], 6)]
+        dataset.ImageOrientationPatient = [1, 0, 0, 0, 1, 0]
+        dataset.ImagePositionPatient = [round(float(v), 6) for v in step[:3, 3] + index * step[:3, 2]]
+        dataset.SamplesPerPixel, dataset.PhotometricInterpretation = 1, "MONOCHROME2"
+        dataset.BitsAllocated, dataset.BitsStored, dataset.HighBit, dataset.PixelRepresentation = 16, 16, 15, 1
+        dataset.RescaleSlope, dataset.RescaleIntercept = 1, 0
+        dataset.PixelData = values.astype("<i2").tobytes()
+        dataset["PixelData"].VR = "OW"
+        dataset.save_as(folder / f"IM{index:04d}", enforce_file_format=True)
+    return folder
+
+
+def _gates(row: dict[str, Any]) -> list[Gate]:
+    taken = row["cpu_and_wall_ms"][CACHED]
+    note = f"by the clock {taken['wall_median']:.0f}, least {taken['wall_min']:.0f}, at load {row['load_average']}"
+    return [
+        Gate("the cache gives the same voxels (1 is yes)", float(row["equal"]), 1.0),
+        # What one core would take that nobody else wants; by the clock a busy machine takes several times as long.
+        Gate("a CT from the cache, in memory (CPU time, ms)", taken["median"], WARM_MS, "lower", note=note),
+        Gate("the cache over DICOM slices, CPU time", row["ratio"]["DICOM slices"], 5.0, aim=True),
+    ]
+
+
+def _words(row: dict[str, Any]) -> list[str]:
+    nz, ny, nx = row["shape_zyx"]
+    lines = [f"{nx} x {ny} x {nz}; CPU time of all threads in ms, by the clock, and over the cache's (CPU)"]
+    for name, taken in row["cpu_and_wall_ms"].items():
+        lines.append(f"  {name:26} {taken['median']:8.0f} {taken['wall_median']:8.0f} {row['ratio'][name]:8.2f}")
+    lines.append(f"  keeping it took {row['keeping_s']:.1f} s, quality and digest included")
+    if row["cache_not_in_memory_ms"] is not None:
+        lines.append(f"  from the cache, its file not in memory: {row['cache_not_in_memory_ms']:.0f} ms by the clock")
+    return lines
