@@ -15,7 +15,7 @@ from carina.case.packing import as_checked_json, from_json
 from carina.case.trouble import damaged
 from carina.display import one_line
 from carina.errors import UsageError
-from carina.volume import Volume
+from carina.volume import Geometry, Volume
 
 __all__ = ["SourceFacts", "Turn", "grid_words", "read_source", "turn_between", "write_source"]
 
@@ -26,14 +26,11 @@ MAX_PATH_CHARS: Final = 4096
 
 @one_line
 @dataclass(frozen=True, slots=True, eq=False)
-class SourceFacts:
+class SourceFacts(Geometry):
     """The CT that a case is of; nothing of the patient."""
 
     digest: str
     """Of its voxels (:func:`carina.volume.ct_digest`), hexadecimal."""
-    shape_zyx: tuple[int, int, int]
-    lps_from_ijk: NDArray[np.float64]
-    """4x4."""
     is_hu: bool = True
     path: str | None = None
     """Where it lies, relative to the case file; None where that is not known."""
@@ -52,7 +49,7 @@ class SourceFacts:
         cls, volume: Volume, digest: str, *, path: str | None = None, choices: dict[str, Any] | None = None
     ) -> SourceFacts:
         """Of a volume whose digest is known."""
-        return cls(digest, volume.shape_zyx, volume.lps_from_ijk, volume.is_hu, path, dict(choices or {}))
+        return cls(volume.shape_zyx, volume.lps_from_ijk, digest, volume.is_hu, path, dict(choices or {}))
 
 
 def write_source(connection: sqlite3.Connection, source: SourceFacts) -> None:
@@ -93,7 +90,7 @@ def read_source(connection: sqlite3.Connection) -> SourceFacts:
         raise damaged(where, "a digest, and a relative path", "something else")
     facts = from_json(choices, f.decoders().choices, where)
     try:
-        return SourceFacts(digest, (nz, ny, nx), places, bool(is_hu), path, facts)
+        return SourceFacts((nz, ny, nx), places, digest, bool(is_hu), path, facts)
     except UsageError as trouble:
         raise damaged(where, "a relative path", str(trouble)) from None
 

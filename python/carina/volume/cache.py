@@ -68,9 +68,7 @@ class _Record(msgspec.Struct, frozen=True):
     """What a volume holds beside its voxels, and where it was read from."""
 
     made_by: str
-    digest: str
-    axes: str
-    shape_zyx: tuple[int, int, int]
+    voxels: VoxelName
     lps_from_ijk: tuple[tuple[float, ...], ...]
     is_hu: bool
     not_hu_reason: str | None
@@ -78,10 +76,6 @@ class _Record(msgspec.Struct, frozen=True):
     value_range: tuple[int, int]
     quality: Quality
     source: CtSource
-
-    @property
-    def voxels(self) -> VoxelName:
-        return VoxelName(self.digest, self.axes, self.shape_zyx)
 
 
 @one_line
@@ -111,9 +105,9 @@ class CachedCt:
 
     def __init__(self, cache: VolumeCache, record: _Record) -> None:
         self._cache, self._record = cache, record
-        self.digest = record.digest
+        self.digest = record.voxels.digest
         """See :func:`ct_digest`."""
-        self.shape_zyx = record.shape_zyx
+        self.shape_zyx = record.voxels.shape_zyx
         self.lps_from_ijk: NDArray[np.float64] = np.array(record.lps_from_ijk, dtype=np.float64)
         self.source = record.source
         """The path, and the files as they were."""
@@ -284,7 +278,7 @@ class VolumeCache:
             return None
         newest_first = sorted(self._sources(), key=lambda one: -one[1].st_mtime)
         records = (self._record(path) for path, _ in newest_first)
-        found = (self._cached(record) for record in records if record is not None and record.digest == digest)
+        found = (self._cached(record) for record in records if record is not None and record.voxels.digest == digest)
         return next((cached for cached in found if cached is not None), None)
 
     def get(
@@ -385,7 +379,7 @@ class VolumeCache:
             for path, _ in self._sources():
                 record = self._record(path)
                 # One that cannot be read may be this CT's.
-                if record is None or record.digest == digest:
+                if record is None or record.voxels.digest == digest:
                     freed += _remove(path)
             for path, name, _ in self._voxels():
                 if name.digest == digest:
@@ -558,9 +552,7 @@ def _source_name(path: Path, series: str | None) -> str:
 def _record_of(volume: Volume, source: CtSource) -> _Record:
     return _Record(
         made_by=_made_by(),
-        digest=ct_digest(volume),
-        axes=canonical_axes(volume.lps_from_ijk).letters,
-        shape_zyx=volume.shape_zyx,
+        voxels=VoxelName(ct_digest(volume), canonical_axes(volume.lps_from_ijk).letters, volume.shape_zyx),
         lps_from_ijk=tuple(tuple(row) for row in volume.lps_from_ijk.tolist()),
         is_hu=volume.is_hu,
         not_hu_reason=volume.not_hu_reason,
@@ -582,7 +574,7 @@ def _volume_of(record: _Record, values: NDArray[np.int16]) -> Volume:
     # Known already: to find them again would take longer than reading the voxels.
     object.__setattr__(volume, "_range", record.value_range)
     object.__setattr__(volume, "_quality", record.quality)
-    object.__setattr__(volume, "_digest", record.digest)
+    object.__setattr__(volume, "_digest", record.voxels.digest)
     return volume
 
 
