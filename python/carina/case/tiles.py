@@ -11,8 +11,6 @@ __all__ = ["TILE", "TILE_BYTES", "from_tiles", "to_tiles"]
 
 TILE = 32
 TILE_BYTES = TILE**3 // 8
-# Looked through in words of this many voxels: a lumen is a thousandth of a CT.
-_WORD = 8
 
 
 def grid_of(shape_zyx: tuple[int, int, int]) -> tuple[int, int, int]:
@@ -37,29 +35,38 @@ def to_tiles(lumen_zyx: NDArray[np.uint8]) -> list[tuple[int, bytes]]:
 
 def _with_lumen(layer: NDArray[np.uint8]) -> list[tuple[int, int]]:
     """Tiles of one layer that hold lumen, in order."""
-    plane = np.ascontiguousarray(layer).reshape(len(layer), -1)
-    if plane.shape[1] % _WORD == 0:
-        words = plane.view("<u8")
-        at = np.unique(np.nonzero(words)[1]) * _WORD
-        # A word may lie across two tiles or two rows.
-        at = np.concatenate([at + n for n in range(_WORD)])
-        at = at[(plane[:, at] != 0).any(axis=0)] if len(at) else at
-    else:
-        at = np.flatnonzero((plane != 0).any(axis=0))
-    y, x = np.divmod(at, layer.shape[2])
-    return [(int(a), int(b)) for a, b in np.unique(np.stack([y // TILE, x // TILE], axis=1), axis=0)]
+    seen = np.bitwise_or.reduce(layer, axis=0)
+    if not seen.any():
+        return []
+    _, ny, nx = grid_of(layer.shape)
+    padded = np.zeros((ny * TILE, nx * TILE), dtype=np.uint8)
+    padded[: seen.shape[0], : seen.shape[1]] = seen
+    found = padded.reshape(ny, TILE, nx, TILE).any(axis=(1, 3))
+    return [(int(y), int(x)) for y, x in np.argwhere(found)]
 
 
 def from_tiles(shape_zyx: tuple[int, int, int], tiles: Iterable[tuple[int, bytes]]) -> NDArray[np.uint8]:
-    """The lumen again, 1 inside, read-only; pages of memory without lumen are never touched."""
+    """The lumen again, 1 inside, read-only.
+
+    Raises
+    ------
+    ValueError
+        If a tile holds lumen beyond the volume.
+    """
     lumen = np.zeros(shape_zyx, dtype=np.uint8)
-    _, ny, nx = grid_of(shape_zyx)
+    voxels = lumen.reshape(-1)
+    _, num_y, num_x = grid_of(shape_zyx)
+    nz, ny, nx = shape_zyx
     for place, bits in tiles:
-        z, rest = divmod(place, ny * nx)
-        y, x = divmod(rest, nx)
-        there = lumen[z * TILE : (z + 1) * TILE, y * TILE : (y + 1) * TILE, x * TILE : (x + 1) * TILE]
-        tile = np.unpackbits(np.frombuffer(bits, dtype=np.uint8)).reshape(TILE, TILE, TILE)
-        there[...] = tile[tuple(slice(0, n) for n in there.shape)]
+        at = np.flatnonzero(np.unpackbits(np.frombuffer(bits, dtype=np.uint8)))
+        z, y, x = at // TILE**2, at // TILE % TILE, at % TILE
+        tile_z, rest = divmod(place, num_y * num_x)
+        tile_y, tile_x = divmod(rest, num_x)
+        z, y, x = z + tile_z * TILE, y + tile_y * TILE, x + tile_x * TILE
+        if len(at) and (z[-1] >= nz or y.max() >= ny or x.max() >= nx):
+            raise ValueError("a tile holds lumen beyond the volume")
+        # Only pages of memory that hold lumen are ever touched: what a whole tile lies in is ten times as much.
+        voxels[(z * ny + y) * nx + x] = 1
     lumen.flags.writeable = False
     return lumen
 

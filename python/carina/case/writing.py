@@ -67,6 +67,7 @@ class CaseWriter:
         self._next = {table: 1 + max(ids.values(), default=0) for table, ids in self._ids.items()}
         self._decoders = f.decoders()
         self._weak = _Identities()
+        self._branches: dict[tuple[int, int, int | None], int] = {}
         self._of_last: dict[tuple[str, int], tuple[object, int]] = {}
         self._of_this: dict[tuple[str, int], tuple[object, int]] = {}
         rows = connection.execute("SELECT n, label, command, at_s, document FROM step ORDER BY n").fetchall()
@@ -332,12 +333,13 @@ class CaseWriter:
 
     def _branch(self, branch: Branch) -> int:
         wall = branch.wall_mm
-        values = {
-            "points": self._array(branch.points),
-            "radius": self._array(branch.radius),
-            "wall": None if wall is None else self._array(wall),
-        }
-        return self._put("branch", values)
+        points, radius = self._array(branch.points), self._array(branch.radius)
+        key = (points, radius, None if wall is None else self._array(wall))
+        known = self._branches.get(key)
+        if known is None:
+            values = dict(zip(("points", "radius", "wall"), key, strict=True))
+            known = self._branches[key] = self._put("branch", values)
+        return known
 
     def _lumen(self, lumen_zyx: NDArray[np.uint8]) -> int:
         known = self._weak.find("lumen", lumen_zyx)
