@@ -70,7 +70,7 @@ def _drive(file: Path, home: Path) -> dict[str, Any]:
     # A home of its own: nothing cached, nothing of the person's touched.
     environment = {
         **os.environ,
-        **{f"XDG_{kind}_HOME": str(home / kind.lower()) for kind in ("CONFIG", "STATE", "CACHE")},
+        **{f"XDG_{kind}_HOME": str(home / kind.lower()) for kind in ("CONFIG", "STATE", "CACHE", "DATA")},
     }
     command = [sys.executable, "-m", "carina.cli", "open", str(file), "--no-browser", "--json"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment)

@@ -38,6 +38,10 @@ class Settings:
     measured to be faster than the CPU."""
     config_dir: Path
     """What a person decided (the safety notice, recent cases)."""
+    cases_dir: Path
+    """The cases that a person works on: never swept."""
+    documents_dir: Path
+    """Where a copy of a case is suggested to be."""
     state_dir: Path
     """Work in progress that must outlive a crash (autosaves)."""
     cache_dir: Path
@@ -75,6 +79,8 @@ def load_settings(environ: Mapping[str, str] | None = None) -> Settings:
         data_dir=Path(data_dir).expanduser() if data_dir else None,
         backend=backend,
         config_dir=dirs.user_config_path,
+        cases_dir=dirs.user_data_path / "cases",
+        documents_dir=dirs.user_documents_path,
         state_dir=dirs.user_state_path,
         cache_dir=dirs.user_cache_path,
         volume_cache_bytes=_gigabytes(values.get("CARINA_CACHE_GB", "").strip()),

@@ -11,6 +11,7 @@ import pytest
 from carina.cli import main
 from carina.phantom import write_phantom
 from made import made_phantom
+from own_folders import own_folders
 
 
 @dataclass
@@ -31,8 +32,8 @@ class Ended:
 @pytest.fixture
 def carina(monkeypatch, capfd, tmp_path):
     """Runs ``carina ARGUMENTS``; the person's own folders are temporary."""
-    for name in ("CONFIG", "STATE", "CACHE"):
-        monkeypatch.setenv(f"XDG_{name}_HOME", str(tmp_path / "home" / name.lower()))
+    for name, folder in own_folders(tmp_path / "home").items():
+        monkeypatch.setenv(name, folder)
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["carina", *map(str, arguments)])

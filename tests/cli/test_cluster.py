@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import os
 import signal
 import socket
 import subprocess
@@ -16,6 +15,7 @@ import pytest
 from carina.cli import cluster
 from carina.cluster.node import descendants
 from carina.errors import ClusterError
+from own_folders import environment_in
 
 needs_ray = pytest.mark.skipif(
     not sys.platform.startswith("linux") or importlib.util.find_spec("ray") is None,
@@ -25,8 +25,7 @@ COMMAND = [sys.executable, "-m", "carina.cli"]
 
 
 def _environment(tmp_path) -> dict[str, str]:
-    homes = {name: str(tmp_path / name) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME")}
-    return {**os.environ, **homes, "HOME": str(tmp_path)}
+    return {**environment_in(tmp_path), "HOME": str(tmp_path)}
 
 
 def _run(tmp_path, *arguments: str, timeout: float = 600.0) -> subprocess.CompletedProcess[str]:

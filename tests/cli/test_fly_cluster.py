@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import json
-import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -23,6 +22,7 @@ from carina.navigate.recording import ReplayedPose
 from carina.render import Renderer
 from carina.scopes import Pose
 from carina.volume import Volume
+from own_folders import environment_in
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 needs_ray = pytest.mark.skipif(
@@ -206,11 +206,10 @@ def test_all_that_a_picture_depends_on_tells_one_flight_from_another(ct, monkeyp
 @pytest.mark.ray
 @pytest.mark.slow
 def test_a_flight_on_a_real_cluster_is_that_of_one_machine(ct, keys, tmp_path, whole):
-    homes = {name: str(tmp_path / name) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME", "HOME")}
+    environment = {**environment_in(tmp_path), "HOME": str(tmp_path)}
     output = tmp_path / "ray.mp4"
     command = [sys.executable, "-m", "carina.cli", "fly", str(ct), "--keys", str(keys), "-o", str(output), *HOW]
     command += ["--cluster", "local"]
-    environment = {**os.environ, **homes}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["num_frames"] == 12, "nothing but the result is on standard output"

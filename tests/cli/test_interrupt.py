@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -11,6 +10,7 @@ import sys
 import pytest
 
 from carina.cli.console import interruptible
+from own_folders import environment_in
 
 WAIT_S = 120.0
 """Bound of every wait. One picture below takes minutes: only an answer to Ctrl-C ends within it."""
@@ -27,7 +27,7 @@ def test_ctrl_c_exits_130_and_leaves_no_file(stage, ct, tmp_path):
             "airways segmented",
         ),
     }[stage]
-    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache"), "XDG_CONFIG_HOME": str(tmp_path / "config")}
+    environment = environment_in(tmp_path)
     with subprocess.Popen(
         [sys.executable, "-c", STARTED, *map(str, command), "--json"],
         stdout=subprocess.PIPE,

@@ -21,6 +21,7 @@ from ray_rig import VIEW, Head, flying, wait_for
 from carina.cluster import ClusterSettings
 from carina.cluster.node import Node, make_token
 from carina.cluster.stand_in import StandInHost
+from own_folders import environment_in
 
 ADDRESSES = [f"10.231.77.{10 + n}" for n in range(3)]
 PORT = 6399
@@ -47,8 +48,8 @@ def join(folder: Path, prefix: str, host: int) -> subprocess.Popen[bytes]:
     command = ["ip", "netns", "exec", f"{prefix}{host}", *own_folders(folder), sys.executable, "-m", "carina.cli"]
     command += ["cluster", "join", f"{ADDRESSES[0]}:{PORT}", "--ip", ADDRESSES[host], "--dedicated"]
     command += ["--token-file", str(folder / "token")]
-    homes = {name: str(home) for name in ("HOME", "XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME")}
-    return subprocess.Popen(command, env={**os.environ, **homes}, stdout=words, stderr=subprocess.STDOUT)
+    environment = {**environment_in(home), "HOME": str(home)}
+    return subprocess.Popen(command, env=environment, stdout=words, stderr=subprocess.STDOUT)
 
 
 def fly(flight, seconds: float, until=lambda: False) -> list[float]:

@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from own_folders import own_folders
+
 STOP_S = 120.0
 """Longer than a server needs to end, on whatever machine."""
 HOST = Path(__file__).parent / "workstation_host.py"
@@ -22,7 +24,10 @@ class Child:
     """A Python program with its output as a pipe, and its log read as it comes."""
 
     def __init__(self, arguments: list[str], home: Path) -> None:
-        environment = {**os.environ, "XDG_CONFIG_HOME": str(home / "config"), "XDG_STATE_HOME": str(home / "state")}
+        own = own_folders(home)
+        # What was computed is shared: it is none of the person's.
+        del own["XDG_CACHE_HOME"]
+        environment = {**os.environ, **own}
         self.process = subprocess.Popen(
             [sys.executable, *arguments],
             stdin=subprocess.PIPE,

@@ -34,7 +34,7 @@ from carina.server import pacing
 from carina.server.app import web_folder
 from carina.server.security import Gate
 from carina.server.serve import bind, make_server, start_url
-from carina.session import LocalStore, Session
+from carina.session import CaseRecords, LocalStore, Session, case_files
 from carina.session.parts import Parts, default_parts
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -202,7 +202,13 @@ def open_workstation(kept: Kept, stack: ExitStack, home: str, demo: str | None, 
     slow_file = told.get("slow_file")
     SteadyBudget.slow_file = None if slow_file is None else Path(slow_file)
     factory = serve_module._renderer_factory() if slow_file is None else make_slow(slow_file)
-    session = Session(factory, parts=kept.parts(), store=LocalStore(Path(home)))
+    session = Session(
+        factory,
+        parts=kept.parts(),
+        store=LocalStore(Path(home)),
+        records=CaseRecords(Path(home) / "cases", time.time, Path(home) / "documents"),
+        files=case_files(),
+    )
     stack.callback(session.close)
     page = PhoneSwitch(session, web_folder(), told.get("phone_address"))
     stack.callback(page.stop)

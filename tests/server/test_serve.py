@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -16,13 +15,14 @@ from carina.errors import CarinaError, UsageError, VolumeImportError
 from carina.server import messages as wire
 from carina.server import serve
 from carina.server.serve import bind
+from own_folders import environment_in
 
 WAIT_S = 120.0
 """Imports of SimpleITK on a busy machine take seconds."""
 
 
 def test_a_path_and_a_demo_or_an_unknown_demo_are_refused():
-    with pytest.raises(UsageError, match="not both"):
+    with pytest.raises(UsageError, match="found both"):
         serve("x", demo="phantom")
     with pytest.raises(UsageError, match="'phantom' or 'patient'"):
         serve(None, demo="ghost")
@@ -44,7 +44,7 @@ def test_a_port_in_use_is_said_before_anything_is_opened():
 
 
 def test_a_program_outside_comes_in_with_the_printed_token_as_often_as_it_likes(tmp_path):
-    environment = {**os.environ, "XDG_CONFIG_HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    environment = environment_in(tmp_path)
     command = [sys.executable, "-m", "carina.cli", "open", "--no-browser", "--json"]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
@@ -82,7 +82,7 @@ def test_the_process_prints_its_link_answers_it_once_and_ends_cleanly(tmp_path):
         "from carina.server import serve\n"
         "raise SystemExit(serve(None, open_browser=False, on_ready=lambda url, token: print(url, flush=True)))"
     )
-    environment = {**os.environ, "XDG_CONFIG_HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    environment = environment_in(tmp_path)
     with subprocess.Popen(
         [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
     ) as process:

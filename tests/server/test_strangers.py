@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import os
 import signal
 import socket
 import subprocess
@@ -20,6 +19,7 @@ from websockets.sync.client import connect
 
 from carina.server import messages as wire
 from carina.server.strangers import TELL_EVERY_S, _OnceAMinute
+from own_folders import environment_in
 
 SERVER = """
 import resource, sys
@@ -55,7 +55,7 @@ def stays_open(sock) -> bool:
 @contextlib.contextmanager
 def small_process(tmp_path, *, reserved=64):
     """The product's server, without a case, in a process of 128 descriptors; its base address, token, and errors."""
-    environment = {**os.environ, "XDG_CONFIG_HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    environment = environment_in(tmp_path)
     errors = tmp_path / "stderr.txt"
     with errors.open("w") as err:
         process = subprocess.Popen(

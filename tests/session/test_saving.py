@@ -48,7 +48,7 @@ class MemoryFile:
             raise CarinaError("the file is damaged", code="case.damaged")
         return moment
 
-    def write_copy(self, path: Path, *, ct_place: str | None) -> None:
+    def write_copy(self, path: Path, *, ct_place: str | None = None) -> None:
         if self.refuses is not None:
             raise self.refuses
         path.write_text(f"copy of {self.digest}, {ct_place}")

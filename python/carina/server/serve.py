@@ -28,8 +28,8 @@ from carina.server.security import Gate, is_loopback
 from carina.server.strangers import ACCEPT_AT_ONCE, WAITING_IN_LINE, Strangers, quieten
 from carina.server.uploads import Uploads
 from carina.server.wire_codec import MAX_TEXT_BYTES
-from carina.session import LocalStore, RendererFactory, Session
-from carina.volume import Citation
+from carina.session import CaseRecords, LocalStore, RendererFactory, Session, case_files
+from carina.volume import Citation, VolumeCache
 
 __all__ = ["bind", "make_server", "serve", "start_url"]
 
@@ -168,15 +168,24 @@ def serve(
         raise UsageError("expected a path or a demo; found both")
     if demo not in {None, "phantom", "patient"}:
         raise UsageError(f"expected the demo 'phantom' or 'patient'; found {demo!r}")
+    settings = load_settings()
+    cache = VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes)
     if path is not None:
-        _refuse_early(path)
+        _refuse_early(path, cache)
     sweep_leftovers()
-    _leave_no_core(load_settings().log_level)
+    _leave_no_core(settings.log_level)
+    # What is too old or too much goes while the window opens.
+    threading.Thread(target=cache.sweep, name="carina-sweep", daemon=True).start()
     with bind(host, port) as sock:
         gate = Gate(host=host, port=sock.getsockname()[1])
         if not is_loopback(host):
             print(_NETWORK_WARNING.format(host=host), file=sys.stderr, flush=True)
-        session = Session(make_renderer or _renderer_factory(), store=LocalStore(load_settings().config_dir))
+        session = Session(
+            make_renderer or _renderer_factory(),
+            store=LocalStore(settings.config_dir),
+            records=CaseRecords(settings.cases_dir, time.time, settings.documents_dir),
+            files=case_files(cache),
+        )
         page = None if make_phone is None else make_phone(session, web_folder(), phone_address)
 
         def ready() -> None:
@@ -251,11 +260,13 @@ _PHONE_WARNING = (
 )
 
 
-def _refuse_early(path: str) -> None:
+def _refuse_early(path: str, cache: VolumeCache) -> None:
     """Refuse on the command line what cannot be opened, before a window opens."""
     from carina import volume
 
-    volume.inspect_path(path)
+    found = cache.find(path)
+    if found is None or found.state != "unchanged":
+        volume.inspect_path(path)
 
 
 def _renderer_factory() -> Any:

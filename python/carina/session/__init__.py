@@ -1,11 +1,13 @@
 """The one owner of a case: state, commands with undo, jobs, the pose."""
 
 from carina.case.routes import ChosenRoute
+from carina.session.case_files import case_files
 from carina.session.core import Event
 from carina.session.jobs import JobEnded, JobProgress, log_fault
 from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.public import Case
 from carina.session.recent import LocalStore, RecentCase
+from carina.session.records import CaseRecords
 from carina.session.scene import Renderer, ShownCase
 from carina.session.session import Session
 from carina.session.snapshot import (
@@ -22,6 +24,7 @@ from carina.session.snapshot import (
 
 __all__ = [
     "Case",
+    "CaseRecords",
     "Changed",
     "ChosenRoute",
     "Event",
@@ -42,6 +45,7 @@ __all__ = [
     "Snapshot",
     "Trouble",
     "WallPoint",
+    "case_files",
     "default_parts",
     "log_fault",
 ]

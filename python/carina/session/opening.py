@@ -41,18 +41,22 @@ class Opening(Subject):
     @does(c.OpenPath)
     def open_path(self, command: c.OpenPath) -> str:
         """Read a file or folder and remember it."""
-        return self._open_path(command.path, command.path)
+        return self._open_path(command.path)
 
     @does(c.OpenFiles)
     def open_files(self, command: c.OpenFiles) -> str:
         """Read files that nobody will find there again."""
-        return self._open_path(command.path, None)
 
-    def _open_path(self, path: str, remembered: str | None) -> str:
         def read(job: Job) -> Volume:
-            return self.core.parts.open_volume(path, job.progress, job.cancel)
+            return self.core.parts.open_volume(command.path, job.progress, job.cancel)
 
-        return self._open("opening the case", read, remembered)
+        return self._open("opening the case", read, None)
+
+    def _open_path(self, path: str) -> str:
+        def read(job: Job) -> Volume:
+            return self._saving.open_ct(path, job.progress, job.cancel)
+
+        return self._open("opening the case", read, path)
 
     @does(c.OpenDemo)
     def open_demo(self, command: c.OpenDemo) -> str:
@@ -74,7 +78,7 @@ class Opening(Subject):
         """Open a case of the list; UsageError if it has no such case."""
         for case in self.core.store.recent() if self.core.store else ():
             if case.recent_id == command.recent_id:
-                return self._open_path(case.path, case.path)
+                return self._open_path(case.path)
         raise UsageError("this case is no longer in the list; open its folder again", code="session.recent")
 
     @does(c.CloseCase)

@@ -92,6 +92,9 @@ class CaseRecords:
         self.documents = documents
         self.now_s = now_s
 
+    def __repr__(self) -> str:
+        return f"CaseRecords({len(self.all())} cases)"
+
     def all(self) -> tuple[CaseRecord, ...]:
         """Those that read, the last used first."""
         found = [_read(path) for path in self._folder.glob(f"*/{RECORD}")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
@@ -25,6 +26,7 @@ from carina.session.subject import Subject, does
 
 if TYPE_CHECKING:
     from carina.session.core import Event
+    from carina.session.parts import Cancel, Progress
     from carina.volume import Volume
 
 __all__ = ["KeptFile", "KeptFiles", "Reopened", "Saving"]
@@ -46,21 +48,21 @@ SUFFIX = ".carina"
 class KeptFile(Protocol):
     """A case file: :class:`carina.case.CaseFile`."""
 
-    @property
-    def digest(self) -> str:
-        """Of the CT."""
-
     def save(self, moment: Moment) -> None:
         """Write what is new."""
 
-    def load(self, volume: Volume) -> Moment:
-        """What was written last."""
+    def load(self, volume: Volume) -> Moment | None:
+        """What was written last; None where nothing was."""
 
-    def write_copy(self, path: Path, *, ct_place: str | None) -> None:
+    def write_copy(self, path: Path, *, ct_place: str | None = None) -> None:
         """One whole file elsewhere, with the relative way from it to its CT."""
 
     def close(self) -> None:
         """Nothing more is written."""
+
+
+def _nothing() -> None:
+    """Of a CT nothing is kept."""
 
 
 @one_line
@@ -72,6 +74,12 @@ class KeptFiles:
     """``create(path, volume, digest)``."""
     open: Callable[[Path], KeptFile]
     digest: Callable[[Volume], str]
+    """What a CT is known by."""
+    open_ct: Callable[[str, Progress, Cancel], Volume] | None = None
+    """``open_ct(path, progress, cancel)`` gives a CT that was opened before from what was kept of it; None: nothing
+    is kept of CTs."""
+    close: Callable[[], None] = _nothing
+    """No more CT is kept."""
 
 
 @one_line
@@ -214,6 +222,12 @@ class Saving(Subject):
             )
         )
 
+    @property
+    def open_ct(self) -> Callable[[str, Progress, Cancel], Volume]:
+        """Open a CT of this machine."""
+        kept = None if self._files is None else self._files.open_ct
+        return self.core.parts.open_volume if kept is None else kept
+
     def digest_of(self, volume: Volume) -> str | None:
         """What a CT is known by; None where nothing is kept."""
         return None if self._files is None or self.records is None else self._files.digest(volume)
@@ -271,6 +285,8 @@ class Saving(Subject):
             self._wake.notify_all()
         if self._thread is not None:
             self._thread.join(CLOSING_S)
+        if self._files is not None:
+            self._files.close()
 
     @property
     def info(self) -> SavingInfo:
@@ -371,7 +387,7 @@ class Saving(Subject):
         assert kept.held is not None
         assert self.records is not None
         place = kept.held.record.place
-        kept.file.write_copy(path, ct_place=None if place is None or place.startswith("demo:") else place)
+        kept.file.write_copy(path, ct_place=_way_between(path, place))
         now_s = self.records.now_s()
         kept.held.note(copy_path=str(path), copied_s=now_s)
         self._tell(copied_s=now_s, copy_name=path.name, copy_folder=str(path.parent), copy_problem=None)
@@ -423,6 +439,16 @@ class Saving(Subject):
             self.core.emit(Said(f"saved as {path}"))
 
         return self.core.jobs.start("save", "saving the case", work)
+
+
+def _way_between(copy: Path, place: str | None) -> str | None:
+    """From the copy to its CT; None where there is none, as between two drives of Windows."""
+    if place is None or place.startswith("demo:"):
+        return None
+    try:
+        return Path(os.path.relpath(place, copy.parent)).as_posix()
+    except ValueError:
+        return None
 
 
 def _with_suffix(path: Path) -> Path:

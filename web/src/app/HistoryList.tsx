@@ -14,7 +14,10 @@ export function HistoryList() {
   const here = useRef<HTMLLIElement>(null);
   const step = history?.step ?? 0;
   // biome-ignore lint/correctness/useExhaustiveDependencies: the row that holds is another one at each step
-  useEffect(() => here.current?.scrollIntoView({ block: "nearest" }), [step]);
+  useEffect(() => {
+    // Newer browsers give a promise back, which would be taken for the effect's end.
+    here.current?.scrollIntoView({ block: "nearest" });
+  }, [step]);
   const rows = [{ label: "Case opened", at_s: null }, ...(history?.steps ?? [])];
   return (
     <section className="branches history" aria-label="History">

@@ -1,0 +1,35 @@
+"""The real files of a workstation: its cases, and the CTs that it has opened, kept as they are in memory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carina.case import CaseFile, SourceFacts
+from carina.session.saving import KeptFile, KeptFiles
+from carina.volume import Volume
+
+if TYPE_CHECKING:
+    from carina.session.parts import Cancel, Progress
+    from carina.volume import VolumeCache
+
+__all__ = ["case_files"]
+
+
+def case_files(cache: VolumeCache | None = None) -> KeptFiles:
+    """Case files on the disk; with a cache, CTs that were opened before come from it."""
+    from carina.volume import ct_digest
+
+    def create(path: Path, volume: Volume, digest: str) -> KeptFile:
+        return CaseFile.create(path, SourceFacts.of(volume, digest))
+
+    def reopen(path: Path) -> KeptFile:
+        return CaseFile.open(path)
+
+    if cache is None:
+        return KeptFiles(create, reopen, ct_digest)
+
+    def open_ct(path: str, progress: Progress, cancel: Cancel) -> Volume:
+        return cache.open_and_keep(path, progress=progress, cancel=cancel)
+
+    return KeptFiles(create, reopen, ct_digest, open_ct, cache.close)

@@ -1,0 +1,115 @@
+"""What a person did is there again: after closing, after a crash, and in a file of its own."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from server_process import start_server, stop_server
+
+from carina.case import CaseFile
+
+pytestmark = pytest.mark.browser
+
+SHOWN = """() => {
+  const { session, pose, route, history } = window.__carina.state;
+  const { can_undo, can_redo, look, sight, targets, mode } = session;
+  const steps = history.steps.map(({ label }) => label);
+  return { can_undo, can_redo, look, sight, targets, mode, steps,
+    step: history.step, route: route.route_id, place: pose.lps_from_camera };
+}"""
+
+
+def shown(workstation):
+    return workstation.page.evaluate(SHOWN)
+
+
+def work(workstation):
+    """Look with another outline, go to another branch, along it, and take one step back."""
+    workstation.page.get_by_test_id("list-airways").click()
+    rows = workstation.page.get_by_role("row")
+    rows.nth(3).click()
+    workstation.wait_for("window.__carina.state.session.can_undo.startsWith('route to')")
+    workstation.page.keyboard.press("o")
+    workstation.wait_for("window.__carina.state.session.can_undo === 'outline of the picture'")
+    workstation.page.keyboard.press("Control+z")
+    workstation.wait_for("window.__carina.state.session.can_redo === 'outline of the picture'")
+    workstation.page.keyboard.press("PageDown")
+    workstation.wait_still()
+
+
+def wait_saved(workstation, since):
+    """Wait until what was done before now is on the disk."""
+    workstation.wait_for("(since) => window.__carina.state.session.saving.saved_s > since", since)
+
+
+@pytest.fixture
+def home(tmp_path):
+    return str(tmp_path / "home")
+
+
+@pytest.fixture
+def opens(home):
+    return {"demo": "phantom", "home": home}
+
+
+def test_a_case_that_is_closed_and_opened_again_is_as_it_was(host, workstation, home):
+    first = host.open(demo="phantom", home=home)
+    workstation.open(first)
+    workstation.wait_ready()
+    work(workstation)
+    before = shown(workstation)
+    assert re.fullmatch(r"saved \d\d:\d\d", workstation.page.get_by_test_id("saved").inner_text())
+    host.close(first)
+    again = host.open(demo="phantom", home=home)
+    try:
+        workstation.page.goto("about:blank")
+        workstation.open(again)
+        workstation.wait_ready()
+        assert shown(workstation) == before
+        workstation.page.keyboard.press("Shift+h")
+        workstation.page.get_by_test_id("history").get_by_role("button", name="Outline of the picture").click()
+        workstation.wait_for("window.__carina.state.session.can_undo === 'outline of the picture'")
+        workstation.page.get_by_test_id("history").get_by_role("button", name="Case opened").click()
+        workstation.wait_for("window.__carina.state.session.can_undo === null")
+    finally:
+        host.close(again)
+        workstation.faults.clear()
+
+
+def test_a_case_is_saved_under_a_name_and_the_top_bar_says_where(server, workstation, tmp_path):
+    workstation.open(server)
+    workstation.wait_ready()
+    work(workstation)
+    steps = shown(workstation)["steps"]
+    workstation.page.keyboard.press("Control+s")
+    workstation.page.get_by_test_id("save-path").fill(str(tmp_path / "copies" / "mine"))
+    workstation.page.get_by_test_id("save-now").click()
+    # A folder that is not there is no place: the person says where, and is told.
+    workstation.page.get_by_text("copies").first.wait_for()
+    workstation.page.get_by_test_id("saved").click()
+    workstation.page.get_by_test_id("save-path").fill(str(tmp_path / "mine"))
+    workstation.page.get_by_test_id("save-now").click()
+    workstation.wait_for("window.__carina.state.session.saving.copy_name === 'mine.carina'")
+    assert "copy of" in workstation.page.get_by_test_id("saved").inner_text()
+    with CaseFile.open(tmp_path / "mine.carina", read_only=True) as case:
+        assert [step.label for step in case.history()] == steps
+
+
+@pytest.mark.slow
+def test_a_case_whose_carina_was_killed_is_as_it_was_two_seconds_before(workstation, tmp_path):
+    first = start_server(["demo", "phantom"], tmp_path)
+    workstation.open(first)
+    workstation.wait_ready()
+    work(workstation)
+    before = shown(workstation)
+    wait_saved(workstation, workstation.page.evaluate("() => Date.now() / 1000"))
+    first.child.process.kill()
+    first.child.wait()
+    again = start_server(["demo", "phantom"], tmp_path)
+    workstation.page.goto("about:blank")
+    workstation.open(again)
+    workstation.wait_ready()
+    assert shown(workstation) == before
+    assert stop_server(again) == 0
+    workstation.faults.clear()
