@@ -14,7 +14,7 @@ from carina.commands import Steer
 from carina.errors import DiskError, UsageError
 from carina.navigate import Navigator, Pilot, Recorder
 from carina.scopes import Pose
-from carina.volume import Volume
+from carina.volume import Volume, ct_digest
 
 
 def some_case(num_acts=6, seed=5):
@@ -222,3 +222,58 @@ def test_another_scan_is_refused(file, doing):
         assert refusal.value.code == "case.other-scan"
     moved[0, 3] -= 0.4999
     assert file.load(Volume(volume.hu_zyx, moved)) is not None
+
+
+# ------------------------------------------------------------ the scan
+
+
+def packed(doing, folder, volume):
+    source = SourceFacts.of(volume, ct_digest(volume))
+    with CaseFile.create(folder / "live.carina", source) as file:
+        file.save(doing.moment())
+        assert file.packed_volume() is None
+        file.write_copy(folder / "packed.carina", volume=volume)
+    return folder / "packed.carina"
+
+
+def test_a_packed_scan_comes_back_voxel_by_voxel(doing, tmp_path, monkeypatch):
+    monkeypatch.setattr("carina.case.packed_ct.CHUNK_BYTES", 5000)
+    values = doing.case.volume.hu_zyx.copy()
+    values[0, 0, :4] = (-32768, 32767, -32768, 32767)  # steps that leave 16 bits
+    volume = Volume(values, doing.case.volume.lps_from_ijk)
+    with CaseFile.open(packed(doing, tmp_path, volume), read_only=True) as file:
+        found = file.packed_volume()
+        np.testing.assert_array_equal(found.hu_zyx, volume.hu_zyx)
+        np.testing.assert_array_equal(found.lps_from_ijk, volume.lps_from_ijk)
+        assert found.is_hu
+        assert_same_moment(file.load(found), doing.moment(), doing.case, deep=False)
+    connection = sqlite3.connect(tmp_path / "packed.carina")
+    assert connection.execute("SELECT count(*) FROM ct").fetchone()[0] == 12
+    connection.close()
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE ct SET data = substr(data, 1, 100)",
+        "UPDATE ct SET digest = x'00'",
+        "UPDATE ct SET num_k = 30000000",
+        "UPDATE ct SET first_k = 1",
+        "UPDATE source SET nz = 60000",
+        "UPDATE source SET nx = 60000, ny = 60000",
+    ],
+)
+def test_a_damaged_packed_scan_is_named_before_memory_is_taken(doing, tmp_path, statement):
+    path = packed(doing, tmp_path, doing.case.volume)
+    connection = sqlite3.connect(path)
+    connection.execute(statement)
+    connection.commit()
+    connection.close()
+    with CaseFile.open(path, read_only=True) as file, pytest.raises(CaseFileError, match="the scan"):
+        file.packed_volume()
+
+
+def test_only_the_cases_own_scan_is_packed_with_it(file, doing, tmp_path):
+    with pytest.raises(UsageError, match="only the scan"):
+        file.write_copy(tmp_path / "packed.carina", volume=doing.case.volume)  # its digest is another
+    assert not (tmp_path / "packed.carina").exists()

@@ -11,6 +11,30 @@ from kept_case import ACTS, Doing, act, assert_same_airways, assert_same_moment,
 from carina.case import CaseFile, CaseFileError
 from carina.track import AddBranch, edit_airways
 
+sequences = st.lists(st.tuples(st.sampled_from(ACTS), st.integers(0, 2**32 - 1)), min_size=6, max_size=14)
+
+
+def worked_on(acts, path):
+    """One works on in memory, the other saves, closes and opens again before each step: both do the same."""
+    doing = again = Doing()
+    with CaseFile.create(path, source_of(doing.case)) as file:
+        file.save(doing.moment())
+    for place, (name, seed) in enumerate(acts):
+        with CaseFile.open(path) as file:
+            found = file.load(doing.case.volume)
+            assert_same_moment(found, doing.moment(), doing.case, deep=False)
+            again = Doing.of(found, doing.case)
+            again.at_s = doing.at_s
+            for one in (doing, again):
+                rng = np.random.default_rng(seed)
+                act(one, name, lambda n, rng=rng: int(rng.integers(n)))
+            file.save(again.moment())
+            if place % 3 == 0:
+                file.save(again.moment())  # nothing new
+    assert_same_moment(again.moment(), doing.moment(), doing.case)
+    with CaseFile.open(path, read_only=True) as file:
+        assert_same_moment(file.load(doing.case.volume), doing.moment(), doing.case)
+
 
 @pytest.fixture
 def doing():
@@ -29,39 +53,18 @@ def test_a_case_without_a_step_comes_back(doing, tmp_path):
 
 
 @settings(max_examples=6, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
-@given(acts=st.lists(st.tuples(st.sampled_from(ACTS), st.integers(0, 2**32 - 1)), min_size=4, max_size=9))
-def test_any_sequence_saved_after_each_of_its_steps_comes_back_bit_for_bit(acts, tmp_path_factory):
-    path = tmp_path_factory.mktemp("case") / "one.carina"
-    doing = Doing()
-    with CaseFile.create(path, source_of(doing.case)) as file:
-        for name, seed in acts:
-            rng = np.random.default_rng(seed)
-            act(doing, name, lambda n, rng=rng: int(rng.integers(n)))
-            file.save(doing.moment())
-    with CaseFile.open(path) as file:
-        found = file.load(doing.case.volume)
-        assert_same_moment(found, doing.moment(), doing.case)
-        # What is done now is what would have been done without the file.
-        again = Doing()
-        again.history, again.numbers, again.sight = found.history(), dict(found.numbers), found.sight
-        for other in (doing, again):
-            rng = np.random.default_rng(len(acts))
-            for name in ("cut", "add", "paint", "target", "undo", "undo", "root", "redo"):
-                act(other, name, lambda n, rng=rng: int(rng.integers(n)))
-        assert_same_moment(again.moment(), _at(doing.moment(), found, again), doing.case)
-        file.save(again.moment())
-    with CaseFile.open(path, read_only=True) as file:
-        assert_same_moment(file.load(doing.case.volume), again.moment(), doing.case)
+@given(acts=sequences)
+def test_any_sequence_reopened_before_each_of_its_steps_is_that_of_a_case_that_stayed_open(acts, tmp_path_factory):
+    worked_on(acts, tmp_path_factory.mktemp("case") / "one.carina")
 
 
-def _at(moment, _found, again):
-    """The other's clock began anew."""
-    import dataclasses
-
-    steps = tuple(
-        dataclasses.replace(one, at_s=other.at_s) for one, other in zip(moment.steps, again.history.steps, strict=True)
-    )
-    return dataclasses.replace(moment, steps=steps)
+@pytest.mark.soak
+@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
+@given(acts=sequences)
+def test_hundreds_of_sequences_reopened_before_each_of_their_steps_are_those_of_one_that_stayed_open(
+    acts, tmp_path_factory
+):
+    worked_on(acts, tmp_path_factory.mktemp("case") / "one.carina")
 
 
 def test_a_live_path_and_an_edit_after_opening_are_those_of_the_case_that_was_not_saved(doing, tmp_path):

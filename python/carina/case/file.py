@@ -25,6 +25,7 @@ from carina.case.database import (
     transaction,
 )
 from carina.case.moment import Moment
+from carina.case.packed_ct import packed_volume, write_ct
 from carina.case.packing import as_checked_json, from_json
 from carina.case.reading import CaseReader, Rows
 from carina.case.recordings import RecordingFacts, RecordingTable, RecordingWriter
@@ -316,6 +317,32 @@ class CaseFile:
         """Of the voxels of the CT that it is of."""
         return self.source.digest
 
+    def pack(self, volume: Volume) -> None:
+        """Put the CT into this file: lossless, in pieces with checksums.
+
+        Raises
+        ------
+        DiskError
+            If it cannot be written.
+        UsageError
+            ``case.other-scan``: if it is not the case's.
+        """
+        with self._lock, told(self.path):
+            connection = self._writable()
+            with transaction(connection):
+                write_ct(connection, volume)
+
+    def packed_volume(self) -> Volume | None:
+        """The CT that was packed with the case; None where none was.
+
+        Raises
+        ------
+        CaseFileError
+            ``case.damaged``.
+        """
+        with self._lock, told(self.path), no_surprise():
+            return packed_volume(self._open())
+
     def set_source_path(self, path: str | None) -> None:
         """The scan lies elsewhere: its place relative to the case file, None where that is not known."""
         with self._lock, told(self.path):
@@ -393,7 +420,7 @@ class CaseFile:
 
     # ------------------------------------------------------------ copies
 
-    def write_copy(self, path: Path | str, *, ct_place: str | None = None) -> None:
+    def write_copy(self, path: Path | str, *, ct_place: str | None = None, volume: Volume | None = None) -> None:
         """Write all of it as one whole file, without a journal: what a person names, shares and backs up.
 
         It is made in a temporary folder and put in its place whole, so that no database is ever open on a share.
@@ -402,11 +429,15 @@ class CaseFile:
         ----------
         ct_place
             Where the scan lies relative to the copy; None where that is not known.
+        volume
+            The CT, to be packed into the copy: lossless, in pieces with checksums.
 
         Raises
         ------
         DiskError
             If it cannot be written; what was there before stays.
+        UsageError
+            ``case.other-scan``: if ``volume`` is not the case's.
         """
         target = Path(path)
         with ScratchFolder() as folder:
@@ -420,6 +451,9 @@ class CaseFile:
                     write_source(copy, replace(read_source(copy), path=ct_place))
                     sweep(copy, all_content(copy))
                 copy.execute("VACUUM")
+                if volume is not None:
+                    with transaction(copy):
+                        write_ct(copy, volume)
             with drafted(target, what="the case", needed_bytes=made.stat().st_size) as file, made.open("rb") as whole:
                 shutil.copyfileobj(whole, file, 1 << 20)
 

@@ -16,6 +16,7 @@ from carina.errors import UsageError
 __all__ = [
     "DTYPES",
     "MAX_PIECE_BYTES",
+    "MOST_DEFLATED",
     "as_checked_json",
     "as_json",
     "deflated",

@@ -18,6 +18,7 @@ from carina.case.document import Document, Keys, Target
 from carina.case.file import MAX_ROWS, MAX_STEPS, CaseFile
 from carina.case.history import Step
 from carina.case.moment import LaidScope, Moment
+from carina.case.packed_ct import packed_volume
 from carina.case.packing import from_json
 from carina.case.reading import CaseReader, Rows
 from carina.case.schema import APPLICATION_ID, CONTENT
@@ -25,6 +26,7 @@ from carina.case.source import read_source, turn_between
 from carina.case.trouble import CaseFileError, refused
 from carina.commands.look import Look
 from carina.disk import ScratchFolder
+from carina.errors import UsageError
 from carina.render import Sight, transfer_preset
 from carina.volume import Volume
 
@@ -94,6 +96,7 @@ class _Rescue:
             made.save(moment)
             self._copy_recordings(made)
             self._copy_extras(made)
+            self._copy_scan(made)
         return tuple(self._lost)
 
     # ------------------------------------------------------------ rows
@@ -260,6 +263,15 @@ class _Rescue:
             with made.record(str(name)[:4000], begun_s=begun) as writer:
                 writer.write(text)
             made.change_recording(writer.recording_id, words=str(words)[:100_000])
+
+    def _copy_scan(self, made: CaseFile) -> None:
+        try:
+            with no_surprise():
+                volume = packed_volume(self._connection)
+            if volume is not None:
+                made.pack(volume)
+        except (*TROUBLE, UsageError):
+            self._lost.append("the packed scan")
 
     def _copy_extras(self, made: CaseFile) -> None:
         kept: dict[str, list[Any]] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlite3
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath, PureWindowsPath
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from carina.volume import Geometry, Volume
 
 __all__ = ["SourceFacts", "Turn", "grid_words", "read_source", "turn_between", "write_source"]
 
+V = TypeVar("V", np.uint8, np.int16)
 GEOMETRY_MM: Final = 1e-3
 """Two grids are the same where their voxels lie nearer than this."""
 MAX_PATH_CHARS: Final = 4096
@@ -115,7 +116,7 @@ class Turn:
         """Whether both are the same."""
         return self.axes == (0, 1, 2) and not any(self.flipped)
 
-    def turned(self, array_zyx: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def turned(self, array_zyx: NDArray[V]) -> NDArray[V]:
         """An array of the case as the volume has it; itself where both are the same."""
         if self.is_none:
             return array_zyx

@@ -1,0 +1,101 @@
+"""The CT in a case file: lossless, in pieces with checksums."""
+
+from __future__ import annotations
+
+import sqlite3
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carina.case.packing import MAX_PIECE_BYTES, MOST_DEFLATED, deflated, digest_of, inflated
+from carina.case.source import SourceFacts, read_source, turn_between
+from carina.case.trouble import damaged
+from carina.errors import UsageError
+from carina.volume import Volume, VolumeSource, ct_digest
+
+__all__ = ["packed_volume", "write_ct"]
+
+CHUNK_BYTES: Final = 16 << 20
+"""Of voxels in a piece, or one slice where that is larger."""
+
+
+def write_ct(connection: sqlite3.Connection, volume: Volume) -> None:
+    """Put a CT into a case file, inside a transaction of the caller.
+
+    Raises
+    ------
+    UsageError
+        ``case.other-scan``: if it is not the case's, or a slice is too large.
+    """
+    source = read_source(connection)
+    given = SourceFacts.of(volume, source.digest)
+    turn = turn_between(given, _standing_in(source))
+    if turn is None or ct_digest(volume) != source.digest:
+        raise UsageError(
+            "only the scan that a case was made of can be packed with it; open that scan", code="case.other-scan"
+        )
+    values = turn.turned(volume.hu_zyx)
+    slice_bytes = 2 * values.shape[1] * values.shape[2]
+    if slice_bytes > MAX_PIECE_BYTES:
+        raise UsageError(
+            f"a slice of this scan has {slice_bytes} bytes; at most {MAX_PIECE_BYTES} can be packed", code="case.value"
+        )
+    at_once = max(1, CHUNK_BYTES // slice_bytes)
+    connection.execute("DELETE FROM ct")
+    for n, first in enumerate(range(0, len(values), at_once)):
+        slices = np.ascontiguousarray(values[first : first + at_once], dtype="<i2")
+        row = (n, first, len(slices), digest_of(slices.tobytes()), deflated(_told_apart(slices)))
+        connection.execute("INSERT INTO ct (n, first_k, num_k, digest, data) VALUES (?, ?, ?, ?, ?)", row)
+
+
+def packed_volume(connection: sqlite3.Connection) -> Volume | None:
+    """The CT that was packed with the case; None where none was.
+
+    Raises
+    ------
+    CaseFileError
+        ``case.damaged``.
+    """
+    source = read_source(connection)
+    nz, ny, nx = source.shape_zyx
+    pieces = connection.execute("SELECT n, first_k, num_k, length(data) FROM ct ORDER BY n LIMIT 100000").fetchall()
+    if not pieces:
+        return None
+    slice_bytes = 2 * ny * nx
+    ahead = 0
+    # All of it before memory is taken.
+    for n, first, count, length in pieces:
+        size = count * slice_bytes if isinstance(count, int) and count > 0 else -1
+        if first != ahead or not 0 < size <= min(MAX_PIECE_BYTES, MOST_DEFLATED * length):
+            raise damaged(f"piece {n} of the scan", f"slices from {ahead}, of a size that fits", f"{first}, {count}")
+        ahead += count
+    if ahead != nz:
+        raise damaged("the scan", f"{nz} slices", str(ahead))
+    values = np.empty((nz, ny, nx), dtype=np.int16)
+    for n, first, count, _ in pieces:
+        digest, data = connection.execute("SELECT digest, data FROM ct WHERE n = ?", (n,)).fetchone()
+        where = f"piece {n} of the scan"
+        slices = _put_together(inflated(data, count * slice_bytes, where), (count, ny, nx))
+        if digest_of(slices.astype("<i2").tobytes()) != digest:
+            raise damaged(where, "what was packed", "something else")
+        values[first : first + count] = slices
+    reason = None if source.is_hu else "it was not when the case was packed"
+    return Volume(values, source.lps_from_ijk, source.is_hu, reason, VolumeSource(format="case", title="packed scan"))
+
+
+def _told_apart(slices: NDArray[np.int16]) -> bytes:
+    """Differences along x, low bytes before high ones: neighbours are alike, so this deflates to two thirds."""
+    steps = np.diff(slices, axis=2, prepend=np.int16(0)).astype("<i2")
+    return steps.view(np.uint8).reshape(-1, 2).T.tobytes()
+
+
+def _put_together(content: bytes, shape: tuple[int, int, int]) -> NDArray[np.int16]:
+    planes = np.frombuffer(content, dtype=np.uint8).reshape(2, -1)
+    steps = np.ascontiguousarray(planes.T).view("<i2").reshape(shape)
+    return np.cumsum(steps, axis=2, dtype=np.int16)
+
+
+def _standing_in(source: SourceFacts) -> Volume:
+    # Only its grid is looked at; pages of memory that nobody looks at are never made.
+    return Volume(np.zeros(source.shape_zyx, np.int16), source.lps_from_ijk, source.is_hu)
