@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import mmap
 from collections.abc import Iterable
 
 import numpy as np
@@ -53,8 +55,9 @@ def from_tiles(shape_zyx: tuple[int, int, int], tiles: Iterable[tuple[int, bytes
     ValueError
         If a tile holds lumen beyond the volume.
     """
-    lumen = np.zeros(shape_zyx, dtype=np.uint8)
-    voxels = lumen.reshape(-1)
+    # Memory of the system's own, in small pages: NumPy asks for large ones, and a lumen lies in nearly all of those.
+    voxels = np.frombuffer(mmap.mmap(-1, math.prod(shape_zyx)), dtype=np.uint8)
+    lumen = voxels.reshape(shape_zyx)
     _, num_y, num_x = grid_of(shape_zyx)
     nz, ny, nx = shape_zyx
     for place, bits in tiles:
