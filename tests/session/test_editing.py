@@ -17,6 +17,7 @@ from carina.track import (
     Bridge,
     CutBranch,
     FoldedAirways,
+    MoveRoot,
     PaintLumen,
     RenameBranch,
     SmoothBranch,
@@ -287,3 +288,17 @@ def test_a_bridge_without_an_airway_beyond_it_is_said_and_not_asked_about():
     edit(bench, Bridge(in_plain_lung()))
     assert bench.of_type(NotEvident) == []
     assert [(trouble.code, trouble.message) for trouble in bench.of_type(Trouble)] == [(doubt.code, str(doubt))]
+
+
+def test_a_target_that_the_root_is_moved_to_keeps_its_place_and_says_why_it_has_no_path(bench, case):
+    there = MoveRoot(point(case.airways.tree.branch(5).points[-2]))
+    tracker = edit_airways(case.volume, case.airways, there).tracker
+    place = point(case.volume.to_lps(np.array(tracker.root_ijk, dtype=float)))
+    bench.session.do(AddTarget(place))
+    bench.background.run_all()
+    assert document(bench).targets[0].route is not None
+    edit(bench, there)
+    assert len(document(bench).airways.edits) == 1
+    (target,) = document(bench).targets
+    assert (target.lps, target.route) == (place, None)
+    assert "lies at the tracheal entry" in target.problem

@@ -4,6 +4,7 @@ from carina.case.document import Document, Key, Keys, Target
 from carina.case.file import CaseFile, StepFacts, migrate
 from carina.case.history import History, Step
 from carina.case.moment import LaidScope, Moment
+from carina.case.reading import KeptAirways
 from carina.case.rescue import rescued
 from carina.case.routes import ChosenRoute
 from carina.case.source import SourceFacts
@@ -15,6 +16,7 @@ __all__ = [
     "ChosenRoute",
     "Document",
     "History",
+    "KeptAirways",
     "Key",
     "Keys",
     "LaidScope",

@@ -30,6 +30,9 @@ __all__ = [
 ]
 
 
+AT_THE_ROOT = "the point lies at the tracheal entry, so there is no path to fly along"
+
+
 @one_line
 @dataclass(frozen=True, slots=True)
 class RouteSpan:
@@ -183,9 +186,7 @@ def route_to_point(tree: AirwayTree, point_lps: NDArray[np.float64], *, snap_mm:
     whole = tree.route_to(branch.id)
     last = int(np.argmin(np.linalg.norm(whole.points_lps - point_lps, axis=1)))
     if last == 0:
-        raise NoResultError(
-            "the point lies at the tracheal entry, so there is no path to fly along", code="track.no-path"
-        )
+        raise NoResultError(AT_THE_ROOT, code="track.no-path")
     end_mm = float(whole.cumulative_mm[last])
     cut = Route(
         whole.points_lps[: last + 1],
@@ -201,8 +202,16 @@ def route_to_point(tree: AirwayTree, point_lps: NDArray[np.float64], *, snap_mm:
 
 
 def route_to_target(tree: AirwayTree, path: TrackedPath, target_id: str, name: str) -> ChosenRoute:
-    """The way of a tracked path, with the branches that it runs through."""
+    """The way of a tracked path, with the branches that it runs through.
+
+    Raises
+    ------
+    NoResultError
+        If the target is the root itself.
+    """
     points = np.asarray(path.points_lps, dtype=np.float64)
+    if not (points != points[0]).any():
+        raise NoResultError(AT_THE_ROOT, code="track.no-path")
     cumulative_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     branch_ids = np.asarray(path.branch_ids, dtype=np.int64)
     # A fork lies where one branch ends and the next begins.

@@ -23,6 +23,7 @@ from carina.case.schema import CONTENT
 from carina.case.tiles import to_tiles
 from carina.commands.value import LocalCommand
 from carina.errors import UsageError
+from carina.render import TransferFunction
 from carina.track import Airways, AirwayTree, Branch, edits_to_json
 from carina.track.edit.folded import FoldedAirways, PackedAirways
 from carina.track.paths.tracker import PathTracker
@@ -160,7 +161,7 @@ class CaseWriter:
         values = {
             "airways": None if document.airways is None else self._airways(document.airways),
             "route": None if document.route is None else self._route(document.route),
-            "transfer": self._value("transfer", document.transfer, document.transfer.to_json),
+            "transfer": self._value("transfer", document.transfer, lambda: _transfer(document.transfer)),
             "look": self._value("look", document.look, lambda: document.look),
             "targets": self._value("targets", document.targets, lambda: [self._target(t) for t in document.targets]),
             "keys": self._value("keys", document.keys, lambda: _keys(document.keys)),
@@ -422,6 +423,13 @@ class CaseWriter:
 
 def _is_of(airways: Airways, packed: PackedAirways) -> bool:
     return airways.tree.branches is packed.branches and airways.edits is packed.edits
+
+
+def _transfer(transfer: TransferFunction) -> dict[str, Any]:
+    document = transfer.to_json()
+    # What could not be read is not written.
+    TransferFunction.from_json(document)
+    return document
 
 
 def _keys(keys: Keys) -> f.KeysFacts:
