@@ -48,7 +48,7 @@ def test_a_copy_is_one_whole_file_that_holds_the_same(file, doing, tmp_path):
     with CaseFile.open(target, read_only=True) as copy:
         assert_same_moment(copy.load(doing.case.volume), doing.moment(), doing.case)
         assert copy.source.path == "../ct"
-        with pytest.raises(CaseFileError, match="opened for reading"):
+        with pytest.raises(CaseFileError, match="open for reading only"):
             copy.save(doing.moment())
     # It goes on being written to, and the copy can be written over.
     file.save(doing.moment())
@@ -217,7 +217,7 @@ def test_another_scan_is_refused(file, doing):
     moved = volume.lps_from_ijk.copy()
     moved[0, 3] += 0.5
     for other in (Volume(volume.hu_zyx, moved), Volume(np.ascontiguousarray(volume.hu_zyx[:-1]), volume.lps_from_ijk)):
-        with pytest.raises(CaseFileError, match="of another scan") as refusal:
+        with pytest.raises(CaseFileError, match="belongs to another scan") as refusal:
             file.load(other)
         assert refusal.value.code == "case.other-scan"
     moved[0, 3] -= 0.4999

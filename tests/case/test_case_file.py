@@ -45,7 +45,7 @@ def test_a_case_without_a_step_comes_back(doing, tmp_path):
     moment = doing.moment()
     with CaseFile.create(tmp_path / "one.carina", source_of(doing.case)) as file:
         assert file.digest == source_of(doing.case).digest
-        with pytest.raises(CaseFileError, match="nothing was saved"):
+        with pytest.raises(CaseFileError, match="nothing has been saved"):
             file.load(doing.case.volume)
         file.save(moment)
     with CaseFile.open(tmp_path / "one.carina") as file:

@@ -184,7 +184,7 @@ def test_a_file_that_is_not_to_be_written_is_said_to_be(doing, begun):
     begun.chmod(0o400)
     with CaseFile.open(begun, read_only=True) as file:
         file.load(doing.case.volume)
-        with pytest.raises(CaseFileError, match="opened for reading"):
+        with pytest.raises(CaseFileError, match="open for reading only"):
             file.set_extra("plan", ())
     if os.geteuid() != 0:
         with pytest.raises(DiskError):

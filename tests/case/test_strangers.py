@@ -81,7 +81,7 @@ def looked_through(path, doing):
 def test_tables_that_are_not_exactly_ours_are_refused(stranger, statement, read_only):
     changed(stranger, statement)
     before = stranger.read_bytes()
-    with pytest.raises(CaseFileError, match="its tables differ") as refusal:
+    with pytest.raises(CaseFileError, match="its tables are not those") as refusal:
         CaseFile.open(stranger, read_only=read_only)
     assert refusal.value.code == "case.damaged"
     assert stranger.read_bytes() == before
@@ -91,11 +91,11 @@ def test_what_is_no_case_is_said_to_be_none(tmp_path):
     for name, content in (("empty", b""), ("text", b"a letter" * 100), ("header", b"SQLite format 3\x00" + bytes(84))):
         path = tmp_path / f"{name}.carina"
         path.write_bytes(content)
-        with pytest.raises(CaseFileError, match=r"not a case|damaged"):
+        with pytest.raises(CaseFileError, match=r"not a Carina case|damaged"):
             CaseFile.open(path)
     other = tmp_path / "other.carina"
     changed(other, "CREATE TABLE notes (words TEXT)")
-    with pytest.raises(CaseFileError, match="not a case") as refusal:
+    with pytest.raises(CaseFileError, match="not a Carina case") as refusal:
         CaseFile.open(other)
     assert refusal.value.code == "case.not-a-case"
     with pytest.raises(CarinaError, match="no such folder"):
@@ -119,7 +119,7 @@ def test_a_newer_carinas_case_is_shown_and_not_changed(made, stranger):
 
 def test_an_older_carinas_case_is_migrated_in_a_copy(made, stranger, monkeypatch, tmp_path):
     changed(stranger, "ALTER TABLE extra RENAME TO more", "PRAGMA user_version=0")
-    with pytest.raises(CaseFileError, match="its tables differ"):
+    with pytest.raises(CaseFileError, match="its tables are not those"):
         CaseFile.open(stranger)
     rename = "ALTER TABLE more RENAME TO extra"
     again = f"CREATE TABLE again {schema.TABLES['extra'].partition('extra ')[2]}"
@@ -131,7 +131,7 @@ def test_an_older_carinas_case_is_migrated_in_a_copy(made, stranger, monkeypatch
 
     monkeypatch.setitem(schema.MIGRATIONS, 0, migration)
     before = stranger.read_bytes()
-    with pytest.raises(CaseFileError, match="an older Carina saved it") as refusal:
+    with pytest.raises(CaseFileError, match="an older version of Carina saved it") as refusal:
         CaseFile.open(stranger)
     assert refusal.value.code == "case.older"
     migrate(stranger, tmp_path / "now.carina")
@@ -206,14 +206,14 @@ def test_a_spoilt_journal_loses_what_it_held_and_nothing_more(made, tmp_path):
         ("UPDATE route SET facts = ''", "route"),
         ("UPDATE document SET airways = 4000000", "document"),
         ("UPDATE step SET document = 4000000", "document 4000000"),
-        ("UPDATE step SET n = n + 5 WHERE n = 3", "the steps"),
-        ("DELETE FROM step", "the steps"),
+        ("UPDATE step SET n = n + 5 WHERE n = 3", "history: expected"),
+        ("DELETE FROM step", "history: expected"),
         ("UPDATE step SET command = '[1]'", "step"),
-        ("UPDATE moment SET position = 99", "the place in the history"),
-        ("UPDATE moment SET facts = replace(facts, 'sight', 'sigh')", "the moment"),
-        ("UPDATE source SET nz = 65536", "the source"),
-        ("UPDATE source SET lps_from_ijk = zeroblob(128)", "the source"),
-        ("UPDATE source SET path = '/etc/passwd'", "the source"),
+        ("UPDATE moment SET position = 99", "position in the history"),
+        ("UPDATE moment SET facts = replace(facts, 'sight', 'sigh')", "current state"),
+        ("UPDATE source SET nz = 65536", "record of the scan"),
+        ("UPDATE source SET lps_from_ijk = zeroblob(128)", "record of the scan"),
+        ("UPDATE source SET path = '/etc/passwd'", "record of the scan"),
         ("UPDATE recording_chunk SET size = 1000000000", "recording"),
         ("UPDATE recording_chunk SET n = 7", "recording"),
     ],
@@ -229,7 +229,7 @@ def test_content_that_is_not_what_was_saved_is_named(made, stranger, statement, 
 def test_a_deflated_piece_that_would_fill_the_memory_is_refused_before_it_does(made, stranger):
     bomb = zlib.compress(bytes(60 << 20), 9)
     changed(stranger, "PRAGMA foreign_keys=OFF", ("UPDATE array SET count = 7864320, width = 0, data = ?", (bomb,)))
-    with pytest.raises(CaseFileError, match=r"expected what was saved|f8"):
+    with pytest.raises(CaseFileError, match=r"expected content that matches|f8"):
         looked_through(stranger, made[0])
     changed(stranger, ("UPDATE tile SET data = ?", (bomb,)))
     with pytest.raises(CaseFileError, match="expected"):
@@ -304,7 +304,7 @@ def test_what_was_lost_is_listed_and_the_rest_is_rescued(made, stranger, tmp_pat
         "DELETE FROM recording_chunk",
     )
     lost = rescued(stranger, tmp_path / "rescued.carina")
-    assert "what was shown, and where the tip was" in lost
+    assert "the displayed views and the tip position" in lost
     assert any("the airways" in line for line in lost), lost
     with CaseFile.open(tmp_path / "rescued.carina") as file:
         moment = file.load(doing.case.volume)

@@ -303,7 +303,7 @@ def test_a_damaged_file_of_voxels_is_removed_and_the_source_is_read(where, kept,
     with caplog.at_level(logging.WARNING):
         opened = kept.open(path)
     assert not opened.from_cache
-    assert "cannot be used" in caplog.text
+    assert "could not be used" in caplog.text
     assert str(path) not in caplog.text
     assert not voxels.exists()
     assert kept.keep(opened)

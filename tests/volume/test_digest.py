@@ -199,7 +199,7 @@ def test_another_ct_is_refused_with_what_is_other():
     assert caught.value.code == "import.other-ct"
     moved = LPS_FROM_IJK.copy()
     moved[0, 3] += 3.25
-    with pytest.raises(VolumeImportError, match=r"3\.25 mm away") as caught:
+    with pytest.raises(VolumeImportError, match=r"by up to 3\.25 mm") as caught:
         refuse_other_ct(numbered(lps_from_ijk=moved), *case_of(numbered()))
     assert caught.value.code == "import.other-geometry"
 

@@ -126,18 +126,19 @@ def _in_words(error: sqlite3.Error, path: Path) -> CarinaError:
         sqlite3.SQLITE_READONLY: ("disk.denied", f"{doing}: this file or folder is read-only; choose another folder"),
         sqlite3.SQLITE_CANTOPEN: (
             "disk.denied",
-            f"cannot open the case {path}: its file or folder cannot be used; check that it is there and yours",
+            f"cannot open the case {path}: the file or its folder is not accessible; "
+            "check that it exists and that you have permission",
         ),
-        sqlite3.SQLITE_BUSY: ("disk.failed", f"{doing}: another program is using it; close that, and try again"),
+        sqlite3.SQLITE_BUSY: ("disk.failed", f"{doing}: another program is using it; close that program and try again"),
         sqlite3.SQLITE_PERM: ("disk.denied", f"{doing}: you do not have permission; choose another folder"),
     }
     if primary in words:
         kind, said = words[primary]
         return DiskError(said, code=kind)
     if primary == sqlite3.SQLITE_NOTADB:
-        return refused(path, "it is not a case that Carina saved; choose a .carina file", code="case.not-a-case")
+        return refused(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
     return refused(
-        path, f"it is damaged ({error}); open an earlier copy, or rescue what is whole of it", code="case.damaged"
+        path, f"it is damaged ({error}); open an earlier copy, or rescue its intact parts", code="case.damaged"
     )
 
 
@@ -149,7 +150,7 @@ def no_surprise() -> Iterator[None]:
     except CarinaError:
         raise
     except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError, RecursionError) as trouble:
-        raise damaged("its content", "values as docs/case-file.md says", type(trouble).__name__) from trouble
+        raise damaged("content", "values as described in docs/case-file.md", type(trouble).__name__) from trouble
 
 
 def needed_header(path: Path) -> None:
@@ -157,7 +158,7 @@ def needed_header(path: Path) -> None:
     with path.open("rb") as file:
         head = file.read(16)
     if head != b"SQLite format 3\x00":
-        raise refused(path, "it is not a case that Carina saved; choose a .carina file", code="case.not-a-case")
+        raise refused(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
 
 
 def has_journal(path: Path) -> bool:
@@ -170,7 +171,7 @@ def check_whole(connection: sqlite3.Connection, path: Path) -> None:
     if found != ["ok"]:
         raise refused(
             path,
-            f"it is damaged ({str(found[0])[:120]}); open an earlier copy, or rescue what is whole",
+            f"it is damaged ({str(found[0])[:120]}); open an earlier copy, or rescue its intact parts",
             code="case.damaged",
         )
 
@@ -191,7 +192,9 @@ def copied_with_journal(path: Path, folder: Path) -> Path:
                 shutil.copyfile(part, target)
         if [_stamp(part) for part in parts] == before:
             return folder / "case.carina"
-    raise refused(path, "another program keeps writing to it; close it there, or wait a moment", code="case.read-only")
+    raise refused(
+        path, "another program keeps changing it; close it there, or try again in a moment", code="case.read-only"
+    )
 
 
 def _stamp(path: Path) -> tuple[int, int, int] | None:

@@ -173,7 +173,9 @@ class CaseFile:
             if standing == "older":
                 if not read_only:
                     raise refused(
-                        place, "an older Carina saved it; migrate it with carina case migrate", code="case.older"
+                        place,
+                        "an older version of Carina saved it; migrate it with: carina case migrate",
+                        code="case.older",
                     )
                 if scratch is None:
                     scratch = ScratchFolder()
@@ -268,19 +270,20 @@ class CaseFile:
             if turn is None:
                 raise refused(
                     self.path,
-                    f"it is of another scan: expected {grid_words(source.shape_zyx)} voxels where the case has them; "
-                    f"found {grid_words(volume.shape_zyx)}; choose the scan that it was made of",
+                    f"it belongs to another scan: expected {grid_words(source.shape_zyx)} voxels in the "
+                    f"position of that scan; found {grid_words(volume.shape_zyx)}; "
+                    "choose the scan that the case was made from",
                     code="case.other-scan",
                 )
             found = connection.execute("SELECT position, facts FROM moment").fetchone()
             if found is None:
-                raise refused(self.path, "nothing was saved in it yet; open the scan anew", code="case.empty")
+                raise refused(self.path, "nothing has been saved in it yet; open the scan instead", code="case.empty")
             rows = all_content(connection)
             numbered = step_rows(connection)
             writer = None if self.read_only or not turn.is_none else self._needed_writer()
             with self._newer_in_words(), no_surprise():
                 reader = CaseReader(rows, volume, _ignored if writer is None else writer.know, turn)
-                facts: f.MomentFacts = from_json(found[1], f.decoders().moment, "the moment")
+                facts: f.MomentFacts = from_json(found[1], f.decoders().moment, "current state")
                 moment = reader.moment([row[1:] for row in numbered], found[0], facts)
             if writer is not None:
                 writer.reader = reader
@@ -469,7 +472,8 @@ class CaseFile:
                 raise
             raise refused(
                 self.path,
-                f"a newer Carina saved it, with things that this one does not know; update Carina ({trouble})",
+                f"a newer version of Carina saved it, with content that this version cannot read; "
+                f"update Carina ({trouble})",
                 code="case.newer",
             ) from trouble
 
@@ -486,7 +490,7 @@ class CaseFile:
     def _writable(self) -> sqlite3.Connection:
         if self.read_only:
             raise CaseFileError(
-                f"{self.path}: this case was opened for reading; open it for writing, or save it elsewhere",
+                f"{self.path}: this case is open for reading only; open it for writing, or save a copy elsewhere",
                 code="case.read-only",
             )
         return self._open()
@@ -524,7 +528,7 @@ def all_content(connection: sqlite3.Connection) -> Rows:
         for table in ("ct", "recording_chunk")
     )
     if pages * size - chunks > MAX_CONTENT_BYTES:
-        raise damaged("its content", f"at most {MAX_CONTENT_BYTES} bytes", str(pages * size - chunks))
+        raise damaged("content", f"at most {MAX_CONTENT_BYTES} bytes", str(pages * size - chunks))
     return {table: {row[0]: row[1:] for row in connection.execute(f"SELECT * FROM {table}")} for table in CONTENT}
 
 
@@ -538,10 +542,10 @@ def step_rows(connection: sqlite3.Connection) -> list[tuple[Any, ...]]:
     """
     count = connection.execute("SELECT count(*) FROM step").fetchone()[0]
     if not 1 <= count <= MAX_STEPS:
-        raise damaged("the steps", f"1 to {MAX_STEPS}", str(count))
+        raise damaged("history", f"1 to {MAX_STEPS} steps", str(count))
     rows = connection.execute("SELECT n, label, command, at_s, document FROM step ORDER BY n").fetchall()
     if [row[0] for row in rows] != list(range(rows[0][0], rows[0][0] + count)):
-        raise damaged("the steps", "numbers without a gap", "others")
+        raise damaged("history", "consecutive step numbers", "a gap")
     return rows
 
 

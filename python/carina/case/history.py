@@ -49,7 +49,7 @@ class History(Generic[D]):
         self._steps = list(steps)
         self._position = len(self._steps) if position is None else position
         if not 0 <= self._position <= len(self._steps):
-            raise ValueError(f"a history of {len(self._steps)} steps has no place {position}")
+            raise ValueError(f"expected a position of 0 to {len(self._steps)} in the history; found {position}")
         self._gesture: Hashable = None
         self._gesture_s = float("-inf")
 

@@ -33,7 +33,7 @@ def write_ct(connection: sqlite3.Connection, volume: Volume) -> None:
     turn = turn_between(given, _standing_in(source))
     if turn is None or ct_digest(volume) != source.digest:
         raise UsageError(
-            "only the scan that a case was made of can be packed with it; open that scan", code="case.other-scan"
+            "only the scan that a case was made from can be packed with it; open that scan", code="case.other-scan"
         )
     values = turn.turned(volume.hu_zyx)
     slice_bytes = 2 * values.shape[1] * values.shape[2]
@@ -78,9 +78,9 @@ def packed_volume(connection: sqlite3.Connection) -> Volume | None:
         where = f"piece {n} of the scan"
         slices = _put_together(inflated(data, count * slice_bytes, where), (count, ny, nx))
         if digest_of(slices.astype("<i2").tobytes()) != digest:
-            raise damaged(where, "what was packed", "something else")
+            raise damaged(where, "content that matches its digest", "altered content")
         values[first : first + count] = slices
-    reason = None if source.is_hu else "it was not when the case was packed"
+    reason = None if source.is_hu else "it was not in Hounsfield units when the case was packed"
     return Volume(values, source.lps_from_ijk, source.is_hu, reason, VolumeSource(format="case", title="packed scan"))
 
 

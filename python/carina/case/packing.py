@@ -68,7 +68,7 @@ def inflated(data: object, size: object, where: str) -> bytes:
     except zlib.error as trouble:
         raise damaged(where, "deflated bytes", str(trouble)) from None
     if len(content) != size or not inflater.eof or inflater.unused_data:
-        raise damaged(where, f"{size} bytes", "more, or fewer")
+        raise damaged(where, f"{size} bytes", "another number")
     return content
 
 
@@ -118,7 +118,7 @@ def from_json(content: object, decoder: msgspec.json.Decoder[Any], where: str) -
     try:
         return decoder.decode(content)
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as trouble:
-        raise damaged(where, "values as docs/case-file.md says", str(trouble)[:200]) from None
+        raise damaged(where, "values as described in docs/case-file.md", str(trouble)[:200]) from None
 
 
 def _plain(value: Any) -> Any:

@@ -103,7 +103,7 @@ class CaseReader:
     def moment(self, steps: Sequence[tuple[Any, ...]], position: int, facts: f.MomentFacts) -> Moment:
         """The moment of steps (label, command, seconds, document), the first of which is the first document."""
         if not 1 <= position + 1 <= len(steps):
-            raise damaged("the place in the history", f"0 to {len(steps) - 1}", str(position))
+            raise damaged("position in the history", f"0 to {len(steps) - 1}", str(position))
         with self._lock:
             # What is shown is made whole, and before all others, so that they share with it.
             present = self.airways_of(steps[position][3])
@@ -207,7 +207,7 @@ class CaseReader:
         rest = [self._array(one, kind, count=len(points)) for one, kind in zip(columns[1:6], kinds, strict=True)]
         path_points = self._array(columns[6], "f8", width=3)
         if len(points) < 2 or len(path_points) < 2:
-            raise damaged(where, "two points or more", f"{len(points)}")
+            raise damaged(where, "at least two points", f"{len(points)}")
         path = FlightPath.made_before(
             path_points,
             up_lps=facts.up_lps,
@@ -254,7 +254,7 @@ class CaseReader:
 
     def _base(self, row: int) -> Airways:
         if self.columns("airways", row)[0] is not None:
-            raise damaged(f"airways {row}", "airways without edits as a base", "a base of its own")
+            raise damaged(f"airways {row}", "unedited airways as their base", "edited ones")
         whole = self._whole.get(row)
         if whole is None:
             whole = self._whole[row] = self.airways(row)
@@ -316,7 +316,7 @@ class CaseReader:
             ends = np.cumsum(counts)
             voxels = np.count_nonzero(lumen_zyx) if len(all_nodes) else 0
             if (counts < 1).any() or ends[-1] != len(all_nodes) or int(all_nodes.max()) >= voxels:
-                raise damaged(where, "nodes of the lumen for each branch", f"{len(all_nodes)} for {len(branches)}")
+                raise damaged(where, "nodes in the lumen for each branch", f"{len(all_nodes)} for {len(branches)}")
             made.set_branches(branches, np.split(all_nodes, ends[:-1]))
         self._trackers[row] = made
         self._know("tracker", made, row)
@@ -342,7 +342,7 @@ class CaseReader:
             )
             AirwayTree(made[0])
         except CarinaError as trouble:
-            raise damaged(where, "an airway tree", str(trouble)) from None
+            raise damaged(where, "a valid airway tree", str(trouble)) from None
         while len(self._trees) >= NO_TREES:
             del self._trees[next(iter(self._trees))]
         self._trees[row] = made
@@ -377,7 +377,7 @@ class CaseReader:
         nz, ny, nx, count, packed_places, packed_tiles = self._rows_of("lumen", row)
         shape = (nz, ny, nx)
         if shape != self._turn.shape_zyx:
-            raise damaged(where, f"the scan's shape {self._turn.shape_zyx}", str(shape))
+            raise damaged(where, f"the shape of the scan, {self._turn.shape_zyx}", str(shape))
         most = num_tiles(shape)
         if not 0 <= count <= most:
             raise damaged(where, f"at most {most} tiles", str(count))
@@ -386,7 +386,7 @@ class CaseReader:
             "lumen", row, digest_of("lumen", nz, ny, nx, places.astype("<i4").tobytes(), tiles.astype("<i4").tobytes())
         )
         if count and (places[0] < 0 or places[-1] >= most or (np.diff(places) <= 0).any()):
-            raise damaged(where, "places of tiles, ascending", "others")
+            raise damaged(where, "tiles in ascending order", "another order")
         made = self._turn.turned(
             from_tiles(shape, ((int(p), self._tile(int(t))) for p, t in zip(places, tiles, strict=True)))
         )
@@ -421,7 +421,7 @@ class CaseReader:
         if count is not None and shape[0] != count:
             raise damaged(where, f"{count} numbers", str(shape[0]))
         if dtype == "f8" and not np.isfinite(known).all():
-            raise damaged(where, "finite numbers", "others")
+            raise damaged(where, "finite numbers", "infinite or undefined ones")
         return known
 
     def _value(self, kind: str, row: int, decoder: msgspec.json.Decoder[Any], make: Callable[[Any], Any]) -> Any:
@@ -436,9 +436,9 @@ class CaseReader:
         except CarinaError as trouble:
             if str(getattr(trouble, "code", "")).startswith("case."):
                 raise
-            raise damaged(where, f"a usable {kind}", str(trouble)) from None
+            raise damaged(where, f"a valid {kind}", str(trouble)) from None
         except (TypeError, ValueError, KeyError, OverflowError) as trouble:
-            raise damaged(where, f"a usable {kind}", str(trouble)[:200]) from None
+            raise damaged(where, f"a valid {kind}", str(trouble)[:200]) from None
         self._values[row] = made
         if kind != "edit":
             self._know(kind, made, row)
@@ -453,12 +453,12 @@ class CaseReader:
     def _rows_of(self, table: str, row: int) -> tuple[Any, ...]:
         found = self._rows[table].get(row)
         if found is None:
-            raise damaged(f"{table} {row}", "the row", "none")
+            raise damaged(f"{table} {row}", "an entry", "none")
         return found[1:]
 
     def _check(self, table: str, row: int, digest: bytes) -> None:
         if self._rows[table][row][0] != digest:
-            raise damaged(f"{table} {row}", "what was saved", "something else")
+            raise damaged(f"{table} {row}", "content that matches its digest", "altered content")
 
 
 def _edit(row: dict[str, Any]) -> TreeEdit:

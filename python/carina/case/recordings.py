@@ -104,7 +104,9 @@ class RecordingTable:
         connection = self._reading()
         found = connection.execute("SELECT count(*) FROM recording WHERE id = ?", (recording_id,)).fetchone()[0]
         if not found:
-            raise UsageError(f"this case has no recording {recording_id}; look at its list", code="case.recording")
+            raise UsageError(
+                f"this case has no recording {recording_id}; choose one of those that it lists", code="case.recording"
+            )
         count, size = connection.execute(
             "SELECT count(*), coalesce(sum(size), 0) FROM recording_chunk WHERE recording = ?", (recording_id,)
         ).fetchone()
@@ -117,12 +119,12 @@ class RecordingTable:
         for place, (n, size, digest, data) in enumerate(rows):
             content = inflated(data, size, where)
             if n != place or digest_of(content) != digest:
-                raise damaged(where, f"piece {place} as it was saved", "another, or none")
+                raise damaged(where, f"piece {place} with its digest", "another piece, or altered content")
             pieces.append(content)
         try:
             return b"".join(pieces).decode()
         except UnicodeDecodeError as trouble:
-            raise damaged(where, "text", "other bytes") from trouble
+            raise damaged(where, "UTF-8 text", "other bytes") from trouble
 
     def read(self, recording_id: int) -> Recording:
         """One to be flown again."""
@@ -139,7 +141,8 @@ class RecordingTable:
         known = [row[0] for row in connection.execute("SELECT id FROM recording")]
         if sorted(recording_ids) != sorted(known):
             raise UsageError(
-                f"the order must name each recording once: expected {sorted(known)}; found {list(recording_ids)}",
+                f"the new order must contain each recording once: expected {sorted(known)}; "
+                f"found {list(recording_ids)}",
                 code="case.recording",
             )
         with transaction(connection):
@@ -155,7 +158,9 @@ class RecordingTable:
         with transaction(connection):
             changed = connection.execute(sql, values).rowcount
         if not changed:
-            raise UsageError(f"this case has no recording {recording_id}; look at its list", code="case.recording")
+            raise UsageError(
+                f"this case has no recording {recording_id}; choose one of those that it lists", code="case.recording"
+            )
 
 
 class RecordingWriter(io.TextIOBase):

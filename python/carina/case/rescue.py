@@ -74,15 +74,17 @@ class _Rescue:
         self._lost: list[str] = []
         with contextlib.suppress(sqlite3.Error):
             if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
-                raise refused(path, "it is not a case that Carina saved; choose a .carina file", code="case.not-a-case")
+                raise refused(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
         try:
             self._source = read_source(connection)
         except TROUBLE as trouble:
             raise refused(
-                path, f"nothing can be rescued: which scan it is of is lost ({trouble})", code="case.damaged"
+                path, f"nothing can be rescued: the record of its scan is lost ({trouble})", code="case.damaged"
             ) from trouble
         if int(np.prod(np.array(self._source.shape_zyx, dtype=np.float64))) > MAX_VOXELS:
-            raise refused(path, "nothing can be rescued: its scan is larger than any", code="case.damaged")
+            raise refused(
+                path, "nothing can be rescued: the recorded size of its scan is impossible", code="case.damaged"
+            )
         # Only the grid is looked at; pages of memory that nobody looks at are never made.
         standing_in = Volume(np.zeros(self._source.shape_zyx, np.int16), self._source.lps_from_ijk, self._source.is_hu)
         turn = turn_between(self._source, standing_in)
@@ -116,7 +118,7 @@ class _Rescue:
                 yield row
             return
         except sqlite3.Error as trouble:
-            self._lost.append(f"a part of the table {table} ({trouble})")
+            self._lost.append(f"part of the table {table} ({trouble})")
         ahead = last or 0
         misses = 0
         while seen < MAX_ROWS and misses < 2000:
@@ -165,10 +167,10 @@ class _Rescue:
         try:
             with no_surprise():
                 position, said = self._connection.execute("SELECT position, facts FROM moment").fetchone()
-                facts: f.MomentFacts = from_json(said, f.decoders().moment, "the moment")
+                facts: f.MomentFacts = from_json(said, f.decoders().moment, "current state")
                 return int(position), facts
         except TROUBLE:
-            self._lost.append("what was shown, and where the tip was")
+            self._lost.append("the displayed views and the tip position")
             numbers = {"target": 10_000, "key": 10_000}  # none that was given is given again
             return max(num_steps - 1, 0), f.MomentFacts(Sight(), {}, None, "found", None, True, numbers)
 
@@ -180,7 +182,7 @@ class _Rescue:
 
     def _document(self, step: tuple[Any, ...]) -> Document | None:
         n, label, _, _, row = step
-        what = f"step {n} ({str(label)[:80] or 'the beginning'})"
+        what = f"step {n} ({str(label)[:80] or 'the start'})"
         try:
             with no_surprise():
                 document = self._reader.document(row)
@@ -228,7 +230,7 @@ class _Rescue:
             self._lost.append(f"{what}: the airways")
         return Document(
             transfer=part("the transfer function", lambda: reader.transfer(transfer), transfer_preset("endoscopic")),
-            look=part("the look", lambda: reader.look(look), Look()),
+            look=part("instrument and lens", lambda: reader.look(look), Look()),
             airways=part("the airways", lambda: reader.any_airways(airways), None) if whole else None,
             lumen_threshold=threshold if isinstance(threshold, float) else None,
             targets=part("the targets", lambda: self._targets(targets, what), ()),
@@ -280,7 +282,7 @@ class _Rescue:
                 try:
                     value = from_json(said, f.decoders().extra, "extra")
                 except CaseFileError:
-                    self._lost.append(f"a part of {str(kind)[:80]}")
+                    self._lost.append(f"part of {str(kind)[:80]}")
                 else:
                     kept.setdefault(str(kind), []).append(value)
         for kind, values in kept.items():

@@ -126,7 +126,7 @@ def check_schema(connection: sqlite3.Connection, path: Path) -> Standing:
     application = connection.execute("PRAGMA application_id").fetchone()[0]
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if application != APPLICATION_ID:
-        raise refused(path, "it is not a case that Carina saved; choose a .carina file", code="case.not-a-case")
+        raise refused(path, "it is not a Carina case; choose a .carina file", code="case.not-a-case")
     found = set(connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master LIMIT 200"))
     ours = _our_schema()
     if version == SCHEMA and found == ours:
@@ -136,14 +136,14 @@ def check_schema(connection: sqlite3.Connection, path: Path) -> Standing:
             return "newer"
         raise refused(
             path,
-            f"a newer Carina saved it (schema {version}; this Carina reads {SCHEMA}); update Carina",
+            f"a newer version of Carina saved it (schema {version}; this version reads {SCHEMA}); update Carina",
             code="case.newer",
         )
     if version in MIGRATIONS:
         return "older"
     raise refused(
         path,
-        f"its tables differ from those of schema {SCHEMA}, so it was changed by another program or is damaged; "
+        f"its tables are not those of schema {SCHEMA}, so it is damaged or was changed by another program; "
         "open an earlier copy",
         code="case.damaged",
     )

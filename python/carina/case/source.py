@@ -43,7 +43,7 @@ class SourceFacts(Geometry):
             PurePosixPath(self.path).is_absolute() or PureWindowsPath(self.path).anchor != ""
         )
         if absolute:
-            raise UsageError("a case file must name the scan by a path relative to itself; found an absolute path")
+            raise UsageError("expected a path to the scan that is relative to the case file; found an absolute path")
 
     @classmethod
     def of(
@@ -75,10 +75,10 @@ def write_source(connection: sqlite3.Connection, source: SourceFacts) -> None:
 
 
 def read_source(connection: sqlite3.Connection) -> SourceFacts:
-    where = "the source"
+    where = "record of the scan"
     row = connection.execute("SELECT digest, nz, ny, nx, lps_from_ijk, is_hu, path, choices FROM source").fetchone()
     if row is None:
-        raise damaged(where, "one row", "none")
+        raise damaged(where, "one entry", "none")
     digest, nz, ny, nx, matrix, is_hu, path, choices = row
     if not all(isinstance(n, int) and 1 <= n <= 65_535 for n in (nz, ny, nx)):
         raise damaged(where, "a shape of 1 to 65535 voxels along each axis", f"{(nz, ny, nx)}"[:80])
@@ -86,9 +86,9 @@ def read_source(connection: sqlite3.Connection) -> SourceFacts:
         raise damaged(where, "a matrix of 128 bytes", str(type(matrix)))
     places = np.frombuffer(matrix, dtype="<f8").reshape(4, 4)
     if not np.isfinite(places).all() or np.abs(places).max() > 1e6 or abs(np.linalg.det(places[:3, :3])) < 1e-12:
-        raise damaged(where, "a transform that can be inverted", "another matrix")
+        raise damaged(where, "an invertible transform", "another matrix")
     if not isinstance(digest, str) or len(digest) > 128 or not (path is None or _is_path(path)):
-        raise damaged(where, "a digest, and a relative path", "something else")
+        raise damaged(where, "a digest and a relative path", "other values")
     facts = from_json(choices, f.decoders().choices, where)
     try:
         return SourceFacts((nz, ny, nx), places, digest, bool(is_hu), path, facts)

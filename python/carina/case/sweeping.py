@@ -48,7 +48,7 @@ def reached(rows: Rows, documents: list[int]) -> dict[str, set[int]]:
             continue
         columns = rows[table].get(row)
         if columns is None:
-            raise damaged(f"{table} {row}", "the row", "none")
+            raise damaged(f"{table} {row}", "an entry", "none")
         found[table].add(row)
         where = f"{table} {row}"
         match table, columns[1:]:

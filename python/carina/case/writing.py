@@ -101,7 +101,7 @@ class CaseWriter:
             numbers=moment.numbers,
             saved_by=VERSION,
         )
-        row = (moment.position, as_checked_json(facts, self._decoders.moment, "what is shown"))
+        row = (moment.position, as_checked_json(facts, self._decoders.moment, "the current state"))
         self._connection.execute("INSERT OR REPLACE INTO moment (id, position, facts) VALUES (1, ?, ?)", row)
 
     def kept(self) -> None:
@@ -289,7 +289,7 @@ class CaseWriter:
             "root_i": i,
             "root_j": j,
             "root_k": k,
-            "levels": as_checked_json(levels, self._decoders.levels, "the levels of the wall"),
+            "levels": as_checked_json(levels, self._decoders.levels, "the wall levels"),
             "nodes": None if given is None else self._array(np.concatenate(given)),
             "num_nodes": None if given is None else self._array(np.array([len(n) for n in given], dtype=np.int64)),
         }
@@ -391,7 +391,7 @@ class CaseWriter:
         known = self._found(kind, value)
         if known is not None:
             return known
-        said = as_checked_json(json_of(), getattr(self._decoders, kind), f"{kind} of the case")
+        said = as_checked_json(json_of(), getattr(self._decoders, kind), f"the {kind} of the case")
         return self._note(kind, value, self._put("value", {"kind": kind, "json": said}))
 
     def _put(self, table: str, values: dict[str, Any]) -> int:

@@ -158,5 +158,5 @@ def _read(path: Path) -> CaseRecord | None:
         plain = json.loads(path.read_text(encoding="utf-8"))
         if isinstance(plain, dict) and plain.pop("format", None) == FORMAT and plain.pop("version", None) == VERSION:
             return msgspec.convert(plain, CaseRecord)
-    logger.warning("a record of a case could not be read")
+    logger.warning("the record of a saved case could not be read")
     return None

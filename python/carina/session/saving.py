@@ -201,7 +201,7 @@ class Saving(Subject):
         held = self.records.hold(record)
         if held is None:
             self.core.emit(
-                Said("this CT is open in another window of Carina; what is done here is kept as a case of its own")
+                Said("this CT is already open in another window; changes made here are kept as a separate case")
             )
             return None
         try:
@@ -217,7 +217,7 @@ class Saving(Subject):
         self.core.emit(
             Trouble(
                 "case.unreadable",
-                f"the work that was saved for this CT could not be read: {trouble}. Its file is unchanged: "
+                f"the saved case of this CT could not be read: {trouble}. Its file is unchanged: "
                 f"{held.path}. This is a new case of the same CT.",
             )
         )
@@ -268,7 +268,9 @@ class Saving(Subject):
         self.write_now()
         with self._writing:
             if self._changed_s is not None and self._info.problem is not None:
-                self.core.emit(Trouble("case.not-saved", f"the last changes were not saved: {self._info.problem}"))
+                self.core.emit(
+                    Trouble("case.not-saved", f"the latest changes have not been saved: {self._info.problem}")
+                )
             if kept.file is not None:
                 self._refresh_copy(kept, now=True)
                 kept.file.close()
@@ -393,7 +395,7 @@ class Saving(Subject):
         self._tell(copied_s=now_s, copy_name=path.name, copy_folder=str(path.parent), copy_problem=None)
 
     def _slow(self) -> None:
-        self._tell(problem="the disk has not answered for some seconds; Carina keeps trying")
+        self._tell(problem="the disk has not responded for some seconds; Carina keeps trying")
 
     def _tell(self, **values: object) -> None:
         before = self._info
@@ -417,10 +419,12 @@ class Saving(Subject):
             raise UsageError("this case is not kept on this machine, so it cannot be saved", code="case.not-kept")
         known = None if kept.held is None else kept.held.record.copy_path
         if command.path is None and known is None:
-            raise UsageError("this case has no place yet: choose a folder and a name", code="case.no-place")
+            raise UsageError(
+                "this case has not been saved to a file yet: choose a folder and a name", code="case.no-place"
+            )
         path = Path(known or "") if command.path is None else _with_suffix(Path(command.path).expanduser())
         if not path.is_absolute():
-            raise UsageError(f"the full path is needed, such as C:\\cases\\NAME or /home/NAME; found {command.path}")
+            raise UsageError(f"expected a full path such as C:\\cases\\NAME or /home/NAME; found {command.path}")
         if command.path is not None and path.exists() and not command.replace and str(path) != known:
             raise UsageError(f"there is a file already: {path}; choose another name, or replace it", code="case.exists")
 

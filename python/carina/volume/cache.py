@@ -429,7 +429,7 @@ class VolumeCache:
     def _make_room(self, num_bytes: int) -> bool:
         """Whether so much more may be kept, after the oldest have gone."""
         if num_bytes > self._bound(sum(seen.st_size for _, _, seen in self._voxels())):
-            logger.info("a CT is larger than what the cache may hold, and is not cached")
+            logger.info("a CT was not cached: it is larger than the cache may be")
             return False
         self._swept(num_bytes)
         return True
@@ -485,7 +485,7 @@ class VolumeCache:
 
     def _damaged(self, place: Path, error: Exception) -> None:
         why = str(error) if isinstance(error, DamagedFileError) else type(error).__name__
-        logger.warning("a cached CT cannot be used (%s); its files are read again", why)
+        logger.warning("a cached CT could not be used (%s); reading the original files", why)
         if not isinstance(error, OSError):
             _remove(place)
 
@@ -501,7 +501,7 @@ class VolumeCache:
         except FileNotFoundError:
             return None
         except (OSError, ValueError) as error:
-            logger.warning("what is known of a cached CT cannot be read (%s)", type(error).__name__)
+            logger.warning("the record of a cached CT could not be read (%s)", type(error).__name__)
             return None
 
     def _voxels(self) -> list[tuple[Path, VoxelName, os.stat_result]]:
@@ -606,11 +606,11 @@ def _unpacked(content: bytes) -> _Record:
     """
     head, _, body = content.partition(b"\n")
     if head != hashlib.blake2b(body, digest_size=16).hexdigest().encode():
-        raise DamagedFileError("cut short or altered")
+        raise DamagedFileError("truncated or altered")
     try:
         return msgspec.json.decode(body, type=_Record, dec_hook=_decode)
     except msgspec.MsgspecError as error:
-        raise DamagedFileError("of another version") from error
+        raise DamagedFileError("written by another version") from error
 
 
 def _remove(path: Path) -> int:

@@ -159,7 +159,7 @@ def ct_digest(volume: Volume, *, cancel: Callable[[], bool] | None = None) -> st
     # A slab and not a slice at a time: where slices lie across the file's, a cache line holds voxels of many of them.
     num = max(1, _SLAB_BYTES // max(1, values[0].nbytes))
     for first in range(0, len(values), num):
-        watch.step("Recognising the CT")
+        watch.step("Identifying the CT")
         found.update(np.ascontiguousarray(values[first : first + num], dtype="<i2").data.cast("B"))
     digest = found.hexdigest()
     object.__setattr__(volume, "_digest", digest)
@@ -201,8 +201,8 @@ def refuse_other_ct(volume: Volume, digest: str, geometry: Grid) -> None:
     apart_mm = _apart_mm(ours, theirs)
     if apart_mm > GEOMETRY_TOLERANCE_MM:
         msg = (
-            f"this CT has the voxels of the case, but up to {apart_mm:.3g} mm away from their places; expected at most "
-            f"{GEOMETRY_TOLERANCE_MM:g} mm; {advice}"
+            f"this CT has the voxels of the case, but its position differs by up to {apart_mm:.3g} mm; "
+            f"expected at most {GEOMETRY_TOLERANCE_MM:g} mm; {advice}"
         )
         raise VolumeImportError(msg, code="import.other-geometry")
 
