@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from carina import commands as c
+from carina.case import CaseFileError
 from carina.case.moment import Moment
 from carina.disk import disk_trouble
 from carina.display import one_line
@@ -51,8 +52,8 @@ class KeptFile(Protocol):
     def save(self, moment: Moment) -> None:
         """Write what is new."""
 
-    def load(self, volume: Volume) -> Moment | None:
-        """What was written last; None where nothing was."""
+    def load(self, volume: Volume) -> Moment:
+        """What was written last; CaseFileError ``case.empty`` where nothing was."""
 
     def write_copy(self, path: Path, *, ct_place: str | None = None) -> None:
         """One whole file elsewhere, with the relative way from it to its CT."""
@@ -115,6 +116,9 @@ class Between:
         try:
             return reopened.file.load(volume)
         except (OSError, sqlite3.Error, CarinaError) as trouble:
+            if isinstance(trouble, CaseFileError) and trouble.code == "case.empty":
+                # A crash right after it was begun: the same file is gone on with.
+                return None
             self._saving.say_unreadable(reopened.held, trouble)
         self.give_back()
         return None
@@ -362,9 +366,10 @@ class Saving(Subject):
         if kept.file is None:
             kept.file = self._files.create(kept.held.path, volume, kept.digest)
         with self.core.lock:
+            # All that was done until now is on the disk when it is said.
+            now_s = self.records.now_s()
             moment = moment_of(kept.case)
         kept.file.save(moment)
-        now_s = self.records.now_s()
         kept.held.note(used_s=now_s, place=kept.place or kept.held.record.place, num_changes=moment.position)
         self._tell(problem=None, saved_s=now_s, begun_s=kept.held.record.begun_s)
         self._refresh_copy(kept)

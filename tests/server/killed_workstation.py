@@ -1,0 +1,44 @@
+"""A process from which workstations are forked to be killed, started by ``test_kills.py``.
+
+For each line with the path of a CT it forks a child that serves it as ``carina open`` does, and says its number, URL
+and token. Imports, which take a second, are paid once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+
+def work(path: str, out: int) -> None:
+    from carina.server import serve
+
+    def say(words: str) -> None:
+        os.write(out, f"{words}\n".encode())
+
+    say(f"pid {os.getpid()}")
+    serve(path, open_browser=False, on_ready=lambda url, token: say(f"url {url} {token}"))
+
+
+def main() -> None:
+    import carina.render
+    import carina.server.serve
+    import carina.track
+    import carina.volume.opening  # noqa: F401  # before the forks
+
+    for line in sys.stdin:
+        child = os.fork()
+        if child == 0:
+            out = os.dup(1)
+            null = os.open(os.devnull, os.O_RDWR)
+            os.dup2(null, 0)
+            try:
+                work(line.strip(), out)
+            finally:
+                os._exit(0)
+        os.waitpid(child, 0)
+        print("gone", flush=True)
+
+
+if __name__ == "__main__":
+    main()
