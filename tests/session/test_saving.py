@@ -2,105 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from carina import commands as c
-from carina.errors import CarinaError, UsageError
+from carina.errors import UsageError
 from carina.session import Said, Session, Trouble
-from carina.session.records import CaseRecords
-from carina.session.saving import KeptFiles
-from small_case import LEFT_TIP, Background, Clock, SmallRenderer, small_parts
-
-
-class Wall:
-    """The time of day, in seconds since 1970."""
-
-    def __init__(self) -> None:
-        self.now_s = 1_800_000_000.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
-class MemoryFile:
-    """What a case file does, kept in memory by its path."""
-
-    kept: dict[str, tuple[str, Any]] = {}  # noqa: RUF012 - one disk
-
-    def __init__(self, path: Path, digest: str) -> None:
-        self.path, self.digest = path, digest
-        self.num_saved = 0
-        self.refuses: OSError | None = None
-
-    def save(self, moment: Any) -> None:
-        if self.refuses is not None:
-            raise self.refuses
-        self.num_saved += 1
-        self.kept[str(self.path)] = (self.digest, moment)
-        self.path.write_text("kept")
-
-    def load(self, volume: Any) -> Any:
-        moment = self.kept[str(self.path)][1]
-        if moment is None:
-            raise CarinaError("the file is damaged", code="case.damaged")
-        return moment
-
-    def write_copy(self, path: Path, *, ct_place: str | None = None) -> None:
-        if self.refuses is not None:
-            raise self.refuses
-        path.write_text(f"copy of {self.digest}, {ct_place}")
-
-    def close(self) -> None:
-        self.closed = True
-
-
-class Desk:
-    """A workstation that is started, killed and started again over one disk."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.wall = folder, Wall()
-        self.digest = "one CT"
-        self.files: list[MemoryFile] = []
-
-    def start(self) -> Session:
-        self.background, self.clock = Background(), Clock()
-        self.events: list[Any] = []
-
-        def create(path: Path, volume: Any, digest: str) -> MemoryFile:
-            self.files.append(MemoryFile(path, digest))
-            return self.files[-1]
-
-        def reopen(path: Path) -> MemoryFile:
-            return create(path, None, MemoryFile.kept[str(path)][0])
-
-        self.session = Session(
-            SmallRenderer,
-            parts=small_parts(),
-            submit=self.background,
-            clock=self.clock,
-            records=CaseRecords(self.folder / "cases", self.wall),
-            files=KeptFiles(create, reopen, lambda _volume: self.digest),
-        )
-        self.session.subscribe(self.events.append)
-        return self.session
-
-    def open(self, path: str = "case") -> None:
-        self.session.do(c.OpenPath(path))
-        self.background.run_all()
-
-    def saved(self) -> None:
-        assert self.session._saving.write_now()
-
-    def kill(self) -> None:
-        """Nothing more is written; the system gives the lock back."""
-        kept = self.session._saving._kept
-        assert kept is not None
-        if kept.held is not None:
-            kept.held.release()
-        self.session._saving._kept = None
+from kept_desk import Desk, MemoryFile
+from small_case import LEFT_TIP, Background
 
 
 @pytest.fixture

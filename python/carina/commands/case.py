@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from carina.commands.fields import DemoName, Key, PathText
+from carina.commands.fields import DemoName, Key, OwnName, PathText
 from carina.commands.value import Command, LocalCommand
 
 
@@ -26,6 +26,46 @@ class OpenRecent(Command, frozen=True):
     """Open a case of ``start.recent``; its path never travels."""
 
     recent_id: Key
+
+
+class BeginAnew(Command, frozen=True):
+    """Begin another case of the open CT; the one that was continued stays in the list."""
+
+
+class RenameCase(Command, frozen=True):
+    """Call a case of the list by a name of one's own; null is what the scan calls itself.
+
+    The name stays on this machine: no file that is saved or exported holds it.
+    """
+
+    recent_id: Key
+    title: OwnName | None
+
+
+class ForgetCase(Command, frozen=True):
+    """Take a case out of the list, and what is kept of its CT; for a day it can be brought back."""
+
+    recent_id: Key
+
+
+class RestoreCase(Command, frozen=True):
+    """Bring a forgotten case back."""
+
+    recent_id: Key
+
+
+class EmptyForgotten(Command, frozen=True):
+    """Remove all forgotten cases from the disk, for good."""
+
+
+class EmptyCtCache(Command, frozen=True):
+    """Remove the CTs that are kept to open faster; they are read from their files again."""
+
+
+class KeepCts(Command, frozen=True):
+    """Whether CTs that are opened are kept to open faster; without, those kept are removed."""
+
+    on: bool
 
 
 class OpenFiles(LocalCommand, frozen=True):

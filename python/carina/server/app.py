@@ -131,6 +131,15 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         except CarinaError as trouble:
             return _error(trouble, 409)
 
+    async def case_picture(request: Request) -> Response:
+        if not gate.authorised(request.headers):
+            return _not_authorised()
+        jpeg = await asyncio.to_thread(hub.session.cases.picture, request.path_params["case_id"])
+        if jpeg is None:
+            return _error(CarinaError("this case has no picture", code="case.no-picture"), 404)
+        # Of a patient: in memory only.
+        return Response(jpeg, media_type="image/jpeg", headers={"cache-control": "no-store"})
+
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
         if not gate.authorised(websocket.headers):
@@ -153,6 +162,7 @@ def create_app(hub: Hub, gate: Gate, uploads: Uploads, *, web: Path | None = Non
         Route("/api/upload/{upload_id}", one_upload, methods=["PUT", "DELETE"]),
         Route("/api/airways{suffix:path}", download),
         Route("/api/key-frames.json", key_frames),
+        Route("/api/cases/{case_id}/picture.jpg", case_picture),
         WebSocketRoute("/ws", socket),
         Route("/{path:path}", asset),
     ]

@@ -228,8 +228,9 @@ class Hub:
             return wire.encode_message(
                 start_message(
                     notice_accepted=store is not None and store.notice_accepted(),
-                    recent=() if store is None else store.recent(),
+                    recent=self.session.cases.listed(),
                     patient_citation=self._patient_citation,
+                    storage=self.session.cases.storage(),
                 )
             )
         if topic == "state":
@@ -428,6 +429,9 @@ class Hub:
             case wire.AcceptNotice():
                 if self.session.store is not None:
                     self.session.store.accept_notice()
+                if self._outbox is not None:
+                    self._outbox.mark("start")
+            case wire.AskStorage():
                 if self._outbox is not None:
                     self._outbox.mark("start")
             case _ if self.devices.handle(message):

@@ -114,5 +114,9 @@ class SetFrameRate(ClientMessage, frozen=True):
     rate_hz: Annotated[float, Meta(ge=5.0, le=240.0)]
 
 
+class AskStorage(ClientMessage, frozen=True):
+    """Ask what the cases and their CTs take on the disk now; the answer is ``start``."""
+
+
 class AcceptNotice(ClientMessage, frozen=True):
     """ "Not a medical device" was read."""

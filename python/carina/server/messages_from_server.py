@@ -30,6 +30,8 @@ from carina.track import DrawnPart
 from carina.value import FrozenValue
 from carina.volume import Citation
 
+Bytes = Annotated[int, Meta(ge=0, le=2**53)]
+
 
 class ServerHello(ServerMessage, frozen=True, tag="hello"):
     """Answer to the client's hello."""
@@ -43,8 +45,33 @@ class RecentCase(FrozenValue, frozen=True):
 
     recent_id: Key
     date: Key
-    """ISO date of the last opening."""
+    """ISO date of the last use."""
     title: Words
+    used_s: float | None = None
+    """The same in seconds since 1970, where more than the day is known."""
+    begun_s: float | None = None
+    num_changes: Count | None = None
+    """Null where nothing was kept of it but the place of its CT."""
+    num_bytes: Bytes = 0
+    """What it takes on the disk, without its CT."""
+    picture: Words | None = None
+    """Where its small picture is asked for: a JPEG of at most 320x240."""
+    opens: bool = True
+    """False where its CT was dropped: it is to be dropped or chosen again."""
+    named: bool = False
+    """Its title was given by a person."""
+
+
+class Storage(FrozenValue, frozen=True):
+    """What is kept on the disk beside the cases of the list."""
+
+    num_cts: Count
+    """Opened CTs that are kept to open faster."""
+    ct_bytes: Bytes
+    keeps_cts: Literal["on", "off", "never"]
+    """Never: Carina was started so."""
+    forgotten: tuple[RecentCase, ...]
+    """These can be brought back for a day."""
 
 
 class Demo(FrozenValue, frozen=True):
@@ -78,6 +105,7 @@ class Start(ServerMessage, frozen=True):
     recent: tuple[RecentCase, ...]
     demos: tuple[Demo, ...]
     scopes: tuple[Scope, ...]
+    storage: Storage | None = None
 
 
 class OtherSeries(FrozenValue, frozen=True):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -14,7 +15,7 @@ from carina.commands import Look
 from carina.render import PictureLines
 from carina.scopes import scope_presets
 from carina.server import messages as wire
-from carina.session import ChosenRoute, KeysInfo, MaskQuestion, PoseInfo, RecentCase, Snapshot, WallPoint
+from carina.session import ChosenRoute, KeysInfo, ListedCase, MaskQuestion, PoseInfo, Snapshot, StorageInfo, WallPoint
 from carina.volume import Citation, Note, badges_of
 
 __all__ = [
@@ -41,15 +42,41 @@ def demos(patient_citation: Citation | None) -> tuple[wire.Demo, ...]:
 
 
 def start_message(
-    *, notice_accepted: bool, recent: tuple[RecentCase, ...], patient_citation: Citation | None
+    *,
+    notice_accepted: bool,
+    recent: tuple[ListedCase, ...],
+    patient_citation: Citation | None,
+    storage: StorageInfo | None = None,
 ) -> wire.Start:
     """What the start page shows; paths stay on the server's side."""
-    cases = tuple(wire.RecentCase(c.recent_id, c.date, c.title) for c in recent)
+    cases = tuple(_listed(case) for case in recent)
+    beside = None
+    if storage is not None:
+        beside = wire.Storage(
+            storage.num_cts, storage.ct_bytes, storage.keeps_cts, tuple(_listed(case) for case in storage.forgotten)
+        )
     scopes = tuple(
         wire.Scope(s.name, s.title, s.tip_mm, round(s.fit_mm, 2), s.channel_mm, s.fov_deg, s.view_up_deg)
         for s in scope_presets()
     )
-    return wire.Start(notice_accepted, cases, demos(patient_citation), scopes)
+    return wire.Start(notice_accepted, cases, demos(patient_citation), scopes, beside)
+
+
+def _listed(case: ListedCase) -> wire.RecentCase:
+    """Another picture has another address: a browser keeps none of them, but shows what it has."""
+    made_s = case.pictured_s
+    return wire.RecentCase(
+        recent_id=case.recent_id,
+        date=time.strftime("%Y-%m-%d", time.localtime(case.used_s)),
+        title=case.title,
+        used_s=None if case.num_changes is None else case.used_s,
+        begun_s=case.begun_s,
+        num_changes=case.num_changes,
+        num_bytes=case.num_bytes,
+        picture=None if made_s is None else f"api/cases/{case.recent_id}/picture.jpg?made={made_s:.3f}",
+        opens=case.opens,
+        named=case.named,
+    )
 
 
 # Rows of a curved picture that its header names, linear between: this far apart, but not more than these many, since a

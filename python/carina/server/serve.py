@@ -28,7 +28,7 @@ from carina.server.security import Gate, is_loopback
 from carina.server.strangers import ACCEPT_AT_ONCE, WAITING_IN_LINE, Strangers, quieten
 from carina.server.uploads import Uploads
 from carina.server.wire_codec import MAX_TEXT_BYTES
-from carina.session import CaseRecords, LocalStore, RendererFactory, Session, case_files
+from carina.session import FORGOTTEN_FOR_S, CaseRecords, LocalStore, RendererFactory, Session, case_files
 from carina.volume import Citation, VolumeCache
 
 __all__ = ["bind", "make_server", "serve", "start_url"]
@@ -174,8 +174,14 @@ def serve(
         _refuse_early(path, cache)
     sweep_leftovers()
     _leave_no_core(settings.log_level)
-    # What is too old or too much goes while the window opens.
-    threading.Thread(target=cache.sweep, name="carina-sweep", daemon=True).start()
+    records = CaseRecords(settings.cases_dir, time.time, settings.documents_dir)
+
+    def sweep() -> None:
+        cache.sweep()
+        records.empty_forgotten(FORGOTTEN_FOR_S)
+
+    # What is too old or too much goes while the window opens; work never does.
+    threading.Thread(target=sweep, name="carina-sweep", daemon=True).start()
     with bind(host, port) as sock:
         gate = Gate(host=host, port=sock.getsockname()[1])
         if not is_loopback(host):
@@ -183,7 +189,7 @@ def serve(
         session = Session(
             make_renderer or _renderer_factory(),
             store=LocalStore(settings.config_dir),
-            records=CaseRecords(settings.cases_dir, time.time, settings.documents_dir),
+            records=records,
             files=case_files(cache),
         )
         page = None if make_phone is None else make_phone(session, web_folder(), phone_address)

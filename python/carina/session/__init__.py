@@ -2,12 +2,13 @@
 
 from carina.case.routes import ChosenRoute
 from carina.session.case_files import case_files
+from carina.session.case_list import ListedCase, StorageInfo
 from carina.session.core import Event
 from carina.session.jobs import JobEnded, JobProgress, log_fault
 from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.public import Case
 from carina.session.recent import LocalStore, RecentCase
-from carina.session.records import CaseRecords
+from carina.session.records import FORGOTTEN_FOR_S, CaseRecords
 from carina.session.scene import Renderer, ShownCase
 from carina.session.session import Session
 from carina.session.snapshot import (
@@ -23,6 +24,7 @@ from carina.session.snapshot import (
 )
 
 __all__ = [
+    "FORGOTTEN_FOR_S",
     "Case",
     "CaseRecords",
     "Changed",
@@ -31,6 +33,7 @@ __all__ = [
     "JobEnded",
     "JobProgress",
     "KeysInfo",
+    "ListedCase",
     "LocalStore",
     "MaskQuestion",
     "NotEvident",
@@ -43,6 +46,7 @@ __all__ = [
     "Session",
     "ShownCase",
     "Snapshot",
+    "StorageInfo",
     "Trouble",
     "WallPoint",
     "case_files",

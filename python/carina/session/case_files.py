@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carina.case import CaseFile, SourceFacts
+from carina.session.pictures import small_picture
 from carina.session.saving import KeptFile, KeptFiles
 from carina.volume import Volume
 
@@ -27,9 +28,9 @@ def case_files(cache: VolumeCache | None = None) -> KeptFiles:
         return CaseFile.open(path)
 
     if cache is None:
-        return KeptFiles(create, reopen, ct_digest)
+        return KeptFiles(create, reopen, ct_digest, picture=small_picture)
 
     def open_ct(path: str, progress: Progress, cancel: Cancel) -> Volume:
         return cache.open_and_keep(path, progress=progress, cancel=cancel)
 
-    return KeptFiles(create, reopen, ct_digest, open_ct, cache.close)
+    return KeptFiles(create, reopen, ct_digest, open_ct, cache.close, small_picture, cache)

@@ -14,6 +14,7 @@ from carina.session.finding import AirwayFinding
 from carina.session.holding import ScopeHolding
 from carina.session.jobs import Job
 from carina.session.recording import FlightRecording
+from carina.session.records import CaseRecord
 from carina.session.saving import Saving
 from carina.session.subject import Subject, does
 from carina.volume import Volume
@@ -52,20 +53,42 @@ class Opening(Subject):
 
         return self._open("opening the case", read, None)
 
-    def _open_path(self, path: str) -> str:
+    def _open_path(self, path: str, case_id: str | None = None) -> str:
         def read(job: Job) -> Volume:
             return self._saving.open_ct(path, job.progress, job.cancel)
 
-        return self._open("opening the case", read, path)
+        return self._open("opening the case", read, path, case_id=case_id)
+
+    def _open_record(self, record: CaseRecord) -> str:
+        if record.place is None:
+            raise UsageError(
+                "the CT of this case was dropped onto Carina, so its place is not known: drop or choose it again to "
+                "continue",
+                code="case.no-ct",
+            )
+        name = record.place.removeprefix("demo:")
+        if name == record.place:
+            return self._open_path(record.place, record.case_id)
+        return self._open_demo(name, record.case_id)
 
     @does(c.OpenDemo)
     def open_demo(self, command: c.OpenDemo) -> str:
         """Read or make a bundled case."""
+        return self._open_demo(command.name)
 
+    def _open_demo(self, name: str, case_id: str | None = None) -> str:
         def read(job: Job) -> Volume:
-            return self.core.parts.open_demo(command.name, job.progress, job.cancel)
+            return self.core.parts.open_demo(name, job.progress, job.cancel)
 
-        return self._open("opening the demo", read, None, f"demo:{command.name}")
+        return self._open("opening the demo", read, None, f"demo:{name}", case_id=case_id)
+
+    @does(c.BeginAnew)
+    def begin_anew(self, _command: c.BeginAnew) -> str:
+        """Another case of the open CT, as if nothing had been kept of it."""
+        with self.core.lock:
+            case = self.core.needed_case()
+            place = self._saving.place_of(case)
+        return self._open("starting a new case", lambda _job: case.info.volume, None, place, anew=True)
 
     @does(c.OpenVolume)
     def open_volume(self, command: c.OpenVolume) -> str:
@@ -76,6 +99,10 @@ class Opening(Subject):
     @does(c.OpenRecent)
     def open_recent(self, command: c.OpenRecent) -> str:
         """Open a case of the list; UsageError if it has no such case."""
+        records = self._saving.records
+        record = None if records is None else records.find(command.recent_id)
+        if record is not None:
+            return self._open_record(record)
         for case in self.core.store.recent() if self.core.store else ():
             if case.recent_id == command.recent_id:
                 return self._open_path(case.path)
@@ -119,7 +146,17 @@ class Opening(Subject):
         if self.core.case is not None:
             self.core.case.discard()
 
-    def _open(self, title: str, read: Callable[[Job], Volume], path: str | None, place: str | None = None) -> str:
+    def _open(
+        self,
+        title: str,
+        read: Callable[[Job], Volume],
+        path: str | None,
+        place: str | None = None,
+        *,
+        case_id: str | None = None,
+        anew: bool = False,
+    ) -> str:
+        """``case_id`` is the kept case that is meant; else the one of this CT that was used last, or none."""
         if path is not None:
             place = str(Path(path).absolute())
 
@@ -129,7 +166,11 @@ class Opening(Subject):
             # From here on there is no way back: a refused or stopped opening leaves the case on screen as it was.
             job.check()
             with self._saving.between() as keeping:
-                kept = keeping.reopened(volume)
+                kept = None
+                if anew:
+                    keeping.begin(volume)
+                else:
+                    kept = keeping.reopened(volume, case_id)
                 job.progress("checking the scan quality", None)
                 case = new_case(
                     volume,

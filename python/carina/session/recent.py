@@ -42,6 +42,7 @@ class LocalStore:
         """What the disk did not take: it holds until Carina is closed."""
         self._recent_file = folder / "recent.json"
         self._notice_file = folder / "notice.json"
+        self._storage_file = folder / "storage.json"
 
     def __repr__(self) -> str:
         return f"LocalStore({as_words(str(self._recent_file.parent))})"
@@ -60,7 +61,18 @@ class LocalStore:
         """Put a case first in the list."""
         place = str(Path(path).absolute())
         recent_id = hashlib.sha256(place.encode()).hexdigest()[:16]
-        cases = [RecentCase(recent_id, date, title, place), *(c for c in self.recent() if c.recent_id != recent_id)]
+        self._write_cases(
+            [RecentCase(recent_id, date, title, place), *(c for c in self.recent() if c.recent_id != recent_id)]
+        )
+
+    def forget(self, path: str) -> None:
+        """Take a case out of the list."""
+        cases = self.recent()
+        left = [case for case in cases if case.path != path]
+        if len(left) < len(cases):
+            self._write_cases(left)
+
+    def _write_cases(self, cases: list[RecentCase]) -> None:
         entries = [
             {"recent_id": c.recent_id, "date": c.date, "title": c.title, "path": c.path} for c in cases[:MAX_RECENT]
         ]
@@ -73,6 +85,14 @@ class LocalStore:
     def accept_notice(self) -> None:
         """Remember that it was read."""
         self._write(self._notice_file, {"format": "carina-notice", "version": 1, "accepted": True})
+
+    def keeps_cts(self) -> bool:
+        """Whether this person wants opened CTs to be kept, to open faster."""
+        return self._read(self._storage_file).get("keeps_cts") is not False
+
+    def keep_cts(self, on: bool) -> None:
+        """Remember whether they are."""
+        self._write(self._storage_file, {"format": "carina-storage", "version": 1, "keeps_cts": on})
 
     def _read(self, path: Path) -> dict[str, Any]:
         if path in self._unwritten:

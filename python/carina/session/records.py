@@ -11,6 +11,7 @@ import logging
 import os
 import secrets
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -26,7 +27,10 @@ __all__ = ["CaseRecord", "CaseRecords", "HeldCase"]
 logger = logging.getLogger(__name__)
 
 FORMAT, VERSION = "carina-record", 1
-RECORD, LOCK, FILE = "record.json", "lock", "case.carina"
+RECORD, LOCK, FILE, PICTURE = "record.json", "lock", "case.carina", "picture.jpg"
+FORGOTTEN = ".forgotten"
+"""The folder, among those of the cases, of what was forgotten: it can be brought back for a while."""
+FORGOTTEN_FOR_S = 24 * 3600.0
 
 
 class CaseRecord(FrozenValue, frozen=True):
@@ -46,6 +50,17 @@ class CaseRecord(FrozenValue, frozen=True):
     copied_s: float | None = None
     num_changes: int = 0
     """Steps that hold."""
+    alias: str | None = None
+    """What its person calls it."""
+    pictured_s: float | None = None
+    """When its small picture was made; None where it has none."""
+    forgotten_s: float | None = None
+    """When it was forgotten; None while it is in the list."""
+
+    @property
+    def shown_title(self) -> str:
+        """What it is called in the list."""
+        return self.title if self.alias is None else self.alias
 
 
 @one_line
@@ -66,6 +81,11 @@ class HeldCase:
         """Change what is known beside the file, on the disk, too."""
         self.record = msgspec.structs.replace(self.record, **values)
         _write(self.folder, self.record)
+
+    def put_picture(self, jpeg: bytes, now_s: float) -> None:
+        """Keep a small picture, by which its person knows it again."""
+        write_whole(self.folder / PICTURE, jpeg, what="the case's picture", private=True)
+        self.note(pictured_s=now_s)
 
     def release(self) -> None:
         """Another process may own it now."""
@@ -138,14 +158,88 @@ class CaseRecords:
             return None
         return HeldCase(folder, record, descriptor)
 
-    def forget(self, record: CaseRecord) -> bool:
-        """Remove all that is kept of a case here; False where another process has it open."""
+    def find(self, case_id: str) -> CaseRecord | None:
+        """A case of the list."""
+        return next((one for one in self.all() if one.case_id == case_id), None)
+
+    def num_bytes(self, record: CaseRecord) -> int:
+        """What a case takes on the disk."""
+        total = 0
+        for path in self._place(record).glob("*"):
+            with contextlib.suppress(OSError):
+                total += path.stat().st_size
+        return total
+
+    def picture(self, case_id: str) -> bytes | None:
+        """The small picture of a case, also of a forgotten one; None where it has none."""
+        for record in (*self.all(), *self.forgotten()):
+            if record.case_id == case_id:
+                with contextlib.suppress(OSError):
+                    return (self._place(record) / PICTURE).read_bytes()
+        return None
+
+    def rename(self, record: CaseRecord, alias: str | None) -> bool:
+        """Call a case by a name of its person's; False where a process has it open."""
         held = self.hold(record)
         if held is None:
             return False
+        held.note(alias=alias)
         held.release()
-        shutil.rmtree(held.folder, ignore_errors=True)
-        return not held.folder.exists()
+        return True
+
+    # ------------------------------------------------------------ forgetting
+
+    def forgotten(self) -> tuple[CaseRecord, ...]:
+        """What can be brought back, the last forgotten first."""
+        found = [_read(path) for path in (self._folder / FORGOTTEN).glob(f"*/{RECORD}")]
+        # Where Carina was killed between moving and noting.
+        dated = [msgspec.structs.replace(one, forgotten_s=one.forgotten_s or self.now_s()) for one in found if one]
+        return tuple(sorted(dated, key=lambda one: one.forgotten_s or 0.0, reverse=True))
+
+    def forget(self, record: CaseRecord) -> bool:
+        """Take a case out of the list, for a while to be brought back; False where a process has it open.
+
+        Raises
+        ------
+        OSError
+            If the disk does not take it.
+        """
+        held = self.hold(record)
+        if held is None:
+            return False
+        try:
+            make_folder(self._folder / FORGOTTEN, what="the forgotten cases", private=True)
+            if sys.platform == "win32":  # moves no folder of which a file is open
+                held.release()
+            place = self._folder / FORGOTTEN / record.case_id
+            held.folder.rename(place)
+            _write(place, msgspec.structs.replace(held.record, forgotten_s=self.now_s()))
+        finally:
+            held.release()
+        return True
+
+    def restore(self, case_id: str) -> CaseRecord | None:
+        """Bring a forgotten case back; None where it is gone."""
+        record = next((one for one in self.forgotten() if one.case_id == case_id), None)
+        if record is None:
+            return None
+        restored = msgspec.structs.replace(record, forgotten_s=None)
+        place = self._folder / record.case_id
+        self._place(record).rename(place)
+        _write(place, restored)
+        return restored
+
+    def empty_forgotten(self, older_than_s: float = 0.0) -> int:
+        """Remove for good what was forgotten so long ago; how many cases."""
+        removed = 0
+        for record in self.forgotten():
+            if self.now_s() - (record.forgotten_s or 0.0) >= older_than_s:
+                shutil.rmtree(self._place(record), ignore_errors=True)
+                removed += not self._place(record).exists()
+        return removed
+
+    def _place(self, record: CaseRecord) -> Path:
+        return (self._folder if record.forgotten_s is None else self._folder / FORGOTTEN) / record.case_id
 
 
 def _write(folder: Path, record: CaseRecord) -> None:

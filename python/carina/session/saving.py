@@ -6,7 +6,7 @@ import logging
 import os
 import sqlite3
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ from carina.display import one_line
 from carina.errors import CarinaError, UsageError
 from carina.session.case import OpenCase, moment_of
 from carina.session.core import SessionCore
-from carina.session.jobs import Job
+from carina.session.jobs import Job, log_fault
 from carina.session.records import CaseRecord, CaseRecords, HeldCase
 from carina.session.snapshot import Changed, Said, SavingInfo, Trouble
 from carina.session.subject import Subject, does
@@ -28,9 +28,10 @@ from carina.session.subject import Subject, does
 if TYPE_CHECKING:
     from carina.session.core import Event
     from carina.session.parts import Cancel, Progress
+    from carina.session.scene import ShownCase
     from carina.volume import Volume
 
-__all__ = ["KeptFile", "KeptFiles", "Reopened", "Saving"]
+__all__ = ["CtCache", "KeptCt", "KeptFile", "KeptFiles", "Reopened", "Saving"]
 
 logger = logging.getLogger(__name__)
 
@@ -62,6 +63,42 @@ class KeptFile(Protocol):
         """Nothing more is written."""
 
 
+class KeptCt(Protocol):
+    """A CT that is kept to open faster."""
+
+    @property
+    def digest(self) -> str:
+        """What it is known by."""
+
+    @property
+    def num_bytes(self) -> int:
+        """On the disk."""
+
+
+class CtCache(Protocol):
+    """CTs that are kept to open faster: :class:`carina.volume.VolumeCache`."""
+
+    @property
+    def is_on(self) -> bool:
+        """It may keep something."""
+
+    @property
+    def can_be_on(self) -> bool:
+        """It may be switched on."""
+
+    def sizes(self) -> Sequence[KeptCt]:
+        """What is kept."""
+
+    def forget(self, digest: str) -> int:
+        """Remove a CT; returns the bytes removed."""
+
+    def empty(self) -> int:
+        """Remove every CT; returns the bytes removed."""
+
+    def switch(self, on: bool) -> None:
+        """Keep CTs from now on, or none and also not those that are kept."""
+
+
 def _nothing() -> None:
     """Of a CT nothing is kept."""
 
@@ -81,6 +118,10 @@ class KeptFiles:
     is kept of CTs."""
     close: Callable[[], None] = _nothing
     """No more CT is kept."""
+    picture: Callable[[ShownCase], bytes] | None = None
+    """A small JPEG of what is shown; None makes none."""
+    cache: CtCache | None = None
+    """The CTs that are kept, to be looked after."""
 
 
 @one_line
@@ -100,17 +141,32 @@ class Between:
         self._digest: str | None = None
         self._reopened: Reopened | None = None
 
-    def take(self, digest: str | None) -> Reopened | None:
-        """Own what was kept of a CT."""
+    def begin(self, volume: Volume) -> None:
+        """What was kept of this CT stays where it is: a new case of it is begun."""
+        self._digest = self._saving.digest_of(volume)
+
+    def take(self, digest: str | None, case_id: str | None = None) -> Reopened | None:
+        """Own what was kept of a CT: the case that is meant, or the one that was used last."""
         self._digest = digest
         records = self._saving.records
-        record = None if records is None or digest is None else records.newest_of(digest)
+        if records is None or digest is None:
+            record = None
+        elif case_id is None:
+            record = records.newest_of(digest)
+        else:
+            record = records.find(case_id)
+            if record is not None and record.digest != digest:
+                raise CarinaError(
+                    "the CT in this place is not the one that this case was made with. Choose the case's own CT "
+                    "again, or open this one to begin a new case",
+                    code="case.other-ct",
+                )
         self._reopened = None if record is None else self._saving.opened(record)
         return self._reopened
 
-    def reopened(self, volume: Volume) -> Moment | None:
+    def reopened(self, volume: Volume, case_id: str | None = None) -> Moment | None:
         """What was kept of this CT, wherever its files lie now; None where nothing was, or nothing can be read."""
-        reopened = self.take(self._saving.digest_of(volume))
+        reopened = self.take(self._saving.digest_of(volume), case_id)
         if reopened is None:
             return None
         try:
@@ -146,6 +202,8 @@ class _Kept:
     digest: str
     held: HeldCase | None = None
     file: KeptFile | None = None
+    pictured: bool = False
+    """Its picture was tried to be made."""
 
 
 class Saving(Subject):
@@ -194,7 +252,7 @@ class Saving(Subject):
             if before is not None:
                 with self.core.lock:
                     again = Between(self)
-                    again.take(before.digest)
+                    again.take(before.digest, None if before.held is None else before.held.record.case_id)
                     again.attach(before.case, before.place)
             raise
 
@@ -253,6 +311,9 @@ class Saving(Subject):
                 keeps=True,
                 saved_s=record.used_s,
                 begun_s=record.begun_s,
+                title=record.alias,
+                continued_s=record.used_s,
+                continued_changes=record.num_changes,
                 copied_s=record.copied_s,
                 copy_name=None if copy is None else copy.name,
                 copy_folder=None if copy is None else str(copy.parent),
@@ -275,6 +336,7 @@ class Saving(Subject):
                 self.core.emit(
                     Trouble("case.not-saved", f"the latest changes have not been saved: {self._info.problem}")
                 )
+            self._picture(kept)
             if kept.file is not None:
                 self._refresh_copy(kept, now=True)
                 kept.file.close()
@@ -372,7 +434,43 @@ class Saving(Subject):
         kept.file.save(moment)
         kept.held.note(used_s=now_s, place=kept.place or kept.held.record.place, num_changes=moment.position)
         self._tell(problem=None, saved_s=now_s, begun_s=kept.held.record.begun_s)
+        if kept.held.record.pictured_s is None and not kept.pictured:
+            # Else it is made when the case is closed: a Carina that is killed has one, too.
+            self._picture(kept)
         self._refresh_copy(kept)
+
+    def _picture(self, kept: _Kept) -> None:
+        """The small picture by which a person knows the case again; nothing waits for it, and nothing fails by it."""
+        if kept.held is None or self._files is None or self._files.picture is None or self.records is None:
+            return
+        scene = self.core.scene()
+        if scene is None or scene.case_number != kept.case.number or not scene.has_lumen:
+            return
+        kept.pictured = True
+        try:
+            kept.held.put_picture(self._files.picture(scene), self.records.now_s())
+        except Exception as trouble:
+            log_fault(logger, "the case's picture could not be made", trouble)
+
+    def rename(self, case_id: str, alias: str | None) -> bool:
+        """Call the open case by a name of its person's; False where it is another case."""
+        with self._writing:
+            kept = self._kept
+            if kept is None or kept.held is None or kept.held.record.case_id != case_id:
+                return False
+            kept.held.note(alias=alias)
+        self._tell(title=alias)
+        return True
+
+    def place_of(self, case: OpenCase) -> str | None:
+        """Where the CT of the open case was opened from."""
+        kept = self._kept
+        return None if kept is None or kept.case is not case else kept.place
+
+    @property
+    def cache(self) -> CtCache | None:
+        """The CTs that are kept to open faster."""
+        return None if self._files is None else self._files.cache
 
     def _refresh_copy(self, kept: _Kept, *, now: bool = False) -> None:
         """The copy that a person asked for follows, once a minute and when the case is closed."""

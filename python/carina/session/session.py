@@ -13,6 +13,7 @@ from typing import Any, TypeVar, cast
 from carina.commands import Command, Question, all_commands, checked
 from carina.display import as_words
 from carina.errors import UsageError
+from carina.session.case_list import CaseList
 from carina.session.core import Event, SessionCore
 from carina.session.devices import Devices
 from carina.session.editing import TreeEditing
@@ -86,6 +87,7 @@ class Session:
         self._core, self._keys, self._recording = core, keys, recording
         self._devices = Devices(core, recording, self.do)
         self._saving = Saving(core, records, files)
+        self._cases = CaseList(core, self._saving)
         core.saving = lambda: self._saving.info
         opening = Opening(core, finding, recording, holding, self._saving)
         # In this order: a recording's time before what follows, an edit's airways before who reads them.
@@ -97,7 +99,7 @@ class Session:
         looking = Looking(core)
         subjects = (
             opening, Flying(core, holding), looking, Routing(core), finding, editing, keys, recording,
-            self._devices, holding, self._saving, CaseQuestions(core),
+            self._devices, holding, self._saving, self._cases, CaseQuestions(core),
         )  # fmt: skip
         self._handlers: dict[type[Any], Callable[[Any], Any]] = {
             cls: looking.set_field for cls in all_commands() if cls.sets is not None
@@ -194,6 +196,11 @@ class Session:
     def jobs(self) -> JobRunner:
         """Running jobs."""
         return self._core.jobs
+
+    @property
+    def cases(self) -> CaseList:
+        """The cases of this person, and what is kept beside them."""
+        return self._cases
 
     @property
     def store(self) -> LocalStore | None:

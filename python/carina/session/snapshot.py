@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 
@@ -138,6 +138,12 @@ class SavingInfo(FrozenValue, frozen=True):
     copy_problem: Words | None = None
     suggested: Words | None = None
     """A place for the copy, where it has none."""
+    title: Words | None = None
+    """What its person calls it."""
+    continued_s: float | None = None
+    """The case was continued: when it had been used before."""
+    continued_changes: Annotated[int, msgspec.Meta(ge=0, le=2**31)] = 0
+    """How many changes it had then."""
 
     def with_(self, **values: Any) -> SavingInfo:
         """The same with other fields."""
@@ -147,7 +153,7 @@ class SavingInfo(FrozenValue, frozen=True):
     def shown(self) -> tuple[Any, ...]:
         """What a window shows of it, where times are minutes."""
         minutes = [None if s is None else int(s // 60.0) for s in (self.saved_s, self.copied_s)]
-        return (*minutes, self.keeps, self.problem, self.copy_name, self.copy_folder, self.copy_problem)
+        return (*minutes, self.keeps, self.title, self.problem, self.copy_name, self.copy_folder, self.copy_problem)
 
 
 @one_line

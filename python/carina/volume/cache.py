@@ -159,7 +159,7 @@ class VolumeCache:
         clock: Callable[[], float] = time.time,
     ) -> None:
         self._folder = Path(folder)
-        self._max_bytes = max_bytes
+        self._max_bytes = self._told_bytes = max_bytes
         self._max_age_s = max_age_s
         self._clock = clock
         self._lock = threading.Lock()
@@ -176,6 +176,17 @@ class VolumeCache:
     def is_on(self) -> bool:
         """It may keep something."""
         return self._max_bytes != 0
+
+    @property
+    def can_be_on(self) -> bool:
+        """It was not made with 0 bytes."""
+        return self._told_bytes != 0
+
+    def switch(self, on: bool) -> None:
+        """Keep CTs from now on, or none and also not those that are kept."""
+        self._max_bytes = self._told_bytes if on else 0
+        if not on:
+            self.empty()
 
     def open(
         self,
@@ -385,6 +396,10 @@ class VolumeCache:
                 if name.digest == digest:
                     freed += _remove(path)
             return freed
+
+    def empty(self) -> int:
+        """Remove every CT; returns the bytes removed."""
+        return sum(self.forget(one.digest) for one in self.sizes())
 
     def sweep(self) -> int:
         """Remove what is too old, too much or damaged; returns the bytes removed. Nothing while another process does.

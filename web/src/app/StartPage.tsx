@@ -8,6 +8,8 @@ import { useApp, useStation } from "./context";
 import { Act, Tip } from "./controls";
 import { Icon } from "./icons";
 import { Jobs } from "./Jobs";
+import { RecentCases } from "./RecentCases";
+import { StorageDialog } from "./StorageDialog";
 
 export function StartPage() {
   const version = useApp((state) => state.version);
@@ -23,7 +25,7 @@ export function StartPage() {
           <DropPlace />
           <PathForm />
           <Jobs />
-          <Recent />
+          <RecentCases />
         </section>
         <section aria-labelledby="demo-heading">
           <h2 id="demo-heading">Or look at an example</h2>
@@ -35,6 +37,7 @@ export function StartPage() {
         on this machine.
         <span className="quiet">{version === null ? "" : ` Carina ${version}`}</span>
       </footer>
+      <StorageDialog />
     </main>
   );
 }
@@ -114,35 +117,6 @@ export function PathForm() {
         </div>
       </TextField>
     </Form>
-  );
-}
-
-function Recent() {
-  const station = useStation();
-  const recent = useApp((state) => state.start?.recent ?? null);
-  return (
-    <>
-      <h2>Recent cases</h2>
-      {recent === null || recent.length === 0 ? (
-        <p className="empty">The cases you open appear here, listed by date and series, without patient names.</p>
-      ) : (
-        <ul className="recent">
-          {recent.map((entry) => (
-            <li key={entry.recent_id}>
-              <Tip words="Open this case again">
-                <Button
-                  className="recent-case"
-                  onPress={() => station.send({ type: "open_recent", recent_id: entry.recent_id })}
-                >
-                  <span>{entry.title}</span>
-                  <span className="numbers quiet">{entry.date.slice(0, 10)}</span>
-                </Button>
-              </Tip>
-            </li>
-          ))}
-        </ul>
-      )}
-    </>
   );
 }
 

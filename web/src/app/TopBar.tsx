@@ -15,7 +15,7 @@ const NONE: readonly CaseNote[] = [];
 
 export function TopBar() {
   const station = useStation();
-  const title = useApp((state) => state.session?.case?.title ?? "");
+  const title = useApp((state) => state.session?.saving.title ?? state.session?.case?.title ?? "");
   const isHu = useApp((state) => state.session?.case?.is_hu ?? true);
   const reason = useApp((state) => state.session?.case?.not_hu_reason ?? null);
   const badges = useApp((state) => state.session?.badges ?? NONE);

@@ -4,6 +4,7 @@ import type { CSSProperties } from "react";
 import { LEAD_VIEW } from "../wire/views";
 import { AirwayStage } from "./AirwayStage";
 import { BranchList } from "./BranchList";
+import { ContinuedBar } from "./ContinuedBar";
 import { useApp } from "./context";
 import { DevicePanel } from "./DevicePanel";
 import { HistoryList } from "./HistoryList";
@@ -35,6 +36,7 @@ export function WorkstationPage() {
     >
       <TopBar />
       <aside className="left-panel">
+        <ContinuedBar />
         {list === "history" ? <HistoryList /> : <BranchList />}
         {devicesOpen ? <DevicePanel /> : keysOpen ? <KeyPanel /> : <StepPanel />}
       </aside>

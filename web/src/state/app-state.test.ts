@@ -44,6 +44,9 @@ const EMPTY: StateMessage = {
     copy_folder: null,
     copy_problem: null,
     suggested: null,
+    title: null,
+    continued_s: null,
+    continued_changes: 0,
   },
 };
 
@@ -257,7 +260,7 @@ describe("cases and jobs", () => {
   });
 
   it("takes the safety sentence away as soon as it was read", () => {
-    const start = from({ type: "start", notice_accepted: false, recent: [], demos: [], scopes: [] });
+    const start = from({ type: "start", notice_accepted: false, recent: [], demos: [], scopes: [], storage: null });
     const read: AppEvent = { kind: "sent", message: { type: "accept_notice" }, nowMs: 0 };
     expect(following(INITIAL_STATE, start, read).start?.notice_accepted).toBe(true);
   });

@@ -104,6 +104,10 @@ export interface Ui {
   readonly keyCardOpen: boolean;
   /** The dialogue that gives the case a name and a place. */
   readonly saveOpen: boolean;
+  /** The list of all cases, with what they take on the disk. */
+  readonly storageOpen: boolean;
+  /** The continued case of which that was read: when it had been used before. */
+  readonly continuedReadS: number | null;
   /** Which list stands at the top of the left column. */
   readonly list: "airways" | "history";
   /** The panel of input devices stands in the place of the step's. */
@@ -227,6 +231,8 @@ export const INITIAL_STATE: AppState = {
     pointedLps: null,
     keyCardOpen: false,
     saveOpen: false,
+    storageOpen: false,
+    continuedReadS: null,
     list: "airways",
     devicesOpen: false,
     keysOpen: false,

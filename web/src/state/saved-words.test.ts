@@ -15,6 +15,9 @@ const NOTHING: SavingInfo = {
   copy_folder: null,
   copy_problem: null,
   suggested: null,
+  title: null,
+  continued_s: null,
+  continued_changes: 0,
 };
 
 describe("what is saved", () => {

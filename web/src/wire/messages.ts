@@ -35,6 +35,48 @@ export interface OpenRecentMessage {
   readonly recent_id: string;
 }
 
+/** Begin another case of the open CT; the one that was continued stays in the list. */
+export interface BeginAnewMessage {
+  readonly type: "begin_anew";
+}
+
+/** Call a case of the list by a name of one's own; null is what the scan calls itself.
+
+    The name stays on this machine: no file that is saved or exported holds it. */
+export interface RenameCaseMessage {
+  readonly type: "rename_case";
+  readonly recent_id: string;
+  readonly title: string | null;
+}
+
+/** Take a case out of the list, and what is kept of its CT; for a day it can be brought back. */
+export interface ForgetCaseMessage {
+  readonly type: "forget_case";
+  readonly recent_id: string;
+}
+
+/** Bring a forgotten case back. */
+export interface RestoreCaseMessage {
+  readonly type: "restore_case";
+  readonly recent_id: string;
+}
+
+/** Remove all forgotten cases from the disk, for good. */
+export interface EmptyForgottenMessage {
+  readonly type: "empty_forgotten";
+}
+
+/** Remove the CTs that are kept to open faster; they are read from their files again. */
+export interface EmptyCtCacheMessage {
+  readonly type: "empty_ct_cache";
+}
+
+/** Whether CTs that are opened are kept to open faster; without, those kept are removed. */
+export interface KeepCtsMessage {
+  readonly type: "keep_cts";
+  readonly on: boolean;
+}
+
 /** Back to the start page. */
 export interface CloseCaseMessage {
   readonly type: "close_case";
@@ -549,6 +591,11 @@ export interface SetFrameRateMessage {
   readonly rate_hz: number;
 }
 
+/** Ask what the cases and their CTs take on the disk now; the answer is `start`. */
+export interface AskStorageMessage {
+  readonly type: "ask_storage";
+}
+
 /** "Not a medical device" was read. */
 export interface AcceptNoticeMessage {
   readonly type: "accept_notice";
@@ -636,6 +683,13 @@ export interface RecentCase {
   readonly recent_id: string;
   readonly date: string;
   readonly title: string;
+  readonly used_s: number | null;
+  readonly begun_s: number | null;
+  readonly num_changes: number | null;
+  readonly num_bytes: number;
+  readonly picture: string | null;
+  readonly opens: boolean;
+  readonly named: boolean;
 }
 
 /** Source and licence of a case; the window is sent it as it is. As text it is one line. */
@@ -669,6 +723,14 @@ export interface Scope {
   readonly view_up_deg: number;
 }
 
+/** What is kept on the disk beside the cases of the list. */
+export interface Storage {
+  readonly num_cts: number;
+  readonly ct_bytes: number;
+  readonly keeps_cts: "never" | "off" | "on";
+  readonly forgotten: readonly RecentCase[];
+}
+
 /** What the start page shows, and what there is to choose from. */
 export interface StartMessage {
   readonly type: "start";
@@ -676,6 +738,7 @@ export interface StartMessage {
   readonly recent: readonly RecentCase[];
   readonly demos: readonly Demo[];
   readonly scopes: readonly Scope[];
+  readonly storage: Storage | null;
 }
 
 /** One thing that a person should know about the case, with its stable code. */
@@ -820,6 +883,9 @@ export interface SavingInfo {
   readonly copy_folder: string | null;
   readonly copy_problem: string | null;
   readonly suggested: string | null;
+  readonly title: string | null;
+  readonly continued_s: number | null;
+  readonly continued_changes: number;
 }
 
 /** All that is shown, but the pose, the tree and the route. */
@@ -1390,6 +1456,13 @@ export type ClientMessage =
   | OpenPathMessage
   | OpenDemoMessage
   | OpenRecentMessage
+  | BeginAnewMessage
+  | RenameCaseMessage
+  | ForgetCaseMessage
+  | RestoreCaseMessage
+  | EmptyForgottenMessage
+  | EmptyCtCacheMessage
+  | KeepCtsMessage
   | CloseCaseMessage
   | CancelMessage
   | UndoMessage
@@ -1451,6 +1524,7 @@ export type ClientMessage =
   | AskLivePathMessage
   | AskBranchDetailMessage
   | SetFrameRateMessage
+  | AskStorageMessage
   | AcceptNoticeMessage
   | DeviceSampleMessage
   | ConnectDeviceMessage

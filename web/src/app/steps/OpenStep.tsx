@@ -43,6 +43,11 @@ export function OpenStep() {
           {plural(info.other_series.length, "other series", "other series")} in the folder: see Check.
         </p>
       )}
+      <Act
+        label="New case of this CT"
+        words="Segment this CT again without your changes; this case stays in the list of recent cases"
+        onPress={() => station.send({ type: "begin_anew" })}
+      />
       <h3>Another segmentation</h3>
       <MaskPicker />
       <h3>Another case</h3>

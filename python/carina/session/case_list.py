@@ -1,0 +1,199 @@
+"""The cases of this person: listed, named, forgotten and brought back, and what is kept to open their CTs faster."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from carina import commands as c
+from carina.disk import disk_trouble
+from carina.display import one_line
+from carina.errors import UsageError
+from carina.session.core import SessionCore
+from carina.session.recent import RecentCase
+from carina.session.records import CaseRecord, CaseRecords
+from carina.session.subject import Subject, does
+
+if TYPE_CHECKING:
+    from carina.session.saving import Saving
+
+__all__ = ["CaseList", "ListedCase", "StorageInfo"]
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class ListedCase:
+    """A case in the list."""
+
+    recent_id: str
+    title: str
+    used_s: float
+    """Seconds since 1970; where only the day is known, its beginning."""
+    num_changes: int | None = None
+    """None where nothing was kept of it but its place."""
+    num_bytes: int = 0
+    opens: bool = True
+    """False where nobody knows where its CT lies."""
+    pictured_s: float | None = None
+    begun_s: float | None = None
+    named: bool = False
+    """A person has named it."""
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class StorageInfo:
+    """What is kept beside the cases."""
+
+    num_cts: int
+    ct_bytes: int
+    keeps_cts: Literal["on", "off", "never"]
+    """Never: the program was started so."""
+    forgotten: tuple[ListedCase, ...]
+
+
+class CaseList(Subject):
+    """Joins the cases that are kept with the places that were opened."""
+
+    def __init__(self, core: SessionCore, saving: Saving) -> None:
+        super().__init__(core)
+        self._saving = saving
+        if core.store is not None and saving.cache is not None and not core.store.keeps_cts():
+            saving.cache.switch(False)
+
+    # ------------------------------------------------------------ what there is
+
+    def listed(self) -> tuple[ListedCase, ...]:
+        """The case used last first."""
+        records = self._saving.records
+        kept = () if records is None else records.all()
+        places = {record.place for record in kept}
+        opened = () if self.core.store is None else self.core.store.recent()
+        found = [
+            *(_of_record(record, records) for record in kept if records is not None),
+            *(_of_place(case) for case in opened if case.path not in places),
+        ]
+        return tuple(sorted(found, key=lambda one: one.used_s, reverse=True))
+
+    def storage(self) -> StorageInfo:
+        """What is kept beside them."""
+        records, cache = self._saving.records, self._saving.cache
+        sizes = () if cache is None else cache.sizes()
+        keeps: Literal["on", "off", "never"] = "never"
+        if cache is not None and cache.can_be_on:
+            keeps = "on" if cache.is_on else "off"
+        return StorageInfo(
+            num_cts=len(sizes),
+            ct_bytes=sum(one.num_bytes for one in sizes),
+            keeps_cts=keeps,
+            forgotten=() if records is None else tuple(_of_record(one, records) for one in records.forgotten()),
+        )
+
+    def picture(self, case_id: str) -> bytes | None:
+        """The small picture of a case, a JPEG; None where it has none."""
+        records = self._saving.records
+        return None if records is None else records.picture(case_id)
+
+    # ------------------------------------------------------------ what is done to it
+
+    @does(c.RenameCase)
+    def rename(self, command: c.RenameCase) -> None:
+        """Open here or closed; one that another window has open keeps its name."""
+        records, record = self._needed(command.recent_id)
+        title = None if command.title is None else command.title.strip() or None
+        if not self._saving.rename(record.case_id, title) and not records.rename(record, title):
+            raise UsageError("this case is open in another window of Carina; rename it there", code="case.open")
+        self._tell()
+
+    @does(c.ForgetCase)
+    def forget(self, command: c.ForgetCase) -> None:
+        """Its CT is no longer kept either, unless another case is of the same."""
+        place = next((one.path for one in self._opened() if one.recent_id == command.recent_id), None)
+        if place is None:
+            records, record = self._needed(command.recent_id)
+            try:
+                gone = records.forget(record)
+            except OSError as trouble:
+                raise disk_trouble(trouble, "the case cannot be forgotten", None) from trouble
+            if not gone:
+                raise UsageError("this case is open; close it before it is forgotten", code="case.open")
+            place = record.place
+            if self._saving.cache is not None and records.newest_of(record.digest) is None:
+                self._saving.cache.forget(record.digest)
+        if place is not None and self.core.store is not None:
+            self.core.store.forget(place)
+        self._tell()
+
+    @does(c.RestoreCase)
+    def restore(self, command: c.RestoreCase) -> None:
+        """As it was; its CT is read from its files."""
+        records = self._saving.records
+        try:
+            restored = None if records is None else records.restore(command.recent_id)
+        except OSError as trouble:
+            raise disk_trouble(trouble, "the case cannot be restored", None) from trouble
+        if restored is None:
+            raise UsageError("this case has been deleted for good", code="session.recent")
+        self._tell()
+
+    @does(c.EmptyForgotten)
+    def empty_forgotten(self, _command: c.EmptyForgotten) -> None:
+        """For good."""
+        if self._saving.records is not None:
+            self._saving.records.empty_forgotten()
+        self._tell()
+
+    @does(c.EmptyCtCache)
+    def empty_ct_cache(self, _command: c.EmptyCtCache) -> None:
+        """No work is in it."""
+        if self._saving.cache is not None:
+            self._saving.cache.empty()
+        self._tell()
+
+    @does(c.KeepCts)
+    def keep_cts(self, command: c.KeepCts) -> None:
+        """Also the next time."""
+        cache = self._saving.cache
+        if cache is None or not cache.can_be_on:
+            raise UsageError("Carina was started so that it keeps no CTs", code="case.no-cache")
+        cache.switch(command.on)
+        if self.core.store is not None:
+            self.core.store.keep_cts(command.on)
+        self._tell()
+
+    def _opened(self) -> tuple[RecentCase, ...]:
+        return () if self.core.store is None else self.core.store.recent()
+
+    def _needed(self, case_id: str) -> tuple[CaseRecords, CaseRecord]:
+        records = self._saving.records
+        record = None if records is None else records.find(case_id)
+        if records is None or record is None:
+            raise UsageError("this case is no longer in the list", code="session.recent")
+        return records, record
+
+    def _tell(self) -> None:
+        with self.core.lock:
+            self.core.changed("start")
+
+
+def _of_record(record: CaseRecord, records: CaseRecords) -> ListedCase:
+    return ListedCase(
+        recent_id=record.case_id,
+        title=record.shown_title,
+        used_s=record.used_s,
+        num_changes=record.num_changes,
+        num_bytes=records.num_bytes(record),
+        opens=record.place is not None,
+        pictured_s=record.pictured_s,
+        begun_s=record.begun_s,
+        named=record.alias is not None,
+    )
+
+
+def _of_place(case: RecentCase) -> ListedCase:
+    try:
+        used_s = time.mktime(time.strptime(case.date[:10], "%Y-%m-%d"))
+    except (ValueError, OverflowError):
+        used_s = 0.0
+    return ListedCase(recent_id=case.recent_id, title=case.title, used_s=used_s)

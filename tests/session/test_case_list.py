@@ -1,0 +1,280 @@
+"""The cases of a person: listed, told apart, begun anew, named, forgotten and brought back."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from carina import commands as c
+from carina.errors import UsageError
+from carina.session import JobEnded, LocalStore, Trouble
+from carina.session.records import FORGOTTEN_FOR_S, CaseRecords
+from kept_desk import Desk, MemoryFile
+
+
+@dataclass(frozen=True)
+class Size:
+    digest: str
+    num_bytes: int
+
+
+class Cache:
+    """What a cache of CTs does, in memory."""
+
+    def __init__(self) -> None:
+        self.kept = {"one CT": 1000, "another CT": 2000}
+        self.is_on, self.can_be_on = True, True
+
+    def sizes(self) -> tuple[Size, ...]:
+        return tuple(Size(*item) for item in self.kept.items())
+
+    def forget(self, digest: str) -> int:
+        return self.kept.pop(digest, 0)
+
+    def empty(self) -> int:
+        self.kept.clear()
+        return 0
+
+    def switch(self, on: bool) -> None:
+        self.is_on = on
+        if not on:
+            self.empty()
+
+
+class ListDesk(Desk):
+    """A desk with a cache of CTs, small pictures and the list of places."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.cache = Cache()
+        self.store = LocalStore(folder / "config")
+
+    def kept_files(self, files):
+        return replace(files, picture=lambda scene: b"\xff\xd8\xff" + bytes([scene.case_number]), cache=self.cache)
+
+    def work(self, *fovs: float) -> None:
+        for fov in fovs:
+            self.session.do(c.SetFov(fov))
+            self.clock.advance(5.0)
+        self.saved()
+
+    def listed(self):
+        return self.session.cases.listed()
+
+    def ended(self) -> str:
+        return [e for e in self.events if isinstance(e, JobEnded)][-1].outcome
+
+
+@pytest.fixture
+def desk(tmp_path):
+    MemoryFile.kept.clear()
+    desk = ListDesk(tmp_path)
+    desk.start()
+    yield desk
+    desk.session.close()
+
+
+def test_a_case_is_listed_with_what_tells_it_from_others(desk):
+    desk.open()
+    desk.work(100.0, 90.0)
+    desk.session.do(c.CloseCase())
+    desk.digest = "another CT"
+    desk.wall.now_s += 60.0
+    desk.open("other")
+    desk.work(100.0)
+    desk.session.do(c.CloseCase())
+    second, first = desk.listed()
+    assert (first.num_changes, second.num_changes) == (2, 1)
+    assert second.used_s == first.used_s + 60.0
+    assert first.recent_id != second.recent_id
+    assert first.opens
+    pictures = {desk.session.cases.picture(one.recent_id) for one in (first, second)}
+    assert len(pictures) == 2
+    assert None not in pictures
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no modes there")
+def test_only_its_person_may_read_a_small_picture(desk, tmp_path):
+    desk.open()
+    desk.work(100.0)
+    desk.session.do(c.CloseCase())
+    (path,) = (tmp_path / "cases").glob("*/picture.jpg")
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_place_that_was_opened_before_cases_were_kept_is_listed_and_opens(desk, tmp_path):
+    desk.store.remember(str(tmp_path / "old"), "Thorax 1.5", "2026-01-31")
+    (old,) = desk.listed()
+    assert old.num_changes is None
+    desk.session.do(c.OpenRecent(old.recent_id))
+    desk.background.run_all()
+    desk.work(100.0)
+    (joined,) = desk.listed()
+    assert joined.num_changes == 1
+    desk.session.do(c.CloseCase())
+    desk.session.do(c.ForgetCase(joined.recent_id))
+    assert desk.listed() == ()
+
+
+def test_a_place_alone_is_taken_out_of_the_list(desk, tmp_path):
+    desk.store.remember(str(tmp_path / "old"), "Thorax 1.5", "2026-01-31")
+    desk.session.do(c.ForgetCase(desk.listed()[0].recent_id))
+    assert desk.listed() == ()
+    assert desk.session.cases.storage().forgotten == ()
+
+
+def test_of_two_cases_of_one_ct_the_one_that_is_meant_opens(desk):
+    desk.open()
+    desk.work(100.0)
+    desk.session.do(c.BeginAnew())
+    desk.background.run_all()
+    assert desk.session.history() == ()
+    assert desk.session.snapshot().saving.continued_s is None
+    desk.wall.now_s += 60.0
+    desk.work(80.0, 70.0)
+    desk.session.do(c.CloseCase())
+    new, old = desk.listed()
+    assert (new.num_changes, old.num_changes) == (2, 1)
+    desk.session.do(c.OpenRecent(old.recent_id))
+    desk.background.run_all()
+    assert desk.session.snapshot().document.look.fov_deg == 100.0
+    saving = desk.session.snapshot().saving
+    assert (saving.continued_s, saving.continued_changes) == (old.used_s, 1)
+
+
+def test_another_ct_in_the_place_of_a_case_is_refused_and_the_case_on_screen_stays(desk):
+    desk.open()
+    desk.work(100.0)
+    desk.session.do(c.CloseCase())
+    (meant,) = desk.listed()
+    desk.digest = "another CT"
+    desk.wall.now_s += 60.0
+    desk.open("other")
+    desk.work(90.0)
+    desk.session.do(c.OpenRecent(meant.recent_id))
+    desk.background.run_all()
+    assert [e.code for e in desk.events if isinstance(e, Trouble)] == ["case.other-ct"]
+    assert desk.session.snapshot().document.look.fov_deg == 90.0
+    desk.work(85.0)
+    desk.session.do(c.CloseCase())
+    assert [one.num_changes for one in desk.listed()] == [2, 1]
+
+
+def test_a_case_whose_ct_was_dropped_says_that_it_is_to_be_chosen_again(desk):
+    desk.session.do(c.OpenFiles("dropped"))
+    desk.background.run_all()
+    desk.work(100.0)
+    desk.session.do(c.CloseCase())
+    (dropped,) = desk.listed()
+    assert not dropped.opens
+    with pytest.raises(UsageError, match="drop or choose it again"):
+        desk.session.do(c.OpenRecent(dropped.recent_id))
+    desk.session.do(c.OpenFiles("dropped again"))
+    desk.background.run_all()
+    assert desk.session.snapshot().document.look.fov_deg == 100.0
+
+
+def test_a_case_is_named_while_it_is_open_and_after(desk):
+    desk.open()
+    desk.work(100.0)
+    (listed,) = desk.listed()
+    series = listed.title
+    desk.session.do(c.RenameCase(listed.recent_id, "Nodule in RB4"))
+    assert desk.session.snapshot().saving.title == "Nodule in RB4"
+    desk.work(90.0)
+    desk.session.do(c.CloseCase())
+    assert (desk.listed()[0].title, desk.listed()[0].named) == ("Nodule in RB4", True)
+    desk.session.do(c.RenameCase(listed.recent_id, "RB4"))
+    desk.open()
+    assert desk.session.snapshot().saving.title == "RB4"
+    desk.session.do(c.CloseCase())
+    desk.session.do(c.RenameCase(listed.recent_id, None))
+    assert (desk.listed()[0].title, desk.listed()[0].named) == (series, False)
+    with pytest.raises(UsageError, match="no longer in the list"):
+        desk.session.do(c.RenameCase("nothing", "x"))
+
+
+def test_a_forgotten_case_is_brought_back_as_it_was(desk):
+    desk.open()
+    desk.work(100.0)
+    (listed,) = desk.listed()
+    with pytest.raises(UsageError, match="close it"):
+        desk.session.do(c.ForgetCase(listed.recent_id))
+    desk.session.do(c.CloseCase())
+    (listed,) = desk.listed()
+    desk.session.do(c.ForgetCase(listed.recent_id))
+    assert desk.listed() == ()
+    assert set(desk.cache.kept) == {"another CT"}
+    (forgotten,) = desk.session.cases.storage().forgotten
+    assert forgotten.recent_id == listed.recent_id
+    assert desk.session.cases.picture(forgotten.recent_id) is not None
+    desk.session.do(c.RestoreCase(listed.recent_id))
+    assert desk.listed() == (listed,)
+    desk.session.do(c.OpenRecent(listed.recent_id))
+    desk.background.run_all()
+    assert desk.session.snapshot().document.look.fov_deg == 100.0
+
+
+def test_a_ct_stays_cached_while_another_case_is_of_it(desk):
+    desk.open()
+    desk.work(100.0)
+    desk.session.do(c.BeginAnew())
+    desk.background.run_all()
+    desk.work(80.0)
+    desk.session.do(c.CloseCase())
+    for one in desk.listed():
+        assert "one CT" in desk.cache.kept
+        desk.session.do(c.ForgetCase(one.recent_id))
+    assert "one CT" not in desk.cache.kept
+
+
+def test_what_was_forgotten_a_day_ago_goes_at_the_next_start_and_work_never(desk, tmp_path):
+    desk.open()
+    desk.work(100.0)
+    desk.session.do(c.CloseCase())
+    desk.digest = "another CT"
+    desk.open("other")
+    desk.work(100.0)
+    desk.session.do(c.CloseCase())
+    desk.session.do(c.ForgetCase(desk.listed()[0].recent_id))
+    records = CaseRecords(tmp_path / "cases", desk.wall)
+    desk.wall.now_s += FORGOTTEN_FOR_S - 1.0
+    assert records.empty_forgotten(FORGOTTEN_FOR_S) == 0
+    desk.wall.now_s += 1.0
+    assert records.empty_forgotten(FORGOTTEN_FOR_S) == 1
+    assert records.forgotten() == ()
+    assert len(records.all()) == 1
+
+
+def test_what_is_deleted_for_good_does_not_come_back(desk, tmp_path):
+    desk.open()
+    desk.work(100.0)
+    desk.session.do(c.CloseCase())
+    (listed,) = desk.listed()
+    desk.session.do(c.ForgetCase(listed.recent_id))
+    desk.session.do(c.EmptyForgotten())
+    assert list((tmp_path / "cases" / ".forgotten").iterdir()) == []
+    with pytest.raises(UsageError, match="deleted for good"):
+        desk.session.do(c.RestoreCase(listed.recent_id))
+
+
+def test_the_cache_of_cts_is_told_emptied_and_switched_off_for_the_next_time_too(desk):
+    storage = desk.session.cases.storage()
+    assert (storage.num_cts, storage.ct_bytes, storage.keeps_cts) == (2, 3000, "on")
+    desk.session.do(c.EmptyCtCache())
+    assert desk.session.cases.storage().num_cts == 0
+    desk.session.do(c.KeepCts(False))
+    assert desk.session.cases.storage().keeps_cts == "off"
+    desk.session.close()
+    desk.cache = Cache()
+    desk.start()
+    assert not desk.cache.is_on
+    desk.session.do(c.KeepCts(True))
+    assert desk.cache.is_on
+    desk.cache.is_on = desk.cache.can_be_on = False
+    assert desk.session.cases.storage().keeps_cts == "never"
+    with pytest.raises(UsageError, match="keeps no CTs"):
+        desk.session.do(c.KeepCts(True))

@@ -1,0 +1,34 @@
+/** A case that was kept is continued without a question; here it is said, and another can be begun. */
+
+import { continuedWords } from "../state/case-list";
+import { useApp, useStation } from "./context";
+import { Act } from "./controls";
+
+export function ContinuedBar() {
+  const station = useStation();
+  const saving = useApp((state) => state.session?.saving ?? null);
+  const numChanges = useApp((state) => state.history?.step ?? 0);
+  const readS = useApp((state) => state.ui.continuedReadS);
+  const words = continuedWords(saving, numChanges, readS, Date.now());
+  if (words === null) return null;
+  return (
+    <section className="continued" aria-label="Continued case" data-testid="continued">
+      <p role="status">{words}</p>
+      <div className="row">
+        <Act
+          kind="primary"
+          label="Continue"
+          words="Hide this message and continue with these changes"
+          testId="continue"
+          onPress={() => station.ui({ continuedReadS: saving?.continued_s ?? null })}
+        />
+        <Act
+          label="New case"
+          words="Segment this CT again without these changes; this case stays in the list of recent cases"
+          testId="begin-anew"
+          onPress={() => station.send({ type: "begin_anew" })}
+        />
+      </div>
+    </section>
+  );
+}

@@ -1,0 +1,81 @@
+import { describe, expect, it } from "vitest";
+import type { RecentCase, SavingInfo } from "../wire/messages";
+import { caseFacts, changesWords, continuedWords, sizeWords } from "./case-list";
+import { clock } from "./format";
+
+const NOW_S = 1_800_000_000;
+const NOW_MS = 1000 * NOW_S;
+const ENTRY: RecentCase = {
+  recent_id: "3f2a00ff00ff00ff",
+  date: "2027-01-15",
+  title: "Thorax 1.0 B60f",
+  used_s: NOW_S,
+  begun_s: NOW_S - 60,
+  num_changes: 12,
+  num_bytes: 1_830_912,
+  picture: null,
+  opens: true,
+  named: false,
+};
+const SAVING: SavingInfo = {
+  keeps: true,
+  saved_s: null,
+  begun_s: null,
+  problem: null,
+  copied_s: null,
+  copy_name: null,
+  copy_folder: null,
+  copy_problem: null,
+  suggested: null,
+  title: null,
+  continued_s: NOW_S,
+  continued_changes: 12,
+};
+
+describe("a case in the list", () => {
+  it("says its changes and when it was used", () => {
+    expect(caseFacts(ENTRY, [ENTRY], NOW_MS)).toEqual(["12 changes", `last used ${clock(NOW_S, NOW_MS)}`]);
+    expect(changesWords(0)).toBe("no changes");
+    expect(changesWords(1)).toBe("1 change");
+  });
+
+  it("has a code of its own where another has its title", () => {
+    const other = { ...ENTRY, recent_id: "77aa00ff00ff00ff" };
+    expect(caseFacts(ENTRY, [ENTRY, other], NOW_MS).at(-1)).toBe("case 3f2a");
+    expect(caseFacts(other, [ENTRY, other], NOW_MS).at(-1)).toBe("case 77aa");
+  });
+
+  it("of which only the place is known says the day", () => {
+    expect(caseFacts({ ...ENTRY, num_changes: null, used_s: null }, [], NOW_MS)).toEqual(["last used 2027-01-15"]);
+  });
+});
+
+describe("a size on the disk", () => {
+  it.each([
+    [0, "0\u202fMB"],
+    [3, "1\u202fkB"],
+    [999_400, "999\u202fkB"],
+    [999_600, "1.0\u202fMB"],
+    [1_830_912, "1.8\u202fMB"],
+    [314_572_800, "315\u202fMB"],
+    [2_147_483_648, "2.1\u202fGB"],
+  ])("of %d bytes is %s", (bytes, words) => {
+    expect(sizeWords(bytes)).toBe(words);
+  });
+});
+
+describe("a continued case", () => {
+  it("is told until it is read or changed", () => {
+    const told = `Continued from ${clock(NOW_S, NOW_MS)}, with 12 changes.`;
+    expect(continuedWords(SAVING, 12, null, NOW_MS)).toBe(told);
+    expect(continuedWords(SAVING, 12, NOW_S - 1, NOW_MS)).toBe(told);
+    expect(continuedWords(SAVING, 12, NOW_S, NOW_MS)).toBeNull();
+    expect(continuedWords(SAVING, 13, null, NOW_MS)).toBeNull();
+  });
+
+  it("is not told where there is nothing to continue", () => {
+    expect(continuedWords(null, 0, null, NOW_MS)).toBeNull();
+    expect(continuedWords({ ...SAVING, continued_s: null }, 12, null, NOW_MS)).toBeNull();
+    expect(continuedWords({ ...SAVING, continued_changes: 0 }, 0, null, NOW_MS)).toBeNull();
+  });
+});
