@@ -25,7 +25,7 @@ class Tool:
         self.read.append((path, label, resample))
         progress("reading", 0.5)
         if path.endswith("bad.nrrd"):
-            raise VolumeImportError("reading the mask bad.nrrd: it is empty", code="import.mask")
+            raise VolumeImportError("reading the segmentation bad.nrrd: it is empty", code="import.mask")
         if "several" in path and label is None:
             raise MaskLabelError("it contains the labels 1, 4, 9", LABELS)
         if "other" in path and not resample:
@@ -135,7 +135,7 @@ def test_a_dismissed_mask_leaves_everything_as_it_was(bench):
     assert after.document is before.document
     assert after.undo_label is None
     assert not bench.session.ask(MaskFileNeeded())
-    with pytest.raises(UsageError, match="the imported mask is no longer available"):
+    with pytest.raises(UsageError, match="the imported segmentation is no longer available"):
         bench.session.do(AnswerMask(label=1))
 
 
@@ -153,7 +153,7 @@ def test_a_mask_that_is_dismissed_while_it_is_read_is_not_taken(bench, tool):
 def test_a_file_that_is_no_mask_is_refused_in_words_and_nothing_changes(bench):
     before = bench.session.snapshot()
     after = take(bench, "/masks/bad.nrrd")
-    assert [e.message for e in bench.of_type(Trouble)] == ["reading the mask bad.nrrd: it is empty"]
+    assert [e.message for e in bench.of_type(Trouble)] == ["reading the segmentation bad.nrrd: it is empty"]
     assert after.document is before.document
     assert (after.airways, after.airways_words) == (before.airways, before.airways_words)
 

@@ -189,4 +189,6 @@ def test_a_mask_says_what_is_doubtful_about_its_file(tmp_path):
     path = grids.nifti(tmp_path, values, lps_from_ijk=np.eye(4), name="mask.nii", behind=values.tobytes())
     mask = open_mask(path, scan)
     np.testing.assert_array_equal(mask.inside_zyx, values)
-    assert mask.notes == ("the mask: the file contains 11520 bytes more than its header states; they were ignored",)
+    assert mask.notes == (
+        "the segmentation: the file contains 11520 bytes more than its header states; they were ignored",
+    )

@@ -157,7 +157,7 @@ def write(
 
 def _check_mask_options(from_mask: Path | None, label: int | None, resample: bool) -> None:
     if from_mask is None and (label is not None or resample):
-        raise UsageError("--label and --resample only apply to a mask; give one with --from-mask")
+        raise UsageError("--label and --resample only apply to a segmentation; give one with --from-mask")
 
 
 def _airways(

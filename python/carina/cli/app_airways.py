@@ -20,9 +20,9 @@ FromMaskOption = Annotated[
         help="Segmentation to use instead of the automatic one: NIfTI, NRRD, MetaImage or DICOM SEG.",
     ),
 ]
-LabelOption = Annotated[int | None, typer.Option("--label", help="Label of the airway lumen in the mask.")]
+LabelOption = Annotated[int | None, typer.Option("--label", help="Label of the airway lumen in the segmentation.")]
 ResampleOption = Annotated[
-    bool, typer.Option("--resample", help="Resample the mask if its grid differs from that of the scan.")
+    bool, typer.Option("--resample", help="Resample the segmentation if its grid differs from that of the scan.")
 ]
 
 StrictOption = Annotated[bool, typer.Option("--strict", help="Stop with exit code 3 if the scan has findings.")]

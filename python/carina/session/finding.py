@@ -97,7 +97,9 @@ class AirwayFinding(Subject):
         """What was said before holds on; UsageError if nothing is asked."""
         open_question = self.core.needed_case().asked_mask
         if open_question is None:
-            raise UsageError("the imported mask is no longer available; choose its file again", code="session.mask")
+            raise UsageError(
+                "the imported segmentation is no longer available; choose its file again", code="session.mask"
+            )
         asked = open_question.asked
         label = asked.label if command.label is None else command.label
         return self.take_mask(c.TakeMask(asked.path, label, command.resample))

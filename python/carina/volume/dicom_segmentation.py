@@ -41,7 +41,7 @@ def read_segmentation(path: Path, watch: Watch) -> tuple[NDArray[np.uint8], NDAr
     except ValueError as error:
         raise _refused(path, f"it {error}", "copy or export it again") from None
     if str(data.get("SOPClassUID", "")) != _SEGMENTATION_STORAGE:
-        raise _refused(path, "it is DICOM, but not a segmentation (SEG)", "choose the SEG file, or a NIfTI of the mask")
+        raise _refused(path, "it is DICOM, but not a segmentation (SEG)", "choose the SEG file, or export it as NIfTI")
     if str(data.get("SegmentationType", "BINARY")) != "BINARY":
         raise _refused(
             path, "its segments are fractional (probabilities or occupancies)", "export a binary segmentation"
@@ -154,4 +154,4 @@ def _plain(name: str) -> str:
 
 
 def _refused(path: Path, problem: str, way_out: str) -> VolumeImportError:
-    return VolumeImportError(f"reading the mask {path.name}: {problem}; {way_out}", code="import.mask")
+    return VolumeImportError(f"reading the segmentation {path.name}: {problem}; {way_out}", code="import.mask")

@@ -149,8 +149,8 @@ def _notes(fields: dict[str, str], lps_from_ijk: NDArray[np.float64]) -> tuple[N
                 break
     if not any(name in fields for name in _ORIGINS):
         words = (
-            "its header does not state the position of its first voxel; masks and points from other programs may not "
-            "match"
+            "its header does not state the position of its first voxel; segmentations and points "
+            "from other programs may not match"
         )
         notes.append(Note("import.position-missing", words))
     return tuple(notes)

@@ -133,7 +133,7 @@ def open_mask(
         voxel_ml = abs(float(np.linalg.det(lps_from_mask[:3, :3]))) / 1000.0
         chosen = _chosen(where, labels, names, label, voxel_ml)
         placed = _placed(where, labels == chosen, lps_from_mask, volume, resample=resample, watch=watch)
-        return replace(placed, notes=(*(f"the mask: {note.words}" for note in said), *placed.notes))
+        return replace(placed, notes=(*(f"the segmentation: {note.words}" for note in said), *placed.notes))
 
     return guarded(Path(path).expanduser(), read)
 
@@ -143,30 +143,30 @@ def _labels(
 ) -> tuple[NDArray[np.generic], NDArray[np.float64], dict[int, str], tuple[Note, ...]]:
     """Whole numbers ``[z, y, x]``, their place, the names of the labels where the file has them, and notes on it."""
     if not path.exists():
-        msg = f"reading the mask {path.name}: there is no such file; check the path {path}"
+        msg = f"reading the segmentation {path.name}: there is no such file; check the path {path}"
         raise VolumeImportError(msg, code="import.not-found")
     if path.is_file() and looks_like_dicom(path):
         return *read_segmentation(path, watch), ()
     kind = sniff_format(path) if path.is_file() else None
     if kind not in ("nifti", "nrrd", "metaimage"):
         msg = (
-            f"reading the mask {path.name}: expected one file, NIfTI (.nii, .nii.gz), NRRD, MetaImage or DICOM SEG; "
-            "export the segmentation as one of these"
+            f"reading the segmentation {path.name}: expected one file, NIfTI (.nii, .nii.gz), NRRD, MetaImage or "
+            "DICOM SEG; export the segmentation as one of these"
         )
         raise VolumeImportError(msg, code="import.not-an-image")
     values, header, notes = read_grid_array(path, kind, watch=watch)
     low, high = values.min(), values.max()
     if low < -_LARGEST_LABEL or high > _LARGEST_LABEL:
         msg = (
-            f"reading the mask {path.name}: it contains numbers from {low:g} to {high:g}, which are not labels; choose "
-            "the file of the segmentation"
+            f"reading the segmentation {path.name}: it contains numbers from {low:g} to {high:g}, which are not "
+            "labels; choose the file of the segmentation"
         )
         raise VolumeImportError(msg, code="import.mask")
     if values.dtype.kind == "f":
         if not np.isfinite(values).all() or (values != np.rint(values)).any():
             msg = (
-                f"reading the mask {path.name}: expected whole numbers (0 outside), found fractions; it may be a "
-                "probability map; export the mask itself"
+                f"reading the segmentation {path.name}: expected whole numbers (0 outside), found fractions; it may "
+                "be a probability map; export the segmentation itself"
             )
             raise VolumeImportError(msg, code="import.mask")
         values = values.astype(np.int32)
@@ -178,13 +178,12 @@ def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], labe
     sizes = {int(number): int(count) for number, count in zip(numbers, counts, strict=True) if number != 0}
     present = list(sizes)
     if not present:
-        msg = f"reading the mask {path.name}: it is empty (all voxels are 0); export the segmentation again"
+        msg = f"reading the segmentation {path.name}: it is empty (all voxels are 0); export the segmentation again"
         raise VolumeImportError(msg, code="import.mask")
     if len(present) > 1000:
         msg = (
-            f"reading the mask {path.name}: it contains {len(present)} different values, so it is an image, not "
-            "a mask; "
-            "choose the file of the segmentation"
+            f"reading the segmentation {path.name}: it contains {len(present)} different values, so it is an image, "
+            "not a segmentation; choose the file of the segmentation"
         )
         raise VolumeImportError(msg, code="import.mask")
     if label is None and len(present) == 1:
@@ -195,7 +194,7 @@ def _chosen(path: Path, labels: NDArray[np.generic], names: dict[int, str], labe
     listed = ", ".join(f"{n} ({names[n]})" if n in names else str(n) for n in present[:12])
     more = f" and {len(present) - 12} more" if len(present) > 12 else ""
     asked = "choose the airway label" if label is None else f"{label} is not among them; choose the airway label"
-    msg = f"reading the mask {path.name}: it contains the labels {listed}{more}; {asked} (label, --label)"
+    msg = f"reading the segmentation {path.name}: it contains the labels {listed}{more}; {asked} (label, --label)"
     raise MaskLabelError(msg, tuple(MaskLabel(n, names.get(n) or None, sizes[n] * voxel_ml) for n in present))
 
 
@@ -208,7 +207,7 @@ def _placed(
     resample: bool,
     watch: Watch,
 ) -> Mask:
-    watch.step("Placing the mask", None)
+    watch.step("Placing the segmentation", None)
     nz, ny, nx = inside.shape
     volume_from_mask = np.linalg.inv(volume.lps_from_ijk) @ lps_from_mask
     turn = np.rint(volume_from_mask[:3, :3])
@@ -238,13 +237,14 @@ def _placed(
     lost = int(np.count_nonzero(turned)) - int(np.count_nonzero(taken))
     if lost:
         msg = (
-            f"reading the mask {path.name}: {lost} of its voxels lie outside the scan; it was drawn on another "
+            f"reading the segmentation {path.name}: {lost} of its voxels lie outside the scan; it was drawn on another "
             "scan or a larger one; open the scan it belongs to"
         )
         raise VolumeImportError(msg, code="import.mask-grid")
     out[tuple(slice(lo, hi) for lo, hi in zip(low, high, strict=True))] = taken
     if tuple(turned.shape) != volume.shape_zyx:
-        notes.append(f"the mask covers only part of the scan ({' x '.join(str(n) for n in turned.shape[::-1])} voxels)")
+        covered = " x ".join(str(n) for n in turned.shape[::-1])
+        notes.append(f"the segmentation covers only part of the scan ({covered} voxels)")
     out.flags.writeable = False
     return Mask(out, tuple(notes))
 
@@ -257,17 +257,17 @@ def _resampled(
     limits = np.array(inside.shape[::-1])
     i, j = np.meshgrid(np.arange(nx), np.arange(ny), indexing="xy")
     for k in range(nz):
-        watch.step("Resampling the mask", k / nz)
+        watch.step("Resampling the segmentation", k / nz)
         plane = np.stack([i, j, np.full_like(i, k)], axis=-1)
         at = np.floor(plane @ mask_from_volume[:3, :3].T + mask_from_volume[:3, 3] + 0.5).astype(np.int64)
         within = ((at >= 0) & (at < limits)).all(axis=-1)
         x, y, z = at[within].T
         out[k][within] = inside[z, y, x]
     if not out.any():
-        msg = f"reading the mask {path.name}: none of it lies in the scan; open the scan it belongs to"
+        msg = f"reading the segmentation {path.name}: none of it lies in the scan; open the scan it belongs to"
         raise VolumeImportError(msg, code="import.mask-grid")
     out.flags.writeable = False
-    return Mask(out, ("the mask was on a different grid; it was resampled to the scan (nearest voxel)",))
+    return Mask(out, ("the segmentation was on a different grid; it was resampled to the scan (nearest voxel)",))
 
 
 def _other_grid(
@@ -284,13 +284,13 @@ def _other_grid(
     grids = f"expected {expected}, found {found}"
     if share == 0.0:
         msg = (
-            f"reading the mask {path.name}: none of it lies in the scan, and its grid differs from the scan's; "
+            f"reading the segmentation {path.name}: none of it lies in the scan, and its grid differs from the scan's; "
             f"{grids}; open the scan it belongs to"
         )
         return VolumeImportError(msg, code="import.mask-grid")
     msg = (
-        f"reading the mask {path.name}: its grid differs from the scan's; {grids}; export it on the scan's grid, "
-        "or have it resampled (resample, --resample)"
+        f"reading the segmentation {path.name}: its grid differs from the scan's; {grids}; export it on the "
+        "scan's grid, or have it resampled (resample, --resample)"
     )
     return MaskGridError(msg, expected=expected, found=found, share_inside=share)
 

@@ -91,7 +91,7 @@ def _judge(volume: Volume) -> Quality:
         findings.append(Finding("not-hu", f"not in Hounsfield units: {volume.not_hu_reason}"))
     values = volume.hu_zyx
     if not volume.is_hu and volume.value_range[1] - volume.value_range[0] <= 1:
-        findings.append(Finding("mask", "the volume has only two values: this is a mask, not a scan"))
+        findings.append(Finding("mask", "the volume has only two values: this is a segmentation, not a scan"))
     findings += _spacing_findings(volume.spacing_mm)
     lung_litres: float | None = None
     if volume.is_hu:

@@ -189,7 +189,7 @@ def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
         raise DamagedFileError("it is cut short")
     magic, version, num_bytes, crc32 = _START.unpack(start)
     if magic != _MAGIC or version != _VERSION or num_bytes > _MAX_HEADER_BYTES:
-        raise DamagedFileError("its first bytes were altered, or it is of another version")
+        raise DamagedFileError("its first bytes were altered, or another version wrote it")
     text = bytearray(num_bytes)
     _fill(file, memoryview(text))
     if zlib.crc32(text) != crc32:
@@ -197,9 +197,9 @@ def _read_header(file: io.FileIO, name: VoxelName) -> tuple[_Header, int]:
     try:
         header = msgspec.json.decode(text, type=_Header)
     except msgspec.MsgspecError as error:
-        raise DamagedFileError("its header is of another version") from error
+        raise DamagedFileError("another version wrote its header") from error
     if header.name != name.file_name:
-        raise DamagedFileError("its contents are of another CT than its name states")
+        raise DamagedFileError("its content belongs to another CT than its name states")
     return header, _begin_of_voxels(num_bytes)
 
 

@@ -18,7 +18,7 @@ const grid: MaskQuestion = { ...label, problem: "grid", labels: [], expected: "a
 
 describe("a question about a mask", () => {
   it("names the file and asks which of its structures is the airway", () => {
-    expect(questionWords(label)).toBe("several.nrrd holds 2 structures.");
+    expect(questionWords(label)).toBe("several.nrrd contains 2 structures.");
     expect(questionTitle(label)).toContain("airway lumen");
     expect(label.labels.map(labelTitle)).toEqual(["Lung", "Label 7"]);
   });

@@ -19,12 +19,12 @@ export const firstChoice = (question: MaskQuestion): number | null => question.s
 export function questionTitle(question: MaskQuestion): string {
   return question.problem === "label"
     ? `Which one is the airway lumen?`
-    : `The mask is on a different grid from the scan`;
+    : `The segmentation is on a different grid from the scan`;
 }
 
 export function questionWords(question: MaskQuestion): string {
   return question.problem === "label"
-    ? `${question.title} holds ${plural(question.labels.length, "structure")}.`
+    ? `${question.title} contains ${plural(question.labels.length, "structure")}.`
     : `${question.title} is on a different grid from this scan.`;
 }
 

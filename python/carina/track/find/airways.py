@@ -140,7 +140,7 @@ def find_airways(
         total = doubt_of_totals(branches, splits=trachea_mm is not None)
         badges += [] if total is None else [total]
     elif volume.is_hu:
-        stage.begin("comparing the mask with the CT")
+        stage.begin("comparing the segmentation with the CT")
         tree, doubt = with_mask_doubts(volume, tree, tracker.noise_hu, tracker.air_scale)
         badges += [] if doubt is None else [doubt]
     if len(tree) >= MIN_GRAMMAR_BRANCHES:

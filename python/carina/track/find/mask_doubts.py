@@ -110,7 +110,7 @@ def with_mask_doubts(
     note = None
     if sum(doubted) > MOST_DOUBTED * total_mm:
         words = (
-            f"the mask does not match this CT: {len(doubted)} of its {len(told)} smaller airways, "
+            f"the segmentation does not match this CT: {len(doubted)} of its {len(told)} smaller airways, "
             f"{100.0 * sum(doubted) / total_mm:.0f} % of their length, lie in tissue or in lung without a wall "
             "around them. It may belong to another scan or patient, or be shifted or mirrored"
         )
