@@ -10,6 +10,8 @@ import pytest
 
 import carina as api
 from carina.cli.along import way_to
+from carina.cli.badges import Badges
+from carina.cli.opened import Opened
 from carina.commands import GoTo, OpenVolume, RecordFlight, SetMode, SetScope, Steer, StopRecording
 from carina.navigate import AirwayWay, AutoFlight, KeyFile, KeyFrame, case_key
 from carina.navigate.recording import ReplayedPose, sampled
@@ -80,7 +82,8 @@ def test_a_flight_along_a_route_has_its_length_size_and_number_of_frames(carina,
     assert frames[0].std() > 10
     assert frames[0][..., 0].mean() > frames[0][..., 2].mean()
     assert differs(frames[0], frames[len(frames) // 2]) > 1
-    first = way_to(api.open_volume(ct), "1", tree_file=tree, progress=lambda *_: None).path.pose_at(0.0)
+    source = Opened(api.open_volume(ct), Badges())
+    first = way_to(source, "1", tree_file=tree, progress=lambda *_: None).path.pose_at(0.0)
     # It begins where the route does: what is left is the codec's.
     assert differs(frames[0], frames[-1]) > 8
     assert differs(frames[0], still(carina, ct, first, size, tmp_path / "s.png")) < 4

@@ -31,6 +31,7 @@ from carina.case.reading import CaseReader, Rows
 from carina.case.recordings import RecordingFacts, RecordingTable, RecordingWriter
 from carina.case.schema import CONTENT, check_schema, make_tables, migrated
 from carina.case.source import SourceFacts, grid_words, read_source, turn_between, write_source
+from carina.case.summary import CaseSummary, read_summary
 from carina.case.sweeping import sweep
 from carina.case.trouble import CaseFileError, damaged, refused
 from carina.case.writing import CaseWriter
@@ -306,6 +307,11 @@ class CaseFile:
                 StepFacts(str(label), _kind_of(command), float(at_s), n < position)
                 for n, (label, command, at_s) in enumerate(rows[1:])
             )
+
+    def summary(self) -> CaseSummary:
+        """What it holds, for a list; the CT is not needed, and nothing large is read."""
+        with self._lock, told(self.path), no_surprise():
+            return read_summary(self._open())
 
     # ------------------------------------------------------------ beside it
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 import carina
 from carina.cli.adding import add_branches, error_json
 from carina.cli.arguments import check_output_file
-from carina.cli.badges import opened
 from carina.cli.console import print_json, progress_printer, say
+from carina.cli.opened import Opened, check_case_options, opened
 from carina.errors import UsageError
 from carina.export import (
     EXPORT_FORMATS,
@@ -26,7 +26,7 @@ from carina.export import (
     write_tree,
 )
 from carina.track import Airways, drawn_tree, kind_words
-from carina.volume import Volume, open_mask
+from carina.volume import open_mask
 
 __all__ = ["find", "write"]
 
@@ -45,6 +45,7 @@ def find(
     strict: bool = False,
     add_lps: Sequence[NDArray[np.float64]] = (),
     even_without_evidence: bool = False,
+    ct: Path | None = None,
 ) -> int:
     """Find the airways of a scan, write tree and mask where asked, and say what was found.
 
@@ -57,8 +58,10 @@ def find(
     if mask is not None:
         check_output_file(mask, what="--mask")
     _check_mask_options(from_mask, label, resample)
-    volume, badges = opened(path, series=series, progress=progress_printer(), strict=strict)
-    airways = _airways(volume, seed=seed, from_mask=from_mask, label=label, resample=resample)
+    check_case_options(path, ct, seed=seed is not None, from_mask=from_mask)
+    source = opened(path, series=series, progress=progress_printer(), strict=strict, ct=ct)
+    volume, badges = source.volume, source.badges
+    airways = _airways(source, seed=seed, from_mask=from_mask, label=label, resample=resample)
     badges.take_airways(airways)
     added = add_branches(
         volume, airways, add_lps, even_without_evidence=even_without_evidence, progress=progress_printer()
@@ -125,6 +128,7 @@ def write(
     series: str | None,
     as_json: bool,
     strict: bool = False,
+    ct: Path | None = None,
 ) -> int:
     """Find the airways, or take a tree from a file, and write them in another format."""
     try:
@@ -133,8 +137,10 @@ def write(
         raise UsageError(f"-o: {error}") from None
     check_output_file(output)
     _check_mask_options(from_mask, label, resample)
+    check_case_options(path, ct, tree=tree, from_mask=from_mask)
     given = None if tree is None else read_tree(tree)
-    volume, badges = opened(path, series=series, progress=progress_printer(), strict=strict)
+    source = opened(path, series=series, progress=progress_printer(), strict=strict, ct=ct)
+    volume, badges = source.volume, source.badges
     if tree is not None:
         badges.add_tree(tree)
     if given is not None and tree_alone:
@@ -145,7 +151,7 @@ def write(
             )
         export_tree(output, given, badges=badges.notes)
     else:
-        airways = _airways(volume, seed=None, from_mask=from_mask, label=label, resample=resample)
+        airways = _airways(source, seed=None, from_mask=from_mask, label=label, resample=resample)
         given = given or airways.tree
         badges.take_airways(airways)
         export_airways(output, volume, airways, tree=given, badges=badges.notes, progress=progress_printer())
@@ -161,10 +167,12 @@ def _check_mask_options(from_mask: Path | None, label: int | None, resample: boo
 
 
 def _airways(
-    volume: Volume, *, seed: NDArray[np.float64] | None, from_mask: Path | None, label: int | None, resample: bool
+    source: Opened, *, seed: NDArray[np.float64] | None, from_mask: Path | None, label: int | None, resample: bool
 ) -> Airways:
     progress = progress_printer()
-    lumen = None
+    if source.moment is not None:
+        return source.airways(progress)
+    volume, lumen = source.volume, None
     if from_mask is not None:
         mask = open_mask(from_mask, volume, label=label, resample=resample, progress=progress)
         lumen = mask.inside_zyx

@@ -5,16 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import carina
 from carina.case.routes import ChosenRoute, route_to_branch, route_to_point, route_to_target
 from carina.cli.arguments import parse_point
-from carina.cli.badges import Badges
-from carina.cli.console import say
-from carina.errors import UsageError
+from carina.cli.console import ProgressCallback, say
+from carina.cli.opened import Opened
+from carina.errors import NoResultError, UsageError
 from carina.export import read_tree
 from carina.track import AirwayTree
-from carina.track.stages import Progress
-from carina.volume import Volume
 
 __all__ = ["check_destination", "say_drawn", "way_to"]
 
@@ -30,10 +27,10 @@ def check_destination(to: str | None, view: str) -> str:
     return to
 
 
-def way_to(
-    volume: Volume, to: str, *, tree_file: Path | None, progress: Progress | None, badges: Badges | None = None
-) -> ChosenRoute:
-    """The route to a branch's tip by name or id, or to a point x,y,z (LPS mm); ``badges`` takes those of its tree.
+def way_to(source: Opened, to: str, *, tree_file: Path | None, progress: ProgressCallback) -> ChosenRoute:
+    """The route to a branch's tip by name or id, or to a point x,y,z (LPS mm); in a case to a target by its name, too.
+
+    The badges of its tree go to those of the source.
 
     Raises
     ------
@@ -44,20 +41,30 @@ def way_to(
     """
     airways = None
     if tree_file is None:
-        airways = carina.find_airways(volume, progress=progress)
-        if badges is not None:
-            badges.add(getattr(airways, "badges", ()))
+        route = _target_route(source, to)
+        airways = source.airways(progress)
+        source.badges.add(getattr(airways, "badges", ()))
+        if route is not None:
+            return route
         tree = airways.tree
     else:
         tree = read_tree(tree_file)
-        if badges is not None:
-            badges.add_tree(tree_file)
+        source.badges.add_tree(tree_file)
     if "," in to:
         point = parse_point(to, "--to")
         if airways is None:
             return route_to_point(tree, point)
         return route_to_target(tree, airways.tracker.path_to(point), "target", "target")
     return route_to_branch(tree, _branch_id(tree, to))
+
+
+def _target_route(source: Opened, to: str) -> ChosenRoute | None:
+    """To a target of the case; None where none has the name."""
+    document = source.document
+    target = None if document is None else next((one for one in document.targets if one.name == to), None)
+    if target is not None and target.route is None:
+        raise NoResultError(f"--to: the target {to!r} has no path: {target.problem or 'the airways do not reach it'}")
+    return None if target is None else target.route
 
 
 def say_drawn(way: ChosenRoute) -> None:

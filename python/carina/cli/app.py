@@ -11,10 +11,11 @@ import typer
 
 import carina
 from carina.cli.app_airways import airways, export, track
+from carina.cli.app_case import case
 from carina.cli.app_cluster import cluster
 from carina.cli.arguments import check_output_folder, parse_point, parse_size
 from carina.cli.console import exit_codes, fail, print_json, progress_printer
-from carina.cli.options import JsonOption, PathArgument, SeriesOption, TokenOption
+from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption, TokenOption
 from carina.errors import UsageError
 
 __all__ = ["app", "main"]
@@ -203,6 +204,7 @@ def info(
     path: PathArgument,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with code 3 if the scan has findings.")] = False,
     series: SeriesOption = None,
+    ct: CtOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show the geometry, value range, series and quality findings of a CT.
@@ -212,7 +214,7 @@ def info(
     with exit_codes(as_json):
         from carina.cli.info import report
 
-        raise SystemExit(report(path, strict=strict, series=series, as_json=as_json))
+        raise SystemExit(report(path, strict=strict, series=series, as_json=as_json, ct=ct))
 
 
 for verb in (airways, export, track):
@@ -228,7 +230,10 @@ def render(
         typer.Option(help="View to render, such as airway, cut-plane, axial or tree; an unknown name lists them all."),
     ] = "airway",
     at: Annotated[
-        str, typer.Option(help=("Tip position x,y,z in mm (LPS), or auto for the top of the trachea."))
+        str,
+        typer.Option(
+            help="Tip position x,y,z in mm (LPS), or auto for the top of the trachea; of a case where the tip was left."
+        ),
     ] = "auto",
     look: Annotated[str | None, typer.Option(help="Viewing direction dx,dy,dz in LPS (default: caudal).")] = None,
     up: Annotated[
@@ -275,10 +280,13 @@ def render(
         str | None,
         typer.Option(help=("Transfer function: a preset (endoscopic, paper, ct-grey, see-through) or a JSON file.")),
     ] = None,
-    shading: Annotated[str, typer.Option(help="on or off")] = "on",
+    shading: Annotated[str | None, typer.Option(help="on or off (default: on, or as in the case)")] = None,
     texture: Annotated[
-        str, typer.Option(help=("Fine wall texture, a decoration not taken from the CT: on or off."))
-    ] = "on",
+        str | None,
+        typer.Option(
+            help="Fine wall texture, a decoration not taken from the CT: on or off (default: on, or as in the case)."
+        ),
+    ] = None,
     orbit: Annotated[
         str | None,
         typer.Option(help=("Camera of the tri-plane and tree views: azimuth,elevation,distance (degrees, mm).")),
@@ -321,6 +329,7 @@ def render(
         str | None, typer.Option(help="Slab: thickness in mm and min, max or mean; for example 10,min shows airways.")
     ] = None,
     series: SeriesOption = None,
+    ct: CtOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Render one picture of one view.
@@ -332,7 +341,7 @@ def render(
         from carina.cli.render import report
 
         for what, switch in (("--shading", shading), ("--texture", texture)):
-            if switch not in {"on", "off"}:
+            if switch not in {None, "on", "off"}:
                 raise UsageError(f"{what}: expected on or off; found {switch!r}")
         raise SystemExit(
             report(
@@ -348,8 +357,8 @@ def render(
                 method=method,
                 step_vox=step_vox,
                 transfer=transfer,
-                shading=shading == "on",
-                texture=texture == "on",
+                shading=None if shading is None else shading == "on",
+                texture=None if texture is None else texture == "on",
                 orbit=orbit,
                 window=window,
                 surface=surface,
@@ -360,6 +369,7 @@ def render(
                 tone=tone,
                 slab=slab,
                 series=series,
+                ct=ct,
                 as_json=as_json,
             )
         )
@@ -425,11 +435,18 @@ def fly(
         Path | None, typer.Option("--tree", help="Airway tree file written by carina (default: segment the scan).")
     ] = None,
     to: Annotated[
-        str | None, typer.Option(help="Destination: a branch name or id, or a point x,y,z in mm (LPS).")
+        str | None,
+        typer.Option(help="Destination: a branch name or id, a target of the case, or a point x,y,z in mm (LPS)."),
     ] = None,
     recording: Annotated[Path | None, typer.Option(help="Replay a flight recorded in the window.")] = None,
     keys: Annotated[
-        Path | None, typer.Option(help="Fly through key frames saved in the window (a carina-keys JSON file).")
+        Path | None,
+        typer.Option(
+            help=(
+                "Fly through key frames saved in the window (a carina-keys JSON file); of a case: all, or names of its "
+                "key frames, separated by commas."
+            )
+        ),
     ] = None,
     size: Annotated[str, typer.Option(help="Picture size, WxH in pixels.")] = "512x512",
     rate: Annotated[float, typer.Option(help="Frames per second, 1 to 240.")] = 30.0,
@@ -447,11 +464,14 @@ def fly(
     mixed: MixedOption = False,
     token_file: TokenOption = None,
     series: SeriesOption = None,
+    ct: CtOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Render a fly-through video: to a branch or point, from a recording, or through key frames.
 
     Example: carina fly scan/ --to RB9 -o flight.mp4 --speed 15
+
+    Example: carina fly NAME.carina --keys all -o flight.mp4
 
     Example: carina fly scan/ --to RB9 -o flight.mp4 --cluster 10.0.0.5 --keep flight-frames/
     """
@@ -473,6 +493,7 @@ def fly(
                 scope=scope,
                 step_vox=step_vox,
                 series=series,
+                ct=ct,
                 as_json=as_json,
                 cluster=cluster,
                 token=token_file,
@@ -505,6 +526,7 @@ def devices(
         raise SystemExit(report(device or [], seconds=seconds, as_json=as_json))
 
 
+app.add_typer(case, name="case")
 app.add_typer(cluster, name="cluster")
 
 

@@ -9,7 +9,7 @@ import typer
 
 from carina.cli.arguments import parse_point
 from carina.cli.console import exit_codes
-from carina.cli.options import JsonOption, PathArgument, SeriesOption
+from carina.cli.options import CtOption, JsonOption, PathArgument, SeriesOption
 
 __all__ = ["airways", "export", "track"]
 
@@ -55,6 +55,7 @@ def airways(
         ),
     ] = False,
     series: SeriesOption = None,
+    ct: CtOption = None,
     strict: StrictOption = False,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Airway tree file to write: .json.")] = None,
     as_json: JsonOption = False,
@@ -77,6 +78,7 @@ def airways(
                 label=label,
                 resample=resample,
                 series=series,
+                ct=ct,
                 mask=mask,
                 output=output,
                 as_json=as_json,
@@ -108,6 +110,7 @@ def export(
     label: LabelOption = None,
     resample: ResampleOption = False,
     series: SeriesOption = None,
+    ct: CtOption = None,
     strict: StrictOption = False,
     as_json: JsonOption = False,
     formats: Annotated[
@@ -130,6 +133,7 @@ def export(
                 label=label,
                 resample=resample,
                 series=series,
+                ct=ct,
                 as_json=as_json,
                 strict=strict,
             )
@@ -149,6 +153,7 @@ def track(
         str, typer.Option(help=("Graph of the path search: voxel, or isoregion (section 6.1 of the paper)."))
     ] = "voxel",
     series: SeriesOption = None,
+    ct: CtOption = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Path tree file to write.")] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -173,6 +178,7 @@ def track(
                 cost=cost,
                 graph=graph,
                 series=series,
+                ct=ct,
                 output=output,
                 as_json=as_json,
             )

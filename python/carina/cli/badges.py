@@ -1,17 +1,15 @@
-"""Opening a scan for a command, and the lasting notes that its output repeats."""
+"""The lasting notes of what a command works on, which its output repeats."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
 
-import carina
-from carina.cli.console import ProgressCallback, say
-from carina.errors import VolumeImportError
+from carina.cli.console import say
 from carina.export import read_badges
-from carina.volume import Note, Volume, badges_of
+from carina.volume import Note
 
-__all__ = ["Badges", "opened"]
+__all__ = ["Badges"]
 
 
 class Badges:
@@ -44,26 +42,3 @@ class Badges:
     def to_json(self) -> list[dict[str, str]]:
         """As every ``--json`` has them under ``badges``."""
         return [{"code": note.code, "words": note.words} for note in self._notes]
-
-
-def opened(
-    path: Path, *, series: str | None, progress: ProgressCallback, strict: bool = False
-) -> tuple[Volume, Badges]:
-    """Open a scan, say its notes, and begin the list of its badges.
-
-    Raises
-    ------
-    VolumeImportError
-        The refusal of the import; with ``strict`` also ``import.strict`` where the scan has a badge.
-    """
-    volume = carina.open_volume(path, series=series, progress=progress)
-    badges = Badges()
-    for note in volume.source.notes:
-        if not note.badge:
-            say(f"note: {note.words}")
-    badges.add(badges_of(volume))
-    if strict and badges.notes:
-        codes = ", ".join(note.code for note in badges.notes)
-        msg = f"reading {path.name}: --strict: the scan has findings ({codes}); correct them, or leave --strict out"
-        raise VolumeImportError(msg, code="import.strict")
-    return volume, badges

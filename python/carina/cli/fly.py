@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 import carina
 from carina.cli.along import check_destination, say_drawn, way_to
 from carina.cli.arguments import check_output_file
-from carina.cli.badges import Badges, opened
 from carina.cli.cluster import opened_cluster
 from carina.cli.console import print_json, progress_printer, say
 from carina.cli.kept_frames import KeptFrames
+from carina.cli.opened import Opened, check_case_options, opened
 from carina.cluster import ClusterRenderer, render_frames
 from carina.config import load_settings
 from carina.errors import NoResultError, TrackingError, UsageError, VolumeImportError
@@ -30,7 +30,7 @@ from carina.navigate.auto_flight import frame_times_s
 from carina.navigate.recording import ReplayedPose, case_key, sampled
 from carina.render import LEAD_VIEW, AirwayView, Backend, Renderer, TransferFunction, transfer_preset
 from carina.scopes import DEFAULT_SCOPE, ImageField, WallField, scope_preset
-from carina.session import RendererFactory
+from carina.session import RendererFactory, is_case_file, key_file, view_words
 from carina.track import edits_from_json, wall_field
 from carina.volume import Volume
 
@@ -66,6 +66,7 @@ def report(
     token: Path | None = None,
     mixed: bool = False,
     keep: Path | None = None,
+    ct: Path | None = None,
 ) -> int:
     """Render all frames and write them; on the machines of a cluster, and going on from what was kept."""
     check_output_file(output)
@@ -75,20 +76,27 @@ def report(
         raise UsageError("choose one flight: --to (a branch or point), --recording or --keys")
     if tree is not None and to is None:
         raise UsageError("--tree only applies to --to")
+    check_case_options(path, ct, tree=tree)
     named = None if scope in {None, "none"} else scope_preset(str(scope)).name
     shown = _Shown(size, (DEFAULT_SCOPE if scope is None else named), step_vox)
     if to is not None:
         check_destination(to, LEAD_VIEW)
         AutoFlight(carina.FlightPath([[0, 0, 1], [0, 0, 0]]), speed_mm_s=speed_mm_s, pause_s=pause_s)
     recorded = None if recording is None else open_recording(recording)
-    key_file = None if keys is None else open_keys(keys)
-    key_flight = None if key_file is None else key_file.flight()
+    # In a case they are called by their names; a file is one all the same.
+    of_case = keys is not None and is_case_file(path) and not keys.is_file()
+    given = None if keys is None or of_case else open_keys(keys)
+    if given is not None:
+        given.flight()
     progress = progress_printer()
     with (
         VideoWriter(output, *size, rate_hz=rate_hz) as video,
         opened_cluster(cluster, token=token, mixed=mixed) as used,
     ):
-        volume, badges = opened(path, series=series, progress=progress)
+        source = opened(path, series=series, progress=progress, ct=ct)
+        volume, badges = source.volume, source.badges
+        if of_case and source.moment is not None:
+            given = key_file(volume, source.key_frames(str(keys)), source.moment.sight)
         facts: dict[str, Any] = {}
         if recorded is not None:
             recorded.check(volume, carina=carina.__version__)
@@ -97,12 +105,12 @@ def report(
             frames = sampled(moments, times)
         else:
             flight: AutoFlight | KeyFrameFlight
-            if key_file is not None and key_flight is not None:
-                key_file.check(volume)
-                flight = key_flight
+            if given is not None:
+                given.check(volume)
+                flight = given.flight()
                 facts = {"key_times_s": list(flight.key_times_s), "path_mm": sum(flight.leg_mm)}
             else:
-                way = way_to(volume, str(to), tree_file=tree, progress=progress, badges=badges)
+                way = way_to(source, str(to), tree_file=tree, progress=progress)
                 flight = AutoFlight(way.path, speed_mm_s=speed_mm_s, pause_s=pause_s)
                 say_drawn(way)
                 facts = {
@@ -112,7 +120,7 @@ def report(
                     "stops_mm": list(way.lookouts_mm),
                 }
             times = frame_times_s(flight.duration_s, rate_hz)
-            view = {} if key_file is None else _key_view(key_file, shown, chosen=scope is not None)
+            view = _chosen_view(_own_view(source, given), shown, chosen=scope is not None)
             turned = view.get("operator") == "facing"
             frames = [ReplayedPose(float(t), flight.pose_at(float(t)), view, turned) for t in times]
         shots, times_shown = _shots(frames, shown)
@@ -121,7 +129,7 @@ def report(
         if num_kept:
             say(f"continuing after {num_kept} of {len(shots)} frames kept in {keep}")
         began_s = time.perf_counter()
-        renderer = _renderer(volume, progress, None if used is None else used.make_renderer, badges)
+        renderer = _renderer(source, progress, None if used is None else used.make_renderer)
         for number, rgb in _pictures(renderer, shots, kept, size):
             for _ in range(times_shown[number]):
                 video.add(rgb)
@@ -203,10 +211,18 @@ def _walls(volume: Volume, progress: Any) -> Callable[[dict[str, Any]], WallFiel
     return wall
 
 
-def _key_view(file: KeyFile, shown: _Shown, *, chosen: bool) -> dict[str, Any]:
-    """How the window showed the key frames; an instrument that the command names comes with its own picture."""
-    view = dict(file.view)
-    if chosen:
+def _own_view(source: Opened, keys: KeyFile | None) -> dict[str, Any]:
+    """How the window showed the key frames, or shows the case."""
+    if keys is not None:
+        return keys.view
+    document, moment = source.document, source.moment
+    return {} if document is None or moment is None else view_words(document, moment.sight)
+
+
+def _chosen_view(own: dict[str, Any], shown: _Shown, *, chosen: bool) -> dict[str, Any]:
+    """An instrument that the command names comes with its own picture."""
+    view = dict(own)
+    if chosen and view:
         view = {name: value for name, value in view.items() if name not in {"mask", "fov_deg"}} | {"scope": shown.scope}
     return view
 
@@ -223,9 +239,8 @@ def _job(volume: Volume, frames: list[ReplayedPose], shown: _Shown, mixed: bool)
     return digest.hexdigest()
 
 
-def _renderer(
-    volume: Volume, progress: Any, make: RendererFactory | None, badges: Badges
-) -> Renderer | ClusterRenderer:
+def _renderer(source: Opened, progress: Any, make: RendererFactory | None) -> Renderer | ClusterRenderer:
+    volume = source.volume
     renderer: Renderer | ClusterRenderer
     if make is None:
         renderer = Renderer(volume, backend=Backend(load_settings().backend))
@@ -233,8 +248,8 @@ def _renderer(
         renderer = make(volume, transfer_preset("endoscopic"))  # type: ignore[assignment]
     if volume.is_hu:
         try:
-            airways = carina.find_airways(volume, progress=progress)
-            badges.add(getattr(airways, "badges", ()))
+            airways = source.airways(progress)
+            source.badges.add(getattr(airways, "badges", ()))
             renderer.set_lumen(airways.lumen_zyx)
         except NoResultError as trouble:
             say(f"note: {trouble}; thin walls are shown as the CT has them")

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
-import carina
+from carina.cli.case import case_json, case_lines
 from carina.cli.console import print_json, progress_printer, say
+from carina.cli.opened import check_case_options, opened_volume
+from carina.session import is_case_file
 from carina.volume import badges_of, inspect_path, quality_gate
 
 __all__ = ["report"]
 
 
-def report(path: Path, *, strict: bool, series: str | None, as_json: bool) -> int:
+def report(path: Path, *, strict: bool, series: str | None, as_json: bool, ct: Path | None = None) -> int:
     """Print what is known of a path; 3 with ``strict`` where there is a badge or a finding of the quality gate."""
+    check_case_options(path, ct)
     progress = progress_printer()
-    inspection = inspect_path(path, series=series)
-    volume = carina.open_volume(path, series=series, progress=progress)
+    inspection = None if is_case_file(path) else inspect_path(path, series=series)
+    volume = opened_volume(path, series=series, progress=progress, ct=ct)
+    case: dict[str, Any] = {"case": case_json(path)} if is_case_file(path) else {}
     quality = quality_gate(volume)
     badges = badges_of(volume)
     low, high = volume.value_range
@@ -34,8 +39,9 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool) -> in
                 "notes": [note.to_json() for note in volume.source.notes],
                 "badges": [note.to_json() for note in badges],
                 "citation": None if volume.source.citation is None else str(volume.source.citation),
-                "inspection": inspection.to_json(),
+                "inspection": None if inspection is None else inspection.to_json(),
                 "quality": quality.to_json(),
+                **case,
             }
         )
     else:
@@ -57,6 +63,8 @@ def report(path: Path, *, strict: bool, series: str | None, as_json: bool) -> in
             print(f"  quality: {finding.words}")
         if volume.source.citation:
             print(f"  {volume.source.citation}")
+        if case:
+            print("\n".join(case_lines(path)))
     if strict and (quality.findings or badges):
         codes = ", ".join([*(badge.code for badge in badges), *(finding.code for finding in quality.findings)])
         say(f"carina: --strict: the scan has findings: {codes}")

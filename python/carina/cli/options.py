@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["JsonOption", "PathArgument", "SeriesOption", "TokenOption"]
+__all__ = ["CtOption", "JsonOption", "PathArgument", "SeriesOption", "TokenOption"]
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; messages go to stderr.")]
 TokenOption = Annotated[
@@ -15,8 +15,13 @@ TokenOption = Annotated[
     typer.Option("--token-file", help="Token file of the cluster (default: the one in Carina's settings folder)."),
 ]
 PathArgument = Annotated[
-    Path, typer.Argument(help="Scan to open: a DICOM folder or file, NIfTI, NRRD or MetaImage.", show_default=False)
+    Path,
+    typer.Argument(
+        help="Scan to open: a DICOM folder or file, NIfTI, NRRD or MetaImage; or a case: NAME.carina.",
+        show_default=False,
+    ),
 ]
+CtOption = Annotated[Path | None, typer.Option("--ct", help="Where the scan of the case lies now, if it is not found.")]
 SeriesOption = Annotated[
     str | None, typer.Option("--series", help="Key of the series to open; `carina info` lists the keys.")
 ]

@@ -13,8 +13,8 @@ import carina
 from carina.case.routes import ChosenRoute
 from carina.cli.along import check_destination, say_drawn, way_to
 from carina.cli.arguments import check_output_file, parse_point
-from carina.cli.badges import opened
 from carina.cli.console import interruptible, print_json, progress_printer, say
+from carina.cli.opened import Opened, check_case_options, opened
 from carina.cli.optics import SeenThrough
 from carina.config import load_settings
 from carina.errors import CarinaError, UsageError, VolumeImportError
@@ -106,6 +106,35 @@ def _along(picture: Picture, way: ChosenRoute) -> Picture:
     return mark_path(picture, spans=spans, radius_mm=(way.cumulative_mm, way.radius_mm))
 
 
+def _own_options(
+    source: Opened,
+    view: str,
+    seen: SeenThrough,
+    fov_deg: float | None,
+    window: str | None,
+    shading: bool | None,
+    texture: bool | None,
+) -> dict[str, Any]:
+    """How the case is looked at, where the command says nothing else."""
+    document, moment = source.document, source.moment
+    assert document is not None
+    assert moment is not None
+    look, sight = document.look, moment.sight
+    found: dict[str, Any] = {}
+    if view == LEAD_VIEW:
+        found |= {
+            "shading": sight.shading if shading is None else shading,
+            "texture": sight.texture if texture is None else texture,
+        }
+        if seen.scope is None and seen.lens is None:
+            own = dataclasses.replace(seen, scope=look.scope or "none", outline=seen.outline or look.outline)
+            found |= own.options(view)
+            found["fov_deg"] = look.fov_deg if fov_deg is None else fov_deg
+    elif window is None and view_row(view).windowed and sight.window is not None:
+        found["window_hu"] = (sight.window.width_hu, sight.window.level_hu)
+    return found
+
+
 def report(
     path: Path,
     *,
@@ -120,8 +149,8 @@ def report(
     method: str,
     step_vox: float,
     transfer: str | None,
-    shading: bool,
-    texture: bool,
+    shading: bool | None,
+    texture: bool | None,
     orbit: str | None,
     window: str | None,
     surface: Path | None,
@@ -133,6 +162,7 @@ def report(
     slab: str | None,
     series: str | None,
     as_json: bool,
+    ct: Path | None = None,
 ) -> int:
     """Render one picture and write it as PNG, and with ``surface`` what wall its pixels show."""
     check_output_file(output, ".png")
@@ -140,6 +170,7 @@ def report(
         check_output_file(surface, ".npz", what="--surface")
         if view != LEAD_VIEW:
             raise UsageError(f"--surface: only applies to the airway view; found the view {view!r}")
+    check_case_options(path, ct, tree=tree)
     chosen = _transfer(transfer)
     options: dict[str, Any] = {
         "view": view,
@@ -148,8 +179,8 @@ def report(
         "height": size[1],
         "method": method,
         "step_vox": step_vox,
-        "shading": shading,
-        "texture": texture,
+        "shading": shading is not False,
+        "texture": texture is not False,
         "orbit": None if orbit is None else tuple(float(v) for v in parse_point(orbit, "--orbit")),
         "window_hu": _window(window),
         "carm_deg": carm_deg,
@@ -171,7 +202,11 @@ def report(
     # What is wrong with the arguments is said now, and not after minutes of reading and tracking.
     view_spec(pose=Pose.looking((0.0, 0.0, 0.0) if at is None else at, direction, up), **options)
     progress = progress_printer()
-    volume, badges = opened(path, series=series, progress=progress)
+    source = opened(path, series=series, progress=progress, ct=ct)
+    volume, badges = source.volume, source.badges
+    if source.moment is not None:
+        options |= _own_options(source, view, seen, fov_deg, window, shading, texture)
+        chosen = chosen or source.moment.history().current.transfer
     if at is not None and not volume.contains_lps(at):
         words = "--at {:g},{:g},{:g} lies outside the volume".format(*at)
         if row.inside:
@@ -184,21 +219,24 @@ def report(
     wants_pose = at is None and row.wants_tip
     way = None
     if to is not None:
-        way = way_to(volume, to, tree_file=tree, progress=progress, badges=badges)
+        way = way_to(source, to, tree_file=tree, progress=progress)
         options["path"] = way.path.frames()
         say_drawn(way)
     wants_lumen = wants_pose or "airways" in row.needs
     if wants_lumen or wants_wall:
         try:
-            airways = carina.find_airways(volume, progress=progress)
+            airways = source.airways(progress)
             badges.add(getattr(airways, "badges", ()))
         except carina.NoResultError as error:
             if wants_lumen:
                 raise
             say(f"note: {error}; thin walls are shown as the CT has them")
+    left = source.tip if wants_pose and look is None and up is None else None
+    if left is not None:
+        at = left.position_lps
     if at is None and airways is not None:
         at = airways.root_lps
-    pose = Pose.looking(volume.centre_lps if at is None else at, direction, up)
+    pose = left or Pose.looking(volume.centre_lps if at is None else at, direction, up)
     lumen_zyx = None if airways is None else airways.lumen_zyx
     backend = Backend(load_settings().backend)
     picture = interruptible(

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 import carina
 from carina.cli.arguments import check_output_file
-from carina.cli.badges import opened
 from carina.cli.console import print_json, progress_printer, say
+from carina.cli.opened import check_case_options, opened
 from carina.errors import NoResultError
 from carina.export import write_tree
 from carina.track import drawn_part
@@ -32,15 +32,24 @@ def report(
     series: str | None,
     output: Path | None,
     as_json: bool,
+    ct: Path | None = None,
 ) -> int:
     """Track all targets and write the tree; 4 if one of them has no path (the others are written)."""
     if output is not None:
         check_output_file(output)
     check_choice(cost, graph)
+    check_case_options(path, ct, root=root is not None)
     progress = progress_printer()
-    volume, badges = opened(path, series=series, progress=progress)
+    source = opened(path, series=series, progress=progress, ct=ct)
+    volume, badges = source.volume, source.badges
     result = carina.track_paths(
-        volume, root="auto" if root is None else root, targets=targets, cost=cost, graph=graph, progress=progress
+        volume,
+        root="auto" if root is None else root,
+        targets=targets,
+        cost=cost,
+        graph=graph,
+        airways=None if source.moment is None else source.airways(progress),
+        progress=progress,
     )
     badges.add(result.airways.badges)
     search = result.search

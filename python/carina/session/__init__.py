@@ -3,12 +3,15 @@
 from carina.case.routes import ChosenRoute
 from carina.session.case_files import case_files
 from carina.session.case_list import ListedCase, StorageInfo
+from carina.session.case_scan import CASE_SUFFIX, CaseScans, FoundScan, is_case_file
 from carina.session.core import Event
+from carina.session.flying import view_words
 from carina.session.jobs import JobEnded, JobProgress, log_fault
+from carina.session.key_framing import key_file
 from carina.session.parts import Parts, RendererFactory, default_parts
 from carina.session.public import Case
 from carina.session.recent import LocalStore, RecentCase
-from carina.session.records import FORGOTTEN_FOR_S, CaseRecords
+from carina.session.records import FORGOTTEN_FOR_S, CaseRecord, CaseRecords
 from carina.session.scene import Renderer, ShownCase
 from carina.session.session import Session
 from carina.session.snapshot import (
@@ -24,12 +27,16 @@ from carina.session.snapshot import (
 )
 
 __all__ = [
+    "CASE_SUFFIX",
     "FORGOTTEN_FOR_S",
     "Case",
+    "CaseRecord",
     "CaseRecords",
+    "CaseScans",
     "Changed",
     "ChosenRoute",
     "Event",
+    "FoundScan",
     "JobEnded",
     "JobProgress",
     "KeysInfo",
@@ -51,5 +58,8 @@ __all__ = [
     "WallPoint",
     "case_files",
     "default_parts",
+    "is_case_file",
+    "key_file",
     "log_fault",
+    "view_words",
 ]

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from carina import commands as c
-from carina.case.document import Key, Keys
+from carina.case.document import Document, Key, Keys
 from carina.errors import NoResultError, UsageError
 from carina.navigate import (
     MAX_SPEED_MM_S,
@@ -20,6 +20,7 @@ from carina.navigate import (
     case_key,
     open_keys,
 )
+from carina.render import Sight
 from carina.session.case import OpenCase
 from carina.session.flying import place_pose, view_words
 from carina.session.inside import in_airways
@@ -27,8 +28,9 @@ from carina.session.jobs import Job
 from carina.session.key_flight import KeyFlight, key_frames
 from carina.session.snapshot import KeysInfo, Said, ShownKeyFrame
 from carina.session.subject import Subject, answers, does
+from carina.volume import Volume
 
-__all__ = ["MAX_KEYS", "KeyFraming"]
+__all__ = ["MAX_KEYS", "KeyFraming", "key_file"]
 
 MAX_KEYS = 200
 
@@ -192,12 +194,7 @@ class KeyFraming(Subject):
         case = self.core.needed_case()
         with self.core.lock:
             document, sight = case.document, case.sight
-        if not document.keys.frames:
-            raise NoResultError("there are no key frames yet", code="session.keys")
-        keys = document.keys
-        frames = key_frames(keys, case.info.volume, document.airways)
-        flying, key = keys.flying, case_key(case.info.volume)
-        return KeyFile(frames, flying.speed_mm_s, flying.through, key, view_words(document, sight))
+        return key_file(case.info.volume, document, sight)
 
     @does(c.TakeKeyFile)
     def take_key_file(self, command: c.TakeKeyFile) -> str:
@@ -223,6 +220,20 @@ class KeyFraming(Subject):
                     self.core.emit(Said("the file stores times, which were converted to speeds"))
 
         return self.core.jobs.start("keys", "opening key frames", work)
+
+
+def key_file(volume: Volume, document: Document, sight: Sight) -> KeyFile:
+    """The key frames of a document, with all that a flight through them needs.
+
+    Raises
+    ------
+    NoResultError
+        ``session.keys``: if there are none.
+    """
+    if not document.keys.frames:
+        raise NoResultError("there are no key frames yet", code="session.keys")
+    frames, flying = key_frames(document.keys, volume, document.airways), document.keys.flying
+    return KeyFile(frames, flying.speed_mm_s, flying.through, case_key(volume), view_words(document, sight))
 
 
 def _as_shown(

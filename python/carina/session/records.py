@@ -162,6 +162,10 @@ class CaseRecords:
         """A case of the list."""
         return next((one for one in self.all() if one.case_id == case_id), None)
 
+    def path_of(self, record: CaseRecord) -> Path:
+        """The live case file; another process may be writing it."""
+        return self._place(record) / FILE
+
     def num_bytes(self, record: CaseRecord) -> int:
         """What a case takes on the disk."""
         total = 0
@@ -237,6 +241,14 @@ class CaseRecords:
                 shutil.rmtree(self._place(record), ignore_errors=True)
                 removed += not self._place(record).exists()
         return removed
+
+    def remove(self, case_id: str) -> bool:
+        """Remove a forgotten case for good; False where it was not forgotten, or the disk keeps it."""
+        record = next((one for one in self.forgotten() if one.case_id == case_id), None)
+        if record is None:
+            return False
+        shutil.rmtree(self._place(record), ignore_errors=True)
+        return not self._place(record).exists()
 
     def _place(self, record: CaseRecord) -> Path:
         return (self._folder if record.forgotten_s is None else self._folder / FORGOTTEN) / record.case_id

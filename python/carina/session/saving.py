@@ -19,6 +19,7 @@ from carina.disk import disk_trouble
 from carina.display import one_line
 from carina.errors import CarinaError, UsageError
 from carina.session.case import OpenCase, moment_of
+from carina.session.case_scan import CASE_SUFFIX
 from carina.session.core import SessionCore
 from carina.session.jobs import Job, log_fault
 from carina.session.records import CaseRecord, CaseRecords, HeldCase
@@ -44,7 +45,6 @@ SLOW_S = 2.5
 """A disk that takes longer is told of, since what it has not taken could be lost."""
 COPY_EVERY_S = 60.0
 CLOSING_S = 20.0
-SUFFIX = ".carina"
 
 
 class KeptFile(Protocol):
@@ -300,7 +300,7 @@ class Saving(Subject):
         kept = _Kept(case, place, digest)
         documents = self.records.documents
         # No title and no date: a name that a person chooses tells more than either, and gives away less.
-        suggested = None if documents is None else str(documents / f"case{SUFFIX}")
+        suggested = None if documents is None else str(documents / f"case{CASE_SUFFIX}")
         info = SavingInfo(keeps=True, suggested=suggested)
         if reopened is not None:
             record = reopened.held.record
@@ -559,7 +559,7 @@ def _way_between(copy: Path, place: str | None) -> str | None:
 
 
 def _with_suffix(path: Path) -> Path:
-    return path if path.suffix.lower() == SUFFIX else path.with_name(path.name + SUFFIX)
+    return path if path.suffix.lower() == CASE_SUFFIX else path.with_name(path.name + CASE_SUFFIX)
 
 
 def _words(trouble: BaseException) -> str:

@@ -1,0 +1,113 @@
+"""The verbs below ``carina case``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from carina.cli.console import exit_codes
+from carina.cli.options import CtOption, JsonOption
+
+__all__ = ["case"]
+
+case = typer.Typer(
+    help="Case files (NAME.carina), and the cases that are kept on this machine (docs/case-file.md).",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+FileArgument = Annotated[Path, typer.Argument(help="Case file: NAME.carina.", show_default=False)]
+CaseOutput = Annotated[Path, typer.Option("-o", "--output", help="Case file to write; nothing may be there.")]
+
+
+@case.command("info")
+def case_info(path: FileArgument, as_json: JsonOption = False) -> None:
+    """Show what a case file contains; its scan is not needed.
+
+    Example: carina case info NAME.carina
+    """
+    with exit_codes(as_json):
+        from carina.cli.case import info
+
+        raise SystemExit(info(path, as_json=as_json))
+
+
+@case.command("history")
+def case_history(path: FileArgument, as_json: JsonOption = False) -> None:
+    """List what was done in a case, with the time since it was begun.
+
+    Example: carina case history NAME.carina
+    """
+    with exit_codes(as_json):
+        from carina.cli.case import history
+
+        raise SystemExit(history(path, as_json=as_json))
+
+
+@case.command("list")
+def case_list(as_json: JsonOption = False) -> None:
+    """List the cases that are kept on this machine: id, last use, changes, size, title.
+
+    Example: carina case list
+    """
+    with exit_codes(as_json):
+        from carina.cli.case import kept
+
+        raise SystemExit(kept(as_json=as_json))
+
+
+@case.command("forget")
+def case_forget(
+    name: Annotated[
+        str,
+        typer.Argument(help="Id of the case (`carina case list`), or the file it was saved as.", show_default=False),
+    ],
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Remove all that this machine keeps of a case: record, live file and cached scan. Files saved elsewhere stay.
+
+    Example: carina case forget 3f9a1c
+    """
+    with exit_codes(as_json):
+        from carina.cli.case import forget
+
+        raise SystemExit(forget(name, yes=yes, as_json=as_json))
+
+
+@case.command("pack")
+def case_pack(path: FileArgument, output: CaseOutput, ct: CtOption = None, as_json: JsonOption = False) -> None:
+    """Write a case together with its scan into one file, without the scan's tags.
+
+    Example: carina case pack NAME.carina -o PACKED.carina
+    """
+    with exit_codes(as_json):
+        from carina.cli.case import packed
+
+        raise SystemExit(packed(path, output=output, ct=ct, as_json=as_json))
+
+
+@case.command("migrate")
+def case_migrate(path: FileArgument, output: CaseOutput, as_json: JsonOption = False) -> None:
+    """Write a case of an older Carina as this one writes it, into a new file.
+
+    Example: carina case migrate OLD.carina -o NEW.carina
+    """
+    with exit_codes(as_json):
+        from carina.cli.case import migrated
+
+        raise SystemExit(migrated(path, output=output, as_json=as_json))
+
+
+@case.command("rescue")
+def case_rescue(path: FileArgument, output: CaseOutput, as_json: JsonOption = False) -> None:
+    """Write what is whole of a damaged case into a new file, and list what was lost.
+
+    Example: carina case rescue DAMAGED.carina -o RESCUED.carina
+    """
+    with exit_codes(as_json):
+        from carina.cli.case import rescue
+
+        raise SystemExit(rescue(path, output=output, as_json=as_json))

@@ -1,0 +1,261 @@
+"""``carina case``: what case files hold, and the cases that are kept on this machine."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from carina.case import CaseFile, migrate, rescued
+from carina.cli.arguments import check_output_file
+from carina.cli.console import print_json, progress_printer, say
+from carina.cli.opened import case_scans
+from carina.config import load_settings
+from carina.disk import say_size
+from carina.errors import DiskError, UsageError
+from carina.session import CASE_SUFFIX, CaseRecord, CaseRecords, LocalStore
+from carina.volume import VolumeCache
+
+__all__ = ["case_json", "case_lines", "forget", "history", "info", "kept", "migrated", "packed", "rescue"]
+
+SHORT_ID = 6
+
+
+def case_json(path: Path) -> dict[str, Any]:
+    """What a case file holds, for ``--json``; its CT is not needed."""
+    with CaseFile.open(path, read_only=True) as case:
+        source, steps, holds = case.source, case.history(), case.summary()
+        recordings = case.recordings()
+        note = case.note
+    return {
+        "file": str(path),
+        "bytes": path.stat().st_size,
+        "note": note,
+        "source": {
+            "digest": source.digest,
+            "shape_zyx": list(source.shape_zyx),
+            "lps_from_ijk": source.lps_from_ijk.tolist(),
+            "is_hu": source.is_hu,
+            "path": source.path,
+            "packed": holds.is_packed,
+        },
+        "num_branches": holds.num_branches,
+        "num_edits": holds.num_edits,
+        "route": holds.route,
+        "targets": list(holds.targets),
+        "key_frames": list(holds.key_frames),
+        "recordings": [{"id": one.recording_id, "name": one.name, "length_s": one.length_s} for one in recordings],
+        "num_steps": len(steps),
+        "num_done": sum(step.holds for step in steps),
+        "saved_by": holds.saved_by,
+    }
+
+
+def case_lines(path: Path) -> list[str]:
+    """The same in words."""
+    found = case_json(path)
+    source = found["source"]
+    nz, ny, nx = source["shape_zyx"]
+    where = "packed with the case" if source["packed"] else source["path"] or "place not known"
+    lines = [
+        f"{path.name}: {say_size(found['bytes'])}, saved by Carina {found['saved_by'] or '(nothing saved yet)'}",
+        f"  scan: {nx} x {ny} x {nz} voxels, {where}, digest {source['digest'][:12]}",
+        "  airways: none"
+        if found["num_branches"] is None
+        else f"  airways: {found['num_branches']} branches, {_many(found['num_edits'], 'edit')}",
+        f"  targets: {', '.join(found['targets']) or 'none'}",
+        f"  key frames: {', '.join(found['key_frames']) or 'none'}",
+    ]
+    if found["route"] is not None:
+        lines.append(f"  route: {found['route']}")
+    if found["recordings"]:
+        lines.append(f"  recordings: {', '.join(one['name'] or str(one['id']) for one in found['recordings'])}")
+    undone = found["num_steps"] - found["num_done"]
+    lines.append(f"  history: {_many(found['num_done'], 'change')}" + (f", {undone} undone" if undone else ""))
+    if found["note"]:
+        lines.append(f"  note: {found['note']}")
+    return lines
+
+
+def info(path: Path, *, as_json: bool) -> int:
+    """Print what a case file contains."""
+    if as_json:
+        print_json(case_json(path))
+    else:
+        print("\n".join(case_lines(path)))
+    return 0
+
+
+def history(path: Path, *, as_json: bool) -> int:
+    """Print the steps in words, the oldest first, with the time since the case was begun."""
+    with CaseFile.open(path, read_only=True) as case:
+        steps = case.history()
+    if as_json:
+        print_json({"steps": [{"n": n, **asdict(step)} for n, step in enumerate(steps, 1)]})
+        return 0
+    for n, step in enumerate(steps, 1):
+        print(f"{n:>4}  {_clock(step.at_s):>9}  {step.label}{'' if step.holds else '  (undone)'}")
+    if not steps:
+        say("nothing was changed in this case yet")
+    return 0
+
+
+def kept(*, as_json: bool) -> int:
+    """Print the cases that are kept on this machine, the last used first."""
+    records = _records()
+    found = records.all()
+    short = _short_ids(found)
+    if as_json:
+        print_json(
+            {
+                "cases": [
+                    {
+                        "id": one.case_id,
+                        "title": one.shown_title,
+                        "begun": _iso(one.begun_s),
+                        "used": _iso(one.used_s),
+                        "num_changes": one.num_changes,
+                        "bytes": records.num_bytes(one),
+                        "digest": one.digest,
+                        "copy": one.copy_path,
+                    }
+                    for one in found
+                ]
+            }
+        )
+        return 0
+    for one in found:
+        used = time.strftime("%Y-%m-%d %H:%M", time.localtime(one.used_s))
+        size = say_size(records.num_bytes(one))
+        print(f"{short[one.case_id]:<8} {used}  {_many(one.num_changes, 'change'):>12}  {size:>9}  {one.shown_title}")
+    if not found:
+        say("no cases are kept on this machine")
+    return 0
+
+
+def forget(wanted: str, *, yes: bool, as_json: bool) -> int:
+    """Remove all that this machine keeps of a case; a file that a person saved elsewhere stays."""
+    records = _records()
+    record = _named(records, wanted)
+    cache = _cache()
+    others = [one for one in records.all() if one.digest == record.digest and one.case_id != record.case_id]
+    words = f"{record.shown_title}, {_many(record.num_changes, 'change')}"
+    if not yes:
+        if as_json or not sys.stdin.isatty():
+            raise UsageError(f"this removes the case ({words}) from this machine for good; add --yes to do it")
+        say(f"This removes the case ({words}) from this machine for good.")
+        if record.copy_path is not None:
+            say(f"The file {record.copy_path} stays.")
+        print("Forget it? [y/N] ", end="", file=sys.stderr, flush=True)
+        if sys.stdin.readline().strip().lower() not in {"y", "yes"}:
+            say("nothing was removed")
+            return 0
+    size = records.num_bytes(record)
+    if not records.forget(record):
+        raise UsageError("this case is open in a Carina; close it there first", code="case.open")
+    if not records.remove(record.case_id):
+        raise DiskError("the case was taken out of the list, but its folder could not be removed; try again later")
+    if record.place is not None:
+        LocalStore(load_settings().config_dir).forget(record.place)
+    # Another case of the same CT still needs it.
+    freed = 0 if others else cache.forget(record.digest)
+    if as_json:
+        print_json({"id": record.case_id, "bytes": size, "cache_bytes": freed, "copy": record.copy_path})
+    else:
+        say(f"forgotten: {words}; {say_size(size + freed)} are free again")
+        if record.copy_path is not None:
+            say(f"the file {record.copy_path} was left where it is")
+    return 0
+
+
+def packed(path: Path, *, output: Path, ct: Path | None, as_json: bool) -> int:
+    """Write a case together with its CT into one file."""
+    _check_target(path, output)
+    with CaseFile.open(path, read_only=True) as case:
+        volume = case_scans().open(case, ct=ct, progress=progress_printer()).volume
+        case.write_copy(output, volume=volume)
+    return _wrote(output, as_json)
+
+
+def migrated(path: Path, *, output: Path, as_json: bool) -> int:
+    """Write an older Carina's case as this one writes it."""
+    _check_target(path, output)
+    migrate(path, output)
+    return _wrote(output, as_json)
+
+
+def rescue(path: Path, *, output: Path, as_json: bool) -> int:
+    """Write what is whole of a damaged case into a new file, and list what was lost."""
+    _check_target(path, output)
+    lost = rescued(path, output)
+    for words in lost:
+        say(f"lost: {words}")
+    return _wrote(output, as_json, lost=list(lost))
+
+
+def _wrote(output: Path, as_json: bool, **facts: Any) -> int:
+    if as_json:
+        print_json({"file": str(output), "bytes": output.stat().st_size, **facts})
+    else:
+        say(f"wrote {output}: {say_size(output.stat().st_size)}")
+    return 0
+
+
+def _check_target(path: Path, output: Path) -> None:
+    check_output_file(output, CASE_SUFFIX)
+    if output.exists():
+        raise UsageError(f"-o: there is a file already: {output}; choose another name ({path.name} is never changed)")
+
+
+def _records() -> CaseRecords:
+    return CaseRecords(load_settings().cases_dir, time.time)
+
+
+def _cache() -> VolumeCache:
+    settings = load_settings()
+    return VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes)
+
+
+def _named(records: CaseRecords, wanted: str) -> CaseRecord:
+    """By the beginning of its id, or by its file.
+
+    Raises
+    ------
+    UsageError
+        If none is meant, or several.
+    """
+    all_records = records.all()
+    if wanted.lower().endswith(CASE_SUFFIX):
+        place = str(Path(wanted).expanduser().absolute())
+        found = [one for one in all_records if one.copy_path == place or str(records.path_of(one)) == place]
+    else:
+        found = [one for one in all_records if wanted and one.case_id.startswith(wanted.lower())]
+    if len(found) == 1:
+        return found[0]
+    what = "no case" if not found else f"{len(found)} cases"
+    raise UsageError(f"{what} of this machine: {wanted}; `carina case list` shows the ids", code="case.unknown")
+
+
+def _short_ids(records: tuple[CaseRecord, ...]) -> dict[str, str]:
+    """Each as short as tells it from all others, and no shorter than people expect."""
+    ids = [one.case_id for one in records]
+    length = SHORT_ID
+    while len({one[:length] for one in ids}) < len(ids):
+        length += 1
+    return {one: one[:length] for one in ids}
+
+
+def _many(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _clock(seconds: float) -> str:
+    """Hours, minutes and seconds."""
+    whole = int(seconds)
+    return f"{whole // 3600}:{whole // 60 % 60:02}:{whole % 60:02}"
+
+
+def _iso(seconds: float) -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(seconds))

@@ -1,0 +1,186 @@
+"""Opening what a command works on: a scan, or a case, whose tree as a person edited it is then the scan's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import carina
+from carina.cli.badges import Badges
+from carina.cli.console import ProgressCallback, say
+from carina.config import load_settings
+from carina.errors import NoResultError, UsageError, VolumeImportError
+from carina.scopes import Pose
+from carina.session import CaseRecords, CaseScans, is_case_file
+from carina.volume import Volume, VolumeCache, badges_of
+
+if TYPE_CHECKING:
+    from carina.case import CaseFile, Document, Keys, Moment
+    from carina.track import Airways
+
+__all__ = ["Opened", "case_scans", "check_case_options", "opened", "opened_volume"]
+
+
+@dataclass(slots=True)
+class Opened:
+    """A scan, with what a person made of it where it was opened as a case."""
+
+    volume: Volume
+    badges: Badges
+    moment: Moment | None = None
+    """As the case was saved last; None for a scan."""
+    place: Path | None = None
+    """Where the scan lies; None where it came from the case or the cache."""
+    _airways: Airways | None = None
+
+    @property
+    def document(self) -> Document | None:
+        """What the person decided; None for a scan."""
+        return None if self.moment is None else self.moment.history().current
+
+    @property
+    def tip(self) -> Pose | None:
+        """Where the tip was left; None for a scan."""
+        return None if self.moment is None else Pose(np.array(self.moment.tip["lps_from_camera"], dtype=np.float64))
+
+    def airways(self, progress: ProgressCallback) -> Airways:
+        """Those of the case, with all edits; of a scan those that are found, once.
+
+        Raises
+        ------
+        NoResultError
+            If there are none.
+        """
+        if self._airways is None:
+            document = self.document
+            if document is None:
+                self._airways = carina.find_airways(self.volume, progress=progress)
+            elif document.airways is None:
+                raise NoResultError(
+                    "this case has no airways yet: open it in the window to find them, or give the scan",
+                    code="track.no-airways",
+                )
+            else:
+                self._airways = document.airways
+        return self._airways
+
+    def key_frames(self, wanted: str) -> Document:
+        """The document with the key frames that are named: ``all``, or some in the order of the flight.
+
+        Raises
+        ------
+        UsageError
+            If none, or two, have a name.
+        """
+        document = self.document
+        assert document is not None
+        return replace(document, keys=_chosen(document.keys, wanted))
+
+
+def _chosen(keys: Keys, wanted: str) -> Keys:
+    if wanted.strip() == "all":
+        return keys
+    chosen = []
+    for name in (part.strip() for part in wanted.split(",")):
+        found = [one for one in keys.frames if one.name == name] or [one for one in keys.frames if one.key_id == name]
+        if not found:
+            known = ", ".join(one.name or one.key_id for one in keys.frames) or "none"
+            raise UsageError(f"--keys: expected all, a file, or key frames of the case ({known}); found {name!r}")
+        if len(found) > 1:
+            ids = ", ".join(one.key_id for one in found)
+            raise UsageError(f"--keys: {len(found)} key frames are called {name!r}; name them by their ids: {ids}")
+        chosen += found
+    return replace(keys, frames=tuple(chosen))
+
+
+def case_scans() -> CaseScans:
+    """Looks for the scans of cases on this machine."""
+    from carina.session import default_parts
+
+    settings = load_settings()
+    return CaseScans(
+        VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes),
+        CaseRecords(settings.cases_dir, lambda: 0.0),
+        default_parts().open_demo,
+        advice="give its place with --ct PATH",
+    )
+
+
+def check_case_options(path: Path, ct: Path | None, **refused: object) -> None:
+    """Refuse what does not go together, before the work; each of ``refused`` is an option that a case answers itself.
+
+    Raises
+    ------
+    UsageError
+        ``--ct`` without a case, or a case with one of the options.
+    """
+    if not is_case_file(path):
+        if ct is not None:
+            raise UsageError("--ct only applies to a case file (NAME.carina)")
+        return
+    for name, value in refused.items():
+        if value is not None and value is not False:
+            raise UsageError(
+                f"--{name.replace('_', '-')}: the case has its own airways, with all edits; leave the option out, "
+                "or give the scan instead of the case"
+            )
+
+
+def opened(
+    path: Path,
+    *,
+    series: str | None,
+    progress: ProgressCallback,
+    strict: bool = False,
+    ct: Path | None = None,
+) -> Opened:
+    """Open a scan or a case, say its notes, and begin the list of its badges.
+
+    Raises
+    ------
+    VolumeImportError
+        The refusal of the import, or of the case; with ``strict`` also ``import.strict`` where the scan has a badge.
+    """
+    if is_case_file(path):
+        from carina.case import CaseFile
+
+        with CaseFile.open(path, read_only=True) as case:
+            found = _of_case(case, ct, series, progress)
+    else:
+        found = Opened(carina.open_volume(path, series=series, progress=progress), Badges(), place=path)
+    _say_notes(found)
+    if strict and found.badges.notes:
+        codes = ", ".join(note.code for note in found.badges.notes)
+        msg = f"reading {path.name}: --strict: the scan has findings ({codes}); correct them, or leave --strict out"
+        raise VolumeImportError(msg, code="import.strict")
+    return found
+
+
+def opened_volume(path: Path, *, series: str | None, progress: ProgressCallback, ct: Path | None = None) -> Volume:
+    """Open a scan, or that of a case, and say nothing."""
+    if not is_case_file(path):
+        return carina.open_volume(path, series=series, progress=progress)
+    from carina.case import CaseFile
+
+    with CaseFile.open(path, read_only=True) as case:
+        return case_scans().open(case, ct=ct, series=series, progress=progress).volume
+
+
+def _of_case(case: CaseFile, ct: Path | None, series: str | None, progress: ProgressCallback) -> Opened:
+    if case.note is not None:
+        say(f"note: {case.note}")
+    scan = case_scans().open(case, ct=ct, series=series, progress=progress)
+    place = None if scan.place is None or scan.place.startswith("demo:") else Path(scan.place)
+    return Opened(scan.volume, Badges(), case.load(scan.volume), place)
+
+
+def _say_notes(found: Opened) -> None:
+    notes: Iterable[Any] = found.volume.source.notes
+    for note in notes:
+        if not note.badge:
+            say(f"note: {note.words}")
+    found.badges.add(badges_of(found.volume))

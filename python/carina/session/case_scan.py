@@ -1,0 +1,169 @@
+"""The CT of a case file: where it lies now, and that it is the one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carina.case import CaseFile, CaseFileError
+from carina.display import one_line
+from carina.errors import CancelledError, CarinaError, UsageError
+from carina.volume import Volume, refuse_other_ct
+
+if TYPE_CHECKING:
+    from carina.session.records import CaseRecords
+    from carina.volume import VolumeCache
+
+__all__ = ["CASE_SUFFIX", "CaseScans", "FoundScan", "is_case_file"]
+
+CASE_SUFFIX = ".carina"
+Progress = Callable[[str, float | None], None] | None
+Cancel = Callable[[], bool] | None
+
+
+def is_case_file(path: str | Path) -> bool:
+    """Whether a path is to be opened as a case; a folder of that name holds slices."""
+    place = Path(path)
+    return place.suffix.lower() == CASE_SUFFIX and not place.is_dir()
+
+
+@one_line
+@dataclass(frozen=True, slots=True)
+class FoundScan:
+    """The CT of a case."""
+
+    volume: Volume
+    place: str | None
+    """Where it was opened from: an absolute path, or ``demo:NAME``; None where it came from a cache or the case."""
+
+
+class CaseScans:
+    """Looks for the CTs of cases.
+
+    Parameters
+    ----------
+    cache
+        CTs that were opened before.
+    records
+        The cases of this person: they know where a CT was opened from last.
+    open_demo
+        ``open_demo(name, progress, cancel)``, for cases of the bundled CTs.
+    advice
+        What to do where a CT is not found: it ends the sentence.
+    """
+
+    def __init__(
+        self,
+        cache: VolumeCache | None = None,
+        records: CaseRecords | None = None,
+        open_demo: Callable[..., Volume] | None = None,
+        *,
+        advice: str = "say where it lies now",
+    ) -> None:
+        self._cache = cache
+        self._records = records
+        self._open_demo = open_demo
+        self._advice = advice
+
+    def __repr__(self) -> str:
+        return f"CaseScans({self._cache!r})"
+
+    def open(
+        self,
+        case: CaseFile,
+        *,
+        ct: str | Path | None = None,
+        series: str | None = None,
+        progress: Progress = None,
+        cancel: Cancel = None,
+    ) -> FoundScan:
+        """Open the CT of a case.
+
+        It is looked for at the place in the file, where this person opened it last, in the cache and in the file
+        itself; whatever is found is compared by digest and geometry.
+
+        Parameters
+        ----------
+        ct
+            Where a person says that it lies; nothing else is looked at then.
+        series
+            As of :func:`carina.open_volume`.
+
+        Raises
+        ------
+        CaseFileError
+            ``case.no-scan``: if it is nowhere.
+        VolumeImportError
+            If ``ct`` cannot be opened, or is another CT; or another lies at the place in the file, and none elsewhere.
+        """
+        source = case.source
+        if series is None and isinstance(source.choices.get("series"), str):
+            series = source.choices["series"]
+
+        def opened(place: str) -> FoundScan:
+            if place.startswith("demo:"):
+                assert self._open_demo is not None
+                volume = self._open_demo(place.removeprefix("demo:"), progress or _no_progress, cancel or _no_cancel)
+            else:
+                volume = self._opened(Path(place), series, progress, cancel)
+            refuse_other_ct(volume, source.digest, source)
+            return FoundScan(volume, place)
+
+        if ct is not None:
+            return opened(str(Path(ct).expanduser().absolute()))
+        refusal: CarinaError | None = None
+        for place in self._places(case, source.path, source.digest):
+            try:
+                return opened(place)
+            except CancelledError:
+                raise
+            except (CarinaError, OSError) as trouble:
+                if refusal is None and isinstance(trouble, CarinaError):
+                    refusal = trouble
+        kept = None if self._cache is None else self._cache.find_digest(source.digest)
+        volume = None if kept is None else kept.load(progress=progress, cancel=cancel)
+        if volume is None:
+            volume = case.packed_volume()
+        if volume is not None:
+            refuse_other_ct(volume, source.digest, source)
+            return FoundScan(volume, None)
+        if refusal is not None:
+            raise refusal
+        raise CaseFileError(
+            f"{case.path}: the scan of this case is not where it was"
+            f"{'' if source.path is None else f' ({source.path})'}: {self._advice}",
+            code="case.no-scan",
+        )
+
+    def _places(self, case: CaseFile, path: str | None, digest: str) -> list[str]:
+        found: list[str] = []
+        if path is not None:
+            # What a stranger wrote leads to files and folders alone, never to a device or a pipe.
+            beside = (case.path.absolute().parent / path).resolve()
+            if beside.is_file() or beside.is_dir():
+                found.append(str(beside))
+        record = None if self._records is None else self._records.newest_of(digest)
+        if record is not None and record.place is not None and record.place not in found:
+            is_demo = record.place.startswith("demo:")
+            if self._open_demo is not None if is_demo else Path(record.place).exists():
+                found.append(record.place)
+        return found
+
+    def _opened(self, place: Path, series: str | None, progress: Progress, cancel: Cancel) -> Volume:
+        from carina.volume import open_volume
+
+        if is_case_file(place):
+            raise UsageError(f"{place}: expected the CT of the case; this is a case file itself")
+        if self._cache is None:
+            return open_volume(place, series=series, progress=progress, cancel=cancel)
+        return self._cache.open(place, series=series, progress=progress, cancel=cancel).volume
+
+
+def _no_progress(_what: str, _fraction: float | None) -> None:
+    pass
+
+
+def _no_cancel() -> bool:
+    return False
