@@ -175,7 +175,7 @@ def test_a_dropped_mask_is_kept_until_its_question_is_answered_and_takes_the_pla
         taken = window.until_state(lambda s: s.airways_from == "mask")
         assert (taken.can_undo, taken.mask_question) == ("use the segmentation as the airways", None)
         assert (taken.airways_words, taken.lumen_threshold) == (
-            "the airway lumen is the imported segmentation airway.nrrd",
+            "the airway lumen is an imported segmentation",
             None,
         )
         window.send(wire.Undo())

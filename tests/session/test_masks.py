@@ -65,9 +65,7 @@ def test_a_mask_takes_the_place_of_the_airways_in_one_step_that_undo_takes_back(
     after = take(bench, "/masks/airway.nii.gz")
     assert after.document.airways is not before.document.airways
     assert (after.airways, after.undo_label) == ("found", "use the segmentation as the airways")
-    assert after.airways_words == (
-        "the airway lumen is the imported segmentation airway.nii.gz; covers a part; three branches"
-    )
+    assert after.airways_words == ("the airway lumen is an imported segmentation; covers a part; three branches")
     assert bench.renderers[-1].lumen is after.document.airways.lumen_zyx
     assert after.document.lumen_threshold == before.document.lumen_threshold
     bench.session.undo()

@@ -88,7 +88,7 @@ class AirwayFinding(Subject):
             with self.core.lock:
                 job.check()
                 if self.core.case is case:
-                    self._start_airways_of(case, Path(path).name, mask)
+                    self._start_airways_of(case, mask)
 
         return self.core.jobs.start("mask", "reading the segmentation", work)
 
@@ -128,10 +128,11 @@ class AirwayFinding(Subject):
 
     # ------------------------------------------------------------ both
 
-    def _start_airways_of(self, case: OpenCase, name: str, mask: Mask) -> None:
+    def _start_airways_of(self, case: OpenCase, mask: Mask) -> None:
         """The tree of a mask. Its paths begin in its trachea; where that is not in it, at the root that is known."""
         known = case.document.airways
-        told = (f"the airway lumen is the imported segmentation {name}", *mask.notes)
+        # Without the file's name, which may be a patient's: the notes go along with the case wherever it goes.
+        told = ("the airway lumen is an imported segmentation", *mask.notes)
 
         def find(job: Job) -> Any:
             options = {"lumen_zyx": mask.inside_zyx, "notes": told, "progress": job.progress, "cancel": job.cancel}

@@ -1,0 +1,61 @@
+"""A case that is handed on names nobody: not by its CT's tags and folders, not by a mask's file."""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+import zlib
+
+from carina import commands as c
+from carina.render import Renderer
+from carina.session import CaseRecords, Session, case_files
+from carina.volume import Volume, VolumeSource, write_grid
+from made import made_phantom
+
+NAMES = (b"MUELLER", b"Mueller", b"mueller", b"19610405", b"1961-04-05")
+
+
+def texts_of(path):
+    """Everything in a case file, with what is packed unpacked."""
+    yield path.read_bytes()
+    with sqlite3.connect(path) as case:
+        for (table,) in case.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall():
+            for row in case.execute(f"SELECT * FROM {table}"):
+                for value in row:
+                    if isinstance(value, bytes):
+                        yield value
+                        with contextlib.suppress(zlib.error):
+                            yield zlib.decompress(value)
+                    elif isinstance(value, str):
+                        yield value.encode()
+    case.close()
+
+
+def test_a_copy_holds_no_name_of_the_ct_of_its_folders_or_of_a_mask(tmp_path):
+    chest = made_phantom(spacing_mm=3.0, generations=3)
+    folder = tmp_path / "MUELLER 19610405"
+    folder.mkdir()
+    mask = folder / "Mueller_airways.nii.gz"
+    write_grid(mask, chest.lumen_zyx, chest.volume.lps_from_ijk, what="the mask")
+    volume = Volume(
+        chest.volume.hu_zyx,
+        chest.volume.lps_from_ijk,
+        source=VolumeSource("dicom", "MUELLER thorax 1961-04-05"),
+    )
+    records = CaseRecords(tmp_path / "cases", lambda: 1_800_000_000.0)
+    session = Session(lambda v, transfer: Renderer(v, transfer=transfer), records=records, files=case_files())
+    session.do(c.OpenVolume(volume))
+    session.jobs.wait_idle(None)
+    session.do(c.TakeMask(str(mask)))
+    session.jobs.wait_idle(None)
+    assert "imported segmentation" in session.snapshot().airways_words
+    airways = session.snapshot().document.airways
+    session.do(c.AddTarget(tuple(airways.tree.tips()[0].points[-1])))
+    session.jobs.wait_idle(None)
+    session.do(c.SaveCase(str(tmp_path / "given.carina")))
+    session.jobs.wait_idle(None)
+    assert session.snapshot().saving.copy_name == "given.carina"
+    session.close()
+    for text in texts_of(tmp_path / "given.carina"):
+        for name in NAMES:
+            assert name not in text
