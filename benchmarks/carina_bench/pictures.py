@@ -18,7 +18,7 @@ def save(folder: str | Path, name: str, rgb: NDArray[np.uint8]) -> str:
     """Write a PNG and return its name; a grey picture has two axes."""
     colours = np.repeat(rgb[..., None], 3, axis=2) if rgb.ndim == 2 else rgb
     content = png_bytes(np.ascontiguousarray(colours))
-    return write_whole(Path(folder) / f"{name}.png", content, what="the picture").name
+    return write_whole(Path(folder) / f"{name}.png", content, what="the image").name
 
 
 def difference(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> dict[str, Any]:

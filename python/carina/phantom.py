@@ -119,9 +119,11 @@ def generate_phantom(
             f"spacing: expected one number or three (x, y, z); found {len(spacing)}", code="phantom.option"
         )
     if not 0 <= seed < 2**64:
-        raise UsageError(f"seed: expected 0 to 2^64 - 1; found {seed}", code="phantom.option")
+        raise UsageError(f"seed: expected a whole number from 0 to 2^64 - 1; found {seed}", code="phantom.option")
     if generations < 0:
-        raise UsageError(f"generations: expected 3 to 9, found {generations}", code="phantom.option")
+        raise UsageError(
+            f"generations: expected a whole number from 3 to 9, found {generations}", code="phantom.option"
+        )
     box = None
     if box_lps is not None:
         corners = np.asarray(box_lps, dtype=np.float64)
@@ -132,7 +134,7 @@ def generate_phantom(
 
     def proceed(fraction: float) -> bool:
         if cancel is not None and cancel():
-            raise CancelledError("generating the phantom was cancelled")
+            raise CancelledError("stopped while generating the phantom")
         if progress is not None:
             progress("generating the phantom", fraction)
         return True

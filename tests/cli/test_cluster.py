@@ -139,7 +139,7 @@ def test_a_cluster_of_one_machine_says_that_its_ports_are_open_before_it_opens_t
     opened = cluster.opened_cluster("local", token=tmp_path / "token", mixed=False)
     with pytest.raises(ClusterError, match="enough"), opened:
         pass
-    assert "listens on every address of this machine, not only on 127.0.0.2" in told
+    assert "is listening on every address of this machine, not only on 127.0.0.2" in told
     assert "docs/cluster.md" in told
 
 

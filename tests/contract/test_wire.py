@@ -47,7 +47,9 @@ def test_invalid_samples_are_refused_with_a_code_and_a_sentence(path):
     assert len(str(refusal.value)) > 15
 
 
-@pytest.mark.parametrize(("data", "words"), [(b"\0\0\0", "too short"), (b"\0\0\0\0", "before its payload")])
+@pytest.mark.parametrize(
+    ("data", "words"), [(b"\0\0\0", "ends within its header"), (b"\0\0\0\0", "before the image data")]
+)
 def test_a_picture_that_is_only_its_length_has_no_payload(data, words):
     with pytest.raises(ProtocolError, match=words):
         wire.parse_picture(data)

@@ -79,7 +79,7 @@ def test_a_chosen_mask_is_asked_which_structure_is_the_airway_taken_and_undone(r
     ready.picture("mask-labels")
     page.locator("[data-testid=mask-answer]").click()
     ready.wait_for("window.__carina.state.airways_from === 'mask'")
-    assert ready.state("can_undo") == "use the segmentation as the airways"
+    assert ready.state("can_undo") == "use the segmentation for the airways"
     expect(page.locator("[data-testid=mask-question]")).to_have_count(0)
     # The phantom's true lumen: more of its smallest branches than were found.
     ready.wait_for(f"window.__carina.state.tree.byId.size > {branches}")

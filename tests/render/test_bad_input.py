@@ -103,21 +103,21 @@ def test_a_size_out_of_range_is_refused_with_what_was_found(view, size):
 @pytest.mark.parametrize("fov_deg", [0.0, 0.99, 170.01, 180.0, -90.0, NAN, INF])
 def test_a_field_of_view_out_of_range_is_refused_with_what_was_found(view, fov_deg):
     words = refusal(lambda: VIEWS[view](fov_deg=fov_deg), RenderError)
-    assert "1 to 170" in words
+    assert "between 1 and 170" in words
     assert f"{fov_deg:g}" in words
 
 
 @pytest.mark.parametrize("step_vox", [0.0, -1.0, 0.009, 101.0, NAN])
 def test_a_ray_step_out_of_range_is_refused_with_what_was_found(step_vox):
     words = refusal(lambda: AirwayView(pose(), step_vox=step_vox), RenderError)
-    assert "0.01 to 100" in words
+    assert "between 0.01 and 100" in words
     assert str(step_vox) in words
 
 
 @pytest.mark.parametrize("transparency", [0.0, -1.0, 0.5, NAN])
 def test_a_stop_limit_out_of_range_is_refused_with_what_was_found(transparency):
     words = refusal(lambda: AirwayView(pose(), stop_transparency=transparency), RenderError)
-    assert "1/65536 to 1/4" in words
+    assert "between 1/65536 and 1/4" in words
     assert str(transparency) in words
 
 

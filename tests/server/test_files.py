@@ -173,14 +173,14 @@ def test_a_dropped_mask_is_kept_until_its_question_is_answered_and_takes_the_pla
         assert [p.suffix for p in folder.iterdir()] == [".nrrd"]
         window.send(wire.AnswerMask(3, False))
         taken = window.until_state(lambda s: s.airways_from == "mask")
-        assert (taken.can_undo, taken.mask_question) == ("use the segmentation as the airways", None)
+        assert (taken.can_undo, taken.mask_question) == ("use the segmentation for the airways", None)
         assert (taken.airways_words, taken.lumen_threshold) == (
             "the airway lumen is an imported segmentation",
             None,
         )
         window.send(wire.Undo())
         assert window.until_state(lambda s: s.airways_from == "search").can_redo == (
-            "use the segmentation as the airways"
+            "use the segmentation for the airways"
         )
         assert not folder.exists()
 

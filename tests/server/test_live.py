@@ -167,12 +167,12 @@ def test_the_outline_is_undone_over_the_wire_and_the_fine_texture_is_no_step_bet
     with live.window() as window:
         assert open_case(window).sight.texture
         window.send(wire.SetOutline("octagon"))
-        assert window.until_state(lambda s: s.look.outline == "octagon").can_undo == "outline of the picture"
+        assert window.until_state(lambda s: s.look.outline == "octagon").can_undo == "image outline"
         window.send(wire.SetTexture(on=False))
-        assert window.until_state(lambda s: not s.sight.texture).can_undo == "outline of the picture"
+        assert window.until_state(lambda s: not s.sight.texture).can_undo == "image outline"
         window.send(wire.Undo())
         undone = window.until_state(lambda s: s.look.outline == "round")
-        assert (undone.can_undo, undone.can_redo, undone.sight.texture) == (None, "outline of the picture", False)
+        assert (undone.can_undo, undone.can_redo, undone.sight.texture) == (None, "image outline", False)
 
 
 def test_opening_a_case_brings_state_tree_route_pose_and_pictures_of_all_views(live):

@@ -298,7 +298,7 @@ def test_a_click_finds_the_picture_that_was_on_the_screen_and_not_a_newer_one(sc
     assert picture.wall_at(20.5, 60.0) is None
     # The coarse picture is clicked in as exactly as the full one of 320 x 240; its lower edge is its last row.
     assert renderer.picks == [(picture.view, 82, 239)]
-    with pytest.raises(UsageError, match="outside the picture of 80 x 60"):
+    with pytest.raises(UsageError, match="outside the image of 80 x 60"):
         picture.wall_at(80.5, 3.0)
     axial = next(h for h in screen.headers if h.view == "axial")
     assert screen.pump.shown(axial.frame_id) is None

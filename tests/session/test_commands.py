@@ -76,7 +76,7 @@ def test_what_can_be_undone_is_listed():
     bench.open()
     bench.session.do(c.SetOutline("octagon"))
     bench.session.do(c.SetFov(100.0))
-    assert bench.session.history()[-2:] == ("outline of the picture", "field of view")
+    assert bench.session.history()[-2:] == ("image outline", "field of view")
 
 
 def test_what_only_sets_a_field_names_one_that_there_is_and_is_undone_where_that_is_of_the_look():

@@ -64,14 +64,14 @@ def test_a_mask_takes_the_place_of_the_airways_in_one_step_that_undo_takes_back(
     before = bench.session.snapshot()
     after = take(bench, "/masks/airway.nii.gz")
     assert after.document.airways is not before.document.airways
-    assert (after.airways, after.undo_label) == ("found", "use the segmentation as the airways")
+    assert (after.airways, after.undo_label) == ("found", "use the segmentation for the airways")
     assert after.airways_words == ("the airway lumen is an imported segmentation; covers a part; three branches")
     assert bench.renderers[-1].lumen is after.document.airways.lumen_zyx
     assert after.document.lumen_threshold == before.document.lumen_threshold
     bench.session.undo()
     undone = bench.session.snapshot()
     assert undone.document.airways is before.document.airways
-    assert (undone.airways_words, undone.redo_label) == ("three branches", "use the segmentation as the airways")
+    assert (undone.airways_words, undone.redo_label) == ("three branches", "use the segmentation for the airways")
     bench.session.redo()
     assert bench.session.snapshot().airways_words == after.airways_words
     assert [mask != {} for _, mask in tool.searches] == [False, True]
@@ -90,7 +90,7 @@ def test_of_several_structures_one_is_asked_for_and_the_one_called_airway_propos
     bench.session.do(AnswerMask(label=4))
     bench.background.run_all()
     assert bench.session.snapshot().mask_question is None
-    assert bench.session.snapshot().undo_label == "use the segmentation as the airways"
+    assert bench.session.snapshot().undo_label == "use the segmentation for the airways"
     assert tool.read[-1] == ("/masks/several.nrrd", 4, False)
     assert not bench.session.ask(MaskFileNeeded())
 
@@ -121,7 +121,7 @@ def test_another_grid_is_told_and_the_label_said_before_holds_when_it_is_resampl
     bench.session.do(AnswerMask(resample=True))
     bench.background.run_all()
     assert tool.read[-1] == ("/masks/several-other.nrrd", 4, True)
-    assert bench.session.snapshot().undo_label == "use the segmentation as the airways"
+    assert bench.session.snapshot().undo_label == "use the segmentation for the airways"
 
 
 def test_a_dismissed_mask_leaves_everything_as_it_was(bench):
@@ -159,7 +159,7 @@ def test_a_file_that_is_no_mask_is_refused_in_words_and_nothing_changes(bench):
 def test_a_mask_without_its_trachea_begins_at_the_root_that_is_known(bench, tool):
     tool.root_in_mask = False
     root = tuple(bench.session.snapshot().document.airways.root_lps)
-    assert take(bench, "/masks/airway.nii.gz").undo_label == "use the segmentation as the airways"
+    assert take(bench, "/masks/airway.nii.gz").undo_label == "use the segmentation for the airways"
     assert [search[0] for search in tool.searches] == [None, None, root]
 
 

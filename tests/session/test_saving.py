@@ -57,7 +57,7 @@ def test_a_case_is_shown_again_as_it_was_without_looking_for_anything(desk):
     assert shown(again) == before
     again.do(c.Redo())
     assert again.snapshot().document.look.outline == "octagon"
-    assert again.history()[-1] == "outline of the picture"
+    assert again.history()[-1] == "image outline"
     again.do(c.AddTarget(LEFT_TIP))
     desk.background.run_all()
     assert again.snapshot().document.targets[-1].name == "Target 2"

@@ -350,7 +350,7 @@ def test_a_scope_brings_its_field_of_view_and_outline_and_can_be_taken_back():
     for _ in range(5):
         bench.session.undo()
     assert seen() == ("generic", 120.0, "round")
-    with pytest.raises(UsageError, match=r"expected a scope among"):
+    with pytest.raises(UsageError, match=r"expected one of the scopes"):
         bench.session.do(SetScope("BF-1000"))
     with pytest.raises(UsageError, match="round"):
         bench.session.do(SetOutline("square"))

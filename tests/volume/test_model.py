@@ -16,7 +16,7 @@ VALUES = np.zeros((3, 4, 5), dtype=np.int16)
 def test_no_volume_has_voxels_closer_than_a_hundredth_or_farther_than_100_mm(axis, spacing_mm):
     matrix = np.eye(4)
     matrix[axis, axis] = spacing_mm
-    with pytest.raises(GeometryError, match=r"0.01 to 100 mm apart") as caught:
+    with pytest.raises(GeometryError, match=r"between 0.01 and 100 mm") as caught:
         Volume(VALUES, matrix)
     assert caught.value.code == "geometry.spacing"
 

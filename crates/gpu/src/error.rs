@@ -34,7 +34,7 @@ pub enum GpuError {
         reason: String,
     },
     /// Some pixels came back unwritten. The picture is refused: a wrong one is worse than none.
-    #[error("the graphics device {name} left {num_missing} pixels of a picture empty")]
+    #[error("the graphics device {name} left {num_missing} pixels of an image empty")]
     Incomplete {
         /// The adapter.
         name: String,

@@ -17,7 +17,7 @@ pub enum IsoRegionError {
     #[error("the table of colours is empty: it must cover every value of the volume")]
     EmptyTable,
     /// The caller asked to stop.
-    #[error("building the region map was stopped")]
+    #[error("stopped while building the region map")]
     Cancelled,
 }
 

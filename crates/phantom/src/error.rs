@@ -17,7 +17,7 @@ pub enum PhantomError {
     #[error(transparent)]
     Grid(#[from] GridError),
     /// The caller asked to stop.
-    #[error("generating the phantom was cancelled")]
+    #[error("stopped while generating the phantom")]
     Cancelled,
 }
 

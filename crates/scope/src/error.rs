@@ -14,7 +14,9 @@ pub enum ScopeError {
         reason: &'static str,
     },
     /// The allowed deviation is too small to smooth with, or not a length.
-    #[error("the largest deviation from the path must be from 0.2 to 10 mm; found {found_mm} mm")]
+    #[error(
+        "the largest deviation from the path must be between 0.2 and 10 mm; found {found_mm} mm"
+    )]
     Deviation {
         /// The refused length.
         found_mm: f64,

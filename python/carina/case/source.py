@@ -57,7 +57,7 @@ def write_source(connection: sqlite3.Connection, source: SourceFacts) -> None:
     nz, ny, nx = source.shape_zyx
     matrix = np.ascontiguousarray(source.lps_from_ijk, dtype="<f8")
     if matrix.shape != (4, 4):
-        raise UsageError(f"lps_from_ijk is a 4x4 matrix; found {matrix.shape}")
+        raise UsageError(f"lps_from_ijk must be a 4x4 matrix; found {matrix.shape}")
     connection.execute(
         "INSERT OR REPLACE INTO source (id, digest, nz, ny, nx, lps_from_ijk, is_hu, path, choices) "
         "VALUES (1, ?, ?, ?, ?, ?, ?, ?, ?)",
@@ -86,7 +86,7 @@ def read_source(connection: sqlite3.Connection) -> SourceFacts:
         raise damaged(where, "a matrix of 128 bytes", str(type(matrix)))
     places = np.frombuffer(matrix, dtype="<f8").reshape(4, 4)
     if not np.isfinite(places).all() or np.abs(places).max() > 1e6 or abs(np.linalg.det(places[:3, :3])) < 1e-12:
-        raise damaged(where, "an invertible transform", "another matrix")
+        raise damaged(where, "an invertible transform", "a matrix that is not invertible")
     if not isinstance(digest, str) or len(digest) > 128 or not (path is None or _is_path(path)):
         raise damaged(where, "a digest and a relative path", "other values")
     facts = from_json(choices, f.decoders().choices, where)

@@ -47,7 +47,7 @@ ClusterOption = Annotated[
 MixedOption = Annotated[
     bool,
     typer.Option(
-        "--mixed", help=("Let the machines of the cluster use their GPUs; pictures may then differ by one grey level.")
+        "--mixed", help=("Let the machines in the cluster use their GPUs; images may then differ by one grey level.")
     ),
 ]
 
@@ -96,7 +96,10 @@ def _workstation(
             print_json({"url": url, "token": token, **told})
             return
         if "phone" in told:
-            print(f"Open on the phone: {told['phone']['url']}\nIts certificate, SHA-256: {told['phone']['sha256']}")
+            print(
+                f"Open on the phone: {told['phone']['url']}\nCertificate fingerprint "
+                f"(SHA-256): {told['phone']['sha256']}"
+            )
         print(f"Carina is open at {url}\nPress Ctrl-C to close it.", flush=True)
 
     with exit_codes(as_json):
@@ -237,7 +240,7 @@ def render(
     ] = "auto",
     look: Annotated[str | None, typer.Option(help="Viewing direction dx,dy,dz in LPS (default: caudal).")] = None,
     up: Annotated[
-        str | None, typer.Option(help=("Direction dx,dy,dz that points up in the picture (default: anterior)."))
+        str | None, typer.Option(help=("Direction dx,dy,dz that points up in the image (default: anterior)."))
     ] = None,
     fov: Annotated[
         float | None,
@@ -251,7 +254,7 @@ def render(
     lens: Annotated[
         str | None, typer.Option(help="Lens: pinhole, equidistant, or an OpenCV calibration file (.yml, .xml, .json).")
     ] = None,
-    outline: Annotated[str | None, typer.Option(help="Shape of the picture: none, round or octagon.")] = None,
+    outline: Annotated[str | None, typer.Option(help="Shape of the image: none, round or octagon.")] = None,
     mask: Annotated[
         str | None, typer.Option("--mask", hidden=True, help="Former name of --outline; still accepted.")
     ] = None,
@@ -261,10 +264,10 @@ def render(
     focus: Annotated[
         str | None,
         typer.Option(
-            help=("Depth of field: near,far in mm, or scope for that of the scope; everything outside it is blurred.")
+            help=("Depth of field: near,far in mm, or scope to use the scope's own; everything outside it is blurred.")
         ),
     ] = None,
-    size: Annotated[str, typer.Option(help="Picture size, WxH in pixels.")] = "512x512",
+    size: Annotated[str, typer.Option(help="Image size, WxH in pixels.")] = "512x512",
     method: Annotated[
         str,
         typer.Option(
@@ -332,7 +335,7 @@ def render(
     ct: CtOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Render one picture of one view.
+    """Render one image of one view.
 
     Example: carina render ~/scans/thorax --view airway --at -2,15,-120 --look 0,0,-1 --size 768x768 -o carina.png
     """
@@ -448,7 +451,7 @@ def fly(
             )
         ),
     ] = None,
-    size: Annotated[str, typer.Option(help="Picture size, WxH in pixels.")] = "512x512",
+    size: Annotated[str, typer.Option(help="Image size, WxH in pixels.")] = "512x512",
     rate: Annotated[float, typer.Option(help="Frames per second, 1 to 240.")] = 30.0,
     speed: Annotated[
         float, typer.Option(help=("Speed along the route in mm/s; key frames have their own speeds."))
@@ -516,7 +519,7 @@ def devices(
 ) -> None:
     """List the input devices of this machine and the data they send.
 
-    Exit code 4 if a named device sends nothing.
+    Exits with code 4 if a named device sends nothing.
 
     Example: carina devices --device fastrak:/dev/ttyUSB0 --seconds 10
     """

@@ -41,7 +41,7 @@ def airways(
     resample: ResampleOption = False,
     mask: Annotated[
         Path | None,
-        typer.Option("--mask", help=("Lumen mask to write, on the grid of the scan: .nii.gz, .nii, .nrrd or .mha.")),
+        typer.Option("--mask", help=("Lumen mask to write, on the scan's grid: .nii.gz, .nii, .nrrd or .mha.")),
     ] = None,
     add_branch: Annotated[
         list[str] | None,

@@ -13,7 +13,7 @@ from carina.errors import UsageError
 __all__ = ["cluster"]
 
 cluster = typer.Typer(
-    help="Render one picture on many machines (docs/cluster.md). Needs Linux and the extra `cluster`.",
+    help="Render one image on several machines (docs/cluster.md). Needs Linux and the extra `cluster`.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -83,7 +83,7 @@ def cluster_status(
     token_file: TokenOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List the machines of a cluster.
+    """List the machines in a cluster.
 
     Example: carina cluster status 10.0.0.5
     """

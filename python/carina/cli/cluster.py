@@ -33,10 +33,10 @@ __all__ = ["OpenCluster", "join", "opened_cluster", "start", "status"]
 LOCAL_IP = "127.0.0.2"
 AGAIN_S = (1.0, 2.0, 5.0, 10.0)
 _OPEN_PORTS_WARNING = (
-    "Ray listens on every address of this machine, not only on {ip}: everyone on its networks can reach its "
+    "Ray is listening on every address of this machine, not only on {ip}: everyone on its networks can reach its "
     "ports, and anyone who has the token, which is sent unencrypted, can run programs on it. Use a private "
     "network or a "
-    "firewall (docs/cluster.md), or leave --cluster out: a single machine is as fast without it."
+    "firewall (docs/cluster.md), or omit --cluster: a single machine is as fast without it."
 )
 
 
@@ -85,7 +85,7 @@ def start(*, ip: str | None, port: int, renders: bool, dedicated: bool, token: P
                 print_json({"address": node.address, "token_file": str(_token(token))})
             else:
                 print(
-                    f"The cluster is at {node.address}. On each further machine, with a copy of the token file\n"
+                    f"The cluster is at {node.address}. On each additional machine, with a copy of the token file\n"
                     f"{_token(token)}\n  carina cluster join {node.address}\nand here, in another window\n"
                     f"  carina open PATH --cluster {node.address}\n"
                     "Traffic is not encrypted: keep it on a private network (docs/cluster.md). Ctrl-C ends it.",
@@ -93,7 +93,7 @@ def start(*, ip: str | None, port: int, renders: bool, dedicated: bool, token: P
                 )
             while node.running:
                 time.sleep(0.5)
-            say(f"the head process of the cluster stopped unexpectedly; see its log, {_log_file()}")
+            say(f"the cluster's head process stopped unexpectedly; see its log, {_log_file()}")
             return 1
         finally:
             node.stop()

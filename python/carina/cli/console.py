@@ -109,7 +109,7 @@ def exit_codes(as_json: bool) -> Iterator[None]:
         say(f"carina: {message}")
         fail(as_json, "machine", message, 1)
     except MemoryError:
-        message = "not enough memory; close other programs, or use a smaller volume or picture"
+        message = "not enough memory; close other programs, or use a smaller volume or image"
         say(f"carina: {message}")
         fail(as_json, "machine.memory", message, 1)
     except SystemExit:

@@ -75,7 +75,7 @@ def report(*, as_json: bool) -> int:
     if not web_ui:
         problems.append("the web UI is not built: run `make setup` in the checkout (needs Node 20 or newer)")
     if core["profile"] != "release":
-        problems.append("the compiled module is a debug build: pictures will be slow; run `make setup`")
+        problems.append("the compiled module is a debug build: rendering will be slow; run `make setup`")
     facts["problems"] = problems
     if as_json:
         print_json(facts)

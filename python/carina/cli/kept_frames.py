@@ -87,6 +87,6 @@ class KeptFrames:
             msg = f"{file}: this frame cannot be read; delete it and all later ones, and start again"
             raise VolumeImportError(msg, code="fly.kept") from trouble
         if rgb.shape != (size[1], size[0], 3) or rgb.dtype != np.uint8:
-            msg = f"{file}: expected a picture of {size[0]} x {size[1]}; found {rgb.shape}; delete the folder"
+            msg = f"{file}: expected an image of {size[0]} x {size[1]}; found {rgb.shape}; delete the folder"
             raise VolumeImportError(msg, code="fly.kept")
         return np.asarray(rgb, np.uint8)

@@ -125,7 +125,7 @@ def check_case_options(path: Path, ct: Path | None, **refused: object) -> None:
     for name, value in refused.items():
         if value is not None and value is not False:
             raise UsageError(
-                f"--{name.replace('_', '-')}: the case has its own airways, with all edits; leave the option out, "
+                f"--{name.replace('_', '-')}: the case has its own airways, with all edits; omit the option, "
                 "or give the scan instead of the case"
             )
 
@@ -155,7 +155,7 @@ def opened(
     _say_notes(found)
     if strict and found.badges.notes:
         codes = ", ".join(note.code for note in found.badges.notes)
-        msg = f"reading {path.name}: --strict: the scan has findings ({codes}); correct them, or leave --strict out"
+        msg = f"reading {path.name}: --strict: the scan has findings ({codes}); correct them, or omit --strict"
         raise VolumeImportError(msg, code="import.strict")
     return found
 

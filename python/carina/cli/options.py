@@ -12,7 +12,7 @@ __all__ = ["CtOption", "JsonOption", "PathArgument", "SeriesOption", "TokenOptio
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; messages go to stderr.")]
 TokenOption = Annotated[
     Path | None,
-    typer.Option("--token-file", help="Token file of the cluster (default: the one in Carina's settings folder)."),
+    typer.Option("--token-file", help="Cluster token file (default: the one in Carina's settings folder)."),
 ]
 PathArgument = Annotated[
     Path,

@@ -355,7 +355,7 @@ class Console:
                     frame = self._frames.pop(frame_id, None)
                     if frame is not None:
                         frame.stop.cancel()
-                        fail(frame.future, CancelledError("the picture was superseded by a newer one"))
+                        fail(frame.future, CancelledError("the image was superseded by a newer one"))
                 case LaneLate(lane):
                     # A moment's delay is nobody's business but the panel's.
                     self._later.append((self._clock() + TELL_AFTER_S, partial(self._tell_if_late, str(lane))))
@@ -529,7 +529,7 @@ def _whatever_happens(step: Callable[[], object]) -> None:
     try:
         step()
     except Exception:
-        logger.exception("the console could not render one picture")
+        logger.exception("the console could not render one image")
 
 
 def _nothing() -> None:

@@ -101,11 +101,11 @@ def what_is_wrong(answer: StripAnswer, order: StripOrder) -> str | None:
         found = f"{answer.num_rows} rows from row {answer.first_row}"
         return f"a strip of {found} instead of {end - first} from row {first}"
     if not isinstance(answer.rgb, np.ndarray) or answer.rgb.dtype != np.uint8:
-        return "not an 8-bit picture"
+        return "not an 8-bit image"
     if order.rows is not None and order.rows[0] > 0 and answer.picture is None:
         pass
     elif not isinstance(answer.picture, Picture):
-        return "the first rows without the picture's own data"
+        return "the first rows without the image's own data"
     if answer.rgb.shape != expected:
         return f"a strip of shape {answer.rgb.shape} instead of {expected}"
     return None

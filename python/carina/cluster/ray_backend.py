@@ -362,7 +362,7 @@ class RayCluster:
             self._console.notice(
                 f"the renderer on {name} has not started after {SLOW_START_S:g} s: another console may be using "
                 "that machine, or it is very busy (`carina cluster status` shows which machines are in use); it "
-                "joins in once it has started"
+                "will join once it has started"
             )
 
     def _start(self, name: str, node: str, store_bytes: float) -> None:

@@ -140,7 +140,7 @@ class ClusterRenderer:
             except StillRendering:
                 if stop is not None and stop.cancelled:
                     self._console.drop(frame_id)
-                    raise CancelledError("the picture was superseded by a newer one") from None
+                    raise CancelledError("the image was superseded by a newer one") from None
 
     def want(self, view: View, *, whole: bool = False, stream: str | None = None) -> tuple[int, Future[Picture]]:
         """Ask for a picture of what is shown now, and go on: its number, and the picture when it is there.
@@ -199,7 +199,7 @@ class ClusterRenderer:
                 number, _, future = under_way[0]
                 while True:
                     if cancel is not None and cancel():
-                        raise CancelledError(f"stopped before picture {number}")
+                        raise CancelledError(f"stopped before image {number}")
                     try:
                         picture = future.result(timeout=0.25)
                         break

@@ -41,10 +41,10 @@ class ClusterSettings:
     def __post_init__(self) -> None:
         for what, value in (("in_flight", self.in_flight), ("open_frames", self.open_frames)):
             if not 1 <= value <= 64:
-                raise UsageError(f"cluster: {what} must be 1 to 64; found {value}", code="usage.cluster")
+                raise UsageError(f"cluster: {what} must be between 1 and 64; found {value}", code="usage.cluster")
         for what, inertia in (("inertia", self.inertia), ("settling_inertia", self.settling_inertia)):
             if not 0.0 <= inertia <= 1.0:
-                raise UsageError(f"cluster: {what} must be 0 to 1; found {inertia}", code="usage.cluster")
+                raise UsageError(f"cluster: {what} must be between 0 and 1; found {inertia}", code="usage.cluster")
         if self.min_rows < 1:
             raise UsageError(
                 f"cluster: a strip must have at least one row; found {self.min_rows}", code="usage.cluster"

@@ -44,7 +44,7 @@ class SetOutline(Command, frozen=True):
     """Outline of the airway picture: round, octagonal or the full frame."""
 
     sets = "outline"
-    undo_label = "outline of the picture"
+    undo_label = "image outline"
     outline: Outline
 
 

@@ -115,7 +115,7 @@ def as_plain(value: Any) -> Any:
     """Numbers and arrays of NumPy, for whoever writes a value."""
     if hasattr(value, "tolist"):
         return value.tolist()
-    raise TypeError(f"{type(value).__name__} is not a number, text or list")
+    raise TypeError(f"expected a number, text or a list; found {type(value).__name__}")
 
 
 def _name(value: FrozenValue) -> str:

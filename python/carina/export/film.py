@@ -127,7 +127,7 @@ def write_film(
     check_type("write_film", "flight", flight, kinds, "create a carina.FlightPath from the points_lps of a route")
     flown = AutoFlight(flight, speed_mm_s=speed_mm_s, pause_s=0.0) if isinstance(flight, FlightPath) else flight
     look = AirwayView(flown.pose_at(0.0), fov_deg=100.0, width=640, height=480) if view is None else view
-    check_type("write_film", "view", look, AirwayView, "a film can only show the airway view")
+    check_type("write_film", "view", look, AirwayView, "a video can only show the airway view")
     times = frame_times_s(flown.duration_s, rate_hz)
     with VideoWriter(path, look.width, look.height, rate_hz=rate_hz) as video:
         renderer = Renderer(volume)
@@ -135,7 +135,7 @@ def write_film(
         renderer.prepare(told, cancel)
         for number, time_s in enumerate(times):
             if cancel is not None and cancel():
-                raise CancelledError("the film was stopped")
+                raise CancelledError("stopped while rendering the video")
             video.add(renderer.render(dataclasses.replace(look, pose=flown.pose_at(float(time_s)))).rgb)
             if told is not None:
                 told("rendering frames", (number + 1) / len(times))

@@ -23,8 +23,8 @@ __all__ = ["EXPORT_FORMATS", "EXPORT_SUFFIXES", "EXPORT_TITLES", "ExportFormat",
 ExportKind = Literal["surface", "lumen", "tree"]
 
 EXPORT_TITLES: dict[ExportKind, str] = {
-    "surface": "Surface of the airways",
-    "lumen": "Lumen mask on the grid of the CT",
+    "surface": "Airway surface",
+    "lumen": "Lumen mask on the CT grid",
     "tree": "Branches and centrelines",
 }
 """What a person calls it, in the order of the window."""
@@ -49,7 +49,7 @@ EXPORT_FORMATS: tuple[ExportFormat, ...] = (
     ExportFormat(".stl", "surface", "For 3D printing and most programs", write_mesh),
     ExportFormat(".ply", "surface", "For MeshLab and Blender", write_mesh),
     ExportFormat(".obj", "surface", "For 3D modelling programs", write_mesh),
-    ExportFormat(".glb", "surface", "For viewers on the web and on phones", write_mesh),
+    ExportFormat(".glb", "surface", "For web and phone viewers", write_mesh),
     ExportFormat(".nii.gz", "lumen", "NIfTI: 3D Slicer, ITK-SNAP, Python", write_mask),
     ExportFormat(".nii", "lumen", "NIfTI, not compressed", write_mask),
     ExportFormat(".nrrd", "lumen", "NRRD: 3D Slicer", write_mask),

@@ -95,5 +95,5 @@ def _read(path: Path | str) -> AirwayTree:
 
 
 def _no_nan(name: str) -> None:
-    msg = f"{name} is not a number in JSON"
+    msg = f"{name} cannot be written as a JSON number"
     raise ValueError(msg)

@@ -193,6 +193,6 @@ class FlightPath:
     def _on_path(self, what: str, places_mm: Sequence[float]) -> tuple[float, ...]:
         places = sorted(float(mm) for mm in places_mm)
         if not all(-1e-6 <= mm <= self.length_mm + 1e-6 for mm in places):
-            msg = f"{what} must lie on the path, 0 to {self.length_mm:.3f} mm; found {places}"
+            msg = f"{what} must lie on the path, between 0 and {self.length_mm:.3f} mm; found {places}"
             raise UsageError(msg, code="navigate.path")
         return tuple(places)

@@ -143,7 +143,7 @@ class KeyFrameFlight:
         for speed in (speed_mm_s, *(frame.speed_mm_s for frame in frames)):
             if speed is not None and not MIN_SPEED_MM_S <= speed <= MAX_SPEED_MM_S:
                 raise UsageError(
-                    f"a speed must be {MIN_SPEED_MM_S:g} to {MAX_SPEED_MM_S:g} mm/s; found {speed:g}",
+                    f"a speed must be between {MIN_SPEED_MM_S:g} and {MAX_SPEED_MM_S:g} mm/s; found {speed:g}",
                     code="navigate.keys",
                 )
         self._poses = [frame.pose for frame in frames]

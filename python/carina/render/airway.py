@@ -80,9 +80,7 @@ class AirwayCaster:
         method, leap = _choose_method(scene, view, shading)
         lens = _rays(view)
         if rows is not None and view.depth_of_field is not None:
-            raise RenderError(
-                "depth of field needs the whole picture, not only some of its rows", code="render.setting"
-            )
+            raise RenderError("depth of field needs the whole image, not only some of its rows", code="render.setting")
         rgb, counts = _core.cast(
             scene.values,
             self._volume.lps_from_ijk,

@@ -58,7 +58,7 @@ class Appearance:
     def __post_init__(self) -> None:
         check_guides(self.guides_mm)
         if self.exposure is not None and not 0 <= self.exposure <= 1e6:
-            raise RenderError(f"exposure must be 0 to 1000000; found {self.exposure}")
+            raise RenderError(f"exposure must be between 0 and 1000000; found {self.exposure}")
         for what, most in (
             ("ambient", 10),
             ("wrap", 1),
@@ -68,7 +68,7 @@ class Appearance:
             ("vessels", 4),
         ):
             if not 0 <= getattr(self, what) <= most:
-                raise RenderError(f"appearance: {what} must be 0 to {most}; found {getattr(self, what)}")
+                raise RenderError(f"appearance: {what} must be between 0 and {most}; found {getattr(self, what)}")
         if not isinstance(self.shininess_log2, int) or not 0 <= self.shininess_log2 <= 10:
             raise RenderError(f"shininess (log2) must be a whole number from 0 to 10; found {self.shininess_log2}")
         low, high = self.pale_hu

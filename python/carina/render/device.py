@@ -214,14 +214,14 @@ class DeviceCaster:
             # Also in later runs, where the times are known: a driver may have changed under its name.
             off = part_off(expected.rgb, self._cast(scene, view, on_device).rgb)
             if off > MAX_PART_OFF:
-                chosen, why = False, f"its picture differs from the CPU's in {100 * off:.2g} % of the pixels"
+                chosen, why = False, f"its image differs from the CPU's in {100 * off:.2g} % of the pixels"
             elif known is not None:
                 chosen, why, cpu_ms, gpu_ms = True, known.why, known.cpu_ms, known.gpu_ms
             else:
                 cpu_ms, gpu_ms = self._race(scene, view, on_device)
                 chosen = gpu_ms < WORTH_IT * cpu_ms
                 words = "measured faster" if chosen else "measured no faster than the CPU"
-                why = f"{words}: {gpu_ms:.1f} ms per picture, CPU {cpu_ms:.1f} ms"
+                why = f"{words}: {gpu_ms:.1f} ms per image, CPU {cpu_ms:.1f} ms"
         except RenderError as error:
             chosen, why = False, str(error)
         self._backend.remember(

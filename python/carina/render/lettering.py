@@ -88,7 +88,7 @@ def letter_edges(picture: Picture) -> Picture:
     else:
         matrix = picture.lps_from_pixel if picture.lps_from_pixel is not None else picture.lps_from_camera
         if matrix is None:
-            raise UsageError("orientation letters need a picture with pixel geometry, which this one lacks")
+            raise UsageError("orientation letters need an image with pixel geometry, which this one lacks")
         right, up, down = matrix[:3, 0], -matrix[:3, 1], matrix[:3, 1]
     size = _size(rgb)
     inset = 3 * size

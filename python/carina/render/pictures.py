@@ -340,7 +340,7 @@ def mark_tip(picture: Picture, point_lps: NDArray[np.float64] | tuple[float, flo
         If the picture does not know where its pixels are.
     """
     if picture.lps_from_pixel is None and picture.lps_from_camera is None:
-        raise UsageError("this picture has no pixel geometry, so no point can be marked in it")
+        raise UsageError("this image has no pixel geometry, so no point can be marked in it")
     at = picture.pixel_of(point_lps)
     rgb = picture.rgb.copy()
     height, width = rgb.shape[:2]

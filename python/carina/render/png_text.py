@@ -48,7 +48,7 @@ def _text(path: str | os.PathLike[str], wanted: str) -> Any:
     """The JSON of a text chunk, or None."""
     data = Path(path).read_bytes()
     if not data.startswith(SIGNATURE):
-        raise RenderError(f"reading a picture's pose: expected a PNG; found {Path(path).name!r}", code="render.png")
+        raise RenderError(f"reading the pose of an image: expected a PNG; found {Path(path).name!r}", code="render.png")
     at = len(SIGNATURE)
     while at + 12 <= len(data):
         (length,) = struct.unpack_from(">I", data, at)

@@ -34,7 +34,7 @@ def cast_drr(volume: Volume, view: DrrView, *, rows: tuple[int, int] | None = No
         If rows are asked for of a picture whose window is fitted to all of it.
     """
     if rows is not None and view.window_mm is None:
-        msg = "fitting the window of a radiograph needs the whole picture, not only some of its rows; pass window_mm"
+        msg = "fitting the window of a radiograph needs the whole image, not only some of its rows; pass window_mm"
         raise RenderError(msg, code="render.setting")
     centre = volume.centre_lps
     detector = geometry.orbit_pose(centre, view.primary_deg, view.secondary_deg, view.sid_mm - view.sod_mm)

@@ -40,7 +40,7 @@ class Light:
         whole = isinstance(self.shininess_log2, int) and 0 <= self.shininess_log2 <= 10
         if not whole or not all(np.isfinite(v) and 0 <= v <= 10 for v in shares):
             raise RenderError(
-                f"the shares of a light and its shininess (log2, a whole number) must be 0 to 10; found {self}"
+                f"the shares of a light and its shininess (log2, a whole number) must be between 0 and 10; found {self}"
             )
         if self.reach_mm is not None and not self.reach_mm > 0:
             raise RenderError(f"the reach of a light must be above 0 mm; found {self.reach_mm}")
@@ -126,11 +126,14 @@ class TransferFunction:
             raise RenderError("the reference length of a transfer function must be above 0 mm", code="render.transfer")
         if self.appearance is not None and self.sampling == "nearest":
             raise RenderError(
-                "sampling nearest provides no gradient, which an appearance needs; use trilinear",
+                "nearest sampling provides no gradient, which an appearance needs; use trilinear sampling",
                 code="render.transfer",
             )
         if self.unit not in {"HU", "raw"} or self.sampling not in {"trilinear", "nearest"}:
-            msg = f"expected unit HU or raw and sampling trilinear or nearest; found {self.unit!r}, {self.sampling!r}"
+            msg = (
+                "the unit must be HU or raw, and the sampling must be trilinear or nearest; "
+                f"found {self.unit!r}, {self.sampling!r}"
+            )
             raise RenderError(msg, code="render.transfer")
         points.flags.writeable = False
         object.__setattr__(self, "points", points)
@@ -284,7 +287,7 @@ def transfer_preset(name: str) -> TransferFunction:
     try:
         return PRESETS[name]
     except KeyError:
-        raise UsageError(f"expected a transfer function among {', '.join(PRESETS)}; found {name!r}") from None
+        raise UsageError(f"expected one of the transfer functions {', '.join(PRESETS)}; found {name!r}") from None
 
 
 def transfer_from_histogram(volume: Volume) -> tuple[TransferFunction, float]:

@@ -71,7 +71,7 @@ FINDER_VIEW: Literal["cut-plane"] = "cut-plane"
 """Stands in for :data:`LEAD_VIEW` where that cannot follow."""
 CellName = Literal["airway", Plane, "cut-plane", "xray", "outside"]
 Need = Literal["airways", "route"]
-ON_ITS_WAY = "Rendering this picture…"
+ON_ITS_WAY = "Rendering this view…"
 
 
 @one_line
@@ -446,5 +446,5 @@ def view_row(name: str) -> ViewRow:
     """
     row = VIEWS.get(name)
     if row is None:
-        raise UsageError(f"expected a view among {', '.join(VIEW_NAMES)}; found {name!r}")
+        raise UsageError(f"expected one of the views {', '.join(VIEW_NAMES)}; found {name!r}")
     return row

@@ -48,10 +48,12 @@ def _check(
 ) -> None:
     if not (1 <= width <= 8192 and 1 <= height <= 8192):
         raise RenderError(
-            f"a picture must have 1 to 8192 pixels on each side; found {width} x {height}", code="render.camera"
+            f"an image must have 1 to 8192 pixels on each side; found {width} x {height}", code="render.camera"
         )
     if fov_deg is not None and not 1.0 <= fov_deg <= 170.0:
-        raise RenderError(f"the field of view must be 1 to 170 degrees; found {fov_deg:g}", code="render.camera")
+        raise RenderError(
+            f"the field of view must be between 1 and 170 degrees; found {fov_deg:g}", code="render.camera"
+        )
     if window_hu is not None and not (np.isfinite(window_hu).all() and window_hu[0] > 0):
         raise RenderError(f"a window needs a width above 0 and a level; found {window_hu}", code="render.setting")
 
@@ -106,12 +108,14 @@ class AirwayView:
         # Made here and kept for the picture: a lens that does not fit is refused before anything is cast.
         _ = self.optics
         if not 0.01 <= self.step_vox <= 100:
-            raise RenderError(f"the ray step must be 0.01 to 100 voxels; found {self.step_vox}", code="render.setting")
+            raise RenderError(
+                f"the ray step must be between 0.01 and 100 voxels; found {self.step_vox}", code="render.setting"
+            )
         if self.method not in {"leap", "brute", "leap-always"}:
             msg = f"expected method leap, brute or leap-always; found {self.method!r}"
             raise RenderError(msg, code="render.setting")
         if not 1 / 65536 <= self.stop_transparency <= 0.25:
-            msg = f"the transparency at which rays stop must be 1/65536 to 1/4; found {self.stop_transparency}"
+            msg = f"the transparency at which rays stop must be between 1/65536 and 1/4; found {self.stop_transparency}"
             raise RenderError(msg, code="render.setting")
         if self.guides_mm is not None:
             check_guides(self.guides_mm)
@@ -277,18 +281,19 @@ class DrrView:
         _check_mm("the size of a pixel", self.mm_per_px)
         if not -360.0 <= self.primary_deg <= 360.0:
             raise RenderError(
-                f"the C-arm's primary angle (LAO/RAO) must be -360 to 360 degrees; found {self.primary_deg}",
+                f"the C-arm's primary angle (LAO/RAO) must be between -360 and 360 degrees; found {self.primary_deg}",
                 code="render.setting",
             )
         if not -90.0 <= self.secondary_deg <= 90.0:
             raise RenderError(
-                f"the C-arm's secondary angle (cranial/caudal) must be -90 to 90 degrees; found {self.secondary_deg}",
+                "the C-arm's secondary angle (cranial/caudal) must be between -90 and 90 "
+                f"degrees; found {self.secondary_deg}",
                 code="render.setting",
             )
         if not 100.0 <= self.sod_mm <= self.sid_mm <= 5000.0:
             found = f"{self.sod_mm} and {self.sid_mm}"
             raise RenderError(
-                "the distances from the source to the centre and to the detector must be 100 to 5000 mm, in "
+                "the distances from the source to the centre and to the detector must be between 100 and 5000 mm, in "
                 f"increasing order; found {found}",
                 code="render.setting",
             )
@@ -515,9 +520,9 @@ class Picture:
         """
         target = Path(path)
         if target.suffix.lower() != ".png":
-            raise RenderError(f"saving a picture: expected a file name that ends in .png; found {target.name!r}")
+            raise RenderError(f"saving an image: expected a file name that ends in .png; found {target.name!r}")
         words = {KEYWORD: json.dumps(self.place(), allow_nan=False)}
         if badges:
             rows = [{"code": badge.code, "words": badge.words} for badge in badges]
             words[BADGES_KEYWORD] = json.dumps(rows)
-        return write_whole(target, png_bytes(np.ascontiguousarray(self.rgb), words), what="the picture")
+        return write_whole(target, png_bytes(np.ascontiguousarray(self.rgb), words), what="the image")

@@ -220,7 +220,7 @@ def _lens(entries: Entries) -> Lens:
     if size is not None:
         sides = list(_finite("image_size", size))
     if len(sides) != 2 or None in sides:
-        raise _refused("it has no image_width and image_height, so the calibration cannot be scaled to a picture")
+        raise _refused("it has no image_width and image_height, so the calibration cannot be scaled to an image")
     width, height = (_whole(name, side) for name, side in zip(("image_width", "image_height"), sides, strict=True))
     m = _finite("camera_matrix", matrix)
     if len(m) != 9:

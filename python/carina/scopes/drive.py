@@ -296,7 +296,7 @@ def lever_flexion(lever: float, flexion_range_rad: tuple[float, float], *, inver
     (1.5, -1.0)
     """
     if not math.isfinite(lever):
-        raise UsageError(f"expected a lever from -1 to 1; found {lever}", code="scope.drive")
+        raise UsageError(f"expected a lever position from -1 to 1; found {lever}", code="scope.drive")
     place = min(max(-lever if invert else lever, -1.0), 1.0)
     down, up = flexion_range_rad
     return place * up if place >= 0.0 else -place * down

@@ -149,9 +149,12 @@ class ImageField:
         if self.outline not in OUTLINES:
             raise RenderError(f"outline must be {', '.join(OUTLINES)}; found {self.outline!r}", code="render.camera")
         if not 0.0 <= self.edge_px <= 100.0:
-            raise RenderError(f"a soft edge must be 0 to 100 pixels wide; found {self.edge_px:g}", code="render.camera")
+            raise RenderError(
+                f"the width of a soft edge must be between 0 and 100 pixels; found {self.edge_px:g}",
+                code="render.camera",
+            )
         if not 0.0 <= self.vignette <= 1.0:
-            raise RenderError(f"vignetting must be 0 to 1; found {self.vignette:g}", code="render.camera")
+            raise RenderError(f"vignetting must be between 0 and 1; found {self.vignette:g}", code="render.camera")
 
 
 FULL_FRAME = ImageField()
@@ -174,8 +177,8 @@ class DepthOfField:
     def __post_init__(self) -> None:
         if not (0.0 < self.near_mm < self.far_mm and math.isfinite(self.far_mm)):
             raise RenderError(
-                f"a depth of field must run from above 0 mm to a larger distance; found {self.near_mm:g} to "
-                f"{self.far_mm:g} mm",
+                "the near limit of a depth of field must be above 0 mm and below its far limit; found "
+                f"{self.near_mm:g} to {self.far_mm:g} mm",
                 code="render.camera",
             )
 

@@ -363,5 +363,5 @@ def scope_preset(name: str) -> ScopePreset:
     """
     found = _BY_NAME.get(name)
     if found is None:
-        raise UsageError(f"expected a scope among {', '.join(_BY_NAME)}; found {name!r}", code="scope.name")
+        raise UsageError(f"expected one of the scopes {', '.join(_BY_NAME)}; found {name!r}", code="scope.name")
     return found

@@ -451,7 +451,7 @@ class Hub:
         """The wall under a click, in the picture that was clicked in and not in a newer one."""
         shown = self.pump.shown(message.frame_id)
         if shown is None:
-            raise UsageError("this picture has been replaced; click again in the current one", code="session.pick")
+            raise UsageError("the view has changed since you clicked; click again", code="session.pick")
         hit = shown.wall_at(message.column, message.row)
         wall = None if hit is None else self.session.ask(WallAt(_three(hit.position_lps)))
         depth_mm = None if hit is None else round(float(hit.depth_mm), 2)

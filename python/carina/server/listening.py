@@ -35,12 +35,10 @@ def bind(host: str, port: int) -> socket.socket:
     except OSError as trouble:
         sock.close()
         if trouble.errno == errno.EADDRINUSE:
-            msg = (
-                f"port {port} is in use by another program; choose another with --port, or leave it out for a free one"
-            )
+            msg = f"port {port} is in use by another program; choose another with --port, or omit it to use a free one"
             raise CarinaError(msg, code="server.port") from trouble
         if trouble.errno == errno.EACCES:
-            msg = f"port {port} is reserved; choose one above 1023, or leave it out for a free one"
+            msg = f"port {port} is reserved; choose one above 1023, or omit it to use a free one"
             raise CarinaError(msg, code="server.port") from trouble
         msg = f"cannot listen on {host!r}: {trouble.strerror}"
         raise CarinaError(msg, code="server.host") from trouble

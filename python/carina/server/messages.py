@@ -97,7 +97,7 @@ def parse_picture(data: bytes) -> tuple[PictureHeader, bytes]:
     header = read_fields(PictureHeader, fields, "picture")
     magic = b"\xff\xd8\xff" if header.codec == "jpeg" else b"\x89PNG\r\n\x1a\n"
     if not payload.startswith(magic):
-        raise ProtocolError(f"the payload of a picture is not {header.codec.upper()}", code="protocol.picture")
+        raise ProtocolError(f"the payload of an image message is not {header.codec.upper()}", code="protocol.picture")
     if header.outline is not None:
         _outline_places(payload, header.outline.num_bytes)
     return header, payload
@@ -124,12 +124,12 @@ def _outline_places(payload: bytes, num_bytes: int) -> list[tuple[int, int]]:
     """Where the points of each line begin, and how many they are."""
     at = len(payload) - num_bytes
     if at <= 0:
-        raise ProtocolError("the outline of a picture leaves no room for the picture", code="protocol.picture")
+        raise ProtocolError("the outline in an image message leaves no room for the image", code="protocol.picture")
     places = []
     while at < len(payload):
         count = int.from_bytes(payload[at : at + 2], "little") if at + 2 <= len(payload) else 0
         if count == 0 or at + 2 + 4 * count > len(payload):
-            raise ProtocolError("the outline of a picture ends in the middle of a line", code="protocol.picture")
+            raise ProtocolError("the outline in an image message ends in the middle of a line", code="protocol.picture")
         places.append((at + 2, count))
         at += 2 + 4 * count
     return places

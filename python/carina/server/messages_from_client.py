@@ -26,7 +26,7 @@ class AskAtPlace(FrozenValue, frozen=True):
         """A point or a place."""
         in_picture = [part is not None for part in (self.frame_id, self.column, self.row)]
         if any(in_picture) != all(in_picture) or (self.lps is None) != all(in_picture):
-            return f"{self.__struct_config__.tag} needs either a point or a position in a picture"
+            return f"{self.__struct_config__.tag} needs either a point or a position in an image"
         return None
 
 

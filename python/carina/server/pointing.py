@@ -126,7 +126,7 @@ class Pointing:
         assert message.row is not None
         shown = self._shown(message.frame_id)
         if shown is None:
-            raise UsageError("this picture has been replaced; move the cursor again", code="session.pick")
+            raise UsageError("the view has changed since you moved the cursor; move it again", code="session.pick")
         hit = shown.wall_at(message.column, message.row)
         if hit is None:
             raise UsageError("no wall here", code="session.pick")

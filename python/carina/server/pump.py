@@ -55,7 +55,7 @@ class ShownPicture:
             ``session.pick`` if the place lies outside the picture.
         """
         if not (column <= self.width and row <= self.height):
-            msg = f"the position ({column:g}, {row:g}) lies outside the picture of {self.width} x {self.height} pixels"
+            msg = f"the position ({column:g}, {row:g}) lies outside the image of {self.width} x {self.height} pixels"
             raise UsageError(msg, code="session.pick")
         # The picture's last edge belongs to its last pixel.
         n = min(int(column / self.width * self.view.width), self.view.width - 1)
@@ -189,7 +189,7 @@ class FramePump:
             except BaseException as trouble:
                 # BaseException: a panic of the compiled module is no Exception. This thread is the only one that
                 # renders: it goes on with what comes next.
-                log_fault(logger, "sending one picture failed", trouble)
+                log_fault(logger, "sending one image failed", trouble)
                 rendered = False
             if not rendered:
                 self._woken.wait(self.wait_s())

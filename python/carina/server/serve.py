@@ -255,13 +255,13 @@ def sweep_leftovers() -> None:
 
 
 _NETWORK_WARNING = (
-    "Carina listens on {host}: anyone on this network who has the link can see and change the open case, and the "
-    "traffic is not encrypted. Leave --host out to keep it on this machine."
+    "Carina is listening on {host}: anyone on this network who has the link can see and change the open case, and the "
+    "traffic is not encrypted. Omit --host to keep it on this machine."
 )
 
 
 _PHONE_WARNING = (
-    "Carina's phone page listens on {address}: anyone on this network who has its link can move the tip, but "
+    "Carina's phone page is listening on {address}: anyone on this network who has its link can move the tip, but "
     "cannot see the case. Close it under Devices, or by stopping Carina."
 )
 

@@ -215,10 +215,10 @@ def split_picture(data: bytes) -> tuple[dict[str, Any], bytes]:
         If the length lies, the header is no JSON object, or there is no payload.
     """
     if len(data) < 4:
-        _refuse("picture", "a picture is too short for its header length")
+        _refuse("picture", "an image message is truncated: it ends within its header")
     (length,) = struct.unpack_from("<I", data)
     if length > MAX_HEADER_BYTES:
-        _refuse("size", f"the header of a picture is too long: {length} bytes")
+        _refuse("size", f"the header of an image message is too long: {length} bytes")
     if 4 + length >= len(data):
-        _refuse("picture", "a picture ends before its payload")
+        _refuse("picture", "an image message is truncated: it ends before the image data")
     return load_json_object(data[4 : 4 + length], max_bytes=MAX_HEADER_BYTES), data[4 + length :]

@@ -149,7 +149,7 @@ class AirwayFinding(Subject):
             case,
             find,
             case.document.lumen_threshold,
-            ("use the segmentation as the airways"),
+            ("use the segmentation for the airways"),
             "building the tree of the segmentation",
         )
 

@@ -22,7 +22,7 @@ class Stages:
 
     def begin(self, what: str, fraction: float | None = None) -> None:
         if self.cancel is not None and self.cancel():
-            raise CancelledError("finding the airways was stopped")
+            raise CancelledError("stopped while finding the airways")
         self._what = what
         if self._progress is not None:
             self._progress(what, fraction)

@@ -129,7 +129,7 @@ def _stream_doubts(header: SliceHeader, stream: Stream, pixels: NDArray[np.int32
     """Where a stream contradicts the tags (PS3.5 8.2): which of the two is right, nobody knows."""
     doubts = []
     if stream.problem is not None:
-        doubts.append(Doubt("import.pixels-damaged", f"the compressed stream is damaged: {stream.problem}"))
+        doubts.append(Doubt("import.pixels-damaged", f"the compressed data is corrupt: {stream.problem}"))
     if stream.signed is not None and stream.signed != header.signed:
         kinds = ("signed", "unsigned") if stream.signed else ("unsigned", "signed")
         words = f"the compressed stream contains {kinds[0]} numbers, but the tags say {kinds[1]}"
@@ -172,7 +172,7 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
     if header.transfer_syntax == _RLE:
         problem = rle_problem(frame, header.rows * header.columns)
         if problem is not None:
-            doubts.append(Doubt("import.pixels-damaged", f"the compressed stream is damaged: {problem}"))
+            doubts.append(Doubt("import.pixels-damaged", f"the compressed data is corrupt: {problem}"))
     else:
         stream = read_stream(frame)
         _check_coded_size(header, stream)
@@ -214,7 +214,7 @@ def _decoded_pixels(header: SliceHeader) -> tuple[NDArray[np.int32], tuple[Doubt
     if stream is not None:
         doubts.extend(_stream_doubts(header, stream, values))
     if muttered and not any(doubt.code == "import.pixels-damaged" for doubt in doubts):
-        doubts.append(Doubt("import.pixels-damaged", "the decoder reports damage in the compressed stream"))
+        doubts.append(Doubt("import.pixels-damaged", "the compressed data is corrupt"))
     if header.bits_allocated == 16:
         words = (values & 0xFFFF).astype(np.uint16)
         kind = np.int16 if header.signed else np.uint16

@@ -106,7 +106,7 @@ def beside(path: Path, name: str) -> Path:
     """
     simple = name.strip().removeprefix("./")
     if simple.upper().startswith("LIST") or "%" in simple:
-        problem = "its values are spread over many files, which is not supported"
+        problem = "its values are split across several files, which is not supported"
         raise refuse(path, problem, "save it again as one file", "import.not-supported")
     if not simple or simple != Path(simple).name or "\\" in simple or simple in (".", ".."):
         problem = "its values are in another folder"

@@ -97,7 +97,7 @@ def _check(path: Path, header: GridHeader) -> None:
     spacing = np.linalg.norm(columns, axis=0) if np.isfinite(header.lps_from_ijk).all() else np.array([np.nan])
     if not np.isfinite(spacing).all() or spacing.min() < SPACING_MM[0] or spacing.max() > SPACING_MM[1]:
         found = ", ".join(f"{s:g}" for s in spacing)
-        problem = f"its voxel spacing should be {SPACING_MM[0]:g} to {SPACING_MM[1]:g} mm; found {found} mm"
+        problem = f"its voxel spacing should be between {SPACING_MM[0]:g} and {SPACING_MM[1]:g} mm; found {found} mm"
         raise refuse(path, problem, "export it again with its spacing, in mm", "import.geometry.spacing")
     cosines = (columns / spacing).T @ (columns / spacing)
     skew_deg = float(np.degrees(np.arcsin(min(1.0, np.abs(cosines - np.eye(3)).max()))))

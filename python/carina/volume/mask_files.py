@@ -237,8 +237,8 @@ def _placed(
     lost = int(np.count_nonzero(turned)) - int(np.count_nonzero(taken))
     if lost:
         msg = (
-            f"reading the segmentation {path.name}: {lost} of its voxels lie outside the scan; it was drawn on another "
-            "scan or a larger one; open the scan it belongs to"
+            f"reading the segmentation {path.name}: {lost} of its voxels lie outside the scan; it was drawn on a "
+            "different or larger scan; open the scan it belongs to"
         )
         raise VolumeImportError(msg, code="import.mask-grid")
     out[tuple(slice(lo, hi) for lo, hi in zip(low, high, strict=True))] = taken

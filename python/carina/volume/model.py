@@ -127,7 +127,7 @@ class Volume:
         # float32 headers round: a hundredth of a millimetre may come as a little less.
         if spacing.min() < SPACING_MM[0] * (1 - 1e-6) or spacing.max() > SPACING_MM[1] * (1 + 1e-6):
             found = ", ".join(f"{s:g}" for s in spacing)
-            msg = f"voxels must be {SPACING_MM[0]:g} to {SPACING_MM[1]:g} mm apart; found {found} mm"
+            msg = f"the voxel spacing must be between {SPACING_MM[0]:g} and {SPACING_MM[1]:g} mm; found {found} mm"
             raise GeometryError(msg, code="geometry.spacing")
         values = values.view()
         values.flags.writeable = False

@@ -40,12 +40,12 @@ class Unpacker:
             if not chunk:
                 chunk = self._file.read(self._chunk_bytes)
                 if not chunk:
-                    msg = "its compressed stream ends prematurely"
+                    msg = "its compressed data ends prematurely"
                     raise ValueError(msg)
             try:
                 piece = inflater.decompress(chunk, _CHUNK_BYTES)
             except zlib.error:
-                msg = "its compressed stream is damaged"
+                msg = "its compressed data is corrupt"
                 raise ValueError(msg) from None
             if piece:
                 yield piece

@@ -181,7 +181,7 @@ function AirwayTools() {
             keys: keyOf("toggle_mode"),
             disabled: !hasRoute,
           },
-          { value: "free", label: "Free", words: "Move anywhere", keys: keyOf("toggle_mode") },
+          { value: "free", label: "Free", words: "Move freely", keys: keyOf("toggle_mode") },
           {
             value: "scope",
             label: "Scope",
@@ -405,7 +405,7 @@ function Readings() {
           <strong>{pose.branch_name ?? node?.label ?? (tree === null ? "In the volume" : "Airway")}</strong>
         ) : (
           // A held scope does not leave the lumen: its lens lies on the wall, in a voxel that is half wall.
-          <strong className="warning-text">{pose.scope === null ? "Outside the airway" : "At the wall"}</strong>
+          <strong className="warning-text">{pose.scope === null ? "Outside the airway" : "Touching the wall"}</strong>
         )}
         {pose.generation === null ? null : <span>generation {pose.generation}</span>}
         {kind === null ? null : <span className="warning-text">{kind}: the CT shows no airway here</span>}

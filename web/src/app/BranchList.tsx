@@ -72,8 +72,8 @@ export function BranchList() {
           <div className="mend">
             <Act
               icon="target"
-              label={arming ? "Click in a picture\u2026" : "Mark the trachea"}
-              words="Click inside the trachea in any picture to segment the airways from there"
+              label={arming ? "Click in a view\u2026" : "Mark the trachea"}
+              words="Click inside the trachea in any view to segment the airways from there"
               keys={keyOf("arm_root")}
               onPress={() => station.act("arm_root")}
             />

@@ -29,7 +29,7 @@ export function BranchPanel() {
   }, [station, id, measured]);
   if (tree === null) return null;
   if (node === undefined) {
-    return <p className="empty">Choose a branch in the list or in a picture to see its measurements.</p>;
+    return <p className="empty">Choose a branch in the list or in a view to see its measurements.</p>;
   }
   const drawn = drawnWords(node);
   return (
@@ -61,7 +61,7 @@ export function BranchPanel() {
 function Chart({ node }: { node: BranchNode }) {
   const profile = useApp((state) => (state.detail?.branch_id === node.branch.id ? state.detail.profile : null));
   const points = profile === null ? centrelinePoints(node) : measuredPoints(profile);
-  const words = profile === null ? "Lumen (mm), not measured yet" : "Lumen (mm) along the branch";
+  const words = profile === null ? "Lumen diameter (mm), not yet measured" : "Lumen diameter (mm) along the branch";
   return <ProfileChart points={points} title={`Lumen along ${node.label}`} words={words} />;
 }
 

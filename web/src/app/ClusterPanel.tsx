@@ -18,7 +18,7 @@ export function ClusterPanel() {
           <p className="quiet">
             {cluster.address} · {fixed(cluster.fps)} frames/s
             {cluster.frame_ms === null ? "" : `, ${fixed(cluster.frame_ms)} ms per frame`}
-            {cluster.mixed ? " · CPUs and GPUs mixed: pictures agree to within one grey level" : ""}
+            {cluster.mixed ? " · CPUs and GPUs mixed: images agree to within one grey level" : ""}
           </p>
           {cluster.alone ? <p>No other machine is available. This machine renders alone.</p> : null}
           <table className="numbers">

@@ -239,8 +239,8 @@ function Calibration({ device }: { device: DeviceInfo }) {
           : "Calibrate"}
       </summary>
       <p className="quiet">
-        Hold the pen at a landmark, put the crosshair on the same point, then add the pair. Add three pairs or more, not
-        all in one line.
+        Hold the pen at a landmark, put the crosshair on the same point, then add the pair. Add at least three pairs,
+        not all in a straight line.
       </p>
       {pairs.map((pair, n) => (
         // biome-ignore lint/suspicious/noArrayIndexKey: pairs are only ever added at the end
@@ -288,14 +288,14 @@ function Connections({ told }: { told: DevicesMessage }) {
           <Act
             kind="quiet"
             label="Disconnect"
-            words={`End the connection to ${source.address}`}
+            words={`Disconnect from ${source.address}`}
             onPress={() => station.send({ type: "disconnect_device", address: source.address })}
           />
         </p>
       ))}
-      <TextField className="field" value={address} onChange={setAddress} aria-label="Address of the device">
+      <TextField className="field" value={address} onChange={setAddress} aria-label="Device address">
         <Input
-          placeholder="Kind and place, such as fastrak:PORT"
+          placeholder="Type and port, such as fastrak:PORT"
           onKeyDown={(event) => (event.key === "Enter" ? connect() : undefined)}
         />
       </TextField>
@@ -318,8 +318,8 @@ function Connections({ told }: { told: DevicesMessage }) {
       {told.serial_problem === null ? null : <p className="quiet">{told.serial_problem}</p>}
       {told.serial_ports.length === 0 ? null : <p className="quiet">Serial ports: {told.serial_ports.join(", ")}</p>}
       <SwitchKey
-        words="Stream the tip's pose to 3D Slicer over OpenIGTLink (port 18944 on this machine)"
-        label={told.published_port === null ? "Stream the tip" : `Streaming on port ${told.published_port}`}
+        words="Stream the tip pose to 3D Slicer over OpenIGTLink (port 18944 on this machine)"
+        label={told.published_port === null ? "Stream tip position" : `Streaming on port ${told.published_port}`}
         on={told.published_port !== null}
         onChange={() => station.send({ type: "publish_tip", port: told.published_port === null ? 18944 : null })}
       />

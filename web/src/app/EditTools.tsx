@@ -82,7 +82,7 @@ export function ToolInHand() {
             keys={keyOf("brush_smaller")}
             onPress={() => station.ui({ brushMm: nextBrush(brushMm, -1) })}
           />
-          <span className="numbers" title="Width of the brush">
+          <span className="numbers" title="Brush width">
             {mm(2 * brushMm)}
           </span>
           <Act

@@ -23,13 +23,15 @@ export function HistoryList() {
     <section className="branches history" aria-label="History">
       <ListHead />
       {rows.length === 1 ? (
-        <p className="empty">Nothing has been changed yet. What you change appears here, and can be gone back to.</p>
+        <p className="empty">
+          Nothing has been changed yet. Your changes will be listed here; you can go back to any of them.
+        </p>
       ) : (
         <ol className="history-rows" data-testid="history">
           {rows.map((row, n) => (
             // biome-ignore lint/suspicious/noArrayIndexKey: a step is known by its place
             <li key={n} ref={n === step ? here : undefined} data-undone={n > step || undefined}>
-              <Tip words={n > step ? "Do everything again up to here" : "Go back to here"}>
+              <Tip words={n > step ? "Redo everything up to here" : "Go back to here"}>
                 <Button
                   className="history-row"
                   aria-current={n === step ? "step" : undefined}

@@ -163,7 +163,7 @@ function KeyTools({ frame, first, last }: { frame: ShownKeyFrame; first: boolean
       {name === null ? null : (
         <TextField
           className="field"
-          aria-label="Name of the key frame"
+          aria-label="Key frame name"
           autoFocus
           maxLength={80}
           value={name}
@@ -294,7 +294,7 @@ function Flight({ told }: { told: KeysMessage }) {
     <div className="group">
       <Figure
         label="Speed"
-        words="Speed of every leg that has no speed of its own"
+        words="Speed of every leg without a speed of its own"
         unit="mm/s"
         value={told.speed_mm_s}
         choices={KEY_SPEEDS_MM_S}

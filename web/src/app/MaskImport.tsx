@@ -163,9 +163,9 @@ function Question({ question }: { question: MaskQuestion }) {
           </dl>
           {lost === null ? null : <p className="warning">{lost}</p>}
           <p>
-            It can be resampled to the scan{"\u2019"}s grid: each voxel takes the nearest one of the segmentation, so
-            the edge stays as coarse as the segmentation. Compare it with the slices afterwards, or export it again on
-            the scan{"\u2019"}s grid.
+            It can be resampled to the scan{"\u2019"}s grid: each voxel takes the value of the nearest voxel of the
+            segmentation, so the edge stays as coarse as the segmentation. Compare it with the slices afterwards, or
+            export it again on the scan{"\u2019"}s grid.
           </p>
         </>
       )}

@@ -69,7 +69,7 @@ export function PathBar() {
       <Figure
         label="Auto-flight speed"
         quiet
-        words="Auto-flight speed (Space). Hold Shift for slow."
+        words="Auto-flight speed (Space). Hold Shift to move slowly."
         unit="mm/s"
         value={autoSpeed}
         choices={AUTO_SPEEDS_MM_S}

@@ -18,7 +18,7 @@ export function PhoneGroup({ told }: { told: DevicesMessage }) {
             ? "Opens a page on this network. Anyone with its link can move the tip, but cannot see the case."
             : "Closes the page; its link and certificate stop working"
         }
-        label={phone === null ? "Use a phone" : "Close the phone's page"}
+        label={phone === null ? "Use a phone" : "Close the phone page"}
         on={phone !== null}
         disabled={phone === null && told.phone_problem !== null}
         testId="phone-switch"
@@ -46,8 +46,8 @@ function Open({ phone }: { phone: PhoneInfo }) {
         {phone.url}
       </p>
       <p>
-        The phone will warn about the certificate, because this computer issued it. Compare its SHA-256 before you
-        continue:
+        The phone will warn about the certificate, because this computer issued it. Compare its fingerprint (SHA-256)
+        before you continue:
       </p>
       <p className="fingerprint" data-testid="phone-sha256">
         {fingerprintLines(phone.sha256).map((line) => (

@@ -33,7 +33,7 @@ export function SaveDialog() {
           {saving?.keeps === true ? (
             <Where saving={saving} />
           ) : (
-            <p>This case was not opened from a folder or file of this machine, so it cannot be saved.</p>
+            <p>This case was not opened from a folder or file on this machine, so it cannot be saved.</p>
           )}
         </Dialog>
       </Modal>
@@ -56,8 +56,8 @@ function Where({ saving }: { saving: SavingInfo }) {
     >
       <p>
         Carina saves your work on this machine as you go. Here you can also save it as one file, to move it to another
-        machine or to share it. The file contains the airways, targets, key frames and history, but not the CT, a name
-        or a date.
+        machine or to share it. The file contains the airways, targets, key frames and history, but not the CT, the
+        patient's name or any dates.
       </p>
       <TextField value={path} onChange={setPath} autoFocus>
         <Label>Folder and name, on this machine</Label>

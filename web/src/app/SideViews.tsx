@@ -53,7 +53,7 @@ function CellTools({ cell, view }: { cell: SideCell; view: ViewName }) {
 /** What stands in the place of a picture: what will be there, and how to get it. */
 function emptyWords(view: ViewName, there: Readonly<Record<Need, boolean>>): string {
   const { needs, empty } = VIEWS[view];
-  return needs.length > 0 && needs.every((need) => there[need]) ? "Rendering this picture…" : empty;
+  return needs.length > 0 && needs.every((need) => there[need]) ? "Rendering this view…" : empty;
 }
 
 type Need = (typeof VIEWS)[ViewName]["needs"][number];
@@ -85,7 +85,7 @@ function Cell({ cell }: { cell: SideCell }) {
           kind="icon"
           icon={isFull ? "leaveFull" : "full"}
           words={isFull ? "Leave full view" : "Full view"}
-          keys="double click"
+          keys="double-click"
           onPress={toggleFull}
         />
       </header>

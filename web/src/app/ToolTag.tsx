@@ -49,7 +49,7 @@ function Tag({ armed, works, where }: { armed: Armed; works: boolean; where: "pi
     >
       <Icon name={TOOL_ICONS[armed]} />
       {works ? shortOf(armed) : <s>{shortOf(armed)}</s>}
-      {works ? null : <span className="why">not in this picture</span>}
+      {works ? null : <span className="why">not in this view</span>}
       <Icon name="close" />
     </Button>
   );

@@ -157,7 +157,7 @@ export class Pointing {
     const at = this.#meant(viewport, clicked);
     const pointed = this.#under(viewport, at);
     if (armed !== null && !worksIn(armed, viewport.view)) {
-      station.notice(`${wordsOf(armed, false).label} does not work in this picture. ${wordsOf(armed, false).hint}`);
+      station.notice(`${wordsOf(armed, false).label} does not work in this view. ${wordsOf(armed, false).hint}`);
       return true;
     }
     if (armed === null) {

@@ -80,7 +80,7 @@ export class Workstation implements Station {
       },
       acknowledge: (frameId) => this.#stream.send({ type: "ack", frame_id: frameId }),
       failed: (header) =>
-        this.#sayError("picture", `A picture (${header.view}) could not be read.`, "The next one replaces it."),
+        this.#sayError("picture", `An image (${header.view}) could not be read.`, "The next one replaces it."),
     });
     this.wall = new Wall({
       scene: () => sceneOf(this.store.get()),
@@ -284,7 +284,7 @@ export class Workstation implements Station {
   save(): void {
     const saving = this.state.session?.saving;
     if (saving?.keeps !== true)
-      this.notice("This case was not opened from a folder or file of this machine: it is not kept.");
+      this.notice("This case was not opened from a folder or file on this machine: it is not kept.");
     else if (saving.copy_name === null) this.ui({ saveOpen: true });
     else this.send({ type: "save_case" });
   }
@@ -432,7 +432,7 @@ export class Workstation implements Station {
 
   /** Begins to type another name for the branch that is shown. */
   rename(branchId: number | null): void {
-    if (branchId === null) this.notice("Choose a branch first: click it in the list or in a picture.");
+    if (branchId === null) this.notice("Choose a branch first: click it in the list or in a view.");
     else {
       this.disarm();
       this.ui({ renaming: branchId, step: "airways" });
@@ -590,7 +590,7 @@ export class Workstation implements Station {
     const fork = forkAhead(tree, route, at, cameraFromMatrix(pose.lps_from_camera));
     const way = fork === null ? null : neighbourWay(fork.ways, step);
     if (fork === null) this.notice("There is no fork ahead on this route.");
-    else if (way === null) this.notice(`No branch further ${step < 0 ? "left" : "right"}.`);
+    else if (way === null) this.notice(`No branch farther ${step < 0 ? "left" : "right"}.`);
     else this.chooseBranch(mainLeaf(way.node).branch.id);
   }
 

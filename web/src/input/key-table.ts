@@ -72,9 +72,9 @@ export type Command =
 export const PLACES = {
   page: { title: "Anywhere", within: null, over: [] },
   brush: { title: "With a brush selected", within: null, over: [] },
-  picture: { title: "Any picture that has the focus", within: null, over: [] },
+  picture: { title: "Any view that has focus", within: null, over: [] },
   plane: { title: "Slices and cut-plane", within: "picture", over: [] },
-  path: { title: "Straightened and curved view", within: "picture", over: [] },
+  path: { title: "Straightened and curved views", within: "picture", over: [] },
   carm: { title: "X-ray from the C-arm", within: "picture", over: [] },
   orbit: { title: "Airway tree and tri-plane", within: "picture", over: [] },
   "tri-plane": { title: "Tri-plane", within: "orbit", over: [] },
@@ -86,7 +86,7 @@ export const PLACES = {
 } as const satisfies Record<string, { title: string; within: string | null; over: readonly string[] }>;
 export type KeyPlace = keyof typeof PLACES;
 
-export type KeyGroup = "Fly" | "Look" | "Plan" | "Airways" | "Pictures" | "Help";
+export type KeyGroup = "Fly" | "Look" | "Plan" | "Airways" | "Views" | "Help";
 
 export interface Binding {
   readonly place: KeyPlace;
@@ -134,8 +134,8 @@ const SCROLL: Keys = {
   ctrl: false,
   does: { PageUp: { gesture: "scroll", sign: 1 }, PageDown: { gesture: "scroll", sign: -1 } },
 };
-const MOVE: Keys = { label: "Shift+arrows", ctrl: false, shift: true, does: arrows("move") };
-const PAN: Keys = { label: "Ctrl+arrows", ctrl: true, does: arrows("pan") };
+const MOVE: Keys = { label: "Shift+arrow keys", ctrl: false, shift: true, does: arrows("move") };
+const PAN: Keys = { label: "Ctrl+arrow keys", ctrl: true, does: arrows("pan") };
 
 function inPicture(place: KeyPlace, keys: Keys, words: string): Binding[] {
   const { label, does, ...modifiers } = keys;
@@ -183,7 +183,7 @@ const PAGE: readonly Binding[] = [
     key: "ArrowLeft",
     shift: false,
     label: "\u2190",
-    words: "Path: choose the branch further left. Free: look left",
+    words: "Path: choose the next branch to the left. Free: look left",
     group: "Fly",
     command: press("way_left"),
   },
@@ -192,7 +192,7 @@ const PAGE: readonly Binding[] = [
     key: "ArrowRight",
     shift: false,
     label: "\u2192",
-    words: "Path: choose the branch further right. Free: look right",
+    words: "Path: choose the next branch to the right. Free: look right",
     group: "Fly",
     command: press("way_right"),
   },
@@ -289,7 +289,7 @@ const PAGE: readonly Binding[] = [
     place: "page",
     key: "n",
     label: "N",
-    words: "New target: click it in a picture",
+    words: "New target: click it in a view",
     group: "Plan",
     command: press("arm_target"),
   },
@@ -392,7 +392,7 @@ const PAGE: readonly Binding[] = [
     ctrl: true,
     shift: false,
     label: "Ctrl+S",
-    words: "Save a copy of the case under a name, or refresh it",
+    words: "Save a named copy of the case, or update it",
     group: "Plan",
     command: press("save"),
   },
@@ -401,7 +401,7 @@ const PAGE: readonly Binding[] = [
     key: "h",
     shift: true,
     label: "Shift+H",
-    words: "History: what was done, to go back to",
+    words: "History: your changes; go back to any of them",
     group: "Plan",
     command: press("history"),
   },
@@ -410,7 +410,7 @@ const PAGE: readonly Binding[] = [
     key: "c",
     label: "C",
     words: "Move the crosshair back to the tip",
-    group: "Pictures",
+    group: "Views",
     command: press("crosshair_to_tip"),
   },
   {
@@ -419,7 +419,7 @@ const PAGE: readonly Binding[] = [
     label: "E",
     words:
       "Mark the wall at the centre of the airway view: its position and HU; two marks give a distance (or click the wall; Esc removes them)",
-    group: "Pictures",
+    group: "Views",
     command: press("wall_point"),
   },
   {
@@ -427,7 +427,7 @@ const PAGE: readonly Binding[] = [
     key: "t",
     label: "T",
     words: "Switch between airway tree and tri-plane",
-    group: "Pictures",
+    group: "Views",
     command: press("swap_outside"),
   },
   {
@@ -435,7 +435,7 @@ const PAGE: readonly Binding[] = [
     key: "x",
     label: "X",
     words: "Next X-ray: AP, lateral, axial, then C-arm",
-    group: "Pictures",
+    group: "Views",
     command: press("next_xray"),
   },
   {
@@ -443,7 +443,7 @@ const PAGE: readonly Binding[] = [
     key: "g",
     label: "G",
     words: "Show the C-arm view as radiograph or fluoroscopy",
-    group: "Pictures",
+    group: "Views",
     command: press("toggle_tone"),
   },
   {
@@ -451,7 +451,7 @@ const PAGE: readonly Binding[] = [
     key: "v",
     label: "V",
     words: "Next: cut-plane, straightened airway, curved reformation",
-    group: "Pictures",
+    group: "Views",
     command: press("next_cut"),
   },
   {
@@ -459,7 +459,7 @@ const PAGE: readonly Binding[] = [
     key: "i",
     label: "I",
     words: "Slab: off / MinIP / MIP / mean",
-    group: "Pictures",
+    group: "Views",
     command: press("next_slab"),
   },
   {
@@ -468,7 +468,7 @@ const PAGE: readonly Binding[] = [
     shift: false,
     label: "O",
     words: "Airway view: round or full frame",
-    group: "Pictures",
+    group: "Views",
     command: press("toggle_shape"),
   },
   {
@@ -476,16 +476,16 @@ const PAGE: readonly Binding[] = [
     key: "o",
     shift: true,
     label: "Shift+O",
-    words: "Show or hide the outline of the lumen and the centrelines in slices",
-    group: "Pictures",
+    words: "Show or hide the lumen outline and the centrelines in slices",
+    group: "Views",
     command: press("toggle_outline"),
   },
   {
     place: "page",
     key: "p",
     label: "P",
-    words: "Show or hide the line of the route",
-    group: "Pictures",
+    words: "Show or hide the route line",
+    group: "Views",
     command: press("toggle_route_line"),
   },
   {
@@ -493,7 +493,7 @@ const PAGE: readonly Binding[] = [
     key: "1",
     label: "1",
     words: "Lung window (W 1500 L \u2212600)",
-    group: "Pictures",
+    group: "Views",
     command: press("window_lung"),
   },
   {
@@ -501,7 +501,7 @@ const PAGE: readonly Binding[] = [
     key: "2",
     label: "2",
     words: "Mediastinum window (W 400 L 40)",
-    group: "Pictures",
+    group: "Views",
     command: press("window_mediastinum"),
   },
   {
@@ -509,7 +509,7 @@ const PAGE: readonly Binding[] = [
     key: "3",
     label: "3",
     words: "Bone window (W 2000 L 500)",
-    group: "Pictures",
+    group: "Views",
     command: press("window_bone"),
   },
   {
@@ -517,7 +517,7 @@ const PAGE: readonly Binding[] = [
     key: "0",
     label: "0",
     words: "Airway window (W 1000 L \u2212700)",
-    group: "Pictures",
+    group: "Views",
     command: press("window_airway"),
   },
   { place: "page", key: "?", label: "?", words: "Show this list of keys", group: "Help", command: press("key_card") },
@@ -613,9 +613,9 @@ export const MOUSE: readonly { readonly where: string; readonly what: readonly (
     ],
   },
   {
-    where: "Any picture",
+    where: "Any view",
     what: [
-      ["Double click", "full view and back"],
+      ["Double-click", "full view and back"],
       ["Right click", "cancel the tool"],
     ],
   },

@@ -117,7 +117,7 @@ export function clashes(table: readonly Binding[]): [Binding, Binding][] {
   );
 }
 
-const GROUPS: readonly KeyGroup[] = ["Fly", "Look", "Plan", "Airways", "Pictures", "Help"];
+const GROUPS: readonly KeyGroup[] = ["Fly", "Look", "Plan", "Airways", "Views", "Help"];
 
 /** One line for keys that do one thing together. */
 const lines = (bindings: readonly Binding[]): readonly Binding[] =>

@@ -17,7 +17,7 @@ export function savedWords(saving: SavingInfo | null, nowMs: number): SavedWords
     return {
       label: "not saved",
       words:
-        "This case was not opened from a folder or file of this machine, so it is not saved. Its airways and key frames can be downloaded under Share.",
+        "This case was not opened from a folder or file on this machine, so it is not saved. Its airways and key frames can be downloaded under Share.",
       warns: true,
     };
   }
@@ -31,13 +31,13 @@ export function savedWords(saving: SavingInfo | null, nowMs: number): SavedWords
   if (saving.copy_name === null || saving.copied_s === null) {
     return {
       label: saved,
-      words: "Saved on this machine as you work. Save a copy under a name of your own.",
+      words: "Saved on this machine as you work. Save a copy under a name you choose.",
       warns: false,
     };
   }
   if (saving.copy_problem !== null) {
     return {
-      label: `${saved}, copy of ${clock(saving.copied_s, nowMs)} is old`,
+      label: `${saved}, copy of ${clock(saving.copied_s, nowMs)} is out of date`,
       words: saving.copy_problem,
       warns: true,
     };

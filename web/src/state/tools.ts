@@ -22,7 +22,7 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
     label: "Add branch",
     short: "Add",
     words: "Adds a branch: click the distal end of a missing airway",
-    hint: "Click the distal end of the missing airway, in any picture. The line shows the new branch, dashed where the CT shows no wall.",
+    hint: "Click the distal end of the missing airway, in any view. The line shows the new branch, dashed where the CT shows no wall.",
   },
   bridge: {
     label: "Bridge",
@@ -34,7 +34,7 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
     label: "Cut",
     short: "Cut",
     words: "Removes the branch beyond this point and everything distal to it",
-    hint: "Click a branch, in a picture or in the list. The amber part will be removed.",
+    hint: "Click a branch, in a view or in the list. The amber part will be removed.",
   },
   fork: {
     label: "Move fork",
@@ -46,7 +46,7 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
     label: "Smooth",
     short: "Smooth",
     words: "Smooths the centreline of a branch",
-    hint: "Click a branch, in a picture or in the list. The amber centreline will be smoothed.",
+    hint: "Click a branch, in a view or in the list. The amber centreline will be smoothed.",
   },
   paint: {
     label: "Paint",
@@ -70,7 +70,7 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
 
 /** The others: they mark a point of the plan. */
 const MARK_WORDS: Readonly<Record<"target" | "root", Pick<ToolWords, "label" | "hint">>> = {
-  target: { label: "Mark target", hint: "Click the target in any picture. The line shows the path to it." },
+  target: { label: "Mark target", hint: "Click the target in any view. The line shows the path to it." },
   root: {
     label: "Mark the trachea",
     hint: "Click inside the trachea. The airways are segmented again from there; your edits are discarded (undo restores them).",

@@ -19,7 +19,7 @@ describe("places that could not be followed", () => {
   it("say once what all of a kind have in common", () => {
     const groups = groupsOf([place("blocked", 4.1), place("leak", 3.9), place("blocked", 3.2)]);
     expect(groups.map(({ why }) => why)).toEqual([
-      "mucus, a collapsed or narrowed airway, or a wall that the CT does not show",
+      "possibly mucus, a collapsed or narrowed airway, or a wall that the CT does not show",
       null,
     ]);
     expect(groups[0]?.places.map(({ words }) => plain(words))).toEqual([

@@ -23,7 +23,7 @@ function wordsOf(place: Uncertainty): { what: string; why: string | null } {
     case "blocked":
       return {
         what: `the lumen ends at ${width}`,
-        why: "mucus, a collapsed or narrowed airway, or a wall that the CT does not show",
+        why: "possibly mucus, a collapsed or narrowed airway, or a wall that the CT does not show",
       };
     case "faint":
       return {

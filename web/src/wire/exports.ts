@@ -3,16 +3,16 @@
 /** What a person calls it, the files that hold it, and who reads those. */
 export const EXPORTS = [
   {
-    title: "Surface of the airways",
+    title: "Airway surface",
     files: [
       { suffix: ".stl", words: "For 3D printing and most programs" },
       { suffix: ".ply", words: "For MeshLab and Blender" },
       { suffix: ".obj", words: "For 3D modelling programs" },
-      { suffix: ".glb", words: "For viewers on the web and on phones" },
+      { suffix: ".glb", words: "For web and phone viewers" },
     ],
   },
   {
-    title: "Lumen mask on the grid of the CT",
+    title: "Lumen mask on the CT grid",
     files: [
       { suffix: ".nii.gz", words: "NIfTI: 3D Slicer, ITK-SNAP, Python" },
       { suffix: ".nii", words: "NIfTI, not compressed" },

@@ -193,10 +193,11 @@ export interface WirePicture {
 
 /** Splits one binary message: u32 little-endian header length, JSON header, payload. */
 export function parsePicture(data: ArrayBuffer): WirePicture {
-  if (data.byteLength < 4) throw new WireError("a picture is too short for its header length");
+  if (data.byteLength < 4) throw new WireError("an image message is truncated: it ends within its header");
   const headerBytes = new DataView(data).getUint32(0, true);
   if (headerBytes > MAX_HEADER_BYTES) throw new WireError("the header of a picture is too long");
-  if (4 + headerBytes >= data.byteLength) throw new WireError("a picture ends before its payload");
+  if (4 + headerBytes >= data.byteLength)
+    throw new WireError("an image message is truncated: it ends before the image data");
   let text: string;
   try {
     text = new TextDecoder("utf-8", { fatal: true }).decode(new Uint8Array(data, 4, headerBytes));

@@ -89,17 +89,18 @@ const JPEG_MAGIC = [0xff, 0xd8, 0xff];
 /** The payload must begin as its codec does, and end with whole lines of the outline. */
 export function pictureProblem(header: PictureHeader, payload: Uint8Array): string | null {
   const magic = header.codec === "png" ? PNG_MAGIC : JPEG_MAGIC;
-  if (!magic.every((byte, index) => payload[index] === byte)) return `the payload of a picture is not ${header.codec}`;
+  if (!magic.every((byte, index) => payload[index] === byte))
+    return `the payload of an image message is not ${header.codec}`;
   return header.outline === null ? null : outlineProblem(payload, header.outline.num_bytes);
 }
 
 function outlineProblem(payload: Uint8Array, numBytes: number): string | null {
-  if (numBytes >= payload.length) return "the outline of a picture leaves no room for the picture";
+  if (numBytes >= payload.length) return "the outline in an image message leaves no room for the image";
   let at = payload.length - numBytes;
   while (at < payload.length) {
     const count = (payload[at] ?? 0) + 256 * (payload[at + 1] ?? 0);
     at += 2 + 4 * count;
-    if (count === 0 || at > payload.length) return "the outline of a picture ends in the middle of a line";
+    if (count === 0 || at > payload.length) return "the outline in an image message ends in the middle of a line";
   }
   return null;
 }

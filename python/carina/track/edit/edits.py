@@ -181,7 +181,7 @@ def _edited(
     is_fresh: bool,
 ) -> Airways:
     if cancel is not None and cancel():
-        raise CancelledError("editing the airways was stopped")
+        raise CancelledError("stopped while editing the airways")
     if progress is not None:
         progress("editing the airways", None)
     tree, edits = airways.tree, (*airways.edits, edit)

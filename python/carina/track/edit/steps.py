@@ -156,7 +156,7 @@ class EditSteps:
             raise UsageError(msg, code="track.edit-place")
         last = int(np.searchsorted(along, at_mm, side="right")) - 1 if at_mm > 0.0 else 0
         if branch.parent is None and last < 1:
-            msg = f"{title} contains the start of the tree: cut it further distally, or move the start first"
+            msg = f"{title} contains the start of the tree: cut it more distally, or move the start first"
             raise UsageError(msg, code="track.edit-root")
         below = [member.points for member in self.draft.below(branch.id)]
         below[0] = below[0][last + 1 :]

@@ -302,7 +302,7 @@ _FIGURES = {name for name in _COLUMNS if name.endswith(("_mm", "_mm2"))}
 
 def _go_on(cancel: Cancel | None) -> None:
     if cancel is not None and cancel():
-        raise CancelledError("measuring the airways was stopped")
+        raise CancelledError("stopped while measuring the airways")
 
 
 def _key(branch: Branch, tree: AirwayTree) -> bytes:

@@ -77,7 +77,7 @@ def lumen_mesh(
     Lorensen and Cline 1987 (marching cubes).
     """
     if cancel is not None and cancel():
-        raise CancelledError("building the surface was stopped")
+        raise CancelledError("stopped while building the surface")
     levels = None
     if np.isfinite(airways.threshold):
         scale = air_scale(volume)

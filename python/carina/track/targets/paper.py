@@ -85,7 +85,7 @@ def search_box(
                 f"cost paper: the box around the root and the targets has {num / 1e6:.0f} million voxels, "
                 "expected at most "
                 f"{most / 1e6:.0f} million ({max_bytes >> 20} MiB). Use fewer or closer targets at a time, a "
-                "root closer to them, or the cost lumen"
+                "root closer to them, or the lumen cost"
             )
             raise UsageError(msg)
     i, j, k = (int(v) for v in first)
@@ -183,7 +183,7 @@ def track_on_graph(
     ways: list[_Way] = []
     for point in points:
         if cancel is not None and cancel():
-            raise CancelledError("tracking was stopped")
+            raise CancelledError("stopped while searching the paths")
         requested = np.array(point)
         try:
             if cost == "lumen":

@@ -440,9 +440,9 @@ def _check(branches: tuple[Branch, ...]) -> None:
                 f"{where}: radius must contain one number of at least 0 for each of its {len(points)} points"
             )
         if branch.confidence is not None and not 0.0 <= branch.confidence <= 1.0:
-            raise _refused(f"{where}: confidence must be from 0 to 1, found {branch.confidence}")
+            raise _refused(f"{where}: confidence must be between 0 and 1, found {branch.confidence}")
         if branch.name_confidence is not None and not 0.0 <= branch.name_confidence <= 1.0:
-            raise _refused(f"{where}: name_confidence must be from 0 to 1, found {branch.name_confidence}")
+            raise _refused(f"{where}: name_confidence must be between 0 and 1, found {branch.name_confidence}")
         if not branch.doubtful_mm >= 0.0:
             raise _refused(f"{where}: doubtful_mm must be at least 0, found {branch.doubtful_mm}")
         if (branch.parent is None) != (number == 0):

@@ -64,7 +64,8 @@ class Uncertainty(AirwayPlace, frozen=True, kw_only=True):
                 )
             case "blocked":
                 return (
-                    f"the lumen ends at {self.width_mm:.1f} mm: mucus, a collapsed or narrowed airway, or a wall that "
+                    f"the lumen ends at {self.width_mm:.1f} mm: possibly mucus, a collapsed or "
+                    "narrowed airway, or a wall that "
                     "the CT does not show"
                 )
             case "faint":

@@ -79,7 +79,7 @@ function Root() {
       </p>
       <SwitchKey
         icon="target"
-        label={armed ? "Click in a picture\u2026" : "Mark the trachea"}
+        label={armed ? "Click in a view\u2026" : "Mark the trachea"}
         words="Click a new start point. Your edits are discarded (undo restores them)."
         keys={keyOf("arm_root")}
         on={armed}

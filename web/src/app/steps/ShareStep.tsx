@@ -32,8 +32,8 @@ export function ShareStep() {
         </div>
       ))}
       <p className="quiet">
-        In patient coordinates (LPS), mm. The files contain no patient name, but anatomy can identify a patient: handle
-        them as carefully as the CT.
+        In patient coordinates (LPS), mm. The files do not contain the patient's name, but the anatomy can identify the
+        patient: handle them as carefully as the CT.
       </p>
       <Act
         icon="capture"

@@ -18,8 +18,8 @@ export function TargetStep() {
       <Act
         kind="primary"
         icon="target"
-        label={armed ? "Click in a picture\u2026" : "Mark a target"}
-        words={armed ? "Stop marking" : "Click in any picture to mark a target. The line shows the path to it."}
+        label={armed ? "Click in a view\u2026" : "Mark a target"}
+        words={armed ? "Stop marking" : "Click in any view to mark a target. The line shows the path to it."}
         keys={keyOf("arm_target")}
         testId="arm-target"
         onPress={() => station.act("arm_target")}
@@ -27,7 +27,7 @@ export function TargetStep() {
       <PenWords />
       <Coordinates />
       {targets === null || targets.length === 0 ? (
-        <p className="empty">Targets appear here, each with its path or the reason for having no path.</p>
+        <p className="empty">Targets appear here, each with its path, or the reason why it has none.</p>
       ) : (
         <ul className="targets">
           {targets.map((target) => (

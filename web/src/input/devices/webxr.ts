@@ -187,7 +187,7 @@ export class Headset {
       const viewer = frame.getViewerPose(space);
       if (viewer != null) this.#around.screen.draw(viewer);
     } catch (trouble) {
-      if (!this.#faultSaid) this.#around.failed(`The headset's picture could not be drawn: ${wordsOf(trouble)}.`);
+      if (!this.#faultSaid) this.#around.failed(`The headset image could not be drawn: ${wordsOf(trouble)}.`);
       this.#faultSaid = true;
     }
   };
