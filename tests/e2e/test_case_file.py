@@ -113,3 +113,51 @@ def test_a_case_whose_carina_was_killed_is_as_it_was_two_seconds_before(workstat
     assert shown(workstation) == before
     assert stop_server(again) == 0
     workstation.faults.clear()
+
+
+def test_a_case_is_continued_from_the_list_begun_anew_forgotten_and_brought_back(server, workstation):
+    page = workstation.page
+    workstation.open(server)
+    workstation.wait_ready()
+    work(workstation)
+    steps = shown(workstation)["steps"]
+
+    def close():
+        page.get_by_role("button", name="Open", exact=True).click()
+        page.get_by_role("button", name="Start page").click()
+        page.get_by_test_id("start").wait_for()
+
+    def listed(test_id):
+        return page.get_by_test_id(test_id).get_by_role("listitem")
+
+    close()
+    recent = listed("recent")
+    assert "1 change \u00b7 last used" in recent.inner_text()
+    workstation.wait_for("[...document.querySelectorAll('.case-picture img')].every((img) => img.naturalWidth === 320)")
+    recent.get_by_role("button").click()
+    workstation.wait_ready()
+    assert shown(workstation)["steps"] == steps
+    assert "1 change" in page.get_by_test_id("continued").inner_text()
+    page.get_by_test_id("begin-anew").click()
+    workstation.wait_for("window.__carina.state.session.saving.continued_s === null")
+    page.get_by_test_id("continued").wait_for(state="detached")
+    workstation.wait_ready()
+    assert shown(workstation)["steps"] == []
+    workstation.wait_for("window.__carina.state.session.saving.saved_s !== null")
+    close()
+    assert listed("recent").count() == 2
+    page.get_by_test_id("open-storage").click()
+    listed("stored").first.get_by_test_id("rename-case").click()
+    page.get_by_test_id("case-name").fill("Second look")
+    page.keyboard.press("Enter")
+    named = listed("stored").filter(has_text="Second look")
+    named.wait_for()
+    listed("stored").filter(has_text="1 change").get_by_test_id("forget-case").click()
+    listed("forgotten").wait_for()
+    assert listed("stored").count() == 1
+    page.get_by_test_id("restore-case").click()
+    page.get_by_test_id("forgotten").wait_for(state="detached")
+    page.keyboard.press("Escape")
+    listed("recent").filter(has_text="1 change").get_by_role("button").click()
+    workstation.wait_ready()
+    assert shown(workstation)["steps"] == steps

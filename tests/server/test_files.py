@@ -210,3 +210,16 @@ def test_uploads_need_the_cookie_and_the_origin_and_keep_their_bounds(live):
         assert http.put("/api/upload/other", params={"name": "a"}, content=b"x").status_code == 404
         assert http.delete(f"/api/upload/{upload_id}").status_code == 204
         assert http.put(f"/api/upload/{upload_id}", params={"name": "a"}, content=b"x").status_code == 404
+
+
+def test_the_small_picture_of_a_case_is_for_its_person_and_no_browser_keeps_it(live, monkeypatch):
+    pictures = {"00ff00ff00ff00ff": b"\xff\xd8\xff and more"}
+    monkeypatch.setattr(live.session.cases, "picture", pictures.get)
+    with live.http() as stranger:
+        assert stranger.get("/api/cases/00ff00ff00ff00ff/picture.jpg").status_code == 401
+    with live.http(cookie=live.cookie) as http:
+        answer = http.get("/api/cases/00ff00ff00ff00ff/picture.jpg?made=1.000")
+        assert answer.content == pictures["00ff00ff00ff00ff"]
+        assert answer.headers["content-type"] == "image/jpeg"
+        assert answer.headers["cache-control"] == "no-store"
+        assert http.get("/api/cases/another/picture.jpg").status_code == 404

@@ -425,6 +425,25 @@ def test_a_ct_that_was_not_used_for_long_is_removed(kept, folder, clock, tmp_pat
     assert [kept.find(path) is not None for path in paths] == [False, True]
 
 
+def test_a_cache_is_emptied_and_switched_off_and_on_while_it_is_used(kept, folder, clock, tmp_path):
+    path = chest_file(tmp_path)
+    keep(kept, path)
+    assert kept.empty() > 0
+    assert kept.sizes() == ()
+    keep(kept, path)
+    kept.switch(False)
+    assert kept.sizes() == ()
+    assert not kept.is_on
+    assert kept.can_be_on
+    assert not kept.keep(kept.open(path))
+    kept.switch(True)
+    assert kept.keep(kept.open(path))
+    never = VolumeCache(folder, max_bytes=0, clock=clock)
+    never.switch(True)
+    assert not never.is_on
+    assert not never.can_be_on
+
+
 def test_a_cache_that_is_off_keeps_nothing_and_a_sweep_empties_it(kept, folder, clock, tmp_path):
     path = chest_file(tmp_path)
     keep(kept, path)

@@ -152,6 +152,8 @@ class CaseInfo(FrozenValue, frozen=True):
     other_series: tuple[OtherSeries, ...]
     citation: Citation | None
     off: tuple[FeatureOff, ...]
+    number: Count = 0
+    """Grows with each case opened: two cases may be of one CT."""
 
 
 class Target(FrozenValue, frozen=True):

@@ -130,6 +130,7 @@ def _case(snapshot: Snapshot) -> wire.CaseInfo | None:
         ),
         citation=source.citation,
         off=tuple(wire.FeatureOff(o.what, o.why) for o in case.off),
+        number=snapshot.case_number,
     )
 
 

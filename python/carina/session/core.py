@@ -276,6 +276,7 @@ class SessionCore:
                 return Snapshot()
             return Snapshot(
                 case=case.info,
+                case_number=case.number,
                 stage="opening"
                 if case.search.status in {"waiting", "finding"} and not case.document.airways
                 else "ready",

@@ -162,6 +162,8 @@ class Snapshot:
     """All but the pose."""
 
     case: CaseSnapshot | None = None
+    case_number: int = 0
+    """Grows with each case opened."""
     stage: Stage = "empty"
     airways: AirwayStatus = "none"
     airways_words: str | None = None

@@ -60,6 +60,7 @@ const OPEN: StateMessage = {
     not_hu_reason: null,
     shape_zyx: [13, 51, 52],
     spacing_mm: [0.6, 0.7, 3],
+    number: 1,
     lps_from_ijk: [0.6, 0, 0, 1, 0, 0.7, 0, 2, 0, 0, 3, 4, 0, 0, 0, 1],
     value_range: [-1024, 3071],
     warnings: [],
@@ -185,6 +186,8 @@ describe("what a person moves", () => {
     const held = following(INITIAL_STATE, from(OPEN), { kind: "ui", change: { selected: 3 } });
     expect(following(held, from({ ...OPEN, case: { ...open, warnings: ["one"] } })).ui.selected).toBe(3);
     expect(following(held, from({ ...OPEN, case: { ...open, shape_zyx: [14, 51, 52] } })).ui.selected).toBeNull();
+    // Another case of the same CT.
+    expect(following(held, from({ ...OPEN, case: { ...open, number: 2 } })).ui.selected).toBeNull();
   });
 
   it("gives way to the server where it does not agree for long", () => {

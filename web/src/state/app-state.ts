@@ -396,7 +396,7 @@ function sessionChanged(state: AppState, session: StateMessage, nowMs: number): 
   } else if (now !== null && caseKey(state.session) !== caseKey(session)) {
     const hasFindings = now.quality.length + now.warnings.length > 0 || !now.is_hu;
     const ui: Ui = { ...next.ui, ...NOTHING_HELD, step: hasFindings ? "check" : "airways" };
-    next = { ...next, ...NOTHING_SHOWN, picks: [], local: NOTHING_LOCAL, ui };
+    next = { ...next, ...NOTHING_SHOWN, frames: {}, picks: [], local: NOTHING_LOCAL, ui };
   }
   const look = allShown(next.local.look, session.look, nowMs);
   const sight = allShown(next.local.sight, session.sight, nowMs);

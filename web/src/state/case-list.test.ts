@@ -66,7 +66,7 @@ describe("a size on the disk", () => {
 
 describe("a continued case", () => {
   it("is told until it is read or changed", () => {
-    const told = `Continued from ${clock(NOW_S, NOW_MS)}, with 12 changes.`;
+    const told = `Continued from ${clock(NOW_S, NOW_MS)}, 12 changes.`;
     expect(continuedWords(SAVING, 12, null, NOW_MS)).toBe(told);
     expect(continuedWords(SAVING, 12, NOW_S - 1, NOW_MS)).toBe(told);
     expect(continuedWords(SAVING, 12, NOW_S, NOW_MS)).toBeNull();

@@ -43,5 +43,5 @@ export function continuedWords(
 ): string | null {
   if (saving === null || saving.continued_s === null || saving.continued_changes === 0) return null;
   if (saving.continued_s === readS || numChanges !== saving.continued_changes) return null;
-  return `Continued from ${clock(saving.continued_s, nowMs)}, with ${changesWords(saving.continued_changes)}.`;
+  return `Continued from ${clock(saving.continued_s, nowMs)}, ${changesWords(saving.continued_changes)}.`;
 }

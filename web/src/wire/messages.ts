@@ -779,6 +779,7 @@ export interface CaseInfo {
   readonly other_series: readonly OtherSeries[];
   readonly citation: Citation | null;
   readonly off: readonly FeatureOff[];
+  readonly number: number;
 }
 
 /** What the airway view is seen through, and from where: chosen by a person, and undone. */
