@@ -189,7 +189,7 @@ def test_the_three_planes_meet_where_asked_and_the_nearest_hides_the_others():
 
 def test_the_tree_from_the_front_has_the_patients_left_on_the_right(airway):
     renderer = Renderer(airway.volume)
-    with pytest.raises(RenderError, match="lumen"):
+    with pytest.raises(RenderError, match="have not been segmented"):
         renderer.render(TreeView())
     renderer.set_lumen(airway.lumen_zyx)
     picture = renderer.render(TreeView(width=120, height=120))
@@ -204,7 +204,7 @@ def test_the_tree_from_the_front_has_the_patients_left_on_the_right(airway):
     assert not drawn[[0, -1]].any()
     assert not drawn[:, [0, -1]].any()
     renderer.set_lumen(np.zeros_like(airway.lumen_zyx))
-    with pytest.raises(RenderError, match="lumen"):
+    with pytest.raises(RenderError, match="have not been segmented"):
         renderer.render(TreeView())
 
 
