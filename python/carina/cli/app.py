@@ -235,7 +235,8 @@ def render(
     at: Annotated[
         str,
         typer.Option(
-            help="Tip position x,y,z in mm (LPS), or auto for the top of the trachea; of a case where the tip was left."
+            help="Tip position x,y,z in mm (LPS), or auto for the top of the trachea "
+            "(default for a case: where the tip was left)."
         ),
     ] = "auto",
     look: Annotated[str | None, typer.Option(help="Viewing direction dx,dy,dz in LPS (default: caudal).")] = None,
@@ -446,7 +447,8 @@ def fly(
         Path | None,
         typer.Option(
             help=(
-                "Fly through key frames saved in the window (a carina-keys JSON file); of a case: all, or names of its "
+                "Fly through key frames saved in the window (a carina-keys JSON file); for a "
+                "case, all or the names of its "
                 "key frames, separated by commas."
             )
         ),

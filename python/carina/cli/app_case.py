@@ -19,7 +19,7 @@ case = typer.Typer(
 )
 
 FileArgument = Annotated[Path, typer.Argument(help="Case file: NAME.carina.", show_default=False)]
-CaseOutput = Annotated[Path, typer.Option("-o", "--output", help="Case file to write; nothing may be there.")]
+CaseOutput = Annotated[Path, typer.Option("-o", "--output", help="Case file to write; it must not exist yet.")]
 
 
 @case.command("info")
@@ -36,7 +36,7 @@ def case_info(path: FileArgument, as_json: JsonOption = False) -> None:
 
 @case.command("history")
 def case_history(path: FileArgument, as_json: JsonOption = False) -> None:
-    """List what was done in a case, with the time since it was begun.
+    """List the changes made in a case, with the time since it was started.
 
     Example: carina case history NAME.carina
     """
@@ -62,12 +62,12 @@ def case_list(as_json: JsonOption = False) -> None:
 def case_forget(
     name: Annotated[
         str,
-        typer.Argument(help="Id of the case (`carina case list`), or the file it was saved as.", show_default=False),
+        typer.Argument(help="Case id (`carina case list`), or the file it was saved as.", show_default=False),
     ],
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Remove all that this machine keeps of a case: record, live file and cached scan. Files saved elsewhere stay.
+    """Remove what this machine keeps of a case: record, live file and cached scan. Files saved elsewhere stay.
 
     Example: carina case forget 3f9a1c
     """
@@ -91,7 +91,7 @@ def case_pack(path: FileArgument, output: CaseOutput, ct: CtOption = None, as_js
 
 @case.command("migrate")
 def case_migrate(path: FileArgument, output: CaseOutput, as_json: JsonOption = False) -> None:
-    """Write a case of an older Carina as this one writes it, into a new file.
+    """Convert a case from an older version of Carina to the current format, in a new file.
 
     Example: carina case migrate OLD.carina -o NEW.carina
     """
@@ -103,7 +103,7 @@ def case_migrate(path: FileArgument, output: CaseOutput, as_json: JsonOption = F
 
 @case.command("rescue")
 def case_rescue(path: FileArgument, output: CaseOutput, as_json: JsonOption = False) -> None:
-    """Write what is whole of a damaged case into a new file, and list what was lost.
+    """Write the intact parts of a damaged case to a new file, and list what was lost.
 
     Example: carina case rescue DAMAGED.carina -o RESCUED.carina
     """

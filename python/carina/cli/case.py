@@ -58,7 +58,7 @@ def case_lines(path: Path) -> list[str]:
     found = case_json(path)
     source = found["source"]
     nz, ny, nx = source["shape_zyx"]
-    where = "packed with the case" if source["packed"] else source["path"] or "place not known"
+    where = "packed with the case" if source["packed"] else source["path"] or "location unknown"
     lines = [
         f"{path.name}: {say_size(found['bytes'])}, saved by Carina {found['saved_by'] or '(nothing saved yet)'}",
         f"  scan: {nx} x {ny} x {nz} voxels, {where}, digest {source['digest'][:12]}",
@@ -98,7 +98,7 @@ def history(path: Path, *, as_json: bool) -> int:
     for n, step in enumerate(steps, 1):
         print(f"{n:>4}  {_clock(step.at_s):>9}  {step.label}{'' if step.holds else '  (undone)'}")
     if not steps:
-        say("nothing was changed in this case yet")
+        say("nothing has been changed in this case yet")
     return 0
 
 
@@ -144,8 +144,8 @@ def forget(wanted: str, *, yes: bool, as_json: bool) -> int:
     words = f"{record.shown_title}, {_many(record.num_changes, 'change')}"
     if not yes:
         if as_json or not sys.stdin.isatty():
-            raise UsageError(f"this removes the case ({words}) from this machine for good; add --yes to do it")
-        say(f"This removes the case ({words}) from this machine for good.")
+            raise UsageError(f"this removes the case ({words}) from this machine permanently; add --yes to confirm")
+        say(f"This removes the case ({words}) from this machine permanently.")
         if record.copy_path is not None:
             say(f"The file {record.copy_path} stays.")
         print("Forget it? [y/N] ", end="", file=sys.stderr, flush=True)
@@ -154,9 +154,9 @@ def forget(wanted: str, *, yes: bool, as_json: bool) -> int:
             return 0
     size = records.num_bytes(record)
     if not records.forget(record):
-        raise UsageError("this case is open in a Carina; close it there first", code="case.open")
+        raise UsageError("this case is open in Carina; close it there first", code="case.open")
     if not records.remove(record.case_id):
-        raise DiskError("the case was taken out of the list, but its folder could not be removed; try again later")
+        raise DiskError("the case was removed from the list, but its folder could not be removed; try again later")
     if record.place is not None:
         LocalStore(load_settings().config_dir).forget(record.place)
     # Another case of the same CT still needs it.
@@ -187,7 +187,7 @@ def migrated(path: Path, *, output: Path, as_json: bool) -> int:
 
 
 def rescue(path: Path, *, output: Path, as_json: bool) -> int:
-    """Write what is whole of a damaged case into a new file, and list what was lost."""
+    """Write the intact parts of a damaged case to a new file, and list what was lost."""
     _check_target(path, output)
     lost = rescued(path, output)
     for words in lost:

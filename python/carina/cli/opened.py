@@ -92,7 +92,7 @@ def _chosen(keys: Keys, wanted: str) -> Keys:
             raise UsageError(f"--keys: expected all, a file, or key frames of the case ({known}); found {name!r}")
         if len(found) > 1:
             ids = ", ".join(one.key_id for one in found)
-            raise UsageError(f"--keys: {len(found)} key frames are called {name!r}; name them by their ids: {ids}")
+            raise UsageError(f"--keys: {len(found)} key frames have the name {name!r}; use their ids: {ids}")
         chosen += found
     return replace(keys, frames=tuple(chosen))
 
@@ -106,7 +106,7 @@ def case_scans() -> CaseScans:
         VolumeCache(settings.cache_dir / "volumes", max_bytes=settings.volume_cache_bytes),
         CaseRecords(settings.cases_dir, lambda: 0.0),
         default_parts().open_demo,
-        advice="give its place with --ct PATH",
+        advice="give its location with --ct PATH",
     )
 
 

@@ -21,7 +21,7 @@ PathArgument = Annotated[
         show_default=False,
     ),
 ]
-CtOption = Annotated[Path | None, typer.Option("--ct", help="Where the scan of the case lies now, if it is not found.")]
+CtOption = Annotated[Path | None, typer.Option("--ct", help="Current location of the case's scan, if it is not found.")]
 SeriesOption = Annotated[
     str | None, typer.Option("--series", help="Key of the series to open; `carina info` lists the keys.")
 ]

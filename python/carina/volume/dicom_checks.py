@@ -39,7 +39,7 @@ def check_rescale_tags(slices: Sequence[SliceHeader], what: str) -> None:
         msg = (
             f"{what}: {len(lacking)} of its {len(slices)} slices have no {tag} ({_files(lacking)}), so their "
             "values would be on a different scale from the others; expected the tag in every slice; export the "
-            "series again from its original archive, or leave these files out if the other slices are complete"
+            "series again from its original archive, or omit these files if the other slices are complete"
         )
         raise VolumeImportError(msg, code="import.rescale-mixed")
 

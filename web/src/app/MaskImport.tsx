@@ -101,7 +101,7 @@ export function DropChoice() {
   );
   return (
     <div className="drop-choice">
-      {place("mask", "Use as the airways of this scan", "a segmentation: NIfTI, NRRD, MetaImage, DICOM SEG")}
+      {place("mask", "Use for the airways of this scan", "a segmentation: NIfTI, NRRD, MetaImage, DICOM SEG")}
       {place("case", "Open as a new case", "a CT: a DICOM series, NIfTI, NRRD or MetaImage")}
     </div>
   );
@@ -180,7 +180,7 @@ function Question({ question }: { question: MaskQuestion }) {
           isDisabled={isLabel && label === null}
           onPress={() => station.send({ type: "answer_mask", label: isLabel ? label : null, resample: !isLabel })}
         >
-          {isLabel ? "Use as the airways" : "Resample to the scan"}
+          {isLabel ? "Use for the airways" : "Resample to the scan"}
         </Button>
       </div>
     </Dialog>

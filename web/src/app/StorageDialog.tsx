@@ -123,10 +123,10 @@ function Rename({ entry, onEnd }: { entry: RecentCase; onEnd: () => void }) {
           }}
           autoFocus
           maxLength={80}
-          aria-label="Name of the case"
+          aria-label="Case name"
         >
           <Input
-            placeholder={entry.named ? "Leave empty for the name of the series" : entry.title}
+            placeholder={entry.named ? "Leave empty to use the series name" : entry.title}
             autoComplete="off"
             data-testid="case-name"
           />
