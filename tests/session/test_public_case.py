@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 
 import carina
 from carina import commands as c
+from carina.config import load_settings
 from carina.errors import NoResultError, UsageError
+from carina.phantom import write_phantom
+from carina.session.records import CaseRecords
+from own_folders import own_folders
 
 
 @pytest.fixture(scope="module")
@@ -51,3 +57,130 @@ def test_what_is_no_scan_is_refused_in_words():
         carina.Case.open(3)
     with pytest.raises(carina.VolumeImportError):
         carina.Case.open("/nowhere/at/all")
+
+
+# ---------------------------------------------------------------- case files
+
+
+@pytest.fixture(scope="module")
+def made_case(phantom, tmp_path_factory):
+    """A case of a CT that lies beside it, with a renamed branch and a target, of which the last is taken back."""
+    folder = tmp_path_factory.mktemp("case")
+    write_phantom(phantom, folder / "scan")
+    with carina.Case.open(folder / "scan" / "ct.nii.gz") as case:
+        with pytest.raises(UsageError, match="no file yet"):
+            case.save()
+        tip = case.airways.tree.tips()[0]
+        case.do(c.EditTree(c.RenameBranch(tip.id, "here")))
+        case.do(c.AddTarget(tuple(float(v) for v in tip.points[-1])))
+        case.undo()
+        assert case.save(folder / "one") == case.path == folder / "one.carina"
+    return folder
+
+
+@pytest.fixture
+def saved(made_case, tmp_path, monkeypatch):
+    """A copy of its own."""
+    for name, folder in own_folders(tmp_path / "home").items():
+        monkeypatch.setenv(name, folder)
+    shutil.copytree(made_case, tmp_path / "work")
+    return tmp_path / "work" / "one.carina"
+
+
+def searched(*_arguments, **_options):
+    pytest.fail("the airways of a case were searched for again")
+
+
+def test_a_saved_case_opens_with_history_undo_and_redo(saved, monkeypatch):
+    monkeypatch.setattr("carina.track.find_airways", searched)
+    with carina.Case.open(saved) as case:
+        assert case.note is None
+        assert case.airways.tree.named("here") is not None
+        assert len(case.history()) == 1
+        case.redo()
+        assert len(case.state.document.targets) == 1
+        case.undo()
+        case.undo()
+        assert case.airways.tree.named("here") is None
+    # Closing has saved it.
+    with carina.Case.open(str(saved)) as case:
+        assert case.history() == ()
+        case.redo()
+        case.redo()
+        assert len(case.history()) == 2
+    assert sorted(p.name for p in saved.parent.iterdir()) == ["one.carina", "scan"]
+
+
+def test_a_case_that_is_only_looked_at_is_not_written(saved):
+    before = saved.read_bytes(), saved.stat().st_mtime_ns
+    with carina.Case.open(saved) as case:
+        case.render("axial", width=16, height=16)
+    assert (saved.read_bytes(), saved.stat().st_mtime_ns) == before
+
+
+def test_work_is_saved_where_the_program_fails(saved):
+    def fails():
+        with carina.Case.open(saved) as case:
+            case.do(c.SetFov(100.0))
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fails()
+    with carina.Case.open(saved) as case:
+        assert case.state.document.look.fov_deg == 100.0
+
+
+def test_a_second_opener_may_look_and_save_elsewhere(saved, tmp_path):
+    with carina.Case.open(saved) as first:
+        with pytest.warns(UserWarning, match="open for change elsewhere"):
+            second = carina.Case.open(saved)
+        with second:
+            second.do(c.SetFov(100.0))
+            with pytest.raises(UsageError, match="another name") as refused:
+                second.save()
+            assert refused.value.code == "case.read-only"
+            with pytest.raises(UsageError, match="another name"):
+                second.save(saved, replace=True)
+            assert second.save(tmp_path / "two.carina") == second.path
+            assert second.note is None
+            with pytest.raises(UsageError, match="already"):
+                first.save(tmp_path / "two.carina")
+            with pytest.raises(UsageError, match="open for change elsewhere"):
+                first.save(tmp_path / "two.carina", replace=True)
+            assert first.path == saved
+    with carina.Case.open(tmp_path / "two.carina") as case:
+        assert case.note is None
+        assert case.state.document.look.fov_deg == 100.0
+        assert case.save(saved, replace=True) == saved
+
+
+def test_a_case_that_a_window_has_open_may_be_looked_at(saved):
+    records = CaseRecords(load_settings().cases_dir, lambda: 1_800_000_000.0)
+    held = records.begin("ab" * 32, None, "CT")
+    held.note(copy_path=str(saved))
+    with pytest.warns(UserWarning, match="in a Carina window"):
+        carina.Case.open(saved).close()
+    held.release()
+    carina.Case.open(saved).close()
+
+
+def test_the_ct_of_a_case_is_found_or_given(saved, tmp_path):
+    (saved.parent / "scan").rename(tmp_path / "moved")
+    with pytest.raises(carina.VolumeImportError, match="give its place as ct=") as refused:
+        carina.Case.open(saved)
+    assert refused.value.code == "case.no-scan"
+    with carina.Case.open(saved, ct=tmp_path / "moved" / "ct.nii.gz") as case:
+        case.do(c.SetFov(100.0))
+    # It is found there from now on.
+    carina.Case.open(saved).close()
+    with pytest.raises(UsageError, match="ct: only applies"):
+        carina.Case.open(tmp_path / "moved" / "ct.nii.gz", ct=tmp_path)
+
+
+def test_what_cannot_be_written_is_said_and_the_file_stays(saved, tmp_path):
+    before = saved.read_bytes()
+    with carina.Case.open(saved) as case:
+        with pytest.raises(UsageError, match="does not exist"):
+            case.save(tmp_path / "nowhere" / "one.carina")
+        assert case.path == saved
+    assert saved.read_bytes() == before

@@ -79,6 +79,8 @@ class OpenVolume(LocalCommand, frozen=True):
 
     volume: Any
     """A :class:`carina.volume.Volume`."""
+    kept: Any = None
+    """A :class:`carina.case.Moment` to go on from; None begins anew."""
 
 
 class CloseCase(Command, frozen=True):

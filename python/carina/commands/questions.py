@@ -79,5 +79,9 @@ class KeysToTakeAway(Question[Any], frozen=True):
     """
 
 
+class MomentToKeep(Question[Any], frozen=True):
+    """All of the case that a file keeps, as it is now: a :class:`carina.case.Moment`."""
+
+
 class MaskFileNeeded(Question[bool], frozen=True):
     """Whether a mask's file is being read, or will be once its question is answered."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from carina.session.records import CaseRecords
     from carina.volume import VolumeCache
 
-__all__ = ["CASE_SUFFIX", "CaseScans", "FoundScan", "is_case_file"]
+__all__ = ["CASE_SUFFIX", "CaseScans", "FoundScan", "is_case_file", "way_between"]
 
 CASE_SUFFIX = ".carina"
 Progress = Callable[[str, float | None], None] | None
@@ -159,6 +160,16 @@ class CaseScans:
         if self._cache is None:
             return open_volume(place, series=series, progress=progress, cancel=cancel)
         return self._cache.open(place, series=series, progress=progress, cancel=cancel).volume
+
+
+def way_between(copy: Path, place: str | None) -> str | None:
+    """From the copy to its CT; None where there is none, as between two drives of Windows."""
+    if place is None or place.startswith("demo:"):
+        return None
+    try:
+        return Path(os.path.relpath(place, copy.parent)).as_posix()
+    except ValueError:
+        return None
 
 
 def _no_progress(_what: str, _fraction: float | None) -> None:

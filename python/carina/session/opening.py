@@ -94,7 +94,7 @@ class Opening(Subject):
     def open_volume(self, command: c.OpenVolume) -> str:
         """Take a volume as it is."""
         volume: Volume = command.volume
-        return self._open("opening the volume", lambda _job: volume, None)
+        return self._open("opening the volume", lambda _job: volume, None, given=command.kept)
 
     @does(c.OpenRecent)
     def open_recent(self, command: c.OpenRecent) -> str:
@@ -155,8 +155,12 @@ class Opening(Subject):
         *,
         case_id: str | None = None,
         anew: bool = False,
+        given: Moment | None = None,
     ) -> str:
-        """``case_id`` is the kept case that is meant; else the one of this CT that was used last, or none."""
+        """``case_id`` is the kept case that is meant; else the one of this CT that was used last, or none.
+
+        What goes on from a ``given`` moment is kept by whoever gave it.
+        """
         if path is not None:
             place = str(Path(path).absolute())
 
@@ -166,8 +170,10 @@ class Opening(Subject):
             # From here on there is no way back: a refused or stopped opening leaves the case on screen as it was.
             job.check()
             with self._saving.between() as keeping:
-                kept = None
-                if anew:
+                kept = given
+                if given is not None:
+                    pass
+                elif anew:
                     keeping.begin(volume)
                 else:
                     kept = keeping.reopened(volume, case_id)
@@ -187,6 +193,8 @@ class Opening(Subject):
                 with self.core.lock:
                     job.check()
                     self._show(job, case)
+                    if given is not None and given.steps:
+                        case.begun_s -= given.steps[-1].at_s
                     keeping.attach(case, place)
                     self.core.changed(*ALL_TOPICS, "start")
             # A tenth of a second, and pictures come several times faster; the airways take many.

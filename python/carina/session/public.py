@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
-from carina.commands import Command, OpenPath, OpenVolume, Question
+from carina.commands import Command, MomentToKeep, OpenPath, OpenVolume, Question
 from carina.errors import CarinaError, NoResultError, UsageError
+from carina.session.case_scan import is_case_file
 from carina.session.jobs import JobEnded
+from carina.session.named_case import NamedCase
 from carina.session.session import Session
 from carina.session.snapshot import Snapshot
 from carina.volume import Volume
@@ -43,33 +46,53 @@ class Case:
     ('route to LB9', (48, 64, 3))
     """
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, named: NamedCase | None = None) -> None:
         self._session = session
+        self._named = named or NamedCase()
         self._failed: list[CarinaError] = []
         self._unsubscribe = session.subscribe(self._note)
 
     @classmethod
-    def open(cls, source: str | Path | Volume) -> Case:
-        """Open a CT and find its airways.
+    def open(cls, source: str | Path | Volume, *, ct: str | Path | None = None) -> Case:
+        """Open a CT and find its airways, or open a case file and go on from there.
+
+        A case file opens with its history, and nothing is found again. While it is open nobody else writes it; whoever
+        opens it meanwhile can look at it and save it under another name (:attr:`note` says so, as a warning, too). What
+        is done goes into the file at :meth:`save` and at :meth:`close`. A CT stays in memory until :meth:`save`.
 
         Parameters
         ----------
         source
-            A file, a folder, or a volume that is open already.
+            A file, a folder, a volume that is open already, or a case: ``NAME.carina``.
+        ct
+            Where the CT of the case lies, if it is not where it was.
 
         Raises
         ------
         VolumeImportError
-            If the CT is refused.
+            If the CT or the case is refused; ``case.no-scan`` where the CT of the case is not found.
         """
         from carina.render import Renderer
 
         if not isinstance(source, str | Path | Volume):
             found = type(source).__name__
             raise UsageError(f"Case.open: source: expected str, Path or Volume; found {found}; name a folder or a file")
-        case = cls(Session(lambda volume, transfer: Renderer(volume, transfer=transfer)))
+        named = NamedCase()
+        is_case = not isinstance(source, Volume) and is_case_file(source)
+        if ct is not None and not is_case:
+            raise UsageError("Case.open: ct: only applies to a case file (NAME.carina)")
+        case = cls(Session(lambda volume, transfer: Renderer(volume, transfer=transfer)), named)
         try:
-            case.do(OpenVolume(source) if isinstance(source, Volume) else OpenPath(str(source)))
+            if isinstance(source, Volume):
+                case.do(OpenVolume(source))
+            elif is_case:
+                volume, kept = named.open(Path(source).expanduser(), ct)
+                case.do(OpenVolume(volume, kept))
+                if named.note is not None:
+                    warnings.warn(named.note, stacklevel=2)
+            else:
+                case.do(OpenPath(str(source)))
+                named.came_from(source)
         except BaseException:
             case.close()
             raise
@@ -125,12 +148,57 @@ class Case:
         """What can be taken back, in words, the oldest first."""
         return self._session.history()
 
+    def save(self, path: str | Path | None = None, *, replace: bool = False) -> Path:
+        """Write the case as one whole file, ``NAME.carina``; the CT is not in it.
+
+        Parameters
+        ----------
+        path
+            Where to; the case belongs there from now on. None is where it was opened from or saved before.
+        replace
+            Whether another file that is there already may be replaced.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        UsageError
+            ``case.no-place``, ``case.exists``, or ``case.read-only`` where somebody else has that file open.
+        DiskError
+            If it cannot be written; what was there before stays.
+        """
+        return self._named.save(self.volume, self.ask(MomentToKeep()), path, replace=replace)
+
     def close(self) -> None:
-        """Stop what runs and give the memory back."""
-        self._unsubscribe()
-        self._session.close()
+        """Save it where it belongs, if it has a file; stop what runs and give the memory back.
+
+        Raises
+        ------
+        DiskError
+            If it cannot be written; all is closed then, too.
+        """
+        try:
+            if self._session.snapshot().case is not None and self._named.is_behind(self.ask(MomentToKeep())):
+                self.save()
+        finally:
+            self._unsubscribe()
+            self._session.close()
+            self._named.close()
 
     # ------------------------------------------------------------ looking
+
+    @property
+    def path(self) -> Path | None:
+        """The file that it is saved to; None where it has none yet."""
+        return self._named.path
+
+    @property
+    def note(self) -> str | None:
+        """Why it cannot be saved in its place; None where it can."""
+        return self._named.note
 
     @property
     def state(self) -> Snapshot:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -19,12 +18,12 @@ from carina.disk import disk_trouble
 from carina.display import one_line
 from carina.errors import CarinaError, UsageError
 from carina.session.case import OpenCase, moment_of
-from carina.session.case_scan import CASE_SUFFIX
+from carina.session.case_scan import CASE_SUFFIX, way_between
 from carina.session.core import SessionCore
 from carina.session.jobs import Job, log_fault
 from carina.session.records import CaseRecord, CaseRecords, HeldCase
 from carina.session.snapshot import Changed, Said, SavingInfo, Trouble
-from carina.session.subject import Subject, does
+from carina.session.subject import Subject, answers, does
 
 if TYPE_CHECKING:
     from carina.session.core import Event
@@ -492,7 +491,7 @@ class Saving(Subject):
         assert kept.held is not None
         assert self.records is not None
         place = kept.held.record.place
-        kept.file.write_copy(path, ct_place=_way_between(path, place))
+        kept.file.write_copy(path, ct_place=way_between(path, place))
         now_s = self.records.now_s()
         kept.held.note(copy_path=str(path), copied_s=now_s)
         self._tell(copied_s=now_s, copy_name=path.name, copy_folder=str(path.parent), copy_problem=None)
@@ -512,6 +511,13 @@ class Saving(Subject):
                     self._telling = False
 
     # ------------------------------------------------------------ a place of its own
+
+    @answers(c.MomentToKeep)
+    def moment_to_keep(self, _question: c.MomentToKeep) -> Moment:
+        """For whoever keeps the case in a file of their own."""
+        case = self.core.needed_case()
+        with self.core.lock:
+            return moment_of(case)
 
     @does(c.SaveCase)
     def save_case(self, command: c.SaveCase) -> str:
@@ -546,16 +552,6 @@ class Saving(Subject):
             self.core.emit(Said(f"saved as {path}"))
 
         return self.core.jobs.start("save", "saving the case", work)
-
-
-def _way_between(copy: Path, place: str | None) -> str | None:
-    """From the copy to its CT; None where there is none, as between two drives of Windows."""
-    if place is None or place.startswith("demo:"):
-        return None
-    try:
-        return Path(os.path.relpath(place, copy.parent)).as_posix()
-    except ValueError:
-        return None
 
 
 def _with_suffix(path: Path) -> Path:
