@@ -197,7 +197,7 @@ class Optics:
         height: int,
         fov_rad: float | None = None,
         focal_px: tuple[float, float] | None = None,
-        center_px: tuple[float, float] | None = None,
+        centre_px: tuple[float, float] | None = None,
         calibrated_size_px: tuple[int, int] | None = None,
     ) -> Optics: ...
     def directions(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -216,7 +216,7 @@ class Optics:
     @property
     def focal_px(self) -> tuple[float, float]: ...
     @property
-    def center_px(self) -> tuple[float, float]: ...
+    def centre_px(self) -> tuple[float, float]: ...
 
 @final
 class LensRays:
@@ -346,7 +346,7 @@ def cut_plane(
 def tri_plane(
     hu_zyx: NDArray[np.int16],
     lps_from_ijk: NDArray[np.float64],
-    center_lps: tuple[float, float, float],
+    centre_lps: tuple[float, float, float],
     lps_from_camera: NDArray[np.float64],
     *,
     fov_rad: float,
@@ -417,12 +417,12 @@ class SectionCasts:
     def blur(self) -> tuple[float, float] | None:
         """The scan's blur within and across slices, mm; None where too few rays met thick tissue."""
     def measure(self, blur: tuple[float, float] | None) -> dict[str, Any]:
-        """center_lps (n, 3); area, diameters, wall, shift, their errors and shares (n,); edge_mm, outer_mm (n, 64)."""
+        """centre_lps (n, 3); area, diameters, wall, shift, their errors and shares (n,); edge_mm, outer_mm (n, 64)."""
 
 def cast_sections(
     values_zyx: NDArray[np.int16],
     lps_from_ijk: NDArray[np.float64],
-    centers_lps: Sequence[Sequence[float]] | NDArray[np.float64],
+    centres_lps: Sequence[Sequence[float]] | NDArray[np.float64],
     normals_lps: Sequence[Sequence[float]] | NDArray[np.float64],
     radius_mm: Sequence[float] | NDArray[np.float64],
     *,
@@ -538,7 +538,7 @@ class GraphTracker:
     @property
     def num_nodes(self) -> int: ...
     @property
-    def num_centers(self) -> int: ...
+    def num_centres(self) -> int: ...
     @property
     def num_settled(self) -> int: ...
     @property

@@ -407,5 +407,5 @@ def test_still_pictures_keep_their_colours_to_a_grey_level_or_two():
     smooth = np.repeat(np.repeat(rng.integers(0, 255, (6, 8, 3), dtype=np.uint8), 16, axis=0), 16, axis=1)
     data, quality = encode_jpeg(smooth, full=True)
     assert quality == 95
-    # JPEG at q95 4:4:4: quantization steps of up to 5 in the coarse coefficients, so a few grey levels at most.
+    # JPEG at q95 4:4:4: quantisation steps of up to 5 in the coarse coefficients, so a few grey levels at most.
     assert np.abs(simplejpeg.decode_jpeg(data).astype(int) - smooth).max() <= 6

@@ -144,10 +144,10 @@ fn a_path_keeps_to_the_middle_and_its_cost_is_finite() {
 
 /// A trachea that splits into two bronchi, each of which splits again, on a given grid.
 fn airway(grid: &Grid) -> Vec<Tube> {
-    let center = grid
+    let centre = grid
         .to_lps(Ijk(grid.shape_ijk().map(|n| (n as f64 - 1.0) / 2.0)))
         .0;
-    let at = |x: f64, y: f64, z: f64| [center[0] + x, center[1] + y, center[2] + z];
+    let at = |x: f64, y: f64, z: f64| [centre[0] + x, centre[1] + y, centre[2] + z];
     vec![
         (at(0.0, 2.0, 60.0), at(0.0, 0.0, 5.0), 6.5),
         (at(0.0, 0.0, 5.0), at(-18.0, 1.0, -14.0), 5.0),
@@ -161,13 +161,13 @@ fn airway(grid: &Grid) -> Vec<Tube> {
 
 /// Neck and mediastinum of soft tissue, two lungs at -880 HU, air outside the body, and the airway with a wall.
 fn chest(grid: &Grid, tubes: &[Tube]) -> Vec<i16> {
-    let center = grid
+    let centre = grid
         .to_lps(Ijk(grid.shape_ijk().map(|n| (n as f64 - 1.0) / 2.0)))
         .0;
     (0..grid.num_voxels())
         .map(|at| {
             let p = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0;
-            let q = [0, 1, 2].map(|i| p[i] - center[i]);
+            let q = [0, 1, 2].map(|i| p[i] - centre[i]);
             let depth = tubes
                 .iter()
                 .map(|(a, b, r)| off_segment(p, *a, *b) - r)
@@ -321,8 +321,8 @@ fn a_trachea_with_a_narrow_bronchus_or_a_collapsed_lung_is_the_same_trachea_with
 #[test]
 fn a_main_bronchus_is_no_trachea_where_the_volume_begins_below_the_carina() {
     let grid = chest_grid([false; 3]);
-    let center = airway(&grid)[0].1;
-    let at = |x: f64, y: f64, z: f64| [center[0] + x, center[1] + y, center[2] + z];
+    let centre = airway(&grid)[0].1;
+    let at = |x: f64, y: f64, z: f64| [centre[0] + x, centre[1] + y, centre[2] + z];
     // Each is long and splits between the lungs; the other one gives it away.
     let side = |s: f64| {
         let fork = at(18.0 * s, 0.0, -5.0);

@@ -10,7 +10,7 @@ use carina_airpath::find::flood::{FloodLimits, flood};
 use carina_airpath::find::trachea::{AirLevels, Doubt, find_trachea};
 use carina_airpath::tree::branch::{self, Branch};
 use carina_airpath::tree::branches::{self, BranchLimits};
-use carina_airpath::tree::caliber;
+use carina_airpath::tree::calibre;
 use carina_airpath::tree::smooth::Point;
 use carina_grid::{Grid, Ijk, Lps, VolumeView};
 use carina_leastcost::graph::{Graph, NO_NODE};
@@ -346,10 +346,10 @@ impl LumenTracker {
             }
             .into_py());
         }
-        let calibers = py.detach(|| {
-            caliber::of_branches(&self.graph, &self.grid, &lines, &parents, |b| wanted[b])
+        let calibres = py.detach(|| {
+            calibre::of_branches(&self.graph, &self.grid, &lines, &parents, |b| wanted[b])
         });
-        Ok(calibers
+        Ok(calibres
             .into_iter()
             .map(|c| c.map(|c| c.section_mm.into_pyarray(py)))
             .collect())

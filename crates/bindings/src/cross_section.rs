@@ -30,12 +30,12 @@ struct SectionCasts {
 
 /// Cast the rays of planes across airways; 64 rays each.
 #[pyfunction]
-#[pyo3(signature = (values_zyx, lps_from_ijk, centers_lps, normals_lps, radius_mm, *, min_contrast, brightest_wall, noise, cancel=None, progress=None))]
+#[pyo3(signature = (values_zyx, lps_from_ijk, centres_lps, normals_lps, radius_mm, *, min_contrast, brightest_wall, noise, cancel=None, progress=None))]
 fn cast_sections(
     py: Python<'_>,
     values_zyx: PyReadonlyArray3<'_, i16>,
     lps_from_ijk: PyReadonlyArray2<'_, f64>,
-    centers_lps: Vec<[f64; 3]>,
+    centres_lps: Vec<[f64; 3]>,
     normals_lps: Vec<[f64; 3]>,
     radius_mm: Vec<f64>,
     min_contrast: f32,
@@ -46,19 +46,19 @@ fn cast_sections(
 ) -> PyResult<SectionCasts> {
     let grid = arrays::grid(&values_zyx, &lps_from_ijk)?;
     let data = arrays::values("values_zyx", &values_zyx)?;
-    if centers_lps.len() != normals_lps.len() || centers_lps.len() != radius_mm.len() {
-        let (c, n, r) = (centers_lps.len(), normals_lps.len(), radius_mm.len());
+    if centres_lps.len() != normals_lps.len() || centres_lps.len() != radius_mm.len() {
+        let (c, n, r) = (centres_lps.len(), normals_lps.len(), radius_mm.len());
         return Err(refused(
             "planes",
             "as many normals and radii as centres",
             format!("{c} centres, {n} normals, {r} radii"),
         ));
     }
-    let planes = centers_lps
+    let planes = centres_lps
         .into_iter()
         .zip(normals_lps)
         .zip(radius_mm)
-        .map(|((center, normal), radius_mm)| plane(center, normal, radius_mm))
+        .map(|((centre, normal), radius_mm)| plane(centre, normal, radius_mm))
         .collect::<PyResult<Vec<Plane>>>()?;
     let levels = SectionLevels {
         min_contrast,
@@ -77,19 +77,19 @@ fn cast_sections(
     })
 }
 
-fn plane(center: Point, normal: Point, radius_mm: f64) -> PyResult<Plane> {
-    let normal_found = unit(normal).filter(|_| center.iter().all(|v| v.is_finite()));
+fn plane(centre: Point, normal: Point, radius_mm: f64) -> PyResult<Plane> {
+    let normal_found = unit(normal).filter(|_| centre.iter().all(|v| v.is_finite()));
     // 60 mm: wider than any airway; the rays' length follows from it.
     match normal_found {
         Some(normal) if (0.0..=60.0).contains(&radius_mm) => Ok(Plane {
-            center,
+            centre,
             normal,
             radius_mm,
         }),
         _ => Err(refused(
             "plane",
             "a finite centre, a normal with length and a radius of 0 to 60 mm",
-            format!("{center:?}, {normal:?}, {radius_mm}"),
+            format!("{centre:?}, {normal:?}, {radius_mm}"),
         )),
     }
 }
@@ -138,8 +138,8 @@ impl SectionCasts {
         };
         let n = sections.len();
         dict.set_item(
-            "center_lps",
-            Array2::from_shape_fn((n, 3), |(s, a)| sections[s].center[a]).into_pyarray(py),
+            "centre_lps",
+            Array2::from_shape_fn((n, 3), |(s, a)| sections[s].centre[a]).into_pyarray(py),
         )?;
         dict.set_item("area_mm2", column(&|s| s.area_mm2))?;
         dict.set_item("equivalent_mm", column(&|s| s.equivalent_mm))?;

@@ -114,7 +114,7 @@ fn map_array<'py>(
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let simd = instruction_set(simd)?;
     let watch = PyWatch::new(cancel, None);
-    // SAFETY: not initialized, but bytes hold anything, and nobody else sees the array before it is written.
+    // SAFETY: not initialised, but bytes hold anything, and nobody else sees the array before it is written.
     // Benchmark: benchmarks/isoregion.py.
     let array = unsafe { PyArray3::<u8>::new(py, shape_zyx, false) };
     // SAFETY: the array is new: C-contiguous, and this is the only reference to its values.
@@ -199,7 +199,7 @@ fn content_digest(py: Python<'_>, voxels: Voxels<'_>) -> PyResult<String> {
         Voxels::Labels(labels) => values("voxels", labels)?,
         Voxels::Values(hu) => {
             let hu = values("voxels", hu)?;
-            // SAFETY: the bytes of initialized int16 values; u8 needs no alignment. Benchmark: hashing from a copy takes
+            // SAFETY: the bytes of initialised int16 values; u8 needs no alignment. Benchmark: hashing from a copy takes
             // twice the time.
             unsafe { std::slice::from_raw_parts(hu.as_ptr().cast::<u8>(), size_of_val(hu)) }
         }

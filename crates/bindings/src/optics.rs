@@ -70,7 +70,7 @@ fn rows<const N: usize>(what: &str, array: &PyReadonlyArray2<'_, f64>) -> PyResu
 impl Optics {
     #[new]
     #[pyo3(signature = (
-        model, coefficients, *, width, height, fov_rad=None, focal_px=None, center_px=None, calibrated_size_px=None
+        model, coefficients, *, width, height, fov_rad=None, focal_px=None, centre_px=None, calibrated_size_px=None
     ))]
     fn new(
         model: &str,
@@ -79,15 +79,15 @@ impl Optics {
         height: usize,
         fov_rad: Option<f64>,
         focal_px: Option<[f64; 2]>,
-        center_px: Option<[f64; 2]>,
+        centre_px: Option<[f64; 2]>,
         calibrated_size_px: Option<[usize; 2]>,
     ) -> PyResult<Self> {
         let distortion = distortion(model, &coefficients)?;
-        let lens = match (focal_px, center_px, calibrated_size_px) {
-            (Some(focal_px), Some(center_px), Some(size_px)) => Lens::Calibrated(Calibration {
+        let lens = match (focal_px, centre_px, calibrated_size_px) {
+            (Some(focal_px), Some(centre_px), Some(size_px)) => Lens::Calibrated(Calibration {
                 distortion,
                 focal_px,
-                center_px,
+                centre_px,
                 size_px,
             }),
             _ => Lens::Distorted(distortion),
@@ -167,8 +167,8 @@ impl Optics {
     }
 
     #[getter]
-    fn center_px(&self) -> (f64, f64) {
-        self.inner.center_px().into()
+    fn centre_px(&self) -> (f64, f64) {
+        self.inner.centre_px().into()
     }
 
     fn __repr__(&self) -> String {

@@ -122,8 +122,8 @@ impl GraphTracker {
     }
 
     #[getter]
-    fn num_centers(&self, py: Python<'_>) -> usize {
-        self.read(py, Inner::num_centers)
+    fn num_centres(&self, py: Python<'_>) -> usize {
+        self.read(py, Inner::num_centres)
     }
 
     #[getter]
@@ -156,8 +156,8 @@ impl GraphTracker {
     ) -> Option<(u32, [f64; 3], f64)> {
         let ijk = self.grid.to_ijk(Lps(point_lps)).0;
         let place = self.read(py, |inner| inner.place(ijk, reach_mm))?;
-        let center = self.grid.to_lps(Ijk(place.voxel.map(|v| v as f64))).0;
-        Some((place.node, center, place.to_node_mm))
+        let centre = self.grid.to_lps(Ijk(place.voxel.map(|v| v as f64))).0;
+        Some((place.node, centre, place.to_node_mm))
     }
 
     /// Settle what is needed for a node; True if a path exists.

@@ -99,7 +99,7 @@ fn generate_chest<'py>(
     out.set_item("branches", branches)?;
     if let Some(n) = chest.nodule {
         let dict = PyDict::new(py);
-        dict.set_item("center_lps", n.center_lps)?;
+        dict.set_item("center_lps", n.centre_lps)?;
         dict.set_item("radius_mm", n.radius_mm)?;
         dict.set_item("branch_id", n.branch_id)?;
         dict.set_item("distance_mm", n.distance_mm)?;
@@ -108,7 +108,7 @@ fn generate_chest<'py>(
     if let Some(s) = chest.stenosis {
         let dict = PyDict::new(py);
         dict.set_item("branch_id", s.branch_id)?;
-        dict.set_item("center_lps", s.center_lps)?;
+        dict.set_item("center_lps", s.centre_lps)?;
         dict.set_item("length_mm", s.length_mm)?;
         dict.set_item("min_radius_mm", s.min_radius_mm)?;
         dict.set_item("reference_radius_mm", s.reference_radius_mm)?;

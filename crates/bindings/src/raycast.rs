@@ -470,14 +470,14 @@ fn cut_plane<'py>(
 /// Rows of three planes in occlusion order: (rows, width, 3) uint8.
 #[pyfunction]
 #[pyo3(signature = (
-    hu_zyx, lps_from_ijk, center_lps, lps_from_camera, *, fov_rad, width, height, window_hu, clear_below=None,
+    hu_zyx, lps_from_ijk, centre_lps, lps_from_camera, *, fov_rad, width, height, window_hu, clear_below=None,
     background=[0; 3], brightness=[1.0; 3], rows=None
 ))]
 fn tri_plane<'py>(
     py: Python<'py>,
     hu_zyx: PyReadonlyArray3<'py, i16>,
     lps_from_ijk: PyReadonlyArray2<'py, f64>,
-    center_lps: [f64; 3],
+    centre_lps: [f64; 3],
     lps_from_camera: PyReadonlyArray2<'py, f64>,
     fov_rad: f64,
     width: usize,
@@ -493,7 +493,7 @@ fn tri_plane<'py>(
     let pose = affine("lps_from_camera", &lps_from_camera)?;
     let camera = Camera::new(pose, fov_rad, width, height).map_err(IntoPy::into_py)?;
     let planes = TriPlane {
-        center_lps,
+        centre_lps,
         window: Window::new(window_hu.0, window_hu.1).map_err(IntoPy::into_py)?,
         clear_below,
         background,

@@ -23,7 +23,7 @@ pub struct Calibration {
     /// fx, fy.
     pub focal_px: [f64; 2],
     /// Principal point in corner coordinates: `OpenCV`'s plus 1/2, since its pixel (0, 0) is the *centre* of the first.
-    pub center_px: [f64; 2],
+    pub centre_px: [f64; 2],
     /// Size of the pictures it was found from, width and height.
     pub size_px: [usize; 2],
 }
@@ -46,7 +46,7 @@ pub enum Lens {
 pub struct Optics {
     distortion: Distortion,
     focal_px: [f64; 2],
-    center_px: [f64; 2],
+    centre_px: [f64; 2],
     size_px: [usize; 2],
     /// The largest argument of the radial function, and its angle.
     limit: f64,
@@ -95,7 +95,7 @@ impl Optics {
         let mut optics = Self {
             distortion,
             focal_px: [0.0; 2],
-            center_px: [width as f64 / 2.0, height as f64 / 2.0],
+            centre_px: [width as f64 / 2.0, height as f64 / 2.0],
             size_px: [width, height],
             limit,
             limit_rad,
@@ -166,7 +166,7 @@ impl Optics {
             );
         }
         for a in 0..2 {
-            let (focal, center) = (calibration.focal_px[a], calibration.center_px[a]);
+            let (focal, centre) = (calibration.focal_px[a], calibration.centre_px[a]);
             if !(focal.is_finite() && focal > 0.0) {
                 return refuse(
                     "calibration's focal length",
@@ -174,15 +174,15 @@ impl Optics {
                     format!("{focal}"),
                 );
             }
-            if !(0.0..=from[a] as f64).contains(&center) {
+            if !(0.0..=from[a] as f64).contains(&centre) {
                 return refuse(
                     "calibration's principal point",
                     format!("0 to {} pixels", from[a]),
-                    format!("{center}"),
+                    format!("{centre}"),
                 );
             }
             self.focal_px[a] = focal * scale[a];
-            self.center_px[a] = center * scale[a];
+            self.centre_px[a] = centre * scale[a];
         }
         let [w, h] = to.map(|side| side as f64);
         let ends = if w < h {
@@ -263,7 +263,7 @@ impl Optics {
     /// fold of a model, nor behind an angular one.
     #[must_use]
     pub fn direction(&self, pixel: [f64; 2]) -> Option<[f64; 3]> {
-        let [x, y] = [0, 1].map(|a| (pixel[a] - self.center_px[a]) / self.focal_px[a]);
+        let [x, y] = [0, 1].map(|a| (pixel[a] - self.centre_px[a]) / self.focal_px[a]);
         let r = (x * x + y * y).sqrt();
         match self.distortion {
             Distortion::Fisheye { .. } => {
@@ -341,7 +341,7 @@ impl Optics {
                 self.bend(x / z, y / z).0
             }
         };
-        Some([0, 1].map(|a| self.center_px[a] + self.focal_px[a] * at[a]))
+        Some([0, 1].map(|a| self.centre_px[a] + self.focal_px[a] * at[a]))
     }
 
     /// How bright the image of an even field is in a direction, as a part of the middle's: the pupil seen from the side,
@@ -373,7 +373,7 @@ impl Optics {
             Distortion::Brown { p, .. } => p == [0.0; 2],
             Distortion::Fisheye { .. } => true,
         };
-        straight && self.center_px == [w / 2.0, h / 2.0] && self.focal_px[0] == self.focal_px[1]
+        straight && self.centre_px == [w / 2.0, h / 2.0] && self.focal_px[0] == self.focal_px[1]
     }
 
     /// Full angle across the shorter side.
@@ -396,8 +396,8 @@ impl Optics {
 
     /// Where the axis falls, in corner coordinates.
     #[must_use]
-    pub const fn center_px(&self) -> [f64; 2] {
-        self.center_px
+    pub const fn centre_px(&self) -> [f64; 2] {
+        self.centre_px
     }
 
     /// The distortion.

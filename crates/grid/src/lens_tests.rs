@@ -72,7 +72,7 @@ fn a_model_that_folds_inside_the_picture_is_refused_and_one_that_folds_outside_i
             p: [0.0; 2],
         },
         focal_px: [20.0, 20.0],
-        center_px: [32.0, 32.0],
+        centre_px: [32.0, 32.0],
         size_px: [64, 64],
     });
     let words = Optics::new(&folded, None, 64, 64).unwrap_err().to_string();
@@ -87,7 +87,7 @@ fn a_calibration_scales_with_the_picture_and_refuses_other_proportions() {
             p: [1e-3, -2e-3],
         },
         focal_px: [800.0, 810.0],
-        center_px: [645.5, 350.5],
+        centre_px: [645.5, 350.5],
         size_px: [1280, 720],
     });
     let full = Optics::new(&lens, None, 1280, 720).unwrap();
@@ -112,7 +112,7 @@ fn a_calibration_scales_with_the_picture_and_refuses_other_proportions() {
             ..calibration_of(&lens)
         },
         Calibration {
-            center_px: [-3.0, 300.0],
+            centre_px: [-3.0, 300.0],
             ..calibration_of(&lens)
         },
         Calibration {
@@ -120,7 +120,7 @@ fn a_calibration_scales_with_the_picture_and_refuses_other_proportions() {
             ..calibration_of(&lens)
         },
         Calibration {
-            center_px: [f64::NAN, 300.0],
+            centre_px: [f64::NAN, 300.0],
             ..calibration_of(&lens)
         },
     ] {

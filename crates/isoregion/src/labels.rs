@@ -36,7 +36,7 @@ pub const fn value_bin(hu: i32) -> i32 {
     hu.div_euclid(VALUE_BIN_HU)
 }
 
-/// The paper's labelling: equal quantized values. The 255 most frequent bins get labels 1 to 255, the others 0.
+/// The paper's labelling: equal quantised values. The 255 most frequent bins get labels 1 to 255, the others 0.
 ///
 /// `transparent(lo, hi)` says whether a bin has no opacity anywhere; it is only recorded.
 pub fn value_labels(hu: &[i16], transparent: impl Fn(i32, i32) -> bool) -> ClassLabels {

@@ -195,10 +195,10 @@ impl GraphTracker {
 
     /// Centres of `IsoRegion`s; 0 on a voxel graph.
     #[must_use]
-    pub const fn num_centers(&self) -> usize {
+    pub const fn num_centres(&self) -> usize {
         match &self.walk {
-            Walk::PaperPruned(graph, _) => graph.num_centers(),
-            Walk::LumenPruned(graph, _) => graph.num_centers(),
+            Walk::PaperPruned(graph, _) => graph.num_centres(),
+            Walk::LumenPruned(graph, _) => graph.num_centres(),
             Walk::Paper(..) | Walk::Lumen(_) => 0,
         }
     }
@@ -327,10 +327,10 @@ mod tests {
                 let path = tracker.tracker().path_to(target.node).unwrap();
                 assert_eq!(path[path.len() - 1], target.node);
                 if labels.is_none() {
-                    assert_eq!(tracker.num_centers(), 0);
+                    assert_eq!(tracker.num_centres(), 0);
                     assert_eq!(target.to_node_mm, 0.0);
                 } else {
-                    assert!(tracker.num_centers() > 0);
+                    assert!(tracker.num_centres() > 0);
                     assert!(tracker.num_nodes() < full.num_nodes());
                     // 16-HU bins and the class of the lumen see one region here.
                     assert!(tracker.num_edges() < full.num_edges());

@@ -77,10 +77,10 @@ pub struct IsoRegionGraph<B> {
     /// Node, for each node of the whole graph; [`NO_NODE`] where it was cut away.
     node_of: Vec<u32>,
     radius: Vec<u8>,
-    /// The centres whose cube has a node on its boundary: `centers[first_center[n]..first_center[n + 1]]`.
-    first_center: Vec<u32>,
-    centers: Vec<u32>,
-    num_centers: usize,
+    /// The centres whose cube has a node on its boundary: `centres[first_centre[n]..first_centre[n + 1]]`.
+    first_centre: Vec<u32>,
+    centres: Vec<u32>,
+    num_centres: usize,
     longest_mm: f64,
 }
 
@@ -126,12 +126,12 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         let mut graph = Self {
             base,
             grid: grid.clone(),
-            num_centers: radius.iter().filter(|r| **r > 0).count(),
+            num_centres: radius.iter().filter(|r| **r > 0).count(),
             kept,
             node_of,
             radius,
-            first_center: Vec::new(),
-            centers: Vec::new(),
+            first_centre: Vec::new(),
+            centres: Vec::new(),
             longest_mm: 0.0,
         };
         graph.link(watch)?;
@@ -143,13 +143,13 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         let num_nodes = self.kept.len();
         let mut first = vec![0u32; num_nodes + 1];
         let (mut num_links, mut longest_mm) = (0u64, 0.0f64);
-        let centers: Vec<u32> = (0..num_nodes as u32)
+        let centres: Vec<u32> = (0..num_nodes as u32)
             .filter(|n| self.radius[*n as usize] > 1)
             .collect();
-        for (number, &center) in centers.iter().enumerate() {
-            self.for_each_boundary_node(center, |node, length_mm| {
+        for (number, &centre) in centres.iter().enumerate() {
+            self.for_each_boundary_node(centre, |node, length_mm| {
                 longest_mm = longest_mm.max(length_mm);
-                if !self.finds(node, center) {
+                if !self.finds(node, centre) {
                     first[node as usize + 1] += 1;
                     num_links += 1;
                 }
@@ -161,12 +161,12 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
                     found: format!(
                         "more, after {number} of {} centres; large uniform regions have too many centres: track in a \
                          smaller region, or on the voxel graph",
-                        centers.len()
+                        centres.len()
                     ),
                 });
             }
             if number % 256 == 0 {
-                watch.go_on(0.3 + 0.4 * number as f64 / centers.len() as f64)?;
+                watch.go_on(0.3 + 0.4 * number as f64 / centres.len() as f64)?;
             }
         }
         for n in 0..num_nodes {
@@ -174,20 +174,20 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
         }
         let mut next = first.clone();
         let mut list = vec![0u32; num_links as usize];
-        for (number, &center) in centers.iter().enumerate() {
-            self.for_each_boundary_node(center, |node, _| {
-                if !self.finds(node, center) {
+        for (number, &centre) in centres.iter().enumerate() {
+            self.for_each_boundary_node(centre, |node, _| {
+                if !self.finds(node, centre) {
                     let at = &mut next[node as usize];
-                    list[*at as usize] = center;
+                    list[*at as usize] = centre;
                     *at += 1;
                 }
             });
             if number % 256 == 0 {
-                watch.go_on(0.7 + 0.3 * number as f64 / centers.len() as f64)?;
+                watch.go_on(0.7 + 0.3 * number as f64 / centres.len() as f64)?;
             }
         }
-        self.first_center = first;
-        self.centers = list;
+        self.first_centre = first;
+        self.centres = list;
         self.longest_mm = self.base.edge_length_range_mm().1.max(longest_mm);
         Ok(())
     }
@@ -199,9 +199,9 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
     }
 
     /// The kept voxels on the boundary of a centre's cube, for cubes beyond the 26 neighbours.
-    fn for_each_boundary_node(&self, center: u32, mut visit: impl FnMut(u32, f64)) {
-        let r = isize::from(self.radius[center as usize]);
-        let at = self.voxel(center).map(|v| v as isize);
+    fn for_each_boundary_node(&self, centre: u32, mut visit: impl FnMut(u32, f64)) {
+        let r = isize::from(self.radius[centre as usize]);
+        let at = self.voxel(centre).map(|v| v as isize);
         let look = |offset: [isize; 3]| {
             let to = std::array::from_fn(|a| at[a] + offset[a]);
             if let Some(whole) = self.base.node_of_voxel(to) {
@@ -243,8 +243,8 @@ impl<B: VoxelGraph + Sync> IsoRegionGraph<B> {
 
     /// Nodes that are the middle of a region.
     #[must_use]
-    pub const fn num_centers(&self) -> usize {
-        self.num_centers
+    pub const fn num_centres(&self) -> usize {
+        self.num_centres
     }
 
     /// The node of a voxel, or of the centre that it is nearest to by climbing the radii; `None` outside the graph.
@@ -317,11 +317,11 @@ impl<B: VoxelGraph + Sync> Graph for IsoRegionGraph<B> {
         if self.radius(node) > 1 {
             self.for_each_boundary_node(node, &mut visit);
         }
-        let range = self.first_center[node as usize]..self.first_center[node as usize + 1];
-        for &center in &self.centers[range.start as usize..range.end as usize] {
-            let (from, to) = (self.voxel(node), self.voxel(center));
+        let range = self.first_centre[node as usize]..self.first_centre[node as usize + 1];
+        for &centre in &self.centres[range.start as usize..range.end as usize] {
+            let (from, to) = (self.voxel(node), self.voxel(centre));
             visit(
-                center,
+                centre,
                 self.length_mm(std::array::from_fn(|a| to[a] as isize - from[a] as isize)),
             );
         }
@@ -380,9 +380,9 @@ impl LinkCost<LumenGraph> for LumenCost<'_> {
     fn link_weight_range(&self, graph: &IsoRegionGraph<LumenGraph>) -> (f64, f64) {
         let (least, greatest) = self.weight_range();
         let mut dearest = graph.base.edge_length_range_mm().1 * greatest;
-        for center in (0..graph.kept.len() as u32).filter(|n| graph.radius(*n) > 1) {
-            graph.for_each_boundary_node(center, |node, mm| {
-                let weight = self.link_weight(&graph.base, graph.whole(center), graph.whole(node));
+        for centre in (0..graph.kept.len() as u32).filter(|n| graph.radius(*n) > 1) {
+            graph.for_each_boundary_node(centre, |node, mm| {
+                let weight = self.link_weight(&graph.base, graph.whole(centre), graph.whole(node));
                 dearest = dearest.max(mm * weight);
             });
         }

@@ -83,7 +83,7 @@ fn pruning_gives_figure_12b() {
 #[test]
 fn linking_figure_12_connects_it() {
     let graph = figure_12();
-    assert_eq!(graph.num_centers(), 6);
+    assert_eq!(graph.num_centres(), 6);
     assert_eq!(components(&graph, 0..graph.num_nodes() as u32), 1);
     for node in 0..graph.num_nodes() as u32 {
         let mut links = Vec::new();
@@ -172,8 +172,8 @@ proptest! {
         for n in 0..grid.num_voxels() {
             let voxel = grid.voxel(n).map(|v| v as isize);
             let node = graph.node_for_voxel(voxel).unwrap();
-            let center = graph.voxel(node).map(|v| v as isize);
-            let distance = (0..3).map(|a| (voxel[a] - center[a]).abs()).max().unwrap();
+            let centre = graph.voxel(node).map(|v| v as isize);
+            let distance = (0..3).map(|a| (voxel[a] - centre[a]).abs()).max().unwrap();
             prop_assert!(distance <= isize::from(graph.radius(node)));
         }
     }
@@ -304,7 +304,7 @@ fn a_large_room_keeps_its_walls_and_its_middle() {
     let grid = grid([21, 21, 21]);
     let graph = pruned(&grid, &vec![1u8; grid.num_voxels()]);
     // The faces, and the one voxel in the middle that is farthest from all of them.
-    assert_eq!(graph.num_centers(), 1);
+    assert_eq!(graph.num_centres(), 1);
     assert_eq!(graph.num_nodes(), 21usize.pow(3) - 19usize.pow(3) + 1);
     let middle = graph.node_for_voxel([10, 10, 10]).unwrap();
     let mut num_links = 0;

@@ -310,14 +310,14 @@ impl LumenGraph {
         let Some((node, _)) = self.nearest_node(grid, ijk, 2.0 * reach_mm) else {
             return ijk;
         };
-        let center = self.voxel(node).map(|v| v as f64);
+        let centre = self.voxel(node).map(|v| v as f64);
         (1..=8)
             .map(|step| {
                 let share = f64::from(step) / 8.0;
-                std::array::from_fn(|a| ijk[a] + share * (center[a] - ijk[a]))
+                std::array::from_fn(|a| ijk[a] + share * (centre[a] - ijk[a]))
             })
             .find(|p| self.holds(*p))
-            .unwrap_or(center)
+            .unwrap_or(centre)
     }
 
     /// The lumen voxel nearest to a point within `reach_mm`, and its distance; ties go to the first in array order.

@@ -28,13 +28,13 @@ fn strokes() -> impl Strategy<Value = Vec<([i32; 3], i32, bool)>> {
     prop::collection::vec((at, 0..9i32, any::<bool>()), 1..6)
 }
 
-fn ball(center: [i32; 3], squared: i32) -> Vec<[u16; 3]> {
+fn ball(centre: [i32; 3], squared: i32) -> Vec<[u16; 3]> {
     let grid = grid();
     (0..grid.num_voxels())
         .map(|at| grid.voxel(at))
         .filter(|v| {
             (0..3)
-                .map(|a| (v[a] as i32 - center[a]).pow(2))
+                .map(|a| (v[a] as i32 - centre[a]).pow(2))
                 .sum::<i32>()
                 <= squared
         })
@@ -74,8 +74,8 @@ proptest! {
         let cost = LumenCost(&graph);
         let mut tracker = Tracker::new(&graph, &cost, root_node).unwrap();
         tracker.solve_all(&graph, &cost, &Unwatched).unwrap();
-        for (center, squared, erase) in strokes {
-            let voxels: Vec<[u16; 3]> = ball(center, squared)
+        for (centre, squared, erase) in strokes {
+            let voxels: Vec<[u16; 3]> = ball(centre, squared)
                 .into_iter()
                 .filter(|v| !erase || v.map(|x| x as isize) != root)
                 .collect();

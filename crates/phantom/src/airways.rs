@@ -272,13 +272,13 @@ impl AirwayTree {
                 return room;
             }
         }
-        let (center, reach) = branch.ball();
+        let (centre, reach) = branch.ball();
         for other in &self.branches {
             if Some(other.id) == branch.parent {
                 continue;
             }
-            let (other_center, other_reach) = other.ball();
-            if length(sub(center, other_center)) > reach + other_reach + GAP_MM + 12.0 {
+            let (other_centre, other_reach) = other.ball();
+            if length(sub(centre, other_centre)) > reach + other_reach + GAP_MM + 12.0 {
                 continue;
             }
             for (&p, &r) in branch.points.iter().zip(&branch.radius_mm).skip(1) {

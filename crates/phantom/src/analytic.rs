@@ -61,7 +61,7 @@ pub fn y_junction(
 /// # Panics
 /// If there is not one value more than radii.
 #[must_use]
-pub fn shells(grid: &Grid, center_lps: [f64; 3], radii_mm: &[f64], values_hu: &[i16]) -> Vec<i16> {
+pub fn shells(grid: &Grid, centre_lps: [f64; 3], radii_mm: &[f64], values_hu: &[i16]) -> Vec<i16> {
     assert_eq!(
         values_hu.len(),
         radii_mm.len() + 1,
@@ -70,7 +70,7 @@ pub fn shells(grid: &Grid, center_lps: [f64; 3], radii_mm: &[f64], values_hu: &[
     (0..grid.num_voxels())
         .map(|n| {
             let p = grid.lps_from_ijk().point(grid.voxel(n).map(|v| v as f64));
-            let r = length(sub(p, center_lps));
+            let r = length(sub(p, centre_lps));
             values_hu[radii_mm.iter().take_while(|&&edge| r >= edge).count()]
         })
         .collect()

@@ -176,14 +176,14 @@ pub(crate) fn surfaces(p: [f64; 3]) -> Surfaces {
     let diaphragm = diaphragm(p);
     let heart = heart(p);
     let spine = spine(p);
-    let mut center = smooth_min(mediastinum(p), heart, 12.0);
+    let mut centre = smooth_min(mediastinum(p), heart, 12.0);
     for side in [-1.0, 1.0] {
         // Hilum: where bronchi and vessels enter.
         let hilum = ellipsoid(p, [side * 30.0, 4.0, -30.0], [15.0, 14.0, 24.0]);
-        center = smooth_min(center, hilum, 8.0);
+        centre = smooth_min(centre, hilum, 8.0);
     }
-    center = smooth_min(center, spine - 5.0, 10.0);
-    let lung = smooth_max(smooth_max(cavity, diaphragm, 6.0), -center, 5.0);
+    centre = smooth_min(centre, spine - 5.0, 10.0);
+    let lung = smooth_max(smooth_max(cavity, diaphragm, 6.0), -centre, 5.0);
     Surfaces {
         skin: skin(p),
         cavity,

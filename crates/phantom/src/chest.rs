@@ -56,7 +56,7 @@ pub struct Stenosis {
     /// The narrowed airway.
     pub branch_id: usize,
     /// Its narrowest place, LPS mm, a point of the centreline.
-    pub center_lps: [f64; 3],
+    pub centre_lps: [f64; 3],
     /// Length of the narrowed stretch.
     pub length_mm: f64,
     /// Radius at the narrowest place.
@@ -220,7 +220,7 @@ fn narrow(tree: &mut AirwayTree, random: &mut Random) -> Stenosis {
     }
     Stenosis {
         branch_id: id,
-        center_lps: branch.points[middle],
+        centre_lps: branch.points[middle],
         length_mm,
         min_radius_mm: branch.radius_mm[middle],
         reference_radius_mm,
@@ -247,17 +247,17 @@ fn place_nodule(tree: &AirwayTree, random: &mut Random) -> Nodule {
             random.range(0.0, core::f64::consts::TAU),
             random.range(0.0, 0.6),
         );
-        let center_lps = along(end.tip(), radius_mm + random.range(3.0, 8.0), dir);
-        let (branch_id, distance_mm) = tree.nearest(center_lps);
+        let centre_lps = along(end.tip(), radius_mm + random.range(3.0, 8.0), dir);
+        let (branch_id, distance_mm) = tree.nearest(centre_lps);
         let found = Nodule {
-            center_lps,
+            centre_lps,
             radius_mm,
             branch_id,
             distance_mm,
         };
         let branch = &tree.branches[branch_id];
         let clear = distance_mm - radius_mm - branch.radius_mm[0] - branch.wall_mm;
-        let room = clear.min(-lung_distance(center_lps) - radius_mm - 2.0);
+        let room = clear.min(-lung_distance(centre_lps) - radius_mm - 2.0);
         if room > 0.0 {
             return found;
         }
@@ -268,7 +268,7 @@ fn place_nodule(tree: &AirwayTree, random: &mut Random) -> Nodule {
     // 400 tries without room do not happen (tested over many seeds); the least bad one is still placed and reported.
     best.map_or_else(
         || Nodule {
-            center_lps: tree.branches[0].points[0],
+            centre_lps: tree.branches[0].points[0],
             radius_mm: 0.0,
             branch_id: 0,
             distance_mm: 0.0,

@@ -4,7 +4,7 @@
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nodule {
     /// Centre, LPS mm.
-    pub center_lps: [f64; 3],
+    pub centre_lps: [f64; 3],
     /// Radius.
     pub radius_mm: f64,
     /// The airway nearest to it.

@@ -3,7 +3,7 @@ use rayon::prelude::*;
 use crate::random::mixed;
 
 /// Weights of the in-plane kernel on a 3 x 3 neighbourhood: a little smoothing, as a soft-tissue reconstruction has.
-const CENTER: f32 = 0.62;
+const CENTRE: f32 = 0.62;
 const SIDE: f32 = 0.30;
 const CORNER: f32 = 0.145;
 
@@ -19,14 +19,14 @@ pub(crate) fn add_noise(slice: &mut [f32], width: usize, z: usize, seed: u64, si
     let white: Vec<f32> = (0..stride * (height + 2))
         .map(|n| white(mixed(key.wrapping_add(n as u64))))
         .collect();
-    let power = CENTER * CENTER + 4.0 * (SIDE * SIDE + CORNER * CORNER);
+    let power = CENTRE * CENTRE + 4.0 * (SIDE * SIDE + CORNER * CORNER);
     let gain = sigma_hu as f32 / power.sqrt();
     for (y, row) in slice.chunks_mut(width).enumerate() {
         let [above, own, below] = [y, y + 1, y + 2].map(|r| &white[r * stride..(r + 1) * stride]);
         for (x, value) in row.iter_mut().enumerate() {
             let sides = own[x] + own[x + 2] + above[x + 1] + below[x + 1];
             let corners = above[x] + above[x + 2] + below[x] + below[x + 2];
-            *value += gain * (CENTER * own[x + 1] + SIDE * sides + CORNER * corners);
+            *value += gain * (CENTRE * own[x + 1] + SIDE * sides + CORNER * corners);
         }
     }
 }

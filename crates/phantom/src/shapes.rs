@@ -107,8 +107,8 @@ impl Piece {
 }
 
 /// Distance to an ellipsoid with axes along LPS, first order near the surface.
-pub(crate) fn ellipsoid(p: [f64; 3], center: [f64; 3], radii: [f64; 3]) -> f64 {
-    let q: [f64; 3] = std::array::from_fn(|a| (p[a] - center[a]) / radii[a]);
+pub(crate) fn ellipsoid(p: [f64; 3], centre: [f64; 3], radii: [f64; 3]) -> f64 {
+    let q: [f64; 3] = std::array::from_fn(|a| (p[a] - centre[a]) / radii[a]);
     let k0 = length(q);
     let k1 = length(std::array::from_fn(|a| q[a] / radii[a]));
     if k1 < 1e-9 {

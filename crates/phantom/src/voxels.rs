@@ -129,13 +129,13 @@ impl<'a> Bricks<'a> {
     fn of(&self, lo: [f64; 3], hi: [f64; 3]) -> Option<([usize; 3], [usize; 3])> {
         let (grid, num_bricks) = (self.grid, self.num);
         let m = grid.ijk_from_lps();
-        let center = m.point(std::array::from_fn(|a| 0.5 * (lo[a] + hi[a])));
+        let centre = m.point(std::array::from_fn(|a| 0.5 * (lo[a] + hi[a])));
         let mut first = [0; 3];
         let mut last = [0; 3];
         for axis in 0..3 {
             let row = m.rows()[axis];
             let reach: f64 = (0..3).map(|a| 0.5 * (hi[a] - lo[a]) * row[a].abs()).sum();
-            let (from, to) = (center[axis] - reach, center[axis] + reach);
+            let (from, to) = (centre[axis] - reach, centre[axis] + reach);
             let end = grid.shape_ijk()[axis] as f64 - 1.0;
             if to < 0.0 || from > end {
                 return None;
@@ -155,13 +155,13 @@ impl<'a> Bricks<'a> {
             brick / self.num[0] / self.num[1],
         ];
         let half = self.size.map(|n| (n - 1) as f64 / 2.0);
-        let center = self.grid.lps_from_ijk().point(std::array::from_fn(|a| {
+        let centre = self.grid.lps_from_ijk().point(std::array::from_fn(|a| {
             (at[a] * self.size[a]) as f64 + half[a]
         }));
         let spacing = self.grid.spacing_mm();
         let reach =
             length(std::array::from_fn(|a| spacing[a] * half[a])) + 0.5 * length(spacing) + BLUR_MM;
-        let s = surfaces(center);
+        let s = surfaces(centre);
         // The distances are good to some tens of per cent at this range; the factor is the guard.
         if s.skin > 1.7 * reach {
             Kind::Air
@@ -482,7 +482,7 @@ impl<'a> Scene<'a> {
                 }
             }
             if let Some(nodule) = self.nodule {
-                let d = length(sub(p, nodule.center_lps)) - nodule.radius_mm;
+                let d = length(sub(p, nodule.centre_lps)) - nodule.radius_mm;
                 hu = mix(hu, NODULE_HU, cover(d, body_sigma));
             }
             let all = lists.airways.of(brick);

@@ -16,7 +16,7 @@ impl Transfer {
     /// From points `[hu, r, g, b, alpha]` in order of HU, colours and opacities 0..1, opacity per `reference_mm`.
     ///
     /// Two points at one HU make a step; the later one holds at that HU. With `bin_hu` above 1 every bin of that width
-    /// has the colour of its middle (the paper's quantized values).
+    /// has the colour of its middle (the paper's quantised values).
     pub fn new(
         points: Vec<[f64; 5]>,
         reference_mm: f64,

@@ -11,7 +11,7 @@ use crate::{Field, Window};
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TriPlane {
     /// Where they meet, LPS mm.
-    pub center_lps: [f64; 3],
+    pub centre_lps: [f64; 3],
     /// How values become grey.
     pub window: Window,
     /// Values below this are seen through, or `None` to keep all.
@@ -45,7 +45,7 @@ pub fn cast_tri_plane(
                 let dir = camera.ray(column, row).dir_lps;
                 let mut hits: [(f64, usize); 3] = std::array::from_fn(|axis| {
                     // A ray along a plane never meets it; a plane behind the camera is not seen.
-                    let t = (planes.center_lps[axis] - origin[axis]) / dir[axis];
+                    let t = (planes.centre_lps[axis] - origin[axis]) / dir[axis];
                     (if t > 0.0 { t } else { f64::INFINITY }, axis)
                 });
                 hits.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -92,7 +92,7 @@ mod tests {
         );
         let camera = Camera::new(pose, 0.2, 65, 65).unwrap();
         let mut planes = TriPlane {
-            center_lps: [2.0, 4.0, 4.0],
+            centre_lps: [2.0, 4.0, 4.0],
             window: Window::new(255.0, 127.5).unwrap(),
             clear_below: None,
             background: [9, 8, 7],

@@ -1,7 +1,7 @@
 use carina_grid::{Affine, cross, dot, length, unit};
 
 use crate::ScopeError;
-use crate::frames::rotation_minimizing_frames;
+use crate::frames::rotation_minimising_frames;
 use crate::gaze::{gaze, smoothed};
 
 /// Distance of the curve's knots. Small against a voxel, so straight lines between knots look like a curve.
@@ -234,7 +234,7 @@ fn frames_along(
             along[i - 1][a] + 0.5 * step_mm * (looks[i - 1][a] + looks[i][a])
         });
     }
-    let frames = rotation_minimizing_frames(&along, looks, up)?;
+    let frames = rotation_minimising_frames(&along, looks, up)?;
     Some(
         frames
             .iter()

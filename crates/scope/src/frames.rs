@@ -16,7 +16,7 @@ fn mirrored(a: [f64; 3], v: [f64; 3]) -> [f64; 3] {
 /// `tangents` are unit vectors, one per point. `up` seeds the first frame; it need not be at a right angle to the first
 /// tangent, only not along it (then `None`). Each frame has +x right, +y down, +z along the tangent, and the point as origin.
 #[must_use]
-pub fn rotation_minimizing_frames(
+pub fn rotation_minimising_frames(
     points: &[[f64; 3]],
     tangents: &[[f64; 3]],
     up: [f64; 3],
@@ -72,7 +72,7 @@ mod tests {
         for num in [31usize, 61] {
             let (points, tangents) = helix(a, b, length, num);
             // Frenet normal at the start points to the axis, -x; use it as "up", so down = +x.
-            let frames = rotation_minimizing_frames(&points, &tangents, [-1.0, 0.0, 0.0]).unwrap();
+            let frames = rotation_minimising_frames(&points, &tangents, [-1.0, 0.0, 0.0]).unwrap();
             let last = frames.last().unwrap();
             let p = points[num - 1];
             let outwards = unit([p[0], p[1], 0.0]).unwrap();
@@ -90,7 +90,7 @@ mod tests {
     #[test]
     fn in_a_plane_the_frame_keeps_the_normal_of_the_plane() {
         let (points, tangents) = helix(20.0, 0.0, 90.0, 50);
-        let frames = rotation_minimizing_frames(&points, &tangents, [0.0, 0.0, 1.0]).unwrap();
+        let frames = rotation_minimising_frames(&points, &tangents, [0.0, 0.0, 1.0]).unwrap();
         for frame in frames {
             assert!(frame.is_rigid(1e-12));
             assert!((frame.column(1)[2] + 1.0).abs() < 1e-12);
@@ -100,6 +100,6 @@ mod tests {
     #[test]
     fn an_up_direction_along_the_tangent_is_refused() {
         let (points, tangents) = helix(20.0, 0.0, 90.0, 5);
-        assert!(rotation_minimizing_frames(&points, &tangents, tangents[0]).is_none());
+        assert!(rotation_minimising_frames(&points, &tangents, tangents[0]).is_none());
     }
 }

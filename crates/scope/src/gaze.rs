@@ -1,12 +1,12 @@
 use carina_grid::unit;
 
-/// Weights of a Gaussian around `center`, in steps of `step`, cut at three sigma, with the offset of the first.
-fn gaussian(center: f64, sigma: f64, step: f64) -> (isize, Vec<f64>) {
-    let first = ((center - 3.0 * sigma) / step).floor() as isize;
-    let last = ((center + 3.0 * sigma) / step).ceil() as isize;
+/// Weights of a Gaussian around `centre`, in steps of `step`, cut at three sigma, with the offset of the first.
+fn gaussian(centre: f64, sigma: f64, step: f64) -> (isize, Vec<f64>) {
+    let first = ((centre - 3.0 * sigma) / step).floor() as isize;
+    let last = ((centre + 3.0 * sigma) / step).ceil() as isize;
     let weights: Vec<f64> = (first..=last)
         .map(|n| {
-            let u = (n as f64 * step - center) / sigma;
+            let u = (n as f64 * step - centre) / sigma;
             libm::exp(-0.5 * u * u)
         })
         .collect();

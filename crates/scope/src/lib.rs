@@ -42,7 +42,7 @@ pub use force::{
     ForceLaw, ForceModel, HandForce, HandSample, LIMIT_N, MAX_STIFFNESS_N_PER_MM, SLEW_N_PER_MS,
 };
 pub use force_loop::{ForceLoop, LoopOptions, WanderingHand};
-pub use frames::rotation_minimizing_frames;
+pub use frames::rotation_minimising_frames;
 pub use loop_figures::LoopFigures;
 pub use packet::{FORCE_BYTES, ForcePacket, SAMPLE_BYTES, SamplePacket};
 pub use simulated::SimulatedHand;

@@ -218,7 +218,7 @@ class Optics:
     @property
     def centre_px(self) -> tuple[float, float]:
         """Where the axis falls, in corner coordinates."""
-        return self._core.center_px
+        return self._core.centre_px
 
     def directions_of(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Unit directions (n, 3) in camera space of points of the picture (n, 2); NaN where the lens has none."""
@@ -258,7 +258,7 @@ def _optics(lens: Lens, width: int, height: int, fov_deg: float | None) -> Optic
         height=height,
         fov_rad=None if fov_deg is None else math.radians(fov_deg),
         focal_px=None if known is None else known.focal_px,
-        center_px=None if known is None else known.centre_px,
+        centre_px=None if known is None else known.centre_px,
         calibrated_size_px=None if known is None else known.size_px,
     )
     return Optics(lens, (width, height), fov_deg, core)

@@ -211,21 +211,21 @@ impl<'a> Rising<'a> {
             self.state[*at as usize] = UNKNOWN;
         }
         let grid = self.values.grid();
-        let center = grid.voxel(entry as usize);
-        self.leaks.push((center, level));
+        let centre = grid.voxel(entry as usize);
+        self.leaks.push((centre, level));
         let (shape, spacing) = (grid.shape_ijk(), grid.spacing_mm());
         let reach: [usize; 3] =
             std::array::from_fn(|a| (self.limits.closed_radius_mm / spacing[a]) as usize);
-        let low: [usize; 3] = std::array::from_fn(|a| center[a].saturating_sub(reach[a]));
-        let high: [usize; 3] = std::array::from_fn(|a| (center[a] + reach[a]).min(shape[a] - 1));
+        let low: [usize; 3] = std::array::from_fn(|a| centre[a].saturating_sub(reach[a]));
+        let high: [usize; 3] = std::array::from_fn(|a| (centre[a] + reach[a]).min(shape[a] - 1));
         for k in low[2]..=high[2] {
             for j in low[1]..=high[1] {
                 for i in low[0]..=high[0] {
                     let at = grid.index([i, j, k]);
                     let off = carina_grid::length([
-                        (i as f64 - center[0] as f64) * spacing[0],
-                        (j as f64 - center[1] as f64) * spacing[1],
-                        (k as f64 - center[2] as f64) * spacing[2],
+                        (i as f64 - centre[0] as f64) * spacing[0],
+                        (j as f64 - centre[1] as f64) * spacing[1],
+                        (k as f64 - centre[2] as f64) * spacing[2],
                     ]);
                     if off <= self.limits.closed_radius_mm && self.state[at] != LUMEN {
                         self.state[at] = CLOSED;

@@ -18,7 +18,7 @@ pub struct AirLevels {
 pub(crate) struct Spot {
     /// A voxel of the spot near its centre.
     pub(crate) voxel: [usize; 3],
-    pub(crate) center_lps: [f64; 3],
+    pub(crate) centre_lps: [f64; 3],
     pub(crate) area_mm2: f64,
     elongation: f64,
     /// Share of directions in which soft tissue follows.
@@ -167,7 +167,7 @@ pub(crate) fn spots_of_air(
         cells.sort_unstable();
         spots.push(Spot {
             voxel,
-            center_lps: grid.to_lps(Ijk(at)).0,
+            centre_lps: grid.to_lps(Ijk(at)).0,
             area_mm2,
             elongation,
             ringed,
@@ -183,7 +183,7 @@ fn ringed_share(
     nu: usize,
     nv: usize,
     scale_mm: [f64; 2],
-    center: usize,
+    centre: usize,
     levels: AirLevels,
     value: &impl Fn(usize, usize) -> i16,
 ) -> f64 {
@@ -195,8 +195,8 @@ fn ringed_share(
         let mut left_air_at = None;
         for s in 1.. {
             let along = f64::from(s) * step_mm;
-            let p = (center % nu) as f64 + cos * along / scale_mm[0];
-            let q = (center / nu) as f64 + sin * along / scale_mm[1];
+            let p = (centre % nu) as f64 + cos * along / scale_mm[0];
+            let q = (centre / nu) as f64 + sin * along / scale_mm[1];
             if p < 0.0 || q < 0.0 || p > nu as f64 - 1.0 || q > nv as f64 - 1.0 {
                 break;
             }
@@ -265,13 +265,13 @@ pub(crate) fn chains(
 
 /// Distance of two spots across the head-feet axis.
 pub(crate) fn across_mm(a: &Spot, b: &Spot) -> f64 {
-    (a.center_lps[0] - b.center_lps[0]).hypot(a.center_lps[1] - b.center_lps[1])
+    (a.centre_lps[0] - b.centre_lps[0]).hypot(a.centre_lps[1] - b.centre_lps[1])
 }
 
 pub(crate) fn chain_length_mm(slices: &[Vec<Spot>], chain: &Chain) -> f64 {
-    let top = slices[chain.first][chain.spots[0]].center_lps;
+    let top = slices[chain.first][chain.spots[0]].centre_lps;
     let last = chain.spots.len() - 1;
-    let bottom = slices[chain.first + last][chain.spots[last]].center_lps;
+    let bottom = slices[chain.first + last][chain.spots[last]].centre_lps;
     length(std::array::from_fn(|a| top[a] - bottom[a]))
 }
 

@@ -230,7 +230,7 @@ impl Scene<'_> {
             };
         let top = self.spot(chain, 0);
         let bottom = self.spot(chain, ends_at);
-        let length_mm = length([0, 1, 2].map(|a| top.center_lps[a] - bottom.center_lps[a]));
+        let length_mm = length([0, 1, 2].map(|a| top.centre_lps[a] - bottom.centre_lps[a]));
         let diameters_mm: Vec<f64> = (0..=ends_at)
             .map(|n| self.spot(chain, n).diameter_mm())
             .collect();
@@ -255,8 +255,8 @@ impl Scene<'_> {
             .map(|n| self.spot(chain, n).area_mm2 * self.step_mm)
             .sum();
         let candidate = Candidate {
-            top_z_mm: top.center_lps[2],
-            bottom_z_mm: bottom.center_lps[2],
+            top_z_mm: top.centre_lps[2],
+            bottom_z_mm: bottom.centre_lps[2],
             volume_mm3,
             ends_at,
             trachea: Trachea {
@@ -325,14 +325,14 @@ impl Scene<'_> {
                 // +x is the patient's left.
                 for (right, right_then) in &tubes {
                     for (left, left_then) in &tubes {
-                        let now = left.center_lps[0] - right.center_lps[0];
-                        let then = left_then.center_lps[0] - right_then.center_lps[0];
-                        let between = right.center_lps[0] - 3.0 < end.center_lps[0]
-                            && end.center_lps[0] < left.center_lps[0] + 3.0;
+                        let now = left.centre_lps[0] - right.centre_lps[0];
+                        let then = left_then.centre_lps[0] - right_then.centre_lps[0];
+                        let between = right.centre_lps[0] - 3.0 < end.centre_lps[0]
+                            && end.centre_lps[0] < left.centre_lps[0] + 3.0;
                         let (one, two) = (left.diameter_mm(), right.diameter_mm());
                         let wide_enough =
                             one.max(two) >= rule.wider_mm && one.min(two) >= rule.narrower_mm;
-                        let front_back = (left.center_lps[1] - right.center_lps[1]).abs();
+                        let front_back = (left.centre_lps[1] - right.centre_lps[1]).abs();
                         // 1 mm per 3 mm: main bronchi part by at least 30 degrees.
                         if now >= 7.0
                             && then - now >= rule.follow_mm / 3.0
@@ -341,7 +341,7 @@ impl Scene<'_> {
                             && front_back <= rule.front_back_mm
                         {
                             let carina = std::array::from_fn(|a| {
-                                0.5 * (left.center_lps[a] + right.center_lps[a])
+                                0.5 * (left.centre_lps[a] + right.centre_lps[a])
                             });
                             return Some((carina, ends_at));
                         }
@@ -359,14 +359,14 @@ impl Scene<'_> {
         let top = self.spot(chain, 0);
         // The line through the upper part: from the top to 60 % of the way.
         let upper = self.spot(chain, last * 3 / 5);
-        let down = top.center_lps[2] - upper.center_lps[2];
+        let down = top.centre_lps[2] - upper.centre_lps[2];
         if down < STRICT_LENGTH_MM / 2.0 {
             return None;
         }
-        let slope = (upper.center_lps[0] - top.center_lps[0]) / down;
+        let slope = (upper.centre_lps[0] - top.centre_lps[0]) / down;
         let aside = |spot: &Spot| {
-            let on_line = top.center_lps[0] + slope * (top.center_lps[2] - spot.center_lps[2]);
-            (spot.center_lps[0] - on_line).abs()
+            let on_line = top.centre_lps[0] + slope * (top.centre_lps[2] - spot.centre_lps[2]);
+            (spot.centre_lps[0] - on_line).abs()
         };
         let num_gap = (20.0 / self.step_mm).ceil() as usize;
         let below = chain.first + last + 1;
@@ -388,7 +388,7 @@ impl Scene<'_> {
         let ends_at = (0..=last)
             .rev()
             .find(|n| aside(self.spot(chain, *n)) < 0.5 * ASIDE_MM)?;
-        Some((self.spot(chain, ends_at).center_lps, ends_at))
+        Some((self.spot(chain, ends_at).centre_lps, ends_at))
     }
 
     /// True if another tube of about its width runs beside the chain, to the right or to the left.
@@ -406,7 +406,7 @@ impl Scene<'_> {
                     ) else {
                         return false;
                     };
-                    let off = (its.center_lps[0] - mine.center_lps[0]).abs();
+                    let off = (its.centre_lps[0] - mine.centre_lps[0]).abs();
                     (TWIN_OFF_MM.0..=TWIN_OFF_MM.1).contains(&off)
                         && its.diameter_mm() >= TWIN_DIAMETER * mine.diameter_mm()
                         && its.ringed >= 0.7

@@ -26,7 +26,7 @@ pub const LEAST_WALL_SHARE: f64 = 0.3;
 /// What is thicker is not the wall alone: the far side found is that of what lies against it.
 pub const THICKEST_WALL_MM: f64 = 3.0;
 /// A centre that is off by less than this share of a voxel is in the middle.
-const CENTERED_VOX: f64 = 0.1;
+const CENTRED_VOX: f64 = 0.1;
 const MAX_CASTS: usize = 4;
 /// Planes between two looks at the watch; few, so that pictures that are due do not wait for more than some milliseconds.
 const PLANES_PER_LOOK: usize = 16;
@@ -41,7 +41,7 @@ const TRUST: f64 = 0.35;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plane {
     /// A point well inside the lumen, LPS mm.
-    pub center: Point,
+    pub centre: Point,
     /// Unit vector along the airway.
     pub normal: Point,
     /// About how far the wall is, mm: rays give up at [`reach_mm`].
@@ -52,7 +52,7 @@ pub struct Plane {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Section {
     /// Centre of the lumen found (of its area), in the plane.
-    pub center: Point,
+    pub centre: Point,
     /// Area of the lumen.
     pub area_mm2: f64,
     /// Diameter of the circle with that area.
@@ -77,7 +77,7 @@ pub struct Section {
     pub wall_share: f64,
     /// Rays that left the volume before they met a wall, 0 to 1.
     pub left_share: f64,
-    /// Distance of the lumen's edge from `center` along each ray; NaN where it was not found.
+    /// Distance of the lumen's edge from `centre` along each ray; NaN where it was not found.
     pub edge_mm: [f64; NUM_RAYS],
     /// Distance of the wall's outer edge likewise.
     pub outer_mm: [f64; NUM_RAYS],
@@ -121,31 +121,31 @@ pub fn cast_planes(
 #[must_use]
 pub fn cast_plane(values: VolumeView<'_, i16>, plane: Plane, levels: SectionLevels) -> Cast {
     let axes = plane_axes(plane.normal);
-    let centered_mm = CENTERED_VOX * values.grid().min_spacing_mm();
-    let mut center = plane.center;
-    let mut rays = cast(values, center, axes, plane.radius_mm, levels);
+    let centred_mm = CENTRED_VOX * values.grid().min_spacing_mm();
+    let mut centre = plane.centre;
+    let mut rays = cast(values, centre, axes, plane.radius_mm, levels);
     for _ in 1..MAX_CASTS {
         let Some(contour) = filled(&without_outliers(&rays)) else {
             break;
         };
         let [u, v] = centroid(&contour);
         let far_mm = u.hypot(v);
-        if far_mm <= centered_mm {
+        if far_mm <= centred_mm {
             break;
         }
         // A hole in the contour can pull the centre out of the lumen: at most half a radius at a time.
         let share = (0.5 * plane.radius_mm / far_mm).min(1.0);
         let next: Point =
-            std::array::from_fn(|a| center[a] + share * (u * axes.0[a] + v * axes.1[a]));
+            std::array::from_fn(|a| centre[a] + share * (u * axes.0[a] + v * axes.1[a]));
         let cast_again = cast(values, next, axes, plane.radius_mm, levels);
         // A step that loses the wall was one into a neighbour.
         if share_met(&cast_again) + 0.05 < share_met(&rays) {
             break;
         }
-        (center, rays) = (next, cast_again);
+        (centre, rays) = (next, cast_again);
     }
     Cast {
-        center,
+        centre,
         normal: plane.normal,
         rays,
     }
@@ -153,7 +153,7 @@ pub fn cast_plane(values: VolumeView<'_, i16>, plane: Plane, levels: SectionLeve
 
 fn cast(
     values: VolumeView<'_, i16>,
-    center: Point,
+    centre: Point,
     (across, up): (Point, Point),
     radius_mm: f64,
     levels: SectionLevels,
@@ -161,7 +161,7 @@ fn cast(
     let voxel_mm = values.grid().min_spacing_mm();
     let step_mm = (0.25 * voxel_mm).clamp(0.05, 0.3);
     let reach_mm = reach_mm(radius_mm, voxel_mm);
-    let from = values.grid().to_ijk(Lps(center)).0;
+    let from = values.grid().to_ijk(Lps(centre)).0;
     let mut profile = Profile::default();
     std::array::from_fn(|n| {
         let dir = direction((across, up), n);
@@ -197,7 +197,7 @@ impl Section {
             std::array::from_fn(|n| correction.as_ref().map_or(0.0, |c| c.shift_mm[n]));
         let edge_mm: [f64; NUM_RAYS] = std::array::from_fn(|n| raw_mm[n] + shift[n]);
         let mut section = Self {
-            center: cast.center,
+            centre: cast.centre,
             area_mm2: f64::NAN,
             equivalent_mm: f64::NAN,
             min_mm: f64::NAN,

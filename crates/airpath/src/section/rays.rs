@@ -15,7 +15,7 @@ pub const LEAST_SHARE: f64 = 0.6;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cast {
     /// Where the rays began, LPS mm.
-    pub center: Point,
+    pub centre: Point,
     /// Unit vector along the airway.
     pub normal: Point,
     /// Counter-clockwise as seen against the normal, from the first axis of [`plane_axes`].

@@ -19,7 +19,7 @@ const SIGMA_MM: f64 = 0.5;
 
 /// A straight tube with an elliptical lumen and a wall, blurred by a Gaussian.
 struct Tube {
-    center: Point,
+    centre: Point,
     axis: Point,
     /// Half of the lumen's width along the two axes of the plane.
     half_mm: [f64; 2],
@@ -38,7 +38,7 @@ const PICTURE_MM: f64 = 14.0;
 impl Tube {
     fn new(axis: Point, half_mm: [f64; 2], wall_mm: f64) -> Self {
         Self {
-            center: [0.3, -0.2, 0.4],
+            centre: [0.3, -0.2, 0.4],
             axis: unit(axis).unwrap(),
             half_mm,
             wall_mm,
@@ -122,7 +122,7 @@ fn draw(grid: &Grid, tube: &Tube) -> Vec<i16> {
     (0..grid.num_voxels())
         .map(|at| {
             let p = grid.to_lps(Ijk(grid.voxel(at).map(|v| v as f64))).0;
-            let off: Point = std::array::from_fn(|a| p[a] - tube.center[a]);
+            let off: Point = std::array::from_fn(|a| p[a] - tube.centre[a]);
             // Linear between pixels, which are far smaller than the blur; the picture's border beyond it.
             let place = |mm: f64| ((mm + PICTURE_MM) / PIXEL_MM - 0.5).clamp(0.0, n as f64 - 1.001);
             let (u, v) = (place(dot(off, across)), place(dot(off, up)));
@@ -138,10 +138,10 @@ fn draw(grid: &Grid, tube: &Tube) -> Vec<i16> {
 fn cut(grid: &Grid, values: &[i16], tube: &Tube) -> Cast {
     let (across, _) = plane_axes(tube.axis);
     let least = tube.half_mm[0].min(tube.half_mm[1]);
-    let center = std::array::from_fn(|a| tube.center[a] + 0.3 * least * across[a]);
+    let centre = std::array::from_fn(|a| tube.centre[a] + 0.3 * least * across[a]);
     let view = VolumeView::new(values, grid).unwrap();
     let plane = Plane {
-        center,
+        centre,
         normal: tube.axis,
         radius_mm: least,
     };
@@ -193,7 +193,7 @@ proptest! {
         prop_assert!(off <= section.width_error_mm + 0.1, "{off} of {}", section.width_error_mm);
         let off = (section.wall_mm - wall).abs();
         prop_assert!(off <= section.wall_error_mm + 0.1, "{off} of {}", section.wall_error_mm);
-        let away: Point = std::array::from_fn(|a| section.center[a] - tube.center[a]);
+        let away: Point = std::array::from_fn(|a| section.centre[a] - tube.centre[a]);
         let along = dot(away, tube.axis);
         let aside = (dot(away, away) - along * along).sqrt();
         prop_assert!(aside < 0.1, "{aside}");
@@ -247,7 +247,7 @@ fn the_blur_is_found_on_edges_against_thick_tissue() {
     let view = VolumeView::new(&values, &grid).unwrap();
     let planes: Vec<Plane> = (0..8)
         .map(|n| Plane {
-            center: std::array::from_fn(|a| tube.center[a] + 0.7 * f64::from(n) * tube.axis[a]),
+            centre: std::array::from_fn(|a| tube.centre[a] + 0.7 * f64::from(n) * tube.axis[a]),
             normal: tube.axis,
             radius_mm: 6.0,
         })
@@ -298,7 +298,7 @@ fn a_plane_in_solid_tissue_or_in_open_air_has_no_section() {
         let values = vec![fill; grid.num_voxels()];
         let view = VolumeView::new(&values, &grid).unwrap();
         let plane = Plane {
-            center: [0.0; 3],
+            centre: [0.0; 3],
             normal: [0.0, 0.0, 1.0],
             radius_mm: 2.0,
         };
@@ -320,7 +320,7 @@ fn one_thread_and_three_find_the_same() {
         pool.install(|| {
             let view = VolumeView::new(&values, &grid).unwrap();
             let plane = |n: usize| Plane {
-                center: std::array::from_fn(|a| tube.center[a] + 0.01 * n as f64 * tube.axis[a]),
+                centre: std::array::from_fn(|a| tube.centre[a] + 0.01 * n as f64 * tube.axis[a]),
                 normal: tube.axis,
                 radius_mm: 2.5,
             };

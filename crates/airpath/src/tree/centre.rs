@@ -10,7 +10,7 @@ use carina_grid::{Grid, Lps, dot, length};
 use rayon::prelude::*;
 
 use crate::tree::branch::{self, Branch};
-use crate::tree::caliber;
+use crate::tree::calibre;
 use crate::tree::smooth::{self, Point, cumulative_mm};
 use crate::tree::tube::{BEFORE_FORK_RADII, CENTRED_PULL, PAST_CARINA_RADII, Tube, View, sub};
 use carina_leastcost::lumen::LumenGraph;
@@ -100,12 +100,12 @@ pub(crate) fn refine(graph: &LumenGraph, grid: &Grid, branches: &mut [Branch], s
         })
         .collect();
     let parents: Vec<Option<usize>> = branches.iter().map(|b| b.parent).collect();
-    let calibers = caliber::of_branches(graph, grid, &drawn, &parents, |_| true);
-    for ((branch, points), caliber) in branches.iter_mut().zip(drawn).zip(calibers) {
+    let calibres = calibre::of_branches(graph, grid, &drawn, &parents, |_| true);
+    for ((branch, points), calibre) in branches.iter_mut().zip(drawn).zip(calibres) {
         branch.points = points;
-        if let Some(caliber) = caliber {
-            branch.radius_mm = caliber.section_mm;
-            branch.wall_mm = caliber.wall_mm;
+        if let Some(calibre) = calibre {
+            branch.radius_mm = calibre.section_mm;
+            branch.wall_mm = calibre.wall_mm;
         }
     }
 }

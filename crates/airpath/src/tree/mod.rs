@@ -2,13 +2,13 @@
 
 pub mod branch;
 pub mod branches;
-pub mod caliber;
+pub mod calibre;
 mod centre;
 pub mod smooth;
 pub mod tree_edit;
 mod tube;
 
 #[cfg(test)]
-mod caliber_tests;
+mod calibre_tests;
 #[cfg(test)]
 mod centre_tests;

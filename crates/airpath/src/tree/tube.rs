@@ -170,7 +170,7 @@ impl View<'_> {
                         tube.chord(s - tube.radius_mm, s + tube.radius_mm)
                     };
                     unit(chord)
-                        .and_then(|normal| self.center(points[n], normal, tube.radius_mm))
+                        .and_then(|normal| self.centre(points[n], normal, tube.radius_mm))
                         .unwrap_or(points[n])
                 })
                 .collect();
@@ -193,13 +193,13 @@ impl View<'_> {
     }
 
     /// Centre of the lumen's area in a plane, if it is closed there and the centre lies in it.
-    fn center(&self, from: Point, normal: Point, radius_mm: f64) -> Option<Point> {
+    fn centre(&self, from: Point, normal: Point, radius_mm: f64) -> Option<Point> {
         let axes = plane_axes(normal);
         let [u, v] = centroid(&self.contour(from, axes, radius_mm)?);
         let far_mm = u.hypot(v);
         let share = (0.5 * radius_mm / far_mm.max(1e-9)).min(1.0);
-        let center = std::array::from_fn(|a| from[a] + share * (u * axes.0[a] + v * axes.1[a]));
-        self.holds(center).then_some(center)
+        let centre = std::array::from_fn(|a| from[a] + share * (u * axes.0[a] + v * axes.1[a]));
+        self.holds(centre).then_some(centre)
     }
 
     /// Where a ray leaves the lumen: the last voxel on it, and how far that one's wall is. NaN beyond the reach.
@@ -213,8 +213,8 @@ impl View<'_> {
                 std::array::from_fn(|a| (first[a] + n as f64 * step[a] + 0.5).floor() as isize);
             let Some(node) = self.graph.node_at_voxel(voxel) else {
                 return last.map_or(f64::NAN, |(voxel, node): ([isize; 3], u32)| {
-                    let center = self.grid.to_lps(Ijk(voxel.map(|v| v as f64))).0;
-                    dot(sub(center, from), dir) + self.graph.wall_mm(node)
+                    let centre = self.grid.to_lps(Ijk(voxel.map(|v| v as f64))).0;
+                    dot(sub(centre, from), dir) + self.graph.wall_mm(node)
                 });
             };
             last = Some((voxel, node));

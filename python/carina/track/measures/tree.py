@@ -374,7 +374,6 @@ def _noise_in_trunk(volume: Volume, trunk: Branch, scale: AirScale) -> float:
 
 def _columns(rows: dict[str, Any], which: slice, normals: Floats) -> dict[str, Any]:
     part = {name: values[which] for name, values in rows.items()}
-    part["centre_lps"] = part.pop("center_lps")
     part["normal_lps"] = normals
     part["at_edge"] = part.pop("left_share") > 0.0
     width = part.pop("width_error_mm")

@@ -236,7 +236,7 @@ def track_on_graph(
         labels=which,
         num_nodes=core.num_nodes,
         num_edges=core.num_edges(),
-        num_centres=core.num_centers,
+        num_centres=core.num_centres,
         build_s=core.build_s,
         quantum=core.quantum,
         first_ijk=box[0],

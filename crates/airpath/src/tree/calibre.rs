@@ -15,7 +15,7 @@ use carina_leastcost::lumen::LumenGraph;
 
 /// Radii of branches, mm: of sections, and distances to the wall.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Caliber {
+pub struct Calibre {
     /// Of the circle with the area of the lumen across the branch, at each of its points.
     pub section_mm: Vec<f64>,
     /// Distance to the wall.
@@ -32,7 +32,7 @@ pub fn of_branches(
     lines: &[Vec<Point>],
     parents: &[Option<usize>],
     wanted: impl Fn(usize) -> bool + Sync,
-) -> Vec<Option<Caliber>> {
+) -> Vec<Option<Calibre>> {
     let view = View { graph, grid };
     let mut children: Vec<Vec<usize>> = vec![Vec::new(); lines.len()];
     for (b, parent) in parents.iter().enumerate() {
@@ -78,7 +78,7 @@ pub fn of_branches(
             } else {
                 0.0
             };
-            Some(Caliber {
+            Some(Calibre {
                 section_mm: sections(&view, tube, wall, from_mm, tube.length_mm() - before_end),
                 wall_mm: wall.clone(),
             })
