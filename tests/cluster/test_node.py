@@ -115,7 +115,7 @@ def test_a_case_that_does_not_fit_is_told_with_what_is_there_and_what_it_needs(
     with pytest.raises(ClusterError, match=words) as refused:
         lane._check_memory(big, new_bytes, free_bytes)
     assert refused.value.code == "cluster.memory"
-    assert "the renderer m takes no part" in str(refused.value) and "the case needs 4.0 GiB" in str(refused.value)
+    assert "the renderer m is not used" in str(refused.value) and "the case needs 4.0 GiB" in str(refused.value)
     # A byte less than it keeps, and room beside it.
     RayLane("m", None, None, FACTS, 4 * 2**30)._check_memory(big, 4 * 2**30, 5 * 2**30)
 
