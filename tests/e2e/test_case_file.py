@@ -31,9 +31,9 @@ def work(workstation):
     rows.nth(3).click()
     workstation.wait_for("window.__carina.state.session.can_undo.startsWith('route to')")
     workstation.page.keyboard.press("o")
-    workstation.wait_for("window.__carina.state.session.can_undo === 'outline of the picture'")
+    workstation.wait_for("window.__carina.state.session.can_undo === 'image outline'")
     workstation.page.keyboard.press("Control+z")
-    workstation.wait_for("window.__carina.state.session.can_redo === 'outline of the picture'")
+    workstation.wait_for("window.__carina.state.session.can_redo === 'image outline'")
     workstation.page.keyboard.press("PageDown")
     workstation.wait_still()
 
@@ -68,8 +68,8 @@ def test_a_case_that_is_closed_and_opened_again_is_as_it_was(host, workstation, 
         workstation.wait_ready()
         assert shown(workstation) == before
         workstation.page.keyboard.press("Shift+h")
-        workstation.page.get_by_test_id("history").get_by_role("button", name="Outline of the picture").click()
-        workstation.wait_for("window.__carina.state.session.can_undo === 'outline of the picture'")
+        workstation.page.get_by_test_id("history").get_by_role("button", name="Image outline").click()
+        workstation.wait_for("window.__carina.state.session.can_undo === 'image outline'")
         workstation.page.get_by_test_id("history").get_by_role("button", name="Case opened").click()
         workstation.wait_for("window.__carina.state.session.can_undo === null")
     finally:
