@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import time
 
 import numpy as np
 import pytest
 
 import carina
 from carina import commands as c
+from carina.case import CaseFile
 from carina.config import load_settings
 from carina.errors import NoResultError, UsageError
 from carina.phantom import write_phantom
+from carina.render import Renderer
+from carina.session import Session, case_files
+from carina.session.named_lock import NamedLock
 from carina.session.records import CaseRecords
 from own_folders import own_folders
 
@@ -184,3 +190,79 @@ def test_what_cannot_be_written_is_said_and_the_file_stays(saved, tmp_path):
             case.save(tmp_path / "nowhere" / "one.carina")
         assert case.path == saved
     assert saved.read_bytes() == before
+
+
+# ---------------------------------------------------------------- the window
+
+
+@pytest.fixture
+def window(saved):
+    """Opens a workstation on the case; what it shows, and its session."""
+    records = CaseRecords(load_settings().cases_dir, time.time)
+    sessions = []
+
+    def opened():
+        session = Session(
+            lambda volume, transfer: Renderer(volume, transfer=transfer),
+            records=records,
+            files=case_files(None, records),
+        )
+        sessions.append(session)
+        session.do(c.OpenPath(str(saved)))
+        session.jobs.wait_idle(None)
+        return session
+
+    yield opened, records
+    for session in sessions:
+        session.close()
+
+
+def test_a_window_takes_a_case_file_over_and_goes_on_from_there(saved, window, monkeypatch):
+    monkeypatch.setattr("carina.track.find_airways", searched)
+    opened, records = window
+    session = opened()
+    state = session.snapshot()
+    assert (state.undo_label or "").startswith("rename")
+    assert state.redo_label is not None
+    (record,) = records.all()
+    assert record.copy_path == str(saved)
+    assert record.place == str(saved.parent / "scan" / "ct.nii.gz")
+    session.do(c.SetFov(100.0))
+    session.close()
+    # The file followed; and the same case is gone on with, not another copy.
+    with CaseFile.open(saved, read_only=True) as file:
+        assert len(file.history()) == 2
+    again = opened()
+    assert again.history()[-1] == session_label(again)
+    assert len(records.all()) == 1
+
+
+def test_a_window_does_not_write_over_what_a_program_has_open(saved, window):
+    opened, _ = window
+    session = opened()
+    lock = NamedLock.take(saved)
+    session.do(c.SetFov(100.0))
+    session.do(c.SaveCase())
+    session.jobs.wait_idle(None)
+    with CaseFile.open(saved, read_only=True) as file:
+        assert len(file.history()) == 2, "the label and the target that was taken back"
+    lock.release()
+    session.do(c.SaveCase())
+    session.jobs.wait_idle(None)
+    with CaseFile.open(saved, read_only=True) as file:
+        assert file.history()[-1].label == session_label(session)
+
+
+def session_label(session):
+    return session.snapshot().undo_label
+
+
+def test_a_file_that_somebody_went_on_with_elsewhere_is_another_case_here(saved, window):
+    opened, records = window
+    opened().close()
+    with carina.Case.open(saved) as case:
+        case.do(c.SetFov(95.0))
+    os.utime(saved, (4e9, 4e9))
+    session = opened()
+    assert session.snapshot().document.look.fov_deg == 95.0
+    assert len(records.all()) == 2

@@ -28,7 +28,7 @@ from carina.server.security import Gate, is_loopback
 from carina.server.strangers import ACCEPT_AT_ONCE, WAITING_IN_LINE, Strangers, quieten
 from carina.server.uploads import Uploads
 from carina.server.wire_codec import MAX_TEXT_BYTES
-from carina.session import FORGOTTEN_FOR_S, CaseRecords, LocalStore, RendererFactory, Session, case_files
+from carina.session import FORGOTTEN_FOR_S, CaseRecords, LocalStore, RendererFactory, Session, case_files, is_case_file
 from carina.volume import Citation, VolumeCache
 
 __all__ = ["bind", "make_server", "serve", "start_url"]
@@ -190,7 +190,7 @@ def serve(
             make_renderer or _renderer_factory(),
             store=LocalStore(settings.config_dir),
             records=records,
-            files=case_files(cache),
+            files=case_files(cache, records),
         )
         page = None if make_phone is None else make_phone(session, web_folder(), phone_address)
 
@@ -269,7 +269,11 @@ _PHONE_WARNING = (
 def _refuse_early(path: str, cache: VolumeCache) -> None:
     """Refuse on the command line what cannot be opened, before a window opens."""
     from carina import volume
+    from carina.case import CaseFile
 
+    if is_case_file(path):
+        CaseFile.open(path, read_only=True).close()
+        return
     found = cache.find(path)
     if found is None or found.state != "unchanged":
         volume.inspect_path(path)

@@ -6,19 +6,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carina.case import CaseFile, SourceFacts
+from carina.session.case_scan import CaseScans
 from carina.session.pictures import small_picture
 from carina.session.saving import KeptFile, KeptFiles
 from carina.volume import Volume
 
 if TYPE_CHECKING:
     from carina.session.parts import Cancel, Progress
+    from carina.session.records import CaseRecords
     from carina.volume import VolumeCache
 
 __all__ = ["case_files"]
 
 
-def case_files(cache: VolumeCache | None = None) -> KeptFiles:
-    """Case files on the disk; with a cache, CTs that were opened before come from it."""
+def case_files(cache: VolumeCache | None = None, records: CaseRecords | None = None) -> KeptFiles:
+    """Case files on the disk; with a cache, CTs that were opened before come from it. Records know where CTs lie."""
+    from carina.session.parts import default_parts
     from carina.volume import ct_digest
 
     def create(path: Path, volume: Volume, digest: str) -> KeptFile:
@@ -27,10 +30,13 @@ def case_files(cache: VolumeCache | None = None) -> KeptFiles:
     def reopen(path: Path) -> KeptFile:
         return CaseFile.open(path)
 
+    scans = CaseScans(
+        cache, records, default_parts().open_demo, advice="put it back, or open the scan itself where it lies now"
+    )
     if cache is None:
-        return KeptFiles(create, reopen, ct_digest, picture=small_picture)
+        return KeptFiles(create, reopen, ct_digest, picture=small_picture, scans=scans)
 
     def open_ct(path: str, progress: Progress, cancel: Cancel) -> Volume:
         return cache.open_and_keep(path, progress=progress, cancel=cancel)
 
-    return KeptFiles(create, reopen, ct_digest, open_ct, cache.close, small_picture, cache)
+    return KeptFiles(create, reopen, ct_digest, open_ct, cache.close, small_picture, cache, scans)

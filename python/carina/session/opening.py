@@ -6,9 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from carina import commands as c
+from carina.case import CaseFile
 from carina.case.moment import Moment
 from carina.errors import UsageError
 from carina.session.case import OpenCase, new_case
+from carina.session.case_scan import CaseScans, is_case_file
 from carina.session.core import ALL_TOPICS, SessionCore
 from carina.session.finding import AirwayFinding
 from carina.session.holding import ScopeHolding
@@ -16,6 +18,7 @@ from carina.session.jobs import Job
 from carina.session.recording import FlightRecording
 from carina.session.records import CaseRecord
 from carina.session.saving import Saving
+from carina.session.snapshot import Said
 from carina.session.subject import Subject, does
 from carina.volume import Volume
 
@@ -54,10 +57,33 @@ class Opening(Subject):
         return self._open("opening the case", read, None)
 
     def _open_path(self, path: str, case_id: str | None = None) -> str:
+        scans = self._saving.scans
+        if scans is not None and is_case_file(path):
+            return self._open_case_file(Path(path), scans)
+
         def read(job: Job) -> Volume:
             return self._saving.open_ct(path, job.progress, job.cancel)
 
         return self._open("opening the case", read, path, case_id=case_id)
+
+    def _open_case_file(self, path: Path, scans: CaseScans) -> str:
+        """Its CT, and what was done in it; from now on it is kept here like any other case."""
+        opened: list[tuple[CaseFile, str | None]] = []
+
+        def read(job: Job) -> Volume:
+            file = CaseFile.open(path, read_only=True)
+            opened.append((file, None))
+            if file.note is not None:
+                self.core.emit(Said(file.note))
+            scan = scans.open(file, progress=job.progress, cancel=job.cancel)
+            opened[0] = (file, scan.place)
+            return scan.volume
+
+        def close() -> None:
+            for file, _ in opened:
+                file.close()
+
+        return self._open("opening the case", read, str(path), case_file=lambda: opened[0], ended=close)
 
     def _open_record(self, record: CaseRecord) -> str:
         if record.place is None:
@@ -156,22 +182,34 @@ class Opening(Subject):
         case_id: str | None = None,
         anew: bool = False,
         given: Moment | None = None,
+        case_file: Callable[[], tuple[CaseFile, str | None]] | None = None,
+        ended: Callable[[], None] = lambda: None,
     ) -> str:
         """``case_id`` is the kept case that is meant; else the one of this CT that was used last, or none.
 
         What goes on from a ``given`` moment is kept by whoever gave it.
         """
-        if path is not None:
+        if path is not None and case_file is None:
             place = str(Path(path).absolute())
 
         def work(job: Job) -> None:
+            try:
+                open_it(job)
+            finally:
+                ended()
+
+        def open_it(job: Job) -> None:
             job.check()
             volume = read(job)
             # From here on there is no way back: a refused or stopped opening leaves the case on screen as it was.
             job.check()
             with self._saving.between() as keeping:
                 kept = given
-                if given is not None:
+                found_place = place
+                if case_file is not None:
+                    file, found_place = case_file()
+                    kept = keeping.imported(volume, file)
+                elif given is not None:
                     pass
                 elif anew:
                     keeping.begin(volume)
@@ -195,7 +233,7 @@ class Opening(Subject):
                     self._show(job, case)
                     if given is not None and given.steps:
                         case.begun_s -= given.steps[-1].at_s
-                    keeping.attach(case, place)
+                    keeping.attach(case, found_place)
                     self.core.changed(*ALL_TOPICS, "start")
             # A tenth of a second, and pictures come several times faster; the airways take many.
             case.content.prepare()

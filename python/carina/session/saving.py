@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from carina import commands as c
-from carina.case import CaseFileError
+from carina.case import CaseFile, CaseFileError
 from carina.case.moment import Moment
 from carina.disk import disk_trouble
 from carina.display import one_line
@@ -21,11 +21,13 @@ from carina.session.case import OpenCase, moment_of
 from carina.session.case_scan import CASE_SUFFIX, way_between
 from carina.session.core import SessionCore
 from carina.session.jobs import Job, log_fault
+from carina.session.named_lock import NamedLock
 from carina.session.records import CaseRecord, CaseRecords, HeldCase
 from carina.session.snapshot import Changed, Said, SavingInfo, Trouble
 from carina.session.subject import Subject, answers, does
 
 if TYPE_CHECKING:
+    from carina.session.case_scan import CaseScans
     from carina.session.core import Event
     from carina.session.parts import Cancel, Progress
     from carina.session.scene import ShownCase
@@ -43,6 +45,8 @@ RETRY_S = 2.0
 SLOW_S = 2.5
 """A disk that takes longer is told of, since what it has not taken could be lost."""
 COPY_EVERY_S = 60.0
+SAME_TIME_S = 2.0
+"""By which a file's time and the clock may differ."""
 CLOSING_S = 20.0
 
 
@@ -121,6 +125,8 @@ class KeptFiles:
     """A small JPEG of what is shown; None makes none."""
     cache: CtCache | None = None
     """The CTs that are kept, to be looked after."""
+    scans: CaseScans | None = None
+    """Looks for the CTs of case files; None opens none."""
 
 
 @one_line
@@ -177,6 +183,23 @@ class Between:
             self._saving.say_unreadable(reopened.held, trouble)
         self.give_back()
         return None
+
+    def imported(self, volume: Volume, case: CaseFile) -> Moment | None:
+        """Go on from a case file: from what is kept of it here, else from a copy; None where nothing was saved in it.
+
+        One of a newer Carina is shown and not kept.
+        """
+        digest = self._saving.digest_of(volume)
+        if digest is None or case.note is not None:
+            return case.load(volume)
+        self._digest = digest
+        self._reopened = self._saving.reopened_file(case) or self._saving.taken_over(case, volume, digest)
+        try:
+            return self._reopened.file.load(volume)
+        except CaseFileError as trouble:
+            if trouble.code != "case.empty":
+                raise
+            return None
 
     def attach(self, case: OpenCase, place: str | None) -> None:
         """From now on this case is kept; with the session locked."""
@@ -272,6 +295,50 @@ class Saving(Subject):
             self.say_unreadable(held, trouble)
         held.release()
         return None
+
+    def reopened_file(self, case: CaseFile) -> Reopened | None:
+        """What is kept here of a case file, owned from now on; None where nothing is that goes on from it."""
+        assert self.records is not None
+        steps, path = _told(case), str(case.path.absolute())
+        changed_s = case.path.stat().st_mtime
+        for record in self.records.all():
+            if record.digest != case.digest:
+                continue
+            # Nobody else has written it since; or all that was done in it was done here, too.
+            is_copy = record.copy_path == path and changed_s <= (record.copied_s or 0.0) + SAME_TIME_S
+            if is_copy or (steps and self._told_here(record)[: len(steps)] == steps):
+                return self.opened(record)
+        return None
+
+    def _told_here(self, record: CaseRecord) -> tuple[tuple[str, float], ...]:
+        assert self.records is not None
+        try:
+            with CaseFile.open(self.records.path_of(record), read_only=True) as live:
+                return _told(live)
+        except (OSError, sqlite3.Error, CarinaError):
+            return ()
+
+    def taken_over(self, case: CaseFile, volume: Volume, digest: str) -> Reopened:
+        """A copy of a case file, kept here from now on; the file that it came from follows it."""
+        assert self.records is not None
+        assert self._files is not None
+        held = self.records.begin(digest, None, volume.source.title)
+        try:
+            case.write_copy(held.path)
+            file = self._files.open(held.path)
+        except BaseException:
+            held.release()
+            if self.records.forget(held.record):
+                self.records.remove(held.record.case_id)
+            raise
+        steps, now_s = case.history(), self.records.now_s()
+        held.note(
+            begun_s=now_s - max((step.at_s for step in steps), default=0.0),
+            num_changes=sum(step.holds for step in steps),
+            copy_path=str(case.path.absolute()),
+            copied_s=now_s,
+        )
+        return Reopened(held, file)
 
     def say_unreadable(self, held: HeldCase, trouble: BaseException) -> None:
         """Nothing of it is lost, but nothing is shown."""
@@ -467,6 +534,11 @@ class Saving(Subject):
         return None if kept is None or kept.case is not case else kept.place
 
     @property
+    def scans(self) -> CaseScans | None:
+        """Looks for the CTs of case files."""
+        return None if self._files is None else self._files.scans
+
+    @property
     def cache(self) -> CtCache | None:
         """The CTs that are kept to open faster."""
         return None if self._files is None else self._files.cache
@@ -491,6 +563,8 @@ class Saving(Subject):
         assert kept.held is not None
         assert self.records is not None
         place = kept.held.record.place
+        if NamedLock.is_taken(path):
+            raise UsageError(f"{path.name} is open for change elsewhere: close it there, or choose another name")
         kept.file.write_copy(path, ct_place=way_between(path, place))
         now_s = self.records.now_s()
         kept.held.note(copy_path=str(path), copied_s=now_s)
@@ -552,6 +626,11 @@ class Saving(Subject):
             self.core.emit(Said(f"saved as {path}"))
 
         return self.core.jobs.start("save", "saving the case", work)
+
+
+def _told(case: CaseFile) -> tuple[tuple[str, float], ...]:
+    """What was done in a case and when: no two cases have the same."""
+    return tuple((step.label, step.at_s) for step in case.history())
 
 
 def _with_suffix(path: Path) -> Path:
