@@ -217,3 +217,33 @@ def test_several_steps_are_taken_back_at_once(desk):
     with pytest.raises(UsageError, match="has 3 steps; found step 4"):
         session.do(c.GoToStep(4))
     session.close()
+
+
+def test_a_case_whose_disk_is_full_is_not_closed_until_it_is_saved_elsewhere(desk, tmp_path):
+    session = desk.start()
+    desk.open()
+    session.do(c.SetFov(100.0))
+    desk.saved()
+    desk.files[-1].refuses = OSError(28, "No space left on device")
+    session.do(c.SetFov(90.0))
+    with pytest.raises(UsageError, match="the case stays open") as refused:
+        session.do(c.CloseCase())
+    assert refused.value.code == "case.not-saved"
+    session.do(c.OpenPath("other"))
+    desk.background.run_all()
+    assert session.snapshot().document.look.fov_deg == 90.0
+    place = tmp_path / "stick" / "mine.carina"
+    place.parent.mkdir()
+    session.do(c.SaveCase(str(place)))
+    desk.background.run_all()
+    assert [path.name for path in place.parent.iterdir()] == ["mine.carina"]
+    kept = MemoryFile.kept[str(place.with_name(".mine.carina.new"))][1]
+    assert kept.steps[-1].document.look.fov_deg == 90.0
+    session.do(c.SetFov(80.0))
+    with pytest.raises(UsageError, match="the case stays open"):
+        session.do(c.CloseCase())
+    session.do(c.SaveCase(str(place)))
+    desk.background.run_all()
+    session.do(c.CloseCase())
+    assert session.snapshot().case is None
+    session.close()

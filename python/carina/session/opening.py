@@ -136,7 +136,8 @@ class Opening(Subject):
 
     @does(c.CloseCase)
     def close_case(self, _command: c.CloseCase) -> None:
-        """End all that belongs to it."""
+        """End all that belongs to it; UsageError while the disk has not taken its latest changes."""
+        self._saving.refuse_to_lose()
         with self.core.lock:
             self._recording.stop()
             self.core.jobs.cancel_kinds()

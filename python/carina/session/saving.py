@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import sqlite3
 import threading
@@ -224,6 +225,8 @@ class _Kept:
     digest: str
     held: HeldCase | None = None
     file: KeptFile | None = None
+    elsewhere: Path | None = None
+    """Where all of it was written whole, when the live file's disk refused."""
     pictured: bool = False
     """Its picture was tried to be made."""
 
@@ -251,6 +254,8 @@ class Saving(Subject):
         self._changed_s: float | None = None
         self._within_s = MOVED_WITHIN_S
         self._ended = False
+        self._is_elsewhere = False
+        """All that was done is in a file that a person asked for, since the live one's disk refuses."""
         self._telling = False
         """What changes now is only what is said about saving."""
         self._retry_s = float("-inf")
@@ -265,6 +270,7 @@ class Saving(Subject):
     def between(self) -> Iterator[Between]:
         """While another case takes the place of this one; where that fails, this one is kept on."""
         before = self._kept
+        self.refuse_to_lose()
         self.let_go()
         between = Between(self)
         try:
@@ -391,6 +397,23 @@ class Saving(Subject):
                 self._thread = threading.Thread(target=self._run, name="carina-saving", daemon=True)
                 self._thread.start()
 
+    def refuse_to_lose(self) -> None:
+        """Before the case is closed for another one, or for none.
+
+        Raises
+        ------
+        UsageError
+            ``case.not-saved``: if the disk has not taken the latest changes, and they were saved nowhere else.
+        """
+        self.write_now()
+        if self._kept is None or self._changed_s is None or self._is_elsewhere:
+            return
+        raise UsageError(
+            f"the case stays open, because its latest changes could not be saved: {self._info.problem}. Save it in "
+            "another folder (Ctrl+S), or free some space",
+            code="case.not-saved",
+        )
+
     def let_go(self) -> None:
         """Write what is not written yet, and give the case back; another is opened, or none."""
         kept = self._kept
@@ -435,6 +458,7 @@ class Saving(Subject):
         if kept is None or self._telling or not isinstance(event, Changed) or self.core.case is not kept.case:
             return
         with self._wake:
+            self._is_elsewhere = False
             within_s = MOVED_WITHIN_S if event.topics <= {"pose", "views"} else DECIDED_WITHIN_S
             if self._changed_s is None:
                 self._changed_s, self._within_s = self.core.clock(), within_s
@@ -570,6 +594,28 @@ class Saving(Subject):
         kept.held.note(copy_path=str(path), copied_s=now_s)
         self._tell(copied_s=now_s, copy_name=path.name, copy_folder=str(path.parent), copy_problem=None)
 
+    def _write_elsewhere(self, kept: _Kept, path: Path) -> None:
+        """All of it as a file of its own: a copy of the live one would lack what its disk has refused."""
+        assert self._files is not None
+        with self.core.lock:
+            self._is_elsewhere = True
+            moment = moment_of(kept.case)
+        draft = path.with_name(f".{path.name}.new")
+        try:
+            draft.unlink(missing_ok=True)
+            file = self._files.create(draft, kept.case.info.volume, kept.digest)
+            try:
+                file.save(moment)
+            finally:
+                file.close()
+            draft.replace(path)
+            kept.elsewhere = path
+        except BaseException:
+            self._is_elsewhere = False
+            with contextlib.suppress(OSError):
+                draft.unlink(missing_ok=True)
+            raise
+
     def _slow(self) -> None:
         self._tell(problem="the disk has not responded for some seconds; Carina keeps trying")
 
@@ -608,19 +654,21 @@ class Saving(Subject):
         path = Path(known or "") if command.path is None else _with_suffix(Path(command.path).expanduser())
         if not path.is_absolute():
             raise UsageError(f"expected a full path such as C:\\cases\\NAME or /home/NAME; found {command.path}")
-        if command.path is not None and path.exists() and not command.replace and str(path) != known:
+        is_ours = str(path) == known or path == kept.elsewhere
+        if command.path is not None and path.exists() and not command.replace and not is_ours:
             raise UsageError(f"there is a file already: {path}; choose another name, or replace it", code="case.exists")
 
         def work(job: Job) -> None:
             job.check()
-            if not self.write_now() and self._info.problem is not None:
-                # A copy elsewhere needs the live file; where that disk is full, say so rather than copy what is old.
-                raise CarinaError(f"the case could not be saved: {self._info.problem}", code="machine")
+            is_live = self.write_now() or self._info.problem is None
             with self._writing:
                 if self._kept is not kept:
                     return
                 try:
-                    self._copy(kept, path)
+                    if is_live:
+                        self._copy(kept, path)
+                    else:
+                        self._write_elsewhere(kept, path)
                 except OSError as trouble:
                     raise disk_trouble(trouble, "cannot save the case", path) from trouble
             self.core.emit(Said(f"saved as {path}"))
