@@ -180,6 +180,6 @@ def test_a_temporary_folder_that_cannot_be_written_refuses_uploads_in_words(tmp_
     (tmp_path / "file").write_bytes(b"")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "file"))
     monkeypatch.setattr("carina.disk.scratch._Root._path", None)
-    with pytest.raises(DiskError, match="dropped files cannot be stored"):
+    with pytest.raises(DiskError, match="the files dropped on the window could not be stored"):
         Uploads().begin()
     assert sweep_scratch(Path(tmp_path / "nowhere")) == 0

@@ -3,7 +3,7 @@
 pub enum GridError {
     /// An axis without voxels, or more voxels than an index can count.
     #[error(
-        "a volume needs at least one voxel on each axis and at most 2^31 in all; found shape (z, y, x) = {shape_zyx:?}"
+        "a volume must have at least one voxel along each axis and at most 2^31 in all; found shape (z, y, x) = {shape_zyx:?}"
     )]
     Shape {
         /// The refused shape.

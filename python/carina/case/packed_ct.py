@@ -68,7 +68,9 @@ def packed_volume(connection: sqlite3.Connection) -> Volume | None:
     for n, first, count, length in pieces:
         size = count * slice_bytes if isinstance(count, int) and count > 0 else -1
         if first != ahead or not 0 < size <= min(MAX_PIECE_BYTES, MOST_DEFLATED * length):
-            raise damaged(f"piece {n} of the scan", f"slices from {ahead}, of a size that fits", f"{first}, {count}")
+            raise damaged(
+                f"piece {n} of the scan", f"slices that start at {ahead} and lie inside the scan", f"{first}, {count}"
+            )
         ahead += count
     if ahead != nz:
         raise damaged("the scan", f"{nz} slices", str(ahead))

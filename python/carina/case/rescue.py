@@ -56,7 +56,7 @@ def rescued(path: Path | str, target: Path | str) -> tuple[str, ...]:
     Raises
     ------
     CaseFileError
-        If nothing can be rescued.
+        If nothing can be recovered.
     DiskError
         If the new file cannot be written.
     """
@@ -79,11 +79,11 @@ class _Rescue:
             self._source = read_source(connection)
         except TROUBLE as trouble:
             raise refused(
-                path, f"nothing can be rescued: the record of its scan is lost ({trouble})", code="case.damaged"
+                path, f"nothing can be recovered: the record of its scan is lost ({trouble})", code="case.damaged"
             ) from trouble
         if int(np.prod(np.array(self._source.shape_zyx, dtype=np.float64))) > MAX_VOXELS:
             raise refused(
-                path, "nothing can be rescued: the recorded size of its scan is impossible", code="case.damaged"
+                path, "nothing can be recovered: the recorded size of its scan is impossible", code="case.damaged"
             )
         # Only the grid is looked at; pages of memory that nobody looks at are never made.
         standing_in = Volume(np.zeros(self._source.shape_zyx, np.int16), self._source.lps_from_ijk, self._source.is_hu)
@@ -146,7 +146,11 @@ class _Rescue:
             elif row[0] <= (rows[0][0] + position):
                 position -= 1
         if not documents:
-            raise refused(self._path, "nothing can be rescued: all of its steps are lost", code="case.damaged")
+            raise refused(
+                self._path,
+                "nothing can be recovered: all the changes recorded in this file are lost",
+                code="case.damaged",
+            )
         return Moment(
             first=documents[0][1],
             steps=tuple(

@@ -255,7 +255,12 @@ def render(
     lens: Annotated[
         str | None, typer.Option(help="Lens: pinhole, equidistant, or an OpenCV calibration file (.yml, .xml, .json).")
     ] = None,
-    outline: Annotated[str | None, typer.Option(help="Shape of the image: none, round or octagon.")] = None,
+    outline: Annotated[
+        str | None,
+        typer.Option(
+            help="Crop the image to a round or octagonal field (round, octagon), or keep the full frame (none)."
+        ),
+    ] = None,
     mask: Annotated[
         str | None, typer.Option("--mask", hidden=True, help="Former name of --outline; still accepted.")
     ] = None,

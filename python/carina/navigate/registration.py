@@ -78,9 +78,9 @@ def fit_registration(tracker_mm: ArrayLike, patient_lps: ArrayLike) -> Registrat
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
         if spread[1] < MIN_SPREAD_MM:
             raise UsageError(
-                f"the points in {whose} space lie close together or almost on one line (expected at least "
-                f"{MIN_SPREAD_MM:g} mm of spread across it; found {spread[1]:.1f} mm): choose points farther "
-                "apart",
+                f"the points in {whose} space are too close together or almost in a straight line (expected a spread "
+                f"of at least {MIN_SPREAD_MM:g} mm beside the line through them; found {spread[1]:.1f} mm): choose "
+                "points that are farther apart and not in line",
                 code="navigate.registration",
             )
     u, _, vt = np.linalg.svd((target - target.mean(axis=0)).T @ (source - source.mean(axis=0)))

@@ -99,7 +99,7 @@ class Pointing:
             log_fault(logger, "the live path failed", trouble)
             answer = _no_path(
                 message.request_id,
-                (f"the path could not be found: internal error in Carina ({type(trouble).__name__})"),
+                f"no path through the airways could be calculated: internal error in Carina ({type(trouble).__name__})",
             )
         self._push(answer)
 

@@ -92,14 +92,18 @@ class Uploads:
                 self.discard(next(iter(self._uploads)))
             scratch = ScratchFolder()
         except OSError as trouble:
-            raise disk_trouble(trouble, "dropped files cannot be stored", None, unchanged=_BY_PATH) from trouble
+            raise disk_trouble(
+                trouble, "the files dropped on the window could not be stored", None, unchanged=_BY_PATH
+            ) from trouble
         tag = secrets.token_hex(4)
         folder = scratch.path / self.names.begin(tag)
         try:
             folder.mkdir(mode=0o700)
         except OSError as trouble:
             scratch.remove()
-            raise disk_trouble(trouble, "dropped files cannot be stored", None, unchanged=_BY_PATH) from trouble
+            raise disk_trouble(
+                trouble, "the files dropped on the window could not be stored", None, unchanged=_BY_PATH
+            ) from trouble
         upload_id = secrets.token_hex(8)
         self._uploads[upload_id] = _Upload(scratch, tag, folder)
         return upload_id

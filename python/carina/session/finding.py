@@ -150,7 +150,7 @@ class AirwayFinding(Subject):
             find,
             case.document.lumen_threshold,
             ("use the segmentation for the airways"),
-            "building the tree of the segmentation",
+            "building the airway tree from the segmentation",
         )
 
     def start(self, case: OpenCase, root_lps: Point | None, threshold: float | None, *, label: str | None) -> str:

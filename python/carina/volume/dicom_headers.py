@@ -172,7 +172,7 @@ def _check_inflated_size(path: Path) -> None:
                 total += len(inflater.decompress(chunk, 1 << 20))
                 chunk = inflater.unconsumed_tail
                 if total > _MAX_INFLATED_BYTES:
-                    msg = "the deflated file is implausibly large"
+                    msg = "the file decompresses to an implausible size"
                     raise ValueError(msg)
 
 

@@ -96,8 +96,8 @@ export function ToolInHand() {
             label="Ball"
             words={
               ball
-                ? "Painting in all directions. Click to paint in this slice only."
-                : "Painting in this slice only. Click to paint in all directions."
+                ? "The brush paints in 3D. Click to paint in this slice only."
+                : "The brush paints in this slice only. Click to paint in 3D."
             }
             on={ball}
             onChange={() => station.ui({ brushIsBall: !ball })}

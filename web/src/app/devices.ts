@@ -146,7 +146,7 @@ export class BrowserDevices {
     if (!this.hasHid) words.push("SpaceMouse and USB scope handle (they need WebHID: Chrome, Edge or Chromium)");
     if (xrOf(navigator) === null)
       words.push("headsets (they need WebXR: Chrome, Edge, Chromium or the headset's own browser)");
-    if (!hasPointerLock(document)) words.push("locking the mouse");
+    if (!hasPointerLock(document)) words.push("capturing the mouse pointer");
     if (!("vibrationActuator" in globalThis || "GamepadHapticActuator" in globalThis)) words.push("rumble");
     return words;
   }

@@ -532,7 +532,7 @@ const PAGE: readonly Binding[] = [
 ];
 
 const IN_PLACES: readonly Binding[] = [
-  ...inPicture("picture", ENTER, "Full view and back; with a tool: use it at the crosshair"),
+  ...inPicture("picture", ENTER, "Maximise or restore the view; with a tool in hand, use it at the crosshair"),
   ...inPicture("plane", SCROLL, "Previous slice, next slice"),
   ...inPicture("plane", MOVE, "Move the crosshair by 1 mm"),
   ...inPicture("plane", PAN, "Pan"),

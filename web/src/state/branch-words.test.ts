@@ -209,7 +209,7 @@ describe("a branch that a person drew", () => {
       { kind: "tracked", from_mm: 0, to_mm: 159 },
       { kind: "manual", from_mm: 159, to_mm: 180 },
     ] as const;
-    expect(drawnShare(spans)).toBe(`21 of 180${NBSP}mm drawn by hand, from 159${NBSP}mm`);
+    expect(drawnShare(spans)).toBe(`21 of 180${NBSP}mm drawn by hand, starting 159${NBSP}mm along the route`);
     expect(routeDoubts(spans.slice(0, 1))).toBeNull();
   });
 });

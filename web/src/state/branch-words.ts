@@ -170,7 +170,7 @@ export function drawnShare(spans: Spans): string | null {
   const first = drawn[0];
   const last = spans.at(-1);
   if (first === undefined || last === undefined) return null;
-  return `${fixed(total)} of ${mm(last.to_mm, 0)} drawn by hand, from ${mm(first.from_mm, 0)}`;
+  return `${fixed(total)} of ${mm(last.to_mm, 0)} drawn by hand, starting ${mm(first.from_mm, 0)} along the route`;
 }
 
 /** Which part of a route is a bridge; null where none is. */

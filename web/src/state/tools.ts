@@ -28,7 +28,7 @@ export const TOOL_WORDS: Readonly<Record<TreeTool, ToolWords>> = {
     label: "Bridge",
     short: "Bridge",
     words: "Bridges an obstruction: click in the airway distal to it. The bridge stays marked.",
-    hint: "Click in the airway distal to the obstruction. The CT shows no airway here: the bridge stays amber and is labelled \u201cbridge\u201d.",
+    hint: "Click in the airway distal to the obstruction. The CT shows no lumen across the gap: the bridge stays amber and is labelled \u201cbridge\u201d.",
   },
   cut: {
     label: "Cut",

@@ -170,7 +170,7 @@ class AirwayTree:
             f"{len(self)} branches ({num_named} with a name), {len(self.tips())} tips, "
             f"generations 0 to {inner_first[-1].generation}"
             + (f"; the first {len(rows)} are listed" if len(self) > len(rows) else ""),
-            "from the front, patient right on the left; lines as wide as the lumen, coloured by generation",
+            "seen from the front, the patient's right on the left; line width is the lumen's, colour the generation",
             *([f"{num_drawn} branches drawn by hand, in amber"] if num_drawn else []),
             *more,
             *(f"! {note.words}" for note in self.notes),
