@@ -124,7 +124,7 @@ def test_the_fine_texture_is_switched_off_and_on_where_the_look_has_one(server, 
     switch.hover()
     workstation.page.mouse.move(*(v + 1 for v in middle(switch)))
     workstation.page.get_by_role("tooltip").wait_for()
-    assert "decoration" in workstation.page.get_by_role("tooltip").inner_text()
+    assert "only what is in the CT" in workstation.page.get_by_role("tooltip").inner_text()
     workstation.picture("texture-off")
 
     # A switch is no step of undo: it is switched back.

@@ -20,6 +20,7 @@ export function ListHead({ children }: { children?: ReactNode }) {
         <Tip key={list} words={words} keys={list === "history" ? keyOf("history") : undefined}>
           <Button
             className="list-choice"
+            aria-label={`${title} list`}
             aria-pressed={list === shown}
             data-testid={`list-${list}`}
             onPress={() => station.ui({ list })}
