@@ -79,7 +79,7 @@ def test_forks_are_found_ahead_and_behind() -> None:
         ([[0, 0], [1, 1]], {}, r"shape \(n, 3\)"),
         ([[0, 0, 0], [0, np.nan, 9]], {}, "not finite"),
         ([[0, 0, 0], [0, 0, 9]], {"up_lps": [0, 0, 1]}, "up direction"),
-        ([[0, 0, 0], [0, 0, 9]], {"max_deviation_mm": 0.0}, "0.2 to 10"),
+        ([[0, 0, 0], [0, 0, 9]], {"max_deviation_mm": 0.0}, "between 0.2 and 10"),
         ([[0, 0, 0], [0, 0, 9]], {"forks_mm": [11.0]}, "forks must lie on the path"),
     ],
 )

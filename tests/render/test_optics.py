@@ -142,7 +142,7 @@ def test_depth_of_field_blurs_what_is_near_and_leaves_the_rest(airway):
     assert roughness(blurred) < 0.7 * roughness(plain)
     # Outside the outline it stays black, and the outline's edge does not bleed in.
     assert not blurred[np.hypot(columns - 60, rows - 48) > 48].any()
-    with pytest.raises(RenderError, match="whole picture"):
+    with pytest.raises(RenderError, match="whole image"):
         renderer.render(dataclasses.replace(view, depth_of_field=DepthOfField(3.0, 60.0)), rows=(0, 10))
 
 
