@@ -21,7 +21,9 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [path for path in (str(ROOT / "tests" / "e2e"), str(ROOT / "tools")) if path not in sys.path]
+sys.path[:0] = [
+    path for path in (str(ROOT / "tests"), str(ROOT / "tests" / "e2e"), str(ROOT / "tools")) if path not in sys.path
+]
 
 from playwright.sync_api import sync_playwright  # noqa: E402
 from server_process import Host  # noqa: E402
