@@ -278,3 +278,12 @@ def test_the_cache_of_cts_is_told_emptied_and_switched_off_for_the_next_time_too
     assert desk.session.cases.storage().keeps_cts == "never"
     with pytest.raises(UsageError, match="keeps no CTs"):
         desk.session.do(c.KeepCts(True))
+
+
+def test_a_record_that_names_another_folder_is_not_taken(tmp_path):
+    records = CaseRecords(tmp_path, lambda: 1_800_000_000.0)
+    held = records.begin("one CT", None, "Thorax")
+    held.release()
+    path = held.folder / "record.json"
+    path.write_text(path.read_text().replace(held.record.case_id, "../elsewhere"))
+    assert records.all() == ()

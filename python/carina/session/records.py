@@ -263,6 +263,9 @@ def _read(path: Path) -> CaseRecord | None:
     with contextlib.suppress(OSError, ValueError, RecursionError, msgspec.ValidationError):
         plain = json.loads(path.read_text(encoding="utf-8"))
         if isinstance(plain, dict) and plain.pop("format", None) == FORMAT and plain.pop("version", None) == VERSION:
-            return msgspec.convert(plain, CaseRecord)
+            record = msgspec.convert(plain, CaseRecord)
+            # Its folder is found by its id: what names another folder is not ours to touch.
+            if record.case_id == path.parent.name:
+                return record
     logger.warning("the record of a saved case could not be read")
     return None
